@@ -1,0 +1,66 @@
+"""Camera-based touch you can trust: optical tactile sensors as calibrated instruments.
+
+The names here load when they are first used, so that `import palpate` is quick.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from palpate.core import Frame, PalpateError, Reading
+from palpate.version import __version__
+
+if TYPE_CHECKING:
+    from palpate.calibration import Plan, calibrate, evaluate
+    from palpate.estimators import Estimator
+    from palpate.live import open_source, sense
+    from palpate.recordings import Manifest, Run, RunWriter, import_images, read_image
+    from palpate.reports import write_report
+    from palpate.studies import certify, run_demo
+
+_ROOMS = {
+    "Estimator": "estimators",
+    "Manifest": "recordings",
+    "Plan": "calibration",
+    "Run": "recordings",
+    "RunWriter": "recordings",
+    "calibrate": "calibration",
+    "certify": "studies",
+    "evaluate": "calibration",
+    "import_images": "recordings",
+    "open_source": "live",
+    "read_image": "recordings",
+    "run_demo": "studies",
+    "sense": "live",
+    "write_report": "reports",
+}
+
+__all__ = [
+    "Estimator",
+    "Frame",
+    "Manifest",
+    "PalpateError",
+    "Plan",
+    "Reading",
+    "Run",
+    "RunWriter",
+    "__version__",
+    "calibrate",
+    "certify",
+    "evaluate",
+    "import_images",
+    "open_source",
+    "read_image",
+    "run_demo",
+    "sense",
+    "write_report",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _ROOMS:
+        return getattr(import_module(f"palpate.{_ROOMS[name]}"), name)
+    raise AttributeError(f"palpate has no {name!r}; it has {', '.join(__all__)}")
+
+
+def __dir__() -> list[str]:
+    return __all__

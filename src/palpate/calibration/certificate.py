@@ -1,0 +1,213 @@
+"""A calibration as a folder that proves itself: model, guard, card, held-out predictions, pictures."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import cv2
+import numpy as np
+import onnx
+import onnxruntime
+import pandas as pd
+
+from palpate.calibration.evaluate import score
+from palpate.calibration.made import Calibrated
+from palpate.calibration.uncertainty import fit_intervals
+from palpate.core.axes import Indices, Values
+from palpate.core.errors import CertificateError
+from palpate.core.files import new_folder, sha256_of
+from palpate.core.units import split_column
+from palpate.estimators.card import (
+    FORMAT,
+    Card,
+    FileCard,
+    InputCard,
+    ReferenceCard,
+    RunCard,
+    SplitCard,
+    TargetCard,
+    sealed,
+)
+from palpate.estimators.certified import CARD_FILE
+from palpate.estimators.intervals import Intervals
+from palpate.version import __version__
+
+AGREEMENT = 1e-4
+"""Largest allowed difference between the exported and the trained model, as a share of a target's range."""
+
+WORST = 6
+PREDICTIONS_FILE = "predictions.parquet"
+
+
+def write_certificate(made: Calibrated, out: Path) -> Card:
+    """Write the folder; `out` appears whole or not at all.
+
+    Raises:
+        CertificateError: the exported model does not repeat the trained one.
+        ExistsError: `out` exists.
+    """
+    with new_folder(out) as folder:
+        onnx.save(made.fitted.to_onnx(), str(folder / "model.onnx"))
+        agreement = _agreement(made, folder / "model.onnx")
+        made.guard.save(folder / "guard.npz")
+        intervals = fit_intervals(
+            made.held_out, made.data.values, made.split.folds, made.data.groups, made.plan.coverage
+        )
+        halves = intervals.half_widths(made.held_out)
+        predictions_table(made, halves).to_parquet(folder / PREDICTIONS_FILE, index=False)
+        for name, image in _pictures(made):
+            cv2.imwrite(str(folder / name), image)
+        card = _card(made, folder, intervals, halves, agreement)
+        (folder / CARD_FILE).write_text(card.model_dump_json(indent=1))
+    return card
+
+
+def predictions_table(made: Calibrated, halves: Values) -> pd.DataFrame:
+    """One row a frame: its labels, and for each target what was said of it when it was held out."""
+    table = made.packed.table.copy()
+    fold = np.empty(len(table), np.int64)
+    for k, rows in enumerate(made.split.folds):
+        fold[rows] = k
+    table["held_out_in_fold"] = fold
+    for j, column in enumerate(made.plan.targets):
+        table[f"estimate:{column}"] = made.held_out[:, j]
+        table[f"half_width:{column}"] = halves[:, j]
+    return table
+
+
+def worst_rows(made: Calibrated) -> Indices:
+    """Rows whose error, in units of each target's range, is the largest."""
+    span = np.ptp(made.data.values, axis=0)
+    error = np.max(np.abs(made.held_out - made.data.values) / span, axis=1)
+    return np.argsort(error)[::-1][:WORST]
+
+
+def _pictures(made: Calibrated) -> Iterator[tuple[str, np.ndarray]]:
+    """File names and BGR or grey pictures that the report shows."""
+    chosen = [(f"worst-{row}.png", int(row)) for row in worst_rows(made)]
+    chosen += [("example.png", len(made.packed) // 2)]
+    for name, row in chosen:
+        yield name, _as_bgr(made.packed.read([row])[0])
+    if len(made.untouched.rows):
+        yield "reference.png", _as_bgr(made.packed.read([int(made.untouched.rows[0])])[0])
+
+
+def _as_bgr(image: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(image[..., ::-1]) if image.shape[2] == 3 else image[..., 0]
+
+
+def _agreement(made: Calibrated, model: Path) -> float:
+    """Largest difference between exported and trained model, as a share of each target's range."""
+    rows = np.linspace(0, len(made.packed) - 1, min(64, len(made.packed))).astype(np.int64)
+    inputs = made.data.fetch(rows)
+    session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
+    (exported,) = session.run(["value"], {"image": inputs})
+    difference = np.abs(exported - made.fitted.predict(inputs)) / np.ptp(made.data.values, axis=0)
+    worst = float(difference.max())
+    if not worst <= AGREEMENT:
+        raise CertificateError(
+            f"the exported model differs from the trained one by {worst:.1e} of the range, more than "
+            f"{AGREEMENT:.0e}; nothing was written"
+        )
+    return worst
+
+
+def _card(made: Calibrated, folder: Path, intervals: Intervals, halves: Values, agreement: float) -> Card:
+    plan, run = made.plan, made.run
+    preparation = made.packed.preparation
+    others = sorted(p for p in folder.iterdir() if p.name not in ("model.onnx", "guard.npz"))
+    return sealed(
+        {
+            "format": FORMAT,
+            "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+            "software": _software(),
+            "seed": plan.seed,
+            "sensor": run.manifest.sensor,
+            "model_name": plan.model,
+            "options": plan.options,
+            "coverage": plan.coverage,
+            "input": InputCard(
+                frame_px=run.frame(0).image.shape[:2],
+                size_px=preparation.size_px,
+                channels=preparation.channels,
+                crop_px=preparation.crop_px,
+                delta=plan.delta,
+            ),
+            "targets": tuple(_targets(made, intervals, halves)),
+            "model": _file(folder / "model.onnx"),
+            "guard": _file(folder / "guard.npz"),
+            "files": tuple(_file(path) for path in others),
+            "reference": _reference(made),
+            "split": _split(made),
+            "run": RunCard(
+                run_id=run.manifest.run_id,
+                hash=run.hash,
+                frames=len(run),
+                origin=run.manifest.origin,
+                licence=run.manifest.licence,
+            ),
+            "agreement": agreement,
+            "seconds": round(made.seconds, 1),
+        }
+    )
+
+
+def _targets(made: Calibrated, intervals: Intervals, halves: Values) -> Iterator[TargetCard]:
+    mean_of_others = np.empty_like(made.data.values)
+    for k, rows in enumerate(made.split.folds):
+        mean_of_others[rows] = made.data.values[made.split.training_rows(k)].mean(axis=0)
+    for j, column in enumerate(made.plan.targets):
+        quantity, unit = split_column(column)
+        true = made.data.values[:, j]
+        yield TargetCard(
+            column=column,
+            quantity=quantity,
+            unit=unit.symbol,
+            least=float(true.min()),
+            greatest=float(true.max()),
+            training_mean=float(true.mean()),
+            centre=float(intervals.spread.centre[j]),
+            scale=float(intervals.spread.scale[j]),
+            typical=float(intervals.spread.typical[j]),
+            coefficients=tuple(float(c) for c in intervals.spread.coefficients[j]),
+            quantile=float(intervals.quantile[j]),
+            score=score(
+                unit.symbol, true, made.held_out[:, j], halves[:, j], mean_of_others[:, j], made.data.groups
+            ),
+        )
+
+
+def _reference(made: Calibrated) -> ReferenceCard:
+    rule = made.untouched.rule
+    return ReferenceCard(
+        column=rule.column if rule else None,
+        value=rule.value if rule else None,
+        by=rule.by if rule else (),
+        frames=len(made.untouched.rows),
+    )
+
+
+def _split(made: Calibrated) -> SplitCard:
+    return SplitCard(
+        kind=made.split.kind,
+        reason=made.split.reason,
+        columns=made.split.group_columns,
+        groups=len(np.unique(made.data.groups)),
+        folds=len(made.split.folds),
+        clean=made.audit.clean,
+        audit=made.audit.text,
+        details=made.audit.to_dict(),
+    )
+
+
+def _file(path: Path) -> FileCard:
+    return FileCard(file=path.name, sha256=sha256_of(path))
+
+
+def _software() -> dict[str, str]:
+    names = ("numpy", "scikit-learn", "onnx", "onnxruntime", "opencv-python-headless")
+    return {"palpate": __version__, "python": platform.python_version()} | {n: version(n) for n in names}

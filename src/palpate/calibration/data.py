@@ -1,0 +1,129 @@
+"""From a packed recording to what a model learns from: values, groups, references, inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float32, Int, Shaped
+
+from palpate.calibration.plan import Plan, Reference
+from palpate.core.axes import Indices, Tensor
+from palpate.core.errors import LabelError
+from palpate.estimators.networks.base import TrainingData
+from palpate.recordings.labels import targets_from
+from palpate.recordings.pack import PackedSet
+
+FLAG_COLUMNS = ("reference", "no_contact", "untouched")
+"""Label columns of yes and no that mark frames of the untouched sensor without being asked for."""
+
+BATCH = 256
+
+
+@dataclass(frozen=True)
+class Untouched:
+    """The frames of the untouched sensor.
+
+    Attributes:
+        rows: which rows they are.
+        groups: ``[n]`` number of the reference that each row of the recording belongs to.
+        images: ``[g c h w]`` mean image of each reference, grey levels.
+        rule: how they were found; None where there are none.
+    """
+
+    rows: Int[np.ndarray, " r"]
+    groups: Int[np.ndarray, " n"]
+    images: Float32[np.ndarray, "g c h w"]
+    rule: Reference | None
+
+
+def marked(table: pd.DataFrame, rule: Reference) -> Bool[np.ndarray, " n"]:
+    """Rows that a reference rule names.
+
+    Raises:
+        LabelError: the rule's columns are not there, or no row matches.
+    """
+    for column in (rule.column, *rule.by):
+        if column not in table:
+            raise LabelError(
+                f"reference column {column!r} is not among the labels: {', '.join(table.columns)}"
+            )
+    held = table[rule.column]
+    try:
+        found = (pd.to_numeric(held) == float(rule.value)).to_numpy()
+    except (TypeError, ValueError):
+        found = (held.astype(str).str.lower() == rule.value.lower()).to_numpy()
+    if not found.any():
+        raise LabelError(f"no row has {rule.column}={rule.value}; the untouched sensor was not recorded")
+    return found
+
+
+def default_rule(table: pd.DataFrame) -> Reference | None:
+    """The rule of a conventional flag column, where one is there and marks any row."""
+    for column in FLAG_COLUMNS:
+        if column in table and table[column].astype(str).str.lower().eq("true").any():
+            return Reference(column, "true")
+    return None
+
+
+def find_untouched(packed: PackedSet, plan: Plan) -> Untouched:
+    """Find and average the no-contact frames.
+
+    Raises:
+        LabelError: the plan is differential and there are none, or a group has none of its own.
+    """
+    table = packed.table
+    rule = plan.reference or default_rule(table)
+    nothing = np.zeros(len(table), dtype=np.int64)
+    if rule is None:
+        if plan.delta:
+            raise LabelError(
+                "a differential calibration needs frames of the untouched sensor; say which rows they are "
+                f"with --reference COLUMN=VALUE, or label them in a column {' or '.join(FLAG_COLUMNS)}"
+            )
+        return Untouched(nothing[:0], nothing, np.empty((0, *packed.preparation.shape), np.float32), None)
+    rows = np.flatnonzero(marked(table, rule))
+    groups = table.groupby(list(rule.by), sort=False).ngroup().to_numpy() if rule.by else nothing
+    return Untouched(rows, groups, _mean_images(packed, rows, groups, rule), rule)
+
+
+def _mean_images(
+    packed: PackedSet, rows: np.ndarray, groups: np.ndarray, rule: Reference
+) -> Float32[np.ndarray, "g c h w"]:
+    images = np.zeros((groups.max() + 1, *packed.preparation.shape), np.float32)
+    counts = np.bincount(groups[rows], minlength=len(images))
+    if not counts.all():
+        lost = packed.table[list(rule.by)].iloc[int(np.flatnonzero(counts[groups] == 0)[0])].to_dict()
+        raise LabelError(
+            f"group {lost} has no row with {rule.column}={rule.value}; drop it or reference by less"
+        )
+    for row in rows:
+        images[groups[row]] += packed.read([row])[0].transpose(2, 0, 1) / counts[groups[row]]
+    return images
+
+
+def training_data(
+    packed: PackedSet, plan: Plan, groups: Shaped[np.ndarray, " n"], untouched: Untouched, source: str
+) -> TrainingData:
+    """What a model learns from.
+
+    Raises:
+        LabelError, UnitError: a target column is missing, not a number, constant, or has no unit.
+    """
+
+    def fetch(rows: Indices) -> Tensor:
+        inputs = packed.read(rows).transpose(0, 3, 1, 2).astype(np.float32)
+        if plan.delta:
+            inputs -= untouched.images[untouched.groups[rows]]
+        return np.ascontiguousarray(inputs)
+
+    values = targets_from(packed.table, plan.targets, source)
+    return TrainingData(packed.preparation.shape, values, groups, fetch)
+
+
+def prepared_images(packed: PackedSet, rows: Indices) -> Iterator[np.ndarray]:
+    """Prepared images ``[h w c]`` of the rows, one at a time, few in memory."""
+    for start in range(0, len(rows), BATCH):
+        yield from packed.read(rows[start : start + BATCH])

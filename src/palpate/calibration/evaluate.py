@@ -1,0 +1,153 @@
+"""Scores of estimates against labels, with the intervals' coverage and its own interval."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Shaped
+
+from palpate.calibration.data import marked
+from palpate.calibration.plan import Reference
+from palpate.calibration.uncertainty import grouped_coverage_interval
+from palpate.core.axes import Values
+from palpate.core.errors import LabelError
+from palpate.core.reading import Reading
+from palpate.estimators.card import Card, ScoreCard
+from palpate.estimators.certified import Estimator, Zero
+from palpate.estimators.networks.base import Progress, silent
+from palpate.recordings.labels import targets_from
+from palpate.recordings.reader import Run
+
+
+def score(
+    unit_: str,
+    true: Shaped[np.ndarray, " n"],
+    predicted: Shaped[np.ndarray, " n"],
+    half: Shaped[np.ndarray, " n"],
+    mean: float | Shaped[np.ndarray, " n"],
+    groups: Shaped[np.ndarray, " n"],
+) -> ScoreCard:
+    """Score one target.
+
+    Args:
+        unit_: unit of everything given.
+        true, predicted, half: labels, estimates and half-widths of their intervals.
+        mean: what always saying the training mean would have said.
+        groups: label of each row's group; rows of one group are not independent.
+    """
+    error = predicted - true
+    inside = np.abs(error) <= half
+    low, high = grouped_coverage_interval(inside, groups)
+    variance = float(np.var(true))
+    return ScoreCard(
+        unit=unit_,
+        n=len(true),
+        mae=float(np.abs(error).mean()),
+        rmse=float(np.sqrt(np.mean(error**2))),
+        bias=float(error.mean()),
+        r2=1 - float(np.mean(error**2)) / variance if variance > 0 else 0.0,
+        mean_mae=float(np.abs(true - mean).mean()),
+        coverage_90=float(inside.mean()),
+        coverage_90_low=low,
+        coverage_90_high=high,
+        half_width=float(half.mean()),
+    )
+
+
+def zeros_of(estimator: Estimator, run: Run) -> dict[int, Zero]:
+    """No-contact references found in a run by the calibration's own rule: row -> reference.
+
+    Empty where the calibration knows none or the run has none.
+    """
+    card = estimator.card.reference
+    table = run.labels
+    if card.column is None or card.column not in table or not set(card.by) <= set(table):
+        return {}
+    rule = Reference(card.column, card.value or "", card.by)
+    try:
+        rows = np.flatnonzero(marked(table, rule))
+    except LabelError:
+        return {}
+    groups = table.groupby(list(card.by), sort=False).ngroup().to_numpy() if card.by else np.zeros(len(table))
+    zeros: dict[int, Zero] = {}
+    for group in np.unique(groups[rows]):
+        images = [run.frame(int(row)).image for row in rows[groups[rows] == group]]
+        mean = np.mean(images, axis=0).round().astype(np.uint8)
+        zero = estimator.zero(mean)
+        zeros |= {int(row): zero for row in np.flatnonzero(groups == group)}
+    return zeros
+
+
+def evaluate(
+    estimator: Estimator, run: Run, *, zero: Zero | None = None, progress: Progress = silent
+) -> dict[str, Any]:
+    """Score a calibration on a run, one frame in memory at a time.
+
+    Args:
+        estimator: the calibration.
+        run: frames with labels in the calibration's target columns.
+        zero: one reference for the whole run; None finds the run's own by the calibration's rule.
+        progress: told how far it is.
+
+    Returns:
+        ``{"targets": {column: {"unit", "n", "mae", "rmse", "r2", "coverage_90", …}}, …}``.
+
+    Raises:
+        LabelError: a target column is missing or unfit.
+        ImageError: the calibration is differential and the run has no reference.
+    """
+    card = estimator.card
+    true = targets_from(run.labels, card.columns, str(run.path))
+    zeros = {} if zero is not None else zeros_of(estimator, run)
+    predicted, half = np.full_like(true, np.nan), np.full_like(true, np.nan)
+    valid = np.zeros(len(run), bool)
+    for row in range(len(run)):
+        readings = estimator.read(run.frame(row), zero or zeros.get(row))
+        predicted[row], half[row] = _in_units(card, readings)
+        valid[row] = all(reading.valid for reading in readings.values())
+        progress("evaluating", row + 1, len(run))
+    return _scores(card, run, true, predicted, half, valid)
+
+
+def _in_units(card: Card, readings: Mapping[str, Reading]) -> tuple[np.ndarray, np.ndarray]:
+    values, halves = [], []
+    for target in card.targets:
+        reading = readings[target.column].in_unit(target.unit)
+        values.append(reading.value)
+        halves.append((reading.high - reading.low) / 2)
+    return np.array(values), np.array(halves)
+
+
+def _scores(
+    card: Card, run: Run, true: Values, predicted: Values, half: Values, valid: np.ndarray
+) -> dict[str, Any]:
+    read = ~np.isnan(predicted).any(axis=1)
+    if not read.any():
+        raise LabelError(f"{run.path}: no frame could be read, every one is of another size than calibrated")
+    groups = groups_in(run.labels, card.split.columns)[read]
+    targets = {
+        t.column: score(
+            t.unit, true[read, j], predicted[read, j], half[read, j], t.training_mean, groups
+        ).model_dump()
+        for j, t in enumerate(card.targets)
+    }
+    return {
+        "targets": targets,
+        "calibration": card.id,
+        "run": {"run_id": run.manifest.run_id, "hash": run.hash, "frames": len(run)},
+        "frames_read": int(read.sum()),
+        "frames_valid": int(valid.sum()),
+        "groups": len(np.unique(groups)),
+        "group_columns": list(card.split.columns),
+        "learnt_from_this_run": run.hash == card.run.hash,
+    }
+
+
+def groups_in(table: pd.DataFrame, columns: tuple[str, ...]) -> np.ndarray:
+    """A label for each row's group; each row its own where the columns are not all there."""
+    if not columns or not set(columns) <= set(table):
+        return np.arange(len(table))
+    return table.groupby(list(columns), sort=False, dropna=False).ngroup().to_numpy()

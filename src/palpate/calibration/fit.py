@@ -1,0 +1,176 @@
+"""From a run and a plan to a certificate: pack, split, audit, fit, hold out, certify.
+
+Work is kept in a folder beside the result (`.NAME.work`) until it is whole. Interrupted, the same command
+goes on from there: the packed set, every finished fold and a network's last epoch are kept.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+
+from palpate.calibration.certificate import write_certificate
+from palpate.calibration.data import Untouched, find_untouched, prepared_images, training_data
+from palpate.calibration.leakage import audit
+from palpate.calibration.made import Calibrated
+from palpate.calibration.plan import Plan
+from palpate.core.axes import Indices, Values
+from palpate.core.errors import ExistsError, InputError
+from palpate.core.files import new_file, refuse_existing, storage_errors
+from palpate.estimators.guard import Guard, fit_guard, thumbnails
+from palpate.estimators.networks import make_model, model_size
+from palpate.estimators.networks.base import Model, Progress, TrainingData, predict_rows, silent
+from palpate.recordings.labels import targets_from
+from palpate.recordings.pack import PackedSet, pack
+from palpate.recordings.reader import Run
+from palpate.recordings.splits import Split, split
+from palpate.sensors.preparation import Preparation
+
+
+def calibrate(run: Run, plan: Plan, out: Path, progress: Progress = silent) -> Path:
+    """Calibrate an estimator and write its certificate.
+
+    Every row is predicted once by a model that has not seen its group; the scores, the intervals and
+    the report come from those predictions. The model that is kept has learnt from every row.
+
+    Args:
+        run: frames and their labels.
+        plan: what to estimate and how.
+        out: the calibration folder to make; must not exist.
+        progress: told what is being done and how far it is.
+
+    Returns:
+        `out`.
+
+    Raises:
+        ExistsError: `out` exists, or work towards another plan lies beside it.
+        LabelError, UnitError, SplitError, InputError: the plan does not fit the run.
+    """
+    refuse_existing(out)
+    started = time.monotonic()
+    _check_plan(run, plan)
+    work = _work_folder(run, plan, out)
+    packed = _packed(run, plan, work, progress)
+    untouched = find_untouched(packed, plan)
+    parts = split(packed.table, plan.split, folds=plan.folds, seed=plan.seed)
+    report = audit(packed, parts)
+    groups = parts.groups if parts.groups is not None else np.arange(len(packed))
+    data = training_data(packed, plan, groups, untouched, str(run.path))
+    model = make_model(plan.model, plan.options)
+    held_out = _held_out(model, data, parts, plan, work, progress)
+    fitted = model.fit(
+        data,
+        np.arange(len(packed)),
+        seed=plan.seed,
+        progress=_named(progress, "final model"),
+        checkpoint=work / "final.npz",
+    )
+    guard = _guard(packed, parts, untouched, plan, progress)
+    seconds = time.monotonic() - started
+    write_certificate(
+        Calibrated(run, plan, packed, data, parts, report, untouched, held_out, fitted, guard, seconds), out
+    )
+    shutil.rmtree(work)
+    return out
+
+
+def _check_plan(run: Run, plan: Plan) -> None:
+    """Refuse at once what would fail after an hour."""
+    if len(run) < 10:
+        raise InputError(f"{run.path} holds {len(run)} frames; a calibration needs 10 or more")
+    make_model(plan.model, plan.options)
+    targets_from(run.labels, plan.targets, str(run.path))
+    split(run.labels, plan.split, folds=plan.folds, seed=plan.seed)
+
+
+def preparation_of(run: Run, plan: Plan) -> Preparation:
+    """The preparation a plan asks for.
+
+    Where it names no size, the input has as many pixels as the model's own square one, in the frame's
+    (or the crop's) proportions.
+    """
+    if plan.size_px is not None:
+        return Preparation(plan.crop_px, plan.size_px, plan.channels)
+    height, width = plan.crop_px[:1:-1] if plan.crop_px else run.frame(0).image.shape[:2]
+    side, tall = model_size(plan.model), math.sqrt(height / width)
+    return Preparation(plan.crop_px, (round(side * tall), round(side / tall)), plan.channels)
+
+
+def _work_folder(run: Run, plan: Plan, out: Path) -> Path:
+    """The folder of unfinished work towards this very plan, made or found again."""
+    work = out.with_name(f".{out.name}.work")
+    wanted = json.dumps({"run": run.hash, "plan": plan.to_dict()}, sort_keys=True)
+    note = work / "plan.json"
+    if note.is_file():
+        if note.read_text() != wanted:
+            raise ExistsError(
+                f"{work} holds unfinished work towards another calibration named {out.name}; "
+                "run that one again to finish it, remove the folder, or choose another --out"
+            )
+        return work
+    with storage_errors(work):
+        if work.exists():
+            shutil.rmtree(work)
+        work.mkdir(parents=True)
+    with new_file(note) as path:
+        path.write_text(wanted)
+    return work
+
+
+def _packed(run: Run, plan: Plan, work: Path, progress: Progress) -> PackedSet:
+    folder = work / "packed"
+    if folder.exists():
+        return PackedSet.open(folder)
+    made = preparation_of(run, plan)
+    return pack(run, folder, made, progress=lambda done, total: progress("packing", done, total))
+
+
+def _held_out(
+    model: Model, data: TrainingData, parts: Split, plan: Plan, work: Path, progress: Progress
+) -> Values:
+    """Predictions of every row by a model that has not seen its fold."""
+    predicted = np.full_like(data.values, np.nan)
+    for k, rows in enumerate(parts.folds):
+        predicted[rows] = _fold(model, data, parts, plan, k, work, progress)
+    return predicted
+
+
+def _fold(
+    model: Model, data: TrainingData, parts: Split, plan: Plan, k: int, work: Path, progress: Progress
+) -> Values:
+    kept = work / f"fold-{k}.npy"
+    if kept.exists():
+        return np.asarray(np.load(kept, allow_pickle=False))
+    rows: Indices = parts.folds[k]
+    fitted = model.fit(
+        data,
+        parts.training_rows(k),
+        seed=plan.seed + k + 1,
+        progress=_named(progress, f"fold {k + 1} of {len(parts.folds)}"),
+        checkpoint=work / f"fold-{k}.npz",
+    )
+    predicted = predict_rows(fitted, data, rows)
+    with new_file(kept) as path, path.open("wb") as file:
+        np.save(file, predicted)
+    (work / f"fold-{k}.npz").unlink(missing_ok=True)
+    return predicted
+
+
+def _guard(packed: PackedSet, parts: Split, untouched: Untouched, plan: Plan, progress: Progress) -> Guard:
+    progress("learning what frames look like", 0, 1)
+    thumbs = thumbnails(prepared_images(packed, np.arange(len(packed))))
+    guard = fit_guard(thumbs, parts.folds, thumbs[untouched.rows], seed=plan.seed)
+    progress("learning what frames look like", 1, 1)
+    return guard
+
+
+def _named(progress: Progress, what: str) -> Progress:
+    def named(stage: str, done: int, total: int) -> None:
+        progress(f"{what}: {stage}", done, total)
+
+    return named

@@ -1,0 +1,269 @@
+"""Whether a held-out frame is one that was trained on, under another name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+from sklearn.neighbors import NearestNeighbors
+
+from palpate.core.units import has_unit, split_column
+from palpate.recordings.labels import label_kinds
+from palpate.recordings.pack import PackedSet
+from palpate.recordings.splits import Split, conventional_groups, group_names
+
+_THUMB_PX = 16
+_BATCH = 256
+_NAMED = 3
+# Area means over cells that differ by less than half a grey level are the same number in 8 bits.
+_ROUNDING = 0.5
+# Room for noise that is not the same everywhere, such as a lamp's flicker or JPEG's blocks.
+_NOISE_FACTOR = 2.0
+# Of 256 cells of pure noise the largest is three times their root mean square, four with room; a touch that
+# changes only a small part of the view changes one cell by more.
+_PEAK_FACTOR = 4.0
+_NOISE_PAIRS = 200
+_BLOCK = 4
+# The quietest twentieth of all places has a third of the median's power where there is white noise and
+# nothing else (sixteen values a place), and less where part of the view moved.
+_EVEN = 0.2
+# Black and white are clipped, and noise does not show there [grey levels].
+_BLACK, _WHITE = 4, 251
+_MOST_PAIRS = 400_000_000
+# Second differences along both axes; the six keeps white noise at its standard deviation.
+# Immerkaer 1996, https://doi.org/10.1006/cviu.1996.0060
+_SECOND_DIFFERENCES = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32) / 6
+
+
+@dataclass(frozen=True, slots=True)
+class LeakageAudit:
+    """What stands on both sides of a split.
+
+    Attributes:
+        shared_groups: for each column (or columns) that groups frames, how many of its groups have frames
+            both held out and trained on in some fold; those with none are left out.
+        shared_names: a few of these groups by name.
+        near_duplicates: how many held-out frames show, within the camera's noise, what a frame trained on
+            shows.
+        examples: names of a few such pairs, held-out frame first.
+        checked_pairs: how many pairs were compared.
+        limit: largest root-mean-square difference between thumbnails that still counts as the same [grey
+            levels].
+        at_rest: how many frames were left out of the comparison because they show the untouched skin, which
+            looks the same in every press and in use.
+        clean: no near-duplicates, and no group shared under a random split.
+        text: the finding in words.
+    """
+
+    shared_groups: dict[str, int]
+    shared_names: dict[str, tuple[str, ...]]
+    near_duplicates: int
+    examples: tuple[tuple[str, str], ...]
+    checked_pairs: int
+    limit: float
+    at_rest: int
+    clean: bool
+    text: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """The audit as JSON can hold it."""
+        return asdict(self)
+
+
+def audit(
+    packed: PackedSet,
+    split: Split,
+    *,
+    group_columns: Sequence[str] | None = None,
+    at_rest: np.ndarray | None = None,
+) -> LeakageAudit:
+    """Look for groups and frames that stand on both sides of a split.
+
+    Two frames count as near-duplicates when their 16 × 16 thumbnails of area means differ by no more than
+    camera noise would make them. The noise is estimated from the frames themselves: from the differences
+    between frames that look most alike, where these are spread as evenly as noise is. Thumbnails average
+    most noise away and keep what a touch changes; a change much smaller than one of their cells may be taken
+    for none.
+
+    Args:
+        packed: the frames and their labels.
+        split: how they are parted.
+        group_columns: columns that group frames; by default the conventional ones that are there and every
+            text column in which a text recurs.
+        at_rest: which rows show the untouched skin ``[n]``; by default those whose labels say so by a flag
+            ``contact`` or by a depth and force of 0.
+
+    So a random split of a recording with 25 frames a press holds out frames whose twins it trains on.
+    """
+    table = packed.table
+    shared = {name: _shared(groups, split) for name, groups in _groupings(table, group_columns)}
+    shared = {name: groups for name, groups in shared.items() if groups.size}
+    thumbs = _thumbnails(packed)
+    resting = _at_rest(table) if at_rest is None else np.asarray(at_rest, dtype=bool)
+    held, twin, pairs = _nearest_across(thumbs, split, resting)
+    limit = max(_ROUNDING, _NOISE_FACTOR * _noise(packed, thumbs))
+    quiet = ~_looks_like(thumbs, resting, limit)[held] if resting.any() else np.ones(len(held), dtype=bool)
+    same = np.flatnonzero(_alike(thumbs[held], thumbs[twin], limit) & quiet)
+    counts = {name: len(groups) for name, groups in shared.items()}
+    clean = not same.size and not (split.groups is None and counts)
+    return LeakageAudit(
+        shared_groups=counts,
+        shared_names={name: tuple(str(g) for g in groups[:_NAMED]) for name, groups in shared.items()},
+        near_duplicates=len(same),
+        examples=tuple((packed.names[held[i]], packed.names[twin[i]]) for i in same[:_NAMED]),
+        checked_pairs=pairs,
+        limit=limit,
+        at_rest=int(np.count_nonzero(resting)),
+        clean=clean,
+        text=_text(split, counts, len(same), len(held)),
+    )
+
+
+def _groupings(table: pd.DataFrame, columns: Sequence[str] | None) -> Iterator[tuple[str, np.ndarray]]:
+    if columns is None:
+        texts = [(name,) for name, kind in label_kinds(table).items() if kind == "text"]
+        chosen = list(dict.fromkeys([*conventional_groups(table), *texts]))
+    else:
+        chosen = [(name,) for name in columns]
+    for names in chosen:
+        if columns is None and any(
+            table[n].isna().any() or (table[n].astype(str) == "").any() for n in names
+        ):
+            continue  # a column with gaps was not meant to group; asked for by name it is an error
+        groups = group_names(table, names)
+        if 1 < len(np.unique(groups)) < len(groups):
+            yield ",".join(names), groups
+
+
+def _shared(groups: np.ndarray, split: Split) -> np.ndarray:
+    """The groups with rows in more than one fold: held out in one, they are trained on in it too."""
+    fold_of = np.empty(len(groups), dtype=np.int64)
+    for k, fold in enumerate(split.folds):
+        fold_of[fold] = k
+    names, inverse = np.unique(groups, return_inverse=True)
+    least, most = np.full(len(names), len(split.folds)), np.full(len(names), -1)
+    np.minimum.at(least, inverse, fold_of)
+    np.maximum.at(most, inverse, fold_of)
+    crossing: np.ndarray = names[least != most]
+    return crossing
+
+
+def _at_rest(table: pd.DataFrame) -> np.ndarray:
+    rest, asked = np.ones(len(table), dtype=bool), False
+    for name, kind in label_kinds(table).items():
+        if kind == "flag" and name == "contact":
+            return np.asarray(table[name].eq(False), dtype=bool)
+        if kind == "number" and has_unit(name) and split_column(name)[0].endswith(("depth", "force")):
+            rest &= table[name].to_numpy() == 0
+            asked = True
+    return rest & asked
+
+
+def _thumbnails(packed: PackedSet) -> np.ndarray:
+    """Area means of every frame ``[n k]`` [grey levels]."""
+    batches = packed.batches(np.arange(len(packed)), _BATCH)
+    return np.concatenate([_shrunk(batch, _THUMB_PX).reshape(len(batch), -1) for batch in batches])
+
+
+def _shrunk(frames: np.ndarray, most_px: int) -> np.ndarray:
+    """Area means ``[n h w c]``, at most so many along each side."""
+    height, width = (min(most_px, side) for side in frames.shape[1:3])
+    small = [cv2.resize(f.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) for f in frames]
+    return np.stack(small).reshape(len(frames), height, width, -1)
+
+
+def _nearest_across(
+    thumbs: np.ndarray, split: Split, resting: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """For each held-out row the trained-on row that looks most like it, and how many pairs were compared."""
+    # Beyond this many pairs every so many held-out frames stand for all.
+    step = 1 + len(thumbs) ** 2 // _MOST_PAIRS
+    held, twin, pairs = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], 0
+    for k, fold in enumerate(split.folds):
+        asked, trained = fold[~resting[fold]][::step], split.training_rows(k)
+        trained = trained[~resting[trained]]
+        if asked.size and trained.size:
+            search = NearestNeighbors(n_neighbors=1, algorithm="brute").fit(thumbs[trained])
+            held.append(asked)
+            twin.append(trained[search.kneighbors(thumbs[asked], return_distance=False)[:, 0]])
+            pairs += len(asked) * len(trained)
+    return np.concatenate(held), np.concatenate(twin), pairs
+
+
+def _noise(packed: PackedSet, thumbs: np.ndarray) -> float:
+    """What camera noise alone changes in a thumbnail's cell between two frames, as a deviation [grey levels].
+
+    It is asked of frames and those most like them, on either side of the split. Noise changes every place
+    alike, whereas another scene changes some places more: only if most pairs differ evenly is it noise that
+    was seen.
+
+    Returns:
+        The standard deviation; 0 where the differences are not those of noise.
+    """
+    rows, others = _most_alike(thumbs)
+    seen = [_roughness(*packed.read(pair)) for pair in np.column_stack([rows, others])]
+    levels = [level for level, evenness in seen if evenness > _EVEN]
+    return float(np.median(levels)) if 2 * len(levels) > len(seen) else 0.0
+
+
+def _most_alike(thumbs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    rows = np.unique(np.linspace(0, len(thumbs) - 1, min(_NOISE_PAIRS, len(thumbs))).astype(np.int64))
+    search = NearestNeighbors(n_neighbors=min(2, len(thumbs)), algorithm="brute").fit(thumbs)
+    found = search.kneighbors(thumbs[rows], return_distance=False)
+    # A row's nearest is itself, unless it has an exact copy, which may then come first.
+    return rows, np.where(found[:, 0] == rows, found[:, -1], found[:, 0])
+
+
+def _roughness(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
+    """How much two frames differ from place to place [grey levels in a thumbnail's cell], and how evenly [0,
+    1].
+
+    Second differences see noise and not shading. They are taken at half a cell, because noise of neighbouring
+    pixels is often alike (interpolated colour, compression) and would be underrated pixel by pixel.
+    """
+    fine = 2 * _THUMB_PX
+    apart = _shrunk(a[None], fine)[0] - _shrunk(b[None], fine)[0]
+    power = cv2.filter2D(apart, -1, _SECOND_DIFFERENCES).reshape(apart.shape) ** 2
+    power, level = _shrunk(power[None], fine // _BLOCK)[0], _shrunk(a[None], fine // _BLOCK)[0]
+    exposed = power[(level > _BLACK) & (level < _WHITE)]
+    typical = float(np.median(exposed)) if exposed.size else 0.0
+    # A cell is the mean of four places, so its noise is half of theirs.
+    return float(np.sqrt(typical)) / 2, float(np.quantile(exposed, 0.05)) / typical if typical else 0.0
+
+
+def _alike(a: np.ndarray, b: np.ndarray, limit: float) -> np.ndarray:
+    apart = np.abs(a - b)
+    typical, largest = np.sqrt((apart**2).mean(axis=1)), apart.max(axis=1, initial=0)
+    alike: np.ndarray = (typical <= limit) & (largest <= _PEAK_FACTOR * limit)
+    return alike
+
+
+def _looks_like(thumbs: np.ndarray, resting: np.ndarray, limit: float) -> np.ndarray:
+    """Which frames cannot be told from the skin at rest, touched or not."""
+    untouched = np.median(thumbs[resting], axis=0)
+    unseen: np.ndarray = resting | _alike(thumbs, np.broadcast_to(untouched, thumbs.shape), limit)
+    return unseen
+
+
+def _text(split: Split, shared: dict[str, int], twins: int, held: int) -> str:
+    found = []
+    if twins:
+        found.append(
+            f"{twins} of {held} held-out frames look the same, within camera noise, as frames trained on: "
+            "the score says how well those are remembered, not how well new ones will be read"
+        )
+    if shared and split.groups is None:
+        names = ", ".join(f"{name} ({count} groups)" for name, count in shared.items())
+        found.append(
+            f"the random split puts frames of one group on both sides: {names}; split by one of these"
+        )
+    elif shared:
+        held_out, names = " and ".join(split.group_columns), ", ".join(shared)
+        found.append(f"the test is of new {held_out}; of new {names} it says nothing, being on both sides")
+    if not found:
+        return "No held-out frame looks the same as one trained on, and no group stands on both sides."
+    return "Found: " + ". Also: ".join(found) + "."

@@ -1,0 +1,114 @@
+"""Conformal intervals: from errors on held-out rows to a half-width for every new reading.
+
+Each row's score is its held-out error over the spread expected there; the interval is the estimate plus
+and minus the spread times a quantile of those scores (cross-conformal prediction: Vovk, Ann. Math.
+Artif. Intell. 74:9 (2015), doi:10.1007/s10472-013-9368-4; scaled scores: Papadopoulos et al., ECML 2002,
+doi:10.1007/3-540-36755-1_29). Folds keep groups whole, so that the errors are those on groups not yet
+seen, and pooling the folds gives every row a score even where there are few groups.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import beta
+from sklearn.linear_model import GammaRegressor
+
+from palpate.core.axes import Values
+from palpate.core.errors import InputError
+from palpate.estimators.intervals import Intervals, Spread, design
+from palpate.estimators.networks.base import Scaler
+
+ROWS_PER_COEFFICIENT = 20
+GROUPS_FOR_SPREAD = 20
+
+
+def conformal_quantile(scores: Float[np.ndarray, " n"], coverage: float) -> float:
+    """The score that a new one stays below with probability `coverage`.
+
+    The rank is raised by one row, ceil((n + 1) coverage), which is what makes the promise hold for
+    finite n; with too few scores for it the largest one is used.
+    """
+    n = len(scores)
+    if n == 0:
+        raise InputError("no held-out scores to set an interval by; give the calibration at least two folds")
+    rank = min(int(np.ceil((n + 1) * coverage)), n)
+    return float(np.sort(scores)[rank - 1])
+
+
+def fit_intervals(
+    predicted: Values, true: Values, folds: Sequence[np.ndarray], groups: np.ndarray, coverage: float
+) -> Intervals:
+    """Intervals from held-out predictions.
+
+    The spread is a smooth function of the predicted values (a shallow tap tells less about shear than a
+    deep one), fitted to the size of the errors; with few rows or groups it is one number. While scoring a
+    fold, the spread is fitted without it.
+
+    Args:
+        predicted: held-out predictions ``[n t]``.
+        true: the labels ``[n t]``.
+        folds: held-out rows of each fold.
+        groups: ``[n]`` label of each row's group.
+        coverage: how often intervals shall hold the truth, 0 to 1.
+    """
+    errors = np.abs(predicted - true)
+    varies = _enough(errors, groups)
+    every = np.arange(len(errors))
+    scores = np.empty_like(errors)
+    for held in folds:
+        others = np.setdiff1d(every, held)
+        spread = _fit_spread(predicted[others], errors[others], varies)
+        scores[held] = errors[held] / spread.at(predicted[held])
+    quantile = np.array([conformal_quantile(column, coverage) for column in scores.T])
+    return Intervals(_fit_spread(predicted, errors, varies), quantile, coverage)
+
+
+def coverage_interval(hits: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Clopper-Pearson interval of a rate, from `hits` of `n` independent rows."""
+    tail = (1 - confidence) / 2
+    low = float(beta.ppf(tail, hits, n - hits + 1)) if hits else 0.0
+    high = float(beta.ppf(1 - tail, hits + 1, n - hits)) if hits < n else 1.0
+    return low, high
+
+
+def grouped_coverage_interval(
+    inside: np.ndarray, groups: np.ndarray, *, seed: int = 0, confidence: float = 0.95, draws: int = 2000
+) -> tuple[float, float]:
+    """Interval of a rate whose rows come in groups.
+
+    Rows of one group are not independent, so whole groups are drawn again (bootstrap percentile
+    interval). Where every row is its own group, or all rows agree, it is Clopper-Pearson's, with the
+    groups counted.
+    """
+    _, index = np.unique(groups, return_inverse=True)
+    n = int(index.max()) + 1
+    hits, sizes = np.bincount(index, weights=inside), np.bincount(index)
+    rate = hits.sum() / sizes.sum()
+    if n == len(inside) or rate in (0.0, 1.0):
+        return coverage_interval(round(rate * n), n, confidence)
+    drawn = np.random.default_rng(seed).integers(0, n, (draws, n))
+    rates = hits[drawn].sum(axis=1) / sizes[drawn].sum(axis=1)
+    tail = (1 - confidence) / 2
+    low, high = np.quantile(rates, [tail, 1 - tail])
+    return float(low), float(high)
+
+
+def _enough(errors: Values, groups: np.ndarray) -> bool:
+    n, t = errors.shape
+    coefficients = 1 + t + t * (t + 1) // 2
+    return n >= ROWS_PER_COEFFICIENT * coefficients and len(np.unique(groups)) >= GROUPS_FOR_SPREAD
+
+
+def _fit_spread(predicted: Values, errors: Values, varies: bool) -> Spread:
+    scaler = Scaler.of(predicted)
+    typical = np.maximum(errors.mean(axis=0), np.finfo(np.float32).tiny)
+    terms = design(scaler.scaled(predicted))
+    coefficients = np.zeros((errors.shape[1], terms.shape[1]))
+    if varies:
+        for j, ratio in enumerate((errors / typical).T):
+            fitted = GammaRegressor(alpha=1e-2, max_iter=1000).fit(terms[:, 1:], np.maximum(ratio, 1e-6))
+            coefficients[j] = [fitted.intercept_, *fitted.coef_]
+    return Spread(scaler.mean, scaler.scale, typical, coefficients)

@@ -1,0 +1,68 @@
+"""A Contact: what one probe at one pose does to a skin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from jaxtyping import Float
+from numpy import ndarray
+
+from palpate.core.axes import Field, Mask
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """What touches the skin.
+
+    Attributes:
+        shape: ``"sphere"`` for now; other shapes come with their mechanics.
+        radius_m: radius of curvature [m].
+    """
+
+    shape: str
+    radius_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where the probe is, in the sensor's frame of reference.
+
+    Attributes:
+        x_m, y_m: position over the skin [m]; the origin is the skin's centre.
+        depth_m: approach past first touch, positive into the skin [m].
+    """
+
+    x_m: float
+    y_m: float
+    depth_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """Traction, displacement and contact region on a grid of the skin's surface, SI.
+
+    The sensor's frame is right-handed: x to the right, y towards the viewer of an edge-on picture, z into
+    the skin.
+
+    Attributes:
+        x_m: grid columns ``[nx]`` [m].
+        y_m: grid rows ``[ny]`` [m].
+        pressure_pa: normal traction ``[ny nx]``, positive in compression [Pa].
+        sinking_m: surface displacement along z ``[ny nx]`` [m].
+        touching: where probe and skin touch ``[ny nx]``.
+        force_n: normal force, positive in compression [N].
+        radius_m: radius of the contact region [m].
+        probe, pose: what made it.
+        model: the law that gave it, and what that law assumes.
+    """
+
+    x_m: Float[ndarray, " nx"]
+    y_m: Float[ndarray, " ny"]
+    pressure_pa: Field
+    sinking_m: Field
+    touching: Mask
+    force_n: float
+    radius_m: float
+    probe: Probe
+    pose: Pose
+    model: str

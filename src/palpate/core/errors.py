@@ -1,0 +1,65 @@
+"""One tree of errors. A message says what was asked, what is allowed, the unit and what to do.
+
+PalpateError
+├── InputError              what was given cannot be used
+│   ├── UnitError           a column or quantity without a known unit
+│   ├── RangeError          outside the range where a law or a device is valid
+│   ├── ImageError          an image that is missing, damaged, too large or of another kind
+│   ├── LabelError          a table of labels that does not fit its images
+│   └── SplitError          a split that the data cannot carry
+├── ExistsError             the path exists; nothing is ever overwritten
+├── StorageError            the disk is full, or refused a read or a write
+├── RecordingError          a run that cannot be read as one
+├── CertificateError        a calibration whose parts do not belong together
+└── MissingExtraError       an optional package is needed for what was asked
+"""
+
+from __future__ import annotations
+
+
+class PalpateError(Exception):
+    """Root of everything palpate raises on purpose."""
+
+
+class InputError(PalpateError, ValueError):
+    """What was given cannot be used."""
+
+
+class UnitError(InputError):
+    """A column or quantity carries no unit, or one that is not known."""
+
+
+class RangeError(InputError):
+    """A value lies outside the range where a law or a device is valid."""
+
+
+class ImageError(InputError):
+    """An image is missing, damaged, too large, or of a kind that is not read."""
+
+
+class LabelError(InputError):
+    """A table of labels is damaged or does not fit its images."""
+
+
+class SplitError(InputError):
+    """The data cannot carry the split that was asked for."""
+
+
+class ExistsError(PalpateError, FileExistsError):
+    """The path exists already, and nothing is ever overwritten."""
+
+
+class StorageError(PalpateError, OSError):
+    """The disk is full, or refused a read or a write."""
+
+
+class RecordingError(PalpateError):
+    """A run is missing, damaged beyond its readable part, or not a run."""
+
+
+class CertificateError(PalpateError):
+    """A calibration's card, model and guard do not belong together."""
+
+
+class MissingExtraError(PalpateError, ImportError):
+    """An optional package is needed for what was asked."""

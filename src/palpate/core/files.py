@@ -1,0 +1,130 @@
+"""Files and folders that appear whole or not at all, and never over something that exists."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from palpate.core.errors import ExistsError, StorageError
+
+
+def refuse_existing(path: Path) -> None:
+    """Raise if `path` exists in any form, a dangling link included.
+
+    Raises:
+        ExistsError: it does.
+    """
+    if os.path.lexists(path):
+        raise ExistsError(f"{path} exists, and nothing is ever overwritten; name a new path or move it away")
+
+
+@contextmanager
+def storage_errors(path: Path) -> Iterator[None]:
+    """Turn the operating system's refusals into `StorageError`s that name the path and the remedy."""
+    try:
+        yield
+    except OSError as e:
+        if isinstance(e, StorageError | ExistsError):
+            raise
+        if e.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise StorageError(
+                f"no room left while writing {path} ({e.strerror}); free some space and run again"
+            ) from e
+        raise StorageError(f"{path}: {e.strerror or e}; check the path and its permissions") from e
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Build a folder beside `path`, and move it there only when the block ends well.
+
+    Yields:
+        The folder to fill. After an error it is removed, and `path` was never there.
+
+    Raises:
+        ExistsError: `path` exists.
+        StorageError: the disk refused.
+    """
+    refuse_existing(path)
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        building = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent))
+        try:
+            building.chmod(0o777 & ~_umask())
+            yield building
+            sync_tree(building)
+            refuse_existing(path)
+            building.rename(path)
+            sync(path.parent)
+        finally:
+            if building.exists():
+                shutil.rmtree(building, ignore_errors=True)
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[Path]:
+    """Write a file under a passing name, and give it its own only when the block ends well.
+
+    Yields:
+        The path to write to.
+
+    Raises:
+        ExistsError: `path` exists.
+        StorageError: the disk refused.
+    """
+    refuse_existing(path)
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent)
+        os.close(handle)
+        building = Path(name)
+        try:
+            building.chmod(0o666 & ~_umask())
+            yield building
+            sync(building)
+            refuse_existing(path)
+            building.rename(path)
+            sync(path.parent)
+        finally:
+            building.unlink(missing_ok=True)
+
+
+def sync(path: Path) -> None:
+    """Have the operating system put one file or folder on disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def sync_tree(folder: Path) -> None:
+    """Have the operating system put a folder and everything in it on disk."""
+    for path in sorted(folder.rglob("*")):
+        sync(path)
+    sync(folder)
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file's bytes, as 64 hexadecimal digits."""
+    with storage_errors(path), path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def sha256_of_all(paths: Iterable[Path]) -> str:
+    """One SHA-256 over the names and the bytes of several files, in the order given."""
+    total = hashlib.sha256()
+    for path in paths:
+        total.update(f"{path.name}\0{sha256_of(path)}\0".encode())
+    return total.hexdigest()
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

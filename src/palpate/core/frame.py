@@ -1,0 +1,39 @@
+"""A Frame: one image from one camera at one time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.core.axes import Image
+from palpate.core.errors import ImageError
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One image, when it was taken and by what.
+
+    Attributes:
+        image: 8-bit grey ``[h w]`` or RGB ``[h w 3]``; row 0 is the top, column 0 the left.
+        time_s: capture time on the run's clock [s].
+        exposure_s: exposure [s]; None where the camera did not say.
+        sensor: which sensor the image is of, e.g. its serial number.
+        name: what the frame is called at the edges: a file's name, or its index in a run.
+    """
+
+    image: Image
+    time_s: float = 0.0
+    exposure_s: float | None = None
+    sensor: str = ""
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        image = self.image
+        if image.dtype != np.uint8 or image.ndim not in (2, 3) or 0 in image.shape:
+            raise ImageError(
+                f"a Frame holds 8-bit [h w] or [h w 3], got {image.dtype} {list(image.shape)}; "
+                "scale or convert the image first"
+            )
+        if image.ndim == 3 and image.shape[2] != 3:
+            raise ImageError(f"a colour Frame has 3 channels in RGB order, got {image.shape[2]}")

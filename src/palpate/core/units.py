@@ -1,0 +1,109 @@
+"""Units live in names at the edges (`depth_mm`) and are SI inside.
+
+A label column, a target and a JSON key are written ``quantity_unit``. `split_column` takes such a
+name apart, `Unit.to_si` and `Unit.from_si` convert.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from palpate.core.errors import UnitError
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit of measure.
+
+    Attributes:
+        symbol: as it stands in a column's name, e.g. ``mm``.
+        si: symbol of the SI unit of the same quantity, e.g. ``m``.
+        factor: one `symbol` in `si` units.
+    """
+
+    symbol: str
+    si: str
+    factor: float
+
+    def to_si(self, value: float) -> float:
+        """Convert a value in this unit to SI."""
+        return value * self.factor
+
+    def from_si(self, value: float) -> float:
+        """Convert a value in SI to this unit."""
+        return value / self.factor
+
+
+# Exact by definition (SI Brochure, 9th ed., tables 2, 4 and 8); kgf by CGPM 1901: 9.80665 N.
+_DEGREE = math.pi / 180.0
+UNITS: dict[str, Unit] = {
+    u.symbol: u
+    for u in (
+        Unit("m", "m", 1.0),
+        Unit("mm", "m", 1e-3),
+        Unit("um", "m", 1e-6),
+        Unit("mm2", "m2", 1e-6),
+        Unit("m2", "m2", 1.0),
+        Unit("rad", "rad", 1.0),
+        Unit("deg", "rad", _DEGREE),
+        Unit("N", "N", 1.0),
+        Unit("mN", "N", 1e-3),
+        Unit("kgf", "N", 9.80665),
+        Unit("Nm", "Nm", 1.0),
+        Unit("Nmm", "Nm", 1e-3),
+        Unit("Pa", "Pa", 1.0),
+        Unit("kPa", "Pa", 1e3),
+        Unit("MPa", "Pa", 1e6),
+        Unit("N_per_mm", "N_per_m", 1e3),
+        Unit("N_per_m", "N_per_m", 1.0),
+        Unit("kg", "kg", 1.0),
+        Unit("g", "kg", 1e-3),
+        Unit("s", "s", 1.0),
+        Unit("ms", "s", 1e-3),
+        Unit("px", "px", 1.0),
+        Unit("ratio", "ratio", 1.0),
+    )
+}
+
+
+def unit(symbol: str) -> Unit:
+    """Look a unit up by its symbol.
+
+    Raises:
+        UnitError: the symbol is not known; the message lists those that are.
+    """
+    try:
+        return UNITS[symbol]
+    except KeyError:
+        raise UnitError(f"unit {symbol!r} is not known; known are {', '.join(UNITS)}") from None
+
+
+def split_column(name: str) -> tuple[str, Unit]:
+    """Take ``depth_mm`` apart into its quantity and its unit.
+
+    Raises:
+        UnitError: the name ends in no known unit.
+
+    Example:
+        >>> quantity, unit_ = split_column("stiffness_N_per_mm")
+        >>> quantity, unit_.symbol
+        ('stiffness', 'N_per_mm')
+    """
+    for symbol in sorted(UNITS, key=len, reverse=True):
+        quantity, found, rest = name.rpartition(f"_{symbol}")
+        if found and not rest and quantity:
+            return quantity, UNITS[symbol]
+    raise UnitError(
+        f"column {name!r} carries no unit; name it quantity_unit, as in depth_mm, force_N or tilt_deg "
+        f"(a dimensionless one ends in _ratio); known units are {', '.join(UNITS)}"
+    )
+
+
+def has_unit(name: str) -> bool:
+    """Whether a column's name ends in a known unit."""
+    try:
+        split_column(name)
+    except UnitError:
+        return False
+    return True

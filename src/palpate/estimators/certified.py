@@ -1,0 +1,281 @@
+"""A calibration folder, opened: checked in every part, then Frame in, Readings out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+from jaxtyping import Float32
+from pydantic import ValidationError
+
+from palpate.core.axes import Image, Tensor, Values
+from palpate.core.errors import CertificateError, ImageError, StorageError
+from palpate.core.files import sha256_of
+from palpate.core.frame import Frame
+from palpate.core.reading import Drift, Reading
+from palpate.core.units import unit
+from palpate.estimators.card import Card, FileCard, TargetCard, card_id
+from palpate.estimators.guard import Guard
+from palpate.estimators.intervals import Intervals, Spread
+
+CARD_FILE = "card.json"
+MOST_CARD_BYTES = 4_000_000
+MOST_MODEL_BYTES = 1_000_000_000
+
+PreparedFloat = Float32[np.ndarray, "h w c"]
+
+
+def read_card(folder: Path) -> Card:
+    """Read and check a calibration's card.
+
+    Raises:
+        CertificateError: it is missing, damaged or altered.
+    """
+    path = folder / CARD_FILE
+    if not path.is_file():
+        raise CertificateError(
+            f"{folder} is not a calibration: it has no {CARD_FILE}; name a folder that "
+            "`palpate calibrate` made"
+        )
+    if path.stat().st_size > MOST_CARD_BYTES:
+        raise CertificateError(f"{path} is larger than {MOST_CARD_BYTES} bytes; a card never is")
+    try:
+        card = Card.model_validate_json(path.read_bytes())
+    except ValidationError as e:
+        first = e.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the text"
+        raise CertificateError(
+            f"{path} cannot be read as a card: {where}: {first['msg']}; restore it or calibrate again"
+        ) from e
+    if card_id(card.model_dump(mode="json")) != card.id:
+        raise CertificateError(
+            f"{path} was altered: its content no longer gives its id {card.id}; restore it or calibrate again"
+        )
+    return card
+
+
+def checked_file(folder: Path, part: FileCard) -> Path:
+    """The path of a part whose bytes are those the card names.
+
+    Raises:
+        CertificateError: missing, a link, or other bytes.
+    """
+    path = folder / part.file
+    if path.is_symlink() or not path.is_file():
+        raise CertificateError(f"{path} is missing or a link; restore the folder or calibrate again")
+    if path.stat().st_size > MOST_MODEL_BYTES or sha256_of(path) != part.sha256:
+        raise CertificateError(
+            f"{path} is not the file this card was made with (its SHA-256 differs); "
+            "restore it or calibrate again"
+        )
+    return path
+
+
+@dataclass(frozen=True, slots=True)
+class Zero:
+    """An untouched sensor's image: what a differential model subtracts, and how far it has drifted."""
+
+    image: PreparedFloat
+    drift: Drift | None
+
+
+class Estimator:
+    """A certified estimator, ready to sense.
+
+    Example:
+        estimator = Estimator.open(Path("cal"))
+        readings = estimator.read(frame)        # {"depth_mm": Reading(...)}
+    """
+
+    def __init__(self, folder: Path, card: Card, session: onnxruntime.InferenceSession, guard: Guard) -> None:
+        self.folder = folder
+        self.card = card
+        self._session = session
+        self._guard = guard
+        self._preparation = card.input.preparation
+        self._intervals = intervals_of(card)
+
+    @classmethod
+    def open(cls, folder: Path, *, threads: int = 0) -> Estimator:
+        """Open a calibration folder, checking every part against the card.
+
+        Args:
+            folder: what `palpate calibrate` made.
+            threads: of the inference engine; 0 lets it choose.
+
+        Raises:
+            CertificateError: a part is missing, altered, or does not fit the card.
+        """
+        card = read_card(folder)
+        guard = Guard.load(checked_file(folder, card.guard))
+        session = _session(checked_file(folder, card.model), card, threads)
+        return cls(folder, card, session, guard)
+
+    def prepare(self, image: Image) -> PreparedFloat:
+        """Crop and scale an image as in calibration.
+
+        Raises:
+            ImageError: it is not of the size calibrated on.
+        """
+        self._check_size(image)
+        return self._preparation.apply(image).astype(np.float32)
+
+    def zero(self, untouched: Image) -> Zero:
+        """Take an image of the untouched sensor as reference, and judge its drift by it."""
+        self._check_size(untouched)
+        prepared = self._preparation.apply(untouched)
+        return Zero(prepared.astype(np.float32), self._guard.drift(prepared))
+
+    def values(self, inputs: Tensor) -> Values:
+        """Run the network: inputs ``[n c h w]`` to estimates ``[n t]`` in the targets' units."""
+        (value,) = self._session.run(["value"], {"image": inputs})
+        return np.asarray(value, dtype=np.float64)
+
+    def read(self, frame: Frame, zero: Zero | None = None) -> dict[str, Reading]:
+        """Read every target from one frame.
+
+        Args:
+            frame: an image of the kind calibrated on; another size or kind gives readings that are not
+                valid and say why, never a value that looks right.
+            zero: the untouched sensor, see `zero`; needed where the calibration is differential.
+
+        Returns:
+            Readings in SI, keyed by the target's column.
+
+        Raises:
+            ImageError: the calibration is differential and no `zero` was given.
+        """
+        if self.card.input.delta and zero is None:
+            raise ImageError(
+                "this calibration is differential: it needs an image of the untouched sensor; "
+                "give one with --reference FRAME"
+            )
+        if frame.image.shape[:2] != self.card.input.frame_px:
+            return self._readings(frame, None, self._size_message(frame.image), zero)
+        prepared = self._preparation.apply(frame.image)
+        atypicality = self._guard.atypicality(prepared)
+        why = "" if atypicality <= 1 else _strange(atypicality)
+        picture = prepared.astype(np.float32)
+        difference = picture - zero.image if self.card.input.delta and zero is not None else picture
+        values = self.values(np.ascontiguousarray(difference.transpose(2, 0, 1))[None])
+        return self._readings(frame, values, why, zero)
+
+    def unread(self, name: str, time_s: float, why: str) -> dict[str, Reading]:
+        """Readings of a frame that could not be opened: no values, not valid, and the reason."""
+        nothing = Frame(np.zeros((1, 1), np.uint8), time_s, name=name)
+        return self._readings(nothing, None, why, None)
+
+    def _readings(
+        self, frame: Frame, values: Values | None, why: str, zero: Zero | None
+    ) -> dict[str, Reading]:
+        targets = self.card.targets
+        value = np.full(len(targets), np.nan) if values is None else values[0]
+        half = np.full(len(targets), np.nan) if values is None else self._intervals.half_widths(values)[0]
+        drift = None if zero is None else zero.drift
+        return {
+            target.column: self._reading(target, float(v), float(w), why, drift, frame)
+            for target, v, w in zip(targets, value, half, strict=True)
+        }
+
+    def _reading(
+        self, target: TargetCard, value: float, half: float, why: str, drift: Drift | None, frame: Frame
+    ) -> Reading:
+        si = unit(target.unit)
+        why = why or _outside(target, value, half)
+        return Reading(
+            quantity=target.quantity,
+            value=si.to_si(value),
+            low=si.to_si(value - half),
+            high=si.to_si(value + half),
+            unit=si.si,
+            coverage=self.card.coverage,
+            calibrated_range=(si.to_si(target.least), si.to_si(target.greatest)),
+            valid=not why,
+            why=why,
+            drift=drift,
+            calibration=self.card.id,
+            frame=frame.name,
+            time_s=frame.time_s,
+        )
+
+    def _check_size(self, image: Image) -> None:
+        if image.shape[:2] != self.card.input.frame_px:
+            raise ImageError(self._size_message(image))
+
+    def _size_message(self, image: Image) -> str:
+        height, width = self.card.input.frame_px
+        rows, columns = image.shape[:2]
+        return f"the image is {columns}x{rows} px, the calibration is for {width}x{height} px"
+
+
+def intervals_of(card: Card) -> Intervals:
+    """The intervals that a card describes."""
+    targets = card.targets
+    spread = Spread(
+        np.array([t.centre for t in targets]),
+        np.array([t.scale for t in targets]),
+        np.array([t.typical for t in targets]),
+        np.array([t.coefficients for t in targets]),
+    )
+    return Intervals(spread, np.array([t.quantile for t in targets]), card.coverage)
+
+
+def _strange(atypicality: float) -> str:
+    return f"the image is unlike those calibrated on (distance {atypicality:.1f}, limit 1)"
+
+
+def _outside(target: TargetCard, value: float, half: float) -> str:
+    """Why a value cannot be trusted: its whole interval lies beyond what the calibration saw."""
+    if target.least - half <= value <= target.greatest + half:
+        return ""
+    return (
+        f"{target.quantity} {value:.3g} {target.unit} lies beyond the calibrated range "
+        f"{target.least:.3g} to {target.greatest:.3g} {target.unit}"
+    )
+
+
+def _session(path: Path, card: Card, threads: int) -> onnxruntime.InferenceSession:
+    """An inference session over a model that keeps to its card and to its own bytes."""
+    try:
+        model = onnx.load(str(path), load_external_data=False)
+        _refuse_external_data(model, path)
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads
+        options.log_severity_level = 3
+        # From bytes, so that nothing beside the file can be drawn in.
+        session = onnxruntime.InferenceSession(
+            model.SerializeToString(), options, providers=["CPUExecutionProvider"]
+        )
+    except (CertificateError, StorageError):
+        raise
+    except Exception as e:  # onnx and onnxruntime raise many kinds of their own
+        raise CertificateError(f"{path} is not a model that can be run ({e}); calibrate again") from e
+    _check_shapes(session, card, path)
+    return session
+
+
+def _refuse_external_data(model: onnx.ModelProto, path: Path) -> None:
+    for tensor in model.graph.initializer:
+        if tensor.data_location == onnx.TensorProto.EXTERNAL or tensor.external_data:
+            raise CertificateError(f"{path} keeps weights in another file, which is refused; export it whole")
+    for node in model.graph.node:
+        for attribute in node.attribute:
+            if attribute.HasField("t") and attribute.t.data_location == onnx.TensorProto.EXTERNAL:
+                raise CertificateError(f"{path} keeps constants in another file, which is refused")
+            if attribute.HasField("g") or attribute.graphs:
+                raise CertificateError(f"{path} has graphs inside its graph, which palpate never writes")
+
+
+def _check_shapes(session: onnxruntime.InferenceSession, card: Card, path: Path) -> None:
+    inputs = {i.name: i.shape[1:] for i in session.get_inputs()}
+    outputs = {o.name: o.shape[1:] for o in session.get_outputs()}
+    wanted_in = {"image": [card.input.channels, *card.input.size_px]}
+    wanted_out = {"value": [len(card.targets)]}
+    if inputs != wanted_in or outputs != wanted_out:
+        raise CertificateError(
+            f"{path} takes {inputs} and gives {outputs}, its card says {wanted_in} and {wanted_out}; "
+            "model and card do not belong together"
+        )

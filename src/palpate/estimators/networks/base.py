@@ -1,0 +1,129 @@
+"""The small interface every model keeps: fit on rows, predict values, become ONNX."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import onnx
+from jaxtyping import Float, Shaped
+
+from palpate.core.axes import Indices, Tensor, Values
+
+Progress = Callable[[str, int, int], None]
+"""Called with (what is being done, how much is done, how much there is)."""
+
+
+def silent(what: str, done: int, total: int) -> None:
+    """A `Progress` that shows nothing."""
+
+
+@dataclass(frozen=True)
+class TrainingData:
+    """What a model learns from: inputs fetched by row, values, and which rows belong together.
+
+    Attributes:
+        shape: (channels, height, width) of an input.
+        values: ``[n t]``, in the targets' own units.
+        groups: ``[n]`` label of each row's group; rows of one group never stand on both sides.
+        fetch: rows -> inputs ``[n c h w]``, grey levels 0 to 255, or their difference from a reference.
+    """
+
+    shape: tuple[int, int, int]
+    values: Values
+    groups: Shaped[np.ndarray, " n"]
+    fetch: Callable[[Indices], Tensor]
+
+    def batches(self, rows: Indices, size: int = 256) -> Iterator[tuple[Indices, Tensor]]:
+        """Rows and their inputs, `size` at a time, in the order given."""
+        for start in range(0, len(rows), size):
+            part = rows[start : start + size]
+            yield part, self.fetch(part)
+
+    def sample(self, rows: Indices, most: int, rng: np.random.Generator) -> Tensor:
+        """Inputs of at most `most` of the rows, drawn without replacement."""
+        chosen = rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))
+        return np.concatenate([inputs for _, inputs in self.batches(chosen)])
+
+
+@runtime_checkable
+class Fitted(Protocol):
+    """A model that has learnt."""
+
+    def predict(self, inputs: Tensor) -> Values:
+        """Estimates ``[n t]`` in the targets' units, for inputs ``[n c h w]``."""
+        ...
+
+    def to_onnx(self) -> onnx.ModelProto:
+        """The same map as ONNX, from ``image [n c h w]`` to ``value [n t]``, both float32."""
+        ...
+
+
+@runtime_checkable
+class Model(Protocol):
+    """A recipe that learns."""
+
+    def fit(
+        self,
+        data: TrainingData,
+        rows: Indices,
+        *,
+        seed: int,
+        progress: Progress = silent,
+        checkpoint: Path | None = None,
+    ) -> Fitted:
+        """Learn from `rows` of `data`.
+
+        Args:
+            data: inputs and values.
+            rows: the rows that may be learnt from.
+            seed: of everything random.
+            progress: told how far the work is.
+            checkpoint: a file the model may keep its progress in, to go on from after an interruption.
+        """
+        ...
+
+
+def predict_rows(fitted: Fitted, data: TrainingData, rows: Indices) -> Values:
+    """Predict many rows a batch at a time."""
+    parts = [fitted.predict(inputs) for _, inputs in data.batches(rows)]
+    return np.concatenate(parts) if parts else np.empty((0, data.values.shape[1]))
+
+
+@dataclass(frozen=True, slots=True)
+class Scaler:
+    """Values to zero mean and unit spread, and back."""
+
+    mean: Float[np.ndarray, " t"]
+    scale: Float[np.ndarray, " t"]
+
+    @classmethod
+    def of(cls, values: Values) -> Scaler:
+        """The scaler of these values; a constant column keeps its size."""
+        spread = values.std(axis=0)
+        return cls(values.mean(axis=0), np.where(spread > 0, spread, 1.0))
+
+    def scaled(self, values: Values) -> Values:
+        """Into units of the spread."""
+        return (values - self.mean) / self.scale
+
+    def restored(self, scaled: Values) -> Values:
+        """Back into the targets' units."""
+        return scaled * self.scale + self.mean
+
+
+def inner_validation(
+    data: TrainingData, rows: Indices, share: float, rng: np.random.Generator
+) -> tuple[Indices, Indices]:
+    """Part whole groups from `rows`, to decide by them when to stop.
+
+    Returns:
+        Rows to learn from and rows to watch; the second is empty where there are fewer than two groups.
+    """
+    names = np.unique(data.groups[rows])
+    count = min(round(share * len(names)) or 1, len(names) - 1)
+    watched = np.isin(data.groups[rows], rng.choice(names, count, replace=False))
+    return rows[~watched], rows[watched]

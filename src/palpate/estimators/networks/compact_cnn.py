@@ -1,0 +1,342 @@
+"""A compact convolutional network: small enough to train on a laptop and to sense with in milliseconds.
+
+Blocks of convolution, batch normalisation, rectifier and pooling keep the map's layout up to a dense
+head, since where a marker or a fringe lies is the measurement. Trained with AdamW on a cosine schedule;
+what is kept is the running average of the weights (Polyak & Juditsky, SIAM J. Control Optim. 30:838
+(1992), doi:10.1137/0330046).
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+from onnx import helper
+from torch import nn
+from torch.nn import functional
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+
+from palpate.core.axes import Indices, Tensor, Values
+from palpate.core.errors import InputError
+from palpate.estimators.networks.base import Progress, Scaler, TrainingData, inner_validation, silent
+from palpate.estimators.networks.graph import image_to_value
+
+
+class Network(nn.Module):  # type: ignore[misc]  # torch is seen as Any, so that checking needs no torch
+    """Grey levels in, values in the targets' units out; both scalings are part of it."""
+
+    def __init__(
+        self, shape: tuple[int, int, int], widths: tuple[int, ...], hidden: int, scaler: Scaler
+    ) -> None:
+        super().__init__()
+        channels, height, width = shape
+        blocks: list[nn.Module] = []
+        for i, features in enumerate(widths):
+            blocks += _block(channels, features, first=i == 0)
+            channels = features
+        self.blocks = nn.Sequential(*blocks)
+        with torch.no_grad():
+            flat = self.blocks(torch.zeros(1, shape[0], height, width)).numel()
+        self.head = nn.Sequential(
+            nn.Flatten(), nn.Linear(flat, hidden), nn.ReLU(), nn.Linear(hidden, len(scaler.mean))
+        )
+        self.level: torch.Tensor
+        self.contrast: torch.Tensor
+        self.mean: torch.Tensor
+        self.scale: torch.Tensor
+        self.register_buffer("level", torch.zeros(()))
+        self.register_buffer("contrast", torch.ones(()))
+        self.register_buffer("mean", torch.tensor(scaler.mean, dtype=torch.float32))
+        self.register_buffer("scale", torch.tensor(scaler.scale, dtype=torch.float32))
+
+    def scaled(self, image: torch.Tensor) -> torch.Tensor:
+        """Values in units of their spread in the training set: what the loss is taken of."""
+        result: torch.Tensor = self.head(self.blocks((image - self.level) / self.contrast))
+        return result
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        """Values in the targets' units."""
+        return self.scaled(image).float() * self.scale + self.mean
+
+
+def _block(channels: int, features: int, *, first: bool) -> list[nn.Module]:
+    """Half the map's side and change its features; the first does so by stride, for speed."""
+    if first:
+        shrink: list[nn.Module] = [nn.Conv2d(channels, features, 5, stride=2, padding=2, bias=False)]
+        return [*shrink, nn.BatchNorm2d(features), nn.ReLU()]
+    grow = nn.Conv2d(channels, features, 3, padding=1, bias=False)
+    return [grow, nn.BatchNorm2d(features), nn.ReLU(), nn.MaxPool2d(2)]
+
+
+@dataclass(frozen=True)
+class FittedNetwork:
+    """A trained network."""
+
+    network: Network
+    shape: tuple[int, int, int]
+
+    def predict(self, inputs: Tensor) -> Values:
+        with torch.no_grad():
+            values: Values = self.network(torch.from_numpy(inputs)).numpy().astype(np.float64)
+        return values
+
+    def to_onnx(self) -> onnx.ModelProto:
+        graph = _Graph()
+        graph.add("Sub", {"level": self.network.level[None]})
+        graph.add("Div", {"contrast": self.network.contrast[None]})
+        for layer in (*self.network.blocks, *self.network.head):
+            graph.add_layer(layer)
+        graph.add("Mul", {"scale": self.network.scale[None]})
+        graph.add("Add", {"mean": self.network.mean[None]}, output="value")
+        return image_to_value(graph.nodes, graph.constants, self.shape, len(self.network.mean))
+
+
+class _Graph:
+    """A chain of ONNX nodes that grows a layer at a time, each eating what the last one made."""
+
+    def __init__(self) -> None:
+        self.nodes: list[onnx.NodeProto] = []
+        self.constants: dict[str, np.ndarray] = {}
+        self._last = "image"
+
+    def add(
+        self, kind: str, weights: Mapping[str, torch.Tensor], output: str | None = None, **how: object
+    ) -> None:
+        names = {f"{name}{len(self.nodes)}": value for name, value in weights.items()}
+        self.constants |= {name: value.detach().numpy() for name, value in names.items()}
+        made = output or f"x{len(self.nodes)}"
+        self.nodes.append(helper.make_node(kind, [self._last, *names], [made], **how))
+        self._last = made
+
+    def add_layer(self, layer: nn.Module) -> None:
+        match layer:
+            case nn.Conv2d():
+                pad = int(layer.padding[0])
+                self.add("Conv", {"w": layer.weight}, pads=[pad] * 4, strides=list(layer.stride))
+            case nn.BatchNorm2d():
+                weights = {
+                    "g": layer.weight,
+                    "b": layer.bias,
+                    "m": layer.running_mean,
+                    "v": layer.running_var,
+                }
+                self.add("BatchNormalization", weights, epsilon=layer.eps)
+            case nn.ReLU():
+                self.add("Relu", {})
+            case nn.MaxPool2d():
+                self.add("MaxPool", {}, kernel_shape=[2, 2], strides=[2, 2])
+            case nn.Flatten():
+                self.add("Flatten", {})
+            case nn.Linear():
+                self.add("Gemm", {"w": layer.weight, "b": layer.bias}, transB=1)
+            case _:
+                raise TypeError(f"no ONNX form is known for {type(layer).__name__}")
+
+
+@dataclass(frozen=True, slots=True)
+class CompactCnn:
+    """How the network is built and trained.
+
+    Attributes:
+        widths: features after each block; each block halves the map's side.
+        hidden: width of the dense layer.
+        epochs: passes over the rows.
+        batch: rows a step.
+        learning_rate: at its peak.
+        weight_decay: AdamW's.
+        shift_px: each training image is moved by up to this much at random [px of the input].
+        averaging: share of the running average kept at each step.
+        patience: passes without gain on watched groups before it stops; 0 trains to the end on all rows.
+        watched: share of the groups watched, where `patience` is not 0.
+    """
+
+    widths: tuple[int, ...] = (16, 32, 64, 96, 128)
+    hidden: int = 256
+    epochs: int = 60
+    batch: int = 32
+    learning_rate: float = 2e-3
+    weight_decay: float = 1e-2
+    shift_px: float = 2.0
+    averaging: float = 0.998
+    patience: int = 0
+    watched: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.epochs < 1 or self.batch < 2 or self.learning_rate <= 0:
+            raise InputError(
+                f"epochs {self.epochs}, batch {self.batch}, learning_rate {self.learning_rate}: "
+                "epochs are 1 or more, a batch 2 rows or more, the learning rate positive"
+            )
+
+    def fit(
+        self,
+        data: TrainingData,
+        rows: Indices,
+        *,
+        seed: int,
+        progress: Progress = silent,
+        checkpoint: Path | None = None,
+    ) -> FittedNetwork:
+        if len(rows) < self.batch:
+            return replace(self, batch=max(2, len(rows) // 2)).fit(
+                data, rows, seed=seed, progress=progress, checkpoint=checkpoint
+            )
+        rng = np.random.default_rng(seed)
+        learn, watch = inner_validation(data, rows, self.watched, rng) if self.patience else (rows, rows[:0])
+        with _seeded(seed):
+            training = _Training(self, data, learn, seed, rng)
+        if checkpoint is not None and checkpoint.exists():
+            training.load(checkpoint)
+        best, best_error, since = None, math.inf, 0
+        while training.epoch < self.epochs:
+            training.one_epoch()
+            progress("learning", training.epoch, self.epochs)
+            if checkpoint is not None:
+                training.save(checkpoint)
+            if not len(watch):
+                continue
+            error = training.error(watch)
+            best, best_error, since = (
+                (training.kept(), error, 0) if error < best_error else (best, best_error, since + 1)
+            )
+            if since >= self.patience:
+                progress("learning", self.epochs, self.epochs)
+                break
+        return FittedNetwork(best or training.kept(), data.shape)
+
+
+class _Training:
+    """A network, its average, its optimiser and where they are on the schedule."""
+
+    def __init__(
+        self, plan: CompactCnn, data: TrainingData, rows: Indices, seed: int, rng: np.random.Generator
+    ) -> None:
+        self.plan, self.data, self.rows, self.seed, self.epoch = plan, data, rows, seed, 0
+        self.scaler = Scaler.of(data.values[rows])
+        self.network = Network(data.shape, plan.widths, plan.hidden, self.scaler)
+        first = data.sample(rows, 500, rng)
+        self.network.level.fill_(float(first.mean()))
+        self.network.contrast.fill_(float(first.std()) or 1.0)
+        self.network = self.network.to(memory_format=torch.channels_last)
+        average = get_ema_multi_avg_fn(plan.averaging)
+        self.average = AveragedModel(self.network, multi_avg_fn=average, use_buffers=True)
+        self.optimiser = torch.optim.AdamW(
+            self.network.parameters(), lr=plan.learning_rate, weight_decay=plan.weight_decay
+        )
+
+    @property
+    def steps(self) -> int:
+        return max(1, len(self.rows) // self.plan.batch)
+
+    def one_epoch(self) -> None:
+        # Everything random in an epoch follows from its number, so that a resumed run repeats it.
+        rng = np.random.default_rng([self.seed, self.epoch])
+        order = rng.permutation(self.rows)
+        self.network.train()
+        for step in range(self.steps):
+            part = order[step * self.plan.batch : (step + 1) * self.plan.batch]
+            self._step(part, self.epoch * self.steps + step, rng)
+        self.epoch += 1
+
+    def _step(self, part: Indices, number: int, rng: np.random.Generator) -> None:
+        for group in self.optimiser.param_groups:
+            group["lr"] = self._rate(number)
+        image = _moved(torch.from_numpy(self.data.fetch(part)), self.plan.shift_px, rng)
+        wanted = torch.from_numpy(self.scaler.scaled(self.data.values[part]).astype(np.float32))
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=_fast_bfloat16()):
+            guess = self.network.scaled(image.contiguous(memory_format=torch.channels_last))
+        loss = functional.smooth_l1_loss(guess.float(), wanted, beta=0.1)
+        self.optimiser.zero_grad()
+        loss.backward()
+        self.optimiser.step()
+        self.average.update_parameters(self.network)
+
+    def _rate(self, number: int) -> float:
+        """Up over the first 200 steps (at most a tenth of all), then down a cosine."""
+        total = self.steps * self.plan.epochs
+        rise = min(200, max(1, total // 10))
+        return (
+            self.plan.learning_rate
+            * min(1.0, (number + 1) / rise)
+            * 0.5
+            * (1 + math.cos(math.pi * number / total))
+        )
+
+    def error(self, rows: Indices) -> float:
+        fitted = FittedNetwork(self.kept(), self.data.shape)
+        errors = [
+            np.abs(self.scaler.scaled(fitted.predict(inputs)) - self.scaler.scaled(self.data.values[part]))
+            for part, inputs in self.data.batches(rows)
+        ]
+        return float(np.concatenate(errors).mean())
+
+    def kept(self) -> Network:
+        """A copy of the averaged network, in plain layout, ready to predict."""
+        copy = Network(self.data.shape, self.plan.widths, self.plan.hidden, self.scaler)
+        copy.load_state_dict(self.average.module.state_dict())
+        return copy.eval()
+
+    def save(self, path: Path) -> None:
+        """Keep all of it as plain arrays, in one step."""
+        arrays = {f"network/{k}": v.numpy() for k, v in self.network.state_dict().items()}
+        arrays |= {f"average/{k}": v.numpy() for k, v in self.average.state_dict().items()}
+        for i, state in self.optimiser.state_dict()["state"].items():
+            arrays |= {f"optimiser/{i}/{k}": v.numpy() for k, v in state.items()}
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
+            np.savez(file, epoch=np.array(self.epoch), **arrays)
+        Path(file.name).replace(path)
+
+    def load(self, path: Path) -> None:
+        """Go on from what `save` kept; a damaged file is set aside and the fold begun anew."""
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
+                arrays = {k: torch.from_numpy(np.array(held[k])) for k in held.files}
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+            path.unlink()
+            return
+
+        def part(name: str) -> dict[str, torch.Tensor]:
+            return {k[len(name) + 1 :]: v for k, v in arrays.items() if k.startswith(f"{name}/")}
+
+        self.epoch = int(arrays["epoch"])
+        self.network.load_state_dict(part("network"))
+        self.average.load_state_dict(part("average"))
+        states: dict[int, dict[str, torch.Tensor]] = {}
+        for key, value in part("optimiser").items():
+            i, _, field = key.partition("/")
+            states.setdefault(int(i), {})[field] = value
+        self.optimiser.load_state_dict(self.optimiser.state_dict() | {"state": states})
+
+
+def _moved(images: torch.Tensor, most_px: float, rng: np.random.Generator) -> torch.Tensor:
+    """Each image shifted by its own random part of a pixel grid, edges repeated."""
+    if most_px <= 0:
+        return images
+    n, _, height, width = images.shape
+    shift = rng.uniform(-most_px, most_px, (n, 2)) * 2 / [width, height]
+    motion = torch.zeros(n, 2, 3)
+    motion[:, 0, 0] = motion[:, 1, 1] = 1
+    motion[:, :, 2] = torch.from_numpy(shift)
+    grid = functional.affine_grid(motion, list(images.shape), align_corners=False)
+    return functional.grid_sample(images, grid, padding_mode="border", align_corners=False)
+
+
+def _fast_bfloat16() -> bool:
+    """Whether this processor multiplies bfloat16 natively; elsewhere it would be slower."""
+    return bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
+
+
+@contextmanager
+def _seeded(seed: int) -> Iterator[None]:
+    """Seed torch inside, and leave the caller's state as it was."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        yield

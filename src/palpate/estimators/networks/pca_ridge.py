@@ -1,0 +1,133 @@
+"""Principal components of the image, then ridge regression: linear, quick, hard to beat with few frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import onnx
+from jaxtyping import Float, Float32
+from onnx import helper
+from scipy.linalg import eigh
+from sklearn.linear_model import Ridge
+from sklearn.model_selection import GroupKFold
+
+from palpate.core.axes import Indices, Tensor, Values
+from palpate.estimators.networks.base import Progress, Scaler, TrainingData, silent
+from palpate.estimators.networks.graph import image_to_value
+
+
+@dataclass(frozen=True, slots=True)
+class FittedLinear:
+    """value = (image - centre) · weights + offset."""
+
+    shape: tuple[int, int, int]
+    centre: Float32[np.ndarray, " k"]
+    weights: Float32[np.ndarray, "k t"]
+    offset: Float[np.ndarray, " t"]
+
+    def predict(self, inputs: Tensor) -> Values:
+        flat = inputs.reshape(len(inputs), -1) - self.centre
+        return (flat @ self.weights).astype(np.float64) + self.offset
+
+    def to_onnx(self) -> onnx.ModelProto:
+        nodes = [
+            helper.make_node("Flatten", ["image"], ["flat"]),
+            helper.make_node("Sub", ["flat", "centre"], ["difference"]),
+            helper.make_node("Gemm", ["difference", "weights", "offset"], ["value"]),
+        ]
+        constants = {
+            "centre": self.centre[None, :],
+            "weights": self.weights,
+            "offset": self.offset.astype(np.float32),
+        }
+        return image_to_value(nodes, constants, self.shape, len(self.offset))
+
+
+def principal_axes(centred: Float32[np.ndarray, "n p"], most: int) -> Float32[np.ndarray, "p k"]:
+    """Principal axes of centred rows, each scaled so that the rows' scores along it have unit variance.
+
+    From the smaller of the two matrices of products, which is what makes images (many pixels, few rows)
+    quick: if X Xᵀ u = s² u, then Xᵀ u / s is an axis. Axes with less than a millionth of the first one's
+    variance are left out, as float32 does not resolve them.
+    """
+    n, p = centred.shape
+    products = centred @ centred.T if n <= p else centred.T @ centred
+    size = len(products)
+    squares, vectors = eigh(
+        products.astype(np.float64), subset_by_index=[max(0, size - min(most, n - 1)), size - 1]
+    )
+    kept = squares > 1e-6 * squares[-1]
+    squares, vectors = squares[kept][::-1], vectors[:, kept][:, ::-1].astype(np.float32)
+    axes = centred.T @ vectors / np.sqrt(squares) if n <= p else vectors
+    return (axes * np.sqrt((n - 1) / squares)).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class PcaRidge:
+    """PCA, then ridge with a penalty chosen by inner folds that keep groups whole.
+
+    The components come from at most `basis_frames` frames, so that a set larger than memory can be
+    learnt from; the regression uses every frame's components.
+
+    Attributes:
+        components: how many principal components, at most.
+        basis_frames: how many frames the components are computed from, at most.
+        penalties: ridge penalties tried, on unit-variance components.
+    """
+
+    components: int = 300
+    basis_frames: int = 2000
+    penalties: tuple[float, ...] = tuple(float(p) for p in np.logspace(-1, 4, 11))
+
+    def fit(
+        self,
+        data: TrainingData,
+        rows: Indices,
+        *,
+        seed: int,
+        progress: Progress = silent,
+        checkpoint: Path | None = None,
+    ) -> FittedLinear:
+        rng = np.random.default_rng(seed)
+        basis = data.sample(rows, self.basis_frames, rng).reshape(-1, int(np.prod(data.shape)))
+        centre = basis.mean(axis=0)
+        whitening = principal_axes(basis - centre, self.components)
+        scores = self._scores(centre, whitening, data, rows, progress)
+        scaler = Scaler.of(data.values[rows])
+        wanted = scaler.scaled(data.values[rows])
+        penalty = self._penalty(scores, wanted, data.groups[rows])
+        ridge = Ridge(alpha=penalty).fit(scores, wanted)
+        weights = whitening @ (ridge.coef_.reshape(len(scaler.scale), -1).T * scaler.scale)
+        return FittedLinear(
+            data.shape,
+            centre,
+            weights.astype(np.float32),
+            scaler.restored(np.atleast_1d(ridge.intercept_)),
+        )
+
+    def _scores(
+        self,
+        centre: Float32[np.ndarray, " p"],
+        whitening: Float32[np.ndarray, "p k"],
+        data: TrainingData,
+        rows: Indices,
+        progress: Progress,
+    ) -> Float[np.ndarray, "n k"]:
+        parts = []
+        for part, inputs in data.batches(rows):
+            parts.append(((inputs.reshape(len(part), -1) - centre) @ whitening).astype(np.float64))
+            progress("projecting", sum(map(len, parts)), len(rows))
+        return np.concatenate(parts)
+
+    def _penalty(self, scores: Float[np.ndarray, "n k"], wanted: Values, groups: np.ndarray) -> float:
+        folds = min(4, len(np.unique(groups)))
+        if folds < 2:
+            return float(np.median(self.penalties))
+        errors = np.zeros(len(self.penalties))
+        for learn, watch in GroupKFold(folds).split(scores, groups=groups):
+            for i, penalty in enumerate(self.penalties):
+                guess = Ridge(alpha=penalty).fit(scores[learn], wanted[learn]).predict(scores[watch])
+                errors[i] += float(np.sum((guess.reshape(len(watch), -1) - wanted[watch]) ** 2))
+        return self.penalties[int(np.argmin(errors))]

@@ -1,0 +1,88 @@
+"""Spectra to colour: a white LED, a camera's three channels, and sRGB's curve.
+
+The curves are plain Gaussians with named numbers, assumed and not measured: they have the shape of a phosphor
+LED and of a colour camera, and belong to no product.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from palpate.core.errors import InputError
+
+LEAST_BANDS = 31  # fewer cost more than 0.006 in intensity at four fringe orders
+
+
+@dataclass(frozen=True, slots=True)
+class Spectrum:
+    """What light there is and what the camera makes of it, in bands of equal width.
+
+    Attributes:
+        wavelength_m: centres of the bands ``[k]`` [m].
+        weight: share of each band in each balanced channel ``[k 3]``; each channel sums to 1, so that the
+            bare lamp is white.
+    """
+
+    wavelength_m: Float[ndarray, " k"]
+    weight: Float[ndarray, "k 3"]
+
+
+def assumed_camera(
+    bands: int = LEAST_BANDS,
+    led_peaks_nm: tuple[float, float] = (450.0, 560.0),
+    led_widths_nm: tuple[float, float] = (10.0, 55.0),
+    phosphor_share: float = 0.6,
+    camera_peaks_nm: tuple[float, float, float] = (600.0, 540.0, 460.0),
+    camera_widths_nm: tuple[float, float, float] = (35.0, 40.0, 30.0),
+) -> Spectrum:
+    """A phosphor white LED seen by an RGB camera, white-balanced; every number is assumed.
+
+    Args:
+        bands: over 400 to 700 nm, at least 31.
+        led_peaks_nm: of the blue die and of the phosphor [nm].
+        led_widths_nm: their standard deviations [nm].
+        phosphor_share: the phosphor's peak over the die's.
+        camera_peaks_nm: of red, green and blue [nm].
+        camera_widths_nm: their standard deviations [nm].
+
+    Returns:
+        Bands and weights.
+
+    Raises:
+        InputError: too few bands for colour.
+    """
+    if bands < LEAST_BANDS:
+        raise InputError(f"{bands} bands are too few for interference colours; use {LEAST_BANDS} or more")
+    edges = np.linspace(400.0, 700.0, bands + 1)
+    nm = (edges[1:] + edges[:-1]) / 2
+    die, phosphor = (_bell(nm, p, w) for p, w in zip(led_peaks_nm, led_widths_nm, strict=True))
+    camera = [_bell(nm, p, w) for p, w in zip(camera_peaks_nm, camera_widths_nm, strict=True)]
+    weight = (die + phosphor_share * phosphor)[:, None] * np.stack(camera, axis=1)
+    return Spectrum(nm * 1e-9, weight / weight.sum(axis=0))
+
+
+def spectral_to_linear(light: Float[ndarray, k * n], spectrum: Spectrum) -> Float[ndarray, "... 3"]:
+    """Transmitted fraction in each band to linear RGB, 1 where all light passes."""
+    return np.asarray(np.einsum("k...,kc->...c", light, spectrum.weight))
+
+
+def encode_srgb(linear: Float[ndarray, "*n"]) -> UInt8[ndarray, "*n"]:
+    """Linear 0 to 1 to 8-bit sRGB; what lies outside is clipped.
+
+    Reference: IEC 61966-2-1:1999.
+
+    Example:
+        >>> encode_srgb(np.array([0.0, 0.5, 1.0])).tolist()
+        [0, 188, 255]
+    """
+    v = np.clip(linear, 0.0, 1.0)
+    curve = np.where(v <= 0.0031308, 12.92 * v, 1.055 * v ** (1 / 2.4) - 0.055)
+    return np.asarray(np.rint(255 * curve), dtype=np.uint8)
+
+
+def _bell(nm: Float[ndarray, " k"], peak: float, width: float) -> Float[ndarray, " k"]:
+    return np.asarray(np.exp(-((nm - peak) ** 2) / (2 * width**2)))

@@ -1,0 +1,71 @@
+"""A run as a plain folder: one PNG a frame and a table of labels, for any other tool to read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pandas as pd
+from PIL import Image
+
+from palpate.core.files import new_folder
+from palpate.recordings.labels import refuse_formulas
+from palpate.recordings.manifest import MANIFEST
+from palpate.recordings.reader import Run
+
+FILE_COLUMN = "frame_file"
+TIME_COLUMN = "frame_time_s"
+LABELS_NAME = "labels.csv"
+
+
+def export_folder(run: Run, path: Path, progress: Callable[[int, int], None] | None = None) -> int:
+    """Write a run as a folder of PNG files with tables beside them.
+
+    The folder holds ``images/000000.png`` and so on; ``labels.csv``, whose column ``frame_file`` names each
+    row's image and ``frame_time_s`` its time [s]; ``force.csv``, ``stage.csv`` and ``events.csv`` where the
+    run has such a channel; and ``manifest.json``. `import_images` with ``frame_file`` as image column reads
+    frames, times and labels back unchanged, provided that no label is missing.
+
+    Args:
+        run: what to export.
+        path: the folder to make; must not exist.
+        progress: told how many frames are written of how many.
+
+    Returns:
+        The number of frames written.
+
+    Raises:
+        ExistsError: `path` exists.
+        LabelError: a text of the run is one that a spreadsheet would run as a formula.
+        StorageError: the disk is full, or refused.
+    """
+    with new_folder(path) as building:
+        _write_table(building / LABELS_NAME, _labels(run))
+        for name, table in (("force", run.force()), ("stage", run.stage()), ("events", run.events())):
+            if not table.empty:
+                _write_table(building / f"{name}.csv", table)
+        (building / MANIFEST).write_text(run.manifest.model_dump_json(indent=2), encoding="utf-8")
+        (building / "images").mkdir()
+        for i in range(len(run)):
+            Image.fromarray(run.frame(i).image).save(building / _file_name(i), format="PNG")
+            if progress is not None:
+                progress(i + 1, len(run))
+    return len(run)
+
+
+def _file_name(i: int) -> str:
+    return f"images/{i:06d}.png"
+
+
+def _labels(run: Run) -> pd.DataFrame:
+    own = {FILE_COLUMN: [_file_name(i) for i in range(len(run))], TIME_COLUMN: run.times_s}
+    labels = run.labels
+    return pd.DataFrame(
+        own | {str(name): labels[name].to_numpy() for name in labels.columns if name not in own}
+    )
+
+
+def _write_table(path: Path, table: pd.DataFrame) -> None:
+    refuse_formulas(table, path)
+    # RFC 4180's line ends; with them the writer also quotes a text that holds either of the two marks
+    table.to_csv(path, index=False, lineterminator="\r\n")

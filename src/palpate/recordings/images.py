@@ -1,0 +1,176 @@
+"""Reading one image file that somebody else wrote: an allow-list of formats, everything checked."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from PIL import ImageOps
+from PIL.BmpImagePlugin import BmpImageFile
+from PIL.ImageFile import ImageFile
+from PIL.JpegImagePlugin import JpegImageFile
+from PIL.PngImagePlugin import PngImageFile
+from PIL.TiffImagePlugin import BITSPERSAMPLE, SAMPLEFORMAT, TiffImageFile
+from PIL.WebPImagePlugin import WebPImageFile
+
+from palpate.core.axes import Image
+from palpate.core.errors import ImageError
+from palpate.core.files import storage_errors
+
+# The decoders are named one by one, because Pillow's own `open` would try every format it knows.
+_FORMATS: tuple[tuple[int, bytes, type[ImageFile]], ...] = (
+    (0, b"\x89PNG\r\n\x1a\n", PngImageFile),
+    (0, b"\xff\xd8\xff", JpegImageFile),
+    (0, b"BM", BmpImageFile),
+    (0, b"II*\0", TiffImageFile),
+    (0, b"MM\0*", TiffImageFile),
+    (8, b"WEBP", WebPImageFile),
+)
+_GREY = ("1", "L")
+_COLOUR = ("RGB", "P", "YCbCr")
+_ALPHA = ("LA", "La", "PA", "RGBA", "RGBa", "RGBX")
+_HEADER_BYTES = 1 << 20
+_BYTES_PER_PIXEL = 8
+
+
+def read_image(path: Path, *, max_pixels: int = 100_000_000) -> Image:
+    """Read one PNG, JPEG, BMP, single-page TIFF or WebP file, recognised by content and not by name.
+
+    An orientation noted by the camera is applied, so that rows and columns are those a person sees.
+    Damage inside a JPEG's or BMP's pixels cannot be told from content: those formats carry no checksum.
+
+    Args:
+        path: the file.
+        max_pixels: largest image that is decoded; the header is asked before any pixel is.
+
+    Returns:
+        8-bit grey ``[h w]``, or RGB ``[h w 3]``.
+
+    Raises:
+        ImageError: the file is missing, no file, empty, truncated, damaged, animated or of several pages,
+            deeper than 8 bits, CMYK, with transparency, larger than `max_pixels`, or of another format.
+        StorageError: the disk refused to read it.
+    """
+    path = Path(path)
+    data = _read_bytes(path, _HEADER_BYTES + _BYTES_PER_PIXEL * max_pixels)
+    decoder = _decoder(path, data)
+    with _damage_explained(path):
+        image = decoder(BytesIO(data))
+    _check_size(path, image, max_pixels)
+    _check_kind(path, image, data)
+    with _damage_explained(path):
+        _check_complete(decoder, data)
+        image.load()
+        upright = ImageOps.exif_transpose(image)
+        return np.array(upright.convert("L" if image.mode in _GREY else "RGB"))
+
+
+def _read_bytes(path: Path, most: int) -> bytes:
+    if path.is_dir():
+        raise ImageError(f"{path} is a folder, not an image; name a file in it")
+    if not path.is_file():
+        raise ImageError(f"{path} is not there (or no plain file); check the name and the folder")
+    with storage_errors(path):
+        size = path.stat().st_size
+        if size == 0:
+            raise ImageError(f"{path} is empty (0 bytes); copy or record it again")
+        if size > most:
+            raise ImageError(
+                f"{path} has {size} bytes, more than an image may have ({most}); make it smaller"
+            )
+        return path.read_bytes()
+
+
+def _decoder(path: Path, data: bytes) -> type[ImageFile]:
+    for offset, signature, decoder in _FORMATS:
+        if data[offset:].startswith(signature):
+            return decoder
+    raise ImageError(
+        f"{path} is no PNG, JPEG, BMP, TIFF or WebP image (it begins with {data[:8]!r}); "
+        "save it as PNG, or take it out of the folder"
+    )
+
+
+@contextmanager
+def _damage_explained(path: Path) -> Iterator[None]:
+    # A decoder fed with damaged bytes may raise anything, so anything is what is caught.
+    try:
+        yield
+    except Exception as e:
+        raise ImageError(
+            f"{path} is damaged or cut short ({type(e).__name__}: {e}); copy it again from where it came, "
+            "or remove it together with its row"
+        ) from e
+
+
+def _check_size(path: Path, image: ImageFile, max_pixels: int) -> None:
+    width, height = image.size
+    if width < 1 or height < 1:
+        raise ImageError(f"{path} is {width} × {height} px; an image has at least one pixel: record it again")
+    if width * height > max_pixels:
+        raise ImageError(
+            f"{path} claims {width} × {height} px, more than the {max_pixels} pixels that are decoded; "
+            "make it smaller, or raise max_pixels if it is really that large"
+        )
+
+
+def _check_kind(path: Path, image: ImageFile, data: bytes) -> None:
+    if image.mode == "CMYK":
+        raise ImageError(f"{path} is CMYK, an ink image; convert it to RGB or grey first")
+    if _is_deep(image, data):
+        raise ImageError(
+            f"{path} has more than 8 bits a channel, or signed or floating-point pixels; "
+            "scale all images alike to unsigned 8 bits first"
+        )
+    if image.mode in _ALPHA or "transparency" in image.info:
+        raise ImageError(f"{path} has a transparency (alpha) channel; flatten it onto a background first")
+    if image.mode not in _GREY + _COLOUR:
+        raise ImageError(f"{path} has pixels of kind {image.mode}; convert it to RGB or grey first")
+    if _has_more_pages(path, type(image), data):
+        raise ImageError(
+            f"{path} is animated or has several pages; save each page as an image of its own, with its own "
+            f"row"
+        )
+
+
+def _is_deep(image: ImageFile, data: bytes) -> bool:
+    # The mode does not tell: Pillow reads 16-bit colour as 8-bit by dropping half of it.
+    if isinstance(image, PngImageFile):
+        return data[24] > 8  # the bit depth in IHDR, always the first chunk
+    if isinstance(image, TiffImageFile):
+        bits, kinds = image.tag_v2.get(BITSPERSAMPLE, (1,)), image.tag_v2.get(SAMPLEFORMAT, (1,))
+        return max(bits) > 8 or set(kinds) != {1}
+    return image.mode.startswith(("I", "F"))
+
+
+def _has_more_pages(path: Path, decoder: type[ImageFile], data: bytes) -> bool:
+    # Whether there is a second page; counting all would walk a chain of any length.
+    with _damage_explained(path):
+        try:
+            decoder(BytesIO(data)).seek(1)
+        except EOFError:
+            return False
+        return True
+
+
+def _check_complete(decoder: type[ImageFile], data: bytes) -> None:
+    if decoder is PngImageFile:
+        _check_png(data)
+    if decoder is JpegImageFile and data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
+        raise ValueError("no end marker after the last scan")
+
+
+def _check_png(data: bytes) -> None:
+    """Walk the chunks to the closing one; Pillow neither compares every checksum nor asks for the end."""
+    at, kind = 8, b""
+    while kind != b"IEND":
+        length, kind = struct.unpack_from(">I4s", data, at)
+        (checksum,) = struct.unpack_from(">I", data, at + 8 + length)
+        if zlib.crc32(data[at + 4 : at + 8 + length]) != checksum:
+            raise ValueError(f"checksum of chunk {kind.decode('latin-1')} at byte {at} is wrong")
+        at += 12 + length

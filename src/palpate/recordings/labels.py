@@ -1,0 +1,252 @@
+"""Tables of labels: CSV or Parquet in, kinds of columns, and targets as numbers with units."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+from pandas.api.types import is_bool_dtype, is_numeric_dtype
+
+from palpate.core.axes import Values
+from palpate.core.errors import LabelError
+from palpate.core.files import storage_errors
+from palpate.core.units import split_column
+
+Kind = Literal["number", "text", "flag"]
+FIRST_ROW = 2  # as a person counts in a spreadsheet: the header is row 1
+_SHOWN = 5
+_FLAGS = {"true": True, "false": False}
+
+
+def read_labels(path: Path, *, kinds: Mapping[str, Kind] | None = None) -> pd.DataFrame:
+    """Read a table of labels, one row an image.
+
+    A column becomes ``flag`` where every cell is true or false, ``number`` where every cell is a number or
+    empty (NaN), and ``text`` otherwise.
+
+    Args:
+        path: a comma-separated UTF-8 file with a header, or a Parquet file (recognised by content).
+        kinds: of columns where a reader must not guess, e.g. a text column that holds ``007``.
+
+    Returns:
+        The table, rows in the file's order: row ``i`` is row ``i + 2`` as a person counts.
+
+    Raises:
+        LabelError: the file is missing, empty, undecodable or ragged; a column is nameless or named twice;
+            or a cell holds a formula, which a spreadsheet would run.
+        StorageError: the disk refused to read it.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise LabelError(f"table of labels {path} is not there (or no plain file); check the name")
+    with storage_errors(path):
+        data = path.read_bytes()
+    if not data.strip():
+        raise LabelError(f"{path} is empty; a table of labels has a header and one row an image")
+    columns = (
+        _parquet_columns(path, data) if data.startswith(b"PAR1") else _csv_columns(path, data, kinds or {})
+    )
+    table = pd.DataFrame(columns)
+    if table.empty:
+        raise LabelError(f"{path} has a header and no rows; a table of labels has one row an image")
+    refuse_formulas(table, path)
+    return table
+
+
+def label_kinds(table: pd.DataFrame) -> dict[str, Kind]:
+    """The kind of every column: ``number``, ``text`` or ``flag``."""
+    return {str(name): _kind(table[name]) for name in table.columns}
+
+
+def targets_from(table: pd.DataFrame, columns: Sequence[str], source: str) -> Values:
+    """Take the columns to be learnt out of a table of labels.
+
+    Args:
+        table: the labels, one row a frame.
+        columns: which of its columns, in the order wanted; each name ends in its unit.
+        source: what the table came from, for the messages.
+
+    Returns:
+        ``[n t]``, each column in the unit that its name ends in.
+
+    Raises:
+        UnitError: a column's name carries no unit.
+        LabelError: a column is asked for twice, is missing, or holds text, no number (NaN, infinite) or
+            one value only.
+    """
+    twice = [name for name, count in Counter(columns).items() if count > 1]
+    if twice or not columns:
+        raise LabelError(f"targets {list(columns)}: name at least one column, and each once")
+    return np.column_stack([_target(table, name, source) for name in columns])
+
+
+def rows_text(positions: np.ndarray | Sequence[int]) -> str:
+    """Name rows as a person counts them: ``row 2`` or ``rows 2, 3, 7 and 12 more``."""
+    rows = [int(i) + FIRST_ROW for i in positions]
+    shown = ", ".join(str(row) for row in rows[:_SHOWN])
+    more = f" and {len(rows) - _SHOWN} more" if len(rows) > _SHOWN else ""
+    return f"row{'s' if len(rows) > 1 else ''} {shown}{more}"
+
+
+def refuse_formulas(table: pd.DataFrame, path: Path) -> None:
+    """Raise if a name or a text cell begins as a formula does, which a spreadsheet would run.
+
+    Raises:
+        LabelError: one does; the message names the row and the column.
+    """
+    for name in table.columns:
+        if _is_formula(str(name)):
+            raise LabelError(f"{path}, row 1: column name {name!r} begins as a formula does; rename it")
+        if _kind(table[name]) != "text":
+            continue
+        for i, cell in enumerate(table[name]):
+            if _is_formula(str(cell)):
+                raise LabelError(
+                    f"{path}, row {i + FIRST_ROW}: column {name!r} holds {str(cell)[:40]!r}, which a "
+                    "spreadsheet would run as a formula; write the value itself"
+                )
+
+
+def _is_formula(cell: str) -> bool:
+    if cell.startswith(("=", "@", "\t", "\r")):
+        return True
+    return len(cell) > 1 and cell[0] in "+-" and not _is_number(cell)
+
+
+def _target(table: pd.DataFrame, name: str, source: str) -> np.ndarray:
+    if name not in table.columns:
+        numbers = [c for c, kind in label_kinds(table).items() if kind == "number"]
+        raise LabelError(f"{source} has no column {name!r}; its columns of numbers are {', '.join(numbers)}")
+    split_column(name)
+    column = table[name]
+    if _kind(column) != "number":
+        odd = [i for i, cell in enumerate(column) if not _is_number(str(cell))]
+        cell = f", e.g. {str(column.iloc[odd[0]])[:40]!r} in row {odd[0] + FIRST_ROW}" if odd else ""
+        raise LabelError(
+            f"{source}: target {name!r} holds {_kind(column)} values{cell}; a target is all numbers"
+        )
+    values = column.to_numpy(dtype=np.float64)
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        raise LabelError(
+            f"{source}: target {name!r} holds no finite number in {rows_text(bad)}; "
+            "fill these in, or remove the rows and their images"
+        )
+    if np.ptp(values) == 0:
+        raise LabelError(
+            f"{source}: target {name!r} is {values[0]:g} everywhere: there is nothing to learn from"
+        )
+    return values
+
+
+def _kind(column: pd.Series) -> Kind:
+    known = column.dropna() if column.dtype == object else column
+    if is_bool_dtype(column.dtype) or (
+        len(known) and all(isinstance(cell, bool | np.bool_) for cell in known)
+    ):
+        return "flag"
+    return "number" if is_numeric_dtype(column.dtype) else "text"
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell  # Python reads 1_000, a spreadsheet does not
+
+
+def _csv_columns(path: Path, data: bytes, kinds: Mapping[str, Kind]) -> dict[str, pd.Series]:
+    rows = list(_csv_rows(path, _decoded(path, data)))
+    while rows and not rows[-1]:
+        rows.pop()
+    names = [name.strip() for name in rows[0]] if rows else []
+    _check_names(path, names)
+    for number, row in enumerate(rows, start=1):
+        if len(row) != len(names):
+            raise LabelError(
+                f"{path}, row {number} has {len(row)} cells where the header has {len(names)}; "
+                "add or remove commas, or put a text that holds one in double quotes"
+            )
+    cells = list(zip(*rows[1:], strict=True)) or [()] * len(names)
+    try:
+        return {name: _typed(cell, kinds.get(name)) for name, cell in zip(names, cells, strict=True)}
+    except (KeyError, ValueError) as e:
+        raise LabelError(f"{path}: a cell is not of the kind that its column is said to be ({e})") from e
+
+
+def _decoded(path: Path, data: bytes) -> str:
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as e:
+        row = data.count(b"\n", 0, e.start) + 1
+        raise LabelError(f"{path}, row {row} is not UTF-8 text; save the table as 'CSV UTF-8'") from e
+
+
+def _csv_rows(path: Path, text: str) -> Iterator[list[str]]:
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    row = 0
+    try:
+        for row, cells in enumerate(reader, start=1):  # noqa: B007 -- the error below names the row
+            yield cells
+    except csv.Error as e:
+        raise LabelError(f"{path}, row {row + 1} is not comma-separated text ({e}); check its quotes") from e
+
+
+def _check_names(path: Path, names: Sequence[str]) -> None:
+    if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
+        raise LabelError(f"{path}, row 1: {names[0][:60]!r} is one column; separate columns by commas")
+    if "" in names:
+        raise LabelError(f"{path}, row 1: column {names.index('') + 1} has no name; name it or delete it")
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise LabelError(
+            f"{path}, row 1: column {twice[0]!r} stands there more than once; rename or delete one"
+        )
+
+
+def _typed(cells: Sequence[str], kind: Kind | None) -> pd.Series:
+    kind = kind or _guessed(cells)
+    if kind == "flag":
+        return pd.Series([_FLAGS[cell.lower()] for cell in cells], dtype=bool)
+    if kind == "number":
+        return pd.Series([float(cell) if cell else np.nan for cell in cells], dtype=np.float64)
+    return pd.Series(list(cells), dtype=str)
+
+
+def _guessed(cells: Sequence[str]) -> Kind:
+    if all(cell.lower() in _FLAGS for cell in cells):
+        return "flag"
+    return "number" if all(not cell or _is_number(cell) for cell in cells) else "text"
+
+
+def _parquet_columns(path: Path, data: bytes) -> dict[str, pd.Series]:
+    try:
+        table = pq.read_table(pa.BufferReader(data))
+    except (pa.ArrowException, OSError, ValueError) as e:
+        raise LabelError(f"{path} begins as Parquet and cannot be read ({e}); write it again") from e
+    _check_names(path, table.column_names)
+    return {name: _arrow_typed(path, name, table.column(name)) for name in table.column_names}
+
+
+def _arrow_typed(path: Path, name: str, column: pa.ChunkedArray) -> pd.Series:
+    kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
+    cells = column.to_pylist()
+    if pa.types.is_boolean(kind) and column.null_count == 0:
+        return pd.Series(cells, dtype=bool)
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
+        return pd.Series([np.nan if cell is None else float(cell) for cell in cells], dtype=np.float64)
+    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
+        return pd.Series(["" if cell is None else cell for cell in cells], dtype=str)
+    raise LabelError(
+        f"{path}: column {name!r} is of type {kind}{' with gaps' if column.null_count else ''}; "
+        "labels are numbers, texts, or true and false without gaps"
+    )

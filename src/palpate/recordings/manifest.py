@@ -1,0 +1,155 @@
+"""The manifest: what a run is of, written once beside its segments and never again."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+
+from palpate.core.clock import NS_PER_S
+from palpate.core.errors import InputError, RecordingError
+from palpate.core.files import new_file, storage_errors
+from palpate.core.units import has_unit, split_column, unit
+from palpate.version import __version__
+
+MANIFEST = "manifest.json"
+MAX_MANIFEST_BYTES = 1 << 20  # ten thousand label columns fit; more is no manifest
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+LabelKind = Literal["number", "text", "flag"]
+
+
+class Manifest(BaseModel):
+    """What a run is of, and under which terms its data may be used.
+
+    Attributes:
+        format: the layout of the folder.
+        run_id: unique to this recording; a repaired copy keeps it.
+        created_utc: ISO 8601 with offset; the instant that `Frame.time_s` counts from.
+        clock: ``measured``, or ``ordinal`` where times are only positions in an order.
+        sensor, rig: which sensor was recorded, on what.
+        licence, origin: terms of use, and where the data came from.
+        software: what wrote the run.
+        seed: of the plan or simulation that made it; None where nothing was random.
+        units: label column -> unit symbol of `core.units`.
+        labels: every label column -> its kind.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    format: Literal["palpate-run/1"]
+    run_id: str
+    created_utc: str
+    clock: Literal["measured", "ordinal"]
+    sensor: str
+    rig: str
+    licence: str
+    origin: str
+    software: str
+    seed: int | None
+    units: dict[str, str]
+    labels: dict[str, LabelKind]
+
+    @model_validator(mode="after")
+    def _check(self) -> Manifest:
+        if _nanoseconds(self.created_utc) < 0:
+            raise ValueError(f"created_utc {self.created_utc} lies before 1970")
+        if "" in self.labels:
+            raise ValueError("a label column has an empty name")
+        if strangers := self.units.keys() - self.labels.keys():
+            raise ValueError(f"units are given for {sorted(strangers)}, which are no label columns")
+        for symbol in self.units.values():
+            unit(symbol)
+        return self
+
+    @classmethod
+    def new(
+        cls,
+        *,
+        sensor: str,
+        rig: str = "",
+        licence: str = "",
+        origin: str = "",
+        labels: Mapping[str, LabelKind] | None = None,
+        seed: int | None = None,
+        clock: Literal["measured", "ordinal"] = "measured",
+    ) -> Manifest:
+        """The manifest of a run that begins now; units come from the columns' names.
+
+        Raises:
+            InputError: a label's kind is not number, text or flag, or a name is empty.
+
+        Example:
+            >>> Manifest.new(sensor="tactip-3", labels={"depth_mm": "number"}).units
+            {'depth_mm': 'mm'}
+        """
+        kinds = dict(labels or {})
+        numbers = [name for name, kind in kinds.items() if kind == "number" and has_unit(name)]
+        try:
+            return cls(
+                format="palpate-run/1",
+                run_id=str(uuid.uuid4()),
+                created_utc=datetime.now(UTC).isoformat(timespec="microseconds"),
+                clock=clock,
+                sensor=sensor,
+                rig=rig,
+                licence=licence,
+                origin=origin,
+                software=f"palpate {__version__}",
+                seed=seed,
+                units={name: split_column(name)[1].symbol for name in numbers},
+                labels=kinds,
+            )
+        except ValidationError as e:
+            raise InputError(f"these do not make a manifest: {_first(e)}") from e
+
+    @classmethod
+    def read(cls, run: Path) -> Manifest:
+        """The manifest in a run's folder.
+
+        Raises:
+            RecordingError: there is none, or it is damaged.
+        """
+        path = run / MANIFEST
+        if not path.is_file():
+            raise RecordingError(f"{run} is not a run: it holds no {MANIFEST}; name a run's folder")
+        with storage_errors(path):
+            if path.stat().st_size > MAX_MANIFEST_BYTES:
+                raise RecordingError(f"{path} is no manifest: it is larger than {MAX_MANIFEST_BYTES} bytes")
+            text = path.read_bytes()
+        try:
+            return cls.model_validate_json(text)
+        except ValidationError as e:
+            raise RecordingError(f"{path} is damaged: {_first(e)}; restore it from a copy of the run") from e
+
+    def write(self, run: Path) -> None:
+        """Write the manifest into a run's folder, whole or not at all.
+
+        Raises:
+            ExistsError: one is there already.
+        """
+        with new_file(run / MANIFEST) as path:
+            path.write_text(self.model_dump_json(indent=2) + "\n", encoding="utf-8")
+
+    @property
+    def created_ns(self) -> int:
+        """`created_utc` since 1970 [ns], what the segments' times count from."""
+        return _nanoseconds(self.created_utc)
+
+
+def _nanoseconds(iso: str) -> int:
+    moment = datetime.fromisoformat(iso)
+    if moment.tzinfo is None:
+        raise ValueError(f"created_utc {iso} carries no offset from UTC")
+    return (moment - _EPOCH) // timedelta(microseconds=1) * (NS_PER_S // 1_000_000)
+
+
+def _first(error: ValidationError) -> str:
+    """The first thing that is wrong, in one line."""
+    problem = error.errors(include_url=False, include_context=False)[0]
+    where = ".".join(str(part) for part in problem["loc"])
+    return f"{where}: {problem['msg']}" if where else problem["msg"]

@@ -1,0 +1,252 @@
+"""The packed training set: prepared frames of a run in one array on disk, larger than memory if need be."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import pandas as pd
+
+from palpate.core.axes import Images, Indices
+from palpate.core.errors import InputError, RecordingError
+from palpate.core.files import new_folder, sha256_of, storage_errors
+from palpate.recordings.reader import Run
+from palpate.sensors.preparation import Preparation
+from palpate.version import __version__
+
+FRAMES_NAME = "frames.npy"
+INDEX_NAME = "index.parquet"
+CARD_NAME = "card.json"
+_FORMAT = "palpate-packed-1"
+# With a colon, so that no label of a run takes their place.
+_NAME, _TIME = "frame:name", "frame:time_s"
+
+
+class PackedSet:
+    """Prepared frames on disk, read by row, with their labels.
+
+    A read costs the memory of the rows asked for and no more: it goes through the file, not through a mapping
+    of it. It may be used from several threads and processes at once.
+
+    Attributes:
+        folder: where it is.
+        table: one row a frame: the run's labels, with ``frame`` (its name) and ``time_s`` unless the run has
+            labels of these names.
+        names: name of each frame.
+        times_s: time of each frame on the run's clock [s].
+        preparation: how the frames were made.
+        run_hash, run_id: the run that they were made from.
+        units: unit symbol of each label that has one.
+    """
+
+    def __init__(self, folder: Path, card: dict[str, Any], index: pd.DataFrame, offset: int) -> None:
+        self.folder = folder
+        self.names: list[str] = [str(name) for name in index[_NAME]]
+        self.times_s: np.ndarray = index[_TIME].to_numpy(dtype=np.float64)
+        self.table = _table(index)
+        self.preparation = _preparation(card["preparation"])
+        self.run_hash = str(card["run_hash"])
+        self.run_id = str(card["run_id"])
+        self.units: dict[str, str] = {str(k): str(v) for k, v in card["units"].items()}
+        self._offset = offset
+        self._handle = os.open(folder / FRAMES_NAME, os.O_RDONLY)
+        weakref.finalize(self, os.close, self._handle)
+
+    @classmethod
+    def open(cls, folder: Path, verify: bool = False) -> PackedSet:
+        """Open a packed set.
+
+        Args:
+            folder: where `pack` put it.
+            verify: also compute the checksums of its arrays and compare them with the card's.
+
+        Raises:
+            RecordingError: a part is missing, is cut short, or does not fit the card.
+            StorageError: the disk refused.
+        """
+        card = _read_card(folder)
+        with storage_errors(folder):
+            try:
+                index = pd.read_parquet(folder / INDEX_NAME)
+                packed = cls(folder, card, index, _check_frames(folder / FRAMES_NAME, len(index), card))
+            except (ValueError, KeyError, TypeError, AttributeError, FileNotFoundError) as e:
+                raise RecordingError(f"packed set {folder} is damaged ({e}); {_REMEDY}") from e
+        for name in (FRAMES_NAME, INDEX_NAME) if verify else ():
+            if sha256_of(folder / name) != card["sha256"].get(name):
+                raise RecordingError(f"{folder / name} is not what its card says, by checksum; {_REMEDY}")
+        return packed
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Height, width and channels of every frame."""
+        return (*self.preparation.size_px, self.preparation.channels)
+
+    @property
+    def frames(self) -> np.memmap:
+        """All frames as a read-only mapping ``[n h w c]`` of the file; `read` costs less memory."""
+        return np.memmap(self.folder / FRAMES_NAME, np.uint8, "r", self._offset, (len(self), *self.shape))
+
+    def read(self, rows: Sequence[int] | Indices) -> Images:
+        """Read some frames, in the order asked for.
+
+        Args:
+            rows: which, counted from 0; a row may stand there twice.
+
+        Returns:
+            8-bit ``[n h w c]``.
+
+        Raises:
+            InputError: a row is outside the set.
+            RecordingError: the file has been cut since it was opened.
+        """
+        wanted = np.asarray(rows, dtype=np.int64).reshape(-1)
+        if wanted.size and (wanted.min() < 0 or wanted.max() >= len(self)):
+            raise InputError(
+                f"rows {wanted.min()} to {wanted.max()} asked for; the set has rows 0 to {len(self) - 1}"
+            )
+        out = np.empty((len(wanted), *self.shape), dtype=np.uint8)
+        size, handle = int(np.prod(self.shape)), self._handle
+        offsets = (self._offset + wanted * size).tolist()
+        for part, offset in zip(out.reshape(len(wanted), size), offsets, strict=True):
+            count = os.preadv(handle, (part.data,), offset)
+            if count < size:
+                self._fill(part.data[count:], offset + count)
+        return out
+
+    def batches(self, rows: Sequence[int] | Indices, size: int) -> Iterator[Images]:
+        """Read some frames, at most `size` at a time."""
+        if size < 1:
+            raise InputError(f"batches of {size} frames: a batch has at least 1")
+        for start in range(0, len(rows), size):
+            yield self.read(rows[start : start + size])
+
+    def _fill(self, view: memoryview, offset: int) -> None:
+        """Go on where one read gave less than was asked for."""
+        done = 0
+        while done < len(view):
+            count = os.preadv(self._handle, [view[done:]], offset + done)
+            if count == 0:
+                raise RecordingError(f"{self.folder / FRAMES_NAME} was cut while in use; {_REMEDY}")
+            done += count
+
+
+_REMEDY = "pack the run again into a new folder"
+
+
+def pack(
+    run: Run, folder: Path, preparation: Preparation, progress: Callable[[int, int], None] | None = None
+) -> PackedSet:
+    """Prepare every frame of a run and write them as one array, a frame at a time.
+
+    The folder holds ``frames.npy`` (8-bit ``[n h w c]``, which `numpy.load` also opens), ``index.parquet``
+    (name, time and labels of each row) and ``card.json`` (what it was made from and how, with checksums).
+
+    Args:
+        run: the run.
+        folder: the folder to make; must not exist.
+        preparation: how a frame is made from an image.
+        progress: told how many frames are done of how many.
+
+    Raises:
+        ExistsError: `folder` exists.
+        RecordingError: the run has no frames.
+        InputError: the crop reaches outside an image.
+        StorageError: the disk is full, or refused.
+    """
+    if len(run) == 0:
+        raise RecordingError(f"run {run.manifest.run_id} has no frames, so there is nothing to pack")
+    with new_folder(folder) as building:
+        with (building / FRAMES_NAME).open("wb") as file:
+            names, digest = _write_frames(file, run, preparation, progress)
+        _index(run, names).to_parquet(building / INDEX_NAME, index=False)
+        sums = {FRAMES_NAME: digest, INDEX_NAME: sha256_of(building / INDEX_NAME)}
+        (building / CARD_NAME).write_text(_card_text(run, preparation, sums), encoding="utf-8")
+    return PackedSet.open(folder)
+
+
+def _write_frames(
+    file: BinaryIO, run: Run, preparation: Preparation, progress: Callable[[int, int], None] | None
+) -> tuple[list[str], str]:
+    shape = (len(run), *preparation.size_px, preparation.channels)
+    np.lib.format.write_array_header_1_0(file, {"descr": "|u1", "fortran_order": False, "shape": shape})
+    names = []
+    for i in range(len(run)):
+        frame = run.frame(i)
+        file.write(preparation.apply(frame.image).tobytes())
+        names.append(frame.name or str(i))
+        if progress is not None:
+            progress(i + 1, len(run))
+    file.flush()
+    with Path(file.name).open("rb") as written:
+        return names, hashlib.file_digest(written, "sha256").hexdigest()
+
+
+def _index(run: Run, names: Sequence[str]) -> pd.DataFrame:
+    labels = run.labels.reset_index(drop=True)
+    own = pd.DataFrame({_NAME: pd.Series(names, dtype=str), _TIME: np.asarray(run.times_s, dtype=np.float64)})
+    return pd.concat([own, labels], axis=1)
+
+
+def _table(index: pd.DataFrame) -> pd.DataFrame:
+    renamed = index.rename(columns={_NAME: "frame", _TIME: "time_s"})
+    return pd.DataFrame(renamed.loc[:, ~renamed.columns.duplicated(keep="last")])
+
+
+def _card_text(run: Run, preparation: Preparation, sums: dict[str, str]) -> str:
+    card = {
+        "format": _FORMAT,
+        "software": f"palpate {__version__}",
+        "run_id": run.manifest.run_id,
+        "run_hash": run.hash,
+        "frames": len(run),
+        "preparation": asdict(preparation),
+        "labels": dict(run.manifest.labels),
+        "units": dict(run.manifest.units),
+        "sha256": sums,
+    }
+    return json.dumps(card, indent=2, allow_nan=False)
+
+
+def _read_card(folder: Path) -> dict[str, Any]:
+    path = folder / CARD_NAME
+    try:
+        card = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as e:
+        raise RecordingError(f"{folder} is no packed set: its card cannot be read ({e}); {_REMEDY}") from e
+    if not isinstance(card, dict) or card.get("format") != _FORMAT:
+        raise RecordingError(f"{path} is no card of a {_FORMAT} set; {_REMEDY}")
+    return card
+
+
+def _preparation(made: dict[str, Any]) -> Preparation:
+    crop = made["crop_px"]
+    height, width = made["size_px"]
+    return Preparation(None if crop is None else tuple(crop), (height, width), made["channels"])
+
+
+def _check_frames(path: Path, rows: int, card: dict[str, Any]) -> int:
+    """Where the array begins in its file, once header, card, index and size agree."""
+    with path.open("rb") as file:
+        if np.lib.format.read_magic(file) != (1, 0):
+            raise ValueError(f"{path.name} is of an unknown version")
+        shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
+        offset = file.tell()
+    made = _preparation(card["preparation"])
+    if (shape, fortran, dtype) != ((rows, *made.size_px, made.channels), False, np.dtype(np.uint8)):
+        raise ValueError(f"{path.name} holds {dtype} {shape}, not what card and index say")
+    size, expected = path.stat().st_size, offset + int(np.prod(shape))
+    if size != expected:
+        raise ValueError(f"{path.name} has {size} bytes where {expected} belong")
+    if card["frames"] != rows:
+        raise ValueError(f"{INDEX_NAME} has {rows} rows where the card says {card['frames']}")
+    return offset

@@ -1,0 +1,284 @@
+"""The read side of one segment file: find its chunks, cut or whole, and trust none unchecked."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import ChunkIndex
+from mcap.writer import MCAP0_MAGIC
+
+from palpate.core.errors import RecordingError
+from palpate.core.files import storage_errors
+
+MAX_CHUNK_BYTES = 512 << 20  # the largest image that is read, stored without gain, and room to spare
+MAX_INDEX_BYTES = 1 << 30  # some ten million frames
+
+_RECORD = struct.Struct("<BQ")  # opcode, length of what follows
+_CHUNK = struct.Struct("<BQQQQIIQ")  # record; first and last time, size, CRC; no compression; length
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+_FOOTER = struct.Struct("<BQQQI")  # record; where the summary and its offsets start, CRC
+_TAIL = _FOOTER.size + len(MCAP0_MAGIC)
+_DATA_END = struct.Struct("<BQI")  # record; CRC of all before it
+_OPCODES = frozenset(int(code) for code in Opcode)
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """Something in a run that is not as it was written.
+
+    Attributes:
+        file: name of the file in the run's folder.
+        at_byte: where in it, from 0.
+        what: what is wrong there and what it costs.
+    """
+
+    file: str
+    at_byte: int
+    what: str
+
+    def __str__(self) -> str:
+        return f"{self.file} at byte {self.at_byte}: {self.what}"
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Where one chunk lies and what is in it.
+
+    Attributes:
+        offset, length: of its record in the file [bytes].
+        channels: ids of the channels that have messages in it.
+        end_ns: its last message's time [ns since 1970].
+        sequence: its first message's; None where only the index was read.
+    """
+
+    offset: int
+    length: int
+    channels: frozenset[int]
+    end_ns: int
+    sequence: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One message as stored; `data` is CDR."""
+
+    channel: int
+    sequence: int
+    time_ns: int
+    data: memoryview
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """What a file holds.
+
+    Attributes:
+        path: the file.
+        chunks: its readable chunks, in order. Of a closed file they are as its index says, and their bytes
+            are checked when read; of one that was never closed they have been checked.
+        data_end: where the chunks end and the index begins; None in a file that was never closed.
+        damage: what is wrong with it as far as was looked.
+    """
+
+    path: Path
+    chunks: tuple[Chunk, ...]
+    data_end: int | None
+    damage: tuple[Damage, ...]
+
+
+def scan(path: Path) -> Scan:
+    """Find the chunks of a segment file, up to where it was cut.
+
+    Raises:
+        StorageError: the file cannot be read.
+    """
+    with storage_errors(path), path.open("rb") as file:
+        size = path.stat().st_size
+        damage = []
+        if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+            damage.append(Damage(path.name, 0, "does not begin as an MCAP file"))
+        indexed = _from_index(file, size)
+        if indexed is not None:
+            return Scan(path, *indexed, tuple(damage))
+        chunks, found = _by_walking(file, size, path.name)
+        return Scan(path, chunks, None, (*damage, *found))
+
+
+def _from_index(file: BinaryIO, size: int) -> tuple[tuple[Chunk, ...], int] | None:
+    """The chunks as the file's own index lists them, and where they end; None without a sound index."""
+    if size < len(MCAP0_MAGIC) + _DATA_END.size + _TAIL:
+        return None
+    file.seek(size - _TAIL)
+    tail = file.read(_TAIL)
+    opcode, length, start, _, crc = _FOOTER.unpack_from(tail)
+    if opcode != Opcode.FOOTER or length != _FOOTER.size - _RECORD.size or tail[-8:] != MCAP0_MAGIC:
+        return None
+    if not len(MCAP0_MAGIC) + _DATA_END.size <= start <= size - _TAIL:
+        return None
+    if size - start > MAX_INDEX_BYTES:
+        return None
+    file.seek(start)
+    summary = file.read(size - _TAIL - start)
+    if zlib.crc32(tail[: _FOOTER.size - 4], zlib.crc32(summary)) != crc:
+        return None
+    try:
+        chunks = tuple(_indexed_chunks(summary))
+    except (ValueError, McapError, struct.error):
+        return None
+    ends = [0, *(chunk.offset + chunk.length for chunk in chunks)]
+    apart = all(chunk.offset >= end for chunk, end in zip(chunks, ends, strict=False))
+    return (chunks, start - _DATA_END.size) if apart and ends[-1] <= start - _DATA_END.size else None
+
+
+def _indexed_chunks(summary: bytes) -> Iterator[Chunk]:
+    for opcode, body in _records(memoryview(summary)):
+        if opcode == Opcode.CHUNK_INDEX:
+            index = ChunkIndex.read(ReadDataStream(BytesIO(body)))
+            yield Chunk(
+                index.chunk_start_offset,
+                index.chunk_length,
+                frozenset(index.message_index_offsets),
+                index.message_end_time,
+            )
+
+
+def _by_walking(file: BinaryIO, size: int, name: str) -> tuple[tuple[Chunk, ...], list[Damage]]:
+    """The sound chunks of a file without an index, and what else is in it."""
+    chunks: list[Chunk] = []
+    damage: list[Damage] = []
+    at = len(MCAP0_MAGIC)
+    while True:
+        file.seek(at)
+        head = file.read(_RECORD.size)
+        if len(head) < _RECORD.size:
+            damage.append(Damage(name, at, "ends without an index: interrupted while written, or cut"))
+            break
+        opcode, length = _RECORD.unpack(head)
+        end = at + _RECORD.size + length
+        if opcode not in _OPCODES or end > size:
+            damage.append(Damage(name, at, "cut or damaged here: nothing can be read beyond"))
+            break
+        if opcode == Opcode.DATA_END:
+            damage.append(Damage(name, end, "the index is cut or damaged"))
+            break
+        if opcode == Opcode.CHUNK:
+            try:
+                chunks.append(_examined(file, at, end - at))
+            except RecordingError as e:
+                damage.append(Damage(name, at, str(e)))
+        at = end
+    return tuple(chunks), damage
+
+
+def _examined(file: BinaryIO, offset: int, length: int) -> Chunk:
+    found = list(messages(_chunk_records(_bytes_at(file, offset, length), check=True)))
+    if not found:
+        raise RecordingError("a chunk without messages")
+    channels = frozenset(message.channel for message in found)
+    end_ns = max(message.time_ns for message in found)
+    return Chunk(offset, length, channels, end_ns, found[0].sequence)
+
+
+def read_chunk(path: Path, chunk: Chunk, *, check: bool = True) -> list[Message]:
+    """The messages in a chunk, compared with their CRC unless that was done before.
+
+    The file is opened anew, which costs 0.02 ms and leaves a reader free to be copied between processes.
+
+    Raises:
+        RecordingError: the chunk is damaged; the message names neither file nor place.
+        StorageError: the file cannot be read.
+    """
+    with storage_errors(path), path.open("rb", buffering=0) as file:
+        data = _bytes_at(file, chunk.offset, chunk.length)
+    return list(messages(_chunk_records(data, check=check)))
+
+
+def _bytes_at(file: BinaryIO, offset: int, length: int) -> bytes:
+    if length > MAX_CHUNK_BYTES:
+        raise RecordingError(f"a chunk of {length} bytes, and at most {MAX_CHUNK_BYTES} are read")
+    file.seek(offset)
+    data = file.read(length)
+    if len(data) < length:
+        raise RecordingError("a chunk is cut")
+    return data
+
+
+def _chunk_records(data: bytes, *, check: bool) -> memoryview:
+    """The records within a chunk."""
+    if len(data) < _CHUNK.size:
+        raise RecordingError("a chunk is cut")
+    opcode, length, _, _, size, crc, compressed, stored = _CHUNK.unpack_from(data)
+    if opcode != Opcode.CHUNK or length != len(data) - _RECORD.size:
+        raise RecordingError("there is no chunk")
+    if compressed or size != stored or stored != len(data) - _CHUNK.size:
+        raise RecordingError("a chunk's header is damaged, or of a file that palpate did not write")
+    records = memoryview(data)[_CHUNK.size :]
+    if check and zlib.crc32(records) != crc:
+        raise RecordingError("a chunk fails its checksum: its bytes have changed")
+    return records
+
+
+def messages(records: memoryview) -> Iterator[Message]:
+    """The messages among a chunk's records.
+
+    Raises:
+        RecordingError: the records do not fit each other.
+    """
+    for opcode, body in _records(records):
+        if opcode == Opcode.MESSAGE:
+            if len(body) < _MESSAGE.size:
+                raise RecordingError("a message is cut")
+            channel, sequence, time_ns, _ = _MESSAGE.unpack_from(body)
+            yield Message(channel, sequence, time_ns, body[_MESSAGE.size :])
+
+
+def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+    at = 0
+    while at < len(data):
+        if at + _RECORD.size > len(data):
+            raise RecordingError("a record is cut")
+        opcode, length = _RECORD.unpack_from(data, at)
+        at += _RECORD.size
+        if length > len(data) - at:
+            raise RecordingError("a record is longer than its chunk")
+        yield opcode, data[at : at + length]
+        at += length
+
+
+def verify(found: Scan) -> tuple[Damage, ...]:
+    """Compare every byte of a file with its checksums; what was found on the way, known damage included.
+
+    Raises:
+        StorageError: the file cannot be read.
+    """
+    damage = list(found.damage)
+    if found.data_end is None:
+        return found.damage
+    for chunk in found.chunks:
+        try:
+            read_chunk(found.path, chunk)
+        except RecordingError as e:
+            damage.append(Damage(found.path.name, chunk.offset, str(e)))
+    if not damage and not _data_sound(found.path, found.data_end):
+        damage.append(Damage(found.path.name, found.data_end, "bytes outside the chunks have changed"))
+    return tuple(damage)
+
+
+def _data_sound(path: Path, end: int) -> bool:
+    """Whether everything before the data's end has the CRC that stands there."""
+    crc, at = 0, 0
+    with storage_errors(path), path.open("rb") as file:
+        while at < end and (data := file.read(min(1 << 20, end - at))):
+            crc = zlib.crc32(data, crc)
+            at += len(data)
+        last = file.read(_DATA_END.size)
+    return last == _DATA_END.pack(Opcode.DATA_END, 4, crc)

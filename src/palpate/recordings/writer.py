@@ -1,0 +1,312 @@
+"""Record a run: frames, force, stage and events on one clock, on disk at least once a second."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from numbers import Integral
+from pathlib import Path
+from threading import Lock, Thread
+from types import MappingProxyType, TracebackType
+from typing import Any
+
+import numpy as np
+
+from palpate.core.axes import Image
+from palpate.core.clock import NS_PER_S, Clock, MonotonicClock
+from palpate.core.errors import ImageError, InputError, PalpateError, RecordingError
+from palpate.core.files import new_folder
+from palpate.core.frame import Frame
+from palpate.recordings import png, schema
+from palpate.recordings.buffer import Buffer, Item, Overflow
+from palpate.recordings.manifest import Manifest
+from palpate.recordings.opening import Opened, open_segment
+from palpate.recordings.schema import EVENTS, FORCE, FRAMES, LABELS, STAGE, Channel
+from palpate.recordings.values import Label, finite, label_values
+
+SYNC_EVERY_S = 0.5  # half of the second that is promised; the disk may take the rest
+DROPPED = "dropped"  # the kind of event that the writer itself records
+_MACHINE_CLOCK = MonotonicClock()
+
+
+class RunWriter:
+    """Appends to a run from any thread; a thread of its own encodes and writes.
+
+    What was accepted is on disk a second later, also when few messages come, also when the process is then
+    killed. A full queue drops what comes and counts it, or waits. Leaving the ``with`` block closes the
+    segment, also after an exception.
+
+    Every call raises `StorageError` once the disk has refused a write; all that was written before stays
+    readable.
+
+    Example:
+        >>> import tempfile
+        >>> from palpate.recordings.reader import Run
+        >>> manifest = Manifest.new(sensor="tactip-3", labels={"depth_mm": "number"})
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     with RunWriter.create(Path(folder, "run"), manifest) as writer:
+        ...         writer.frame(np.zeros((48, 64), np.uint8), labels={"depth_mm": 1.5})
+        ...     Run.open(Path(folder, "run")).labels["depth_mm"].tolist()
+        True
+        [1.5]
+    """
+
+    def __init__(self, opened: Opened, clock: Clock, buffer: Buffer) -> None:
+        """Not for callers: `create` and `resume` make writers."""
+        self._opened = opened
+        self._segment = opened.segment
+        self._labels = opened.manifest.labels
+        self._clock = clock
+        self._latest = dict.fromkeys(schema.RECORDED, opened.start_ns)
+        self._locks = {channel: Lock() for channel in schema.RECORDED}
+        self._buffer = buffer
+        self._reported = dict(buffer.dropped)
+        self._stored = 0
+        self._failure: BaseException | None = None
+        self._closed = False
+        self._thread = Thread(target=self._work, name="palpate-run-writer", daemon=True)
+        self._thread.start()
+
+    @classmethod
+    def create(
+        cls,
+        path: Path,
+        manifest: Manifest,
+        *,
+        clock: Clock = _MACHINE_CLOCK,
+        queue_frames: int = 64,
+        overflow: Overflow = "drop",
+    ) -> RunWriter:
+        """Begin a run in a new folder; its time starts now.
+
+        Args:
+            path: the folder, which must not exist.
+            manifest: what the run is of.
+            clock: what stamps messages that come without a time.
+            queue_frames: how many frames may wait to be written.
+            overflow: drop and count what finds the queue full, or let its caller wait.
+
+        Raises:
+            ExistsError: `path` exists.
+            StorageError: the disk refused.
+        """
+        buffer = _buffer(queue_frames, overflow)
+        now_ns = clock.now_ns()
+        with new_folder(path) as folder:
+            manifest.write(folder)
+        return cls(open_segment(path, now_ns), clock, buffer)
+
+    @classmethod
+    def resume(
+        cls,
+        path: Path,
+        *,
+        clock: Clock = _MACHINE_CLOCK,
+        queue_frames: int = 64,
+        overflow: Overflow = "drop",
+    ) -> RunWriter:
+        """Begin the next segment of a run; nothing that is there is touched.
+
+        Time continues on the same clock, and strictly after all that can be read. After a restart of the
+        machine, whose clock then starts anew, the length of the pause is not known.
+
+        Raises:
+            RecordingError: not a run, or another writer is recording into it.
+            StorageError: the disk refused.
+        """
+        buffer = _buffer(queue_frames, overflow)
+        return cls(open_segment(path, clock.now_ns()), clock, buffer)
+
+    def frame(
+        self,
+        image: np.ndarray,
+        *,
+        time_ns: int | None = None,
+        exposure_s: float | None = None,
+        labels: Mapping[str, Label] | None = None,
+    ) -> bool:
+        """Record an image, which is copied: the caller may reuse it at once.
+
+        Args:
+            image: 8-bit grey ``[h w]`` or RGB ``[h w 3]``.
+            time_ns: when it was taken, on the writer's clock [ns]; now when left out.
+            exposure_s: how long [s].
+            labels: what is known of it; columns may be left out, and then count as missing.
+
+        Returns:
+            False when the queue was full and the frame was dropped and counted.
+
+        Raises:
+            ImageError: not such an image, or larger than `png.MAX_PIXELS`.
+            LabelError: a label that the manifest does not list, or of another kind.
+            InputError: a time before the previous frame's.
+        """
+        Frame(image)
+        if image.shape[0] * image.shape[1] > png.MAX_PIXELS:
+            raise ImageError(f"an image {list(image.shape)} is too large; at most {png.MAX_PIXELS} pixels")
+        about: dict[str, object] = {}
+        if exposure_s is not None:
+            about["exposure_s"] = finite([exposure_s], 1, "exposure [s]")[0]
+        if labels:
+            about["labels"] = label_values(labels, self._labels)
+        return self._put(FRAMES, time_ns, lambda _: np.array(image, order="C"), about or None)
+
+    def force(self, wrench: Sequence[float] | np.ndarray, *, time_ns: int | None = None) -> bool:
+        """Record force [N] and torque [Nm] along x, y, z; False when dropped.
+
+        Raises:
+            InputError: not six finite numbers, or a time before the previous one's.
+        """
+        values = finite(wrench, 6, "force and torque [N, Nm]")
+        return self._put(FORCE, time_ns, lambda at_ns: schema.encode_wrench(values, at_ns))
+
+    def stage(self, position_m: Sequence[float] | np.ndarray, *, time_ns: int | None = None) -> bool:
+        """Record where the stage is [m]; False when dropped.
+
+        Raises:
+            InputError: not three finite numbers, or a time before the previous one's.
+        """
+        values = finite(position_m, 3, "stage position [m]")
+        return self._put(STAGE, time_ns, lambda at_ns: schema.encode_point(values, at_ns))
+
+    def event(self, kind: str, **fields: Any) -> bool:
+        """Record that something happened; False when dropped.
+
+        Raises:
+            InputError: fields that JSON cannot hold, or the kind ``dropped``, which is the writer's own.
+        """
+        if kind == DROPPED:
+            raise InputError(f"events of kind {DROPPED!r} are the writer's own; choose another kind")
+        data = schema.encode_json({"kind": kind, "fields": fields})
+        return self._put(EVENTS, None, lambda _: data)
+
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """How many of each channel found no room in this segment's queue."""
+        return MappingProxyType(self._buffer.dropped)
+
+    def close(self) -> None:
+        """Write what is queued, close the segment and let go of the run. Closing again does nothing.
+
+        Raises:
+            StorageError: something accepted could not be written.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        self._buffer.close()
+        self._thread.join()
+        self._opened.held.close()
+        self._raise_failure()
+
+    def __enter__(self) -> RunWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.close()
+        except PalpateError as e:
+            if error is None:
+                raise
+            if str(e) != str(error):
+                error.add_note(str(e))
+
+    def _put(
+        self,
+        channel: Channel,
+        time_ns: int | None,
+        data: Callable[[int], bytes | Image],
+        about: dict[str, object] | None = None,
+    ) -> bool:
+        self._refuse_if_over()
+        with self._locks[channel]:
+            at_ns = self._stamp(channel, time_ns)
+            accepted = self._buffer.put(Item(channel, at_ns, data(at_ns), about))
+        if not accepted:
+            self._refuse_if_over()
+        return accepted
+
+    def _refuse_if_over(self) -> None:
+        self._raise_failure()
+        if self._closed:
+            raise RecordingError("this writer is closed; resume the run to record more")
+
+    def _stamp(self, channel: Channel, time_ns: int | None) -> int:
+        """The time of a message since 1970 [ns], never before the channel's last."""
+        if time_ns is None:
+            time_ns = self._clock.now_ns()
+        elif not isinstance(time_ns, Integral):
+            raise InputError(f"time_ns is a whole number of ns on the writer's clock, got {time_ns!r}")
+        at_ns = int(time_ns) + self._opened.zero_ns
+        if not self._latest[channel] <= at_ns <= schema.MAX_TIME_NS:
+            least = self._latest[channel] - self._opened.zero_ns
+            raise InputError(
+                f"{channel.name} at {time_ns} ns, but time only goes forwards, to 2038 at most: give "
+                f"{least} ns or more here; sort what is recorded, or stamp it on the writer's own clock"
+            )
+        self._latest[channel] = at_ns
+        return at_ns
+
+    def _raise_failure(self) -> None:
+        if isinstance(self._failure, PalpateError):
+            raise type(self._failure)(str(self._failure)) from self._failure
+        if self._failure is not None:
+            raise RecordingError(f"the run could not be written: {self._failure!r}") from self._failure
+
+    def _work(self) -> None:
+        """The thread: take, write, and sync by the machine's time, whatever clock the run is on."""
+        try:
+            try:
+                self._write_until_drained()
+            finally:
+                self._segment.close()
+        except BaseException as e:
+            self._failure = e
+        finally:
+            self._buffer.close()
+
+    def _write_until_drained(self) -> None:
+        due_s = 0.0
+        while not self._buffer.drained:
+            item = self._buffer.take(max(0.0, due_s - _now_s()))
+            if item is not None:
+                self._store(item)
+            if _now_s() >= due_s:
+                self._report_drops()
+                self._segment.sync()
+                due_s = _now_s() + SYNC_EVERY_S
+        self._report_drops()
+
+    def _store(self, item: Item) -> None:
+        if isinstance(item.data, bytes):
+            self._segment.signals.write(item.channel, item.time_ns, 0, item.data)
+            return
+        image = schema.encode_image(png.encode(item.data), item.time_ns)
+        self._segment.frames.write(FRAMES, item.time_ns, self._stored, image)
+        if item.about:
+            about = schema.encode_json({"frame": self._stored, **item.about})
+            self._segment.signals.write(LABELS, item.time_ns, 0, about)
+        self._stored += 1
+
+    def _report_drops(self) -> None:
+        """Record how many were dropped so far, where that has changed."""
+        for name, count in self._buffer.dropped.items():
+            if count != self._reported[name]:
+                at_ns = max(self._latest[EVENTS], self._clock.now_ns() + self._opened.zero_ns)
+                fields = {"channel": name, "count": count}
+                data = schema.encode_json({"kind": DROPPED, "fields": fields})
+                self._segment.signals.write(EVENTS, at_ns, 0, data)
+                self._reported[name] = count
+
+
+def _now_s() -> float:
+    return _MACHINE_CLOCK.now_ns() / NS_PER_S
+
+
+def _buffer(queue_frames: int, overflow: Overflow) -> Buffer:
+    if queue_frames < 1 or overflow not in ("drop", "wait"):
+        raise InputError(
+            f"queue_frames={queue_frames!r}, overflow={overflow!r}: give 1 frame or more, and drop or wait"
+        )
+    return Buffer(queue_frames, overflow)

@@ -1,0 +1,85 @@
+"""Results as plain text for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from palpate.estimators.card import ScoreCard
+from palpate.recordings.check import CheckReport
+
+HEAD = (
+    "target",
+    "unit",
+    "MAE",
+    "RMSE",
+    "R2",
+    "MAE of mean",
+    "90 % interval",
+    "held truth in",
+    "(95 % interval)",
+)
+
+
+def scores_table(scores: Mapping[str, ScoreCard]) -> str:
+    """One line a target, and a sentence for those the images do not tell."""
+    lines = [HEAD, *(_cells(name, score) for name, score in scores.items())]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(HEAD))]
+    text = [
+        "  ".join(
+            cell.ljust(w) if i < 2 else cell.rjust(w)
+            for i, (cell, w) in enumerate(zip(line, widths, strict=True))
+        )
+        for line in lines
+    ]
+    text += [
+        f"{name}: no better than always saying the mean ({score.mae:.3g} against {score.mean_mae:.3g} "
+        f"{score.unit}): these images do not tell it"
+        for name, score in scores.items()
+        if score.says_nothing
+    ]
+    return "\n".join(text)
+
+
+def _cells(name: str, s: ScoreCard) -> tuple[str, ...]:
+    return (
+        name,
+        s.unit,
+        f"{s.mae:.3g}",
+        f"{s.rmse:.3g}",
+        f"{s.r2:.3f}",
+        f"{s.mean_mae:.3g}",
+        f"±{s.half_width:.3g}",
+        f"{100 * s.coverage_90:.1f} %",
+        f"({100 * s.coverage_90_low:.1f} to {100 * s.coverage_90_high:.1f} %)",
+    )
+
+
+def latency_line(seconds: Sequence[float]) -> str:
+    """Median and 95th percentile of the time a frame took, the first frame aside."""
+    ms = 1e3 * np.asarray(seconds[1:] or seconds)
+    p50, p95 = np.percentile(ms, [50, 95])
+    return f"latency: median {p50:.2f} ms, 95th percentile {p95:.2f} ms over {len(ms)} frames"
+
+
+def check_text(report: CheckReport) -> str:
+    """What a run holds, and whether it can be relied on."""
+    span = "times not measured" if report.duration_s is None else f"{report.duration_s:.3g} s"
+    sensor = report.sensor or "sensor not named"
+    lines = [f"{report.path}: {report.frames} frames, {span}, {report.segments} segments, {sensor}"]
+    for name, channel in report.channels.items():
+        if channel.count:
+            rate = "" if channel.rate_Hz is None else f", {channel.rate_Hz:.4g} Hz"
+            gap = "" if channel.longest_gap_s is None else f", longest gap {channel.longest_gap_s:.3g} s"
+            lines.append(f"  {name}: {channel.count}{rate}{gap}, {channel.dropped} dropped")
+    labels = [f"{name} [{unit}]" if unit else name for name, unit in report.labels.items()]
+    lines.append(f"labels: {', '.join(labels) or 'none'}")
+    lines += [f"  {name} is missing in {count} frames" for name, count in report.missing_labels.items()]
+    if report.duplicated_frames:
+        lines.append(f"{report.duplicated_frames} frames equal the one before: a frozen camera?")
+    lines += [f"damage: {d.file} at byte {d.at_byte}: {d.what}" for d in report.damage]
+    lines.append(
+        "sound" if report.sound else "damaged: `palpate repair` copies what can be read into a new run"
+    )
+    return "\n".join(lines)

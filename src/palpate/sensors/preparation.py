@@ -1,0 +1,79 @@
+"""From a camera's image to what an estimator sees: crop, scale, colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from palpate.core.axes import Image
+from palpate.core.errors import ImageError, InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Preparation:
+    """How a frame becomes an estimator's input.
+
+    Attributes:
+        crop_px: (x, y, width, height) cut from the frame first [px]; None takes the whole frame.
+        size_px: (height, width) of the input [px].
+        channels: 1 for grey, 3 for RGB.
+    """
+
+    crop_px: tuple[int, int, int, int] | None
+    size_px: tuple[int, int]
+    channels: Literal[1, 3]
+
+    def __post_init__(self) -> None:
+        crop = self.crop_px
+        if min(self.size_px) < 1 or max(self.size_px) > 4096:
+            raise InputError(f"size {self.size_px}: give height and width of 1 px or more, 4096 px at most")
+        if self.channels not in (1, 3):
+            raise InputError(f"channels is {self.channels}; it is 1 (grey) or 3 (RGB)")
+        if crop is not None and (min(crop[:2]) < 0 or min(crop[2:]) < 1):
+            raise InputError(f"crop {crop}: give x and y of 0 px or more, width and height of 1 px or more")
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(channels, height, width) of the input."""
+        return (self.channels, *self.size_px)
+
+    def apply(self, image: Image) -> UInt8[np.ndarray, "h w c"]:
+        """Crop, turn to grey or RGB, and scale one image.
+
+        Grey is ITU-R BT.601 luma. Shrinking averages areas, so that no marker falls between samples.
+
+        Raises:
+            ImageError: the crop does not lie inside the image.
+        """
+        image = self._in_channels(self._cropped(image))
+        height, width = self.size_px
+        if image.shape[:2] != (height, width):
+            shrinks = height <= image.shape[0] and width <= image.shape[1]
+            image = cv2.resize(
+                image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+            )
+        return np.ascontiguousarray(image.reshape(height, width, self.channels))
+
+    def _cropped(self, image: Image) -> Image:
+        if self.crop_px is None:
+            return image
+        x, y, width, height = self.crop_px
+        rows, columns = image.shape[:2]
+        if x + width > columns or y + height > rows:
+            raise ImageError(
+                f"crop x={x} y={y} {width}x{height} px does not lie inside the image of {columns}x{rows} px; "
+                "give a crop that does"
+            )
+        return image[y : y + height, x : x + width]
+
+    def _in_channels(self, image: Image) -> Image:
+        colour = image.ndim == 3 and image.shape[2] == 3
+        if self.channels == 1 and colour:
+            return cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
+        if self.channels == 3 and not colour:
+            return cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_GRAY2RGB)
+        return image

@@ -1,0 +1,31 @@
+"""Calibrate and report in one go: the folder holds its own page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from palpate.calibration.fit import calibrate
+from palpate.calibration.plan import Plan
+from palpate.estimators.card import Card
+from palpate.estimators.certified import read_card
+from palpate.estimators.networks.base import Progress, silent
+from palpate.recordings.reader import Run
+from palpate.reports.certificate import write_report
+
+REPORT_FILE = "report.html"
+
+
+def certify(run: Run, plan: Plan, out: Path, progress: Progress = silent) -> Card:
+    """Calibrate, and write the report into the calibration's folder.
+
+    Args:
+        run: frames and labels to learn from.
+        plan: what to estimate and how.
+        out: calibration folder to make; must not exist.
+        progress: told what is being done and how far it is.
+    """
+    calibrate(run, plan, out, progress)
+    progress("writing the report", 0, 1)
+    write_report(out, out / REPORT_FILE)
+    progress("writing the report", 1, 1)
+    return read_card(out)

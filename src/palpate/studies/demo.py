@@ -1,0 +1,212 @@
+"""The whole loop on a virtual photoelastic skin: record, calibrate, certify, evaluate, sense.
+
+The recording is rendered from exact physics (`sensors.half_space`): a ball pressed at many places and
+depths into a thick soft skin between crossed polarisers, seen edge-on by a noisy colour camera. Presses
+vary as they would on a rig: seating, lamp, force noise. The view cannot tell the place along the line of
+sight; it is asked for all the same, and the certificate has to say so.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from palpate.calibration.evaluate import evaluate
+from palpate.calibration.plan import Plan
+from palpate.core.clock import ManualClock
+from palpate.core.contact import Pose
+from palpate.core.files import new_file, new_folder
+from palpate.core.frame import Frame
+from palpate.estimators.card import ScoreCard
+from palpate.estimators.certified import Estimator
+from palpate.estimators.networks.base import Progress, silent
+from palpate.live.sense import sense
+from palpate.live.sources import RunFrames
+from palpate.recordings.manifest import LabelKind, Manifest
+from palpate.recordings.reader import Run
+from palpate.recordings.writer import RunWriter
+from palpate.reports.text import scores_table
+from palpate.sensors import half_space
+from palpate.sensors.half_space import HalfSpaceSpec
+from palpate.studies.certify import certify
+
+TARGETS = ("x_mm", "y_mm", "depth_mm", "force_N")
+MODELS = ("pca-ridge", "pixel-mlp")
+LABELS: dict[str, LabelKind] = {
+    "location": "text",
+    "x_mm": "number",
+    "y_mm": "number",
+    "depth_mm": "number",
+    "force_N": "number",
+    "reference": "flag",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Protocol:
+    """Where and how deep the ball is pressed, and how presses vary.
+
+    Attributes:
+        half_width_mm: locations lie within this of the middle, across the view and along the ray [mm].
+        depths_mm: least and greatest depth [mm].
+        presses: depths at each location.
+        seating_mm: standard deviation of a press's depth around what the stage says [mm].
+        lamp: relative standard deviation of the lamp from one location to the next.
+        force_noise_n: standard deviation of the force sensor [N].
+        rate_hz: frames a second.
+    """
+
+    half_width_mm: float = 6.0
+    depths_mm: tuple[float, float] = (0.15, 1.2)
+    presses: int = 12
+    seating_mm: float = 0.01
+    lamp: float = 0.01
+    force_noise_n: float = 0.01
+    rate_hz: float = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class DemoResult:
+    """What the demo made.
+
+    Attributes:
+        folder: where everything lies.
+        scores: model -> target -> score, on locations that no model has seen.
+        reports: model -> the certificate's page.
+        sensed: a few readings, as text.
+    """
+
+    folder: Path
+    scores: dict[str, dict[str, ScoreCard]]
+    reports: dict[str, Path]
+    sensed: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain values for JSON."""
+        return {
+            "folder": str(self.folder),
+            "scores": {m: {t: s.model_dump() for t, s in by.items()} for m, by in self.scores.items()},
+            "reports": {m: str(path) for m, path in self.reports.items()},
+        }
+
+    def text(self) -> str:
+        """The tables, some readings, and where the pages lie."""
+        lines = ["Virtual recording: what follows shows that the loop works, not how good a real sensor is."]
+        for model, scores in self.scores.items():
+            lines += ["", f"{model}, on locations it has never seen:", scores_table(scores)]
+        lines += ["", "Readings of frames never seen:", *(f"  {line}" for line in self.sensed), ""]
+        lines += [f"report ({model}): {path}" for model, path in self.reports.items()]
+        return "\n".join(lines)
+
+
+def run_demo(out: Path, *, seed: int = 0, progress: Progress = silent) -> DemoResult:
+    """Run the whole loop into a new folder.
+
+    Args:
+        out: folder to make; must not exist. It appears when everything is done.
+        seed: of everything random.
+        progress: told what is being done.
+    """
+    with new_folder(out) as folder:
+        for i, (name, locations) in enumerate((("run", 36), ("run-new-places", 12))):
+            record(folder / name, Protocol(), locations, seed=seed + i, progress=progress)
+        scores = {model: _calibrated(folder, model, seed, progress) for model in MODELS}
+        sensed = _some_readings(folder)
+        result = DemoResult(out, scores, {m: out / f"cal-{m}" / "report.html" for m in MODELS}, sensed)
+        with new_file(folder / "summary.json") as path:
+            path.write_text(json.dumps(result.to_dict()["scores"], indent=1) + "\n")
+    return result
+
+
+def record(path: Path, protocol: Protocol, locations: int, *, seed: int, progress: Progress = silent) -> Run:
+    """Record presses at random locations as a run.
+
+    Args:
+        path: run to make; must not exist.
+        protocol: how the ball is pressed.
+        locations: how many places.
+        seed: of everything random.
+        progress: told how far it is.
+    """
+    spec = half_space.demo()
+    manifest = Manifest.new(
+        sensor=f"virtual {spec.name}",
+        rig="virtual: a ball on an ideal stage",
+        licence="CC0-1.0",
+        origin="rendered by palpate's demo; virtual, not measured",
+        labels=LABELS,
+        seed=seed,
+    )
+    total = locations * (protocol.presses + 1)
+    clock = ManualClock()
+    with RunWriter.create(path, manifest, clock=clock, overflow="wait") as writer:
+        writer.event("protocol", **asdict(protocol))
+        for i, (frame, labels) in enumerate(_presses(spec, protocol, locations, seed)):
+            clock.sleep(1 / protocol.rate_hz)
+            writer.frame(frame.image, exposure_s=frame.exposure_s, labels=labels)
+            writer.force((0.0, 0.0, float(labels["force_N"]), 0.0, 0.0, 0.0))
+            writer.stage([1e-3 * float(labels[c]) for c in ("x_mm", "y_mm", "depth_mm")])
+            progress("recording", i + 1, total)
+    return Run.open(path)
+
+
+def _presses(
+    spec: HalfSpaceSpec, protocol: Protocol, locations: int, seed: int
+) -> Iterator[tuple[Frame, dict[str, float | str | bool]]]:
+    """Frames and their labels: at each location the untouched skin, then presses from shallow to deep."""
+    rng = np.random.default_rng(seed)
+    w = protocol.half_width_mm
+    for place in range(locations):
+        x_mm, y_mm = rng.uniform(-w, w, 2)
+        lit = replace(spec, lamp_gain=1 + protocol.lamp * rng.standard_normal())
+        depths = [0.0, *np.sort(rng.uniform(*protocol.depths_mm, protocol.presses))]
+        for depth_mm in depths:
+            seated = replace(lit, depth_offset_m=1e-3 * protocol.seating_mm * rng.standard_normal())
+            contact = half_space.press(seated, Pose(1e-3 * x_mm, 1e-3 * y_mm, 1e-3 * depth_mm))
+            force_n = contact.force_n + protocol.force_noise_n * rng.standard_normal()
+            yield (
+                half_space.render(contact, seated, rng),
+                {
+                    "location": f"place-{place:02d}",
+                    "x_mm": round(x_mm, 4),
+                    "y_mm": round(y_mm, 4),
+                    "depth_mm": round(depth_mm, 4),
+                    "force_N": round(force_n, 4),
+                    "reference": depth_mm == 0,
+                },
+            )
+
+
+def _calibrated(folder: Path, model: str, seed: int, progress: Progress) -> dict[str, ScoreCard]:
+    """Calibrate and certify one model, then score it on the places of the second run."""
+    plan = Plan(targets=TARGETS, model=model, split="group:location", seed=seed, channels=3)
+    calibration = folder / f"cal-{model}"
+    certify(Run.open(folder / "run"), plan, calibration, lambda *a: progress(f"{model}: {a[0]}", *a[1:]))
+    found = evaluate(Estimator.open(calibration), Run.open(folder / "run-new-places"), progress=progress)
+    with new_file(folder / f"scores-{model}.json") as path:
+        path.write_text(json.dumps(found, indent=1) + "\n")
+    return {name: ScoreCard(**score) for name, score in found["targets"].items()}
+
+
+def _some_readings(folder: Path) -> tuple[str, ...]:
+    """What the first model says of a few new frames, and of one that is dark."""
+    estimator = Estimator.open(folder / f"cal-{MODELS[0]}")
+    run = Run.open(folder / "run-new-places")
+    lines = []
+    for i, sensed in enumerate(sense(estimator, RunFrames(run))):
+        if i in (4, 12):
+            shown = sensed.shown()
+            lines += [
+                f"frame {sensed.frame}: {shown['depth_mm']}",
+                f"frame {sensed.frame}: {shown['force_N']}",
+            ]
+    dark = Frame(run.frame(4).image // 8, name="4, made dark")
+    reading = estimator.read(dark)["depth_mm"].in_unit("mm")
+    cv2.imwrite(str(folder / "frame-12.png"), run.frame(12).image[..., ::-1])
+    return (*lines, f"frame {dark.name}: {reading}")

@@ -1,0 +1,174 @@
+"""Twins across a split are found, and frames that only resemble each other are not called twins."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from palpate.calibration.leakage import LeakageAudit, audit
+from palpate.core import ManualClock
+from palpate.recordings.labels import label_kinds
+from palpate.recordings.manifest import Manifest
+from palpate.recordings.pack import PackedSet, pack
+from palpate.recordings.reader import Run
+from palpate.recordings.splits import split
+from palpate.recordings.writer import RunWriter
+from palpate.sensors.preparation import Preparation
+
+SIDE = 64
+
+
+def packed_set(folder: Path, images: Sequence[np.ndarray], table: pd.DataFrame) -> PackedSet:
+    manifest = Manifest.new(sensor="s1", labels=label_kinds(table))
+    with RunWriter.create(folder / "run", manifest, clock=ManualClock(), overflow="wait") as writer:
+        for i, image in enumerate(images):
+            writer.frame(image, time_ns=i, labels=table.iloc[i].to_dict())
+    channels = 1 if images[0].ndim == 2 else 3
+    return pack(Run.open(folder / "run"), folder / "packed", Preparation(None, (112, 112), channels))
+
+
+def press(rng: np.random.Generator, depth: float | None = None) -> np.ndarray:
+    """What a touch at a random place might look like: rings on a grey ground."""
+    x, y = rng.uniform(12, SIDE - 12, 2)
+    depth = rng.uniform(0.3, 1.0) if depth is None else depth
+    rows, columns = np.mgrid[:SIDE, :SIDE]
+    r = np.hypot(columns - x, rows - y)
+    return 120 + 80 * depth * np.cos(r * (0.3 + depth)) * np.exp(-((r / 14) ** 2))
+
+
+def seen(scene: np.ndarray, rng: np.random.Generator, noise: float) -> np.ndarray:
+    return np.clip(np.rint(scene + rng.normal(0, noise, scene.shape)), 0, 255).astype(np.uint8)
+
+
+def pressed(
+    folder: Path, rng: np.random.Generator, noise: float, presses: int = 20, each: int = 25
+) -> PackedSet:
+    scenes = [press(rng) for _ in range(presses)]
+    table = pd.DataFrame({"press": np.repeat(np.arange(float(presses)), each), "depth_mm": 1.0})
+    return packed_set(folder, [seen(scene, rng, noise) for scene in scenes for _ in range(each)], table)
+
+
+def audited(packed: PackedSet, spec: str, **options: Any) -> LeakageAudit:
+    return audit(packed, split(packed.table, spec), **options)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0, 5.0])
+def test_a_still_scene_recorded_often_leaks_under_a_random_split_and_not_by_press(tmp_path, rng, noise):
+    packed = pressed(tmp_path, rng, noise)
+    random, by_press = audited(packed, "random"), audited(packed, "group:press")
+    assert random.near_duplicates >= 0.99 * len(packed)
+    assert not random.clean
+    assert random.shared_groups == {"press": 20}
+    assert "500 of 500" in random.text or f"{random.near_duplicates} of 500" in random.text
+    assert by_press.near_duplicates == 0
+    assert by_press.clean
+    assert by_press.checked_pairs == 500 * 400  # five folds of a hundred against the other four hundred
+
+
+def test_separate_touches_do_not_leak_under_a_random_split(tmp_path, rng):
+    images = [seen(press(rng), rng, 1.5) for _ in range(200)]
+    found = audited(
+        packed_set(tmp_path, images, pd.DataFrame({"depth_mm": rng.uniform(0.3, 1, 200)})), "random"
+    )
+    assert found.near_duplicates == 0
+    assert found.clean
+    assert found.shared_groups == {}
+    assert found.examples == ()
+
+
+@pytest.mark.parametrize("grey_levels", [0, 2])
+def test_copies_among_separate_touches_are_found_and_named(tmp_path, rng, grey_levels):
+    images = [seen(press(rng), rng, 0) for _ in range(60)]
+    noisy = images[7] + rng.integers(-grey_levels, grey_levels + 1, images[7].shape)
+    images.append(np.clip(noisy, 0, 255).astype(np.uint8))
+    names = [f"touch_{i}.png" for i in range(60)] + ["copy.png"]
+    packed = packed_set(tmp_path, images, pd.DataFrame({"image_file": names, "press": np.arange(61.0)}))
+    found = audited(packed, "leave-one-out:press")
+    assert sorted(found.examples) == [("copy.png", "touch_7.png"), ("touch_7.png", "copy.png")]
+    assert not found.clean
+
+
+def test_the_untouched_skin_is_the_same_in_every_press_and_counts_as_no_leak(tmp_path, rng):
+    ground = np.full((SIDE, SIDE), 120.0)
+    images, rows = [], []
+    for number in range(12):
+        for depth in (0.0, 0.002, 0.4, 0.8):  # the second touch is too light to be seen
+            images.append(seen(ground if depth == 0 else press(rng, depth), rng, 1.0))
+            rows.append({"press": float(number), "depth_mm": depth})
+    packed = packed_set(tmp_path, images, pd.DataFrame(rows))
+    found = audited(packed, "group:press")
+    assert found.clean
+    assert found.at_rest == 12
+    # Were they not known to be at rest, they would be twins of each other.
+    assert audited(packed, "group:press", at_rest=np.zeros(48, dtype=bool)).near_duplicates >= 12
+
+
+def test_a_flag_says_which_frames_are_at_rest(tmp_path, rng):
+    images = [seen(np.full((SIDE, SIDE), 90.0), rng, 1.0) for _ in range(10)]
+    images += [seen(press(rng), rng, 1.0) for _ in range(10)]
+    table = pd.DataFrame({"contact": [False] * 10 + [True] * 10})
+    assert audited(packed_set(tmp_path, images, table), "random").clean
+
+
+def test_groups_on_both_sides_are_counted_by_column_and_text(tmp_path, rng):
+    images = [seen(press(rng), rng, 1.0) for _ in range(40)]
+    table = pd.DataFrame(
+        {"material": ["soft", "hard"] * 20, "press": np.arange(40.0) // 2, "note": [""] * 40}
+    )
+    packed = packed_set(tmp_path, images, table)
+    random = audited(packed, "random")
+    assert random.shared_groups["material"] == 2
+    assert random.shared_names["material"] == ("hard", "soft")
+    assert "note" not in random.shared_groups
+    assert not random.clean
+    by_press = audited(packed, "group:press")
+    assert by_press.shared_groups == {"material": 2}
+    assert by_press.clean  # a new press of a known material is a fair question, and the text says which it is
+    assert "new press" in by_press.text
+    assert "material" in by_press.text
+    assert audited(packed, "random", group_columns=["press"]).shared_groups.keys() == {"press"}
+
+
+def test_an_audit_goes_into_json(tmp_path, rng):
+    found = audited(pressed(tmp_path, rng, 1.0, presses=6, each=4), "random")
+    assert json.loads(json.dumps(found.to_dict()))["near_duplicates"] == found.near_duplicates
+
+
+def test_colour_frames_are_audited_too(tmp_path, rng):
+    scenes = [np.repeat(press(rng)[..., None], 3, axis=2) for _ in range(10)]
+    images = [seen(scene, rng, 3.0) for scene in scenes for _ in range(5)]
+    packed = packed_set(tmp_path, images, pd.DataFrame({"press": np.repeat(np.arange(10.0), 5)}))
+    assert audited(packed, "random").near_duplicates >= 48
+    assert audited(packed, "group:press").near_duplicates == 0
+
+
+def real_set(folder: Path, source: Path, table: pd.DataFrame) -> PackedSet:
+    images = [cv2.imread(str(source / "images" / name), cv2.IMREAD_GRAYSCALE) for name in table["image_file"]]
+    return packed_set(folder, images, table)
+
+
+@pytest.mark.slow
+def test_real_separate_taps_do_not_leak_under_a_random_split(tmp_path, real_data):
+    source = real_data / "tactip-surface" / "train"
+    found = audited(real_set(tmp_path, source, pd.read_csv(source / "labels.csv")), "random")
+    assert found.near_duplicates <= 2  # of 2,000: by construction no two taps share a press
+    assert found.shared_groups == {}
+
+
+def test_real_photographs_taken_ten_at_a_time_leak_under_a_random_split_and_not_by_load(tmp_path, real_data):
+    source = real_data / "dotted-skin-weights"
+    table = pd.read_csv(source / "labels.csv")
+    # 135.5 g and 135.6 g are one load, and so are 583.8 g and 584.0 g.
+    table["load"] = table["mass_g"].round(0).map("{:.0f} g".format)
+    packed = real_set(tmp_path, source, table)
+    random, by_load = audited(packed, "random"), audited(packed, "leave-one-out:load")
+    assert random.near_duplicates >= 70  # half of the 140 under load; the lamp flickers between the others
+    assert not random.clean
+    assert by_load.near_duplicates == 0

@@ -1,0 +1,87 @@
+"""Intervals hold the truth at their stated rate, and say so with an interval of their own."""
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from palpate.calibration.uncertainty import (
+    conformal_quantile,
+    coverage_interval,
+    fit_intervals,
+    grouped_coverage_interval,
+)
+from palpate.core.errors import InputError
+
+
+def world(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Predictions, and truths whose error grows with the first prediction."""
+    predicted = rng.uniform(0, 1, (n, 2))
+    size = np.stack([0.05 + 0.4 * predicted[:, 0], np.full(n, 0.2)], axis=1)
+    return predicted, predicted + size * rng.standard_normal((n, 2))
+
+
+def test_intervals_cover_at_their_rate() -> None:
+    rng = np.random.default_rng(0)
+    rates = []
+    for _ in range(30):
+        predicted, true = world(rng, 400)
+        folds = np.array_split(rng.permutation(400), 5)
+        intervals = fit_intervals(predicted, true, folds, np.arange(400), 0.9)
+        fresh, fresh_true = world(rng, 2000)
+        rates.append((np.abs(fresh - fresh_true) <= intervals.half_widths(fresh)).mean(axis=0))
+    # Each calibration's own rate scatters by 1.5 % (400 scores); the mean of 30 by 0.3 %.
+    np.testing.assert_allclose(np.mean(rates, axis=0), 0.9, atol=0.012)
+
+
+def test_intervals_are_wide_where_errors_are_large() -> None:
+    rng = np.random.default_rng(1)
+    predicted, true = world(rng, 2000)
+    folds = np.array_split(rng.permutation(2000), 5)
+    intervals = fit_intervals(predicted, true, folds, np.arange(2000), 0.9)
+    ends = intervals.half_widths(np.array([[0.05, 0.5], [0.95, 0.5]]))
+    assert ends[1, 0] > 3 * ends[0, 0]
+    assert ends[1, 1] == pytest.approx(ends[0, 1], rel=0.25)
+
+
+def test_few_groups_give_one_width_for_all() -> None:
+    rng = np.random.default_rng(2)
+    predicted, true = world(rng, 150)
+    groups = np.repeat(np.arange(5), 30)
+    folds = [np.flatnonzero(groups == g) for g in range(5)]
+    intervals = fit_intervals(predicted, true, folds, groups, 0.9)
+    widths = intervals.half_widths(predicted)
+    np.testing.assert_allclose(widths, widths[:1].repeat(150, axis=0))
+
+
+def test_the_quantile_is_raised_by_one_row() -> None:
+    assert conformal_quantile(np.arange(1.0, 20.0), 0.9) == 18
+    assert conformal_quantile(np.arange(1.0, 10.0), 0.9) == 9
+    # Eight scores cannot promise nine in ten: the largest is all there is.
+    assert conformal_quantile(np.arange(1.0, 9.0), 0.9) == 8
+
+
+def test_no_scores_give_no_interval() -> None:
+    with pytest.raises(InputError, match="at least two folds"):
+        conformal_quantile(np.empty(0), 0.9)
+
+
+@pytest.mark.parametrize(("hits", "n"), [(0, 30), (30, 30), (27, 30), (361, 400)])
+def test_the_interval_of_a_rate_is_scipys(hits: int, n: int) -> None:
+    other = binomtest(hits, n).proportion_ci(0.95, method="exact")
+    assert coverage_interval(hits, n) == pytest.approx((other.low, other.high), abs=1e-12)
+
+
+def test_rows_of_one_group_widen_the_interval_of_a_rate() -> None:
+    rng = np.random.default_rng(3)
+    groups = np.repeat(np.arange(40), 25)
+    inside = np.repeat(rng.random(40) < 0.9, 25)
+    alone = grouped_coverage_interval(inside, np.arange(1000))
+    together = grouped_coverage_interval(inside, groups)
+    # 25 copies of each answer carry the information of one: the interval is about five times wider.
+    assert together[1] - together[0] > 3 * (alone[1] - alone[0])
+
+
+def test_a_rate_of_one_over_groups_counts_groups() -> None:
+    groups = np.repeat(np.arange(5), 30)
+    low, high = grouped_coverage_interval(np.ones(150, bool), groups)
+    assert (low, high) == pytest.approx(coverage_interval(5, 5))

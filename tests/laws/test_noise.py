@@ -1,0 +1,51 @@
+import numpy as np
+import pytest
+
+from palpate.core import RangeError
+from palpate.optics import electrons, electrons_exact, illumination, quantise
+
+N = 200_000
+
+
+def exposed(law, mean, seed=0, read=5.0):
+    return law(np.full(N, mean, dtype=np.float32), read, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("mean", [50.0, 1000.0, 15_000.0])
+@pytest.mark.parametrize("law", [electrons, electrons_exact])
+def test_variance_is_the_mean_plus_the_read_outs(law, mean):
+    counts = exposed(law, mean)
+    # five standard errors of a mean and of a variance over N pixels
+    assert counts.mean(dtype=float) == pytest.approx(mean, abs=5 * np.sqrt((mean + 25) / N))
+    assert counts.var(dtype=float) == pytest.approx(mean + 25, rel=5 * np.sqrt(2 / N) * 1.1)
+
+
+def test_one_gaussian_stands_in_for_photons_and_read_out():
+    shares = [0.01, 0.1, 0.5, 0.9, 0.99]
+    quick = np.quantile(exposed(electrons, 150.0), shares)
+    exact = np.quantile(exposed(electrons_exact, 150.0, seed=1), shares)
+    # Poisson's skewness moves a quantile by up to 0.4 of skewness x spread, 0.4 electrons here;
+    # half an 8-bit step of a 15,000 electron camera is 30
+    np.testing.assert_allclose(quick, exact, atol=1.0)
+
+
+def test_the_same_seed_gives_the_same_exposure_and_another_does_not():
+    np.testing.assert_array_equal(exposed(electrons, 100.0), exposed(electrons, 100.0))
+    assert (exposed(electrons, 100.0) != exposed(electrons, 100.0, seed=1)).any()
+
+
+def test_codes_start_at_no_electrons_and_end_at_the_full_well():
+    codes = quantise(np.array([-20.0, 0.0, 5000.0, 10_000.0, 12_000.0]), 10_000.0, 12)
+    assert codes.tolist() == [0, 0, 2048, 4095, 4095]
+
+
+def test_light_falls_from_the_centre_to_the_corners_by_the_named_loss():
+    light = illumination(101, 201, 0.3)
+    assert light.max() == light[50, 100] == 1.0
+    assert light[0, 0] == pytest.approx(0.7, abs=0.01)  # the corner pixel's centre is half a pixel inside
+    np.testing.assert_array_equal(light, light[::-1, ::-1])
+
+
+def test_a_loss_of_more_than_all_light_is_refused():
+    with pytest.raises(RangeError, match="corner loss"):
+        illumination(10, 10, 1.2)

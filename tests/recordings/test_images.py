@@ -1,0 +1,168 @@
+"""An image file is read whole and right, or refused with its name and a remedy."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from palpate.core import ImageError
+from palpate.recordings.images import read_image
+
+LOSSLESS = {"PNG": {}, "BMP": {}, "TIFF": {"compression": "tiff_lzw"}, "WEBP": {"lossless": True}}
+ANY = LOSSLESS | {"JPEG": {"quality": 90}}
+
+
+def encoded(image: np.ndarray | Image.Image, form: str, **options: object) -> bytes:
+    buffer = io.BytesIO()
+    (image if isinstance(image, Image.Image) else Image.fromarray(image)).save(buffer, form, **options)
+    return buffer.getvalue()
+
+
+def noise_image(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    return rng.integers(0, 256, shape, dtype=np.uint8)
+
+
+def written(folder: Path, data: bytes, name: str = "touch.img") -> Path:
+    path = folder / name
+    path.write_bytes(data)
+    return path
+
+
+def refused(path: Path, *words: str, **options: int) -> None:
+    with pytest.raises(ImageError) as caught:
+        read_image(path, **options)
+    for word in (str(path), *words):
+        assert word in str(caught.value)
+
+
+# WebP has no grey.
+@pytest.mark.parametrize(
+    ("form", "shape"), [(f, (20, 30, 3)) for f in LOSSLESS] + [(f, (20, 30)) for f in ("PNG", "BMP", "TIFF")]
+)
+def test_a_lossless_format_gives_back_every_pixel(tmp_path, rng, form, shape):
+    image = noise_image(rng, *shape)
+    assert np.array_equal(read_image(written(tmp_path, encoded(image, form, **LOSSLESS[form]))), image)
+
+
+def test_a_jpeg_is_read_in_rgb_order(tmp_path):
+    red = np.zeros((16, 16, 3), np.uint8)
+    red[..., 0] = 255
+    mean = read_image(written(tmp_path, encoded(red, "JPEG", quality=95))).mean(axis=(0, 1))
+    assert np.allclose(mean, [255, 0, 0], atol=3)  # JPEG rounds in YCbCr: a level or two
+
+
+def test_a_palette_becomes_its_colours_and_one_bit_becomes_black_and_white(tmp_path, rng):
+    colours = np.array([[9, 8, 7], [200, 100, 0]], np.uint8)[rng.integers(0, 2, (8, 9))]
+    palette = Image.fromarray(colours).convert("P", palette=Image.Palette.ADAPTIVE)
+    assert np.array_equal(read_image(written(tmp_path, encoded(palette, "PNG"))), colours)
+    bits = Image.fromarray((colours[..., 0] > 100).astype(np.uint8) * 255).convert("1")
+    assert set(np.unique(read_image(written(tmp_path, encoded(bits, "PNG"))))) == {0, 255}
+
+
+def test_the_orientation_noted_by_a_camera_is_applied(tmp_path, rng):
+    image = noise_image(rng, 10, 20)
+    exif = Image.Exif()
+    exif[0x0112] = 6  # turn a quarter to the right to stand upright
+    assert np.array_equal(
+        read_image(written(tmp_path, encoded(image, "PNG", exif=exif))), np.rot90(image, -1)
+    )
+
+
+@pytest.mark.parametrize("form", ANY)
+def test_an_image_cut_anywhere_is_refused_and_never_filled_in(tmp_path, rng, capfd, form):
+    data = encoded(noise_image(rng, 24, 24, 3), form, **ANY[form])
+    for length in [*range(1, len(data), 7), len(data) - 1]:
+        refused(written(tmp_path, data[:length]))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_flipped_byte_in_a_png_is_refused(tmp_path, rng):
+    data = bytearray(encoded(noise_image(rng, 16, 16), "PNG"))
+    for at in range(8, len(data), 5):
+        damaged = bytes(data[:at]) + bytes([data[at] ^ 0x40]) + bytes(data[at + 1 :])
+        refused(written(tmp_path, damaged))
+
+
+SIGNATURES = [b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"II*\0", b"MM\0*", b"RIFF....WEBP", b""]
+
+
+@settings(max_examples=200)
+@given(head=st.sampled_from(SIGNATURES), body=st.binary(max_size=200))
+def test_any_bytes_give_an_image_or_an_image_error(tmp_path_factory, head, body):
+    path = tmp_path_factory.mktemp("fuzz") / "any"
+    path.write_bytes(head + body)
+    try:
+        assert read_image(path, max_pixels=10_000).dtype == np.uint8
+    except ImageError as e:
+        assert str(path) in str(e)  # noqa: PT017 -- either outcome is right
+
+
+@pytest.mark.parametrize(("form", "dtype"), [("PNG", np.uint16), ("TIFF", np.uint16), ("TIFF", np.float32)])
+def test_more_than_eight_bits_are_refused(tmp_path, form, dtype):
+    refused(written(tmp_path, encoded(np.zeros((4, 4), dtype), form)), "8 bits", "scale")
+
+
+def test_sixteen_bit_colour_is_refused_though_the_decoder_would_halve_it(tmp_path):
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 2, 2, 16, 2, 0, 0, 0))
+    pixels = chunk(b"IDAT", zlib.compress(b"\0" * (2 * (1 + 12))))
+    refused(written(tmp_path, b"\x89PNG\r\n\x1a\n" + header + pixels + chunk(b"IEND", b"")), "8 bits")
+
+
+def test_cmyk_is_refused(tmp_path):
+    refused(written(tmp_path, encoded(Image.new("CMYK", (4, 4)), "JPEG")), "CMYK", "convert it to RGB")
+
+
+@pytest.mark.parametrize(
+    ("form", "mode"), [("PNG", "RGBA"), ("PNG", "LA"), ("TIFF", "RGBA"), ("WEBP", "RGBA")]
+)
+def test_transparency_is_refused(tmp_path, form, mode):
+    image = Image.new(mode, (4, 4), (1, 2, 3, 4)[: len(mode)])
+    refused(written(tmp_path, encoded(image, form)), "transparency", "flatten")
+
+
+def test_a_transparent_colour_is_refused(tmp_path):
+    refused(written(tmp_path, encoded(Image.new("L", (4, 4)), "PNG", transparency=0)), "flatten")
+
+
+@pytest.mark.parametrize("form", ["PNG", "TIFF", "WEBP"])
+def test_several_pages_are_refused(tmp_path, rng, form):
+    pages = [Image.fromarray(noise_image(rng, 8, 8, 3)) for _ in range(3)]
+    data = encoded(pages[0], form, save_all=True, append_images=pages[1:])
+    refused(written(tmp_path, data), "several pages", "save each page")
+
+
+def test_a_bomb_is_refused_by_its_header_alone(tmp_path):
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 60_000, 60_000, 8, 0, 0, 0, 0))
+    data = b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", b"never decoded") + chunk(b"IEND", b"")
+    refused(written(tmp_path, data), "60000 × 60000 px", "max_pixels")
+
+
+def test_one_pixel_over_the_allowance_is_refused_and_the_allowance_is_not(tmp_path, rng):
+    path = written(tmp_path, encoded(noise_image(rng, 10, 10), "PNG"))
+    assert read_image(path, max_pixels=100).shape == (10, 10)
+    refused(path, "max_pixels", max_pixels=99)
+
+
+def test_what_is_no_image_is_refused_by_content_whatever_its_name(tmp_path):
+    refused(written(tmp_path, b"%PDF-1.7 and so on", "touch.png"), "no PNG, JPEG, BMP, TIFF or WebP")
+    refused(written(tmp_path, encoded(Image.new("L", (4, 4)), "GIF"), "touch2.png"), "save it as PNG")
+
+
+def test_missing_empty_and_folder_are_each_named(tmp_path):
+    refused(tmp_path / "gone.png", "not there")
+    refused(written(tmp_path, b""), "0 bytes")
+    refused(tmp_path, "folder")

@@ -1,0 +1,197 @@
+"""A folder of images becomes a whole run, or a clear error and nothing at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from palpate.core import ExistsError, ImageError, InputError, LabelError, PalpateError
+from palpate.recordings.importers import ImportReport, import_images
+from palpate.recordings.reader import Run
+
+
+def folder_of(
+    tmp_path: Path, rng: np.random.Generator, names: list[str], size: tuple[int, ...] = (12, 16)
+) -> Path:
+    folder = tmp_path / "touch"
+    (folder / "images").mkdir(parents=True)
+    for name in names:
+        Image.fromarray(rng.integers(0, 256, size, dtype=np.uint8)).save(folder / name)
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
+    made = folder_of(tmp_path, rng, ["images/a.png", "images/b.png", "images/c.png"])
+    label(made, "image_file,depth_mm,press,contact\na.png,1.5,1,true\nb.png,2.5,1,true\nc.png,0,2,false\n")
+    return made
+
+
+def label(folder: Path, text: str) -> None:
+    (folder / "labels.csv").write_text(text, encoding="utf-8")
+
+
+def imported(folder: Path, column: str = "image_file", **options: Any) -> tuple[Run, ImportReport]:
+    run = folder.parent / "run"
+    report = import_images(folder, run, labels=Path("labels.csv"), image_column=column, **options)
+    return Run.open(run), report
+
+
+def refused(folder: Path, kind: type[PalpateError], *words: str, **options: Any) -> None:
+    before = sorted(folder.parent.rglob("*"))
+    with pytest.raises(kind) as caught:
+        imported(folder, **options)
+    for word in words:
+        assert word in str(caught.value)
+    assert sorted(folder.parent.rglob("*")) == before
+
+
+def test_every_row_becomes_a_frame_with_its_pixels_labels_and_name(folder):
+    run, report = imported(folder, sensor="s1", licence="CC0-1.0", origin="our own")
+    assert [frame.name for frame in run.frames()] == ["a.png", "b.png", "c.png"]
+    for frame in run.frames():
+        assert np.array_equal(frame.image, np.asarray(Image.open(folder / "images" / frame.name)))
+    assert run.labels["depth_mm"].tolist() == [1.5, 2.5, 0.0]
+    assert run.labels["contact"].tolist() == [True, True, False]
+    assert (run.manifest.sensor, run.manifest.licence, run.manifest.origin) == ("s1", "CC0-1.0", "our own")
+    assert run.manifest.clock == "ordinal"
+    assert run.times_s.tolist() == [0, 1, 2]
+    assert report == ImportReport(
+        3, ("image_file", "depth_mm", "press", "contact"), {"depth_mm": "mm"}, ("press",)
+    )
+
+
+def test_the_rows_order_is_the_runs_order_and_colour_stays_rgb(tmp_path, rng):
+    folder = folder_of(tmp_path, rng, ["b.png", "a.png"], (6, 8, 3))
+    label(folder, "file,depth_mm\nb.png,1\na.png,2\n")
+    run, _ = imported(folder, "file")
+    assert [frame.name for frame in run.frames()] == ["b.png", "a.png"]
+    assert np.array_equal(run.frame(0).image, np.asarray(Image.open(folder / "b.png")))
+
+
+def test_images_named_by_numbers_are_found(folder):
+    for old, new in (("a.png", "001"), ("b.png", "002"), ("c.png", "003")):
+        (folder / "images" / old).rename(folder / "images" / new)
+    label(folder, "image_file,depth_mm\n001,1\n002,2\n003,3\n")
+    assert [frame.name for frame in imported(folder)[0].frames()] == ["001", "002", "003"]
+
+
+def test_a_rate_makes_the_times_measured(folder):
+    run, _ = imported(folder, rate_hz=30.0)
+    assert run.manifest.clock == "measured"
+    assert np.allclose(run.times_s, [0, 1 / 30, 2 / 30], rtol=0, atol=1e-9)  # times are whole nanoseconds
+
+
+def test_a_column_of_times_counts_from_its_first(folder):
+    label(folder, "image_file,at_s\na.png,1700000000.5\nb.png,1700000000.75\nc.png,1700000002\n")
+    run, _ = imported(folder, time_column="at_s")
+    assert run.times_s.tolist() == [0, 0.25, 1.5]
+
+
+def test_progress_counts_checking_and_writing(folder):
+    told: list[tuple[int, int]] = []
+    imported(folder, progress=lambda done, total: told.append((done, total)))
+    assert told == [(i, 6) for i in range(1, 7)]
+
+
+def test_unlabelled_images_are_left_out_only_when_allowed(folder):
+    label(folder, "image_file,depth_mm\na.png,1\n")
+    refused(folder, LabelError, "2 images", "images/b.png", "no row", "add their rows")
+    assert len(imported(folder, allow_unlabelled=True)[0]) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "image_file,depth_mm\na.png,1\nb.png,2\nc.png,3\ngone.png,4\n",
+            ("row 5", "'gone.png'", "remove the rows"),
+        ),
+        ("image_file,depth_mm\na.png,1\nb.png,2\nc.png,3\na.png,4\n", ("rows 2, 5", "'a.png'", "keep one")),
+        ("image_file,depth_mm\na.png,1\nb.png,\nc.png,nan\n", ("rows 3, 4", "'depth_mm'", "fill it in")),
+        ("image_file,depth_mm,depth_mm\na.png,1,1\n", ("row 1", "'depth_mm'")),
+        ("file,depth_mm\na.png,1\n", ("'image_file'", "file, depth_mm")),
+        ("image_file,depth_mm\n", ("no rows",)),
+        ("image_file,depth_mm\n../secret.png,1\n", ("row 2", "without '..'")),
+        ("image_file,depth_mm\n..\\secret.png,1\n", ("row 2", "without '..'")),
+        ("image_file,depth_mm\n/etc/secret.png,1\n", ("row 2", "relative")),
+        ("image_file,depth_mm\nC:\\secret.png,1\n", ("row 2", "relative")),
+        ("image_file,depth_mm\n,1\n", ("row 2", "names no image")),
+    ],
+)
+def test_labels_that_do_not_fit_the_images_are_refused_by_row(folder, text, words):
+    label(folder, text)
+    refused(folder, LabelError, "labels.csv", *words)
+
+
+def test_a_missing_table_and_a_missing_folder_are_named(folder, tmp_path):
+    (folder / "labels.csv").rename(tmp_path / "labels.csv")
+    refused(folder, LabelError, "labels.csv", "not there")
+    with pytest.raises(InputError, match="not a folder"):
+        import_images(
+            tmp_path / "gone", tmp_path / "run", labels=tmp_path / "labels.csv", image_column="image_file"
+        )
+
+
+def test_a_link_out_of_the_folder_is_refused(folder, tmp_path):
+    (folder / "images" / "a.png").rename(tmp_path / "outside.png")
+    (folder / "images" / "a.png").symlink_to(tmp_path / "outside.png")
+    refused(folder, LabelError, "row 2", "leads out of", "copy the image")
+
+
+def test_images_of_different_sizes_are_refused_and_two_are_named(folder):
+    Image.new("L", (9, 9)).save(folder / "images" / "b.png")
+    refused(folder, ImageError, "b.png is 9 × 9 px", "a.png is 16 × 12 px", "one size")
+
+
+def test_grey_beside_colour_is_refused(folder):
+    Image.new("RGB", (16, 12)).save(folder / "images" / "c.png")
+    refused(folder, ImageError, "c.png", "colour", "a.png", "grey")
+
+
+@pytest.mark.parametrize("damage", ["truncated", "empty", "deep"])
+def test_one_image_that_cannot_be_read_refuses_the_folder_and_is_named(folder, damage):
+    path = folder / "images" / "c.png"
+    if damage == "deep":
+        Image.fromarray(np.zeros((12, 16), np.uint16)).save(path)
+    else:
+        path.write_bytes(path.read_bytes()[: 60 if damage == "truncated" else 0])
+    refused(folder, ImageError, str(path))
+
+
+def test_times_that_go_backwards_are_refused_by_row(folder):
+    label(folder, "image_file,at_s\na.png,1\nb.png,3\nc.png,3\n")
+    refused(folder, LabelError, "row 4", "'at_s'", "sort", time_column="at_s")
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"rate_hz": 0.0}, "above 0 Hz"),
+        ({"rate_hz": float("nan")}, "above 0 Hz"),
+        ({"rate_hz": 1.0, "time_column": "press"}, "give one"),
+    ],
+)
+def test_a_rate_that_is_none_is_refused(folder, options, word):
+    refused(folder, InputError, word, **options)
+
+
+def test_a_column_of_times_that_is_not_there_is_named(folder):
+    refused(folder, LabelError, "'when'", time_column="when")
+
+
+def test_a_run_that_exists_is_not_touched(folder):
+    imported(folder)
+    refused(folder, ExistsError, "nothing is ever overwritten")
+
+
+def test_a_disk_that_fills_up_leaves_nothing(folder, monkeypatch):
+    def full(*_: object, **__: object) -> bool:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("palpate.recordings.writer.RunWriter.frame", full)
+    refused(folder, PalpateError, "no room left", "free some space")

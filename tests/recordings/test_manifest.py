@@ -1,0 +1,80 @@
+"""The manifest says what a run is of, and is written once."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from palpate.core import ExistsError, InputError, RecordingError
+from palpate.recordings.manifest import MANIFEST, Manifest
+
+
+def test_a_manifest_reads_back_as_written(tmp_path: Path) -> None:
+    manifest = Manifest.new(sensor="tactip-3", rig="arm", licence="CC0-1.0", origin="here", seed=7)
+    manifest.write(tmp_path)
+    assert Manifest.read(tmp_path) == manifest
+
+
+def test_units_come_from_the_names_of_number_columns_only() -> None:
+    manifest = Manifest.new(
+        sensor="s", labels={"depth_mm": "number", "object": "text", "note_mm": "text", "press": "number"}
+    )
+    assert manifest.units == {"depth_mm": "mm"}
+
+
+def test_every_recording_has_an_id_of_its_own() -> None:
+    assert Manifest.new(sensor="s").run_id != Manifest.new(sensor="s").run_id
+
+
+def test_a_manifest_is_never_overwritten(tmp_path: Path) -> None:
+    Manifest.new(sensor="a").write(tmp_path)
+    before = (tmp_path / MANIFEST).read_bytes()
+    with pytest.raises(ExistsError):
+        Manifest.new(sensor="b").write(tmp_path)
+    assert (tmp_path / MANIFEST).read_bytes() == before
+
+
+def test_a_folder_without_a_manifest_is_no_run(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"not a run: it holds no manifest\.json"):
+        Manifest.read(tmp_path)
+
+
+def test_a_column_without_a_name_is_refused() -> None:
+    with pytest.raises(InputError, match="empty name"):
+        Manifest.new(sensor="s", labels={"": "number"})
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("created_utc", "yesterday"),
+        ("created_utc", "2026-01-01T00:00:00"),
+        ("created_utc", "1969-01-01T00:00:00+00:00"),
+        ("format", "palpate-run/2"),
+        ("units", {"depth_mm": "furlong"}),
+        ("units", {"force_N": "N"}),
+        ("labels", {"depth_mm": "picture"}),
+        ("surprise", 1),
+    ],
+)
+def test_a_damaged_manifest_is_named_and_refused(tmp_path: Path, field: str, value: object) -> None:
+    good = json.loads(Manifest.new(sensor="s", labels={"depth_mm": "number"}).model_dump_json())
+    (tmp_path / MANIFEST).write_text(json.dumps({**good, field: value}))
+    with pytest.raises(RecordingError, match=r"manifest\.json is damaged"):
+        Manifest.read(tmp_path)
+
+
+@pytest.mark.parametrize("data", [b"", b"{", b"\xff\xfe", b"[1]", b'{"format":' * 5000])
+def test_a_manifest_that_is_not_json_is_refused(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / MANIFEST).write_bytes(data)
+    with pytest.raises(RecordingError, match=r"manifest\.json"):
+        Manifest.read(tmp_path)
+
+
+def test_a_manifest_of_absurd_size_is_refused_unread(tmp_path: Path) -> None:
+    with (tmp_path / MANIFEST).open("wb") as file:
+        file.truncate(1 << 40)  # a hole: takes no room, and would take all memory
+    with pytest.raises(RecordingError, match="larger than"):
+        Manifest.read(tmp_path)
