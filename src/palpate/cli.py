@@ -238,6 +238,9 @@ def calibrate(
     reference_by: Annotated[
         str, typer.Option(help="Columns within whose groups a reference holds, e.g. press.")
     ] = "",
+    learn_untouched: Annotated[
+        bool, typer.Option("--learn-untouched", help="Learn from the untouched sensor's frames too.")
+    ] = False,
     option: Annotated[
         list[str] | None, typer.Option(help="A model's own setting, NAME=VALUE, as in epochs=30.")
     ] = None,
@@ -265,6 +268,7 @@ def calibrate(
         crop_px=numbers_of(crop, 4, "--crop"),  # type: ignore[arg-type]
         delta=delta,
         reference=Reference.parse(reference, columns_of(reference_by)) if reference else None,
+        learn_untouched=learn_untouched,
         options=options_of(option or []),
     )
     with progress_bar(quiet) as progress:
@@ -400,7 +404,7 @@ def _scores_text(scores: dict[str, Any]) -> str:
     from palpate.reports.text import scores_table
 
     table = scores_table({name: ScoreCard(**score) for name, score in scores["targets"].items()})
-    valid = f"{scores['frames_valid']} of {scores['run']['frames']} frames gave valid readings throughout"
+    valid = f"{scores['frames_valid']} of {scores['frames_scored']} frames gave valid readings throughout"
     learnt = "\nthis is the run it learnt from: these scores say nothing about new presses"
     return f"{table}\n{valid}" + (learnt if scores["learnt_from_this_run"] else "")
 

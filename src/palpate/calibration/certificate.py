@@ -93,7 +93,8 @@ def _pictures(made: Calibrated) -> Iterator[tuple[str, np.ndarray]]:
     for name, row in chosen:
         yield name, _as_bgr(made.packed.read([row])[0])
     if len(made.untouched.rows):
-        yield "reference.png", _as_bgr(made.packed.read([int(made.untouched.rows[0])])[0])
+        mean = made.untouched.images[0].transpose(1, 2, 0)
+        yield "reference.png", _as_bgr(mean.round().astype(np.uint8))
 
 
 def _as_bgr(image: np.ndarray) -> np.ndarray:
@@ -188,6 +189,7 @@ def _reference(made: Calibrated) -> ReferenceCard:
         value=rule.value if rule else None,
         by=rule.by if rule else (),
         frames=len(made.untouched.rows),
+        learnt=made.plan.learn_untouched,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -38,6 +38,10 @@ class Untouched:
     images: Float32[np.ndarray, "g c h w"]
     rule: Reference | None
 
+    def of(self, rows: Indices) -> Untouched:
+        """The same references for some of the rows, numbered anew."""
+        return replace(self, groups=self.groups[rows])
+
 
 def marked(table: pd.DataFrame, rule: Reference) -> Bool[np.ndarray, " n"]:
     """Rows that a reference rule names.
@@ -66,6 +70,18 @@ def default_rule(table: pd.DataFrame) -> Reference | None:
         if column in table and table[column].astype(str).str.lower().eq("true").any():
             return Reference(column, "true")
     return None
+
+
+def rows_to_learn(table: pd.DataFrame, plan: Plan) -> Indices:
+    """Rows to learn from: all but those of the untouched sensor, where a press has no place or shape.
+
+    Raises:
+        LabelError: the plan's reference names columns or rows that are not there.
+    """
+    rule = plan.reference or default_rule(table)
+    if rule is None or plan.learn_untouched:
+        return np.arange(len(table))
+    return np.flatnonzero(~marked(table, rule))
 
 
 def find_untouched(packed: PackedSet, plan: Plan) -> Untouched:

@@ -62,16 +62,9 @@ def zeros_of(estimator: Estimator, run: Run) -> dict[int, Zero]:
 
     Empty where the calibration knows none or the run has none.
     """
-    card = estimator.card.reference
-    table = run.labels
-    if card.column is None or card.column not in table or not set(card.by) <= set(table):
-        return {}
-    rule = Reference(card.column, card.value or "", card.by)
-    try:
-        rows = np.flatnonzero(marked(table, rule))
-    except LabelError:
-        return {}
-    groups = table.groupby(list(card.by), sort=False).ngroup().to_numpy() if card.by else np.zeros(len(table))
+    table, by = run.labels, list(estimator.card.reference.by)
+    rows = _untouched_rows(estimator.card, table)
+    groups = table.groupby(by, sort=False).ngroup().to_numpy() if by else np.zeros(len(table))
     zeros: dict[int, Zero] = {}
     for group in np.unique(groups[rows]):
         images = [run.frame(int(row)).image for row in rows[groups[rows] == group]]
@@ -100,16 +93,35 @@ def evaluate(
         ImageError: the calibration is differential and the run has no reference.
     """
     card = estimator.card
-    true = targets_from(run.labels, card.columns, str(run.path))
+    rows = _rows_to_score(card, run.labels)
+    table = run.labels.iloc[rows].reset_index(drop=True)
+    true = targets_from(table, card.columns, str(run.path))
     zeros = {} if zero is not None else zeros_of(estimator, run)
     predicted, half = np.full_like(true, np.nan), np.full_like(true, np.nan)
-    valid = np.zeros(len(run), bool)
-    for row in range(len(run)):
-        readings = estimator.read(run.frame(row), zero or zeros.get(row))
-        predicted[row], half[row] = _in_units(card, readings)
-        valid[row] = all(reading.valid for reading in readings.values())
-        progress("evaluating", row + 1, len(run))
-    return _scores(card, run, true, predicted, half, valid)
+    valid = np.zeros(len(rows), bool)
+    for i, row in enumerate(rows):
+        readings = estimator.read(run.frame(int(row)), zero or zeros.get(int(row)))
+        predicted[i], half[i] = _in_units(card, readings)
+        valid[i] = all(reading.valid for reading in readings.values())
+        progress("evaluating", i + 1, len(rows))
+    return _scores(card, run, table, true, predicted, half, valid)
+
+
+def _rows_to_score(card: Card, table: pd.DataFrame) -> np.ndarray:
+    """All rows but those of the untouched sensor, where the calibration did not learn from such."""
+    untouched = _untouched_rows(card, table)
+    return np.arange(len(table)) if card.reference.learnt else np.setdiff1d(np.arange(len(table)), untouched)
+
+
+def _untouched_rows(card: Card, table: pd.DataFrame) -> np.ndarray:
+    """Rows that the calibration's own rule says show the untouched sensor; none where it has no rule."""
+    rule = card.reference
+    if rule.column is None or rule.value is None or not {rule.column, *rule.by} <= set(table):
+        return np.empty(0, np.int64)
+    try:
+        return np.flatnonzero(marked(table, Reference(rule.column, rule.value, rule.by)))
+    except LabelError:
+        return np.empty(0, np.int64)
 
 
 def _in_units(card: Card, readings: Mapping[str, Reading]) -> tuple[np.ndarray, np.ndarray]:
@@ -122,12 +134,18 @@ def _in_units(card: Card, readings: Mapping[str, Reading]) -> tuple[np.ndarray, 
 
 
 def _scores(
-    card: Card, run: Run, true: Values, predicted: Values, half: Values, valid: np.ndarray
+    card: Card,
+    run: Run,
+    table: pd.DataFrame,
+    true: Values,
+    predicted: Values,
+    half: Values,
+    valid: np.ndarray,
 ) -> dict[str, Any]:
     read = ~np.isnan(predicted).any(axis=1)
     if not read.any():
         raise LabelError(f"{run.path}: no frame could be read, every one is of another size than calibrated")
-    groups = groups_in(run.labels, card.split.columns)[read]
+    groups = groups_in(table, card.split.columns)[read]
     targets = {
         t.column: score(
             t.unit, true[read, j], predicted[read, j], half[read, j], t.training_mean, groups
@@ -138,6 +156,7 @@ def _scores(
         "targets": targets,
         "calibration": card.id,
         "run": {"run_id": run.manifest.run_id, "hash": run.hash, "frames": len(run)},
+        "frames_scored": len(table),
         "frames_read": int(read.sum()),
         "frames_valid": int(valid.sum()),
         "groups": len(np.unique(groups)),

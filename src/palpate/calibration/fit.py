@@ -15,7 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from palpate.calibration.certificate import write_certificate
-from palpate.calibration.data import Untouched, find_untouched, prepared_images, training_data
+from palpate.calibration.data import (
+    Untouched,
+    find_untouched,
+    prepared_images,
+    rows_to_learn,
+    training_data,
+)
 from palpate.calibration.leakage import audit
 from palpate.calibration.made import Calibrated
 from palpate.calibration.plan import Plan
@@ -55,12 +61,14 @@ def calibrate(run: Run, plan: Plan, out: Path, progress: Progress = silent) -> P
     started = time.monotonic()
     _check_plan(run, plan)
     work = _work_folder(run, plan, out)
-    packed = _packed(run, plan, work, progress)
-    untouched = find_untouched(packed, plan)
+    whole = _packed(run, plan, work, progress)
+    untouched = find_untouched(whole, plan)
+    rows = rows_to_learn(whole.table, plan)
+    packed = whole.only(rows)
     parts = split(packed.table, plan.split, folds=plan.folds, seed=plan.seed)
     report = audit(packed, parts)
     groups = parts.groups if parts.groups is not None else np.arange(len(packed))
-    data = training_data(packed, plan, groups, untouched, str(run.path))
+    data = training_data(packed, plan, groups, untouched.of(rows), str(run.path))
     model = make_model(plan.model, plan.options)
     held_out = _held_out(model, data, parts, plan, work, progress)
     fitted = model.fit(
@@ -70,7 +78,7 @@ def calibrate(run: Run, plan: Plan, out: Path, progress: Progress = silent) -> P
         progress=_named(progress, "final model"),
         checkpoint=work / "final.npz",
     )
-    guard = _guard(packed, parts, untouched, plan, progress)
+    guard = _guard(whole, rows, parts, untouched, plan, progress)
     seconds = time.monotonic() - started
     write_certificate(
         Calibrated(run, plan, packed, data, parts, report, untouched, held_out, fitted, guard, seconds), out
@@ -84,8 +92,9 @@ def _check_plan(run: Run, plan: Plan) -> None:
     if len(run) < 10:
         raise InputError(f"{run.path} holds {len(run)} frames; a calibration needs 10 or more")
     make_model(plan.model, plan.options)
-    targets_from(run.labels, plan.targets, str(run.path))
-    split(run.labels, plan.split, folds=plan.folds, seed=plan.seed)
+    table = run.labels.iloc[rows_to_learn(run.labels, plan)].reset_index(drop=True)
+    targets_from(table, plan.targets, str(run.path))
+    split(table, plan.split, folds=plan.folds, seed=plan.seed)
 
 
 def preparation_of(run: Run, plan: Plan) -> Preparation:
@@ -161,10 +170,15 @@ def _fold(
     return predicted
 
 
-def _guard(packed: PackedSet, parts: Split, untouched: Untouched, plan: Plan, progress: Progress) -> Guard:
+def _guard(
+    whole: PackedSet, rows: Indices, parts: Split, untouched: Untouched, plan: Plan, progress: Progress
+) -> Guard:
+    """A guard that knows every frame, those of the untouched sensor too; they are dealt out to all folds."""
     progress("learning what frames look like", 0, 1)
-    thumbs = thumbnails(prepared_images(packed, np.arange(len(packed))))
-    guard = fit_guard(thumbs, parts.folds, thumbs[untouched.rows], seed=plan.seed)
+    thumbs = thumbnails(prepared_images(whole, np.arange(len(whole))))
+    others = np.setdiff1d(np.arange(len(whole)), rows)
+    folds = [np.append(rows[held], others[k :: len(parts.folds)]) for k, held in enumerate(parts.folds)]
+    guard = fit_guard(thumbs, folds, thumbs[untouched.rows], seed=plan.seed)
     progress("learning what frames look like", 1, 1)
     return guard
 

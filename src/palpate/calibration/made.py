@@ -17,7 +17,17 @@ from palpate.recordings.splits import Split
 
 @dataclass(frozen=True)
 class Calibrated:
-    """Everything a certificate is written from."""
+    """Everything a certificate is written from.
+
+    Attributes:
+        run, plan: what was asked.
+        packed, data: the rows learnt from; of the untouched sensor's only where that was asked for.
+        untouched: those frames.
+        split, audit: how rows were held out.
+        held_out: predictions of every row by a model that had not seen its group.
+        fitted, guard: what was learnt from all of them.
+        seconds: time it took [s].
+    """
 
     run: Run
     plan: Plan

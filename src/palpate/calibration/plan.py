@@ -49,6 +49,7 @@ class Plan:
         crop_px: (x, y, width, height) cut from each frame first [px].
         delta: learn from the difference to a no-contact reference.
         reference: which rows are that reference.
+        learn_untouched: learn from (and score) those rows too, as from any other.
         coverage: how often intervals shall hold the truth.
         options: the model's own fields, by name.
     """
@@ -63,6 +64,7 @@ class Plan:
     crop_px: tuple[int, int, int, int] | None = None
     delta: bool = False
     reference: Reference | None = None
+    learn_untouched: bool = False
     coverage: float = 0.9
     options: dict[str, Any] = field(default_factory=dict)
 

@@ -111,12 +111,14 @@ class ReferenceCard(_Part):
         column, value: rows where the label column holds this value; None where the run has none.
         by: columns within whose groups a reference holds; empty for one reference for all.
         frames: how many such frames the calibration had.
+        learnt: whether they were learnt from, and are scored, like any other.
     """
 
     column: str | None
     value: str | None
     by: tuple[str, ...]
     frames: int
+    learnt: bool
 
 
 class SplitCard(_Part):

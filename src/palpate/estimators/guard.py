@@ -1,17 +1,20 @@
 """The guard: is this image of the kind the estimator was calibrated on, and has the sensor drifted?
 
-Applicability is judged on a thumbnail of the prepared image. Principal components of the calibration's
-thumbnails span what was seen; an image is far when it lies far along them (Hotelling's T²) or off them
-(the squared residual Q). See Jackson & Mudholkar, Technometrics 21:341 (1979),
-doi:10.1080/00401706.1979.10489779. Both are divided by the limit that a stated share of frames kept out
-of the fit stays below, and the larger one counts.
+A thumbnail of the prepared image is held against the nearest one of the calibration. Pixels are weighed by
+what they differ between neighbours, so that a corner that never changes counts more than one that always
+does. Two distances are judged: the plain one, and its ratio to the neighbour's own distance from the rest
+of the calibration, since near the untouched skin images lie closer together than under a deep press (the
+idea of the local outlier factor: Breunig et al., SIGMOD 2000, doi:10.1145/335191.335388). Either is too
+far beyond the limit that a stated share of calibration frames, each held against other groups, stays below.
 """
 
 from __future__ import annotations
 
+import math
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -21,7 +24,9 @@ from jaxtyping import Float, Float32, UInt8
 from palpate.core.errors import CertificateError, InputError
 from palpate.core.reading import Drift
 
-THUMBNAIL_PX = 32
+THUMBNAIL_VALUES = 1024
+"""A thumbnail holds about this many values, in one channel or in three."""
+
 FLOOR_GREY_LEVELS = 0.5
 """Two averages of one scene never agree better than this, whatever a few references suggest."""
 
@@ -30,55 +35,79 @@ DRIFT_LIMIT_OF_FEW = 3.0
 """Fewer no-contact frames than five say little of how far such frames wander: three times their spread."""
 
 Prepared = UInt8[np.ndarray, "h w c"]
-Thumbnail = Float32[np.ndarray, " k"]
+Thumbnails = Float32[np.ndarray, "n k"]
+Distances = Float32[np.ndarray, " n"]
 
 
-def thumbnail(prepared: Prepared) -> Thumbnail:
-    """Area means of a prepared image, at most 32 px a side, grey levels."""
+def thumbnail(prepared: Prepared) -> Float32[np.ndarray, " k"]:
+    """Area means of a prepared image, about as many values whatever its channels, grey levels."""
     height, width, channels = prepared.shape
-    size = (min(width, THUMBNAIL_PX), min(height, THUMBNAIL_PX))
-    small = cv2.resize(prepared, size, interpolation=cv2.INTER_AREA).reshape(size[1], size[0], channels)
-    return small.astype(np.float32).ravel()
+    side = math.isqrt(THUMBNAIL_VALUES // channels)
+    size = (min(width, side), min(height, side))
+    return cv2.resize(prepared, size, interpolation=cv2.INTER_AREA).astype(np.float32).ravel()
 
 
-def thumbnails(images: Iterable[Prepared]) -> Float32[np.ndarray, "n k"]:
+def thumbnails(images: Iterable[Prepared]) -> Thumbnails:
     """Thumbnails of many prepared images."""
     return np.stack([thumbnail(image) for image in images])
 
 
-@dataclass(frozen=True, slots=True)
-class Span:
-    """What the calibration's thumbnails span.
+@dataclass(frozen=True)
+class Neighbours:
+    """The calibration's thumbnails, and the measure of distance between them.
 
     Attributes:
-        mean: their mean ``[k]``.
-        axes: principal axes ``[m k]``, orthonormal.
-        spread: standard deviation along each axis ``[m]``.
+        thumbs: of the calibration's frames ``[n k]``.
+        stray: what each pixel differs by between neighbours, at least a grey level ``[k]``.
+        own: each one's distance to the nearest of other groups ``[n]``.
     """
 
-    mean: Float32[np.ndarray, " k"]
-    axes: Float32[np.ndarray, "m k"]
-    spread: Float32[np.ndarray, " m"]
+    thumbs: Thumbnails
+    stray: Float32[np.ndarray, " k"]
+    own: Distances
 
-    @classmethod
-    def of(cls, thumbs: Float32[np.ndarray, "n k"], kept: float = 0.95) -> Span:
-        """Span the axes that carry a share `kept` of the variance, at most a third as many as frames."""
-        mean = thumbs.mean(axis=0)
-        _, singular, axes = np.linalg.svd(thumbs - mean, full_matrices=False)
-        variance = singular**2 / max(len(thumbs) - 1, 1)
-        wanted = int(np.searchsorted(np.cumsum(variance), kept * variance.sum())) + 1
-        m = max(1, min(wanted, len(thumbs) // 3, len(variance)))
-        # An axis without variance says nothing; one grey level is what a camera resolves.
-        spread = np.sqrt(np.maximum(variance[:m], 1.0))
-        return cls(mean, axes[:m].astype(np.float32), spread.astype(np.float32))
+    def nearest(self, others: Thumbnails) -> tuple[np.ndarray, Distances]:
+        """Row and distance of the nearest thumbnail to each of `others`; 1 is usual between neighbours."""
+        return self._index.nearest(others / self.stray)
 
-    def distances(self, thumbs: Float32[np.ndarray, "n k"]) -> Float[np.ndarray, "n 2"]:
-        """Mean squared T per axis, and mean squared residual per thumbnail pixel, of each thumbnail."""
-        centred = thumbs - self.mean
-        along = centred @ self.axes.T
-        t2 = np.mean((along / self.spread) ** 2, axis=1)
-        residual = centred - along @ self.axes
-        return np.stack([t2, np.mean(residual**2, axis=1)], axis=1)
+    def strangeness(self, others: Thumbnails) -> Float[np.ndarray, "n 2"]:
+        """Distance to the nearest, and its ratio to that one's own."""
+        rows, distance = self.nearest(others)
+        return np.stack([distance, distance / self.own[rows]], axis=1).astype(np.float64)
+
+    @cached_property
+    def _index(self) -> _Index:
+        return _Index(self.thumbs / self.stray)
+
+
+class _Index:
+    """Rows to search for the nearest of, their squares summed once."""
+
+    def __init__(self, rows: Thumbnails) -> None:
+        self.rows, self.squares = rows, np.sum(rows**2, axis=1)
+
+    def nearest(self, others: Thumbnails) -> tuple[np.ndarray, Distances]:
+        found = np.argmin(self.squares - 2 * others @ self.rows.T, axis=1)
+        return found, np.sqrt(np.mean((others - self.rows[found]) ** 2, axis=1))
+
+
+def neighbours(thumbs: Thumbnails, folds: Sequence[np.ndarray]) -> Neighbours:
+    """Learn the measure of distance, and each thumbnail's own distance, across folds only."""
+    apart = np.empty_like(thumbs)
+    for held, others in _sides(len(thumbs), folds):
+        rows, _ = _Index(thumbs[others]).nearest(thumbs[held])
+        apart[held] = thumbs[held] - thumbs[others][rows]
+    stray = np.maximum(np.sqrt(np.mean(apart**2, axis=0)), 1.0)
+    own = np.empty(len(thumbs), np.float32)
+    for held, others in _sides(len(thumbs), folds):
+        _, own[held] = _Index(thumbs[others] / stray).nearest(thumbs[held] / stray)
+    # Grey levels are whole: no frame is nearer to another than rounding leaves it.
+    return Neighbours(thumbs, stray, np.maximum(own, np.float32(0.05)))
+
+
+def _sides(n: int, folds: Sequence[np.ndarray]) -> Iterable[tuple[np.ndarray, np.ndarray]]:
+    every = np.arange(n)
+    return [(held, np.setdiff1d(every, held)) for held in folds if len(held)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,23 +115,22 @@ class Guard:
     """Judges images against what a calibration saw.
 
     Attributes:
-        span: what was seen.
-        limits: the two distances that calibration frames stay below.
+        seen: the calibration's thumbnails.
+        limits: of distance and of its ratio, see `Neighbours.strangeness`.
         reference: mean thumbnail of the untouched sensor ``[k]``; None where none was recorded.
         reference_spread: how far its own no-contact thumbnails lie from their mean [grey levels, rms].
         drift_limit: the drift statistic above which the calibration is stale.
     """
 
-    span: Span
+    seen: Neighbours
     limits: Float[np.ndarray, " 2"]
     reference: Float32[np.ndarray, " k"] | None
     reference_spread: float
     drift_limit: float
 
     def atypicality(self, prepared: Prepared) -> float:
-        """How far the image is from what was calibrated on; beyond 1 it should not be trusted."""
-        distances = self.span.distances(thumbnail(prepared)[None, :])[0]
-        return float(np.sqrt(np.max(distances / self.limits)))
+        """How far the image is from all that was calibrated on; beyond 1 it should not be trusted."""
+        return float(np.max(self.seen.strangeness(thumbnail(prepared)[None, :])[0] / self.limits))
 
     def drift(self, untouched: Prepared) -> Drift | None:
         """How far the untouched sensor has moved since calibration; None where that had no view of it."""
@@ -114,11 +142,11 @@ class Guard:
     def save(self, path: Path) -> None:
         """Write the guard as plain arrays."""
         absent = np.empty(0, np.float32)
-        np.savez(
+        np.savez_compressed(
             path,
-            mean=self.span.mean,
-            axes=self.span.axes,
-            spread=self.span.spread,
+            thumbs=np.round(self.seen.thumbs).astype(np.uint8),
+            stray=self.seen.stray,
+            own=self.seen.own,
             limits=self.limits,
             reference=absent if self.reference is None else self.reference,
             drift=np.array([self.reference_spread, self.drift_limit]),
@@ -135,39 +163,39 @@ class Guard:
             # Opened here, since numpy leaves a file that is no archive to the garbage collector.
             with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
                 parts = {name: held[name] for name in held.files}
-            span = Span(parts["mean"], parts["axes"], parts["spread"])
+            seen = Neighbours(parts["thumbs"].astype(np.float32), parts["stray"], parts["own"])
             reference = parts["reference"] if parts["reference"].size else None
             spread, limit = (float(v) for v in parts["drift"])
-            guard = cls(span, parts["limits"], reference, spread, limit)
+            guard = cls(seen, parts["limits"], reference, spread, limit)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as e:
             raise CertificateError(f"{path} is not a guard that palpate wrote ({e}); calibrate again") from e
         guard._check(path)
         return guard
 
     def _check(self, path: Path) -> None:
-        m, k = self.span.axes.shape if self.span.axes.ndim == 2 else (-1, -1)
-        fits = self.span.mean.shape == (k,) and self.span.spread.shape == (m,) and self.limits.shape == (2,)
+        n, k = self.seen.thumbs.shape if self.seen.thumbs.ndim == 2 else (-1, -1)
+        fits = self.seen.stray.shape == (k,) and self.seen.own.shape == (n,) and self.limits.shape == (2,)
         if not fits or (self.reference is not None and self.reference.shape != (k,)):
             raise CertificateError(f"{path}: the guard's arrays do not fit each other; calibrate again")
 
 
 def fit_guard(
-    thumbs: Float32[np.ndarray, "n k"],
-    folds: Iterable[np.ndarray],
-    untouched: Float32[np.ndarray, "r k"],
+    thumbs: Thumbnails,
+    folds: Sequence[np.ndarray],
+    untouched: Thumbnails,
     *,
-    false_alarms: float = 0.01,
-    most: int = 4000,
+    false_alarms: float = 0.005,
+    most: int = 2000,
     seed: int = 0,
 ) -> Guard:
-    """Span the thumbnails, and set the limits from frames kept out of the span.
+    """Keep thumbnails, and set the limits from how far frames lie from those of other folds.
 
     Args:
         thumbs: of every calibration frame.
-        folds: held-out rows of each fold, whole groups together; the limits come from them.
+        folds: held-out rows of each fold, whole groups together.
         untouched: thumbnails of the no-contact frames; may be empty.
         false_alarms: share of good frames that either distance may put beyond its limit.
-        most: frames a span is computed from, at most.
+        most: frames kept, at most.
         seed: of the draw when there are more.
 
     Raises:
@@ -175,22 +203,20 @@ def fit_guard(
     """
     if len(thumbs) < 6:
         raise InputError(f"{len(thumbs)} frames are too few to learn what frames look like; record 6 or more")
-    rng = np.random.default_rng(seed)
-
-    def drawn(rows: np.ndarray) -> np.ndarray:
-        return rows if len(rows) <= most else rng.choice(rows, most, replace=False)
-
-    every = np.arange(len(thumbs))
-    kept_out = np.concatenate(
-        [
-            Span.of(thumbs[drawn(np.setdiff1d(every, held))]).distances(thumbs[held])
-            for held in folds
-            if len(held) < len(thumbs)
-        ]
-    )
-    limits = np.quantile(kept_out, 1 - false_alarms, axis=0, method="higher")
-    reference, spread, drift_limit = _untouched(untouched)
-    return Guard(Span.of(thumbs[drawn(every)]), np.maximum(limits, 1e-3), reference, spread, drift_limit)
+    fold = np.empty(len(thumbs), np.int64)
+    for k, held in enumerate(folds):
+        fold[held] = k
+    if len(thumbs) > most:
+        drawn = np.sort(np.random.default_rng(seed).choice(len(thumbs), most, replace=False))
+        thumbs, fold = thumbs[drawn], fold[drawn]
+    parts = [np.flatnonzero(fold == k) for k in np.unique(fold)]
+    thumbs = np.round(thumbs)
+    seen = neighbours(thumbs, parts)
+    held_out = np.empty((len(thumbs), 2))
+    for held, others in _sides(len(thumbs), parts):
+        held_out[held] = Neighbours(thumbs[others], seen.stray, seen.own[others]).strangeness(thumbs[held])
+    limits = np.quantile(held_out, 1 - false_alarms, axis=0, method="higher")
+    return Guard(seen, limits, *_untouched(untouched))
 
 
 def _untouched(untouched: Float32[np.ndarray, "r k"]) -> tuple[np.ndarray | None, float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 import os
@@ -55,6 +56,8 @@ class PackedSet:
         self.run_hash = str(card["run_hash"])
         self.run_id = str(card["run_id"])
         self.units: dict[str, str] = {str(k): str(v) for k, v in card["units"].items()}
+        self._whole: PackedSet | None = None
+        self._places: Indices = np.arange(len(self.names))
         self._offset = offset
         self._handle = os.open(folder / FRAMES_NAME, os.O_RDONLY)
         weakref.finalize(self, os.close, self._handle)
@@ -86,6 +89,20 @@ class PackedSet:
     def __len__(self) -> int:
         return len(self.names)
 
+    def only(self, rows: Indices) -> PackedSet:
+        """The same set with some of its rows, numbered anew from 0; nothing is copied.
+
+        Args:
+            rows: which, counted from 0.
+        """
+        part = copy.copy(self)
+        part._whole = self  # whose end closes the file
+        part._places = self._places[rows]
+        part.names = [self.names[row] for row in rows]
+        part.times_s = self.times_s[rows]
+        part.table = self.table.iloc[rows].reset_index(drop=True)
+        return part
+
     @property
     def shape(self) -> tuple[int, int, int]:
         """Height, width and channels of every frame."""
@@ -93,8 +110,10 @@ class PackedSet:
 
     @property
     def frames(self) -> np.memmap:
-        """All frames as a read-only mapping ``[n h w c]`` of the file; `read` costs less memory."""
-        return np.memmap(self.folder / FRAMES_NAME, np.uint8, "r", self._offset, (len(self), *self.shape))
+        """The whole file's frames as a read-only mapping ``[n h w c]``; `read` costs less memory."""
+        rows = (self.folder / FRAMES_NAME).stat().st_size - self._offset
+        shape = (rows // int(np.prod(self.shape)), *self.shape)
+        return np.memmap(self.folder / FRAMES_NAME, np.uint8, "r", self._offset, shape)
 
     def read(self, rows: Sequence[int] | Indices) -> Images:
         """Read some frames, in the order asked for.
@@ -116,7 +135,7 @@ class PackedSet:
             )
         out = np.empty((len(wanted), *self.shape), dtype=np.uint8)
         size, handle = int(np.prod(self.shape)), self._handle
-        offsets = (self._offset + wanted * size).tolist()
+        offsets = (self._offset + self._places[wanted] * size).tolist()
         for part, offset in zip(out.reshape(len(wanted), size), offsets, strict=True):
             count = os.preadv(handle, (part.data,), offset)
             if count < size:
