@@ -225,6 +225,10 @@ def calibrate(
         str, typer.Option(help="auto, random, group:COLUMN[,COLUMN] or leave-one-out:COLUMN.")
     ] = "auto",
     folds: Annotated[int, typer.Option(help="Parts that are held out in turn.")] = 5,
+    scored_folds: Annotated[
+        int | None,
+        typer.Option(help="How many folds to hold out; by default all, or one for a network."),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
     size: Annotated[str | None, typer.Option(help="HEIGHTxWIDTH of the model's input [px].")] = None,
     crop: Annotated[str | None, typer.Option(help="X,Y,WIDTH,HEIGHT cut from each frame [px].")] = None,
@@ -262,6 +266,7 @@ def calibrate(
         model=model,
         split=split,
         folds=folds,
+        scored_folds=scored_folds,
         seed=seed,
         size_px=numbers_of(size, 2, "--size"),  # type: ignore[arg-type]
         channels=3 if rgb else 1,

@@ -25,8 +25,7 @@ def test_intervals_cover_at_their_rate() -> None:
     rates = []
     for _ in range(30):
         predicted, true = world(rng, 400)
-        folds = np.array_split(rng.permutation(400), 5)
-        intervals = fit_intervals(predicted, true, folds, np.arange(400), 0.9)
+        intervals = fit_intervals(predicted, true, np.arange(400), 0.9)
         fresh, fresh_true = world(rng, 2000)
         rates.append((np.abs(fresh - fresh_true) <= intervals.half_widths(fresh)).mean(axis=0))
     # Each calibration's own rate scatters by 1.5 % (400 scores); the mean of 30 by 0.3 %.
@@ -36,8 +35,7 @@ def test_intervals_cover_at_their_rate() -> None:
 def test_intervals_are_wide_where_errors_are_large() -> None:
     rng = np.random.default_rng(1)
     predicted, true = world(rng, 2000)
-    folds = np.array_split(rng.permutation(2000), 5)
-    intervals = fit_intervals(predicted, true, folds, np.arange(2000), 0.9)
+    intervals = fit_intervals(predicted, true, np.arange(2000), 0.9)
     ends = intervals.half_widths(np.array([[0.05, 0.5], [0.95, 0.5]]))
     assert ends[1, 0] > 3 * ends[0, 0]
     assert ends[1, 1] == pytest.approx(ends[0, 1], rel=0.25)
@@ -47,8 +45,7 @@ def test_few_groups_give_one_width_for_all() -> None:
     rng = np.random.default_rng(2)
     predicted, true = world(rng, 150)
     groups = np.repeat(np.arange(5), 30)
-    folds = [np.flatnonzero(groups == g) for g in range(5)]
-    intervals = fit_intervals(predicted, true, folds, groups, 0.9)
+    intervals = fit_intervals(predicted, true, groups, 0.9)
     widths = intervals.half_widths(predicted)
     np.testing.assert_allclose(widths, widths[:1].repeat(150, axis=0))
 

@@ -54,10 +54,11 @@ def write_certificate(made: Calibrated, out: Path) -> Card:
         onnx.save(made.fitted.to_onnx(), str(folder / "model.onnx"))
         agreement = _agreement(made, folder / "model.onnx")
         made.guard.save(folder / "guard.npz")
+        scored = made.scored
         intervals = fit_intervals(
-            made.held_out, made.data.values, made.split.folds, made.data.groups, made.plan.coverage
+            made.held_out[scored], made.data.values[scored], made.data.groups[scored], made.plan.coverage
         )
-        halves = intervals.half_widths(made.held_out)
+        halves = intervals.half_widths(made.held_out[scored])
         predictions_table(made, halves).to_parquet(folder / PREDICTIONS_FILE, index=False)
         for name, image in _pictures(made):
             cv2.imwrite(str(folder / name), image)
@@ -67,23 +68,23 @@ def write_certificate(made: Calibrated, out: Path) -> Card:
 
 
 def predictions_table(made: Calibrated, halves: Values) -> pd.DataFrame:
-    """One row a frame: its labels, and for each target what was said of it when it was held out."""
-    table = made.packed.table.copy()
-    fold = np.empty(len(table), np.int64)
+    """One row a scored frame: its labels, and for each target what was said of it when it was held out."""
+    fold = np.empty(len(made.packed), np.int64)
     for k, rows in enumerate(made.split.folds):
         fold[rows] = k
-    table["held_out_in_fold"] = fold
+    table = made.packed.table.iloc[made.scored].reset_index(names="row")
+    table["held_out_in_fold"] = fold[made.scored]
     for j, column in enumerate(made.plan.targets):
-        table[f"estimate:{column}"] = made.held_out[:, j]
+        table[f"estimate:{column}"] = made.held_out[made.scored, j]
         table[f"half_width:{column}"] = halves[:, j]
     return table
 
 
 def worst_rows(made: Calibrated) -> Indices:
     """Rows whose error, in units of each target's range, is the largest."""
-    span = np.ptp(made.data.values, axis=0)
-    error = np.max(np.abs(made.held_out - made.data.values) / span, axis=1)
-    return np.argsort(error)[::-1][:WORST]
+    span, scored = np.ptp(made.data.values, axis=0), made.scored
+    error = np.max(np.abs(made.held_out[scored] - made.data.values[scored]) / span, axis=1)
+    return scored[np.argsort(error)[::-1][:WORST]]
 
 
 def _pictures(made: Calibrated) -> Iterator[tuple[str, np.ndarray]]:
@@ -91,7 +92,7 @@ def _pictures(made: Calibrated) -> Iterator[tuple[str, np.ndarray]]:
     chosen = [(f"worst-{row}.png", int(row)) for row in worst_rows(made)]
     chosen += [("example.png", len(made.packed) // 2)]
     for name, row in chosen:
-        yield name, _as_bgr(made.packed.read([row])[0])
+        yield name, _as_bgr(made.packed.read(np.array([row]))[0])
     if len(made.untouched.rows):
         mean = made.untouched.images[0].transpose(1, 2, 0)
         yield "reference.png", _as_bgr(mean.round().astype(np.uint8))
@@ -161,6 +162,7 @@ def _targets(made: Calibrated, intervals: Intervals, halves: Values) -> Iterator
     mean_of_others = np.empty_like(made.data.values)
     for k, rows in enumerate(made.split.folds):
         mean_of_others[rows] = made.data.values[made.split.training_rows(k)].mean(axis=0)
+    scored = made.scored
     for j, column in enumerate(made.plan.targets):
         quantity, unit = split_column(column)
         true = made.data.values[:, j]
@@ -177,7 +179,12 @@ def _targets(made: Calibrated, intervals: Intervals, halves: Values) -> Iterator
             coefficients=tuple(float(c) for c in intervals.spread.coefficients[j]),
             quantile=float(intervals.quantile[j]),
             score=score(
-                unit.symbol, true, made.held_out[:, j], halves[:, j], mean_of_others[:, j], made.data.groups
+                unit.symbol,
+                true[scored],
+                made.held_out[scored, j],
+                halves[:, j],
+                mean_of_others[scored, j],
+                made.data.groups[scored],
             ),
         )
 
@@ -200,6 +207,7 @@ def _split(made: Calibrated) -> SplitCard:
         columns=made.split.group_columns,
         groups=len(np.unique(made.data.groups)),
         folds=len(made.split.folds),
+        rows_scored=len(made.scored),
         clean=made.audit.clean,
         audit=made.audit.text,
         details=made.audit.to_dict(),

@@ -116,7 +116,7 @@ def _mean_images(
             f"group {lost} has no row with {rule.column}={rule.value}; drop it or reference by less"
         )
     for row in rows:
-        images[groups[row]] += packed.read([row])[0].transpose(2, 0, 1) / counts[groups[row]]
+        images[groups[row]] += packed.read(np.array([row]))[0].transpose(2, 0, 1) / counts[groups[row]]
     return images
 
 

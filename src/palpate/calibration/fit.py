@@ -29,7 +29,7 @@ from palpate.core.axes import Indices, Values
 from palpate.core.errors import ExistsError, InputError
 from palpate.core.files import new_file, refuse_existing, storage_errors
 from palpate.estimators.guard import Guard, fit_guard, thumbnails
-from palpate.estimators.networks import make_model, model_size
+from palpate.estimators.networks import make_model, model_kind
 from palpate.estimators.networks.base import Model, Progress, TrainingData, predict_rows, silent
 from palpate.recordings.labels import targets_from
 from palpate.recordings.pack import PackedSet, pack
@@ -106,7 +106,7 @@ def preparation_of(run: Run, plan: Plan) -> Preparation:
     if plan.size_px is not None:
         return Preparation(plan.crop_px, plan.size_px, plan.channels)
     height, width = plan.crop_px[:1:-1] if plan.crop_px else run.frame(0).image.shape[:2]
-    side, tall = model_size(plan.model), math.sqrt(height / width)
+    side, tall = model_kind(plan.model).side_px, math.sqrt(height / width)
     return Preparation(plan.crop_px, (round(side * tall), round(side / tall)), plan.channels)
 
 
@@ -142,11 +142,24 @@ def _packed(run: Run, plan: Plan, work: Path, progress: Progress) -> PackedSet:
 def _held_out(
     model: Model, data: TrainingData, parts: Split, plan: Plan, work: Path, progress: Progress
 ) -> Values:
-    """Predictions of every row by a model that has not seen its fold."""
+    """Predictions of rows by a model that has not seen their fold; NaN where the fold was not held out."""
     predicted = np.full_like(data.values, np.nan)
-    for k, rows in enumerate(parts.folds):
-        predicted[rows] = _fold(model, data, parts, plan, k, work, progress)
+    for k in range(folds_to_score(plan, parts)):
+        predicted[parts.folds[k]] = _fold(model, data, parts, plan, k, work, progress)
     return predicted
+
+
+def folds_to_score(plan: Plan, parts: Split) -> int:
+    """How many folds are held out: all, unless the model is costly and the first gives scores enough.
+
+    With 200 scores of 20 groups a 90 % interval's own rate scatters by 2 %.
+    """
+    if plan.scored_folds is not None:
+        return min(plan.scored_folds, len(parts.folds))
+    first = parts.folds[0]
+    groups = len(first) if parts.groups is None else len(np.unique(parts.groups[first]))
+    enough = len(first) >= 200 and groups >= 20
+    return 1 if model_kind(plan.model).costly and enough else len(parts.folds)
 
 
 def _fold(

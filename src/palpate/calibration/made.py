@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from palpate.calibration.data import Untouched
 from palpate.calibration.leakage import LeakageAudit
 from palpate.calibration.plan import Plan
-from palpate.core.axes import Values
+from palpate.core.axes import Indices, Values
 from palpate.estimators.guard import Guard
 from palpate.estimators.networks.base import Fitted, TrainingData
 from palpate.recordings.pack import PackedSet
@@ -24,7 +26,7 @@ class Calibrated:
         packed, data: the rows learnt from; of the untouched sensor's only where that was asked for.
         untouched: those frames.
         split, audit: how rows were held out.
-        held_out: predictions of every row by a model that had not seen its group.
+        held_out: predictions of rows by a model that had not seen their group; NaN for rows not scored.
         fitted, guard: what was learnt from all of them.
         seconds: time it took [s].
     """
@@ -40,3 +42,8 @@ class Calibrated:
     fitted: Fitted
     guard: Guard
     seconds: float
+
+    @property
+    def scored(self) -> Indices:
+        """Rows that were held out once, and predicted."""
+        return np.flatnonzero(~np.isnan(self.held_out).any(axis=1))

@@ -43,6 +43,8 @@ class Plan:
         model: a name from `estimators.networks.MODELS`.
         split: how rows are held out, see `recordings.splits.split`.
         folds: how many parts, where the split does not fix it.
+        scored_folds: how many of them are held out in turn; None takes all, or one where the model is costly
+            to train and one fold gives scores enough.
         seed: of everything random.
         size_px: (height, width) of the network's input [px]; None takes the model's own.
         channels: 1 for grey, 3 for RGB.
@@ -58,6 +60,7 @@ class Plan:
     model: str = "pca-ridge"
     split: str = "auto"
     folds: int = 5
+    scored_folds: int | None = None
     seed: int = 0
     size_px: tuple[int, int] | None = None
     channels: Literal[1, 3] = 1
@@ -74,6 +77,8 @@ class Plan:
         repeated = sorted({t for t in self.targets if self.targets.count(t) > 1})
         if repeated:
             raise InputError(f"targets named twice: {', '.join(repeated)}; name each once")
+        if self.scored_folds is not None and self.scored_folds < 1:
+            raise InputError(f"{self.scored_folds} folds to score; at least 1 must be held out")
         if not 0.5 <= self.coverage < 1:
             raise InputError(f"coverage is {self.coverage}; it is a rate from 0.5 up to, not including, 1")
 

@@ -9,12 +9,13 @@ seen, and pooling the folds gives every row a score even where there are few gro
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import beta
 from sklearn.linear_model import GammaRegressor
+from sklearn.model_selection import GroupKFold
 
 from palpate.core.axes import Values
 from palpate.core.errors import InputError
@@ -38,28 +39,23 @@ def conformal_quantile(scores: Float[np.ndarray, " n"], coverage: float) -> floa
     return float(np.sort(scores)[rank - 1])
 
 
-def fit_intervals(
-    predicted: Values, true: Values, folds: Sequence[np.ndarray], groups: np.ndarray, coverage: float
-) -> Intervals:
+def fit_intervals(predicted: Values, true: Values, groups: np.ndarray, coverage: float) -> Intervals:
     """Intervals from held-out predictions.
 
     The spread is a smooth function of the predicted values (a shallow tap tells less about shear than a
-    deep one), fitted to the size of the errors; with few rows or groups it is one number. While scoring a
-    fold, the spread is fitted without it.
+    deep one), fitted to the size of the errors; with few rows or groups it is one number. A row's own group
+    has no part in the spread that its error is scored by.
 
     Args:
         predicted: held-out predictions ``[n t]``.
         true: the labels ``[n t]``.
-        folds: held-out rows of each fold.
         groups: ``[n]`` label of each row's group.
         coverage: how often intervals shall hold the truth, 0 to 1.
     """
     errors = np.abs(predicted - true)
     varies = _enough(errors, groups)
-    every = np.arange(len(errors))
     scores = np.empty_like(errors)
-    for held in folds:
-        others = np.setdiff1d(every, held)
+    for others, held in _parts(groups):
         spread = _fit_spread(predicted[others], errors[others], varies)
         scores[held] = errors[held] / spread.at(predicted[held])
     quantile = np.array([conformal_quantile(column, coverage) for column in scores.T])
@@ -94,6 +90,14 @@ def grouped_coverage_interval(
     tail = (1 - confidence) / 2
     low, high = np.quantile(rates, [tail, 1 - tail])
     return float(low), float(high)
+
+
+def _parts(groups: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Rows to fit by and rows to score, whole groups together; a single group is both."""
+    every, count = np.arange(len(groups)), len(np.unique(groups))
+    if count < 2:
+        return iter([(every, every)])
+    return GroupKFold(min(5, count)).split(every, groups=groups)
 
 
 def _enough(errors: Values, groups: np.ndarray) -> bool:

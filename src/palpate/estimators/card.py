@@ -122,13 +122,14 @@ class ReferenceCard(_Part):
 
 
 class SplitCard(_Part):
-    """How rows were held out, and what the audit found."""
+    """How rows were held out, how many were scored, and what the audit found."""
 
     kind: str
     reason: str
     columns: tuple[str, ...]
     groups: int
     folds: int
+    rows_scored: int
     clean: bool
     audit: str
     details: dict[str, Any]

@@ -35,8 +35,8 @@ DRIFT_LIMIT_OF_FEW = 3.0
 """Fewer no-contact frames than five say little of how far such frames wander: three times their spread."""
 
 Prepared = UInt8[np.ndarray, "h w c"]
-Thumbnails = Float32[np.ndarray, "n k"]
-Distances = Float32[np.ndarray, " n"]
+Thumbnails = Float32[np.ndarray, "_ k"]
+Distances = Float32[np.ndarray, " _"]
 
 
 def thumbnail(prepared: Prepared) -> Float32[np.ndarray, " k"]:
@@ -70,7 +70,7 @@ class Neighbours:
         """Row and distance of the nearest thumbnail to each of `others`; 1 is usual between neighbours."""
         return self._index.nearest(others / self.stray)
 
-    def strangeness(self, others: Thumbnails) -> Float[np.ndarray, "n 2"]:
+    def strangeness(self, others: Thumbnails) -> Float[np.ndarray, "_ 2"]:
         """Distance to the nearest, and its ratio to that one's own."""
         rows, distance = self.nearest(others)
         return np.stack([distance, distance / self.own[rows]], axis=1).astype(np.float64)
@@ -219,7 +219,7 @@ def fit_guard(
     return Guard(seen, limits, *_untouched(untouched))
 
 
-def _untouched(untouched: Float32[np.ndarray, "r k"]) -> tuple[np.ndarray | None, float, float]:
+def _untouched(untouched: Thumbnails) -> tuple[np.ndarray | None, float, float]:
     """Mean no-contact thumbnail, the spread around it, and the limit: half as far again as the widest."""
     r = len(untouched)
     if r == 0:

@@ -85,7 +85,7 @@ def verdict(target: TargetCard) -> str:
 def _worst(calibration: Path, card: Card, table: pd.DataFrame) -> list[_Worst]:
     found = []
     for path in sorted(calibration.glob("worst-*.png"), key=lambda p: int(p.stem.split("-")[1])):
-        row = table.iloc[int(path.stem.split("-")[1])]
+        row = table[table["row"] == int(path.stem.split("-")[1])].iloc[0]
         target = max(card.targets, key=lambda t: _error(row, t) / (t.greatest - t.least))
         found.append(_Worst(picture(path), str(row["frame"]), _said(row, target)))
     return found

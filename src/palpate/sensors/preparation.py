@@ -41,7 +41,7 @@ class Preparation:
         """(channels, height, width) of the input."""
         return (self.channels, *self.size_px)
 
-    def apply(self, image: Image) -> UInt8[np.ndarray, "h w c"]:
+    def apply(self, image: Image) -> UInt8[np.ndarray, "height width channels"]:
         """Crop, turn to grey or RGB, and scale one image.
 
         Grey is ITU-R BT.601 luma. Shrinking averages areas, so that no marker falls between samples.

@@ -108,17 +108,20 @@ class DemoResult:
         return "\n".join(lines)
 
 
-def run_demo(out: Path, *, seed: int = 0, progress: Progress = silent) -> DemoResult:
+def run_demo(
+    out: Path, *, locations: tuple[int, int] = (80, 20), seed: int = 0, progress: Progress = silent
+) -> DemoResult:
     """Run the whole loop into a new folder.
 
     Args:
         out: folder to make; must not exist. It appears when everything is done.
+        locations: places to calibrate on, and new ones to test on.
         seed: of everything random.
         progress: told what is being done.
     """
     with new_folder(out) as folder:
-        record(folder / "run", Protocol(), 80, seed=seed, progress=progress)
-        record(folder / "run-new-places", Protocol(), 20, seed=seed + 1, progress=progress)
+        record(folder / "run", Protocol(), locations[0], seed=seed, progress=progress)
+        record(folder / "run-new-places", Protocol(), locations[1], seed=seed + 1, progress=progress)
         scores = {model: _calibrated(folder, model, seed, progress) for model in MODELS}
         sensed = _some_readings(folder)
         result = DemoResult(out, scores, {m: out / f"cal-{m}" / "report.html" for m in MODELS}, sensed)

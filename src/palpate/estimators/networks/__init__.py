@@ -3,20 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from importlib import import_module
 from typing import Any
 
 from palpate.core.errors import InputError, MissingExtraError
 from palpate.estimators.networks.base import Fitted, Model, Progress, TrainingData, silent
 
-MODELS: dict[str, tuple[str, str, int]] = {
-    "mean": ("mean", "Mean", 32),
-    "pca-ridge": ("pca_ridge", "PcaRidge", 112),
-    "pixel-mlp": ("pixel_mlp", "PixelMlp", 64),
-    "compact-cnn": ("compact_cnn", "CompactCnn", 160),
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """Where a model's code is, and what it is like.
+
+    Attributes:
+        file, name: module and class.
+        side_px: of the square input it takes where no size is asked for [px].
+        costly: whether training it again for every fold is more than most would wait for.
+    """
+
+    file: str
+    name: str
+    side_px: int
+    costly: bool = False
+
+
+MODELS: dict[str, Kind] = {
+    "mean": Kind("mean", "Mean", 32),
+    "pca-ridge": Kind("pca_ridge", "PcaRidge", 112),
+    "pixel-mlp": Kind("pixel_mlp", "PixelMlp", 64),
+    "compact-cnn": Kind("compact_cnn", "CompactCnn", 192, costly=True),
 }
-"""name -> (file, class, side of the input in px where none is asked for)."""
+
+
+def model_kind(name: str) -> Kind:
+    """What the named model is like.
+
+    Raises:
+        InputError: there is no such model; the message lists those there are.
+    """
+    if name not in MODELS:
+        raise InputError(f"there is no model {name!r}; there are {', '.join(MODELS)}")
+    return MODELS[name]
 
 
 def make_model(name: str, options: Mapping[str, Any]) -> Model:
@@ -26,11 +53,10 @@ def make_model(name: str, options: Mapping[str, Any]) -> Model:
         InputError: no such model, or no such option; the message lists those there are.
         MissingExtraError: the model needs a package that is not installed.
     """
-    if name not in MODELS:
-        raise InputError(f"there is no model {name!r}; there are {', '.join(MODELS)}")
-    file, kind, _ = MODELS[name]
+    kind = model_kind(name)
     try:
-        make: Callable[..., Model] = getattr(import_module(f"palpate.estimators.networks.{file}"), kind)
+        module = import_module(f"palpate.estimators.networks.{kind.file}")
+        make: Callable[..., Model] = getattr(module, kind.name)
     except ImportError as e:
         raise MissingExtraError(
             f"model {name} needs {e.name}, which is not installed; run: pip install 'palpate[train]'"
@@ -44,11 +70,14 @@ def make_model(name: str, options: Mapping[str, Any]) -> Model:
     return make(**options)
 
 
-def model_size(name: str) -> int:
-    """Side of the square input that a model takes where none is asked for [px]."""
-    if name not in MODELS:
-        raise InputError(f"there is no model {name!r}; there are {', '.join(MODELS)}")
-    return MODELS[name][2]
-
-
-__all__ = ["MODELS", "Fitted", "Model", "Progress", "TrainingData", "make_model", "model_size", "silent"]
+__all__ = [
+    "MODELS",
+    "Fitted",
+    "Kind",
+    "Model",
+    "Progress",
+    "TrainingData",
+    "make_model",
+    "model_kind",
+    "silent",
+]

@@ -46,11 +46,14 @@ class FittedLinear:
 
 
 def principal_axes(centred: Float32[np.ndarray, "n p"], most: int) -> Float32[np.ndarray, "p k"]:
-    """Principal axes of centred rows, each scaled so that the rows' scores along it have unit variance.
+    """Principal axes of centred rows, all scaled alike, so that scores along the first have unit variance.
 
     From the smaller of the two matrices of products, which is what makes images (many pixels, few rows)
     quick: if X Xᵀ u = s² u, then Xᵀ u / s is an axis. Axes with less than a millionth of the first one's
     variance are left out, as float32 does not resolve them.
+
+    They are not scaled to unit variance each: with about as many axes as rows that would make every row
+    unlike all others, and no penalty could be chosen by holding rows out.
     """
     n, p = centred.shape
     products = centred @ centred.T if n <= p else centred.T @ centred
@@ -61,7 +64,7 @@ def principal_axes(centred: Float32[np.ndarray, "n p"], most: int) -> Float32[np
     kept = squares > 1e-6 * squares[-1]
     squares, vectors = squares[kept][::-1], vectors[:, kept][:, ::-1].astype(np.float32)
     axes = centred.T @ vectors / np.sqrt(squares) if n <= p else vectors
-    return (axes * np.sqrt((n - 1) / squares)).astype(np.float32)
+    return (axes * np.sqrt((n - 1) / squares[0])).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +77,12 @@ class PcaRidge:
     Attributes:
         components: how many principal components, at most.
         basis_frames: how many frames the components are computed from, at most.
-        penalties: ridge penalties tried, on unit-variance components.
+        penalties: ridge penalties tried, where the first component has unit variance.
     """
 
     components: int = 300
     basis_frames: int = 2000
-    penalties: tuple[float, ...] = tuple(float(p) for p in np.logspace(-1, 4, 11))
+    penalties: tuple[float, ...] = tuple(float(p) for p in np.logspace(-4, 4, 17))
 
     def fit(
         self,
@@ -93,31 +96,31 @@ class PcaRidge:
         rng = np.random.default_rng(seed)
         basis = data.sample(rows, self.basis_frames, rng).reshape(-1, int(np.prod(data.shape)))
         centre = basis.mean(axis=0)
-        whitening = principal_axes(basis - centre, self.components)
-        scores = self._scores(centre, whitening, data, rows, progress)
+        axes = principal_axes(basis - centre, self.components)
+        scores = self._scores(centre, axes, data, rows, progress)
         scaler = Scaler.of(data.values[rows])
         wanted = scaler.scaled(data.values[rows])
         penalty = self._penalty(scores, wanted, data.groups[rows])
         ridge = Ridge(alpha=penalty).fit(scores, wanted)
-        weights = whitening @ (ridge.coef_.reshape(len(scaler.scale), -1).T * scaler.scale)
+        weights = axes @ (ridge.coef_.reshape(len(scaler.scale), -1).T * scaler.scale)
         return FittedLinear(
             data.shape,
             centre,
             weights.astype(np.float32),
-            scaler.restored(np.atleast_1d(ridge.intercept_)),
+            scaler.restored(np.atleast_2d(ridge.intercept_))[0],
         )
 
     def _scores(
         self,
         centre: Float32[np.ndarray, " p"],
-        whitening: Float32[np.ndarray, "p k"],
+        axes: Float32[np.ndarray, "p k"],
         data: TrainingData,
         rows: Indices,
         progress: Progress,
     ) -> Float[np.ndarray, "n k"]:
         parts = []
         for part, inputs in data.batches(rows):
-            parts.append(((inputs.reshape(len(part), -1) - centre) @ whitening).astype(np.float64))
+            parts.append(((inputs.reshape(len(part), -1) - centre) @ axes).astype(np.float64))
             progress("projecting", sum(map(len, parts)), len(rows))
         return np.concatenate(parts)
 

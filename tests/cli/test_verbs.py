@@ -1,0 +1,179 @@
+"""Every verb, as typed: what it prints, what it makes, and how it refuses."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from palpate.cli import app
+
+VERBS = (
+    ["import", "images"],
+    ["check"],
+    ["repair"],
+    ["export"],
+    ["calibrate"],
+    ["evaluate"],
+    ["sense"],
+    ["report"],
+    ["demo"],
+)
+
+
+def palpate(*words: object, status: int = 0):
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exit_code == status, result.output
+    return result
+
+
+@pytest.fixture
+def taps(tmp_path) -> Path:
+    """A folder of labelled images: a spot whose place is the label."""
+    folder, rng = tmp_path / "taps", np.random.default_rng(0)
+    (folder / "images").mkdir(parents=True)
+    rows, columns = np.mgrid[0:40, 0:40]
+    table = []
+    for i in range(60):
+        x = rng.uniform(-1, 1)
+        image = 40 + 150 * np.exp(-((columns - 20 - 10 * x) ** 2 + (rows - 20) ** 2) / 20)
+        name = f"tap_{i:02d}.png"
+        cv2.imwrite(str(folder / "images" / name), (image + rng.normal(0, 2, image.shape)).astype(np.uint8))
+        table.append({"image_file": name, "x_mm": x, "tap": i // 4, "remark": "fine", "nothing": 1.5})
+    pd.DataFrame(table).to_csv(folder / "labels.csv", index=False)
+    return folder
+
+
+@pytest.fixture
+def run(taps, tmp_path) -> Path:
+    palpate(
+        "import", "images", taps, tmp_path / "run", "--labels", "labels.csv", "--image-column", "image_file"
+    )
+    return tmp_path / "run"
+
+
+@pytest.fixture
+def calibration(run, tmp_path) -> Path:
+    palpate(
+        "calibrate",
+        run,
+        "--targets",
+        "x_mm",
+        "--split",
+        "group:tap",
+        "--size",
+        "24x24",
+        "--out",
+        tmp_path / "cal",
+    )
+    return tmp_path / "cal"
+
+
+@pytest.mark.parametrize("verb", VERBS, ids=" ".join)
+def test_help_gives_an_example(verb: list[str]) -> None:
+    assert f"palpate {' '.join(verb)}" in palpate(*verb, "--help").output
+
+
+def test_a_folder_becomes_a_run_that_checks_sound(run) -> None:
+    found = json.loads(palpate("check", run, "--json").output)
+    assert found["frames"] == 60
+    assert found["sound"]
+    assert found["labels"]["x_mm"] == "mm"
+    assert "sound" in palpate("check", run).output
+
+
+def test_a_cut_run_fails_its_check_and_is_repaired_into_a_new_one(run, tmp_path) -> None:
+    segment = next(run.glob("**/*frames.mcap"))
+    segment.write_bytes(segment.read_bytes()[:-5000])
+    assert "damage" in palpate("check", run, status=1).output
+    kept = json.loads(palpate("repair", run, tmp_path / "new", "--json").output)
+    assert 0 < kept["frames"] < 60
+    assert kept["lost"]
+    palpate("check", tmp_path / "new")
+
+
+def test_a_calibration_says_its_scores_and_holds_its_page(calibration) -> None:
+    card = json.loads((calibration / "card.json").read_text())
+    assert card["targets"][0]["score"]["mae"] < 0.1
+    page = (calibration / "report.html").read_text()
+    assert card["id"] in page
+
+
+def test_scores_are_written_in_the_stated_form(calibration, run, tmp_path) -> None:
+    said = palpate("evaluate", calibration, run, "--out", tmp_path / "scores.json").output
+    assert "say nothing about new presses" in said
+    found = json.loads((tmp_path / "scores.json").read_text())
+    assert {"unit", "n", "mae", "rmse", "r2", "coverage_90"} <= set(found["targets"]["x_mm"])
+    palpate("evaluate", calibration, run, "--out", tmp_path / "scores.json", status=2)
+
+
+def test_sensing_prints_one_object_a_line(calibration, taps) -> None:
+    result = palpate("sense", calibration, taps / "images", "--json", "--timing")
+    lines = [json.loads(line) for line in result.stdout.splitlines()]
+    assert len(lines) == 60
+    assert lines[0]["frame"] == "tap_00.png"
+    assert lines[0]["readings"]["x_mm"]["unit"] == "mm"
+    assert "95th percentile" in result.stderr
+    assert (
+        "inside the calibrated range" in palpate("sense", calibration, taps / "images" / "tap_01.png").output
+    )
+
+
+def test_a_report_is_one_file_that_needs_no_other(calibration, tmp_path) -> None:
+    palpate("report", calibration, "--out", tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "http" not in page
+    assert 'src="data:image/png;base64,' in page
+    palpate("report", calibration, "--out", tmp_path / "page.html", status=2)
+
+
+def test_an_exported_run_comes_back(run, tmp_path) -> None:
+    palpate("export", run, tmp_path / "folder")
+    assert len(list((tmp_path / "folder" / "images").glob("*.png"))) == 60
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["calibrate", "RUN", "--targets", "y_mm", "--out", "OUT"], "y_mm"),
+        (["calibrate", "RUN", "--targets", "remark", "--out", "OUT"], "remark"),
+        (["calibrate", "RUN", "--targets", "nothing", "--out", "OUT"], "nothing"),
+        (["calibrate", "RUN", "--targets", "x_mm", "--model", "oracle", "--out", "OUT"], "pca-ridge"),
+        (["calibrate", "RUN", "--targets", "x_mm", "--split", "by luck", "--out", "OUT"], "by luck"),
+        (
+            [
+                "calibrate",
+                "RUN",
+                "--targets",
+                "x_mm",
+                "--split",
+                "group:tap",
+                "--folds",
+                "99",
+                "--out",
+                "OUT",
+            ],
+            "15",
+        ),
+        (["calibrate", "RUN", "--targets", "x_mm", "--crop", "0,0,80,80", "--out", "OUT"], "80x80"),
+        (["calibrate", "RUN", "--targets", "x_mm", "--size", "24", "--out", "OUT"], "--size"),
+        (["calibrate", "RUN", "--targets", "x_mm", "--option", "layers", "--out", "OUT"], "NAME=VALUE"),
+        (["calibrate", "RUN", "--targets", "x_mm", "--option", "layers=3", "--out", "OUT"], "components"),
+        (["calibrate", "OUT", "--targets", "x_mm", "--out", "OUT2"], "OUT"),
+        (["check", "OUT"], "OUT"),
+        (["sense", "RUN", "RUN"], "palpate calibrate"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_one_line(words, says, run, tmp_path) -> None:
+    places = {"RUN": str(run), "OUT": str(tmp_path / "OUT"), "OUT2": str(tmp_path / "OUT2")}
+    result = palpate(*(places.get(word, word) for word in words), status=2)
+    assert says in result.stderr
+    assert "Traceback" not in result.stderr
+    assert not (tmp_path / "OUT").exists()
+
+
+def test_the_version_is_told() -> None:
+    assert palpate("--version").output.startswith("palpate ")

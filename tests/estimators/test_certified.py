@@ -1,0 +1,162 @@
+"""A calibration folder is believed only when all of its parts belong together."""
+
+import json
+import shutil
+
+import numpy as np
+import onnx
+import pytest
+
+from palpate.calibration import Plan, calibrate
+from palpate.core import CertificateError, Frame, ImageError
+from palpate.core.files import sha256_of
+from palpate.estimators import Estimator, read_card
+from palpate.estimators.card import card_id
+
+
+@pytest.fixture
+def calibration(record_spots, tmp_path):
+    run = record_spots("run", 20)
+    plan = Plan(("x_mm", "height_mm"), split="group:press", size_px=(24, 32))
+    return run, calibrate(run, plan, tmp_path / "cal")
+
+
+def reseal(folder, change) -> None:
+    """Change a card and give it the id that belongs to the change, as a forger would."""
+    card = json.loads((folder / "card.json").read_text())
+    change(card)
+    card["id"] = card_id(card)
+    (folder / "card.json").write_text(json.dumps(card))
+
+
+def test_a_reading_carries_all_that_makes_it_trustworthy(calibration) -> None:
+    run, folder = calibration
+    estimator = Estimator.open(folder)
+    reading = estimator.read(run.frame(1), estimator.zero(run.frame(0).image))["x_mm"]
+    truth = run.labels["x_mm"][1]
+    assert reading.unit == "m"
+    assert reading.low < reading.value < reading.high
+    assert reading.in_unit("mm").value == pytest.approx(truth, abs=0.5)
+    assert reading.calibrated_range == pytest.approx((-2e-3, 2e-3), abs=2e-4)
+    assert (reading.valid, reading.why) == (True, "")
+    assert reading.drift is not None
+    assert not reading.drift.drifted
+    assert reading.calibration == read_card(folder).id
+    assert reading.column == "x_m"
+    assert reading.time_s == run.times_s[1]
+
+
+def test_an_image_of_another_size_gives_no_value(calibration) -> None:
+    run, folder = calibration
+    readings = Estimator.open(folder).read(Frame(run.frame(1).image[:40]))
+    for reading in readings.values():
+        assert np.isnan(reading.value)
+        assert not reading.valid
+        assert "64x40 px, the calibration is for 64x48 px" in reading.why
+
+
+@pytest.mark.parametrize("fault", ["dark", "saturated", "shifted"])
+def test_a_strange_image_is_flagged(fault, calibration) -> None:
+    run, folder = calibration
+    image = run.frame(1).image
+    bad = {"dark": image // 8, "saturated": np.full_like(image, 255), "shifted": np.roll(image, 6, axis=1)}
+    reading = Estimator.open(folder).read(Frame(bad[fault]))["x_mm"]
+    assert not reading.valid
+    assert "unlike those calibrated on" in reading.why
+
+
+def test_a_value_beyond_the_calibrated_range_is_flagged(calibration) -> None:
+    run, folder = calibration
+    reseal(folder, lambda card: card["targets"][1].update(least=5.0, greatest=6.0))
+    reading = Estimator.open(folder).read(run.frame(1))["height_mm"]
+    assert not reading.valid
+    assert "beyond the calibrated range 5 to 6 mm" in reading.why
+
+
+def test_a_differential_calibration_asks_for_its_reference(record_spots, tmp_path) -> None:
+    run = record_spots("run", 12)
+    calibrate(run, Plan(("x_mm",), split="group:press", size_px=(24, 32), delta=True), tmp_path / "cal")
+    estimator = Estimator.open(tmp_path / "cal")
+    with pytest.raises(ImageError, match="--reference FRAME"):
+        estimator.read(run.frame(1))
+    assert estimator.read(run.frame(1), estimator.zero(run.frame(0).image))["x_mm"].valid
+
+
+def test_a_model_of_other_bytes_is_refused(calibration) -> None:
+    _, folder = calibration
+    with (folder / "model.onnx").open("ab") as file:
+        file.write(b"\0")
+    with pytest.raises(CertificateError, match=r"model.onnx is not the file this card was made with"):
+        Estimator.open(folder)
+
+
+def test_an_altered_card_is_refused(calibration) -> None:
+    _, folder = calibration
+    text = (folder / "card.json").read_text()
+    (folder / "card.json").write_text(text.replace('"seed": 0', '"seed": 1').replace('"seed":0', '"seed":1'))
+    with pytest.raises(CertificateError, match="was altered"):
+        Estimator.open(folder)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"{}", b"[1]", b"\xff\xfe", b'{"format": "palpate-calibration/1"', b'{"id": NaN}']
+)
+def test_a_card_that_is_none_is_refused(content, calibration) -> None:
+    _, folder = calibration
+    (folder / "card.json").write_bytes(content)
+    with pytest.raises(CertificateError, match="cannot be read as a card"):
+        Estimator.open(folder)
+
+
+@pytest.mark.parametrize("part", ["model.onnx", "guard.npz", "card.json"])
+def test_a_missing_part_is_named(part, calibration) -> None:
+    _, folder = calibration
+    (folder / part).unlink()
+    with pytest.raises(CertificateError, match=part):
+        Estimator.open(folder)
+
+
+def test_a_part_that_is_a_link_is_refused(calibration, tmp_path) -> None:
+    _, folder = calibration
+    shutil.move(folder / "model.onnx", tmp_path / "elsewhere.onnx")
+    (folder / "model.onnx").symlink_to(tmp_path / "elsewhere.onnx")
+    with pytest.raises(CertificateError, match="missing or a link"):
+        Estimator.open(folder)
+
+
+def test_a_part_outside_the_folder_cannot_be_named(calibration) -> None:
+    _, folder = calibration
+    reseal(folder, lambda card: card["model"].update(file="../model.onnx"))
+    with pytest.raises(CertificateError, match="model.file"):
+        Estimator.open(folder)
+
+
+def test_weights_in_another_file_are_refused(calibration) -> None:
+    _, folder = calibration
+    path = folder / "model.onnx"
+    model = onnx.load(str(path))
+    onnx.save(model, str(path), save_as_external_data=True, location="weights.bin", size_threshold=0)
+    reseal(folder, lambda card: card["model"].update(sha256=sha256_of(path)))
+    with pytest.raises(CertificateError, match="weights in another file"):
+        Estimator.open(folder)
+
+
+def test_a_model_outside_the_card_s_shape_is_refused(calibration) -> None:
+    _, folder = calibration
+    reseal(folder, lambda card: card["input"].update(size_px=[32, 24]))
+    with pytest.raises(CertificateError, match="do not belong together"):
+        Estimator.open(folder)
+
+
+def test_bytes_that_are_no_model_are_refused(calibration) -> None:
+    _, folder = calibration
+    path = folder / "model.onnx"
+    path.write_bytes(b"not a model")
+    reseal(folder, lambda card: card["model"].update(sha256=sha256_of(path)))
+    with pytest.raises(CertificateError, match="not a model that can be run"):
+        Estimator.open(folder)
+
+
+def test_a_folder_that_is_no_calibration_is_refused(tmp_path) -> None:
+    with pytest.raises(CertificateError, match="palpate calibrate"):
+        Estimator.open(tmp_path)
