@@ -43,9 +43,8 @@ def reports_errors(verb: Callable[P, T]) -> Callable[P, T]:
             typer.echo(f"palpate: {e}", err=True)
             raise typer.Exit(2) from e
         except KeyboardInterrupt as e:
-            typer.echo(
-                "palpate: stopped; what was finished is kept, the same command goes on from there", err=True
-            )
+            said = "stopped; nothing half-written is left, and a calibration goes on where it was"
+            typer.echo(f"palpate: {said}", err=True)
             raise typer.Exit(130) from e
 
     return wrapped

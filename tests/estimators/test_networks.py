@@ -9,7 +9,7 @@ from palpate.estimators.networks import MODELS, make_model
 from palpate.estimators.networks.base import Scaler, TrainingData, inner_validation, predict_rows
 
 SHAPE = (1, 32, 32)
-QUICK = {"pixel-mlp": {"epochs": 25}, "compact-cnn": {"epochs": 6, "widths": (8, 16, 16)}}
+QUICK = {"pixel-mlp": {"epochs": 25}, "compact-cnn": {"epochs": 6, "widths": (8, 16, 16), "shift_px": 1.0}}
 
 
 def blobs(n: int, rng: np.random.Generator, channels: int = 1) -> TrainingData:
@@ -50,7 +50,7 @@ def test_a_model_beats_the_mean_on_rows_it_has_not_seen(name: str, rng: np.rando
     needs_torch(name)
     data = blobs(400, rng)
     learn, held = np.arange(320), np.arange(320, 400)
-    options = QUICK.get(name, {}) | ({"epochs": 20} if name == "compact-cnn" else {})
+    options = QUICK.get(name, {}) | ({"epochs": 30} if name == "compact-cnn" else {})
     fitted = make_model(name, options).fit(data, learn, seed=0)
     error = np.abs(predict_rows(fitted, data, held) - data.values[held]).mean(axis=0)
     by_mean = np.abs(data.values[learn].mean(axis=0) - data.values[held]).mean(axis=0)
@@ -80,14 +80,14 @@ def test_the_mean_says_the_mean(rng: np.random.Generator) -> None:
 def test_a_network_interrupted_goes_on_to_the_same_weights(rng, tmp_path) -> None:
     pytest.importorskip("torch", reason="the extra `train` is not installed")
     data, rows = blobs(64, rng), np.arange(64)
-    model = make_model("compact-cnn", {"epochs": 4, "widths": (8, 8)})
+    model = make_model("compact-cnn", {"epochs": 4, "members": 2, "widths": (8, 8)})
     whole = model.fit(data, rows, seed=5).predict(data.fetch(rows))
 
     class Interrupted(Exception):
         pass
 
     def stop(what: str, done: int, total: int) -> None:
-        if done == 3:
+        if done == 6:
             raise Interrupted
 
     kept = tmp_path / "fold.npz"
@@ -97,12 +97,29 @@ def test_a_network_interrupted_goes_on_to_the_same_weights(rng, tmp_path) -> Non
     np.testing.assert_array_equal(whole, resumed)
 
 
+def test_early_stopping_keeps_the_best_and_ends_before_the_last_epoch(rng) -> None:
+    pytest.importorskip("torch", reason="the extra `train` is not installed")
+    data, seen = blobs(60, rng), []
+    noise = TrainingData(data.shape, rng.normal(size=data.values.shape), data.groups, data.fetch)
+    model = make_model("compact-cnn", {"epochs": 40, "members": 1, "widths": (8, 8), "patience": 3})
+    model.fit(noise, np.arange(60), seed=0, progress=lambda what, done, total: seen.append(done))
+    # Noise cannot be learnt, so the watched error soon stops falling; the last call says it is done.
+    assert len(seen) < 30
+    assert seen[-1] == 40
+
+
+def test_an_input_too_small_for_the_network_is_refused(rng) -> None:
+    pytest.importorskip("torch", reason="the extra `train` is not installed")
+    with pytest.raises(InputError, match="64 px or more"):
+        make_model("compact-cnn", {}).fit(blobs(40, rng), np.arange(40), seed=0)
+
+
 def test_a_damaged_checkpoint_is_not_trusted(rng, tmp_path) -> None:
     pytest.importorskip("torch", reason="the extra `train` is not installed")
     data, rows = blobs(64, rng), np.arange(64)
     model = make_model("compact-cnn", {"epochs": 2, "widths": (8, 8)})
     kept = tmp_path / "fold.npz"
-    kept.write_bytes(b"PK not a checkpoint")
+    (tmp_path / "fold-0.npz").write_bytes(b"PK not a checkpoint")
     begun_anew = model.fit(data, rows, seed=5, checkpoint=kept)
     np.testing.assert_array_equal(
         begun_anew.predict(data.fetch(rows)), model.fit(data, rows, seed=5).predict(data.fetch(rows))

@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
-import cv2
 import numpy as np
 import onnx
 import onnxruntime
@@ -34,6 +33,7 @@ from palpate.estimators.card import (
 )
 from palpate.estimators.certified import CARD_FILE
 from palpate.estimators.intervals import Intervals
+from palpate.recordings import png
 from palpate.version import __version__
 
 AGREEMENT = 1e-4
@@ -61,7 +61,7 @@ def write_certificate(made: Calibrated, out: Path) -> Card:
         halves = intervals.half_widths(made.held_out[scored])
         predictions_table(made, halves).to_parquet(folder / PREDICTIONS_FILE, index=False)
         for name, image in _pictures(made):
-            cv2.imwrite(str(folder / name), image)
+            (folder / name).write_bytes(png.encode(image).tobytes())
         card = _card(made, folder, intervals, halves, agreement)
         (folder / CARD_FILE).write_text(card.model_dump_json(indent=1))
     return card
@@ -88,18 +88,18 @@ def worst_rows(made: Calibrated) -> Indices:
 
 
 def _pictures(made: Calibrated) -> Iterator[tuple[str, np.ndarray]]:
-    """File names and BGR or grey pictures that the report shows."""
+    """File names and pictures, RGB or grey, that the report shows."""
     chosen = [(f"worst-{row}.png", int(row)) for row in worst_rows(made)]
     chosen += [("example.png", len(made.packed) // 2)]
     for name, row in chosen:
-        yield name, _as_bgr(made.packed.read(np.array([row]))[0])
+        yield name, _picture(made.packed.read(np.array([row]))[0])
     if len(made.untouched.rows):
         mean = made.untouched.images[0].transpose(1, 2, 0)
-        yield "reference.png", _as_bgr(mean.round().astype(np.uint8))
+        yield "reference.png", _picture(mean.round().astype(np.uint8))
 
 
-def _as_bgr(image: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(image[..., ::-1]) if image.shape[2] == 3 else image[..., 0]
+def _picture(prepared: np.ndarray) -> np.ndarray:
+    return prepared if prepared.shape[2] == 3 else prepared[..., 0]
 
 
 def _agreement(made: Calibrated, model: Path) -> float:

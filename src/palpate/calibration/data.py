@@ -72,13 +72,28 @@ def default_rule(table: pd.DataFrame) -> Reference | None:
     return None
 
 
+def _rule(table: pd.DataFrame, plan: Plan) -> Reference | None:
+    """The plan's rule, or the conventional one.
+
+    Raises:
+        LabelError: there is none, and the plan is differential.
+    """
+    rule = plan.reference or default_rule(table)
+    if rule is None and plan.delta:
+        raise LabelError(
+            "a differential calibration needs frames of the untouched sensor; say which rows they are "
+            f"with --reference COLUMN=VALUE, or label them in a column {' or '.join(FLAG_COLUMNS)}"
+        )
+    return rule
+
+
 def rows_to_learn(table: pd.DataFrame, plan: Plan) -> Indices:
     """Rows to learn from: all but those of the untouched sensor, where a press has no place or shape.
 
     Raises:
         LabelError: the plan's reference names columns or rows that are not there.
     """
-    rule = plan.reference or default_rule(table)
+    rule = _rule(table, plan)
     if rule is None or plan.learn_untouched:
         return np.arange(len(table))
     return np.flatnonzero(~marked(table, rule))
@@ -91,14 +106,9 @@ def find_untouched(packed: PackedSet, plan: Plan) -> Untouched:
         LabelError: the plan is differential and there are none, or a group has none of its own.
     """
     table = packed.table
-    rule = plan.reference or default_rule(table)
+    rule = _rule(table, plan)
     nothing = np.zeros(len(table), dtype=np.int64)
     if rule is None:
-        if plan.delta:
-            raise LabelError(
-                "a differential calibration needs frames of the untouched sensor; say which rows they are "
-                f"with --reference COLUMN=VALUE, or label them in a column {' or '.join(FLAG_COLUMNS)}"
-            )
         return Untouched(nothing[:0], nothing, np.empty((0, *packed.preparation.shape), np.float32), None)
     rows = np.flatnonzero(marked(table, rule))
     groups = table.groupby(list(rule.by), sort=False).ngroup().to_numpy() if rule.by else nothing

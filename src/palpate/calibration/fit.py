@@ -10,6 +10,7 @@ import json
 import math
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -61,30 +62,40 @@ def calibrate(run: Run, plan: Plan, out: Path, progress: Progress = silent) -> P
     started = time.monotonic()
     _check_plan(run, plan)
     work = _work_folder(run, plan, out)
+    with storage_errors(work):
+        made = _made(run, plan, work, progress)
+        write_certificate(replace(made, seconds=time.monotonic() - started), out)
+        shutil.rmtree(work)
+    return out
+
+
+def _made(run: Run, plan: Plan, work: Path, progress: Progress) -> Calibrated:
     whole = _packed(run, plan, work, progress)
     untouched = find_untouched(whole, plan)
     rows = rows_to_learn(whole.table, plan)
     packed = whole.only(rows)
     parts = split(packed.table, plan.split, folds=plan.folds, seed=plan.seed)
-    report = audit(packed, parts)
     groups = parts.groups if parts.groups is not None else np.arange(len(packed))
     data = training_data(packed, plan, groups, untouched.of(rows), str(run.path))
     model = make_model(plan.model, plan.options)
-    held_out = _held_out(model, data, parts, plan, work, progress)
-    fitted = model.fit(
-        data,
-        np.arange(len(packed)),
-        seed=plan.seed,
-        progress=_named(progress, "final model"),
-        checkpoint=work / "final.npz",
+    return Calibrated(
+        run=run,
+        plan=plan,
+        packed=packed,
+        data=data,
+        split=parts,
+        audit=audit(packed, parts),
+        untouched=untouched,
+        held_out=_held_out(model, data, parts, plan, work, progress),
+        fitted=model.fit(
+            data,
+            np.arange(len(packed)),
+            seed=plan.seed,
+            progress=_named(progress, "final model"),
+            checkpoint=work / "final.npz",
+        ),
+        guard=_guard(whole, rows, parts, untouched, plan, progress),
     )
-    guard = _guard(whole, rows, parts, untouched, plan, progress)
-    seconds = time.monotonic() - started
-    write_certificate(
-        Calibrated(run, plan, packed, data, parts, report, untouched, held_out, fitted, guard, seconds), out
-    )
-    shutil.rmtree(work)
-    return out
 
 
 def _check_plan(run: Run, plan: Plan) -> None:
@@ -92,6 +103,7 @@ def _check_plan(run: Run, plan: Plan) -> None:
     if len(run) < 10:
         raise InputError(f"{run.path} holds {len(run)} frames; a calibration needs 10 or more")
     make_model(plan.model, plan.options)
+    preparation_of(run, plan).apply(run.frame(0).image)
     table = run.labels.iloc[rows_to_learn(run.labels, plan)].reset_index(drop=True)
     targets_from(table, plan.targets, str(run.path))
     split(table, plan.split, folds=plan.folds, seed=plan.seed)
@@ -179,7 +191,6 @@ def _fold(
     predicted = predict_rows(fitted, data, rows)
     with new_file(kept) as path, path.open("wb") as file:
         np.save(file, predicted)
-    (work / f"fold-{k}.npz").unlink(missing_ok=True)
     return predicted
 
 

@@ -41,7 +41,7 @@ class Calibrated:
     held_out: Values
     fitted: Fitted
     guard: Guard
-    seconds: float
+    seconds: float = 0.0
 
     @property
     def scored(self) -> Indices:

@@ -31,7 +31,7 @@ MODELS: dict[str, Kind] = {
     "mean": Kind("mean", "Mean", 32),
     "pca-ridge": Kind("pca_ridge", "PcaRidge", 112),
     "pixel-mlp": Kind("pixel_mlp", "PixelMlp", 64),
-    "compact-cnn": Kind("compact_cnn", "CompactCnn", 192, costly=True),
+    "compact-cnn": Kind("compact_cnn", "CompactCnn", 224, costly=True),
 }
 
 

@@ -3,7 +3,7 @@
 Blocks of convolution, batch normalisation, rectifier and pooling keep the map's layout up to a dense
 head, since where a marker or a fringe lies is the measurement. Trained with AdamW on a cosine schedule;
 what is kept is the running average of the weights (Polyak & Juditsky, SIAM J. Control Optim. 30:838
-(1992), doi:10.1137/0330046).
+(1992), doi:10.1137/0330046). Several members, trained from different seeds, answer with their mean.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -40,7 +40,7 @@ class Network(nn.Module):  # type: ignore[misc]  # torch is seen as Any, so that
         channels, height, width = shape
         blocks: list[nn.Module] = []
         for i, features in enumerate(widths):
-            blocks += _block(channels, features, first=i == 0)
+            blocks += _block(channels, features) if i else _stem(channels, features)
             channels = features
         self.blocks = nn.Sequential(*blocks)
         with torch.no_grad():
@@ -67,60 +67,75 @@ class Network(nn.Module):  # type: ignore[misc]  # torch is seen as Any, so that
         return self.scaled(image).float() * self.scale + self.mean
 
 
-def _block(channels: int, features: int, *, first: bool) -> list[nn.Module]:
-    """Half the map's side and change its features; the first does so by stride, for speed."""
-    if first:
-        shrink: list[nn.Module] = [nn.Conv2d(channels, features, 5, stride=2, padding=2, bias=False)]
-        return [*shrink, nn.BatchNorm2d(features), nn.ReLU()]
+def _stem(channels: int, features: int) -> list[nn.Module]:
+    """A quarter of the map's side at once: a marker's place survives in the features, and it is quick."""
+    wide = nn.Conv2d(channels, features, 7, stride=4, padding=3, bias=False)
+    return [wide, nn.BatchNorm2d(features), nn.ReLU()]
+
+
+def _block(channels: int, features: int) -> list[nn.Module]:
+    """Half the map's side, and other features."""
     grow = nn.Conv2d(channels, features, 3, padding=1, bias=False)
     return [grow, nn.BatchNorm2d(features), nn.ReLU(), nn.MaxPool2d(2)]
 
 
 @dataclass(frozen=True)
 class FittedNetwork:
-    """A trained network."""
+    """Trained networks that answer with their mean."""
 
-    network: Network
+    members: tuple[Network, ...]
     shape: tuple[int, int, int]
 
     def predict(self, inputs: Tensor) -> Values:
+        images = torch.from_numpy(inputs)
         with torch.no_grad():
-            values: Values = self.network(torch.from_numpy(inputs)).numpy().astype(np.float64)
-        return values
+            return np.mean([member(images).numpy().astype(np.float64) for member in self.members], axis=0)
 
     def to_onnx(self) -> onnx.ModelProto:
         graph = _Graph()
-        graph.add("Sub", {"level": self.network.level[None]})
-        graph.add("Div", {"contrast": self.network.contrast[None]})
-        for layer in (*self.network.blocks, *self.network.head):
-            graph.add_layer(layer)
-        graph.add("Mul", {"scale": self.network.scale[None]})
-        graph.add("Add", {"mean": self.network.mean[None]}, output="value")
-        return image_to_value(graph.nodes, graph.constants, self.shape, len(self.network.mean))
+        answers = [graph.add_network(member) for member in self.members]
+        graph.add("Mean", answers, {}, output="value")
+        return image_to_value(graph.nodes, graph.constants, self.shape, len(self.members[0].mean))
 
 
 class _Graph:
-    """A chain of ONNX nodes that grows a layer at a time, each eating what the last one made."""
+    """ONNX nodes that grow a layer at a time."""
 
     def __init__(self) -> None:
         self.nodes: list[onnx.NodeProto] = []
         self.constants: dict[str, np.ndarray] = {}
-        self._last = "image"
 
     def add(
-        self, kind: str, weights: Mapping[str, torch.Tensor], output: str | None = None, **how: object
-    ) -> None:
+        self,
+        kind: str,
+        inputs: Sequence[str],
+        weights: Mapping[str, torch.Tensor],
+        *,
+        output: str = "",
+        **how: object,
+    ) -> str:
+        """Add a node and its weights; returns the name of what it makes."""
         names = {f"{name}{len(self.nodes)}": value for name, value in weights.items()}
         self.constants |= {name: value.detach().numpy() for name, value in names.items()}
         made = output or f"x{len(self.nodes)}"
-        self.nodes.append(helper.make_node(kind, [self._last, *names], [made], **how))
-        self._last = made
+        self.nodes.append(helper.make_node(kind, [*inputs, *names], [made], **how))
+        return made
 
-    def add_layer(self, layer: nn.Module) -> None:
+    def add_network(self, network: Network) -> str:
+        """Add a network's chain of layers from the image on; returns the name of its answer."""
+        at = self.add("Sub", ["image"], {"level": network.level[None]})
+        at = self.add("Div", [at], {"contrast": network.contrast[None]})
+        for layer in (*network.blocks, *network.head):
+            at = self.add_layer(layer, at)
+        at = self.add("Mul", [at], {"scale": network.scale[None]})
+        return self.add("Add", [at], {"mean": network.mean[None]})
+
+    def add_layer(self, layer: nn.Module, at: str) -> str:
+        """Add one layer after the node named `at`; returns the name of what it makes."""
         match layer:
             case nn.Conv2d():
-                pad = int(layer.padding[0])
-                self.add("Conv", {"w": layer.weight}, pads=[pad] * 4, strides=list(layer.stride))
+                pads, strides = [int(layer.padding[0])] * 4, list(layer.stride)
+                return self.add("Conv", [at], {"w": layer.weight}, pads=pads, strides=strides)
             case nn.BatchNorm2d():
                 weights = {
                     "g": layer.weight,
@@ -128,15 +143,15 @@ class _Graph:
                     "m": layer.running_mean,
                     "v": layer.running_var,
                 }
-                self.add("BatchNormalization", weights, epsilon=layer.eps)
+                return self.add("BatchNormalization", [at], weights, epsilon=layer.eps)
             case nn.ReLU():
-                self.add("Relu", {})
+                return self.add("Relu", [at], {})
             case nn.MaxPool2d():
-                self.add("MaxPool", {}, kernel_shape=[2, 2], strides=[2, 2])
+                return self.add("MaxPool", [at], {}, kernel_shape=[2, 2], strides=[2, 2])
             case nn.Flatten():
-                self.add("Flatten", {})
+                return self.add("Flatten", [at], {})
             case nn.Linear():
-                self.add("Gemm", {"w": layer.weight, "b": layer.bias}, transB=1)
+                return self.add("Gemm", [at], {"w": layer.weight, "b": layer.bias}, transB=1)
             case _:
                 raise TypeError(f"no ONNX form is known for {type(layer).__name__}")
 
@@ -146,7 +161,8 @@ class CompactCnn:
     """How the network is built and trained.
 
     Attributes:
-        widths: features after each block; each block halves the map's side.
+        widths: features after the stem, which quarters the map's side, and after each block, which halves it.
+        members: networks trained from different seeds, whose mean is the answer.
         hidden: width of the dense layer.
         epochs: passes over the rows.
         batch: rows a step.
@@ -158,22 +174,24 @@ class CompactCnn:
         watched: share of the groups watched, where `patience` is not 0.
     """
 
-    widths: tuple[int, ...] = (16, 32, 64, 96, 128)
+    widths: tuple[int, ...] = (32, 64, 96, 128, 160)
+    members: int = 2
     hidden: int = 256
-    epochs: int = 60
+    epochs: int = 40
     batch: int = 32
     learning_rate: float = 2e-3
     weight_decay: float = 1e-2
-    shift_px: float = 2.0
+    shift_px: float = 3.0
     averaging: float = 0.998
     patience: int = 0
     watched: float = 0.1
 
     def __post_init__(self) -> None:
-        if self.epochs < 1 or self.batch < 2 or self.learning_rate <= 0:
+        if min(self.epochs, self.members, self.batch - 1) < 1 or self.learning_rate <= 0:
             raise InputError(
-                f"epochs {self.epochs}, batch {self.batch}, learning_rate {self.learning_rate}: "
-                "epochs are 1 or more, a batch 2 rows or more, the learning rate positive"
+                f"epochs {self.epochs}, members {self.members}, batch {self.batch}, learning_rate "
+                f"{self.learning_rate}: epochs and members are 1 or more, a batch 2 rows or more, the "
+                "learning rate positive"
             )
 
     def fit(
@@ -185,10 +203,31 @@ class CompactCnn:
         progress: Progress = silent,
         checkpoint: Path | None = None,
     ) -> FittedNetwork:
-        if len(rows) < self.batch:
-            return replace(self, batch=max(2, len(rows) // 2)).fit(
-                data, rows, seed=seed, progress=progress, checkpoint=checkpoint
+        plan = self if len(rows) >= self.batch else replace(self, batch=max(2, len(rows) // 2))
+        side = min(data.shape[1:])
+        if side < 4 * 2 ** (len(self.widths) - 1):
+            raise InputError(
+                f"an input of {side} px a side is too small for {len(self.widths)} widths; "
+                f"take {4 * 2 ** (len(self.widths) - 1)} px or more, or fewer widths"
             )
+        members = []
+        for m in range(self.members):
+            # Which epoch was best is not kept, so a network that stops early starts anew.
+            kept = (
+                checkpoint.with_name(f"{checkpoint.stem}-{m}.npz")
+                if checkpoint and not self.patience
+                else None
+            )
+
+            def told(what: str, done: int, total: int, before: int = m * self.epochs) -> None:
+                progress(what, before + done, self.members * total)
+
+            members.append(plan._member(data, rows, seed * self.members + m, told, kept))
+        return FittedNetwork(tuple(members), data.shape)
+
+    def _member(
+        self, data: TrainingData, rows: Indices, seed: int, progress: Progress, checkpoint: Path | None
+    ) -> Network:
         rng = np.random.default_rng(seed)
         learn, watch = inner_validation(data, rows, self.watched, rng) if self.patience else (rows, rows[:0])
         with _seeded(seed):
@@ -198,9 +237,9 @@ class CompactCnn:
         best, best_error, since = None, math.inf, 0
         while training.epoch < self.epochs:
             training.one_epoch()
-            progress("learning", training.epoch, self.epochs)
             if checkpoint is not None:
                 training.save(checkpoint)
+            progress("learning", training.epoch, self.epochs)
             if not len(watch):
                 continue
             error = training.error(watch)
@@ -210,7 +249,7 @@ class CompactCnn:
             if since >= self.patience:
                 progress("learning", self.epochs, self.epochs)
                 break
-        return FittedNetwork(best or training.kept(), data.shape)
+        return best or training.kept()
 
 
 class _Training:
@@ -271,7 +310,7 @@ class _Training:
         )
 
     def error(self, rows: Indices) -> float:
-        fitted = FittedNetwork(self.kept(), self.data.shape)
+        fitted = FittedNetwork((self.kept(),), self.data.shape)
         errors = [
             np.abs(self.scaler.scaled(fitted.predict(inputs)) - self.scaler.scaled(self.data.values[part]))
             for part, inputs in self.data.batches(rows)

@@ -1,0 +1,42 @@
+"""Real TacTip images pressed on a flat surface: a stand-in, since no data of our sensors is public."""
+
+import numpy as np
+import pytest
+
+from palpate.calibration import Plan, calibrate, evaluate
+from palpate.core import Frame
+from palpate.estimators import Estimator
+from palpate.recordings import Run, import_images
+
+TARGETS = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "twist_deg")
+
+
+def imported(real_data, part: str, folder) -> Run:
+    source = real_data / "tactip-surface" / part
+    if not source.is_dir():
+        pytest.skip(f"no TacTip recordings at {source}")
+    import_images(source, folder / part, labels=source / "labels.csv", image_column="image_file")
+    return Run.open(folder / part)
+
+
+@pytest.mark.slow
+def test_the_ridge_reads_depth_and_shear_from_real_pins_and_the_guard_holds(real_data, tmp_path) -> None:
+    train, val = (imported(real_data, part, tmp_path) for part in ("train", "val"))
+    estimator = Estimator.open(calibrate(train, Plan(TARGETS, split="random"), tmp_path / "cal"))
+    found = evaluate(estimator, val)["targets"]
+    # 300 components with ridge regression at 112 px gave 0.42 mm and 0.69 mm elsewhere.
+    assert found["depth_mm"]["mae"] < 0.45
+    assert found["shear_x_mm"]["mae"] < 0.75
+    for score in found.values():
+        assert score["coverage_90_low"] - 0.02 < 0.9 < score["coverage_90_high"] + 0.02
+    frames = [val.frame(i).image for i in range(0, len(val), 4)]
+    faults = {
+        "good": lambda image: image,
+        "dark": lambda image: image // 10,
+        "saturated": lambda image: np.full_like(image, 255),
+        "shifted along": lambda image: np.roll(image, image.shape[1] // 10, axis=1),
+        "shifted down": lambda image: np.roll(image, image.shape[0] // 10, axis=0),
+    }
+    for name, fault in faults.items():
+        rate = np.mean([not estimator.read(Frame(fault(f)))["depth_mm"].valid for f in frames])
+        assert rate <= 0.05 if name == "good" else rate >= 0.95, name
