@@ -9,7 +9,7 @@ from palpate.estimators.networks import MODELS, make_model
 from palpate.estimators.networks.base import Scaler, TrainingData, inner_validation, predict_rows
 
 SHAPE = (1, 32, 32)
-QUICK = {"pixel-mlp": {"epochs": 25}, "compact-cnn": {"epochs": 6, "widths": (8, 16, 16), "shift_px": 1.0}}
+QUICK = {"pixel-mlp": {"epochs": 25}, "compact-cnn": {"epochs": 6, "widths": (8, 16, 16), "shift_px": 1}}
 
 
 def blobs(n: int, rng: np.random.Generator, channels: int = 1) -> TrainingData:
