@@ -223,7 +223,9 @@ def calibrate(
     split: Annotated[
         str, typer.Option(help="auto, random, group:COLUMN[,COLUMN] or leave-one-out:COLUMN.")
     ] = "auto",
-    folds: Annotated[int, typer.Option(help="Parts that are held out in turn.")] = 5,
+    folds: Annotated[
+        int | None, typer.Option(help="Parts the rows are split in; default 5, for a network 8.")
+    ] = None,
     scored_folds: Annotated[
         int | None,
         typer.Option(help="How many folds to hold out; by default all, or one for a network."),

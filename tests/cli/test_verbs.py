@@ -87,7 +87,7 @@ def test_a_folder_becomes_a_run_that_checks_sound(run) -> None:
 
 def test_a_cut_run_fails_its_check_and_is_repaired_into_a_new_one(run, tmp_path) -> None:
     segment = next(run.glob("**/*frames.mcap"))
-    segment.write_bytes(segment.read_bytes()[:-5000])
+    segment.write_bytes(segment.read_bytes()[: segment.stat().st_size // 2])
     assert "damage" in palpate("check", run, status=1).output
     kept = json.loads(palpate("repair", run, tmp_path / "new", "--json").output)
     assert 0 < kept["frames"] < 60

@@ -207,6 +207,7 @@ def _split(made: Calibrated) -> SplitCard:
         columns=made.split.group_columns,
         groups=len(np.unique(made.data.groups)),
         folds=len(made.split.folds),
+        rows_learnt=len(made.packed) - (len(made.scored) if made.one_fold else 0),
         rows_scored=len(made.scored),
         clean=made.audit.clean,
         audit=made.audit.text,

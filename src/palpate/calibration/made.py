@@ -47,3 +47,8 @@ class Calibrated:
     def scored(self) -> Indices:
         """Rows that were held out once, and predicted."""
         return np.flatnonzero(~np.isnan(self.held_out).any(axis=1))
+
+    @property
+    def one_fold(self) -> bool:
+        """Whether only one fold was held out, and the kept model has not seen it."""
+        return len(self.scored) == len(self.split.folds[0]) < len(self.packed)

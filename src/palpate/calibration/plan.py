@@ -42,9 +42,10 @@ class Plan:
         targets: label columns to estimate, named quantity_unit.
         model: a name from `estimators.networks.MODELS`.
         split: how rows are held out, see `recordings.splits.split`.
-        folds: how many parts, where the split does not fix it.
+        folds: how many parts, where the split does not fix it; None takes five, or eight where the model is
+            costly to train.
         scored_folds: how many of them are held out in turn; None takes all, or one where the model is costly
-            to train and one fold gives scores enough.
+            to train and one fold gives scores enough. With one, the model that was scored is the one kept.
         seed: of everything random.
         size_px: (height, width) of the network's input [px]; None takes the model's own.
         channels: 1 for grey, 3 for RGB.
@@ -59,7 +60,7 @@ class Plan:
     targets: tuple[str, ...]
     model: str = "pca-ridge"
     split: str = "auto"
-    folds: int = 5
+    folds: int | None = None
     scored_folds: int | None = None
     seed: int = 0
     size_px: tuple[int, int] | None = None

@@ -22,7 +22,7 @@ from palpate.core.errors import InputError
 from palpate.estimators.intervals import Intervals, Spread, design
 from palpate.estimators.networks.base import Scaler
 
-ROWS_PER_COEFFICIENT = 20
+ROWS_PER_COEFFICIENT = 8
 GROUPS_FOR_SPREAD = 20
 
 

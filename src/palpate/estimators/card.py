@@ -122,13 +122,14 @@ class ReferenceCard(_Part):
 
 
 class SplitCard(_Part):
-    """How rows were held out, how many were scored, and what the audit found."""
+    """How rows were held out, how many the kept model learnt from, how many were scored, the audit."""
 
     kind: str
     reason: str
     columns: tuple[str, ...]
     groups: int
     folds: int
+    rows_learnt: int
     rows_scored: int
     clean: bool
     audit: str

@@ -9,7 +9,7 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from palpate.core.files import new_file
-from palpate.estimators.card import Card, TargetCard
+from palpate.estimators.card import Card, ScoreCard, TargetCard
 from palpate.estimators.certified import checked_file, read_card
 from palpate.reports.figures import picture, surface_columns, surface_figure, target_figure
 
@@ -72,14 +72,19 @@ def verdict(target: TargetCard) -> str:
             f"These images do not tell {target.quantity.replace('_', ' ')}: the error, {s.mae:.3g} {s.unit}, "
             f"is no better than always saying the mean ({s.mean_mae:.3g} {s.unit}). Do not use this reading."
         )
-    holds = s.coverage_90_low <= 0.9 <= s.coverage_90_high
     return (
         f"Off by {s.mae:.3g} {s.unit} on average, {s.mean_mae / s.mae:.1f} times less than always saying the "
         f"mean. The 90 % intervals are ±{s.half_width:.3g} {s.unit} wide on average and held the truth in "
         f"{100 * s.coverage_90:.1f} % of rows (95 % interval {100 * s.coverage_90_low:.1f} to "
-        f"{100 * s.coverage_90_high:.1f} %), "
-        + ("as promised." if holds else "which is not what they promise.")
+        f"{100 * s.coverage_90_high:.1f} %), {_kept(s)}."
     )
+
+
+def _kept(s: ScoreCard) -> str:
+    """Whether the intervals keep their promise."""
+    if s.coverage_90_high < 0.9:
+        return "less often than they promise"
+    return "as promised" if s.coverage_90_low <= 0.9 else "more often than they promise: they are wide"
 
 
 def _worst(calibration: Path, card: Card, table: pd.DataFrame) -> list[_Worst]:

@@ -58,7 +58,7 @@ class Preparation:
             )
         return np.ascontiguousarray(image.reshape(height, width, self.channels))
 
-    def _cropped(self, image: Image) -> Image:
+    def _cropped(self, image: Image) -> np.ndarray:
         if self.crop_px is None:
             return image
         x, y, width, height = self.crop_px
@@ -70,7 +70,7 @@ class Preparation:
             )
         return image[y : y + height, x : x + width]
 
-    def _in_channels(self, image: Image) -> Image:
+    def _in_channels(self, image: Image) -> np.ndarray:
         colour = image.ndim == 3 and image.shape[2] == 3
         if self.channels == 1 and colour:
             return cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +22,7 @@ import torch
 from onnx import helper
 from torch import nn
 from torch.nn import functional
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torch.optim.swa_utils import AveragedModel
 
 from palpate.core.axes import Indices, Tensor, Values
 from palpate.core.errors import InputError
@@ -169,15 +169,15 @@ class CompactCnn:
         learning_rate: at its peak.
         weight_decay: AdamW's.
         shift_px: each training image is moved by up to this much at random [px of the input].
-        averaging: share of the running average kept at each step.
+        averaging: share of the running average kept at each step, at most.
         patience: passes without gain on watched groups before it stops; 0 trains to the end on all rows.
         watched: share of the groups watched, where `patience` is not 0.
     """
 
     widths: tuple[int, ...] = (32, 64, 96, 128, 160)
-    members: int = 2
+    members: int = 3
     hidden: int = 256
-    epochs: int = 42
+    epochs: int = 40
     batch: int = 32
     learning_rate: float = 2e-3
     weight_decay: float = 1e-2
@@ -265,8 +265,7 @@ class _Training:
         self.network.level.fill_(float(first.mean()))
         self.network.contrast.fill_(float(first.std()) or 1.0)
         self.network = self.network.to(memory_format=torch.channels_last)
-        average = get_ema_multi_avg_fn(plan.averaging)
-        self.average = AveragedModel(self.network, multi_avg_fn=average, use_buffers=True)
+        self.average = AveragedModel(self.network, avg_fn=_running(plan.averaging), use_buffers=True)
         self.optimiser = torch.optim.AdamW(
             self.network.parameters(), lr=plan.learning_rate, weight_decay=plan.weight_decay
         )
@@ -365,6 +364,16 @@ def _moved(images: torch.Tensor, most_px: int, rng: np.random.Generator) -> torc
     return torch.stack(
         [image[:, y : y + height, x : x + width] for image, (y, x) in zip(wider, corners, strict=True)]
     )
+
+
+def _running(most: float) -> Callable[[torch.Tensor, torch.Tensor, torch.Tensor | int], torch.Tensor]:
+    """A running average that is short at first, so that a brief training does not remember its beginning."""
+
+    def average(kept: torch.Tensor, new: torch.Tensor, count: torch.Tensor | int) -> torch.Tensor:
+        share = min(most, (1 + int(count)) / (10 + int(count)))
+        return kept + (1 - share) * (new - kept) if kept.is_floating_point() else new
+
+    return average
 
 
 def _fast_bfloat16() -> bool:

@@ -15,7 +15,7 @@ from palpate.core.axes import Indices, Tensor, Values
 from palpate.estimators.networks.base import Progress, Scaler, TrainingData, inner_validation, silent
 from palpate.estimators.networks.graph import image_to_value
 
-Layers = list[tuple[Float[np.ndarray, "i o"], Float[np.ndarray, " o"]]]
+Layers = list[tuple[Float[np.ndarray, "_ _"], Float[np.ndarray, " _"]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,6 @@ class PixelMlp:
         network = MLPRegressor(
             hidden_layer_sizes=self.hidden,
             alpha=self.penalty,
-            batch_size=self.batch,
             learning_rate_init=self.learning_rate,
             random_state=seed,
         )
@@ -127,6 +126,7 @@ class PixelMlp:
         for part, inputs in data.batches(rows, 16 * self.batch):
             pixels = (inputs.reshape(len(part), -1) - level) / contrast
             wanted = scaler.scaled(data.values[part]).astype(np.float32)
+            network.set_params(batch_size=min(self.batch, len(part)))
             network.partial_fit(pixels, wanted[:, 0] if wanted.shape[1] == 1 else wanted)
 
     def _error(self, fitted: FittedPerceptron, data: TrainingData, rows: Indices) -> float:
