@@ -8,9 +8,10 @@ import pytest
 
 from palpate.calibration import Plan, Reference, calibrate, evaluate
 from palpate.calibration.data import find_untouched
+from palpate.calibration.fit import most_like_the_rest
 from palpate.core import ExistsError, InputError, LabelError, SplitError, UnitError
 from palpate.estimators import Estimator, read_card
-from palpate.recordings import pack
+from palpate.recordings import Split, pack
 from palpate.sensors.preparation import Preparation
 
 PLAN = Plan(targets=("x_mm", "height_mm"), split="group:press", size_px=(24, 32))
@@ -178,3 +179,22 @@ def test_the_card_is_json_that_anyone_can_read(record_spots, tmp_path) -> None:
     assert card["split"]["kind"] == "group:press"
     assert card["agreement"] < 1e-4
     assert len(card["run"]["hash"]) == 64
+
+
+def test_one_fold_is_held_out_from_the_model_that_is_kept(record_spots, tmp_path) -> None:
+    run = record_spots("run", 20)
+    plan = Plan(("x_mm",), split="group:press", size_px=(24, 32), scored_folds=1)
+    split_card = read_card(calibrate(run, plan, tmp_path / "cal")).split
+    assert (split_card.rows_scored, split_card.rows_learnt) == (20, 80)
+    table = pd.read_parquet(tmp_path / "cal" / "predictions.parquet")
+    # The kept model repeats the scored predictions: it is the very one that was scored.
+    found = Estimator.open(tmp_path / "cal").read(
+        run.frame(int(run.labels.index[run.labels["press"] == table["press"][0]][1]))
+    )
+    assert found["x_mm"].in_unit("mm").value == pytest.approx(table["estimate:x_mm"][0], rel=1e-3, abs=1e-4)
+
+
+def test_the_fold_that_stands_for_all_is_the_one_most_like_all() -> None:
+    values = np.r_[np.zeros(30), np.linspace(0, 1, 30), np.ones(30)][:, None]
+    folds = tuple(np.array_split(np.arange(90), 3))
+    assert most_like_the_rest(Split("random", (), None, folds, ""), values) == 1

@@ -82,3 +82,10 @@ def test_a_rate_of_one_over_groups_counts_groups() -> None:
     groups = np.repeat(np.arange(5), 30)
     low, high = grouped_coverage_interval(np.ones(150, bool), groups)
     assert (low, high) == pytest.approx(coverage_interval(5, 5))
+
+
+def test_with_fewer_rows_only_the_linear_terms_are_fitted() -> None:
+    predicted, true = world(np.random.default_rng(4), 100)
+    coefficients = fit_intervals(predicted, true, np.arange(100), 0.9).spread.coefficients
+    assert (coefficients[:, 1:3] != 0).any()
+    assert (coefficients[:, 3:] == 0).all()

@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import ks_2samp
 
 from palpate.calibration.certificate import write_certificate
 from palpate.calibration.data import (
@@ -156,20 +157,30 @@ def _learnt(
     is the very model that was scored.
     """
     predicted = np.full_like(data.values, np.nan)
-    count = folds_to_score(plan, parts)
+    count, alone = folds_to_score(plan, parts), most_like_the_rest(parts, data.values)
     if count > 1:
         for k in range(count):
             predicted[parts.folds[k]] = _fold(model, data, parts, plan, k, work, progress)
     fitted = model.fit(
         data,
-        np.arange(len(data.values)) if count > 1 else parts.training_rows(0),
+        np.arange(len(data.values)) if count > 1 else parts.training_rows(alone),
         seed=plan.seed,
         progress=_named(progress, "the model that is kept"),
         checkpoint=work / "kept.npz",
     )
     if count == 1:
-        predicted[parts.folds[0]] = predict_rows(fitted, data, parts.folds[0])
+        predicted[parts.folds[alone]] = predict_rows(fitted, data, parts.folds[alone])
     return predicted, fitted
+
+
+def most_like_the_rest(parts: Split, values: Values) -> int:
+    """The fold whose targets are spread most like all rows': one fold stands for all, so chance is held low.
+
+    It is chosen by the labels alone, before anything is learnt: by the largest gap between the fold's and all
+    rows' cumulative distributions (the Kolmogorov-Smirnov distance), summed over the targets.
+    """
+    gaps = [sum(ks_2samp(v[rows], v).statistic for v in values.T) for rows in parts.folds]
+    return int(np.argmin(gaps))
 
 
 def _folds(plan: Plan) -> int:

@@ -22,7 +22,7 @@ from palpate.core.errors import InputError
 from palpate.estimators.intervals import Intervals, Spread, design
 from palpate.estimators.networks.base import Scaler
 
-ROWS_PER_COEFFICIENT = 8
+ROWS_PER_COEFFICIENT = 20
 GROUPS_FOR_SPREAD = 20
 
 
@@ -43,7 +43,8 @@ def fit_intervals(predicted: Values, true: Values, groups: np.ndarray, coverage:
     """Intervals from held-out predictions.
 
     The spread is a smooth function of the predicted values (a shallow tap tells less about shear than a
-    deep one), fitted to the size of the errors; with few rows or groups it is one number. A row's own group
+    deep one), fitted to the size of the errors: a quadratic, or with fewer rows its linear terms, or with few
+    rows or groups one number. A row's own group
     has no part in the spread that its error is scored by.
 
     Args:
@@ -53,13 +54,13 @@ def fit_intervals(predicted: Values, true: Values, groups: np.ndarray, coverage:
         coverage: how often intervals shall hold the truth, 0 to 1.
     """
     errors = np.abs(predicted - true)
-    varies = _enough(errors, groups)
+    terms = _terms(errors, groups)
     scores = np.empty_like(errors)
     for others, held in _parts(groups):
-        spread = _fit_spread(predicted[others], errors[others], varies)
+        spread = _fit_spread(predicted[others], errors[others], terms)
         scores[held] = errors[held] / spread.at(predicted[held])
     quantile = np.array([conformal_quantile(column, coverage) for column in scores.T])
-    return Intervals(_fit_spread(predicted, errors, varies), quantile, coverage)
+    return Intervals(_fit_spread(predicted, errors, terms), quantile, coverage)
 
 
 def coverage_interval(hits: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
@@ -100,19 +101,22 @@ def _parts(groups: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     return GroupKFold(min(5, count)).split(every, groups=groups)
 
 
-def _enough(errors: Values, groups: np.ndarray) -> bool:
+def _terms(errors: Values, groups: np.ndarray) -> int:
+    """How many terms of `design` the rows can carry: 1, the linear ones, or all."""
     n, t = errors.shape
-    coefficients = 1 + t + t * (t + 1) // 2
-    return n >= ROWS_PER_COEFFICIENT * coefficients and len(np.unique(groups)) >= GROUPS_FOR_SPREAD
+    if len(np.unique(groups)) < GROUPS_FOR_SPREAD:
+        return 1
+    wanted = (1 + t + t * (t + 1) // 2, 1 + t, 1)
+    return next(terms for terms in wanted if terms == 1 or n >= ROWS_PER_COEFFICIENT * terms)
 
 
-def _fit_spread(predicted: Values, errors: Values, varies: bool) -> Spread:
+def _fit_spread(predicted: Values, errors: Values, count: int) -> Spread:
     scaler = Scaler.of(predicted)
     typical = np.maximum(errors.mean(axis=0), np.finfo(np.float32).tiny)
     terms = design(scaler.scaled(predicted))
     coefficients = np.zeros((errors.shape[1], terms.shape[1]))
-    if varies:
+    if count > 1:
         for j, ratio in enumerate((errors / typical).T):
-            fitted = GammaRegressor(alpha=1e-2, max_iter=1000).fit(terms[:, 1:], np.maximum(ratio, 1e-6))
-            coefficients[j] = [fitted.intercept_, *fitted.coef_]
+            fitted = GammaRegressor(alpha=1e-2, max_iter=1000).fit(terms[:, 1:count], np.maximum(ratio, 1e-6))
+            coefficients[j, :count] = [fitted.intercept_, *fitted.coef_]
     return Spread(scaler.mean, scaler.scale, typical, coefficients)
