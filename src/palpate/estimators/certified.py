@@ -245,8 +245,8 @@ def _session(path: Path, card: Card, threads: int) -> onnxruntime.InferenceSessi
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.log_severity_level = 3
-        # Threads that spin while idle take the cores from the guard's arithmetic: without, the 95th percentile
-        # of a frame's latency falls to half on two cores.
+        # Threads that spin while idle take the cores from the guard's arithmetic: asleep, they halve the 95th
+        # percentile of a frame's latency on two cores.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         # From bytes, so that nothing beside the file can be drawn in.
         session = onnxruntime.InferenceSession(
