@@ -146,7 +146,7 @@ def training_data(
         return np.ascontiguousarray(inputs)
 
     values = targets_from(packed.table, plan.targets, source)
-    return TrainingData(packed.preparation.shape, values, groups, fetch)
+    return TrainingData(packed.preparation.shape, values, groups, fetch, plan.targets)
 
 
 def prepared_images(packed: PackedSet, rows: Indices) -> Iterator[np.ndarray]:

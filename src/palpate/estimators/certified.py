@@ -28,13 +28,13 @@ MOST_MODEL_BYTES = 1_000_000_000
 PreparedFloat = Float32[np.ndarray, "h w c"]
 
 
-def read_card(folder: Path) -> Card:
+def read_card(folder: Path | str) -> Card:
     """Read and check a calibration's card.
 
     Raises:
         CertificateError: it is missing, damaged or altered.
     """
-    path = folder / CARD_FILE
+    path = Path(folder) / CARD_FILE
     if not path.is_file():
         raise CertificateError(
             f"{folder} is not a calibration: it has no {CARD_FILE}; name a folder that "
@@ -99,7 +99,7 @@ class Estimator:
         self._intervals = intervals_of(card)
 
     @classmethod
-    def open(cls, folder: Path, *, threads: int = 0) -> Estimator:
+    def open(cls, folder: Path | str, *, threads: int = 0) -> Estimator:
         """Open a calibration folder, checking every part against the card.
 
         Args:
@@ -109,6 +109,7 @@ class Estimator:
         Raises:
             CertificateError: a part is missing, altered, or does not fit the card.
         """
+        folder = Path(folder)
         card = read_card(folder)
         guard = Guard.load(checked_file(folder, card.guard))
         session = _session(checked_file(folder, card.model), card, threads)

@@ -63,7 +63,7 @@ class PackedSet:
         weakref.finalize(self, os.close, self._handle)
 
     @classmethod
-    def open(cls, folder: Path, verify: bool = False) -> PackedSet:
+    def open(cls, folder: Path | str, verify: bool = False) -> PackedSet:
         """Open a packed set.
 
         Args:
@@ -74,6 +74,7 @@ class PackedSet:
             RecordingError: a part is missing, is cut short, or does not fit the card.
             StorageError: the disk refused.
         """
+        folder = Path(folder)
         card = _read_card(folder)
         with storage_errors(folder):
             try:

@@ -55,7 +55,7 @@ class Run:
         self._checked = bytearray(len(self._frames))
 
     @classmethod
-    def open(cls, path: Path) -> Run:
+    def open(cls, path: Path | str) -> Run:
         """Open a run, whole or damaged.
 
         Raises:

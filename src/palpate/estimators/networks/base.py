@@ -30,12 +30,14 @@ class TrainingData:
         values: ``[n t]``, in the targets' own units.
         groups: ``[n]`` label of each row's group; rows of one group never stand on both sides.
         fetch: rows -> inputs ``[n c h w]``, grey levels 0 to 255, or their difference from a reference.
+        names: of the targets, as quantity_unit; empty where no model asks.
     """
 
     shape: tuple[int, int, int]
     values: Values
     groups: Shaped[np.ndarray, " n"]
     fetch: Callable[[Indices], Tensor]
+    names: tuple[str, ...] = ()
 
     def batches(self, rows: Indices, size: int = 256) -> Iterator[tuple[Indices, Tensor]]:
         """Rows and their inputs, `size` at a time, in the order given."""

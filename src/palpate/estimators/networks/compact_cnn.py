@@ -28,6 +28,7 @@ from palpate.core.axes import Indices, Tensor, Values
 from palpate.core.errors import InputError
 from palpate.estimators.networks.base import Progress, Scaler, TrainingData, inner_validation, silent
 from palpate.estimators.networks.graph import image_to_value
+from palpate.estimators.networks.turns import Turns
 
 
 class Network(nn.Module):  # type: ignore[misc]  # torch is seen as Any, so that checking needs no torch
@@ -169,6 +170,8 @@ class CompactCnn:
         learning_rate: at its peak.
         weight_decay: AdamW's.
         shift_px: each training image is moved by up to this much at random [px of the input].
+        turns: how often the sensor's markers repeat in a full turn about its axis: 6 for a hexagonal lattice.
+            Training images are turned by such steps at random, and their labels with them; 1 turns none.
         averaging: share of the running average kept at each step, at most.
         patience: passes without gain on watched groups before it stops; 0 trains to the end on all rows.
         watched: share of the groups watched, where `patience` is not 0.
@@ -182,6 +185,7 @@ class CompactCnn:
     learning_rate: float = 2e-3
     weight_decay: float = 1e-2
     shift_px: int = 3
+    turns: int = 1
     averaging: float = 0.998
     patience: int = 0
     watched: float = 0.1
@@ -264,6 +268,7 @@ class _Training:
         first = data.sample(rows, 500, rng)
         self.network.level.fill_(float(first.mean()))
         self.network.contrast.fill_(float(first.std()) or 1.0)
+        self.turns = Turns.find(plan.turns, first, data.names) if plan.turns != 1 else None
         self.network = self.network.to(memory_format=torch.channels_last)
         self.average = AveragedModel(self.network, avg_fn=_running(plan.averaging), use_buffers=True)
         self.optimiser = torch.optim.AdamW(
@@ -287,8 +292,11 @@ class _Training:
     def _step(self, part: Indices, number: int, rng: np.random.Generator) -> None:
         for group in self.optimiser.param_groups:
             group["lr"] = self._rate(number)
-        image = _moved(torch.from_numpy(self.data.fetch(part)), self.plan.shift_px, rng)
-        wanted = torch.from_numpy(self.scaler.scaled(self.data.values[part]).astype(np.float32))
+        images, values = self.data.fetch(part), self.data.values[part]
+        if self.turns:
+            images, values = self.turns.turned(images, values, rng)
+        image = _moved(torch.from_numpy(images), self.plan.shift_px, rng)
+        wanted = torch.from_numpy(self.scaler.scaled(values).astype(np.float32))
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=_fast_bfloat16()):
             guess = self.network.scaled(image.contiguous(memory_format=torch.channels_last))
         loss = functional.smooth_l1_loss(guess.float(), wanted, beta=0.1)

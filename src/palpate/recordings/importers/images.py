@@ -100,28 +100,42 @@ def import_images(
     times_ns = _times_ns(table, source, rate_hz, TIME_COLUMN if exported else time_column)
     timed = exported.clock == "measured" if exported else (rate_hz is not None or time_column is not None)
     kept = _labels(table, image_column)
-    steps = 2 * len(paths)
     for done, _ in enumerate(_same_kind(paths), start=1):
-        _tell(progress, done, steps)
-    manifest = Manifest.new(
-        sensor=sensor or (exported.sensor if exported else ""),
-        rig=rig or (exported.rig if exported else ""),
-        licence=licence or (exported.licence if exported else ""),
-        origin=origin or (exported.origin if exported else ""),
+        _tell(progress, done, 2 * len(paths))
+    given = {"sensor": sensor, "rig": rig, "licence": licence, "origin": origin}
+    _record(run, _manifest(given, exported, kept, timed), paths, times_ns, kept, progress)
+    return _report(kept)
+
+
+def _manifest(given: dict[str, str], exported: Manifest | None, kept: pd.DataFrame, timed: bool) -> Manifest:
+    """What was given, else what an exported folder says of itself."""
+    told = {name: text or (getattr(exported, name) if exported else "") for name, text in given.items()}
+    return Manifest.new(
+        **told,
         seed=exported.seed if exported else None,
         labels=label_kinds(kept),
         clock="measured" if timed else "ordinal",
     )
+
+
+def _record(
+    run: Path,
+    manifest: Manifest,
+    paths: list[Path],
+    times_ns: np.ndarray,
+    kept: pd.DataFrame,
+    progress: Progress | None,
+) -> None:
+    """Write the run; it appears whole or not at all."""
     with new_folder(run) as building:
         inner = building / "run"  # the writer makes its own folder
         with RunWriter.create(inner, manifest, clock=ManualClock(), overflow="wait") as writer:
             for i, image in enumerate(_same_kind(paths)):
                 writer.frame(image, time_ns=int(times_ns[i]), labels=_row(kept, i))
-                _tell(progress, len(paths) + i + 1, steps)
+                _tell(progress, len(paths) + i + 1, 2 * len(paths))
         for part in inner.iterdir():
             part.rename(building / part.name)
         inner.rmdir()
-    return _report(kept)
 
 
 def _image_paths(table: pd.DataFrame, source: Path, folder: Path, image_column: str) -> list[Path]:
