@@ -1,7 +1,7 @@
 """A rigid sphere on an elastic half-space, small strain, no friction, no adhesion.
 
 Valid to a/R = 0.5, which every conversion enforces; the sphere is taken as a paraboloid.
-At the limit the exact sphere's force at the same depth is 2.6 % lower.
+At the limit the exact sphere's force at the same depth is 2.5 % lower.
 
 Reference: K. L. Johnson, Contact Mechanics (1985), ch. 3 and 4, doi:10.1017/CBO9781139171731.
 """
@@ -30,7 +30,7 @@ def reduced_modulus(youngs_modulus_pa: float, poisson_ratio: float) -> float:
     Raises:
         RangeError: E is not positive, or nu lies outside 0 to 0.5.
     """
-    _positive("Young's modulus", youngs_modulus_pa, "Pa")
+    positive("Young's modulus", youngs_modulus_pa, "Pa")
     if not 0.0 <= poisson_ratio <= 0.5:
         raise RangeError(
             f"Poisson's ratio {poisson_ratio} lies outside 0 to 0.5; an elastomer has 0.45 to 0.5"
@@ -45,7 +45,7 @@ def greatest_depth(radius_m: float) -> float:
         >>> greatest_depth(5e-3)
         0.00125
     """
-    _positive("the sphere's radius", radius_m, "m")
+    positive("the sphere's radius", radius_m, "m")
     return GREATEST_SLOPE**2 * radius_m
 
 
@@ -98,7 +98,7 @@ def depth_from_force(
     """
     if not (force_n >= 0.0 and math.isfinite(force_n)):
         raise RangeError(f"force {force_n} N is not 0 or more; Hertz's contact only pushes")
-    _positive("the sphere's radius", radius_m, "m")
+    positive("the sphere's radius", radius_m, "m")
     E = reduced_modulus(youngs_modulus_pa, poisson_ratio)
     depth_m = math.pow(3.0 * force_n / (4.0 * E * math.sqrt(radius_m)), 2.0 / 3.0)
     contact_radius(depth_m, radius_m)  # refuses what lies beyond the law
@@ -111,7 +111,7 @@ def depth_from_radius(contact_radius_m: float, radius_m: float) -> float:
     Raises:
         RangeError: the contact radius is negative or beyond R/2.
     """
-    _positive("the sphere's radius", radius_m, "m")
+    positive("the sphere's radius", radius_m, "m")
     if not 0.0 <= contact_radius_m <= GREATEST_SLOPE * radius_m * (1 + 1e-12):
         raise RangeError(
             f"contact radius {contact_radius_m:g} m is outside 0 to {GREATEST_SLOPE * radius_m:g} m, where "
@@ -200,6 +200,6 @@ def sinking(r: Points, a: float, radius_m: float) -> Points:
     return np.where(r < a, inside, around) / (np.pi * radius_m)
 
 
-def _positive(name: str, value: float, unit: str) -> None:
+def positive(name: str, value: float, unit: str) -> None:
     if not (value > 0.0 and math.isfinite(value)):
         raise RangeError(f"{name} is {value} {unit}; give a positive number of {unit}")

@@ -1,0 +1,259 @@
+"""A rigid sphere on a viscoelastic half-space, in and out: Ting's law.
+
+With E(t) a Prony series and K = 4 sqrt(R) / (3 (1 - nu^2)), a depth d(t) that rises and then falls gives
+
+    F = K int_0^{t1} E(t - s) d(d^{3/2})/ds ds,      a = sqrt(R d(t1)),
+
+t1 = t while the depth rises. Once it falls, t1 is the earlier time whose contact was as wide:
+
+    int_{t1}^t E(t - s) d'(s) ds = 0,
+
+and the contact is lost, at a depth that is still positive, when no such t1 is left. (To integrate to t on the
+way back too, as the loading law does, gives tension that no contact without adhesion can bear.)
+
+Any other history, with holds on the way back or several presses, goes element by element. The force is
+2 int chi dx over elements at 0 < x < a_max, each sinking by u = d - x^2/R while it bears a load and relaxing
+freely otherwise:
+
+    chi (1 - nu^2) = int E(t - s) du(x, s) >= 0.
+
+This is the method of dimensionality reduction; for one press it is Ting's law, and it holds as long as the
+contact is a disc.
+
+A history of depth is taken as straight between its samples. Valid to a/R = 0.5, for small strain, without
+friction or adhesion.
+
+References: T. C. T. Ting, J. Appl. Mech. 33 (1966) 845, doi:10.1115/1.3625192;
+V. L. Popov, E. Willert, M. Heß, Facta Univ. Mech. Eng. 16 (2018) 99, doi:10.22190/FUME180327013P.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from palpate.core.errors import RangeError
+from palpate.mechanics.hertz import contact_radius, reduced_modulus
+from palpate.mechanics.prony import KelvinVoigt, Prony
+
+SUBSTEPS = 8  # of each step, along which d^(3/2) is taken as straight
+ELEMENTS = 400  # from the centre to the widest contact
+HALVINGS = 60  # of the bracket of t1: to the last digit
+
+History = Float[ndarray, " n"]
+Times = Float[ndarray, " k"]
+
+
+@dataclass(frozen=True, slots=True)
+class Indentation:
+    """What a history of depth gave.
+
+    Attributes:
+        time_s: samples [s].
+        depth_m: at them [m].
+        force_n: positive in compression, never negative [N].
+        radius_m: of the contact, 0 where there is none [m].
+    """
+
+    time_s: History
+    depth_m: History
+    force_n: History
+    radius_m: History
+
+    @property
+    def loss_j(self) -> float:
+        """Work done by the probe over the history less what came back [J]: the area of the loop if it "
+        "closes.
+        """
+        return float(np.trapezoid(self.force_n, self.depth_m))
+
+
+def ting(
+    time_s: History, depth_m: History, radius_m: float, skin: Prony, poisson_ratio: float
+) -> Indentation:
+    """Force and contact radius while the depth rises once, with or without holds, and then falls.
+
+    Args:
+        time_s: increasing [s].
+        depth_m: from 0, never above R/4 [m]; below 0 the sphere is in the air.
+        radius_m: of the sphere [m].
+        skin: its relaxation modulus.
+        poisson_ratio: of the skin, 0 to 0.5, constant in time.
+
+    Raises:
+        RangeError: the depth does not rise and then fall, is held on the way back so long that the contact
+            would grow again (use ``press``), is beyond a/R = 0.5, or an argument is out of range.
+
+    Example:
+        >>> t = np.linspace(0, 2, 101)
+        >>> done = ting(t, 1e-3 * (1 - abs(1 - t)), 5e-3, Prony(0.2e6, (0.1e6,), (0.5,)), 0.49)
+        >>> bool(done.loss_j > 0)
+        True
+    """
+    _check(time_s, depth_m, radius_m)
+    reduced_modulus(1.0, poisson_ratio)
+    top = int(np.argmax(depth_m))
+    if np.any(np.diff(depth_m[: top + 1]) < 0) or np.any(np.diff(depth_m[top:]) > 0):
+        raise RangeError(
+            "the depth does not rise once and then fall, which Ting's law asks for; use press for another "
+            "history"
+        )
+    t, d = _refined(time_s, np.maximum(depth_m, 0.0))
+    D = d**1.5
+    top *= SUBSTEPS
+    while top + 1 < len(d) and d[top + 1] == d[top]:
+        top += 1  # a hold at the greatest depth is part of the rise
+    memory_d, memory_D = skin.branches(t, d), skin.branches(t, D)
+    taus = np.array(skin.times_s)
+    equilibrium = skin.equilibrium_pa
+
+    def remembered(memory: Float[ndarray, "n m"], signal: History, t1: Times) -> Float[ndarray, "k m"]:
+        """P_i at times between the samples."""
+        j = np.minimum(np.searchsorted(t, t1, side="right") - 1, len(t) - 2)
+        part = (t1 - t[j])[:, None] / taus
+        slope = ((signal[j + 1] - signal[j]) / (t[j + 1] - t[j]))[:, None]
+        gained = np.array(skin.moduli_pa) * taus * -np.expm1(-part) * slope
+        return np.exp(-part) * memory[j] + gained
+
+    back = np.arange(top + 1, len(t))
+
+    def pull(t1: Times) -> Times:
+        """The integral that vanishes at t1; it falls with t1, so there is one root."""
+        fall = np.exp(-(t[back] - t1)[:, None] / taus)
+        later = (memory_d[back] - fall * remembered(memory_d, d, t1)).sum(axis=1)
+        return equilibrium * (d[back] - np.interp(t1, t, d)) + later
+
+    low, high = np.full(len(back), t[0]), np.full(len(back), t[top])
+    lost = pull(low) <= 0.0
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        wider = pull(middle) > 0.0
+        low, high = np.where(wider, middle, low), np.where(wider, high, middle)
+    t1 = np.concatenate([t[: top + 1], np.where(lost, t[0], low)])
+    wide = np.sqrt(radius_m * np.maximum(np.interp(t1, t, d), 0.0))
+    if np.any(np.diff(wide[top:]) > 1e-9 * wide[top]):
+        raise RangeError(
+            "the skin catches up with the sphere on its way back, and the contact would grow again, which "
+            "Ting's "
+            "law does not cover; use press"
+        )
+    fall = np.exp(-(t - t1)[:, None] / taus)
+    held = equilibrium * np.interp(t1, t, D) + (fall * remembered(memory_D, D, t1)).sum(axis=1)
+    held[back[lost]] = 0.0
+    K = 4.0 * math.sqrt(radius_m) / (3.0 * (1.0 - poisson_ratio**2))
+    return Indentation(time_s, depth_m, K * np.maximum(held, 0.0)[::SUBSTEPS], wide[::SUBSTEPS])
+
+
+def press(
+    time_s: History, depth_m: History, radius_m: float, skin: Prony, poisson_ratio: float
+) -> Indentation:
+    """Force and contact radius under any history of depth; arguments as for ``ting``, and slower.
+
+    The force errs by about 1e-5 of its greatest and the radius by 1/800 of its greatest.
+
+    Raises:
+        RangeError: the contact becomes a ring, the depth is beyond a/R = 0.5, or an argument is out of range.
+    """
+    _check(time_s, depth_m, radius_m)
+    reduced_modulus(1.0, poisson_ratio)
+    t, d = _refined(time_s, depth_m)
+    widest = math.sqrt(radius_m * max(float(depth_m.max()), 0.0))
+    dx = widest / ELEMENTS
+    x = dx * (np.arange(ELEMENTS) + 0.5)
+    height = x**2 / radius_m
+    E, taus = np.array(skin.moduli_pa)[:, None], np.array(skin.times_s)[:, None]
+    q, u = np.zeros((len(skin.times_s), ELEMENTS)), np.zeros(ELEMENTS)
+    force, width = np.zeros(len(t)), np.zeros(len(t))
+    for n, dt in enumerate(np.diff(t)):
+        fall = np.exp(-dt / taus)
+        gain = -E * taus / dt * np.expm1(-dt / taus)
+        rigid = d[n + 1] - height
+        faded, stiff = fall * q, gain.sum()
+        left = faded.sum(axis=0) - stiff * u
+        free = -left / (skin.equilibrium_pa + stiff)  # where it comes to, unloaded
+        touching = rigid > free
+        after = np.where(touching, rigid, free)
+        q, u = faded + gain * (after - u), after
+        count = int(touching.sum())
+        if count and not touching[:count].all():
+            raise RangeError(
+                f"at {t[n + 1]:g} s the sphere meets its own dent in a ring, which this law does not cover; "
+                "wait longer "
+                f"between presses, or press as deep as before"
+            )
+        force[n + 1] = 2.0 * dx * float((skin.equilibrium_pa + stiff) * (rigid - free)[:count].sum())
+        width[n + 1] = count * dx
+    return Indentation(time_s, depth_m, force[::SUBSTEPS] / (1.0 - poisson_ratio**2), width[::SUBSTEPS])
+
+
+def held_force(
+    time_s: History, depth_m: float, radius_m: float, skin: Prony, poisson_ratio: float
+) -> History:
+    """Force K E(t) d^(3/2) [N] at times t >= 0 after a sudden press to a held depth.
+
+    Raises:
+        RangeError: the depth is beyond a/R = 0.5, or an argument is out of range.
+    """
+    a = contact_radius(depth_m, radius_m)
+    return 4.0 / 3.0 * a * depth_m * skin.relaxation(time_s) * reduced_modulus(1.0, poisson_ratio)
+
+
+def creep_depth(
+    time_s: History, force_n: float, radius_m: float, skin: Prony, poisson_ratio: float
+) -> History:
+    """Depth (F J(t) / K)^(2/3) [m] at times t >= 0 after a force was put on and held.
+
+    Raises:
+        RangeError: the force is negative, the contact comes to exceed a/R = 0.5, or an argument is out of
+            range.
+    """
+    if not (force_n >= 0.0 and math.isfinite(force_n)):
+        raise RangeError(f"force {force_n} N is not 0 or more; without adhesion a contact only pushes")
+    contact_radius(0.0, radius_m)
+    K = 4.0 / 3.0 * math.sqrt(radius_m) * reduced_modulus(1.0, poisson_ratio)
+    depth_m = np.cbrt(force_n / K * skin.compliance(time_s)) ** 2
+    contact_radius(float(np.max(depth_m)), radius_m)
+    return np.asarray(depth_m)
+
+
+def kelvin_voigt_force(
+    time_s: History, depth_m: History, radius_m: float, skin: KelvinVoigt, poisson_ratio: float
+) -> History:
+    """Force K (E d^(3/2) + eta d(d^(3/2))/dt) [N] while the depth grows: the named baseline.
+
+    Raises:
+        RangeError: the depth does not grow throughout (a hold or a way back), starts with a step, or is
+            beyond a/R = 0.5, or an argument is out of range.
+    """
+    _check(time_s, depth_m, radius_m)
+    if np.any(np.diff(depth_m) < 0):
+        raise RangeError("the depth falls, where this baseline gives tension; use a Prony series with ting")
+    K = 4.0 / 3.0 * math.sqrt(radius_m) * reduced_modulus(1.0, poisson_ratio)
+    return K * skin.stress(time_s, depth_m**1.5)
+
+
+def _check(time_s: History, depth_m: History, radius_m: float) -> None:
+    if len(time_s) != len(depth_m) or len(time_s) < 2:
+        raise RangeError(
+            f"{len(time_s)} times and {len(depth_m)} depths are no history; give at least 2, one time a depth"
+        )
+    if not (np.isfinite(time_s).all() and np.isfinite(depth_m).all() and np.all(np.diff(time_s) > 0)):
+        raise RangeError(
+            "the history holds a time that does not increase, or a value that is not finite; a jump in no "
+            "time "
+            "is no history: give it a duration in s"
+        )
+    if depth_m[0] > 0.0:
+        raise RangeError(f"the first depth is {depth_m[0]:g} m; start at first touch, 0 m, or above the skin")
+    contact_radius(max(float(depth_m.max()), 0.0), radius_m)
+
+
+def _refined(time_s: History, depth_m: History) -> tuple[Times, Times]:
+    """The same straight pieces, each in equal parts."""
+    n = len(time_s)
+    fine = np.interp(np.arange((n - 1) * SUBSTEPS + 1) / SUBSTEPS, np.arange(n), time_s)
+    return fine, np.interp(fine, time_s, depth_m)

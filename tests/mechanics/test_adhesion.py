@@ -1,0 +1,100 @@
+import math
+
+import numpy as np
+import pytest
+
+from palpate.core import RangeError
+from palpate.mechanics import adhesion, hertz
+
+W, R, E, NU = 0.05, 5e-3, 0.3e6, 0.49
+SKIN = (W, R, E, NU)
+ES = hertz.reduced_modulus(E, NU)
+
+
+def test_without_adhesion_the_law_is_hertzs():
+    d = 0.5e-3
+    F = hertz.force_from_depth(d, R, E, NU)
+    assert adhesion.force_from_depth(d, 0.0, R, E, NU) == pytest.approx(F, rel=1e-12)
+    assert adhesion.radius_from_force(F, 0.0, R, E, NU) == pytest.approx(math.sqrt(R * d), rel=1e-12)
+
+
+def test_a_5_mm_sphere_comes_off_silicone_at_1_2_millinewtons():
+    assert adhesion.pull_off_force(W, R) == pytest.approx(-1.5 * math.pi * W * R, rel=1e-12)
+    assert adhesion.pull_off_force(W, R) == pytest.approx(-1.2e-3, rel=0.02)
+
+
+@pytest.mark.parametrize("force_n", [-1.1e-3, 0.0, 1e-3, 0.1, 1.0])
+def test_radius_and_force_lead_back_to_each_other(force_n):
+    a = adhesion.radius_from_force(force_n, *SKIN)
+    assert adhesion.force_from_radius(a, *SKIN) == pytest.approx(force_n, rel=1e-9, abs=1e-15)
+    d = adhesion.depth_from_radius(a, *SKIN)
+    assert adhesion.force_from_depth(d, *SKIN) == pytest.approx(force_n, rel=1e-8, abs=1e-14)
+
+
+def test_the_force_is_least_where_it_comes_off():
+    a = np.linspace(0, R / 4, 100_001)
+    forces = 4 * ES * a**3 / (3 * R) - np.sqrt(8 * math.pi * W * ES * a**3)
+    least = adhesion.pull_off_force(W, R)
+    # the grid's step leaves a parabola's 1e-8
+    assert forces.min() == pytest.approx(least, rel=1e-6)
+    assert adhesion.radius_from_force(least, *SKIN) == pytest.approx(a[forces.argmin()], rel=1e-3)
+
+
+def test_the_work_of_the_force_is_elastic_energy_less_adhesion():
+    # Griffith's balance along the branch: F dd = dU_elastic - w dA, with U of a punch and a paraboloid
+    def energy(a):
+        hertzian = 4 * ES * a**3 / (3 * R)
+        short = hertzian - adhesion.force_from_radius(a, *SKIN)  # a flat punch's pull
+        return hertzian**2 * 3 / (10 * ES * a) + short**2 / (4 * a * ES) - short * 2 * a**2 / (3 * R)
+
+    a = np.linspace(2e-3, 2.2e-3, 2001)
+    forces = np.array([adhesion.force_from_radius(v, *SKIN) for v in a])
+    depths = np.array([adhesion.depth_from_radius(v, *SKIN) for v in a])
+    work = np.trapezoid(forces, depths)
+    gained = energy(a[-1]) - energy(a[0]) - W * math.pi * (a[-1] ** 2 - a[0] ** 2)
+    assert work == pytest.approx(gained, rel=1e-6)
+
+
+def test_at_the_pull_off_depth_the_branch_turns():
+    d = adhesion.pull_off_depth(*SKIN)
+    a = np.linspace(1e-6, R / 4, 100_001)
+    assert d == pytest.approx((a**2 / R - np.sqrt(2 * math.pi * W * a / ES)).min(), rel=1e-6)
+    assert d < 0
+    # held by its depth, the sphere comes off at 5/9 of the greatest pull
+    assert adhesion.force_from_depth(d, *SKIN) == pytest.approx(
+        5 / 9 * adhesion.pull_off_force(W, R), rel=1e-6
+    )
+
+
+def test_tabors_parameter_says_that_jkr_holds_for_soft_skin_and_not_for_hard_dust():
+    assert adhesion.tabor_parameter(W, R, E, NU, 0.3e-9) > 1e3 * adhesion.JKR_ABOVE
+    assert adhesion.tabor_parameter(W, 1e-8, 70e9, 0.2, 0.3e-9) < 0.1
+    by_hand = (R * W**2 / (ES**2 * 0.3e-9**3)) ** (1 / 3)
+    assert adhesion.tabor_parameter(W, R, E, NU, 0.3e-9) == pytest.approx(by_hand, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda bad: adhesion.pull_off_force(bad, R),
+        lambda bad: adhesion.pull_off_force(W, bad),
+        lambda bad: adhesion.radius_from_force(bad, *SKIN),
+        lambda bad: adhesion.force_from_depth(bad, *SKIN),
+        lambda bad: adhesion.force_from_radius(bad, *SKIN),
+        lambda bad: adhesion.depth_from_radius(bad, *SKIN),
+        lambda bad: adhesion.pull_off_depth(W, R, bad, NU),
+        lambda bad: adhesion.pull_off_depth(W, R, E, bad),
+        lambda bad: adhesion.tabor_parameter(*SKIN, bad),
+    ],
+)
+@pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
+def test_what_lies_outside_the_law_is_refused(ask, bad):
+    with pytest.raises(RangeError):
+        ask(bad)
+
+
+def test_a_contact_beyond_half_the_radius_is_refused():
+    with pytest.raises(RangeError, match=r"a/R <= 0\.5"):
+        adhesion.radius_from_force(10.0, *SKIN)
+    with pytest.raises(RangeError, match="comes off"):
+        adhesion.radius_from_force(-2e-3, *SKIN)

@@ -1,0 +1,178 @@
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from palpate.core import InputError, Pose, Probe, RangeError
+from palpate.mechanics import hertz, sneddon
+
+R, E, NU = 5e-3, 0.3e6, 0.49
+ES = hertz.reduced_modulus(E, NU)
+
+
+@pytest.mark.parametrize("slope", [1e-6, 1e-3, 0.05, 0.0999, 0.1001, 0.5, 0.9, 0.99])
+def test_the_spheres_force_is_the_stated_closed_form(slope):
+    import mpmath
+
+    with mpmath.workdps(60):
+        a = mpmath.mpf(slope) * R
+        log = mpmath.log((R + a) / (R - a))
+        force = ES * ((a**2 + mpmath.mpf(R) ** 2) / 2 * log - a * R)
+        depth = a / 2 * log
+    assert sneddon.sphere_force_from_radius(float(a), R, E, NU) == pytest.approx(float(force), rel=1e-12)
+    assert sneddon.sphere_depth_from_radius(float(a), R) == pytest.approx(float(depth), rel=1e-12)
+
+
+def test_a_shallow_sphere_is_hertzs():
+    d = 1e-6
+    # the first correction is of order (a/R)^2 = d/R = 2e-4
+    assert sneddon.sphere_force_from_depth(d, R, E, NU) == pytest.approx(
+        hertz.force_from_depth(d, R, E, NU), rel=d / R
+    )
+    assert sneddon.sphere_radius_from_depth(d, R) == pytest.approx(hertz.contact_radius(d, R), rel=d / R)
+
+
+def test_at_hertzs_limit_the_exact_force_is_2_5_percent_lower():
+    d = hertz.greatest_depth(R)
+    ratio = sneddon.sphere_force_from_depth(d, R, E, NU) / hertz.force_from_depth(d, R, E, NU)
+    assert 1 - ratio == pytest.approx(0.0251, abs=5e-5)
+
+
+@pytest.mark.parametrize("slope", [0.0, 1e-5, 0.3, 0.8, 0.99])
+def test_radius_depth_and_force_lead_back_to_each_other(slope):
+    a = slope * R
+    d, F = sneddon.sphere_depth_from_radius(a, R), sneddon.sphere_force_from_radius(a, R, E, NU)
+    assert sneddon.sphere_radius_from_depth(d, R) == pytest.approx(a, rel=1e-10)
+    assert sneddon.sphere_radius_from_force(F, R, E, NU) == pytest.approx(a, rel=1e-10)
+    assert sneddon.sphere_depth_from_force(F, R, E, NU) == pytest.approx(d, rel=1e-9)
+    assert sneddon.sphere_force_from_depth(d, R, E, NU) == pytest.approx(F, rel=1e-9)
+
+
+@pytest.mark.parametrize("slope", [0.1, 0.6, 0.99])
+def test_the_force_is_the_derivative_of_the_work(slope):
+    # dF = 2 a E* dd for every axisymmetric punch: the layer of contact added last is a flat punch
+    a, h = slope * R, 1e-6 * R
+    dF = sneddon.sphere_force_from_radius(a, R, E, NU) - sneddon.sphere_force_from_radius(a - h, R, E, NU)
+    dd = sneddon.sphere_depth_from_radius(a, R) - sneddon.sphere_depth_from_radius(a - h, R)
+    # one-sided difference: h/R over the distance to the equator
+    assert dF / dd == pytest.approx(2 * a * ES, rel=1e-4)
+
+
+@pytest.mark.parametrize("slope", [0.1, 0.6, 0.95])
+def test_the_integral_of_the_spheres_pressure_is_the_force(slope):
+    a = slope * R
+
+    def ring(v):  # r = sqrt(a^2 - v^2) takes the root out of the end
+        r = np.array(math.sqrt(a**2 - v**2))
+        return 2 * math.pi * v * float(sneddon.sphere_pressure(r, a, R, E, NU))
+
+    assert quad(ring, 0, a, epsabs=0, epsrel=1e-10)[0] == pytest.approx(
+        sneddon.sphere_force_from_radius(a, R, E, NU), rel=1e-8
+    )
+
+
+def test_the_integral_of_the_cones_pressure_is_the_force():
+    alpha, d = math.radians(70), 1e-3
+    a = sneddon.cone_radius(d, alpha)
+    total = quad(
+        lambda r: 2 * math.pi * r * float(sneddon.cone_pressure(np.array(r), a, alpha, E, NU)), 0, a
+    )[0]
+    F = sneddon.cone_force(d, alpha, E, NU)
+    assert total == pytest.approx(F, rel=1e-7)
+    assert pytest.approx(2 * ES * d**2 * math.tan(alpha) / math.pi, rel=1e-12) == F
+    assert sneddon.cone_depth(F, alpha, E, NU) == pytest.approx(d, rel=1e-12)
+
+
+def test_a_flat_punch_has_the_stiffness_2_a_e_star():
+    # ContactMechanics' own test of its flat punch: R = 20, E* = 3.56
+    assert sneddon.punch_force(1.0, 20.0, 3.56, 0.0) / (2 * 20.0 * 3.56) == pytest.approx(1.0, rel=1e-12)
+    assert sneddon.punch_depth(sneddon.punch_force(1e-4, R, E, NU), R, E, NU) == pytest.approx(1e-4)
+
+
+def test_the_integral_of_the_punchs_pressure_is_the_force():
+    a, F = 3e-3, 2.0
+    v = np.linspace(0, a, 11)[1:]  # r dr / sqrt(a^2 - r^2) = dv: a constant integrand
+    p = sneddon.punch_pressure(np.sqrt(a**2 - v**2), a, F)
+    np.testing.assert_allclose(2 * np.pi * v * p * a, F, rtol=1e-12)
+    assert sneddon.punch_pressure(np.array([1.1 * a]), a, F) == 0
+
+
+@pytest.mark.parametrize("probe", [Probe("sphere", R), Probe("punch", R)])
+def test_the_surface_around_the_contact_is_boussinesqs_superposed(probe):
+    d, far = 1e-3, np.array([1.0])
+    contact = sneddon.press(probe, Pose(0.0, 0.0, d), E, NU, x_m=far, y_m=np.zeros(1))
+    # at 1 m, 200 radii away, it is a point force; the next order is (a/r)^2 = 2e-5
+    assert contact.sinking_m.item() == pytest.approx(contact.force_n / (np.pi * ES), rel=1e-4)
+
+
+@pytest.mark.parametrize("probe", [Probe("sphere", R), Probe("punch", R)])
+def test_the_surface_is_continuous_at_the_rim(probe):
+    d = 1e-3
+    a = sneddon.press(probe, Pose(0.0, 0.0, d), E, NU).radius_m
+    x = a * np.array([1 - 1e-10, 1 + 1e-10])
+    inside, outside = sneddon.press(probe, Pose(0.0, 0.0, d), E, NU, x_m=x, y_m=np.zeros(1)).sinking_m[0]
+    # the punch's surface leaves its edge with a vertical tangent: sqrt(2e-10) is 1.4e-5
+    assert outside == pytest.approx(inside, rel=3e-5)
+
+
+def test_the_spheres_pressure_on_the_grid_adds_up_to_the_force():
+    contact = sneddon.press(Probe("sphere", R), Pose(1e-3, -2e-3, 1e-3), E, NU)
+    cell = contact.x_m[1] - contact.x_m[0]
+    # 20 cells a radius: the cut rim is worth 0.1 %
+    assert contact.pressure_pa.sum() * cell**2 == pytest.approx(contact.force_n, rel=2e-3)
+
+
+def test_the_punchs_pressure_on_the_grid_is_finite_and_greatest_at_the_edge():
+    contact = sneddon.press(Probe("punch", R), Pose(1e-3, -2e-3, 1e-3), E, NU)
+    middle = contact.pressure_pa[40]
+    assert np.isfinite(contact.pressure_pa).all()
+    assert middle[40] == pytest.approx(contact.force_n / (2 * np.pi * R**2), rel=1e-12)
+    assert np.argmax(middle) in (21, 59)  # the outermost points inside: 19 of the 20 cells a radius
+
+
+def test_first_touch_gives_no_pressure():
+    for shape in ("sphere", "punch"):
+        contact = sneddon.press(Probe(shape, R), Pose(0.0, 0.0, 0.0), E, NU)
+        assert contact.force_n == 0
+        assert not contact.pressure_pa.any()
+        assert not contact.sinking_m.any()
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda bad: sneddon.sphere_force_from_depth(bad, R, E, NU),
+        lambda bad: sneddon.sphere_depth_from_force(bad, R, E, NU),
+        lambda bad: sneddon.sphere_depth_from_radius(bad, R),
+        lambda bad: sneddon.sphere_force_from_depth(1e-3, R, bad, NU),
+        lambda bad: sneddon.sphere_force_from_depth(1e-3, R, E, bad),
+        lambda bad: sneddon.sphere_radius_from_depth(1e-3, bad),
+        lambda bad: sneddon.punch_force(bad, R, E, NU),
+        lambda bad: sneddon.punch_depth(bad, R, E, NU),
+        lambda bad: sneddon.punch_force(1e-3, bad, E, NU),
+        lambda bad: sneddon.cone_force(bad, 1.0, E, NU),
+        lambda bad: sneddon.cone_force(1e-3, bad, E, NU),
+        lambda bad: sneddon.cone_depth(bad, 1.0, E, NU),
+        lambda bad: sneddon.cone_pressure(np.array([0.0]), bad, 1.0, E, NU),
+        lambda bad: sneddon.punch_pressure(np.array([0.0]), R, bad),
+    ],
+)
+@pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
+def test_what_lies_outside_the_law_is_refused(ask, bad):
+    with pytest.raises(RangeError):
+        ask(bad)
+
+
+def test_a_depth_beyond_the_equator_names_the_limit_and_its_unit():
+    with pytest.raises(RangeError, match=r"20 m lies outside 0 to 0\.0131\d* m"):
+        sneddon.sphere_force_from_depth(20.0, R, E, NU)
+    with pytest.raises(RangeError, match=r"d/a <= 0\.5"):
+        sneddon.punch_force(0.6 * R, R, E, NU)
+
+
+def test_a_probe_without_a_law_here_is_refused():
+    with pytest.raises(InputError, match="'cube'"):
+        sneddon.press(Probe("cube", R), Pose(0.0, 0.0, 1e-3), E, NU)
+    with pytest.raises(InputError, match="metres"):
+        sneddon.press(Probe("sphere", R), Pose(math.nan, 0.0, 1e-3), E, NU)

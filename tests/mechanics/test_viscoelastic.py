@@ -1,0 +1,239 @@
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+from palpate.core import RangeError
+from palpate.mechanics import hertz, viscoelastic
+from palpate.mechanics.prony import KelvinVoigt, Prony
+
+R, NU, TOP = 5e-3, 0.49, 1e-3
+SKIN = Prony(0.1e6, (0.15e6, 0.05e6), (0.5, 0.05))
+ELASTIC = Prony(0.3e6, (), ())
+K = 4 / 3 * math.sqrt(R) / (1 - NU**2)
+
+
+def triangle(n=401):
+    """In for a second, out for a second."""
+    t = np.linspace(0, 2, n)
+    return t, TOP * (1 - np.abs(1 - t))
+
+
+def relaxation(t):
+    return SKIN.equilibrium_pa + sum(
+        E * math.exp(-t / tau) for E, tau in zip(SKIN.moduli_pa, SKIN.times_s, strict=True)
+    )
+
+
+def brute_force(t):
+    """Ting's integrals for the triangle by adaptive quadrature: force and contact time."""
+    if t <= 1:
+        t1 = t
+    else:
+        back = quad(lambda s: relaxation(t - s), 1, t)[0]
+
+        def balance(t1):
+            return quad(lambda s: relaxation(t - s), t1, 1)[0] - back
+
+        if balance(0.0) <= 0:
+            return 0.0, 0.0
+        t1 = brentq(balance, 0, 1, xtol=1e-12)
+    force = quad(
+        lambda s: relaxation(t - s) * 1.5 * math.sqrt(s), 0, t1, points=[max(t1 - 0.1, t1 / 2)], limit=200
+    )[0]
+    return K * TOP**1.5 * force, t1
+
+
+def test_loading_is_the_hereditary_integral():
+    t, d = triangle()
+    found = viscoelastic.ting(t, d, R, SKIN, NU)
+    # the square root at first touch costs most: from a fifth of a second on it is below 1e-6
+    for n in (40, 77, 200):
+        assert found.force_n[n] == pytest.approx(brute_force(t[n])[0], rel=1e-6)
+
+
+def test_unloading_is_tings_integral():
+    t, d = triangle()
+    found = viscoelastic.ting(t, d, R, SKIN, NU)
+    for n in (210, 250, 300, 330):
+        force, t1 = brute_force(t[n])
+        assert found.force_n[n] == pytest.approx(force, rel=2e-6)
+        assert found.radius_m[n] == pytest.approx(math.sqrt(R * TOP * t1), rel=1e-7)
+
+
+def test_the_loops_area_is_that_of_brute_force_quadrature():
+    t, d = triangle(81)
+    forces = np.array([brute_force(v)[0] for v in t])
+    found = viscoelastic.ting(t, d, R, SKIN, NU)
+    assert found.loss_j == pytest.approx(np.trapezoid(forces, d), rel=1e-4)
+    # and of the loop itself: 81 samples against 801
+    assert found.loss_j == pytest.approx(viscoelastic.ting(*triangle(801), R, SKIN, NU).loss_j, rel=1e-2)
+    assert found.loss_j > 0
+
+
+def test_without_branches_the_force_is_hertzs_both_ways():
+    t, d = triangle()
+    found = viscoelastic.ting(t, d, R, ELASTIC, NU)
+    wanted = [hertz.force_from_depth(v, R, 0.3e6, NU) for v in np.maximum(d, 0)]
+    np.testing.assert_allclose(found.force_n, wanted, atol=1e-12 * max(wanted))
+    np.testing.assert_allclose(found.radius_m, np.sqrt(R * d), atol=1e-8)
+    assert abs(found.loss_j) < 1e-9 * TOP * max(wanted)
+
+
+@pytest.mark.parametrize(("scale", "modulus"), [(1e-5, SKIN.instantaneous_pa), (1e5, SKIN.equilibrium_pa)])
+def test_a_very_fast_press_and_a_very_slow_one_are_elastic(scale, modulus):
+    t, d = triangle()
+    found = viscoelastic.ting(scale * t, d, R, SKIN, NU)
+    wanted = [hertz.force_from_depth(v, R, modulus, NU) for v in d]
+    # the slow way back lags by tau / scale, the fast one by its inverse
+    np.testing.assert_allclose(found.force_n, wanted, atol=1e-3 * max(wanted))
+
+
+def test_the_contact_is_never_in_tension_and_is_lost_before_the_depth_is():
+    t, d = triangle()
+    found = viscoelastic.ting(t, d, R, SKIN, NU)
+    lost = found.radius_m[1:] == 0
+    assert (found.force_n >= 0).all()
+    assert found.force_n[1:][lost].max() == 0
+    assert d[1:][lost].max() > 0.05 * TOP
+    # the loading law, carried on, is in tension there: why Ting's is needed
+    loading = K * SKIN.stress(t, d**1.5)
+    assert loading.min() < -0.05 * loading.max()
+
+
+def test_the_way_back_lies_below_the_way_in():
+    t, d = triangle()
+    found = viscoelastic.ting(t, d, R, SKIN, NU)
+    # 0 at both ends of the loop
+    assert (found.force_n[:200][1:] > found.force_n[:200:-1][1:]).all()
+
+
+def test_while_held_the_force_relaxes_with_the_modulus():
+    t = np.concatenate([[0.0], 1e-6 + np.linspace(0, 3, 301)])
+    d = np.concatenate([[0.0], np.full(301, TOP)])
+    found = viscoelastic.ting(t, d, R, SKIN, NU)
+    held = viscoelastic.held_force(t[1:], TOP, R, SKIN, NU)
+    # the press took a microsecond
+    np.testing.assert_allclose(found.force_n[1:], held, rtol=1e-4)
+    np.testing.assert_allclose(found.radius_m[1:], hertz.contact_radius(TOP, R), rtol=1e-12)
+
+
+def test_under_a_held_force_the_depth_creeps_so_that_the_force_stays():
+    t = np.concatenate([[0.0], np.geomspace(1e-5, 3, 2000)])
+    F = 0.2
+    d = viscoelastic.creep_depth(t, F, R, SKIN, NU)
+    assert d[0] == pytest.approx(hertz.depth_from_force(F, R, SKIN.instantaneous_pa, NU), rel=1e-12)
+    # from rest to the instantaneous depth within a microsecond, then along the creep curve
+    history = np.concatenate([[0.0], t + 1e-6]), np.concatenate([[0.0], d])
+    found = viscoelastic.ting(*history, R, SKIN, NU)
+    np.testing.assert_allclose(found.force_n[1:], F, rtol=1e-3)
+
+
+@pytest.mark.parametrize("hold", [0.0, 0.7])
+def test_element_by_element_one_press_is_tings_law(hold):
+    t = np.linspace(0, 2 + hold, 301)
+    d = np.interp(
+        t, [0, 1, 1 + hold, 2 + hold] if hold else [0, 1, 2], [0, TOP, TOP, 0] if hold else [0, TOP, 0]
+    )
+    one, other = (law(t, d, R, SKIN, NU) for law in (viscoelastic.ting, viscoelastic.press))
+    # 400 elements: (1/400)^2 in force, half an element in radius
+    np.testing.assert_allclose(other.force_n, one.force_n, atol=1e-5 * one.force_n.max())
+    np.testing.assert_allclose(other.radius_m, one.radius_m, atol=1.5e-3 * one.radius_m.max())
+
+
+def test_held_on_the_way_back_the_skin_returns_to_equilibrium():
+    t = np.linspace(0, 12, 601)
+    d = np.interp(t, [0, 1, 1.5, 12], [0, TOP, TOP / 2, TOP / 2])
+    with pytest.raises(RangeError, match="use press"):
+        viscoelastic.ting(t, d, R, SKIN, NU)
+    found = viscoelastic.press(t, d, R, SKIN, NU)
+    after = found.radius_m[75:]
+    assert (np.diff(after) >= 0).all()
+    # ten seconds are twenty of the slowest times
+    assert found.force_n[-1] == pytest.approx(
+        hertz.force_from_depth(TOP / 2, R, SKIN.equilibrium_pa, NU), rel=1e-4
+    )
+    assert after[-1] == pytest.approx(hertz.contact_radius(TOP / 2, R), rel=3e-3)
+
+
+def test_the_second_press_right_after_the_first_is_met_later():
+    t = np.linspace(0, 4, 801)
+    d = TOP * np.interp(t, [0, 1, 2, 3, 4], [0, 1, 0, 1, 0])
+    found = viscoelastic.press(t, d, R, SKIN, NU)
+    first, second = found.force_n[:401], found.force_n[400:]
+    assert second.max() < first.max()
+    assert np.argmax(second > 0) > np.argmax(first > 0)
+
+
+def test_in_the_air_there_is_no_force():
+    t = np.linspace(0, 4, 401)
+    d = np.interp(t, [0, 1, 2, 3, 4], [-TOP, 0, TOP, 0, -TOP])
+    late = viscoelastic.ting(t, d, R, SKIN, NU)
+    early = viscoelastic.ting(*triangle(201), R, SKIN, NU)
+    np.testing.assert_allclose(late.force_n[100:301], early.force_n, atol=1e-12)
+    assert not late.force_n[:101].any()
+    assert not late.force_n[301:].any()
+    above = viscoelastic.press(t, np.minimum(d, 0.0), R, SKIN, NU)
+    assert not above.force_n.any()
+
+
+def test_a_kelvin_voigt_baseline_pushes_more_the_faster_it_is_pressed():
+    t = np.linspace(0, 1, 101)
+    skin = KelvinVoigt(0.3e6, 1e4)
+    slow, fast = (viscoelastic.kelvin_voigt_force(v * t, TOP * t, R, skin, NU) for v in (1e4, 1.0))
+    elastic = np.array([hertz.force_from_depth(v, R, 0.3e6, NU) for v in TOP * t])
+    np.testing.assert_allclose(slow, elastic, atol=1e-4 * elastic.max())
+    # eta d(d^1.5)/dt over E d^1.5 at the end is 1.5 eta / (E T)
+    assert fast[-1] / elastic[-1] == pytest.approx(1 + 1.5 * 1e4 / 0.3e6, rel=1e-4)
+
+
+def test_a_kelvin_voigt_baseline_refuses_holds_and_the_way_back():
+    t = np.linspace(0, 1, 11)
+    skin = KelvinVoigt(0.3e6, 1e4)
+    with pytest.raises(RangeError, match="Prony"):
+        viscoelastic.kelvin_voigt_force(t, TOP * np.minimum(t, 0.5), R, skin, NU)
+    with pytest.raises(RangeError, match="tension"):
+        viscoelastic.kelvin_voigt_force(*triangle(11), R, skin, NU)
+
+
+LAWS = [viscoelastic.ting, viscoelastic.press]
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_what_is_no_history_is_refused(law):
+    t, d = triangle(11)
+    spoilt = d.copy()
+    spoilt[3] = math.nan
+    for times, depths, says in (
+        (t, spoilt, "not finite"),
+        (t[::-1].copy(), d, "does not increase"),
+        (np.zeros(11), d, "does not increase"),
+        (t, d + 1e-4, "first depth"),
+        (t, 2 * d, "a/R"),
+        (t[:1], d[:1], "no history"),
+    ):
+        with pytest.raises(RangeError, match=says):
+            law(times, depths, R, SKIN, NU)
+    for radius, nu in ((-R, NU), (math.nan, NU), (R, 0.6), (R, -0.1), (R, math.nan)):
+        with pytest.raises(RangeError):
+            law(t, d, radius, SKIN, nu)
+
+
+def test_ting_refuses_a_second_press():
+    t = np.linspace(0, 4, 41)
+    with pytest.raises(RangeError, match="rise once"):
+        viscoelastic.ting(t, TOP * np.interp(t, [0, 1, 2, 3, 4], [0, 1, 0, 1, 0]), R, SKIN, NU)
+
+
+def test_a_load_without_meaning_is_refused():
+    for bad in (-1.0, math.nan, math.inf):
+        with pytest.raises(RangeError):
+            viscoelastic.creep_depth(np.zeros(1), bad, R, SKIN, NU)
+        with pytest.raises(RangeError):
+            viscoelastic.held_force(np.zeros(1), bad, R, SKIN, NU)
+        with pytest.raises(RangeError):
+            viscoelastic.held_force(np.array([bad]), TOP, R, SKIN, NU)
+    with pytest.raises(RangeError, match="a/R"):
+        viscoelastic.creep_depth(np.array([100.0]), 1.0, R, SKIN, NU)
