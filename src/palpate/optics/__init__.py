@@ -1,27 +1,76 @@
 """Stress and light to images."""
 
+from palpate.optics.axisymmetric import (
+    AxisymmetricField,
+    MarchedRays,
+    Rays,
+    march_axisymmetric,
+    march_axisymmetric_plain,
+)
+from palpate.optics.camera import Camera, develop, raw_codes
 from palpate.optics.colour import Spectrum, assumed_camera, encode_srgb, spectral_to_linear
+from palpate.optics.fast_march import march_colour, march_colour_plain, march_spectral
+from palpate.optics.illumination import LedStrip, backlight, strip_light
 from palpate.optics.march import Retarder, graded_slices, march
 from palpate.optics.noise import electrons, electrons_exact, illumination, quantise
-from palpate.optics.polariscope import dark_field, single_retarder, with_leak
-from palpate.optics.stress_optic import StressOpticLaw, fringe_order, stress_axis
+from palpate.optics.polariscope import (
+    circular_amplitude,
+    circular_dark_field,
+    dark_field,
+    linear_retarder,
+    plane_amplitude,
+    single_retarder,
+    through,
+    with_leak,
+)
+from palpate.optics.rim import ColumnRays, flat_windows, round_rim, straight
+from palpate.optics.single_slice import SingleSliceError, best_path, single_slice, single_slice_error
+from palpate.optics.stress_optic import StressOpticLaw, fringe_order, frozen_stress, stress_axis
 
 __all__ = [
+    "AxisymmetricField",
+    "Camera",
+    "ColumnRays",
+    "LedStrip",
+    "MarchedRays",
+    "Rays",
     "Retarder",
+    "SingleSliceError",
     "Spectrum",
     "StressOpticLaw",
     "assumed_camera",
+    "backlight",
+    "best_path",
+    "circular_amplitude",
+    "circular_dark_field",
     "dark_field",
+    "develop",
     "electrons",
     "electrons_exact",
     "encode_srgb",
+    "flat_windows",
     "fringe_order",
+    "frozen_stress",
     "graded_slices",
     "illumination",
+    "linear_retarder",
     "march",
+    "march_axisymmetric",
+    "march_axisymmetric_plain",
+    "march_colour",
+    "march_colour_plain",
+    "march_spectral",
+    "plane_amplitude",
     "quantise",
+    "raw_codes",
+    "round_rim",
     "single_retarder",
+    "single_slice",
+    "single_slice_error",
     "spectral_to_linear",
+    "straight",
     "stress_axis",
+    "strip_light",
+    "through",
     "with_leak",
 ]

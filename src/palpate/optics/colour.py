@@ -6,13 +6,15 @@ LED and of a colour camera, and belong to no product.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from palpate.core.errors import InputError
+
+Banded = Float[ndarray, "k *n"]
 
 LEAST_BANDS = 31  # fewer cost more than 0.006 in intensity at four fringe orders
 
@@ -25,10 +27,13 @@ class Spectrum:
         wavelength_m: centres of the bands ``[k]`` [m].
         weight: share of each band in each balanced channel ``[k 3]``; each channel sums to 1, so that the
             bare lamp is white.
+        sensitivity: what each channel gets of the bare lamp before balancing, over what the most sensitive
+            gets ``[3]``; raw codes are as unequal as this.
     """
 
     wavelength_m: Float[ndarray, " k"]
     weight: Float[ndarray, "k 3"]
+    sensitivity: Float[ndarray, " 3"] = field(default_factory=lambda: np.ones(3))
 
 
 def assumed_camera(
@@ -62,10 +67,11 @@ def assumed_camera(
     die, phosphor = (_bell(nm, p, w) for p, w in zip(led_peaks_nm, led_widths_nm, strict=True))
     camera = [_bell(nm, p, w) for p, w in zip(camera_peaks_nm, camera_widths_nm, strict=True)]
     weight = (die + phosphor_share * phosphor)[:, None] * np.stack(camera, axis=1)
-    return Spectrum(nm * 1e-9, weight / weight.sum(axis=0))
+    total = weight.sum(axis=0)
+    return Spectrum(nm * 1e-9, weight / total, total / total.max())
 
 
-def spectral_to_linear(light: Float[ndarray, k * n], spectrum: Spectrum) -> Float[ndarray, "... 3"]:
+def spectral_to_linear(light: Banded, spectrum: Spectrum) -> Float[ndarray, "... 3"]:
     """Transmitted fraction in each band to linear RGB, 1 where all light passes."""
     return np.asarray(np.einsum("k...,kc->...c", light, spectrum.weight))
 

@@ -19,6 +19,7 @@ from numpy import ndarray
 from palpate.core.errors import InputError
 
 Summed = Float[ndarray, "*n"]
+Slices = Float[ndarray, "s *n"]
 
 
 class Retarder(NamedTuple):
@@ -68,7 +69,7 @@ def graded_slices(scale_m: Float[ndarray, "*n"], count: int) -> tuple[ndarray, n
     return scale_m * np.tan(angle), scale_m / np.cos(angle) ** 2 * step
 
 
-def march(difference: Float[ndarray, s * n], shear: Float[ndarray, s * n], per_stress: float) -> Retarder:
+def march(difference: Slices, shear: Slices, per_stress: float) -> Retarder:
     """Carry polarised light through slices in order.
 
     Args:
@@ -85,9 +86,7 @@ def march(difference: Float[ndarray, s * n], shear: Float[ndarray, s * n], per_s
     return total
 
 
-def march_even(
-    difference: Float[ndarray, s * n], shear: Float[ndarray, s * n], per_stress: float
-) -> Retarder:
+def march_even(difference: Slices, shear: Slices, per_stress: float) -> Retarder:
     """The same for a whole ray whose stress is even about its midpoint, from the half with y > 0."""
     half = march(difference, shear, per_stress)
     return half.backwards().then(half)

@@ -1,15 +1,25 @@
-"""A dark-field plane polariscope: polariser, sample, crossed analyser."""
+"""Polariscopes: what passes polariser, sample and analyser, without or with quarter-wave plates.
+
+The amplitude behind the analyser is linear in the sample's quaternion: q -> c0 q0 + c1 q1 + c2 q2 + c3 q3,
+with four complex numbers that hold the whole polariscope, plates before and behind the sample included. Light
+is the squared modulus, so a march needs no more than these numbers of any polariscope.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from numpy import ndarray
 
-from palpate.core.errors import RangeError
+from palpate.core.errors import InputError, RangeError
 from palpate.optics.march import Retarder
 
 Light = Float[ndarray, "*n"]
+Points = Float[ndarray, "..."] | float
+Amplitude = Complex[ndarray, "4"]
+Jones = Complex[ndarray, "*k 2 2"]
+
+UNITS = np.array([np.eye(2), 1j * np.diag([1, -1]), [[0, 1j], [1j, 0]], [[0, 1], [-1, 0]]])  # of q0 to q3
 
 
 def single_retarder(order: Light, axis_rad: Light, polariser_rad: float) -> Light:
@@ -29,10 +39,105 @@ def single_retarder(order: Light, axis_rad: Light, polariser_rad: float) -> Ligh
     return np.asarray(np.sin(2 * (axis_rad - polariser_rad)) ** 2 * np.sin(np.pi * order) ** 2)
 
 
+def linear_retarder(order: Points, axis_rad: Points) -> Retarder:
+    """A plate of fringe order N whose axis of larger index lies at `axis_rad` from x towards z."""
+    half, twice = np.broadcast_arrays(np.pi * np.asarray(order), 2 * np.asarray(axis_rad))
+    s = np.sin(half)
+    return Retarder(np.cos(half), s * np.cos(twice), s * np.sin(twice), np.zeros(half.shape))
+
+
 def dark_field(ray: Retarder, polariser_rad: float) -> Light:
     """Transmitted fraction of a marched ray between crossed ideal polarisers, 0 to 1."""
     linear = ray.q2 * np.cos(2 * polariser_rad) - ray.q1 * np.sin(2 * polariser_rad)
     return np.asarray(linear**2 + ray.q3**2)
+
+
+def circular_dark_field(ray: Retarder) -> Light:
+    """Transmitted fraction between crossed circular polarisers, ideal at this wavelength, 0 to 1.
+
+    For a single retarder it is sin^2(delta/2) whatever its axis.
+    """
+    return np.asarray(ray.q1**2 + ray.q2**2)
+
+
+def plane_amplitude(polariser_rad: float, bands: int, light_field: bool = False) -> Complex[ndarray, "k 4"]:
+    """A plane polariscope, the same in every band.
+
+    Args:
+        polariser_rad: from x towards z [rad].
+        bands: k.
+        light_field: analyser along the polariser instead of across it.
+
+    Returns:
+        Its four numbers for each band, for `through` and the fast marches.
+
+    Raises:
+        InputError: no band, or an angle that is not a number.
+    """
+    if bands < 1 or not np.isfinite(polariser_rad):
+        raise InputError(
+            f"{bands} bands and polariser at {polariser_rad} rad; give 1 or more, and a finite angle"
+        )
+    plates = np.broadcast_to(np.eye(2, dtype=complex), (bands, 2, 2))
+    return _amplitude(polariser_rad, plates, plates, light_field)
+
+
+def circular_amplitude(
+    wavelength_m: Float[ndarray, " k"],
+    quarter_wave_m: float = 550e-9,
+    polariser_rad: float = 0.0,
+    light_field: bool = False,
+    axis_error_rad: float = 0.0,
+) -> Complex[ndarray, "k 4"]:
+    """A circular polariscope whose plates are quarter-wave at one wavelength only.
+
+    Polariser, plate at +45 degrees to it, sample, plate at -45 degrees, analyser. The plates' retardance
+    falls as 1/lambda; being crossed they cancel at every wavelength where nothing lies between them.
+
+    Args:
+        wavelength_m: of the bands [m].
+        quarter_wave_m: where the plates are exact [m].
+        polariser_rad: from x towards z [rad].
+        light_field: analyser along the polariser instead of across it.
+        axis_error_rad: by which the second plate is turned too far [rad].
+
+    Returns:
+        Its four numbers for each band.
+
+    Raises:
+        RangeError: a wavelength is not positive, or an angle is not a number.
+    """
+    if not (np.all(wavelength_m > 0) and quarter_wave_m > 0):
+        raise RangeError("wavelengths must be positive; give metres, such as 550e-9")
+    if not np.isfinite(polariser_rad + axis_error_rad):
+        raise RangeError(f"angles {polariser_rad} and {axis_error_rad} rad must be finite numbers")
+    order = quarter_wave_m / (4 * wavelength_m)
+    first, second = (
+        jones(linear_retarder(order, polariser_rad + turn))
+        for turn in (np.pi / 4, -np.pi / 4 + axis_error_rad)
+    )
+    return _amplitude(polariser_rad, first, second, light_field)
+
+
+def through(ray: Retarder, amplitude: Amplitude) -> Light:
+    """Transmitted fraction of a marched ray through any polariscope, at one wavelength."""
+    return np.asarray(abs(sum(c * q for c, q in zip(amplitude, ray, strict=True))) ** 2)
+
+
+def jones(ray: Retarder) -> Jones:
+    """The 2 x 2 matrix of a retarder, acting on the amplitudes along x and z."""
+    return np.asarray(np.tensordot(np.stack(ray, axis=-1), UNITS, axes=1))
+
+
+def mueller(ray: Retarder) -> Float[ndarray, "*k 4 4"]:
+    """The Mueller matrix of a retarder in the basis I, Q (x against z), U (diagonals), V.
+
+    Its sign of V follows from exp(i phase) growing with the index, Im(E_x* E_z) > 0 being V > 0.
+    """
+    pauli = np.array([np.eye(2), np.diag([1, -1]), [[0, 1], [1, 0]], [[0, -1j], [1j, 0]]])
+    J = jones(ray)
+    turned = np.einsum("...ab,jbc,...dc->...jad", J, pauli, J.conj())
+    return np.asarray(np.einsum("iab,...jba->...ij", pauli, turned).real / 2)
 
 
 def with_leak(light: Light, extinction: float) -> Light:
@@ -48,3 +153,9 @@ def with_leak(light: Light, extinction: float) -> Light:
     if not 0.0 <= extinction <= 1.0:
         raise RangeError(f"extinction {extinction} lies outside 0 to 1; film polarisers have 0.0001 to 0.01")
     return extinction + (1 - extinction) * light
+
+
+def _amplitude(polariser_rad: float, before: Jones, behind: Jones, light_field: bool) -> ndarray:
+    direction = np.array([np.cos(polariser_rad), np.sin(polariser_rad)])
+    analyser = direction if light_field else np.array([-direction[1], direction[0]])
+    return np.asarray(np.einsum("b,kbc,jcd,kde,e->kj", analyser, behind, UNITS, before, direction))

@@ -1,0 +1,196 @@
+"""Light through an axisymmetric stress table: the exact path of a round contact, ray by ray.
+
+A ray runs along y past the axis of symmetry at the signed offset s, at one depth z. Where it is at distance
+r = sqrt(s^2 + y^2), with cos = s / r, it sees
+
+    s_xx - s_zz = (s_rr - s_tt) cos^2 + (s_tt - s_zz),      2 s_xz = 2 s_rz cos.
+
+Its slices are equal steps of atan(y / scale), finest at the axis. What of a slice lies above the skin's
+deformed surface is cut off, the surface taken as straight across the slice. The table is read bilinearly in
+(r, zeta), zeta running from the deformed surface to the bottom, so that the dimple is a line of the table and
+not a step.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Float32
+from numpy import ndarray
+from scipy.interpolate import RegularGridInterpolator
+
+from palpate.core.errors import InputError
+from palpate.optics.axisymmetric_field import Along, AxisymmetricField, Rays
+from palpate.optics.fast_march import check_bands, march_colour_plain, packed, shared
+
+NOWHERE = -1e9  # stands for an indenter's underside where there is none, in units of the table's radius
+FINEST = 4096  # equal steps that look up graded knots
+
+__all__ = ["AxisymmetricField", "MarchedRays", "Rays", "march_axisymmetric", "march_axisymmetric_plain"]
+
+Bands = Float[ndarray, " k"]
+Weights = Float[ndarray, "k c"]
+Amplitudes = Complex[ndarray, "k 4"]
+
+
+class MarchedRays(NamedTuple):
+    """What came of the rays.
+
+    Attributes:
+        light: transmitted fraction in each channel, between ideal polarisers.
+        occluded: the indenter stands in the ray; its light is 0.
+        skin_m: length inside the skin [m]; 0 where a ray runs in air, or below the bottom.
+        outside_m: length inside the skin but beyond the table [m], where no stress was counted.
+    """
+
+    light: Float32[ndarray, "*n c"]
+    occluded: Bool[ndarray, "*n"]
+    skin_m: Float32[ndarray, "*n"]
+    outside_m: Float32[ndarray, "*n"]
+
+
+def march_axisymmetric(
+    field: AxisymmetricField,
+    rays: Rays,
+    half_phase: Bands,
+    weight: Weights,
+    amplitude: Amplitudes,
+    slices: int = 64,
+    frozen_pa: tuple[float, float] = (0.0, 0.0),
+    threads: int | None = None,
+) -> MarchedRays:
+    """Carry the light of each ray through the table, sampling it on the way.
+
+    Args:
+        field: the table.
+        rays: where they run.
+        half_phase: pi C / lambda of each band [1/(Pa m)]; see `StressOpticLaw.half_phase`.
+        weight: of each band in each channel, as in `Spectrum.weight`; the identity for every band by itself.
+        amplitude: of the polariscope in each band; see `plane_amplitude` and `circular_amplitude`.
+        slices: on the whole ray. From the surface at rest downwards 64 keep 999 of 1000 pixels within one
+            8-bit step up to 5 fringes; rows above it, through a bulge, want 128.
+        frozen_pa: uniform s_xx - s_zz and 2 s_xz that stand for residual birefringence; see `frozen_stress`.
+        threads: to share the rays; None for as many as there are processors, or as NUMBA_NUM_THREADS says.
+
+    Returns:
+        Light and what stood in its way. Memory beyond the rays and the result is a few 10 kB a thread.
+
+    Raises:
+        InputError: bands that do not fit, fewer than one slice, a frozen stress that is not a number.
+    """
+    _check_march(half_phase, weight, amplitude, slices, frozen_pa)
+    from palpate.optics import sampling  # here: compiling is for those who march
+
+    unit = field.r_m[-1]
+    paths = rays.broadcast().reshape(5, -1) / unit
+    light = np.zeros((weight.shape[1], paths.shape[1]), np.float32)
+    inside = np.zeros((2, paths.shape[1]), np.float32)
+    table, frozen = _table(field), np.array(frozen_pa, np.float32)
+    optics = packed(half_phase * unit, weight, amplitude)
+
+    def piece(first: int, last: int) -> None:
+        sampling.march_rays(first, last, paths, slices, table, frozen, *optics, light, inside)
+
+    shared(piece, paths.shape[1], threads)
+    return _result(light.T, inside * np.float32(unit), field, rays)
+
+
+def march_axisymmetric_plain(
+    field: AxisymmetricField,
+    rays: Rays,
+    half_phase: Bands,
+    weight: Weights,
+    amplitude: Amplitudes,
+    slices: int = 64,
+    frozen_pa: tuple[float, float] = (0.0, 0.0),
+) -> MarchedRays:
+    """The slow reference for `march_axisymmetric`: numpy in double precision, all slices in memory."""
+    _check_march(half_phase, weight, amplitude, slices, frozen_pa)
+    s, z, start, end, scale = rays.broadcast().reshape(5, -1)
+    first, last = np.arctan(start / scale), np.arctan(end / scale)
+    step = (last - first) / slices
+    edge = first + np.arange(slices + 1)[:, None] * step
+    y, dy, y_edge = _middles(scale, edge, step)
+    length = np.diff(y_edge, axis=0)
+
+    clear = z - np.interp(np.hypot(s, y_edge), field.r_m, field.surface_m)
+    below, above = clear[:-1], clear[1:]
+    crossing = np.sign(below) * np.sign(above) < 0
+    span = np.where(crossing, abs(above - below), 1.0)
+    share = np.where(crossing, np.maximum(below, above) / span, (below >= 0) & (above >= 0))
+    part = length * share / 2
+    y = np.where(crossing, np.where(above > 0, y_edge[1:] - part, y_edge[:-1] + part), y)
+    share = share * (z <= field.thickness_m)
+
+    r = np.hypot(s, y)
+    top = np.interp(r, field.r_m, field.surface_m)
+    zeta = np.clip((z - top) / (field.thickness_m - top), 0, 1)
+    read = RegularGridInterpolator((field.zeta, field.r_m), np.moveaxis(field.stress_pa, 0, -1))
+    known = r <= field.r_m[-1]
+    rr, tt, zz, rz = np.moveaxis(
+        read(np.stack([zeta, np.minimum(r, field.r_m[-1])], -1)) * known[..., None], -1, 0
+    )
+    cosine = s / np.maximum(r, np.finfo(float).tiny)
+    difference = ((rr - tt) * cosine**2 + tt - zz) * dy * share + frozen_pa[0] * length * share
+    shear = 2 * rz * cosine * dy * share + frozen_pa[1] * length * share
+    light = march_colour_plain(difference, shear, half_phase, weight, amplitude)
+    skin = length * share
+    inside = np.stack([skin.sum(0), (skin * ~known).sum(0)])
+    return _result(light, inside, field, rays)
+
+
+def _middles(scale: Along, edge: Along, step: Along) -> tuple[ndarray, ndarray, ndarray]:
+    middle = (edge[1:] + edge[:-1]) / 2
+    # scale / cos^2 step, not the difference of the edges: the former sums a smooth ray far more exactly
+    return scale * np.tan(middle), scale / np.cos(middle) ** 2 * step, scale * np.tan(edge)
+
+
+def _result(light: ndarray, inside: ndarray, field: AxisymmetricField, rays: Rays) -> MarchedRays:
+    occluded = _occluded(field, rays)
+    seen = np.array(light, np.float32, order="C").reshape(*rays.shape, -1)
+    seen[occluded] = 0
+    skin, outside = inside.astype(np.float32).reshape(2, *rays.shape)
+    return MarchedRays(seen, occluded, skin, outside)
+
+
+def _occluded(field: AxisymmetricField, rays: Rays) -> Bool[ndarray, "*n"]:
+    if field.indenter_m is None:
+        return np.zeros(rays.shape, bool)
+    under = np.maximum(field.indenter_m, NOWHERE)
+    nearest = np.maximum(np.maximum(rays.start_m, -rays.end_m), 0)  # |y| where the ray is nearest to the axis
+    lowest = np.interp(np.hypot(rays.offset_m, nearest), field.r_m, under, right=NOWHERE)
+    return np.broadcast_to(rays.depth_m < lowest, rays.shape)
+
+
+def _table(field: AxisymmetricField) -> tuple[ndarray | np.float32, ...]:
+    """What the kernel reads, single precision, lengths in units of the last radius, radius first."""
+    unit = field.r_m[-1]
+    rr, tt, zz, rz = field.stress_pa
+    stress = np.stack([rr - tt, tt - zz, 2 * rz, 0 * rz], axis=-1).swapaxes(0, 1)
+    surface = (field.surface_m / unit).astype(np.float32)
+    deep = np.float32(field.thickness_m / unit)
+    return (
+        *_index(field.r_m / unit),
+        *_index(field.zeta),
+        surface,
+        deep,
+        np.ascontiguousarray(stress, np.float32),
+    )
+
+
+def _index(knots: ndarray) -> tuple[ndarray, ndarray, np.float32]:
+    """Knots from 0 to 1, the interval each of FINEST equal steps starts in, and steps per unit."""
+    at = np.arange(FINEST) / FINEST
+    start = np.searchsorted(knots.astype(np.float32), at.astype(np.float32), side="right") - 1
+    return knots.astype(np.float32), np.clip(start, 0, len(knots) - 2).astype(np.int32), np.float32(FINEST)
+
+
+def _check_march(
+    half_phase: Bands, weight: Weights, amplitude: Amplitudes, slices: int, frozen_pa: tuple[float, float]
+) -> None:
+    check_bands(half_phase, weight, amplitude)
+    if slices < 1:
+        raise InputError(f"{slices} slices make no ray; give 1 or more")
+    if not np.isfinite(frozen_pa).all():
+        raise InputError(f"frozen stress {frozen_pa} Pa must be two finite numbers")

@@ -1,0 +1,102 @@
+"""The literature's formula, I = sin^2(2 theta) sin^2(pi d (s1 - s2) C / lambda). Wrong here.
+
+It takes one stress difference, that of the mid-plane, for the whole path d, and one direction theta for its
+axes. Under a contact the stress lives within about two contact radii of it, not along the whole skin, and its
+axes turn along the ray. It is kept as a named baseline, so that what the march changes is a number; nothing
+renders with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from palpate.core.errors import InputError, RangeError
+from palpate.optics.polariscope import single_retarder
+from palpate.optics.stress_optic import fringe_order, stress_axis
+
+Stress = Float[ndarray, "*n"]
+
+
+@dataclass(frozen=True, slots=True)
+class SingleSliceError:
+    """How far the one-slice image is from the marched one, in transmitted fraction (0 to 1).
+
+    Attributes:
+        rms: root of the mean square.
+        percentile_99_9: of the absolute difference.
+        largest: of the absolute difference.
+    """
+
+    rms: float
+    percentile_99_9: float
+    largest: float
+
+
+def single_slice(
+    difference_pa: Stress,
+    shear_pa: Stress,
+    path_m: float,
+    coefficient_per_pa: float,
+    wavelength_m: float,
+    polariser_rad: float,
+) -> Stress:
+    """Transmitted fraction as if the mid-plane's stress filled the whole path: the literature's baseline.
+
+    Args:
+        difference_pa: s_xx - s_zz in the mid-plane y = 0 [Pa].
+        shear_pa: 2 s_xz there [Pa].
+        path_m: d, the path that is assumed [m]; the skin's width is what is usually taken.
+        coefficient_per_pa: C [1/Pa].
+        wavelength_m: in vacuum [m].
+        polariser_rad: from x towards z [rad].
+
+    Raises:
+        RangeError: path, coefficient or wavelength is not positive.
+    """
+    for name, value, unit in (
+        ("path", path_m, "m"),
+        ("coefficient", coefficient_per_pa, "1/Pa"),
+        ("wavelength", wavelength_m, "m"),
+    ):
+        if not (value > 0 and np.isfinite(value)):
+            raise RangeError(f"{name} {value} {unit} must be a positive number")
+    order = fringe_order(difference_pa * path_m, shear_pa * path_m, coefficient_per_pa, wavelength_m)
+    return single_retarder(order, stress_axis(difference_pa, shear_pa), polariser_rad)
+
+
+def best_path(
+    difference_pa: Stress, shear_pa: Stress, summed_difference: Stress, summed_shear: Stress
+) -> float:
+    """The one path d [m] that makes the baseline's retardance nearest to the summed one, by least squares.
+
+    Args:
+        difference_pa: s_xx - s_zz in the mid-plane [Pa].
+        shear_pa: 2 s_xz there [Pa].
+        summed_difference: int (s_xx - s_zz) dy [Pa m].
+        summed_shear: int 2 s_xz dy [Pa m].
+
+    Raises:
+        InputError: the mid-plane is free of stress.
+    """
+    square = float(np.sum(difference_pa**2 + shear_pa**2))
+    if not square > 0:
+        raise InputError("the mid-plane is free of stress: no path fits")
+    return float(np.sum(difference_pa * summed_difference + shear_pa * summed_shear)) / square
+
+
+def single_slice_error(baseline: Stress, marched: Stress) -> SingleSliceError:
+    """The baseline's error against the marched image of the same scene.
+
+    Raises:
+        InputError: images of unequal shape, empty, or with NaN.
+    """
+    if baseline.shape != marched.shape or baseline.size == 0:
+        raise InputError(f"images of shapes {baseline.shape} and {marched.shape}; give two equal ones")
+    off = abs(np.asarray(baseline, float) - marched)
+    if not np.isfinite(off).all():
+        raise InputError("an image holds NaN or infinity")
+    return SingleSliceError(float(np.sqrt(np.mean(off**2))), float(np.quantile(off, 0.999)), float(off.max()))

@@ -1,0 +1,111 @@
+import math
+
+import numpy as np
+import pytest
+
+from palpate.core import InputError, RangeError
+from palpate.mechanics import gap
+
+X = np.linspace(-6e-3, 6e-3, 61)
+Y = np.linspace(-5e-3, 5e-3, 51)
+R = 4e-3
+
+
+def test_every_point_of_the_sphere_is_one_radius_from_its_centre():
+    z = gap.sphere(X, Y, R, (1e-3, -5e-4))
+    r2 = (X - 1e-3) ** 2 + (Y[:, None] + 5e-4) ** 2
+    below = np.isfinite(z)
+    np.testing.assert_allclose((r2 + (R - z) ** 2)[below], R**2, rtol=1e-12)
+    assert below.sum() == np.count_nonzero(r2 <= R**2)
+
+
+def test_the_paraboloid_is_the_spheres_first_term():
+    near = np.linspace(-1e-5, 1e-5, 5)
+    sphere, paraboloid = (shape(near, near, R) for shape in (gap.sphere, gap.paraboloid))
+    np.testing.assert_allclose(sphere, paraboloid, rtol=1e-5, atol=1e-30)  # the next term is (r / 2R)^2
+
+
+def test_cone_and_wedge_rise_at_their_slope():
+    slope = math.radians(20)
+    cone = gap.cone(X, Y, slope)
+    assert cone[25, -1] == pytest.approx(6e-3 * math.tan(slope))
+    wedge = gap.wedge(X, Y, slope, 4e-3)
+    np.testing.assert_allclose(wedge[:, 30], np.abs(Y) * math.tan(slope), atol=1e-18)
+    assert np.isinf(wedge[25, [0, -1]]).all()
+
+
+def test_a_punch_is_flat_to_its_edge_and_round_at_it():
+    sharp, rounded = gap.flat_punch(X, Y, 3e-3), gap.flat_punch(X, Y, 3e-3, 1e-3)
+    r = np.hypot(X, Y[:, None])
+    assert set(np.unique(sharp)) == {0.0, np.inf}
+    np.testing.assert_array_equal(np.isfinite(sharp), r <= 3e-3)
+    np.testing.assert_array_equal(rounded[r <= 2e-3], 0.0)
+    at_edge = np.isfinite(rounded) & (r > 2e-3)
+    np.testing.assert_allclose((r - 2e-3)[at_edge] ** 2 + (1e-3 - rounded[at_edge]) ** 2, 1e-6, rtol=1e-9)
+
+
+def test_turning_a_lying_cylinder_by_a_right_angle_swaps_x_and_y():
+    along_x = gap.lying_cylinder(X, X, R, 8.01e-3)
+    along_y = gap.lying_cylinder(X, X, R, 8.01e-3, math.pi / 2)
+    np.testing.assert_allclose(along_y, along_x.T, atol=1e-15)
+
+
+def test_two_points_are_two_spheres_at_their_separation():
+    z = gap.two_points(X, Y, 1e-3, 4e-3)
+    assert z[25, 20] == z[25, 40] == 0.0
+    assert np.isinf(z[25, 30])
+    np.testing.assert_array_equal(
+        z, gap.together(gap.sphere(X, Y, 1e-3, (-2e-3, 0.0)), gap.sphere(X, Y, 1e-3, (2e-3, 0.0)))
+    )
+
+
+def test_a_profile_gives_its_own_shape():
+    by_function = gap.axisymmetric(X, Y, lambda r: r**2 / (2 * R), 3e-3)
+    inside = np.isfinite(by_function)
+    np.testing.assert_allclose(by_function[inside], gap.paraboloid(X, Y, R)[inside], rtol=1e-12)
+    r = np.linspace(0.0, 3e-3, 2000)
+    by_points = gap.axisymmetric(X, Y, (r, r**2 / (2 * R)), 3e-3)
+    # straight lines between points are off by dr^2 / (8 R)
+    np.testing.assert_allclose(by_points[inside], by_function[inside], atol=1e-10)
+
+
+def test_leaning_adds_the_slope_and_keeps_the_lowest_point_at_zero():
+    z = gap.tilted(gap.flat_punch(X, Y, 3e-3), X, Y, math.radians(5), math.radians(-2))
+    assert z.min() == 0.0
+    assert z[25, 40] - z[25, 30] == pytest.approx(2e-3 * math.tan(math.radians(5)))
+    assert z[30, 30] - z[25, 30] == pytest.approx(-1e-3 * math.tan(math.radians(2)))
+
+
+def test_a_profile_that_falls_or_starts_elsewhere_is_refused():
+    with pytest.raises(RangeError, match="falls from r"):
+        gap.axisymmetric(X, Y, lambda r: np.sin(r * 1e3), 3e-3)
+    with pytest.raises(RangeError, match="heights fall"):
+        gap.axisymmetric(
+            X, Y, (np.array([0.0, 1e-3, 1.001e-3, 3e-3]), np.array([0.0, 1e-3, 9e-4, 2e-3])), 3e-3
+        )
+    with pytest.raises(RangeError, match="starts at"):
+        gap.axisymmetric(X, Y, lambda r: r + 1e-3, 3e-3)
+    with pytest.raises(RangeError, match="not finite"):
+        gap.axisymmetric(X, Y, lambda r: np.where(r > 1e-3, np.nan, r), 3e-3)
+    with pytest.raises(InputError, match="positions rise"):
+        gap.axisymmetric(X, Y, (np.array([0.0, 1e-3]), np.array([0.0, 1e-3])), 3e-3)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        lambda: gap.sphere(X, Y, 0.0),
+        lambda: gap.sphere(X, Y, math.nan),
+        lambda: gap.paraboloid(X, Y, -1e-3),
+        lambda: gap.cone(X, Y, 0.0),
+        lambda: gap.cone(X, Y, math.pi / 2),
+        lambda: gap.flat_punch(X, Y, 1e-3, 2e-3),
+        lambda: gap.wedge(X, Y, 0.1, 0.0),
+        lambda: gap.lying_cylinder(X, Y, -R, 1e-3),
+        lambda: gap.two_points(X, Y, 1e-3, 0.0),
+        lambda: gap.tilted(gap.sphere(X, Y, R), X, Y, 0.6),
+    ],
+)
+def test_a_shape_that_cannot_be_is_refused(shape):
+    with pytest.raises(RangeError, match=r"give a positive|lies outside"):
+        shape()

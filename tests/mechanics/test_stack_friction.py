@@ -1,0 +1,93 @@
+import math
+
+import numpy as np
+import pytest
+
+from palpate.core import InputError, RangeError
+from palpate.mechanics import gap
+from palpate.mechanics.stack import Layer, Stack
+from palpate.mechanics.stack_contact import press_stack
+from palpate.mechanics.stack_friction import shear_stack
+
+R, E, DEPTH, MU = 5e-3, 0.3e6, 5e-4, 0.6
+A = math.sqrt(R * DEPTH)
+X = np.linspace(-1.2 * A, 1.2 * A, 64)
+
+
+def pressed(stack):
+    return press_stack(stack, gap.paraboloid(X, X, R), X, X, depth_m=DEPTH)
+
+
+def on_half_space(nu):
+    return pressed(Stack((Layer(math.inf, E, nu),), "half-space"))
+
+
+@pytest.mark.parametrize(("nu", "tolerance"), [(0.0, 1e-3), (0.49, 4e-3)])
+@pytest.mark.parametrize("part", [0.2, 0.5, 0.9])
+def test_a_sphere_sheared_on_a_half_space_slips_as_cattaneo_and_mindlin_say(nu, tolerance, part):
+    # at nu = 0 theirs is exact; else they neglect traction across the shift, which costs up to 0.3 %
+    contact = on_half_space(nu)
+    greatest = MU * contact.force_n
+    found = shear_stack(contact, MU, force_n=(part * greatest, 0.0))
+    G = E / (2 * (1 + nu))
+    shift = 3 * greatest * (2 - nu) / (16 * A * G) * (1 - (1 - part) ** (2 / 3))
+    assert found.shift_m[0] == pytest.approx(shift, rel=tolerance)
+    sticking = math.sqrt(found.sticking.sum() / contact.touching.sum())
+    assert sticking == pytest.approx((1 - part) ** (1 / 3), abs=0.01)  # counted in cells of A/27
+
+
+def test_no_traction_exceeds_friction_and_sticking_skin_goes_with_the_probe():
+    contact = pressed(Stack((Layer(0.5e-3, 2 * E, 0.49), Layer(3e-3, E, 0.3))))
+    found = shear_stack(contact, MU, shift_m=(4e-5, -2e-5))
+    limit = MU * contact.pressure_pa
+    assert np.all(np.hypot(*found.shear_pa) <= limit * (1 + 1e-12))
+    lag = np.array([4e-5, -2e-5])[:, None, None] - found.moved_m
+    assert found.sticking.any()
+    assert np.hypot(*lag)[found.sticking].max() < 2e-4 * np.hypot(4e-5, 2e-5)
+    slipping = contact.touching & ~found.sticking
+    pulling = (lag * found.shear_pa).sum(axis=0)[slipping]
+    assert np.all(pulling >= 0.0)  # friction drags the skin after the probe
+
+
+def test_force_and_shift_convert_back_in_any_direction():
+    contact = on_half_space(0.3)
+    by_shift = shear_stack(contact, MU, shift_m=(3e-5, 5e-5))
+    by_force = shear_stack(contact, MU, force_n=tuple(map(float, by_shift.force_n)))
+    np.testing.assert_allclose(by_force.shift_m, (3e-5, 5e-5), rtol=2e-3)
+
+
+def test_a_small_shift_of_a_round_contact_pulls_alike_in_all_directions():
+    contact = on_half_space(0.49)
+    along = shear_stack(contact, MU, shift_m=(1e-5, 0.0)).force_n
+    slant = shear_stack(contact, MU, shift_m=(1e-5 / math.sqrt(2), 1e-5 / math.sqrt(2))).force_n
+    assert np.hypot(*slant) == pytest.approx(along[0], rel=2e-3)
+    assert slant[0] == pytest.approx(slant[1], rel=1e-6)
+
+
+def test_a_great_shift_slips_everywhere_at_friction_times_the_force():
+    contact = on_half_space(0.3)
+    found = shear_stack(contact, MU, shift_m=(1e-3, 0.0))
+    assert not found.sticking.any()
+    assert found.force_n[0] == pytest.approx(MU * contact.force_n, rel=1e-3)
+
+
+def test_no_shift_pulls_nothing():
+    found = shear_stack(on_half_space(0.3), MU, shift_m=(0.0, 0.0))
+    assert not found.shear_pa.any()
+
+
+def test_what_cannot_be_sheared_is_refused():
+    contact = on_half_space(0.3)
+    greatest = MU * contact.force_n
+    with pytest.raises(RangeError, match="whole contact slip"):
+        shear_stack(contact, MU, force_n=(greatest, 0.1 * greatest))
+    for friction in (0.0, -0.1, math.nan, math.inf):
+        with pytest.raises(RangeError, match="coefficient of friction"):
+            shear_stack(contact, friction, shift_m=(1e-5, 0.0))
+    with pytest.raises(InputError, match="exactly one"):
+        shear_stack(contact, MU)
+    with pytest.raises(InputError, match="finite"):
+        shear_stack(contact, MU, shift_m=(math.nan, 0.0))
+    nothing = press_stack(contact.stack, gap.paraboloid(X, X, R), X, X, depth_m=0.0)
+    with pytest.raises(RangeError, match="carries no shear"):
+        shear_stack(nothing, MU, shift_m=(1e-5, 0.0))

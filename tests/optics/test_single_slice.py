@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+from jaxtyping import TypeCheckError
+
+from palpate.core import InputError, RangeError
+from palpate.mechanics import secondary_stress
+from palpate.optics import (
+    best_path,
+    dark_field,
+    fringe_order,
+    graded_slices,
+    single_slice,
+    single_slice_error,
+    stress_axis,
+)
+from palpate.optics.march import march_even
+
+A, P0, GREEN = 3e-3, 1e5, 550e-9
+
+
+def images(coefficient, path=None):
+    """The baseline's and the marched image under a ball, polariser at 45 degrees."""
+    x, z = np.meshgrid(np.linspace(-4, 4, 81) * A, np.linspace(0.05, 4, 60) * A)
+    y, dy = graded_slices(np.sqrt(x**2 + z**2 + A**2), 128)
+    u, v = (part * dy for part in secondary_stress(x, y, z, A, P0))
+    middle = secondary_stress(x, np.zeros_like(x), z, A, P0)
+    if path is None:
+        path = best_path(*middle, 2 * u.sum(0), 2 * v.sum(0))
+    marched = dark_field(march_even(u, v, np.pi * coefficient / GREEN), np.pi / 4)
+    return single_slice(*middle, path, coefficient, GREEN, np.pi / 4), marched, path
+
+
+def test_in_a_slab_of_even_stress_the_one_slice_is_right():
+    u, v = np.array([2e4, -1e4]), np.array([1e4, 3e4])
+    slab = np.full((50, 1), 10e-3 / 100)
+    marched = dark_field(march_even(slab * u, slab * v, np.pi * 2e-9 / GREEN), 0.3)
+    np.testing.assert_allclose(single_slice(u, v, 10e-3, 2e-9, GREEN, 0.3), marched, atol=1e-12)
+
+
+def test_the_skin_s_width_as_the_path_is_wrong_under_a_ball():
+    """57 mm of mid-plane stress instead of what the ray meets, a contact of 3 mm radius and 0.1 MPa.
+
+    Measured root mean square of the transmitted fraction: 0.30 at C = 3e-9 1/Pa, and still 0.21 at silicone's
+    1.7e-10 1/Pa, where the march is nearly dark. The path that fits best is 6.9 mm, an eighth.
+    """
+    baseline, marched, best = images(3e-9, path=57e-3)
+    error = single_slice_error(baseline, marched)
+    assert error.rms > 0.25
+    assert error.largest > 0.9
+    assert 57e-3 / images(3e-9)[2] > 5
+    assert best == 57e-3
+
+
+def test_no_one_path_mends_it():
+    """With the path that fits the summed stress best, about the contact's width: 0.22 at 1.5 fringes."""
+    baseline, marched, path = images(3e-9)
+    assert 1.0 < path / (2 * A) < 3.0
+    error = single_slice_error(baseline, marched)
+    assert error.rms > 0.15
+    assert error.percentile_99_9 > 0.5
+
+
+def test_the_error_shrinks_with_the_coefficient():
+    rms = [single_slice_error(*images(c)[:2]).rms for c in (3e-9, 1e-9, 1.7e-10)]
+    assert rms[0] > rms[1] > rms[2]
+
+
+def test_the_best_path_is_the_path_where_there_is_one():
+    u, v = np.array([1.0, 2.0]), np.array([0.5, -3.0])
+    assert best_path(u, v, 0.02 * u, 0.02 * v) == pytest.approx(0.02)
+    with pytest.raises(InputError, match="free of stress"):
+        best_path(0 * u, 0 * v, u, v)
+
+
+def test_the_formula_is_the_literature_s():
+    u, v, d, c = np.array([3e4]), np.array([1e4]), 57e-3, 2e-9
+    theta, difference = stress_axis(u, v), np.hypot(u, v)
+    by_hand = np.sin(2 * theta) ** 2 * np.sin(np.pi * d * difference * c / GREEN) ** 2
+    np.testing.assert_allclose(single_slice(u, v, d, c, GREEN, 0.0), by_hand)
+    np.testing.assert_allclose(fringe_order(d * u, d * v, c, GREEN), d * difference * c / GREEN)
+
+
+def test_numbers_that_make_no_image_are_refused():
+    zero = np.zeros(2)
+    for path, c, wavelength in ((0.0, 1e-9, GREEN), (1e-3, -1e-9, GREEN), (1e-3, 1e-9, np.nan)):
+        with pytest.raises(RangeError, match="positive"):
+            single_slice(zero, zero, path, c, wavelength, 0.0)
+    with pytest.raises(InputError, match="NaN"):
+        single_slice_error(zero, zero * np.nan)
+    with pytest.raises((InputError, TypeCheckError)):  # in tests the shapes are checked first
+        single_slice_error(zero, np.zeros(3))
