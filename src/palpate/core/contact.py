@@ -15,12 +15,18 @@ class Probe:
     """What touches the skin.
 
     Attributes:
-        shape: ``"sphere"`` for now; other shapes come with their mechanics.
-        radius_m: radius of curvature [m].
+        shape: ``"sphere"``, ``"punch"`` (an upright cylinder), ``"edge"`` (a wedge), ``"cylinder"`` (lying),
+            ``"two-points"`` (two spheres).
+        radius_m: of the sphere, the lying cylinder or each of two points; of a punch's flat end [m]. An edge
+            has none: 0.
+        length_m: of an edge or lying cylinder; between two points [m].
+        turn_rad: of that length, from x towards y [rad].
     """
 
     shape: str
     radius_m: float
+    length_m: float = 0.0
+    turn_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +60,8 @@ class Contact:
         radius_m: radius of the contact region [m].
         probe, pose: what made it.
         model: the law that gave it, and what that law assumes.
+        shear_pa: traction of the probe on the skin along x and y ``[2 ny nx]`` [Pa]; None without any.
+        lateral_n: force of the probe on the skin along x and y [N].
     """
 
     x_m: Float[ndarray, " nx"]
@@ -66,3 +74,5 @@ class Contact:
     probe: Probe
     pose: Pose
     model: str
+    shear_pa: Float[ndarray, "2 ny nx"] | None = None
+    lateral_n: tuple[float, float] = (0.0, 0.0)

@@ -1,0 +1,51 @@
+"""The verbs. Each says what it needs, calls one room, and prints what came back."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from palpate.cli import calibration, mechanics, recordings, render
+from palpate.cli.demo import demo
+from palpate.version import __version__
+
+app = typer.Typer(
+    name="palpate",
+    help="Camera-based touch you can trust: record, calibrate, certify, sense.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+import_app = typer.Typer(help="Bring recordings from elsewhere into a run.", no_args_is_help=True)
+app.add_typer(import_app, name="import")
+app.add_typer(render.app, name="render")
+app.add_typer(mechanics.app, name="mechanics")
+import_app.command("images")(recordings.import_images)
+for verb in (
+    recordings.check,
+    recordings.repair,
+    recordings.export,
+    calibration.calibrate,
+    calibration.evaluate,
+    calibration.sense,
+    calibration.report,
+    demo,
+):
+    app.command()(verb)
+
+
+@app.callback(invoke_without_command=True)
+def start(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
+) -> None:
+    """Camera-based touch you can trust: record, calibrate, certify, sense."""
+    if version:
+        typer.echo(f"palpate {__version__}")
+        raise typer.Exit
+
+
+def main() -> None:
+    """Entry point of the `palpate` command."""
+    app()

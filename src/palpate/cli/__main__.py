@@ -1,0 +1,5 @@
+"""`python -m palpate.cli`, where the command is not on the path."""
+
+from palpate.cli import main
+
+main()

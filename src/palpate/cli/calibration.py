@@ -1,0 +1,196 @@
+"""Verbs on calibrations: calibrate, evaluate, sense, report."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from palpate.cli.shared import (
+    Json,
+    Quiet,
+    columns_of,
+    numbers_of,
+    options_of,
+    print_found,
+    progress_bar,
+    reports_errors,
+)
+
+
+@reports_errors
+def calibrate(
+    run: Annotated[Path, typer.Argument(help="Run to learn from.")],
+    targets: Annotated[str, typer.Option(help="Label columns to estimate, e.g. depth_mm,force_N.")],
+    out: Annotated[Path, typer.Option(help="Calibration folder to make; must not exist.")],
+    model: Annotated[str, typer.Option(help="mean, pca-ridge, pixel-mlp or compact-cnn.")] = "pca-ridge",
+    split: Annotated[
+        str, typer.Option(help="auto, random, group:COLUMN[,COLUMN] or leave-one-out:COLUMN.")
+    ] = "auto",
+    folds: Annotated[
+        int | None, typer.Option(help="Parts the rows are split in; default 5, for a network 8.")
+    ] = None,
+    scored_folds: Annotated[
+        int | None,
+        typer.Option(help="How many folds to hold out; by default all, or one for a network."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    size: Annotated[str | None, typer.Option(help="HEIGHTxWIDTH of the model's input [px].")] = None,
+    crop: Annotated[str | None, typer.Option(help="X,Y,WIDTH,HEIGHT cut from each frame [px].")] = None,
+    rgb: Annotated[bool, typer.Option("--rgb", help="Learn from three colour channels, not grey.")] = False,
+    delta: Annotated[
+        bool, typer.Option("--delta", help="Learn from the difference to the untouched sensor.")
+    ] = False,
+    reference: Annotated[
+        str | None, typer.Option(help="COLUMN=VALUE of rows that show the untouched sensor.")
+    ] = None,
+    reference_by: Annotated[
+        str, typer.Option(help="Columns within whose groups a reference holds, e.g. press.")
+    ] = "",
+    learn_untouched: Annotated[
+        bool, typer.Option("--learn-untouched", help="Learn from the untouched sensor's frames too.")
+    ] = False,
+    option: Annotated[
+        list[str] | None, typer.Option(help="A model's own setting, NAME=VALUE, as in epochs=30.")
+    ] = None,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate an estimator and certify it: model, card, held-out predictions, report.
+
+    Interrupted, the same command goes on from where it was.
+
+    Example: palpate calibrate run --targets depth_mm,shear_x_mm --model compact-cnn --out cal
+    """
+    from palpate.calibration.plan import Plan, Reference
+    from palpate.recordings.reader import Run
+    from palpate.studies.certify import certify
+
+    plan = Plan(
+        targets=columns_of(targets),
+        model=model,
+        split=split,
+        folds=folds,
+        scored_folds=scored_folds,
+        seed=seed,
+        size_px=numbers_of(size, 2, "--size"),  # type: ignore[arg-type]
+        channels=3 if rgb else 1,
+        crop_px=numbers_of(crop, 4, "--crop"),  # type: ignore[arg-type]
+        delta=delta,
+        reference=Reference.parse(reference, columns_of(reference_by)) if reference else None,
+        learn_untouched=learn_untouched,
+        options=options_of(option or []),
+    )
+    with progress_bar(quiet) as progress:
+        card = certify(Run.open(run), plan, out, progress)
+    print_found(card.model_dump(mode="json"), _card_text(card, out), json_)
+
+
+@reports_errors
+def evaluate(
+    calibration: Annotated[Path, typer.Argument(help="Calibration folder.")],
+    run: Annotated[Path, typer.Argument(help="Labelled run to score it on.")],
+    out: Annotated[Path | None, typer.Option(help="JSON file to write the scores to.")] = None,
+    reference: Annotated[Path | None, typer.Option(help="Image of the untouched sensor.")] = None,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Score a calibration on a labelled run.
+
+    Example: palpate evaluate cal run-val --out scores.json
+    """
+    from palpate.calibration.evaluate import evaluate as score
+    from palpate.core.files import new_file, refuse_existing
+    from palpate.estimators.certified import Estimator
+    from palpate.recordings.reader import Run
+
+    if out is not None:
+        refuse_existing(out)
+    estimator = Estimator.open(calibration)
+    zero = _zero(estimator, reference)
+    with progress_bar(quiet) as progress:
+        scores = score(estimator, Run.open(run), zero=zero, progress=progress)
+    if out is not None:
+        with new_file(out) as path:
+            path.write_text(json.dumps(scores, indent=1, allow_nan=False) + "\n")
+    print_found(scores, _scores_text(scores), json_)
+
+
+@reports_errors
+def sense(
+    calibration: Annotated[Path, typer.Argument(help="Calibration folder.")],
+    source: Annotated[Path, typer.Argument(help="An image, a folder of images, or a run.")],
+    reference: Annotated[Path | None, typer.Option(help="Image of the untouched sensor.")] = None,
+    timing: Annotated[
+        bool, typer.Option("--timing", help="Print the latency at the end, to stderr.")
+    ] = False,
+    threads: Annotated[int, typer.Option(help="Threads of the inference engine; 0 lets it choose.")] = 0,
+    json_: Json = False,
+) -> None:
+    """Read images: a value, an interval and a verdict for each target. With --json, one object a line.
+
+    Example: palpate sense cal images --json
+    """
+    from palpate.estimators.certified import Estimator
+    from palpate.live.sense import sense as read
+    from palpate.live.sources import open_source
+
+    estimator = Estimator.open(calibration, threads=threads)
+    zero = _zero(estimator, reference)
+    latencies = []
+    for sensed in read(estimator, open_source(source), zero):
+        latencies.append(sensed.latency_s)
+        if json_:
+            typer.echo(json.dumps(sensed.to_dict(), allow_nan=False))
+        else:
+            typer.echo("\n".join(f"{sensed.frame}: {reading}" for reading in sensed.shown().values()))
+    if timing:
+        typer.echo(_latency_text(latencies), err=True)
+
+
+@reports_errors
+def report(
+    calibration: Annotated[Path, typer.Argument(help="Calibration folder.")],
+    out: Annotated[Path, typer.Option(help="HTML file to make; must not exist.")],
+    json_: Json = False,
+) -> None:
+    """Write a calibration's report as one self-contained HTML page.
+
+    Example: palpate report cal --out cal.html
+    """
+    from palpate.reports.certificate import write_report
+
+    write_report(calibration, out)
+    print_found({"report": str(out)}, str(out), json_)
+
+
+def _zero(estimator: Any, reference: Path | None) -> Any:
+    from palpate.recordings.images import read_image
+
+    return None if reference is None else estimator.zero(read_image(reference))
+
+
+def _card_text(card: Any, out: Path) -> str:
+    from palpate.reports.text import scores_table
+
+    lines = [f"calibration {card.id}: {out}", scores_table({t.column: t.score for t in card.targets})]
+    lines += [f"audit: {card.split.audit}", f"report: {out / 'report.html'}"]
+    return "\n".join(lines)
+
+
+def _scores_text(scores: dict[str, Any]) -> str:
+    from palpate.estimators.card import ScoreCard
+    from palpate.reports.text import scores_table
+
+    table = scores_table({name: ScoreCard(**score) for name, score in scores["targets"].items()})
+    valid = f"{scores['frames_valid']} of {scores['frames_scored']} frames gave valid readings throughout"
+    learnt = "\nthis is the run it learnt from: these scores say nothing about new presses"
+    return f"{table}\n{valid}" + (learnt if scores["learnt_from_this_run"] else "")
+
+
+def _latency_text(latencies: list[float]) -> str:
+    from palpate.reports.text import latency_line
+
+    return latency_line(latencies)

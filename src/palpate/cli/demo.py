@@ -1,0 +1,28 @@
+"""The demo."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from palpate.cli.shared import Json, Quiet, print_found, progress_bar, reports_errors
+
+
+@reports_errors
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder to make; must not exist.")],
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Record a virtual photoelastic skin, calibrate it, certify it, sense with it. Needs no hardware.
+
+    Example: palpate demo --out demo-out
+    """
+    from palpate.studies.demo import run_demo
+
+    with progress_bar(quiet) as progress:
+        result = run_demo(out, seed=seed, progress=progress)
+    print_found(result.to_dict(), result.text(), json_)

@@ -1,0 +1,107 @@
+"""Verbs on recordings: import, check, repair, export."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from palpate.cli.shared import Json, Quiet, print_found, progress_bar, reports_errors
+
+
+@reports_errors
+def import_images(
+    folder: Annotated[Path, typer.Argument(help="Folder of images.")],
+    run: Annotated[Path, typer.Argument(help="Run to make; must not exist.")],
+    labels: Annotated[Path, typer.Option(help="CSV or Parquet, one row an image; here or in the folder.")],
+    image_column: Annotated[str, typer.Option(help="Label column that names the image file.")] = "image_file",
+    sensor: Annotated[str, typer.Option(help="What the images are of.")] = "",
+    licence: Annotated[str, typer.Option(help="Licence of the data.")] = "",
+    origin: Annotated[str, typer.Option(help="Where the data come from.")] = "",
+    rate_hz: Annotated[float | None, typer.Option(help="Frame rate, if the images are a sequence.")] = None,
+    allow_unlabelled: Annotated[bool, typer.Option(help="Skip images without a row.")] = False,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Import a folder of labelled images as a run.
+
+    Example: palpate import images taps run --labels labels.csv --image-column image_file
+    """
+    from palpate.recordings.importers.images import import_images as importer
+
+    with progress_bar(quiet) as progress:
+        report = importer(
+            folder,
+            run,
+            labels=labels,
+            image_column=image_column,
+            sensor=sensor,
+            licence=licence,
+            origin=origin,
+            rate_hz=rate_hz,
+            allow_unlabelled=allow_unlabelled,
+            progress=lambda done, total: progress("importing", done, total),
+        )
+    units = ", ".join(f"{column} [{symbol}]" for column, symbol in report.units.items())
+    text = f"{run}: {report.frames} frames; columns with a unit: {units or 'none'}"
+    if report.unitless:
+        text += f"; without: {', '.join(report.unitless)}"
+    found = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
+    print_found(found | {"unitless": list(report.unitless)}, text, json_)
+
+
+@reports_errors
+def check(run: Annotated[Path, typer.Argument(help="Run to look through.")], json_: Json = False) -> None:
+    """Look through a run: counts, rates, gaps, drops, damage. Ends with status 1 if it is damaged.
+
+    Example: palpate check run
+    """
+    from palpate.recordings.check import check as look_through
+    from palpate.reports.text import check_text
+
+    report = look_through(run)
+    print_found(report.to_dict(), check_text(report), json_)
+    if not report.sound:
+        raise typer.Exit(1)
+
+
+@reports_errors
+def repair(
+    run: Annotated[Path, typer.Argument(help="Damaged run; it is only read.")],
+    new: Annotated[Path, typer.Argument(help="Run to make of what can be read; must not exist.")],
+    json_: Json = False,
+) -> None:
+    """Copy all that can be read of a damaged run into a new one.
+
+    Example: palpate repair run run-repaired
+    """
+    from palpate.recordings.repair import repair as copy_readable
+
+    report = copy_readable(run, new)
+    lost = [f"{d.file} at byte {d.at_byte}: {d.what}" for d in report.lost]
+    text = f"{new}: {report.frames} frames, {report.messages} messages kept; " + (
+        "; ".join(lost) or "nothing lost"
+    )
+    print_found(
+        {"run": str(new), "frames": report.frames, "messages": report.messages, "lost": lost}, text, json_
+    )
+
+
+@reports_errors
+def export(
+    run: Annotated[Path, typer.Argument(help="Run to export.")],
+    folder: Annotated[Path, typer.Argument(help="Folder to make; must not exist.")],
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Export a run as PNG images and CSV tables.
+
+    Example: palpate export run folder
+    """
+    from palpate.recordings.exporters.folder import export_folder
+    from palpate.recordings.reader import Run
+
+    with progress_bar(quiet) as progress:
+        count = export_folder(Run.open(run), folder, lambda done, total: progress("exporting", done, total))
+    print_found({"folder": str(folder), "frames": count}, f"{folder}: {count} frames", json_)

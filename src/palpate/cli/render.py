@@ -1,0 +1,75 @@
+"""Verbs that draw what a virtual sensor would see."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from palpate.cli.shared import Json, print_found, reports_errors
+
+app = typer.Typer(help="Draw what a virtual sensor would see.", no_args_is_help=True, rich_markup_mode=None)
+
+
+@app.callback()
+def start() -> None:
+    """Draw what a virtual sensor would see."""
+
+
+@app.command()
+@reports_errors
+def palm(
+    depth_mm: Annotated[float, typer.Option(help="How deep the probe is pressed [mm].")],
+    out: Annotated[Path, typer.Option(help="PNG to write; must not exist.")],
+    x_mm: Annotated[float, typer.Option(help="Across the view, to the right [mm].")] = 0.0,
+    y_mm: Annotated[float, typer.Option(help="Towards the camera [mm].")] = 0.0,
+    indenter: Annotated[
+        str,
+        typer.Option(
+            help="sphere:DIAMETER, punch:DIAMETER, edge:LENGTH, cylinder:DIAMETER:LENGTH or "
+            "two-points:DIAMETER:APART [mm]; the last three may end in :TURN [deg]."
+        ),
+    ] = "sphere:10",
+    lateral_n: Annotated[str, typer.Option(help="Lateral load along x and y, X,Y [N].")] = "0,0",
+    preset: Annotated[
+        str, typer.Option(help="palm, small, debug, solaris, sylgard-184 or casting-resin.")
+    ] = "palm",
+    exact: Annotated[bool, typer.Option("--exact", help="March every ray anew: slower.")] = False,
+    seed: Annotated[int, typer.Option(help="Of the camera's noise.")] = 0,
+    json_: Json = False,
+) -> None:
+    """Press a probe into the virtual photoelastic palm and write the camera's frame.
+
+    Example: palpate render palm --depth-mm 3 --x-mm 5 --y-mm -2 --out frame.png
+    """
+    import numpy as np
+
+    from palpate.core.contact import Pose
+    from palpate.core.errors import InputError
+    from palpate.core.files import new_file
+    from palpate.recordings import png
+    from palpate.sensors import palm as palms
+
+    spec = palms.preset(preset)
+    probe = palms.parse_probe(indenter)
+    try:
+        lateral = tuple(float(part) for part in lateral_n.split(","))
+    except ValueError:
+        lateral = ()
+    if len(lateral) != 2:
+        raise InputError(f"--lateral-n {lateral_n!r} is not two numbers of newtons, X,Y")
+    if probe.shape == "sphere" and not any(lateral):
+        spec = replace(spec, indenter_radius_m=probe.radius_m)
+    pose = Pose(x_mm * 1e-3, y_mm * 1e-3, depth_mm * 1e-3)
+    contact = palms.press(spec, pose, probe, lateral)
+    frame = palms.render(contact, spec, np.random.default_rng(seed), exact=exact)
+    with new_file(out) as path:
+        path.write_bytes(png.encode(frame.image).tobytes())
+    found: dict[str, Any] = palms.facts(contact, spec) | {"out": str(out)}
+    print_found(found, "\n".join(f"{name}: {_shown(value)}" for name, value in found.items()), json_)
+
+
+def _shown(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,96 @@
+"""What the verbs share: options, errors as one line, progress, and reading what was typed."""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Annotated, Any, ParamSpec, TypeVar
+
+import typer
+
+from palpate.core.errors import InputError, PalpateError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress bar.")]
+
+
+def reports_errors(verb: Callable[P, T]) -> Callable[P, T]:
+    """Print an expected error as one line and end with status 2; Ctrl-C ends with 130."""
+
+    @functools.wraps(verb)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> T:
+        try:
+            return verb(*args, **kwargs)
+        except PalpateError as e:
+            typer.echo(f"palpate: {e}", err=True)
+            raise typer.Exit(2) from e
+        except KeyboardInterrupt as e:
+            said = "stopped; nothing half-written is left, and a calibration goes on where it was"
+            typer.echo(f"palpate: {said}", err=True)
+            raise typer.Exit(130) from e
+
+    return wrapped
+
+
+@contextmanager
+def progress_bar(quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+    """A bar on stderr, where somebody is looking; what is being done, how far, how long it may take."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bar:
+        tasks: dict[str, Any] = {}
+
+        def show(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                for task in tasks.values():
+                    bar.update(task, visible=False)
+                tasks[what] = bar.add_task(what, total=total)
+            bar.update(tasks[what], completed=done, total=total, visible=True)
+
+        yield show
+
+
+def columns_of(text: str) -> tuple[str, ...]:
+    """Names from a comma-separated list."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def numbers_of(text: str | None, count: int, what: str) -> tuple[int, ...] | None:
+    """Whole numbers from ``1,2,3`` or ``96x160``."""
+    if text is None:
+        return None
+    try:
+        numbers = tuple(int(part) for part in text.replace("x", ",").split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count:
+        raise InputError(f"{what} {text!r} is not {count} whole numbers separated by commas")
+    return numbers
+
+
+def options_of(pairs: list[str]) -> dict[str, Any]:
+    """Model options from ``name=value``, the values read as JSON where they are."""
+    options: dict[str, Any] = {}
+    for pair in pairs:
+        name, equals, value = pair.partition("=")
+        if not equals:
+            raise InputError(f"option {pair!r} is not NAME=VALUE, as in epochs=30")
+        try:
+            held = json.loads(value)
+        except json.JSONDecodeError:
+            held = value
+        options[name] = tuple(held) if isinstance(held, list) else held
+    return options
+
+
+def print_found(found: Any, text: str, as_json: bool) -> None:
+    """Print what was found, as text or as JSON."""
+    typer.echo(json.dumps(found, indent=1, allow_nan=False) if as_json else text)
