@@ -6,9 +6,11 @@ from typing import Annotated
 
 import typer
 
-from palpate.cli import calibration, mechanics, recordings, render
+from palpate.cli import calibration, mechanics, optics, recordings, render
 from palpate.cli.demo import demo
 from palpate.version import __version__
+
+__all__ = ["app", "main"]
 
 app = typer.Typer(
     name="palpate",
@@ -22,6 +24,7 @@ import_app = typer.Typer(help="Bring recordings from elsewhere into a run.", no_
 app.add_typer(import_app, name="import")
 app.add_typer(render.app, name="render")
 app.add_typer(mechanics.app, name="mechanics")
+app.add_typer(optics.app, name="optics")
 import_app.command("images")(recordings.import_images)
 for verb in (
     recordings.check,

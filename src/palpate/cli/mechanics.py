@@ -10,6 +10,7 @@ from typing import Annotated, ParamSpec, TypeVar
 
 import typer
 
+from palpate.cli.shared import Json, reports_errors
 from palpate.core.errors import InputError
 
 P = ParamSpec("P")
@@ -27,7 +28,6 @@ Poisson = Annotated[float, typer.Option("--poisson", help="Poisson's ratio of th
 Depth = Annotated[float | None, typer.Option("--depth-mm", help="Depth past first touch [mm].")]
 Force = Annotated[float | None, typer.Option("--force-n", help="Normal force, instead of a depth [N].")]
 Lies = Annotated[str, typer.Option(help="How the layer lies on its base: bonded or sliding.")]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 
 
 def verb(law: Callable[P, dict[str, object]]) -> Callable[P, None]:
@@ -37,8 +37,6 @@ def verb(law: Callable[P, dict[str, object]]) -> Callable[P, None]:
 
     @functools.wraps(law)
     def run(*args: P.args, **kwargs: P.kwargs) -> None:
-        from palpate.cli.shared import reports_errors
-
         found = reports_errors(law)(*args, **kwargs)
         if kwargs.get("json_"):
             typer.echo(json.dumps(found, indent=1, allow_nan=False))

@@ -1,0 +1,220 @@
+"""Photographs of one specimen at several loads: the light of some patches, exposure divided out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray
+from PIL.JpegImagePlugin import JpegImageFile
+
+from palpate.core.axes import Image
+from palpate.core.errors import ImageError, InputError, LabelError, UnitError
+from palpate.core.units import Unit, has_unit, split_column, unit
+from palpate.estimators.fringe_order import check_loads
+from palpate.recordings.images import read_image
+from palpate.recordings.labels import FIRST_ROW, read_labels, rows_text
+
+Tone = Literal["srgb", "linear"]
+Region = tuple[int, int, int, int]
+LOADS = ("load", "force", "normal_force", "mass", "weight")
+STANDARD_GRAVITY = unit("kgf").factor  # [m/s^2]
+PATCHES = 12
+LEAST_SIDE = 4  # of a patch [px]
+SATURATED = 254  # code from which a channel may hold more light than it says
+CLIPPED_SHARE = 0.1  # of a patch's pixels
+_EXIF, _SECONDS, _F_NUMBER, _ISO = 0x8769, 33434, 33437, 34855
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """What `read_series` found.
+
+    Attributes:
+        images: names of the photographs, in the table's order.
+        paths: where they are; the one between parallel polarisers comes last.
+        load_column: where the loads came from.
+        load_n: loads [N].
+        light: median linear light of each photograph, patch and channel, over the exposure.
+        clipped: where more than a tenth of a patch was saturated.
+        open_light: of the photograph between parallel polarisers, or None.
+        grey: the photographs have one channel (given three times in `light`).
+        remarks: what was assumed of the exposure, in sentences.
+    """
+
+    images: tuple[str, ...]
+    paths: tuple[Path, ...]
+    load_column: str
+    load_n: Float[ndarray, " n"]
+    light: Float[ndarray, "n p 3"]
+    clipped: Bool[ndarray, "n p 3"]
+    open_light: Float[ndarray, "p 3"] | None
+    grey: bool
+    remarks: tuple[str, ...]
+
+
+def read_series(
+    folder: Path,
+    labels: Path,
+    region_px: Region,
+    image_column: str,
+    load_column: str | None,
+    parallel: Path | None,
+    tone: Tone,
+    progress: Callable[[str, int, int], None],
+) -> Series:
+    """Read the photographs that a table names; see `fit_stress_optic` for the arguments.
+
+    Raises:
+        LabelError: the table does not fit, or a load is no number.
+        UnitError: the load's unit is not a force's or a mass's.
+        ImageError: a photograph cannot be read; the message names its row.
+        InputError: too few photographs or loads, or a region outside a photograph.
+    """
+    source = labels if labels.is_file() else folder / labels
+    table = read_labels(source, kinds={image_column: "text"})
+    column = load_column or _load_column(table, source)
+    load_n = _loads(table, column, source)
+    check_loads(load_n)
+    names = _names(table, image_column, source)
+    paths = [folder / name for name in names] + ([parallel] if parallel is not None else [])
+    pixels = []
+    for i, path in enumerate(paths):
+        progress("reading", i, len(paths))
+        pixels.append(_region(_read(path, source, i, len(names)), path, region_px))
+    progress("reading", len(paths), len(paths))
+    if len({one.ndim for one in pixels}) > 1:
+        raise ImageError("some photographs are grey and some in colour; take all alike")
+    exposure, said = _exposures(paths)
+    patches = [_patches(one) for one in pixels]
+    light = np.stack([_light(p, tone) / e for p, e in zip(patches, exposure, strict=True)])
+    clipped = np.stack([[(one >= SATURATED).mean(axis=(0, 1)) > CLIPPED_SHARE for one in p] for p in patches])
+    n = len(names)
+    if parallel is not None and clipped[n].any():
+        raise ImageError(f"{parallel} is saturated in the region; expose it and all the others less")
+    over = int(clipped[:n].any(axis=(1, 2)).sum())
+    saturated = (f"{over} photograph(s) are saturated in part of the region",) if over else ()
+    return Series(
+        images=names,
+        paths=tuple(paths),
+        load_column=column,
+        load_n=load_n,
+        light=light[:n],
+        clipped=clipped[:n],
+        open_light=light[n] if parallel is not None else None,
+        grey=pixels[0].ndim == 2,
+        remarks=(said, *saturated),
+    )
+
+
+def _load_column(table: pd.DataFrame, source: Path) -> str:
+    known = [c for c in table.columns if has_unit(c) and split_column(c)[0] in LOADS and _newtons(c)]
+    if not known:
+        raise LabelError(
+            f"{source} has no column of loads; name one load_N, load_kgf or mass_g, or say which it is"
+        )
+    return min(known, key=lambda c: (split_column(c)[1].symbol != "N", known.index(c)))
+
+
+def _newtons(column: str) -> float:
+    """What one of a column's unit is in N; 0 if it is no force's and no mass's."""
+    found: Unit = split_column(column)[1]
+    return found.factor * {"N": 1.0, "kg": STANDARD_GRAVITY}.get(found.si, 0.0)
+
+
+def _loads(table: pd.DataFrame, column: str, source: Path) -> ndarray:
+    if column not in table:
+        raise LabelError(f"{source} has no column {column!r}; its columns are {', '.join(table.columns)}")
+    if not _newtons(column):
+        raise UnitError(f"column {column!r} is no load; its name ends in _N, _mN, _kgf, _kg or _g")
+    values = pd.to_numeric(table[column], errors="coerce").to_numpy(dtype=np.float64)
+    bad = np.flatnonzero(~(np.isfinite(values) & (values >= 0)))
+    if bad.size:
+        raise LabelError(f"{source}: {column!r} holds no load of 0 or more in {rows_text(bad)}")
+    return np.asarray(values * _newtons(column))
+
+
+def _names(table: pd.DataFrame, column: str, source: Path) -> tuple[str, ...]:
+    if column not in table:
+        raise LabelError(f"{source} has no column {column!r}; its columns are {', '.join(table.columns)}")
+    names = tuple(str(name) for name in table[column])
+    for i, name in enumerate(names):
+        if not name or name in names[:i]:
+            what = f"{name!r} a second time" if name else "no photograph"
+            raise LabelError(f"{source}, row {i + FIRST_ROW} names {what}; each row has its own photograph")
+    return names
+
+
+def _read(path: Path, source: Path, i: int, rows: int) -> Image:
+    try:
+        return read_image(path)
+    except ImageError as e:
+        where = f"{source}, row {i + FIRST_ROW}: " if i < rows else ""
+        raise ImageError(f"{where}{e}") from e
+
+
+def _region(image: Image, path: Path, region_px: Region) -> UInt8[ndarray, "high wide *c"]:
+    x, y, w, h = region_px
+    high, wide = image.shape[:2]
+    if min(w, h) < LEAST_SIDE:
+        raise InputError(f"region of {w} × {h} px is too small; give {LEAST_SIDE} × {LEAST_SIDE} px or more")
+    if x < 0 or y < 0 or x + w > wide or y + h > high:
+        raise InputError(
+            f"region x {x} to {x + w}, y {y} to {y + h} px leaves {path.name}, which is {wide} × {high} px; "
+            "move it or make it smaller"
+        )
+    return image[y : y + h, x : x + w]
+
+
+def _patches(pixels: UInt8[ndarray, "h w *c"]) -> list[UInt8[ndarray, "_ _ 3"]]:
+    """About twelve patches, near square, of equal size."""
+    h, w = pixels.shape[:2]
+    columns = int(np.clip(round(np.sqrt(PATCHES * w / h)), 1, min(PATCHES, w // LEAST_SIDE)))
+    rows = int(np.clip(PATCHES // columns, 1, h // LEAST_SIDE))
+    colour = np.dstack([pixels] * 3) if pixels.ndim == 2 else pixels
+    high, wide = h // rows, w // columns
+    return [
+        colour[r * high : (r + 1) * high, c * wide : (c + 1) * wide]
+        for r in range(rows)
+        for c in range(columns)
+    ]
+
+
+def _light(patches: list[UInt8[ndarray, "_ _ 3"]], tone: Tone) -> Float[ndarray, "p 3"]:
+    """Median light of each patch, 0 to 1: dust and a scratch do not move a median."""
+    v = np.array([np.median(one, axis=(0, 1)) for one in patches]) / 255
+    if tone == "linear":
+        return v
+    return np.asarray(np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4))  # IEC 61966-2-1
+
+
+def _exposures(paths: list[Path]) -> tuple[ndarray, str]:
+    """Time times sensitivity over the squared aperture, 1 at the greatest, where every file notes them."""
+    noted = [_exposure(path) for path in paths]
+    found = np.array([e for e in noted if e is not None])
+    if len(found) < len(paths):
+        return np.ones(len(paths)), "not all files note an exposure: all are taken as exposed alike"
+    if np.ptp(found) == 0:
+        return np.ones(len(paths)), "all files note the same exposure"
+    return found / found.max(), (
+        f"exposure differs up to {found.max() / found.min():.2g} times between files, and was divided out by "
+        "what they note; a fixed exposure is better"
+    )
+
+
+def _exposure(path: Path) -> float | None:
+    with path.open("rb") as file:
+        if file.read(3) != b"\xff\xd8\xff":
+            return None
+    with JpegImageFile(path) as image:
+        noted = image.getexif().get_ifd(_EXIF)
+    try:
+        exposure = float(noted[_SECONDS]) * float(noted[_ISO]) / float(noted.get(_F_NUMBER, 1.0)) ** 2
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        return None
+    return exposure if np.isfinite(exposure) and exposure > 0 else None

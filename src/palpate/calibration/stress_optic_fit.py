@@ -1,0 +1,247 @@
+"""Photographs of a specimen of known section under known loads, to its stress-optic coefficient C.
+
+The line N = k P + N0 is fitted to what a region of the photographs looks like (`fringe_order`). With the
+specimen's breadth b (`specimens`) and the wavelength l0 at which orders are counted, C = k l0 b.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from palpate.calibration.load_series import Series, Tone, read_series
+from palpate.calibration.specimens import Disc, Strip
+from palpate.core.files import sha256_of_all
+from palpate.estimators.fringe_light import Polariscope
+from palpate.estimators.fringe_order import OrderFit, fit_orders
+from palpate.version import __version__
+
+SCALE_STEPS = 401
+UNEVEN = 0.05  # spread of k between patches from which it is remarked
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """Another C that the photographs allow [1/Pa], and its likelihood over that of the best one."""
+
+    coefficient_per_pa: float
+    likelihood: float
+
+
+@dataclass(frozen=True, slots=True)
+class FringeFit:
+    """A stress-optic coefficient, what it was found from, and how far to trust it.
+
+    Attributes:
+        coefficient_per_pa: C [1/Pa].
+        low_per_pa: lower end of its 95 % interval [1/Pa].
+        high_per_pa: upper end [1/Pa].
+        ambiguous: another C fits nearly as well; see `rivals`.
+        rivals: the other slopes' C, likeliest first; a likelihood above 0.05 makes the fit ambiguous.
+        wavelength_m: at which C holds and orders are counted [m].
+        lamp: what was assumed of the light.
+        specimen: its section, in words.
+        images: names of the photographs.
+        load_n: load of each [N].
+        order: of the fitted line at each load.
+        seen: order that each photograph shows by itself, near the line.
+        seen_low: lower end of its 95 % interval.
+        seen_high: upper end.
+        residual_order: N0, of the line without load.
+        r_squared: of `seen` about the line; seen orders are looked for near the line, so this flatters it.
+        monotone: `seen` never falls with rising load.
+        rms: of the residual brightness, as a share of its range.
+        spread: standard deviation of C between patches of the region, as a share of C.
+        channels: colour channels used, 0 red to 2 blue.
+        observed: light of each photograph and channel, mean over the region, exposure divided out.
+        scale_order: orders from none to the greatest.
+        scale_light: the light that the fit expects at each, on the scale of `observed`.
+        region_px: x, y, width, height of the region [px].
+        settings: everything else that was chosen.
+        sha256: of the photographs, names and bytes.
+        version: of palpate.
+        remarks: what the reader should know, in sentences.
+    """
+
+    coefficient_per_pa: float
+    low_per_pa: float
+    high_per_pa: float
+    ambiguous: bool
+    rivals: tuple[Rival, ...]
+    wavelength_m: float
+    lamp: str
+    specimen: str
+    images: tuple[str, ...]
+    load_n: tuple[float, ...]
+    order: tuple[float, ...]
+    seen: tuple[float, ...]
+    seen_low: tuple[float, ...]
+    seen_high: tuple[float, ...]
+    residual_order: float
+    r_squared: float
+    monotone: bool
+    rms: float
+    spread: float
+    channels: tuple[int, ...]
+    observed: Float[ndarray, "n c"]
+    scale_order: Float[ndarray, " m"]
+    scale_light: Float[ndarray, "m c"]
+    region_px: tuple[int, int, int, int]
+    settings: dict[str, Any]
+    sha256: str
+    version: str
+    remarks: tuple[str, ...]
+
+    @property
+    def orders_per_n(self) -> float:
+        """Slope k of the line [1/N]."""
+        top = int(np.argmax(self.load_n))
+        return (self.order[top] - self.residual_order) / self.load_n[top]
+
+    def to_dict(self) -> dict[str, Any]:
+        """All but the colour scale, as JSON can hold it."""
+        held = asdict(self) | {"observed": self.observed.tolist()}
+        return {name: value for name, value in held.items() if not name.startswith("scale_")}
+
+
+def fit_stress_optic(
+    folder: Path,
+    labels: Path,
+    specimen: Strip | Disc,
+    polariscope: Polariscope,
+    region_px: tuple[int, int, int, int],
+    *,
+    image_column: str = "image_file",
+    load_column: str | None = None,
+    parallel: Path | None = None,
+    tone: Tone = "srgb",
+    greatest_order: float = 6.0,
+    residual_order: float = 0.05,
+    progress: Progress = lambda what, done, total: None,
+) -> FringeFit:
+    """C of a specimen from photographs at known loads.
+
+    Args:
+        folder: of the photographs.
+        labels: table with one row a photograph; where it stands, or in the folder.
+        specimen: its section.
+        polariscope: the light.
+        region_px: x, y, width and height of the region, the same in every photograph [px].
+        image_column: label column that names the photograph.
+        load_column: label column of the load, with its unit (N, mN, kgf, or g and kg of dead weight); by
+            default the one named load, force, mass or weight.
+        parallel: photograph of the unloaded specimen between parallel polarisers, exposed alike.
+        tone: "srgb" undoes the curve of 8-bit colour, "linear" takes the numbers as light.
+        greatest_order: at the greatest load; where the search ends.
+        residual_order: one standard deviation of the order that may be there without load.
+        progress: called with what is done, how much of it, of how many.
+
+    Returns:
+        C with its 95 % interval. The interval holds the scatter of the photographs, the residual order and
+        the unevenness of the region; not an error of the wavelength, the section or of all loads together.
+
+    Raises:
+        LabelError: the table does not fit, or a load is no number.
+        UnitError: the load's unit is not a force's or a mass's.
+        ImageError: a photograph cannot be read; the message names its row.
+        InputError: too few photographs or loads, or a region outside a photograph.
+        RangeError: the photographs do not tell C.
+    """
+    series = read_series(folder, labels, region_px, image_column, load_column, parallel, tone, progress)
+    shown = polariscope.grey() if series.grey else polariscope
+    progress("fitting", 0, 1)
+    found = fit_orders(
+        series.load_n,
+        series.light,
+        shown,
+        clipped=series.clipped,
+        open_light=series.open_light,
+        greatest_order=greatest_order,
+        residual_order=residual_order,
+    )
+    progress("fitting", 1, 1)
+    per_slope = polariscope.wavelength_m * specimen.breadth_m
+    scale = np.linspace(0.0, max(found.order.max(), found.seen.max()), SCALE_STEPS)
+    C, half = found.slope_per_n * per_slope, found.half_width_per_n * per_slope
+    return FringeFit(
+        coefficient_per_pa=C,
+        low_per_pa=C - half,
+        high_per_pa=C + half,
+        ambiguous=found.ambiguous,
+        rivals=tuple(Rival(r.slope_per_n * per_slope, r.likelihood) for r in found.rivals),
+        wavelength_m=polariscope.wavelength_m,
+        lamp=polariscope.lamp,
+        specimen=str(specimen),
+        images=series.images,
+        load_n=_floats(series.load_n),
+        order=_floats(found.order),
+        seen=_floats(found.seen),
+        seen_low=_floats(found.seen_low),
+        seen_high=_floats(found.seen_high),
+        residual_order=found.residual_order,
+        r_squared=_r_squared(found),
+        monotone=_monotone(series.load_n, found.seen),
+        rms=found.rms,
+        spread=found.spread,
+        channels=found.channels,
+        observed=series.light.mean(axis=1),
+        scale_order=scale,
+        scale_light=found.leak + found.gain * shown.light(scale),
+        region_px=region_px,
+        settings={
+            "load_column": series.load_column,
+            "tone": tone,
+            "bright_field": polariscope.bright_field,
+            "dispersion_m2": polariscope.dispersion_m2,
+            "greatest_order": greatest_order,
+            "residual_order": residual_order,
+            "parallel": None if parallel is None else parallel.name,
+        },
+        sha256=sha256_of_all(series.paths),
+        version=__version__,
+        remarks=_remarks(series, found, polariscope, residual_order),
+    )
+
+
+def _remarks(
+    series: Series, found: OrderFit, polariscope: Polariscope, residual_order: float
+) -> tuple[str, ...]:
+    said = [*series.remarks]
+    if "assumed" in polariscope.lamp:
+        said.append(f"the light ({polariscope.lamp}) was not measured; the interval does not hold its error")
+    if series.load_n.min() > 0:
+        said.append(f"no photograph without load: N0 is taken as 0 ± {residual_order:g} before the fit")
+    if abs(found.residual_order) > 2 * residual_order:
+        said.append(f"residual order {found.residual_order:.2f} is more than was allowed for")
+    if found.spread > UNEVEN:
+        said.append(f"C differs by {found.spread:.0%} between patches: the stress is not uniform there")
+    if not _monotone(series.load_n, found.seen):
+        said.append("the orders that single photographs show do not all rise with load")
+    if found.ambiguous:
+        said.append(
+            "ambiguous: another C fits nearly as well; count the dark fringes to say how many orders the "
+            "greatest load can turn, or add photographs at loads in between"
+        )
+    return tuple(said)
+
+
+def _r_squared(found: OrderFit) -> float:
+    about_line = np.sum((found.seen - found.order) ** 2)
+    return float(1 - about_line / np.sum((found.seen - found.seen.mean()) ** 2))
+
+
+def _monotone(load_n: ndarray, seen: ndarray) -> bool:
+    loads = np.unique(load_n)
+    means = [seen[load_n == load].mean() for load in loads]
+    return bool(np.all(np.diff(means) >= 0))
+
+
+def _floats(values: ndarray) -> tuple[float, ...]:
+    return tuple(float(v) for v in values)

@@ -1,0 +1,230 @@
+"""C from photographs on disk, made from a known C."""
+
+import json
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from palpate.calibration.specimens import Disc, Strip
+from palpate.calibration.stress_optic_fit import fit_stress_optic
+from palpate.core.errors import ExistsError, ImageError, InputError, LabelError, RangeError, UnitError
+from palpate.estimators.fringe_light import one_line, white_led
+from palpate.optics import StressOpticLaw, encode_srgb, spectral_to_linear
+
+LOADS_N = np.array([0.0, 40.0, 90.0, 130.0, 150.0, 200.0, 260.0, 300.0, 340.0])
+C = 4.3e-9
+STRIP = Strip(20e-3, 6e-3)
+DISC = Disc(50e-3)
+ROI = (10, 8, 24, 24)
+SODIUM = one_line(589.3e-9)
+
+
+def strip_order(load_n: float, wavelength_m: np.ndarray) -> np.ndarray:
+    """From stress and thickness, so that the tool's cancelled thickness is tested and not repeated."""
+    stress = load_n / (20e-3 * 6e-3)
+    return StressOpticLaw(C / 50).at(wavelength_m) * stress * 6e-3 / wavelength_m
+
+
+def disc_order(load_n: float, wavelength_m: np.ndarray) -> np.ndarray:
+    """From the two stresses at a disc's centre, P / (pi R t) and -3 P / (pi R t)."""
+    R, t = 25e-3, 8e-3
+    across, along = load_n / (math.pi * R * t), -3 * load_n / (math.pi * R * t)
+    return StressOpticLaw(C / 50).at(wavelength_m) * (across - along) * t / wavelength_m
+
+
+def photograph(order_of, load_n: float, light, rng, gain: float = 0.8) -> np.ndarray:
+    """A uniform field of 48 x 64 px, a little brighter to one side, with pixel noise."""
+    spectrum = light.spectrum
+    order = order_of(load_n, spectrum.wavelength_m)
+    passed = spectral_to_linear(np.sin(np.pi * order) ** 2, spectrum)
+    shade = np.linspace(0.8, 1.0, 64)[None, :, None]
+    linear = gain * (0.01 + passed) * shade + 0.004 * rng.standard_normal((48, 64, 3))
+    return encode_srgb(linear)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Write a series and its labels; returns the folder."""
+
+    def write(order_of=strip_order, light=SODIUM, loads=LOADS_N, flicker=0.01, seed=0, column="load_N"):
+        rng = np.random.default_rng(seed)
+        names = [f"p{i}.png" for i in range(len(loads))]
+        for name, load in zip(names, loads, strict=True):
+            gain = 0.8 * (1 + flicker * rng.standard_normal())
+            Image.fromarray(photograph(order_of, load, light, rng, gain)).save(tmp_path / name)
+        pd.DataFrame({"image_file": names, column: loads}).to_csv(tmp_path / "labels.csv", index=False)
+        return tmp_path
+
+    return write
+
+
+def fit(folder, specimen=STRIP, light=SODIUM, roi=ROI, **options):
+    return fit_stress_optic(folder, folder / "labels.csv", specimen, light, roi, **options)
+
+
+@pytest.mark.parametrize("light", [SODIUM, white_led()], ids=["sodium", "led"])
+@pytest.mark.parametrize(("specimen", "order_of"), [(STRIP, strip_order), (DISC, disc_order)])
+def test_a_known_coefficient_is_inside_its_interval(folder, specimen, order_of, light) -> None:
+    found = fit(folder(order_of, light), specimen, light)
+    truth = C / 50
+    assert found.low_per_pa < truth < found.high_per_pa
+    assert found.coefficient_per_pa == pytest.approx(truth, rel=0.02)  # 1 % flicker of the lamp
+    assert not found.ambiguous
+    assert found.monotone
+    assert found.r_squared > 0.99
+
+
+def test_the_thickness_cancels(folder) -> None:
+    where = folder()
+    thin, thick = (fit(where, Strip(20e-3, t)).coefficient_per_pa for t in (1e-3, 30e-3))
+    assert thin == thick
+
+
+def test_the_coefficient_goes_as_the_breadth(folder) -> None:
+    where = folder()
+    as_strip, as_disc = fit(where, STRIP).coefficient_per_pa, fit(where, DISC).coefficient_per_pa
+    assert as_disc / as_strip == pytest.approx(math.pi * 50 / 8 / 20)
+
+
+@pytest.mark.parametrize(("column", "per_n"), [("mass_g", 1e3 / 9.80665), ("load_kgf", 1 / 9.80665)])
+def test_mass_and_kilogram_force_are_the_same_load(folder, column, per_n) -> None:
+    where = folder()
+    newtons = fit(where)
+    table = pd.read_csv(where / "labels.csv")
+    table[column] = table.pop("load_N") * per_n
+    table.to_csv(where / "labels.csv", index=False)
+    found = fit(where)
+    assert found.coefficient_per_pa == pytest.approx(newtons.coefficient_per_pa, rel=1e-9)
+    assert found.settings["load_column"] == column
+
+
+def test_grey_photographs_serve_too(folder) -> None:
+    where = folder()
+    for path in where.glob("*.png"):
+        Image.open(path).convert("L").save(path)
+    assert fit(where).coefficient_per_pa == pytest.approx(C / 50, rel=0.02)
+
+
+def test_exposures_that_the_files_note_are_divided_out(folder) -> None:
+    where = folder(flicker=0.0)
+    table = pd.read_csv(where / "labels.csv")
+    names = []
+    for i, (name, load) in enumerate(zip(table["image_file"], table["load_N"], strict=True)):
+        time_s = (0.01, 0.005, 0.0075)[i % 3]
+        pixels = photograph(strip_order, load, SODIUM, np.random.default_rng(i), 0.8 * time_s / 0.01)
+        notes = Image.Exif()
+        notes.get_ifd(0x8769).update({33434: time_s, 34855: 400, 33437: 5.6})
+        names.append(name.replace("png", "jpg"))
+        Image.fromarray(pixels).save(where / names[-1], quality=98, exif=notes)
+    table.assign(image_file=names).to_csv(where / "labels.csv", index=False)
+    found = fit(where)
+    assert found.coefficient_per_pa == pytest.approx(C / 50, rel=0.01)
+    assert any("exposure differs up to 2 times" in remark for remark in found.remarks)
+
+
+def test_a_result_is_json_and_says_what_it_came_from(folder) -> None:
+    found = fit(folder(light=white_led()), light=white_led())
+    held = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert len(held["sha256"]) == 64
+    assert held["images"] == [f"p{i}.png" for i in range(len(LOADS_N))]
+    assert len(held["seen"]) == len(held["observed"]) == len(LOADS_N)
+    assert any("not measured" in remark for remark in held["remarks"])
+
+
+def test_a_series_that_cannot_decide_says_so_with_both_answers(folder) -> None:
+    # Equal steps of 80 N turn 0.73 orders at this C; 0.27 and 1.27 orders a step give the same light.
+    found = fit(folder(loads=80.0 * np.arange(9)))
+    assert found.ambiguous
+    allowed = [found.coefficient_per_pa, *(r.coefficient_per_pa for r in found.rivals)]
+    assert min(abs(c / (C / 50) - 1) for c in allowed) < 0.03
+    assert any(remark.startswith("ambiguous") for remark in found.remarks)
+
+
+def test_the_figure_is_drawn_once_and_never_over_another(folder, tmp_path) -> None:
+    from palpate.reports.fringe_fit import headline, write_figure
+
+    found = fit(folder())
+    write_figure(found, tmp_path / "fit.png")
+    with Image.open(tmp_path / "fit.png") as image:
+        assert image.size[0] > 1000
+    with pytest.raises(ExistsError):
+        write_figure(found, tmp_path / "fit.png")
+    assert "86" in headline(found)  # brewster
+    assert "589.3 nm" in headline(found)
+
+
+@pytest.mark.parametrize(
+    ("loads", "said"),
+    [
+        ([100.0], "1 photograph"),
+        ([0.0] * 6, "6 photograph.* at 1 load"),
+        ([250.0] * 6, "6 photograph.* at 1 load"),
+    ],
+)
+def test_too_few_photographs_or_loads_are_refused(folder, loads, said) -> None:
+    with pytest.raises(InputError, match=said):
+        fit(folder(loads=np.array(loads)))
+
+
+@pytest.mark.parametrize("roi", [(50, 0, 20, 20), (0, 40, 20, 20), (-1, 0, 20, 20), (0, -5, 20, 20)])
+def test_a_region_outside_the_photograph_is_refused(folder, roi) -> None:
+    with pytest.raises(InputError, match=r"leaves p0.png, which is 64 × 48 px"):
+        fit(folder(), roi=roi)
+
+
+def test_a_region_too_small_is_refused(folder) -> None:
+    with pytest.raises(InputError, match="too small"):
+        fit(folder(), roi=(10, 10, 2, 20))
+
+
+def test_an_unreadable_photograph_is_named_with_its_row(folder) -> None:
+    where = folder()
+    (where / "p3.png").write_bytes(b"not a picture")
+    with pytest.raises(ImageError, match=r"labels.csv, row 5: .*p3.png"):
+        fit(where)
+    (where / "p3.png").unlink()
+    with pytest.raises(ImageError, match=r"labels.csv, row 5: .*p3.png is not there"):
+        fit(where)
+
+
+@pytest.mark.parametrize("bad", ["", "heavy", "-3", "nan", "inf"])
+def test_a_load_that_is_none_is_named_with_its_row(folder, bad) -> None:
+    where = folder()
+    lines = (where / "labels.csv").read_text().splitlines()
+    lines[4] = f"p3.png,{bad}"
+    (where / "labels.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(LabelError, match=r"row 5"):
+        fit(where)
+
+
+def test_a_table_that_does_not_fit_is_refused(folder) -> None:
+    where = folder()
+    table = pd.read_csv(where / "labels.csv")
+    table.rename(columns={"load_N": "depth_mm"}).to_csv(where / "labels.csv", index=False)
+    with pytest.raises(LabelError, match="no column of loads"):
+        fit(where)
+    with pytest.raises(UnitError, match="is no load"):
+        fit(where, load_column="depth_mm")
+    table.to_csv(where / "labels.csv", index=False)
+    with pytest.raises(LabelError, match="no column 'photo'"):
+        fit(where, image_column="photo")
+    table.assign(image_file="p0.png").to_csv(where / "labels.csv", index=False)
+    with pytest.raises(LabelError, match=r"row 3 names 'p0.png' a second time"):
+        fit(where)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1e-3, math.nan, math.inf])
+def test_a_specimen_without_a_size_is_refused(bad) -> None:
+    for make in (lambda: Strip(bad, 1e-3), lambda: Strip(1e-3, bad), lambda: Disc(bad)):
+        with pytest.raises(RangeError, match="positive"):
+            make()
+
+
+def test_a_saturated_photograph_between_parallel_polarisers_is_refused(folder, tmp_path) -> None:
+    where = folder()
+    Image.fromarray(np.full((48, 64, 3), 255, np.uint8)).save(tmp_path / "open.png")
+    with pytest.raises(ImageError, match="saturated"):
+        fit(where, parallel=tmp_path / "open.png")
