@@ -32,7 +32,7 @@ def test_a_sensor_without_the_symmetry_is_refused() -> None:
         axis_of(lattice(5, (48.0, 48.0)).astype(float), 4)
     with pytest.raises(InputError, match="2 or more"):
         axis_of(lattice(5, (48.0, 48.0)).astype(float), 1)
-    with pytest.raises(InputError, match="correlates at nan|correlates at 0"):
+    with pytest.raises(InputError, match=r"correlates at (nan|0)"):
         axis_of(np.zeros((32, 32)), 2)
 
 

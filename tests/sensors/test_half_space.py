@@ -5,7 +5,7 @@ import pytest
 
 from palpate.core import InputError, Pose, RangeError
 from palpate.optics import StressOpticLaw
-from palpate.sensors import debug, demo, press, render, render_clean, render_plain
+from palpate.sensors.half_space import debug, demo, press, render, render_clean, render_plain
 
 SPEC = demo()
 

@@ -201,5 +201,10 @@ def sinking(r: Points, a: float, radius_m: float) -> Points:
 
 
 def positive(name: str, value: float, unit: str) -> None:
+    """Refuse what is not a positive, finite number.
+
+    Raises:
+        RangeError: names the quantity, its value and its unit.
+    """
     if not (value > 0.0 and math.isfinite(value)):
         raise RangeError(f"{name} is {value} {unit}; give a positive number of {unit}")

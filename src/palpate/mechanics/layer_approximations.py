@@ -33,7 +33,7 @@ from numpy import ndarray
 from scipy.optimize import brentq
 
 from palpate.core.errors import InputError, RangeError
-from palpate.mechanics.hertz import positive, force_from_depth, reduced_modulus
+from palpate.mechanics.hertz import force_from_depth, positive, reduced_modulus
 from palpate.mechanics.sneddon import GREATEST_RADIUS
 
 GREATEST_RATIO = 10.0  # a/h; there 48 nodes give nine digits

@@ -1,5 +1,8 @@
-"""One file a sensor design: its numbers, and the mechanics and optics it uses."""
+"""Sensor designs, a module or folder each: their numbers, what presses them, and how they render.
 
-from palpate.sensors.half_space import HalfSpaceSpec, debug, demo, press, render, render_clean, render_plain
+`from palpate.sensors import half_space, palm` loads the designs; they are not loaded by those who only sense.
+"""
 
-__all__ = ["HalfSpaceSpec", "debug", "demo", "press", "render", "render_clean", "render_plain"]
+from palpate.sensors.preparation import Preparation
+
+__all__ = ["Preparation"]

@@ -118,7 +118,7 @@ def axis_of(mean: Float[np.ndarray, "h w"], order: int) -> tuple[float, float]:
     if not likeness >= LEAST_LIKENESS:
         raise InputError(
             f"turned by {360 / order:g} deg the sensor's mean image correlates at {likeness:.2f} with itself "
-            f"({LEAST_LIKENESS} is asked for); give the number of times that it does repeat, or leave turns out"
+            f"({LEAST_LIKENESS} is asked for); give the number of times that it does repeat, or leave it out"
         )
     return axis
 

@@ -1,0 +1,47 @@
+"""The photoelastic palm: a clear disc between crossed polarisers, seen edge-on and through a mirror."""
+
+from palpate.sensors.palm.facts import facts
+from palpate.sensors.palm.field import has_table
+from palpate.sensors.palm.presets import (
+    PRESETS,
+    casting_resin,
+    cropped,
+    crops,
+    debug,
+    demo,
+    palm,
+    preset,
+    small,
+    solaris,
+    sylgard_184,
+)
+from palpate.sensors.palm.press import press, press_to_force
+from palpate.sensors.palm.render import Views, render, render_clean, render_raw, render_views
+from palpate.sensors.palm.shapes import parse_probe
+from palpate.sensors.palm.spec import PalmSpec, View
+
+__all__ = [
+    "PRESETS",
+    "PalmSpec",
+    "View",
+    "Views",
+    "casting_resin",
+    "cropped",
+    "crops",
+    "debug",
+    "demo",
+    "facts",
+    "has_table",
+    "palm",
+    "parse_probe",
+    "preset",
+    "press",
+    "press_to_force",
+    "render",
+    "render_clean",
+    "render_raw",
+    "render_views",
+    "small",
+    "solaris",
+    "sylgard_184",
+]

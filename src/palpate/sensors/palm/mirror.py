@@ -1,0 +1,279 @@
+"""The mirror's view: the membrane's underside, and through the clear membrane the dimple and the ball.
+
+The mirror sends a bundle of parallel lines of sight up at an angle. Each is refracted at the flat underside,
+runs straight to the deformed upper surface and there meets the ball where they touch; elsewhere it leaves
+into the housing, where it may meet the ball beside the contact, or is thrown back inside. What it meets is
+grey and lit by what light there is in the housing: unpolarised, so no fringes. The housing is dark overhead
+and light all round, so that the dimple, which bends lines of sight aside, is seen. Brightnesses are assumed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import cv2
+import numpy as np
+from jaxtyping import Float32
+from numpy import ndarray
+from scipy.interpolate import RegularGridInterpolator
+
+from palpate.core.contact import Contact
+from palpate.mechanics.press_table import Press
+from palpate.sensors.palm.field import pressed
+from palpate.sensors.palm.kept import kept
+from palpate.sensors.palm.spec import PalmSpec
+
+LID, WALL = 0.06, 0.4
+"""How bright the dark lid and the lit walls below it are, over a white body's brightness. Assumed."""
+
+EDGE_ON = 0.35
+"""A surface's brightness seen at a grazing angle, over that seen squarely. Assumed."""
+
+STEPS = 48  # heights at which a line of sight is compared with the surface
+REACH = 3.2  # ball radii about the contact beyond which the surface is drawn flat
+PATCHES_BYTES = 100_000_000
+
+Grey = Float32[ndarray, "h w"]
+
+
+def exact(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Grey:
+    """Every pixel traced, the contact where it is."""
+    x, y = _underside(spec)
+    return _inside_rim(spec, _traced(spec, *_ball_surface(spec, depth_m), x - x_m, y - y_m))
+
+
+def of_contact(spec: PalmSpec, contact: Contact) -> Grey:
+    """The same under any probe, from the contact's own grid."""
+    x, y = _underside(spec)
+    reach = (min(float(contact.sinking_m.min()), 0.0), float(contact.sinking_m.max()))
+    traced = _traced(spec, GridSurface(contact), reach, x - contact.pose.x_m, y - contact.pose.y_m)
+    return _inside_rim(spec, traced)
+
+
+def shifted(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Grey:
+    """The fast way: one traced patch, moved to the contact by whole and part pixels."""
+    patch = patch_of(spec.unlit, depth_m)
+    wide, high = spec.mirror.pitches_m
+    half = (np.array(patch.grey.shape[::-1]) - 1) / 2
+    cx, cy = spec.mirror.middle_px
+    place = np.array([cx - 0.5 + x_m / wide, cy - 0.5 + y_m * math.sin(spec.mirror_elevation_rad) / high])
+    move = np.column_stack([np.eye(2), place - half])
+    grey = cv2.warpAffine(
+        patch.grey,
+        move,
+        spec.mirror.size_px,
+        flags=cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=patch.flat,
+    )
+    return _inside_rim(spec, grey)
+
+
+def contact_px(spec: PalmSpec, x_m: float, y_m: float, depth_m: float = 0.0) -> tuple[float, float]:
+    """Where the mirror shows a place on the upper surface, from the region's corner (x, y) [px].
+
+    The line of sight to it enters the underside nearer to the camera, by the way it leans in the membrane.
+    """
+    lean, up = _inside_direction(spec)
+    entry = y_m + (spec.thickness_m - depth_m) * lean / up
+    wide, high = spec.mirror.pitches_m
+    cx, cy = spec.mirror.middle_px
+    return cx + x_m / wide, cy + entry * math.sin(spec.mirror_elevation_rad) / high
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patch:
+    """The traced surroundings of a contact, and the brightness of the flat surface beyond."""
+
+    grey: Grey
+    flat: float
+
+    @property
+    def nbytes(self) -> int:
+        """Of memory."""
+        return self.grey.nbytes
+
+
+@kept(PATCHES_BYTES)
+def patch_of(spec: PalmSpec, depth_m: float) -> Patch:
+    """The patch of one depth, traced once."""
+    (wide, high), sine = spec.mirror.pitches_m, math.sin(spec.mirror_elevation_rad)
+    reach = REACH * spec.indenter_radius_m + spec.thickness_m
+    across, down = int(np.ceil(reach / wide)), int(np.ceil(reach * sine / high))
+    x, y = np.meshgrid(np.arange(-across, across + 1) * wide, np.arange(-down, down + 1) * high / sine)
+    nowhere = np.zeros((1, 1))
+    flat = _traced(spec, *_ball_surface(spec, 0.0), nowhere, nowhere)[0, 0]
+    return Patch(_traced(spec, *_ball_surface(spec, depth_m), x, y), float(flat))
+
+
+def _underside(spec: PalmSpec) -> tuple[ndarray, ndarray]:
+    """Where each pixel's line of sight enters the underside [m]."""
+    x, y = np.meshgrid(spec.mirror.x_m, spec.mirror.down_m / math.sin(spec.mirror_elevation_rad))
+    return x, y
+
+
+def _inside_direction(spec: PalmSpec) -> tuple[float, float]:
+    """A line of sight inside the membrane: towards -y, and up, towards -z."""
+    lean = math.cos(spec.mirror_elevation_rad) / spec.refractive_index
+    return lean, math.sqrt(1 - lean**2)
+
+
+def _ball_surface(spec: PalmSpec, depth_m: float) -> tuple[BallSurface, tuple[float, float]]:
+    press, R = pressed(spec, depth_m), spec.indenter_radius_m
+    return BallSurface(press, R), (float(press.surface.min()) * R, float(press.surface.max()) * R)
+
+
+@runtime_checkable
+class Surface(Protocol):
+    """The membrane's upper surface and what presses it, about the contact's axis [m]."""
+
+    def at(self, x: ndarray, y: ndarray) -> ndarray:
+        """Depth z of the surface."""
+        ...
+
+    def slopes(self, x: ndarray, y: ndarray) -> tuple[ndarray, ndarray]:
+        """Its slopes along x and y."""
+        ...
+
+    def touching(self, x: ndarray, y: ndarray) -> ndarray:
+        """Where the probe lies on it."""
+        ...
+
+    def beside(self, place: ndarray, out: ndarray) -> ndarray:
+        """How squarely a line of sight that has left the membrane meets the probe; 0 where it does not."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class BallSurface:
+    """Under a ball, from the finite-strain table."""
+
+    press: Press
+    radius_m: float
+
+    def at(self, x: ndarray, y: ndarray) -> ndarray:
+        return np.interp(np.hypot(x, y), self.press.r * self.radius_m, self._surface, right=0.0)
+
+    def slopes(self, x: ndarray, y: ndarray) -> tuple[ndarray, ndarray]:
+        r, knots = np.hypot(x, y), self.press.r * self.radius_m
+        slope = np.interp(r, knots, np.gradient(self._surface, knots), right=0.0)
+        away = np.maximum(r, 1e-12)
+        return slope * x / away, slope * y / away
+
+    def touching(self, x: ndarray, y: ndarray) -> ndarray:
+        return np.asarray(np.hypot(x, y) < self.press.contact_radius * self.radius_m)
+
+    def beside(self, place: ndarray, out: ndarray) -> ndarray:
+        """On the sphere."""
+        if self.press.depth <= 0:
+            return np.zeros(place.shape[1:])
+        R = self.radius_m
+        away = place - np.array([0, 0, (self.press.depth - 1) * R]).reshape(3, *(1,) * (place.ndim - 1))
+        b = (away * out).sum(0)
+        hit2 = b**2 - (away**2).sum(0) + R**2
+        return np.where(b < 0, np.sqrt(np.maximum(hit2, 0)) / R, 0)
+
+    @property
+    def _surface(self) -> ndarray:
+        return np.asarray(self.press.surface, dtype=float) * self.radius_m
+
+
+class GridSurface:
+    """Under any probe, from a contact's grid; the probe is seen only where it touches."""
+
+    def __init__(self, contact: Contact) -> None:
+        x, y = contact.x_m - contact.pose.x_m, contact.y_m - contact.pose.y_m
+        down, right = np.gradient(contact.sinking_m, y, x)
+        parts = (contact.sinking_m, right, down, contact.touching.astype(float))
+        self._read = RegularGridInterpolator(
+            (y, x), np.stack(parts, axis=-1), bounds_error=False, fill_value=0.0
+        )
+
+    def at(self, x: ndarray, y: ndarray) -> ndarray:
+        return self._part(x, y, 0)
+
+    def slopes(self, x: ndarray, y: ndarray) -> tuple[ndarray, ndarray]:
+        return self._part(x, y, 1), self._part(x, y, 2)
+
+    def touching(self, x: ndarray, y: ndarray) -> ndarray:
+        return self._part(x, y, 3) > 0.5
+
+    def beside(self, place: ndarray, out: ndarray) -> ndarray:
+        return np.zeros(place.shape[1:])
+
+    def _part(self, x: ndarray, y: ndarray, which: int) -> ndarray:
+        return np.asarray(self._read(np.stack([y, x], axis=-1))[..., which])
+
+
+def _traced(spec: PalmSpec, surface: Surface, reach_m: tuple[float, float], x: ndarray, y: ndarray) -> Grey:
+    """Brightness met by lines of sight that enter the underside at (x, y) from the contact's axis [m].
+
+    Args:
+        spec: the palm.
+        surface: what they go towards.
+        reach_m: least and greatest z of that surface [m].
+        x, y: where they enter [m].
+    """
+    if spec.opaque_underside:
+        return np.full(x.shape, LID * spec.inside_light, np.float32)
+    (lean, up), h = _inside_direction(spec), spec.thickness_m
+    z = _where_it_meets(surface, reach_m, x, y, h, lean / up)
+    y_met = y - (h - z) * lean / up
+    slopes = surface.slopes(x, y_met)
+    out, passed = _refracted(slopes, lean, up, spec.refractive_index)
+    housing = LID + (WALL - LID) * (1 - out[2] ** 2)
+    facing = surface.beside(np.stack([x, y_met, z]), out)
+    outside = np.where(facing > 0, _probe(spec, facing), housing)
+    squarely = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
+    through = passed * outside + (1 - passed) * WALL
+    seen = np.where(surface.touching(x, y_met), _probe(spec, squarely), through)
+    return np.asarray(spec.inside_light * seen, dtype=np.float32)
+
+
+def _probe(spec: PalmSpec, facing: ndarray) -> ndarray:
+    return spec.ball_albedo * (EDGE_ON + (1 - EDGE_ON) * facing)
+
+
+def _where_it_meets(
+    surface: Surface, reach_m: tuple[float, float], x: ndarray, y: ndarray, h: float, tangent: float
+) -> ndarray:
+    """Heights z at which lines of sight from the underside first meet the surface [m]."""
+    least, greatest = reach_m
+    heights = np.linspace(greatest + 1e-9, least - 1e-9, STEPS)
+    z = np.full(x.shape, heights[-1])
+    met = np.zeros(x.shape, bool)
+    before = np.full(x.shape, np.inf)
+    for k, height in enumerate(heights):
+        clear = height - surface.at(x, y - (h - height) * tangent)  # positive inside the membrane
+        now = ~met & (clear <= 0)
+        if now.any() and k:
+            share = before[now] / np.maximum(before[now] - clear[now], 1e-15)
+            z[now] = heights[k - 1] + share * (height - heights[k - 1])
+        elif now.any():
+            z[now] = height
+        met |= now
+        before = clear
+    return z
+
+
+def _refracted(slopes: tuple[ndarray, ndarray], lean: float, up: float, n: float) -> tuple[ndarray, ndarray]:
+    """Direction ``[3 h w]`` beyond the surface, and the share of light that passes (Fresnel's mean)."""
+    sx, sy = slopes
+    normal = np.stack([sx, sy, -np.ones_like(sx)]) / np.sqrt(1 + sx**2 + sy**2)
+    into = np.stack([np.zeros_like(sx), np.full_like(sx, -lean), np.full_like(sx, -up)])
+    cos_in = np.clip((into * normal).sum(0), 0, 1)
+    sin_out2 = n**2 * (1 - cos_in**2)
+    cos_out = np.sqrt(np.maximum(1 - sin_out2, 0))
+    direction = n * into + (cos_out - n * cos_in) * normal
+    across = ((n * cos_in - cos_out) / np.maximum(n * cos_in + cos_out, 1e-12)) ** 2
+    along = ((cos_in - n * cos_out) / np.maximum(cos_in + n * cos_out, 1e-12)) ** 2
+    return direction, np.where(sin_out2 >= 1, 0.0, 1 - (across + along) / 2)
+
+
+def _inside_rim(spec: PalmSpec, grey: Grey) -> Grey:
+    """Black beyond the membrane's edge."""
+    y = spec.mirror.down_m / math.sin(spec.mirror_elevation_rad)
+    inside = spec.mirror.x_m**2 + y[:, None] ** 2 <= spec.radius_m**2
+    return np.where(inside, grey, np.float32(0))

@@ -1,0 +1,211 @@
+"""Every number of the photoelastic palm: a clear disc between crossed polarisers, with a mirror beneath it.
+
+Sources: "R", the palm's report (Photoelastic Tactile Sensor for a Robotic Palm, 2026); "D", the data layout
+of its code release (github.com/Spades2002/Photoelastic-Palm-Sensor). What neither tells is marked assumed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from palpate.core.errors import InputError, RangeError
+from palpate.optics.camera import Camera
+from palpate.optics.colour import LEAST_BANDS
+from palpate.optics.illumination import LedStrip
+from palpate.optics.stress_optic import StressOpticLaw
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One region of the camera's frame.
+
+    Attributes:
+        box_px: (x, y, width, height) in the frame [px].
+        pitch_m: from column to column on the membrane [m].
+        middle_px: (x, y) of the membrane's axis, from the region's corner [px]: in the fringe view at the
+            rest surface, in the mirror's at the underside.
+        row_pitch_m: from row to row [m]; None for square pixels.
+    """
+
+    box_px: tuple[int, int, int, int]
+    pitch_m: float
+    middle_px: tuple[float, float]
+    row_pitch_m: float | None = None
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """(width, height) [px]."""
+        return self.box_px[2:]
+
+    @property
+    def pitches_m(self) -> tuple[float, float]:
+        """Of columns and of rows [m]."""
+        return self.pitch_m, self.pitch_m if self.row_pitch_m is None else self.row_pitch_m
+
+    @property
+    def x_m(self) -> Float[ndarray, " w"]:
+        """Of the columns' centres, from the axis [m]."""
+        return (np.arange(self.box_px[2]) + 0.5 - self.middle_px[0]) * self.pitch_m
+
+    @property
+    def down_m(self) -> Float[ndarray, " h"]:
+        """Of the rows' centres, from the middle, down the image [m]."""
+        return (np.arange(self.box_px[3]) + 0.5 - self.middle_px[1]) * self.pitches_m[1]
+
+    def sampled(self, across: float, down: float) -> View:
+        """The same region with so many times the columns and rows, rounded down to whole ones."""
+        x, y, w, h = (int(part * by + 1e-6) for part, by in zip(self.box_px, (across, down) * 2, strict=True))
+        (cx, cy), (wide, high) = self.middle_px, self.pitches_m
+        square = across == down and self.row_pitch_m is None
+        return View((x, y, w, h), wide / across, (cx * across, cy * down), None if square else high / down)
+
+
+FRINGES = View((380, 60, 1420, 420), 44e-6, (710.0, 110.0))
+"""Box from D; the pitch, at which the disc fills it, and the row of the surface are assumed."""
+
+MIRROR = View((700, 560, 700, 420), 100e-6, (350.0, 210.0))
+"""Box from D; the pitch, at which places up to 20 mm from the axis are seen, is assumed."""
+
+
+@dataclass(frozen=True, slots=True)
+class PalmSpec:
+    """The palm.
+
+    Attributes:
+        diameter_m: of the membrane [m]. R: 57 mm.
+        thickness_m: of the membrane [m]. Assumed: with the modulus below it gives forces as the report's are.
+        youngs_modulus_pa: E, small strain [Pa]. Assumed: between soft silicones of Shore 10A and 20A.
+        poisson_ratio: of the membrane. Assumed: nearly incompressible.
+        friction: Coulomb's coefficient between ball and membrane. Assumed.
+        stress_optic: C and its dispersion. Assumed: the report prints no C, but ranks Solaris above a casting
+            resin and Sylgard 184 at equal load, which asks for about 1e-9 1/Pa.
+        refractive_index: n of the membrane. Manufacturer's figure for Solaris.
+        frozen_birefringence, frozen_axis_rad: what is left without load, uniform; axis from x to z [rad].
+            Assumed.
+        indenter_radius_m: of the ball [m]. R: 10 mm diameter.
+        rim_refracts: whether the round rim bends the rays, as a cylindrical lens; False for flat windows.
+        polariser_rad: of the first polariser, from x to z [rad]. Assumed; the report says only "crossed".
+        extinction: crossed over parallel transmission of the polarisers. Assumed.
+        membrane_transmission: share of light the membrane lets pass. Assumed.
+        frame_px: (width, height) of the camera's frame [px]. D: 1920 x 1080.
+        fringes, mirror: the two regions.
+        mirror_elevation_rad: of the line of sight that the mirror sends up, from horizontal [rad]. Assumed.
+        lamp: the LED strip behind its diffusers. Assumed.
+        lamp_gain: the lamp's light now over its light at set-up.
+        corner_loss: share of light missing at half the region's diagonal (vignetting). Assumed.
+        inside_light: scattered light in the housing over the lamp's: what shows ball and dimple. Assumed.
+        ball_albedo: of the probe. Assumed.
+        opaque_underside: a dark layer under the membrane, so that the mirror sees neither ball nor dimple.
+        bands: of wavelength, 400 to 700 nm; 31 or more.
+        rays_per_pixel: across and down, whose mean a pixel of the fringe view is.
+        camera: from light to codes. Assumed.
+        exposure_s: of a frame [s]. Assumed; R has 30 frames a second.
+        name: goes into each frame.
+    """
+
+    diameter_m: float = 57e-3
+    thickness_m: float = 10e-3
+    youngs_modulus_pa: float = 0.32e6
+    poisson_ratio: float = 0.49
+    friction: float = 0.0
+    stress_optic: StressOpticLaw = field(default_factory=lambda: StressOpticLaw(1e-9))
+    refractive_index: float = 1.41
+    frozen_birefringence: float = 0.0
+    frozen_axis_rad: float = 0.0
+    indenter_radius_m: float = 5e-3
+    rim_refracts: bool = True
+    polariser_rad: float = math.pi / 4
+    extinction: float = 0.01
+    membrane_transmission: float = 0.9
+    frame_px: tuple[int, int] = (1920, 1080)
+    fringes: View = FRINGES
+    mirror: View = MIRROR
+    mirror_elevation_rad: float = math.radians(60.0)
+    lamp: LedStrip = field(default_factory=LedStrip)
+    lamp_gain: float = 1.0
+    corner_loss: float = 0.3
+    inside_light: float = 1.0
+    ball_albedo: float = 0.5
+    opaque_underside: bool = False
+    bands: int = LEAST_BANDS
+    rays_per_pixel: tuple[int, int] = (1, 1)
+    camera: Camera = field(default_factory=Camera)
+    exposure_s: float = 0.02
+    name: str = "palm"
+
+    def __post_init__(self) -> None:
+        for name, (least, greatest, unit) in _RANGES.items():
+            value = getattr(self, name)
+            if not (math.isfinite(value) and least <= value <= greatest):
+                raise RangeError(
+                    f"the palm's {name} is {value}; it must lie within {least:g} to {greatest:g} {unit}"
+                )
+        if not self.poisson_ratio < 0.5:
+            raise RangeError(
+                f"Poisson's ratio {self.poisson_ratio} must be below 0.5, at which layers have no solution; "
+                "silicones have 0.49"
+            )
+        if min(self.rays_per_pixel) < 1:
+            raise RangeError(f"{self.rays_per_pixel} rays a pixel; give 1 or more, across and down")
+        for view in (self.fringes, self.mirror):
+            _check_view(view, self.frame_px)
+
+    @property
+    def unlit(self) -> PalmSpec:
+        """The same palm whatever its lamp and camera: what its marched and traced pictures depend on."""
+        return replace(self, **{name: getattr(_NOMINAL, name) for name in _LATER})
+
+    @property
+    def radius_m(self) -> float:
+        """Of the membrane [m]."""
+        return self.diameter_m / 2
+
+    @property
+    def visible_half_width_m(self) -> float:
+        """How far from the axis, across the view, a place at the middle of the membrane is still seen [m].
+
+        The clear rim is a lens: a ray that enters it grazing runs inside at R / n from the axis. Contacts
+        further out than this are seen only by what their stress reaches inward.
+        """
+        return self.radius_m / (self.refractive_index if self.rim_refracts else 1.0)
+
+
+def _check_view(view: View, frame_px: tuple[int, int]) -> None:
+    x, y, w, h = view.box_px
+    if min(x, y) < 0 or min(w, h) < 8 or x + w > frame_px[0] or y + h > frame_px[1]:
+        raise InputError(
+            f"region {view.box_px} does not fit a frame of {frame_px[0]} x {frame_px[1]} px with 8 px or "
+            "more each way"
+        )
+    if not all(math.isfinite(pitch) and pitch > 0 for pitch in view.pitches_m):
+        raise RangeError(f"pixels of {view.pitches_m} m on the membrane; both must be positive, in m")
+
+
+_RANGES = {
+    "diameter_m": (1e-3, 1.0, "m"),
+    "thickness_m": (1e-4, 1.0, "m"),
+    "youngs_modulus_pa": (1e2, 1e12, "Pa"),
+    "poisson_ratio": (0.0, 0.5, "(below 0.5)"),
+    "friction": (0.0, 10.0, "(a ratio of forces)"),
+    "refractive_index": (1.0, 3.0, "(air has 1, silicones 1.4)"),
+    "frozen_birefringence": (-1e-2, 1e-2, "(a difference of indices)"),
+    "frozen_axis_rad": (-math.tau, math.tau, "rad"),
+    "indenter_radius_m": (1e-4, 1.0, "m"),
+    "polariser_rad": (-math.tau, math.tau, "rad"),
+    "extinction": (0.0, 1.0, "(a share)"),
+    "membrane_transmission": (0.0, 1.0, "(a share)"),
+    "mirror_elevation_rad": (0.1, math.pi / 2, "rad"),
+    "lamp_gain": (0.0, 100.0, "(over the light at set-up)"),
+    "corner_loss": (0.0, 1.0, "(a share)"),
+    "inside_light": (0.0, 100.0, "(over the lamp's)"),
+    "ball_albedo": (0.0, 1.0, "(a share)"),
+    "bands": (LEAST_BANDS, 1000, "bands"),
+    "exposure_s": (1e-6, 100.0, "s"),
+}
+_LATER = ("lamp", "lamp_gain", "corner_loss", "membrane_transmission", "camera", "exposure_s", "name")
+_NOMINAL = PalmSpec()
