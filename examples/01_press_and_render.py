@@ -1,4 +1,4 @@
-"""Press a ball into a clear skin and look at it edge-on between crossed polarisers.
+"""Press a ball into the virtual photoelastic palm and look at it edge-on and through the mirror.
 
 Run it to draw the frames. Imported, it computes them and draws nothing.
 """
@@ -6,27 +6,25 @@ Run it to draw the frames. Imported, it computes them and draws nothing.
 import numpy as np
 
 from palpate.core import Pose
-from palpate.sensors import demo, press, render
+from palpate.sensors import palm
 
-sensor = demo()
+sensor = palm.small()
 rng = np.random.default_rng(0)
-depths_mm = (0.1, 0.3, 0.6, 0.9, 1.2)
-contacts = [press(sensor, Pose(x_m=0.0, y_m=0.0, depth_m=d * 1e-3)) for d in depths_mm]
-frames = [render(contact, sensor, rng) for contact in contacts]
+presses_mm = ((1.0, 0.0, 0.0), (3.0, 0.0, 0.0), (5.0, 0.0, 0.0), (3.0, 8.0, -6.0))
+contacts = [palm.press(sensor, Pose(x * 1e-3, y * 1e-3, depth * 1e-3)) for depth, x, y in presses_mm]
+frames = [palm.render(contact, sensor, rng) for contact in contacts]
 
 
 def draw(path: str = "press_and_render.png") -> None:
-    """Write the frames and the force against depth to an image file."""
+    """Write the frames to an image file."""
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(2, 3, figsize=(12, 5.6), layout="constrained")
-    x_mm, z_mm = sensor.x_m * 1e3, sensor.z_m * 1e3
-    for axis, depth, contact, frame in zip(axes.flat, depths_mm, contacts, frames, strict=False):
-        axis.imshow(frame.image, extent=(x_mm[0], x_mm[-1], z_mm[-1], z_mm[0]))
-        axis.set(title=f"{depth} mm, {contact.force_n:.2f} N", xlabel="x / mm", ylabel="z / mm")
-    axes.flat[-1].plot(depths_mm, [contact.force_n for contact in contacts], "o-")
-    axes.flat[-1].set(title="Hertz: F rises as depth to 3/2", xlabel="depth / mm", ylabel="force / N")
-    figure.savefig(path, dpi=120)
+    figure, axes = plt.subplots(2, 2, figsize=(11, 6.6), layout="constrained")
+    for axis, (depth, x, y), contact, frame in zip(axes.flat, presses_mm, contacts, frames, strict=True):
+        axis.imshow(frame.image)
+        axis.set_title(f"{depth:g} mm deep at ({x:g}, {y:g}) mm: {contact.force_n:.1f} N")
+        axis.axis("off")
+    figure.savefig(path, dpi=110)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from palpate.studies import Protocol, record
 with tempfile.TemporaryDirectory() as folder:
     here = Path(folder)
     run = record(here / "run", Protocol(), locations=60, seed=0)
-    plan = Plan(("x_mm", "depth_mm"), split="group:location", size_px=(48, 80), channels=3)
+    plan = Plan(("x_mm", "depth_mm"), split="group:location", size_px=(90, 160), channels=3)
     certify(run, plan, here / "cal")
     new = record(here / "new", Protocol(), locations=20, seed=1)
     touched = ~new.labels["reference"].to_numpy(bool)
@@ -33,7 +33,7 @@ def draw(path: str = "overview.png") -> None:
     figure = plt.figure(figsize=(11, 4.2), layout="constrained")
     left, right = figure.subfigures(1, 2, width_ratios=(1, 1.25))
     for axis, image, row in zip(left.subplots(3, 1), frames, (1, 4, 7), strict=True):
-        axis.imshow(image[:70])
+        axis.imshow(image)
         axis.set_axis_off()
         axis.set_title(f"pressed {new.labels['depth_mm'][row]:.2f} mm deep", fontsize=9, loc="left")
     axis = right.subplots()
@@ -41,7 +41,7 @@ def draw(path: str = "overview.png") -> None:
     axis.errorbar(true_mm, read_mm, half_mm, fmt="none", ecolor="#9cc7c4", elinewidth=1, zorder=1)
     axis.scatter(true_mm[inside], read_mm[inside], s=12, color="#0b7a75", label="truth inside the interval")
     axis.scatter(true_mm[~inside], read_mm[~inside], s=12, color="#c0392b", label="truth outside")
-    axis.plot([0.1, 1.25], [0.1, 1.25], color="#1b2a33", lw=0.8)
+    axis.plot([0.3, 5.1], [0.3, 5.1], color="#1b2a33", lw=0.8)
     axis.set(xlabel="true depth [mm]", ylabel="reading with its 90 % interval [mm]")
     axis.set_title("places never seen (virtual recording)", fontsize=10)
     axis.legend(frameon=False, fontsize=8)

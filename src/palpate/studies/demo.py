@@ -1,9 +1,9 @@
-"""The whole loop on a virtual photoelastic skin: record, calibrate, certify, evaluate, sense.
+"""The whole loop on the virtual photoelastic palm: record, calibrate, certify, evaluate, sense.
 
-The recording is rendered from exact physics (`sensors.half_space`): a ball pressed at many places and
-depths into a thick soft skin between crossed polarisers, seen edge-on by a noisy colour camera. Presses
-vary as they would on a rig: seating, lamp, force noise. The view cannot tell the place along the line of
-sight; it is asked for all the same, and the certificate has to say so.
+The recording is rendered (`sensors.palm`): a ball pressed at many places and depths into a clear disc between
+crossed polarisers, seen edge-on and, through a mirror, from below by a noisy colour camera. Presses vary as
+they would on a rig: seating, lamp, force noise. From the edge-on view alone the place along the line of sight
+cannot be told; it is asked for all the same, and that certificate has to say so.
 """
 
 from __future__ import annotations
@@ -32,14 +32,38 @@ from palpate.recordings.manifest import LabelKind, Manifest
 from palpate.recordings.reader import Run
 from palpate.recordings.writer import RunWriter
 from palpate.reports.text import scores_table
-from palpate.sensors import half_space
-from palpate.sensors.half_space import HalfSpaceSpec
+from palpate.sensors import palm
+from palpate.sensors.palm import PalmSpec
 from palpate.studies.certify import certify
 
 TARGETS = ("x_mm", "y_mm", "depth_mm", "force_N")
-MODELS = ("pca-ridge", "pixel-mlp")
-INPUT_PX = (48, 80)
-"""Half the picture's side: the fringes are still resolved, and four times the work is saved."""
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """One way to calibrate: a model, and what it sees.
+
+    Attributes:
+        model: its name.
+        size_px: (height, width) of its input.
+        edge_on: it sees the fringe region alone.
+    """
+
+    model: str
+    size_px: tuple[int, int]
+    edge_on: bool = False
+
+
+WAYS = {
+    "pca-ridge": Way("pca-ridge", (90, 160)),
+    "pixel-mlp": Way("pixel-mlp", (45, 80)),
+    "edge-on": Way("pca-ridge", (35, 118), edge_on=True),
+}
+"""A linear and a nonlinear model of both views, and one of the edge-on view alone. Inputs are as small as the
+model can bear: half the frame's side and less."""
+
+STEP_MM = 0.02
+"""Seating goes in the steps in which a rig seeks contact, so that depths repeat and are rendered once."""
 
 LABELS: dict[str, LabelKind] = {
     "location": "text",
@@ -56,7 +80,7 @@ class Protocol:
     """Where and how deep the ball is pressed, and how presses vary.
 
     Attributes:
-        half_width_mm: locations lie within this of the middle, across the view and along the ray [mm].
+        reach_mm: locations lie within this of the membrane's axis [mm].
         depths_mm: least and greatest depth [mm].
         presses: depths at each location.
         seating_mm: standard deviation of a press's depth around what the stage says [mm].
@@ -65,12 +89,12 @@ class Protocol:
         rate_hz: frames a second.
     """
 
-    half_width_mm: float = 6.0
-    depths_mm: tuple[float, float] = (0.15, 1.2)
+    reach_mm: float = 12.0
+    depths_mm: tuple[float, float] = (0.4, 5.0)
     presses: int = 7
-    seating_mm: float = 0.01
+    seating_mm: float = 0.02
     lamp: float = 0.01
-    force_noise_n: float = 0.01
+    force_noise_n: float = 0.02
     rate_hz: float = 30.0
 
 
@@ -80,8 +104,8 @@ class DemoResult:
 
     Attributes:
         folder: where everything lies.
-        scores: model -> target -> score, on locations that no model has seen.
-        reports: model -> the certificate's page.
+        scores: way -> target -> score, on locations that no model has seen.
+        reports: way -> the certificate's page.
         sensed: a few readings, as text.
     """
 
@@ -101,10 +125,10 @@ class DemoResult:
     def text(self) -> str:
         """The tables, some readings, and where the pages lie."""
         lines = ["Virtual recording: what follows shows that the loop works, not how good a real sensor is."]
-        for model, scores in self.scores.items():
-            lines += ["", f"{model}, on locations it has never seen:", scores_table(scores)]
+        for name, scores in self.scores.items():
+            lines += ["", f"{_said(name)}, on locations it has never seen:", scores_table(scores)]
         lines += ["", "Readings of frames never seen:", *(f"  {line}" for line in self.sensed), ""]
-        lines += [f"report ({model}): {path}" for model, path in self.reports.items()]
+        lines += [f"report ({name}): {path}" for name, path in self.reports.items()]
         return "\n".join(lines)
 
 
@@ -122,9 +146,9 @@ def run_demo(
     with new_folder(out) as folder:
         record(folder / "run", Protocol(), locations[0], seed=seed, progress=progress)
         record(folder / "run-new-places", Protocol(), locations[1], seed=seed + 1, progress=progress)
-        scores = {model: _calibrated(folder, model, seed, progress) for model in MODELS}
+        scores = {name: _calibrated(folder, name, seed, progress) for name in WAYS}
         sensed = _some_readings(folder)
-        result = DemoResult(out, scores, {m: out / f"cal-{m}" / "report.html" for m in MODELS}, sensed)
+        result = DemoResult(out, scores, {name: out / f"cal-{name}" / "report.html" for name in WAYS}, sensed)
         with new_file(folder / "summary.json") as path:
             path.write_text(json.dumps(result.to_dict()["scores"], indent=1) + "\n")
     return result
@@ -140,7 +164,7 @@ def record(path: Path, protocol: Protocol, locations: int, *, seed: int, progres
         seed: of everything random.
         progress: told how far it is.
     """
-    spec = half_space.demo()
+    spec = palm.demo()
     manifest = Manifest.new(
         sensor=f"virtual {spec.name}",
         rig="virtual: a ball on an ideal stage",
@@ -163,21 +187,22 @@ def record(path: Path, protocol: Protocol, locations: int, *, seed: int, progres
 
 
 def _presses(
-    spec: HalfSpaceSpec, protocol: Protocol, locations: int, seed: int
+    spec: PalmSpec, protocol: Protocol, locations: int, seed: int
 ) -> Iterator[tuple[Frame, dict[str, float | str | bool]]]:
     """Frames and their labels: at each location the untouched skin, then presses from shallow to deep."""
     rng = np.random.default_rng(seed)
-    w = protocol.half_width_mm
     for place in range(locations):
-        x_mm, y_mm = rng.uniform(-w, w, 2)
+        away, angle = protocol.reach_mm * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
+        x_mm, y_mm = away * np.cos(angle), away * np.sin(angle)
         lit = replace(spec, lamp_gain=1 + protocol.lamp * rng.standard_normal())
         depths = [0.0, *np.sort(rng.uniform(*protocol.depths_mm, protocol.presses))]
         for depth_mm in depths:
-            seated = replace(lit, depth_offset_m=1e-3 * protocol.seating_mm * rng.standard_normal())
-            contact = half_space.press(seated, Pose(1e-3 * x_mm, 1e-3 * y_mm, 1e-3 * depth_mm))
+            seated_mm = depth_mm + protocol.seating_mm * rng.standard_normal() if depth_mm else 0.0
+            reached_m = 1e-3 * STEP_MM * round(seated_mm / STEP_MM)
+            contact = palm.press(lit, Pose(1e-3 * x_mm, 1e-3 * y_mm, reached_m))
             force_n = contact.force_n + protocol.force_noise_n * rng.standard_normal()
             yield (
-                half_space.render(contact, seated, rng),
+                palm.render(contact, lit, rng),
                 {
                     "location": f"place-{place:02d}",
                     "x_mm": round(x_mm, 4),
@@ -189,20 +214,33 @@ def _presses(
             )
 
 
-def _calibrated(folder: Path, model: str, seed: int, progress: Progress) -> dict[str, ScoreCard]:
-    """Calibrate and certify one model, then score it on the places of the second run."""
-    plan = Plan(targets=TARGETS, model=model, split="group:location", seed=seed, size_px=INPUT_PX, channels=3)
-    calibration = folder / f"cal-{model}"
-    certify(Run.open(folder / "run"), plan, calibration, lambda *a: progress(f"{model}: {a[0]}", *a[1:]))
+def _calibrated(folder: Path, name: str, seed: int, progress: Progress) -> dict[str, ScoreCard]:
+    """Calibrate and certify one way, then score it on the places of the second run."""
+    way = WAYS[name]
+    plan = Plan(
+        targets=TARGETS,
+        model=way.model,
+        split="group:location",
+        seed=seed,
+        size_px=way.size_px,
+        channels=3,
+        crop_px=palm.demo().fringes.box_px if way.edge_on else None,
+    )
+    calibration = folder / f"cal-{name}"
+    certify(Run.open(folder / "run"), plan, calibration, lambda *a: progress(f"{name}: {a[0]}", *a[1:]))
     found = evaluate(Estimator.open(calibration), Run.open(folder / "run-new-places"), progress=progress)
-    with new_file(folder / f"scores-{model}.json") as path:
+    with new_file(folder / f"scores-{name}.json") as path:
         path.write_text(json.dumps(found, indent=1) + "\n")
-    return {name: ScoreCard(**score) for name, score in found["targets"].items()}
+    return {target: ScoreCard(**score) for target, score in found["targets"].items()}
+
+
+def _said(name: str) -> str:
+    return f"{WAYS[name].model} of {'the edge-on view alone' if WAYS[name].edge_on else 'both views'}"
 
 
 def _some_readings(folder: Path) -> tuple[str, ...]:
     """What the first model says of a few new frames, and of one that is dark."""
-    estimator = Estimator.open(folder / f"cal-{MODELS[0]}")
+    estimator = Estimator.open(folder / f"cal-{next(iter(WAYS))}")
     run = Run.open(folder / "run-new-places")
     lines = []
     for i, sensed in enumerate(sense(estimator, RunFrames(run))):
