@@ -378,13 +378,14 @@ def presses(thickness: float, offset: float, cells: Cells = MAIN) -> Iterator[di
 
 def main() -> int:
     """Solve every place, and one of them on a finer mesh."""
-    jobs = [(h, c, MAIN) for h in THICKNESSES for c in OFFSETS] + [(2.0, 0.0, FINE), (2.0, 4.2, FINE)]
-    rows = []
-    for thickness, offset, cells in jobs:
+    jobs = [(h, c, "presses", MAIN) for h in THICKNESSES for c in OFFSETS]
+    jobs += [(2.0, c, "finer", FINE) for c in (0.0, 4.2)]
+    made: dict[str, list[dict[str, float]]] = {"presses": [], "finer": []}
+    for thickness, offset, name, cells in jobs:
         for row in presses(thickness, offset, cells):
             print(row, flush=True)
-            rows.append(row)
-    OUT.write_text(json.dumps({"lengths": "R", "forces": "E R^2", "presses": rows}, indent=1) + "\n")
+            made[name].append(row)
+    OUT.write_text(json.dumps({"lengths": "R", "forces": "E R^2", **made}, indent=1) + "\n")
     return 0
 
 

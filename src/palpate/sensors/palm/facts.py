@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
 from palpate.core.contact import Contact
+from palpate.core.errors import RangeError
+from palpate.mechanics.rim import rim_effect
 from palpate.mechanics.stack_field import field_below
 from palpate.optics.stress_optic import fringe_order
 from palpate.sensors.palm import orders
-from palpate.sensors.palm.field import pressed
+from palpate.sensors.palm.field import pressed, table_of
 from palpate.sensors.palm.press import stack_of
 from palpate.sensors.palm.render import is_ball
 from palpate.sensors.palm.spec import PalmSpec
 
 
 def facts(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
-    """Force, contact, pressure and fringes, each named with its unit."""
+    """Force, contact, pressure and fringes, each named with its unit.
+
+    `rim_force_percent` is by how much the force would differ had the press been solved where it is, and not
+    in the middle; None where that is not known.
+    """
     return {
         "force_N": contact.force_n,
         "lateral_x_N": contact.lateral_n[0],
@@ -27,6 +34,7 @@ def facts(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
         "fringe_order_max": greatest_order(contact, spec),
         "youngs_modulus_Pa": spec.youngs_modulus_pa,
         "thickness_mm": spec.thickness_m * 1e3,
+        "rim_force_percent": _rim_percent(contact, spec),
         "seen_edge_on": bool(abs(contact.pose.x_m) - contact.radius_m < spec.visible_half_width_m),
         "model": contact.model,
     }
@@ -54,6 +62,17 @@ def greatest_order(contact: Contact, spec: PalmSpec) -> float:
     C = float(spec.stress_optic.at(np.array([orders.WAVELENGTH_M]))[0])
     order = fringe_order(difference, 2 * field.stress("xz").sum(axis=1) * dy, C, orders.WAVELENGTH_M)
     return float(np.quantile(order, 0.999))
+
+
+def _rim_percent(contact: Contact, spec: PalmSpec) -> float | None:
+    R, pose = spec.indenter_radius_m, contact.pose
+    if not (is_ball(contact, spec) and math.isclose(spec.radius_m, table_of(spec).disc_radius * R)):
+        return None
+    try:
+        effect = rim_effect(math.hypot(pose.x_m, pose.y_m) / R, pose.depth_m / R, spec.thickness_m / R)
+    except RangeError:
+        return None
+    return 100 * (effect.force_ratio - 1)
 
 
 def _peak_pressure(contact: Contact, spec: PalmSpec) -> float:
