@@ -14,7 +14,7 @@ from palpate.studies import Protocol, record
 with tempfile.TemporaryDirectory() as folder:
     here = Path(folder)
     run = record(here / "run", Protocol(), locations=60, seed=0)
-    plan = Plan(("x_mm", "depth_mm"), split="group:location", size_px=(90, 160), channels=3)
+    plan = Plan(("x_mm", "depth_mm"), split="group:location", size_px=(60, 107), channels=3)
     certify(run, plan, here / "cal")
     new = record(here / "new", Protocol(), locations=20, seed=1)
     touched = ~new.labels["reference"].to_numpy(bool)
