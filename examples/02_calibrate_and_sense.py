@@ -30,10 +30,10 @@ def draw(path: str = "overview.png") -> None:
     """Write three frames and the readings against the truth to an image file."""
     import matplotlib.pyplot as plt
 
-    figure = plt.figure(figsize=(11, 4.2), layout="constrained")
+    figure = plt.figure(figsize=(11, 5.4), layout="constrained")
     left, right = figure.subfigures(1, 2, width_ratios=(1, 1.25))
     for axis, image, row in zip(left.subplots(3, 1), frames, (1, 4, 7), strict=True):
-        axis.imshow(image)
+        axis.imshow(image[6:170, 50:310])  # both regions, without the dark around them
         axis.set_axis_off()
         axis.set_title(f"pressed {new.labels['depth_mm'][row]:.2f} mm deep", fontsize=9, loc="left")
     axis = right.subplots()
@@ -44,7 +44,7 @@ def draw(path: str = "overview.png") -> None:
     axis.plot([0.3, 5.1], [0.3, 5.1], color="#1b2a33", lw=0.8)
     axis.set(xlabel="true depth [mm]", ylabel="reading with its 90 % interval [mm]")
     axis.set_title("places never seen (virtual recording)", fontsize=10)
-    axis.legend(frameon=False, fontsize=8)
+    axis.legend(frameon=False, fontsize=8, loc="upper left")
     axis.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=110)
 
