@@ -6,7 +6,7 @@ lie apart. A measurement returns a table for the page that asks for it by name.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,3 +40,9 @@ def relative(found: ndarray | float, wanted: ndarray | float) -> float:
 def each_relative(found: ndarray | float, wanted: ndarray | float) -> float:
     """Greatest relative difference, each value by itself."""
     return float(np.max(np.abs(np.asarray(found) / wanted - 1)))
+
+
+def table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
+    """Markdown."""
+    lines = [head, ("---",) * len(head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)

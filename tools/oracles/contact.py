@@ -169,19 +169,20 @@ def _along(part: Callable[[ndarray], float], x: float, z: float, nu: float) -> f
     scale = math.hypot(x, z) + 1
 
     def turned(angle: float) -> float:
-        return (
-            float(part(hertz_stress(x, scale * math.tan(angle), z, 1.0, 1.0, nu)))
-            * scale
-            / math.cos(angle) ** 2
-        )
+        return float(part(_at(x, scale * math.tan(angle), z, nu))) * scale / math.cos(angle) ** 2
 
     return 2 * quad(turned, 0, math.pi / 2 - 1e-5, limit=200)[0] + _rest(part, scale, x, z, nu)
+
+
+def _at(x: float, y: float, z: float, nu: float) -> ndarray:
+    """The tensor at one place."""
+    return np.asarray(hertz_stress(*np.array([[x], [y], [z]]), 1.0, 1.0, nu)[0])
 
 
 def _rest(part: Callable[[ndarray], float], scale: float, x: float, z: float, nu: float) -> float:
     """Beyond the last angle the stress falls as 1 / y^2."""
     y = scale * math.tan(math.pi / 2 - 1e-5)
-    return 2 * float(part(hertz_stress(x, 1e3, z, 1.0, 1.0, nu))) * 1e6 / y
+    return 2 * float(part(_at(x, 1e3, z, nu))) * 1e6 / y
 
 
 ORACLES = (

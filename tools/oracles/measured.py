@@ -1,47 +1,20 @@
-"""Tables for the pages, each worked out anew: what a press gives, and what each shortcut costs."""
+"""Tables for the pages, each worked out anew: what a press of the palm gives, and what is seen of it."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
-from numpy import ndarray
-from scipy.optimize import brentq
 
-from oracles.light import INDEX, RIM, even_slices, three_wavelengths
-from oracles.palm import SMALL, inside
-from oracles.tables import REPOSITORY, exponent
+from oracles import shortcuts, table
+from oracles.light import INDEX, RIM
+from oracles.palm import GRID_MM
+from oracles.tables import exponent
 from palpate.core import Pose
-from palpate.mechanics.layer_approximations import dimitriadis_factor
-from palpate.mechanics.press_table import PressTable
-from palpate.optics import (
-    Rays,
-    StressOpticLaw,
-    best_path,
-    march_axisymmetric,
-    plane_amplitude,
-    round_rim,
-    single_slice,
-    single_slice_error,
-)
+from palpate.optics import round_rim
 from palpate.sensors import palm
-from palpate.sensors.palm import PalmSpec, prototype
-from palpate.sensors.palm.field import field_of, pressed
-from palpate.sensors.palm.orders import integrated
-
-GREEN_M = 550e-9
-OFF_CENTRE = REPOSITORY / "src" / "palpate" / "mechanics" / "tables" / "off_centre.json"
-GRID_MM = tuple((x, y) for x in range(-21, 22, 7) for y in range(-21, 22, 7) if x**2 + y**2 <= 23.5**2)
-"""The report's 37 points: a square grid of 7 mm, as far as a 10 mm ball stays on a 57 mm disc."""
-
-
-def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    """Markdown."""
-    lines = [head, ("---",) * len(head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+from palpate.sensors.palm import prototype
 
 
 def presses() -> str:
@@ -83,77 +56,6 @@ def spread() -> str:
     )
 
 
-def _midplane(spec: PalmSpec, depth_m: float) -> tuple[ndarray, ndarray, float, tuple[ndarray, ndarray]]:
-    """Offsets, heights, and the mid-plane's two stresses on them, below the dimple."""
-    field = field_of(pressed(spec, depth_m), spec)
-    s = np.linspace(-2, 2, 161) * spec.indenter_radius_m
-    z = np.linspace(depth_m, spec.thickness_m, 82)[1:-1]
-    top = np.interp(np.abs(s), field.r_m, field.surface_m)
-    zeta = (z[:, None] - top) / (field.thickness_m - top)
-    from scipy.interpolate import RegularGridInterpolator
-
-    read = RegularGridInterpolator((field.zeta, field.r_m), np.moveaxis(field.stress_pa, 0, -1))
-    rr, _, zz, rz = np.moveaxis(read(np.stack([zeta, np.broadcast_to(np.abs(s), zeta.shape)], -1)), -1, 0)
-    return s, z, field.thickness_m, (rr - zz, 2 * rz * np.sign(s))
-
-
-def baseline(spec: PalmSpec, depth_m: float) -> tuple[ndarray, ndarray, ndarray, float, ndarray, ndarray]:
-    """The one-slice image over 57 mm, that over the best path, the marched one; that path; where they are."""
-    s, z, _, middle = _midplane(spec, depth_m)
-    field = field_of(pressed(spec, depth_m), spec)
-    summed = integrated(field, np.abs(s), z)
-    path = best_path(*middle, summed[0], summed[1] * np.sign(s))
-    C = spec.stress_optic.coefficient_per_pa
-    half = np.sqrt(spec.radius_m**2 - s**2)
-    rays = Rays(
-        s[None], z[:, None], -half[None], half[None], np.hypot(s, z[:, None]) + spec.indenter_radius_m
-    )
-    optics = np.array([np.pi * C / GREEN_M]), np.ones((1, 1)), plane_amplitude(spec.polariser_rad, 1)
-    marched = march_axisymmetric(field, rays, *optics, slices=256).light[..., 0].astype(float)
-    images = [single_slice(*middle, d, C, GREEN_M, spec.polariser_rad) for d in (spec.diameter_m, path)]
-    return images[0], images[1], marched, path, s, z
-
-
-def single_slices() -> str:
-    """What the one-slice formula costs, at two stress-optic coefficients."""
-    rows = []
-    for C in (1e-9, 1.7e-10):
-        spec = replace(palm.palm(), stress_optic=StressOpticLaw(C))
-        for depth_mm in (1, 3, 5):
-            whole, best, marched, path, _, _ = baseline(spec, depth_mm * 1e-3)
-            one, two = single_slice_error(whole, marched), single_slice_error(best, marched)
-            rows.append(
-                (
-                    f"{C:.1e}".replace("e-09", "e-9"),
-                    f"{depth_mm}",
-                    f"{one.rms:.2f}",
-                    f"{path * 1e3:.1f}",
-                    f"{two.rms:.2f}",
-                    f"{two.largest:.2f}",
-                )
-            )
-    head = (
-        "C, 1/Pa",
-        "depth, mm",
-        "rms, path 57 mm",
-        "best path, mm",
-        "rms, best path",
-        "largest, best path",
-    )
-    return table(head, rows)
-
-
-def ways() -> str:
-    """How far the fast way is from the exact one, by place, at 3 mm."""
-    rows = []
-    for x, y in ((0, 0), (7, 0), (14, 0), (0, 7), (0, -7), (0, -14), (14, -14), (-21, 7)):
-        contact = palm.press(SMALL, Pose(x * 1e-3, y * 1e-3, 3e-3))
-        fast, exact = (palm.render_clean(contact, SMALL, exact=which)[0] for which in (False, True))
-        off = np.abs(inside(fast - exact, SMALL, 3e-3))
-        rows.append((f"({x}, {y})", f"{np.sqrt(np.mean(off**2)):.3f}", f"{np.quantile(off, 0.999):.2f}"))
-    return table(("contact at (x, y), mm", "rms", "999th of 1000 pixels"), rows)
-
-
 def seen_at(x_mm: float, y_mm: float) -> tuple[float, float, float] | None:
     """Column [mm from the middle], share of light, turn [deg] of the ray through a contact's axis, if any."""
     columns = RIM * np.sin(np.linspace(-np.pi / 2, np.pi / 2, 400_003)[1:-1])  # dense towards the rim
@@ -170,7 +72,7 @@ def grid() -> str:
     """Through which column the edge-on camera looks at each axis of the report's grid."""
     rows = []
     for x in (7, 14, 21):
-        for y in (14, 7, 0, -7, -14):
+        for y in (21, 14, 7, 0, -7, -14, -21):
             if (x, y) not in GRID_MM:
                 continue
             found = seen_at(x, y)
@@ -194,26 +96,20 @@ def materials(force_n: float) -> str:
     rows = []
     for name in ("solaris", "casting-resin", "sylgard-184"):
         spec = palm.preset(name)
-        found = palm.facts(palm.press(spec, Pose(0.0, 0.0, depth_of(spec, force_n))), spec)
+        contact = palm.press_to_force(spec, force_n)
+        found = palm.facts(contact, spec)
         rows.append(
             (
                 f"`{name}`",
                 f"{spec.youngs_modulus_pa / 1e6:g}",
-                f"{spec.stress_optic.coefficient_per_pa:.2g}",
-                f"{depth_of(spec, force_n) * 1e3:.3g}",
+                f"{spec.stress_optic.coefficient_per_pa:.1e}".replace("e-0", "e-"),
+                f"{contact.pose.depth_m * 1e3:.3g}",
                 f"{found['contact_radius_mm']:.2f}",
                 f"{found['fringe_order_max']:.2f}",
             )
         )
     head = ("preset", "E, MPa", "C, 1/Pa", "depth, mm", "contact radius, mm", "greatest order, 550 nm")
     return table(head, rows)
-
-
-def depth_of(spec: PalmSpec, force_n: float) -> float:
-    """How deep the palm's ball is under a force [m]."""
-    return float(
-        brentq(lambda d: palm.press(spec, Pose(0.0, 0.0, d)).force_n - force_n, 1e-9, 6e-3, xtol=1e-12)
-    )
 
 
 def paths() -> str:
@@ -239,53 +135,16 @@ def paths() -> str:
     )
 
 
-def shortcuts() -> str:
-    """What simpler ways cost, in the same units as the checks."""
-    solved = PressTable.load("sphere-h2-mu0").at(1.0).force
-    hertz = 4 / 3 / (1 - 0.49**2)
-    rows = [
-        ("Hertz's force at 5 mm", f"{100 * (hertz / solved - 1):+.0f} %"),
-        (
-            "Dimitriadis's force at 5 mm, far out of its range",
-            f"{100 * (hertz * dimitriadis_factor(0.5, 0.49) / solved - 1):+.0f} %",
-        ),
-        (
-            "64 even slices over 57 mm under a point load, for graded ones",
-            f"light off by up to {even_slices():.2f}",
-        ),
-        (
-            "One wavelength a channel for 31 bands, orders to 4",
-            f"light off by up to {three_wavelengths():.2f}",
-        ),
-    ]
-    return table(("shortcut", "error"), rows)
-
-
-def off_centre() -> str:
-    """The error of moving an axisymmetric table off the disc's centre, if it has been measured."""
-    if not OFF_CENTRE.exists():
-        return "Not measured yet."
-    held = json.loads(OFF_CENTRE.read_text())
-    rows = [
-        (
-            f"{row['offset'] * 5:.1f}",
-            f"{row['depth'] * 5:g}",
-            f"{100 * row['force_over_centred'] - 100:+.1f} %",
-        )
-        for row in held["presses"]
-    ]
-    return table(("distance from the centre, mm", "depth, mm", "force, over that in the centre"), rows)
-
-
 MEASURED: dict[str, Callable[[], str]] = {
     "presses": presses,
     "spread": spread,
-    "single-slice": single_slices,
-    "ways": ways,
+    "single-slice": shortcuts.single_slices,
+    "ways": shortcuts.ways,
     "grid": grid,
     "materials-5N": lambda: materials(5.0),
     "materials-15N": lambda: materials(15.0),
     "paths": paths,
-    "shortcuts": shortcuts,
-    "off-centre": off_centre,
+    "shortcuts": shortcuts.shortcuts,
+    "off-centre": shortcuts.off_centre,
+    "assumptions": shortcuts.assumptions,
 }

@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline, RegularGridInterpolator
 from oracles import Oracle
 from palpate.mechanics.layer_approximations import sphere_force
 from palpate.mechanics.press_table import Press, PressTable, shipped
+from palpate.mechanics.rim import OFF_CENTRE
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 STUDY = REPOSITORY / "tools" / "mesh_study.json"
@@ -116,6 +117,28 @@ def between(part: str) -> float:
     return max(errors)
 
 
+def bricks() -> float:
+    """Force without friction from 0.2 to 1 R against another mesh, in three dimensions, of other elements."""
+    return max(
+        abs(row["force"] / PressTable.load(f"sphere-h{row['thickness']:g}-mu0").at(row["depth"]).force - 1)
+        for row in _off_centre("presses")
+        if row["offset"] == 0 and row["depth"] >= 0.2
+    )
+
+
+def finer_bricks() -> float:
+    """Those bricks' forces, in the middle and at 4.2 R, against a mesh of 1.8 times the unknowns."""
+    at = ("thickness", "offset", "depth")
+    coarse = {tuple(row[part] for part in at): row["force"] for row in _off_centre("presses")}
+    fine = {tuple(row[part] for part in at): row["force"] for row in _off_centre("finer")}
+    return max(abs(coarse[place] / force - 1) for place, force in fine.items() if place[2] >= 0.2)
+
+
+def _off_centre(part: str) -> list[dict[str, float]]:
+    found: list[dict[str, float]] = json.loads(OFF_CENTRE.read_text(encoding="utf-8"))[part]
+    return found
+
+
 def finer(part: str) -> Callable[[], float]:
     """The table's mesh against the finest of the study."""
 
@@ -140,6 +163,10 @@ ORACLES = (
     ),
     Oracle("Force at 5 mm", "a coarse solution with other elements", 2e-2, other_force),
     Oracle("Exponent of force over depth", "the same coarse solution", 3e-2, other_exponent),
+    Oracle("Force, 1 to 5 mm", "bricks in three dimensions", 1e-2, bricks),
+    Oracle(
+        "Force of those bricks, in the middle and 21 mm out", "1.8 times the unknowns", 1e-2, finer_bricks
+    ),
     Oracle("Force between the table's depths", "solving there", 3e-4, lambda: between("force")),
     Oracle("Stress between them, rms over the greatest", "solving there", 2.5e-3, lambda: between("stress")),
 )

@@ -34,10 +34,10 @@ def palm(
     ] = "sphere:10",
     lateral_n: Annotated[str, typer.Option(help="Lateral load along x and y, X,Y [N].")] = "0,0",
     preset: Annotated[
-        str, typer.Option(help="palm, small, debug, solaris, sylgard-184 or casting-resin.")
+        str, typer.Option(help="palm, small, demo, debug, crops, solaris, sylgard-184 or casting-resin.")
     ] = "palm",
     exact: Annotated[bool, typer.Option("--exact", help="March every ray anew: slower.")] = False,
-    seed: Annotated[int, typer.Option(help="Of the camera's noise.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the camera's noise.")] = 0,
     json_: Json = False,
 ) -> None:
     """Press a probe into the virtual photoelastic palm and write the camera's frame.
@@ -61,7 +61,8 @@ def palm(
     if len(lateral) != 2:
         raise InputError(f"--lateral-n {lateral_n!r} is not two numbers of newtons, X,Y")
     if probe.shape == "sphere" and not any(lateral):
-        spec = replace(spec, indenter_radius_m=probe.radius_m)
+        fitted = replace(spec, indenter_radius_m=probe.radius_m)
+        spec = fitted if palms.has_table(fitted) else spec  # otherwise linear layers press it
     pose = Pose(x_mm * 1e-3, y_mm * 1e-3, depth_mm * 1e-3)
     contact = palms.press(spec, pose, probe, lateral)
     frame = palms.render(contact, spec, np.random.default_rng(seed), exact=exact)

@@ -14,6 +14,7 @@ from palpate.mechanics.stack_field import field_below
 from palpate.optics.stress_optic import fringe_order
 from palpate.sensors.palm import orders
 from palpate.sensors.palm.field import pressed, table_of
+from palpate.sensors.palm.fringes import sees
 from palpate.sensors.palm.press import stack_of
 from palpate.sensors.palm.render import is_ball
 from palpate.sensors.palm.spec import PalmSpec
@@ -35,7 +36,7 @@ def facts(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
         "youngs_modulus_Pa": spec.youngs_modulus_pa,
         "thickness_mm": spec.thickness_m * 1e3,
         "rim_force_percent": _rim_percent(contact, spec),
-        "seen_edge_on": bool(abs(contact.pose.x_m) - contact.radius_m < spec.visible_half_width_m),
+        "seen_edge_on": sees(spec, contact.pose.x_m, contact.pose.y_m, contact.radius_m),
         "model": contact.model,
     }
 

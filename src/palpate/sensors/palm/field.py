@@ -75,16 +75,18 @@ def depth_of_force(spec: PalmSpec, force_n: float) -> float:
     """
     table, R = table_of(spec), spec.indenter_radius_m
     unit = spec.youngs_modulus_pa * R**2
-    greatest = float(table.force[-1]) * unit
-    if not 0 <= force_n <= greatest:
+    greatest = table.at(table.greatest_depth).force * unit
+    if not 0 <= force_n <= greatest * (1 + SAME):
         raise RangeError(
             f"a force of {force_n:g} N lies outside 0 to {greatest:g} N, the table's deepest press of this "
             "membrane; press less"
         )
     if force_n == 0:
         return 0.0
+    if force_n >= greatest:
+        return table.greatest_depth * R
     return R * float(
-        brentq(lambda d: table.at(d).force * unit - force_n, 0.0, table.greatest_depth, xtol=1e-9)
+        brentq(lambda d: table.at(d).force * unit - force_n, 0.0, table.greatest_depth, xtol=1e-13)
     )
 
 

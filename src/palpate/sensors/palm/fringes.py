@@ -33,6 +33,7 @@ SLICES = 96  # twice as many change 999 of 1000 pixels by less than a grey level
 FINE_PITCHES = 0.5  # step of s near the contact, in pixels inside the membrane
 FINE_TO_RADII = 1.6  # ball radii up to which the step is fine
 COARSE = 8  # how much longer it is beyond
+LOOKS = 1001  # columns at which `sees` looks, equally spaced in the angle at which they meet the rim
 GRAZED = 1e-5  # share of its way in air from which a ray counts as having met the surface
 PICTURES_BYTES = 300_000_000
 
@@ -51,6 +52,20 @@ def columns(spec: PalmSpec, view: View) -> ColumnRays:
 def columns_kept(spec: PalmSpec) -> ColumnRays:
     """Those of the fringe view, not traced again."""
     return columns(spec, spec.fringes)
+
+
+def sees(spec: PalmSpec, x_m: float, y_m: float, within_m: float = 0.0) -> bool:
+    """Whether any ray of the view passes a place of the membrane, or goes by within a distance [m].
+
+    The rim is a lens. Its outermost rays meet it grazing at (R, 0) and (-R, 0) and run inward, at R / n from
+    the axis where they are nearest: all of the half towards the camera is seen, and of the other what lies
+    between these two, |x| < R + y sqrt(n^2 - 1), with a strip beside each near the far wall, where rays
+    cross. Contacts elsewhere show only what of their stress reaches there.
+    """
+    wide = spec.radius_m * np.sin(np.linspace(-np.pi / 2, np.pi / 2, LOOKS)[1:-1])
+    index = spec.refractive_index if spec.rim_refracts else 1.0
+    offset, _, _ = round_rim(wide, spec.radius_m, index).about(x_m, y_m)
+    return bool(offset.min() <= 0 <= offset.max() or np.abs(offset).min() < within_m)
 
 
 def exact(spec: PalmSpec, depth_m: float, x_m: float, y_m: float, slices: int = SLICES) -> Light:

@@ -19,6 +19,7 @@ from palpate.sensors.palm.field import field_of, pressed
 from palpate.sensors.palm.spec import PalmSpec
 
 WAVELENGTH_M = 550e-9
+NEAR = 6.0  # contact radii
 HALF_RAY = 96  # points on the half ray, equal steps of its angle from the axis
 
 
@@ -41,10 +42,16 @@ class Orders(NamedTuple):
 
 
 def edge_on(spec: PalmSpec, depth_m: float, points: int = 121) -> Orders:
-    """Orders within two ball radii of the axis, from the deformed surface to the underside."""
-    field = field_of(pressed(spec, depth_m), spec)
-    s = np.linspace(0, 2 * spec.indenter_radius_m, points)
-    z = np.linspace(0, spec.thickness_m, points)
+    """Orders near the axis, down from the rest surface.
+
+    Within two ball radii to the side, and down to the underside; under a light touch within six contact
+    radii both ways, where its fringes are.
+    """
+    press = pressed(spec, depth_m)
+    field, R = field_of(press, spec), spec.indenter_radius_m
+    reach = NEAR * press.contact_radius * R or np.inf
+    s = np.linspace(0, min(2 * R, reach), points)
+    z = np.linspace(0, min(spec.thickness_m, reach), points)
     difference, shear = integrated(field, s, z)
     C = spec.stress_optic.at(np.array([WAVELENGTH_M]))[0]
     return Orders(s, z, fringe_order(difference, shear, float(C), WAVELENGTH_M))

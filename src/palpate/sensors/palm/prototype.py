@@ -17,10 +17,11 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.contact import Contact
+from palpate.core.errors import InputError
 from palpate.sensors.palm import fringes
 from palpate.sensors.palm.field import field_of, pressed
 from palpate.sensors.palm.orders import WAVELENGTH_M, edge_on
-from palpate.sensors.palm.render import lamp, render_clean
+from palpate.sensors.palm.render import is_ball, lamp, render_clean
 from palpate.sensors.palm.spec import PalmSpec
 
 POLARISED = 0.4
@@ -69,7 +70,11 @@ def from_below(contact: Contact, spec: PalmSpec, pixels: int = 300) -> FromBelow
         contact: of the spec's ball.
         spec: the palm; its views and mirror play no part.
         pixels: along each side of the picture.
+
+    Raises:
+        InputError: a contact of another probe, or with lateral load.
     """
+    _check_round(contact, spec)
     axis = (np.arange(pixels) + 0.5 - pixels / 2) * spec.diameter_m / pixels
     x, y = np.meshgrid(axis - contact.pose.x_m, axis - contact.pose.y_m)
     radius, summed = through_thickness(spec, contact.pose.depth_m)
@@ -109,7 +114,12 @@ def quality_below(contact: Contact, spec: PalmSpec) -> Quality:
 
 
 def quality_edge_on(contact: Contact, spec: PalmSpec) -> Quality:
-    """Of the folded path's picture."""
+    """Of the folded path's picture.
+
+    Raises:
+        InputError: see `from_below`.
+    """
+    _check_round(contact, spec)
     light, _ = render_clean(contact, spec)
     depth = contact.pose.depth_m
     orders = edge_on(spec, depth)
@@ -122,6 +132,15 @@ def quality_edge_on(contact: Contact, spec: PalmSpec) -> Quality:
     return Quality(
         orders.greatest, orders.steepest_per_m * 1e-3, _contrast(grey.ravel()), float(lit.min() / lit.max())
     )
+
+
+def _check_round(contact: Contact, spec: PalmSpec) -> None:
+    if not is_ball(contact, spec):
+        raise InputError(
+            f"a {contact.probe.shape} of radius {contact.probe.radius_m * 1e3:g} mm with a lateral load of "
+            f"{contact.lateral_n} N; the prototype is drawn for the palm's own ball of radius "
+            f"{spec.indenter_radius_m * 1e3:g} mm, pressed straight down"
+        )
 
 
 def _contrast(grey: Float[ndarray, " n"]) -> float:

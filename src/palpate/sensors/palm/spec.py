@@ -165,15 +165,6 @@ class PalmSpec:
         """Of the membrane [m]."""
         return self.diameter_m / 2
 
-    @property
-    def visible_half_width_m(self) -> float:
-        """How far from the axis, across the view, a place at the middle of the membrane is still seen [m].
-
-        The clear rim is a lens: a ray that enters it grazing runs inside at R / n from the axis. Contacts
-        further out than this are seen only by what their stress reaches inward.
-        """
-        return self.radius_m / (self.refractive_index if self.rim_refracts else 1.0)
-
 
 def _check_view(view: View, frame_px: tuple[int, int]) -> None:
     x, y, w, h = view.box_px

@@ -1,0 +1,129 @@
+import json
+from importlib import import_module
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from palpate.cli import app
+from palpate.core import Pose
+from palpate.recordings import png
+from palpate.sensors import palm
+from palpate.sensors.palm import volume
+
+FACTS = {
+    "force_N",
+    "contact_radius_mm",
+    "peak_pressure_Pa",
+    "fringe_order_max",
+    "youngs_modulus_Pa",
+    "thickness_mm",
+    "model",
+}
+
+
+def render(*words, out, status=0):
+    result = CliRunner().invoke(app, ["render", "palm", *words, "--preset", "debug", "--out", str(out)])
+    assert result.exit_code == status, result.output + result.stderr
+    return result
+
+
+def picture(path):
+    return png.decode(np.frombuffer(path.read_bytes(), np.uint8))
+
+
+@pytest.fixture
+def frame(tmp_path):
+    return tmp_path / "frame.png"
+
+
+PLACED = ("--depth-mm", "3", "--x-mm", "5", "--y-mm", "-2", "--indenter", "sphere:10")
+
+
+def test_a_press_is_drawn_and_its_numbers_are_said(frame):
+    said = json.loads(render(*PLACED, "--json", out=frame).stdout)
+    assert said.keys() >= FACTS
+    spec = palm.debug()
+    contact = palm.press(spec, Pose(5e-3, -2e-3, 3e-3))
+    assert said["force_N"] == pytest.approx(contact.force_n)
+    assert said["contact_radius_mm"] == pytest.approx(contact.radius_m * 1e3)
+    assert said["out"] == str(frame)
+    drawn = palm.render(contact, spec, np.random.default_rng(0)).image
+    np.testing.assert_array_equal(picture(frame), drawn)
+    assert picture(frame).shape == (108, 192, 3)
+
+
+def test_in_words_every_number_has_its_unit(frame):
+    said = render(*PLACED, out=frame).output
+    assert "force_N: 9.279" in said
+    assert "youngs_modulus_Pa: 3.2e+05" in said
+
+
+def test_another_seed_is_another_frame_of_the_same_press(tmp_path):
+    paths = [tmp_path / f"{seed}.png" for seed in (1, 2)]
+    for seed, path in zip((1, 2), paths, strict=True):
+        render(*PLACED, "--seed", str(seed), out=path)
+    one, two = map(picture, paths)
+    assert (one != two).any()
+    assert abs(one.astype(int).mean() - two.astype(int).mean()) < 1
+
+
+def test_nothing_is_overwritten(frame):
+    frame.write_bytes(b"mine")
+    result = render(*PLACED, out=frame, status=2)
+    assert "exists" in result.stderr
+    assert frame.read_bytes() == b"mine"
+
+
+def test_a_ball_that_no_table_holds_is_pressed_into_layers(frame, monkeypatch):
+    monkeypatch.setattr(volume, "PLANES", 12)  # with the next line, three times as fast
+    monkeypatch.setattr(import_module("palpate.sensors.palm.press"), "CELLS", 80)
+    said = json.loads(render("--depth-mm", "0.5", "--indenter", "sphere:8", "--json", out=frame).stdout)
+    assert "linear elastic layers" in said["model"]
+    assert said["fringe_order_max"] > 0.1
+    assert picture(frame).shape == (108, 192, 3)
+
+
+def test_a_smaller_ball_with_a_table_of_its_own_is_pressed_deep(frame):
+    said = json.loads(render("--depth-mm", "2.5", "--indenter", "sphere:5", "--json", out=frame).stdout)
+    assert "finite-strain table" in said["model"]
+
+
+def test_help_has_an_example_that_runs(tmp_path):
+    said = " ".join(CliRunner().invoke(app, ["render", "palm", "--help"]).output.split())
+    words = said.partition("Example: palpate render palm ")[2].split(" Options:")[0].split()
+    assert words[-2:] == ["--out", "frame.png"]
+    render(*words[:-2], out=tmp_path / words[-1])
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--depth-mm", "1", "--indenter", "pyramid:10"], "sphere:DIAMETER_MM"),
+        (["--depth-mm", "1", "--indenter", "punch:-6"], "positive, in mm"),
+        (["--depth-mm", "6.5"], "0 to 6 mm"),
+        (["--depth-mm", "-1"], "0 to 6 mm"),
+        (["--depth-mm", "nan"], "0 to 6 mm"),
+        (["--depth-mm", "2", "--indenter", "punch:6"], "0 to 1.5 mm"),
+        (["--depth-mm", "1", "--x-mm", "28"], "rim at 28.5 mm"),
+        (["--depth-mm", "1", "--y-mm", "inf"], "numbers in m"),
+        (["--depth-mm", "1", "--lateral-n", "1"], "X,Y"),
+        (["--depth-mm", "1", "--lateral-n", "left,0"], "X,Y"),
+        (["--depth-mm", "1", "--lateral-n", "nan,0"], "numbers in N"),
+        (["--depth-mm", "1", "--lateral-n", "5,0"], "1.62436 N"),
+    ],
+)
+def test_what_cannot_be_drawn_is_said_in_one_line_and_nothing_is_written(words, says, frame):
+    result = render(*words, out=frame, status=2)
+    assert says in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert result.stdout == ""
+    assert not frame.exists()
+
+
+def test_a_preset_that_there_is_not_is_answered_with_those_there_are(frame):
+    words = ["render", "palm", "--depth-mm", "1", "--preset", "gelsight", "--out", str(frame)]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 2
+    assert "casting-resin" in result.stderr
+    assert result.stderr.count("\n") == 1

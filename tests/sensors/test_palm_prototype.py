@@ -1,0 +1,115 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palpate.core import InputError, Pose
+from palpate.sensors import palm
+from palpate.sensors.palm import orders, prototype
+
+SPEC = palm.debug()
+GREEN_M = 550e-9
+HERTZ = 0.439  # greatest order under a Hertzian contact seen edge-on, in C F / (a lambda), at z = 0.66 a
+
+
+def pressed(depth_m, x_m=0.0, y_m=0.0):
+    return palm.press(SPEC, Pose(x_m, y_m, depth_m))
+
+
+@pytest.fixture(scope="module")
+def qualities():
+    return {
+        depth: (prototype.quality_below(c, SPEC), prototype.quality_edge_on(c, SPEC))
+        for depth, c in ((d, pressed(d, 2e-3, -1e-3)) for d in (1e-3, 3e-3))
+    }
+
+
+def test_qualities_are_finite_and_in_their_ranges(qualities):
+    for pair in qualities.values():
+        for quality in pair:
+            assert all(math.isfinite(value) and value >= 0 for value in quality)
+            assert quality.contrast <= 1
+            assert 0 < quality.uniformity <= 1
+
+
+def test_without_load_there_are_no_orders():
+    at_rest = prototype.quality_below(pressed(0.0), SPEC)
+    assert (at_rest.greatest_order, at_rest.density_per_mm) == (0, 0)
+    assert at_rest.contrast < 0.25, "what is left is the lamp's unevenness"
+
+
+@pytest.mark.parametrize("depth_m", [1e-3, 3e-3])
+def test_edge_on_more_orders_are_seen_than_from_below(qualities, depth_m):
+    below, edge_on = qualities[depth_m]
+    # along the axis the stress is nearly alike in all directions; across it it is not
+    assert edge_on.greatest_order > 3 * below.greatest_order
+    assert edge_on.density_per_mm > 3 * below.density_per_mm
+    assert edge_on.contrast > below.contrast
+
+
+def test_more_depth_is_more_orders_in_both(qualities):
+    for which in (0, 1):
+        assert qualities[1e-3][which].greatest_order < qualities[3e-3][which].greatest_order
+
+
+def test_from_below_the_order_is_round_about_the_contact_and_zero_at_its_middle():
+    seen = prototype.from_below(pressed(3e-3), SPEC, pixels=101)
+    middle = 50
+    assert seen.x_m[middle] == pytest.approx(0, abs=1e-12)
+    assert seen.order[middle, middle] == pytest.approx(0, abs=1e-3)
+    np.testing.assert_allclose(seen.order, seen.order.T, atol=1e-9)
+    np.testing.assert_allclose(seen.order, seen.order[::-1], atol=1e-9)
+
+
+def test_from_below_a_dark_cross_lies_along_the_polarisers():
+    along = replace(SPEC, polariser_rad=0.0)
+    seen = prototype.from_below(pressed(3e-3), along, pixels=101)
+    leak = (1 - prototype.POLARISED) / 2 + prototype.POLARISED * SPEC.extinction
+    rim = prototype.MIDDLE_OVER_RIM + (1 - prototype.MIDDLE_OVER_RIM) * (seen.x_m / SPEC.radius_m) ** 2
+    np.testing.assert_allclose(seen.light[50], rim[:, None] * leak * np.ones(3), atol=1e-6)
+    np.testing.assert_allclose(seen.light[:, 50], rim[:, None] * leak * np.ones(3), atol=1e-6)
+    diagonal = seen.light[np.arange(101), np.arange(101), 1]
+    assert diagonal.max() > 1.3 * leak * rim[50]
+
+
+def test_only_the_palms_own_ball_pressed_straight_is_compared():
+    punch = palm.press(SPEC, Pose(0.0, 0.0, 1e-3), palm.parse_probe("punch:6"))
+    pushed = palm.press(SPEC, Pose(0.0, 0.0, 1e-3), palm.parse_probe("sphere:10"), (0.2, 0.0))
+    for contact in (punch, pushed):
+        for law in (prototype.from_below, prototype.quality_below, prototype.quality_edge_on):
+            with pytest.raises(InputError, match="radius 5 mm"):
+                law(contact, SPEC)
+
+
+@pytest.mark.parametrize("force_n", [0.5, 2.0, 15.0])
+def test_a_light_touch_has_the_orders_of_a_hertzian_contact(force_n):
+    # the resin is dented by 1e-6 m to 1e-5 m: Hertz's law holds, and the fringes fit into some 0.1 mm
+    resin = palm.casting_resin()
+    contact = palm.press_to_force(resin, force_n)
+    C = float(resin.stress_optic.at(np.array([GREEN_M]))[0])
+    wanted = HERTZ * C * force_n / (contact.radius_m * GREEN_M)
+    found = orders.edge_on(resin, contact.pose.depth_m, points=61).greatest
+    assert found == pytest.approx(wanted, rel=0.03)  # the table's knots, and a percentile for the greatest
+
+
+@pytest.mark.parametrize("force_n", [2.0, 5.0, 15.0])
+def test_at_equal_load_the_reports_choice_shows_most_orders(force_n):
+    def greatest(name):
+        spec = palm.preset(name)
+        return orders.edge_on(spec, palm.press_to_force(spec, force_n).pose.depth_m, points=61).greatest
+
+    solaris, resin, sylgard = map(greatest, ("solaris", "casting-resin", "sylgard-184"))
+    assert solaris > resin > 2 * sylgard  # solaris leads the resin by 8 % at 2 N and by 41 % at 15 N
+
+
+def test_facts_name_a_contact_s_numbers_with_their_units():
+    contact = pressed(0.5e-3, 18e-3, -14e-3)
+    found = palm.facts(contact, SPEC)
+    assert found["force_N"] == contact.force_n
+    assert found["contact_radius_mm"] == contact.radius_m * 1e3
+    assert found["peak_pressure_Pa"] == pytest.approx(contact.pressure_pa.max(), rel=0.02)
+    assert found["fringe_order_max"] == orders.edge_on(SPEC, 0.5e-3).greatest
+    assert (found["youngs_modulus_Pa"], found["thickness_mm"]) == (0.32e6, 10.0)
+    assert found["seen_edge_on"] is False, "behind the rays that graze the rim"
+    assert "finite-strain" in found["model"]

@@ -1,0 +1,89 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palpate.core import InputError, Pose, RangeError
+from palpate.optics import encode_srgb
+from palpate.sensors import palm
+from palpate.sensors.palm.render import BACKGROUND
+
+SPEC = palm.debug()
+QUIET = replace(SPEC, camera=replace(SPEC.camera, full_well_e=1e12, read_noise_e=0.0, bits=16))
+
+
+def pressed(depth_m, x_m=0.0, y_m=0.0, spec=SPEC):
+    return palm.press(spec, Pose(x_m, y_m, depth_m))
+
+
+def rng(seed=0):
+    return np.random.default_rng(seed)
+
+
+def test_the_same_seed_gives_the_same_frame_and_another_another():
+    contact = pressed(2e-3, 3e-3, 2e-3)
+    one, two, other = (palm.render(contact, SPEC, rng(seed)).image for seed in (7, 7, 8))
+    np.testing.assert_array_equal(one, two)
+    assert (one != other).mean() > 0.1
+
+
+def test_a_frame_says_what_it_is():
+    frame = palm.render(pressed(1e-3), SPEC, rng())
+    assert frame.image.shape == (108, 192, 3)
+    assert frame.image.dtype == np.uint8
+    assert (frame.sensor, frame.exposure_s) == ("palm-debug", 0.02)
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_the_regions_are_where_the_spec_says_and_the_rest_is_dark(exact):
+    contact = pressed(3e-3, 5e-3, -2e-3)
+    image = palm.render(contact, QUIET, rng(), exact=exact).image.astype(int)
+    outside = np.ones(image.shape[:2], bool)
+    seen = palm.render_views(contact, QUIET, rng(), exact=exact)
+    for view, alone in zip((SPEC.fringes, SPEC.mirror), seen, strict=True):
+        x, y, w, h = view.box_px
+        # noise is 1e-6 of the light: a pixel may round to the other code
+        assert abs(image[y : y + h, x : x + w] - alone).max() <= 1
+        outside[y : y + h, x : x + w] = False
+    assert abs(image[outside] - int(encode_srgb(np.array([BACKGROUND]))[0])).max() <= 1
+    assert image[outside].max() < 0.1 * image.max()
+
+
+def test_a_dimmer_lamp_scales_both_views():
+    dim = replace(SPEC, lamp_gain=0.25)
+    bright, dimmed = (palm.render_clean(pressed(2e-3), spec) for spec in (SPEC, dim))
+    for one, other in zip(bright, dimmed, strict=True):
+        np.testing.assert_allclose(other, one / 4, rtol=1e-5)
+
+
+def test_a_shorter_exposure_scales_the_codes_and_not_the_developed_picture():
+    short = replace(QUIET, camera=replace(QUIET.camera, exposure=0.3))
+    codes = [palm.render_raw(pressed(2e-3), spec, rng()).astype(float) for spec in (QUIET, short)]
+    np.testing.assert_allclose(codes[1], codes[0] / 3, atol=1.5)  # of 65535 codes
+    images = [palm.render(pressed(2e-3), spec, rng()).image.astype(int) for spec in (QUIET, short)]
+    assert abs(images[0] - images[1]).max() <= 1
+
+
+def test_too_much_light_saturates_and_does_not_wrap():
+    glaring = replace(SPEC, lamp_gain=100.0)
+    codes = palm.render_raw(pressed(3e-3), glaring, rng())
+    assert codes.max() == 2**12 - 1
+    image = palm.render(pressed(3e-3), glaring, rng()).image
+    assert image.max() == 255
+    levels = [palm.render(pressed(3e-3), replace(QUIET, lamp_gain=g), rng()).image for g in (1, 3, 100)]
+    assert (levels[0] <= levels[1] + np.uint8(levels[1] < 255)).all()
+    assert (levels[1] <= levels[2] + np.uint8(levels[2] < 255)).all()
+
+
+def test_a_contact_too_deep_for_the_table_is_not_drawn():
+    deep = replace(pressed(6e-3), pose=Pose(0.0, 0.0, 6.1e-3))
+    for exact in (False, True):
+        with pytest.raises(RangeError, match=r"0 to 1\.2 R"):
+            palm.render(deep, SPEC, rng(), exact=exact)
+
+
+def test_a_contact_nowhere_is_not_drawn():
+    nowhere = replace(pressed(1e-3), pose=Pose(float("nan"), 0.0, 1e-3))
+    for exact in (False, True):
+        with pytest.raises(InputError, match="finite"):
+            palm.render(nowhere, SPEC, rng(), exact=exact)

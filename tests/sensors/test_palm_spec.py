@@ -1,0 +1,180 @@
+import dataclasses
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palpate.core import InputError, Pose, Probe, RangeError
+from palpate.optics import LedStrip
+from palpate.sensors import palm
+from palpate.sensors.palm import View, fringes
+from palpate.sensors.palm.kept import kept
+from palpate.sensors.palm.presets import shrunk
+
+FEWER_PIXELS = [palm.small, palm.demo, palm.debug, palm.crops]
+
+
+def test_the_palm_is_the_reports_where_the_report_speaks():
+    spec = palm.palm()
+    assert (spec.diameter_m, spec.indenter_radius_m) == (57e-3, 5e-3)
+    assert spec.frame_px == (1920, 1080)
+    assert spec.fringes.box_px == (380, 60, 1420, 420)
+    assert spec.mirror.box_px == (700, 560, 700, 420)
+
+
+@pytest.mark.parametrize("make", FEWER_PIXELS)
+def test_fewer_pixels_show_the_same_part_of_the_membrane(make):
+    for full, fewer in (
+        (palm.palm().fringes, make().fringes),
+        (palm.palm().mirror, make().mirror),
+    ):
+        for part in ("x_m", "down_m"):
+            seen, shown = getattr(full, part), getattr(fewer, part)
+            pixel = shown[1] - shown[0]
+            # from edge to edge; whole pixels are all that is lost
+            edges = seen[0] - (seen[1] - seen[0]) / 2, seen[-1] + (seen[1] - seen[0]) / 2
+            assert shown[0] - pixel / 2 == pytest.approx(edges[0], abs=pixel)
+            assert shown[-1] + pixel / 2 == pytest.approx(edges[1], abs=pixel)
+
+
+@pytest.mark.parametrize("make", FEWER_PIXELS)
+def test_fewer_pixels_press_alike(make):
+    pose = Pose(1e-3, 2e-3, 2.5e-3)
+    assert palm.press(make(), pose).force_n == palm.press(palm.palm(), pose).force_n
+
+
+def test_a_smaller_picture_is_the_mean_of_the_larger():
+    large = replace(palm.debug(), rays_per_pixel=(1, 1))
+    light = [fringes.exact(spec, 3e-3, 4e-3, -3e-3) for spec in (large, shrunk(large, 2, "half"))]
+    h, w, _ = light[1].shape
+    np.testing.assert_allclose(
+        light[0].reshape(h, 2, w, 2, 3).mean(axis=(1, 3)), light[1], atol=1e-5
+    )  # float32
+
+
+def test_crops_are_two_squares_side_by_side():
+    spec = palm.crops()
+    assert spec.frame_px == (448, 224)
+    assert (spec.fringes.box_px, spec.mirror.box_px) == ((0, 0, 224, 224), (224, 0, 224, 224))
+
+
+def test_lamp_and_camera_change_nothing_that_is_marched():
+    spec = palm.debug()
+    changed = replace(spec, lamp=LedStrip(evened=0.5), lamp_gain=0.7, corner_loss=0.1, name="another")
+    assert changed != spec
+    assert changed.unlit == spec.unlit
+    assert replace(spec, polariser_rad=0.3).unlit != spec.unlit
+
+
+def test_every_preset_goes_by_its_name():
+    for name in palm.PRESETS:
+        assert palm.preset(name) == palm.PRESETS[name]()
+    with pytest.raises(InputError, match=r"'gelsight'.*sylgard-184.*casting-resin"):
+        palm.preset("gelsight")
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "says"),
+    [
+        ("youngs_modulus_pa", 0.0, "100 to 1e\\+12 Pa"),
+        ("youngs_modulus_pa", -0.3e6, "100 to 1e\\+12 Pa"),
+        ("youngs_modulus_pa", math.nan, "100 to 1e\\+12 Pa"),
+        ("youngs_modulus_pa", math.inf, "100 to 1e\\+12 Pa"),
+        ("poisson_ratio", 0.5, "below 0.5"),
+        ("poisson_ratio", -0.1, "below 0.5"),
+        ("thickness_m", 0.0, "0.0001 to 1 m"),
+        ("thickness_m", math.nan, "0.0001 to 1 m"),
+        ("diameter_m", -57e-3, "0.001 to 1 m"),
+        ("indenter_radius_m", 0.0, "0.0001 to 1 m"),
+        ("friction", -0.1, "0 to 10"),
+        ("refractive_index", 0.9, "1 to 3"),
+        ("extinction", 1.5, "0 to 1"),
+        ("polariser_rad", math.nan, "rad"),
+        ("frozen_birefringence", 0.1, "-0.01 to 0.01"),
+        ("mirror_elevation_rad", 0.0, "0.1 to 1.57"),
+        ("lamp_gain", -1.0, "0 to 100"),
+        ("exposure_s", 0.0, "1e-06 to 100 s"),
+        ("bands", 3, "31 to 1000"),
+        ("rays_per_pixel", (0, 1), "1 or more"),
+    ],
+)
+def test_a_palm_that_cannot_be_is_refused_with_what_can(part, value, says):
+    with pytest.raises(RangeError, match=says):
+        replace(palm.palm(), **{part: value})
+
+
+def test_a_region_outside_the_frame_is_refused():
+    with pytest.raises(InputError, match="1920 x 1080 px"):
+        replace(palm.palm(), fringes=View((1900, 60, 100, 420), 44e-6, (50.0, 110.0)))
+    with pytest.raises(RangeError, match="in m"):
+        replace(palm.palm(), mirror=View((700, 560, 700, 420), 0.0, (350.0, 210.0)))
+
+
+@pytest.mark.parametrize(
+    ("words", "probe"),
+    [
+        ("sphere:10", Probe("sphere", 5e-3)),
+        ("punch:6", Probe("punch", 3e-3)),
+        ("flat:6", Probe("punch", 3e-3)),
+        ("edge:12:30", Probe("edge", 0.0, 12e-3, math.radians(30))),
+        ("cylinder:6:12", Probe("cylinder", 3e-3, 12e-3)),
+        ("two-points:4:8:90", Probe("two-points", 2e-3, 8e-3, math.radians(90))),
+    ],
+)
+def test_words_in_millimetres_and_degrees_are_a_probe(words, probe):
+    read = dataclasses.astuple(palm.parse_probe(words))
+    assert read[0] == probe.shape
+    assert read[1:] == pytest.approx(dataclasses.astuple(probe)[1:], abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["", "ball:10", "sphere", "sphere:10:3", "sphere:ten", "cylinder:6", "two-points:4", "punch:6:7"],
+)
+def test_words_that_are_no_probe_are_answered_with_those_that_are(words):
+    with pytest.raises(InputError, match=r"sphere:DIAMETER_MM.*two-points:DIAMETER_MM:APART_MM"):
+        palm.parse_probe(words)
+
+
+@pytest.mark.parametrize("words", ["sphere:0", "sphere:-10", "sphere:nan", "punch:inf", "cylinder:6:12:nan"])
+def test_a_probe_without_a_size_is_refused(words):
+    with pytest.raises(InputError, match="positive, in mm"):
+        palm.parse_probe(words)
+
+
+@pytest.fixture
+def made():
+    return []
+
+
+@pytest.fixture
+def pictures(made):
+    @kept(most_bytes=1000)
+    def picture(name: str, size: int = 400) -> np.ndarray:
+        made.append(name)
+        return np.zeros(size, np.uint8)
+
+    return picture
+
+
+def test_what_is_kept_is_made_once(pictures, made):
+    assert pictures("a") is pictures("a")
+    assert made == ["a"]
+
+
+def test_what_is_kept_is_bounded_by_bytes_and_the_longest_unused_goes_first(pictures, made):
+    for name in ("a", "b", "a", "c"):  # 1200 bytes: one must go, and it is not the one just read again
+        pictures(name)
+    assert made == ["a", "b", "c"]
+    pictures("a")
+    assert made == ["a", "b", "c"]
+    pictures("b")
+    assert made == ["a", "b", "c", "b"]
+
+
+def test_one_picture_above_the_bound_displaces_all_others(pictures, made):
+    pictures("a")
+    assert pictures("huge", 5000) is pictures("huge", 5000)
+    pictures("a")
+    assert made == ["a", "huge", "a"]

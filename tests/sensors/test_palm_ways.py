@@ -1,0 +1,96 @@
+from dataclasses import replace
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+from palpate.core import Pose, Probe
+from palpate.sensors import palm
+from palpate.sensors.palm import fringes, volume
+
+SPEC = palm.debug()
+STEP = 1 / 255  # of light: an 8-bit step
+
+
+def edge_on(depth_m, x_m=0.0, y_m=0.0, spec=SPEC, exact=False):
+    contact = palm.press(spec, Pose(x_m, y_m, depth_m))
+    return palm.render_clean(contact, spec, exact=exact)[0]
+
+
+def below(light, depth_m, spec=SPEC):
+    """Rows in the membrane below the dimple."""
+    z = spec.fringes.down_m
+    return light[(z > depth_m) & (z < spec.thickness_m)]
+
+
+def layered(words, depth_m=0.8e-3, lateral_n=(0.0, 0.0)):
+    return palm.press(SPEC, Pose(0.0, 0.0, depth_m), palm.parse_probe(words), lateral_n)
+
+
+def rms(difference):
+    return float(np.sqrt(np.mean(difference**2)))
+
+
+@pytest.fixture
+def coarse(monkeypatch):
+    """A quarter of the planes of stress and fewer cells: 1e-3 rms of light off, and ten times as fast."""
+    monkeypatch.setattr(volume, "PLANES", 12)
+    monkeypatch.setattr(import_module("palpate.sensors.palm.press"), "CELLS", 96)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (14e-3, 0.0), (0.0, 7e-3), (-7e-3, -7e-3)])
+def test_the_fast_way_shows_what_the_exact_one_does(place):
+    fast, exact = (edge_on(3e-3, *place, exact=which) for which in (False, True))
+    assert rms(below(fast - exact, 3e-3)) < 1e-2  # 5e-3 is measured; at 5 mm or near the rim it is more
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "place"), [(1e-3, (0.0, 0.0)), (3e-3, (9e-3, -6e-3)), (5e-3, (0.0, 0.0))]
+)
+def test_twice_the_slices_change_no_8_bit_step(depth_m, place):
+    one, two = (fringes.exact(SPEC, depth_m, *place, n) for n in (fringes.SLICES, 2 * fringes.SLICES))
+    assert np.quantile(abs(below(one - two, depth_m)), 0.999) < STEP
+
+
+@pytest.mark.parametrize("depth_m", [1e-3, 5e-3])
+def test_twice_the_bands_change_no_8_bit_step(depth_m):
+    one, two = (fringes.exact(replace(SPEC, bands=n), depth_m, 0.0, 0.0) for n in (31, 62))
+    assert np.quantile(abs(below(one - two, depth_m)), 0.999) < STEP
+
+
+@pytest.mark.parametrize("polariser", [np.pi / 4, 0.0])  # one shows s_xx - s_zz, the other s_xz
+def test_layers_under_a_ball_show_what_the_finite_strain_table_does(polariser, coarse):
+    spec = replace(SPEC, polariser_rad=polariser)
+    pose = Pose(16e-3, -8e-3, 0.3e-3)  # where rays are turned most
+    nearly_still = palm.press(spec, pose, Probe("sphere", 5e-3), (1e-6, 0.0))
+    layers, _ = palm.render_clean(nearly_still, spec)
+    table, _ = palm.render_clean(palm.press(spec, pose), spec, exact=True)
+    # 0.8e-3 is measured, of light up to 0.18; the layers' stress is where the skin was at rest
+    assert rms(below(layers - table, 0.6e-3)) < 1.5e-3
+
+
+@pytest.mark.parametrize("words", ["flat:6", "edge:8:30", "cylinder:6:10:20", "two-points:4:8", "sphere:8"])
+def test_every_probe_is_drawn(words, coarse):
+    contact = layered(words)
+    light, mirror = palm.render_clean(contact, SPEC)
+    at_rest = palm.render_clean(palm.press(SPEC, Pose(0.0, 0.0, 0.0)), SPEC)
+    assert contact.force_n > 0
+    assert light.min() >= 0
+    assert below(light, 0.8e-3).max() > 20 * below(at_rest[0], 0.8e-3).max()
+    assert abs(mirror - at_rest[1]).max() > 0.05
+
+
+def test_a_probe_that_does_not_press_shows_the_membrane_at_rest(coarse):
+    at_rest = edge_on(0.0)
+    np.testing.assert_allclose(palm.render_clean(layered("punch:6", 0.0), SPEC)[0], at_rest, rtol=1e-4)
+    untabled = replace(SPEC, thickness_m=8e-3)  # of which there is no table
+    untouched = palm.press(untabled, Pose(0.0, 0.0, 0.0), palm.parse_probe("punch:6"))
+    np.testing.assert_allclose(palm.render_clean(untouched, untabled)[0], at_rest, rtol=1e-4)
+
+
+def test_a_lateral_load_to_the_right_is_that_to_the_left_mirrored(coarse):
+    left, right = (
+        palm.render_clean(layered("punch:6", lateral_n=(force, 0.0)), SPEC)[0] for force in (-1.0, 1.0)
+    )
+    assert rms(below(left - left[:, ::-1], 0.8e-3)) > 0.05, "and is not its own mirror"
+    np.testing.assert_allclose(below(left, 0.8e-3), below(right, 0.8e-3)[:, ::-1], atol=1e-3)
