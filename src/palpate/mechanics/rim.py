@@ -18,6 +18,7 @@ from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 from palpate.core.errors import RangeError
 
 OFF_CENTRE = resources.files("palpate.mechanics") / "tables" / "off_centre.json"
+SLACK = 1e-3  # a place named in whole millimetres may lie a hair beyond
 _FINE = 61  # offsets at which the smooth curve through the solved ones is kept
 
 
@@ -55,12 +56,13 @@ def rim_effect(offset: float, depth: float, thickness: float) -> RimEffect:
             f"no press off the centre of a disc {thickness:g} R thick was solved; 2 R and 4 R were"
         )
     greatest = known[thickness].grid[0][-1], known[thickness].grid[1][-1]
-    if not (0 <= offset <= greatest[0] and 0 <= depth <= greatest[1]):
+    if not (0 <= offset <= greatest[0] * (1 + SLACK) and 0 <= depth <= greatest[1] * (1 + SLACK)):
         raise RangeError(
             f"{offset:g} R from the axis and {depth:g} R deep lies outside 0 to {greatest[0]:g} R and 0 to "
             f"{greatest[1]:g} R, where presses were solved"
         )
-    return RimEffect(*(float(value) for value in known[thickness]((offset, depth))))
+    at = min(offset, greatest[0]), min(depth, greatest[1])
+    return RimEffect(*(float(value) for value in known[thickness](at)))
 
 
 @lru_cache(maxsize=1)

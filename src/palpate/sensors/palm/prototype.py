@@ -38,7 +38,8 @@ class Quality(NamedTuple):
         greatest_order: the most fringe orders on any ray, at 550 nm.
         density_per_mm: the steepest change of order across the view [1/mm].
         contrast: (brightest - darkest) / (brightest + darkest) near the contact.
-        uniformity: least over greatest light that an unstressed, uncrossed membrane would send.
+        uniformity: least over greatest light that an unstressed, uncrossed membrane would send, within a
+            quarter of its diameter of the contact.
     """
 
     greatest_order: float
@@ -108,8 +109,9 @@ def quality_below(contact: Contact, spec: PalmSpec) -> Quality:
     away = np.hypot(*np.meshgrid(seen.x_m - contact.pose.x_m, seen.y_m - contact.pose.y_m))
     near = away < spec.diameter_m / 4
     grey = seen.light[inside & near].mean(axis=-1)
+    around = lit[inside & near]
     return Quality(
-        float(seen.order.max()), float(steps.max()), _contrast(grey), float(lit[inside].min() / lit.max())
+        float(seen.order.max()), float(steps.max()), _contrast(grey), float(around.min() / around.max())
     )
 
 
@@ -128,7 +130,7 @@ def quality_edge_on(contact: Contact, spec: PalmSpec) -> Quality:
     index = spec.refractive_index if spec.rim_refracts else 1.0
     near = np.abs(x - contact.pose.x_m * index) < spec.diameter_m / 4
     grey = light[np.ix_(rows, near)].mean(axis=-1)
-    lit = lamp(spec)[rows][:, fringes.columns_kept(spec).visible]
+    lit = lamp(spec)[np.ix_(rows, near & fringes.columns_kept(spec).visible)]
     return Quality(
         orders.greatest, orders.steepest_per_m * 1e-3, _contrast(grey.ravel()), float(lit.min() / lit.max())
     )
