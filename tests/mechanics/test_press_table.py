@@ -282,3 +282,12 @@ def test_other_shapes_names_and_places_are_refused():
     for depth in (-0.1, 1.3, math.nan, math.inf):
         with pytest.raises(RangeError, match=r"0 to 1.2 R"):
             PressTable.load("sphere-h2-mu0").at(depth)
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_many_forces_at_once_are_those_one_by_one(name: str) -> None:
+    table = PressTable.load(name)
+    depths = np.linspace(0.0, table.greatest_depth, 37)
+    assert table.force_at(depths) == pytest.approx([table.at(d).force for d in depths], rel=1e-12)
+    with pytest.raises(RangeError, match="R"):
+        table.force_at(np.array([0.5, 1.3]))

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from palpate.cli import calibration, mechanics, optics, recordings, render
+from palpate.cli import calibration, mechanics, optics, recordings, render, rig
 from palpate.cli.demo import demo
 from palpate.version import __version__
 
@@ -25,8 +25,10 @@ app.add_typer(import_app, name="import")
 app.add_typer(render.app, name="render")
 app.add_typer(mechanics.app, name="mechanics")
 app.add_typer(optics.app, name="optics")
+app.add_typer(rig.plan_app, name="plan")
 import_app.command("images")(recordings.import_images)
 for verb in (
+    rig.record,
     recordings.check,
     recordings.repair,
     recordings.export,

@@ -11,6 +11,9 @@ PalpateError
 ├── StorageError            the disk is full, or refused a read or a write
 ├── RecordingError          a run that cannot be read as one
 ├── CertificateError        a calibration whose parts do not belong together
+├── DeviceError             a device that is gone, does not answer, or refuses
+│   └── ProtocolError       bytes that are not the device's language
+├── SafetyError             motion was refused or stopped by a guard
 └── MissingExtraError       an optional package is needed for what was asked
 """
 
@@ -59,6 +62,18 @@ class RecordingError(PalpateError):
 
 class CertificateError(PalpateError):
     """A calibration's card, model and guard do not belong together."""
+
+
+class DeviceError(PalpateError):
+    """A device is gone, does not answer in time, or refuses."""
+
+
+class ProtocolError(DeviceError):
+    """Bytes came that are not the device's language."""
+
+
+class SafetyError(PalpateError):
+    """A guard refused a motion, or stopped it."""
 
 
 class MissingExtraError(PalpateError, ImportError):

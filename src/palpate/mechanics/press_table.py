@@ -166,6 +166,20 @@ class PressTable:
             disc_radius=self.disc_radius,
         )
 
+    def force_at(self, depth: Knots) -> Knots:
+        """Forces at many depths [R], as `at` gives them one by one [E R^2].
+
+        Raises:
+            RangeError: one is negative, not finite or beyond the table.
+        """
+        if not np.all((depth >= 0.0) & (depth <= self.greatest_depth * (1.0 + SAME))):
+            raise RangeError(
+                f"depths of {np.min(depth):g} to {np.max(depth):g} R; the table was solved from 0 to "
+                f"{self.greatest_depth:g} R"
+            )
+        depth = np.minimum(depth, self.greatest_depth)
+        return np.asarray(depth**1.5 * self._ratios[0](depth))
+
     @cached_property
     def _ratios(self) -> tuple[PchipInterpolator, PchipInterpolator, PchipInterpolator]:
         """F / d^(3/2), a / d^(1/2), p / d^(1/2) over depth, from Hertz's values at first touch."""

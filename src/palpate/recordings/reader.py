@@ -19,7 +19,7 @@ from palpate.core.frame import Frame
 from palpate.recordings import schema
 from palpate.recordings.manifest import MANIFEST, LabelKind, Manifest
 from palpate.recordings.scan import Damage
-from palpate.recordings.schema import EVENTS, FORCE, LABELS, STAGE, Channel
+from palpate.recordings.schema import EVENTS, FORCE, LABELS, RAW, STAGE, Channel
 from palpate.recordings.segment import KINDS, file_name, segment_numbers
 from palpate.recordings.stored import StoredFrame, StoredSegment
 from palpate.recordings.values import Label, finite, label_values
@@ -130,14 +130,14 @@ class Run:
         }
         return pd.DataFrame(columns, index=pd.RangeIndex(len(self)))
 
-    def force(self) -> pd.DataFrame:
-        """Force and torque over time: ``time_s`` and `FORCE_COLUMNS`."""
+    def force(self, *, raw: bool = False) -> pd.DataFrame:
+        """Force and torque over time: ``time_s`` and `FORCE_COLUMNS`; raw ones as the sensor said them."""
 
         def six(message: Any) -> tuple[float, ...]:
             force, torque = message.wrench.force, message.wrench.torque
             return force.x, force.y, force.z, torque.x, torque.y, torque.z
 
-        return self._table(FORCE, FORCE_COLUMNS, six)
+        return self._table(RAW if raw else FORCE, FORCE_COLUMNS, six)
 
     def stage(self) -> pd.DataFrame:
         """Where the stage was over time: ``time_s`` and `STAGE_COLUMNS`."""

@@ -14,7 +14,7 @@ from palpate.recordings import schema
 from palpate.recordings.manifest import MANIFEST, Manifest
 from palpate.recordings.reader import Run
 from palpate.recordings.scan import Damage, Message
-from palpate.recordings.schema import EVENTS, FORCE, FRAMES, LABELS, STAGE, Channel
+from palpate.recordings.schema import EVENTS, FORCE, FRAMES, LABELS, RAW, STAGE, Channel
 from palpate.recordings.segment import Segment
 from palpate.recordings.stored import StoredSegment
 
@@ -102,7 +102,7 @@ def _copy_signals(old: StoredSegment, new: Segment, sequences: dict[int, int]) -
         return ((channel, message) for message in old.messages(channel))
 
     copied = orphans = 0
-    for channel, message in merge(*map(of, (LABELS, FORCE, STAGE, EVENTS)), key=lambda m: m[1].time_ns):
+    for channel, message in merge(*map(of, (LABELS, FORCE, STAGE, EVENTS, RAW)), key=lambda m: m[1].time_ns):
         data = bytes(message.data) if channel is not LABELS else _renumbered(message, sequences)
         if data is None:
             orphans += 1

@@ -8,6 +8,7 @@
 | signals | /force | geometry_msgs/msg/WrenchStamped | N, Nm |
 | signals | /stage | geometry_msgs/msg/PointStamped | m |
 | signals | /events | std_msgs/msg/String | JSON: ``kind``, ``fields`` |
+| signals | /force_raw | geometry_msgs/msg/WrenchStamped | N, Nm, as the sensor says it: its axes, its bias |
 
 Frames have a file of their own because a reader takes whole chunks: force would drag images along.
 A channel's id is its place in its file's row of `CHANNELS`, from 1, so that a message can be told even
@@ -52,12 +53,13 @@ LABELS = Channel("/labels", "std_msgs/msg/String")
 FORCE = Channel("/force", "geometry_msgs/msg/WrenchStamped")
 STAGE = Channel("/stage", "geometry_msgs/msg/PointStamped")
 EVENTS = Channel("/events", "std_msgs/msg/String")
+RAW = Channel("/force_raw", "geometry_msgs/msg/WrenchStamped")
 
 CHANNELS: dict[FileKind, tuple[Channel, ...]] = {
     "frames": (SEGMENT, FRAMES),
-    "signals": (SEGMENT, LABELS, FORCE, STAGE, EVENTS),
+    "signals": (SEGMENT, LABELS, FORCE, STAGE, EVENTS, RAW),
 }
-RECORDED = (FRAMES, FORCE, STAGE, EVENTS)  # what a caller writes; labels come with their frame
+RECORDED = (FRAMES, FORCE, STAGE, EVENTS, RAW)  # what a caller writes; labels come with their frame
 
 
 def channel_id(kind: FileKind, channel: Channel) -> int:

@@ -20,7 +20,7 @@ from palpate.recordings import png, schema
 from palpate.recordings.buffer import Buffer, Item, Overflow
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.opening import Opened, open_segment
-from palpate.recordings.schema import EVENTS, FORCE, FRAMES, LABELS, STAGE, Channel
+from palpate.recordings.schema import EVENTS, FORCE, FRAMES, LABELS, RAW, STAGE, Channel
 from palpate.recordings.values import Label, finite, label_values
 
 SYNC_EVERY_S = 0.5  # half of the second that is promised; the disk may take the rest
@@ -150,14 +150,21 @@ class RunWriter:
             about["labels"] = label_values(labels, self._labels)
         return self._put(FRAMES, time_ns, lambda _: np.array(image, order="C"), about or None)
 
-    def force(self, wrench: Sequence[float] | np.ndarray, *, time_ns: int | None = None) -> bool:
+    def force(
+        self, wrench: Sequence[float] | np.ndarray, *, time_ns: int | None = None, raw: bool = False
+    ) -> bool:
         """Record force [N] and torque [Nm] along x, y, z; False when dropped.
+
+        Args:
+            wrench: in the skin's axes, the normal force positive in compression.
+            time_ns: when it was measured, on the writer's clock [ns]; now when left out.
+            raw: it is what the sensor said, in its own axes and with its bias: recorded apart.
 
         Raises:
             InputError: not six finite numbers, or a time before the previous one's.
         """
         values = finite(wrench, 6, "force and torque [N, Nm]")
-        return self._put(FORCE, time_ns, lambda at_ns: schema.encode_wrench(values, at_ns))
+        return self._put(RAW if raw else FORCE, time_ns, lambda at_ns: schema.encode_wrench(values, at_ns))
 
     def stage(self, position_m: Sequence[float] | np.ndarray, *, time_ns: int | None = None) -> bool:
         """Record where the stage is [m]; False when dropped.

@@ -1,0 +1,119 @@
+"""Verbs on the rig: record a plan, look at a plan before it is run."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from palpate.cli.shared import Json, Quiet, print_found, progress_bar, reports_errors
+
+if TYPE_CHECKING:
+    from palpate.rig import Control, Status
+
+plan_app = typer.Typer(help="Plans of recordings.", no_args_is_help=True, rich_markup_mode=None)
+
+
+@plan_app.callback()
+def start() -> None:
+    """Plans of recordings."""
+
+
+@reports_errors
+def record(
+    out: Annotated[Path, typer.Option(help="Run to make, or to go on with.")],
+    plan: Annotated[
+        str, typer.Option(help="Plan: a TOML file, or a name such as palm or palm-reduced.")
+    ] = "palm",
+    rig: Annotated[str, typer.Option(help="Rig: virtual:palm.")] = "virtual:palm",
+    seed: Annotated[int, typer.Option(min=0, help="Of all that varies on a virtual rig.")] = 0,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Record a plan on a rig; the same command goes on with a run that was interrupted.
+
+    Ctrl-C stops the motion, lifts the probe and ends; a second one is the emergency stop: nothing moves.
+    Ends with status 1 where shots are still missing.
+
+    Example: palpate record --rig virtual:palm --plan palm-reduced --out run
+    """
+    from palpate.core.errors import InputError
+    from palpate.rig import Control, State, plan_of
+    from palpate.rig import record as record_plan
+    from palpate.rig.virtual import virtual_palm
+
+    if rig != "virtual:palm":
+        raise InputError(f"there is no rig {rig!r}; there is virtual:palm")
+    chosen, control, opened = plan_of(plan), Control(), virtual_palm(seed=seed)
+    try:
+        with progress_bar(quiet) as progress, _signals_ask(control):
+
+            def watch(status: Status) -> None:
+                progress("recording", status.shots, status.planned)
+
+            outcome = record_plan(opened, chosen, out, control=control, watch=watch)
+    finally:
+        opened.close()
+    found: dict[str, Any] = {"run": str(out), **asdict(outcome)}
+    text = f"{out}: {outcome.state.value}, {outcome.shots} of {outcome.planned} shots"
+    if outcome.state is not State.DONE:
+        reason = f" ({outcome.reason.value})" if outcome.reason else ""
+        text += f"{reason}: {outcome.message}\nthe same command goes on at the first missing shot"
+    print_found(found, text, json_)
+    if outcome.state is not State.DONE:
+        raise typer.Exit(1)
+
+
+@plan_app.command()
+@reports_errors
+def preview(
+    plan: Annotated[str, typer.Argument(help="A TOML file, or a name such as palm.")],
+    png: Annotated[Path | None, typer.Option(help="Draw the places into this PNG; must not exist.")] = None,
+    rate_hz: Annotated[float, typer.Option(min=0.1, help="Frame rate of the camera.")] = 30.0,
+    frame_kb: Annotated[float, typer.Option(min=0.1, help="Size of a frame on disk [kB].")] = 90.0,
+    json_: Json = False,
+) -> None:
+    """Say how many points, shots and frames a plan asks for, about how long it takes, and draw it.
+
+    Example: palpate plan preview palm --png places.png
+    """
+    from palpate.rig import plan_of, size_of
+
+    chosen = plan_of(plan)
+    size = size_of(chosen, rate_hz)
+    found: dict[str, Any] = size._asdict()
+    found["bytes"] = round((size.frames + size.reference_frames) * frame_kb * 1e3)
+    found["plan"] = chosen.name
+    found["hash"] = chosen.hash
+    if png is not None:
+        from palpate.reports.plan_drawing import draw_places
+
+        draw_places(chosen, png)
+        found["png"] = str(png)
+    text = (
+        f"{chosen.name}: {size.points} points, {size.presses} presses, {size.shots} shots, {size.frames} "
+        f"frames and {size.reference_frames} of the untouched skin; about {size.seconds / 60:.0f} min at "
+        f"{rate_hz:g} frames/s, {found['bytes'] / 1e9:.1f} GB at {frame_kb:g} kB a frame"
+    )
+    print_found(found, text, json_)
+
+
+@contextmanager
+def _signals_ask(control: Control) -> Iterator[None]:
+    """Ctrl-C and a request to end abort the recording; the second time they are the emergency stop."""
+    from palpate.rig import Ask
+
+    def ask(number: int, frame: object) -> None:
+        control.ask(Ask.ESTOP if control.asked is Ask.ABORT else Ask.ABORT)
+
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

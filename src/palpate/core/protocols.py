@@ -1,0 +1,220 @@
+"""What a device must do to be used: a stage, a force sensor, a camera, and what plays softness back.
+
+Small on purpose: whoever has another device writes one of these and checks it with `palpate.rig.check`. All
+times are on the host's monotonic clock [ns], all positions in the stage's own frame: x right, y towards the
+viewer, z into the skin [m]. A device that cannot do what it is asked raises `DeviceError`; none waits
+for ever.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from palpate.core.frame import Frame
+
+Position = tuple[float, float, float]
+"""x, y, z [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wrench:
+    """One sample of force and torque, as the device measured it: no bias taken off, its own axes and signs.
+
+    Attributes:
+        time_ns: when it arrived, on the host's monotonic clock [ns].
+        force_n: along the device's x, y, z [N].
+        torque_nm: about them [Nm].
+        fault: what the device says is wrong with the sample, such as "saturated"; empty where nothing is. A
+            faulty sample's numbers mean nothing.
+    """
+
+    time_ns: int
+    force_n: tuple[float, float, float]
+    torque_nm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    fault: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Travel:
+    """What a stage can do.
+
+    Attributes:
+        least_m, greatest_m: where it may be sent [m].
+        top_speed_m_s: its greatest speed [m/s].
+        acceleration_m_s2: at which it stops [m/s^2].
+        latency_s: between asking it to stop and its starting to slow down [s].
+    """
+
+    least_m: Position
+    greatest_m: Position
+    top_speed_m_s: float
+    acceleration_m_s2: float
+    latency_s: float
+
+    def overshoot_m(self, speed_m_s: float) -> float:
+        """How far it still goes after being told to stop, v^2 / 2a + v latency [m]."""
+        return speed_m_s**2 / (2 * self.acceleration_m_s2) + speed_m_s * self.latency_s
+
+
+@runtime_checkable
+class Stage(Protocol):
+    """Moves the probe against the skin, or the skin against the probe. One move at a time."""
+
+    @property
+    def travel(self) -> Travel:
+        """What it can do."""
+        ...
+
+    def position_m(self) -> Position:
+        """Where it is now, also on its way.
+
+        Raises:
+            DeviceError: it does not answer, or its position is not known.
+        """
+        ...
+
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        """Start moving in a straight line, and return at once.
+
+        Raises:
+            RangeError: a position outside the travel or a speed it cannot run at; it does not move.
+            DeviceError: it is moving already, is not ready, or refused.
+        """
+        ...
+
+    def moving(self) -> bool:
+        """Whether the last move is still under way.
+
+        Raises:
+            DeviceError: it does not answer, or has stopped by itself where it was not sent.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Slow down to a stand at once and forget the move; returns when it stands, its position known.
+
+        Safe at any time and from any thread; does nothing where it stands.
+
+        Raises:
+            DeviceError: it could not be brought to a stand, or its position was lost.
+        """
+        ...
+
+    def close(self) -> None:
+        """Stop, and let go of the device. Closing again does nothing."""
+        ...
+
+
+@runtime_checkable
+class ForceSensor(Protocol):
+    """Measures force and torque all the time, by itself."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples a second."""
+        ...
+
+    @property
+    def range_n(self) -> tuple[float, float, float]:
+        """Greatest force along each axis that it can measure, to either side [N]."""
+        ...
+
+    def latest(self) -> Wrench:
+        """The newest sample, which may be old: its time tells.
+
+        Raises:
+            DeviceError: there was none yet, or the device is gone.
+        """
+        ...
+
+    def drain(self) -> list[Wrench]:
+        """All samples since the last call, oldest first.
+
+        Raises:
+            DeviceError: the device is gone, or more were lost for want of calls than are kept.
+        """
+        ...
+
+    def close(self) -> None:
+        """Stop measuring and let go of the device. Closing again does nothing."""
+        ...
+
+
+@runtime_checkable
+class Camera(Protocol):
+    """Takes frames all the time, by itself."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames a second."""
+        ...
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """(width, height) of every frame [px]."""
+        ...
+
+    def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
+        """The next frame that is exposed wholly after this call, and when its exposure ended [ns].
+
+        Raises:
+            DeviceError: none came in time, its size or format changed, or the device is gone.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let go of the device. Closing again does nothing."""
+        ...
+
+
+@runtime_checkable
+class SoftnessDevice(Protocol):
+    """A contact-area display: a pressure makes a finger's contact area."""
+
+    def set_pressure(self, pressure_pa: float) -> None:
+        """Ask for a gauge pressure [Pa].
+
+        Raises:
+            RangeError: outside what the device can do.
+            DeviceError: it does not answer.
+        """
+        ...
+
+    def pressure_pa(self) -> float:
+        """The gauge pressure measured now [Pa]."""
+        ...
+
+    def stop(self) -> None:
+        """Vent, at once and safely."""
+        ...
+
+    def close(self) -> None:
+        """Vent and let go of the device. Closing again does nothing."""
+        ...
+
+
+@runtime_checkable
+class HapticArm(Protocol):
+    """Moves the display against the finger."""
+
+    def position_m(self) -> Position:
+        """Where its end is [m]."""
+        ...
+
+    def set_force(self, force_n: Position) -> None:
+        """Ask for a force at its end [N].
+
+        Raises:
+            RangeError: outside what the device can do.
+            DeviceError: it does not answer.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Brake, at once and safely."""
+        ...
+
+    def close(self) -> None:
+        """Brake and let go of the device. Closing again does nothing."""
+        ...

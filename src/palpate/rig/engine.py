@@ -1,0 +1,214 @@
+"""The engine: runs a plan on a rig, and keeps no progress but the recording.
+
+A press that is interrupted, by a pause, a fault or a kill, is approached anew: lifted, tared, contact found
+again, down again under guard; only the frames that are missing are recorded. So nothing ever moves on from
+where it was left without testing the force.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from palpate.core.errors import DeviceError, PalpateError, StorageError
+from palpate.core.protocols import Position
+from palpate.recordings.writer import RunWriter
+from palpate.rig.control import Ask, Asked, Control
+from palpate.rig.guard import Guard
+from palpate.rig.outcome import Outcome, Reason, State, Tripped
+from palpate.rig.plans.plan import Plan, Press
+from palpate.rig.plans.steps import Done
+from palpate.rig.progress import PLAN, Status
+from palpate.rig.recorder import Recorder
+from palpate.rig.rig import Rig
+from palpate.rig.shooting import Shooting
+from palpate.rig.tare import Tare
+from palpate.rig.walking import Walking
+
+UNMOVED = (Reason.STAGE, Reason.STAGE_LATE, Reason.SOFT_LIMIT)
+"""After these nothing is lifted: the stage is not to be trusted."""
+
+TOLD_EVERY_S = 0.1  # of the machine's time
+
+Watch = Callable[[Status], None]
+
+
+def nobody(status: Status) -> None:
+    """Nobody watches."""
+
+
+class Engine:
+    """One plan on one rig into one run.
+
+    Args:
+        rig: the devices.
+        plan: what is recorded.
+        writer: of the run.
+        done: what the run holds already.
+        control: through which the operator interrupts.
+        watch: told how far it is, a few times a second.
+    """
+
+    def __init__(
+        self, rig: Rig, plan: Plan, writer: RunWriter, done: Done, control: Control, watch: Watch = nobody
+    ) -> None:
+        self._rig = rig
+        self._plan = plan
+        self._done = dict(done)
+        self._control = control
+        self._watch = watch
+        tare = Tare(rig.mounting)
+        self._recorder = Recorder(writer, tare, rig.clock.now_ns())
+        guard = Guard(rig.stage, rig.force, rig.limits, tare, rig.clock, control, self._recorder)
+        guard.on_poll = self._tell
+        self._walking = Walking(rig, plan, guard, tare)
+        self._shooting = Shooting(rig, guard, self._walking, self._mark)
+        self._guard = guard
+        self._state = State.READY
+        self._message = ""
+        self._told_s = 0.0
+        self._planned = [len(plan.shots(press)) for press in plan.presses()]
+        self._shots = sum(self._whole(press) for press in plan.presses())
+        self._begun = (time.monotonic(), self._shots)
+        self._indenter = ""
+
+    def run(self) -> Outcome:
+        """Record all that is missing, or as much as can be; the probe is lifted at the end."""
+        self._recorder.event(PLAN, hash=self._plan.hash, plan=self._plan.model_dump(mode="json"))
+        self._recorder.event("rig", name=self._rig.name, limits=_plain(self._rig))
+        self._turn(State.RUNNING, "begun")
+        try:
+            for press in self._plan.presses():
+                if self._control.asked is Ask.STOP:
+                    return self._over(State.STOPPED, "stopped by the operator")
+                self._finish(press)
+        except Asked as asked:
+            if asked.ask is Ask.ESTOP:
+                return self._over(State.ESTOPPED, "emergency stop")
+            return self._over(State.ABORTED, "aborted by the operator")
+        except Tripped as e:
+            return self._failed(e.reason, str(e))
+        except StorageError as e:
+            return self._failed(Reason.STORAGE, str(e))
+        except DeviceError as e:
+            return self._failed(Reason.CAMERA, str(e))
+        except PalpateError as e:
+            return self._failed(Reason.PLAN, str(e))
+        except BaseException:
+            self._guard.halt()
+            self._lift_if_possible()
+            raise
+        return self._over(State.DONE, "all shots are recorded")
+
+    def _finish(self, press: Press) -> None:
+        """A press until nothing of it is missing, however often it is paused."""
+        while self._plan.missing(press, self._done):
+            try:
+                self._fit(press.indenter)
+                self._approached(press)
+            except Asked as asked:
+                if asked.ask is not Ask.PAUSE:
+                    raise
+                self._paused()
+
+    def _approached(self, press: Press) -> None:
+        self._walking.begin(press)
+        self._shooting.begin(press)
+        for step in self._plan.steps(press, self._done):
+            self._control.check()
+            self._message = f"{press.place.name}, cycle {press.cycle}: {type(step).__name__.lower()}"
+            if not self._walking.take(step):
+                self._shooting.take(step)
+        self._walking.lift()
+
+    def _fit(self, indenter: str) -> None:
+        if indenter == self._indenter:
+            return
+        self._indenter = indenter
+        if not self._rig.fit(indenter) and len(self._plan.indenters) > 1:
+            self._message = f"fit the indenter {indenter}, then resume"
+            self._control.ask(Ask.PAUSE)
+            self._control.check()
+
+    def _paused(self) -> None:
+        """Lifted, and watching, until resumed; raises `Asked` on anything stronger."""
+        self._walking.lift()
+        self._turn(State.PAUSED, self._message or "paused by the operator")
+        while self._control.wait_while_paused(0.02):
+            self._guard.look(lambda sample: None, (Ask.ABORT, Ask.ESTOP))
+            self._tell()
+        self._control.check((Ask.ABORT, Ask.ESTOP))
+        self._turn(State.RUNNING, "resumed")
+
+    def _mark(self, key: str, frame: int, whole: bool) -> None:
+        """A frame is recorded; with it, perhaps, its shot is whole."""
+        self._done[key] = self._done.get(key, frozenset()) | {frame}
+        self._shots += whole
+        self._tell()
+
+    def _whole(self, press: Press) -> int:
+        shots = self._plan.shots(press)
+        return sum(len(self._done.get(shot.key, frozenset())) >= frames for shot, frames in shots)
+
+    def _failed(self, reason: Reason, message: str) -> Outcome:
+        if reason is Reason.STORAGE:
+            self._recorder.mute()
+        if reason not in UNMOVED:
+            self._lift_if_possible()
+        return self._over(State.FAILED, message, reason)
+
+    def _lift_if_possible(self) -> None:
+        with _quietly():
+            self._walking.lift()
+
+    def _over(self, state: State, message: str, reason: Reason | None = None) -> Outcome:
+        if state in (State.STOPPED, State.ABORTED, State.DONE):
+            self._lift_if_possible()
+        with _quietly():
+            self._turn(state, message)
+        return Outcome(state, self._shots, sum(self._planned), reason, message)
+
+    def _turn(self, state: State, message: str) -> None:
+        self._state, self._message = state, message
+        self._told_s = 0.0
+        self._tell()
+        self._recorder.event("state", state=state.value, message=message, shots=self._shots)
+
+    def _tell(self) -> None:
+        now_s = time.monotonic()
+        if now_s - self._told_s < TOLD_EVERY_S:
+            return
+        self._told_s = now_s
+        planned = sum(self._planned)
+        status = Status(self._state, self._message, self._shots, planned, self._left_s(now_s))
+        with _quietly():
+            force, at = self._guard.force_n, self._relative(self._guard.position_m())
+            status = replace(status, force_n=force, position_mm=at)
+        self._watch(status)
+
+    def _left_s(self, now_s: float) -> float | None:
+        begun_s, before = self._begun
+        new = self._shots - before
+        return (now_s - begun_s) / new * (sum(self._planned) - self._shots) if new else None
+
+    def _relative(self, at: Position) -> Position:
+        x, y, z = (1e3 * float(d) for d in np.subtract(at, self._rig.origin_m))
+        return x, y, z
+
+
+def _plain(rig: Rig) -> dict[str, object]:
+    limits = rig.limits
+    return {name: getattr(limits, name) for name in limits.__slots__}
+
+
+@contextmanager
+def _quietly() -> Iterator[None]:
+    """What fails on the way out hides nothing of why it is left."""
+    try:
+        yield
+    except (PalpateError, Asked):
+        return

@@ -1,0 +1,139 @@
+"""Plans by name or from a TOML file, and what one asks for in all."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from palpate.core.errors import InputError
+from palpate.core.files import storage_errors
+from palpate.rig.plans.places import Grid, Listed, Scattered
+from palpate.rig.plans.plan import Plan
+from palpate.rig.plans.stepped import Dwell, Lateral, Stepped
+from palpate.rig.plans.swept import Swept
+
+AnyPlan = Annotated[Stepped | Swept, Field(discriminator="kind")]
+_ADAPTER: TypeAdapter[Stepped | Swept] = TypeAdapter(AnyPlan)
+_MOST_BYTES = 1 << 20
+
+_CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
+_ROUND = ((0.3, 0.0), (0.0, 0.3), (-0.3, 0.0), (0.0, -0.3))
+_SMALL = {"cycles": 1, "frames": 5, "reference_frames": 5}
+_PLANS: tuple[Stepped | Swept, ...] = (
+    Stepped(name="palm"),
+    Stepped(name="palm-reduced", cycles=1, depth_mm=4.0, step_mm=1.0, frames=2, reference_frames=1),
+    Stepped(
+        name="palm-validation",
+        places=Scattered(kind="scattered", count=20, apart_mm=3.0, seed=1),
+        step_mm=0.5,
+        **_SMALL,
+    ),
+    Stepped(
+        name="palm-lateral",
+        places=Grid(pitch_mm=12.0),
+        depth_mm=1.5,
+        step_mm=0.5,
+        lateral=Lateral(depths_mm=(1.0,), to_mm=_ROUND),
+        **_SMALL,
+    ),
+    Stepped(
+        name="palm-creep",
+        places=_CENTRE,
+        depth_mm=4.0,
+        step_mm=1.0,
+        unloading=True,
+        dwell=Dwell(depths_mm=(4.0,), seconds=60.0, frames=60),
+        **_SMALL,
+    ),
+    Swept(
+        name="tactip-press",
+        kind="swept",
+        places=_CENTRE,
+        speed_mm_s=5.0,
+        until_N=5.0,
+        depth_mm=6.0,
+        wait_s=5.0,
+        threshold_N=0.5,
+    ),
+    Swept(name="repeated", kind="swept", places=_CENTRE, cycles=70, speed_mm_s=5.0, depth_mm=2.0),
+    Swept(name="slow", kind="swept", places=_CENTRE, cycles=3, speed_mm_s=0.5, depth_mm=2.0),
+)
+PLANS: Mapping[str, Stepped | Swept] = MappingProxyType({plan.name: plan for plan in _PLANS})
+"""The palm's protocol, a small one, and one of each kind. "tactip-press" and the two after it are those of
+the TacTip's and NUSense's reports."""
+
+
+class Size(NamedTuple):
+    """What a plan asks for.
+
+    Attributes:
+        points: places. presses: approaches. shots: without references. frames: of them.
+        reference_frames: of the untouched skin. seconds: about so long.
+    """
+
+    points: int
+    presses: int
+    shots: int
+    frames: int
+    reference_frames: int
+    seconds: float
+
+
+def plan_of(text: str | Path) -> Stepped | Swept:
+    """A plan by its name, or from a TOML file.
+
+    Raises:
+        InputError: neither; or a field that is not one, or out of range: the message lists them.
+        StorageError: the file cannot be read.
+    """
+    if str(text) in PLANS:
+        return PLANS[str(text)]
+    path = Path(text)
+    if not path.exists():
+        raise InputError(f"{text} is no file, and none of the plans {', '.join(PLANS)}")
+    with storage_errors(path):
+        data = path.read_bytes()[:_MOST_BYTES]
+    try:
+        return plan_from(tomllib.loads(data.decode()))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
+        raise InputError(f"{path} is not TOML: {e}") from e
+    except InputError as e:
+        raise InputError(f"{path}: {e}") from e
+
+
+def plan_from(fields: Mapping[str, Any]) -> Stepped | Swept:
+    """A plan from plain values.
+
+    Raises:
+        InputError: a field that is not one, or out of range.
+    """
+    try:
+        plan = _ADAPTER.validate_python({"kind": "stepped", **fields})
+        plan.places.places()
+    except ValidationError as e:
+        said = "; ".join(f"{'.'.join(map(str, d['loc'][1:])) or 'plan'}: {d['msg']}" for d in e.errors())
+        raise InputError(said) from e
+    return plan
+
+
+def size_of(plan: Plan, rate_hz: float = 30.0) -> Size:
+    """Count a plan's shots and frames, and say about how long they take at a frame rate."""
+    presses = list(plan.presses())
+    shots = frames = references = 0
+    seconds = 0.0
+    for press in presses[: plan.cycles * len(plan.places.places())]:
+        for shot, count in plan.shots(press):
+            if shot.phase == "reference":
+                references += count
+            else:
+                shots, frames = shots + 1, frames + count
+    shots, frames, references = (n * len(plan.indenters) for n in (shots, frames, references))
+    away_mm = 2 * (plan.clearance_mm + plan.deepest_mm)
+    per_press = away_mm / plan.press_mm_s + plan.seek_mm / plan.seek_mm_s + 0.5
+    seconds = (frames + references) / rate_hz + len(presses) * per_press
+    return Size(len(plan.places.places()), len(presses), shots, frames, references, seconds)

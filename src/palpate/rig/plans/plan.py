@@ -1,0 +1,109 @@
+"""What every plan is: presses in an order, each a few keyed shots and the steps that record them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from palpate.rig.plans.places import Grid, Place, Places, Positive
+from palpate.rig.plans.steps import Done, Shot, Steps
+
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
+LESS = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class Press(NamedTuple):
+    """One approach of one place."""
+
+    place: Place
+    cycle: int
+    indenter: str
+
+
+class Plan(BaseModel):
+    """Places, cycles, and how contact is found; what is done there is its kind's.
+
+    Attributes:
+        name: goes into the run.
+        places: where.
+        cycles: presses at each place.
+        order: "cycles" presses a place so many times before it goes on; "rounds" goes round all places before
+            the next cycle; "shuffled" is seeded by `seed`.
+        seed: of a shuffled order.
+        indenters: all of the plan is done with each of them in turn.
+        threshold_N: normal force that says contact; it sets the local zero.
+        seek_step_mm: of the search for contact.
+        seek_mm: how far below the expected surface contact is searched for.
+        clearance_mm: above the expected surface, between presses.
+        travel_mm_s, seek_mm_s, press_mm_s: speeds in the air, of the search, and into the skin.
+        reference_frames: of the untouched skin, before each press.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Annotated[str, Field(min_length=1, max_length=100)] = "plan"
+    places: Places = Field(default_factory=Grid)
+    cycles: Count = 5
+    order: Literal["cycles", "rounds", "shuffled"] = "cycles"
+    seed: int = 0
+    indenters: Annotated[tuple[str, ...], Field(min_length=1)] = ("sphere:10",)
+    threshold_N: Positive = 0.05  # noqa: N815 - the unit is part of the name
+    seek_step_mm: Positive = 0.02
+    seek_mm: Positive = 2.0
+    clearance_mm: Positive = 1.0
+    travel_mm_s: Positive = 20.0
+    seek_mm_s: Positive = 2.0
+    press_mm_s: Positive = 2.0
+    reference_frames: Annotated[int, Field(ge=0, le=100_000)] = 25
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of all that decides what is recorded."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @property
+    def deepest_mm(self) -> float:
+        """The greatest depth below a local zero."""
+        raise NotImplementedError
+
+    def presses(self) -> Iterator[Press]:
+        """All of them, in order."""
+        places = self.places.places()
+        for indenter in self.indenters:
+            found = [Press(place, cycle, indenter) for place in places for cycle in range(1, self.cycles + 1)]
+            if self.order == "rounds":
+                found.sort(key=lambda press: press.cycle)
+            if self.order == "shuffled":
+                np.random.default_rng(self.seed).shuffle(found)
+            yield from found
+
+    def shots(self, press: Press) -> tuple[tuple[Shot, int], ...]:
+        """The shots of a press, each with how many frames it has, in order."""
+        reference = Shot(self._named(press), press.cycle, "reference", 0)
+        own = self._shots(press)
+        return ((reference, self.reference_frames), *own) if self.reference_frames else own
+
+    def steps(self, press: Press, done: Done) -> Steps:
+        """What records the frames of a press that are missing; nothing where none is."""
+        raise NotImplementedError
+
+    def missing(self, press: Press, done: Done) -> dict[Shot, tuple[int, ...]]:
+        """The frames that are not recorded yet, by shot."""
+        return {
+            shot: left
+            for shot, frames in self.shots(press)
+            if (left := tuple(sorted(set(range(frames)) - done.get(shot.key, frozenset()))))
+        }
+
+    def _shots(self, press: Press) -> tuple[tuple[Shot, int], ...]:
+        raise NotImplementedError
+
+    def _named(self, press: Press) -> str:
+        """The place's name, and the indenter's where there are several."""
+        return press.place.name if len(self.indenters) == 1 else f"{press.place.name}@{press.indenter}"

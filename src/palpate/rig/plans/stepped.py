@@ -1,0 +1,145 @@
+"""Press in steps, and stand at each while frames are taken: the palm's own protocol, and its relatives."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from palpate.rig.plans.places import Positive
+from palpate.rig.plans.plan import LESS, Count, Plan, Press
+from palpate.rig.plans.steps import Aside, Burst, Depth, Done, Over, Pause, Seek, Shot, Steps, Tare
+
+UM = 1000  # micrometres in a millimetre
+MM = 1e-3
+
+
+class Lateral(BaseModel):
+    """Controlled lateral load: at some depths the probe is shifted, in steps, in some directions.
+
+    Attributes:
+        depths_mm: of the press's own depths.
+        to_mm: (x, y) shifts, each reached from the middle.
+        steps: stands on the way to each.
+        speed_mm_s: of the shift.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    depths_mm: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    to_mm: Annotated[tuple[tuple[float, float], ...], Field(min_length=1)]
+    steps: Annotated[int, Field(ge=1, le=1000)] = 5
+    speed_mm_s: Positive = 0.5
+
+    def shifts_mm(self) -> tuple[tuple[float, float], ...]:
+        """Where it stands, in order."""
+        return tuple(
+            (x * i / self.steps, y * i / self.steps) for x, y in self.to_mm for i in range(1, self.steps + 1)
+        )
+
+
+class Dwell(BaseModel):
+    """Stand long at some depths, to see the skin creep: frames spread over the time.
+
+    Attributes:
+        depths_mm: of the press's own depths.
+        seconds: at each.
+        frames: over that time.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    depths_mm: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    seconds: Positive
+    frames: Annotated[int, Field(ge=2, le=1_000_000)] = 50
+
+
+class Stepped(Plan):
+    """Find contact, go down step by step, and record a burst at each depth.
+
+    Attributes:
+        depth_mm: of the deepest.
+        step_mm: between depths.
+        frames: at each depth.
+        settle_s: between arriving and the first frame.
+        unloading: record the way back up as well.
+        lateral: shift the probe at some depths.
+        dwell: stand long at some depths.
+    """
+
+    kind: Literal["stepped"] = "stepped"
+    depth_mm: Positive = 5.0
+    step_mm: Positive = 0.1
+    frames: Count = 25
+    settle_s: LESS = 0.0
+    unloading: bool = False
+    lateral: Lateral | None = None
+    dwell: Dwell | None = None
+
+    @property
+    def deepest_mm(self) -> float:
+        """The greatest depth below a local zero."""
+        return self.depth_mm
+
+    def depths_um(self) -> tuple[int, ...]:
+        """From the first to the deepest, to the micrometre."""
+        count = round(self.depth_mm / self.step_mm)
+        return tuple(round(self.step_mm * i * UM) for i in range(1, max(1, count) + 1))
+
+    def steps(self, press: Press, done: Done) -> Steps:
+        """Approach, find contact, descend to the deepest shot that is missing, and record those that are."""
+        missing = self.missing(press, done)
+        if not missing:
+            return
+        place = press.place
+        yield Over(place.x_mm * MM, place.y_mm * MM)
+        yield Tare()
+        left = dict(missing)
+        for shot in [one for one in left if one.phase == "reference"]:
+            yield Burst(shot, left.pop(shot))
+        if not left:
+            return
+        yield Seek()
+        up = any(shot.phase == "up" for shot in left)
+        deepest = max(self.depths_um()) if up else max(shot.depth_um for shot in left)
+        for depth in (d for d in self.depths_um() if d <= deepest):
+            yield Depth(depth * 1e-6, self.press_mm_s * MM)
+            yield from self._at(depth, "down", left)
+        for depth in (d for d in reversed(self.depths_um()[:-1]) if up):
+            yield Depth(depth * 1e-6, self.press_mm_s * MM)
+            yield from self._at(depth, "up", left)
+
+    def _at(self, depth_um: int, phase: str, left: dict[Shot, tuple[int, ...]]) -> Steps:
+        here = {shot: frames for shot, frames in left.items() if shot.depth_um == depth_um}
+        if phase == "up":
+            here = {shot: frames for shot, frames in here.items() if shot.phase == "up"}
+        else:
+            here = {shot: frames for shot, frames in here.items() if shot.phase != "up"}
+        if here and self.settle_s:
+            yield Pause(self.settle_s)
+        shifted = False
+        for shot, frames in here.items():
+            if shot.phase == "lateral" and self.lateral:
+                x, y = self.lateral.shifts_mm()[shot.turn]
+                if shot.turn % self.lateral.steps == 0 and shifted:
+                    yield Aside(0.0, 0.0, self.lateral.speed_mm_s * MM)
+                yield Aside(x * MM, y * MM, self.lateral.speed_mm_s * MM)
+                shifted = True
+            every = self.dwell.seconds / self.dwell.frames if shot.phase == "hold" and self.dwell else 0.0
+            yield Burst(shot, frames, every)
+        if shifted and self.lateral:
+            yield Aside(0.0, 0.0, self.lateral.speed_mm_s * MM)
+
+    def _shots(self, press: Press) -> tuple[tuple[Shot, int], ...]:
+        place, depths = self._named(press), self.depths_um()
+        found: list[tuple[Shot, int]] = []
+        for depth in depths:
+            found.append((Shot(place, press.cycle, "down", depth), self.frames))
+            if self.dwell and depth in [round(d * UM) for d in self.dwell.depths_mm]:
+                found.append((Shot(place, press.cycle, "hold", depth), self.dwell.frames))
+            if self.lateral and depth in [round(d * UM) for d in self.lateral.depths_mm]:
+                turns = range(len(self.lateral.shifts_mm()))
+                found += [(Shot(place, press.cycle, "lateral", depth, i), self.frames) for i in turns]
+        if self.unloading:
+            found += [(Shot(place, press.cycle, "up", depth), self.frames) for depth in reversed(depths[:-1])]
+        return tuple(found)

@@ -1,0 +1,79 @@
+"""A rig: its devices, its limits, where its layer lies, and the clock that they share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+from palpate.core.clock import Clock
+from palpate.core.frame import Frame
+from palpate.core.protocols import Camera, ForceSensor, Position, Stage
+from palpate.rig.limits import Limits
+from palpate.rig.tare import Mounting
+
+
+@runtime_checkable
+class FrameSource(Camera, Protocol):
+    """A camera that also hands out what it took meanwhile, without waiting."""
+
+    def drain(self) -> list[tuple[int, Frame]]:
+        """All frames since the last call or `grab`, oldest first, each with when its exposure ended [ns]."""
+        ...
+
+
+def no_truth(time_ns: int) -> dict[str, float]:
+    """A real rig knows no truth beyond what it measures."""
+    return {}
+
+
+def by_hand(indenter: str) -> bool:
+    """A person has to change the indenter."""
+    return False
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """What the engine drives.
+
+    Attributes:
+        name: such as "virtual:palm".
+        sensor: what is calibrated, such as its serial number.
+        stage, force, camera: the devices.
+        limits: of every motion.
+        origin_m: in the stage's frame, the layer's centre at its expected surface [m].
+        clock: that all devices stamp on.
+        mounting: of the force sensor.
+        licence, origin: of what is recorded.
+        seed: of a virtual rig.
+        truth: a virtual rig's own labels at a time, each with its unit in the name.
+        truths: the names of those labels.
+        fit: change the indenter; False where a person has to.
+    """
+
+    name: str
+    sensor: str
+    stage: Stage
+    force: ForceSensor
+    camera: FrameSource
+    limits: Limits
+    origin_m: Position
+    clock: Clock
+    mounting: Mounting = field(default_factory=Mounting)
+    licence: str = ""
+    origin: str = ""
+    seed: int | None = None
+    truth: Callable[[int], dict[str, float]] = no_truth
+    truths: tuple[str, ...] = ()
+    fit: Callable[[str], bool] = by_hand
+
+    def close(self) -> None:
+        """Let go of every device, the stage first; all are tried."""
+        failed: list[Exception] = []
+        for device in (self.stage, self.force, self.camera):
+            try:
+                device.close()
+            except Exception as e:
+                failed.append(e)
+        if failed:
+            raise failed[0]

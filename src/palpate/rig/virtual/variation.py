@@ -1,0 +1,96 @@
+"""How presses of a virtual rig differ, as those of a real one do: all of it seeded, each with its size.
+
+The incidental lateral forces are those of the palm's report, which records 0.07 and 0.29 N (standard
+deviation) without any lateral load: here they come from a probe that is not quite upright, by a constant and
+by a part that changes from press to press. The other sizes are assumed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class Variation:
+    """Sizes of what varies.
+
+    Attributes:
+        seating_m: of the skin's height from press to press [m], standard deviation.
+        place_m: of where the probe comes down, along x and y [m].
+        tilt_rad: of the layer, about y and x [rad].
+        lean, lean_spread: lateral force along x and y over the normal force: the constant part, and its
+            standard deviation from press to press.
+        lamp: relative change of the lamp from press to press.
+        backlash_m: of the stage, each axis [m].
+        force_noise_n: of a sample [N].
+        force_drift_n: of the zero over a minute, a random walk [N].
+        force_step_n: resolution [N].
+        frame_jitter_s: of when a frame comes [s].
+        relaxation: for each branch of the skin's memory, its share of the modulus and its time [s].
+    """
+
+    seating_m: float = 0.02e-3
+    place_m: float = 0.02e-3
+    tilt_rad: tuple[float, float] = (0.002, -0.001)
+    lean: tuple[float, float] = (0.007, 0.030)
+    lean_spread: tuple[float, float] = (0.0055, 0.022)
+    lamp: float = 0.01
+    backlash_m: float = 5e-6
+    force_noise_n: float = 0.005
+    force_drift_n: float = 0.01
+    force_step_n: float = 1 / 320
+    frame_jitter_s: float = 0.001
+    relaxation: tuple[tuple[float, float], ...] = ((0.06, 0.2), (0.05, 5.0))
+
+
+IDEAL = Variation(
+    seating_m=0.0,
+    place_m=0.0,
+    tilt_rad=(0.0, 0.0),
+    lean=(0.0, 0.0),
+    lean_spread=(0.0, 0.0),
+    lamp=0.0,
+    backlash_m=0.0,
+    force_noise_n=1e-4,
+    force_drift_n=0.0,
+    force_step_n=0.0,
+    frame_jitter_s=0.0,
+    relaxation=(),
+)
+"""Nothing varies: for tests of everything else."""
+
+
+@dataclass(frozen=True, slots=True)
+class Approach:
+    """What is particular to one approach of one place.
+
+    Attributes:
+        height_m: of the skin, downwards positive [m].
+        aside_m: of the probe along x and y [m].
+        lean: lateral over normal force, along x and y.
+        lamp_gain: of the lamp, over that at set-up.
+    """
+
+    height_m: float
+    aside_m: tuple[float, float]
+    lean: tuple[float, float]
+    lamp_gain: float
+
+
+def approach_of(variation: Variation, seed: int, x_m: float, y_m: float, visit: int) -> Approach:
+    """The same for the same seed, place and visit, whatever else was recorded before."""
+    place = [round(d * 1e6) & 0xFFFFFFFF for d in (x_m, y_m)]
+    rng = np.random.default_rng([seed & 0xFFFFFFFF, *place, visit])
+    height, ax, ay, lx, ly, lamp = rng.standard_normal(6).tolist()
+    tilted = variation.tilt_rad[0] * x_m + variation.tilt_rad[1] * y_m
+    return Approach(
+        height_m=variation.seating_m * height + tilted,
+        aside_m=(variation.place_m * ax, variation.place_m * ay),
+        lean=(
+            variation.lean[0] + variation.lean_spread[0] * lx,
+            variation.lean[1] + variation.lean_spread[1] * ly,
+        ),
+        lamp_gain=1.0 + variation.lamp * lamp,
+    )

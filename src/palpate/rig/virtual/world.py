@@ -1,0 +1,241 @@
+"""What the virtual devices share: the stage's motion, the skin under the probe, and what they did before.
+
+Nothing runs by itself. Whoever asks brings the world up to the clock's time, at the force sensor's rate, so
+that it is the same in real time and faster. Depth is below the skin's own surface, at first touch: the truth
+that labels below a force threshold differ from.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from palpate.core.clock import NS_PER_S, Clock
+from palpate.core.protocols import Position, Travel
+from palpate.mechanics.partial_slip import tangential_stiffness
+from palpate.rig.virtual.faults import Fault, Faults
+from palpate.rig.virtual.motion import Motion, standing
+from palpate.rig.virtual.skin import Skin
+from palpate.rig.virtual.variation import Approach, Variation, approach_of
+from palpate.sensors.palm import PalmSpec
+
+KEPT_S = 3.0  # of what was, for frames that are asked for late
+FRICTION = 0.5  # between probe and skin, of a lateral load
+LIFTED_M = 0.2e-3  # above the skin, from where the next touch is another approach
+MOST_FRESH = 1_000_000  # samples that wait for the force sensor
+FAR_M = 1.0  # to where the layer goes that is not there
+
+Series = Float[ndarray, " n"]
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """One instant.
+
+    Attributes:
+        time_s: on the world's clock [s].
+        depth_m: below first touch; negative in the air.
+        x_m, y_m: of the probe on the skin.
+        force_n: along x, y, z, positive z in compression.
+        stiffening: normal force over that of the relaxed skin at this depth.
+        approach: what is particular to it.
+    """
+
+    time_s: float
+    depth_m: float
+    x_m: float
+    y_m: float
+    force_n: tuple[float, float, float]
+    stiffening: float
+    approach: Approach
+
+
+class World:
+    """One palm under one probe on one stage."""
+
+    def __init__(
+        self,
+        spec: PalmSpec,
+        clock: Clock,
+        travel: Travel,
+        origin_m: Position,
+        variation: Variation,
+        rate_hz: float,
+        seed: int,
+        faults: Sequence[Fault],
+    ) -> None:
+        self.spec = spec
+        self.clock = clock
+        self.travel = travel
+        self.variation = variation
+        self.rate_hz = rate_hz
+        self.seed = seed
+        self.lock = threading.RLock()
+        self.faults = Faults(faults, clock.now_ns())
+        self._origin = origin_m
+        self._skin = Skin(spec, variation.relaxation)
+        self._step_s = 1.0 / rate_hz
+        self._count = math.floor(self.now_s * rate_hz)
+        start = (origin_m[0], origin_m[1], max(travel.least_m[2], origin_m[2] - 5e-3))
+        self._motions: deque[Motion] = deque([standing(start, self.now_s)])
+        self._played = np.array(start)
+        self._visits: dict[tuple[int, int], int] = {}
+        self._approach = approach_of(variation, seed, 0.0, 0.0, 0)
+        self._lifted = True
+        self._stuck_at: tuple[float, float] | None = None
+        self.touches: deque[Touch] = deque()
+        self._fresh: deque[Touch] = deque(maxlen=MOST_FRESH)
+
+    @property
+    def now_s(self) -> float:
+        """The clock's time [s]."""
+        return self.clock.now_ns() / NS_PER_S
+
+    @property
+    def motion(self) -> Motion:
+        """The last move that was asked for."""
+        return self._motions[-1]
+
+    def move(self, motion: Motion) -> None:
+        """Begin another move, or end one otherwise than was planned."""
+        self.advance()
+        if motion.begun_s == self.motion.begun_s and len(self._motions) > 1:
+            self._motions.pop()
+        self._motions.append(motion)
+
+    def stand_at(self) -> Position:
+        """Where the stage says that it is now [m]."""
+        x, y, z = self.motion.at(np.array([self.now_s]))[0].tolist()
+        return x, y, z
+
+    def advance(self) -> None:
+        """Bring everything up to the clock's time."""
+        with self.lock:
+            until = math.floor(self.now_s * self.rate_hz)
+            times = np.arange(self._count + 1, until + 1) * self._step_s
+            self._count = max(self._count, until)
+            fresh: list[Touch] = []
+            for part in np.array_split(times, math.ceil(len(times) / 4096)) if len(times) else []:
+                fresh += self._felt(part)
+            self.touches.extend(fresh)
+            self._fresh.extend(fresh)
+            while self.touches and self.touches[0].time_s < self.now_s - KEPT_S:
+                self.touches.popleft()
+            while len(self._motions) > 1 and self._motions[1].begun_s < self.now_s - KEPT_S:
+                self._motions.popleft()
+
+    def fresh(self) -> list[Touch]:
+        """What the force sensor has not taken in yet, oldest first."""
+        with self.lock:
+            taken = list(self._fresh)
+            self._fresh.clear()
+        return taken
+
+    def touch_at(self, time_s: float) -> Touch | None:
+        """The sample nearest to a time; None before the first."""
+        self.advance()
+        with self.lock:
+            if not self.touches:
+                return None
+            first = self.touches[0].time_s
+            index = round((time_s - first) * self.rate_hz)
+            return self.touches[min(max(index, 0), len(self.touches) - 1)]
+
+    def _felt(self, times: Series) -> list[Touch]:
+        played = self._play(times)
+        height = self._origin[2]
+        touches: list[Touch] = []
+        relative = played - np.array([self._origin[0], self._origin[1], height])
+        depth = relative[:, 2] - self._approach.height_m
+        if self._lifted and (depth > -LIFTED_M).any():
+            self._begin_approach(relative[-1])
+            depth = relative[:, 2] - self._approach.height_m
+        gone = self.faults.since("layer-gone")
+        if gone is not None:
+            depth = np.where(times * NS_PER_S >= gone, -FAR_M, depth)
+        depth = np.minimum(depth, self._skin.greatest_m)
+        normal, elastic = self._skin.force(depth, self._step_s)
+        if depth[-1] < -LIFTED_M:
+            self._lifted, self._stuck_at = True, None
+        lateral = self._lateral(relative, normal)
+        aside = self._approach.aside_m
+        for i, time_s in enumerate(times.tolist()):
+            stiff = float(normal[i] / elastic[i]) if elastic[i] > 0 else 1.0
+            touches.append(
+                Touch(
+                    time_s,
+                    float(depth[i]),
+                    float(relative[i, 0] + aside[0]),
+                    float(relative[i, 1] + aside[1]),
+                    (float(lateral[i, 0]), float(lateral[i, 1]), float(normal[i])),
+                    stiff,
+                    self._approach,
+                )
+            )
+        return touches
+
+    def _play(self, times: Series) -> Float[ndarray, "n 3"]:
+        """The stage's own places, less what the backlash swallows; each move runs one way along each axis."""
+        asked = np.empty((len(times), 3))
+        left = np.ones(len(times), dtype=bool)
+        for motion in reversed(self._motions):  # the last ones first: there are seldom more than two
+            during = left & (times >= motion.begun_s)
+            if during.any():
+                asked[during] = motion.at(times[during])
+                left &= ~during
+            if not left.any():
+                break
+        asked[left] = self._motions[0].start_m
+        half = self.variation.backlash_m / 2
+        played = np.empty_like(asked)
+        at = self._played
+        for i, place in enumerate(asked):
+            at = np.clip(at, place - half, place + half)
+            played[i] = at
+        self._played = at
+        return played
+
+    def _begin_approach(self, relative: ndarray) -> None:
+        x, y = float(relative[0]), float(relative[1])
+        spot = (round(x * 1e6), round(y * 1e6))
+        visit = self._visits.get(spot, 0)
+        self._visits[spot] = visit + 1
+        self._approach = approach_of(self.variation, self.seed, x, y, visit)
+        self._lifted, self._stuck_at = False, None
+
+    def _lateral(self, relative: ndarray, normal: Series) -> Float[ndarray, "n 2"]:
+        """Of a probe that leans, and of one that is shifted while it sticks: Cattaneo's and Mindlin's law."""
+        lean = normal[:, None] * np.array(self._approach.lean)
+        if self._stuck_at is None:
+            if not (normal > 0).any():
+                return lean
+            self._stuck_at = (float(relative[-1, 0]), float(relative[-1, 1]))
+        shift = relative[:, :2] - np.array(self._stuck_at)
+        size = np.hypot(shift[:, 0], shift[:, 1])
+        if not (size > self.variation.backlash_m + 1e-9).any():
+            return lean
+        pull = np.array([self._pull(s, p) for s, p in zip(size.tolist(), normal.tolist(), strict=True)])
+        return np.asarray(lean + (pull / np.maximum(size, 1e-12))[:, None] * shift)
+
+    def _pull(self, shift_m: float, normal_n: float) -> float:
+        if normal_n <= 0:
+            return 0.0
+        spec = self.spec
+        E = spec.youngs_modulus_pa
+        radius = math.cbrt(0.75 * normal_n * spec.indenter_radius_m * (1 - spec.poisson_ratio**2) / E)
+        stiff = tangential_stiffness(radius, E, spec.poisson_ratio)
+        most = FRICTION * normal_n
+        free = min(stiff * shift_m * 2 / (3 * most), 1.0)
+        return most * (1.0 - (1.0 - free) ** 1.5)
+
+
+def halted(motion: Motion, time_s: float) -> Motion:
+    """The same move, slowing down from a time on."""
+    return replace(motion, stopped_s=min(motion.stopped_s, time_s))

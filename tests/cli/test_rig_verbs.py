@@ -1,0 +1,100 @@
+"""The rig's verbs, as they are typed."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from palpate.cli import app
+from palpate.recordings.check import check
+from palpate.recordings.reader import Run
+
+TOML = """
+name = "tiny"
+cycles = 1
+depth_mm = 0.4
+step_mm = 0.2
+frames = 2
+reference_frames = 1
+clearance_mm = 0.4
+travel_mm_s = 50
+[places]
+kind = "listed"
+at_mm = [[0, 0], [5, 5]]
+"""
+
+
+@pytest.fixture
+def tiny(tmp_path: Path) -> Path:
+    path = tmp_path / "tiny.toml"
+    path.write_text(TOML)
+    return path
+
+
+def typed(*words: object) -> tuple[int, str, str]:
+    done = CliRunner().invoke(app, [str(word) for word in words])
+    return done.exit_code, done.stdout, done.stderr
+
+
+def test_the_palms_protocol_is_previewed_with_its_numbers(tmp_path: Path) -> None:
+    png = tmp_path / "places.png"
+    code, out, _ = typed("plan", "preview", "palm", "--png", png, "--json")
+    found = json.loads(out)
+    assert code == 0
+    assert (found["points"], found["shots"], found["frames"]) == (37, 9250, 231_250)
+    assert found["seconds"] > 231_250 / 30
+    assert found["bytes"] > 1e9
+    assert png.read_bytes().startswith(b"\x89PNG")
+    assert typed("plan", "preview", "palm", "--png", png)[0] == 2
+
+
+def test_a_recorded_plan_is_a_sound_run_and_the_same_command_finds_it_done(
+    tiny: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    words = ("record", "--plan", tiny, "--out", out, "--json", "--quiet")
+    code, said, _ = typed(*words)
+    assert code == 0
+    assert json.loads(said)["state"] == "done"
+    assert check(out).sound
+    frames = len(Run.open(out))
+    assert frames == 2 * (1 + 2 * 2)
+    assert typed(*words)[0] == 0
+    assert len(Run.open(out)) == frames
+
+
+def test_another_plan_or_no_rig_is_refused_in_one_line(tiny: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    typed("record", "--plan", tiny, "--out", out, "--quiet")
+    code, _, error = typed("record", "--plan", "palm-reduced", "--out", out, "--quiet")
+    assert code == 2
+    assert "another plan" in error
+    assert error.count("\n") == 1
+    code, _, error = typed("record", "--rig", "virtual:hand", "--plan", tiny, "--out", tmp_path / "other")
+    assert code == 2
+    assert "virtual:palm" in error
+
+
+def test_a_request_to_end_lifts_the_probe_and_leaves_a_run_that_goes_on(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    words = [sys.executable, "-m", "palpate.cli", "record", "--plan", "palm-reduced", "--out", str(out)]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 120
+    while not (out / "0000-frames.mcap").exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGTERM)
+    said, error = process.communicate(timeout=120)
+    assert process.returncode == 1, error
+    assert "aborted" in said
+    assert "goes on at the first missing shot" in said
+    run = Run.open(out)
+    assert check(out).sound
+    assert run.stage()["z_m"].iloc[-1] <= -1e-3 + 1e-9

@@ -1,0 +1,38 @@
+"""Small virtual rigs and plans that the tests share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from palpate.core.clock import NS_PER_S, ManualClock
+from palpate.rig.plans import Listed, Stepped
+from palpate.rig.rig import Rig
+from palpate.rig.virtual import Fault, virtual_palm
+from palpate.rig.virtual.variation import IDEAL
+from palpate.sensors import palm
+
+SPEC = palm.cropped(palm.palm(), 16, "tiny")
+CLOCK_NS = 100 * NS_PER_S
+CLEARANCE_MM = 0.4
+
+
+def rig(*faults: Fault, **kwargs: Any) -> Rig:
+    """A rig of tiny frames on which nothing varies; faults count from its start."""
+    settings = {"spec": SPEC, "clock": ManualClock(CLOCK_NS), "variation": IDEAL, "faults": faults}
+    return virtual_palm(**{**settings, **kwargs})
+
+
+def plan(**kwargs: Any) -> Stepped:
+    """Two places, two cycles, three depths, two frames: 16 shots with the references."""
+    settings: dict[str, Any] = {
+        "name": "small",
+        "places": Listed(kind="listed", at_mm=((0.0, 0.0), (6.0, -4.0))),
+        "cycles": 2,
+        "depth_mm": 1.2,
+        "step_mm": 0.4,
+        "frames": 2,
+        "reference_frames": 1,
+        "clearance_mm": CLEARANCE_MM,
+        "travel_mm_s": 50.0,
+    }
+    return Stepped(**{**settings, **kwargs})

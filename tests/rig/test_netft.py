@@ -1,0 +1,237 @@
+"""The Net F/T driver against a box that is not there, over real sockets."""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import pytest
+
+from palpate.core import ForceSensor, MonotonicClock, Wrench
+from palpate.core.errors import DeviceError, RangeError
+from palpate.rig.fakes.rdt import START, STOP, FakeNetFT, FakePage
+from palpate.rig.real.netft import NetFT
+from palpate.rig.real.netft_settings import NetFTSettings
+from palpate.rig.real.netft_stream import Stream
+
+PATIENCE_S = 30.0  # only a test that fails waits so long
+FORCE, TORQUE = (1.0, -2.0, -12.5), (0.25, 0.0, -0.125)  # whole counts, so equal and not only close
+
+
+def until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(1e-3)
+
+
+def settings(box: FakeNetFT) -> NetFTSettings:
+    # Patient, so that a busy computer is not taken for a silent box.
+    return NetFTSettings(rdt_port=box.rdt_port, http_port=box.http_port, silence_s=20.0, start_wait_s=2.0)
+
+
+@pytest.fixture
+def box() -> Iterator[FakeNetFT]:
+    with FakeNetFT(force=lambda t: FORCE, torque=lambda t: TORQUE) as made:
+        yield made
+        assert not made.was_biased
+
+
+@pytest.fixture
+def sensor(box: FakeNetFT) -> Iterator[NetFT]:
+    with NetFT(box.host, settings(box)) as made:
+        yield made
+
+
+def test_a_net_ft_is_a_force_sensor(sensor: NetFT) -> None:
+    assert isinstance(sensor, ForceSensor)
+
+
+def test_the_force_and_torque_that_act_are_measured(sensor: NetFT) -> None:
+    wrench = sensor.latest()
+    assert (wrench.force_n, wrench.torque_nm, wrench.fault) == (FORCE, TORQUE, "")
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        FakePage(counts_per_force=4000, force_unit="lbf", newtons=4.4482216152605),
+        FakePage(counts_per_torque=999.999, torque_unit="N-mm", newton_metres=1e-3),
+        FakePage(force_unit="kgf", newtons=9.80665, torque_unit="kg-cm", newton_metres=0.0980665),
+    ],
+)
+def test_the_force_is_in_newtons_whatever_unit_the_box_is_set_to(box: FakeNetFT, page: FakePage) -> None:
+    box.page = page
+    with NetFT(box.host, settings(box)) as sensor:
+        wrench = sensor.latest()
+    half_a_count_n = 0.5 / page.counts_per_force * page.newtons
+    half_a_count_nm = 0.5 / page.counts_per_torque * page.newton_metres
+    assert wrench.force_n == pytest.approx(FORCE, rel=1e-12, abs=half_a_count_n)
+    assert wrench.torque_nm == pytest.approx(TORQUE, rel=1e-12, abs=half_a_count_nm)
+
+
+def test_rate_and_range_are_the_boxs_own(sensor: NetFT) -> None:
+    assert sensor.rate_hz == 500.0
+    assert sensor.range_n == (330.0, 330.0, 990.0)
+
+
+def test_what_the_page_leaves_open_has_to_be_given(box: FakeNetFT) -> None:
+    box.page = FakePage(ranges="0;0;0;0;0;0")
+    with pytest.raises(DeviceError, match="range_n"):
+        NetFT(box.host, settings(box))
+    box.http_body = FakePage().xml().replace(b"comrdtrate", b"other")
+    with pytest.raises(DeviceError, match="rate_hz"):
+        NetFT(box.host, settings(box))
+    box.http_body = box.http_body.replace(b"cfgmr", b"another")
+    given = replace(settings(box), rate_hz=250.0, range_n=(10.0, 20.0, 30.0))
+    with NetFT(box.host, given) as sensor:
+        assert (sensor.rate_hz, sensor.range_n) == (250.0, (10.0, 20.0, 30.0))
+
+
+def test_every_sample_is_drained_once_and_in_order(box: FakeNetFT) -> None:
+    began = time.monotonic()
+    box.force = lambda t: (0.0, 0.0, t)
+    drained: list[Wrench] = []
+    with NetFT(box.host, settings(box)) as sensor:
+        while len(drained) < 100:
+            drained += sensor.drain()
+            assert time.monotonic() - began < PATIENCE_S
+        counts = sensor.counts
+    forces, times = [w.force_n[2] for w in drained], [w.time_ns for w in drained]
+    assert forces == sorted(set(forces))
+    assert times == sorted(times)
+    assert counts.received >= len(drained)
+    assert counts.lost == counts.duplicate == counts.out_of_order == counts.malformed == counts.faulty == 0
+
+
+def test_a_sample_carries_the_time_at_which_it_came(sensor: NetFT) -> None:
+    before = time.monotonic_ns()
+    until(lambda: sensor.latest().time_ns > before)
+    assert before < sensor.latest().time_ns <= time.monotonic_ns()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells when a datagram came in")
+def test_a_program_that_is_late_does_not_take_an_old_sample_for_a_fresh_one() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device:
+        device.bind(("127.0.0.1", 0))
+        stream = Stream("127.0.0.1", device.getsockname()[1], MonotonicClock())
+        try:
+            stream.start()
+            _, client = device.recvfrom(64)
+
+            def is_seen_to_be_old() -> bool:
+                device.sendto(b"x", client)
+                sent_ns = time.monotonic_ns()
+                until(lambda: time.monotonic_ns() > sent_ns + 50_000_000)
+                got = stream.receive(PATIENCE_S)
+                return got is not None and got[1] <= sent_ns + 10_000_000  # two clocks are read in turn
+
+            until(is_seen_to_be_old)  # the kernel begins to stamp a little after it is asked to
+            assert is_seen_to_be_old()
+        finally:
+            stream.close()
+
+
+def test_samples_that_nobody_drains_are_overwritten_counted_and_told(box: FakeNetFT) -> None:
+    with NetFT(box.host, replace(settings(box), keep=10)) as sensor:
+        until(lambda: sensor.counts.received > 15)
+        with pytest.raises(DeviceError, match=r"samples were overwritten.*keep more than 10"):
+            sensor.drain()
+        assert len(sensor.drain()) == 10
+
+
+def test_a_buffered_datagram_of_two_records_is_two_samples(box: FakeNetFT, sensor: NetFT) -> None:
+    sensor.drain()
+    lost = 1 << 20  # far ahead of what the box itself sends
+
+    def record(n: int) -> bytes:
+        return struct.pack(">III6i", n + lost, box.ft_sequence + n + 1, 0, 0, 0, n * 1_000_000, 0, 0, 0)
+
+    box.send_instead(record(1) + record(2))
+    until(lambda: sensor.counts.lost > 0)
+    box_z = [w.force_n[2] for w in sensor.drain()]
+    assert [z for z in box_z if z > 0] == [1.0, 2.0]
+
+
+def test_closing_stops_the_box_and_closing_again_does_nothing(box: FakeNetFT) -> None:
+    sensor = NetFT(box.host, settings(box))
+    assert box.streams_to is not None
+    sensor.close()
+    sensor.close()
+    assert box.streams_to is None
+    assert {asked.command for asked in box.requests} == {START, STOP}
+    for call in (sensor.latest, sensor.drain):
+        with pytest.raises(DeviceError, match="closed"):
+            call()
+
+
+def test_a_box_that_did_not_hear_is_asked_again_to_stop(box: FakeNetFT) -> None:
+    box.lost_stops = 2
+    NetFT(box.host, settings(box)).close()
+    assert box.streams_to is None
+    assert [asked.command for asked in box.requests].count(STOP) >= 3
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"silence_s": 0.0},
+        {"silence_s": float("nan")},
+        {"retry_s": (0.1, -1.0)},
+        {"start_tries": 0},
+        {"keep": 0},
+        {"rate_hz": 0.0},
+        {"range_n": (1.0, float("inf"), 1.0)},
+    ],
+)
+def test_settings_that_mean_nothing_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(RangeError, match="greater than 0"):
+        NetFTSettings(**wrong)  # type: ignore[arg-type]
+
+
+def test_a_silence_shorter_than_three_records_is_refused(box: FakeNetFT) -> None:
+    box.page = FakePage(rate_hz=10.0)
+    with pytest.raises(RangeError, match=r"give at least 0\.3 s"):
+        NetFT(box.host, replace(settings(box), silence_s=0.1))
+    assert box.requests == []
+
+
+def test_an_independent_client_reads_the_same_force_from_the_same_box(box: FakeNetFT) -> None:
+    pynetft = pytest.importorskip("pynetft", reason="the cross-check needs pynetft")
+    box.page = FakePage(counts_per_force=4000, force_unit="lbf", newtons=4.4482216152605)
+    with NetFT(box.host, settings(box)) as sensor:
+        ours = sensor.latest()
+        scale = sensor.calibration.counts_per_n
+    config = pynetft.Config(
+        sensor_host=box.host,
+        rdt_port=box.rdt_port,
+        http_port=box.http_port,
+        receive_timeout=PATIENCE_S,
+        configuration_connect_timeout=PATIENCE_S,
+        configuration_timeout=PATIENCE_S,
+    )
+    with pynetft.Client(config) as client:
+        theirs = next(client.samples(timeout=PATIENCE_S))
+        told = client.health().sensor_configuration.calibration
+    assert theirs.raw_wrench == tuple(round(f * scale) for f in ours.force_n) + tuple(
+        round(m * 1e6) for m in ours.torque_nm
+    )
+    assert theirs.force_unit.value == "lbf"
+    assert [f * 4.4482216152605 for f in theirs.force] == pytest.approx(ours.force_n, rel=1e-12)
+    assert told.counts_per_force_unit / 4.4482216152605 == pytest.approx(scale, rel=1e-12)
+    assert theirs.torque == pytest.approx(ours.torque_nm, rel=1e-12)
+
+
+def test_a_real_box_streams_without_loss() -> None:
+    host = os.environ.get("PALPATE_NETFT")
+    if not host:
+        pytest.skip("no Net F/T box here; name its address in PALPATE_NETFT")
+    with NetFT(host) as sensor:
+        until(lambda: sensor.counts.received > sensor.rate_hz)
+        assert sensor.counts.lost == sensor.counts.malformed == 0
+        assert sensor.latest().fault == ""

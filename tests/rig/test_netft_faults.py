@@ -1,0 +1,437 @@
+"""Every fault of a Net F/T box: injected over real sockets, and told for what it is."""
+
+from __future__ import annotations
+
+import math
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import pytest
+
+from palpate.core.errors import DeviceError, ProtocolError
+from palpate.rig.fakes.rdt import START, STOP, FakeNetFT, FakePage
+from palpate.rig.real.netft import NetFT
+from palpate.rig.real.netft_calibration import MOST_PAGE_BYTES
+from palpate.rig.real.netft_settings import NetFTSettings
+from palpate.rig.real.rdt import Command, request
+
+PATIENCE_S = 30.0  # only a test that fails waits so long
+FORCE = (1.0, -2.0, -12.5)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(1e-3)
+
+
+def patient(box: FakeNetFT) -> NetFTSettings:
+    return NetFTSettings(rdt_port=box.rdt_port, http_port=box.http_port, silence_s=20.0, start_wait_s=2.0)
+
+
+def watchful(box: FakeNetFT) -> NetFTSettings:
+    """For faults that show as silence: as short as a busy computer allows."""
+    return replace(patient(box), silence_s=0.5)
+
+
+@pytest.fixture
+def box() -> Iterator[FakeNetFT]:
+    with FakeNetFT(force=lambda t: FORCE) as made:
+        yield made
+        assert not made.was_biased, "whatever happens, the box's own zero is never touched"
+
+
+def more(sensor: NetFT, n: int = 10) -> None:
+    """Wait for n more good samples."""
+    least = sensor.counts.received + n
+    until(lambda: sensor.counts.received >= least)
+
+
+def failure(sensor: NetFT) -> str:
+    """Wait until the sensor fails, and why."""
+
+    def failed() -> bool:
+        try:
+            sensor.latest()
+        except DeviceError:
+            return True
+        return False
+
+    until(failed)
+    with pytest.raises(DeviceError) as told:
+        sensor.latest()
+    with pytest.raises(DeviceError):
+        sensor.drain()
+    return str(told.value)
+
+
+def is_fit(sensor: NetFT) -> None:
+    """It goes on measuring."""
+    more(sensor)
+    assert sensor.latest().force_n == FORCE
+
+
+# F1: the request to start is lost
+
+
+def test_a_box_that_did_not_hear_is_asked_again_to_start(box: FakeNetFT) -> None:
+    box.lost_starts = 3
+    with NetFT(box.host, replace(patient(box), start_tries=100, start_wait_s=0.1)) as sensor:
+        is_fit(sensor)
+    starts = [asked for asked in box.requests if asked.command == START]
+    assert len(starts) >= 4
+    assert len({asked.source for asked in starts}) == len(starts)  # late answers cannot mix
+
+
+def test_a_box_that_never_sends_is_given_up(box: FakeNetFT) -> None:
+    box.silent = True
+    with pytest.raises(DeviceError, match="asked 3 times"):
+        NetFT(box.host, replace(patient(box), start_tries=3, start_wait_s=0.02))
+
+
+def test_a_port_where_nothing_listens_is_told(box: FakeNetFT) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as unused:
+        unused.bind((box.host, 0))
+        port = unused.getsockname()[1]
+    with pytest.raises(DeviceError, match=r"RDT|cable"):
+        NetFT(box.host, replace(patient(box), rdt_port=port, start_tries=2, start_wait_s=0.05))
+
+
+# F2: datagrams that are no records
+
+
+@pytest.mark.parametrize("size", [0, 1, 35, 37, 1441])
+def test_a_datagram_that_is_no_record_is_dropped_and_counted(box: FakeNetFT, size: int) -> None:
+    with NetFT(box.host, patient(box)) as sensor:
+        box.send_instead(bytes(size))
+        until(lambda: sensor.counts.malformed == 1)
+        is_fit(sensor)
+        assert (sensor.counts.lost, sensor.counts.faulty) == (0, 0)
+
+
+def test_a_storm_of_datagrams_that_are_no_records_ends_the_stream(box: FakeNetFT) -> None:
+    with NetFT(box.host, patient(box)) as sensor:
+        box.send_instead(*[b"storm"] * 9)
+        until(lambda: sensor.counts.malformed == 9)
+        is_fit(sensor)
+        box.send_instead(*[b"storm"] * 10)
+        assert "10 datagrams in a row" in failure(sensor)
+    assert box.streams_to is None
+
+
+# F3: duplicate, out of order, lost, across the wrap
+
+
+def test_duplicate_stale_and_lost_records_are_told_apart(box: FakeNetFT) -> None:
+    with NetFT(box.host, patient(box)) as sensor:
+        box.repeat(2)
+        until(lambda: sensor.counts.duplicate == 2)
+        box.lose(5)
+        until(lambda: sensor.counts.lost == 5)
+        box.swap()  # one comes early, so one seems lost and then comes late
+        until(lambda: sensor.counts.out_of_order == 1)
+        is_fit(sensor)
+        counts = sensor.counts
+    assert (counts.lost, counts.duplicate, counts.out_of_order, counts.malformed) == (6, 2, 1, 0)
+
+
+def test_a_stream_goes_on_across_the_wrap_of_both_its_numbers(box: FakeNetFT) -> None:
+    box.first_sequence, box.ft_sequence = 0xFFFFFFF0, 0xFFFFFFF0
+    with NetFT(box.host, patient(box)) as sensor:
+        until(lambda: box.rdt_sequence < 1000)
+        is_fit(sensor)
+        assert (sensor.counts.lost, sensor.counts.out_of_order, sensor.counts.faulty) == (0, 0, 0)
+
+
+# F4: the measurement stands still while records come
+
+
+def test_a_measurement_that_stands_still_is_a_fault_at_once_and_then_the_end(box: FakeNetFT) -> None:
+    with NetFT(box.host, watchful(box)) as sensor:
+        more(sensor)
+        sensor.drain()
+        box.ft_step = 0
+        until(lambda: sensor.latest().fault == "the measurement stands still")
+        assert all(map(math.isnan, sensor.latest().force_n))
+        assert "stands still for 0.5 s" in failure(sensor)
+
+
+def test_a_measurement_that_goes_on_again_is_good_again(box: FakeNetFT) -> None:
+    with NetFT(box.host, patient(box)) as sensor:
+        box.ft_step = 0
+        until(lambda: sensor.counts.faulty >= 3)
+        box.ft_step = 70  # as where the box sends one of 70 measurements
+        until(lambda: sensor.latest().fault == "")
+        is_fit(sensor)
+
+
+# F5: the device restarts
+
+
+@pytest.mark.parametrize("ran", [5_000, 3_000_000_000])
+def test_a_device_that_restarted_ends_the_stream(box: FakeNetFT, ran: int) -> None:
+    box.ft_sequence = ran
+    with NetFT(box.host, patient(box)) as sensor:
+        more(sensor)
+        box.ft_sequence = 0
+        assert "restarted" in failure(sensor)
+
+
+def test_a_device_whose_records_too_begin_anew_ends_the_stream(box: FakeNetFT) -> None:
+    box.first_sequence = 1_000_000
+    with NetFT(box.host, watchful(box)) as sensor:
+        more(sensor)
+        box.rdt_sequence = box.ft_sequence = 0
+        assert "old numbers: it restarted" in failure(sensor)
+
+
+def test_one_record_with_a_wrong_measurement_number_is_a_fault_and_no_restart(box: FakeNetFT) -> None:
+    with NetFT(box.host, patient(box)) as sensor:
+        more(sensor)
+        wrong = struct.pack(">III6i", box.rdt_sequence + 2**20, 0, 0, 7, 7, 7, 7, 7, 7)
+        sensor.drain()
+        box.send_instead(wrong)
+        box.rdt_sequence += 2**20 + 1000
+        until(lambda: sensor.counts.faulty >= 1)
+        is_fit(sensor)
+        assert [w.fault for w in sensor.drain() if w.fault] == ["the measurement counter jumped"]
+
+
+# F6: status
+
+
+def test_a_saturated_sample_is_a_fault_without_numbers_and_ends_with_the_load(box: FakeNetFT) -> None:
+    with NetFT(box.host, patient(box)) as sensor:
+        box.status = 0x80020000
+        until(lambda: sensor.latest().fault == "saturated")
+        wrench = sensor.latest()
+        assert all(map(math.isnan, (*wrench.force_n, *wrench.torque_nm)))
+        box.status = 0
+        until(lambda: sensor.latest().fault == "")
+        is_fit(sensor)
+        assert sensor.counts.faulty >= 1
+
+
+def test_the_users_own_threshold_is_counted_and_is_no_fault(box: FakeNetFT) -> None:
+    with NetFT(box.host, patient(box)) as sensor:
+        box.status = 0x80010000
+        until(lambda: sensor.counts.warned > 3)
+        assert sensor.latest().force_n == FORCE
+        assert sensor.counts.faulty == 0
+
+
+@pytest.mark.parametrize("bit", sorted(set(range(32)) - {17}))
+def test_every_other_status_bit_ends_the_stream_and_is_named(box: FakeNetFT, bit: int) -> None:
+    with NetFT(box.host, patient(box)) as sensor:
+        box.status = 1 << bit  # bit 16 without the summary bit is not the healthy warning
+        told = failure(sensor)
+    assert f"{1 << bit:#010x}" in told
+    assert "it reports: " in told
+
+
+# F7: the box comes back as another instrument
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"counts_per_force": 2_000_000},
+        {"counts_per_torque": 999_999},
+        {"force_unit": "lbf"},
+        {"torque_unit": "Nmm"},
+        {"serial": "FT00001"},
+        {"bias": "1;0;0;0;0;0"},
+    ],
+)
+def test_a_box_that_comes_back_with_another_calibration_is_refused_for_good(
+    box: FakeNetFT, changed: dict[str, object]
+) -> None:
+    quick = replace(watchful(box), recovery="reconnect", retry_s=(0.01, 0.02))
+    with NetFT(box.host, quick) as sensor:
+        box.page = replace(box.page, **changed)  # type: ignore[arg-type]
+        box.status = 1 << 2
+        until(lambda: "changed" in failure(sensor))
+        box.status, box.page = 0, FakePage()
+        until(lambda: not any(t.name.startswith("Net F/T") for t in threading.enumerate()))  # tries no more
+        told = failure(sensor)
+        assert "changed" in told
+        assert "trying again" not in told
+
+
+def test_a_run_that_goes_on_refuses_a_box_that_is_another_by_now(box: FakeNetFT) -> None:
+    with NetFT(box.host, patient(box)) as sensor:
+        expected = sensor.calibration
+    with NetFT(box.host, replace(patient(box), calibration=expected)) as sensor:
+        is_fit(sensor)
+    box.page = replace(box.page, counts_per_force=2_000_000)
+    with pytest.raises(DeviceError, match="calibration, units or settings changed"):
+        NetFT(box.host, replace(patient(box), calibration=expected))
+
+
+def test_a_box_that_comes_back_unchanged_is_taken_up_again_where_that_is_asked_for(box: FakeNetFT) -> None:
+    quick = replace(watchful(box), recovery="reconnect", retry_s=(0.01, 0.02), start_tries=100)
+    with NetFT(box.host, quick) as sensor:
+        box.status = 1 << 2
+        assert "temperature" in failure(sensor)
+        box.http_status = 503
+        until(lambda: "503" in failure(sensor) and box.pages_read > 4)  # tries on and on
+        box.http_status, box.status = 200, 0
+        until(lambda: sensor.counts.reconnected == 1)
+        is_fit(sensor)
+
+
+def test_by_default_a_failure_is_for_good(box: FakeNetFT) -> None:
+    with NetFT(box.host, patient(box)) as sensor:
+        read = box.pages_read
+        box.status = 1 << 2
+        first = failure(sensor)
+        box.status = 0
+        until(lambda: box.streams_to is None)
+        assert failure(sensor) == first
+        assert box.pages_read == read
+    assert failure(sensor) == first  # closing does not hide why
+
+
+# F8: another client takes the stream
+
+
+def test_a_stolen_stream_is_told_and_the_other_client_is_not_cut_off(box: FakeNetFT) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as thief:
+        with NetFT(box.host, watchful(box)) as sensor:
+            more(sensor)
+            thief.sendto(request(Command.START), (box.host, box.rdt_port))
+            assert "another client took the stream" in failure(sensor)
+        assert box.streams_to is not None
+        assert box.streams_to[1] == thief.getsockname()[1]
+        assert STOP not in [asked.command for asked in box.requests]
+
+
+def test_a_box_without_power_is_silence(box: FakeNetFT) -> None:
+    with NetFT(box.host, watchful(box)) as sensor:
+        more(sensor)
+        box.silent = True
+        assert "no record came for 0.5 s: it lost power" in failure(sensor)
+
+
+# F9: datagrams from elsewhere
+
+
+def test_records_from_another_address_are_never_seen(box: FakeNetFT) -> None:
+    with NetFT(box.host, patient(box)) as sensor, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign:
+        client = box.streams_to
+        assert client is not None
+        forged = struct.pack(">III6i", box.rdt_sequence + 1000, box.ft_sequence + 1000, 0, 0, 0, 9, 9, 9, 9)
+        for _ in range(20):
+            foreign.sendto(forged, client)
+            foreign.sendto(b"junk", client)
+        is_fit(sensor)
+        assert {w.force_n for w in sensor.drain()} == {FORCE}
+        counts = sensor.counts
+    assert (counts.lost, counts.out_of_order, counts.malformed) == (0, 0, 0)
+
+
+# F10: the page
+
+
+def test_a_web_server_that_answers_with_an_error_is_told(box: FakeNetFT) -> None:
+    box.http_status = 503
+    with pytest.raises(DeviceError, match="503"):
+        NetFT(box.host, patient(box))
+    assert box.requests == []
+
+
+def test_a_page_without_end_is_refused_after_64_kib(box: FakeNetFT) -> None:
+    box.http_body = b"<netft>" + b" " * (4 * MOST_PAGE_BYTES)
+    with pytest.raises(ProtocolError, match="65536 bytes"):
+        NetFT(box.host, patient(box))
+
+
+def test_a_page_that_drips_is_given_up_in_time(box: FakeNetFT) -> None:
+    box.http_drip_s = 0.01  # hundreds of bytes: seconds in all, though each comes soon
+    with pytest.raises(DeviceError, match=r"whole within 0.3 s"):
+        NetFT(box.host, replace(patient(box), http_timeout_s=0.3))
+
+
+def test_a_page_that_ends_early_is_refused(box: FakeNetFT) -> None:
+    box.http_missing = 10  # all that has to be known came, and yet
+    with pytest.raises(DeviceError, match="ended 10 bytes early"):
+        NetFT(box.host, patient(box))
+
+
+def test_a_page_with_entities_is_refused(box: FakeNetFT) -> None:
+    entity = b'<!DOCTYPE netft [<!ENTITY a "1000000">]><netft>'
+    box.http_body = FakePage().xml().replace(b"<netft>", entity).replace(b"1e+06", b"&a;")
+    with pytest.raises(ProtocolError, match="document type or an entity"):
+        NetFT(box.host, patient(box))
+
+
+def test_an_address_without_a_web_server_is_told(box: FakeNetFT) -> None:
+    with socket.socket() as unused:
+        unused.bind((box.host, 0))
+        port = unused.getsockname()[1]
+    with pytest.raises(DeviceError, match="check the box's address"):
+        NetFT(box.host, replace(patient(box), http_port=port))
+
+
+# F11: an old sample
+
+
+def test_the_age_of_the_newest_sample_shows(box: FakeNetFT) -> None:
+    with NetFT(box.host, patient(box)) as sensor:
+        box.silent = True
+        sent = box.sent
+        until(lambda: sensor.counts.received >= sent)
+        old = sensor.latest()
+        until(lambda: time.monotonic_ns() - old.time_ns > 200_000_000)
+        assert sensor.latest() == old  # nothing makes it younger
+        assert sensor.drain()[-1] == old
+        assert sensor.drain() == []
+
+
+# F14: counts at the ends of their range
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("rail", [-(2**31), 2**31 - 1])
+def test_counts_at_their_rail_are_a_fault_without_numbers(box: FakeNetFT, axis: int, rail: int) -> None:
+    with NetFT(box.host, replace(patient(box), range_n=(1e9, 1e9, 1e9))) as sensor:
+        box.counts = tuple(rail if i == axis else 0 for i in range(6))
+        until(lambda: sensor.latest().fault == "counts at their rail")
+        assert all(map(math.isnan, sensor.latest().force_n))
+
+
+def test_a_force_beyond_the_range_is_a_fault_without_numbers(box: FakeNetFT) -> None:
+    box.force = lambda t: (0.0, 0.0, -990.5)
+    with NetFT(box.host, patient(box)) as sensor:
+        assert sensor.latest().fault == "force beyond the range"
+        assert all(map(math.isnan, sensor.latest().force_n))
+        box.force = lambda t: (330.0, -330.0, -990.0)
+        until(lambda: sensor.latest().fault == "")
+        assert sensor.latest().force_n == (330.0, -330.0, -990.0)
+
+
+# F13: bias, and a receiving thread that ends
+
+
+def test_nothing_but_start_and_stop_is_ever_asked(box: FakeNetFT) -> None:
+    with NetFT(box.host, patient(box)) as sensor:
+        is_fit(sensor)
+    assert {(a.header, a.command, a.records) for a in box.requests} == {(0x1234, START, 0), (0x1234, STOP, 0)}
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_receiving_thread_that_ends_by_a_mistake_does_not_leave_an_old_sample_as_the_newest(
+    box: FakeNetFT, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with NetFT(box.host, patient(box)) as sensor:
+
+        def mistake(*_: object) -> None:
+            raise ZeroDivisionError
+
+        monkeypatch.setattr(sensor, "_step", mistake)
+        assert "its receiving thread ended" in failure(sensor)

@@ -1,0 +1,167 @@
+"""Plans: which places, presses, shots and frames they ask for, and in which order."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from palpate.core.errors import InputError
+from palpate.rig.plans import PLANS, Grid, Listed, Scattered, Stepped, plan_from, plan_of, size_of
+from palpate.rig.plans.stepped import Dwell, Lateral
+from palpate.rig.plans.steps import Aside, Burst, Depth, Over, Seek, Step, Tare
+
+
+@pytest.mark.parametrize(("pitch_mm", "points"), [(7.0, 37), (6.5, 45), (7.5, 29)])
+def test_the_candidate_grid_is_clipped_by_membrane_and_probe(pitch_mm: float, points: int) -> None:
+    places = Grid(pitch_mm=pitch_mm).places()
+    assert len(places) == points
+    assert len({place.name for place in places}) == points
+    assert all(math.hypot(p.x_mm, p.y_mm) + 5 <= 57 / 2 + 1e-9 for p in places)
+
+
+def test_the_palms_protocol_asks_for_231250_frames() -> None:
+    size = size_of(PLANS["palm"])
+    assert (size.points, size.presses, size.shots, size.frames) == (37, 185, 9250, 231_250)
+    assert size.reference_frames == 185 * 25
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_every_shot_of_a_plan_has_a_key_of_its_own(name: str) -> None:
+    plan = PLANS[name]
+    keys = [shot.key for press in plan.presses() for shot, _ in plan.shots(press)]
+    assert len(keys) == len(set(keys))
+
+
+@pytest.mark.parametrize("order", ["cycles", "rounds", "shuffled"])
+def test_an_order_changes_when_a_press_is_done_and_not_which(order: str) -> None:
+    plain, other = Stepped(), Stepped(order=order, seed=3)
+    assert sorted(map(str, plain.presses())) == sorted(map(str, other.presses()))
+    assert list(other.presses()) == list(Stepped(order=order, seed=3).presses())
+    if order == "shuffled":
+        assert list(other.presses()) != list(Stepped(order=order, seed=4).presses())
+
+
+def test_a_press_tares_in_the_air_finds_contact_and_then_goes_down_step_by_step() -> None:
+    plan = Stepped(depth_mm=0.3, cycles=1, frames=2, reference_frames=1)
+    steps = list(plan.steps(next(plan.presses()), {}))
+    kinds: list[type[Step]] = [type(step) for step in steps]
+    assert kinds == [Over, Tare, Burst, Seek, *[Depth, Burst] * 3]
+    assert [step.depth_m for step in steps if isinstance(step, Depth)] == pytest.approx([1e-4, 2e-4, 3e-4])
+
+
+@given(
+    done=st.lists(st.tuples(st.integers(0, 5), st.integers(0, 2)), max_size=20),
+    unloading=st.booleans(),
+)
+def test_a_resumed_press_records_what_is_missing_and_nothing_else(
+    done: list[tuple[int, int]], unloading: bool
+) -> None:
+    plan = Stepped(depth_mm=0.3, cycles=1, frames=3, reference_frames=2, unloading=unloading)
+    press = next(plan.presses())
+    shots = plan.shots(press)
+    held: dict[str, frozenset[int]] = {}
+    for i, k in done:
+        shot, _ = shots[i % len(shots)]
+        held[shot.key] = held.get(shot.key, frozenset()) | {k}
+    recorded = [
+        (step.shot.key, k)
+        for step in plan.steps(press, held)
+        if isinstance(step, Burst)
+        for k in step.missing
+    ]
+    wanted = {(s.key, k) for s, n in shots for k in range(n)} - {(key, k) for key in held for k in held[key]}
+    assert len(recorded) == len(set(recorded))
+    assert set(recorded) == wanted
+
+
+def test_a_press_of_which_nothing_is_missing_moves_nothing() -> None:
+    plan = Stepped(depth_mm=0.2, cycles=1, frames=1, reference_frames=0)
+    press = next(plan.presses())
+    done = {shot.key: frozenset(range(frames)) for shot, frames in plan.shots(press)}
+    assert list(plan.steps(press, done)) == []
+
+
+def test_a_lateral_load_returns_to_the_middle_before_each_direction_and_at_the_end() -> None:
+    lateral = Lateral(depths_mm=(0.2,), to_mm=((0.1, 0.0), (0.0, 0.1)), steps=2)
+    plan = Stepped(depth_mm=0.2, cycles=1, frames=1, reference_frames=0, lateral=lateral)
+    shifts = [
+        (step.x_m * 1e3, step.y_m * 1e3)
+        for step in plan.steps(next(plan.presses()), {})
+        if isinstance(step, Aside)
+    ]
+    wanted = [(0.05, 0), (0.1, 0), (0, 0), (0, 0.05), (0, 0.1), (0, 0)]
+    assert shifts == [pytest.approx(shift) for shift in wanted]
+
+
+def test_a_dwell_spreads_its_frames_over_its_time() -> None:
+    plan = Stepped(
+        depth_mm=0.2,
+        cycles=1,
+        frames=1,
+        reference_frames=0,
+        dwell=Dwell(depths_mm=(0.2,), seconds=30, frames=10),
+    )
+    [held] = [
+        step
+        for step in plan.steps(next(plan.presses()), {})
+        if isinstance(step, Burst) and step.shot.phase == "hold"
+    ]
+    assert held.every_s == 3.0
+    assert len(held.missing) == 10
+
+
+def test_the_hash_names_what_is_recorded() -> None:
+    assert Stepped().hash == Stepped().hash
+    assert Stepped().hash != Stepped(frames=24).hash
+    assert Stepped().hash != Stepped(order="rounds").hash
+
+
+def test_scattered_places_repeat_with_their_seed_and_keep_apart() -> None:
+    one, same, other = (
+        Scattered(kind="scattered", count=20, apart_mm=3, seed=seed).places() for seed in (1, 1, 2)
+    )
+    assert one == same != other
+    assert all(math.dist(a[1:], b[1:]) >= 3 for a in one for b in one if a is not b)
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"cycles": 0}, "cycles"),
+        ({"deph_mm": 3}, "deph_mm"),
+        ({"threshold_N": -0.1}, "threshold_N"),
+        ({"depth_mm": math.nan}, "depth_mm"),
+        ({"places": {"kind": "grid", "probe_mm": 60}}, "wider than the layer"),
+        ({"places": {"kind": "grid", "per_side": 2, "pitch_mm": 50}}, "no place"),
+        ({"places": {"kind": "listed", "at_mm": [[24, 0]]}}, "rim"),
+        ({"places": {"kind": "listed", "at_mm": [[math.nan, 0]]}}, "rim"),
+        ({"places": {"kind": "scattered", "count": 1000, "apart_mm": 10}}, "do not fit"),
+        ({"places": {"kind": "circle"}}, "places"),
+    ],
+)
+def test_a_plan_that_cannot_be_is_refused_by_name(fields: dict[str, object], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        plan_from(fields)
+
+
+def test_a_plan_is_read_from_toml_and_says_which_file_is_wrong(tmp_path: Path) -> None:
+    good, bad, broken = (tmp_path / name for name in ("good.toml", "bad.toml", "broken.toml"))
+    good.write_text('name = "mine"\ncycles = 2\n[places]\nkind = "grid"\npitch_mm = 6.5\n')
+    bad.write_text("cycles = -1\n")
+    broken.write_text("cycles = = 1\n")
+    assert size_of(plan_of(good)).presses == 90
+    with pytest.raises(InputError, match=r"bad\.toml"):
+        plan_of(bad)
+    with pytest.raises(InputError, match="not TOML"):
+        plan_of(broken)
+    with pytest.raises(InputError, match="palm-reduced"):
+        plan_of("no-such-plan")
+
+
+def test_places_by_hand_stay_in_the_order_given() -> None:
+    places = Listed(kind="listed", at_mm=((1, 2), (0, 0))).places()
+    assert [(p.x_mm, p.y_mm) for p in places] == [(1, 2), (0, 0)]

@@ -1,0 +1,420 @@
+"""The USB camera driver against a camera that is not there, and its faults told for what they are."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from palpate.core import Camera
+from palpate.core.errors import DeviceError, RangeError
+from palpate.rig.fakes.camera import BLUE, FakeVideoCapture, frame_number
+from palpate.rig.real.uvc import UvcCamera, UvcSettings
+from palpate.rig.real.uvc_address import device
+from palpate.rig.real.uvc_watch import FrameWatch
+
+PATIENCE_S = 30.0  # only a test that fails waits so long
+SETTINGS = UvcSettings(size_px=(64, 48), rate_hz=100.0, exposure_s=5e-3, freeze_s=0.2)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(1e-3)
+
+
+@pytest.fixture
+def source() -> FakeVideoCapture:
+    return FakeVideoCapture()
+
+
+def opened(source: FakeVideoCapture, settings: UvcSettings = SETTINGS) -> UvcCamera:
+    return UvcCamera("/dev/video7", settings, opener=lambda where: source)
+
+
+@pytest.fixture
+def camera(source: FakeVideoCapture) -> Iterator[UvcCamera]:
+    with opened(source) as made:
+        yield made
+    assert source.released.is_set()
+
+
+def number(image: np.ndarray) -> int:
+    return frame_number(np.ascontiguousarray(image[..., ::-1]))
+
+
+def refused_open(source: FakeVideoCapture, settings: UvcSettings = SETTINGS) -> str:
+    with pytest.raises(DeviceError) as told:
+        opened(source, settings)
+    assert source.released.is_set()
+    assert "/dev/video7" in str(told.value)
+    return str(told.value)
+
+
+def failure(camera: UvcCamera) -> str:
+    """Wait until the camera fails, and why."""
+    end = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end:
+        try:
+            camera.grab(PATIENCE_S)
+        except DeviceError as error:
+            return str(error)
+    pytest.fail("waited in vain")
+
+
+def test_a_uvc_camera_is_a_camera(camera: UvcCamera) -> None:
+    assert isinstance(camera, Camera)
+    assert (camera.rate_hz, camera.size_px) == (100.0, (64, 48))
+
+
+def test_a_frame_is_rgb_and_says_exposure_camera_and_time(camera: UvcCamera) -> None:
+    time_ns, frame = camera.grab(PATIENCE_S)
+    assert frame.image.shape == (48, 64, 3)
+    assert (frame.image[..., 2] == BLUE).mean() > 0.99  # all but the pixels with the number
+    assert frame.exposure_s == pytest.approx(5e-3)
+    assert frame.sensor == "/dev/video7"
+    assert frame.time_s == time_ns / 1e9
+
+
+def test_a_grabbed_frame_was_exposed_wholly_after_the_call(
+    camera: UvcCamera, source: FakeVideoCapture
+) -> None:
+    for _ in range(5):
+        before, asked_ns = source.numbers, time.monotonic_ns()
+        time_ns, frame = camera.grab(PATIENCE_S)
+        assert number(frame.image) > before
+        assert asked_ns <= time_ns - 5_000_000  # its exposure ends at time_ns and takes 5 ms
+        assert time_ns <= time.monotonic_ns()
+
+
+def test_a_frame_comes_so_much_later_as_the_delay_says(source: FakeVideoCapture) -> None:
+    settings = replace(SETTINGS, delay_s=0.2)
+    with opened(source, settings) as camera:
+        asked_ns = time.monotonic_ns()
+        time_ns, _ = camera.grab(PATIENCE_S)
+        assert asked_ns + 5_000_000 <= time_ns <= time.monotonic_ns() - 200_000_000
+
+
+def test_everything_that_was_set_is_read_back(source: FakeVideoCapture) -> None:
+    settings = replace(SETTINGS, white_balance_k=5200, controls={cv2.CAP_PROP_GAIN: 3.0}, pixels="YUYV")
+    with opened(source, settings):
+        held = {
+            cv2.CAP_PROP_AUTO_EXPOSURE: 1,
+            cv2.CAP_PROP_EXPOSURE: 50,  # of 0.1 ms
+            cv2.CAP_PROP_AUTO_WB: 0,
+            cv2.CAP_PROP_WB_TEMPERATURE: 5200,
+            cv2.CAP_PROP_GAIN: 3,
+            cv2.CAP_PROP_FRAME_WIDTH: 64,
+            cv2.CAP_PROP_FRAME_HEIGHT: 48,
+            cv2.CAP_PROP_FPS: 100,
+            cv2.CAP_PROP_FOURCC: int.from_bytes(b"YUYV", "little"),
+        }
+        assert {control: source.get(control) for control in held} == held
+
+
+LOCKED = [
+    (cv2.CAP_PROP_FOURCC, int.from_bytes(b"H264", "little"), "MJPG and is H264"),
+    (cv2.CAP_PROP_FRAME_WIDTH, 640, "width"),
+    (cv2.CAP_PROP_FRAME_HEIGHT, 480, "height"),
+    (cv2.CAP_PROP_FPS, 90, "frames a second"),
+    (cv2.CAP_PROP_AUTO_EXPOSURE, 3, "automatic exposure"),
+    (cv2.CAP_PROP_EXPOSURE, 51, "exposure"),
+    (cv2.CAP_PROP_AUTO_WB, 1, "automatic white balance"),
+    (cv2.CAP_PROP_WB_TEMPERATURE, 4000, "white balance"),
+    (cv2.CAP_PROP_GAIN, 1, "control"),
+]
+
+
+@pytest.mark.parametrize(("control", "kept", "name"), LOCKED)
+def test_a_camera_that_refuses_a_setting_or_keeps_another_is_refused(
+    source: FakeVideoCapture, control: int, kept: float, name: str
+) -> None:
+    settings = replace(SETTINGS, controls={cv2.CAP_PROP_GAIN: 3.0})
+    source.kept[control] = kept
+    assert name in refused_open(source, settings)
+    another = FakeVideoCapture()
+    another.refused.add(control)
+    assert name.split(" and is ")[0] in refused_open(another, settings)
+
+
+@pytest.mark.parametrize(("control", "kept", "name"), LOCKED)
+def test_a_setting_that_another_program_changes_later_ends_the_frames(
+    source: FakeVideoCapture, control: int, kept: float, name: str
+) -> None:
+    with opened(source, replace(SETTINGS, controls={cv2.CAP_PROP_GAIN: 3.0})) as camera:
+        source.kept[control] = kept
+        assert name in failure(camera)
+
+
+def test_a_rate_that_is_a_fraction_is_taken_for_the_number_it_is_called_by(source: FakeVideoCapture) -> None:
+    source.kept[cv2.CAP_PROP_FPS] = 100_000 / 1001
+    with opened(source) as camera:
+        camera.grab(PATIENCE_S)
+
+
+def test_a_camera_without_white_balance_is_used_and_one_that_balances_by_itself_is_not(
+    source: FakeVideoCapture,
+) -> None:
+    source.refused |= {cv2.CAP_PROP_AUTO_WB, cv2.CAP_PROP_WB_TEMPERATURE}
+    settings = replace(SETTINGS, white_balance_k=None)
+    with opened(source, settings) as camera:
+        camera.grab(PATIENCE_S)
+    another = FakeVideoCapture()
+    another.kept[cv2.CAP_PROP_AUTO_WB] = 1
+    assert "give white_balance_k" in refused_open(another, settings)
+
+
+def test_a_camera_that_cannot_be_opened_is_told(source: FakeVideoCapture) -> None:
+    source.opens = False
+    assert "cannot be opened" in refused_open(source)
+
+
+# C1: dropped, duplicate, frozen, undecodable
+
+
+def test_frames_that_the_camera_dropped_are_counted(camera: UvcCamera, source: FakeVideoCapture) -> None:
+    assert camera.counts.dropped == 0
+    source.drop(4)
+    until(lambda: camera.counts.dropped == 4)
+    camera.grab(PATIENCE_S)
+    assert camera.counts.dropped == 4
+
+
+def test_a_duplicate_frame_is_counted_and_never_handed_out(
+    camera: UvcCamera, source: FakeVideoCapture
+) -> None:
+    source.repeat(2)
+    until(lambda: camera.counts.duplicate == 2)
+    numbers = [number(camera.grab(PATIENCE_S)[1].image) for _ in range(3)]
+    assert numbers == sorted(set(numbers))
+    assert camera.counts.dropped == 0
+
+
+def test_a_camera_that_froze_is_told(camera: UvcCamera, source: FakeVideoCapture) -> None:
+    source.frozen = True
+    assert "for 0.2 s were equal in every pixel" in failure(camera)
+    assert camera.counts.duplicate >= 3
+
+
+def test_frames_that_cannot_be_decoded_are_passed_over_until_there_are_ten_in_a_row(
+    camera: UvcCamera, source: FakeVideoCapture
+) -> None:
+    source.tear(9)
+    until(lambda: camera.counts.broken == 9)
+    camera.grab(PATIENCE_S)
+    assert camera.counts.dropped == 0
+    source.tear(10)
+    assert "10 frames in a row" in failure(camera)
+
+
+# C2: clocks that go back
+
+
+def test_times_never_go_back_though_the_drivers_stamps_do(
+    camera: UvcCamera, source: FakeVideoCapture
+) -> None:
+    first, _ = camera.grab(PATIENCE_S)
+    source.turn_back(0.5)
+    until(lambda: camera.counts.backwards == 1)
+    second, _ = camera.grab(PATIENCE_S)
+    assert second > first
+    assert camera.counts.dropped == 0
+
+
+def test_times_never_go_back_though_the_hosts_clock_does(source: FakeVideoCapture) -> None:
+    class Backwards:
+        def __init__(self) -> None:
+            self.back_ns = 0
+
+        def now_ns(self) -> int:
+            return time.monotonic_ns() - self.back_ns
+
+        def sleep(self, seconds: float) -> None:
+            raise AssertionError
+
+    clock = Backwards()
+    with UvcCamera("/dev/video7", SETTINGS, clock, opener=lambda where: source) as camera:
+        first, _ = camera.grab(PATIENCE_S)
+        clock.back_ns = 100_000_000
+        second, _ = camera.grab(PATIENCE_S)
+        assert second >= first
+
+
+# C3: size and format
+
+
+@pytest.mark.parametrize("shape", [(24, 32, 3), (48, 64, 1), (48, 64, 4), (64, 48, 3)])
+def test_a_frame_of_another_size_or_format_ends_the_frames(
+    camera: UvcCamera, source: FakeVideoCapture, shape: tuple[int, ...]
+) -> None:
+    source.shape = shape
+    assert "size or format changed" in failure(camera)
+
+
+# C5: unplugged, hanging
+
+
+def test_an_unplugged_camera_is_told_and_stays_gone(camera: UvcCamera, source: FakeVideoCapture) -> None:
+    source.unplugged = True
+    assert "unplugged" in failure(camera)
+    source.unplugged = False
+    assert "unplugged" in failure(camera)
+
+
+def test_an_error_of_opencv_ends_the_frames(camera: UvcCamera, source: FakeVideoCapture) -> None:
+    source.error = cv2.error("VIDIOC_DQBUF: No such device")
+    assert "VIDIOC_DQBUF" in failure(camera)
+
+
+def test_an_error_of_opencv_while_opening_is_told(source: FakeVideoCapture) -> None:
+    source.error = cv2.error("VIDIOC_STREAMON: No space left on device")
+    assert "VIDIOC_STREAMON" in refused_open(source)
+
+
+def test_a_camera_that_hangs_is_told_in_time_and_let_go_of_when_it_ends(
+    source: FakeVideoCapture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("palpate.rig.real.uvc._CLOSE_S", 0.1)
+    camera = opened(source)
+    source.resume.clear()
+    assert source.hangs.wait(PATIENCE_S)
+    asked = time.monotonic()
+    with pytest.raises(DeviceError, match=r"no frame came within 0\.1 s"):
+        camera.grab(0.1)
+    assert time.monotonic() - asked < PATIENCE_S
+    camera.close()
+    source.resume.set()
+    assert source.released.wait(PATIENCE_S)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_reading_thread_that_ends_by_a_mistake_does_not_leave_an_old_frame_as_the_newest(
+    camera: UvcCamera, source: FakeVideoCapture
+) -> None:
+    source.error = ZeroDivisionError()
+    assert "its reading thread ended" in failure(camera)
+
+
+def test_a_closed_camera_says_so_and_closing_again_does_nothing(source: FakeVideoCapture) -> None:
+    camera = opened(source)
+    camera.close()
+    camera.close()
+    with pytest.raises(DeviceError, match="closed"):
+        camera.grab()
+    assert source.released.is_set()
+
+
+@pytest.mark.parametrize("timeout_s", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_time_out_that_means_nothing_is_refused(camera: UvcCamera, timeout_s: float) -> None:
+    with pytest.raises(RangeError, match="timeout_s"):
+        camera.grab(timeout_s)
+
+
+# Counting, without a camera
+
+
+def noise(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (4, 6, 3), dtype=np.uint8)
+
+
+@given(st.lists(st.integers(1, 5), min_size=1, max_size=50))
+def test_the_rate_is_measured_and_gaps_are_dropped_frames(steps: list[int]) -> None:
+    watch, period_ns = FrameWatch((6, 4), 50.0, 1.0), 20_000_000
+    stamp_ns = 7 * period_ns
+    assert watch.is_new(noise(0), stamp_ns, stamp_ns)
+    assert watch.measured_rate_hz is None
+    for i, step in enumerate(steps):
+        stamp_ns += step * period_ns
+        assert watch.is_new(noise(i + 1), stamp_ns, stamp_ns)
+    assert watch.counts.dropped == sum(steps) - len(steps)
+    assert watch.measured_rate_hz == pytest.approx(50.0 * len(steps) / sum(steps))
+
+
+def test_two_equal_frames_a_long_time_apart_are_a_busy_computer_and_not_a_frozen_camera() -> None:
+    watch = FrameWatch((6, 4), 50.0, 1.0)
+    assert watch.is_new(noise(0), 0, 0)
+    assert not watch.is_new(noise(0), 1, 60_000_000_000)
+    assert watch.is_new(noise(1), 2, 60_020_000_000)
+
+
+# Settings and addresses
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"exposure_s": 0.0},
+        {"exposure_s": 5e-5},
+        {"exposure_s": float("nan")},
+        {"exposure_s": 0.011, "rate_hz": 100.0},
+        {"size_px": (0, 480)},
+        {"rate_hz": float("inf")},
+        {"freeze_s": 0.0},
+        {"white_balance_k": -1},
+        {"delay_s": -0.1},
+        {"delay_s": float("nan")},
+    ],
+)
+def test_settings_that_mean_nothing_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(RangeError):
+        UvcSettings(**wrong)  # type: ignore[arg-type]
+
+
+def by_id(tmp_path: Path, *names: str) -> Path:
+    folder = tmp_path / "by-id"
+    folder.mkdir()
+    for i, name in enumerate(names):
+        (tmp_path / f"video{i}").touch()
+        (folder / name).symlink_to(tmp_path / f"video{i}")
+    return folder
+
+
+def test_a_camera_is_found_by_number_path_or_serial_number(tmp_path: Path) -> None:
+    names = (
+        "usb-Maker_Eye_1234-video-index0",
+        "usb-Maker_Eye_1234-video-index1",
+        "usb-Maker_Eye_91234-video-index0",
+    )
+    folder = by_id(tmp_path, *names)
+    assert device(3, folder) == 3
+    assert device("/dev/video2", folder) == "/dev/video2"
+    assert device("1234", folder) == str(tmp_path / "video0")
+    assert device("91234", folder) == str(tmp_path / "video2")
+
+
+@pytest.mark.parametrize("serial", ["5678", "234", "", "*"])
+def test_a_serial_number_that_is_not_there_is_refused_with_those_that_are(
+    tmp_path: Path, serial: str
+) -> None:
+    folder = by_id(tmp_path, "usb-Maker_Eye_1234-video-index0")
+    with pytest.raises(DeviceError, match=r"0 cameras .*Maker_Eye_1234"):
+        device(serial, folder)
+    with pytest.raises(DeviceError, match="none"):
+        device(serial, tmp_path / "nowhere")
+
+
+def test_two_cameras_with_one_serial_number_are_not_told_apart(tmp_path: Path) -> None:
+    folder = by_id(tmp_path, "usb-Maker_Eye_1-video-index0", "usb-Other_Eye_1-video-index0")
+    with pytest.raises(DeviceError, match="2 cameras"):
+        device("1", folder)
+
+
+def test_a_real_camera_gives_frames() -> None:
+    found = sorted(Path("/dev").glob("video*"))
+    if not found:
+        pytest.skip("no camera here: there is no /dev/video*")
+    try:
+        camera = UvcCamera(str(found[0]))
+    except DeviceError as error:
+        pytest.skip(f"this camera cannot do what is asked by default: {error}")
+    with camera:
+        _, frame = camera.grab(PATIENCE_S)
+        assert frame.image.shape == (camera.size_px[1], camera.size_px[0], 3)
