@@ -59,9 +59,11 @@ def main() -> None:
         plan = Plan(("x_mm", "y_mm"), model="compact-cnn", folds=2, options={"epochs": 1})
         estimator = Estimator.open(calibrate(run, plan, Path(folder, "cal")))
         frame = run.frame(0)
+        height, width = estimator.card.input.size_px
     scaler, like = Scaler(np.zeros(2), np.ones(2)), CompactCnn()
-    networks = [Network((1, 224, 224), like.widths, like.hidden, scaler).eval() for _ in range(like.members)]
-    batch = torch.zeros(1, 1, 224, 224)
+    shape = (1, height, width)
+    networks = [Network(shape, like.widths, like.hidden, scaler).eval() for _ in range(like.members)]
+    batch = torch.zeros(1, *shape)
 
     def eager() -> None:
         with torch.no_grad():
@@ -69,7 +71,7 @@ def main() -> None:
                 network(batch)
 
     load = os.getloadavg()[0]
-    print(f"compact-cnn, {like.members} members, 224 px, {FRAMES} frames x {ROUNDS} rounds, load {load:.1f}")
+    print(f"compact-cnn, {like.members} members, {height} x {width} px, {FRAMES} frames x {ROUNDS} rounds, load {load:.1f}")
     ratios = []
     for _ in range(ROUNDS):
         ours, network, theirs = (

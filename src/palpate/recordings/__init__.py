@@ -1,9 +1,11 @@
 """What is on disk: runs written and read, repaired and checked, packed, split, imported and exported."""
 
+from palpate.recordings.align import Offset, offset_between
 from palpate.recordings.check import CheckReport, check
 from palpate.recordings.exporters.folder import export_folder
 from palpate.recordings.images import read_image
 from palpate.recordings.importers.images import ImportReport, import_images
+from palpate.recordings.importers.palm import import_palm
 from palpate.recordings.labels import read_labels
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.pack import PackedSet, pack
@@ -16,6 +18,7 @@ __all__ = [
     "CheckReport",
     "ImportReport",
     "Manifest",
+    "Offset",
     "PackedSet",
     "RepairReport",
     "Run",
@@ -24,6 +27,8 @@ __all__ = [
     "check",
     "export_folder",
     "import_images",
+    "import_palm",
+    "offset_between",
     "pack",
     "read_image",
     "read_labels",

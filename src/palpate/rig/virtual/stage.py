@@ -79,7 +79,11 @@ class VirtualStage:
 
     def close(self) -> None:
         """Stop, and let go."""
-        if not self._closed:
+        if self._closed:
+            return
+        try:
+            self.stop()
+        finally:
             self._closed = True
 
     def _check_there(self) -> None:

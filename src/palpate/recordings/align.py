@@ -1,0 +1,253 @@
+"""How far the frames' clock runs from the force sensor's, from taps that both have seen.
+
+A tap presses the skin and lets go. How much a frame differs from the untouched skin goes with the force at
+its time, by some law; so the offset is where the frames' signal is best explained by the force, shifted.
+Neither the signal's unit nor its law has to be known, only that it depends on the force of that instant.
+Where it lags behind the force, as creep makes it, the offset is late by that lag: both look the same.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.optimize import minimize_scalar
+from scipy.stats import t as student
+
+from palpate.core.errors import InputError, RangeError
+
+Series = Float[ndarray, " _"]
+"""Of any length; that two belong together is checked, and told."""
+Columns = Float[ndarray, "_ _"]
+
+STEP_S = 4e-3  # of the first, coarse search
+FEWEST = 12  # frames on the flanks of taps, for four unknowns and an interval
+FLANK = 0.2  # of the greatest slope of the signal, above which a frame counts as on a flank
+SLOPE_S = 10e-3  # to either side, over which the slope is taken: the force's noise is no slope
+SOFT = 0.02  # of the greatest force, added below the root: so near to zero there is nothing but noise
+TOUCHED = 0.2  # of the greatest force, above which a tap is under way
+QUIET = 10.0  # times its noise that the force must rise
+EXPLAINED = 0.8  # of the signal's variance, at least
+RIVAL = 1.5  # times the residual that any other offset must leave
+APART_S = 0.15  # from the best offset, for another one to be a rival
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Offset:
+    """What to add to a force sample's time to have it on the frames' clock.
+
+    Attributes:
+        seconds: the offset [s]; positive where frames are stamped later than the force they show.
+        low_s, high_s: its interval, at 95 % [s].
+        jitter_s: how far a single frame's stamp lies from where the force says, standard deviation [s]; noise
+            of both signals is in it, so the stamps themselves jitter by this at most.
+        taps: how many were seen.
+        frames: on their flanks, which the offset is known from.
+        explained: of the signal's variance, by the force at that offset, 0 to 1.
+    """
+
+    seconds: float
+    low_s: float
+    high_s: float
+    jitter_s: float
+    taps: int
+    frames: int
+    explained: float
+
+
+def offset_between(
+    force_t: Series,
+    force: Series,
+    frame_t: Series,
+    change: Series,
+    *,
+    exposure_s: float = 0.0,
+    most_s: float = 0.5,
+) -> Offset:
+    """The clock offset between force samples and frames.
+
+    At each trial offset the signal is fitted by a + b sqrt(F + s) + c F + d F^2 of the mean force F over
+    the exposure; the best offset leaves the least squares. Its interval is that of the sandwich estimator,
+    with the small-sample correction of MacKinnon and White (HC3) and Student's t: frames may scatter more on
+    the flanks, as jitter makes them.
+
+    Args:
+        force_t: times of force samples, increasing [s].
+        force: normal force, positive in compression [N].
+        frame_t: the ends of the frames' exposures, increasing [s].
+        change: how much each frame differs from the untouched skin; any unit.
+        exposure_s: of a frame [s].
+        most_s: the offset looked for, to either side [s].
+
+    Raises:
+        InputError: series of different lengths, not finite, times that do not increase, or too short.
+        RangeError: no tap stands out, too few frames see one, the signal does not follow the force, or
+            several offsets explain it alike.
+
+    Reference:
+        MacKinnon & White, J. Econometrics 29 (1985) 305, doi:10.1016/0304-4076(85)90158-7.
+
+    Example:
+        >>> t = np.arange(0, 6, 0.005)
+        >>> tap = lambda t: np.clip(np.sin(3 * t), 0, None)
+        >>> frames = np.arange(0.6, 5.4, 1 / 30)
+        >>> found = offset_between(t, tap(t), frames, 7 * tap(frames - 0.02))
+        >>> round(found.seconds, 4)
+        0.02
+    """
+    _check_series(force_t, force, "force")
+    _check_series(frame_t, change, "frame")
+    if not (math.isfinite(exposure_s) and exposure_s >= 0 and math.isfinite(most_s) and most_s > 0):
+        raise RangeError(f"exposure_s {exposure_s} and most_s {most_s}: give seconds, 0 or more and above 0")
+    taps = _taps(force)
+    seen = _Seen(force_t, force, frame_t, change, exposure_s, most_s)
+    seconds, explained = _best(seen, most_s)
+    return _with_interval(seen, seconds, explained, taps)
+
+
+class _Seen:
+    """Both series, and the fit of one by the other at any offset, of those frames that none of them loses."""
+
+    def __init__(
+        self,
+        force_t: Series,
+        force: Series,
+        frame_t: Series,
+        change: Series,
+        exposure_s: float,
+        most_s: float,
+    ) -> None:
+        inside = (frame_t - exposure_s - most_s >= force_t[0]) & (frame_t + most_s <= force_t[-1])
+        if np.count_nonzero(inside) < FEWEST:
+            raise RangeError(
+                f"{np.count_nonzero(inside)} frames lie inside the force samples' time and {most_s:g} s from "
+                f"its ends; {FEWEST} are needed: record both from before the first tap until after the last"
+            )
+        self.frame_t, self.change = frame_t[inside], change[inside]
+        self._force_t, self._exposure_s = force_t, exposure_s
+        self._force = force / force.max()
+        steps = np.diff(force_t) * (self._force[1:] + self._force[:-1]) / 2
+        self._summed = np.concatenate(([0.0], np.cumsum(steps)))
+
+    def force_at(self, offset_s: float) -> Series:
+        """The mean over each exposure, of the greatest force."""
+        ends = self.frame_t - offset_s
+        if self._exposure_s == 0:
+            return np.interp(ends, self._force_t, self._force)
+        summed = self._sum_to(ends) - self._sum_to(ends - self._exposure_s)
+        return np.asarray(summed / self._exposure_s)
+
+    def fit(self, offset_s: float) -> tuple[Series, Columns, Series]:
+        """Residuals, columns and coefficients of the best law at an offset."""
+        columns = _columns(self.force_at(offset_s))
+        law, *_ = np.linalg.lstsq(columns, self.change, rcond=None)
+        return np.asarray(self.change - columns @ law), columns, law
+
+    def squares(self, offset_s: float) -> float:
+        """What the best law leaves at an offset."""
+        residual, *_ = self.fit(offset_s)
+        return float(residual @ residual)
+
+    def _sum_to(self, times: Series) -> Series:
+        """The integral of force: quadratic between samples, since force is linear there."""
+        i = np.clip(np.searchsorted(self._force_t, times) - 1, 0, len(self._force_t) - 2)
+        into = times - self._force_t[i]
+        begun, step = self._force[i], self._force_t[i + 1] - self._force_t[i]
+        slope = (self._force[i + 1] - begun) / step
+        return np.asarray(self._summed[i] + begun * into + slope * into**2 / 2)
+
+
+def _taps(force: Series) -> int:
+    """How often the force rises well above its noise and falls again.
+
+    Raises:
+        RangeError: never.
+    """
+    greatest, rest = float(force.max()), float(np.median(np.sort(force)[: max(len(force) // 5, 1)]))
+    # Of neighbours' differences, so that the taps themselves do not count as noise.
+    noise = float(np.median(np.abs(np.diff(force, n=2)))) / (0.6745 * math.sqrt(6))
+    if greatest <= 0 or greatest - rest <= QUIET * noise:
+        raise RangeError(
+            f"no tap stands out: the force is {greatest:.3g} N at most, with a noise of {noise:.2g} N; "
+            "tap harder"
+        )
+    touched = force > rest + TOUCHED * (greatest - rest)
+    # A tap has to fall back, half as far down again, before the next begins.
+    free = force < rest + TOUCHED / 2 * (greatest - rest)
+    taps, under_way = 0, False
+    for on, off in zip(touched.tolist(), free.tolist(), strict=True):
+        taps += on and not under_way
+        under_way = on or (under_way and not off)
+    return taps
+
+
+def _best(seen: _Seen, most_s: float) -> tuple[float, float]:
+    """The offset that leaves the least, and which share of the variance it explains.
+
+    Raises:
+        RangeError: it explains too little, lies at the end of what was looked at, or has a rival.
+    """
+    offsets = np.linspace(-most_s, most_s, 2 * math.ceil(most_s / STEP_S) + 1)
+    left = np.array([seen.squares(float(offset)) for offset in offsets])
+    best = int(np.argmin(left))
+    whole = float(np.sum((seen.change - seen.change.mean()) ** 2))
+    explained = 1 - left[best] / whole if whole > 0 else 0.0
+    if not explained >= EXPLAINED:
+        raise RangeError(
+            f"at no offset up to {most_s:g} s does the signal follow the force: {explained:.0%} of its "
+            f"variance at best, {EXPLAINED:.0%} are needed; do the frames see the taps?"
+        )
+    if best in (0, len(offsets) - 1):
+        raise RangeError(f"the offset is {most_s:g} s or more; look further, by most_s")
+    others = left[np.abs(offsets - offsets[best]) > APART_S]
+    if others.size and others.min() < RIVAL * left[best]:
+        raise RangeError(
+            "several offsets explain the frames alike; tap a few times, not evenly, and rest between"
+        )
+    near = (float(offsets[best - 1]), float(offsets[best + 1]))
+    fine = minimize_scalar(seen.squares, bounds=near, method="bounded", options={"xatol": 1e-7})
+    return float(fine.x), float(explained)
+
+
+def _with_interval(seen: _Seen, seconds: float, explained: float, taps: int) -> Offset:
+    residual, columns, law = seen.fit(seconds)
+    # Of the signal, for a change of the offset.
+    later, earlier = (_columns(seen.force_at(seconds + h)) @ law for h in (SLOPE_S, -SLOPE_S))
+    slope = (later - earlier) / (2 * SLOPE_S)
+    J = np.column_stack([slope, columns])
+    bread = np.linalg.pinv(J.T @ J)
+    leverage = np.clip(np.einsum("ij,jk,ik->i", J, bread, J), 0.0, 0.99)
+    meat = (J * (residual / (1 - leverage))[:, None] ** 2).T @ J
+    error_s = math.sqrt(max(float((bread @ meat @ bread)[0, 0]), 0.0))
+    flank = np.abs(slope) > FLANK * np.abs(slope).max()
+    frames = int(np.count_nonzero(flank))
+    if frames < FEWEST:
+        raise RangeError(
+            f"{frames} frames were taken while the force rose or fell; {FEWEST} are needed: tap more "
+            "often, or more slowly"
+        )
+    # Weighted by the slope, since a frame on a flat part tells nothing of its time.
+    jitter_s = math.sqrt(float(np.sum(residual[flank] ** 2) / np.sum(slope[flank] ** 2)))
+    reach = float(student.ppf((1 + CONFIDENCE) / 2, frames - J.shape[1])) * error_s
+    return Offset(seconds, seconds - reach, seconds + reach, jitter_s, taps, frames, explained)
+
+
+def _columns(force: Series) -> Columns:
+    """Of the law from force to signal."""
+    F = np.clip(force, 0.0, None)
+    return np.column_stack([np.ones_like(F), np.sqrt(F + SOFT), F, F**2])
+
+
+def _check_series(times: Series, values: Series, what: str) -> None:
+    if len(times) != len(values) or len(times) < FEWEST:
+        raise InputError(
+            f"{len(times)} {what} times and {len(values)} values; give as many of each, and at least {FEWEST}"
+        )
+    if not (np.isfinite(times).all() and np.isfinite(values).all()):
+        raise InputError(f"{what} times or values are not finite; leave out what was not measured")
+    if not (np.diff(times) > 0).all():
+        raise InputError(f"{what} times do not increase; sort them, and leave out what comes twice")

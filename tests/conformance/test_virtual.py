@@ -1,0 +1,851 @@
+"""The public checks pass what keeps the protocols, and tell each fault by the law that it breaks."""
+
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from palpate.core import DeviceError, ManualClock, Position, RangeError, Travel, Wrench
+from palpate.core.frame import Frame
+from palpate.rig.check import Finding, check_camera, check_force_sensor, check_rig, check_stage
+from palpate.rig.check.motion import Box
+from palpate.rig.rig import Rig
+from palpate.rig.virtual import Fault, virtual_palm
+from palpate.sensors import palm
+
+SPEC = palm.cropped(palm.palm(), 16, "tiny")
+BOX: Box = ((-2e-3, -2e-3, -7e-3), (2e-3, 2e-3, -3e-3))
+SPEED_M_S = 10e-3
+SURFACE_M = 0.0  # of the virtual palm's layer
+
+
+def rig(*faults: Fault) -> Rig:
+    return virtual_palm(spec=SPEC, clock=ManualClock(10**11), faults=faults)
+
+
+def failed(findings: list[Finding]) -> set[str]:
+    assert all(one.ok or one.message for one in findings), "what is wrong is told"
+    return {one.name for one in findings if not one.ok}
+
+
+# The stage
+
+
+class Stage:
+    """As plain as a stage can be: at speed at once, braked as it says. Remembers where it was."""
+
+    travel = Travel((-40e-3,) * 3, (40e-3, 40e-3, 12e-3), 50e-3, 0.5, 0.004)
+
+    def __init__(self, clock: ManualClock) -> None:
+        self.clock, self.closed = clock, False
+        self.from_m = self.to_m = np.array([0.0, 0.0, -5e-3])
+        self.begun_s, self.speed_m_s = 0.0, 1.0
+        self.deepest_m = -math.inf
+        self.sent: list[Position] = []
+
+    @property
+    def now_s(self) -> float:
+        if self.closed:
+            raise DeviceError("closed")
+        return self.clock.ns / 1e9
+
+    def gone(self) -> float:
+        length = float(np.linalg.norm(self.to_m - self.from_m))
+        return min((self.now_s - self.begun_s) * self.speed_m_s / length, 1.0) if length else 1.0
+
+    def position_m(self) -> Position:
+        x, y, z = (self.from_m + self.gone() * (self.to_m - self.from_m)).tolist()
+        self.deepest_m = max(self.deepest_m, z)
+        return x, y, z
+
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        travel = self.travel
+        if not all(
+            a <= p <= b for a, p, b in zip(travel.least_m, position_m, travel.greatest_m, strict=True)
+        ):
+            raise RangeError("outside")
+        if not 0 < speed_m_s <= travel.top_speed_m_s:
+            raise RangeError("no such speed")
+        if self.gone() < 1.0:
+            raise DeviceError("it moves already")
+        self.sent.append(position_m)
+        self.from_m, self.to_m = np.array(self.position_m()), np.array(position_m)
+        self.begun_s, self.speed_m_s = self.now_s, speed_m_s
+
+    def moving(self) -> bool:
+        return self.gone() < 1.0
+
+    def stop(self) -> None:
+        if self.gone() < 1.0:
+            self.clock.sleep(self.travel.latency_s)
+            rest = self.speed_m_s**2 / 2 / self.travel.acceleration_m_s2
+            way = self.to_m - self.from_m
+            share = min(self.gone() + rest / float(np.linalg.norm(way)), 1.0)
+            self.clock.sleep(self.speed_m_s / self.travel.acceleration_m_s2)
+            self.from_m = self.to_m = self.from_m + share * way
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Around(Stage):
+    """A stage that is like another one; where it was and was sent is remembered."""
+
+    def __init__(self, stage: Any, clock: ManualClock) -> None:
+        super().__init__(clock)
+        self.stage = stage
+
+    def position_m(self) -> Position:
+        place = self.stage.position_m()
+        self.deepest_m = max(self.deepest_m, place[2])
+        return place
+
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        self.sent.append(position_m)
+        self.stage.move_to(position_m, speed_m_s)
+
+    def moving(self) -> bool:
+        return self.stage.moving()
+
+    def stop(self) -> None:
+        self.stage.stop()
+
+    def close(self) -> None:
+        self.stage.close()
+
+
+class Blocks(Stage):
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        super().move_to(position_m, speed_m_s)
+        while self.moving():
+            self.clock.sleep(0.01)
+
+
+class FallsShort(Stage):
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        at = self.position_m()
+        x, y, z = (p + 0.98 * (q - p) if math.isfinite(q) else q for p, q in zip(at, position_m, strict=True))
+        super().move_to((x, y, z), speed_m_s)
+
+
+class TellsTheTarget(Stage):
+    def position_m(self) -> Position:
+        return self.sent[-1] if self.sent and self.moving() else super().position_m()
+
+
+class WavesOnItsWay(Stage):
+    def position_m(self) -> Position:
+        x, y, z = super().position_m()
+        wave = 0.1e-3 * math.sin(400 * self.clock.ns / 1e9) if self.moving() else 0.0
+        return x + wave, y + wave, z + wave
+
+
+class GoesInAnArc(Stage):
+    def position_m(self) -> Position:
+        x, y, z = super().position_m()
+        return x + 0.1e-3 * math.sin(math.pi * self.gone()), y, z
+
+
+class Drifts(Stage):
+    def position_m(self) -> Position:
+        x, y, z = super().position_m()
+        return x + 1e-3 * (self.now_s - 100), y, z
+
+
+class NeverSaysThatItStands(Stage):
+    sent_off = False
+
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        super().move_to(position_m, speed_m_s)
+        self.sent_off = True
+
+    def moving(self) -> bool:
+        return self.sent_off
+
+    def stop(self) -> None:
+        super().stop()
+        self.sent_off = False
+
+
+class StopsSlowly(Stage):
+    """The stage stands soon; stop() returns late."""
+
+    def stop(self) -> None:
+        super().stop()
+        self.clock.sleep(1.5)
+
+
+class RacesAlong(Stage):
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        super().move_to(position_m, min(3 * speed_m_s, 50e-3) if 0 < speed_m_s <= 50e-3 else speed_m_s)
+
+
+class NeverSaysThatItMoves(Stage):
+    def moving(self) -> bool:
+        return False
+
+
+class TakesAnyPlace(Stage):
+    """Clips what lies outside, as controllers do, rather than refuse it."""
+
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        travel = self.travel
+        x, y, z = np.clip(position_m, travel.least_m, travel.greatest_m).tolist()
+        super().move_to((x, y, z), speed_m_s)
+
+
+class TakesNoNumber(Stage):
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        x, y, z = np.nan_to_num(position_m, nan=-5e-3, posinf=-5e-3, neginf=-5e-3).tolist()
+        super().move_to((x, y, z), speed_m_s)
+
+
+class TakesAnySpeed(Stage):
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        super().move_to(position_m, min(abs(speed_m_s), 50e-3) if speed_m_s else 1e-3)
+
+
+class RefusesWithAnotherError(Stage):
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        try:
+            super().move_to(position_m, speed_m_s)
+        except RangeError as e:
+            raise ValueError(str(e)) from e
+
+
+class TakesASecondMove(Stage):
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        self.stop()
+        super().move_to(position_m, speed_m_s)
+
+
+class RunsOn(Stage):
+    """Its true latency is a fifth of a second, and it states 4 ms."""
+
+    def stop(self) -> None:
+        if self.moving():
+            self.clock.sleep(0.2)
+        super().stop()
+
+
+class ReturnsBeforeItStands(Stage):
+    """The controller stops it a quarter of a second after stop() has returned."""
+
+    due_ns = math.inf
+
+    def stop(self) -> None:
+        if self.moving():
+            self.due_ns = self.clock.ns + 250_000_000
+
+    def position_m(self) -> Position:
+        self._stop_if_due()
+        return super().position_m()
+
+    def moving(self) -> bool:
+        self._stop_if_due()
+        return super().moving()
+
+    def _stop_if_due(self) -> None:
+        if self.clock.ns >= self.due_ns:
+            self.due_ns = math.inf
+            super().stop()
+
+
+class GoesOnToTheTarget(Stage):
+    """stop() waits until the move is over."""
+
+    def stop(self) -> None:
+        while self.moving():
+            self.clock.sleep(0.01)
+
+
+class StopsInItsOwnThreadOnly(Stage):
+    def __init__(self, clock: ManualClock) -> None:
+        super().__init__(clock)
+        self.own = threading.get_ident()
+
+    def stop(self) -> None:
+        if threading.get_ident() != self.own:
+            raise DeviceError("stop me from my own thread")
+        super().stop()
+
+
+class FailsWhenStoppedAtAStand(Stage):
+    def stop(self) -> None:
+        if not self.moving() and self.sent:
+            raise DeviceError("nothing to stop")
+        super().stop()
+
+
+class ClosesOnce(Stage):
+    def close(self) -> None:
+        if self.closed:
+            raise DeviceError("closed already")
+        self.closed = True
+
+
+class GoesOnWhenClosed(Stage):
+    def close(self) -> None:
+        pass
+
+
+class InMillimetres(Stage):
+    travel = replace(Stage.travel, greatest_m=(40.0, 40.0, 12.0))
+
+
+class WithoutAcceleration(Stage):
+    travel = replace(Stage.travel, acceleration_m_s2=0.0)
+
+
+class TurnedRound(Stage):
+    """Its z is the other way round, as when the sign of the mounting is wrong."""
+
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        x, y, z = position_m
+        super().move_to((x, y, -10e-3 - z) if math.isfinite(z) else position_m, speed_m_s)
+
+
+def stage_checked(kind: type[Stage], box: Box = BOX, **options: Any) -> tuple[set[str], Stage]:
+    stage = kind(clock := ManualClock(10**11))
+    options = {"speed_m_s": SPEED_M_S} | options
+    return failed(check_stage(stage, clock=clock, region_m=box, **options)), stage
+
+
+def test_the_virtual_stage_keeps_every_law() -> None:
+    found = check_stage((made := rig()).stage, clock=made.clock, region_m=BOX, speed_m_s=SPEED_M_S)
+    assert failed(found) == set()
+    assert len({one.name for one in found}) == len(found), "a law is told once"
+
+
+@pytest.mark.parametrize(
+    ("kind", "laws"),
+    [
+        (Blocks, {"returns at once from move_to", "says that it moves"}),
+        (FallsShort, {"goes where it is sent"}),
+        (TellsTheTarget, {"tells its position on its way"}),
+        (WavesOnItsWay, {"goes on, never back, on its way"}),
+        (GoesInAnArc, {"goes straight"}),
+        (Drifts, {"holds its position at a stand"}),
+        (NeverSaysThatItStands, {"says when it stands"}),
+        (StopsSlowly, {"stop returns in time, along z"}),
+        (RacesAlong, {"is no faster than asked", "runs on by its stated overshoot at most, along z"}),
+        (NeverSaysThatItMoves, {"says that it moves"}),
+        (TakesAnyPlace, {"refuses places outside its travel"}),
+        (TakesNoNumber, {"refuses places that are no numbers"}),
+        (TakesAnySpeed, {"refuses speeds it cannot run at"}),
+        (RefusesWithAnotherError, {"refuses places outside its travel"}),
+        (
+            TakesASecondMove,
+            {
+                "refuses a second move with DeviceError",
+                "goes on with the first move after refusing a second",
+            },
+        ),
+        (RunsOn, {"runs on by its stated overshoot at most, along x"}),
+        (ReturnsBeforeItStands, {"stands when stop returns, along x"}),
+        (GoesOnToTheTarget, {"stops short of the target, along y"}),
+        (StopsInItsOwnThreadOnly, {"stops from another thread"}),
+        (FailsWhenStoppedAtAStand, {"stays safe"}),
+        (ClosesOnce, {"closes twice"}),
+        (GoesOnWhenClosed, {"refuses once closed"}),
+        (InMillimetres, {"has a sane travel"}),
+        (WithoutAcceleration, {"has a sane travel"}),
+    ],
+)
+def test_a_broken_stage_is_told_by_the_laws_that_it_breaks(kind: type[Stage], laws: set[str]) -> None:
+    assert laws <= stage_checked(kind)[0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "law"),
+    [("stage-stuck", "stays safe"), ("stage-deaf", "stays safe"), ("stage-gone", "stays safe")],
+)
+def test_a_stage_that_fails_is_told_and_not_moved_on(kind: Any, law: str) -> None:
+    made = rig(Fault(kind, 1.0))
+    found = check_stage(made.stage, clock=made.clock, region_m=BOX, speed_m_s=SPEED_M_S)
+    assert law in failed(found)
+    assert [one.name for one in found if not one.ok][-1] in (
+        law,
+        "refuses once closed",
+        "close raises nothing unexpected",
+    )
+
+
+def test_a_stage_that_loses_steps_stands_elsewhere() -> None:
+    made = rig(Fault("stage-slips"))
+    assert "goes where it is sent" in failed(
+        check_stage(made.stage, clock=made.clock, region_m=BOX, speed_m_s=SPEED_M_S)
+    )
+
+
+def test_what_is_no_stage_is_told_before_anything_is_called() -> None:
+    found = check_stage(object(), clock=ManualClock(), region_m=BOX)
+    assert [(one.name, one.ok) for one in found] == [("has the protocol's methods", False)]
+
+
+@pytest.mark.parametrize("kind", [Stage, Blocks, RunsOn, RacesAlong, TakesASecondMove, TakesNoNumber])
+def test_the_stage_never_leaves_its_box_but_for_what_it_runs_on(kind: type[Stage]) -> None:
+    _, stage = stage_checked(kind)
+    # The slowest of these runs on for 0.2 s, or goes at three times the speed that was asked for.
+    assert stage.deepest_m < BOX[1][2] + 0.2 * SPEED_M_S
+
+
+def test_a_stage_outside_its_box_is_not_moved() -> None:
+    found, stage = stage_checked(Stage, box=((-2e-3, -2e-3, -20e-3), (2e-3, 2e-3, -10e-3)), close=False)
+    assert found == {"stands in the box at the start", "stays safe"}
+    assert stage.sent == []
+
+
+def test_a_stage_whose_axis_is_turned_round_is_stopped_when_it_leaves_the_box() -> None:
+    box: Box = ((-2e-3, -2e-3, -6e-3), (2e-3, 2e-3, -2e-3))
+    found, stage = stage_checked(TurnedRound, box)
+    assert "stays safe" in found
+    assert stage.deepest_m < box[1][2] + 0.1e-3  # a look every 5 ms, and what it runs on
+
+
+def test_the_check_ends_when_the_watch_raises_and_the_stage_stands() -> None:
+    looks = iter(range(100))
+
+    def watch() -> None:
+        if next(looks) == 60:
+            raise RuntimeError("it touches something")
+
+    stage = Stage(clock := ManualClock(10**11))
+    found = check_stage(stage, clock=clock, region_m=BOX, watch=watch, close=False)
+    assert [one.message for one in found if not one.ok] == [
+        "it touches something; nothing was moved after that"
+    ]
+    assert not stage.moving()
+
+
+@pytest.mark.parametrize(
+    ("box", "options", "words"),
+    [
+        (((-2e-3, -2e-3, -7e-3), (2e-3, 2e-3, 1.0)), {}, "inside it"),
+        (((-2e-3, -2e-3, -7e-3), (2e-3, 2e-3, math.nan)), {}, "inside it"),
+        (((-2e-3, -2e-3, -5.01e-3), (2e-3, 2e-3, -5e-3)), {}, "0.01 mm long along z"),
+        (BOX, {"speed_m_s": math.nan}, "a speed of nan"),
+        (BOX, {"speed_m_s": 1.0}, "at most the stage's own 0.05"),
+        (BOX, {"within_m": 0.0}, "within_m"),
+    ],
+)
+def test_a_box_or_speed_that_does_not_do_is_refused_before_anything_moves(
+    box: Box, options: dict[str, float], words: str
+) -> None:
+    stage = Stage(clock := ManualClock(10**11))
+    with pytest.raises(RangeError, match=words):
+        check_stage(stage, clock=clock, region_m=box, **options)
+    assert stage.sent == []
+
+
+# The force sensor
+
+
+class Force:
+    """A force sensor that is like another one, but for what a test changes."""
+
+    def __init__(self, device: Any, clock: ManualClock) -> None:
+        self.device, self.clock = device, clock
+
+    @property
+    def rate_hz(self) -> float:
+        return self.device.rate_hz
+
+    @property
+    def range_n(self) -> tuple[float, float, float]:
+        return self.device.range_n
+
+    def latest(self) -> Wrench:
+        return self.device.latest()
+
+    def drain(self) -> list[Wrench]:
+        return self.device.drain()
+
+    def close(self) -> None:
+        self.device.close()
+
+
+class StatesTwiceTheRate(Force):
+    @property
+    def rate_hz(self) -> float:
+        return 2 * self.device.rate_hz
+
+
+class LosesEveryThird(Force):
+    def drain(self) -> list[Wrench]:
+        return [one for one in self.device.drain() if one.time_ns // 5_000_000 % 3]
+
+
+class PausesNowAndThen(Force):
+    """Nothing for a seventh of a second, twice a second; then goes on."""
+
+    def drain(self) -> list[Wrench]:
+        return [one for one in self.device.drain() if one.time_ns % 500_000_000 > 140_000_000]
+
+
+class NeverForgets(Force):
+    kept: tuple[Wrench, ...] = ()
+
+    def drain(self) -> list[Wrench]:
+        self.kept = (*self.kept, *self.device.drain())[-5:]
+        return list(self.kept)
+
+
+class NewestFirst(Force):
+    def drain(self) -> list[Wrench]:
+        return self.device.drain()[::-1]
+
+
+class StampsByTheCalendar(Force):
+    def drain(self) -> list[Wrench]:
+        return [replace(one, time_ns=one.time_ns + 1_700_000_000_000_000_000) for one in self.device.drain()]
+
+
+class StampsInMicroseconds(Force):
+    def drain(self) -> list[Wrench]:
+        return [replace(one, time_ns=one.time_ns // 1000) for one in self.device.drain()]
+
+
+class StampsBackwards(Force):
+    def drain(self) -> list[Wrench]:
+        drained = self.device.drain()
+        jitter = [(one.time_ns // 5_000_000 % 2) * 20_000_000 for one in drained]
+        return [replace(one, time_ns=one.time_ns - j) for one, j in zip(drained, jitter, strict=True)]
+
+
+class ShowsTheFirst(Force):
+    first: Wrench | None = None
+
+    def latest(self) -> Wrench:
+        self.first = self.first or self.device.latest()
+        return self.first
+
+
+class LatestTakesAway(Force):
+    taken: Wrench | None = None
+
+    def latest(self) -> Wrench:
+        self.taken = self.device.latest()
+        return self.taken
+
+    def drain(self) -> list[Wrench]:
+        return [one for one in self.device.drain() if one != self.taken]
+
+
+class Waits(Force):
+    def latest(self) -> Wrench:
+        self.clock.sleep(0.03)
+        return self.device.latest()
+
+
+class IsFrozen(Force):
+    def drain(self) -> list[Wrench]:
+        return [replace(one, force_n=(0.1, 0.2, 0.3)) for one in self.device.drain()]
+
+
+class StatesNoRange(Force):
+    @property
+    def range_n(self) -> tuple[float, float, float]:
+        return 0.0, 10.0, 10.0
+
+
+class ReadsBeyondItsRange(Force):
+    @property
+    def range_n(self) -> tuple[float, float, float]:
+        return 1.0, 1.0, 1.0
+
+
+class ReopensWhenClosed(Force):
+    def close(self) -> None:
+        pass
+
+
+def test_the_virtual_force_sensor_keeps_every_law() -> None:
+    made = rig()
+    found = check_force_sensor(made.force, clock=made.clock, noise_n=0.01)
+    assert failed(found) == set()
+    assert len({one.name for one in found}) == len(found)
+
+
+def test_the_noise_that_is_told_is_the_sensors() -> None:
+    made = rig()
+    found = {one.name: one for one in check_force_sensor(made.force, clock=made.clock, seconds=10.0)}
+    # 5 mN and a step of 3.1 mN, over 2000 samples: good to 1.6 %; drift adds a little.
+    told = [found[f"noise along its {axis}"].measured for axis in "xyz"]
+    assert told == pytest.approx([math.hypot(0.005, 1 / 320 / math.sqrt(12))] * 3, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("kind", "law"),
+    [
+        (StatesTwiceTheRate, "measures at the stated rate"),
+        (LosesEveryThird, "measures at the stated rate"),
+        (PausesNowAndThen, "leaves no gap"),
+        (NeverForgets, "drain returns each sample once"),
+        (NewestFirst, "drain returns the oldest first"),
+        (StampsByTheCalendar, "timestamps are on the host's clock"),
+        (StampsInMicroseconds, "timestamps are on the host's clock"),
+        (StampsBackwards, "timestamps increase"),
+        (ShowsTheFirst, "latest is the newest sample"),
+        (ShowsTheFirst, "latest is never old"),
+        (LatestTakesAway, "drain returns what latest showed"),
+        (Waits, "calls return at once"),
+        (IsFrozen, "is not frozen"),
+        (StatesNoRange, "states a range"),
+        (ReadsBeyondItsRange, "reads finite forces inside its range"),
+        (ReopensWhenClosed, "refuses once closed"),
+    ],
+)
+def test_a_broken_force_sensor_is_told_by_the_law_that_it_breaks(kind: type[Force], law: str) -> None:
+    made = rig()
+    sensor = kind(made.force, made.clock)  # type: ignore[arg-type]
+    assert law in failed(check_force_sensor(sensor, clock=made.clock))
+
+
+@pytest.mark.parametrize(
+    ("kind", "law"),
+    [
+        ("force-stalls", "measures all the time"),
+        ("force-saturates", "tells of no fault"),
+        ("force-gone", "listening raises nothing unexpected"),
+        ("force-noisy", "noise along its z"),
+        ("force-spike", "reads finite forces inside its range"),
+    ],
+)
+def test_a_force_sensor_that_fails_is_told(kind: Any, law: str) -> None:
+    made = rig(Fault(kind, 0.1))
+    assert law in failed(check_force_sensor(made.force, clock=made.clock, noise_n=0.01))
+
+
+def test_a_force_sensor_that_stops_in_between_leaves_a_gap_or_grows_old() -> None:
+    made = rig(Fault("force-stalls", 1.0))
+    assert "latest is never old" in failed(check_force_sensor(made.force, clock=made.clock))
+
+
+def test_listening_too_short_to_say_anything_is_refused() -> None:
+    made = rig()
+    with pytest.raises(RangeError, match="above 0"):
+        check_force_sensor(made.force, clock=made.clock, seconds=0.0)
+    with pytest.raises(RangeError, match="above 0"):
+        check_force_sensor(made.force, clock=made.clock, noise_n=math.nan)
+
+
+# The camera
+
+
+class PlainCamera:
+    """Noise at a rate, exposed and carried over, on a clock that is advanced by hand."""
+
+    rate_hz, size_px, exposure_s, carried_s = 30.0, (24, 16), 0.01, 0.004
+    true_rate_hz = 30.0
+    jitter_s = 0.0
+
+    def __init__(self, clock: ManualClock) -> None:
+        self.clock, self.rng, self.closed = clock, np.random.default_rng(0), False
+
+    def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
+        if self.closed:
+            raise DeviceError("closed")
+        asked_s = self.clock.ns / 1e9
+        ends_s = math.ceil((asked_s + self.exposure_s) * self.true_rate_hz + 1e-9) / self.true_rate_hz
+        if ends_s + self.carried_s - asked_s > timeout_s:
+            self.clock.sleep(timeout_s)
+            raise DeviceError("no frame came in time")
+        self.clock.sleep(ends_s + self.carried_s - asked_s)
+        stamped_s = ends_s - self.jitter_s * self.rng.uniform(0, 1)
+        return round(stamped_s * 1e9), self.frame(stamped_s)
+
+    def frame(self, time_s: float) -> Frame:
+        return Frame(self.picture(), time_s, self.exposure_s)
+
+    def picture(self) -> np.ndarray:
+        return self.rng.integers(0, 255, (16, 24), dtype=np.uint8)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class HalfTheRate(PlainCamera):
+    true_rate_hz = 15.0
+
+
+class AnotherRate(PlainCamera):
+    true_rate_hz = 25.0
+
+
+class TwiceTheRate(PlainCamera):
+    true_rate_hz = 60.0
+
+
+class StampsUnevenly(PlainCamera):
+    jitter_s = 0.02
+
+
+class Frozen(PlainCamera):
+    def picture(self) -> np.ndarray:
+        return np.full((16, 24), 7, np.uint8)
+
+
+class ChangesSize(PlainCamera):
+    def picture(self) -> np.ndarray:
+        return super().picture()[: self.rng.integers(14, 17)]
+
+
+class TurnedSize(PlainCamera):
+    size_px = (16, 24)
+
+
+class FromAQueue(PlainCamera):
+    """Returns the frame before the one that was asked for."""
+
+    def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
+        time_ns, frame = super().grab(timeout_s)
+        return time_ns - round(1e9 / self.rate_hz), frame
+
+
+class SameStamp(PlainCamera):
+    def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
+        return 0, super().grab(timeout_s)[1]
+
+
+class Calendar(PlainCamera):
+    def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
+        time_ns, frame = super().grab(timeout_s)
+        return time_ns + 1_700_000_000_000_000_000, frame
+
+
+class NoExposure(PlainCamera):
+    def frame(self, time_s: float) -> Frame:
+        return Frame(self.picture(), time_s)
+
+
+class ExposureInMilliseconds(PlainCamera):
+    def frame(self, time_s: float) -> Frame:
+        return Frame(self.picture(), time_s, 10.0)
+
+
+class NeverTimesOut(PlainCamera):
+    def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
+        return super().grab(1.0)
+
+
+class StatesNoRate(PlainCamera):
+    rate_hz = 0.0
+
+
+class NeverCloses(PlainCamera):
+    def close(self) -> None:
+        pass
+
+
+def test_the_virtual_camera_keeps_every_law() -> None:
+    made = rig()
+    found = check_camera(made.camera, clock=made.clock)
+    assert failed(found) == set()
+    assert len({one.name for one in found}) == len(found)
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 30.0, 29.97, 200.0])
+@pytest.mark.parametrize("carried_s", [0.0, 0.05])
+def test_the_rate_is_found_whatever_frames_are_missed_between_grabs(rate_hz: float, carried_s: float) -> None:
+    camera = PlainCamera(clock := ManualClock(10**11))
+    camera.rate_hz = camera.true_rate_hz = rate_hz
+    camera.exposure_s, camera.carried_s = 0.3 / rate_hz, carried_s
+    found = {one.name: one for one in check_camera(camera, clock=clock)}
+    assert failed(list(found.values())) == set()
+    # The frames span over 80 periods, and a peak is sampled ten times.
+    assert found["takes frames at the stated rate"].measured == pytest.approx(rate_hz, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "law"),
+    [
+        (HalfTheRate, "takes frames at the stated rate"),
+        (AnotherRate, "takes frames at the stated rate"),
+        (TwiceTheRate, "takes frames at the stated rate"),
+        (StampsUnevenly, "stamps frames evenly"),
+        (Frozen, "is not frozen"),
+        (ChangesSize, "keeps the stated size"),
+        (TurnedSize, "keeps the stated size"),
+        (FromAQueue, "frames are exposed after the call"),
+        (SameStamp, "timestamps increase"),
+        (Calendar, "timestamps are on the host's clock"),
+        (NoExposure, "tells its exposure"),
+        (ExposureInMilliseconds, "exposes for no longer than a frame"),
+        (NeverTimesOut, "says so when no frame comes in time"),
+        (StatesNoRate, "states a rate"),
+        (NeverCloses, "refuses once closed"),
+    ],
+)
+def test_a_broken_camera_is_told_by_the_law_that_it_breaks(kind: type[PlainCamera], law: str) -> None:
+    camera = kind(clock := ManualClock(10**11))
+    assert law in failed(check_camera(camera, clock=clock))
+
+
+@pytest.mark.parametrize(
+    ("kind", "law"),
+    [
+        ("camera-gone", "grabbing raises nothing unexpected"),
+        ("camera-frozen", "is not frozen"),
+        ("camera-resized", "keeps the stated size"),
+        ("camera-drops", "takes frames at the stated rate"),
+    ],
+)
+def test_a_camera_that_fails_is_told(kind: Any, law: str) -> None:
+    made = rig(Fault(kind))
+    assert law in failed(check_camera(made.camera, clock=made.clock))
+
+
+def test_too_few_frames_to_tell_a_rate_are_refused() -> None:
+    made = rig()
+    with pytest.raises(RangeError, match="20 or more"):
+        check_camera(made.camera, clock=made.clock, frames=10)
+
+
+# The whole rig
+
+
+def test_the_virtual_rig_keeps_every_law_and_touches_nothing() -> None:
+    made = rig()
+    stage = Around(made.stage, made.clock)  # type: ignore[arg-type]
+    found = check_rig(replace(made, stage=stage))
+    assert failed(found) == set()
+    assert len({one.name for one in found}) == len(found)
+    assert stage.deepest_m <= SURFACE_M - 2e-3
+
+
+def test_a_probe_near_the_skin_is_not_moved() -> None:
+    made = rig()
+    made.stage.move_to((0.0, 0.0, -1e-3), 5e-3)
+    made.clock.sleep(2.0)
+    stage = Around(made.stage, made.clock)  # type: ignore[arg-type]
+    assert "stage: stands clear of the skin" in failed(check_rig(replace(made, stage=stage), close=False))
+    assert stage.sent == []
+
+
+@pytest.mark.parametrize("kind", ["force-stalls", "force-saturates", "force-gone", "force-noisy"])
+def test_nothing_moves_on_a_force_sensor_that_fails(kind: Any) -> None:
+    made = rig(Fault(kind, 0.2))
+    stage = Around(made.stage, made.clock)  # type: ignore[arg-type]
+    assert "stage: was moved" in failed(check_rig(replace(made, stage=stage), close=False))
+    assert stage.sent == []
+
+
+@pytest.mark.parametrize("kind", ["force-stalls", "force-saturates", "force-gone", "force-spike"])
+def test_motion_ends_when_the_force_sensor_fails_on_the_way(kind: Any) -> None:
+    # Force and camera take 2 s and more; by then the stage moves.
+    made = rig(Fault(kind, 10.0))
+    stage = Around(made.stage, made.clock)  # type: ignore[arg-type]
+    assert "stage: stays safe" in failed(check_rig(replace(made, stage=stage), close=False))
+    assert not made.stage.moving()
+
+
+def test_a_rig_whose_limits_leave_the_travel_is_told() -> None:
+    made = rig(Fault("force-gone", 0.2))
+    wide = replace(made.limits, greatest_m=(1.0, 1.0, 1.0))
+    assert "rig: soft limits lie inside the travel" in failed(check_rig(replace(made, limits=wide)))

@@ -1,0 +1,315 @@
+"""The palm's own tables and photographs become a run that keeps what belongs together, or a clear error."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import typer
+from PIL import Image
+from typer.testing import CliRunner
+
+from palpate.core import ExistsError, ImageError, InputError, LabelError, PalpateError
+from palpate.recordings.check import check
+from palpate.recordings.importers.palm import import_palm
+from palpate.recordings.reader import Run
+
+HEADER = "t_s,indent_mm,phase,Fx,Fy,Fz,x_mm,y_mm,image_file\n"
+DEPTHS = (0.0, 0.1, 5.0)
+SAMPLES, PHOTOS, MANY = 5, 2, 12
+PLACES = ((4, 6, 1), (4, 6, 2), (10, 7, 1))  # row, column, cycle
+FRAMES = len(PLACES) * (len(DEPTHS) + 1) * PHOTOS + MANY - PHOTOS
+
+
+def force_n(depth_mm: float, sample: int) -> tuple[float, float, float]:
+    """Of one sample: negative in compression, as an ATI sensor under a probe reads it."""
+    return 0.01 * sample, -0.02 * depth_mm, -2.0 * depth_mm + 0.003 * (sample - 2) + 0.001
+
+
+@pytest.fixture
+def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
+    """Two cycles at one place and one at another, three depths down and the last checkpoint up."""
+    made = tmp_path / "dataset"
+    for row, column, cycle in PLACES:
+        lines = []
+        for phase, depth in (*(("down", depth) for depth in DEPTHS), ("up", 0.0)):
+            shot = f"Cycle_r{row}c{column}_{cycle}_{phase}_{depth:.3f}mm"
+            (made / "images" / shot).mkdir(parents=True)
+            for k in range(MANY if (cycle, depth, phase) == (2, 5.0, "down") else PHOTOS):
+                photo = rng.integers(0, 255, (12, 16, 3), dtype=np.uint8)
+                Image.fromarray(photo).save(made / "images" / shot / f"photo_{k}.png")
+            for i in range(SAMPLES):
+                cells = (0.01 * i + depth, depth, phase, *force_n(depth, i), 7.0 * column, -7.0 * row)
+                lines.append(",".join(map(str, (*cells, f"images/{shot}"))))
+        table(made, f"r{row}c{column}_{cycle}").write_text(HEADER + "\n".join(lines) + "\n")
+    return made
+
+
+def table(folder: Path, press: str) -> Path:
+    return folder / f"Cycle_Indent5mm_{press}.csv"
+
+
+def change(path: Path, old: str, new: str) -> None:
+    """In the first place where it stands."""
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def imported(folder: Path, **options: Any) -> Run:
+    import_palm(folder, folder.parent / "run", **options)
+    return Run.open(folder.parent / "run")
+
+
+def refused(folder: Path, kind: type[PalpateError], *words: str, **options: Any) -> None:
+    before = sorted(folder.parent.rglob("*"))
+    with pytest.raises(kind) as caught:
+        imported(folder, **options)
+    for word in words:
+        assert word in str(caught.value), str(caught.value)
+    assert sorted(folder.parent.rglob("*")) == before, "nothing half-made is left"
+
+
+def test_every_photograph_becomes_a_frame_with_its_pixels_and_its_shots_labels(folder: Path) -> None:
+    run = imported(folder)
+    labels = run.labels
+    assert len(run) == FRAMES
+    for k in (0, 17, len(run) - 1):
+        path = folder / labels["image_file"][k]
+        assert np.array_equal(run.frame(k).image, np.asarray(Image.open(path)))
+    deepest = labels[(labels["location"] == "r4c6") & (labels["cycle"] == 2) & (labels["depth_mm"] == 5.0)]
+    assert len(deepest) == MANY
+    told = deepest.iloc[3]
+    assert (told["press"], told["phase"], told["shot"]) == ("r4c6/2", "down", "r4c6/2/down/5000/0")
+    assert (told["row"], told["column"], told["x_mm"], told["y_mm"]) == (4, 6, 42.0, -28.0)
+    mean = np.mean([force_n(5.0, i) for i in range(SAMPLES)], axis=0)
+    assert told[["force_x_N", "force_y_N", "force_N"]].tolist() == pytest.approx([mean[0], mean[1], -mean[2]])
+    assert told["force_sd_N"] == pytest.approx(0.003 * np.std(range(SAMPLES), ddof=1))
+    assert told["t_s"] == pytest.approx(5.02)
+    assert run.manifest.clock == "ordinal"
+    assert check(run.path).sound
+
+
+def test_photographs_of_a_shot_come_in_the_order_of_their_numbers(folder: Path) -> None:
+    labels = imported(folder).labels
+    names = labels["image_file"][labels["shot"] == "r4c6/2/down/5000/0"].str.extract(r"(\d+)\.png")[0]
+    assert names.astype(int).tolist() == list(range(MANY))
+
+
+def test_shots_come_by_place_cycle_and_depth(folder: Path) -> None:
+    labels = imported(folder).labels
+    assert labels["press"].unique().tolist() == ["r4c6/1", "r4c6/2", "r10c7/1"]
+    assert labels["shot"].unique().tolist()[:4] == [
+        "r4c6/1/reference/0/0",
+        "r4c6/1/down/100/0",
+        "r4c6/1/down/5000/0",
+        "r4c6/1/up/0/0",
+    ]
+
+
+def test_shots_at_depth_zero_are_references_and_no_others(folder: Path) -> None:
+    labels = imported(folder).labels
+    assert (labels["reference"] == (labels["depth_mm"] == 0.0)).all()
+    assert set(labels["phase"][labels["reference"]]) == {"reference", "up"}
+
+
+@pytest.mark.parametrize("turned", [1.0, -1.0])
+def test_force_is_positive_in_compression_whichever_way_fz_points(folder: Path, turned: float) -> None:
+    for path in folder.glob("*.csv"):
+        read = pd.read_csv(path)
+        read["Fz"] *= turned
+        read.to_csv(path, index=False)
+    labels = imported(folder).labels
+    assert labels["force_N"][labels["depth_mm"] == 5.0].min() > 9.9
+    # Noise about zero keeps its sign: rectified, a resting sensor would read a force.
+    assert labels["force_N"][labels["reference"]].unique() == pytest.approx([-0.001])
+
+
+def test_tables_that_disagree_about_the_sign_are_refused(folder: Path) -> None:
+    path = table(folder, "r10c7_1")
+    read = pd.read_csv(path)
+    read["Fz"] *= -1
+    read.to_csv(path, index=False)
+    refused(folder, LabelError, "r4c6_1.csv", "r10c7_1.csv", "sign")
+
+
+def test_a_column_of_units_is_told_and_the_groups_have_none(folder: Path) -> None:
+    report = import_palm(folder, folder.parent / "run")
+    assert set(report.units) == {
+        "x_mm", "y_mm", "depth_mm", "force_N", "force_x_N", "force_y_N", "force_sd_N", "t_s"
+    }  # fmt: skip
+    assert set(report.unitless) == {"row", "column", "cycle", "frame_in_shot"}
+
+
+def test_one_photograph_a_row_is_read_as_well(folder: Path) -> None:
+    """Photographs named one by one, with Windows' own slashes; a shot's force is the mean of its rows."""
+    shutil.rmtree(folder / "images")
+    for path in folder.glob("*.csv"):
+        path.unlink()
+    (folder / "images").mkdir()
+    lines = []
+    for i, depth in enumerate((0.0, 0.0, 2.0, 2.0)):
+        Image.fromarray(np.full((4, 6), i, np.uint8)).save(folder / "images" / f"{i}.png")
+        lines.append(f"{i},{depth},down,0,0,{-depth - i},0,0,images\\{i}.png")
+    table(folder, "r1c1_1").write_text(HEADER + "\n".join(lines) + "\n")
+    labels = imported(folder).labels
+    assert labels["force_N"].tolist() == [0.5, 0.5, 4.5, 4.5]
+    assert labels["frame_in_shot"].tolist() == [0, 1, 0, 1]
+
+
+def test_the_spread_of_a_single_sample_is_not_made_up(folder: Path) -> None:
+    path = table(folder, "r10c7_1")
+    read = pd.read_csv(path)
+    read.drop_duplicates("image_file").to_csv(path, index=False)
+    assert "force_sd_N" not in imported(folder).labels
+
+
+@pytest.mark.parametrize("name", ["Cycle_r4c6_3.csv", "Cycle_Indent5mm_r4_3.csv", "notes.csv", "x.CSV"])
+def test_a_table_of_another_name_is_refused(folder: Path, name: str) -> None:
+    shutil.copy(table(folder, "r4c6_1"), folder / name)
+    refused(folder, LabelError, name, "not named as")
+
+
+def test_two_tables_of_one_press_are_refused(folder: Path) -> None:
+    shutil.copy(table(folder, "r4c6_1"), table(folder, "r04c6_1"))
+    refused(folder, LabelError, "r04c6_1.csv", "same press")
+
+
+@pytest.mark.parametrize("column", HEADER.strip().split(","))
+def test_a_missing_column_is_named(folder: Path, column: str) -> None:
+    path = table(folder, "r4c6_2")
+    pd.read_csv(path).drop(columns=column).to_csv(path, index=False)
+    refused(folder, LabelError, "r4c6_2.csv", "row 1", repr(column))
+
+
+@pytest.mark.parametrize("value", ["nan", "", "inf", "-inf", "1,5".replace(",", "_"), "much"])
+@pytest.mark.parametrize("column", ["t_s", "indent_mm", "Fx", "Fy", "Fz", "x_mm", "y_mm"])
+def test_a_cell_that_is_no_finite_number_is_named_by_file_and_row(
+    folder: Path, column: str, value: str
+) -> None:
+    path = table(folder, "r4c6_2")
+    read = pd.read_csv(path, dtype=str)
+    read.loc[6, column] = value
+    read.to_csv(path, index=False)
+    refused(folder, LabelError, "r4c6_2.csv", "row 8", column)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("down", "sideways", ("row 2", "'sideways'", "down or up")),
+        (",0.1,down", ",5.2,down", ("row 7", "5.2", "0 to 5")),
+        (",0.1,down", ",-0.2,down", ("row 7", "-0.2")),
+        (",0.1,down", ",0.3,down", ("row 7", "misfiled")),
+        ("images/Cycle_r4c6_1_down_0.1", "images/Cycle_r4c6_2_down_0.1", ("row 7", "misfiled")),
+        ("images/Cycle_r4c6_1_down_0.1", "images/Cycle_r4c7_1_down_0.1", ("row 7", "misfiled")),
+        (
+            ",42.0,-28.0,images/Cycle_r4c6_1_down_0.1",
+            ",42.1,-28.0,images/Cycle_r4c6_1_down_0.1",
+            ("row 8", "x_mm"),
+        ),
+        ("images/Cycle_r4c6_1_down_0.000mm", "gone", ("row 2", "'gone'", "copy it there")),
+        ("images/Cycle_r4c6_1_down_0.000mm", "", ("row 2", "names no image_file")),
+        ("images/Cycle_r4c6_1_down_0.000mm", "../secret", ("row 2", "without '..'")),
+        ("images/Cycle_r4c6_1_down_0.000mm", "images\\..\\..\\secret", ("row 2", "without '..'")),
+        ("images/Cycle_r4c6_1_down_0.000mm", "/etc", ("row 2", "stay inside")),
+        ("images/Cycle_r4c6_1_down_0.000mm", "D:\\ERP\\images", ("row 2", "stay inside")),
+        ("images/Cycle_r4c6_1_down_0.000mm", "\\\\server\\images", ("row 2", "stay inside")),
+        ("images/Cycle_r4c6_1_down_0.000mm", "=1+1", ("row 2", "formula")),
+    ],
+)
+def test_a_cell_that_does_not_fit_is_named_by_file_and_row(
+    folder: Path, old: str, new: str, words: tuple[str, ...]
+) -> None:
+    (folder.parent / "secret").mkdir()
+    change(table(folder, "r4c6_1"), old, new)
+    refused(folder, LabelError, "r4c6_1.csv", *words)
+
+
+def test_a_shot_without_photographs_is_refused(folder: Path) -> None:
+    shot = folder / "images" / "Cycle_r4c6_2_down_0.100mm"
+    for photo in shot.iterdir():
+        photo.unlink()
+    refused(folder, LabelError, "r4c6_2.csv", "row 7", "no photograph")
+
+
+def test_links_that_lead_out_of_the_folder_are_refused(folder: Path, rng: np.random.Generator) -> None:
+    outside = folder.parent / "outside.png"
+    shutil.copy(folder / "images" / "Cycle_r4c6_1_down_0.000mm" / "photo_0.png", outside)
+    link = folder / "images" / "Cycle_r4c6_1_down_0.000mm" / "photo_99.png"
+    try:
+        link.symlink_to(outside)
+    except OSError:
+        pytest.skip("links cannot be made here")
+    refused(folder, LabelError, "r4c6_1.csv", "row 2", "leads out")
+
+
+def test_a_photograph_of_two_shots_is_refused(folder: Path) -> None:
+    first = folder / "images" / "Cycle_r4c6_1_down_0.000mm" / "photo_0.png"
+    link = folder / "images" / "Cycle_r4c6_2_down_0.100mm" / "photo_99.png"
+    try:
+        link.symlink_to(first)
+    except OSError:
+        pytest.skip("links cannot be made here")
+    refused(folder, LabelError, "two shots", "r4c6_1.csv", "r4c6_2.csv")
+
+
+def test_photographs_that_no_table_names_are_left_out_only_when_allowed(folder: Path) -> None:
+    table(folder, "r10c7_1").unlink()
+    refused(folder, LabelError, "8 photographs", "Cycle_r10c7_1")
+    assert len(imported(folder, allow_unlabelled=True)) == FRAMES - 4 * PHOTOS
+
+
+def test_a_damaged_photograph_or_one_of_another_size_is_refused(folder: Path) -> None:
+    photo = folder / "images" / "Cycle_r4c6_2_down_0.100mm" / "photo_1.png"
+    whole = photo.read_bytes()
+    photo.write_bytes(whole[:-20])
+    refused(folder, ImageError, "photo_1.png", "damaged")
+    Image.fromarray(np.zeros((12, 17, 3), np.uint8)).save(photo)
+    refused(folder, ImageError, "photo_1.png", "17 × 12")
+
+
+def test_a_photograph_that_claims_to_be_huge_is_not_decoded(folder: Path) -> None:
+    photo = folder / "images" / "Cycle_r4c6_2_down_0.100mm" / "photo_1.png"
+    data = bytearray(photo.read_bytes())
+    data[16:24] = (200_000).to_bytes(4, "big") * 2  # width and height in the header
+    photo.write_bytes(data)
+    refused(folder, ImageError, "photo_1.png")
+
+
+def test_a_table_that_is_too_large_is_not_read(folder: Path) -> None:
+    with table(folder, "r4c6_1").open("ab") as file:
+        file.truncate(1 << 25)
+    refused(folder, LabelError, "r4c6_1.csv", "33554432 bytes")
+
+
+def test_no_folder_and_no_tables_are_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="not a folder"):
+        import_palm(tmp_path / "none", tmp_path / "run")
+    with pytest.raises(InputError, match="no table"):
+        import_palm(tmp_path, tmp_path / "run")
+
+
+def test_a_run_that_exists_is_never_overwritten(folder: Path) -> None:
+    imported(folder)
+    with pytest.raises(ExistsError):
+        imported(folder)
+
+
+def test_the_verb_imports_and_tells_what_it_found(folder: Path) -> None:
+    from palpate.cli.import_palm import palm
+
+    app = typer.Typer()
+    app.command()(palm)
+    run = folder.parent / "run"
+    said = CliRunner().invoke(app, [str(folder), str(run), "--licence", "CC-BY-4.0", "--quiet"])
+    assert said.exit_code == 0, said.output
+    assert f"{FRAMES} frames" in said.output
+    assert "force_N [N]" in said.output
+    assert Run.open(run).manifest.licence == "CC-BY-4.0"
+    again = CliRunner().invoke(app, [str(folder), str(run), "--json", "--quiet"])
+    assert again.exit_code == 2
