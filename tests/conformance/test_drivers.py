@@ -1,0 +1,61 @@
+"""The real drivers, each against its fake over a real socket or terminal, keep what the protocols promise."""
+
+from __future__ import annotations
+
+import random
+import sys
+
+import pytest
+
+from palpate.core import MonotonicClock
+from palpate.rig.check import Finding, check_camera, check_force_sensor, check_stage
+from palpate.rig.fakes.camera import FakeVideoCapture
+from palpate.rig.fakes.grbl import GrblFirmware
+from palpate.rig.fakes.grbl_model import GrblFaults, GrblModel
+from palpate.rig.fakes.rdt import FakeNetFT
+from palpate.rig.fakes.terminal import FakeTerminal
+from palpate.rig.real.grbl import GrblStage
+from palpate.rig.real.grbl_spec import GrblSpec
+from palpate.rig.real.netft import NetFT
+from palpate.rig.real.netft_settings import NetFTSettings
+from palpate.rig.real.uvc import UvcCamera, UvcSettings
+
+# What a loaded machine may break although the driver keeps it.
+TIMING = ("latest is never old", "leaves no gap", "stamps frames evenly", "calls return at once")
+
+
+def broken(findings: list[Finding]) -> list[Finding]:
+    return [one for one in findings if not one.ok and one.name not in TIMING]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal needs POSIX")
+def test_the_grbl_driver_keeps_every_law() -> None:
+    clock = MonotonicClock()
+    model = GrblModel(homed=True)
+    with FakeTerminal(GrblFirmware(model, GrblFaults(), clock.now_ns() / 1e9), clock) as terminal:
+        spec = GrblSpec(terminal.path, boot_s=0.02, latency_s=0.05)
+        with GrblStage.open(spec, clock) as stage:
+            stage.reference()
+            x, y, z = stage.position_m()
+            half = 5e-3
+            box = ((x - half, y - half, z - half), (x + half, y + half, z + half))
+            found = check_stage(stage, clock=clock, region_m=box, speed_m_s=4e-3)
+    assert broken(found) == []
+
+
+def test_the_net_ft_driver_keeps_every_law() -> None:
+    draw = random.Random(0)
+    with FakeNetFT(force=lambda t: (draw.gauss(0, 0.01), 0.2, draw.gauss(-1, 0.01))) as box:
+        settings = NetFTSettings(rdt_port=box.rdt_port, http_port=box.http_port, silence_s=5.0)
+        with NetFT(box.host, settings) as sensor:
+            found = check_force_sensor(sensor, clock=MonotonicClock(), seconds=1.0)
+    assert broken(found) == []
+
+
+def test_the_camera_driver_keeps_every_law() -> None:
+    settings = UvcSettings(size_px=(64, 48), rate_hz=50.0, exposure_s=5e-3)
+    source = FakeVideoCapture(rate_hz=50.0)
+    with UvcCamera("/dev/video7", settings, opener=lambda where: source) as camera:
+        found = check_camera(camera, clock=MonotonicClock())
+    assert broken(found) == []

@@ -1,0 +1,260 @@
+"""What firmware was seen to do: asked of the fake always, of real firmware where a simulator is at hand.
+
+Such a simulator talks on its standard input and output; PALPATE_GRBL_SIM names its executable, which is no
+part of palpate. One such prints `error:7` and its settings before the first banner, hears nothing for a
+second, keeps its settings in its working folder, and runs at about half real time.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import time
+import tty
+from contextlib import ExitStack, contextmanager
+
+import pytest
+
+from palpate.core.clock import NS_PER_S, MonotonicClock
+from palpate.rig.fakes.grbl import GrblFirmware
+from palpate.rig.fakes.grbl_model import GrblFaults, GrblModel
+from palpate.rig.fakes.terminal import FakeTerminal
+from palpate.rig.real.grbl import GrblStage
+from palpate.rig.real.grbl_spec import GrblSpec
+
+serial = pytest.importorskip("serial", reason="the stage's driver needs pyserial")
+SIMULATOR = os.environ.get("PALPATE_GRBL_SIM", "")
+PATIENCE_S = 60.0
+UNHOMED = ("$20=0", "$22=0", "$21=0", "$13=0", "$10=1")  # nothing to home against
+MOTION = ("$120=50", "$121=50", "$122=50", "$110=1200", "$111=1200", "$112=1200")
+
+
+@contextmanager
+def fake():
+    clock = MonotonicClock()
+    with FakeTerminal(
+        GrblFirmware(GrblModel(settings={20: 0, 22: 0}), GrblFaults(), clock.now_ns() / NS_PER_S), clock
+    ) as terminal:
+        yield terminal.path
+
+
+@contextmanager
+def simulator(folder):
+    if not SIMULATOR:
+        pytest.skip("no simulator of real firmware; name its executable in PALPATE_GRBL_SIM")
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    try:
+        with subprocess.Popen(
+            shlex.split(SIMULATOR), stdin=ours, stdout=ours, stderr=subprocess.DEVNULL, bufsize=0, cwd=folder
+        ) as process:
+            try:
+                yield os.ttyname(theirs)
+            finally:
+                process.kill()
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+@pytest.fixture(params=["fake", "simulator"])
+def path(request, tmp_path):
+    with ExitStack() as stack:
+        path = stack.enter_context(fake() if request.param == "fake" else simulator(tmp_path))
+        with Talk(path) as talk:
+            talk.wake()
+            for line in (*UNHOMED, *MOTION, "$X"):
+                assert talk.send(line)[-1] == "ok", line
+        yield path
+
+
+@pytest.fixture
+def talk(path):
+    with Talk(path) as talk:
+        yield talk
+
+
+class Talk:
+    """A plain conversation, by none of the driver's code."""
+
+    def __init__(self, path: str) -> None:
+        self.port = serial.Serial(path, 115200, timeout=0.05, exclusive=True)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.port.close()
+
+    def wake(self) -> None:
+        """Reset it until it answers, and let it have its say."""
+        for _ in range(int(PATIENCE_S)):
+            self.port.write(b"\x18")
+            try:
+                self.hear("Grbl", patience_s=1.0)
+            except AssertionError:
+                continue
+            while self.port.readline():
+                pass
+            return
+        raise AssertionError("the firmware never said its banner")
+
+    def hear(self, wanted: str, patience_s: float = PATIENCE_S) -> list[str]:
+        """All lines up to one that matches."""
+        heard, end = [], time.monotonic() + patience_s
+        while time.monotonic() < end:
+            line = self.port.readline().decode("ascii", "replace").strip()
+            if line:
+                heard.append(line)
+            if re.match(wanted, line):
+                return heard
+        raise AssertionError(f"{wanted!r} never came; heard {heard}")
+
+    def send(self, line: str) -> list[str]:
+        self.port.write(line.encode() + b"\n")
+        return self.hear(r"ok$|error:\d+$")
+
+    def status(self) -> str:
+        self.port.write(b"?")
+        return self.hear("<")[-1]
+
+    def until(self, state: str) -> str:
+        end = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end:
+            status = self.status()
+            if status.startswith(f"<{state}"):
+                return status
+        raise AssertionError(f"never {state}, last {status}")
+
+    def reset(self) -> list[str]:
+        self.port.write(b"\x18")
+        return self.hear("Grbl")
+
+    def x_mm(self) -> float:
+        return float(re.search(r"MPos:(-?\d+\.\d+)", self.status())[1])
+
+
+@pytest.mark.parametrize(
+    ("line", "answer"),
+    [
+        ("G21G91G94G1X0.01", "error:22"),
+        ("G1X1F-1", "error:4"),
+        ("G1XnanF100", "error:2"),
+        ("G1XinfF100", "error:2"),
+        ("G1X1e3F100", "error:20"),
+        ("G1X" + "0" * 97 + "1F100", "error:11"),
+        ("$20=1", "error:10"),
+        ("G20", "ok"),
+        ("", "ok"),
+    ],
+)
+def test_a_line_has_the_one_answer_that_was_seen(talk, line, answer):
+    assert talk.send(line)[-1] == answer
+
+
+def test_ok_is_not_done(talk):
+    assert talk.send("G21G91G94G1X2F300")[-1] == "ok"
+    assert talk.status().startswith("<Run")
+    talk.until("Idle")
+    assert talk.x_mm() == pytest.approx(2.0, abs=0.01)
+
+
+def test_a_dwell_says_idle(talk):
+    talk.port.write(b"G4P1.0\n")
+    time.sleep(0.1)
+    assert talk.status().startswith("<Idle")
+    talk.hear("ok$")
+
+
+def test_a_full_planner_answers_one_line_a_move(talk):
+    """20 moves: some 16 answers at once, the others as moves end."""
+    talk.port.write(b"G21G91G94\n")
+    talk.hear("ok$")
+    began = time.monotonic()
+    times = []
+    for _ in range(20):
+        talk.send("G1X0.2F60")
+        times.append(time.monotonic() - began)
+    # The last answer had to wait for about four moves of 0.2 s and more; were it at once, it were queued.
+    assert times[-1] - times[13] > 0.3
+    talk.reset()
+
+
+def test_a_hold_then_a_reset_keeps_the_place_and_the_lock_off(talk):
+    talk.send("G21G91G94G1X30F600")
+    time.sleep(0.5)
+    talk.port.write(b"!")
+    talk.until("Hold:0")
+    x_mm = talk.x_mm()
+    heard = talk.reset()
+    assert not [line for line in heard if line.startswith("ALARM")]
+    assert talk.status().startswith("<Idle")
+    assert talk.x_mm() == pytest.approx(x_mm, abs=0.01)
+
+
+def test_a_reset_in_motion_is_alarm_3(talk):
+    talk.send("G21G91G94G1X30F600")
+    time.sleep(0.5)
+    assert "ALARM:3" in talk.reset()
+    assert talk.status().startswith("<Alarm")
+    assert talk.send("G1X1F60")[-1] == "error:9"
+
+
+def test_a_reset_undoes_all_modes(talk):
+    talk.send("G20G91")
+    talk.reset()
+    modes = next(line for line in talk.send("$G") if line.startswith("[GC:"))
+    assert {"G0", "G21", "G90"} <= set(modes.strip("[]").removeprefix("GC:").split())
+
+
+@pytest.mark.parametrize(("words", "went_mm"), [("G91X0.01F100", 0.254), ("G21G91X0.01F100", 0.01)])
+def test_a_jog_reads_lengths_in_the_unit_left_behind_unless_it_states_its_own(talk, words, went_mm):
+    talk.send("G20")
+    assert talk.send(f"$J={words}")[-1] == "ok"
+    talk.until("Idle")
+    assert talk.x_mm() == pytest.approx(went_mm, abs=0.005)
+
+
+def test_a_jog_is_cancelled_at_a_known_place(talk):
+    talk.send("$J=G21G91X30F600")
+    talk.until("Jog")
+    talk.port.write(b"\x85")
+    talk.until("Idle")
+    assert talk.x_mm() < 29.0
+
+
+def test_the_driver_moves_stops_and_goes_on(path):
+    spec = GrblSpec(
+        path,
+        least_m=(-0.05,) * 3,
+        greatest_m=(0.05,) * 3,
+        require_homed=False,
+        boot_s=0.2,
+        reply_s=20.0,
+        still_s=20.0,
+        stop_s=20.0,
+    )
+    with GrblStage.open(spec) as stage:
+        stage.reference((0.0, 0.0, 0.0))
+
+        def arrive():
+            end = time.monotonic() + PATIENCE_S
+            while stage.moving():
+                assert time.monotonic() < end
+                time.sleep(0.02)
+
+        stage.move_to((0.001, -0.001, 0.0005), 0.01)
+        arrive()
+        assert stage.position_m() == pytest.approx((0.001, -0.001, 0.0005), abs=1e-5)
+        stage.move_to((0.040, -0.001, 0.0005), 0.01)
+        while stage.position_m()[0] < 0.003:
+            assert stage.moving()
+        stage.stop()
+        stopped = stage.position_m()
+        assert stopped[0] < 0.039
+        assert not stage.moving()
+        stage.move_to((0.001, -0.001, 0.0005), 0.02)
+        arrive()
+        assert stage.position_m() == pytest.approx((0.001, -0.001, 0.0005), abs=1e-5)

@@ -1,0 +1,472 @@
+"""The driver on a fake of Grbl 1.1h and grblHAL, over a real pseudo-terminal: when all goes well."""
+
+from __future__ import annotations
+
+import math
+import re
+import threading
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from palpate.core.clock import MonotonicClock
+from palpate.core.errors import DeviceError, InputError, MissingExtraError, RangeError
+from palpate.core.protocols import Stage
+from palpate.rig.fakes.grbl_model import GrblModel
+from palpate.rig.real import grbl, grbl_port
+from palpate.rig.real.grbl import GrblStage
+from palpate.rig.real.grbl_spec import GrblSpec, Mount, fixed
+
+# The default mount: x = X, y = -Y, z = -Z; the fake starts at machine -50, -50, -50 mm.
+START = (-0.050, 0.050, 0.050)
+UNHURRIED = {"still_s": 1e3, "stop_s": 1e3}  # of a clock that runs many times as fast
+STEP_MM = 0.02  # two clock ticks of the fake at 10 mm/s: it takes up a hold no finer than that
+MODELS = {
+    "Grbl": GrblModel(homed=True),
+    "Grbl, jogs held": GrblModel(homed=True, hold_cancels_jog=False),
+    "grblHAL": GrblModel(firmware="grblHAL", homed=True),
+    "work coordinates": GrblModel(homed=True, settings={10: 2}, offset_mm=(3.0, -4.0, 5.0)),
+    "slow to obey": GrblModel(homed=True, latency_s=0.02),
+    "slow to obey, jogs held": GrblModel(homed=True, latency_s=0.02, hold_cancels_jog=False),
+}
+
+
+@pytest.fixture(params=MODELS.values(), ids=MODELS)
+def model(request):
+    return request.param
+
+
+def metres(machine_mm):
+    return machine_mm[0] / 1e3, -machine_mm[1] / 1e3, -machine_mm[2] / 1e3
+
+
+def test_it_is_a_stage(grbl_bench):
+    assert isinstance(grbl_bench().open(), Stage)
+
+
+def test_it_goes_where_it_is_sent(grbl_bench, model):
+    bench = grbl_bench(model)
+    stage = bench.open()
+    assert stage.position_m() == pytest.approx(START)
+    for target in ((-0.048, 0.050, 0.0521), (-0.0512, 0.0487, 0.0506), START):
+        stage.move_to(target, 0.01)
+        assert stage.moving()
+        bench.arrive(stage)
+        assert stage.position_m() == pytest.approx(target, abs=1e-6)  # what a report resolves
+        assert metres(bench.place_mm) == pytest.approx(target, abs=1e-7)  # what a line resolves
+
+
+def test_each_sensor_axis_drives_its_machine_axis(grbl_bench):
+    bench = grbl_bench(axes=("-Z", "+X", "-Y"))
+    stage = bench.open()
+    stage.move_to((0.051, -0.048, 0.053), 0.01)
+    bench.arrive(stage)
+    assert bench.place_mm == pytest.approx((-48.0, -53.0, -51.0))
+
+
+def test_a_stop_ends_within_the_overshoot_bound_at_a_known_place(grbl_bench, model):
+    bench = grbl_bench(model)
+    stage = bench.open()
+    bench.move_to_speed(stage, (-0.030, 0.050, 0.060), 0.010)
+    asked = bench.place_mm
+    stage.stop()
+    stopped = bench.place_mm
+    # v^2 / 2a = 1 mm and v latency = 0.2 mm; the clock stood still between the question and the hold.
+    assert math.dist(asked, stopped) <= stage.travel.overshoot_m(0.010) * 1e3 + STEP_MM
+    assert math.dist(asked, stopped) >= 1.0 - STEP_MM  # it slowed down, and did not lose steps
+    assert bench.speed_mm_s == 0.0
+    assert not stage.moving()
+    assert stage.position_m() == pytest.approx(metres(stopped), abs=1e-6)
+    stage.move_to(START, 0.01)
+    bench.arrive(stage)
+    assert metres(bench.place_mm) == pytest.approx(START, abs=1e-7)
+
+
+def test_in_real_time_too_a_stop_ends_within_the_overshoot_bound(grbl_bench):
+    bench = grbl_bench(clock=MonotonicClock(), still_s=30.0, stop_s=30.0)
+    stage = bench.open()
+    bench.move_to_speed(stage, (-0.010, 0.050, 0.050), 0.010)
+    stage.stop()
+    # From where the hold came: how long it took to get there is the machine's load, not the driver's promise.
+    with bench.terminal.lock:
+        went_mm = math.dist(bench.firmware.holds[0], bench.place_mm)
+    assert went_mm <= 0.010**2 / (2 * 0.050) * 1e3 + STEP_MM
+
+
+@pytest.mark.parametrize("key", ["Grbl", "Grbl, jogs held"])
+def test_a_stop_never_resets_in_motion(grbl_bench, key):
+    bench = grbl_bench(MODELS[key])
+    stage = bench.open()
+    bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
+    stage.stop()
+    assert b"!" in bench.received
+    assert (b"\x18" in bench.received) == (key == "Grbl, jogs held")
+    assert stage.position_m() == pytest.approx(metres(bench.place_mm), abs=1e-6)  # kept, and no alarm
+
+
+def test_a_hold_that_meets_a_stage_just_arrived_is_not_left_behind(grbl_bench):
+    """The first report after the hold still says Idle."""
+    bench = grbl_bench(GrblModel(homed=True, latency_s=0.01))
+    stage = bench.open()
+    stage.move_to((-0.0495, 0.050, 0.050), 0.01)
+    bench.wait(lambda: bench.firmware.state == "Idle")
+    stage.stop()
+    bench.clock.sleep(1.0)
+    stage.move_to(START, 0.01)
+    bench.arrive(stage)
+    assert metres(bench.place_mm) == pytest.approx(START, abs=1e-7)
+
+
+def test_a_stop_where_it_stands_does_nothing(grbl_bench):
+    bench = grbl_bench()
+    stage = bench.open()
+    stage.stop()
+    stage.stop()
+    assert b"!" not in bench.received
+    assert stage.position_m() == pytest.approx(START)
+
+
+def test_a_stop_from_another_thread_ends_a_move(grbl_bench):
+    bench = grbl_bench()
+    stage = bench.open()
+    bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
+    stopper = threading.Thread(target=stage.stop)
+    stopper.start()
+    bench.arrive(stage)
+    stopper.join()
+    assert bench.speed_mm_s == 0.0
+    assert math.dist(bench.place_mm, (-30.0, -50.0, -50.0)) > 1.0
+
+
+def test_stops_from_many_threads_are_one_stop(grbl_bench):
+    bench = grbl_bench(GrblModel(homed=True, hold_cancels_jog=False))
+    stage = bench.open()
+    bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
+    threads = [threading.Thread(target=stage.stop) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert stage.position_m() == pytest.approx(metres(bench.place_mm), abs=1e-6)
+
+
+def test_a_move_recalled_before_it_was_sent_is_not_sent(grbl_bench, monkeypatch):
+    bench = grbl_bench()
+    stage = bench.open()
+    before = bench.received
+    with stage._lock:  # another thread asks for a move and has to wait, and is stopped meanwhile
+        halts = stage._link.halts
+        failures = []
+
+        def move():
+            try:
+                stage.move_to((-0.040, 0.050, 0.050), 0.010)
+            except DeviceError as error:
+                failures.append(error)
+
+        entered = threading.Event()
+        monkeypatch.setattr(grbl, "check_range", lambda *asked: entered.set())
+        mover = threading.Thread(target=move)
+        mover.start()
+        entered.wait()
+        assert stage._link.halts == halts
+        stage.stop()
+    mover.join()
+    assert len(failures) == 1
+    assert b"$J" not in bench.received[len(before) :]
+    stage.move_to((-0.0495, 0.050, 0.050), 0.010)  # and the next is
+    bench.arrive(stage)
+
+
+def test_one_move_at_a_time(grbl_bench):
+    bench = grbl_bench()
+    stage = bench.open()
+    stage.move_to((-0.045, 0.050, 0.050), 0.010)
+    with pytest.raises(DeviceError, match="moving already"):
+        stage.move_to((-0.045, 0.050, 0.050), 0.010)
+    assert bench.received.count(b"$J") == 1
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1.0, -1.0])
+def test_a_target_outside_the_travel_is_refused_before_anything_is_sent(grbl_bench, axis, bad):
+    bench = grbl_bench()
+    stage = bench.open()
+    before = bench.received
+    target = list(START)
+    target[axis] = bad
+    with pytest.raises(RangeError, match="travel"):
+        stage.move_to(tuple(target), 0.01)
+    assert bench.received == before
+
+
+@pytest.mark.parametrize("speed", [math.nan, math.inf, 0.0, -0.01, 1e-6, 0.021])
+def test_a_speed_that_it_cannot_run_at_is_refused_before_anything_is_sent(grbl_bench, speed):
+    bench = grbl_bench()
+    stage = bench.open()
+    before = bench.received
+    with pytest.raises(RangeError, match="speed"):
+        stage.move_to(START, speed)
+    assert bench.received == before
+
+
+def test_the_host_keeps_its_own_limits(grbl_bench):
+    bench = grbl_bench(least_m=(-0.06, 0.04, 0.049), greatest_m=(-0.04, 0.06, 0.051), top_speed_m_s=0.002)
+    stage = bench.open()
+    with pytest.raises(RangeError, match=r"0\.049 to 0\.051"):
+        stage.move_to((-0.050, 0.050, 0.0511), 0.001)
+    with pytest.raises(RangeError, match="speed"):
+        stage.move_to(START, 0.003)
+
+
+def test_what_the_controller_refuses_it_says_and_does_not_do(grbl_bench):
+    bench = grbl_bench(least_m=(0.0, 0.0, 0.0), greatest_m=(0.1, 0.1, 0.1))
+    stage = bench.open()
+    stage.reference((0.0, 0.05, 0.05))  # which puts half the limits' range beyond the machine's own
+    with pytest.raises(DeviceError, match="error:15"):
+        stage.move_to((0.08, 0.05, 0.05), 0.01)
+    assert not stage.moving()
+    assert stage.position_m() == pytest.approx((0.0, 0.05, 0.05))
+    stage.move_to((0.01, 0.05, 0.05), 0.01)
+    bench.arrive(stage)
+    assert bench.place_mm == pytest.approx((-40.0, -50.0, -50.0))
+
+
+def test_limits_wider_than_the_machine_are_refused(grbl_bench):
+    bench = grbl_bench(least_m=(-0.06, 0.0, 0.0), greatest_m=(-0.04, 0.06, 0.2))
+    with pytest.raises(RangeError, match=r"\$130"):
+        bench.open()
+
+
+def test_the_travel_is_the_firmware_s(grbl_bench):
+    settings = {110: 600.0, 112: 300.0, 121: 20.0, 131: 40.0}
+    travel = grbl_bench(GrblModel(homed=True, settings=settings)).open().travel
+    assert travel.least_m == pytest.approx((-0.1, 0.0, 0.0))
+    assert travel.greatest_m == pytest.approx((0.0, 0.04, 0.1))
+    assert travel.top_speed_m_s == pytest.approx(0.005)
+    assert travel.acceleration_m_s2 == pytest.approx(0.02)
+
+
+def test_every_move_states_its_modes_in_fixed_point(grbl_bench):
+    bench = grbl_bench()
+    stage = bench.open()
+    for target in ((-0.0500001, 0.05, 0.05), (-1e-9, 0.05, 0.05), (-0.0123456, 1e-7, 0.05)):
+        stage.move_to(target, 0.02)
+        bench.arrive(stage)
+    lines = [line for line in bench.received.decode().replace("?", "").splitlines() if "$J" in line]
+    word = r"-?\d+\.\d{4}"
+    assert len(lines) == 3
+    for line in lines:
+        assert re.fullmatch(rf"\$J=G21G90G53X{word}Y{word}Z{word}F\d+\.\d{{3}}", line)
+
+
+@given(st.floats(-9e5, 9e5))
+def test_a_number_is_sent_in_fixed_point_and_rounded_by_no_more_than_half_its_last_place(value):
+    text = fixed(value)
+    assert re.fullmatch(r"-?\d{1,6}\.\d{4}", text)
+    assert abs(float(text) - value) <= 0.5e-4 * (1 + 1e-6) + abs(value) * 1e-15
+    assert text != "-0.0000"
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e6, 1e300])
+def test_what_is_no_length_is_never_sent(value):
+    with pytest.raises(RangeError):
+        fixed(value)
+
+
+@given(
+    st.permutations("XYZ"),
+    st.tuples(*[st.sampled_from("+-")] * 3),
+    st.tuples(*[st.floats(-1, 1)] * 3),
+    st.tuples(*[st.floats(-500, 500)] * 3),
+)
+def test_the_mount_and_back_is_the_same_place(letters, signs, place_m, machine_mm):
+    axes = tuple(sign + letter for sign, letter in zip(signs, letters, strict=True))
+    mount = Mount(axes).placed(machine_mm, place_m)
+    # Rounded twice to 0.1 micrometre.
+    assert mount.sensor_m(machine_mm) == pytest.approx(place_m, abs=1.1e-7)
+    assert mount.sensor_m(mount.machine_mm(place_m)) == pytest.approx(place_m, abs=1.1e-7)
+
+
+class TestHoming:
+    def test_the_position_is_unknown_until_it_is_found(self, grbl_bench):
+        bench = grbl_bench(GrblModel(homing_s=0.0))
+        stage = bench.open(known=False)
+        with pytest.raises(DeviceError, match=r"home\(\)"):
+            stage.position_m()
+        with pytest.raises(DeviceError, match=r"home\(\)"):
+            stage.move_to(START, 0.01)
+        stage.home()
+        assert stage.position_m() == pytest.approx((-0.001, 0.001, 0.001))
+        stage.move_to((-0.002, 0.001, 0.001), 0.01)
+        bench.arrive(stage)
+
+    def test_nothing_homes_or_unlocks_by_itself(self, grbl_bench):
+        bench = grbl_bench(GrblModel())
+        with bench.open(known=False) as stage:
+            for attempt in (
+                stage.position_m,
+                stage.moving,
+                lambda: stage.move_to(START, 0.01),
+                stage.reference,
+            ):
+                with pytest.raises(DeviceError):
+                    attempt()
+        assert b"$H" not in bench.received
+        assert b"$X" not in bench.received
+
+    def test_without_switches_it_fails_by_name(self, grbl_bench, fast_clock):
+        bench = grbl_bench(GrblModel(switches=False), clock=fast_clock(100), still_s=1e3, stop_s=1e3)
+        stage = bench.open(known=False)
+        with pytest.raises(DeviceError, match="ALARM:9"):
+            stage.home()
+        with pytest.raises(DeviceError, match="ALARM:9"):
+            stage.position_m()
+
+    def test_homing_that_is_stopped_leaves_the_position_unknown(self, grbl_bench):
+        bench = grbl_bench(GrblModel(homing_s=1e6))
+        stage = bench.open(known=False)
+        failures = []
+
+        def home():
+            try:
+                stage.home()
+            except DeviceError as error:
+                failures.append(str(error))
+
+        homing = threading.Thread(target=home)
+        homing.start()
+        bench.wait(lambda: bench.firmware.state == "Home")
+        with pytest.raises(DeviceError, match="position was lost"):
+            stage.stop()
+        homing.join()
+        assert failures
+        assert bench.firmware.state == "Alarm"
+
+    def test_homing_switched_off_is_said_so(self, grbl_bench):
+        off = GrblModel(settings={22: 0, 20: 0})
+        with pytest.raises(InputError, match="least_m"):
+            grbl_bench(off).open(known=False)
+        stage = grbl_bench(off, least_m=(-0.01,) * 3, greatest_m=(0.01,) * 3).open(known=False)
+        with pytest.raises(DeviceError, match=r"\$22=1"):
+            stage.home()
+        stage.reference((0.0, 0.0, 0.0))
+        with pytest.raises(DeviceError, match=r"\$22=0"):
+            stage.move_to((0.001, 0.0, 0.0), 0.01)
+
+    def test_an_unhomed_stage_moves_on_the_caller_s_word(self, grbl_bench):
+        bench = grbl_bench(
+            GrblModel(settings={22: 0, 20: 0}),
+            require_homed=False,
+            least_m=(-0.01, -0.01, 0.0),
+            greatest_m=(0.01, 0.01, 0.02),
+        )
+        stage = bench.open(known=False)
+        stage.reference((0.002, -0.003, 0.0))
+        assert stage.position_m() == pytest.approx((0.002, -0.003, 0.0))
+        stage.move_to((0.004, -0.003, 0.001), 0.01)
+        bench.arrive(stage)
+        # x to the right by 2 mm and 1 mm into the skin, which is machine Z down.
+        assert bench.place_mm == pytest.approx((-48.0, -50.0, -51.0))
+
+    @pytest.mark.parametrize("bad", [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0)])
+    def test_no_place_is_taken_that_is_none(self, grbl_bench, bad):
+        with pytest.raises(RangeError):
+            grbl_bench().open().reference(bad)
+
+    def test_unlocked_is_not_homed(self, grbl_bench):
+        bench = grbl_bench(GrblModel())
+        stage = bench.open(known=False)
+        stage.unlock()
+        with pytest.raises(DeviceError, match="unlocked"):
+            stage.position_m()
+        stage.reference()
+        with pytest.raises(DeviceError, match=r"home\(\)"):
+            stage.move_to((-0.001, 0.001, 0.001), 0.01)
+
+
+class TestProbing:
+    def test_a_hit_is_where_it_triggered_and_not_where_it_stopped(self, grbl_bench, fast_clock):
+        bench = grbl_bench(GrblModel(homed=True, probe_at_mm=-51.0), clock=fast_clock(), **UNHURRIED)
+        stage = bench.open()
+        hit = stage.probe_to((-0.050, 0.050, 0.053), 0.005)
+        assert hit is not None
+        # Beyond the trigger by one tick of the fake at most.
+        assert hit[2] == pytest.approx(0.051, abs=0.005 * 0.002 + 1e-6)
+        assert bench.place_mm[2] < -51.2  # v^2 / 2a = 0.25 mm
+        assert stage.position_m()[2] == pytest.approx(-bench.place_mm[2] / 1e3, abs=1e-6)
+
+    @pytest.mark.parametrize("firmware", ["1.1h", "grblHAL"])
+    def test_a_miss_is_none_wherever_it_says_that_it_ended(self, grbl_bench, fast_clock, firmware):
+        bench = grbl_bench(GrblModel(firmware=firmware, homed=True), clock=fast_clock(), **UNHURRIED)
+        stage = bench.open()
+        assert stage.probe_to((-0.050, 0.050, 0.051), 0.005) is None
+        assert stage.position_m() == pytest.approx((-0.050, 0.050, 0.051), abs=1e-6)
+
+    def test_one_triggered_before_is_an_alarm(self, grbl_bench):
+        bench = grbl_bench(GrblModel(homed=True, probe_at_mm=0.0))
+        stage = bench.open()
+        with pytest.raises(DeviceError, match="ALARM:4"):
+            stage.probe_to((-0.050, 0.050, 0.051), 0.005)
+        with pytest.raises(DeviceError, match="ALARM:4"):
+            stage.move_to(START, 0.01)
+
+
+class TestPorts:
+    def test_a_port_has_one_master(self, grbl_bench):
+        bench = grbl_bench()
+        with bench.open(), pytest.raises(DeviceError, match="in use"):
+            GrblStage.open(bench.spec)
+        bench.open()  # and is free again
+
+    def test_a_port_that_is_not_there_is_refused_with_those_that_are(self, monkeypatch):
+        there = [SimpleNamespace(device="/dev/ttyACM7", serial_number="5583", hwid="USB")]
+        monkeypatch.setattr(grbl_port, "_ports", lambda: there)
+        for name in ("/dev/ttyNOWHERE", "9999"):
+            with pytest.raises(DeviceError, match=r"/dev/ttyACM7 \(serial number 5583\)"):
+                GrblStage.open(GrblSpec(name))
+
+    def test_a_serial_number_names_a_port(self, grbl_bench, monkeypatch):
+        bench = grbl_bench()
+        there = [SimpleNamespace(device=bench.terminal.path, serial_number="5583")]
+        monkeypatch.setattr(grbl_port, "_ports", lambda: there)
+        assert grbl_port.find_port("5583") == bench.terminal.path
+        monkeypatch.setattr(grbl_port, "_ports", lambda: there * 2)
+        with pytest.raises(DeviceError, match="by its path"):
+            grbl_port.find_port("5583")
+
+    def test_without_pyserial_the_extra_is_named(self, monkeypatch):
+        def absent(name, *_):
+            raise ImportError(name)
+
+        monkeypatch.setattr(grbl_port.importlib, "import_module", absent)
+        with pytest.raises(MissingExtraError, match=r"palpate\[rig\]"):
+            GrblStage.open(GrblSpec("/dev/null"))
+
+    def test_closing_again_does_nothing(self, grbl_bench):
+        stage = grbl_bench().open()
+        stage.close()
+        stage.close()
+        with pytest.raises(DeviceError, match="closed"):
+            stage.position_m()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        {"axes": ("+X", "+X", "-Z")},
+        {"axes": ("X", "Y", "Z")},
+        {"least_m": (0.0, 0.0, 0.0)},
+        {"least_m": (0.0, 0.0, 0.0), "greatest_m": (1.0, 1.0, 0.0)},
+        {"least_m": (0.0, 0.0, 0.0), "greatest_m": (1.0, 1.0, math.nan)},
+        {"latency_s": -1.0},
+        {"reply_s": math.inf},
+        {"boot_s": math.nan},
+        {"top_speed_m_s": 0.0},
+    ],
+)
+def test_a_spec_that_makes_no_sense_is_refused(words):
+    with pytest.raises(InputError):
+        GrblSpec("/dev/ttyACM0", **words)
