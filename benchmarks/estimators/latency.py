@@ -71,7 +71,9 @@ def main() -> None:
                 network(batch)
 
     load = os.getloadavg()[0]
-    print(f"compact-cnn, {like.members} members, {height} x {width} px, {FRAMES} frames x {ROUNDS} rounds, load {load:.1f}")
+    print(
+        f"compact-cnn, {like.members} members, {height} x {width} px, {FRAMES} frames x {ROUNDS} rounds, load {load:.1f}"
+    )
     ratios = []
     for _ in range(ROUNDS):
         ours, network, theirs = (

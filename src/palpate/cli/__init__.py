@@ -8,6 +8,7 @@ import typer
 
 from palpate.cli import calibration, import_palm, mechanics, optics, recordings, render, rig
 from palpate.cli.demo import demo
+from palpate.cli.studio import studio
 from palpate.version import __version__
 
 __all__ = ["app", "main"]
@@ -38,6 +39,7 @@ for verb in (
     calibration.sense,
     calibration.report,
     demo,
+    studio,
 ):
     app.command()(verb)
 

@@ -75,6 +75,7 @@ class Engine:
         self._shots = sum(self._whole(press) for press in plan.presses())
         self._begun = (time.monotonic(), self._shots)
         self._indenter = ""
+        self._wanted = ""
 
     def run(self) -> Outcome:
         """Record all that is missing, or as much as can be; the probe is lifted at the end."""
@@ -130,14 +131,15 @@ class Engine:
             return
         self._indenter = indenter
         if not self._rig.fit(indenter) and len(self._plan.indenters) > 1:
-            self._message = f"fit the indenter {indenter}, then resume"
+            self._wanted = f"fit the indenter {indenter}, then resume"
             self._control.ask(Ask.PAUSE)
             self._control.check()
 
     def _paused(self) -> None:
         """Lifted, and watching, until resumed; raises `Asked` on anything stronger."""
         self._walking.lift()
-        self._turn(State.PAUSED, self._message or "paused by the operator")
+        self._turn(State.PAUSED, self._wanted or "paused by the operator")
+        self._wanted = ""
         while self._control.wait_while_paused(0.02):
             self._guard.look(lambda sample: None, (Ask.ABORT, Ask.ESTOP))
             self._tell()

@@ -89,6 +89,7 @@ class Guard:
         while (left_s := (end_ns - self._clock.now_ns()) / NS_PER_S) > 0:
             self._clock.sleep(min(WAIT_S, left_s))
             seen += self.look(check)
+            self.on_poll()
         return seen
 
     def towards(
@@ -181,6 +182,7 @@ class Guard:
         except BaseException:
             self.halt()
             raise
+        self._control.check(asks)  # a stop from outside leaves it short of its target
         self._check_arrived(target)
         return False
 

@@ -1,0 +1,70 @@
+"""The process that holds a rig: ``python -m palpate.rig.service --rig virtual:palm --runs FOLDER``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+from types import FrameType
+
+from palpate.core.errors import PalpateError
+from palpate.rig.service.address import Address, hold, publish
+from palpate.rig.service.host import RigService
+from palpate.rig.service.opening import open_rig
+from palpate.rig.service.server import Server
+
+LOOK_S = 0.2
+SWITCH_S = 0.001  # between threads, so that an emergency stop does not wait for what others compute
+
+
+def main() -> int:
+    """Hold the rig until told to end; a recording that is under way is then aborted, and the probe lifted."""
+    parser = argparse.ArgumentParser(description="Hold a rig, and record on it when asked to.")
+    parser.add_argument("--rig", default="virtual:palm")
+    parser.add_argument("--runs", type=Path, required=True, help="folder that recordings go into")
+    parser.add_argument("--folder", type=Path, help="folder of the address file")
+    parser.add_argument("--accelerated", action="store_true", help="a virtual rig as fast as it goes")
+    asked = parser.parse_args()
+    ended = threading.Event()
+
+    def end(number: int, frame: FrameType | None) -> None:
+        ended.set()
+
+    sys.setswitchinterval(SWITCH_S)
+    signal.signal(signal.SIGTERM, end)
+    signal.signal(signal.SIGINT, end)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        serve(asked.rig, asked.runs, asked.folder, asked.accelerated, ended)
+    except PalpateError as e:
+        print(f"palpate: {e}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def serve(rig: str, runs: Path, folder: Path | None, accelerated: bool, ended: threading.Event) -> None:
+    """Hold the rig until the event is set, or a client asks for the end.
+
+    Raises:
+        DeviceError: another process holds it, or a device does not answer.
+        InputError: there is no such rig.
+    """
+    with hold(rig, folder):
+        service = RigService(open_rig(rig, accelerated=accelerated), runs)
+        server = Server(service)
+        path = publish(Address(rig, server.port, server.token, os.getpid()), folder)
+        try:
+            while not (ended.wait(LOOK_S) or server.ended.is_set()):
+                pass
+        finally:
+            path.unlink(missing_ok=True)
+            service.close()  # clients may still watch, and stop it, while it ends
+            server.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

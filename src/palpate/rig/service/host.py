@@ -1,0 +1,282 @@
+"""Who holds the rig: records when asked to, and stops when told to.
+
+The recording runs in a thread of its own and asks nobody who watches: they may come and go.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from palpate.core.errors import DeviceError, InputError, PalpateError, SafetyError
+from palpate.rig.control import Ask, Control
+from palpate.rig.outcome import Outcome, State, Tripped
+from palpate.rig.plans import PLANS, Stepped, Swept, size_of
+from palpate.rig.progress import Status
+from palpate.rig.record import record
+from palpate.rig.service.asked_plan import asked_plan
+from palpate.rig.service.devices import Devices
+from palpate.rig.service.log import Kind, Log
+from palpate.rig.service.opening import Opened
+from palpate.rig.walking import check_plan
+
+BEGIN_S = 15.0  # in which a recording has begun, or has been refused
+END_S = 30.0  # in which one that was told to end has lifted the probe and closed its run
+TAIL = 60  # lines of the log that are told
+NAME_LENGTH = 100
+FIRST = "palm-reduced"
+
+AnyPlan = Stepped | Swept
+_UNTOLD = Status(State.READY, "", 0, 0, None)
+
+
+class RigService:
+    """One rig, and whatever is asked of it from any thread.
+
+    Args:
+        opened: the rig; closed by `close`.
+        runs: the folder that recordings go into.
+    """
+
+    def __init__(self, opened: Opened, runs: Path) -> None:
+        self._runs = runs
+        self._real_time = opened.real_time
+        self._log = Log()
+        self._asking = threading.RLock()  # plan, start, release: one after the other
+        self._control = Control()
+        self._thread: threading.Thread | None = None
+        self._begun = threading.Event()
+        self._refused: Exception | None = None
+        self._status = _UNTOLD
+        self._run = self._place = ""
+        self._estop: dict[str, int] | None = None
+        self._devices = Devices(opened, lambda: self._status.state is State.PAUSED)
+        self._rig = self._devices.rig
+        self._set(PLANS[FIRST])
+        self._log.add("rig", f"{self._rig.name} opened")
+
+    def plan(self, what: str | Mapping[str, Any]) -> dict[str, Any]:
+        """Set what is recorded next, by name or by its fields; says how much that is.
+
+        Raises:
+            InputError: no such plan, or a field that is not one, or out of range.
+            Tripped: it leaves the rig's limits.
+            SafetyError: a recording is under way.
+        """
+        with self._asking:
+            self._check_at_rest("set a plan")
+            plan = asked_plan(what)
+            check_plan(self._rig, plan)
+            self._set(plan)
+            self._status = _UNTOLD
+            self._log.add("operator", f"plan {plan.name}: {len(plan.places.places())} places")
+            return self._asked
+
+    def start(self, out: str) -> dict[str, Any]:
+        """Record the plan into a run of this name, or go on with one that is there.
+
+        Raises:
+            InputError: a name that is none.
+            SafetyError: a recording is under way, or the emergency stop holds the stage.
+            Tripped: the plan leaves the rig's limits.
+            RecordingError: the run has another plan.
+            StorageError: the disk refused before anything moved.
+        """
+        with self._asking:
+            path = self._runs / _run_name(out)
+            self._check_at_rest("start")
+            self._check_released()
+            check_plan(self._rig, self._plan)
+            self._log.add("operator", f"start {self._plan.name} into {out}")
+            self._begin(out, path)
+            self._begun.wait(BEGIN_S)
+            if self._refused is not None:
+                raise self._refused
+            return {"run": str(path)}
+
+    def pause(self) -> None:
+        """Stop moving, lift the probe, and wait."""
+        self._wish(Ask.PAUSE)
+
+    def resume(self) -> None:
+        """Go on after a pause: the press that was left is approached anew.
+
+        Raises:
+            SafetyError: nothing is recorded.
+        """
+        self._check_recording("resume")
+        self._log.add("operator", "resume")
+        self._control.resume()
+
+    def stop(self) -> None:
+        """End after this press; a paused one ends where it is."""
+        self._wish(Ask.STOP)
+
+    def abort(self) -> None:
+        """Stop moving, lift the probe, end."""
+        self._wish(Ask.ABORT)
+
+    def estop(self) -> dict[str, int]:
+        """Emergency stop: nothing moves any more, also not away, until it is released. Never waits its turn.
+
+        Returns:
+            When it was asked for and when the stage stood, on the rig's clock [ns].
+
+        Raises:
+            DeviceError: the stage did not stop when told to.
+        """
+        asked_ns = self._rig.clock.now_ns()
+        self._control.ask(Ask.ESTOP)
+        try:
+            stood_ns = self._devices.stage.hold()
+        except DeviceError as e:
+            self._log.add("fault", f"EMERGENCY STOP, and the stage did not answer: {e}")
+            raise
+        self._estop = {"asked_ns": asked_ns, "stood_ns": stood_ns}
+        self._log.add(
+            "fault", f"emergency stop: the stage stands, {(stood_ns - asked_ns) / 1e6:.1f} ms later"
+        )
+        return self._estop
+
+    def release(self) -> None:
+        """Take the emergency stop back; nothing moves until something is started.
+
+        Raises:
+            SafetyError: the recording that it ended has not ended yet.
+        """
+        with self._asking:
+            if self._thread is not None:
+                self._thread.join(END_S)
+            self._check_at_rest("release the emergency stop")
+            self._devices.stage.release()
+            self._estop = None
+            self._log.add("operator", "emergency stop released")
+
+    def close(self) -> None:
+        """End a recording, the probe lifted, and let go of the devices."""
+        if self.recording:
+            self._log.add("rig", "the process ends: the recording is aborted")
+            self._control.ask(Ask.ABORT)
+        if self._thread is not None:
+            self._thread.join(END_S)
+        self._devices.close()
+
+    @property
+    def recording(self) -> bool:
+        """Whether a recording is under way."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def status(self) -> dict[str, Any]:
+        """All that a page shows, but for the picture; plain values."""
+        told, recording, asked = self._status, self.recording, self._control.asked
+        return {
+            "rig": self._rig.name,
+            "real_time": self._real_time,
+            "recording": recording,
+            "state": told.state.value,
+            "asked": asked.value if recording and asked else None,
+            "held": self._devices.stage.held,
+            "estop": self._estop,
+            "message": told.message,
+            "run": self._run,
+            "shots": told.shots,
+            "left_s": None if told.left_s is None else round(told.left_s, 1),
+            "place": self._place if recording else "",
+            "log": self._log.tail(TAIL),
+            "log_count": self._log.count,
+            **self._asked,
+            **self._devices.status(recording),
+        }
+
+    def picture(self, after: int = -1) -> dict[str, Any] | None:
+        """The newest frame as a JPEG, numbered; None where there is none newer than `after`."""
+        return self._devices.picture(after)
+
+    def _set(self, plan: AnyPlan) -> None:
+        size = size_of(plan, self._rig.camera.rate_hz)
+        planned = sum(len(plan.shots(press)) for press in plan.presses())
+        self._plan = plan
+        self._asked = {"plan": plan.model_dump(mode="json"), "size": size._asdict(), "planned": planned}
+
+    def _begin(self, out: str, path: Path) -> None:
+        control = Control()
+        self._run, self._place = out, ""
+        self._status = replace(_UNTOLD, message="begins")
+        self._begun.clear()
+        self._refused = None
+        self._control = control
+        if self._devices.stage.held:  # pressed since it was looked at: this control was not told
+            control.ask(Ask.ESTOP)
+        work = (self._plan, path, control)
+        self._thread = threading.Thread(target=self._record, args=work, name="palpate-rig-record")
+        self._thread.start()
+
+    def _record(self, plan: AnyPlan, path: Path, control: Control) -> None:
+        try:
+            with self._devices.taken():
+                outcome = record(self._rig, plan, path, control=control, watch=self._told)
+        except PalpateError as e:
+            self._failed(e)
+        except Exception as e:
+            self._failed(e)
+            raise
+        else:
+            self._ended(outcome)
+
+    def _failed(self, error: Exception) -> None:
+        if not self._begun.is_set():
+            self._refused = error
+        reason = error.reason if isinstance(error, Tripped) else None
+        self._ended(Outcome(State.FAILED, self._status.shots, 0, reason, str(error)))
+
+    def _ended(self, outcome: Outcome) -> None:
+        kind: Kind = "fault" if outcome.state in (State.FAILED, State.ESTOPPED) else "rig"
+        reason = f", {outcome.reason.value}" if outcome.reason else ""
+        self._log.add(kind, f"{outcome.state.value}{reason}: {outcome.message}")
+        self._status = replace(
+            self._status, state=outcome.state, message=outcome.message, shots=outcome.shots, left_s=None
+        )
+        self._begun.set()
+
+    def _told(self, status: Status) -> None:
+        """By the engine, a few times a second, in the recording's thread."""
+        if status.state is not self._status.state and status.state in (State.RUNNING, State.PAUSED):
+            self._log.add("rig", f"{status.state.value}: {status.message}")
+        press, colon, _ = status.message.rpartition(":")
+        if colon and ", cycle " in press and press != self._place:
+            self._place = press
+            self._log.add("place", press)
+        self._devices.told(status)
+        self._status = status
+        self._begun.set()
+
+    def _wish(self, wish: Ask) -> None:
+        self._check_recording(wish.value)
+        self._log.add("operator", wish.value)
+        self._control.ask(wish)
+
+    def _check_at_rest(self, what: str) -> None:
+        if self.recording:
+            raise SafetyError(f"a recording is under way; end it before you {what}")
+
+    def _check_released(self) -> None:
+        if self._devices.stage.held:
+            raise SafetyError("the emergency stop holds the stage; look at the rig, release it, then start")
+
+    def _check_recording(self, what: str) -> None:
+        if not self.recording:
+            raise SafetyError(f"there is no recording to {what}")
+
+
+def _run_name(out: str) -> str:
+    """A name and no path: what is recorded lies in the service's folder, and nowhere else."""
+    good = out.isprintable() and 0 < len(out) <= NAME_LENGTH and not set(out) & set('/\\:*?"<>|')
+    if not good or out.startswith(".") or out.strip() != out:
+        raise InputError(
+            f"{out[:NAME_LENGTH]!r} is no name for a run; give 1 to {NAME_LENGTH} letters, digits and such, "
+            "no slash, and no dot in front"
+        )
+    return out

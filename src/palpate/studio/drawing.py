@@ -1,0 +1,154 @@
+"""What the pages draw, as SVG: the places of a plan, the force over time, regions over a picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+from palpate.rig.plans.places import Place
+from palpate.studio.palette import ACCENT, AXES, BAD, BAND, INK, LINE, SOFT
+
+MOST_PLACES = 3000  # that are drawn
+SPAN_S = 20.0  # of the force's time axis
+LEAST_SPAN_N = 0.4
+WIDTH, HEIGHT = 640, 250
+BOX = "#ffd75e"  # seen on dark pictures and bright ones, with a black edge
+LEFT, RIGHT, TOP, BOTTOM = 52, 10, 12, 26
+
+
+def grid_svg(
+    places: Sequence[Place],
+    layer_mm: float,
+    probe_mm: float,
+    *,
+    done: Mapping[str, float] | None = None,
+    now: str = "",
+    at_mm: Sequence[float] | None = None,
+) -> str:
+    """The layer from above, as the camera sees it: x right, y down, in mm.
+
+    Args:
+        places: where the probe comes down.
+        layer_mm, probe_mm: diameters.
+        done: of each place's name, the share of its presses that is recorded.
+        now: the place that is pressed.
+        at_mm: of the stage.
+    """
+    done = done or {}
+    half, reach = layer_mm / 2, (layer_mm - probe_mm) / 2
+    edge = half * 1.06
+    dot = max(0.012 * layer_mm, 0.3)
+    parts = [
+        f'<svg viewBox="{-edge:.2f} {-edge:.2f} {2 * edge:.2f} {2 * edge:.2f}" role="img">',
+        f'<circle r="{half:.3f}" fill="#fff" stroke="{INK}" stroke-width="{layer_mm / 160:.3f}"/>',
+    ]
+    for place in places[:MOST_PLACES]:
+        share = done.get(place.name, 0.0)
+        fill, opacity = (ACCENT, 0.13 + 0.25 * share) if share else (BAND, 0.45)
+        parts.append(
+            f'<circle cx="{place.x_mm:.3f}" cy="{place.y_mm:.3f}" r="{probe_mm / 2:.3f}" fill="{fill}" '
+            f'fill-opacity="{opacity:.2f}" stroke="{ACCENT}" '
+            f'stroke-opacity="0.35" stroke-width="{layer_mm / 300:.3f}">'
+            f"<title>{escape(place.name)}</title></circle>"
+        )
+    parts.append(
+        f'<circle r="{reach:.3f}" fill="none" stroke="{SOFT}" stroke-width="{layer_mm / 250:.3f}" '
+        f'stroke-dasharray="{layer_mm / 60:.2f} {layer_mm / 60:.2f}"/>'
+    )
+    for place in places[:MOST_PLACES]:
+        colour = BAD if place.name == now else ACCENT if done.get(place.name, 0.0) >= 1 else SOFT
+        size = dot * (1.7 if place.name == now else 1)
+        parts.append(f'<circle cx="{place.x_mm:.3f}" cy="{place.y_mm:.3f}" r="{size:.3f}" fill="{colour}"/>')
+    if at_mm is not None:
+        parts.append(_cross(at_mm[0], at_mm[1], probe_mm, layer_mm / 200))
+    parts.append("</svg>")
+    return "".join(parts)
+
+
+def _cross(x: float, y: float, probe_mm: float, thick: float) -> str:
+    arm = 0.28 * probe_mm
+    return (
+        f'<g stroke="{INK}" stroke-width="{thick:.3f}" fill="none"><circle cx="{x:.3f}" cy="{y:.3f}" '
+        f'r="{probe_mm / 2:.3f}"/><path d="M{x - arm:.3f} {y:.3f}h{2 * arm:.3f}M{x:.3f} {y - arm:.3f}'
+        f'v{2 * arm:.3f}"/></g>'
+    )
+
+
+def force_svg(series: Mapping[str, Sequence[float]]) -> str:
+    """Force along x, y and z over the last seconds."""
+    ages = series["age_s"]
+    values = [v for axis in AXES for v in series[axis]]
+    low, high = _range(values)
+    step = _nice((high - low) / 4)
+
+    def across(age: float) -> float:
+        return LEFT + (1 - age / SPAN_S) * (WIDTH - LEFT - RIGHT)
+
+    def down(value: float) -> float:
+        return TOP + (high - value) / (high - low) * (HEIGHT - TOP - BOTTOM)
+
+    parts = [f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="force of the last seconds">']
+    first = math.ceil(low / step - 1e-9)
+    for i in range(first, math.floor(high / step + 1e-9) + 1):
+        y, zero = down(i * step), i == 0
+        parts.append(
+            f'<path d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}" stroke="{SOFT if zero else LINE}" '
+            f'stroke-width="{1.2 if zero else 1}"/>'
+            f'<text x="{LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{_number(i * step, step)}</text>'
+        )
+    for age in (20, 15, 10, 5, 0):
+        anchor = "end" if age == 0 else "middle"
+        said = "now" if age == 0 else f"−{age} s"
+        parts.append(f'<text x="{across(age):.1f}" y="{HEIGHT - 7}" text-anchor="{anchor}">{said}</text>')
+    parts.append(f'<text x="{LEFT + 5}" y="{TOP + 9}" class="unit">N</text>')
+    for axis, colour in AXES.items():
+        points = " ".join(
+            f"{across(age):.1f},{down(value):.1f}"
+            for age, value in zip(ages, series[axis], strict=True)
+            if 0 <= age <= SPAN_S
+        )
+        parts.append(
+            f'<polyline points="{points}" fill="none" stroke="{colour}" '
+            f'stroke-width="{2 if axis == "z" else 1.4}" stroke-linejoin="round"/>'
+        )
+    parts.append("</svg>")
+    return "".join(parts)
+
+
+def regions_svg(regions: Sequence[Mapping[str, Any]], size_px: tuple[int, int]) -> str:
+    """Boxes with names, in the picture's own pixels."""
+    unit = size_px[0] / 400
+    parts: list[str] = []
+    for region in regions:
+        x, y, width, height = region["box_px"]
+        inset, thick = 0.75 * unit, 1.5 * unit
+        parts.append(
+            f'<rect x="{x + inset:.2f}" y="{y + inset:.2f}" width="{width - 2 * inset:.2f}" '
+            f'height="{height - 2 * inset:.2f}" fill="none" stroke="{BOX}" stroke-width="{thick:.2f}"/>'
+            f'<text x="{x + 6 * unit:.2f}" y="{y + 15 * unit:.2f}" fill="{BOX}" stroke="#000" '
+            f'stroke-width="{2.5 * unit:.2f}" paint-order="stroke" font-size="{11 * unit:.2f}" '
+            f'font-family="system-ui,sans-serif">{escape(str(region["name"]))}</text>'
+        )
+    return "".join(parts)
+
+
+def _range(values: Sequence[float]) -> tuple[float, float]:
+    low, high = min((*values, 0.0)), max((*values, 0.0))
+    if high - low < LEAST_SPAN_N:
+        middle = (high + low) / 2
+        low, high = middle - LEAST_SPAN_N / 2, middle + LEAST_SPAN_N / 2
+    room = 0.06 * (high - low)
+    return low - room, high + room
+
+
+def _nice(step: float) -> float:
+    """The next 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(step))
+    return next(n * power for n in (1, 2, 5, 10) if n * power >= step * (1 - 1e-9))
+
+
+def _number(value: float, step: float) -> str:
+    digits = max(0, -math.floor(math.log10(step) + 1e-9))
+    return f"{value:.{digits}f}".replace("-", "−")

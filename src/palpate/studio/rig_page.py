@@ -1,0 +1,254 @@
+"""The rig: devices and their health, the plan, the camera, the force, the log, and what the operator may ask.
+
+Nothing is kept here but drafts: every tab shows what the rig's process tells, and a reload loses nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime
+from html import escape
+from typing import Any
+
+from nicegui import run, ui
+
+from palpate.core.errors import PalpateError
+from palpate.rig.service.client import RigClient
+from palpate.studio import drawing, look, words
+from palpate.studio.palette import ACCENT, AXES, BAD, INK, SOFT
+from palpate.studio.plan_panel import PlanPanel
+
+REFRESH_S = 0.2
+AXIS_NAMES = {"x": "x", "y": "y", "z": "z, normal"}
+
+
+class RigPage:
+    """One tab.
+
+    Args:
+        client: of the rig's process; shared by all tabs.
+        runs: the folder that recordings go into, to be named.
+    """
+
+    def __init__(self, client: RigClient, runs: str) -> None:
+        self._client = client
+        self._runs = runs
+        self._busy = False
+        self._seen_log = -1
+        self._seen_picture = -1
+        self._seen = -1
+        self._last_run = ""
+        ui.add_css(look.style())
+        ui.colors(primary=ACCENT, negative=BAD, dark=INK)
+        ui.add_body_html(look.text_of("estop.html"))
+        self._top()
+        self._held_banner()
+        with ui.element("main").classes("board"):
+            with ui.element("div"):
+                self._plan = PlanPanel(self._act)
+            with ui.element("div"):
+                self._camera_card()
+                self._force_card()
+            with ui.element("div"):
+                self._recording_card()
+                self._devices_card()
+                self._log_card()
+        ui.timer(REFRESH_S, self._refresh)
+
+    def _top(self) -> None:
+        with ui.element("header").classes("top"):
+            self._title = ui.html("<h1>Indentation rig</h1>", sanitize=False)
+            self._state = ui.label("…").classes("state").props('id="state" role="status"')
+            self._progress = ui.html("", sanitize=False).classes("progress").props('id="progress"')
+
+    def _held_banner(self) -> None:
+        with ui.element("div").classes("heldbar").props('id="held"') as self._held:
+            ui.label("Emergency stop: the stage is held, also from moving away. What was recorded is kept.")
+            button = ui.button("Release…", on_click=self._ask_release)
+            button.props('outline no-caps color=negative id="release"')
+        self._held.set_visibility(False)
+        with ui.dialog() as self._dialog, ui.card().style("max-width: 460px"):
+            ui.label("Release the emergency stop?").style("font-size: 17px; font-weight: 650")
+            ui.label(
+                "Look at the rig first: is the probe free, is nobody's hand near it? Nothing moves until you "
+                "start; a recording that is started lifts the probe before anything else."
+            )
+            with ui.row().classes("w-full justify-end"):
+                ui.button("Keep it held", on_click=self._dialog.close).props("flat no-caps")
+                ui.button("Release", on_click=self._release).props('unelevated no-caps id="release-yes"')
+
+    def _camera_card(self) -> None:
+        with ui.element("section").classes("card camera"):
+            ui.html("<h2>Camera</h2>", sanitize=False)
+            self._picture = ui.interactive_image("", sanitize=False).props('id="camera"')
+            self._picture_said = ui.label("no frame yet").classes("soft")
+
+    def _force_card(self) -> None:
+        with ui.element("section").classes("card force"):
+            ui.html("<h2>Force on the skin</h2>", sanitize=False)
+            self._force_now = ui.html("", sanitize=False).classes("now").props('id="force-now"')
+            self._force = ui.html("", sanitize=False).props('id="force"')
+            self._force_said = ui.label("").classes("soft")
+
+    def _recording_card(self) -> None:
+        with ui.element("section").classes("card"):
+            ui.html("<h2>Recording</h2>", sanitize=False)
+            self._name = ui.input("run", value=f"run-{datetime.now().astimezone():%Y-%m-%d-%H%M}")
+            self._name.props("dense outlined").classes("w-full run-name")
+            with ui.element("div").classes("buttons"):
+                self._start = self._button("Start", self._begin, "start", "unelevated").classes("wide")
+                self._pause = self._button("Pause", lambda: self._act("pause"), "pause", "outline")
+                self._resume = self._button("Resume", lambda: self._act("resume"), "resume", "outline")
+                self._stop = self._button("Stop after press", lambda: self._act("stop"), "stop", "outline")
+                self._abort = self._button(
+                    "Abort", lambda: self._act("abort"), "abort", "outline color=negative"
+                )
+            self._doing = ui.html("", sanitize=False).classes("doing").props('id="doing"')
+            self._where = ui.label(f"into {self._runs}").classes("soft").style("overflow-wrap: anywhere")
+
+    def _devices_card(self) -> None:
+        with ui.element("section").classes("card"):
+            ui.html("<h2>Devices</h2>", sanitize=False)
+            self._devices = ui.html("", sanitize=False).classes("devices").props('id="devices"')
+
+    def _log_card(self) -> None:
+        with ui.element("section").classes("card"):
+            ui.html("<h2>Events</h2>", sanitize=False)
+            self._log = ui.html("", sanitize=False).classes("log").props('id="log"')
+
+    def _button(self, text: str, ask: Any, name: str, props: str) -> ui.button:
+        return ui.button(text, on_click=ask).props(f'{props} no-caps id="{name}"')
+
+    async def _act(self, name: str, *words: Any) -> bool:
+        """Ask the rig's process, off the page's own loop; what it refuses is said."""
+        try:
+            await run.io_bound(getattr(self._client, name), *words)
+        except PalpateError as e:
+            ui.notify(str(e), type="negative", position="top", timeout=9000, multi_line=True)
+            return False
+        return True
+
+    async def _begin(self) -> None:
+        self._start.disable()
+        await self._act("start", str(self._name.value or ""))
+
+    def _ask_release(self) -> None:
+        self._dialog.open()
+
+    async def _release(self) -> None:
+        self._dialog.close()
+        await self._act("release")
+
+    async def _refresh(self) -> None:
+        if self._busy:
+            return
+        self._busy = True
+        try:
+            await self._show()
+        finally:
+            self._busy = False
+
+    async def _show(self) -> None:
+        status = self._client.status
+        text, kind = words.state_of(status)
+        self._state.set_text(text)
+        self._state.classes(replace=f"state {kind}")
+        if status is None:
+            said = "The rig's process cannot be reached. If it runs, it goes on; this page looks for it."
+            self._doing.set_content(f'<span style="color:{BAD}">{said}</span>')
+            for button in (self._start, self._pause, self._resume, self._stop, self._abort):
+                button.disable()
+            self._seen = -1
+            return
+        if status["serial"] == self._seen:
+            return
+        self._seen = status["serial"]
+        self._show_recording(status)
+        self._show_devices(status)
+        self._show_force(status)
+        self._show_picture(status)
+        await self._plan.refresh(status)
+
+    def _show_recording(self, status: Mapping[str, Any]) -> None:
+        recording, paused = bool(status["recording"]), status["state"] == "paused"
+        asked = status["asked"]
+        faster = "" if status["real_time"] else ", faster than real time"
+        under = f'<div class="under">{escape(status["rig"])}{faster}</div>'
+        self._title.set_content(f"<h1>Indentation rig</h1>{under}")
+        shots, planned = int(status["shots"]), int(status["planned"])
+        share = 100 * shots / planned if planned else 0
+        self._progress.set_content(
+            f'<div class="said"><span><b>{shots:,}</b> of {planned:,} shots</span>'
+            f"<span>{escape(words.time_left(status))}</span></div>"
+            f'<div class="bar"><i style="width:{share:.2f}%"></i></div>'
+        )
+        self._held.set_visibility(bool(status["held"]))
+        self._start.set_enabled(not recording and not status["held"])
+        self._pause.set_enabled(recording and not paused and asked is None)
+        self._resume.set_enabled(recording and asked == "pause")
+        self._stop.set_enabled(recording and asked in (None, "pause"))
+        self._abort.set_enabled(recording and asked in (None, "pause", "stop"))
+        self._name.set_enabled(not recording)
+        run_name = str(status["run"])
+        if run_name and run_name != self._last_run:  # so that "start" goes on with it
+            self._last_run = run_name
+            self._name.set_value(run_name)
+        self._start.set_text("Go on" if self._left_over(status) else "Start")
+        message = escape(words.doing(status))
+        colour = BAD if status["state"] == "failed" and not recording else INK if recording else SOFT
+        self._doing.set_content(f'<span style="color:{colour}">{message}</span>')
+        if status["log_count"] != self._seen_log:
+            self._seen_log = status["log_count"]
+            self._log.set_content("".join(_log_line(line) for line in reversed(status["log"])))
+
+    def _left_over(self, status: Mapping[str, Any]) -> bool:
+        begun = status["state"] in ("stopped", "aborted", "failed", "e-stopped") and status["run"]
+        return (
+            bool(begun)
+            and not status["recording"]
+            and self._name.value == status["run"]
+            and status["shots"] > 0
+        )
+
+    def _show_devices(self, status: Mapping[str, Any]) -> None:
+        self._devices.set_content(
+            "".join(
+                f'<b class="{escape(one["state"])}" title="{escape(one["state"])}">{escape(one["name"])}</b>'
+                f'<span class="{escape(one["state"])}">{escape(one["detail"])}</span>'
+                for one in status["devices"]
+            )
+        )
+
+    def _show_force(self, status: Mapping[str, Any]) -> None:
+        force = status["force_n"]
+        said = [
+            f'<span><i style="background:{colour}"></i>{AXIS_NAMES[axis]} '
+            f"<b>{'–' if force is None else words.number(force[i], 2)}</b> N</span>"
+            for i, (axis, colour) in enumerate(AXES.items())
+        ]
+        self._force_now.set_content("".join(said))
+        self._force.set_content(drawing.force_svg(status["series"]))
+        zero = "less its zero in the air" if status["tared"] else "as measured: its zero is not taken off yet"
+        self._force_said.set_text(
+            f"{zero}; positive into the skin; the rig stops at {status['limits']['force_n']:g} N"
+        )
+
+    def _show_picture(self, status: Mapping[str, Any]) -> None:
+        picture = self._client.picture
+        if picture is None or picture[0] == self._seen_picture:
+            return
+        number, _, size_px = picture
+        first, self._seen_picture = self._seen_picture < 0, number
+        if first:
+            self._picture.set_content(drawing.regions_svg(status["regions"], size_px))
+            names = ", ".join(region["name"] for region in status["regions"])
+            self._picture_said.set_text(f"{size_px[0]} × {size_px[1]} px; boxes: {names or 'none'}")
+        self._picture.set_source(f"/picture?{number}")
+
+
+def _log_line(line: Mapping[str, str]) -> str:
+    at = datetime.fromisoformat(line["utc"]).astimezone()
+    return (
+        f'<div class="{escape(line["kind"])}"><time datetime="{escape(line["utc"])}">{at:%H:%M:%S}</time>'
+        f"<span>{escape(line['text'])}</span></div>"
+    )

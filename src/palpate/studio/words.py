@@ -1,0 +1,95 @@
+"""What the page says in words, from what the rig's process tells."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from palpate.rig.plans import Plan, Size
+
+WISHES = {"pause": "pausing", "stop": "stops after this press", "abort": "aborting", "estop": "stopping"}
+CALM = {"running", "done", "paused", "ready", "stopped"}
+
+
+def duration(seconds: float | None) -> str:
+    """Such as "3 min 20 s"."""
+    if seconds is None:
+        return "–"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def time_left(status: Mapping[str, Any]) -> str:
+    """Measured where shots have come, else by the plan; nothing where all is done."""
+    if status["state"] == "done":
+        return "complete"
+    if not status["recording"] and status["shots"]:
+        return f"{status['planned'] - status['shots']:,} left"
+    if not status["recording"]:
+        return f"about {duration(status['size']['seconds'])} in all"
+    if status["left_s"] is None:
+        return f"about {duration(status['size']['seconds'])} in all"
+    return f"about {duration(status['left_s'])} left"
+
+
+def state_of(status: Mapping[str, Any] | None) -> tuple[str, str]:
+    """What the rig does, in a word or two, and its look: "calm", "busy", "warn" or "bad"."""
+    if status is None:
+        return "no connection", "bad"
+    if status["held"]:
+        return "emergency stop", "bad"
+    state = str(status["state"])
+    if status["recording"]:
+        wish = WISHES.get(str(status["asked"]), "") if state != "paused" or status["asked"] != "pause" else ""
+        return (wish, "warn") if wish else (state, "warn" if state == "paused" else "busy")
+    if state in ("failed", "e-stopped"):
+        return state, "bad"
+    return ("ready" if state == "running" else state), ("warn" if state == "aborted" else "calm")
+
+
+def doing(status: Mapping[str, Any]) -> str:
+    """What the rig says that it does; where it was when it was paused."""
+    message = str(status["message"])
+    if status["state"] == "paused" and ", cycle " in message:
+        return f"the probe is lifted and waits; it was at {message.rpartition(':')[0]}"
+    return message
+
+
+def done_by_place(plan: Plan, shots: int) -> dict[str, float]:
+    """Of each place, the share of its presses whose shots are all recorded.
+
+    Shots are recorded in the plan's order, and a resumed recording begins at the first that is missing; so
+    their number tells which they are.
+    """
+    found: dict[str, list[bool]] = {}
+    for press in plan.presses():
+        shots -= len(plan.shots(press))
+        found.setdefault(press.place.name, []).append(shots >= 0)
+    return {name: sum(whole) / len(whole) for name, whole in found.items()}
+
+
+def clearance_mm(plan: Plan) -> float:
+    """Between the probe and the layer's rim, at the place where it is least."""
+    places = plan.places
+    reach = (places.layer_mm - places.probe_mm) / 2
+    return min(reach - (p.x_mm**2 + p.y_mm**2) ** 0.5 for p in places.places())
+
+
+def plan_facts(plan: Plan, size: Size) -> str:
+    """What a plan asks for, in a line."""
+    shots = sum(len(plan.shots(press)) for press in plan.presses())
+    return (
+        f"{size.points} place{'s' * (size.points != 1)} × {plan.cycles} · {shots:,} shots, "
+        f"{shots - size.shots:,} of them untouched · "
+        f"{size.frames + size.reference_frames:,} frames · about {duration(size.seconds)}"
+    )
+
+
+def number(value: float, digits: int) -> str:
+    """With a true minus, and none before a zero."""
+    text = f"{value:.{digits}f}"
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")
