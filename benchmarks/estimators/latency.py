@@ -72,7 +72,8 @@ def main() -> None:
 
     load = os.getloadavg()[0]
     print(
-        f"compact-cnn, {like.members} members, {height} x {width} px, {FRAMES} frames x {ROUNDS} rounds, load {load:.1f}"
+        f"compact-cnn, {like.members} members, {height} x {width} px, {FRAMES} frames x {ROUNDS} rounds, "
+        f"load {load:.1f}"
     )
     ratios = []
     for _ in range(ROUNDS):
