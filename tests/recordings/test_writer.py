@@ -189,7 +189,7 @@ def test_drops_are_counted_and_recorded_when_the_queue_is_full(
         gate.set()
     kept = [k for k, there in enumerate(accepted) if there]
     assert len(kept) in (4, 5)  # four queued, and perhaps one that the thread took before
-    assert dropped == {"frames": 20 - len(kept), "force": 0, "stage": 0, "events": 0}
+    assert dropped == {"frames": 20 - len(kept), "force": 0, "stage": 0, "events": 0, "force_raw": 0}
     run = Run.open(tmp_path / "run")
     assert run.labels["depth_mm"].tolist() == kept
     assert check(tmp_path / "run").drops == {"frames": 20 - len(kept)}

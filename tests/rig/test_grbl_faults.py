@@ -570,7 +570,9 @@ class TestS20TheEndOfTheProgramme:
     def test_a_programme_told_to_end_stops_its_stage(self, grbl_bench, number):
         bench = grbl_bench(HELD, clock=MonotonicClock(), **REAL_TIME)
         code = (
-            "import sys, time\n"
+            "import signal, sys, time\n"
+            # A shell starts what runs in the background deaf to Ctrl-C; a person's terminal does not.
+            "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
             "from palpate.rig.real.grbl import GrblStage\n"
             "from palpate.rig.real.grbl_spec import GrblSpec\n"
             "from palpate.rig.real.signals import ends_in_order\n"
@@ -593,7 +595,10 @@ class TestS20TheEndOfTheProgramme:
             bench.wait(lambda: bench.speed_mm_s > 0)
             time.sleep(0.05)  # no condition: let it be anywhere in its sleep
             programme.send_signal(number)
-            _, said = programme.communicate(timeout=60)
+            try:
+                _, said = programme.communicate(timeout=60)
+            finally:
+                programme.kill()  # else a programme that does not end is waited for without end
         # Python ends by the signal itself after an unhandled KeyboardInterrupt.
         assert programme.returncode == (-number if number == signal.SIGINT else 128 + number), said
         assert bench.speed_mm_s == 0.0
