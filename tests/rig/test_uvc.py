@@ -19,6 +19,7 @@ from palpate.rig.fakes.camera import BLUE, FakeVideoCapture, frame_number
 from palpate.rig.real.uvc import UvcCamera, UvcSettings
 from palpate.rig.real.uvc_address import device
 from palpate.rig.real.uvc_watch import FrameWatch
+from palpate.rig.rig import FrameSource
 
 PATIENCE_S = 30.0  # only a test that fails waits so long
 SETTINGS = UvcSettings(size_px=(64, 48), rate_hz=100.0, exposure_s=5e-3, freeze_s=0.2)
@@ -93,6 +94,20 @@ def test_a_grabbed_frame_was_exposed_wholly_after_the_call(
         assert number(frame.image) > before
         assert asked_ns <= time_ns - 5_000_000  # its exposure ends at time_ns and takes 5 ms
         assert time_ns <= time.monotonic_ns()
+
+
+def test_drained_frames_come_each_once_in_order_and_after_the_last_grabbed(camera: UvcCamera) -> None:
+    assert isinstance(camera, FrameSource)
+    _, grabbed = camera.grab(PATIENCE_S)
+    seen: list[tuple[int, int]] = []
+    while len(seen) < 12:
+        wanted = number(grabbed.image) + 1 + len(seen)
+        until(lambda wanted=wanted: camera.counts.frames > wanted)
+        seen += [(time_ns, number(frame.image)) for time_ns, frame in camera.drain()]
+    numbers = [one for _, one in seen]
+    assert numbers == sorted(set(numbers))
+    assert numbers[0] > number(grabbed.image)
+    assert [time_ns for time_ns, _ in seen] == sorted(time_ns for time_ns, _ in seen)
 
 
 def test_a_frame_comes_so_much_later_as_the_delay_says(source: FakeVideoCapture) -> None:

@@ -1,6 +1,6 @@
 """A USB video class (UVC) camera through OpenCV; what would change an image by itself is locked and verified.
 
-A thread of its own reads every frame, so none waits in a queue; the newest is kept. With every frame it
+A thread of its own reads every frame, so none waits in a queue; the newest ones are kept. With every frame it
 verifies one setting again, in turn: other programs can change them.
 """
 
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import cycle
@@ -27,6 +28,7 @@ from palpate.rig.real.uvc_watch import FrameWatch, UvcCounts
 EXPOSURE_UNIT_S = 1e-4  # of the control "exposure time, absolute" in UVC
 MANUAL = 1  # of the control "exposure, auto" in Video4Linux
 _RATE_WITHIN = 2e-3  # cameras keep fractions, such as 30000/1001
+KEPT_S = 0.5  # of frames that wait to be drained
 _CLOSE_S = 2.0  # for a read under way to end
 
 
@@ -126,6 +128,7 @@ class UvcCamera:
         self._watch = FrameWatch(s.size_px, s.rate_hz, s.freeze_s)
         self._new, self._closing = Condition(), Event()
         self._newest: tuple[int, Frame] | None = None
+        self._kept: deque[tuple[int, Frame]] = deque(maxlen=max(2, math.ceil(KEPT_S * s.rate_hz)))
         self._failure = ""
         self._last_ns = self._clock.now_ns()
         self._asked = self._controls()
@@ -182,7 +185,21 @@ class UvcCamera:
                     why = self._failure or f"no frame came within {timeout_s:g} s; is it still plugged in?"
                     raise DeviceError(f"the camera {self._name}: {why}")
                 self._new.wait(left_ns / NS_PER_S)
+            self._kept.clear()
             return self._newest
+
+    def drain(self) -> list[tuple[int, Frame]]:
+        """All frames since the last call or `grab`, oldest first; of the last half second at most.
+
+        Raises:
+            DeviceError: the camera has failed, and why.
+        """
+        with self._new:
+            if self._failure:
+                raise DeviceError(f"the camera {self._name}: {self._failure}")
+            frames = list(self._kept)
+            self._kept.clear()
+            return frames
 
     def close(self) -> None:
         """Let go of the camera. Closing again does nothing.
@@ -276,6 +293,7 @@ class UvcCamera:
                 self._watch.broken(stamp_ns)
             elif self._watch.is_new(picture, stamp_ns, self._last_ns):
                 self._newest = self._frame(picture)
+                self._kept.append(self._newest)
                 self._new.notify_all()
 
     def _frame(self, picture: np.ndarray) -> tuple[int, Frame]:
