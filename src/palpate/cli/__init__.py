@@ -27,6 +27,7 @@ app.add_typer(render.app, name="render")
 app.add_typer(mechanics.app, name="mechanics")
 app.add_typer(optics.app, name="optics")
 app.add_typer(rig.plan_app, name="plan")
+app.add_typer(rig.rig_app, name="rig")
 import_app.command("images")(recordings.import_images)
 import_app.command("palm")(import_palm.palm)
 for verb in (

@@ -19,9 +19,17 @@ if TYPE_CHECKING:
 plan_app = typer.Typer(help="Plans of recordings.", no_args_is_help=True, rich_markup_mode=None)
 
 
+rig_app = typer.Typer(help="Rigs: stage, force sensor, camera.", no_args_is_help=True, rich_markup_mode=None)
+
+
 @plan_app.callback()
 def start() -> None:
     """Plans of recordings."""
+
+
+@rig_app.callback()
+def start_rig() -> None:
+    """Rigs: stage, force sensor, camera."""
 
 
 @reports_errors
@@ -30,7 +38,7 @@ def record(
     plan: Annotated[
         str, typer.Option(help="Plan: a TOML file, or a name such as palm or palm-reduced.")
     ] = "palm",
-    rig: Annotated[str, typer.Option(help="Rig: virtual:palm.")] = "virtual:palm",
+    rig: Annotated[str, typer.Option(help="Rig: a TOML file, or virtual:palm.")] = "virtual:palm",
     seed: Annotated[int, typer.Option(min=0, help="Of all that varies on a virtual rig.")] = 0,
     json_: Json = False,
     quiet: Quiet = False,
@@ -42,14 +50,11 @@ def record(
 
     Example: palpate record --rig virtual:palm --plan palm-reduced --out run
     """
-    from palpate.core.errors import InputError
     from palpate.rig import Control, State, plan_of
     from palpate.rig import record as record_plan
-    from palpate.rig.virtual import virtual_palm
+    from palpate.rig.rig_file import open_rig
 
-    if rig != "virtual:palm":
-        raise InputError(f"there is no rig {rig!r}; there is virtual:palm")
-    chosen, control, opened = plan_of(plan), Control(), virtual_palm(seed=seed)
+    chosen, control, opened = plan_of(plan), Control(), open_rig(rig, seed=seed)
     try:
         with progress_bar(quiet) as progress, _signals_ask(control):
 
@@ -66,6 +71,30 @@ def record(
         text += f"{reason}: {outcome.message}\nthe same command goes on at the first missing shot"
     print_found(found, text, json_)
     if outcome.state is not State.DONE:
+        raise typer.Exit(1)
+
+
+@rig_app.command()
+@reports_errors
+def check(
+    rig: Annotated[str, typer.Argument(help="A TOML file, or virtual:palm.")], json_: Json = False
+) -> None:
+    """Check a rig whose probe hangs in free air: rates, noise, stamps, limits; the stage moves by 2 mm.
+
+    It never goes nearer to the expected surface than 2 mm, and does not move where the force sensor fails.
+    Ends with status 1 where something is wrong.
+
+    Example: palpate rig check bench.toml
+    """
+    from palpate.rig.check import check_rig
+    from palpate.rig.rig_file import open_rig
+
+    findings = check_rig(open_rig(rig))
+    wrong = [one for one in findings if not one.ok]
+    lines = [f"wrong: {one.name}: {one.message}" for one in wrong]
+    text = "\n".join([*lines, f"{rig}: {len(findings) - len(wrong)} of {len(findings)} checks passed"])
+    print_found([asdict(one) for one in findings], text, json_)
+    if wrong:
         raise typer.Exit(1)
 
 

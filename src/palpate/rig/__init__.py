@@ -7,6 +7,7 @@ from palpate.rig.plans import PLANS, plan_of, size_of
 from palpate.rig.progress import Status, done_in
 from palpate.rig.record import record
 from palpate.rig.rig import FrameSource, Rig
+from palpate.rig.rig_file import open_rig
 from palpate.rig.tare import Mounting
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "Status",
     "Tripped",
     "done_in",
+    "open_rig",
     "plan_of",
     "record",
     "size_of",

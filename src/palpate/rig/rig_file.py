@@ -1,0 +1,242 @@
+"""A rig from a TOML file: which devices, where the layer lies, and how far and how hard it may go.
+
+Millimetres and newtons in the file, since people write it; metres and newtons behind it. Real drivers are
+imported only where the file names them.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from palpate.core.clock import Clock, ManualClock, MonotonicClock
+from palpate.core.errors import InputError
+from palpate.core.files import storage_errors
+from palpate.core.protocols import ForceSensor, Position, Stage
+from palpate.rig.limits import Limits
+from palpate.rig.rig import FrameSource, Rig
+from palpate.rig.tare import Mounting
+from palpate.rig.virtual import Fault, virtual_palm
+from palpate.rig.virtual.faults import Kind
+
+VIRTUAL = "virtual:palm"
+MM = 1e-3
+_MOST_BYTES = 1 << 20
+
+Three = tuple[float, float, float]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class GrblPart(_Part):
+    """A GRBL stage; `home = true` lets it run to its switches when the rig is opened."""
+
+    kind: Literal["grbl"]
+    port: str
+    axes: tuple[str, str, str] = ("+X", "-Y", "-Z")
+    latency_s: Positive = 0.05
+    home: bool = False
+
+
+class NetFTPart(_Part):
+    """An ATI Net F/T box; `axes` says which of its axes are the skin's, and their signs."""
+
+    kind: Literal["netft"]
+    host: str
+    axes: tuple[str, str, str] = ("x", "y", "z")
+    rdt_port: Annotated[int, Field(ge=1, le=65535)] = 49152
+    http_port: Annotated[int, Field(ge=1, le=65535)] = 80
+
+
+class UvcPart(_Part):
+    """A USB camera, by path, number or serial number."""
+
+    kind: Literal["uvc"]
+    address: str | int
+    size_px: tuple[int, int] = (1920, 1080)
+    rate_hz: Positive = 30.0
+    pixels: Literal["MJPG", "YUYV"] = "MJPG"
+    exposure_s: Positive = 0.01
+    white_balance_k: int | None = 4600
+
+
+class LimitsPart(_Part):
+    """As `rig.Limits`, in millimetres and newtons."""
+
+    least_mm: Three
+    greatest_mm: Three
+    force_N: Positive = 20.0  # noqa: N815 - the unit is part of the name
+    force_rate_N_s: Positive = 400.0  # noqa: N815
+    age_s: Positive = 0.1
+    overshoot_mm: Positive = 0.1
+    step_mm: Positive = 0.2
+
+    def limits(self) -> Limits:
+        """In SI."""
+        return Limits(
+            _metres(self.least_mm),
+            _metres(self.greatest_mm),
+            force_n=self.force_N,
+            force_rate_n_s=self.force_rate_N_s,
+            age_s=self.age_s,
+            overshoot_m=self.overshoot_mm * MM,
+            step_m=self.step_mm * MM,
+        )
+
+
+class FaultPart(_Part):
+    """One thing that goes wrong, from so many seconds on."""
+
+    kind: Kind
+    after_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+
+
+class VirtualPart(_Part):
+    """A virtual palm, with what goes wrong on it."""
+
+    seed: Annotated[int, Field(ge=0)] = 0
+    real_time: bool = False
+    faults: tuple[FaultPart, ...] = ()
+
+
+class RigFile(_Part):
+    """The whole file: either `virtual`, or all of stage, force, camera and limits.
+
+    Attributes:
+        name, sensor: go into every run.
+        origin_mm: in the stage's frame, the layer's centre at its expected surface.
+        licence, origin: of what is recorded.
+    """
+
+    name: str
+    sensor: str = ""
+    licence: str = ""
+    origin: str = ""
+    origin_mm: Three = (0.0, 0.0, 0.0)
+    virtual: VirtualPart | None = None
+    stage: GrblPart | None = None
+    force: NetFTPart | None = None
+    camera: UvcPart | None = None
+    limits: LimitsPart | None = None
+
+
+def open_rig(text: str, *, seed: int = 0) -> Rig:
+    """A rig by name, or from a TOML file; the caller closes it.
+
+    Args:
+        text: "virtual:palm", or a file's path.
+        seed: of the rig by name; a file has its own.
+
+    Raises:
+        InputError: neither; or a field that is not one, or out of range.
+        DeviceError: a device is missing, busy or refuses; those opened before are closed.
+    """
+    if text == VIRTUAL:
+        return virtual_palm(seed=seed)
+    path = Path(text)
+    if not path.is_file():
+        raise InputError(f"there is no rig {text!r}: no such file, and {VIRTUAL} is the only one by name")
+    with storage_errors(path):
+        data = path.read_bytes()[:_MOST_BYTES]
+    try:
+        return rig_from(RigFile.model_validate(tomllib.loads(data.decode())))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
+        raise InputError(f"{path} is not TOML: {e}") from e
+    except ValidationError as e:
+        said = "; ".join(f"{'.'.join(map(str, d['loc']))}: {d['msg']}" for d in e.errors())
+        raise InputError(f"{path}: {said}") from e
+
+
+def rig_from(file: RigFile) -> Rig:
+    """Open what a file says.
+
+    Raises:
+        InputError: neither a virtual rig nor all parts of a real one.
+        DeviceError: see `open_rig`.
+    """
+    if file.virtual is not None:
+        if file.stage or file.force or file.camera:
+            raise InputError(f"the rig {file.name!r} is virtual and names real devices; leave one out")
+        clock: Clock = MonotonicClock() if file.virtual.real_time else ManualClock()
+        limits = None if file.limits is None else file.limits.limits()
+        faults = [Fault(one.kind, one.after_s) for one in file.virtual.faults]
+        return virtual_palm(clock=clock, seed=file.virtual.seed, faults=faults, limits=limits)
+    if not (file.stage and file.force and file.camera and file.limits):
+        raise InputError(
+            f"the rig {file.name!r} needs [stage], [force], [camera] and [limits], or [virtual] instead"
+        )
+    with ExitStack() as opened:
+        rig = _real(file, file.stage, file.force, file.camera, file.limits, opened)
+        opened.pop_all()
+        return rig
+
+
+def _real(
+    file: RigFile, stage: GrblPart, force: NetFTPart, camera: UvcPart, limits: LimitsPart, opened: ExitStack
+) -> Rig:
+    clock = MonotonicClock()
+    sensor = _netft(force, clock)
+    opened.callback(sensor.close)
+    frames = _uvc(camera, clock)
+    opened.callback(frames.close)
+    moved = _grbl(stage, clock)
+    opened.callback(moved.close)
+    return Rig(
+        name=file.name,
+        sensor=file.sensor,
+        stage=moved,
+        force=sensor,
+        camera=frames,
+        limits=limits.limits(),
+        origin_m=_metres(file.origin_mm),
+        clock=clock,
+        mounting=Mounting(force.axes),
+        licence=file.licence,
+        origin=file.origin,
+    )
+
+
+def _grbl(part: GrblPart, clock: Clock) -> Stage:
+    from palpate.rig.real.grbl import GrblStage
+    from palpate.rig.real.grbl_spec import GrblSpec
+
+    stage = GrblStage.open(GrblSpec(part.port, axes=part.axes, latency_s=part.latency_s), clock)
+    if part.home:
+        try:
+            stage.home()
+        except BaseException:
+            stage.close()
+            raise
+    return stage
+
+
+def _netft(part: NetFTPart, clock: Clock) -> ForceSensor:
+    from palpate.rig.real.netft import NetFT
+    from palpate.rig.real.netft_settings import NetFTSettings
+
+    return NetFT(part.host, NetFTSettings(rdt_port=part.rdt_port, http_port=part.http_port), clock)
+
+
+def _uvc(part: UvcPart, clock: Clock) -> FrameSource:
+    from palpate.rig.real.uvc import UvcCamera, UvcSettings
+
+    settings = UvcSettings(
+        size_px=part.size_px,
+        rate_hz=part.rate_hz,
+        pixels=part.pixels,
+        exposure_s=part.exposure_s,
+        white_balance_k=part.white_balance_k,
+    )
+    return UvcCamera(part.address, settings, clock)
+
+
+def _metres(mm: Three) -> Position:
+    x, y, z = (MM * value for value in mm)
+    return x, y, z

@@ -1,0 +1,92 @@
+"""A rig from a file: what it says is opened, and what it says wrongly is refused by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from tests.rig.rigs import plan
+
+from palpate.core.errors import DeviceError, InputError
+from palpate.rig import Reason, State, open_rig, record
+from palpate.rig.fakes.rdt import FakeNetFT
+
+REAL = """
+name = "bench"
+[stage]
+kind = "grbl"
+port = "/dev/no-such-stage"
+[force]
+kind = "netft"
+host = "127.0.0.1"
+axes = ["x", "y", "-z"]
+rdt_port = {rdt}
+http_port = {http}
+[camera]
+kind = "uvc"
+address = "/dev/no-such-camera"
+[limits]
+least_mm = [-30, -30, -20]
+greatest_mm = [30, 30, 8]
+"""
+
+
+def written(folder: Path, text: str) -> str:
+    path = folder / "rig.toml"
+    path.write_text(text)
+    return str(path)
+
+
+def test_a_virtual_rig_has_the_seed_limits_and_faults_of_its_file(tmp_path: Path) -> None:
+    text = """
+name = "trial"
+[virtual]
+seed = 3
+faults = [{ kind = "layer-gone", after_s = 0.5 }]
+[limits]
+least_mm = [-30, -30, -20]
+greatest_mm = [30, 30, 8]
+force_N = 12
+"""
+    rig = open_rig(written(tmp_path, text))
+    assert rig.seed == 3
+    assert rig.limits.force_n == 12
+    assert rig.limits.greatest_m == pytest.approx((0.03, 0.03, 0.008))
+    outcome = record(rig, plan(), tmp_path / "run")
+    assert (outcome.state, outcome.reason) == (State.FAILED, Reason.NO_CONTACT)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("name = ", "TOML"),
+        ('nam = "x"', "nam"),
+        ('name = "x"', r"\[stage\]"),
+        ('name = "x"\n[virtual]\nsead = 1', "sead"),
+        ('name = "x"\n[virtual]\nfaults = [{ kind = "rain" }]', "force-stalls"),
+        ('name = "x"\n[virtual]\nfaults = [{ after = 1 }]', "after"),
+        ('name = "x"\n[virtual]\n[stage]\nkind = "grbl"\nport = "p"', "leave one out"),
+        ('name = "x"\n[stage]\nkind = "marlin"\nport = "p"', "stage.kind"),
+        (
+            'name = "x"\n[virtual]\n[limits]\nleast_mm = [0, 0, 0]\ngreatest_mm = [1, 1, 1]\nforce_N = -1',
+            "force_N",
+        ),
+    ],
+)
+def test_a_file_that_says_something_wrong_is_refused_by_name(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        open_rig(written(tmp_path, text))
+
+
+def test_a_rig_that_is_neither_file_nor_name_is_refused() -> None:
+    with pytest.raises(InputError, match="virtual:palm"):
+        open_rig("virtual:hand")
+
+
+def test_a_device_that_is_missing_is_told_and_those_opened_before_are_closed(tmp_path: Path) -> None:
+    with FakeNetFT() as box:
+        text = REAL.format(rdt=box.rdt_port, http=box.http_port)
+        for _ in range(2):  # a box that was not let go of would have a client still
+            with pytest.raises(DeviceError, match="no-such-camera"):
+                open_rig(written(tmp_path, text))
+        assert not box.was_biased
