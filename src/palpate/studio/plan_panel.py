@@ -55,7 +55,7 @@ class PlanPanel:
                 ui.html("<h2>Plan</h2>", sanitize=False)
                 self._choice = (
                     ui.select(list(PLANS), label="begin from", on_change=self._chosen)
-                    .props("dense outlined options-dense")
+                    .props("dense outlined options-dense stack-label")
                     .classes("grow plan-choice")
                 )
             self._drawing = ui.html("", sanitize=False).classes("grid-preview").props('id="grid"')
