@@ -43,6 +43,23 @@ def typed(*words: object) -> tuple[int, str, str]:
     return done.exit_code, done.stdout, done.stderr
 
 
+def test_a_recorded_run_is_checked_calibrated_and_reported_without_further_options(
+    tiny: Path, tmp_path: Path
+) -> None:
+    tiny.write_text(
+        TOML.replace("[5, 5]", "[5, 5], [-6, 3], [4, -7], [-3, -6]").replace("cycles = 1", "cycles = 2")
+    )
+    run, cal = tmp_path / "run", tmp_path / "cal"
+    assert typed("record", "--plan", tiny, "--out", run, "--quiet")[0] == 0
+    assert typed("check", run)[0] == 0
+    assert typed("calibrate", run, "--out", cal, "--quiet")[0] == 0
+    assert typed("report", cal)[0] == 0
+    assert "<html" in (tmp_path / "cal.html").read_text()
+    card = json.loads((cal / "card.json").read_text())
+    assert [target["column"] for target in card["targets"]] == ["depth_mm", "force_N", "x_mm", "y_mm"]
+    assert card["split"]["columns"] == ["location"]
+
+
 def test_the_palms_protocol_is_previewed_with_its_numbers(tmp_path: Path) -> None:
     png = tmp_path / "places.png"
     code, out, _ = typed("plan", "preview", "palm", "--png", png, "--json")

@@ -46,6 +46,21 @@ def test_a_column_without_a_name_is_refused() -> None:
         Manifest.new(sensor="s", labels={"": "number"})
 
 
+def test_a_run_names_its_targets_and_they_carry_units() -> None:
+    labels = {"depth_mm": "number", "press": "number", "object": "text"}
+    assert Manifest.new(sensor="s", labels=labels, targets=("depth_mm",)).targets == ("depth_mm",)
+    for bad in ("press", "object", "force_N"):
+        with pytest.raises(InputError, match=bad):
+            Manifest.new(sensor="s", labels=labels, targets=(bad,))
+
+
+def test_a_manifest_that_names_no_targets_reads_as_one_without(tmp_path: Path) -> None:
+    old = json.loads(Manifest.new(sensor="s").model_dump_json())
+    del old["targets"]
+    (tmp_path / MANIFEST).write_text(json.dumps(old))
+    assert Manifest.read(tmp_path).targets == ()
+
+
 @pytest.mark.parametrize(
     ("field", "value"),
     [

@@ -23,8 +23,13 @@ from palpate.cli.shared import (
 @reports_errors
 def calibrate(
     run: Annotated[Path, typer.Argument(help="Run to learn from.")],
-    targets: Annotated[str, typer.Option(help="Label columns to estimate, e.g. depth_mm,force_N.")],
     out: Annotated[Path, typer.Option(help="Calibration folder to make; must not exist.")],
+    targets: Annotated[
+        str,
+        typer.Option(
+            help="Label columns to estimate, e.g. depth_mm,force_N; by default those the run names."
+        ),
+    ] = "",
     model: Annotated[str, typer.Option(help="mean, pca-ridge, pixel-mlp or compact-cnn.")] = "pca-ridge",
     split: Annotated[
         str, typer.Option(help="auto, random, group:COLUMN[,COLUMN] or leave-one-out:COLUMN.")
@@ -62,14 +67,15 @@ def calibrate(
 
     Interrupted, the same command goes on from where it was.
 
-    Example: palpate calibrate run --targets depth_mm,shear_x_mm --model compact-cnn --out cal
+    Example: palpate calibrate run --targets depth_mm,force_N --model compact-cnn --out cal
     """
     from palpate.calibration.plan import Plan, Reference
     from palpate.recordings.reader import Run
     from palpate.studies.certify import certify
 
+    recorded = Run.open(run)
     plan = Plan(
-        targets=columns_of(targets),
+        targets=columns_of(targets) or recorded.manifest.targets,
         model=model,
         split=split,
         folds=folds,
@@ -84,7 +90,7 @@ def calibrate(
         options=options_of(option or []),
     )
     with progress_bar(quiet) as progress:
-        card = certify(Run.open(run), plan, out, progress)
+        card = certify(recorded, plan, out, progress)
     print_found(card.model_dump(mode="json"), _card_text(card, out), json_)
 
 
@@ -153,7 +159,10 @@ def sense(
 @reports_errors
 def report(
     calibration: Annotated[Path, typer.Argument(help="Calibration folder.")],
-    out: Annotated[Path, typer.Option(help="HTML file to make; must not exist.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="HTML file to make; must not exist. By default beside the folder, of its name."),
+    ] = None,
     json_: Json = False,
 ) -> None:
     """Write a calibration's report as one self-contained HTML page.
@@ -162,8 +171,9 @@ def report(
     """
     from palpate.reports.certificate import write_report
 
-    write_report(calibration, out)
-    print_found({"report": str(out)}, str(out), json_)
+    page = out or calibration.parent / f"{calibration.resolve().name}.html"
+    write_report(calibration, page)
+    print_found({"report": str(page)}, str(page), json_)
 
 
 def _zero(estimator: Any, reference: Path | None) -> Any:

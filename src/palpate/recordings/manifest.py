@@ -37,6 +37,7 @@ class Manifest(BaseModel):
         seed: of the plan or simulation that made it; None where nothing was random.
         units: label column -> unit symbol of `core.units`.
         labels: every label column -> its kind.
+        targets: label columns that a calibration estimates where it is told nothing else.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -53,6 +54,7 @@ class Manifest(BaseModel):
     seed: int | None
     units: dict[str, str]
     labels: dict[str, LabelKind]
+    targets: tuple[str, ...] = ()
 
     @model_validator(mode="after")
     def _check(self) -> Manifest:
@@ -64,6 +66,8 @@ class Manifest(BaseModel):
             raise ValueError(f"units are given for {sorted(strangers)}, which are no label columns")
         for symbol in self.units.values():
             unit(symbol)
+        if bare := sorted(set(self.targets) - self.units.keys()):
+            raise ValueError(f"targets {bare} are no label columns of numbers with a unit")
         return self
 
     @classmethod
@@ -75,13 +79,15 @@ class Manifest(BaseModel):
         licence: str = "",
         origin: str = "",
         labels: Mapping[str, LabelKind] | None = None,
+        targets: tuple[str, ...] = (),
         seed: int | None = None,
         clock: Literal["measured", "ordinal"] = "measured",
     ) -> Manifest:
         """The manifest of a run that begins now; units come from the columns' names.
 
         Raises:
-            InputError: a label's kind is not number, text or flag, or a name is empty.
+            InputError: a label's kind is not number, text or flag, a name is empty, or a target is no number
+                with a unit.
 
         Example:
             >>> Manifest.new(sensor="tactip-3", labels={"depth_mm": "number"}).units
@@ -103,6 +109,7 @@ class Manifest(BaseModel):
                 seed=seed,
                 units={name: split_column(name)[1].symbol for name in numbers},
                 labels=kinds,
+                targets=targets,
             )
         except ValidationError as e:
             raise InputError(f"these do not make a manifest: {_first(e)}") from e

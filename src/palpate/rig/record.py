@@ -60,5 +60,16 @@ def manifest_of(rig: Rig, plan: Plan) -> Manifest:
         licence=rig.licence,
         origin=rig.origin,
         labels={**LABELS, **truths},  # type: ignore[dict-item]
+        targets=targets_of(plan),
         seed=rig.seed,
     )
+
+
+def targets_of(plan: Plan) -> tuple[str, ...]:
+    """The labels that differ between a plan's presses, and so can be learnt from them."""
+    targets = ["depth_mm", "force_N"]
+    if len(plan.places.places()) > 1:
+        targets += ["x_mm", "y_mm"]
+    if getattr(plan, "lateral", None):
+        targets += ["force_x_N", "force_y_N"]
+    return tuple(targets)
