@@ -25,6 +25,7 @@ frames = 2
 reference_frames = 1
 clearance_mm = 0.4
 travel_mm_s = 50
+taps = 0
 [places]
 kind = "listed"
 at_mm = [[0, 0], [5, 5]]

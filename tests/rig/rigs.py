@@ -34,5 +34,6 @@ def plan(**kwargs: Any) -> Stepped:
         "reference_frames": 1,
         "clearance_mm": CLEARANCE_MM,
         "travel_mm_s": 50.0,
+        "taps": 0,
     }
     return Stepped(**{**settings, **kwargs})

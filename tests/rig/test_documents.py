@@ -268,6 +268,7 @@ def test_what_the_engine_itself_records_becomes_documents(tmp_path: Path) -> Non
     from palpate.sensors import palm
 
     plan = Stepped(
+        taps=0,
         name="small",
         places=Listed(kind="listed", at_mm=((0.0, 0.0),)),
         cycles=1,

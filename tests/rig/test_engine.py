@@ -186,6 +186,7 @@ def test_a_pause_lifts_the_probe_and_a_resumed_press_finds_contact_anew(tmp_path
         ("camera-gone", Reason.CAMERA),
         ("camera-frozen", Reason.CAMERA),
         ("camera-resized", Reason.CAMERA),
+        ("camera-stalls", Reason.CAMERA),
         ("layer-gone", Reason.NO_CONTACT),
     ],
 )
@@ -266,6 +267,7 @@ def test_a_sweep_turns_round_at_its_force_and_records_all_the_while(tmp_path: Pa
     sweep = Swept(
         name="sweep",
         kind="swept",
+        taps=0,
         places=Listed(kind="listed", at_mm=((0.0, 0.0),)),
         cycles=3,
         speed_mm_s=5.0,
@@ -288,10 +290,28 @@ def test_a_sweep_turns_round_at_its_force_and_records_all_the_while(tmp_path: Pa
     assert done_in(run) == {f"l0/{cycle}/sweep/4000/0": frozenset({0}) for cycle in (1, 2, 3)}
 
 
+def test_a_camera_that_gives_no_frames_stops_a_sweep(tmp_path: Path) -> None:
+    slow = Swept(
+        name="slow",
+        kind="swept",
+        taps=0,
+        places=Listed(kind="listed", at_mm=((0.0, 0.0),)),
+        cycles=1,
+        speed_mm_s=1.0,
+        depth_mm=2.0,
+    )
+    stalled = rig(Fault("camera-stalls", 2.0))
+    outcome = record(stalled, slow, tmp_path / "run")
+    assert (outcome.state, outcome.reason) == (State.FAILED, Reason.CAMERA)
+    assert "no frame" in outcome.message
+    assert stalled.stage.position_m()[2] < 0, "the probe is lifted"
+
+
 def test_a_sweep_that_was_cut_is_done_again_and_the_cut_one_does_not_count(tmp_path: Path) -> None:
     sweep = Swept(
         name="s",
         kind="swept",
+        taps=0,
         places=Listed(kind="listed", at_mm=((0.0, 0.0),)),
         cycles=2,
         speed_mm_s=1.0,

@@ -37,6 +37,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 
 def small(pitch_mm: float, cycles: int) -> Stepped:
     return Stepped(
+        taps=0,
         name="killed",
         places=Grid(pitch_mm=pitch_mm),
         cycles=cycles,

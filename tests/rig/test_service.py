@@ -39,6 +39,7 @@ def tiny(**changed):
         "step_mm": 0.5,
         "frames": 1,
         "reference_frames": 1,
+        "taps": 0,
     }
     return fields | changed
 

@@ -142,10 +142,10 @@ def test_a_press_off_the_middle_is_the_centred_one_moved(words):
 
 
 DEPTHS = [
-    (-1e-6, None, r"0 to 6 mm"),
+    (-math.inf, None, r"0 to 6 mm"),
     (math.nan, None, r"0 to 6 mm"),
     (math.inf, None, r"0 to 6 mm"),
-    (-1e-6, "punch:6", r"0 to 1\.5 mm"),
+    (-math.inf, "punch:6", r"0 to 1\.5 mm"),
     (1.51e-3, "punch:6", r"0 to 1\.5 mm"),
     (math.nan, "sphere:8", r"0 to 1\.5 mm"),
 ]

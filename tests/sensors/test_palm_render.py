@@ -87,3 +87,21 @@ def test_a_contact_nowhere_is_not_drawn():
     for exact in (False, True):
         with pytest.raises(InputError, match="finite"):
             palm.render(nowhere, SPEC, rng(), exact=exact)
+
+
+def test_a_probe_in_the_air_is_seen_and_loads_nothing():
+    hanging, bare = pressed(-1e-3, 3e-3), pressed(0.0, 3e-3)
+    assert hanging.force_n == 0
+    assert not hanging.touching.any()
+    (fringes, below), (rest, under) = (palm.render_clean(one, SPEC) for one in (hanging, bare))
+    inside = SPEC.fringes.down_m >= 0
+    np.testing.assert_array_equal(fringes[inside], rest[inside])
+    assert (fringes != rest).any()
+    assert (below != under).any()
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_nothing_jumps_where_a_probe_comes_to_touch(exact):
+    over, on = (palm.render_clean(pressed(d, 3e-3), SPEC, exact=exact) for d in (-1e-7, 1e-7))
+    for one, other in zip(over, on, strict=True):
+        assert np.abs(one - other).mean() < 1e-5

@@ -14,6 +14,7 @@ import typer
 from palpate.cli.shared import Json, Quiet, print_found, progress_bar, reports_errors
 
 if TYPE_CHECKING:
+    from palpate.recordings.align import Offset
     from palpate.rig import Control, Status
 
 plan_app = typer.Typer(help="Plans of recordings.", no_args_is_help=True, rich_markup_mode=None)
@@ -66,6 +67,8 @@ def record(
         opened.close()
     found: dict[str, Any] = {"run": str(out), **asdict(outcome)}
     text = f"{out}: {outcome.state.value}, {outcome.shots} of {outcome.planned} shots"
+    if outcome.clocks is not None:
+        text += f"\n{_late(outcome.clocks)}"
     if outcome.state is not State.DONE:
         reason = f" ({outcome.reason.value})" if outcome.reason else ""
         text += f"{reason}: {outcome.message}\nthe same command goes on at the first missing shot"
@@ -130,6 +133,16 @@ def preview(
         f"{rate_hz:g} frames/s, {found['bytes'] / 1e9:.1f} GB at {frame_kb:g} kB a frame"
     )
     print_found(found, text, json_)
+
+
+def _late(clocks: Offset) -> str:
+    late, low, high, jitter = (
+        f"{1e3 * s:.1f}" for s in (clocks.seconds, clocks.low_s, clocks.high_s, clocks.jitter_s)
+    )
+    return (
+        f"frames are stamped {late} ms after the force they show (95 %: {low} to {high} ms), and jitter by "
+        f"{jitter} ms at most"
+    )
 
 
 @contextmanager

@@ -35,7 +35,8 @@ class Pose:
 
     Attributes:
         x_m, y_m: position over the skin [m]; the origin is the skin's centre.
-        depth_m: approach past first touch, positive into the skin [m].
+        depth_m: approach past first touch, positive into the skin; negative for a probe that hangs over it,
+            by so much [m]. 0 is a skin at rest with no probe in sight.
     """
 
     x_m: float

@@ -16,16 +16,19 @@ import numpy as np
 
 from palpate.core.errors import DeviceError, PalpateError, StorageError
 from palpate.core.protocols import Position
+from palpate.recordings.align import Offset
 from palpate.recordings.writer import RunWriter
 from palpate.rig.control import Ask, Asked, Control
 from palpate.rig.guard import Guard
 from palpate.rig.outcome import Outcome, Reason, State, Tripped
 from palpate.rig.plans.plan import Plan, Press
-from palpate.rig.plans.steps import Done
+from palpate.rig.plans.steps import Done, Over
+from palpate.rig.plans.steps import Tare as TareStep
 from palpate.rig.progress import PLAN, Status
 from palpate.rig.recorder import Recorder
 from palpate.rig.rig import Rig
 from palpate.rig.shooting import Shooting
+from palpate.rig.tapping import Tapping
 from palpate.rig.tare import Tare
 from palpate.rig.walking import Walking
 
@@ -76,6 +79,7 @@ class Engine:
         self._begun = (time.monotonic(), self._shots)
         self._indenter = ""
         self._wanted = ""
+        self._clocks: Offset | None = None
 
     def run(self) -> Outcome:
         """Record all that is missing, or as much as can be; the probe is lifted at the end."""
@@ -110,6 +114,8 @@ class Engine:
         while self._plan.missing(press, self._done):
             try:
                 self._fit(press.indenter)
+                if self._clocks is None and self._plan.taps:
+                    self._set_clocks(press)
                 self._approached(press)
             except Asked as asked:
                 if asked.ask is not Ask.PAUSE:
@@ -125,6 +131,15 @@ class Engine:
             if not self._walking.take(step):
                 self._shooting.take(step)
         self._walking.lift()
+
+    def _set_clocks(self, press: Press) -> None:
+        """Tap where the first press will be."""
+        self._message = f"{press.place.name}: {self._plan.taps} taps, to set the clocks"
+        self._walking.begin(press)
+        for step in (Over(press.place.x_mm * 1e-3, press.place.y_mm * 1e-3), TareStep()):
+            self._walking.take(step)
+        self._clocks = Tapping(self._rig, self._plan, self._guard).tap()
+        self._shooting.late_s = self._clocks.seconds
 
     def _fit(self, indenter: str) -> None:
         if indenter == self._indenter:
@@ -172,7 +187,7 @@ class Engine:
             self._lift_if_possible()
         with _quietly():
             self._turn(state, message)
-        return Outcome(state, self._shots, sum(self._planned), reason, message)
+        return Outcome(state, self._shots, sum(self._planned), reason, message, self._clocks)
 
     def _turn(self, state: State, message: str) -> None:
         self._state, self._message = state, message

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from palpate.core.errors import SafetyError
+from palpate.recordings.align import Offset
 
 
 class State(StrEnum):
@@ -37,6 +38,7 @@ class Reason(StrEnum):
     STAGE_LATE = "stage-late"
     CAMERA = "camera"
     FORCE_SENSOR = "force-sensor"
+    CLOCKS = "clocks"
     STORAGE = "storage"
     PLAN = "plan"
 
@@ -62,6 +64,7 @@ class Outcome:
         reason: of a failure.
         message: what happened, with numbers and units.
         shots: recorded so far, over all segments; planned: all of the plan's.
+        clocks: how far the frames run behind the force, from taps; None where there were none.
     """
 
     state: State
@@ -69,3 +72,4 @@ class Outcome:
     planned: int
     reason: Reason | None = None
     message: str = ""
+    clocks: Offset | None = None

@@ -46,12 +46,17 @@ KEPT_S = 2.0  # of force samples, to average over exposures
 NEAR_S = 0.05  # within which a sample stands for an exposure that has none of its own
 FROZEN = 5  # frames in a row that are the same to the last bit
 GRAB_S = 2.0
+STARVED_S = 0.5  # without a frame, while one is filmed: at the slowest rates still a few frames
 
 Mark = Callable[[str, int, bool], None]
 
 
 class Shooting:
-    """Takes the plan's steps that record."""
+    """Takes the plan's steps that record.
+
+    Attributes:
+        late_s: how far the frames' stamps run behind the force's [s].
+    """
 
     def __init__(self, rig: Rig, guard: Guard, walking: Walking, mark: Mark) -> None:
         self._rig = rig
@@ -59,6 +64,7 @@ class Shooting:
         self._walking = walking
         self._mark = mark
         self._samples: deque[tuple[int, Force]] = deque()
+        self.late_s = 0.0
         self._same = 0
         self._last: np.ndarray | None = None
         guard.recorder.on_force = self._remember
@@ -95,10 +101,17 @@ class Shooting:
         """Down to the force or the depth, and back up; frames as they come."""
         x, y, z = self._guard.position_m()
         counter = iter(range(1_000_000_000))
+        last_ns = self._rig.clock.now_ns()
 
         def take_in() -> None:
+            nonlocal last_ns
             for time_ns, frame in self._drained():
                 self._record(sweep.shot, next(counter), time_ns, frame)
+                last_ns = self._rig.clock.now_ns()
+            if self._rig.clock.now_ns() - last_ns > STARVED_S * NS_PER_S:
+                raise Tripped(
+                    Reason.CAMERA, f"no frame came for {STARVED_S:g} s of a sweep; is the camera still there?"
+                )
 
         self._drained()
         told, self._guard.on_poll = self._guard.on_poll, take_in
@@ -159,7 +172,8 @@ class Shooting:
             self._samples.popleft()
 
     def _mean_force(self, time_ns: int, exposure_s: float) -> Force:
-        """Over the exposure; the nearest sample where none fell into it."""
+        """Over the exposure, on the force's clock; the nearest sample where none fell into it."""
+        time_ns -= round(self.late_s * NS_PER_S)
         begun_ns = time_ns - exposure_s * NS_PER_S
         during = [force for at, force in self._samples if begun_ns <= at <= time_ns]
         if during:

@@ -110,8 +110,13 @@ def import_images(
 def _manifest(given: dict[str, str], exported: Manifest | None, kept: pd.DataFrame, timed: bool) -> Manifest:
     """What was given, else what an exported folder says of itself."""
     told = {name: text or (getattr(exported, name) if exported else "") for name, text in given.items()}
+    targets = tuple(one for one in exported.targets if one in kept) if exported else ()
     return Manifest.new(
-        **told,
+        sensor=told["sensor"],
+        rig=told["rig"],
+        licence=told["licence"],
+        origin=told["origin"],
+        targets=targets,
         seed=exported.seed if exported else None,
         labels=label_kinds(kept),
         clock="measured" if timed else "ordinal",

@@ -42,6 +42,9 @@ class Plan(BaseModel):
         clearance_mm: above the expected surface, between presses.
         travel_mm_s, seek_mm_s, press_mm_s: speeds in the air, of the search, and into the skin.
         reference_frames: of the untouched skin, before each press.
+        taps: before the first press, and whenever a recording goes on, to set the frames' clock against the
+            force's; 0 for none.
+        tap_N: how hard.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -60,6 +63,8 @@ class Plan(BaseModel):
     seek_mm_s: Positive = 2.0
     press_mm_s: Positive = 2.0
     reference_frames: Annotated[int, Field(ge=0, le=100_000)] = 25
+    taps: Annotated[int, Field(ge=0, le=100)] = 4
+    tap_N: Positive = 0.5  # noqa: N815
 
     @property
     def hash(self) -> str:

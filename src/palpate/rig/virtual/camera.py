@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from palpate.sensors import palm
 
 TRANSPORT_S = 0.008  # from the end of an exposure to the frame's arrival, which is what stamps it
 STEP_M = 1e-6  # to which depth is rounded, so that the frames of a burst share one picture
+STEP_AIR_M = 20e-6  # and the height of a probe in the air
 STEP_STIFFNESS = 0.005  # and the skin's stiffness
 
 
@@ -50,7 +52,7 @@ class VirtualCamera:
         self._next = index + 1
         ends_s = index / self._rate_hz
         arrives_s = ends_s + TRANSPORT_S + world.variation.frame_jitter_s * abs(self._rng.standard_normal())
-        if arrives_s - begun_s > timeout_s:
+        if arrives_s - begun_s > timeout_s or world.faults.on("camera-stalls", world.clock.now_ns()):
             world.clock.sleep(timeout_s)
             raise DeviceError(f"no frame came within {timeout_s:g} s")
         while world.now_s < arrives_s:
@@ -63,6 +65,8 @@ class VirtualCamera:
         last = int(np.floor((world.now_s - TRANSPORT_S) * self._rate_hz))
         first = max(self._next, int(np.ceil((world.now_s - KEPT_S) * self._rate_hz)))
         self._next = max(self._next, last + 1)
+        if world.faults.on("camera-stalls", world.clock.now_ns()):
+            return []
         ends = [index / self._rate_hz for index in range(first, last + 1)]
         return [(round((end_s + TRANSPORT_S) * NS_PER_S), self._taken(end_s)) for end_s in ends]
 
@@ -88,7 +92,9 @@ class VirtualCamera:
         depth_m, lateral, lamp = 0.0, (0.0, 0.0), 1.0
         pose = Pose(0.0, 0.0, 0.0)
         if touch is not None:
-            depth_m = max(round(touch.depth_m / STEP_M) * STEP_M, 0.0)
+            step = STEP_M if touch.depth_m > 0 else STEP_AIR_M
+            # Never 0 exactly, which would show no probe at all.
+            depth_m = (math.floor(touch.depth_m / step) + 0.5) * step
             pose = Pose(touch.x_m, touch.y_m, depth_m)
             lamp = touch.approach.lamp_gain
             stiff = round(touch.stiffening / STEP_STIFFNESS) * STEP_STIFFNESS

@@ -23,6 +23,7 @@ Kind = Literal[
     "camera-gone",
     "camera-frozen",  # the same frame again and again
     "camera-resized",  # frames of another size
+    "camera-stalls",  # no frame comes any more
     "camera-drops",  # every other frame is lost
     "layer-gone",  # there is nothing to touch
 ]

@@ -121,8 +121,8 @@ def _inside_direction(spec: PalmSpec) -> tuple[float, float]:
 
 
 def _ball_surface(spec: PalmSpec, depth_m: float) -> tuple[BallSurface, tuple[float, float]]:
-    press, R = pressed(spec, depth_m), spec.indenter_radius_m
-    return BallSurface(press, R), (float(press.surface.min()) * R, float(press.surface.max()) * R)
+    press, R = pressed(spec, max(depth_m, 0.0)), spec.indenter_radius_m
+    return BallSurface(press, R, depth_m), (float(press.surface.min()) * R, float(press.surface.max()) * R)
 
 
 @runtime_checkable
@@ -148,10 +148,11 @@ class Surface(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class BallSurface:
-    """Under a ball, from the finite-strain table."""
+    """Under a ball, from the finite-strain table; a depth below 0 is of a ball that hangs over it."""
 
     press: Press
     radius_m: float
+    depth_m: float
 
     def at(self, x: ndarray, y: ndarray) -> ndarray:
         return np.interp(np.hypot(x, y), self.press.r * self.radius_m, self._surface, right=0.0)
@@ -167,10 +168,10 @@ class BallSurface:
 
     def beside(self, place: ndarray, out: ndarray) -> ndarray:
         """On the sphere."""
-        if self.press.depth <= 0:
+        if self.depth_m == 0:
             return np.zeros(place.shape[1:])
         R = self.radius_m
-        away = place - np.array([0, 0, (self.press.depth - 1) * R]).reshape(3, *(1,) * (place.ndim - 1))
+        away = place - np.array([0, 0, self.depth_m - R]).reshape(3, *(1,) * (place.ndim - 1))
         b = (away * out).sum(0)
         hit2 = b**2 - (away**2).sum(0) + R**2
         return np.where(b < 0, np.sqrt(np.maximum(hit2, 0)) / R, 0)

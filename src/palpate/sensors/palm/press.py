@@ -34,8 +34,8 @@ def press(
 
     Args:
         spec: the palm.
-        pose: where, and how deep: 0 to 6 mm for the spec's ball, 0 to 1.5 mm for all else; the contact must
-            lie inside the membrane's rim.
+        pose: where, and how deep: up to 6 mm for the spec's ball, to 1.5 mm for all else; negative for a
+            probe in the air. The contact must lie inside the membrane's rim.
         probe: what presses; None for the spec's ball.
         lateral_n: force along x and y on top [N]; less than friction times the normal force.
 
@@ -52,6 +52,8 @@ def press(
             raise InputError(f"the {asked} {value} {unit} is not finite; give two numbers in {unit}, x and y")
     ball = Probe("sphere", spec.indenter_radius_m)
     probe = probe or ball
+    if -math.inf < pose.depth_m < 0:
+        return replace(press(spec, replace(pose, depth_m=0.0), probe), pose=pose)
     if probe == ball and lateral_n == (0.0, 0.0):
         return press_finite_strain(
             probe,

@@ -87,8 +87,8 @@ def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool = False) -> tu
     """
     if is_ball(contact, spec):
         edge_on, below = (fringes.exact, mirror.exact) if exact else (fringes.shifted, mirror.shifted)
-        place = (contact.pose.depth_m, contact.pose.x_m, contact.pose.y_m)
-        light, grey = edge_on(spec, *place), below(spec, *place)
+        depth_m, *place = contact.pose.depth_m, contact.pose.x_m, contact.pose.y_m
+        light, grey = edge_on(spec, max(depth_m, 0.0), *place), below(spec, depth_m, *place)
     else:
         light, grey = volume.exact(spec, contact), mirror.of_contact(spec, contact)
     light *= _lamp(spec.lamp, spec.corner_loss, spec.membrane_transmission, spec.unlit)
@@ -144,7 +144,7 @@ def _draw_probe(light: Linear, contact: Contact, spec: PalmSpec) -> None:
     rest = int(np.searchsorted(z, 0.0, side="right"))
     for rows, beside in ((slice(rest), x - pose.x_m), (slice(rest, None), through)):
         near = np.flatnonzero(np.abs(beside) <= reach)
-        if pose.depth_m <= 0 or not len(near):
+        if pose.depth_m == 0 or not len(near):
             continue
         part = light[rows, near[0] : near[-1] + 1]
         facing = silhouette(contact.probe, pose.depth_m, beside[near[0] : near[-1] + 1], z[rows])[..., None]

@@ -87,17 +87,17 @@ def gap_of(
 def silhouette(
     probe: Probe, depth_m: float, across_m: Float[ndarray, " w"], z_m: Float[ndarray, " h"]
 ) -> Float32[ndarray, "h w"]:
-    """How squarely a pressed probe faces a viewer along y, 0 to 1; 0 beside it, and if it does not press.
+    """How squarely a probe faces a viewer along y, 0 to 1; 0 beside it, and where there is none.
 
     Args:
         probe: what is looked at. Balls are shaded; the sides of all else face the viewer alike.
-        depth_m: of its lowest point [m].
+        depth_m: of its lowest point, negative in the air [m]; 0 for no probe.
         across_m: places beside its centre [m]; infinite ones are beside it.
         z_m: heights, into the skin [m].
     """
     facing = np.zeros((len(z_m), len(across_m)), np.float32)
     near = np.flatnonzero(np.abs(across_m) <= reach_of(probe))
-    if depth_m <= 0 or not len(near):
+    if depth_m == 0 or not len(near):
         return facing
     x, above = across_m[near], depth_m - z_m[:, None]
     if probe.shape in ("sphere", "two-points"):

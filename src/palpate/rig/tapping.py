@@ -1,0 +1,151 @@
+"""Taps before the first press, from which the frames' clock is set against the force's.
+
+Pairing a frame with the force of its instant needs both clocks. A camera stamps a frame when it arrives and a
+force sensor its samples likewise, each late by its own way; a few short presses, seen by both, say by how
+much. It is done anew whenever a recording goes on, since a device that was opened again may run otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from itertools import islice
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from palpate.core.clock import NS_PER_S
+from palpate.core.errors import DeviceError, RangeError
+from palpate.core.frame import Frame
+from palpate.core.protocols import Wrench
+from palpate.recordings.align import Offset, offset_between
+from palpate.rig.guard import Guard
+from palpate.rig.outcome import Reason, Tripped
+from palpate.rig.plans.plan import Plan
+from palpate.rig.rig import Rig
+from palpate.rig.tare import Force
+
+CLOCKS = "clocks"
+MM = 1e-3
+RESTS_S = (0.25, 0.4, 0.3, 0.55)  # between taps, in turn: uneven, so that no tap is taken for its neighbour
+MOST_S = 0.4  # of the offset looked for, to either side
+MOST_DEEP_MM = 1.0  # below the lowest place where contact may be found
+DECIMATED = 4  # of every so many rows and columns one is compared: more changes nothing
+MOST_PIXELS = 100_000  # above which that is done
+
+Pixels = UInt8[ndarray, " _"]
+Signal = Float[ndarray, " _"]
+
+
+class Tapping:
+    """A few taps at the place where the probe hangs."""
+
+    def __init__(self, rig: Rig, plan: Plan, guard: Guard) -> None:
+        self._rig = rig
+        self._plan = plan
+        self._guard = guard
+        self._force: list[tuple[int, float]] = []
+        self._seen: list[tuple[int, Pixels]] = []
+        self._exposure_s = 0.0
+
+    def tap(self) -> Offset:
+        """Tap, and say how far the frames run behind the force.
+
+        Raises:
+            Tripped: no contact, or the frames do not show the taps; and all that a guarded motion raises.
+        """
+        heard, told = self._guard.recorder.on_force, self._guard.on_poll
+
+        def both() -> None:
+            told()
+            self._look()
+
+        self._drained()
+        self._guard.recorder.on_force, self._guard.on_poll = self._feel, both
+        try:
+            self._guard.wait(2 * MOST_S)
+            for rest_s in islice(RESTS_S * self._plan.taps, self._plan.taps):
+                self._once()
+                self._guard.wait(rest_s)
+            self._guard.wait(2 * MOST_S)
+        finally:
+            self._guard.recorder.on_force, self._guard.on_poll = heard, told
+        return self._offset()
+
+    def _once(self) -> None:
+        """Down until the force says so, and back."""
+        plan = self._plan
+        x, y, z = self._guard.position_m()
+        deepest_mm = plan.seek_mm + min(plan.deepest_mm, MOST_DEEP_MM)
+        lowest = (x, y, self._rig.origin_m[2] + deepest_mm * MM)
+        speed = plan.press_mm_s * MM
+        if not self._guard.towards(lowest, speed, lambda force: force[2] >= plan.tap_N):
+            raise Tripped(
+                Reason.NO_CONTACT,
+                f"a tap of {plan.tap_N:g} N was not felt down to {deepest_mm:g} mm below the "
+                "expected surface; is the layer there, and the force sensor's sign right?",
+            )
+        self._guard.away((x, y, z), speed)
+
+    def _feel(self, sample: Wrench, force: Force) -> None:
+        self._force.append((sample.time_ns, force[2]))
+
+    def _look(self) -> None:
+        for time_ns, frame in self._drained():
+            self._exposure_s = frame.exposure_s or 0.0
+            self._seen.append((time_ns, _thinned(frame)))
+
+    def _drained(self) -> list[tuple[int, Frame]]:
+        try:
+            return self._rig.camera.drain()
+        except DeviceError as e:
+            raise Tripped(Reason.CAMERA, f"the camera failed: {e}") from e
+
+    def _offset(self) -> Offset:
+        force_ns, force = np.array([at for at, _ in self._force]), np.array([n for _, n in self._force])
+        if not self._seen:
+            raise Tripped(Reason.CAMERA, "not a single frame came while the probe tapped")
+        frame_ns, change = np.array([at for at, _ in self._seen]), most_telling([p for _, p in self._seen])
+        begun = min(int(force_ns[0]), int(frame_ns[0]))
+        try:
+            found = offset_between(
+                (force_ns - begun) / NS_PER_S,
+                force,
+                (frame_ns - begun) / NS_PER_S,
+                change,
+                exposure_s=self._exposure_s,
+                most_s=MOST_S,
+            )
+        except RangeError as e:
+            raise Tripped(
+                Reason.CLOCKS,
+                f"{self._plan.taps} taps do not tell the frames' clock from the force's: {e}; look at what "
+                "the camera shows, or plan without (taps = 0)",
+            ) from e
+        ago_s = np.round((self._rig.clock.now_ns() - frame_ns) / NS_PER_S, 6)
+        self._guard.recorder.event(
+            CLOCKS, **asdict(found), frames_ago_s=ago_s.tolist(), change=np.round(change, 5).tolist()
+        )
+        return found
+
+
+def _thinned(frame: Frame) -> Pixels:
+    image = frame.image
+    if image.shape[0] * image.shape[1] > MOST_PIXELS:
+        image = image[::DECIMATED, ::DECIMATED]
+    return np.ascontiguousarray(image).ravel()
+
+
+def most_telling(images: Sequence[Pixels]) -> Signal:
+    """How far each frame lies along what varies most between them: their first principal component.
+
+    Of frames over their mean brightness, so that a lamp that flickers is no signal. All pixels tell together,
+    which leaves far less noise than there is in a mean difference.
+    """
+    frames = np.stack(images).astype(np.float32)
+    frames /= np.maximum(frames.mean(axis=1, keepdims=True), 1.0)
+    frames -= frames.mean(axis=0)
+    size, towards = np.linalg.eigh(frames @ frames.T)
+    return np.asarray(towards[:, -1] * math.sqrt(max(float(size[-1]), 0.0)), dtype=float)
