@@ -21,7 +21,9 @@ def start() -> None:
 @app.command()
 @reports_errors
 def palm(
-    depth_mm: Annotated[float, typer.Option(help="How deep the probe is pressed [mm]; negative: how far it hangs above.")],
+    depth_mm: Annotated[
+        float, typer.Option(help="How deep the probe is pressed [mm]; negative: how far it hangs above.")
+    ],
     out: Annotated[Path, typer.Option(help="PNG to write; must not exist.")],
     x_mm: Annotated[float, typer.Option(help="Across the view, to the right [mm].")] = 0.0,
     y_mm: Annotated[float, typer.Option(help="Towards the camera [mm].")] = 0.0,

@@ -101,6 +101,29 @@ def check(
         raise typer.Exit(1)
 
 
+@rig_app.command()
+@reports_errors
+def layer(run: Annotated[Path, typer.Argument(help="A run of the plan layer.")], json_: Json = False) -> None:
+    """Say where the layer lies, from a run of the plan layer: what to write into the rig's file.
+
+    Example: palpate rig layer layer-run
+    """
+    from palpate.recordings.reader import Run
+    from palpate.rig.layer import layer_of
+
+    found = layer_of(Run.open(run))
+    at, moved = (", ".join(f"{d:.3f}" for d in three) for three in (found.origin_mm, found.moved_mm))
+    text = (
+        f"origin_mm = [{at}]\n"
+        f"that is ({moved}) mm from where it was taken to be, and each is known to about the search's step, "
+        f"{found.step_mm:g} mm\n"
+        f"tilt {found.tilt_mrad[0]:.2f} and {found.tilt_mrad[1]:.2f} mrad along x and y; "
+        f"diameter {found.diameter_mm[0]:.2f} and {found.diameter_mm[1]:.2f} mm; "
+        f"{found.off_plane_mm:.3f} mm off a plane at most"
+    )
+    print_found(asdict(found), text, json_)
+
+
 @plan_app.command()
 @reports_errors
 def preview(

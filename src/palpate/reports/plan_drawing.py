@@ -30,11 +30,12 @@ def draw_places(plan: Plan, path: Path) -> None:
         at = (place.x_mm, place.y_mm)
         axes.add_patch(Circle(at, probe, facecolor="none", edgecolor=PROBE, lw=0.6, alpha=0.45))
         axes.text(*at, str(i + 1), ha="center", va="center", fontsize=7, color=INK)
-    reach = layer + MARGIN_MM
+    furthest = max(max(abs(place.x_mm), abs(place.y_mm)) for place in places)
+    reach = max(layer, furthest + probe) + MARGIN_MM
     axes.set(xlim=(-reach, reach), ylim=(reach, -reach), xlabel="x [mm]", ylabel="y [mm], towards the viewer")
     axes.set_aspect("equal")
     axes.set_title(
-        f"{plan.name}: {len(places)} places × {plan.cycles} cycles, probe of {2 * probe:g} mm on "
+        f"{plan.name}: {len(places)} places × {plan.cycles} {'cycle' if plan.cycles == 1 else 'cycles'}, probe of {2 * probe:g} mm on "
         f"{2 * layer:g} mm",
         fontsize=10,
         loc="left",

@@ -84,7 +84,9 @@ class Engine:
     def run(self) -> Outcome:
         """Record all that is missing, or as much as can be; the probe is lifted at the end."""
         self._recorder.event(PLAN, hash=self._plan.hash, plan=self._plan.model_dump(mode="json"))
-        self._recorder.event("rig", name=self._rig.name, limits=_plain(self._rig))
+        self._recorder.event(
+            "rig", name=self._rig.name, origin_m=self._rig.origin_m, limits=_plain(self._rig)
+        )
         self._turn(State.RUNNING, "begun")
         try:
             for press in self._plan.presses():

@@ -16,6 +16,7 @@ from palpate.rig.plans.steps import Done
 
 PLAN = "plan"
 SHOT = "shot"
+ZERO = "zero"
 SWEEPS = "sweep"
 
 

@@ -67,6 +67,8 @@ def manifest_of(rig: Rig, plan: Plan) -> Manifest:
 
 def targets_of(plan: Plan) -> tuple[str, ...]:
     """The labels that differ between a plan's presses, and so can be learnt from them."""
+    if plan.deepest_mm == 0:
+        return ()
     targets = ["depth_mm", "force_N"]
     if len(plan.places.places()) > 1:
         targets += ["x_mm", "y_mm"]

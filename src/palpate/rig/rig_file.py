@@ -99,9 +99,10 @@ class FaultPart(_Part):
 
 
 class VirtualPart(_Part):
-    """A virtual palm, with what goes wrong on it."""
+    """A virtual palm, with what goes wrong on it; `askew_mm` is where its layer lies from the origin."""
 
     seed: Annotated[int, Field(ge=0)] = 0
+    askew_mm: Three = (0.0, 0.0, 0.0)
     real_time: bool = False
     faults: tuple[FaultPart, ...] = ()
 
@@ -167,7 +168,13 @@ def rig_from(file: RigFile) -> Rig:
         clock: Clock = MonotonicClock() if file.virtual.real_time else ManualClock()
         limits = None if file.limits is None else file.limits.limits()
         faults = [Fault(one.kind, one.after_s) for one in file.virtual.faults]
-        return virtual_palm(clock=clock, seed=file.virtual.seed, faults=faults, limits=limits)
+        return virtual_palm(
+            clock=clock,
+            seed=file.virtual.seed,
+            faults=faults,
+            limits=limits,
+            askew_m=_metres(file.virtual.askew_mm),
+        )
     if not (file.stage and file.force and file.camera and file.limits):
         raise InputError(
             f"the rig {file.name!r} needs [stage], [force], [camera] and [limits], or [virtual] instead"

@@ -8,6 +8,7 @@ from palpate.rig.outcome import Reason, Tripped
 from palpate.rig.plans.plan import Plan, Press
 from palpate.rig.plans.steps import Aside, Depth, Over, Pause, Seek, Step
 from palpate.rig.plans.steps import Tare as TareStep
+from palpate.rig.progress import ZERO
 from palpate.rig.rig import Rig
 from palpate.rig.tare import Tare
 
@@ -116,7 +117,11 @@ class Walking:
             )
         self._zero_m = self._guard.position_m()[2]
         self._guard.recorder.event(
-            "zero", place=self._place.name, z_mm=1e3 * (self._zero_m - self._rig.origin_m[2])
+            ZERO,
+            place=self._place.name,
+            x_mm=self._place.x_mm,
+            y_mm=self._place.y_mm,
+            z_mm=1e3 * (self._zero_m - self._rig.origin_m[2]),
         )
 
     def _to_depth(self, depth_m: float, speed_m_s: float) -> None:

@@ -12,20 +12,23 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from palpate.core.errors import InputError
 from palpate.core.files import storage_errors
-from palpate.rig.plans.places import Grid, Listed, Scattered
+from palpate.rig.plans.places import Around, Grid, Listed, Scattered
 from palpate.rig.plans.plan import Plan
 from palpate.rig.plans.stepped import Dwell, Lateral, Stepped
 from palpate.rig.plans.swept import Swept
+from palpate.rig.plans.touched import Touched
 
-AnyPlan = Annotated[Stepped | Swept, Field(discriminator="kind")]
-_ADAPTER: TypeAdapter[Stepped | Swept] = TypeAdapter(AnyPlan)
+Known = Stepped | Swept | Touched
+AnyPlan = Annotated[Known, Field(discriminator="kind")]
+_ADAPTER: TypeAdapter[Known] = TypeAdapter(AnyPlan)
 _MOST_BYTES = 1 << 20
 
 _CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
 _ROUND = ((0.3, 0.0), (0.0, 0.3), (-0.3, 0.0), (0.0, -0.3))
 _SMALL = {"cycles": 1, "frames": 5, "reference_frames": 5}
-_PLANS: tuple[Stepped | Swept, ...] = (
+_PLANS: tuple[Known, ...] = (
     Stepped(name="palm"),
+    Touched(name="layer", kind="touched", places=Around(kind="around"), taps=0),
     Stepped(name="palm-reduced", cycles=1, depth_mm=4.0, step_mm=1.0, frames=2, reference_frames=1),
     Stepped(
         name="palm-validation",
@@ -63,9 +66,9 @@ _PLANS: tuple[Stepped | Swept, ...] = (
     Swept(name="repeated", kind="swept", places=_CENTRE, cycles=70, speed_mm_s=5.0, depth_mm=2.0),
     Swept(name="slow", kind="swept", places=_CENTRE, cycles=3, speed_mm_s=0.5, depth_mm=2.0),
 )
-PLANS: Mapping[str, Stepped | Swept] = MappingProxyType({plan.name: plan for plan in _PLANS})
-"""The palm's protocol, a small one, and one of each kind. "tactip-press" and the two after it are those of
-the TacTip's and NUSense's reports."""
+PLANS: Mapping[str, Known] = MappingProxyType({plan.name: plan for plan in _PLANS})
+"""The palm's protocol, one that finds where its layer lies, a small one, and one of each kind. "tactip-press"
+and the two after it are those of the TacTip's and NUSense's reports."""
 
 
 class Size(NamedTuple):
@@ -84,7 +87,7 @@ class Size(NamedTuple):
     seconds: float
 
 
-def plan_of(text: str | Path) -> Stepped | Swept:
+def plan_of(text: str | Path) -> Known:
     """A plan by its name, or from a TOML file.
 
     Raises:
@@ -106,7 +109,7 @@ def plan_of(text: str | Path) -> Stepped | Swept:
         raise InputError(f"{path}: {e}") from e
 
 
-def plan_from(fields: Mapping[str, Any]) -> Stepped | Swept:
+def plan_from(fields: Mapping[str, Any]) -> Known:
     """A plan from plain values.
 
     Raises:

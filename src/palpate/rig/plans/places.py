@@ -12,6 +12,7 @@ from palpate.core.errors import InputError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 ROUNDING_MM = 1e-9
+WAYS = {"+x": (1, 0), "-x": (-1, 0), "+y": (0, 1), "-y": (0, -1)}
 MOST_TRIES = 1000  # for each random place
 
 
@@ -141,7 +142,52 @@ class Listed(BaseModel):
         return tuple(Place(f"l{i}", x, y) for i, (x, y) in enumerate(self.at_mm))
 
 
-Places = Annotated[Grid | Scattered | Listed, Field(discriminator="kind")]
+class Around(BaseModel):
+    """The middle, four places about it, and four just beyond the rim: from where a layer lies can be told.
+
+    Attributes:
+        layer_mm, probe_mm: diameters; the probe is a ball.
+        inside_mm: of the four about the middle, from it.
+        beyond_mm: of the four outside, from the rim as it is expected; a little less than the ball's radius,
+            and more than the layer may lie askew.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kind: Literal["around"]
+    layer_mm: Positive = 57.0
+    probe_mm: Positive = 10.0
+    inside_mm: Positive = 15.0
+    beyond_mm: Positive = 2.0
+
+    def places(self) -> tuple[Place, ...]:
+        """The middle, then inside and outside along +x, -x, +y, -y.
+
+        Raises:
+            InputError: the probe reaches over the rim inside, or passes beside it outside.
+        """
+        reach = reach_mm(self.layer_mm, self.probe_mm)
+        if self.inside_mm > reach + ROUNDING_MM:
+            raise InputError(
+                f"inside_mm is {self.inside_mm:g}; the probe reaches over the rim from {reach:g}"
+            )
+        if self.beyond_mm >= self.probe_mm / 2:
+            raise InputError(
+                f"beyond_mm is {self.beyond_mm:g}: a ball of {self.probe_mm:g} mm passes the rim without "
+                f"touching it; give less than {self.probe_mm / 2:g}"
+            )
+        outside = self.layer_mm / 2 + self.beyond_mm
+        return (
+            Place("middle", 0.0, 0.0),
+            *(
+                Place(f"inside{name}", x * self.inside_mm, y * self.inside_mm)
+                for name, (x, y) in WAYS.items()
+            ),
+            *(Place(f"rim{name}", x * outside, y * outside) for name, (x, y) in WAYS.items()),
+        )
+
+
+Places = Annotated[Grid | Scattered | Listed | Around, Field(discriminator="kind")]
 
 
 def reach_mm(layer_mm: float, probe_mm: float) -> float:

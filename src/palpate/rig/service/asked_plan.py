@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from palpate.core.errors import InputError
-from palpate.rig.plans import PLANS, Stepped, Swept, plan_from
+from palpate.rig.plans import PLANS, Known, Stepped, plan_from
 
 MOST_SCATTERED = 1000  # random places, each of which is compared with all the others
 MOST_SHOTS = 500_000
 SHOWN = 100  # characters of a name
 
 
-def asked_plan(what: str | Mapping[str, Any]) -> Stepped | Swept:
+def asked_plan(what: str | Mapping[str, Any]) -> Known:
     """A plan by its name or its fields.
 
     Raises:

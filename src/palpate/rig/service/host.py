@@ -14,7 +14,7 @@ from typing import Any
 from palpate.core.errors import DeviceError, InputError, PalpateError, SafetyError
 from palpate.rig.control import Ask, Control
 from palpate.rig.outcome import Outcome, State, Tripped
-from palpate.rig.plans import PLANS, Stepped, Swept, size_of
+from palpate.rig.plans import PLANS, Known, size_of
 from palpate.rig.progress import Status
 from palpate.rig.record import record
 from palpate.rig.service.asked_plan import asked_plan
@@ -29,7 +29,7 @@ TAIL = 60  # lines of the log that are told
 NAME_LENGTH = 100
 FIRST = "palm-reduced"
 
-AnyPlan = Stepped | Swept
+AnyPlan = Known
 _UNTOLD = Status(State.READY, "", 0, 0, None)
 
 

@@ -43,6 +43,7 @@ def virtual_palm(
     faults: Sequence[Fault] = (),
     limits: Limits | None = None,
     force_hz: float = FORCE_HZ,
+    askew_m: Position = (0.0, 0.0, 0.0),
 ) -> Rig:
     """A stage, a force sensor and a camera around one palm.
 
@@ -54,10 +55,11 @@ def virtual_palm(
         faults: what goes wrong, and when.
         limits: of motion; by default the whole travel and 35 N.
         force_hz: samples of force a second.
+        askew_m: where the layer lies, from where the rig believes it to be.
     """
     spec = spec or palm.cropped(palm.palm(), FRAME_PX, "palm-rig")
     clock = clock or ManualClock()
-    world = World(spec, clock, TRAVEL, ORIGIN_M, variation or Variation(), force_hz, seed, faults)
+    world = World(spec, clock, TRAVEL, ORIGIN_M, variation or Variation(), force_hz, seed, faults, askew_m)
     force = VirtualForce(world)
     camera = VirtualCamera(world)
 

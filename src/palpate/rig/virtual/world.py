@@ -70,6 +70,7 @@ class World:
         rate_hz: float,
         seed: int,
         faults: Sequence[Fault],
+        askew_m: Position = (0.0, 0.0, 0.0),
     ) -> None:
         self.spec = spec
         self.clock = clock
@@ -79,7 +80,8 @@ class World:
         self.seed = seed
         self.lock = threading.RLock()
         self.faults = Faults(faults, clock.now_ns())
-        self._origin = origin_m
+        # Where the layer lies, which need not be where the rig believes it to be.
+        self._origin = tuple(o + a for o, a in zip(origin_m, askew_m, strict=True))
         self._skin = Skin(spec, variation.relaxation)
         self._step_s = 1.0 / rate_hz
         self._count = math.floor(self.now_s * rate_hz)
@@ -150,13 +152,13 @@ class World:
 
     def _felt(self, times: Series) -> list[Touch]:
         played = self._play(times)
-        height = self._origin[2]
         touches: list[Touch] = []
-        relative = played - np.array([self._origin[0], self._origin[1], height])
-        depth = relative[:, 2] - self._approach.height_m
+        relative = played - np.array(self._origin)
+        over = relative[:, 2] - self._beyond_the_rim(relative)
+        depth = over - self._approach.height_m
         if self._lifted and (depth > -LIFTED_M).any():
             self._begin_approach(relative[-1])
-            depth = relative[:, 2] - self._approach.height_m
+            depth = over - self._approach.height_m
         gone = self.faults.since("layer-gone")
         if gone is not None:
             depth = np.where(times * NS_PER_S >= gone, -FAR_M, depth)
@@ -180,6 +182,15 @@ class World:
                 )
             )
         return touches
+
+    def _beyond_the_rim(self, relative: Float[ndarray, "n 3"]) -> Series:
+        """How much lower a ball has to come to touch the rim's edge beside it; infinite where it passes it.
+
+        That the edge yields more easily than the middle is left out.
+        """
+        R = self.spec.indenter_radius_m
+        beyond = np.clip(np.hypot(relative[:, 0], relative[:, 1]) - self.spec.radius_m, 0.0, None)
+        return np.where(beyond < R, R - np.sqrt(np.clip(R**2 - beyond**2, 0.0, None)), FAR_M)
 
     def _play(self, times: Series) -> Float[ndarray, "n 3"]:
         """The stage's own places, less what the backlash swallows; each move runs one way along each axis."""
