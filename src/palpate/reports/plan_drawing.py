@@ -34,11 +34,9 @@ def draw_places(plan: Plan, path: Path) -> None:
     reach = max(layer, furthest + probe) + MARGIN_MM
     axes.set(xlim=(-reach, reach), ylim=(reach, -reach), xlabel="x [mm]", ylabel="y [mm], towards the viewer")
     axes.set_aspect("equal")
+    presses = f"{len(places)} places × {plan.cycles} {'cycle' if plan.cycles == 1 else 'cycles'}"
     axes.set_title(
-        f"{plan.name}: {len(places)} places × {plan.cycles} {'cycle' if plan.cycles == 1 else 'cycles'}, probe of {2 * probe:g} mm on "
-        f"{2 * layer:g} mm",
-        fontsize=10,
-        loc="left",
+        f"{plan.name}: {presses}, probe of {2 * probe:g} mm on {2 * layer:g} mm", fontsize=10, loc="left"
     )
     axes.spines[["top", "right"]].set_visible(False)
     with new_file(path) as file:
