@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
@@ -27,6 +28,11 @@ def no_truth(time_ns: int) -> dict[str, float]:
     return {}
 
 
+def unlimited(indenter: str, lateral: bool) -> float:
+    """A real skin is as deep as its limits say."""
+    return math.inf
+
+
 def by_hand(indenter: str) -> bool:
     """A person has to change the indenter."""
     return False
@@ -49,6 +55,8 @@ class Rig:
         truth: a virtual rig's own labels at a time, each with its unit in the name.
         truths: the names of those labels.
         fit: change the indenter; False where a person has to.
+        known_m: how deep an indenter may press, with a lateral load or without: a virtual skin has a law to
+            that depth and none beyond [m].
     """
 
     name: str
@@ -66,6 +74,7 @@ class Rig:
     truth: Callable[[int], dict[str, float]] = no_truth
     truths: tuple[str, ...] = ()
     fit: Callable[[str], bool] = by_hand
+    known_m: Callable[[str, bool], float] = unlimited
 
     def close(self) -> None:
         """Let go of every device, the stage first; all are tried."""

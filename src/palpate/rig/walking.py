@@ -13,6 +13,7 @@ from palpate.rig.rig import Rig
 from palpate.rig.tare import Tare
 
 MM = 1e-3
+BELOW_TOUCH_MM = 0.2  # of a contact that is said by a force
 TARE_S = 0.3  # in the air, for the force sensor's zero
 MOST_DRIFT_N = 0.5  # of the zero, from one press to the next
 SIGMAS = 5.0  # of the force's noise that a threshold must lie above
@@ -142,6 +143,7 @@ def check_plan(rig: Rig, plan: Plan) -> None:
 
     Raises:
         Tripped: says which.
+        InputError: an indenter that the rig does not know.
     """
     lowest = (plan.deepest_mm + plan.seek_mm) * MM
     for place in plan.places.places():
@@ -149,8 +151,28 @@ def check_plan(rig: Rig, plan: Plan) -> None:
             x, y = (place.x_mm + dx) * MM, (place.y_mm + dy) * MM
             for z in (-plan.clearance_mm * MM, lowest):
                 rig.limits.check_target(_at(rig, x, y, z))
+    _check_known(rig, plan)
     for speed in (plan.seek_mm_s, plan.press_mm_s, getattr(plan, "speed_mm_s", plan.press_mm_s)):
         rig.limits.check_speed(speed * MM, rig.stage.travel)
+
+
+def _check_known(rig: Rig, plan: Plan) -> None:
+    """Depths count from where a force says contact; the little that lies below first touch is added."""
+    for indenter in plan.indenters:
+        for lateral, deepest_mm in ((False, plan.deepest_mm), (True, _deepest_aside_mm(plan))):
+            known_mm = rig.known_m(indenter, lateral) / MM
+            if deepest_mm > 0 and deepest_mm + BELOW_TOUCH_MM > known_mm:
+                way = f"{indenter} shifted aside" if lateral else indenter
+                raise Tripped(
+                    Reason.PLAN,
+                    f"{deepest_mm:g} mm under {way}: {rig.name} knows its skin to {known_mm:g} mm below "
+                    f"first touch; press to {known_mm - BELOW_TOUCH_MM:g} mm",
+                )
+
+
+def _deepest_aside_mm(plan: Plan) -> float:
+    lateral = getattr(plan, "lateral", None)
+    return max(lateral.depths_mm) if lateral else 0.0
 
 
 def _at(rig: Rig, x_m: float, y_m: float, z_m: float) -> Position:

@@ -59,7 +59,7 @@ _PLANS: tuple[Known, ...] = (
         places=_CENTRE,
         speed_mm_s=5.0,
         until_N=5.0,
-        depth_mm=6.0,
+        depth_mm=5.5,
         wait_s=5.0,
         threshold_N=0.5,
     ),

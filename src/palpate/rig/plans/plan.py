@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Iterator
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from palpate.rig.plans.places import Grid, Place, Places, Positive
 from palpate.rig.plans.steps import Done, Shot, Steps
 
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
+ROUND_ONE = re.compile(r"(?:sphere|punch|flat):(\d+(?:\.\d+)?)")
 LESS = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
@@ -65,6 +67,17 @@ class Plan(BaseModel):
     reference_frames: Annotated[int, Field(ge=0, le=100_000)] = 25
     taps: Annotated[int, Field(ge=0, le=100)] = 4
     tap_N: Positive = 0.5  # noqa: N815
+
+    @model_validator(mode="after")
+    def _check_indenters(self) -> Plan:
+        for indenter in self.indenters:
+            wide = ROUND_ONE.fullmatch(indenter)
+            if wide and float(wide[1]) > self.places.probe_mm:
+                raise ValueError(
+                    f"the indenter {indenter} is wider than the probe of {self.places.probe_mm:g} mm that "
+                    "places are clipped for; give places.probe_mm as wide as the widest"
+                )
+        return self
 
     @property
     def hash(self) -> str:

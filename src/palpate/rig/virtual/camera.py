@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
+from collections.abc import Hashable
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float32
+from numpy import ndarray
 
 from palpate.core.clock import NS_PER_S
-from palpate.core.contact import Pose
+from palpate.core.contact import Contact, Pose
 from palpate.core.errors import DeviceError, RangeError
 from palpate.core.frame import Frame
+from palpate.rig.virtual.skin import own_ball
 from palpate.rig.virtual.world import KEPT_S, Touch, World
 from palpate.sensors import palm
 
@@ -18,6 +23,10 @@ TRANSPORT_S = 0.008  # from the end of an exposure to the frame's arrival, which
 STEP_M = 1e-6  # to which depth is rounded, so that the frames of a burst share one picture
 STEP_AIR_M = 20e-6  # and the height of a probe in the air
 STEP_STIFFNESS = 0.005  # and the skin's stiffness
+STEP_N = 0.02  # and a lateral load
+PICTURES = 64  # under other probes and lateral loads
+
+Picture = tuple[Float32[ndarray, "h w 3"], Float32[ndarray, "u v 3"]]
 
 
 class VirtualCamera:
@@ -29,6 +38,7 @@ class VirtualCamera:
         self._rng = np.random.default_rng([world.seed & 0xFFFFFFFF, 0xCA])
         self._next = int(np.floor(world.now_s * rate_hz)) + 1
         self._frozen: Frame | None = None
+        self._pictures: OrderedDict[Hashable, Picture] = OrderedDict()
         self._closed = False
 
     @property
@@ -88,21 +98,48 @@ class VirtualCamera:
         return frame
 
     def _seen(self, touch: Touch | None) -> Frame:
-        spec = self._world.spec
-        depth_m, lateral, lamp = 0.0, (0.0, 0.0), 1.0
-        pose = Pose(0.0, 0.0, 0.0)
-        if touch is not None:
-            step = STEP_M if touch.depth_m > 0 else STEP_AIR_M
-            # Never 0 exactly, which would show no probe at all.
-            depth_m = (math.floor(touch.depth_m / step) + 0.5) * step
-            pose = Pose(touch.x_m, touch.y_m, depth_m)
-            lamp = touch.approach.lamp_gain
+        world = self._world
+        spec = replace(
+            world.spec, lamp_gain=world.spec.lamp_gain * (touch.approach.lamp_gain if touch else 1.0)
+        )
+        if touch is None:
+            return palm.render(palm.press(spec, Pose(0.0, 0.0, 0.0)), spec, self._rng)
+        step = STEP_M if touch.depth_m > 0 else STEP_AIR_M
+        # Never 0 exactly, which would show no probe at all.
+        pose = Pose(touch.x_m, touch.y_m, (math.floor(touch.depth_m / step) + 0.5) * step)
+        if world.probe == own_ball(world.spec) and not self._pulled(touch):
             stiff = round(touch.stiffening / STEP_STIFFNESS) * STEP_STIFFNESS
-            if depth_m > 0 and stiff > 0:  # light sees stress, which relaxes as the force does
+            if pose.depth_m > 0 and stiff > 0:  # light sees stress, which relaxes as the force does
                 spec = replace(spec, youngs_modulus_pa=spec.youngs_modulus_pa * stiff)
-        spec = replace(spec, lamp_gain=spec.lamp_gain * lamp)
+            return palm.render(self._contact(spec, pose), spec, self._rng)
+        fringes, below = self._layered(pose, self._pulled(touch))
+        gain = np.float32(spec.lamp_gain)
+        return palm.expose((gain * fringes, gain * below), spec, self._rng)
+
+    def _contact(self, spec: palm.PalmSpec, pose: Pose) -> Contact:
         try:
-            contact = palm.press(spec, pose, None, lateral)
-        except RangeError:  # over the rim or beyond the table: drawn as far as it goes
-            contact = palm.press(spec, Pose(0.0, 0.0, 0.0))
-        return palm.render(contact, spec, self._rng)
+            return palm.press(spec, pose)
+        except RangeError as e:
+            # Beside the rim there is no law: contact is felt there, and a skin at rest drawn.
+            if math.hypot(pose.x_m, pose.y_m) + spec.indenter_radius_m > spec.radius_m:
+                return palm.press(spec, Pose(0.0, 0.0, 0.0))
+            raise DeviceError(f"the virtual camera cannot draw this: {e}") from e
+
+    def _layered(self, pose: Pose, pulled_n: tuple[float, float]) -> Picture:
+        """Under another probe or a lateral load, on the relaxed skin: slow, so the last ones are kept."""
+        key = (pose, self._world.probe, pulled_n)
+        if key not in self._pictures:
+            spec = replace(self._world.spec, lamp_gain=1.0)
+            try:
+                contact = palm.press(spec, pose, self._world.probe, pulled_n)
+            except RangeError as e:
+                raise DeviceError(f"the virtual camera cannot draw this: {e}") from e
+            self._pictures[key] = palm.render_clean(contact, spec)
+            while len(self._pictures) > PICTURES:
+                self._pictures.popitem(last=False)
+        return self._pictures[key]
+
+    def _pulled(self, touch: Touch) -> tuple[float, float]:
+        """The lateral load to draw, in steps: a probe's slight lean is not drawn."""
+        x, y = (round(n / STEP_N) * STEP_N for n in touch.pulled_n)
+        return x, y

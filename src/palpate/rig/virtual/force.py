@@ -18,6 +18,7 @@ BIAS_N = (0.31, -0.22, 1.7)
 KEPT = 100_000
 SPIKE_N = 1000.0
 NOISIER = 100.0
+UNKNOWN = "the virtual skin is pressed deeper than its law is known"
 
 
 class VirtualForce:
@@ -99,4 +100,5 @@ class VirtualForce:
         )
         fx, fy, fz = force.tolist()
         arrives_ns = at_ns + round(LATENCY_S * NS_PER_S)
-        return Wrench(arrives_ns, (fx, fy, fz), fault="saturated" if saturated else "")
+        fault = "saturated" if saturated else ""
+        return Wrench(arrives_ns, (fx, fy, fz), fault=fault if touch.known else UNKNOWN)

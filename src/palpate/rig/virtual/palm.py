@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from palpate.core.clock import Clock, ManualClock
-from palpate.core.errors import InputError
 from palpate.core.protocols import Position, Travel
 from palpate.rig.limits import Limits
 from palpate.rig.rig import Rig
 from palpate.rig.virtual.camera import TRANSPORT_S, VirtualCamera
 from palpate.rig.virtual.faults import Fault
 from palpate.rig.virtual.force import VirtualForce
+from palpate.rig.virtual.skin import law_of, own_ball
 from palpate.rig.virtual.stage import VirtualStage
 from palpate.rig.virtual.variation import Variation
 from palpate.rig.virtual.world import World
 from palpate.sensors import palm
 from palpate.sensors.palm import PalmSpec
+from palpate.sensors.palm.press import LINEAR_DEPTH_M
 
 ORIGIN_M: Position = (0.0, 0.0, 0.0)
 TRAVEL = Travel(
@@ -70,6 +70,14 @@ def virtual_palm(
             return dict.fromkeys(TRUTHS, 0.0)
         return dict(zip(TRUTHS, (max(touch.depth_m, 0.0) * 1e3, touch.force_n[2]), strict=True))
 
+    def fit(indenter: str) -> bool:
+        world.fit(palm.parse_probe(indenter))
+        return True
+
+    def known_m(indenter: str, lateral: bool) -> float:
+        probe = palm.parse_probe(indenter)
+        return LINEAR_DEPTH_M if lateral or probe != own_ball(spec) else law_of(spec, probe).greatest_m
+
     return Rig(
         name="virtual:palm",
         sensor=f"virtual {spec.name}",
@@ -84,17 +92,6 @@ def virtual_palm(
         seed=seed,
         truth=truth,
         truths=TRUTHS,
-        fit=_only_the_ball(spec),
+        fit=fit,
+        known_m=known_m,
     )
-
-
-def _only_the_ball(spec: PalmSpec):  # type: ignore[no-untyped-def]
-    own = f"sphere:{2e3 * spec.indenter_radius_m:g}"
-
-    def fit(indenter: str) -> bool:
-        probe = palm.parse_probe(indenter)
-        if probe != replace(palm.parse_probe(own)):
-            raise InputError(f"this virtual rig has the indenter {own} alone, and {indenter} was asked for")
-        return True
-
-    return fit

@@ -18,11 +18,12 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.clock import NS_PER_S, Clock
+from palpate.core.contact import Probe
 from palpate.core.protocols import Position, Travel
 from palpate.mechanics.partial_slip import tangential_stiffness
 from palpate.rig.virtual.faults import Fault, Faults
 from palpate.rig.virtual.motion import Motion, standing
-from palpate.rig.virtual.skin import Skin
+from palpate.rig.virtual.skin import Skin, law_of, own_ball
 from palpate.rig.virtual.variation import Approach, Variation, approach_of
 from palpate.sensors.palm import PalmSpec
 
@@ -44,8 +45,10 @@ class Touch:
         depth_m: below first touch; negative in the air.
         x_m, y_m: of the probe on the skin.
         force_n: along x, y, z, positive z in compression.
+        pulled_n: what of the lateral force a shift of the probe has made; the rest is its lean.
         stiffening: normal force over that of the relaxed skin at this depth.
         approach: what is particular to it.
+        known: whether the skin's law reaches so deep; the force means nothing where it does not.
     """
 
     time_s: float
@@ -53,8 +56,10 @@ class Touch:
     x_m: float
     y_m: float
     force_n: tuple[float, float, float]
+    pulled_n: tuple[float, float]
     stiffening: float
     approach: Approach
+    known: bool = True
 
 
 class World:
@@ -82,7 +87,7 @@ class World:
         self.faults = Faults(faults, clock.now_ns())
         # Where the layer lies, which need not be where the rig believes it to be.
         self._origin = tuple(o + a for o, a in zip(origin_m, askew_m, strict=True))
-        self._skin = Skin(spec, variation.relaxation)
+        self.fit(own_ball(spec))
         self._step_s = 1.0 / rate_hz
         self._count = math.floor(self.now_s * rate_hz)
         start = (origin_m[0], origin_m[1], max(travel.least_m[2], origin_m[2] - 5e-3))
@@ -94,6 +99,11 @@ class World:
         self._stuck_at: tuple[float, float] | None = None
         self.touches: deque[Touch] = deque()
         self._fresh: deque[Touch] = deque(maxlen=MOST_FRESH)
+
+    def fit(self, probe: Probe) -> None:
+        """Change the probe, in the air."""
+        self.probe = probe
+        self._skin = Skin(law_of(self.spec, probe), self.variation.relaxation)
 
     @property
     def now_s(self) -> float:
@@ -162,11 +172,13 @@ class World:
         gone = self.faults.since("layer-gone")
         if gone is not None:
             depth = np.where(times * NS_PER_S >= gone, -FAR_M, depth)
-        depth = np.minimum(depth, self._skin.greatest_m)
-        normal, elastic = self._skin.force(depth, self._step_s)
+        greatest = self._skin.law.greatest_m
+        known = depth <= greatest
+        normal, elastic = self._skin.force(np.minimum(depth, greatest), self._step_s)
         if depth[-1] < -LIFTED_M:
             self._lifted, self._stuck_at = True, None
-        lateral = self._lateral(relative, normal)
+        pulled = self._pulled(relative, depth, normal)
+        lateral = pulled + normal[:, None] * np.array(self._approach.lean)
         aside = self._approach.aside_m
         for i, time_s in enumerate(times.tolist()):
             stiff = float(normal[i] / elastic[i]) if elastic[i] > 0 else 1.0
@@ -177,8 +189,10 @@ class World:
                     float(relative[i, 0] + aside[0]),
                     float(relative[i, 1] + aside[1]),
                     (float(lateral[i, 0]), float(lateral[i, 1]), float(normal[i])),
+                    (float(pulled[i, 0]), float(pulled[i, 1])),
                     stiff,
                     self._approach,
+                    bool(known[i]),
                 )
             )
         return touches
@@ -221,27 +235,26 @@ class World:
         self._approach = approach_of(self.variation, self.seed, x, y, visit)
         self._lifted, self._stuck_at = False, None
 
-    def _lateral(self, relative: ndarray, normal: Series) -> Float[ndarray, "n 2"]:
-        """Of a probe that leans, and of one that is shifted while it sticks: Cattaneo's and Mindlin's law."""
-        lean = normal[:, None] * np.array(self._approach.lean)
+    def _pulled(self, relative: ndarray, depth: Series, normal: Series) -> Float[ndarray, "n 2"]:
+        """By a probe that is shifted while it sticks: Cattaneo's and Mindlin's law, as on a half-space."""
+        none = np.zeros((len(normal), 2))
         if self._stuck_at is None:
             if not (normal > 0).any():
-                return lean
+                return none
             self._stuck_at = (float(relative[-1, 0]), float(relative[-1, 1]))
         shift = relative[:, :2] - np.array(self._stuck_at)
         size = np.hypot(shift[:, 0], shift[:, 1])
         if not (size > self.variation.backlash_m + 1e-9).any():
-            return lean
-        pull = np.array([self._pull(s, p) for s, p in zip(size.tolist(), normal.tolist(), strict=True)])
-        return np.asarray(lean + (pull / np.maximum(size, 1e-12))[:, None] * shift)
+            return none
+        triples = zip(size.tolist(), depth.tolist(), normal.tolist(), strict=True)
+        pull = np.array([self._pull(*one) for one in triples])
+        return np.asarray((pull / np.maximum(size, 1e-12))[:, None] * shift)
 
-    def _pull(self, shift_m: float, normal_n: float) -> float:
-        if normal_n <= 0:
+    def _pull(self, shift_m: float, depth_m: float, normal_n: float) -> float:
+        radius = self._skin.radius_at(depth_m)
+        if normal_n <= 0 or radius <= 0:
             return 0.0
-        spec = self.spec
-        E = spec.youngs_modulus_pa
-        radius = math.cbrt(0.75 * normal_n * spec.indenter_radius_m * (1 - spec.poisson_ratio**2) / E)
-        stiff = tangential_stiffness(radius, E, spec.poisson_ratio)
+        stiff = tangential_stiffness(radius, self.spec.youngs_modulus_pa, self.spec.poisson_ratio)
         most = FRICTION * normal_n
         free = min(stiff * shift_m * 2 / (3 * most), 1.0)
         return most * (1.0 - (1.0 - free) ** 1.5)

@@ -16,7 +16,7 @@ from palpate.sensors.palm.presets import (
     sylgard_184,
 )
 from palpate.sensors.palm.press import press, press_to_force
-from palpate.sensors.palm.render import Views, render, render_clean, render_raw, render_views
+from palpate.sensors.palm.render import Views, expose, render, render_clean, render_raw, render_views
 from palpate.sensors.palm.shapes import parse_probe
 from palpate.sensors.palm.spec import PalmSpec, View
 
@@ -30,6 +30,7 @@ __all__ = [
     "crops",
     "debug",
     "demo",
+    "expose",
     "facts",
     "has_table",
     "palm",

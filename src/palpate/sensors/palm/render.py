@@ -32,6 +32,7 @@ PROBE_LIGHT = 0.1
 
 Linear = Float32[ndarray, "h w 3"]
 Below = Float32[ndarray, "u v 3"]
+Whole = Float32[ndarray, "height width 3"]
 
 
 class Views(NamedTuple):
@@ -56,7 +57,12 @@ def render(contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact:
     Raises:
         RangeError: its depth lies beyond the table.
     """
-    codes = render_raw(contact, spec, rng, exact=exact)
+    return expose(render_clean(contact, spec, exact=exact), spec, rng)
+
+
+def expose(seen: tuple[Linear, Below], spec: PalmSpec, rng: np.random.Generator) -> Frame:
+    """A frame of what `render_clean` gave: both regions in the housing, with the camera's noise."""
+    codes = _codes(_housed(seen, spec), spec, rng)
     return Frame(developed(codes, spec), exposure_s=spec.exposure_s, sensor=spec.name)
 
 
@@ -64,13 +70,16 @@ def render_raw(
     contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact: bool = False
 ) -> UInt16[ndarray, "h w 3"]:
     """The same frame as the converter writes it, not balanced: 12 bits a channel in the default camera."""
+    return _codes(_housed(render_clean(contact, spec, exact=exact), spec), spec, rng)
+
+
+def _housed(seen: tuple[Linear, Below], spec: PalmSpec) -> Whole:
+    """Both regions where they lie in the frame."""
     clean = np.full((spec.frame_px[1], spec.frame_px[0], 3), BACKGROUND, np.float32)
-    for view, light in zip(
-        (spec.fringes, spec.mirror), render_clean(contact, spec, exact=exact), strict=True
-    ):
+    for view, light in zip((spec.fringes, spec.mirror), seen, strict=True):
         x, y, w, h = view.box_px
         clean[y : y + h, x : x + w] = light
-    return _codes(clean, spec, rng)
+    return clean
 
 
 def render_views(contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact: bool = False) -> Views:

@@ -1,0 +1,98 @@
+"""Other indenters and lateral loads on the virtual rig: felt, seen, and refused where no law reaches."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.rig.rigs import SPEC, plan, rig
+
+from palpate.core import Pose
+from palpate.core.errors import InputError
+from palpate.recordings.reader import Run
+from palpate.rig import Reason, State, Tripped, record
+from palpate.rig.plans import Lateral, Listed, Stepped, plan_from
+from palpate.rig.virtual.skin import LINEAR_DEPTH_M, law_of, own_ball
+from palpate.sensors import palm
+
+CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
+
+
+def small(**kwargs: object) -> Stepped:
+    return plan(**{"places": CENTRE, "cycles": 1, "depth_mm": 0.8, "step_mm": 0.4, "frames": 1} | kwargs)
+
+
+@pytest.mark.parametrize("words", ["punch:6", "cylinder:6:12", "two-points:4:8"])
+def test_the_force_under_a_probe_is_that_of_pressing_it_once(words: str) -> None:
+    probe = palm.parse_probe(words)
+    law = law_of(SPEC, probe)
+    for depth in (0.3e-3, 0.77e-3, 1.5e-3):
+        alone = palm.press(SPEC, Pose(0.0, 0.0, depth), probe).force_n
+        assert np.interp(depth, law.depth_m, law.force_n) == pytest.approx(alone, rel=0.02)
+
+
+def test_linear_layers_and_the_table_agree_on_the_ball_where_both_hold() -> None:
+    table, layers = law_of(SPEC, own_ball(SPEC)), law_of(SPEC, palm.parse_probe("sphere:9.99"))
+    depth = np.linspace(0.4e-3, LINEAR_DEPTH_M, 6)
+    one, other = (np.interp(depth, law.depth_m, law.force_n) for law in (table, layers))
+    assert other == pytest.approx(one, rel=0.05)
+    one, other = (np.interp(depth, law.depth_m, law.radius_m) for law in (table, layers))
+    assert other == pytest.approx(one, rel=0.1)
+
+
+def test_each_indenter_of_a_plan_is_recorded_and_differs(tmp_path: Path) -> None:
+    several = small(indenters=("sphere:10", "punch:6"))
+    out = tmp_path / "run"
+    assert record(rig(), several, out).state is State.DONE
+    labels = Run.open(out).labels.query("phase == 'down'")
+    force = labels.groupby("indenter")["force_N"].max()
+    assert set(force.index) == {"sphere:10", "punch:6"}
+    # At the same depth a flat end of 6 mm carries more than twice what the ball does.
+    assert force["punch:6"] > 2 * force["sphere:10"]
+    images = {i: Run.open(out).frame(int(rows.index[-1])).image for i, rows in labels.groupby("indenter")}
+    assert np.abs(images["sphere:10"].astype(int) - images["punch:6"]).mean() > 0.5
+
+
+def test_a_lateral_load_is_felt_along_its_way_and_seen(tmp_path: Path) -> None:
+    aside = small(lateral=Lateral(depths_mm=(0.8,), to_mm=((0.2, 0.0), (0.0, -0.2)), steps=1))
+    out = tmp_path / "run"
+    assert record(rig(), aside, out).state is State.DONE
+    run = Run.open(out)
+    rows = run.labels.query("phase == 'lateral'")
+    along_x, along_y = rows.iloc[0], rows.iloc[1]
+    assert along_x["force_x_N"] > 0.1
+    assert abs(along_x["force_y_N"]) < 0.03
+    assert along_y["force_y_N"] < -0.1
+    assert abs(along_y["force_x_N"]) < 0.03
+    straight = run.labels.query("phase == 'down' and depth_mm > 0.7").index[0]
+    one, other = (run.frame(int(i)).image.astype(int) for i in (straight, rows.index[0]))
+    assert np.abs(one - other).mean() > 0.2
+
+
+@pytest.mark.parametrize(
+    "deep",
+    [
+        small(indenters=("punch:6",), depth_mm=1.6),
+        small(depth_mm=1.6, lateral=Lateral(depths_mm=(1.6,), to_mm=((0.2, 0.0),))),
+        small(depth_mm=5.9, step_mm=5.9),
+    ],
+)
+def test_deeper_than_a_law_reaches_is_refused_before_anything_moves(tmp_path: Path, deep: Stepped) -> None:
+    bench = rig()
+    before = bench.stage.position_m()
+    with pytest.raises(Tripped, match="below first touch") as e:
+        record(bench, deep, tmp_path / "run")
+    assert e.value.reason is Reason.PLAN
+    assert bench.stage.position_m() == before
+
+
+def test_an_indenter_that_is_none_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="banana"):
+        record(rig(), small(indenters=("banana:3",)), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_indenter_wider_than_the_places_allow_for_is_refused() -> None:
+    with pytest.raises(InputError, match="wider than the probe of 10 mm"):
+        plan_from({"indenters": ["sphere:12"]})
