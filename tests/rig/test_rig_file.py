@@ -10,6 +10,9 @@ from tests.rig.rigs import plan
 from palpate.core.errors import DeviceError, InputError
 from palpate.rig import Reason, State, open_rig, record
 from palpate.rig.fakes.rdt import FakeNetFT
+from palpate.rig.service import opening, rig_name
+from palpate.rig.service.address import path_of
+from palpate.rig.virtual.palm import REAL_TIME_AGE_S
 
 REAL = """
 name = "bench"
@@ -81,6 +84,32 @@ def test_a_file_that_says_something_wrong_is_refused_by_name(tmp_path: Path, tex
 def test_a_rig_that_is_neither_file_nor_name_is_refused() -> None:
     with pytest.raises(InputError, match="virtual:palm"):
         open_rig("virtual:hand")
+
+
+def test_the_operators_page_opens_a_rig_by_its_file(tmp_path: Path) -> None:
+    path = written(
+        tmp_path,
+        'name = "b"\n[virtual]\nreal_time = true\n[[regions]]\nname = "rim"\nbox_px = [1, 2, 30, 40]',
+    )
+    assert rig_name(path) == str(Path(path).resolve())
+    opened = opening.open_rig(path)
+    assert opened.real_time
+    assert opened.regions == (("rim", (1, 2, 30, 40)),)
+    assert opened.rig.limits.age_s == REAL_TIME_AGE_S
+    opened.rig.close()
+    plain = opening.open_rig(written(tmp_path, 'name = "b"\n[virtual]'))
+    assert [region.name for region in plain.regions] == ["fringes", "mirror"]
+    assert not plain.real_time
+    plain.rig.close()
+
+
+def test_a_rigs_process_is_found_by_its_files_whole_path_however_long(tmp_path: Path) -> None:
+    assert rig_name("virtual:palm") == "virtual:palm"
+    one, other = (path_of(f"/{first}{'x' * 300}/bench.toml", tmp_path).name for first in "ab")
+    assert one != other
+    assert len(one) < 120
+    with pytest.raises(InputError, match="no such file"):
+        rig_name("nowhere.toml")
 
 
 def test_a_device_that_is_missing_is_told_and_those_opened_before_are_closed(tmp_path: Path) -> None:

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 @reports_errors
 def studio(
     port: Annotated[int, typer.Option(min=1, max=65535, help="On 127.0.0.1.")] = 8080,
-    rig: Annotated[str, typer.Option(help="virtual:palm.")] = "virtual:palm",
+    rig: Annotated[str, typer.Option(help="A TOML file, or virtual:palm.")] = "virtual:palm",
     runs: Annotated[Path, typer.Option(help="Folder that recordings go into.")] = Path("runs"),
     accelerated: Annotated[
-        bool, typer.Option("--accelerated", help="Let a virtual rig run as fast as the machine can.")
+        bool, typer.Option("--accelerated", help="Let virtual:palm run as fast as the machine can.")
     ] = False,
 ) -> None:
     """Open the operator's page of the indentation rig in the browser, on this machine only.
@@ -31,9 +31,10 @@ def studio(
 
     Example: palpate studio --port 8080
     """
-    from palpate.rig.service import RigClient, launch
+    from palpate.rig.service import RigClient, launch, rig_name
     from palpate.studio.app import check_needed, check_port, serve
 
+    rig = rig_name(rig)
     check_needed()
     check_port(port)
     with RigClient(rig) as client:

@@ -22,6 +22,7 @@ from palpate.rig.rig import FrameSource, Rig
 from palpate.rig.tare import Mounting
 from palpate.rig.virtual import Fault, virtual_palm
 from palpate.rig.virtual.faults import Kind
+from palpate.rig.virtual.palm import FORCE_N, REAL_TIME_AGE_S, TRAVEL
 
 VIRTUAL = "virtual:palm"
 MM = 1e-3
@@ -107,6 +108,13 @@ class VirtualPart(_Part):
     faults: tuple[FaultPart, ...] = ()
 
 
+class RegionPart(_Part):
+    """A part of the picture that matters, such as "fringes", for the operator's page."""
+
+    name: Annotated[str, Field(min_length=1, max_length=40)]
+    box_px: tuple[int, int, int, int]
+
+
 class RigFile(_Part):
     """The whole file: either `virtual`, or all of stage, force, camera and limits.
 
@@ -114,6 +122,7 @@ class RigFile(_Part):
         name, sensor: go into every run.
         origin_mm: in the stage's frame, the layer's centre at its expected surface.
         licence, origin: of what is recorded.
+        regions: of the picture, each (x, y, width, height) [px].
     """
 
     name: str
@@ -126,6 +135,7 @@ class RigFile(_Part):
     force: NetFTPart | None = None
     camera: UvcPart | None = None
     limits: LimitsPart | None = None
+    regions: tuple[RegionPart, ...] = ()
 
 
 def open_rig(text: str, *, seed: int = 0) -> Rig:
@@ -142,12 +152,28 @@ def open_rig(text: str, *, seed: int = 0) -> Rig:
     if text == VIRTUAL:
         return virtual_palm(seed=seed)
     path = Path(text)
+    file = read_rig(path)
+    try:
+        return rig_from(file)
+    except InputError as e:
+        raise InputError(f"{path}: {e}") from e
+
+
+def read_rig(path: Path) -> RigFile:
+    """A rig's file, read and checked; nothing is opened.
+
+    Raises:
+        InputError: there is none; or a field that is not one, or out of range.
+        StorageError: it cannot be read.
+    """
     if not path.is_file():
-        raise InputError(f"there is no rig {text!r}: no such file, and {VIRTUAL} is the only one by name")
+        raise InputError(
+            f"there is no rig {str(path)!r}: no such file, and {VIRTUAL} is the only one by name"
+        )
     with storage_errors(path):
         data = path.read_bytes()[:_MOST_BYTES]
     try:
-        return rig_from(RigFile.model_validate(tomllib.loads(data.decode())))
+        return RigFile.model_validate(tomllib.loads(data.decode()))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
         raise InputError(f"{path} is not TOML: {e}") from e
     except ValidationError as e:
@@ -166,7 +192,7 @@ def rig_from(file: RigFile) -> Rig:
         if file.stage or file.force or file.camera:
             raise InputError(f"the rig {file.name!r} is virtual and names real devices; leave one out")
         clock: Clock = MonotonicClock() if file.virtual.real_time else ManualClock()
-        limits = None if file.limits is None else file.limits.limits()
+        limits = _virtual_limits(file, file.virtual.real_time)
         faults = [Fault(one.kind, one.after_s) for one in file.virtual.faults]
         return virtual_palm(
             clock=clock,
@@ -183,6 +209,13 @@ def rig_from(file: RigFile) -> Rig:
         rig = _real(file, file.stage, file.force, file.camera, file.limits, opened)
         opened.pop_all()
         return rig
+
+
+def _virtual_limits(file: RigFile, real_time: bool) -> Limits | None:
+    """In real time a virtual force is as old as this machine is slow."""
+    if file.limits is not None or not real_time:
+        return None if file.limits is None else file.limits.limits()
+    return Limits(TRAVEL.least_m, TRAVEL.greatest_m, force_n=FORCE_N, age_s=REAL_TIME_AGE_S)
 
 
 def _real(

@@ -5,6 +5,7 @@ The file holds the port and a token. Whoever can read it may drive the rig; nobo
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -18,6 +19,7 @@ from palpate.core.files import storage_errors
 from palpate.recordings.lock import lock
 
 _MOST_BYTES = 4096
+MOST_NAME = 80  # characters of a file's name
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +54,11 @@ def folder_of(folder: Path | None = None) -> Path:
 
 
 def path_of(rig: str, folder: Path | None = None, kind: str = "json") -> Path:
-    """The file of a rig, by its name."""
-    return folder_of(folder) / f"rig-{re.sub('[^A-Za-z0-9]+', '-', rig)}.{kind}"
+    """The file of a rig, by its name or its file's path."""
+    name = re.sub("[^A-Za-z0-9]+", "-", rig)
+    if len(name) > MOST_NAME:  # two long paths may end alike
+        name = f"{name[-MOST_NAME:]}-{hashlib.sha256(rig.encode()).hexdigest()[:8]}"
+    return folder_of(folder) / f"rig-{name}.{kind}"
 
 
 def hold(rig: str, folder: Path | None = None) -> BinaryIO:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 from palpate.core.clock import Clock, ManualClock, MonotonicClock
-from palpate.core.errors import InputError
+from palpate.rig.limits import Limits
 from palpate.rig.rig import Rig
-
-FORCE_N = 35.0  # as the virtual rig's own
-AGE_S = 0.5
-"""Of a virtual rig's oldest force: it measures when it is asked to, on a machine that may have other work."""
+from palpate.rig.rig_file import VIRTUAL, read_rig, rig_from
+from palpate.rig.virtual.palm import FORCE_N, FRAME_PX, REAL_TIME_AGE_S, TRAVEL, virtual_palm
+from palpate.sensors import palm
 
 
 class Region(NamedTuple):
@@ -45,21 +45,44 @@ def open_rig(name: str, *, accelerated: bool = False, seed: int = 0) -> Opened:
     """Open a rig.
 
     Args:
-        name: "virtual:palm".
-        accelerated: let the rig's time run as fast as the machine can.
-        seed: of a virtual rig.
+        name: "virtual:palm", or the path of a rig's file.
+        accelerated: let the virtual rig's time run as fast as the machine can; a file says so itself.
+        seed: of a virtual rig; a file says so itself.
 
     Raises:
-        InputError: there is no rig of that name.
+        InputError: there is no such rig, or its file is not one.
+        DeviceError: a device is missing, busy or refuses.
     """
-    if name != "virtual:palm":
-        raise InputError(f"there is no rig {name!r}; there is virtual:palm")
-    from palpate.rig.limits import Limits
-    from palpate.rig.virtual.palm import FRAME_PX, TRAVEL, virtual_palm
-    from palpate.sensors import palm
+    return _virtual(accelerated, seed) if name == VIRTUAL else _of_file(Path(name))
 
+
+def rig_name(rig: str) -> str:
+    """As its process knows it: the name, or the file's whole path.
+
+    Raises:
+        InputError: there is no such rig, or its file is not one.
+    """
+    if rig == VIRTUAL:
+        return rig
+    read_rig(Path(rig))
+    return str(Path(rig).resolve())
+
+
+def _virtual(accelerated: bool, seed: int) -> Opened:
     spec = palm.cropped(palm.palm(), FRAME_PX, "palm-rig")
     clock: Clock = ManualClock() if accelerated else MonotonicClock()
-    regions = (Region("fringes", spec.fringes.box_px), Region("mirror", spec.mirror.box_px))
-    limits = Limits(TRAVEL.least_m, TRAVEL.greatest_m, force_n=FORCE_N, age_s=AGE_S)
-    return Opened(virtual_palm(spec=spec, clock=clock, seed=seed, limits=limits), regions, not accelerated)
+    limits = Limits(TRAVEL.least_m, TRAVEL.greatest_m, force_n=FORCE_N, age_s=REAL_TIME_AGE_S)
+    rig = virtual_palm(spec=spec, clock=clock, seed=seed, limits=limits)
+    return Opened(rig, _palms_regions(spec), not accelerated)
+
+
+def _of_file(path: Path) -> Opened:
+    file = read_rig(path)
+    regions = tuple(Region(one.name, one.box_px) for one in file.regions)
+    if file.virtual is not None and not regions:
+        regions = _palms_regions(palm.cropped(palm.palm(), FRAME_PX, "palm-rig"))
+    return Opened(rig_from(file), regions, file.virtual is None or file.virtual.real_time)
+
+
+def _palms_regions(spec: palm.PalmSpec) -> tuple[Region, ...]:
+    return Region("fringes", spec.fringes.box_px), Region("mirror", spec.mirror.box_px)

@@ -31,6 +31,10 @@ TRAVEL = Travel(
 
 FRAME_PX = 128  # each side of both crops
 FORCE_HZ = 200.0
+FORCE_N = 35.0  # allowed
+REAL_TIME_AGE_S = 0.5
+"""Of the oldest force that is moved on in real time: it is measured when it is asked for, on a machine that
+may have other work."""
 TRUTHS = ("true_depth_mm", "true_force_N")
 
 
@@ -84,7 +88,7 @@ def virtual_palm(
         stage=VirtualStage(world),
         force=force,
         camera=camera,
-        limits=limits or Limits(TRAVEL.least_m, TRAVEL.greatest_m, force_n=35.0),
+        limits=limits or Limits(TRAVEL.least_m, TRAVEL.greatest_m, force_n=FORCE_N),
         origin_m=ORIGIN_M,
         clock=clock,
         licence="CC0-1.0",
