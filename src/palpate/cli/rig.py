@@ -16,11 +16,15 @@ from palpate.cli.shared import Json, Quiet, print_found, progress_bar, reports_e
 if TYPE_CHECKING:
     from palpate.recordings.align import Offset
     from palpate.rig import Control, Status
+    from palpate.rig.check import Finding
 
 plan_app = typer.Typer(help="Plans of recordings.", no_args_is_help=True, rich_markup_mode=None)
 
 
 rig_app = typer.Typer(help="Rigs: stage, force sensor, camera.", no_args_is_help=True, rich_markup_mode=None)
+
+
+SHOWN_IN = {"s": (1e3, "ms"), "m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
 
 
 @plan_app.callback()
@@ -84,6 +88,7 @@ def check(
 ) -> None:
     """Check a rig whose probe hangs in free air: rates, noise, stamps, limits; the stage moves by 2 mm.
 
+    Prints what was measured, and in brackets what was stated or is allowed; then what is wrong.
     It never goes nearer to the expected surface than 2 mm, and does not move where the force sensor fails.
     Ends with status 1 where something is wrong.
 
@@ -94,7 +99,8 @@ def check(
 
     findings = check_rig(open_rig(rig))
     wrong = [one for one in findings if not one.ok]
-    lines = [f"wrong: {one.name}: {one.message}" for one in wrong]
+    lines = [_measured(one) for one in findings if one.ok and one.unit]
+    lines += [f"wrong: {one.name}: {one.message}" for one in wrong]
     text = "\n".join([*lines, f"{rig}: {len(findings) - len(wrong)} of {len(findings)} checks passed"])
     print_found([asdict(one) for one in findings], text, json_)
     if wrong:
@@ -181,6 +187,13 @@ def preview(
         f"{rate_hz:g} frames/s, {found['bytes'] / 1e9:.1f} GB at {frame_kb:g} kB a frame"
     )
     print_found(found, text, json_)
+
+
+def _measured(finding: Finding) -> str:
+    scale, unit = SHOWN_IN.get(finding.unit, (1.0, finding.unit))
+    values = (finding.measured or 0.0, finding.allowed or 0.0)
+    measured, allowed = (f"{round(scale * value, 6):.4g}" for value in values)
+    return f"{finding.name}: {measured} {unit} ({allowed})"
 
 
 def _late(clocks: Offset) -> str:
