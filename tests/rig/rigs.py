@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from palpate.core.clock import NS_PER_S, ManualClock
+from palpate.recordings.reader import Run
 from palpate.rig.plans import Listed, Stepped
 from palpate.rig.rig import Rig
 from palpate.rig.virtual import Fault, virtual_palm
@@ -37,3 +38,13 @@ def plan(**kwargs: Any) -> Stepped:
         "taps": 0,
     }
     return Stepped(**{**settings, **kwargs})
+
+
+def keys(run: Run) -> list[tuple[str, int]]:
+    """Shot and frame of every labelled frame, in the order of the run."""
+    labels = run.labels.dropna(subset=["shot"])
+    return list(zip(labels["shot"], labels["frame_in_shot"].astype(int), strict=True))
+
+
+def wanted(of: Stepped) -> set[tuple[str, int]]:
+    return {(s.key, k) for press in of.presses() for s, n in of.shots(press) for k in range(n)}
