@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -132,6 +133,26 @@ def test_a_frame_is_exposed_after_it_was_asked_for_and_shows_the_depth_there_was
     assert (
         np.corrcoef(seen.ravel(), wanted.ravel())[0, 1] > np.corrcoef(seen.ravel(), dark.ravel())[0, 1] + 0.2
     )
+
+
+def test_light_relaxes_as_the_force_does() -> None:
+    lagging = rig(variation=replace(IDEAL, relaxation=((0.5, 1.0),)))
+    at_once = seen_under_3_mm(lagging)
+    lagging.clock.sleep(10.0)
+    later, relaxed = mean_frame(lagging), seen_under_3_mm(rig())
+    assert np.abs(later - relaxed).mean() < 0.3 * np.abs(at_once - relaxed).mean()
+
+
+def seen_under_3_mm(bench: Rig) -> np.ndarray:
+    bench.stage.move_to((0.0, 0.0, 3e-3), 20e-3)
+    while bench.stage.moving():
+        bench.clock.sleep(0.01)
+    return mean_frame(bench)
+
+
+def mean_frame(bench: Rig) -> np.ndarray:
+    """Of a few, so that the camera's noise counts less."""
+    return np.mean([bench.camera.grab()[1].image.astype(float) for _ in range(4)], axis=0)
 
 
 def test_the_same_seed_makes_the_same_rig_and_another_does_not() -> None:

@@ -107,7 +107,7 @@ class VirtualCamera:
         step = STEP_M if touch.depth_m > 0 else STEP_AIR_M
         # Never 0 exactly, which would show no probe at all.
         pose = Pose(touch.x_m, touch.y_m, (math.floor(touch.depth_m / step) + 0.5) * step)
-        if world.probe == own_ball(world.spec) and not self._pulled(touch):
+        if world.probe == own_ball(world.spec) and not any(self._pulled(touch)):
             stiff = round(touch.stiffening / STEP_STIFFNESS) * STEP_STIFFNESS
             if pose.depth_m > 0 and stiff > 0:  # light sees stress, which relaxes as the force does
                 spec = replace(spec, youngs_modulus_pa=spec.youngs_modulus_pa * stiff)

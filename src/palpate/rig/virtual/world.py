@@ -31,6 +31,7 @@ KEPT_S = 3.0  # of what was, for frames that are asked for late
 FRICTION = 0.5  # between probe and skin, of a lateral load
 LIFTED_M = 0.2e-3  # above the skin, from where the next touch is another approach
 MOST_FRESH = 1_000_000  # samples that wait for the force sensor
+HALF = 0.5  # way between two samples
 FAR_M = 1.0  # to where the layer goes that is not there
 
 Series = Float[ndarray, " n"]
@@ -151,14 +152,15 @@ class World:
         return taken
 
     def touch_at(self, time_s: float) -> Touch | None:
-        """The sample nearest to a time; None before the first."""
+        """How it was at a time, between samples along a straight line; None before the first."""
         self.advance()
         with self.lock:
             if not self.touches:
                 return None
-            first = self.touches[0].time_s
-            index = round((time_s - first) * self.rate_hz)
-            return self.touches[min(max(index, 0), len(self.touches) - 1)]
+            place = (time_s - self.touches[0].time_s) * self.rate_hz
+            index = min(max(math.floor(place), 0), len(self.touches) - 1)
+            before, after = self.touches[index], self.touches[min(index + 1, len(self.touches) - 1)]
+        return _between(before, after, min(max(place - index, 0.0), 1.0))
 
     def _felt(self, times: Series) -> list[Touch]:
         played = self._play(times)
@@ -258,6 +260,17 @@ class World:
         most = FRICTION * normal_n
         free = min(stiff * shift_m * 2 / (3 * most), 1.0)
         return most * (1.0 - (1.0 - free) ** 1.5)
+
+
+def _between(before: Touch, after: Touch, share: float) -> Touch:
+    """Of one approach; from one to the next nothing is in between."""
+    if before.approach is not after.approach:
+        return before if share < HALF else after
+    names = ("depth_m", "x_m", "y_m", "stiffening")
+    mixed = {n: getattr(before, n) * (1 - share) + getattr(after, n) * share for n in names}
+    fx, fy, fz = (b * (1 - share) + a * share for b, a in zip(before.force_n, after.force_n, strict=True))
+    px, py = (b * (1 - share) + a * share for b, a in zip(before.pulled_n, after.pulled_n, strict=True))
+    return replace(before, **mixed, force_n=(fx, fy, fz), pulled_n=(px, py))
 
 
 def halted(motion: Motion, time_s: float) -> Motion:
