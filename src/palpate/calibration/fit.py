@@ -110,12 +110,15 @@ def preparation_of(run: Run, plan: Plan) -> Preparation:
     """The preparation a plan asks for.
 
     Where it names no size, the input has as many pixels as the model's own square one, in the frame's
-    (or the crop's) proportions.
+    (or the crop's) proportions; with two crops, each has as many, and is square.
     """
     if plan.size_px is not None:
-        return Preparation(plan.crop_px, plan.size_px, plan.channels)
+        return Preparation(plan.crop_px, plan.size_px, plan.channels, plan.beside_px)
+    side = model_kind(plan.model).side_px
+    if plan.beside_px is not None:
+        return Preparation(plan.crop_px, (side, 2 * side), plan.channels, plan.beside_px)
     height, width = plan.crop_px[:1:-1] if plan.crop_px else run.frame(0).image.shape[:2]
-    side, tall = model_kind(plan.model).side_px, math.sqrt(height / width)
+    tall = math.sqrt(height / width)
     return Preparation(plan.crop_px, (round(side * tall), round(side / tall)), plan.channels)
 
 

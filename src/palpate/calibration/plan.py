@@ -50,6 +50,7 @@ class Plan:
         size_px: (height, width) of the network's input [px]; None takes the model's own.
         channels: 1 for grey, 3 for RGB.
         crop_px: (x, y, width, height) cut from each frame first [px].
+        beside_px: a second such crop, laid to the right of the first [px].
         delta: learn from the difference to a no-contact reference.
         reference: which rows are that reference.
         learn_untouched: learn from (and score) those rows too, as from any other.
@@ -66,6 +67,7 @@ class Plan:
     size_px: tuple[int, int] | None = None
     channels: Literal[1, 3] = 1
     crop_px: tuple[int, int, int, int] | None = None
+    beside_px: tuple[int, int, int, int] | None = None
     delta: bool = False
     reference: Reference | None = None
     learn_untouched: bool = False

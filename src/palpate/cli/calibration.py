@@ -19,6 +19,8 @@ from palpate.cli.shared import (
     reports_errors,
 )
 
+Box = tuple[int, int, int, int]
+
 
 @reports_errors
 def calibrate(
@@ -43,7 +45,12 @@ def calibrate(
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
     size: Annotated[str | None, typer.Option(help="HEIGHTxWIDTH of the model's input [px].")] = None,
-    crop: Annotated[str | None, typer.Option(help="X,Y,WIDTH,HEIGHT cut from each frame [px].")] = None,
+    crop: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="X,Y,WIDTH,HEIGHT cut from each frame [px]; given twice, two are laid side by side."
+        ),
+    ] = None,
     rgb: Annotated[bool, typer.Option("--rgb", help="Learn from three colour channels, not grey.")] = False,
     delta: Annotated[
         bool, typer.Option("--delta", help="Learn from the difference to the untouched sensor.")
@@ -73,7 +80,7 @@ def calibrate(
     from palpate.recordings.reader import Run
     from palpate.studies.certify import certify
 
-    recorded = Run.open(run)
+    recorded, crops = Run.open(run), _crops(crop or [])
     plan = Plan(
         targets=columns_of(targets) or recorded.manifest.targets,
         model=model,
@@ -83,7 +90,8 @@ def calibrate(
         seed=seed,
         size_px=numbers_of(size, 2, "--size"),  # type: ignore[arg-type]
         channels=3 if rgb else 1,
-        crop_px=numbers_of(crop, 4, "--crop"),  # type: ignore[arg-type]
+        crop_px=crops[0],
+        beside_px=crops[1],
         delta=delta,
         reference=Reference.parse(reference, columns_of(reference_by)) if reference else None,
         learn_untouched=learn_untouched,
@@ -92,6 +100,15 @@ def calibrate(
     with progress_bar(quiet) as progress:
         card = certify(recorded, plan, out, progress)
     print_found(card.model_dump(mode="json"), _card_text(card, out), json_)
+
+
+def _crops(words: list[str]) -> tuple[Box | None, Box | None]:
+    from palpate.core.errors import InputError
+
+    if len(words) > 2:
+        raise InputError(f"--crop is given {len(words)} times; one crop, or two side by side")
+    boxes = [numbers_of(word, 4, "--crop") for word in words] + [None, None]
+    return boxes[0], boxes[1]  # type: ignore[return-value]
 
 
 @reports_errors

@@ -88,7 +88,7 @@ class InputCard(_Part):
 
     Attributes:
         frame_px: (height, width) of the frames calibrated on [px].
-        size_px, channels, crop_px: see `sensors.preparation.Preparation`.
+        size_px, channels, crop_px, beside_px: see `sensors.preparation.Preparation`.
         delta: whether the input is the difference from a no-contact reference.
     """
 
@@ -97,11 +97,12 @@ class InputCard(_Part):
     channels: Literal[1, 3]
     crop_px: tuple[int, int, int, int] | None
     delta: bool
+    beside_px: tuple[int, int, int, int] | None = None
 
     @property
     def preparation(self) -> Preparation:
         """The preparation that makes it so."""
-        return Preparation(self.crop_px, self.size_px, self.channels)
+        return Preparation(self.crop_px, self.size_px, self.channels, self.beside_px)
 
 
 class ReferenceCard(_Part):

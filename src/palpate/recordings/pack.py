@@ -249,9 +249,9 @@ def _read_card(folder: Path) -> dict[str, Any]:
 
 
 def _preparation(made: dict[str, Any]) -> Preparation:
-    crop = made["crop_px"]
+    crop, beside = (None if box is None else tuple(box) for box in (made["crop_px"], made.get("beside_px")))
     height, width = made["size_px"]
-    return Preparation(None if crop is None else tuple(crop), (height, width), made["channels"])
+    return Preparation(crop, (height, width), made["channels"], beside)
 
 
 def _check_frames(path: Path, rows: int, card: dict[str, Any]) -> int:

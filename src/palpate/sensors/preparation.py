@@ -12,6 +12,8 @@ from jaxtyping import UInt8
 from palpate.core.axes import Image
 from palpate.core.errors import ImageError, InputError
 
+Box = tuple[int, int, int, int]
+
 
 @dataclass(frozen=True, slots=True)
 class Preparation:
@@ -21,20 +23,30 @@ class Preparation:
         crop_px: (x, y, width, height) cut from the frame first [px]; None takes the whole frame.
         size_px: (height, width) of the input [px].
         channels: 1 for grey, 3 for RGB.
+        beside_px: a second crop, laid to the right of the first, each in half the input's width; None for
+            one alone.
     """
 
-    crop_px: tuple[int, int, int, int] | None
+    crop_px: Box | None
     size_px: tuple[int, int]
     channels: Literal[1, 3]
+    beside_px: Box | None = None
 
     def __post_init__(self) -> None:
-        crop = self.crop_px
         if min(self.size_px) < 1 or max(self.size_px) > 4096:
             raise InputError(f"size {self.size_px}: give height and width of 1 px or more, 4096 px at most")
         if self.channels not in (1, 3):
             raise InputError(f"channels is {self.channels}; it is 1 (grey) or 3 (RGB)")
-        if crop is not None and (min(crop[:2]) < 0 or min(crop[2:]) < 1):
-            raise InputError(f"crop {crop}: give x and y of 0 px or more, width and height of 1 px or more")
+        for crop in (self.crop_px, self.beside_px):
+            if crop is not None and (min(crop[:2]) < 0 or min(crop[2:]) < 1):
+                raise InputError(
+                    f"crop {crop}: give x and y of 0 px or more, width and height of 1 px or more"
+                )
+        if self.beside_px is not None and (self.crop_px is None or self.size_px[1] % 2):
+            raise InputError(
+                f"a second crop {self.beside_px} needs a first one, {self.crop_px}, and an even width, "
+                f"{self.size_px[1]} px"
+            )
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -49,8 +61,14 @@ class Preparation:
         Raises:
             ImageError: the crop does not lie inside the image.
         """
-        image = self._in_channels(self._cropped(image))
         height, width = self.size_px
+        if self.beside_px is None:
+            return self._made(image, self.crop_px, height, width)
+        halves = [self._made(image, crop, height, width // 2) for crop in (self.crop_px, self.beside_px)]
+        return np.ascontiguousarray(np.concatenate(halves, axis=1))
+
+    def _made(self, image: Image, crop: Box | None, height: int, width: int) -> np.ndarray:
+        image = self._in_channels(self._cropped(image, crop))
         if image.shape[:2] != (height, width):
             shrinks = height <= image.shape[0] and width <= image.shape[1]
             image = cv2.resize(
@@ -58,10 +76,10 @@ class Preparation:
             )
         return np.ascontiguousarray(image.reshape(height, width, self.channels))
 
-    def _cropped(self, image: Image) -> np.ndarray:
-        if self.crop_px is None:
+    def _cropped(self, image: Image, crop: Box | None) -> np.ndarray:
+        if crop is None:
             return image
-        x, y, width, height = self.crop_px
+        x, y, width, height = crop
         rows, columns = image.shape[:2]
         if x + width > columns or y + height > rows:
             raise ImageError(
