@@ -32,6 +32,16 @@ def test_the_clearance_is_what_is_left_between_the_probe_and_the_rim():
     assert words.clearance_mm(plan) == pytest.approx(0.0)
 
 
+def test_places_beyond_the_rim_are_drawn_whole_and_said_to_be_there():
+    plan = PLANS["layer"]
+    svg = parsed(drawing.grid_svg(plan.places.places(), 57.0, 10.0))
+    x, _, width, _ = (float(word) for word in svg.get("viewBox").split())
+    assert x <= -(28.5 + 2 + 5)
+    assert x + width >= 28.5 + 2 + 5
+    assert words.clearance(plan) == "its edge reaches 7.00 mm over the rim"
+    assert words.clearance(PLANS["palm"]) == "its edge stays 1.36 mm or more from the rim"
+
+
 def test_a_name_cannot_become_markup():
     from palpate.rig.plans import Place
 

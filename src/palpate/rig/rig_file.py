@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import tomllib
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -194,13 +195,14 @@ def rig_from(file: RigFile) -> Rig:
         clock: Clock = MonotonicClock() if file.virtual.real_time else ManualClock()
         limits = _virtual_limits(file, file.virtual.real_time)
         faults = [Fault(one.kind, one.after_s) for one in file.virtual.faults]
-        return virtual_palm(
+        rig = virtual_palm(
             clock=clock,
             seed=file.virtual.seed,
             faults=faults,
             limits=limits,
             askew_m=_metres(file.virtual.askew_mm),
         )
+        return replace(rig, name=f"{file.name}, {VIRTUAL}")
     if not (file.stage and file.force and file.camera and file.limits):
         raise InputError(
             f"the rig {file.name!r} needs [stage], [force], [camera] and [limits], or [virtual] instead"

@@ -38,7 +38,8 @@ def grid_svg(
     """
     done = done or {}
     half, reach = layer_mm / 2, (layer_mm - probe_mm) / 2
-    edge = half * 1.06
+    outermost = max((max(abs(p.x_mm), abs(p.y_mm)) for p in places[:MOST_PLACES]), default=0.0)
+    edge = max(half, outermost + probe_mm / 2) * 1.06
     dot = max(0.012 * layer_mm, 0.3)
     parts = [
         f'<svg viewBox="{-edge:.2f} {-edge:.2f} {2 * edge:.2f} {2 * edge:.2f}" role="img">',

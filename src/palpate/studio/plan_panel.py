@@ -165,10 +165,10 @@ class PlanPanel:
 
 def _laid_out(fields: Mapping[str, Any]) -> tuple[Plan, str]:
     plan = asked_plan(fields)
-    probe, layer, clear = plan.places.probe_mm, plan.places.layer_mm, max(words.clearance_mm(plan), 0.0)
+    probe, layer = plan.places.probe_mm, plan.places.layer_mm
     facts = (
         f"<b>{escape(words.plan_facts(plan, size_of(plan)))}</b><br>indenter of {probe:g} mm on a layer of "
-        f"{layer:g} mm: its edge stays {clear:.2f} mm or more from the rim"
+        f"{layer:g} mm: {words.clearance(plan)}"
     )
     return plan, facts
 

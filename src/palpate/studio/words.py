@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from palpate.rig.plans import Plan, Size
+from palpate.rig.plans.places import ROUNDING_MM
 
 WISHES = {"pause": "pausing", "stop": "stops after this press", "abort": "aborting", "estop": "stopping"}
 CALM = {"running", "done", "paused", "ready", "stopped"}
@@ -77,6 +78,14 @@ def clearance_mm(plan: Plan) -> float:
     places = plan.places
     reach = (places.layer_mm - places.probe_mm) / 2
     return min(reach - (p.x_mm**2 + p.y_mm**2) ** 0.5 for p in places.places())
+
+
+def clearance(plan: Plan) -> str:
+    """The same in words."""
+    clear = clearance_mm(plan)
+    if clear < -ROUNDING_MM:
+        return f"its edge reaches {-clear:.2f} mm over the rim"
+    return f"its edge stays {max(clear, 0.0):.2f} mm or more from the rim"
 
 
 def plan_facts(plan: Plan, size: Size) -> str:
