@@ -56,6 +56,13 @@ def test_depth_in_a_label_lies_a_threshold_above_the_truth(whole: Run) -> None:
     assert below_touch.between(0.08, 0.16).all()
 
 
+def test_depth_in_a_label_lies_as_near_the_truth_after_deep_presses(tmp_path: Path) -> None:
+    deep = plan(depth_mm=4.8, step_mm=2.4, cycles=3, frames=1)
+    assert record(rig(variation=Variation(), seed=1), deep, tmp_path / "run").state is State.DONE
+    pressed = Run.open(tmp_path / "run").labels.query("phase == 'down'")
+    assert (pressed["true_depth_mm"] - pressed["depth_mm"]).between(0.08, 0.16).all()
+
+
 def test_references_show_the_untouched_skin(whole: Run) -> None:
     references = whole.labels.query("reference")
     assert len(references) == 4

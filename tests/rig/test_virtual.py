@@ -135,6 +135,41 @@ def test_a_frame_is_exposed_after_it_was_asked_for_and_shows_the_depth_there_was
     )
 
 
+def test_a_press_leaves_a_dent_that_fades_and_is_nowhere_else() -> None:
+    law = law_of(SPEC, own_ball(SPEC))
+    skin = Skin(law, ((0.1, 2.0),))
+    skin.force(np.full(10_000, 4e-3), 0.005)  # 50 s: the branch has come to all of the depth
+    assert skin.leave() == pytest.approx((0.1 / 1.1 * 4e-3,))
+    assert skin.leave() == (0.0,)
+    again, depth = Skin(law, ((0.1, 2.0),)), np.array([0.0, 1e-4, 2e-4])
+    np.testing.assert_array_equal(skin.force(depth, 0.005)[0], again.force(depth, 0.005)[0])
+
+
+@pytest.mark.parametrize(("aside_m", "wait_s"), [(0.0, 0.0), (0.0, 3.0), (12e-3, 0.0)])
+def test_a_place_that_was_pressed_is_touched_deeper_soon_afterwards(aside_m: float, wait_s: float) -> None:
+    share, fades_s, depth_m = 0.1, 3.0, 4e-3
+    bench = rig(variation=replace(IDEAL, relaxation=((share, fades_s),)))
+
+    def go(x: float, z: float) -> None:
+        bench.stage.move_to((x, 0.0, z), 20e-3)
+        while bench.stage.moving():
+            bench.clock.sleep(0.002)
+
+    go(0.0, depth_m)
+    bench.clock.sleep(60.0)
+    go(0.0, -1e-3)
+    left_s = bench.clock.now_ns()
+    bench.clock.sleep(wait_s)
+    go(aside_m, -1e-3)
+    go(aside_m, 1e-3)
+    touched_s = (bench.clock.now_ns() - left_s) / NS_PER_S
+    bench.clock.sleep(0.1)  # a frame's time tells of a little before
+    deep_mm = bench.truth(bench.clock.now_ns())["true_depth_mm"]
+    dent_mm = 1e3 * share / (1 + share) * depth_m * math.exp(-touched_s / fades_s) if aside_m == 0 else 0.0
+    # The skin recovers a little while the probe is on its way up, and down again: 0.2 s of its 3 s.
+    assert 1.0 - deep_mm == pytest.approx(dent_mm, abs=0.05)
+
+
 def test_light_relaxes_as_the_force_does() -> None:
     lagging = rig(variation=replace(IDEAL, relaxation=((0.5, 1.0),)))
     at_once = seen_under_3_mm(lagging)

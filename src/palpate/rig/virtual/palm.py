@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from palpate.core.clock import Clock, ManualClock
 from palpate.core.protocols import Position, Travel
 from palpate.rig.limits import Limits
-from palpate.rig.rig import Rig
+from palpate.rig.rig import Region, Rig
 from palpate.rig.virtual.camera import TRANSPORT_S, VirtualCamera
 from palpate.rig.virtual.faults import Fault
 from palpate.rig.virtual.force import VirtualForce
@@ -91,6 +91,7 @@ def virtual_palm(
         limits=limits or Limits(TRAVEL.least_m, TRAVEL.greatest_m, force_n=FORCE_N),
         origin_m=ORIGIN_M,
         clock=clock,
+        regions=(Region("fringes", spec.fringes.box_px), Region("mirror", spec.mirror.box_px)),
         licence="CC0-1.0",
         origin="recorded on palpate's virtual rig; virtual, not measured",
         seed=seed,

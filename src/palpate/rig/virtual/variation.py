@@ -28,7 +28,8 @@ class Variation:
         force_drift_n: of the zero over a minute, a random walk [N].
         force_step_n: resolution [N].
         frame_jitter_s: of when a frame comes [s].
-        relaxation: for each branch of the skin's memory, its share of the modulus and its time [s].
+        relaxation: for each branch of the skin's memory, its share of the modulus and its time [s]. It also
+            leaves a dent, which fades: a place that is pressed again soon is touched a little deeper.
     """
 
     seating_m: float = 0.02e-3

@@ -12,6 +12,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -33,6 +34,8 @@ LIFTED_M = 0.2e-3  # above the skin, from where the next touch is another approa
 MOST_FRESH = 1_000_000  # samples that wait for the force sensor
 HALF = 0.5  # way between two samples
 FAR_M = 1.0  # to where the layer goes that is not there
+
+MOST_DENTS = 32  # that are remembered
 
 Series = Float[ndarray, " n"]
 
@@ -61,6 +64,15 @@ class Touch:
     stiffening: float
     approach: Approach
     known: bool = True
+
+
+class Dent(NamedTuple):
+    """What a press has left: where, when, and of each branch of the skin's memory how deep [m]."""
+
+    x_m: float
+    y_m: float
+    time_s: float
+    left_m: tuple[float, ...]
 
 
 class World:
@@ -97,6 +109,7 @@ class World:
         self._visits: dict[tuple[int, int], int] = {}
         self._approach = approach_of(variation, seed, 0.0, 0.0, 0)
         self._lifted = True
+        self._dents: deque[Dent] = deque(maxlen=MOST_DENTS)
         self._stuck_at: tuple[float, float] | None = None
         self.touches: deque[Touch] = deque()
         self._fresh: deque[Touch] = deque(maxlen=MOST_FRESH)
@@ -169,7 +182,7 @@ class World:
         over = relative[:, 2] - self._beyond_the_rim(relative)
         depth = over - self._approach.height_m
         if self._lifted and (depth > -LIFTED_M).any():
-            self._begin_approach(relative[-1])
+            self._begin_approach(relative[-1], float(times[-1]))
             depth = over - self._approach.height_m
         gone = self.faults.since("layer-gone")
         if gone is not None:
@@ -177,8 +190,9 @@ class World:
         greatest = self._skin.law.greatest_m
         known = depth <= greatest
         normal, elastic = self._skin.force(np.minimum(depth, greatest), self._step_s)
-        if depth[-1] < -LIFTED_M:
+        if depth[-1] < -LIFTED_M and not self._lifted:
             self._lifted, self._stuck_at = True, None
+            self._dents.append(Dent(*self._place(relative), float(times[-1]), self._skin.leave()))
         pulled = self._pulled(relative, depth, normal)
         lateral = pulled + normal[:, None] * np.array(self._approach.lean)
         aside = self._approach.aside_m
@@ -229,12 +243,26 @@ class World:
         self._played = at
         return played
 
-    def _begin_approach(self, relative: ndarray) -> None:
+    @staticmethod
+    def _place(relative: ndarray) -> tuple[float, float]:
+        return float(relative[-1, 0]), float(relative[-1, 1])
+
+    def _dent_at(self, x_m: float, y_m: float, time_s: float) -> float:
+        """What earlier presses near a place have left of themselves."""
+        R, depth_m = self.spec.indenter_radius_m, 0.0
+        for dent in self._dents:
+            near = math.exp(-((x_m - dent.x_m) ** 2 + (y_m - dent.y_m) ** 2) / R**2)
+            for (_, fades_s), left_m in zip(self.variation.relaxation, dent.left_m, strict=True):
+                depth_m += near * left_m * math.exp(-(time_s - dent.time_s) / fades_s)
+        return depth_m
+
+    def _begin_approach(self, relative: ndarray, time_s: float) -> None:
         x, y = float(relative[0]), float(relative[1])
         spot = (round(x * 1e6), round(y * 1e6))
         visit = self._visits.get(spot, 0)
         self._visits[spot] = visit + 1
-        self._approach = approach_of(self.variation, self.seed, x, y, visit)
+        approach = approach_of(self.variation, self.seed, x, y, visit)
+        self._approach = replace(approach, height_m=approach.height_m + self._dent_at(x, y, time_s))
         self._lifted, self._stuck_at = False, None
 
     def _pulled(self, relative: ndarray, depth: Series, normal: Series) -> Float[ndarray, "n 2"]:
@@ -243,7 +271,7 @@ class World:
         if self._stuck_at is None:
             if not (normal > 0).any():
                 return none
-            self._stuck_at = (float(relative[-1, 0]), float(relative[-1, 1]))
+            self._stuck_at = self._place(relative)
         shift = relative[:, :2] - np.array(self._stuck_at)
         size = np.hypot(shift[:, 0], shift[:, 1])
         if not (size > self.variation.backlash_m + 1e-9).any():
