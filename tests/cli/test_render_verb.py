@@ -40,6 +40,14 @@ def frame(tmp_path):
 PLACED = ("--depth-mm", "3", "--x-mm", "5", "--y-mm", "-2", "--indenter", "sphere:10")
 
 
+def test_a_probe_in_the_air_is_drawn_and_presses_nothing(frame):
+    said = json.loads(render("--depth-mm", "-1", "--json", out=frame).stdout)
+    assert (said["force_N"], said["peak_pressure_Pa"], said["fringe_order_max"]) == (0, 0, 0)
+    bare = frame.with_name("bare.png")
+    render("--depth-mm", "0", out=bare)
+    assert (picture(frame) != picture(bare)).any()
+
+
 def test_a_press_is_drawn_and_its_numbers_are_said(frame):
     said = json.loads(render(*PLACED, "--json", out=frame).stdout)
     assert said.keys() >= FACTS
@@ -102,7 +110,7 @@ def test_help_has_an_example_that_runs(tmp_path):
         (["--depth-mm", "1", "--indenter", "pyramid:10"], "sphere:DIAMETER_MM"),
         (["--depth-mm", "1", "--indenter", "punch:-6"], "positive, in mm"),
         (["--depth-mm", "6.5"], "0 to 6 mm"),
-        (["--depth-mm", "-1"], "0 to 6 mm"),
+        (["--depth-mm", "-inf"], "0 to 6 mm"),
         (["--depth-mm", "nan"], "0 to 6 mm"),
         (["--depth-mm", "2", "--indenter", "punch:6"], "0 to 1.5 mm"),
         (["--depth-mm", "1", "--x-mm", "28"], "rim at 28.5 mm"),

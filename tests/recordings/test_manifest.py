@@ -54,9 +54,16 @@ def test_a_run_names_its_targets_and_they_carry_units() -> None:
             Manifest.new(sensor="s", labels=labels, targets=(bad,))
 
 
+def test_a_run_names_the_regions_of_its_picture(tmp_path: Path) -> None:
+    Manifest.new(sensor="s", regions={"fringes": (1, 2, 30, 40)}).write(tmp_path)
+    assert Manifest.read(tmp_path).regions == {"fringes": (1, 2, 30, 40)}
+    with pytest.raises(InputError, match="the region rim"):
+        Manifest.new(sensor="s", regions={"rim": (0, 0, 0, 5)})
+
+
 def test_a_manifest_that_names_no_targets_reads_as_one_without(tmp_path: Path) -> None:
     old = json.loads(Manifest.new(sensor="s").model_dump_json())
-    del old["targets"]
+    del old["targets"], old["regions"]
     (tmp_path / MANIFEST).write_text(json.dumps(old))
     assert Manifest.read(tmp_path).targets == ()
 

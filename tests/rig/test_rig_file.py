@@ -94,11 +94,11 @@ def test_the_operators_page_opens_a_rig_by_its_file(tmp_path: Path) -> None:
     assert rig_name(path) == str(Path(path).resolve())
     opened = opening.open_rig(path)
     assert opened.real_time
-    assert opened.regions == (("rim", (1, 2, 30, 40)),)
+    assert opened.rig.regions == (("rim", (1, 2, 30, 40)),)
     assert opened.rig.limits.age_s == REAL_TIME_AGE_S
     opened.rig.close()
     plain = opening.open_rig(written(tmp_path, 'name = "b"\n[virtual]'))
-    assert [region.name for region in plain.regions] == ["fringes", "mirror"]
+    assert [region.name for region in plain.rig.regions] == ["fringes", "mirror"]
     assert not plain.real_time
     plain.rig.close()
 

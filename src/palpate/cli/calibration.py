@@ -32,7 +32,12 @@ def calibrate(
             help="Label columns to estimate, e.g. depth_mm,force_N; by default those the run names."
         ),
     ] = "",
-    model: Annotated[str, typer.Option(help="mean, pca-ridge, pixel-mlp or compact-cnn.")] = "pca-ridge",
+    model: Annotated[
+        str,
+        typer.Option(
+            help="mean, pca-ridge, pixel-mlp, compact-cnn, or a palm's own, such as palm-two-stage."
+        ),
+    ] = "pca-ridge",
     split: Annotated[
         str, typer.Option(help="auto, random, group:COLUMN[,COLUMN] or leave-one-out:COLUMN.")
     ] = "auto",
@@ -51,10 +56,19 @@ def calibrate(
             help="X,Y,WIDTH,HEIGHT cut from each frame [px]; given twice, two are laid side by side."
         ),
     ] = None,
-    rgb: Annotated[bool, typer.Option("--rgb", help="Learn from three colour channels, not grey.")] = False,
+    rgb: Annotated[
+        bool | None,
+        typer.Option(
+            "--rgb/--grey", help="Learn from three colour channels or one; by default the model's own."
+        ),
+    ] = None,
     delta: Annotated[
-        bool, typer.Option("--delta", help="Learn from the difference to the untouched sensor.")
-    ] = False,
+        bool | None,
+        typer.Option(
+            "--delta/--raw",
+            help="Learn from the difference to the untouched sensor, or from the frame itself.",
+        ),
+    ] = None,
     reference: Annotated[
         str | None, typer.Option(help="COLUMN=VALUE of rows that show the untouched sensor.")
     ] = None,
@@ -77,22 +91,27 @@ def calibrate(
     Example: palpate calibrate run --targets depth_mm,force_N --model compact-cnn --out cal
     """
     from palpate.calibration.plan import Plan, Reference
+    from palpate.calibration.views import two_views
+    from palpate.estimators.networks import model_kind
     from palpate.recordings.reader import Run
     from palpate.studies.certify import certify
 
-    recorded, crops = Run.open(run), _crops(crop or [])
+    recorded, kind = Run.open(run), model_kind(model)
+    crops = _crops(crop or [])
+    if kind.views == 2 and crops[0] is None:
+        crops = two_views(recorded.manifest)
     plan = Plan(
-        targets=columns_of(targets) or recorded.manifest.targets,
+        targets=columns_of(targets) or kind.targets or recorded.manifest.targets,
         model=model,
         split=split,
         folds=folds,
         scored_folds=scored_folds,
         seed=seed,
         size_px=numbers_of(size, 2, "--size"),  # type: ignore[arg-type]
-        channels=3 if rgb else 1,
+        channels=3 if (kind.channels == 3 if rgb is None else rgb) else 1,
         crop_px=crops[0],
         beside_px=crops[1],
-        delta=delta,
+        delta=bool(kind.delta) if delta is None else delta,
         reference=Reference.parse(reference, columns_of(reference_by)) if reference else None,
         learn_untouched=learn_untouched,
         options=options_of(option or []),

@@ -68,9 +68,9 @@ def palm(
     pose = Pose(x_mm * 1e-3, y_mm * 1e-3, depth_mm * 1e-3)
     contact = palms.press(spec, pose, probe, lateral)
     frame = palms.render(contact, spec, np.random.default_rng(seed), exact=exact)
+    found: dict[str, Any] = palms.facts(contact, spec) | {"out": str(out)}
     with new_file(out) as path:
         path.write_bytes(png.encode(frame.image).tobytes())
-    found: dict[str, Any] = palms.facts(contact, spec) | {"out": str(out)}
     print_found(found, "\n".join(f"{name}: {_shown(value)}" for name, value in found.items()), json_)
 
 

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from palpate.core.clock import NS_PER_S
 from palpate.core.errors import InputError, RecordingError
@@ -38,6 +38,7 @@ class Manifest(BaseModel):
         units: label column -> unit symbol of `core.units`.
         labels: every label column -> its kind.
         targets: label columns that a calibration estimates where it is told nothing else.
+        regions: of the picture that matter, by name, such as "fringes": (x, y, width, height) [px].
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -55,6 +56,7 @@ class Manifest(BaseModel):
     units: dict[str, str]
     labels: dict[str, LabelKind]
     targets: tuple[str, ...] = ()
+    regions: dict[str, tuple[int, int, int, int]] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check(self) -> Manifest:
@@ -68,6 +70,9 @@ class Manifest(BaseModel):
             unit(symbol)
         if bare := sorted(set(self.targets) - self.units.keys()):
             raise ValueError(f"targets {bare} are no label columns of numbers with a unit")
+        for name, (x, y, width, height) in self.regions.items():
+            if min(x, y) < 0 or min(width, height) < 1:
+                raise ValueError(f"the region {name} is {width} x {height} px at ({x}, {y})")
         return self
 
     @classmethod
@@ -80,6 +85,7 @@ class Manifest(BaseModel):
         origin: str = "",
         labels: Mapping[str, LabelKind] | None = None,
         targets: tuple[str, ...] = (),
+        regions: Mapping[str, tuple[int, int, int, int]] | None = None,
         seed: int | None = None,
         clock: Literal["measured", "ordinal"] = "measured",
     ) -> Manifest:
@@ -110,6 +116,7 @@ class Manifest(BaseModel):
                 units={name: split_column(name)[1].symbol for name in numbers},
                 labels=kinds,
                 targets=targets,
+                regions=dict(regions or {}),
             )
         except ValidationError as e:
             raise InputError(f"these do not make a manifest: {_first(e)}") from e

@@ -61,6 +61,7 @@ def manifest_of(rig: Rig, plan: Plan) -> Manifest:
         origin=rig.origin,
         labels={**LABELS, **truths},  # type: ignore[dict-item]
         targets=targets_of(plan),
+        regions=dict(rig.regions),
         seed=rig.seed,
     )
 

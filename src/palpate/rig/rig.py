@@ -5,13 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from palpate.core.clock import Clock
 from palpate.core.frame import Frame
 from palpate.core.protocols import Camera, ForceSensor, Position, Stage
 from palpate.rig.limits import Limits
 from palpate.rig.tare import Mounting
+
+
+class Region(NamedTuple):
+    """A part of the picture that matters.
+
+    Attributes:
+        name: such as "fringes".
+        box_px: (x, y, width, height).
+    """
+
+    name: str
+    box_px: tuple[int, int, int, int]
 
 
 @runtime_checkable
@@ -50,6 +62,7 @@ class Rig:
         origin_m: in the stage's frame, the layer's centre at its expected surface [m].
         clock: that all devices stamp on.
         mounting: of the force sensor.
+        regions: of the picture.
         licence, origin: of what is recorded.
         seed: of a virtual rig.
         truth: a virtual rig's own labels at a time, each with its unit in the name.
@@ -68,6 +81,7 @@ class Rig:
     origin_m: Position
     clock: Clock
     mounting: Mounting = field(default_factory=Mounting)
+    regions: tuple[Region, ...] = ()
     licence: str = ""
     origin: str = ""
     seed: int | None = None

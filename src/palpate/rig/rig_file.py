@@ -19,7 +19,7 @@ from palpate.core.errors import InputError
 from palpate.core.files import storage_errors
 from palpate.core.protocols import ForceSensor, Position, Stage
 from palpate.rig.limits import Limits
-from palpate.rig.rig import FrameSource, Rig
+from palpate.rig.rig import FrameSource, Region, Rig
 from palpate.rig.tare import Mounting
 from palpate.rig.virtual import Fault, virtual_palm
 from palpate.rig.virtual.faults import Kind
@@ -202,7 +202,7 @@ def rig_from(file: RigFile) -> Rig:
             limits=limits,
             askew_m=_metres(file.virtual.askew_mm),
         )
-        return replace(rig, name=f"{file.name}, {VIRTUAL}")
+        return replace(rig, name=f"{file.name}, {VIRTUAL}", regions=_regions(file) or rig.regions)
     if not (file.stage and file.force and file.camera and file.limits):
         raise InputError(
             f"the rig {file.name!r} needs [stage], [force], [camera] and [limits], or [virtual] instead"
@@ -211,6 +211,10 @@ def rig_from(file: RigFile) -> Rig:
         rig = _real(file, file.stage, file.force, file.camera, file.limits, opened)
         opened.pop_all()
         return rig
+
+
+def _regions(file: RigFile) -> tuple[Region, ...]:
+    return tuple(Region(one.name, one.box_px) for one in file.regions)
 
 
 def _virtual_limits(file: RigFile, real_time: bool) -> Limits | None:
@@ -240,6 +244,7 @@ def _real(
         origin_m=_metres(file.origin_mm),
         clock=clock,
         mounting=Mounting(force.axes),
+        regions=_regions(file),
         licence=file.licence,
         origin=file.origin,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 
@@ -38,6 +39,7 @@ LABELS: dict[str, LabelKind] = {
     "force_N": "number",
     "force_x_N": "number",
     "force_y_N": "number",
+    "force_magnitude_N": "number",
 }
 """Of every frame. `depth_mm` is below the local zero, where the normal force passed the plan's threshold: a
 little below first touch. `force_N` is along z, positive in compression, the mean over the exposure."""
@@ -162,6 +164,7 @@ class Shooting:
             "force_N": force[2],
             "force_x_N": force[0],
             "force_y_N": force[1],
+            "force_magnitude_N": math.hypot(*force),
         }
         return labels | dict(self._rig.truth(time_ns))
 

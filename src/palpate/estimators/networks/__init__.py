@@ -19,19 +19,63 @@ class Kind:
         file, name: module and class.
         side_px: of the square input it takes where no size is asked for [px].
         costly: whether training it again for every fold is more than most would wait for.
+        channels: it was made for, 1 or 3; 0 where any will do.
+        delta: whether it was made for differences from the untouched sensor; None where either will do.
+        targets: what it estimates, where that is fixed; empty where it estimates what it is asked.
+        views: how many parts of a frame it sees, side by side.
     """
 
     file: str
     name: str
     side_px: int
     costly: bool = False
+    channels: int = 0
+    delta: bool | None = None
+    targets: tuple[str, ...] = ()
+    views: int = 1
 
+
+_FORCES = ("force_x_N", "force_y_N", "force_N")
+_PLACE = ("x_mm", "y_mm")
 
 MODELS: dict[str, Kind] = {
     "mean": Kind("mean", "Mean", 32),
     "pca-ridge": Kind("pca_ridge", "PcaRidge", 112),
     "pixel-mlp": Kind("pixel_mlp", "PixelMlp", 64),
     "compact-cnn": Kind("compact_cnn", "CompactCnn", 224, costly=True),
+    "palm-joint-raw": Kind(
+        "palm_joint_raw",
+        "PalmJointRaw",
+        128,
+        costly=True,
+        channels=3,
+        delta=False,
+        targets=(*_FORCES, *_PLACE),
+        views=2,
+    ),
+    "palm-force-conditioned": Kind(
+        "palm_force_conditioned",
+        "PalmForceConditioned",
+        128,
+        costly=True,
+        channels=3,
+        delta=True,
+        targets=("force_N", *_PLACE),
+        views=2,
+    ),
+    "palm-mlp-delta": Kind(
+        "palm_mlp_delta", "PalmMlpDelta", 128, channels=1, delta=True, targets=_FORCES, views=2
+    ),
+    "palm-two-stage": Kind(
+        "palm_two_stage",
+        "PalmTwoStage",
+        128,
+        costly=True,
+        channels=1,
+        delta=True,
+        targets=("depth_mm", *_PLACE, *_FORCES, "force_magnitude_N"),
+        views=2,
+    ),
 }
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 import onnx
 import torch
-from onnx import helper
 from torch import nn
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
@@ -27,7 +26,7 @@ from torch.optim.swa_utils import AveragedModel
 from palpate.core.axes import Indices, Tensor, Values
 from palpate.core.errors import InputError
 from palpate.estimators.networks.base import Progress, Scaler, TrainingData, inner_validation, silent
-from palpate.estimators.networks.graph import image_to_value
+from palpate.estimators.networks.torch_graph import TorchGraph
 from palpate.estimators.networks.turns import Turns
 
 
@@ -93,68 +92,17 @@ class FittedNetwork:
             return np.mean([member(images).numpy().astype(np.float64) for member in self.members], axis=0)
 
     def to_onnx(self) -> onnx.ModelProto:
-        graph = _Graph()
-        answers = [graph.add_network(member) for member in self.members]
+        graph = TorchGraph()
+        answers = [_add_network(graph, member) for member in self.members]
         graph.add("Mean", answers, {}, output="value")
-        return image_to_value(graph.nodes, graph.constants, self.shape, len(self.members[0].mean))
+        return graph.model(self.shape, len(self.members[0].mean))
 
 
-class _Graph:
-    """ONNX nodes that grow a layer at a time."""
-
-    def __init__(self) -> None:
-        self.nodes: list[onnx.NodeProto] = []
-        self.constants: dict[str, np.ndarray] = {}
-
-    def add(
-        self,
-        kind: str,
-        inputs: Sequence[str],
-        weights: Mapping[str, torch.Tensor],
-        *,
-        output: str = "",
-        **how: object,
-    ) -> str:
-        """Add a node and its weights; returns the name of what it makes."""
-        names = {f"{name}{len(self.nodes)}": value for name, value in weights.items()}
-        self.constants |= {name: value.detach().numpy() for name, value in names.items()}
-        made = output or f"x{len(self.nodes)}"
-        self.nodes.append(helper.make_node(kind, [*inputs, *names], [made], **how))
-        return made
-
-    def add_network(self, network: Network) -> str:
-        """Add a network's chain of layers from the image on; returns the name of its answer."""
-        at = self.add("Sub", ["image"], {"level": network.level[None]})
-        at = self.add("Div", [at], {"contrast": network.contrast[None]})
-        for layer in (*network.blocks, *network.head):
-            at = self.add_layer(layer, at)
-        at = self.add("Mul", [at], {"scale": network.scale[None]})
-        return self.add("Add", [at], {"mean": network.mean[None]})
-
-    def add_layer(self, layer: nn.Module, at: str) -> str:
-        """Add one layer after the node named `at`; returns the name of what it makes."""
-        match layer:
-            case nn.Conv2d():
-                pads, strides = [int(layer.padding[0])] * 4, list(layer.stride)
-                return self.add("Conv", [at], {"w": layer.weight}, pads=pads, strides=strides)
-            case nn.BatchNorm2d():
-                weights = {
-                    "g": layer.weight,
-                    "b": layer.bias,
-                    "m": layer.running_mean,
-                    "v": layer.running_var,
-                }
-                return self.add("BatchNormalization", [at], weights, epsilon=layer.eps)
-            case nn.ReLU():
-                return self.add("Relu", [at], {})
-            case nn.MaxPool2d():
-                return self.add("MaxPool", [at], {}, kernel_shape=[2, 2], strides=[2, 2])
-            case nn.Flatten():
-                return self.add("Flatten", [at], {})
-            case nn.Linear():
-                return self.add("Gemm", [at], {"w": layer.weight, "b": layer.bias}, transB=1)
-            case _:
-                raise TypeError(f"no ONNX form is known for {type(layer).__name__}")
+def _add_network(graph: TorchGraph, network: Network) -> str:
+    """Add a network's chain of layers from the image on; returns the name of its answer."""
+    at = graph.centred("image", network.level, network.contrast)
+    at = graph.add_chain((*network.blocks, *network.head), at)
+    return graph.restored(at, network.scale, network.mean)
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,7 +182,7 @@ class CompactCnn:
     ) -> Network:
         rng = np.random.default_rng(seed)
         learn, watch = inner_validation(data, rows, self.watched, rng) if self.patience else (rows, rows[:0])
-        with _seeded(seed):
+        with seeded(seed):
             training = _Training(self, data, learn, seed, rng)
         if checkpoint is not None and checkpoint.exists():
             training.load(checkpoint)
@@ -297,7 +245,7 @@ class _Training:
             images, values = self.turns.turned(images, values, rng)
         image = _moved(torch.from_numpy(images), self.plan.shift_px, rng)
         wanted = torch.from_numpy(self.scaler.scaled(values).astype(np.float32))
-        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=_fast_bfloat16()):
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=fast_bfloat16()):
             guess = self.network.scaled(image.contiguous(memory_format=torch.channels_last))
         loss = functional.smooth_l1_loss(guess.float(), wanted, beta=0.1)
         self.optimiser.zero_grad()
@@ -384,13 +332,13 @@ def _running(most: float) -> Callable[[torch.Tensor, torch.Tensor, torch.Tensor 
     return average
 
 
-def _fast_bfloat16() -> bool:
+def fast_bfloat16() -> bool:
     """Whether this processor multiplies bfloat16 natively; elsewhere it would be slower."""
     return bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
 
 
 @contextmanager
-def _seeded(seed: int) -> Iterator[None]:
+def seeded(seed: int) -> Iterator[None]:
     """Seed torch inside, and leave the caller's state as it was."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)

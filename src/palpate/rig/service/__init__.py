@@ -8,13 +8,12 @@ from palpate.rig.service.address import Address, find
 from palpate.rig.service.client import RigClient
 from palpate.rig.service.host import RigService
 from palpate.rig.service.launching import launch
-from palpate.rig.service.opening import Opened, Region, open_rig, rig_name
+from palpate.rig.service.opening import Opened, open_rig, rig_name
 from palpate.rig.service.server import Server
 
 __all__ = [
     "Address",
     "Opened",
-    "Region",
     "RigClient",
     "RigService",
     "Server",

@@ -83,7 +83,7 @@ class Devices:
                 seen.force_health(self.force, now_ns),
                 seen.camera_health(self.camera, now_ns, recording),
             ],
-            "regions": [{"name": name, "box_px": list(box)} for name, box in self._opened.regions],
+            "regions": [{"name": name, "box_px": list(box)} for name, box in self._opened.rig.regions],
             "now_ns": now_ns,
         }
 

@@ -1,29 +1,15 @@
-"""A rig by its name, and what of its picture matters."""
+"""A rig by its name or its file, for the process that holds it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 from palpate.core.clock import Clock, ManualClock, MonotonicClock
 from palpate.rig.limits import Limits
 from palpate.rig.rig import Rig
 from palpate.rig.rig_file import VIRTUAL, read_rig, rig_from
-from palpate.rig.virtual.palm import FORCE_N, FRAME_PX, REAL_TIME_AGE_S, TRAVEL, virtual_palm
-from palpate.sensors import palm
-
-
-class Region(NamedTuple):
-    """A part of the picture.
-
-    Attributes:
-        name: such as "fringes".
-        box_px: (x, y, width, height).
-    """
-
-    name: str
-    box_px: tuple[int, int, int, int]
+from palpate.rig.virtual.palm import FORCE_N, REAL_TIME_AGE_S, TRAVEL, virtual_palm
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,12 +18,10 @@ class Opened:
 
     Attributes:
         rig: its devices.
-        regions: of interest in its pictures.
         real_time: time passes by itself; otherwise only as the rig asks for it.
     """
 
     rig: Rig
-    regions: tuple[Region, ...] = ()
     real_time: bool = True
 
 
@@ -69,20 +53,11 @@ def rig_name(rig: str) -> str:
 
 
 def _virtual(accelerated: bool, seed: int) -> Opened:
-    spec = palm.cropped(palm.palm(), FRAME_PX, "palm-rig")
     clock: Clock = ManualClock() if accelerated else MonotonicClock()
     limits = Limits(TRAVEL.least_m, TRAVEL.greatest_m, force_n=FORCE_N, age_s=REAL_TIME_AGE_S)
-    rig = virtual_palm(spec=spec, clock=clock, seed=seed, limits=limits)
-    return Opened(rig, _palms_regions(spec), not accelerated)
+    return Opened(virtual_palm(clock=clock, seed=seed, limits=limits), not accelerated)
 
 
 def _of_file(path: Path) -> Opened:
     file = read_rig(path)
-    regions = tuple(Region(one.name, one.box_px) for one in file.regions)
-    if file.virtual is not None and not regions:
-        regions = _palms_regions(palm.cropped(palm.palm(), FRAME_PX, "palm-rig"))
-    return Opened(rig_from(file), regions, file.virtual is None or file.virtual.real_time)
-
-
-def _palms_regions(spec: palm.PalmSpec) -> tuple[Region, ...]:
-    return Region("fringes", spec.fringes.box_px), Region("mirror", spec.mirror.box_px)
+    return Opened(rig_from(file), file.virtual is None or file.virtual.real_time)

@@ -67,7 +67,7 @@ def greatest_order(contact: Contact, spec: PalmSpec) -> float:
 
 def _rim_percent(contact: Contact, spec: PalmSpec) -> float | None:
     R, pose = spec.indenter_radius_m, contact.pose
-    if not (is_ball(contact, spec) and math.isclose(spec.radius_m, table_of(spec).disc_radius * R)):
+    if pose.depth_m < 0 or not (is_ball(contact, spec) and math.isclose(spec.radius_m, table_of(spec).disc_radius * R)):
         return None
     try:
         effect = rim_effect(math.hypot(pose.x_m, pose.y_m) / R, pose.depth_m / R, spec.thickness_m / R)
@@ -77,6 +77,6 @@ def _rim_percent(contact: Contact, spec: PalmSpec) -> float | None:
 
 
 def _peak_pressure(contact: Contact, spec: PalmSpec) -> float:
-    if is_ball(contact, spec):
+    if is_ball(contact, spec) and contact.force_n > 0:
         return float(pressed(spec, contact.pose.depth_m).peak_pressure * spec.youngs_modulus_pa)
     return float(contact.pressure_pa.max())

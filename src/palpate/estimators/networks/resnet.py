@@ -1,0 +1,165 @@
+"""ResNet-18 without its last layer: 512 features of an image of any number of channels.
+
+Its parts carry torchvision's names, so that weights trained elsewhere can be read by them.
+
+Reference: He, Zhang, Ren & Sun, Deep residual learning for image recognition, CVPR (2016), table 1,
+doi:10.1109/CVPR.2016.90.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from palpate.core.errors import InputError, MissingExtraError
+
+FEATURES = 512
+
+
+class BasicBlock(nn.Module):  # type: ignore[misc]  # torch is seen as Any, so that checking needs no torch
+    """Two 3 x 3 convolutions and a shortcut round them."""
+
+    def __init__(self, channels: int, features: int, stride: int = 1) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(channels, features, 3, stride=stride, padding=1, bias=False)
+        self.bn1 = nn.BatchNorm2d(features)
+        self.relu = nn.ReLU(inplace=True)
+        self.conv2 = nn.Conv2d(features, features, 3, padding=1, bias=False)
+        self.bn2 = nn.BatchNorm2d(features)
+        self.downsample: nn.Sequential | None = None
+        if stride != 1 or channels != features:
+            narrow = nn.Conv2d(channels, features, 1, stride=stride, bias=False)
+            self.downsample = nn.Sequential(narrow, nn.BatchNorm2d(features))
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """The block's map ``[n k h w]``."""
+        around = x if self.downsample is None else self.downsample(x)
+        through = self.bn2(self.conv2(self.relu(self.bn1(self.conv1(x)))))
+        result: torch.Tensor = self.relu(through + around)
+        return result
+
+
+class ResNet18(nn.Module):  # type: ignore[misc]
+    """Images ``[n c h w]`` to features ``[n 512]``, begun as He et al. (2015) propose for rectifiers.
+
+    The side of the map is a 32nd of the image's before it is averaged.
+
+    Args:
+        channels: of the images.
+    """
+
+    def __init__(self, channels: int = 3) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(channels, 64, 7, stride=2, padding=3, bias=False)
+        self.bn1 = nn.BatchNorm2d(64)
+        self.relu = nn.ReLU(inplace=True)
+        self.maxpool = nn.MaxPool2d(3, stride=2, padding=1)
+        self.layer1 = nn.Sequential(BasicBlock(64, 64), BasicBlock(64, 64))
+        self.layer2 = nn.Sequential(BasicBlock(64, 128, 2), BasicBlock(128, 128))
+        self.layer3 = nn.Sequential(BasicBlock(128, 256, 2), BasicBlock(256, 256))
+        self.layer4 = nn.Sequential(BasicBlock(256, FEATURES, 2), BasicBlock(FEATURES, FEATURES))
+        self.avgpool = nn.AdaptiveAvgPool2d(1)
+        self.flatten = nn.Flatten()
+        for part in self.modules():
+            if isinstance(part, nn.Conv2d):
+                nn.init.kaiming_normal_(part.weight, mode="fan_out", nonlinearity="relu")
+
+    def chain(self) -> Iterator[nn.Module]:
+        """Its parts, one after the other."""
+        yield from (self.conv1, self.bn1, self.relu, self.maxpool)
+        yield from (self.layer1, self.layer2, self.layer3, self.layer4)
+        yield from (self.avgpool, self.flatten)
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        """Features ``[n 512]``."""
+        for part in self.chain():
+            image = part(image)
+        return image
+
+    def load_weights(self, path: Path) -> None:
+        """Take weights from a file with torchvision's names for a ResNet-18 of colour images.
+
+        Raises:
+            InputError: it is no such file; the message names the entries missing, extra or of another shape.
+            MissingExtraError: the package that reads it is not installed.
+        """
+        self.take(read_weights(path), str(path))
+
+    def take(self, weights: Mapping[str, torch.Tensor], source: str) -> None:
+        """Take weights by name; those of the last layer (fc) are passed over.
+
+        A trunk of grey images takes the first layer summed over the colours, so that it answers to a grey
+        image as the other would to the same image in all three channels.
+
+        Args:
+            weights: of a ResNet-18.
+            source: what an error shall call them.
+
+        Raises:
+            InputError: entries are missing, extra or of another shape.
+        """
+        mine = self.state_dict()
+        given = {k: v for k, v in weights.items() if not k.startswith("fc.")}
+        # Files written by older versions of torch do not count batches, and nothing here reads the count.
+        needed = {k for k in mine if not k.endswith("num_batches_tracked")}
+        missing, extra = sorted(needed - set(given)), sorted(set(given) - set(mine))
+        if missing or extra:
+            raise InputError(
+                f"{source} does not hold a ResNet-18's weights: missing {_listed(missing)}; "
+                f"extra {_listed(extra)}"
+            )
+        if mine["conv1.weight"].shape[1] == 1:
+            given["conv1.weight"] = given["conv1.weight"].float().sum(dim=1, keepdim=True)
+        unlike = [
+            f"{k} {list(v.shape)}, not {list(mine[k].shape)}"
+            for k, v in given.items()
+            if v.shape != mine[k].shape
+        ]
+        if unlike:
+            raise InputError(f"{source} holds weights of other shapes: {_listed(unlike)}")
+        self.load_state_dict(mine | given)
+
+
+def check_weights(path: Path) -> None:
+    """Refuse a path that no weights can be read from.
+
+    Raises:
+        InputError: it is no `.safetensors` file, or not there.
+    """
+    if path.suffix != ".safetensors":
+        raise InputError(
+            f"weights {path}: only .safetensors files are read, since other kinds can run code when they are "
+            "opened; convert the file, or leave the option weights out to begin from scratch"
+        )
+    if not path.is_file():
+        raise InputError(f"weights {path}: there is no such file")
+
+
+def read_weights(path: Path) -> dict[str, torch.Tensor]:
+    """All arrays of a `.safetensors` file, by name.
+
+    Raises:
+        InputError: it is not there, of another kind, or damaged.
+        MissingExtraError: the package that reads it is not installed.
+    """
+    check_weights(path)
+    try:
+        load = import_module("safetensors.torch").load_file
+    except ImportError as e:
+        raise MissingExtraError(
+            f"weights {path} need safetensors, which is not installed; run: pip install 'palpate[train]'"
+        ) from e
+    try:
+        return dict(load(path))
+    except Exception as e:  # the package's own error, which cannot be named where it is not installed
+        raise InputError(f"weights {path} cannot be read: {e}") from e
+
+
+def _listed(names: list[str]) -> str:
+    """The first few of them, and how many more."""
+    shown, more = ", ".join(names[:8]) or "none", len(names) - 8
+    return f"{shown} and {more} more" if more > 0 else shown

@@ -1,0 +1,209 @@
+"""The training loop goes on where it was, keeps the best, and refuses what cannot be learnt."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palpate.core.errors import InputError
+
+torch = pytest.importorskip("torch", reason="the extra `train` is not installed")
+
+from torch import nn  # noqa: E402
+
+from palpate.estimators.networks.descent import Descent, Lesson, Run, fast_bfloat16  # noqa: E402
+
+
+class Interrupted(Exception):
+    pass
+
+
+def small_network() -> nn.Module:
+    torch.manual_seed(7)
+    convolution = nn.Conv2d(3, 8, 3, stride=2, padding=1)
+    return nn.Sequential(
+        convolution, nn.BatchNorm2d(8), nn.ReLU(), nn.AdaptiveAvgPool2d(2), nn.Flatten(), nn.Linear(32, 2)
+    )
+
+
+def levels(rng: np.random.Generator, n: int = 48, noise: bool = False) -> Lesson:
+    """The mean and the tilt of an image; the last quarter of the rows is watched."""
+    images = rng.normal(0, 1, (n, 3, 8, 8)).astype(np.float32) + rng.normal(0, 1, (n, 1, 1, 1)).astype("f4")
+    wanted = np.stack([images.mean((1, 2, 3)), images[..., :4].mean((1, 2, 3))], axis=1)
+    if noise:
+        wanted = rng.normal(0, 1, wanted.shape)
+    learn, watch = np.arange(3 * n // 4), np.arange(3 * n // 4, n)
+    fetch = images.__getitem__
+    return Lesson(fetch, wanted.astype(np.float32), nn.functional.mse_loss, learn, watch)
+
+
+def same(first: nn.Module, second: nn.Module) -> bool:
+    pairs = zip(first.state_dict().values(), second.state_dict().values(), strict=True)
+    return all(torch.equal(a, b) for a, b in pairs)
+
+
+def stop_after(epoch: int):
+    def told(what: str, done: int, total: int) -> None:
+        if done == epoch:
+            raise Interrupted
+
+    return told
+
+
+@pytest.mark.parametrize("patience", [0, 3])
+@pytest.mark.parametrize("precision", ["auto", "float32"])
+def test_interrupted_and_resumed_it_reaches_the_same_weights(rng, tmp_path, patience, precision) -> None:
+    lesson, plan = levels(rng), Descent(6, 8, 1e-2, patience, precision)
+    whole = plan.train(small_network(), lesson, seed=5)
+    kept = tmp_path / "kept.npz"
+    for epoch in (2, 4):
+        with pytest.raises(Interrupted):
+            plan.train(small_network(), lesson, seed=5, progress=stop_after(epoch), checkpoint=kept)
+    resumed = plan.train(small_network(), lesson, seed=5, checkpoint=kept)
+    assert same(whole, resumed)
+    assert not same(whole, plan.train(small_network(), lesson, seed=6))
+    assert [path.name for path in tmp_path.iterdir()] == ["kept.npz"]
+
+
+def test_interrupted_at_the_very_end_it_does_not_go_past_it(rng, tmp_path) -> None:
+    lesson, plan, kept = levels(rng, noise=True), Descent(30, 8, 1e-2, 2), tmp_path / "kept.npz"
+    whole = plan.train(small_network(), lesson, seed=5, checkpoint=kept)
+    before = kept.read_bytes()
+    assert same(whole, plan.train(small_network(), lesson, seed=5, checkpoint=kept))
+    assert kept.read_bytes() == before
+
+
+@pytest.mark.parametrize("damage", ["cut", "no archive", "another network", "another seed"])
+def test_a_damaged_checkpoint_is_set_aside_and_begun_anew(rng, tmp_path, damage: str) -> None:
+    lesson, plan, kept = levels(rng), Descent(3, 8, 1e-2, 2), tmp_path / "kept.npz"
+    whole = plan.train(small_network(), lesson, seed=5)
+    plan.train(small_network(), lesson, seed=5 + (damage == "another seed"), checkpoint=kept)
+    held = dict(np.load(kept))
+    if damage == "cut":
+        kept.write_bytes(kept.read_bytes()[:-500])
+    elif damage == "no archive":
+        kept.write_bytes(b"PK not a checkpoint")
+    elif damage == "another network":
+        np.savez(kept, **held | {"network/0.weight": np.zeros((8, 1, 3, 3), np.float32)})
+    assert same(whole, plan.train(small_network(), lesson, seed=5, checkpoint=kept))
+    assert (tmp_path / "kept.damaged").exists()
+    assert int(np.load(kept)["epoch"]) == 3
+
+
+def test_a_full_disk_leaves_the_last_whole_checkpoint(rng, tmp_path, monkeypatch) -> None:
+    lesson, plan, kept = levels(rng), Descent(3, 8, 1e-2), tmp_path / "kept.npz"
+    with pytest.raises(Interrupted):
+        plan.train(small_network(), lesson, seed=5, progress=stop_after(1), checkpoint=kept)
+
+    def full(file, **arrays: object) -> None:
+        file.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    with pytest.raises(OSError, match="No space"):
+        plan.train(small_network(), lesson, seed=5, checkpoint=kept)
+    assert [path.name for path in tmp_path.iterdir()] == ["kept.npz"]
+    assert int(np.load(kept)["epoch"]) == 1
+
+
+def test_it_stops_when_watched_rows_gain_no_more_and_keeps_the_best(rng, monkeypatch) -> None:
+    lesson, seen, told = levels(rng, noise=True), [], []
+    watched = Run.watched_loss
+
+    def noted(self: Run) -> float:
+        seen.append(watched(self))
+        return seen[-1]
+
+    monkeypatch.setattr(Run, "watched_loss", noted)
+    plan = Descent(60, 8, 3e-2, patience=4)
+    kept = plan.train(small_network(), lesson, seed=1, progress=lambda what, done, total: told.append(done))
+    # Labels that are noise: the watched loss soon stops falling.
+    assert len(seen) < 40
+    assert len(seen) - 1 - np.argmin(seen) == 4
+    assert told[-1] == 60
+    with torch.no_grad():
+        answer = kept(torch.from_numpy(lesson.fetch(lesson.watch)))
+    loss = nn.functional.mse_loss(answer, torch.from_numpy(lesson.wanted[lesson.watch]))
+    # The layout in memory differs, and so the order of summation.
+    np.testing.assert_allclose(loss.item(), min(seen), rtol=1e-5)
+
+
+def test_with_nothing_to_watch_it_trains_to_the_end(rng) -> None:
+    lesson, told = replace(levels(rng), watch=np.arange(0)), []
+    plan = Descent(5, 8, patience=1)
+    plan.train(small_network(), lesson, seed=1, progress=lambda what, done, total: told.append(done))
+    assert told == [1, 2, 3, 4, 5, 5]
+
+
+def test_it_learns_what_a_small_network_can_tell(rng) -> None:
+    lesson = levels(rng, 160)
+    kept = Descent(40, 8, 3e-2).train(small_network(), lesson, seed=1)
+    with torch.no_grad():
+        answer = kept(torch.from_numpy(lesson.fetch(lesson.watch))).numpy()
+    wanted = lesson.wanted[lesson.watch]
+    left = np.abs(answer - wanted).mean(axis=0) / np.abs(wanted - wanted.mean(axis=0)).mean(axis=0)
+    # 600 steps of 8 rows, from noisy images, leave a third of the spread.
+    assert (left < 0.5).all()
+
+
+def test_a_long_gradient_is_shortened_to_a_norm_of_five(rng) -> None:
+    lesson = levels(rng)
+    steep = replace(lesson, loss=lambda answer, wanted: 1e6 * nn.functional.mse_loss(answer, wanted))
+    run = Run(Descent(1, 36, precision="float32"), small_network(), steep, seed=0)
+    run.one_epoch()
+    moments = [state["exp_avg"] for state in run.optimiser.state.values()]
+    norm = torch.sqrt(sum((m**2).sum() for m in moments)).item()
+    # Adam's first moment after one step is a tenth of the gradient.
+    np.testing.assert_allclose(norm, 0.5, rtol=1e-3)
+
+
+def test_every_row_is_seen_once_an_epoch_but_a_last_one_alone(rng) -> None:
+    lesson, seen = replace(levels(rng), learn=np.arange(25)), []
+    fetch = lesson.fetch
+    noted = replace(lesson, fetch=lambda rows: (seen.append(rows), fetch(rows))[1])
+    Descent(2, 8).train(small_network(), noted, seed=0)
+    assert [len(rows) for rows in seen] == [8, 8, 8] * 2
+    assert len(set(np.concatenate(seen[:3]))) == 24
+    assert list(np.concatenate(seen[:3])) != list(np.concatenate(seen[3:]))
+
+
+@pytest.mark.parametrize("precision", ["auto", "float32"])
+def test_bfloat16_is_used_where_it_is_fast_and_not_forbidden(rng, precision) -> None:
+    kinds, network = set(), small_network()
+    network[0].register_forward_hook(lambda layer, inputs, made: kinds.add(made.dtype))
+    kept = Descent(1, 8, precision=precision).train(network, levels(rng), seed=0)
+    fast = torch.cuda.is_bf16_supported() if torch.cuda.is_available() else fast_bfloat16()
+    assert kinds == {torch.bfloat16 if fast and precision == "auto" else torch.float32}
+    for value in kept.state_dict().values():
+        assert value.device.type == "cpu"
+        assert value.is_contiguous()
+        assert value.dtype in (torch.float32, torch.int64)
+    assert not kept.training
+
+
+def test_labels_that_are_no_numbers_are_refused(rng) -> None:
+    lesson = levels(rng)
+    lesson.wanted[3] = np.nan
+    with pytest.raises(InputError, match=r"the loss is nan in epoch 1.*labels"):
+        Descent(2, 8).train(small_network(), lesson, seed=0)
+
+
+def test_a_single_row_is_refused(rng) -> None:
+    with pytest.raises(InputError, match="two or more"):
+        Descent(2, 8).train(small_network(), replace(levels(rng), learn=np.arange(1)), seed=0)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"epochs": 0},
+        {"batch": 1},
+        {"patience": -1},
+        {"learning_rate": 0.0},
+        {"learning_rate": float("nan")},
+        {"clip": -5.0},
+    ],
+)
+def test_settings_that_train_nothing_are_refused(wrong: dict) -> None:
+    with pytest.raises(InputError):
+        Descent(**{"epochs": 3} | wrong)

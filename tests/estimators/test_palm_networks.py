@@ -1,0 +1,251 @@
+"""The palm's four networks: what they learn, what each may know of what, and that they leave as they are."""
+
+import sys
+from importlib import import_module
+from types import SimpleNamespace
+
+import numpy as np
+import onnxruntime
+import pytest
+
+from palpate.core.errors import InputError
+from palpate.estimators.networks import MODELS, make_model
+from palpate.estimators.networks.base import Scaler, TrainingData, predict_rows
+from palpate.estimators.networks.palm_views import Scales, columns_of, half_width
+
+torch = pytest.importorskip("torch", reason="the extra `train` is not installed")
+
+from palpate.estimators.networks.palm_force_conditioned import ConditionedNetwork  # noqa: E402
+from palpate.estimators.networks.palm_two_stage import PalmTwoStage, TwoStageNetwork  # noqa: E402
+from palpate.estimators.networks.resnet import ResNet18  # noqa: E402
+
+PALM = [name for name in MODELS if name.startswith("palm-")]
+TORCH = [name for name in PALM if MODELS[name].costly]
+SHAPE = (1, 32, 64)
+
+
+def presses(n: int, rng: np.random.Generator, names: tuple[str, ...], channels: int = 1) -> TrainingData:
+    """The left view brightens with depth, the right one shows a spot at the place; forces follow both."""
+    rows, columns = np.mgrid[0:32, 0:32]
+    x, y, depth = rng.uniform(8, 24, n), rng.uniform(8, 24, n), rng.uniform(0.3, 1, n)
+    ring = 200 * np.exp(-((columns - 16) ** 2 + (rows - 16) ** 2) / 60) * depth[:, None, None]
+    spot = 150 * np.exp(-((columns - x[:, None, None]) ** 2 + (rows - y[:, None, None]) ** 2) / 18)
+    views = np.concatenate([ring, spot], axis=2) + rng.normal(0, 2, (n, 32, 64))
+    images = np.repeat(views.astype(np.float32)[:, None], channels, axis=1)
+    force = np.stack([0.8 * depth, -0.5 * depth, 3 * depth])
+    values = {"x_mm": x / 4, "y_mm": y / 4, "depth_mm": depth, "force_x_N": force[0], "force_y_N": force[1]}
+    values |= {"force_N": force[2], "force_magnitude_N": np.linalg.norm(force, axis=0)}
+    held = np.stack([values[name] for name in names], axis=1)
+    return TrainingData((channels, 32, 64), held, np.arange(n), lambda chosen: images[chosen], names)
+
+
+def some_scales(targets: int) -> Scales:
+    scaler = Scaler(np.linspace(1, 2, targets), np.linspace(0.5, 3, targets))
+    return Scales(32, (100.0, 80.0), (40.0, 20.0), scaler, tuple(range(targets)))
+
+
+def quick(name: str) -> dict:
+    return {"epochs": 1, "batch": 8} if name in TORCH else {"epochs": 5}
+
+
+@pytest.mark.parametrize("name", PALM)
+def test_what_a_model_is_said_to_estimate_is_what_it_estimates(name: str) -> None:
+    kind = MODELS[name]
+    model = getattr(import_module(f"palpate.estimators.networks.{kind.file}"), kind.name)
+    assert model.targets == kind.targets
+
+
+@pytest.mark.parametrize("name", PALM)
+def test_each_learns_presses_it_has_not_seen(name: str, rng) -> None:
+    names = MODELS[name].targets[::-1]
+    data, learn, held = presses(136, rng, names), np.arange(96), np.arange(96, 136)
+    options = {"epochs": 8, "batch": 16, "patience": 0} if name in TORCH else {"epochs": 150}
+    fitted = make_model(name, options).fit(data, learn, seed=0)
+    error = np.abs(predict_rows(fitted, data, held) - data.values[held]).mean(axis=0)
+    by_mean = np.abs(data.values[learn].mean(axis=0) - data.values[held]).mean(axis=0)
+    # 48 steps from scratch are few for a ResNet-18: 0.1 to 0.6 of the mean's error is left.
+    assert (error < 0.75 * by_mean).all(), error / by_mean
+
+
+@pytest.mark.parametrize("name", PALM)
+def test_the_exported_model_is_the_trained_one(name: str, rng) -> None:
+    turned = MODELS[name].targets[1:] + MODELS[name].targets[:1]
+    data = presses(24, rng, turned, MODELS[name].channels)
+    fitted = make_model(name, quick(name)).fit(data, np.arange(16), seed=1)
+    inputs = data.fetch(np.arange(16, 24))
+    model = fitted.to_onnx().SerializeToString()
+    session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
+    (exported,) = session.run(["value"], {"image": inputs})
+    assert np.max(np.abs(exported - fitted.predict(inputs)) / np.ptp(data.values, axis=0)) < 1e-4
+    (one,) = session.run(["value"], {"image": inputs[:1]})
+    np.testing.assert_allclose(one, exported[:1], rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", TORCH)
+def test_the_order_asked_for_orders_the_answers_and_nothing_else(name: str, rng) -> None:
+    targets, rows = MODELS[name].targets, np.arange(12)
+    turned = targets[2:] + targets[:2]
+    seed = int(rng.integers(1000))
+    data = [presses(12, np.random.default_rng(seed), names) for names in (targets, turned)]
+    first, second = (
+        make_model(name, quick(name)).fit(each, rows, seed=2).predict(each.fetch(rows)) for each in data
+    )
+    np.testing.assert_array_equal(second, np.roll(first, -2, axis=1))
+
+
+@pytest.mark.parametrize("name", ["palm-mlp-delta", "palm-force-conditioned"])
+def test_the_same_seed_gives_the_same_model(name: str, rng) -> None:
+    data, rows = presses(12, rng, MODELS[name].targets), np.arange(12)
+    first, again, other = (
+        make_model(name, quick(name)).fit(data, rows, seed=seed).predict(data.fetch(rows))
+        for seed in (3, 3, 4)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - other).max() > 1e-3
+
+
+def test_the_errors_of_the_place_do_not_reach_the_head_of_the_force() -> None:
+    torch.manual_seed(0)
+    network, image = ConditionedNetwork(1, some_scales(3)), 100 + 40 * torch.randn(4, *SHAPE)
+    network(image)[:, 1:].square().sum().backward()
+    assert all(p.grad is None or not p.grad.any() for p in network.force.parameters())
+    assert all(p.grad is not None and p.grad.any() for p in network.place.parameters())
+    assert network.fringe.conv1.weight.grad.any()
+
+
+def test_the_force_informs_the_place() -> None:
+    torch.manual_seed(0)
+    network, image = ConditionedNetwork(1, some_scales(3)).eval(), 100 + 40 * torch.randn(4, *SHAPE)
+    with torch.no_grad():
+        before = network(image)
+        network.force[-1].bias += 1.0
+        after = network(image)
+    np.testing.assert_allclose((after - before)[:, 0], 1.0, rtol=1e-4)
+    assert (after - before)[:, 1:].abs().min() > 1e-4
+
+
+def test_the_two_stage_force_sees_the_image_through_depth_and_place_alone() -> None:
+    torch.manual_seed(0)
+    network, image = TwoStageNetwork(1, some_scales(7)).eval(), 100 + 40 * torch.randn(1, *SHAPE)
+    slopes = torch.autograd.functional.jacobian(lambda x: network(x)[0], image).reshape(7, -1)
+    sizes = torch.linalg.svdvals(slopes.double())
+    # Seven answers, yet the image can move them in three ways only: d, x and y.
+    assert sizes[2] > 1e-3 * sizes[0]
+    assert sizes[3] < 1e-5 * sizes[0]
+    pixels = slopes.reshape(7, 32, 64)
+    assert not pixels[0, :, 32:].any()  # the depth sees nothing of the mirror,
+    assert not pixels[1:3, :, :32].any()  # nor the place of the fringes.
+
+
+def test_the_weights_of_the_loss_weigh_its_parts() -> None:
+    torch.manual_seed(0)
+    answer, wanted = torch.randn(8, 7), torch.randn(8, 7)
+    parts = [
+        PalmTwoStage(depth_weight=float(i == 0), place_weight=float(i == 1), force_weight=float(i == 2))
+        for i in range(3)
+    ]
+    d, x, f = (float(part.loss(answer, wanted)) for part in parts)
+    weighed = PalmTwoStage(depth_weight=2.0, place_weight=0.5, force_weight=3.0).loss(answer, wanted)
+    np.testing.assert_allclose(float(weighed), 2 * d + 0.5 * x + 3 * f, rtol=1e-6)
+    errors = np.abs((answer - wanted).numpy()[:, 1:3])
+    huber = np.where(errors < 1, errors**2 / 2, errors - 0.5)
+    np.testing.assert_allclose(x, huber.mean(), rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["palm-joint-raw", "palm-force-conditioned"])
+def test_forces_and_place_count_equally(name: str) -> None:
+    answer, forces = torch.zeros(4, len(MODELS[name].targets)), len(MODELS[name].targets) - 2
+    wanted = torch.ones_like(answer)
+    wanted[:, forces:] = 2.0
+    # Each part is the mean over its own targets, however many: 1 and 4.
+    assert float(make_model(name, {}).loss(answer, wanted)) == pytest.approx(5.0)
+
+
+def test_an_interrupted_network_goes_on_to_the_same_weights(rng, tmp_path) -> None:
+    class Interrupted(Exception):
+        pass
+
+    def stop(what: str, done: int, total: int) -> None:
+        assert what == "learning from scratch"
+        if done == 1:
+            raise Interrupted
+
+    data, rows = presses(10, rng, MODELS["palm-two-stage"].targets), np.arange(10)
+    model, kept = PalmTwoStage(epochs=2, batch=8, watched=0.2), tmp_path / "fold.npz"
+    whole = model.fit(data, rows, seed=5).predict(data.fetch(rows))
+    with pytest.raises(Interrupted):
+        model.fit(data, rows, seed=5, progress=stop, checkpoint=kept)
+    resumed = model.fit(data, rows, seed=5, checkpoint=kept).predict(data.fetch(rows))
+    np.testing.assert_array_equal(whole, resumed)
+
+
+def test_given_weights_are_where_every_trunk_begins(rng, tmp_path, monkeypatch) -> None:
+    path, given = tmp_path / "resnet18.safetensors", ResNet18(3).state_dict()
+    path.write_bytes(b"")
+    monkeypatch.setitem(sys.modules, "safetensors", SimpleNamespace())
+    monkeypatch.setitem(sys.modules, "safetensors.torch", SimpleNamespace(load_file=lambda path: given))
+    assert PalmTwoStage(weights=str(path)).descent().learning_rate == 1e-4
+    assert PalmTwoStage().descent().learning_rate == 1e-3
+    data, told = presses(8, rng, MODELS["palm-two-stage"].targets), []
+    model = PalmTwoStage(epochs=1, weights=str(path), learning_rate=1e-9, patience=0)
+    fitted = model.fit(data, np.arange(8), seed=0, progress=lambda what, done, total: told.append(what))
+    assert told[-1] == "learning from resnet18.safetensors"
+    for trunk in (fitted.network.fringe, fitted.network.mirror):
+        torch.testing.assert_close(trunk.conv1.weight, given["conv1.weight"].sum(dim=1, keepdim=True))
+        torch.testing.assert_close(trunk.layer4[1].conv2.weight, given["layer4.1.conv2.weight"])
+
+
+def test_targets_are_standardised_unless_their_own_units_are_asked_for(rng) -> None:
+    data, rows = presses(30, rng, MODELS["palm-two-stage"].targets), np.arange(20)
+    columns = columns_of(MODELS["palm-two-stage"].targets, data.names, "PalmTwoStage")
+    scaled = Scales.of(data, rows, columns, True, rng).targets.scaled(data.values[rows])
+    np.testing.assert_allclose(scaled.std(axis=0), 1.0)
+    plain = Scales.of(data, rows, columns, False, rng).targets.scaled(data.values[rows])
+    np.testing.assert_array_equal(plain, data.values[rows])
+
+
+def test_the_perceptron_sees_the_fringes_alone(rng) -> None:
+    data, rows = presses(30, rng, MODELS["palm-mlp-delta"].targets), np.arange(30)
+    fitted = make_model("palm-mlp-delta", {"epochs": 5}).fit(data, rows, seed=0)
+    inputs = data.fetch(rows)
+    other = inputs.copy()
+    other[..., 32:] = rng.normal(0, 100, other[..., 32:].shape)
+    np.testing.assert_array_equal(fitted.predict(inputs), fitted.predict(other))
+
+
+@pytest.mark.parametrize("name", PALM)
+def test_targets_it_misses_or_cannot_estimate_are_refused(name: str, rng) -> None:
+    targets = MODELS[name].targets
+    for asked in (targets[:-1], (*targets, "stiffness_N_m"), ()):
+        data = presses(12, rng, targets)
+        wrong = TrainingData(data.shape, data.values, data.groups, data.fetch, asked)
+        with pytest.raises(InputError, match=f"{', '.join(targets)}, no fewer.*{', '.join(asked)}"):
+            make_model(name, {}).fit(wrong, np.arange(12), seed=0)
+
+
+@pytest.mark.parametrize("name", PALM)
+def test_an_odd_width_is_not_two_views(name: str, rng) -> None:
+    data = presses(12, rng, MODELS[name].targets)
+    odd = TrainingData(
+        (1, 32, 63), data.values, data.groups, lambda rows: data.fetch(rows)[..., 1:], data.names
+    )
+    with pytest.raises(InputError, match="even width"):
+        make_model(name, {}).fit(odd, np.arange(12), seed=0)
+    assert half_width((1, 32, 62)) == 31
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"weights": "resnet18.pth"}, "only .safetensors"),
+        ({"weights": "nowhere.safetensors"}, "no such file"),
+        ({"precision": "float16"}, "auto or float32"),
+        ({"force_weight": -1.0}, "loss weights"),
+        ({"depth_weight": 0, "place_weight": 0, "force_weight": 0}, "one at least is positive"),
+        ({"learning_rate": -1.0}, "positive"),
+        ({"epochs": 0}, "1 or more"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_before_anything_is_learnt(options: dict, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        make_model("palm-two-stage", options)

@@ -1,0 +1,153 @@
+"""The residual trunk is the published one, by its names and numbers, and reads weights by those names."""
+
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import onnxruntime
+import pytest
+
+from palpate.core.errors import InputError, MissingExtraError
+
+torch = pytest.importorskip("torch", reason="the extra `train` is not installed")
+
+from palpate.estimators.networks.resnet import ResNet18, read_weights  # noqa: E402
+from palpate.estimators.networks.torch_graph import TorchGraph  # noqa: E402
+
+
+def normalisation(name: str) -> set[str]:
+    kept = ("weight", "bias", "running_mean", "running_var", "num_batches_tracked")
+    return {f"{name}.{part}" for part in kept}
+
+
+def published_names() -> set[str]:
+    """By torchvision's rule: four layers of two blocks, shortcuts with weights in the last three."""
+    names = {"conv1.weight"} | normalisation("bn1")
+    for layer in (1, 2, 3, 4):
+        for block in (0, 1):
+            for i in (1, 2):
+                at = f"layer{layer}.{block}"
+                names |= {f"{at}.conv{i}.weight"} | normalisation(f"{at}.bn{i}")
+        if layer > 1:
+            names |= {f"layer{layer}.0.downsample.0.weight"} | normalisation(f"layer{layer}.0.downsample.1")
+    return names
+
+
+@pytest.fixture
+def weights() -> dict[str, "torch.Tensor"]:
+    """As if trained: running means and spreads are not those of the beginning; with a last layer."""
+    torch.manual_seed(4)
+    state = ResNet18(3).state_dict()
+    moved = {k: v + 0.1 * torch.rand(v.shape) if v.is_floating_point() else v for k, v in state.items()}
+    return moved | {"fc.weight": torch.zeros(1000, 512), "fc.bias": torch.zeros(1000)}
+
+
+def features(trunk: ResNet18, image: "torch.Tensor") -> np.ndarray:
+    with torch.no_grad():
+        return trunk.eval()(image).numpy()
+
+
+def test_its_parts_carry_the_published_names() -> None:
+    assert len(published_names()) == 120
+    assert set(ResNet18(3).state_dict()) == published_names()
+
+
+@pytest.mark.parametrize(("channels", "count"), [(3, 11_176_512), (1, 11_176_512 - 2 * 64 * 49)])
+def test_it_has_the_published_number_of_parameters(channels: int, count: int) -> None:
+    assert sum(p.numel() for p in ResNet18(channels).parameters()) == count
+
+
+def test_the_map_is_a_32nd_of_the_image_and_becomes_512_features() -> None:
+    trunk, image = ResNet18(1), torch.rand(2, 1, 64, 96)
+    assert features(trunk, image).shape == (2, 512)
+    for part in list(trunk.chain())[:-2]:
+        image = part(image)
+    assert image.shape == (2, 512, 2, 3)
+
+
+def test_it_begins_with_convolutions_spread_as_rectifiers_need() -> None:
+    torch.manual_seed(0)
+    weight = ResNet18(3).layer3[0].conv2.weight
+    # Variance 2 / fan-out of 9 x 256; 590 thousand draws scatter their spread by 0.1 %.
+    np.testing.assert_allclose(weight.std().item(), (2 / (9 * 256)) ** 0.5, rtol=5e-3)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_as_onnx_it_gives_the_same_features(weights, channels: int) -> None:
+    trunk = ResNet18(channels)
+    trunk.take(weights, "weights")
+    graph = TorchGraph()
+    graph.add("Identity", [graph.add_layer(trunk.eval(), "image")], {}, output="value")
+    # An odd size: a pooling or a padding half a pixel off would show.
+    image = torch.randn(3, channels, 45, 37)
+    model = graph.model((channels, 45, 37), 512).SerializeToString()
+    session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
+    (exported,) = session.run(["value"], {"image": image.numpy()})
+    wanted = features(trunk, image)
+    # float32 through 18 layers in another order of summation.
+    assert np.max(np.abs(exported - wanted)) < 1e-5 * np.ptp(wanted)
+
+
+def test_a_grey_trunk_answers_as_the_coloured_one_to_a_grey_image(weights) -> None:
+    coloured, grey = ResNet18(3), ResNet18(1)
+    coloured.take(weights, "weights")
+    grey.take(weights, "weights")
+    image = torch.randn(2, 1, 32, 32)
+    wanted = features(coloured, image.expand(-1, 3, -1, -1))
+    np.testing.assert_allclose(features(grey, image), wanted, atol=1e-5 * np.ptp(wanted))
+
+
+def test_files_that_do_not_count_batches_are_read_too(weights) -> None:
+    ResNet18(3).take({k: v for k, v in weights.items() if "num_batches" not in k}, "old weights")
+
+
+def test_missing_and_extra_entries_are_named(weights) -> None:
+    del weights["layer2.0.downsample.0.weight"]
+    with pytest.raises(InputError, match=r"missing layer2\.0\.downsample\.0\.weight; extra stem"):
+        ResNet18(3).take(weights | {"stem": torch.zeros(1)}, "weights")
+
+
+def test_weights_of_another_shape_are_named(weights) -> None:
+    weights["bn1.bias"] = torch.zeros(32)
+    with pytest.raises(InputError, match=r"bn1\.bias \[32\], not \[64\]"):
+        ResNet18(3).take(weights, "weights")
+
+
+@pytest.mark.parametrize("name", ["resnet18.pth", "resnet18.npz", "resnet18"])
+def test_files_that_may_run_code_are_refused(tmp_path, name: str) -> None:
+    (tmp_path / name).write_bytes(b"")
+    with pytest.raises(InputError, match=r"only \.safetensors files are read"):
+        read_weights(tmp_path / name)
+
+
+def test_a_missing_file_is_refused(tmp_path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_weights(tmp_path / "resnet18.safetensors")
+
+
+def test_a_missing_package_is_named_with_its_remedy(tmp_path, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "safetensors.torch", None)
+    (tmp_path / "resnet18.safetensors").write_bytes(b"")
+    with pytest.raises(MissingExtraError, match=r"palpate\[train\]"):
+        read_weights(tmp_path / "resnet18.safetensors")
+
+
+def test_what_the_package_cannot_read_is_refused(tmp_path, monkeypatch) -> None:
+    def fail(path: object) -> None:
+        raise RuntimeError("header too large")
+
+    monkeypatch.setitem(sys.modules, "safetensors", SimpleNamespace())
+    monkeypatch.setitem(sys.modules, "safetensors.torch", SimpleNamespace(load_file=fail))
+    (tmp_path / "resnet18.safetensors").write_bytes(b"")
+    with pytest.raises(InputError, match="header too large"):
+        ResNet18(3).load_weights(tmp_path / "resnet18.safetensors")
+
+
+def test_weights_are_read_from_the_published_format(tmp_path, weights) -> None:
+    torch_files = pytest.importorskip("safetensors.torch", reason="safetensors is not installed")
+    path = tmp_path / "resnet18.safetensors"
+    torch_files.save_file({k: v.contiguous() for k, v in weights.items()}, path)
+    trunk = ResNet18(3)
+    trunk.load_weights(path)
+    for name, value in trunk.state_dict().items():
+        assert torch.equal(value, weights[name])
