@@ -67,7 +67,9 @@ def greatest_order(contact: Contact, spec: PalmSpec) -> float:
 
 def _rim_percent(contact: Contact, spec: PalmSpec) -> float | None:
     R, pose = spec.indenter_radius_m, contact.pose
-    if pose.depth_m < 0 or not (is_ball(contact, spec) and math.isclose(spec.radius_m, table_of(spec).disc_radius * R)):
+    if pose.depth_m < 0 or not is_ball(contact, spec):
+        return None
+    if not math.isclose(spec.radius_m, table_of(spec).disc_radius * R):
         return None
     try:
         effect = rim_effect(math.hypot(pose.x_m, pose.y_m) / R, pose.depth_m / R, spec.thickness_m / R)
