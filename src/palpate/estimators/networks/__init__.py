@@ -76,6 +76,16 @@ MODELS: dict[str, Kind] = {
         targets=("depth_mm", *_PLACE, *_FORCES, "force_magnitude_N"),
         views=2,
     ),
+    "palm-compact": Kind(
+        "palm_compact",
+        "PalmCompact",
+        96,
+        costly=True,
+        channels=3,
+        delta=True,
+        targets=("depth_mm", *_PLACE, "force_N"),
+        views=2,
+    ),
 }
 
 

@@ -32,6 +32,7 @@ from palpate.estimators.networks.compact_cnn import fast_bfloat16
 Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 PRECISIONS = ("auto", "float32")
 WATCHED_AT_ONCE = 64
+RISING = 100  # steps
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,8 @@ class Descent:
             epoch are kept.
         precision: "auto" multiplies in bfloat16 where the processor does that fast, "float32" never.
         clip: greatest norm of the gradient; a longer one is shortened to it.
+        cosine: let the step rise over the first hundred steps, then fall along a cosine to nothing, instead
+            of staying as it is.
     """
 
     epochs: int
@@ -74,6 +77,7 @@ class Descent:
     patience: int = 0
     precision: str = "auto"
     clip: float = 5.0
+    cosine: bool = False
 
     def __post_init__(self) -> None:
         if self.epochs < 1 or self.batch < 2 or self.patience < 0:
@@ -85,6 +89,14 @@ class Descent:
             raise InputError(f"learning_rate {self.learning_rate}, clip {self.clip}: both must be positive")
         if self.precision not in PRECISIONS:
             raise InputError(f"precision {self.precision!r} is not known; take auto or float32")
+
+    def rate(self, step: int, steps_an_epoch: int) -> float:
+        """Adam's step at one of the steps."""
+        if not self.cosine:
+            return self.learning_rate
+        total = self.epochs * steps_an_epoch
+        rise = min(1.0, (step + 1) / min(RISING, total))
+        return self.learning_rate * rise * 0.5 * (1 + math.cos(math.pi * step / total))
 
     def train(
         self,
@@ -146,13 +158,17 @@ class Run:
         order = rng.permutation(self.lesson.learn)
         self.network.train()
         parts = [order[i : i + self.plan.batch] for i in range(0, len(order), self.plan.batch)]
-        losses = [self._step(part) for part in parts if len(part) > 1]
+        parts = [part for part in parts if len(part) > 1]
+        losses = [self._step(part, (i + self.epoch * len(parts), len(parts))) for i, part in enumerate(parts)]
         self.epoch += 1
         self._require_a_number(torch.stack(losses).sum().item())
         if self.stops_early:
             self._remember(self.watched_loss())
 
-    def _step(self, part: Indices) -> torch.Tensor:
+    def _step(self, part: Indices, at: tuple[int, int]) -> torch.Tensor:
+        """One step down, the `at[0]`-th of `at[1]` an epoch."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.plan.rate(*at)
         with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self._in_bfloat16()):
             answer = self.network(self._inputs(part))
         loss = self.lesson.loss(answer.float(), self._wanted(part))

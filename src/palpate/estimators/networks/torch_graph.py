@@ -100,6 +100,14 @@ class TorchGraph:
         bounds = {"first": torch.tensor([first]), "end": torch.tensor([end]), "axis": torch.tensor([3])}
         return self.add("Slice", [at], bounds)
 
+    def centres(self, maps: nn.Conv2d, grid: torch.Tensor, at: str) -> str:
+        """Where a layer's maps weigh most: the softmax of each, times a grid of places ``[h w, 2]``."""
+        shape = torch.tensor([0, maps.out_channels, len(grid)])
+        flat = self.add("Reshape", [self.add_layer(maps, at)], {"shape": shape})
+        return self.add(
+            "Flatten", [self.add("MatMul", [self.add("Softmax", [flat], {}, axis=2)], {"grid": grid})], {}
+        )
+
     def joined(self, *parts: str) -> str:
         """Features ``[n k]`` side by side, in the order given."""
         return self.add("Concat", parts, {}, axis=1)

@@ -1,0 +1,208 @@
+"""A small network for the photoelastic palm, which learns from the rendered membrane as well.
+
+A palm is calibrated at a few dozen places. Between them a network has to guess, and that is where larger ones
+fail. So this one also sees thousands of presses anywhere on the virtual membrane, with the frames of the rig
+it is calibrated on, and has two parts that suit the two views: the fringes' branch keeps the map's layout up
+to a dense layer, and the mirror's branch also tells where its maps weigh most (a soft maximum), which is
+where the probe is. On a virtual rig the rendered presses obey the very laws of the recorded ones; on a real
+palm they are a model of it, and how much they help there is not known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+import cv2
+import numpy as np
+import torch
+from torch import nn
+from torch.nn import functional
+
+from palpate.core.axes import Indices, Tensor
+from palpate.core.errors import InputError
+from palpate.estimators.networks.base import Progress, Scaler, TrainingData, silent
+from palpate.estimators.networks.compact_cnn import seeded
+from palpate.estimators.networks.descent import Descent, Lesson
+from palpate.estimators.networks.palm_network import FittedPalm, PalmNetwork, dense
+from palpate.estimators.networks.palm_views import Scales, columns_of, half_width
+from palpate.estimators.networks.torch_graph import TorchGraph
+from palpate.sensors import palm
+from palpate.sensors.palm.presses import TARGETS, Presses, draw_presses
+
+WIDTHS = (24, 48, 64, 96)
+SEEN_AT = 2  # blocks after which the mirror's maps are asked where they weigh most
+MAPS = 16
+FEATURES = 128
+BEND = 0.05  # of the Huber loss, in spreads of the targets
+DEPTHS_EACH = 12  # frames of a rendered press
+OFTEN = 2  # times in an epoch that a recorded frame is seen
+
+
+class CompactPalmNetwork(PalmNetwork):
+    """Two small branches and a dense head."""
+
+    def __init__(self, channels: int, side: int, scales: Scales) -> None:
+        super().__init__(scales)
+        last = WIDTHS[-1] * (side // 2 ** len(WIDTHS)) ** 2
+        self.fringe = nn.ModuleList(_blocks(channels))
+        self.mirror = nn.ModuleList(_blocks(channels))
+        self.fringe_features = nn.Sequential(nn.Flatten(), nn.Linear(last, FEATURES), nn.ReLU())
+        self.mirror_features = nn.Sequential(nn.Flatten(), nn.Linear(last, FEATURES), nn.ReLU())
+        self.maps = nn.Conv2d(WIDTHS[SEEN_AT - 1], MAPS, 1)
+        self.head = dense((2 * FEATURES + 2 * MAPS, FEATURES, len(scales.order)))
+        self.grid: torch.Tensor
+        self.register_buffer("grid", _grid(side // 2**SEEN_AT))
+
+    def answer(self, fringe: torch.Tensor, mirror: torch.Tensor) -> torch.Tensor:
+        for block in self.fringe:
+            fringe = block(fringe)
+        for block in self.mirror[:SEEN_AT]:
+            mirror = block(mirror)
+        weights = torch.softmax(self.maps(mirror).float().flatten(2), dim=2)
+        where = (weights @ self.grid).flatten(1)
+        for block in self.mirror[SEEN_AT:]:
+            mirror = block(mirror)
+        features = self.fringe_features(fringe), self.mirror_features(mirror)
+        return self.head(torch.cat([*features, where.to(features[0].dtype)], dim=1))
+
+    def draw(self, graph: TorchGraph, fringe: str, mirror: str) -> str:
+        seen = graph.add_chain(self.mirror[:SEEN_AT], mirror)
+        where = graph.centres(self.maps, self.grid, seen)
+        features = (
+            graph.add_chain([*self.fringe, self.fringe_features], fringe),
+            graph.add_chain([*self.mirror[SEEN_AT:], self.mirror_features], seen),
+        )
+        return graph.add_layer(self.head, graph.joined(*features, where))
+
+
+def _blocks(channels: int) -> list[nn.Sequential]:
+    """Each halves the map's side; the first looks wider."""
+    made, before = [], channels
+    for i, width in enumerate(WIDTHS):
+        size = 5 if i == 0 else 3
+        convolution = nn.Conv2d(before, width, size, stride=2, padding=size // 2, bias=False)
+        made.append(nn.Sequential(convolution, nn.BatchNorm2d(width), nn.ReLU()))
+        before = width
+    return made
+
+
+def _grid(side: int) -> torch.Tensor:
+    """Places ``[side side, 2]`` across and down, -1 to 1."""
+    along = torch.linspace(-1, 1, side)
+    down, across = torch.meshgrid(along, along, indexing="ij")
+    return torch.stack([across.flatten(), down.flatten()], dim=1)
+
+
+@dataclass(frozen=True)
+class PalmCompact:
+    """How the network is built and trained.
+
+    Attributes:
+        rendered: frames of rendered presses that are learnt from besides the recorded ones; 0 for none.
+        palm: the preset that they are rendered of.
+        epochs: passes over all of them.
+        batch: rows a step.
+        learning_rate: Adam's at its greatest; it falls along a cosine.
+        precision: see `Descent`.
+    """
+
+    rendered: int = 16_000
+    palm: str = "palm"
+    epochs: int = 16
+    batch: int = 64
+    learning_rate: float = 2e-3
+    precision: str = "auto"
+
+    targets: ClassVar[tuple[str, ...]] = TARGETS
+
+    def __post_init__(self) -> None:
+        if self.rendered < 0:
+            raise InputError(f"rendered is {self.rendered}; it is a number of frames, 0 for none")
+        palm.preset(self.palm)
+        self.descent()
+
+    def descent(self) -> Descent:
+        """The training loop these options ask for."""
+        return Descent(self.epochs, self.batch, self.learning_rate, 0, self.precision, cosine=True)
+
+    def fit(
+        self,
+        data: TrainingData,
+        rows: Indices,
+        *,
+        seed: int,
+        progress: Progress = silent,
+        checkpoint: Path | None = None,
+    ) -> FittedPalm:
+        columns = columns_of(self.targets, data.names, type(self).__name__)
+        side = self._side(data.shape)
+        rng = np.random.default_rng(seed)
+        drawn = self._drawn(side, rng, progress)
+        scales = Scales.of(data, rows, columns, True, rng)
+        values = data.values[:, columns]
+        if drawn is not None:
+            values = np.concatenate([values, drawn.values.astype(np.float64)])
+            learnt = np.concatenate([data.values[np.ix_(rows, columns)], drawn.values])
+            scales = replace(scales, targets=Scaler.of(learnt))
+        union = _Union(data, drawn)
+        learn = np.concatenate([np.tile(rows, OFTEN if drawn else 1), union.drawn_rows])
+        wanted = scales.targets.scaled(values).astype(np.float32)
+        with seeded(seed):
+            network = CompactPalmNetwork(data.shape[0], side, scales)
+        lesson = Lesson(union.fetch, wanted, _loss, learn, rows[:0])
+        trained = self.descent().train(network, lesson, seed=seed, progress=progress, checkpoint=checkpoint)
+        return FittedPalm(trained, data.shape)
+
+    def _side(self, shape: tuple[int, int, int]) -> int:
+        side = half_width(shape)
+        if side != shape[1] or side % 2 ** len(WIDTHS):
+            raise InputError(
+                f"an input of {shape[1]} x {shape[2]} px is not two squares whose side is a multiple of "
+                f"{2 ** len(WIDTHS)} px; give --size 96x192, or 128x256"
+            )
+        return side
+
+    def _drawn(self, side: int, rng: np.random.Generator, progress: Progress) -> Presses | None:
+        if self.rendered == 0:
+            return None
+        spec = palm.cropped(palm.preset(self.palm), side, "palm-rendered")
+        count = max(1, round(self.rendered / DEPTHS_EACH))
+
+        def told(done: int, total: int) -> None:
+            progress("rendering presses", done, total)
+
+        return draw_presses(spec, count, DEPTHS_EACH, rng, told)
+
+
+def _loss(answer: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+    loss: torch.Tensor = functional.smooth_l1_loss(answer, wanted, beta=BEND)
+    return loss
+
+
+class _Union:
+    """Recorded rows and, numbered on after them, rendered ones."""
+
+    def __init__(self, data: TrainingData, drawn: Presses | None) -> None:
+        self._data, self._drawn, self._first = data, drawn, len(data.values)
+        self.drawn_rows = self._first + np.arange(len(drawn.values) if drawn else 0)
+
+    def fetch(self, rows: Indices) -> Tensor:
+        """Inputs ``[n c h w]``, in the order asked for."""
+        inputs = np.empty((len(rows), *self._data.shape), np.float32)
+        recorded = rows < self._first
+        if recorded.any():
+            inputs[recorded] = self._data.fetch(rows[recorded])
+        if self._drawn is not None and not recorded.all():
+            inputs[~recorded] = self._differences(self._drawn, rows[~recorded] - self._first)
+        return inputs
+
+    def _differences(self, drawn: Presses, rows: Indices) -> Tensor:
+        pairs = zip(drawn.images[rows], drawn.hanging[drawn.press[rows]], strict=True)
+        return np.stack([self._as_input(image) - self._as_input(hanging) for image, hanging in pairs])
+
+    def _as_input(self, image: np.ndarray) -> np.ndarray:
+        if self._data.shape[0] == 1:
+            return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[None].astype(np.float32)
+        return image.transpose(2, 0, 1).astype(np.float32)

@@ -1,0 +1,122 @@
+"""The small network of the palm, and the presses that it is shown besides the recorded ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import onnxruntime
+import pytest
+
+from palpate.core.errors import InputError
+from palpate.estimators.networks.base import TrainingData
+from palpate.sensors import palm
+from palpate.sensors.palm.presses import TARGETS, draw_presses
+
+torch = pytest.importorskip("torch", reason="the network trains with torch")
+
+from palpate.estimators.networks.descent import Descent  # noqa: E402
+from palpate.estimators.networks.palm_compact import PalmCompact, _Union  # noqa: E402
+
+SIDE = 32
+SPEC = palm.cropped(palm.palm(), SIDE, "test")
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    return draw_presses(SPEC, 24, 6, np.random.default_rng(5))
+
+
+@pytest.fixture(scope="module")
+def data(drawn):
+    """The same presses as a recording's: differences, by press."""
+
+    def fetch(rows):
+        difference = drawn.images[rows].astype(np.float32) - drawn.hanging[drawn.press[rows]]
+        return np.ascontiguousarray(difference.transpose(0, 3, 1, 2))
+
+    shape = (3, SIDE, 2 * SIDE)
+    return TrainingData(shape, drawn.values.astype(float), drawn.press, fetch, TARGETS)
+
+
+def test_drawn_presses_lie_all_over_the_palm_and_their_labels_are_a_rigs(drawn):
+    depth, x, y, force = drawn.values.T
+    away = np.hypot(x, y)
+    assert away.max() <= 1e3 * (SPEC.radius_m - SPEC.indenter_radius_m)
+    assert (away > 15).mean() > 0.3
+    assert -0.1 < depth.min() < 1.0
+    assert 4.0 < depth.max() < 5.3
+    first = drawn.press == 3
+    assert len(np.unique(x[first])) == 1, "a press stands at one place"
+    # Below the local zero, where 0.05 N are carried already.
+    order = np.argsort(depth)
+    assert np.corrcoef(force[order], np.arange(len(order)))[0, 1] > 0.9
+    touched = np.interp(0.0, depth[order], force[order])
+    assert 0.0 < touched < 0.3
+
+
+def test_the_same_seed_draws_the_same_and_another_does_not():
+    one, same, other = (draw_presses(SPEC, 2, 2, np.random.default_rng(s)) for s in (1, 1, 2))
+    np.testing.assert_array_equal(one.images, same.images)
+    np.testing.assert_array_equal(one.values, same.values)
+    assert (one.values != other.values).any()
+
+
+def test_rendered_rows_follow_the_recorded_ones_and_are_fetched_in_the_order_asked_for(data, drawn):
+    union = _Union(data, drawn)
+    first = len(data.values)
+    asked = np.array([first + 7, 3, first, 5])
+    np.testing.assert_array_equal(union.fetch(asked), data.fetch(np.array([7, 3, 0, 5])))
+    assert union.drawn_rows.tolist() == [first + i for i in range(len(drawn.values))]
+
+
+@pytest.fixture(scope="module")
+def fitted(data):
+    recipe = PalmCompact(rendered=240, epochs=14, batch=16)
+    return recipe.fit(data, np.arange(96), seed=0)
+
+
+def test_it_learns_what_it_is_shown(fitted, data):
+    rows = np.arange(96, 144)
+    error = np.abs(fitted.predict(data.fetch(rows)) - data.values[rows]).mean(axis=0)
+    guess = np.abs(data.values[:96].mean(axis=0) - data.values[rows]).mean(axis=0)
+    assert (error < 0.7 * guess).all(), error / guess
+
+
+def test_the_exported_network_answers_as_the_trained_one(fitted, data):
+    session = onnxruntime.InferenceSession(fitted.to_onnx().SerializeToString())
+    inputs = data.fetch(np.arange(20))
+    (exported,) = session.run(["value"], {"image": inputs})
+    span = np.ptp(data.values, axis=0)
+    assert (np.abs(exported - fitted.predict(inputs)) / span).max() < 1e-4
+
+
+def test_the_same_seed_trains_the_same_network(data):
+    recipe = PalmCompact(rendered=24, epochs=1, batch=16)
+    one, same = (recipe.fit(data, np.arange(48), seed=3).predict(data.fetch(np.arange(8))) for _ in range(2))
+    np.testing.assert_array_equal(one, same)
+
+
+def test_without_rendered_presses_it_learns_from_the_recorded_alone(data):
+    fitted = PalmCompact(rendered=0, epochs=1, batch=16).fit(data, np.arange(48), seed=0)
+    assert np.isfinite(fitted.predict(data.fetch(np.arange(4)))).all()
+
+
+@pytest.mark.parametrize("options", [{"rendered": -1}, {"palm": "hand"}, {"epochs": 0}])
+def test_settings_that_cannot_be_are_refused(options):
+    with pytest.raises(InputError):
+        PalmCompact(**options)
+
+
+@pytest.mark.parametrize("shape", [(3, 32, 96), (3, 40, 80)])
+def test_an_input_that_is_not_two_fitting_squares_is_refused(data, shape):
+    odd = TrainingData(shape, data.values, data.groups, data.fetch, TARGETS)
+    with pytest.raises(InputError, match="two squares"):
+        PalmCompact(rendered=0).fit(odd, np.arange(20), seed=0)
+
+
+def test_a_falling_step_begins_small_is_greatest_early_and_ends_at_nothing():
+    plan = Descent(10, learning_rate=1.0, cosine=True)
+    rates = [plan.rate(step, 50) for step in range(500)]
+    assert rates[0] == pytest.approx(0.01)
+    assert np.argmax(rates) in range(90, 110)
+    assert rates[-1] < 1e-4
+    assert Descent(10, learning_rate=0.5).rate(123, 50) == 0.5
