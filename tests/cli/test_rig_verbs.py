@@ -59,6 +59,23 @@ def test_a_recorded_run_is_checked_calibrated_and_reported_without_further_optio
     card = json.loads((cal / "card.json").read_text())
     assert [target["column"] for target in card["targets"]] == ["depth_mm", "force_N", "x_mm", "y_mm"]
     assert card["split"]["columns"] == ["location"]
+    palms = (
+        "calibrate",
+        run,
+        "--model",
+        "palm-mlp-delta",
+        "--size",
+        "16x32",
+        "--quiet",
+        "--out",
+        tmp_path / "mlp",
+    )
+    assert typed(*palms)[0] == 0
+    card = json.loads((tmp_path / "mlp" / "card.json").read_text())
+    assert [target["column"] for target in card["targets"]] == ["force_x_N", "force_y_N", "force_N"]
+    seen = card["input"]
+    assert (seen["channels"], seen["delta"]) == (1, True)
+    assert (seen["crop_px"], seen["beside_px"]) == ([0, 0, 128, 128], [128, 0, 128, 128])
 
 
 def test_a_recordings_events_are_written_as_documents_with_its_taps(tiny: Path, tmp_path: Path) -> None:

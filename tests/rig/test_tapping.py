@@ -17,7 +17,7 @@ from palpate.rig import Ask, Control, Outcome, Reason, State, Status, record
 from palpate.rig.plans import Listed, Swept
 from palpate.rig.progress import fields_of
 from palpate.rig.tapping import CLOCKS, MOST_S, most_telling
-from palpate.rig.virtual import Variation
+from palpate.rig.virtual import Fault, Variation
 from palpate.rig.virtual.camera import TRANSPORT_S
 from palpate.rig.virtual.force import LATENCY_S
 
@@ -125,6 +125,26 @@ def test_a_camera_that_does_not_see_the_taps_stops_the_recording_before_it_begin
     assert "taps = 0" in outcome.message
     assert blind.stage.position_m()[2] < 0
     assert len(Run.open(out)) == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason"),
+    [
+        ("camera-resized", Reason.CAMERA),
+        ("camera-stalls", Reason.CAMERA),
+        ("camera-gone", Reason.CAMERA),
+        ("camera-frozen", Reason.CLOCKS),
+        ("force-stalls", Reason.FORCE_STALE),
+        ("layer-gone", Reason.NO_CONTACT),
+    ],
+)
+def test_what_fails_while_tapping_stops_with_its_name_and_the_recording_goes_on_afterwards(
+    tmp_path: Path, kind: str, reason: Reason
+) -> None:
+    small, out = plan(taps=2, **SMALL), tmp_path / "run"
+    outcome = record(rig(Fault(kind, 0.9)), small, out)  # type: ignore[arg-type]
+    assert (outcome.state, outcome.reason, outcome.shots) == (State.FAILED, reason, 0)
+    assert record(rig(clock=ManualClock(3 * CLOCK_NS)), small, out).state is State.DONE
 
 
 def test_what_varies_most_tells_more_than_any_one_pixel() -> None:

@@ -17,7 +17,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from palpate.core.clock import NS_PER_S
-from palpate.core.errors import DeviceError, RangeError
+from palpate.core.errors import DeviceError, InputError, RangeError
 from palpate.core.frame import Frame
 from palpate.core.protocols import Wrench
 from palpate.recordings.align import Offset, offset_between
@@ -25,6 +25,7 @@ from palpate.rig.guard import Guard
 from palpate.rig.outcome import Reason, Tripped
 from palpate.rig.plans.plan import Plan
 from palpate.rig.rig import Rig
+from palpate.rig.shooting import STARVED_S
 from palpate.rig.tare import Force
 
 CLOCKS = "clocks"
@@ -32,8 +33,7 @@ MM = 1e-3
 RESTS_S = (0.25, 0.4, 0.3, 0.55)  # between taps, in turn: uneven, so that no tap is taken for its neighbour
 MOST_S = 0.4  # of the offset looked for, to either side
 MOST_DEEP_MM = 1.0  # below the lowest place where contact may be found
-DECIMATED = 4  # of every so many rows and columns one is compared: more changes nothing
-MOST_PIXELS = 100_000  # above which that is done
+MOST_PIXELS = 30_000  # of a frame that are compared, evenly over it: more changes nothing, and takes memory
 
 Pixels = UInt8[ndarray, " _"]
 Signal = Float[ndarray, " _"]
@@ -49,6 +49,7 @@ class Tapping:
         self._force: list[tuple[int, float]] = []
         self._seen: list[tuple[int, Pixels]] = []
         self._exposure_s = 0.0
+        self._last_ns = 0
 
     def tap(self) -> Offset:
         """Tap, and say how far the frames run behind the force.
@@ -63,6 +64,7 @@ class Tapping:
             self._look()
 
         self._drained()
+        self._last_ns = self._rig.clock.now_ns()
         self._guard.recorder.on_force, self._guard.on_poll = self._feel, both
         try:
             self._guard.wait(2 * MOST_S)
@@ -94,8 +96,18 @@ class Tapping:
 
     def _look(self) -> None:
         for time_ns, frame in self._drained():
+            width, height = self._rig.camera.size_px
+            if frame.image.shape[:2] != (height, width):
+                raise Tripped(
+                    Reason.CAMERA,
+                    f"a frame of {frame.image.shape[1]} x {frame.image.shape[0]} px came from a camera of "
+                    f"{width} x {height} px",
+                )
             self._exposure_s = frame.exposure_s or 0.0
             self._seen.append((time_ns, _thinned(frame)))
+            self._last_ns = self._rig.clock.now_ns()
+        if self._rig.clock.now_ns() - self._last_ns > STARVED_S * NS_PER_S:
+            raise Tripped(Reason.CAMERA, f"no frame came for {STARVED_S:g} s; is the camera still there?")
 
     def _drained(self) -> list[tuple[int, Frame]]:
         try:
@@ -118,7 +130,7 @@ class Tapping:
                 exposure_s=self._exposure_s,
                 most_s=MOST_S,
             )
-        except RangeError as e:
+        except (RangeError, InputError) as e:  # InputError: stamps that do not increase
             raise Tripped(
                 Reason.CLOCKS,
                 f"{self._plan.taps} taps do not tell the frames' clock from the force's: {e}; look at what "
@@ -132,10 +144,9 @@ class Tapping:
 
 
 def _thinned(frame: Frame) -> Pixels:
-    image = frame.image
-    if image.shape[0] * image.shape[1] > MOST_PIXELS:
-        image = image[::DECIMATED, ::DECIMATED]
-    return np.ascontiguousarray(image).ravel()
+    height, width = frame.image.shape[:2]
+    step = math.ceil(math.sqrt(height * width / MOST_PIXELS))
+    return np.ascontiguousarray(frame.image[::step, ::step]).ravel()
 
 
 def most_telling(images: Sequence[Pixels]) -> Signal:
