@@ -73,6 +73,7 @@ def test_a_recorded_run_is_checked_calibrated_and_reported_without_further_optio
     assert typed(*palms)[0] == 0
     card = json.loads((tmp_path / "mlp" / "card.json").read_text())
     assert [target["column"] for target in card["targets"]] == ["force_x_N", "force_y_N", "force_N"]
+    assert card["options"]["epochs"] == 2000, "what was not asked for is told as well"
     seen = card["input"]
     assert (seen["channels"], seen["delta"]) == (1, True)
     assert (seen["crop_px"], seen["beside_px"]) == ([0, 0, 128, 128], [128, 0, 128, 128])

@@ -33,6 +33,7 @@ from palpate.estimators.card import (
 )
 from palpate.estimators.certified import CARD_FILE
 from palpate.estimators.intervals import Intervals
+from palpate.estimators.networks import settings_of
 from palpate.recordings import png
 from palpate.version import __version__
 
@@ -130,7 +131,7 @@ def _card(made: Calibrated, folder: Path, intervals: Intervals, halves: Values, 
             "seed": plan.seed,
             "sensor": run.manifest.sensor,
             "model_name": plan.model,
-            "options": plan.options,
+            "options": settings_of(plan.model, plan.options),
             "coverage": plan.coverage,
             "input": InputCard(
                 frame_px=run.frame(0).image.shape[:2],

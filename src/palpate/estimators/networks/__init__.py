@@ -124,6 +124,12 @@ def make_model(name: str, options: Mapping[str, Any]) -> Model:
     return make(**options)
 
 
+def settings_of(name: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    """All of a model's fields, as a card tells them: those that were set, and those that were not."""
+    model = make_model(name, options)
+    return {f.name: getattr(model, f.name) for f in fields(model)}  # type: ignore[arg-type]
+
+
 __all__ = [
     "MODELS",
     "Fitted",
@@ -133,5 +139,6 @@ __all__ = [
     "TrainingData",
     "make_model",
     "model_kind",
+    "settings_of",
     "silent",
 ]
