@@ -98,7 +98,10 @@ def test_a_grey_trunk_answers_as_the_coloured_one_to_a_grey_image(weights) -> No
 
 
 def test_files_that_do_not_count_batches_are_read_too(weights) -> None:
-    ResNet18(3).take({k: v for k, v in weights.items() if "num_batches" not in k}, "old weights")
+    trunk = ResNet18(3)
+    trunk.take({k: v for k, v in weights.items() if "num_batches" not in k}, "old weights")
+    for name, value in trunk.state_dict().items():
+        assert "num_batches" in name or torch.equal(value, weights[name])
 
 
 def test_missing_and_extra_entries_are_named(weights) -> None:

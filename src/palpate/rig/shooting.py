@@ -19,7 +19,7 @@ from palpate.rig.outcome import Reason, Tripped
 from palpate.rig.plans.plan import Press
 from palpate.rig.plans.steps import Burst, Shot, Step, Sweep
 from palpate.rig.progress import SHOT
-from palpate.rig.rig import Rig
+from palpate.rig.rig import FrameSource, Rig
 from palpate.rig.tare import Force
 from palpate.rig.walking import Walking
 
@@ -107,7 +107,7 @@ class Shooting:
 
         def take_in() -> None:
             nonlocal last_ns
-            for time_ns, frame in self._drained():
+            for time_ns, frame in drained(self._rig.camera):
                 self._record(sweep.shot, next(counter), time_ns, frame)
                 last_ns = self._rig.clock.now_ns()
             if self._rig.clock.now_ns() - last_ns > STARVED_S * NS_PER_S:
@@ -115,7 +115,7 @@ class Shooting:
                     Reason.CAMERA, f"no frame came for {STARVED_S:g} s of a sweep; is the camera still there?"
                 )
 
-        self._drained()
+        drained(self._rig.camera)
         told, self._guard.on_poll = self._guard.on_poll, take_in
         try:
             until = sweep.until_n
@@ -197,23 +197,38 @@ class Shooting:
         except DeviceError as e:
             raise Tripped(Reason.CAMERA, f"the camera failed: {e}") from e
 
-    def _drained(self) -> list[tuple[int, Frame]]:
-        try:
-            return self._rig.camera.drain()
-        except DeviceError as e:
-            raise Tripped(Reason.CAMERA, f"the camera failed: {e}") from e
-
     def _check_alive(self, frame: Frame) -> None:
         """A frame of the size that was promised, and not the same again and again."""
-        width, height = self._rig.camera.size_px
-        if frame.image.shape[:2] != (height, width):
-            raise Tripped(
-                Reason.CAMERA,
-                f"a frame of {frame.image.shape[1]} x {frame.image.shape[0]} px came from a camera of "
-                f"{width} x {height} px",
-            )
+        check_size(self._rig.camera, frame)
         alike = self._last is not None and np.array_equal(self._last, frame.image)
         self._same = self._same + 1 if alike else 0
         self._last = frame.image
         if self._same >= FROZEN:
             raise Tripped(Reason.CAMERA, f"{FROZEN + 1} frames in a row are the same: the camera is frozen")
+
+
+def drained(camera: FrameSource) -> list[tuple[int, Frame]]:
+    """What a camera took meanwhile.
+
+    Raises:
+        Tripped: it failed.
+    """
+    try:
+        return camera.drain()
+    except DeviceError as e:
+        raise Tripped(Reason.CAMERA, f"the camera failed: {e}") from e
+
+
+def check_size(camera: FrameSource, frame: Frame) -> None:
+    """Refuse a frame of another size than the camera promised.
+
+    Raises:
+        Tripped: it is of another.
+    """
+    width, height = camera.size_px
+    if frame.image.shape[:2] != (height, width):
+        raise Tripped(
+            Reason.CAMERA,
+            f"a frame of {frame.image.shape[1]} x {frame.image.shape[0]} px came from a camera of "
+            f"{width} x {height} px",
+        )

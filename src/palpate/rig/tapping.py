@@ -17,7 +17,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from palpate.core.clock import NS_PER_S
-from palpate.core.errors import DeviceError, InputError, RangeError
+from palpate.core.errors import InputError, RangeError
 from palpate.core.frame import Frame
 from palpate.core.protocols import Wrench
 from palpate.recordings.align import Offset, offset_between
@@ -25,7 +25,7 @@ from palpate.rig.guard import Guard
 from palpate.rig.outcome import Reason, Tripped
 from palpate.rig.plans.plan import Plan
 from palpate.rig.rig import Rig
-from palpate.rig.shooting import STARVED_S
+from palpate.rig.shooting import STARVED_S, check_size, drained
 from palpate.rig.tare import Force
 
 CLOCKS = "clocks"
@@ -63,7 +63,7 @@ class Tapping:
             told()
             self._look()
 
-        self._drained()
+        drained(self._rig.camera)
         self._last_ns = self._rig.clock.now_ns()
         self._guard.recorder.on_force, self._guard.on_poll = self._feel, both
         try:
@@ -95,25 +95,13 @@ class Tapping:
         self._force.append((sample.time_ns, force[2]))
 
     def _look(self) -> None:
-        for time_ns, frame in self._drained():
-            width, height = self._rig.camera.size_px
-            if frame.image.shape[:2] != (height, width):
-                raise Tripped(
-                    Reason.CAMERA,
-                    f"a frame of {frame.image.shape[1]} x {frame.image.shape[0]} px came from a camera of "
-                    f"{width} x {height} px",
-                )
+        for time_ns, frame in drained(self._rig.camera):
+            check_size(self._rig.camera, frame)
             self._exposure_s = frame.exposure_s or 0.0
             self._seen.append((time_ns, _thinned(frame)))
             self._last_ns = self._rig.clock.now_ns()
         if self._rig.clock.now_ns() - self._last_ns > STARVED_S * NS_PER_S:
             raise Tripped(Reason.CAMERA, f"no frame came for {STARVED_S:g} s; is the camera still there?")
-
-    def _drained(self) -> list[tuple[int, Frame]]:
-        try:
-            return self._rig.camera.drain()
-        except DeviceError as e:
-            raise Tripped(Reason.CAMERA, f"the camera failed: {e}") from e
 
     def _offset(self) -> Offset:
         force_ns, force = np.array([at for at, _ in self._force]), np.array([n for _, n in self._force])
