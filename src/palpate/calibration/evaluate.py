@@ -94,17 +94,39 @@ def evaluate(
     """
     card = estimator.card
     rows = _rows_to_score(card, run.labels)
+    true = targets_from(run.labels.iloc[rows].reset_index(drop=True), card.columns, str(run.path))
+    return _scores(card, run, true, predictions(estimator, run, zero=zero, progress=progress))
+
+
+def predictions(
+    estimator: Estimator, run: Run, *, zero: Zero | None = None, progress: Progress = silent
+) -> pd.DataFrame:
+    """What a calibration says of each frame of a run, one frame in memory at a time.
+
+    Args: as of `evaluate`.
+
+    Returns:
+        The labels of the frames that would be scored, which need not have the targets; of each target
+        ``estimate:COLUMN`` and ``half_width:COLUMN`` in the column's unit, NaN where a frame could not be
+        read; ``valid``, and ``why`` it is not.
+
+    Raises:
+        ImageError: the calibration is differential and the run has no reference.
+    """
+    card = estimator.card
+    rows = _rows_to_score(card, run.labels)
     table = run.labels.iloc[rows].reset_index(drop=True)
-    true = targets_from(table, card.columns, str(run.path))
     zeros = {} if zero is not None else zeros_of(estimator, run)
-    predicted, half = np.full_like(true, np.nan), np.full_like(true, np.nan)
-    valid = np.zeros(len(rows), bool)
+    predicted, half = np.full((2, len(rows), len(card.columns)), np.nan)
+    whys: list[str] = []
     for i, row in enumerate(rows):
         readings = estimator.read(run.frame(int(row)), zero or zeros.get(int(row)))
         predicted[i], half[i] = _in_units(card, readings)
-        valid[i] = all(reading.valid for reading in readings.values())
+        whys.append("; ".join(sorted({reading.why for reading in readings.values() if reading.why})))
         progress("evaluating", i + 1, len(rows))
-    return _scores(card, run, table, true, predicted, half, valid)
+    for j, column in enumerate(card.columns):
+        table[f"estimate:{column}"], table[f"half_width:{column}"] = predicted[:, j], half[:, j]
+    return table.assign(valid=[not why for why in whys], why=whys)
 
 
 def _rows_to_score(card: Card, table: pd.DataFrame) -> np.ndarray:
@@ -133,15 +155,11 @@ def _in_units(card: Card, readings: Mapping[str, Reading]) -> tuple[np.ndarray, 
     return np.array(values), np.array(halves)
 
 
-def _scores(
-    card: Card,
-    run: Run,
-    table: pd.DataFrame,
-    true: Values,
-    predicted: Values,
-    half: Values,
-    valid: np.ndarray,
-) -> dict[str, Any]:
+def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str, Any]:
+    predicted, half = (
+        table[[f"{kind}:{column}" for column in card.columns]].to_numpy(float)
+        for kind in ("estimate", "half_width")
+    )
     read = ~np.isnan(predicted).any(axis=1)
     if not read.any():
         raise LabelError(f"{run.path}: no frame could be read, every one is of another size than calibrated")
@@ -158,7 +176,7 @@ def _scores(
         "run": {"run_id": run.manifest.run_id, "hash": run.hash, "frames": len(run)},
         "frames_scored": len(table),
         "frames_read": int(read.sum()),
-        "frames_valid": int(valid.sum()),
+        "frames_valid": int(table["valid"].sum()),
         "groups": len(np.unique(groups)),
         "group_columns": list(card.split.columns),
         "learnt_from_this_run": run.hash == card.run.hash,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from palpate.cli import calibration, import_palm, mechanics, optics, recordings, render, rig
+from palpate.cli import calibration, import_palm, mechanics, optics, recordings, render, reproduce, rig
 from palpate.cli.demo import demo
 from palpate.cli.studio import studio
 from palpate.version import __version__
@@ -28,6 +28,7 @@ app.add_typer(mechanics.app, name="mechanics")
 app.add_typer(optics.app, name="optics")
 app.add_typer(rig.plan_app, name="plan")
 app.add_typer(rig.rig_app, name="rig")
+app.add_typer(reproduce.app, name="reproduce")
 import_app.command("images")(recordings.import_images)
 import_app.command("palm")(import_palm.palm)
 for verb in (

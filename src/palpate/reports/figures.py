@@ -48,7 +48,7 @@ def target_figure(target: TargetCard, table: pd.DataFrame) -> str:
         _predicted(left, target, true, guess, half)
         _errors(middle, target, true, guess, half)
         _coverage(right, target, true, guess, half)
-        return _drawn(figure)
+        return drawn(figure)
 
 
 def surface_columns(table: pd.DataFrame) -> tuple[str, str] | None:
@@ -72,7 +72,7 @@ def surface_figure(targets: tuple[TargetCard, ...], table: pd.DataFrame, where: 
         for axes, target in zip(grid, targets, strict=False):
             true, guess, _ = _columns(target, table)
             _map(figure, axes, target, (x, y), np.abs(guess - true), where)
-        return _drawn(figure)
+        return drawn(figure)
 
 
 def _columns(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -153,7 +153,8 @@ def _axis(column: str) -> str:
     return f"{quantity.replace('_', ' ')} [{unit}]"
 
 
-def _drawn(figure: Figure) -> str:
+def drawn(figure: Figure) -> str:
+    """A figure as a PNG in a data address."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     return _address(buffer.getvalue())

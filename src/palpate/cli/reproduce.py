@@ -1,0 +1,52 @@
+"""Verbs that make a published study again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from palpate.cli.shared import Json, Quiet, print_found, progress_bar, reports_errors
+
+app = typer.Typer(
+    help="Published studies, made again on virtual sensors.", no_args_is_help=True, rich_markup_mode=None
+)
+
+
+@app.callback()
+def start() -> None:
+    """Published studies, made again on virtual sensors."""
+
+
+@app.command()
+@reports_errors
+def palm(
+    out: Annotated[Path, typer.Option(help="Folder to make; must not exist.")],
+    scale: Annotated[str, typer.Option(help="small: two cores, an hour. full: for a GPU.")] = "small",
+    part: Annotated[
+        str, typer.Option(help="all, or headline for the comparison of the models alone.")
+    ] = "all",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """The photoelastic palm: record, train the source's four networks and ours, compare, write it up.
+
+    Makes report.html and summary.json. Interrupted, the same command goes on from where it was.
+
+    Example: palpate reproduce palm --scale small --out palm-study
+    """
+    from palpate.studies.palm import reproduce_palm, scale_of
+
+    with progress_bar(quiet) as progress:
+        entries = reproduce_palm(out, scale_of(scale), seed=seed, part=part, progress=progress)
+    beside = [one for one in entries if one["published"] is not None]
+    width = max((len(one["name"]) for one in beside), default=0)
+    lines = ["Virtual sensor: compare how models stand to each other, not how good a sensor is."]
+    lines += [
+        f"{one['name']:{width}}  {one['value']:.3g} {one['unit']}  (printed: {one['published']:g})"
+        for one in beside
+    ]
+    lines += [f"all {len(entries)} numbers: {out / 'summary.json'}", f"report: {out / 'report.html'}"]
+    print_found(entries, "\n".join(lines), json_)

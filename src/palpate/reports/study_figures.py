@@ -1,0 +1,145 @@
+"""Figures of a study that compares models: bars beside printed values, truth against estimate, curves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from jaxtyping import UInt8
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy import ndarray
+
+from palpate.reports.figures import ACCENT, BAD, BAND, INK, STYLE, drawn
+
+COLOURS = ("#5b6b75", "#c77d0a", "#8e44ad", "#2e6fb7", ACCENT)
+"""One a model, in the order in which they are compared."""
+
+
+class Bar(NamedTuple):
+    """One model's value beside what is printed of it; None where there is none."""
+
+    name: str
+    printed: float | None
+    found: float | None
+    low: float = 0.0
+    high: float = 0.0
+
+
+class Cloud(NamedTuple):
+    """Truths and estimates of one model."""
+
+    title: str
+    true: Sequence[float]
+    estimate: Sequence[float]
+
+
+def bars(all_bars: Sequence[Bar], label: str) -> str:
+    """Printed and found side by side; the found with their intervals."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(8.2, 3.3), layout="constrained")
+        axes = figure.subplots()
+        for i, bar in enumerate(all_bars):
+            if bar.printed is not None:
+                axes.bar(i - 0.2, bar.printed, 0.36, color=BAND, edgecolor=INK, lw=0.6)
+                axes.text(i - 0.2, bar.printed, f"{bar.printed:.3g}", ha="center", va="bottom", fontsize=7)
+            if bar.found is not None:
+                reach = [[max(bar.found - bar.low, 0)], [max(bar.high - bar.found, 0)]]
+                axes.bar(i + 0.2, bar.found, 0.36, color=ACCENT, yerr=reach, error_kw={"lw": 1})
+                axes.text(i + 0.2, bar.high, f"{bar.found:.3g}", ha="center", va="bottom", fontsize=7)
+        axes.set_xticks(range(len(all_bars)), [bar.name.replace(" (", "\n(") for bar in all_bars], fontsize=7)
+        axes.set_ylabel(label)
+        swatches = [Rectangle((0, 0), 1, 1, color=colour) for colour in (BAND, ACCENT)]
+        axes.legend(swatches, ["printed, real sensor", "found, virtual sensor"], frameon=False, fontsize=8)
+        return drawn(figure)
+
+
+def clouds(all_clouds: Sequence[Cloud], label: str) -> str:
+    """Estimate against truth, a panel a model."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(3.1 * len(all_clouds), 3.1), layout="constrained")
+        panels = figure.subplots(1, len(all_clouds), squeeze=False)[0]
+        ends = _ends([v for c in all_clouds for v in c.true])
+        for axes, cloud in zip(panels, all_clouds, strict=True):
+            axes.plot(ends, ends, color=INK, lw=0.8, ls="--")
+            axes.scatter(cloud.true, cloud.estimate, s=8, color=ACCENT, alpha=0.55, linewidths=0)
+            axes.set(title=cloud.title, xlabel=f"true {label}")
+        panels[0].set_ylabel(f"estimated {label}")
+        return drawn(figure)
+
+
+def places(titles: Sequence[str], at: Sequence[Sequence[Sequence[float]]]) -> str:
+    """Where contacts were and where they were seen, a panel a model: x, y, x estimated, y estimated."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(3.3 * len(titles), 3.5), layout="constrained")
+        panels = figure.subplots(1, len(titles), squeeze=False)[0]
+        for axes, title, (x, y, x_seen, y_seen) in zip(panels, titles, at, strict=True):
+            for ends in zip(x, x_seen, y, y_seen, strict=True):
+                axes.plot(ends[:2], ends[2:], color=BAD, lw=0.5, alpha=0.5)
+            axes.scatter(x_seen, y_seen, s=9, color=ACCENT, alpha=0.6, linewidths=0, label="estimated")
+            axes.scatter(x, y, s=16, color=INK, marker="+", lw=0.9, label="true")
+            axes.set(title=title, xlabel="x [mm]", xlim=(-30, 30), ylim=(-30, 30), aspect="equal")
+        panels[0].set_ylabel("y [mm]")
+        panels[0].legend(frameon=False, fontsize=7, loc="upper right")
+        return drawn(figure)
+
+
+def curves(
+    panels: Mapping[str, Mapping[str, tuple[Sequence[float], Sequence[float]]]],
+    across: str,
+    *,
+    log: bool = True,
+    told: str = "",
+) -> str:
+    """Panels of curves (x, y) by name; the first models' colours are those of the comparison."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(3.4 * len(panels) + 0.6, 3.1), layout="constrained")
+        drawn_axes = figure.subplots(1, len(panels), squeeze=False)[0]
+        names = sorted({name for lines in panels.values() for name in lines}, key=_first_seen(panels))
+        for axes, (label, lines) in zip(drawn_axes, panels.items(), strict=True):
+            for name, (x, y) in lines.items():
+                colour = COLOURS[names.index(name) % len(COLOURS)]
+                axes.plot(x, y, "o-", color=colour, ms=3.5, lw=1.2, label=name)
+            if log:
+                axes.set_yscale("log")
+            axes.set(xlabel=across, ylabel=label)
+        _legend(figure, drawn_axes, told)
+        return drawn(figure)
+
+
+def annotated(image: UInt8[ndarray, "h w 3"], boxes: Sequence[tuple[tuple[int, int, int, int], str]]) -> str:
+    """A frame with its regions outlined: (x, y, width, height) and a colour each."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(6.4, 6.4 * image.shape[0] / image.shape[1]), layout="constrained")
+        axes = figure.subplots()
+        axes.imshow(image)
+        for (x, y, w, h), colour in boxes:
+            axes.add_patch(Rectangle((x, y), w - 1, h - 1, fill=False, ec=colour, lw=2))
+        axes.set_axis_off()
+        return drawn(figure)
+
+
+def _first_seen(panels: Mapping[str, Mapping[str, Any]]) -> Any:
+    order = [name for lines in panels.values() for name in lines]
+    return order.index
+
+
+def _legend(figure: Figure, axes: ndarray, told: str) -> None:
+    handles: dict[str, Any] = {}
+    one: Axes
+    for one in axes:
+        for handle, label in zip(*one.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    figure.legend(
+        handles.values(), handles.keys(), loc="outside lower center", ncols=5, frameon=False, fontsize=8
+    )
+    if told:
+        figure.suptitle(told, fontsize=9)
+
+
+def _ends(values: Sequence[float]) -> list[float]:
+    known = np.asarray(values, float)
+    return [float(known.min()), float(known.max())]

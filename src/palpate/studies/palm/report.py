@@ -1,0 +1,173 @@
+"""The study as one page that reads like the results section of a paper."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from palpate.core.files import new_file
+from palpate.recordings.reader import Run
+from palpate.reports import study_figures as draw
+from palpate.studies.palm.published import DEPTH, FORCE, MAE, NAMES, PEERS, PLACE, R2, TABLE_2
+from palpate.studies.palm.scale import MODELS
+from palpate.studies.palm.summary import summary_of, targets_of
+from palpate.studies.palm.workshop import Workshop
+from palpate.version import __version__
+
+REPORT_FILE, SUMMARY_FILE = "report.html", "summary.json"
+SHORT = {name: said.split(" (")[0] for name, said in NAMES.items()}
+SAID = {
+    "force_N": "F_z",
+    "force_x_N": "F_x",
+    "force_y_N": "F_y",
+    "force_magnitude_N": "|F|",
+    "depth_mm": "depth",
+    "x_mm": "x",
+    "y_mm": "y",
+    "place_mm": "place (distance)",
+}
+HEADLINE = (FORCE, PLACE, DEPTH)
+LIGHT, DARK = "#35c46a", "#3d7bff"
+
+
+def write_up(shop: Workshop, found: Mapping[str, Any]) -> None:
+    """Write `summary.json` and `report.html` into the study's folder."""
+    with new_file(shop.folder / SUMMARY_FILE) as path:
+        path.write_text(json.dumps(summary_of(found), indent=1, allow_nan=False) + "\n")
+    with new_file(shop.folder / REPORT_FILE) as path:
+        path.write_text(page(shop, found), encoding="utf-8")
+
+
+def page(shop: Workshop, found: Mapping[str, Any]) -> str:
+    """The report's HTML."""
+    environment = Environment(
+        loader=PackageLoader("palpate.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.filters["g"] = lambda value: "–" if value is None else f"{value:.3g}"
+    environment.filters["pc"] = lambda share: f"{100 * share:.1f} %"
+    scores = {m: found[f"headline-{m}"] for m in MODELS if f"headline-{m}" in found}
+    return environment.get_template("palm_study.html").render(
+        scale=shop.scale,
+        seed=shop.seed,
+        version=__version__,
+        seconds=shop.seconds(),
+        found=found,
+        scores=scores,
+        models=MODELS,
+        names=NAMES,
+        said=SAID,
+        targets={m: targets_of(m) for m in MODELS},
+        headline=HEADLINE,
+        printed=MAE,
+        printed_r2=R2,
+        training=TABLE_2,
+        peers=PEERS,
+        verdicts=verdicts(scores),
+        figures=_figures(shop, found, scores),
+    )
+
+
+def verdicts(scores: Mapping[str, Any]) -> list[str]:
+    """What the headline's numbers say, in sentences that are made from them."""
+    ours = scores.get("palm-compact")
+    others = {m: s for m, s in scores.items() if m != "palm-compact"}
+    if not ours or not others:
+        return []
+    lines = []
+    for target in HEADLINE:
+        known = {m: s["new"][target] for m, s in others.items() if target in s["new"]}
+        best = min(known, key=lambda m: known[m]["mae"])
+        mine, theirs = ours["new"][target], known[best]
+        apart = mine["mae_high"] < theirs["mae_low"]
+        lines.append(
+            f"{SAID[target]}, off the grid: the best of the four is {SHORT[best]} with {theirs['mae']:.3g} "
+            f"{theirs['unit']}; palm-compact is off by {mine['mae']:.3g} {mine['unit']}, "
+            f"{theirs['mae'] / mine['mae']:.1f} times less"
+            f"{'' if apart else ' (their intervals over places overlap: not told apart)'}."
+        )
+    return lines
+
+
+def _figures(shop: Workshop, found: Mapping[str, Any], scores: Mapping[str, Any]) -> dict[str, str]:
+    if len(scores) < len(MODELS):
+        return {}
+    made = {
+        "force_bars": draw.bars(_bars(scores, FORCE), "F_z mean absolute error [N]"),
+        "place_bars": draw.bars(_bars(scores, PLACE), "mean distance of places [mm]"),
+        "forces": draw.clouds(_clouds(scores, FORCE), "F_z [N]"),
+        "depths": draw.clouds(_clouds(scores, DEPTH), "depth [mm]"),
+        "places": _places(scores),
+    }
+    if "one-frame" in found:
+        made["frame"] = _frame(shop, found["one-frame"]["frame"])
+    if "noise" in found:
+        made["noise"] = draw.curves(_noise(found["noise"]), "noise, over the rig's own")
+    if "sustained" in found:
+        made["sustained"] = _sustained(found["sustained"])
+    return made
+
+
+def _bars(scores: Mapping[str, Any], target: str) -> list[draw.Bar]:
+    rows = []
+    for model, found in scores.items():
+        printed, one = MAE.get((model, target)), found["grid"].get(target)
+        if one is not None:
+            rows.append(
+                draw.Bar(
+                    NAMES[model],
+                    printed.value if printed else None,
+                    one["mae"],
+                    one["mae_low"],
+                    one["mae_high"],
+                )
+            )
+    return rows
+
+
+def _clouds(scores: Mapping[str, Any], target: str) -> list[draw.Cloud]:
+    points = {
+        m: s["points"]["grid"] for m, s in scores.items() if f"estimate:{target}" in s["points"]["grid"]
+    }
+    return [draw.Cloud(SHORT[m], p[target], p[f"estimate:{target}"]) for m, p in points.items()]
+
+
+def _places(scores: Mapping[str, Any]) -> str:
+    names = ("x_mm", "y_mm", "estimate:x_mm", "estimate:y_mm")
+    points = {m: s["points"]["grid"] for m, s in scores.items() if names[2] in s["points"]["grid"]}
+    return draw.places([SHORT[m] for m in points], [[p[n] for n in names] for p in points.values()])
+
+
+def _frame(shop: Workshop, frame: int) -> str:
+    run = Run.open(shop.folder / "runs" / "protocol")
+    boxes = [(run.manifest.regions[name], c) for name, c in (("fringes", LIGHT), ("mirror", DARK))]
+    return draw.annotated(run.frame(frame).image, boxes)
+
+
+def _noise(rows: list[dict[str, Any]]) -> dict[str, dict[str, tuple[list[float], list[float]]]]:
+    panels: dict[str, dict[str, tuple[list[float], list[float]]]] = {}
+    for target in HEADLINE:
+        lines = {}
+        for model in MODELS:
+            known = [row for row in rows if target in row["models"][model]["targets"]]
+            if known:
+                y = [row["models"][model]["targets"][target]["mae"] for row in known]
+                lines[SHORT[model]] = ([row["times"] for row in known], y)
+        panels[f"{SAID[target]}: MAE [{'N' if target == FORCE else 'mm'}]"] = lines
+    return panels
+
+
+def _sustained(found: Mapping[str, Any]) -> str:
+    panels: dict[str, dict[str, tuple[list[float], list[float]]]] = {}
+    for target, unit in ((FORCE, "N"), (DEPTH, "mm")):
+        lines = {}
+        for model, held in found["models"].items():
+            if f"estimate:{target}" in held:
+                truth, seen = np.array(held[target]), np.array(held[f"estimate:{target}"])
+                time_s = np.linspace(0, found["seconds"], len(truth))
+                lines[SHORT[model]] = (time_s.tolist(), (seen - truth).tolist())
+        panels[f"{SAID[target]}: error [{unit}]"] = lines
+    return draw.curves(panels, "time held [s]", log=False)

@@ -1,0 +1,107 @@
+"""How large the study is: what is recorded, at which size it is seen, and how long models learn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from palpate.core.errors import InputError
+from palpate.rig.plans import Scattered, Stepped
+
+MODELS = ("palm-joint-raw", "palm-force-conditioned", "palm-mlp-delta", "palm-two-stage", "palm-compact")
+"""The source's four, in its order, and ours."""
+
+SMALL_NETWORK: Mapping[str, Any] = MappingProxyType({"rendered": 0, "epochs": 60, "batch": 32})
+"""palm-compact on recorded presses alone: where one architecture is trained many times over."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """One size of the study.
+
+    Attributes:
+        name: as it is asked for.
+        side_px: of each view, as models see it [px].
+        frame_px: of each view, as the camera takes it [px].
+        cycles, step_mm, depth_mm, frames: of the protocol at the grid's 37 places; see `Stepped`.
+        places: off the grid, pressed once each in a campaign of their own, every `new_step_mm`.
+        options: model -> settings that are not its defaults.
+        small: settings of the architecture that is trained many times over.
+        loads: pictures of each kind of contact that is not one upright ball.
+        folds: parts that the grid's places are dealt into; one is held out.
+    """
+
+    name: str
+    side_px: int
+    frame_px: int
+    cycles: int
+    step_mm: float
+    depth_mm: float
+    frames: int
+    places: int
+    new_step_mm: float
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    small: Mapping[str, Any] = field(default_factory=lambda: SMALL_NETWORK)
+    loads: int = 60
+    folds: int = 5
+
+    def protocol(self) -> Stepped:
+        """The palm's, at its 37 places."""
+        return Stepped(
+            name="palm-protocol",
+            cycles=self.cycles,
+            step_mm=self.step_mm,
+            depth_mm=self.depth_mm,
+            frames=self.frames,
+            reference_frames=1,
+        )
+
+    def new_places(self, seed: int) -> Stepped:
+        """Places off the grid, in one cycle."""
+        return Stepped(
+            name="palm-new-places",
+            places=Scattered(kind="scattered", count=self.places, apart_mm=2.0, seed=seed),
+            cycles=1,
+            step_mm=self.new_step_mm,
+            depth_mm=self.depth_mm,
+            frames=1,
+            reference_frames=1,
+        )
+
+
+SCALES: Mapping[str, Scale] = MappingProxyType(
+    {
+        scale.name: scale
+        for scale in (
+            Scale("small", 96, 96, 2, 0.4, 4.8, 1, 24, 0.4),
+            Scale(
+                "full",
+                128,
+                128,
+                5,
+                0.1,
+                5.0,
+                5,
+                60,
+                0.2,
+                options={"palm-compact": {"rendered": 60_000, "epochs": 30}},
+                loads=400,
+            ),
+        )
+    }
+)
+"""`small` is for two cores and an hour; `full` for a GPU. The source records 25 frames at each depth; they
+differ by the camera's noise alone, and `full` takes five."""
+
+
+def scale_of(name: str) -> Scale:
+    """A scale by name.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    if name not in SCALES:
+        raise InputError(f"there is no scale {name!r}; there are {', '.join(SCALES)}")
+    return SCALES[name]

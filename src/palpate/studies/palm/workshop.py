@@ -1,0 +1,194 @@
+"""The study's folder: every recording, calibration and result is made once and found again.
+
+Whatever is interrupted is gone on with by the same command, from the first thing that is missing.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from palpate.calibration.evaluate import predictions
+from palpate.calibration.plan import Plan, Reference
+from palpate.calibration.views import two_views
+from palpate.core.errors import DeviceError
+from palpate.core.files import new_file
+from palpate.estimators.certified import Estimator
+from palpate.estimators.networks import model_kind
+from palpate.estimators.networks.base import Progress, silent
+from palpate.recordings.reader import Run
+from palpate.rig import State, record
+from palpate.rig.plans import Stepped
+from palpate.rig.virtual.palm import virtual_palm
+from palpate.rig.virtual.variation import Variation
+from palpate.sensors import palm
+from palpate.sensors.palm import PalmSpec
+from palpate.studies.certify import certify
+from palpate.studies.palm.scale import Scale
+from palpate.studies.palm.scores import scores_of
+
+PREDICTIONS_FILE = "predictions.parquet"
+LOCATIONS = "group:location"
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way to calibrate.
+
+    Attributes:
+        name: of its calibration in the folder.
+        model: see `estimators.networks.MODELS`.
+        run: which recording it learns from.
+        split: how rows are held out.
+        channels, delta: what it sees; None for what the model was made for.
+        options: the model's own settings.
+    """
+
+    name: str
+    model: str
+    run: str = "protocol"
+    split: str = LOCATIONS
+    channels: int | None = None
+    delta: bool | None = None
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Workshop:
+    """Where the study is made.
+
+    Attributes:
+        folder: of everything.
+        scale: how large it is.
+        seed: of everything random.
+        progress: told what is being done.
+    """
+
+    folder: Path
+    scale: Scale
+    seed: int
+    progress: Progress = silent
+
+    @property
+    def spec(self) -> PalmSpec:
+        """The palm that is calibrated."""
+        return palm.cropped(palm.palm(), self.scale.frame_px, "palm-rig")
+
+    def recorded(
+        self,
+        name: str,
+        plan: Stepped,
+        spec: PalmSpec | None = None,
+        variation: Variation | None = None,
+        seed: int | None = None,
+    ) -> Run:
+        """A run of the virtual rig; another seed is another campaign."""
+        path = self.folder / "runs" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        seed = self.seed if seed is None else seed
+        rig = virtual_palm(spec=spec or self.spec, variation=variation, seed=seed)
+        try:
+            outcome = record(
+                rig, plan, path, watch=lambda s: self.progress(f"recording {name}", s.shots, s.planned)
+            )
+        finally:
+            rig.close()
+        if outcome.state is not State.DONE:
+            raise DeviceError(f"recording {name} ended {outcome.state.value}: {outcome.message}")
+        return Run.open(path)
+
+    def calibrated(self, way: Way) -> Path:
+        """A calibration's folder."""
+        out = self.folder / "calibrations" / way.name
+        if out.exists():
+            return out
+        out.parent.mkdir(parents=True, exist_ok=True)
+        run, kind = Run.open(self.folder / "runs" / way.run), model_kind(way.model)
+        first, beside = two_views(run.manifest)
+        plan = Plan(
+            targets=kind.targets,
+            model=way.model,
+            split=way.split,
+            folds=self.scale.folds,
+            scored_folds=1,
+            seed=self.seed,
+            size_px=(self.scale.side_px, 2 * self.scale.side_px),
+            channels=way.channels or kind.channels or 1,  # type: ignore[arg-type]
+            crop_px=first,
+            beside_px=beside,
+            delta=bool(kind.delta) if way.delta is None else way.delta,
+            reference=Reference("reference", "true", ("press",)),
+            options=dict(way.options),
+        )
+        certify(run, plan, out, lambda what, *at: self.progress(f"{way.name}: {what}", *at))
+        return out
+
+    def held_out(self, way: Way) -> pd.DataFrame:
+        """What a calibration said of the rows that it had not learnt from."""
+        return pd.read_parquet(self.calibrated(way) / PREDICTIONS_FILE)
+
+    def estimated(self, way: Way, run: Run, what: str) -> pd.DataFrame:
+        """What it says of another run."""
+        estimator = Estimator.open(self.calibrated(way))
+        return predictions(
+            estimator, run, progress=lambda _, *at: self.progress(f"{way.name} on {what}", *at)
+        )
+
+    def scored(self, way: Way, run: Run, what: str) -> dict[str, Any]:
+        """Its scores there, and the share of frames that it stands by."""
+        table = self.estimated(way, run, what)
+        return {
+            "targets": scores_of(table, model_kind(way.model).targets),
+            "valid": float(table["valid"].mean()),
+        }
+
+    def kept(self, name: str, make: Callable[[], Any]) -> Any:
+        """A result as plain values, made once; beside it the time that took."""
+        path = self.folder / "results" / f"{name}.json"
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            begun = time.monotonic()
+            found = make()
+            held = {"seconds": round(time.monotonic() - begun, 1), "found": found}
+            with new_file(path) as temporary:
+                temporary.write_text(json.dumps(held, indent=1, allow_nan=False) + "\n")
+        return json.loads(path.read_text())["found"]
+
+    def seconds(self) -> dict[str, float]:
+        """How long each result took to make [s]."""
+        files = sorted((self.folder / "results").glob("*.json"))
+        return {path.stem: float(json.loads(path.read_text())["seconds"]) for path in files}
+
+
+def noisier(spec: PalmSpec, times: float) -> tuple[PalmSpec, Variation]:
+    """The rig with its noise so many times as large: camera, seating, place, leaning, lamp, backlash.
+
+    Not the load cell's: by it the rig chooses the force at which it says contact, and depth is counted from
+    there; and beside the models' errors it is nothing.
+    """
+    v = Variation()
+    camera = replace(
+        spec.camera,
+        full_well_e=spec.camera.full_well_e / times**2,
+        read_noise_e=spec.camera.read_noise_e / times,
+    )
+    varied = replace(
+        v,
+        seating_m=v.seating_m * times,
+        place_m=v.place_m * times,
+        lean_spread=(v.lean_spread[0] * times, v.lean_spread[1] * times),
+        lamp=v.lamp * times,
+        backlash_m=v.backlash_m * times,
+    )
+    return replace(spec, camera=camera), varied
+
+
+def ways(models: Sequence[str], scale: Scale) -> dict[str, Way]:
+    """A way for each model, as the scale trains it."""
+    return {name: Way(name, name, options=dict(scale.options.get(name, {}))) for name in models}
