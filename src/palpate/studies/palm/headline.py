@@ -98,4 +98,4 @@ def one_frame(shop: Workshop) -> dict[str, Any]:
 
 def small_way(shop: Workshop, name: str, **changes: Any) -> Way:
     """The architecture that is trained many times over, on recorded presses alone."""
-    return Way(name, "palm-compact", options=dict(shop.scale.small), **changes)
+    return Way(name, "palm-compact", **{"options": dict(shop.scale.small), **changes})

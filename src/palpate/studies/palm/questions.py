@@ -10,8 +10,9 @@ from palpate.estimators.networks import model_kind
 from palpate.recordings.reader import Run
 from palpate.studies.palm.headline import CAMPAIGN, small_way
 from palpate.studies.palm.scores import scores_of
-from palpate.studies.palm.workshop import Way, Workshop
+from palpate.studies.palm.workshop import LOCATIONS, Way, Workshop, ways
 
+SMALL = "small-network"
 GROUPINGS = {
     "(row, column)": "group:location",
     "(row, column, cycle)": "group:location,cycle",
@@ -30,11 +31,10 @@ def leakage(shop: Workshop) -> list[dict[str, Any]]:
     """The same models on the same frames, held out by place, by place and cycle, and by row of the table."""
     found = []
     for grouping, split in GROUPINGS.items():
-        for model in ("small network", "palm-mlp-delta"):
-            name = f"split-{model.replace(' ', '-')}-{split.replace(':', '-').replace(',', '-')}"
-            way = small_way(shop, name, split=split)
-            if model == "palm-mlp-delta":
-                way = Way(name, model, split=split)
+        tag = "" if split == LOCATIONS else f"-by-{split.partition(':')[2].replace(',', '-') or split}"
+        small = small_way(shop, f"{SMALL}{tag}", split=split)
+        mlp = replace(ways(("palm-mlp-delta",), shop.scale)["palm-mlp-delta"], split=split)
+        for model, way in (("small network", small), ("MLP", replace(mlp, name=f"{mlp.name}{tag}"))):
             found.append({"grouping": grouping, "model": model, **_on_both(shop, way)})
     return found
 
@@ -44,7 +44,8 @@ def factorial(shop: Workshop) -> list[dict[str, Any]]:
     found = []
     for colour, channels in (("RGB", 3), ("grey", 1)):
         for seen, delta in (("raw", False), ("delta", True)):
-            way = small_way(shop, f"factorial-{colour.lower()}-{seen}", channels=channels, delta=delta)
+            tag = "" if (colour, seen) == ("RGB", "delta") else f"-{colour.lower()}-{seen}"
+            way = small_way(shop, f"{SMALL}{tag}", channels=channels, delta=delta)
             found.append({"colour": colour, "seen": seen, **_on_both(shop, way)})
     return found
 
@@ -65,7 +66,7 @@ def mirror(shop: Workshop) -> list[dict[str, Any]]:
         runs[name] = f"-{tag}" if fields else ""
     found = []
     for taught, tag in runs.items():
-        way = small_way(shop, f"mirror{tag or '-visible'}", run=f"protocol{tag}")
+        way = small_way(shop, f"{SMALL}{tag}", run=f"protocol{tag}")
         for tested, other in runs.items():
             run = Run.open(shop.folder / "runs" / f"new-places{other}")
             found.append({"taught": taught, "tested": tested, **shop.scored(way, run, tested)})

@@ -1,0 +1,125 @@
+import json
+import math
+
+import pytest
+
+from palpate.core.errors import ExistsError, InputError
+from palpate.estimators.networks import model_kind
+from palpate.studies.palm import Scale, reproduce_palm, scale_of
+from palpate.studies.palm.published import MAE, NAMES, R2, TABLE_2
+from palpate.studies.palm.reproduce import workshop
+from palpate.studies.palm.scale import MODELS
+from palpate.studies.palm.summary import summary_of
+from palpate.studies.palm.workshop import noisier
+
+SHORT = {"epochs": 1}
+TINY = Scale(
+    "tiny",
+    side_px=32,
+    frame_px=32,
+    cycles=1,
+    step_mm=1.0,
+    depth_mm=2.0,
+    frames=1,
+    places=4,
+    new_step_mm=1.0,
+    options={
+        "palm-joint-raw": SHORT,
+        "palm-force-conditioned": SHORT,
+        "palm-two-stage": {"epochs": 1, "patience": 0},
+        "palm-mlp-delta": {"epochs": 3},
+        "palm-compact": {"epochs": 1, "rendered": 24},
+    },
+    small={"rendered": 0, "epochs": 1, "batch": 32},
+    loads=2,
+)
+
+
+def test_what_is_printed_is_of_targets_that_the_models_have():
+    assert set(TABLE_2) < set(NAMES) == set(MODELS)
+    for model, target in {**MAE, **R2}:
+        assert target == "place_mm" or target in model_kind(model).targets
+
+
+def test_the_sources_distances_keep_to_the_law_of_triangles():
+    for model in ("palm-joint-raw", "palm-force-conditioned", "palm-two-stage"):
+        x, y, away = (MAE[model, target].value for target in ("x_mm", "y_mm", "place_mm"))
+        assert math.hypot(x, y) <= away <= x + y
+
+
+def test_small_presses_the_sources_grid_and_about_900_frames():
+    small = scale_of("small")
+    plan = small.protocol()
+    frames = len(plan.places.places()) * plan.cycles * len(plan.depths_um()) * plan.frames
+    assert len(plan.places.places()) == 37
+    assert 800 <= frames <= 1000
+    with pytest.raises(InputError, match="small, full"):
+        scale_of("large")
+
+
+def test_twice_the_noise_is_twice_the_cameras_relative_noise():
+    spec = workshop_spec()
+    noisy, varied = noisier(spec, 2.0)
+    assert noisy.camera.full_well_e == spec.camera.full_well_e / 4  # shot noise goes with its root
+    assert noisy.camera.read_noise_e / noisy.camera.full_well_e == pytest.approx(
+        2 * spec.camera.read_noise_e / spec.camera.full_well_e
+    )
+    assert varied.seating_m == 2 * noisier(spec, 1.0)[1].seating_m
+
+
+def workshop_spec():
+    from palpate.sensors import palm
+
+    return palm.cropped(palm.palm(), 32, "t")
+
+
+def test_a_result_is_made_once_and_found_again(tmp_path):
+    shop, made = workshop(tmp_path / "out", TINY, 0), []
+
+    def make():
+        made.append(1)
+        return {"a": [1.5]}
+
+    assert shop.kept("x", make) == shop.kept("x", make) == {"a": [1.5]}
+    assert len(made) == 1
+    assert list(shop.seconds()) == ["x"]
+
+
+def test_unfinished_work_of_another_seed_is_not_gone_on_with(tmp_path):
+    workshop(tmp_path / "out", TINY, 0)
+    workshop(tmp_path / "out", TINY, 0)
+    with pytest.raises(ExistsError, match="another scale, seed or part"):
+        workshop(tmp_path / "out", TINY, 1)
+    (tmp_path / "done").mkdir()
+    with pytest.raises(ExistsError):
+        workshop(tmp_path / "done", TINY, 0)
+
+
+def test_an_unknown_part_is_refused(tmp_path):
+    with pytest.raises(InputError, match="all, headline"):
+        reproduce_palm(tmp_path / "out", TINY, part="tables")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_study_of_nothing_has_no_numbers():
+    assert summary_of({}) == []
+
+
+@pytest.mark.slow
+def test_a_tiny_study_runs_from_end_to_end(tmp_path):
+    """Every part, at a size at which no model learns anything: that it runs, goes on, and is written up."""
+    out = tmp_path / "study"
+    entries = reproduce_palm(out, TINY, seed=0)
+    assert json.loads((out / "summary.json").read_text()) == entries
+    names = [one["name"] for one in entries]
+    assert len(names) == len(set(names))
+    assert all(math.isfinite(one["value"]) for one in entries)
+    printed = {(one["published"], one["source"]) for one in entries if one["published"] is not None}
+    assert len([one for one in entries if one["published"] is not None]) == len(MAE) + len(R2)
+    assert all("palm-photoelastic-2026" in source for _, source in printed)
+    page = (out / "report.html").read_text()
+    assert "Virtual." in page
+    assert "0.244" in page
+    assert page.count("data:image/png") >= 7
+    with pytest.raises(ExistsError):
+        reproduce_palm(out, TINY, seed=0)
