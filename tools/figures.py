@@ -36,6 +36,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "paths": pictures.paths,
     "materials": pictures.materials,
     "indenters": pictures.indenters,
+    "worn": pictures.worn_and_lit,
     "stress": plots.stress,
     "rim": plots.rim,
     "single-slice": plots.single_slice,

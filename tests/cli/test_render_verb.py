@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from importlib import import_module
 
 import numpy as np
@@ -10,6 +11,7 @@ from palpate.core import Pose
 from palpate.recordings import png
 from palpate.sensors import palm
 from palpate.sensors.palm import volume
+from palpate.sensors.palm.wear import Wear, worn
 
 FACTS = {
     "force_N",
@@ -105,6 +107,27 @@ def test_help_has_an_example_that_runs(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("words", "changed"),
+    [
+        (["--presses", "20000"], {"wear": worn(20_000)}),
+        (["--haze", "0.1", "--scratches", "7", "--yellowing", "0.2"], {"wear": Wear(0.1, 7, yellowing=0.2)}),
+        (["--presses", "20000", "--haze", "0"], {"wear": replace(worn(20_000), haze=0.0)}),
+        (["--ambient", "0.05", "--lamp-mired", "40"], {"ambient": 0.05, "lamp_mired": 40.0}),
+        (["--no-probe-in-mirror"], {"probe_in_mirror": False}),
+        (["--opaque-underside"], {"opaque_underside": True}),
+    ],
+)
+def test_wear_and_light_are_drawn_as_asked_for(words, changed, frame):
+    render(*PLACED, *words, out=frame)
+    spec = replace(palm.debug(), **changed)
+    contact = palm.press(spec, Pose(5e-3, -2e-3, 3e-3))
+    drawn = palm.render(contact, spec, np.random.default_rng(0)).image
+    np.testing.assert_array_equal(picture(frame), drawn)
+    new = palm.render(contact, palm.debug(), np.random.default_rng(0)).image
+    assert (drawn != new).any()
+
+
+@pytest.mark.parametrize(
     ("words", "says"),
     [
         (["--depth-mm", "1", "--indenter", "pyramid:10"], "sphere:DIAMETER_MM"),
@@ -115,6 +138,11 @@ def test_help_has_an_example_that_runs(tmp_path):
         (["--depth-mm", "2", "--indenter", "punch:6"], "0 to 1.5 mm"),
         (["--depth-mm", "1", "--x-mm", "28"], "rim at 28.5 mm"),
         (["--depth-mm", "1", "--y-mm", "inf"], "numbers in m"),
+        (["--depth-mm", "1", "--haze", "1.5"], "0 to 1"),
+        (["--depth-mm", "1", "--scratches", "-1"], "0 to 1000"),
+        (["--depth-mm", "1", "--yellowing", "nan"], "absorbance"),
+        (["--depth-mm", "1", "--presses", "-1"], "0 or more"),
+        (["--depth-mm", "1", "--ambient", "-0.1"], "0 to 10"),
         (["--depth-mm", "1", "--lateral-n", "1"], "X,Y"),
         (["--depth-mm", "1", "--lateral-n", "left,0"], "X,Y"),
         (["--depth-mm", "1", "--lateral-n", "nan,0"], "numbers in N"),

@@ -107,6 +107,73 @@ def test_an_opaque_underside_hides_the_contact(way):
     np.testing.assert_array_equal(mirror.of_contact(covered, punch), at_rest)
 
 
+UNSEEN = replace(SPEC, probe_in_mirror=False)
+
+
+@pytest.mark.parametrize("way", [mirror.exact, mirror.shifted])
+def test_out_of_sight_a_probe_s_own_look_changes_nothing_and_its_dimple_is_left(way):
+    dimple, black = (way(replace(UNSEEN, ball_albedo=a), 3e-3, 4e-3, -2e-3) for a in (0.5, 0.0))
+    np.testing.assert_array_equal(dimple, black)
+    assert abs(dimple - way(SPEC, 3e-3, 4e-3, -2e-3)).max() > 0.1
+    assert abs(dimple - way(SPEC, 0.0, 0.0, 0.0)).max() > 0.1
+
+
+@pytest.mark.parametrize("way", [mirror.exact, mirror.shifted])
+def test_out_of_sight_a_probe_in_the_air_is_not_there(way):
+    np.testing.assert_array_equal(way(UNSEEN, -1e-3, 4e-3, -2e-3), way(UNSEEN, 0.0, 0.0, 0.0))
+    assert abs(way(SPEC, -1e-3, 4e-3, -2e-3) - way(SPEC, 0.0, 0.0, 0.0)).max() > 0.1
+
+
+def test_beyond_the_contact_and_the_ball_s_side_the_probe_s_body_changes_nothing():
+    with_it, without = seen(3e-3), seen(3e-3, spec=UNSEEN)
+    probe = with_it != without
+    x, y = mirror.contact_px(SPEC, 0.0, 0.0, 3e-3)
+    down, right = np.mgrid[: probe.shape[0], : probe.shape[1]] + 0.5
+    away = np.hypot(right - x, down - y) * SPEC.mirror.pitch_m
+    assert probe.any()
+    assert away[probe].max() < 2 * SPEC.indenter_radius_m
+
+
+def test_other_probes_can_be_out_of_sight_as_well():
+    contact = palm.press(SPEC, Pose(0.0, 0.0, 0.8e-3), palm.parse_probe("punch:6"))
+    dimple = mirror.of_contact(UNSEEN, contact)
+    np.testing.assert_array_equal(dimple, mirror.of_contact(replace(UNSEEN, ball_albedo=0.0), contact))
+    # under the flat punch the surface is flat, and shows what it shows at rest
+    x, y = mirror.contact_px(SPEC, 0.0, 0.0, 0.8e-3)
+    assert dimple[int(y), int(x)] == pytest.approx(seen(0.0)[int(y), int(x)], abs=1e-3)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (5e-3, -4e-3), (-9e-3, 3e-3)])
+@pytest.mark.parametrize("changed", [{"probe_in_mirror": False}, {"membrane": False}])
+def test_without_probe_or_membrane_the_moved_patch_shows_what_tracing_does(changed, place):
+    spec = replace(SPEC, **changed)
+    moved, traced = mirror.shifted(spec, 3e-3, *place), mirror.exact(spec, 3e-3, *place)
+    assert np.sqrt(np.mean((moved - traced) ** 2)) < 5e-3  # as with both
+
+
+@pytest.mark.parametrize("depth_m", [-2e-3, 3e-3])
+def test_without_a_membrane_the_ball_is_a_round_disc_where_a_straight_line_of_sight_puts_it(depth_m):
+    air, place = replace(FULL, membrane=False), (6e-3, -3e-3)
+    grey = mirror.exact(air, depth_m, *place)
+    empty = mirror.exact(air, 0.0, *place)
+    inside = mirror.inside_rim(FULL)
+    assert np.ptp(empty[inside]) == 0
+    down, x = np.nonzero(grey != empty)
+    pitch, R = FULL.mirror.pitch_m, FULL.indenter_radius_m
+    assert np.ptp(x) * pitch == pytest.approx(2 * R, abs=2 * pitch)
+    assert np.ptp(down) * pitch == pytest.approx(2 * R, abs=2 * pitch)
+    up = FULL.mirror_elevation_rad
+    enters = place[1] + (FULL.thickness_m - depth_m + R) / math.tan(up)  # the line through its middle
+    cx, cy = FULL.mirror.middle_px
+    assert x.mean() + 0.5 == pytest.approx(cx + place[0] / pitch, abs=0.5)
+    assert down.mean() + 0.5 == pytest.approx(cy + enters * math.sin(up) / pitch, abs=0.5)
+
+
+def test_without_membrane_and_probe_the_mirror_shows_the_empty_housing():
+    empty = replace(SPEC, membrane=False, probe_in_mirror=False)
+    np.testing.assert_array_equal(seen(4e-3, 3e-3, spec=empty), seen(0.0, spec=empty))
+
+
 def test_more_light_inside_shows_the_same_brighter():
     np.testing.assert_allclose(
         seen(2e-3, spec=replace(SPEC, inside_light=0.5)), seen(2e-3) / 2, rtol=1e-5, atol=1e-7

@@ -5,8 +5,10 @@ import pytest
 
 from palpate.core import InputError, Pose, RangeError
 from palpate.optics import encode_srgb
+from palpate.optics.illumination import strip_light
 from palpate.sensors import palm
-from palpate.sensors.palm.render import BACKGROUND
+from palpate.sensors.palm import fringes
+from palpate.sensors.palm.render import BACKGROUND, lamp
 
 SPEC = palm.debug()
 QUIET = replace(SPEC, camera=replace(SPEC.camera, full_well_e=1e12, read_noise_e=0.0, bits=16))
@@ -105,3 +107,56 @@ def test_nothing_jumps_where_a_probe_comes_to_touch(exact):
     over, on = (palm.render_clean(pressed(d, 3e-3), SPEC, exact=exact) for d in (-1e-7, 1e-7))
     for one, other in zip(over, on, strict=True):
         assert np.abs(one - other).mean() < 1e-5
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_the_probe_s_body_edge_on_is_left_out_and_the_dimple_stays_dark(exact):
+    unseen = replace(SPEC, probe_edge_on=False)
+    contact, z = pressed(3e-3, 4e-3), SPEC.fringes.down_m
+    (without, mirrored), (seen, same) = (palm.render_clean(contact, s, exact=exact) for s in (unseen, SPEC))
+    np.testing.assert_array_equal(mirrored, same)
+    black = palm.render_clean(contact, replace(unseen, ball_albedo=0.0), exact=exact)[0]
+    np.testing.assert_array_equal(without, black)
+    below = z > 3e-3
+    np.testing.assert_array_equal(without[below], seen[below])
+    # well above the bulge only the polarisers' leak is left
+    above = z < -1.5e-3
+    np.testing.assert_allclose(without[above], SPEC.extinction * lamp(SPEC)[above], rtol=1e-3)
+    assert (seen[above] != without[above]).any()
+    assert (without[(z > 0) & (z < 2e-3)] == 0).any()
+
+
+def test_what_the_mirror_shows_of_the_probe_is_not_marched_anew(monkeypatch):
+    contact = pressed(2e-3, 3e-3)
+    wanted = palm.render_clean(contact, SPEC)[0]
+    monkeypatch.setattr(fringes, "_marched", None)
+    for changed in ({"probe_in_mirror": False}, {"opaque_underside": True}):
+        np.testing.assert_array_equal(palm.render_clean(contact, replace(SPEC, **changed))[0], wanted)
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_without_a_membrane_there_are_no_fringes_and_no_lens(exact):
+    air = replace(SPEC, membrane=False, corner_loss=0.0)
+    leak = palm.render_clean(pressed(0.0), air, exact=exact)[0]
+    evenly = strip_light(SPEC.lamp, SPEC.fringes.x_m, SPEC.fringes.down_m)
+    np.testing.assert_allclose(leak, SPEC.extinction * evenly[..., None] * np.ones(3), rtol=1e-6)
+    ball = (palm.render_clean(pressed(3e-3, 5e-3), air, exact=exact)[0] != leak).any(axis=-1)
+    x, z = SPEC.fringes.x_m, SPEC.fringes.down_m
+    R = SPEC.indenter_radius_m
+    away = np.hypot(x - 5e-3, z[:, None] - (3e-3 - R))
+    np.testing.assert_array_equal(ball, away < R)
+
+
+def test_without_a_membrane_both_ways_draw_the_same_fringes():
+    air = replace(SPEC, membrane=False)
+    fast, exact = (palm.render_clean(pressed(2e-3, 3e-3), air, exact=way)[0] for way in (False, True))
+    np.testing.assert_array_equal(fast, exact)
+
+
+def test_without_a_membrane_only_the_palm_s_own_ball_is_drawn():
+    air = replace(SPEC, membrane=False)
+    punch = palm.press(SPEC, Pose(0.0, 0.0, 1e-3), palm.parse_probe("punch:6"))
+    nowhere = replace(pressed(1e-3), pose=Pose(float("nan"), 0.0, 1e-3))
+    for contact in (punch, nowhere):
+        with pytest.raises(InputError, match="own ball"):
+            palm.render_clean(contact, air)

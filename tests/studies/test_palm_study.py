@@ -23,6 +23,7 @@ TINY = Scale(
     frames=1,
     places=4,
     new_step_mm=1.0,
+    coarse_step_mm=1.0,
     options={
         "palm-joint-raw": SHORT,
         "palm-force-conditioned": SHORT,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,6 +19,7 @@ from palpate.sensors.palm import View, prototype
 from palpate.sensors.palm import mirror as mirrors
 from palpate.sensors.palm.field import depth_of_force, pressed
 from palpate.sensors.palm.render import BACKGROUND
+from palpate.sensors.palm.wear import Wear, worn
 
 
 def frame() -> Figure:
@@ -165,4 +167,37 @@ def indenters() -> Figure:
         pulled = f", pulled right with {pull:g} N" if pull else ""
         axes.set_title(f"{words}, {contact.force_n:.1f} N{pulled}")
     outer_labels(grid, "column [mm]")
+    return figure
+
+
+def worn_and_lit() -> Figure:
+    """Worn membranes and other light edge-on, and what the mirror shows with and without the probe's body."""
+    figure = Figure(figsize=(9.4, 7.6), layout="constrained", dpi=DPI)
+    above, under = figure.subfigures(2, 1, height_ratios=(1.9, 1), squeeze=False)[:, 0]
+    edge_on: tuple[tuple[str, dict[str, Any]], ...] = (
+        ("new", {}),
+        ("haze 0.15", {"wear": Wear(haze=0.15)}),
+        ("20 scratches", {"wear": Wear(scratches=20)}),
+        ("yellowing 0.4", {"wear": Wear(yellowing=0.4)}),
+        ("20 000 presses, by the assumed law", {"wear": worn(20_000)}),
+        ("room light 0.05, lamp 60 mired warmer", {"ambient": 0.05, "lamp_mired": 60.0}),
+    )
+    grid = above.subplots(3, 2)
+    for axes, (title, changed) in zip(grid.ravel(), edge_on, strict=True):
+        show(axes, light(0, 0, 3, replace(SPEC, **changed))[0], SPEC.fringes, (-30, 30))
+        axes.set_title(title)
+    outer_labels(grid, AS_SEEN)
+    cx, cy = (int(middle) for middle in mirrors.contact_px(SPEC, 0.0, 0.0, 3e-3))
+    below: tuple[tuple[str, dict[str, Any]], ...] = (
+        ("new", {}),
+        ("20 000 presses", {"wear": worn(20_000)}),
+        ("probe out of sight", {"probe_in_mirror": False}),
+        ("opaque underside", {"opaque_underside": True}),
+        ("no membrane", {"membrane": False}),
+    )
+    for axes, (title, changed) in zip(under.subplots(1, len(below)), below, strict=True):
+        whole = light(0, 0, 3, replace(SPEC, **changed))[1]
+        axes.imshow(whole[cy - 70 : cy + 110, cx - 90 : cx + 90], interpolation="antialiased")
+        axes.set(title=title, xticks=(), yticks=())
+        axes.spines[:].set_visible(False)
     return figure

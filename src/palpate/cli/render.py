@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from palpate.cli.shared import Json, print_found, reports_errors
+
+if TYPE_CHECKING:
+    from palpate.sensors.palm.wear import Wear
 
 app = typer.Typer(help="Draw what a virtual sensor would see.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -40,6 +43,28 @@ def palm(
     ] = "palm",
     exact: Annotated[bool, typer.Option("--exact", help="March every ray anew: slower.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of the camera's noise.")] = 0,
+    presses: Annotated[
+        float, typer.Option(help="How many presses the membrane has had: an assumed law of its wear.")
+    ] = 0.0,
+    haze: Annotated[
+        float | None, typer.Option(help="Share of light a clouded surface scatters, 0 to 1.")
+    ] = None,
+    scratches: Annotated[int | None, typer.Option(help="Fine scratches in each view.")] = None,
+    yellowing: Annotated[
+        float, typer.Option(help="Absorbance of the yellowed membrane at 450 nm, along its diameter.")
+    ] = 0.0,
+    ambient: Annotated[
+        float, typer.Option(help="Room light in the camera over the lamp's brightest, such as 0.02.")
+    ] = 0.0,
+    lamp_mired: Annotated[
+        float, typer.Option(help="Lamp's colour: warmer by so many mired (1e6 K over its temperature).")
+    ] = 0.0,
+    probe_in_mirror: Annotated[
+        bool, typer.Option(help="Show the probe's body in the mirror, or the membrane's dent alone.")
+    ] = True,
+    opaque_underside: Annotated[
+        bool, typer.Option("--opaque-underside", help="A dark layer under the membrane: a blind mirror.")
+    ] = False,
     json_: Json = False,
 ) -> None:
     """Press a probe into the virtual photoelastic palm and write the camera's frame.
@@ -65,6 +90,14 @@ def palm(
     if probe.shape == "sphere" and not any(lateral):
         fitted = replace(spec, indenter_radius_m=probe.radius_m)
         spec = fitted if palms.has_table(fitted) else spec  # otherwise linear layers press it
+    spec = replace(
+        spec,
+        wear=_wear(presses, haze, scratches, yellowing),
+        ambient=ambient,
+        lamp_mired=lamp_mired,
+        probe_in_mirror=probe_in_mirror,
+        opaque_underside=opaque_underside,
+    )
     pose = Pose(x_mm * 1e-3, y_mm * 1e-3, depth_mm * 1e-3)
     contact = palms.press(spec, pose, probe, lateral)
     frame = palms.render(contact, spec, np.random.default_rng(seed), exact=exact)
@@ -72,6 +105,15 @@ def palm(
     with new_file(out) as path:
         path.write_bytes(png.encode(frame.image).tobytes())
     print_found(found, "\n".join(f"{name}: {_shown(value)}" for name, value in found.items()), json_)
+
+
+def _wear(presses: float, haze: float | None, scratches: int | None, yellowing: float) -> Wear:
+    """Of so many presses, save for what is asked for itself."""
+    from palpate.sensors.palm.wear import worn
+
+    wear = replace(worn(presses), yellowing=yellowing)
+    wear = wear if haze is None else replace(wear, haze=haze)
+    return wear if scratches is None else replace(wear, scratches=scratches)
 
 
 def _shown(value: object) -> str:

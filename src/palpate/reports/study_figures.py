@@ -92,7 +92,7 @@ def curves(
     across: str,
     *,
     log: bool = True,
-    told: str = "",
+    log_across: bool = False,
 ) -> str:
     """Panels of curves (x, y) by name; the first models' colours are those of the comparison."""
     with mpl.rc_context(STYLE):
@@ -105,8 +105,10 @@ def curves(
                 axes.plot(x, y, "o-", color=colour, ms=3.5, lw=1.2, label=name)
             if log:
                 axes.set_yscale("log")
+            if log_across:
+                axes.set_xscale("log")
             axes.set(xlabel=across, ylabel=label)
-        _legend(figure, drawn_axes, told)
+        _legend(figure, drawn_axes)
         return drawn(figure)
 
 
@@ -127,7 +129,7 @@ def _first_seen(panels: Mapping[str, Mapping[str, Any]]) -> Any:
     return order.index
 
 
-def _legend(figure: Figure, axes: ndarray, told: str) -> None:
+def _legend(figure: Figure, axes: ndarray) -> None:
     handles: dict[str, Any] = {}
     one: Axes
     for one in axes:
@@ -136,8 +138,6 @@ def _legend(figure: Figure, axes: ndarray, told: str) -> None:
     figure.legend(
         handles.values(), handles.keys(), loc="outside lower center", ncols=5, frameon=False, fontsize=8
     )
-    if told:
-        figure.suptitle(told, fontsize=9)
 
 
 def _ends(values: Sequence[float]) -> list[float]:

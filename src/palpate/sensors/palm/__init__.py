@@ -19,12 +19,14 @@ from palpate.sensors.palm.press import press, press_to_force
 from palpate.sensors.palm.render import Views, expose, render, render_clean, render_raw, render_views
 from palpate.sensors.palm.shapes import parse_probe
 from palpate.sensors.palm.spec import PalmSpec, View
+from palpate.sensors.palm.wear import Wear, worn
 
 __all__ = [
     "PRESETS",
     "PalmSpec",
     "View",
     "Views",
+    "Wear",
     "casting_resin",
     "cropped",
     "crops",
@@ -45,4 +47,5 @@ __all__ = [
     "small",
     "solaris",
     "sylgard_184",
+    "worn",
 ]

@@ -5,6 +5,10 @@ runs straight to the deformed upper surface and there meets the ball where they 
 into the housing, where it may meet the ball beside the contact, or is thrown back inside. What it meets is
 grey and lit by what light there is in the housing: unpolarised, so no fringes. The housing is dark overhead
 and light all round, so that the dimple, which bends lines of sight aside, is seen. Brightnesses are assumed.
+
+With `probe_in_mirror=False` nothing is ever met but the surface and the housing: what is left is the
+membrane's deformation alone. That a line of sight which has left through one side of the dimple would enter
+again at the other is left out.
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
 from numpy import ndarray
 from scipy.interpolate import RegularGridInterpolator
 
@@ -114,9 +118,25 @@ def _underside(spec: PalmSpec) -> tuple[ndarray, ndarray]:
     return x, y
 
 
+def veil(spec: PalmSpec) -> float:
+    """Brightness of a surface that scatters the housing's light evenly: the mean over all it is open to."""
+    return spec.inside_light * (LID + WALL) / 2
+
+
+def inside_rim(spec: PalmSpec) -> Bool[ndarray, "h w"]:
+    """Where the mirror's lines of sight enter the membrane, or the opening it is set in."""
+    y = spec.mirror.down_m / math.sin(spec.mirror_elevation_rad)
+    return np.asarray(spec.mirror.x_m**2 + y[:, None] ** 2 <= spec.radius_m**2)
+
+
+def path_m(spec: PalmSpec) -> float:
+    """Of a line of sight from the underside to the flat upper surface [m]."""
+    return spec.thickness_m / _inside_direction(spec)[1]
+
+
 def _inside_direction(spec: PalmSpec) -> tuple[float, float]:
     """A line of sight inside the membrane: towards -y, and up, towards -z."""
-    lean = math.cos(spec.mirror_elevation_rad) / spec.refractive_index
+    lean = math.cos(spec.mirror_elevation_rad) / (spec.refractive_index if spec.membrane else 1.0)
     return lean, math.sqrt(1 - lean**2)
 
 
@@ -217,6 +237,8 @@ def _traced(spec: PalmSpec, surface: Surface, reach_m: tuple[float, float], x: n
         reach_m: least and greatest z of that surface [m].
         x, y: where they enter [m].
     """
+    if not spec.membrane:
+        return _in_air(spec, surface, x, y)
     if spec.opaque_underside:
         return np.full(x.shape, LID * spec.inside_light, np.float32)
     (lean, up), h = _inside_direction(spec), spec.thickness_m
@@ -224,13 +246,29 @@ def _traced(spec: PalmSpec, surface: Surface, reach_m: tuple[float, float], x: n
     y_met = y - (h - z) * lean / up
     slopes = surface.slopes(x, y_met)
     out, passed = _refracted(slopes, lean, up, spec.refractive_index)
-    housing = LID + (WALL - LID) * (1 - out[2] ** 2)
-    facing = surface.beside(np.stack([x, y_met, z]), out)
-    outside = np.where(facing > 0, _probe(spec, facing), housing)
+    outside = _outside(spec, surface, np.stack([x, y_met, z]), out)
     squarely = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
     through = passed * outside + (1 - passed) * WALL
-    seen = np.where(surface.touching(x, y_met), _probe(spec, squarely), through)
+    covered = surface.touching(x, y_met) & spec.probe_in_mirror
+    seen = np.where(covered, _probe(spec, squarely), through)
     return np.asarray(spec.inside_light * seen, dtype=np.float32)
+
+
+def _in_air(spec: PalmSpec, surface: Surface, x: ndarray, y: ndarray) -> Grey:
+    """The same without a membrane: straight up, past nothing that bends or reflects."""
+    lean, up = _inside_direction(spec)
+    place = np.stack([x, y, np.full(x.shape, spec.thickness_m)])
+    out = np.stack([np.full(x.shape, part) for part in (0.0, -lean, -up)])
+    return np.asarray(spec.inside_light * _outside(spec, surface, place, out), dtype=np.float32)
+
+
+def _outside(spec: PalmSpec, surface: Surface, place: ndarray, out: ndarray) -> ndarray:
+    """Brightness of what lines of sight meet in the air: the probe's side, or the housing."""
+    housing = LID + (WALL - LID) * (1 - out[2] ** 2)
+    if not spec.probe_in_mirror:
+        return np.asarray(housing)
+    facing = surface.beside(place, out)
+    return np.where(facing > 0, _probe(spec, facing), housing)
 
 
 def _probe(spec: PalmSpec, facing: ndarray) -> ndarray:
@@ -275,6 +313,4 @@ def _refracted(slopes: tuple[ndarray, ndarray], lean: float, up: float, n: float
 
 def _inside_rim(spec: PalmSpec, grey: Grey) -> Grey:
     """Black beyond the membrane's edge."""
-    y = spec.mirror.down_m / math.sin(spec.mirror_elevation_rad)
-    inside = spec.mirror.x_m**2 + y[:, None] ** 2 <= spec.radius_m**2
-    return np.where(inside, grey, np.float32(0))
+    return np.where(inside_rim(spec), grey, np.float32(0))

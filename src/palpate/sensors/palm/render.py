@@ -7,6 +7,8 @@ contact's axis end at the membrane's round wall and not at the table's.
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -15,23 +17,30 @@ from jaxtyping import Float32, UInt8, UInt16
 from numpy import ndarray
 
 from palpate.core.contact import Contact, Probe
+from palpate.core.errors import InputError
 from palpate.core.frame import Frame
 from palpate.optics.camera import Camera, develop, raw_codes
 from palpate.optics.illumination import LedStrip, backlight
+from palpate.optics.noise import illumination
 from palpate.sensors.palm import fringes, mirror, volume
+from palpate.sensors.palm.light import in_box, lamp_tint, room_light
 from palpate.sensors.palm.shapes import reach_of, silhouette
 from palpate.sensors.palm.spec import PalmSpec
+from palpate.sensors.palm.wear import Film, Wear, film, passed_by, scratches_over, spread
 
 BACKGROUND = 0.004
 """Of the housing outside both regions, over the lamp at its brightest. Assumed."""
 
 BEHIND_ANALYSER = 0.5  # an ideal polariser passes half of unpolarised light
 
+WITHIN = 0.7  # of the membrane's radius: a square in which the middles of the mirror's scratches lie
+
 PROBE_LIGHT = 0.1
 """Light on the probe's side towards the camera, over what there is in the housing. Assumed."""
 
 Linear = Float32[ndarray, "h w 3"]
 Below = Float32[ndarray, "u v 3"]
+Grey = Float32[ndarray, "u v"]
 Whole = Float32[ndarray, "height width 3"]
 
 
@@ -76,6 +85,8 @@ def render_raw(
 def _housed(seen: tuple[Linear, Below], spec: PalmSpec) -> Whole:
     """Both regions where they lie in the frame."""
     clean = np.full((spec.frame_px[1], spec.frame_px[0], 3), BACKGROUND, np.float32)
+    if spec.ambient:
+        clean += np.float32(spec.ambient) * room_light(spec.frame_px)
     for view, light in zip((spec.fringes, spec.mirror), seen, strict=True):
         x, y, w, h = view.box_px
         clean[y : y + h, x : x + w] = light
@@ -93,18 +104,49 @@ def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool = False) -> tu
 
     The spec's ball without lateral load takes one of the two ways; any other contact is marched through its
     own stress, whatever `exact` says.
+
+    Raises:
+        InputError: another contact than the ball's without a membrane.
     """
-    if is_ball(contact, spec):
-        edge_on, below = (fringes.exact, mirror.exact) if exact else (fringes.shifted, mirror.shifted)
-        depth_m, *place = contact.pose.depth_m, contact.pose.x_m, contact.pose.y_m
-        light, grey = edge_on(spec, max(depth_m, 0.0), *place), below(spec, depth_m, *place)
-    else:
-        light, grey = volume.exact(spec, contact), mirror.of_contact(spec, contact)
+    light, grey = _behind_analyser(contact, spec, exact)
     light *= _lamp(spec.lamp, spec.corner_loss, spec.membrane_transmission, spec.unlit)
-    _draw_probe(light, contact, spec)
+    if spec.probe_edge_on:
+        _draw_probe(light, contact, spec)
     light *= np.float32(spec.lamp_gain)
     grey = grey * np.float32(BEHIND_ANALYSER * spec.lamp_gain)
-    return light, np.repeat(grey[..., None], 3, axis=-1)
+    below = np.repeat(grey[..., None], 3, axis=-1)
+    if spec.wear.shows and spec.membrane:
+        films = _films(spec.wear, spec.lamp, spec.corner_loss, spec.membrane_transmission, spec.unlit)
+        for one, seen in zip(films, (light, below), strict=True):
+            one.over(seen, spec.lamp_gain)
+    if spec.lamp_mired:
+        for seen in (light, below):
+            seen *= lamp_tint(spec.lamp_mired, fringes.spectrum(spec.bands))
+    if spec.ambient:
+        for view, seen in ((spec.fringes, light), (spec.mirror, below)):
+            seen += np.float32(spec.ambient) * in_box(room_light(spec.frame_px), view.box_px)
+    return light, below
+
+
+def _behind_analyser(contact: Contact, spec: PalmSpec, exact: bool) -> tuple[Linear, Grey]:
+    """Both regions, lit evenly: what passes the analyser edge-on, and the brightness the mirror shows."""
+    pose, air = contact.pose, not spec.membrane
+    if air and not (is_ball(contact, spec) and math.isfinite(pose.x_m + pose.y_m)):
+        raise InputError(
+            f"a {contact.probe.shape} at ({pose.x_m}, {pose.y_m}) m; without a membrane only the palm's own "
+            "ball is drawn, without lateral load and at a finite place"
+        )
+    # The fringes know nothing of what the mirror shows: palms that differ in it share one marched picture.
+    usual = spec.probe_in_mirror and not spec.opaque_underside
+    marched = spec if usual else replace(spec, probe_in_mirror=True, opaque_underside=False)
+    if not is_ball(contact, spec):
+        return volume.exact(marched, contact), mirror.of_contact(spec, contact)
+    edge_on, below = (fringes.exact, mirror.exact) if exact else (fringes.shifted, mirror.shifted)
+    if air:
+        light = np.full((*spec.fringes.size_px[::-1], 3), spec.extinction, np.float32)
+    else:
+        light = edge_on(marched, max(pose.depth_m, 0.0), pose.x_m, pose.y_m)
+    return light, below(spec, pose.depth_m, pose.x_m, pose.y_m)
 
 
 def is_ball(contact: Contact, spec: PalmSpec) -> bool:
@@ -113,7 +155,7 @@ def is_ball(contact: Contact, spec: PalmSpec) -> bool:
 
 
 def lamp(spec: PalmSpec) -> Linear:
-    """The lamp as seen through membrane and rim, the camera's vignetting with it."""
+    """The lamp as seen through a new membrane and its rim, white, the camera's vignetting with it."""
     return spec.lamp_gain * _lamp(spec.lamp, spec.corner_loss, spec.membrane_transmission, spec.unlit)
 
 
@@ -139,9 +181,43 @@ def _developed(camera: Camera, bands: int) -> UInt8[ndarray, "n 3"]:
 @lru_cache(maxsize=8)
 def _lamp(strip: LedStrip, corner_loss: float, transmission: float, spec: PalmSpec) -> Linear:
     view, rim = spec.fringes, fringes.columns_kept(spec)
-    through = np.where(rim.visible, rim.transmission * transmission, 1.0)
+    through = np.where(rim.visible & spec.membrane, rim.transmission * transmission, 1.0)
     light = backlight(strip, view.x_m, view.down_m, corner_loss) * through.astype(np.float32)
     return np.repeat(light[..., None], 3, axis=-1)
+
+
+@lru_cache(maxsize=4)
+def _films(
+    wear: Wear, strip: LedStrip, corner_loss: float, transmission: float, spec: PalmSpec
+) -> tuple[Film, Film]:
+    """What a worn membrane does to both regions, for a lamp as at set-up.
+
+    The same surface scatters the lamp's light before the analyser and the housing's on its way to the mirror.
+    """
+    view, rim, R, h = spec.fringes, fringes.columns_kept(spec), spec.radius_m, spec.thickness_m
+    seen = fringes.spectrum(spec.bands)
+    x, z = view.x_m, view.down_m
+    lens = illumination(len(z), len(x), corner_loss)
+    veil = BEHIND_ANALYSER * lens * spread(_lamp(strip, 0.0, transmission, spec)[..., 0], view.pitches_m)
+    edge_on = film(
+        wear,
+        scratches_over(wear, 0, x, z, ((-R, R), (0.0, h))),
+        veil,
+        passed_by(wear.yellowing, rim.half_chord_m / R, seen),
+        ((z >= 0) & (z <= h))[:, None] & rim.visible,
+    )
+    wear = Wear() if spec.opaque_underside else wear  # which the mirror then does not look through
+    x, y = spec.mirror.x_m, spec.mirror.down_m / math.sin(spec.mirror_elevation_rad)
+    path = np.full(len(x), mirror.path_m(spec) / spec.diameter_m)
+    below = film(
+        wear,
+        scratches_over(wear, 1, x, y, ((-WITHIN * R, WITHIN * R),) * 2),
+        np.full((len(y), len(x)), BEHIND_ANALYSER * mirror.veil(spec)),
+        passed_by(wear.yellowing, path, seen),
+        mirror.inside_rim(spec),
+        glow=1.0,
+    )
+    return edge_on, below
 
 
 def _draw_probe(light: Linear, contact: Contact, spec: PalmSpec) -> None:
@@ -151,7 +227,8 @@ def _draw_probe(light: Linear, contact: Contact, spec: PalmSpec) -> None:
     rays, pose, reach = fringes.columns_kept(spec.unlit), contact.pose, reach_of(contact.probe)
     through = np.where(rays.visible, rays.about(pose.x_m, pose.y_m)[0], np.inf)
     rest = int(np.searchsorted(z, 0.0, side="right"))
-    for rows, beside in ((slice(rest), x - pose.x_m), (slice(rest, None), through)):
+    parts = ((slice(rest), x - pose.x_m), (slice(rest, None), through))
+    for rows, beside in parts if spec.membrane else ((slice(len(z)), x - pose.x_m),):
         near = np.flatnonzero(np.abs(beside) <= reach)
         if pose.depth_m == 0 or not len(near):
             continue

@@ -18,6 +18,7 @@ from palpate.optics.camera import Camera
 from palpate.optics.colour import LEAST_BANDS
 from palpate.optics.illumination import LedStrip
 from palpate.optics.stress_optic import StressOpticLaw
+from palpate.sensors.palm.wear import Wear
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,10 +98,19 @@ class PalmSpec:
         mirror_elevation_rad: of the line of sight that the mirror sends up, from horizontal [rad]. Assumed.
         lamp: the LED strip behind its diffusers. Assumed.
         lamp_gain: the lamp's light now over its light at set-up.
+        lamp_mired: by how much warmer the lamp is than the one the camera was balanced to, as the change of
+            1e6 K over the colour temperature; negative for a colder one.
+        ambient: unpolarised room light that gets past the lid, as the camera sees it in the frame's upper
+            left corner, over the lamp at its brightest. The report's lid lets none in.
         corner_loss: share of light missing at half the region's diagonal (vignetting). Assumed.
         inside_light: scattered light in the housing over the lamp's: what shows ball and dimple. Assumed.
         ball_albedo: of the probe. Assumed.
         opaque_underside: a dark layer under the membrane, so that the mirror sees neither ball nor dimple.
+        probe_in_mirror: whether the mirror shows the probe's body; False takes it out of sight and leaves the
+            membrane as deformed as it is, which no real palm can.
+        probe_edge_on: whether the fringe view shows the probe's body; False leaves the dark dimple.
+        membrane: whether there is one; False for the empty housing with the ball in the air.
+        wear: what use has left on the membrane.
         bands: of wavelength, 400 to 700 nm; 31 or more.
         rays_per_pixel: across and down, whose mean a pixel of the fringe view is.
         camera: from light to codes. Assumed.
@@ -128,10 +138,16 @@ class PalmSpec:
     mirror_elevation_rad: float = math.radians(60.0)
     lamp: LedStrip = field(default_factory=LedStrip)
     lamp_gain: float = 1.0
+    lamp_mired: float = 0.0
+    ambient: float = 0.0
     corner_loss: float = 0.3
     inside_light: float = 1.0
     ball_albedo: float = 0.5
     opaque_underside: bool = False
+    probe_in_mirror: bool = True
+    probe_edge_on: bool = True
+    membrane: bool = True
+    wear: Wear = field(default_factory=Wear)
     bands: int = LEAST_BANDS
     rays_per_pixel: tuple[int, int] = (1, 1)
     camera: Camera = field(default_factory=Camera)
@@ -192,11 +208,25 @@ _RANGES = {
     "membrane_transmission": (0.0, 1.0, "(a share)"),
     "mirror_elevation_rad": (0.1, math.pi / 2, "rad"),
     "lamp_gain": (0.0, 100.0, "(over the light at set-up)"),
+    "lamp_mired": (-200.0, 200.0, "mired"),
+    "ambient": (0.0, 10.0, "(over the lamp's brightest)"),
     "corner_loss": (0.0, 1.0, "(a share)"),
     "inside_light": (0.0, 100.0, "(over the lamp's)"),
     "ball_albedo": (0.0, 1.0, "(a share)"),
     "bands": (LEAST_BANDS, 1000, "bands"),
     "exposure_s": (1e-6, 100.0, "s"),
 }
-_LATER = ("lamp", "lamp_gain", "corner_loss", "membrane_transmission", "camera", "exposure_s", "name")
+_LATER = (
+    "lamp",
+    "lamp_gain",
+    "lamp_mired",
+    "ambient",
+    "corner_loss",
+    "membrane_transmission",
+    "probe_edge_on",
+    "wear",
+    "camera",
+    "exposure_s",
+    "name",
+)
 _NOMINAL = PalmSpec()

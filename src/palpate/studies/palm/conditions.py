@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -10,11 +10,13 @@ from palpate.recordings.reader import Run
 from palpate.rig.plans import Dwell, Listed, Stepped
 from palpate.rig.virtual.variation import Variation
 from palpate.sensors.palm import PalmSpec
+from palpate.sensors.palm.wear import Wear, worn
 from palpate.studies.palm.headline import CAMPAIGN
 from palpate.studies.palm.scale import MODELS, Scale
 from palpate.studies.palm.workshop import Workshop, noisier, ways
 
 NOISES = (0.5, 1.0, 2.0, 4.0)
+PRESSES = (100.0, 1000.0, 3000.0, 10_000.0, 30_000.0)
 
 Change = Callable[[PalmSpec], tuple[PalmSpec, Variation]]
 
@@ -51,26 +53,43 @@ class Condition:
 
 
 CONDITIONS: tuple[Condition, ...] = (
-    Condition("again", "the grid's places, in cycles not seen", campaign=2000, grid=True),
+    Condition("unchanged", "as calibrated"),
+    Condition("again", "the grid's own places, in cycles not seen", campaign=2000, grid=True),
     Condition("stiffer", "a membrane 10 % stiffer", _scaled("youngs_modulus_pa", 1.1)),
     Condition("softer", "a membrane 10 % softer", _scaled("youngs_modulus_pa", 0.9)),
     Condition("brighter", "the lamp 5 % brighter", _spec(lamp_gain=1.05)),
     Condition("dimmer", "the lamp 20 % dimmer", _spec(lamp_gain=0.8)),
+    Condition("warmer", "the lamp warmer by 30 mired", _spec(lamp_mired=30.0)),
+    Condition("room-light", "room light of 5 % of the lamp's", _spec(ambient=0.05)),
+    Condition("hazy", "a membrane with 10 % haze", _spec(wear=Wear(haze=0.1))),
+    Condition("scratched", "a membrane with 8 scratches", _spec(wear=Wear(scratches=8))),
+    Condition("yellowed", "a yellowed membrane (absorbance 0.1 at 450 nm)", _spec(wear=Wear(yellowing=0.1))),
+    Condition("occluded", "the probe out of the mirror's sight", _spec(probe_in_mirror=False)),
+    Condition("opaque", "an opaque underside", _spec(opaque_underside=True)),
 )
 
 
-def conditions(shop: Workshop, found: Mapping[str, Condition]) -> dict[str, Any]:
+def conditions(shop: Workshop) -> dict[str, Any]:
     """Every model's scores under each condition."""
-    return {name: {"said": one.said, "models": _models(shop, one)} for name, one in found.items()}
+    return {one.name: {"said": one.said, "models": _models(shop, one)} for one in CONDITIONS}
 
 
 def noise(shop: Workshop) -> list[dict[str, Any]]:
     """Every model, taught at the rig's own noise, on places off the grid at so many times that noise."""
-    found = []
-    for times in NOISES:
-        one = Condition(f"noise-{times:g}", f"{times:g} times the noise", _noise(times))
-        found.append({"times": times, "models": _models(shop, one)})
-    return found
+    every = (Condition(f"noise-{times:g}", f"{times:g} times the noise", _noise(times)) for times in NOISES)
+    return [{"times": times, "models": _models(shop, one)} for times, one in zip(NOISES, every, strict=True)]
+
+
+def durability(shop: Workshop) -> list[dict[str, Any]]:
+    """Every model on a membrane that has been pressed so often, by the law of wear that is assumed."""
+    every = (
+        Condition(f"pressed-{presses:g}", f"after {presses:g} presses", _spec(wear=worn(presses)))
+        for presses in PRESSES
+    )
+    return [
+        {"presses": presses, "models": _models(shop, one)}
+        for presses, one in zip(PRESSES, every, strict=True)
+    ]
 
 
 def _models(shop: Workshop, one: Condition) -> dict[str, Any]:
@@ -82,8 +101,9 @@ def _models(shop: Workshop, one: Condition) -> dict[str, Any]:
 
 def _plan(scale: Scale, seed: int, one: Condition) -> Stepped:
     if one.grid:
-        return scale.protocol().model_copy(update={"cycles": 1, "frames": 1})
-    return scale.new_places(seed)
+        changed = {"cycles": 1, "frames": 1, "step_mm": scale.coarse_step_mm}
+        return scale.protocol().model_copy(update=changed)
+    return scale.new_places(seed, coarse=True)
 
 
 def sustained(shop: Workshop, seconds: float = 60.0) -> dict[str, Any]:

@@ -31,6 +31,7 @@ SAID = {
     "place_mm": "place (distance)",
 }
 HEADLINE = (FORCE, PLACE, DEPTH)
+Panels = dict[str, dict[str, tuple[list[float], list[float]]]]
 LIGHT, DARK = "#35c46a", "#3d7bff"
 
 
@@ -106,7 +107,10 @@ def _figures(shop: Workshop, found: Mapping[str, Any], scores: Mapping[str, Any]
     if "one-frame" in found:
         made["frame"] = _frame(shop, found["one-frame"]["frame"])
     if "noise" in found:
-        made["noise"] = draw.curves(_noise(found["noise"]), "noise, over the rig's own")
+        made["noise"] = draw.curves(_against(found["noise"], "times"), "noise, over the rig's own")
+    if "durability" in found:
+        panels = _against(found["durability"], "presses")
+        made["durability"] = draw.curves(panels | _stood_by(found["durability"]), "presses", log_across=True)
     if "sustained" in found:
         made["sustained"] = _sustained(found["sustained"])
     return made
@@ -148,21 +152,28 @@ def _frame(shop: Workshop, frame: int) -> str:
     return draw.annotated(run.frame(frame).image, boxes)
 
 
-def _noise(rows: list[dict[str, Any]]) -> dict[str, dict[str, tuple[list[float], list[float]]]]:
-    panels: dict[str, dict[str, tuple[list[float], list[float]]]] = {}
+def _against(rows: list[dict[str, Any]], across: str) -> Panels:
+    """Errors of every model, a panel a target."""
+    panels: Panels = {}
     for target in HEADLINE:
         lines = {}
         for model in MODELS:
             known = [row for row in rows if target in row["models"][model]["targets"]]
             if known:
                 y = [row["models"][model]["targets"][target]["mae"] for row in known]
-                lines[SHORT[model]] = ([row["times"] for row in known], y)
+                lines[SHORT[model]] = ([row[across] for row in known], y)
         panels[f"{SAID[target]}: MAE [{'N' if target == FORCE else 'mm'}]"] = lines
     return panels
 
 
+def _stood_by(rows: list[dict[str, Any]]) -> Panels:
+    across = [row["presses"] for row in rows]
+    lines = {SHORT[m]: (across, [100 * row["models"][m]["valid"] + 0.1 for row in rows]) for m in MODELS}
+    return {"frames stood by [%]": lines}
+
+
 def _sustained(found: Mapping[str, Any]) -> str:
-    panels: dict[str, dict[str, tuple[list[float], list[float]]]] = {}
+    panels: Panels = {}
     for target, unit in ((FORCE, "N"), (DEPTH, "mm")):
         lines = {}
         for model, held in found["models"].items():

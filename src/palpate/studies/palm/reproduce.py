@@ -14,6 +14,7 @@ from palpate.core.files import new_file, refuse_existing, storage_errors
 from palpate.estimators.networks.base import Progress, silent
 from palpate.studies.palm import conditions as cond
 from palpate.studies.palm import questions
+from palpate.studies.palm.copies import adaptation
 from palpate.studies.palm.headline import headline, one_frame, record_both
 from palpate.studies.palm.latency import latency
 from palpate.studies.palm.report import write_up
@@ -52,8 +53,10 @@ def stages(part: str = "all") -> tuple[Stage, ...]:
         Stage("factorial", questions.factorial),
         Stage("mirror", questions.mirror),
         Stage("noise", cond.noise),
-        Stage("conditions", lambda shop: cond.conditions(shop, {c.name: c for c in cond.CONDITIONS})),
+        Stage("conditions", cond.conditions),
+        Stage("durability", cond.durability),
         Stage("sustained", cond.sustained),
+        Stage("adaptation", adaptation),
         Stage("latency", latency),
     )
 

@@ -26,7 +26,8 @@ class Scale:
         side_px: of each view, as models see it [px].
         frame_px: of each view, as the camera takes it [px].
         cycles, step_mm, depth_mm, frames: of the protocol at the grid's 37 places; see `Stepped`.
-        places: off the grid, pressed once each in a campaign of their own, every `new_step_mm`.
+        places: off the grid, pressed once each in a campaign of their own, every `new_step_mm`; for the many
+            conditions that are only tested under, every `coarse_step_mm`.
         options: model -> settings that are not its defaults.
         small: settings of the architecture that is trained many times over.
         loads: pictures of each kind of contact that is not one upright ball.
@@ -42,6 +43,7 @@ class Scale:
     frames: int
     places: int
     new_step_mm: float
+    coarse_step_mm: float
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     small: Mapping[str, Any] = field(default_factory=lambda: SMALL_NETWORK)
     loads: int = 60
@@ -58,13 +60,13 @@ class Scale:
             reference_frames=1,
         )
 
-    def new_places(self, seed: int) -> Stepped:
+    def new_places(self, seed: int, *, coarse: bool = False) -> Stepped:
         """Places off the grid, in one cycle."""
         return Stepped(
             name="palm-new-places",
             places=Scattered(kind="scattered", count=self.places, apart_mm=2.0, seed=seed),
             cycles=1,
-            step_mm=self.new_step_mm,
+            step_mm=self.coarse_step_mm if coarse else self.new_step_mm,
             depth_mm=self.depth_mm,
             frames=1,
             reference_frames=1,
@@ -75,7 +77,7 @@ SCALES: Mapping[str, Scale] = MappingProxyType(
     {
         scale.name: scale
         for scale in (
-            Scale("small", 96, 96, 2, 0.4, 4.8, 1, 24, 0.4),
+            Scale("small", 96, 96, 2, 0.4, 4.8, 1, 24, 0.4, 1.2),
             Scale(
                 "full",
                 128,
@@ -86,6 +88,7 @@ SCALES: Mapping[str, Scale] = MappingProxyType(
                 5,
                 60,
                 0.2,
+                0.5,
                 options={"palm-compact": {"rendered": 60_000, "epochs": 30}},
                 loads=400,
             ),

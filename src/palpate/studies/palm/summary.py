@@ -102,6 +102,21 @@ def _conditions(found: Mapping[str, Any]) -> Iterator[Entry]:
             yield entry(f"{one['said']}, {model}: frames stood by", scores["valid"], "1")
 
 
+def _wear(found: Mapping[str, Any]) -> Iterator[Entry]:
+    for row in found.get("durability", []):
+        for model, one in row["models"].items():
+            name = f"after {row['presses']:g} presses (assumed wear), {model}"
+            yield from _of_targets(name, one["targets"])
+            yield entry(f"{name}: frames stood by", one["valid"], "1")
+
+
+def _adaptation(found: Mapping[str, Any]) -> Iterator[Entry]:
+    for row in found.get("adaptation", []):
+        name = f"a copy after {row['presses']} presses, {row['model']}"
+        yield from _of_targets(name, row["targets"])
+        yield entry(f"{name}: frames stood by", row["valid"], "1")
+
+
 def _latency(found: Mapping[str, Any]) -> Iterator[Entry]:
     times = found.get("latency", {})
     for model, parts in times.items():
@@ -113,7 +128,7 @@ def _latency(found: Mapping[str, Any]) -> Iterator[Entry]:
         yield entry("palm-two-stage over palm-compact, network alone", two / ours, "1")
 
 
-_PARTS = (_headline, _leakage, _factorial, _mirror, _conditions, _latency)
+_PARTS = (_headline, _leakage, _factorial, _mirror, _conditions, _wear, _adaptation, _latency)
 
 
 def targets_of(model: str) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from palpate.calibration.plan import Plan, Reference
 from palpate.calibration.views import two_views
 from palpate.core.errors import DeviceError
 from palpate.core.files import new_file
-from palpate.estimators.certified import Estimator
+from palpate.estimators.certified import Estimator, read_card
 from palpate.estimators.networks import model_kind
 from palpate.estimators.networks.base import Progress, silent
 from palpate.recordings.reader import Run
@@ -135,18 +135,22 @@ class Workshop:
 
     def estimated(self, way: Way, run: Run, what: str) -> pd.DataFrame:
         """What it says of another run."""
-        estimator = Estimator.open(self.calibrated(way))
-        return predictions(
-            estimator, run, progress=lambda _, *at: self.progress(f"{way.name} on {what}", *at)
-        )
+        return self.estimated_by(self.calibrated(way), run, what)
+
+    def estimated_by(self, calibration: Path, run: Run, what: str) -> pd.DataFrame:
+        """What the calibration in a folder says of a run."""
+        estimator, name = Estimator.open(calibration), calibration.name
+        return predictions(estimator, run, progress=lambda _, *at: self.progress(f"{name} on {what}", *at))
 
     def scored(self, way: Way, run: Run, what: str) -> dict[str, Any]:
         """Its scores there, and the share of frames that it stands by."""
-        table = self.estimated(way, run, what)
-        return {
-            "targets": scores_of(table, model_kind(way.model).targets),
-            "valid": float(table["valid"].mean()),
-        }
+        return self.scored_by(self.calibrated(way), run, what)
+
+    def scored_by(self, calibration: Path, run: Run, what: str) -> dict[str, Any]:
+        """The same of a folder's."""
+        table = self.estimated_by(calibration, run, what)
+        columns = read_card(calibration).columns
+        return {"targets": scores_of(table, columns), "valid": float(table["valid"].mean())}
 
     def kept(self, name: str, make: Callable[[], Any]) -> Any:
         """A result as plain values, made once; beside it the time that took."""

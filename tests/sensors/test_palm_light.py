@@ -1,0 +1,97 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palpate.core import Pose
+from palpate.sensors import palm
+from palpate.sensors.palm import fringes
+from palpate.sensors.palm.light import SECOND_RADIATION_M_K, in_box, lamp_tint, room_light
+from palpate.sensors.palm.render import BACKGROUND
+
+SPEC = palm.debug()
+
+
+def seen(depth_m=3e-3, x_m=4e-3, y_m=-2e-3, exact=False, **changed):
+    spec = replace(SPEC, **changed)
+    return palm.render_clean(palm.press(spec, Pose(x_m, y_m, depth_m)), spec, exact=exact)
+
+
+def planck(wavelength_m, kelvin):
+    return wavelength_m**-5 / np.expm1(SECOND_RADIATION_M_K / (wavelength_m * kelvin))
+
+
+def test_a_warmer_lamp_is_redder_and_a_colder_one_bluer():
+    spectrum = fringes.spectrum(31)
+    for mired, order in ((40.0, (2, 1, 0)), (-40.0, (0, 1, 2))):
+        tint = lamp_tint(mired, spectrum)
+        assert tuple(np.argsort(tint)) == order
+        assert tint[1] == 1
+    np.testing.assert_array_equal(lamp_tint(0.0, spectrum), np.ones(3))
+
+
+@pytest.mark.parametrize(("before", "after"), [(6500, 4000), (4000, 3000), (5000, 6500)])
+def test_a_shift_in_mired_turns_one_black_body_into_the_other(before, after):
+    spectrum = fringes.spectrum(31)
+    ratio = planck(spectrum.wavelength_m, after) / planck(spectrum.wavelength_m, before)
+    wanted = ratio @ spectrum.weight
+    # Wien's law for Planck's: 2 % at 700 nm and 6500 K
+    tint = lamp_tint(1e6 / after - 1e6 / before, spectrum)
+    np.testing.assert_allclose(tint, wanted / wanted[1], rtol=0.02)
+
+
+def test_another_lamp_tints_both_regions_alike():
+    tint = lamp_tint(50.0, fringes.spectrum(SPEC.bands))
+    for one, other in zip(seen(), seen(lamp_mired=50.0), strict=True):
+        np.testing.assert_allclose(other, one * tint, rtol=1e-6)
+
+
+def test_room_light_adds_the_same_whatever_is_pressed_and_however_bright_the_lamp():
+    for view, *pairs in zip(
+        (SPEC.fringes, SPEC.mirror),
+        *(
+            one
+            for changed in ({}, {"depth_m": 1e-3}, {"lamp_gain": 0.3})
+            for one in (seen(**changed), seen(**changed, ambient=0.05))
+        ),
+        strict=True,
+    ):
+        wanted = 0.05 * in_box(room_light(SPEC.frame_px), view.box_px)
+        for dark, lit in zip(pairs[::2], pairs[1::2], strict=True):
+            np.testing.assert_allclose(lit - dark, np.broadcast_to(wanted, lit.shape), atol=1e-6)
+
+
+def test_room_light_is_brightest_at_the_upper_left_and_falls_gently():
+    shade = room_light(SPEC.frame_px)
+    assert shade[0, 0, 0] == 1
+    assert (np.diff(shade[..., 0], axis=0) < 0).all()
+    assert (np.diff(shade[..., 0], axis=1) < 0).all()
+    assert shade.min() == pytest.approx(0.6)
+
+
+def test_room_light_fills_the_frame_between_the_regions():
+    quiet = replace(SPEC, camera=replace(SPEC.camera, full_well_e=1e12, read_noise_e=0.0, bits=16))
+    lit = replace(quiet, ambient=0.05)
+    contact = palm.press(lit, Pose(0.0, 0.0, 0.0))
+    codes = palm.render_raw(contact, lit, np.random.default_rng(0))
+    outside = np.ones(codes.shape[:2], bool)
+    for view in (SPEC.fringes, SPEC.mirror):
+        x, y, w, h = view.box_px
+        outside[y : y + h, x : x + w] = False
+    top = codes[..., 1][outside] / (2**16 - 1) / quiet.camera.exposure
+    sensitivity = fringes.spectrum(31).sensitivity[1]
+    wanted = (BACKGROUND + 0.05 * room_light(SPEC.frame_px)[..., 0][outside]) * sensitivity
+    np.testing.assert_allclose(top, wanted, rtol=2e-3)  # 16-bit steps
+
+
+@pytest.mark.parametrize("changed", [{"ambient": 0.1}, {"lamp_mired": 60.0}])
+def test_in_other_light_the_fast_way_shows_what_the_exact_one_does(changed):
+    z = SPEC.fringes.down_m
+    fast, exact = (seen(exact=which, **changed) for which in (False, True))
+    rows = (z > 3e-3) & (z < SPEC.thickness_m)
+    assert np.sqrt(np.mean((fast[0] - exact[0])[rows] ** 2)) < 1e-2  # as in the lamp's own
+    assert np.sqrt(np.mean((fast[1] - exact[1]) ** 2)) < 2e-2  # a contact's sharp edge in pixels of 1 mm
+
+
+def test_light_changes_nothing_that_is_marched():
+    assert replace(SPEC, ambient=0.2, lamp_mired=-30.0).unlit == SPEC.unlit
