@@ -21,7 +21,8 @@ PRESSES = (100.0, 1000.0, 3000.0, 10_000.0, 30_000.0)
 Change = Callable[[PalmSpec], tuple[PalmSpec, Variation]]
 
 
-def _spec(**fields: Any) -> Change:
+def only(**fields: Any) -> Change:
+    """The palm with some fields changed, and the rig's usual variation."""
     return lambda spec: (replace(spec, **fields), Variation())
 
 
@@ -47,7 +48,7 @@ class Condition:
 
     name: str
     said: str
-    change: Change = field(default_factory=_spec)
+    change: Change = field(default_factory=only)
     campaign: int = CAMPAIGN
     grid: bool = False
 
@@ -57,15 +58,15 @@ CONDITIONS: tuple[Condition, ...] = (
     Condition("again", "the grid's own places, in cycles not seen", campaign=2000, grid=True),
     Condition("stiffer", "a membrane 10 % stiffer", _scaled("youngs_modulus_pa", 1.1)),
     Condition("softer", "a membrane 10 % softer", _scaled("youngs_modulus_pa", 0.9)),
-    Condition("brighter", "the lamp 5 % brighter", _spec(lamp_gain=1.05)),
-    Condition("dimmer", "the lamp 20 % dimmer", _spec(lamp_gain=0.8)),
-    Condition("warmer", "the lamp warmer by 30 mired", _spec(lamp_mired=30.0)),
-    Condition("room-light", "room light of 5 % of the lamp's", _spec(ambient=0.05)),
-    Condition("hazy", "a membrane with 10 % haze", _spec(wear=Wear(haze=0.1))),
-    Condition("scratched", "a membrane with 8 scratches", _spec(wear=Wear(scratches=8))),
-    Condition("yellowed", "a yellowed membrane (absorbance 0.1 at 450 nm)", _spec(wear=Wear(yellowing=0.1))),
-    Condition("occluded", "the probe out of the mirror's sight", _spec(probe_in_mirror=False)),
-    Condition("opaque", "an opaque underside", _spec(opaque_underside=True)),
+    Condition("brighter", "the lamp 5 % brighter", only(lamp_gain=1.05)),
+    Condition("dimmer", "the lamp 20 % dimmer", only(lamp_gain=0.8)),
+    Condition("warmer", "the lamp warmer by 30 mired", only(lamp_mired=30.0)),
+    Condition("room-light", "room light of 5 % of the lamp's", only(ambient=0.05)),
+    Condition("hazy", "a membrane with 10 % haze", only(wear=Wear(haze=0.1))),
+    Condition("scratched", "a membrane with 8 scratches", only(wear=Wear(scratches=8))),
+    Condition("yellowed", "a yellowed membrane (absorbance 0.1 at 450 nm)", only(wear=Wear(yellowing=0.1))),
+    Condition("occluded", "the probe out of the mirror's sight", only(probe_in_mirror=False)),
+    Condition("opaque", "an opaque underside", only(opaque_underside=True)),
 )
 
 
@@ -83,7 +84,7 @@ def noise(shop: Workshop) -> list[dict[str, Any]]:
 def durability(shop: Workshop) -> list[dict[str, Any]]:
     """Every model on a membrane that has been pressed so often, by the law of wear that is assumed."""
     every = (
-        Condition(f"pressed-{presses:g}", f"after {presses:g} presses", _spec(wear=worn(presses)))
+        Condition(f"pressed-{presses:g}", f"after {presses:g} presses", only(wear=worn(presses)))
         for presses in PRESSES
     )
     return [
@@ -92,10 +93,15 @@ def durability(shop: Workshop) -> list[dict[str, Any]]:
     ]
 
 
-def _models(shop: Workshop, one: Condition) -> dict[str, Any]:
+def recorded(shop: Workshop, one: Condition) -> Run:
+    """A condition's recording."""
     spec, variation = one.change(shop.spec)
     plan = _plan(shop.scale, shop.seed, one)
-    run = shop.recorded(one.name, plan, spec, variation, shop.seed + one.campaign)
+    return shop.recorded(one.name, plan, spec, variation, shop.seed + one.campaign)
+
+
+def _models(shop: Workshop, one: Condition) -> dict[str, Any]:
+    run = recorded(shop, one)
     return {model: shop.scored(way, run, one.said) for model, way in ways(MODELS, shop.scale).items()}
 
 

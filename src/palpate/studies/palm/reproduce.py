@@ -17,9 +17,11 @@ from palpate.studies.palm import questions
 from palpate.studies.palm.copies import adaptation
 from palpate.studies.palm.headline import headline, one_frame, record_both
 from palpate.studies.palm.latency import latency
+from palpate.studies.palm.loads import loads
 from palpate.studies.palm.report import write_up
 from palpate.studies.palm.scale import MODELS, Scale
 from palpate.studies.palm.summary import Entry, summary_of
+from palpate.studies.palm.validity import validity
 from palpate.studies.palm.workshop import Workshop
 
 PLAN_FILE = "study.json"
@@ -57,6 +59,8 @@ def stages(part: str = "all") -> tuple[Stage, ...]:
         Stage("durability", cond.durability),
         Stage("sustained", cond.sustained),
         Stage("adaptation", adaptation),
+        Stage("loads", loads),
+        Stage("validity", validity),
         Stage("latency", latency),
     )
 

@@ -117,6 +117,26 @@ def _adaptation(found: Mapping[str, Any]) -> Iterator[Entry]:
         yield entry(f"{name}: frames stood by", row["valid"], "1")
 
 
+def _loads(found: Mapping[str, Any]) -> Iterator[Entry]:
+    for kind, one in found.get("loads", {}).items():
+        for model, read in one["models"].items():
+            yield entry(f"{kind}, read by {model}: force_N, MAE", read["force_mae_N"], "N")
+            yield entry(f"{kind}, read by {model}: frames stood by", read["stood_by"], "1")
+        if one["learnt"]:
+            yield from _of_targets(f"{kind}, learnt", one["learnt"]["targets"])
+            for target, spread in one["learnt"]["spread"].items():
+                unit = one["learnt"]["targets"][target]["unit"]
+                yield entry(f"{kind}, always the mean: {target}, MAE", spread, unit)
+        if "told apart" in one:
+            yield entry("shapes told apart", one["told apart"]["right"], "1")
+
+
+def _validity(found: Mapping[str, Any]) -> Iterator[Entry]:
+    for row in found.get("validity", []):
+        for model, rate in row["models"].items():
+            yield entry(f"{row['said']}, {model}: frames flagged", rate["flagged"], "1")
+
+
 def _latency(found: Mapping[str, Any]) -> Iterator[Entry]:
     times = found.get("latency", {})
     for model, parts in times.items():
@@ -128,7 +148,18 @@ def _latency(found: Mapping[str, Any]) -> Iterator[Entry]:
         yield entry("palm-two-stage over palm-compact, network alone", two / ours, "1")
 
 
-_PARTS = (_headline, _leakage, _factorial, _mirror, _conditions, _wear, _adaptation, _latency)
+_PARTS = (
+    _headline,
+    _leakage,
+    _factorial,
+    _mirror,
+    _conditions,
+    _wear,
+    _adaptation,
+    _loads,
+    _validity,
+    _latency,
+)
 
 
 def targets_of(model: str) -> tuple[str, ...]:

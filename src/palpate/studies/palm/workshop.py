@@ -48,6 +48,7 @@ class Way:
         split: how rows are held out.
         channels, delta: what it sees; None for what the model was made for.
         options: the model's own settings.
+        targets: what it shall estimate; empty for what the model was made for.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Way:
     channels: int | None = None
     delta: bool | None = None
     options: dict[str, Any] = field(default_factory=dict)
+    targets: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -68,12 +70,14 @@ class Workshop:
         scale: how large it is.
         seed: of everything random.
         progress: told what is being done.
+        processes: how many draw pictures.
     """
 
     folder: Path
     scale: Scale
     seed: int
     progress: Progress = silent
+    processes: int = 2
 
     @property
     def spec(self) -> PalmSpec:
@@ -112,7 +116,7 @@ class Workshop:
         run, kind = Run.open(self.folder / "runs" / way.run), model_kind(way.model)
         first, beside = two_views(run.manifest)
         plan = Plan(
-            targets=kind.targets,
+            targets=way.targets or kind.targets,
             model=way.model,
             split=way.split,
             folds=self.scale.folds,
