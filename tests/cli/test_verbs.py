@@ -17,6 +17,8 @@ VERBS = (
     ["repair"],
     ["export"],
     ["calibrate"],
+    ["adapt"],
+    ["reproduce", "palm"],
     ["evaluate"],
     ["sense"],
     ["report"],

@@ -76,6 +76,29 @@ def test_leaning_adds_the_slope_and_keeps_the_lowest_point_at_zero():
     assert z[30, 30] - z[25, 30] == pytest.approx(-1e-3 * math.tan(math.radians(2)))
 
 
+def test_balls_on_a_holder_are_spheres_lifted():
+    z = gap.balls(X, Y, 1e-3, [(-2e-3, 0.0, 0.0), (2e-3, 1e-3, 2e-4)])
+    assert z[25, 20] == 0.0
+    assert z[30, 40] == pytest.approx(2e-4)
+    with pytest.raises(RangeError, match="at first touch"):
+        gap.balls(X, Y, 1e-3, [(0.0, 0.0, 1e-4)])
+    with pytest.raises(InputError, match="without spheres"):
+        gap.balls(X, Y, 1e-3, [])
+
+
+@pytest.mark.parametrize("turn_deg", [0, 90, 200])
+def test_the_side_that_an_indenter_leans_to_is_the_lower_one(turn_deg):
+    turn = math.radians(turn_deg)
+    z = gap.leaning(gap.flat_punch(X, Y, 3e-3), X, Y, math.radians(5), turn)
+    lowest = np.unravel_index(z.argmin(), z.shape)
+    x, y = X[lowest[1]], Y[lowest[0]]
+    # the lowest point of the grid lies at the rim, within a cell of 0.2 mm of that direction
+    assert (x * math.cos(turn) + y * math.sin(turn)) == pytest.approx(3e-3, abs=2e-4)
+    assert np.ptp(z[np.isfinite(z)]) == pytest.approx(6e-3 * math.tan(math.radians(5)), rel=0.05)
+    with pytest.raises(RangeError, match="tilt"):
+        gap.leaning(z, X, Y, math.nan)
+
+
 def test_a_profile_that_falls_or_starts_elsewhere_is_refused():
     with pytest.raises(RangeError, match="falls from r"):
         gap.axisymmetric(X, Y, lambda r: np.sin(r * 1e3), 3e-3)

@@ -11,6 +11,7 @@ from palpate.sensors import palm
 from palpate.sensors.palm import View, fringes
 from palpate.sensors.palm.kept import kept
 from palpate.sensors.palm.presets import shrunk
+from palpate.sensors.palm.wear import Wear
 
 FEWER_PIXELS = [palm.small, palm.demo, palm.debug, palm.crops]
 
@@ -64,7 +65,10 @@ def test_lamp_and_camera_change_nothing_that_is_marched():
     changed = replace(spec, lamp=LedStrip(evened=0.5), lamp_gain=0.7, corner_loss=0.1, name="another")
     assert changed != spec
     assert changed.unlit == spec.unlit
-    assert replace(spec, polariser_rad=0.3).unlit != spec.unlit
+    unseen = replace(spec, ambient=0.1, lamp_mired=20.0, probe_edge_on=False, wear=Wear(haze=0.1))
+    assert unseen.unlit == spec.unlit
+    for traced in ({"polariser_rad": 0.3}, {"probe_in_mirror": False}, {"membrane": False}):
+        assert replace(spec, **traced).unlit != spec.unlit
 
 
 def test_every_preset_goes_by_its_name():
@@ -94,6 +98,10 @@ def test_every_preset_goes_by_its_name():
         ("frozen_birefringence", 0.1, "-0.01 to 0.01"),
         ("mirror_elevation_rad", 0.0, "0.1 to 1.57"),
         ("lamp_gain", -1.0, "0 to 100"),
+        ("lamp_mired", 201.0, "-200 to 200 mired"),
+        ("lamp_mired", math.nan, "mired"),
+        ("ambient", -0.1, "0 to 10"),
+        ("ambient", math.nan, "0 to 10"),
         ("exposure_s", 0.0, "1e-06 to 100 s"),
         ("bands", 3, "31 to 1000"),
         ("rays_per_pixel", (0, 1), "1 or more"),
@@ -125,7 +133,8 @@ def test_a_region_outside_the_frame_is_refused():
 def test_words_in_millimetres_and_degrees_are_a_probe(words, probe):
     read = dataclasses.astuple(palm.parse_probe(words))
     assert read[0] == probe.shape
-    assert read[1:] == pytest.approx(dataclasses.astuple(probe)[1:], abs=1e-15)
+    assert read[1:5] == pytest.approx(dataclasses.astuple(probe)[1:5], abs=1e-15)
+    assert read[5] == ()
 
 
 @pytest.mark.parametrize(

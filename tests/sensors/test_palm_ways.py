@@ -94,3 +94,44 @@ def test_a_lateral_load_to_the_right_is_that_to_the_left_mirrored(coarse):
     )
     assert rms(below(left - left[:, ::-1], 0.8e-3)) > 0.05, "and is not its own mirror"
     np.testing.assert_allclose(below(left, 0.8e-3), below(right, 0.8e-3)[:, ::-1], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("words", "lateral_n"),
+    [("sphere:8", (0.3, -0.2)), ("punch:6@4:20", (0.0, 0.0)), ("points:8:-7,0;7,3,0.2", (0.0, 0.0))],
+)
+def test_finer_planes_slices_and_rays_change_no_8_bit_step(words, lateral_n, monkeypatch):
+    contact = layered(words, lateral_n=lateral_n)
+    one = volume.exact(SPEC, contact)
+    for name, value in (("PLANES", 40), ("SLICES", 160), ("MORE_SLICES", 80), ("ACROSS_M", 0.05e-3)):
+        monkeypatch.setattr(volume, name, value)
+    two = volume.exact(SPEC, contact)
+    assert rms(below(one - two, 1.1e-3)) < 0.1 * STEP
+    assert np.quantile(abs(below(one - two, 1.1e-3)), 0.999) < STEP
+
+
+def test_a_probe_leaning_to_the_right_is_that_to_the_left_mirrored(coarse):
+    left, right = (volume.exact(SPEC, layered(f"punch:6@5:{towards}")) for towards in (180, 0))
+    assert rms(below(left - left[:, ::-1], 0.8e-3)) > 0.05, "and is not its own mirror"
+    np.testing.assert_allclose(below(left, 0.8e-3), below(right, 0.8e-3)[:, ::-1], atol=1e-3)
+
+
+def test_a_twist_to_the_right_is_that_to_the_left_mirrored(coarse):
+    left, right = (
+        volume.exact(
+            SPEC, palm.press(SPEC, Pose(0.0, 0.0, 1e-3), palm.parse_probe("sphere:8"), (0.0, 0.0), moment)
+        )
+        for moment in (-5e-4, 5e-4)
+    )
+    np.testing.assert_allclose(below(left, 1e-3), below(right, 1e-3)[:, ::-1], atol=1e-3)
+
+
+def test_balls_far_apart_are_drawn_as_each_alone_where_it_is(coarse):
+    together, alone = (layered(f"points:8:{places}") for places in ("-12,0;12,0", "-12,0"))
+    z, x = SPEC.fringes.down_m, SPEC.fringes.x_m
+    left = (x > -20e-3) & (x < -8e-3)
+    one, other = (volume.exact(SPEC, contact)[:, left] for contact in (together, alone))
+    deep = (z > 0.8e-3) & (z < SPEC.thickness_m)
+    # the other's stress reaches 24 mm far by a few thousandths of its greatest
+    assert rms((one - other)[deep]) < 0.02
+    assert rms(one[deep]) > 0.1

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from palpate.cli import calibration, import_palm, mechanics, optics, recordings, render, reproduce, rig
+from palpate.cli.adapt import adapt
 from palpate.cli.demo import demo
 from palpate.cli.studio import studio
 from palpate.version import __version__
@@ -37,6 +38,7 @@ for verb in (
     recordings.repair,
     recordings.export,
     calibration.calibrate,
+    adapt,
     calibration.evaluate,
     calibration.sense,
     calibration.report,

@@ -16,17 +16,22 @@ class Probe:
 
     Attributes:
         shape: ``"sphere"``, ``"punch"`` (an upright cylinder), ``"edge"`` (a wedge), ``"cylinder"`` (lying),
-            ``"two-points"`` (two spheres).
-        radius_m: of the sphere, the lying cylinder or each of two points; of a punch's flat end [m]. An edge
-            has none: 0.
+            ``"two-points"`` (two spheres), ``"points"`` (any number of spheres).
+        radius_m: of the sphere, the lying cylinder or each of several points; of a punch's flat end [m]. An
+            edge has none: 0.
         length_m: of an edge or lying cylinder; between two points [m].
-        turn_rad: of that length, from x towards y [rad].
+        turn_rad: of that length, and of the way the probe leans, from x towards y [rad].
+        tilt_rad: by which it leans: the side that ``turn_rad`` points to is the lower one [rad].
+        places_m: of several points' lowest places beside the probe's axis, and how much higher each is than
+            the lowest of them: (x, y, height) [m].
     """
 
     shape: str
     radius_m: float
     length_m: float = 0.0
     turn_rad: float = 0.0
+    tilt_rad: float = 0.0
+    places_m: tuple[tuple[float, float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +68,7 @@ class Contact:
         model: the law that gave it, and what that law assumes.
         shear_pa: traction of the probe on the skin along x and y ``[2 ny nx]`` [Pa]; None without any.
         lateral_n: force of the probe on the skin along x and y [N].
+        moment_nm: of that shear about z through the probe's axis, from x towards y [N m].
     """
 
     x_m: Float[ndarray, " nx"]
@@ -77,3 +83,4 @@ class Contact:
     model: str
     shear_pa: Float[ndarray, "2 ny nx"] | None = None
     lateral_n: tuple[float, float] = (0.0, 0.0)
+    moment_nm: float = 0.0

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_serializer
 
 from palpate.sensors.preparation import Preparation
 
@@ -153,6 +153,8 @@ class Card(_Part):
     Attributes:
         agreement: largest difference between the exported and the trained model, as a share of range.
         seconds: time the calibration took, since it was last taken up [s].
+        adapted_from: id of the calibration whose network this one corrects to another copy of its sensor;
+            None where it is a calibration of its own.
     """
 
     format: Literal["palpate-calibration/1"]
@@ -174,6 +176,15 @@ class Card(_Part):
     run: RunCard
     agreement: float
     seconds: float
+    adapted_from: str | None = None
+
+    @model_serializer(mode="wrap")
+    def _dumped(self, dump: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """Without `adapted_from` where there is none: older cards keep the text that gave their id."""
+        content = dump(self)
+        if content.get("adapted_from") is None:
+            content.pop("adapted_from", None)
+        return content
 
     @property
     def columns(self) -> list[str]:

@@ -8,7 +8,7 @@ for the sinking d - z where it touches. Combine shapes with ``together``, lean t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -123,6 +123,21 @@ def two_points(
     return together(*(sphere(x_m, y_m, radius_m, (float(x), float(y))) for x, y in ends))
 
 
+def balls(x_m: Axis, y_m: Axis, radius_m: float, places_m: Sequence[tuple[float, float, float]]) -> Field:
+    """Equal spheres on one holder, each with its lowest point at (x, y) and so far above the skin [m].
+
+    Raises:
+        InputError: no sphere.
+        RangeError: a height that is negative, or none that is 0: the lowest sphere touches first.
+    """
+    heights = [up for _, _, up in places_m]
+    if not heights:
+        raise InputError("a holder without spheres; give one place (x, y, height) in m or more")
+    if min(heights) != 0.0:
+        raise RangeError(f"the spheres are {heights} m above the skin; the lowest is at 0 m, at first touch")
+    return together(*(sphere(x_m, y_m, radius_m, (x, y)) + up for x, y, up in places_m))
+
+
 def axisymmetric(
     x_m: Axis,
     y_m: Axis,
@@ -180,6 +195,22 @@ def tilted(gap_m: Field, x_m: Axis, y_m: Axis, slope_x_rad: float = 0.0, slope_y
             )
     leaning = gap_m + math.tan(slope_x_rad) * x_m + math.tan(slope_y_rad) * y_m[:, None]
     return np.asarray(leaning - leaning.min())
+
+
+def leaning(gap_m: Field, x_m: Axis, y_m: Axis, tilt_rad: float, turn_rad: float = 0.0) -> Field:
+    """The indenter leaning by one angle; the side that ``turn_rad``, from x towards y, points to is lower.
+
+    Raises:
+        RangeError: see `tilted`.
+    """
+    if not abs(tilt_rad) <= STEEPEST_TILT:
+        raise RangeError(
+            f"a tilt of {tilt_rad} rad lies outside -{STEEPEST_TILT:.4f} to {STEEPEST_TILT:.4f} rad"
+        )
+    slope = math.tan(tilt_rad)
+    return tilted(
+        gap_m, x_m, y_m, -math.atan(slope * math.cos(turn_rad)), -math.atan(slope * math.sin(turn_rad))
+    )
 
 
 def _ball(r: Field, R: float) -> Field:

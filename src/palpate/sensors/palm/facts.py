@@ -30,6 +30,7 @@ def facts(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
         "force_N": contact.force_n,
         "lateral_x_N": contact.lateral_n[0],
         "lateral_y_N": contact.lateral_n[1],
+        "moment_z_Nmm": contact.moment_nm * 1e3,
         "contact_radius_mm": contact.radius_m * 1e3,
         "peak_pressure_Pa": _peak_pressure(contact, spec),
         "fringe_order_max": greatest_order(contact, spec),

@@ -1,13 +1,14 @@
 """A probe on the palm's membrane: the finite-strain table for the ball, linear layers for all else.
 
 The table reaches 6 mm. Linear layers are right to some 4 % in force up to 1.5 mm under a 10 mm ball, and to
-that depth they are allowed; a ball under lateral load is of them.
+that depth they are allowed; a ball under lateral load or moment is of them, and so are several balls at once.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,17 +19,31 @@ from palpate.mechanics.stack import Layer, Stack
 from palpate.mechanics.stack_contact import StackContact, press_stack
 from palpate.mechanics.stack_friction import shear_stack
 from palpate.sensors.palm.field import depth_of_force
-from palpate.sensors.palm.shapes import gap_of, reach_of
+from palpate.sensors.palm.shapes import gap_of, reaches_of, upright_ball
 from palpate.sensors.palm.spec import PalmSpec
 
 LINEAR_DEPTH_M = 1.5e-3
-CELLS = 160  # of the grid's side
+CELLS = 160  # of the side of a grid, up to where a cell would be larger than
+CELL_M = 0.15e-3  # and beyond it as many as that asks for, in whole
+BLOCK = 32  # so that probes of about one size share what is computed once for a grid
 MARGIN_M = 3e-3  # of grid beyond the probe's reach
+WHOLE_M = 1e-3  # to which half a grid's side is rounded up, for the same reason
 FRICTION = 1.0  # between probe and clean silicone, where a lateral load is asked for. Assumed.
 
 
+class Layered(NamedTuple):
+    """A press by linear layers: as the mechanics know it, and as all else does."""
+
+    found: StackContact
+    contact: Contact
+
+
 def press(
-    spec: PalmSpec, pose: Pose, probe: Probe | None = None, lateral_n: tuple[float, float] = (0.0, 0.0)
+    spec: PalmSpec,
+    pose: Pose,
+    probe: Probe | None = None,
+    lateral_n: tuple[float, float] = (0.0, 0.0),
+    moment_nm: float | None = None,
 ) -> Contact:
     """Press a probe into the membrane.
 
@@ -38,6 +53,8 @@ def press(
             probe in the air. The contact must lie inside the membrane's rim.
         probe: what presses; None for the spec's ball.
         lateral_n: force along x and y on top [N]; less than friction times the normal force.
+        moment_nm: about z through the probe's axis on top, from x towards y [N m]; None for a probe that does
+            not turn, whose contact has the moment that a lateral force then takes.
 
     Returns:
         The contact. Both laws hold for a membrane wide around the contact; towards the rim the force is too
@@ -50,11 +67,14 @@ def press(
     for asked, value, unit in (("place", (pose.x_m, pose.y_m), "m"), ("lateral load", lateral_n, "N")):
         if not all(map(math.isfinite, value)):
             raise InputError(f"the {asked} {value} {unit} is not finite; give two numbers in {unit}, x and y")
+    if moment_nm is not None and not math.isfinite(moment_nm):
+        raise InputError(f"the moment {moment_nm} N m is not finite; give a number in N m, or None")
     ball = Probe("sphere", spec.indenter_radius_m)
-    probe = probe or ball
+    probe = ball if probe is None else upright_ball(probe)
     if -math.inf < pose.depth_m < 0:
         return replace(press(spec, replace(pose, depth_m=0.0), probe), pose=pose)
-    if probe == ball and lateral_n == (0.0, 0.0):
+    aside = lateral_n != (0.0, 0.0) or moment_nm not in (None, 0.0)
+    if probe == ball and not aside:
         return press_finite_strain(
             probe,
             pose,
@@ -64,7 +84,8 @@ def press(
             spec.friction,
             spec.poisson_ratio,
         )
-    return _linear(spec, pose, probe, lateral_n)
+    layered = press_layers(spec, pose, probe)
+    return pulled(layered, lateral_n, moment_nm) if aside else layered.contact
 
 
 def press_to_force(spec: PalmSpec, force_n: float, x_m: float = 0.0, y_m: float = 0.0) -> Contact:
@@ -86,25 +107,58 @@ def stack_of(spec: PalmSpec) -> Stack:
     return Stack((Layer(spec.thickness_m, spec.youngs_modulus_pa, spec.poisson_ratio),))
 
 
-def _linear(spec: PalmSpec, pose: Pose, probe: Probe, lateral_n: tuple[float, float]) -> Contact:
+def press_layers(spec: PalmSpec, pose: Pose, probe: Probe) -> Layered:
+    """Press any probe into the membrane as a linear layer, the spec's ball as well.
+
+    Raises:
+        RangeError: the depth lies beyond 0 to 1.5 mm, or the contact reaches over the rim.
+    """
     if not 0 <= pose.depth_m <= LINEAR_DEPTH_M:
         raise RangeError(
             f"depth {pose.depth_m * 1e3:g} mm of a {probe.shape} lies outside 0 to "
             f"{LINEAR_DEPTH_M * 1e3:g} mm, where linear layers hold; press less, or press the palm's own "
             "ball without lateral load"
         )
-    half = reach_of(probe) + MARGIN_M
-    offsets = (np.arange(CELLS) + 0.5 - CELLS / 2) * 2 * half / CELLS
-    x, y = pose.x_m + offsets, pose.y_m + offsets
+    across, down = _offsets(probe)
+    x, y = pose.x_m + across, pose.y_m + down
     found = press_stack(stack_of(spec), gap_of(probe, x, y, (pose.x_m, pose.y_m)), x, y, depth_m=pose.depth_m)
     _check_inside(spec, found, pose)
-    contact = found.as_contact(probe, pose)
-    if lateral_n == (0.0, 0.0):
-        return contact
+    return Layered(found, found.as_contact(probe, pose))
+
+
+def pulled(layered: Layered, lateral_n: tuple[float, float], moment_nm: float | None = None) -> Contact:
+    """A contact with a lateral load on top; arguments and errors as of `press`."""
+    found, contact = layered
     if not found.force_n > 0:
-        raise RangeError(f"a lateral load of {math.hypot(*lateral_n):g} N on a probe that does not press")
-    sheared = shear_stack(found, FRICTION, force_n=lateral_n)
-    return replace(contact, shear_pa=sheared.shear_pa, lateral_n=(float(lateral_n[0]), float(lateral_n[1])))
+        asked = f"{math.hypot(*lateral_n):g} N" + (f" and {moment_nm:g} N m" if moment_nm else "")
+        raise RangeError(f"a lateral load of {asked} on a probe that does not press")
+    axis = (contact.pose.x_m, contact.pose.y_m)
+    sheared = shear_stack(found, FRICTION, force_n=lateral_n, moment_nm=moment_nm, axis_m=axis)
+    return replace(
+        contact,
+        shear_pa=sheared.shear_pa,
+        lateral_n=(float(lateral_n[0]), float(lateral_n[1])),
+        moment_nm=sheared.moment_nm if moment_nm is None else float(moment_nm),
+    )
+
+
+def greatest_aside(layered: Layered) -> tuple[float, float]:
+    """Lateral force [N], and moment about the probe's axis [N m], that friction holds of each alone."""
+    contact = layered.contact
+    x, y = contact.x_m - contact.pose.x_m, contact.y_m[:, None] - contact.pose.y_m
+    cell = (x[1] - x[0]) * (contact.y_m[1] - contact.y_m[0])
+    around = float((contact.pressure_pa * np.hypot(x, y)).sum() * cell)
+    return FRICTION * contact.force_n, FRICTION * around
+
+
+def _offsets(probe: Probe) -> tuple[np.ndarray, np.ndarray]:
+    """The grid about a probe's axis, of square cells [m]."""
+    halves = [math.ceil((reach + MARGIN_M) / WHOLE_M - 1e-9) * WHOLE_M for reach in reaches_of(probe)]
+    cell = min(CELL_M, 2 * max(halves) / CELLS)
+    sides = [round(2 * half / cell) for half in halves]
+    counts = [side if side <= CELLS else -(-side // BLOCK) * BLOCK for side in sides]
+    across, down = ((np.arange(count) + 0.5 - count / 2) * cell for count in counts)
+    return across, down
 
 
 def _check_inside(spec: PalmSpec, found: StackContact, pose: Pose) -> None:

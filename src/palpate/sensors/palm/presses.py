@@ -11,11 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32, Int, UInt8
+from jaxtyping import Float, Float32, Int, UInt8
 from numpy import ndarray
 
 from palpate.core.contact import Pose
 from palpate.core.errors import InputError
+from palpate.core.parallel import in_parallel
 from palpate.sensors.palm.press import press, press_to_force
 from palpate.sensors.palm.render import render
 from palpate.sensors.palm.spec import PalmSpec
@@ -55,6 +56,8 @@ def draw_presses(
     depths_each: int,
     rng: np.random.Generator,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    *,
+    processes: int = 1,
 ) -> Presses:
     """Draw presses at places spread evenly over all that the ball may touch.
 
@@ -63,10 +66,11 @@ def draw_presses(
         count: of presses.
         depths_each: frames of each.
         rng: the only source of chance.
-        progress: told how many presses are drawn of how many.
+        progress: told how many frames are drawn of how many.
+        processes: how many draw, on this machine; what is drawn does not depend on it.
 
     Raises:
-        InputError: no press, or no depth.
+        InputError: no press, no depth, or no process.
     """
     if count < 1 or depths_each < 1:
         raise InputError(f"{count} presses of {depths_each} depths; 1 or more of each are drawn")
@@ -74,23 +78,70 @@ def draw_presses(
     images = np.empty((count * depths_each, height, width, 3), np.uint8)
     hanging = np.empty((count, height, width, 3), np.uint8)
     values = np.empty((count * depths_each, len(TARGETS)), np.float32)
-    depths = np.linspace(*DEPTH_MM, DEPTHS)
-    stiff = 1 + (STIFFEST - 1) * rng.uniform(size=DEPTHS)  # one a depth, so that pictures are shared
     zero_mm = 1e3 * press_to_force(spec, THRESHOLD_N).pose.depth_m + LATE_MM
-    for i, (x_m, y_m) in enumerate(_places(spec, count, rng)):
-        lit = replace(spec, lamp_gain=spec.lamp_gain * (1 + LAMP_SD * rng.standard_normal()))
-        over = HANGS_MM + HANGS_SD_MM * round(rng.standard_normal())
-        hanging[i] = render(press(lit, Pose(x_m, y_m, -1e-3 * over)), lit, rng).image
-        for j, which in enumerate(rng.choice(DEPTHS, depths_each), start=i * depths_each):
-            skin = replace(lit, youngs_modulus_pa=lit.youngs_modulus_pa * float(stiff[which]))
-            contact = press(skin, Pose(x_m, y_m, 1e-3 * float(depths[which])))
-            images[j] = render(contact, skin, rng).image
-            values[j] = (depths[which] - zero_mm, 1e3 * x_m, 1e3 * y_m, contact.force_n)
-        progress(i + 1, count)
+    levels, done, total = _levels(spec, count, depths_each, rng), 0, count * (1 + depths_each)
+    for level, (drawn, force_n) in zip(levels, in_parallel(_draw, levels, processes=processes), strict=True):
+        if level.depth_mm < 0:
+            hanging[level.rows] = drawn
+        else:
+            images[level.rows] = drawn
+            x_mm, y_mm = 1e3 * level.places_m.T
+            depth_mm = np.full_like(force_n, level.depth_mm - zero_mm)
+            values[level.rows] = np.stack([depth_mm, x_mm, y_mm, force_n], axis=1)
+        done += len(level.rows)
+        progress(done, total)
     return Presses(images, hanging, np.repeat(np.arange(count), depths_each), values)
 
 
-def _places(spec: PalmSpec, count: int, rng: np.random.Generator) -> list[tuple[float, float]]:
+@dataclass(frozen=True, slots=True)
+class _Level:
+    """All frames of one depth, below the surface or, negative, above it.
+
+    A depth's pictures are marched once and moved to its places, and that takes longer than all else. So a
+    depth is what one process draws, with chance of its own.
+    """
+
+    spec: PalmSpec
+    depth_mm: float
+    rows: Int[ndarray, " n"]
+    places_m: Float[ndarray, "n 2"]
+    lamps: Float[ndarray, " n"]
+    rng: np.random.Generator
+
+
+def _levels(spec: PalmSpec, count: int, depths_each: int, rng: np.random.Generator) -> list[_Level]:
+    depths_mm = np.linspace(*DEPTH_MM, DEPTHS)
+    stiff = 1 + (STIFFEST - 1) * rng.uniform(size=DEPTHS)  # one a depth, so that pictures are shared
+    places_m, lamps = _places(spec, count, rng), 1 + LAMP_SD * rng.standard_normal(count)
+    steps = np.round(rng.standard_normal(count)).astype(int)
+    which = rng.integers(DEPTHS, size=count * depths_each)
+
+    def level(of: PalmSpec, depth_mm: float, rows: ndarray, presses: ndarray) -> _Level:
+        return _Level(of, depth_mm, rows, places_m[presses], lamps[presses], rng.spawn(1)[0])
+
+    made = []
+    for step in np.unique(steps):
+        rows = np.flatnonzero(steps == step)
+        made.append(level(spec, -(HANGS_MM + HANGS_SD_MM * float(step)), rows, rows))
+    for i in np.unique(which):
+        rows = np.flatnonzero(which == i)
+        skin = replace(spec, youngs_modulus_pa=spec.youngs_modulus_pa * float(stiff[i]))
+        made.append(level(skin, float(depths_mm[i]), rows, rows // depths_each))
+    return made
+
+
+def _draw(level: _Level) -> tuple[UInt8[ndarray, "n h w 3"], Float[ndarray, " n"]]:
+    """Images, and normal forces [N]."""
+    images, forces_n = [], []
+    for (x_m, y_m), lamp in zip(level.places_m.tolist(), level.lamps.tolist(), strict=True):
+        lit = replace(level.spec, lamp_gain=level.spec.lamp_gain * lamp)
+        contact = press(lit, Pose(x_m, y_m, 1e-3 * level.depth_mm))
+        images.append(render(contact, lit, level.rng).image)
+        forces_n.append(contact.force_n)
+    return np.stack(images), np.array(forces_n, np.float64)
+
+
+def _places(spec: PalmSpec, count: int, rng: np.random.Generator) -> Float[ndarray, "n 2"]:
     reach = spec.radius_m - spec.indenter_radius_m
     away, angle = reach * np.sqrt(rng.uniform(size=count)), rng.uniform(0, 2 * np.pi, count)
-    return list(zip((away * np.cos(angle)).tolist(), (away * np.sin(angle)).tolist(), strict=True))
+    return away[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)

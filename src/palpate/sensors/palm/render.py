@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8, UInt16
 from numpy import ndarray
 
-from palpate.core.contact import Contact, Probe
+from palpate.core.contact import Contact, Pose, Probe
 from palpate.core.errors import InputError
 from palpate.core.frame import Frame
 from palpate.optics.camera import Camera, develop, raw_codes
@@ -24,7 +24,7 @@ from palpate.optics.illumination import LedStrip, backlight
 from palpate.optics.noise import illumination
 from palpate.sensors.palm import fringes, mirror, volume
 from palpate.sensors.palm.light import in_box, lamp_tint, room_light
-from palpate.sensors.palm.shapes import reach_of, silhouette
+from palpate.sensors.palm.shapes import parts_of, reach_of, silhouette
 from palpate.sensors.palm.spec import PalmSpec
 from palpate.sensors.palm.wear import Film, Wear, film, passed_by, scratches_over, spread
 
@@ -151,7 +151,7 @@ def _behind_analyser(contact: Contact, spec: PalmSpec, exact: bool) -> tuple[Lin
 
 def is_ball(contact: Contact, spec: PalmSpec) -> bool:
     """Whether the finite-strain table has this contact."""
-    return contact.probe == Probe("sphere", spec.indenter_radius_m) and contact.lateral_n == (0.0, 0.0)
+    return contact.probe == Probe("sphere", spec.indenter_radius_m) and contact.shear_pa is None
 
 
 def lamp(spec: PalmSpec) -> Linear:
@@ -221,19 +221,28 @@ def _films(
 
 
 def _draw_probe(light: Linear, contact: Contact, spec: PalmSpec) -> None:
-    """What the lit housing shows of the probe: past the rim above the rest surface, through it below."""
+    """What the lit housing shows of the probe, of all balls it may consist of."""
+    if contact.pose.depth_m == 0:
+        return
+    for part, (x, y, up) in parts_of(contact.probe):
+        pose = Pose(contact.pose.x_m + x, contact.pose.y_m + y, contact.pose.depth_m - up)
+        _draw_part(light, part, pose, spec)
+
+
+def _draw_part(light: Linear, probe: Probe, pose: Pose, spec: PalmSpec) -> None:
+    """One body: past the rim above the rest surface, through it below."""
     glow = np.float32(BEHIND_ANALYSER * PROBE_LIGHT * spec.inside_light * spec.ball_albedo)
     x, z = spec.fringes.x_m, spec.fringes.down_m
-    rays, pose, reach = fringes.columns_kept(spec.unlit), contact.pose, reach_of(contact.probe)
+    rays, reach = fringes.columns_kept(spec.unlit), reach_of(probe)
     through = np.where(rays.visible, rays.about(pose.x_m, pose.y_m)[0], np.inf)
     rest = int(np.searchsorted(z, 0.0, side="right"))
-    parts = ((slice(rest), x - pose.x_m), (slice(rest, None), through))
-    for rows, beside in parts if spec.membrane else ((slice(len(z)), x - pose.x_m),):
+    regions = ((slice(rest), x - pose.x_m), (slice(rest, None), through))
+    for rows, beside in regions if spec.membrane else ((slice(len(z)), x - pose.x_m),):
         near = np.flatnonzero(np.abs(beside) <= reach)
-        if pose.depth_m == 0 or not len(near):
+        if not len(near):
             continue
         part = light[rows, near[0] : near[-1] + 1]
-        facing = silhouette(contact.probe, pose.depth_m, beside[near[0] : near[-1] + 1], z[rows])[..., None]
+        facing = silhouette(probe, pose.depth_m, beside[near[0] : near[-1] + 1], z[rows])[..., None]
         if rows.stop is not None:  # below the rest surface no ray passes the probe anyway
             part *= facing == 0
         part += glow * facing

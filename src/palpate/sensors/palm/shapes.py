@@ -1,4 +1,7 @@
-"""Indenters beyond the ball: from a word to a probe, and from a probe to the gap that the mechanics press."""
+"""Indenters beyond the ball: from a word to a probe, and from a probe to the gap that the mechanics press.
+
+A probe of several balls is a rigid holder of them. Leaning turns the holder; each ball stays a ball.
+"""
 
 from __future__ import annotations
 
@@ -30,27 +33,51 @@ SIZES = {
     "two-points": "DIAMETER_MM:APART_MM[:TURN_DEG]",
 }
 LEAST = {"sphere": 1, "punch": 1, "edge": 1, "cylinder": 2, "two-points": 2}
+POINTS = "points:DIAMETER_MM:X_MM,Y_MM[,HEIGHT_MM];..."
+LEANING = "@TILT_DEG[:TOWARDS_DEG]"
+STEEPEST_DEG = math.degrees(gap.STEEPEST_TILT)
+
+Place = tuple[float, float, float]
 
 
 def parse_probe(text: str) -> Probe:
-    """A probe from words such as ``sphere:10``, ``cylinder:6:12:45``, ``two-points:5:8``.
+    """A probe from words: ``sphere:10``, ``cylinder:6:12:45``, ``points:8:-7,0;7,3,0.2``, ``punch:6@5:90``.
+
+    Any of them may lean, ``@`` by up to 30 degrees, towards its turn or, said after a colon, towards another
+    direction from x to y; an edge, a cylinder and two points lean along their length only.
 
     Raises:
         InputError: an unknown shape, or sizes that do not fit it.
 
     Example:
-        >>> parse_probe("sphere:10")
-        Probe(shape='sphere', radius_m=0.005, length_m=0.0, turn_rad=0.0)
+        >>> parse_probe("sphere:10").radius_m
+        0.005
+        >>> parse_probe("points:8:-7,0;7,3,0.2").places_m
+        ((-0.007, 0.0, 0.0), (0.007, 0.003, 0.0002))
     """
-    shape, *words = text.split(":")
+    words, at, leaning = text.partition("@")
+    shape, *sizes = words.split(":")
     shape = "punch" if shape == "flat" else shape
-    allowed = ", ".join(f"{name}:{sizes}" for name, sizes in SIZES.items())
+    probe = _points(text, sizes) if shape == "points" else _shaped(text, shape, sizes)
+    return _leaning(text, probe, leaning) if at else probe
+
+
+def _unknown(text: str) -> InputError:
+    allowed = ", ".join([*(f"{name}:{sizes}" for name, sizes in SIZES.items()), POINTS])
+    return InputError(f"indenter {text!r} is none of {allowed}, each with {LEANING} where it leans")
+
+
+def _numbers(words: list[str]) -> list[float]:
     try:
-        sizes = [float(word) for word in words]
+        return [float(word) for word in words]
     except ValueError:
-        sizes = []
+        return []
+
+
+def _shaped(text: str, shape: str, words: list[str]) -> Probe:
+    sizes = _numbers(words)
     if shape not in SIZES or not LEAST[shape] <= len(sizes) <= SIZES[shape].count(":") + 1:
-        raise InputError(f"indenter {text!r} is none of {allowed}")
+        raise _unknown(text)
     lengths = sizes[: LEAST[shape]]
     if not all(math.isfinite(size) for size in sizes) or min(lengths) <= 0:
         raise InputError(f"indenter {text!r}: its sizes must be positive, in mm")
@@ -60,6 +87,78 @@ def parse_probe(text: str) -> Probe:
     return Probe(shape, lengths[0] / 2e3, lengths[1] * 1e-3 if len(lengths) > 1 else 0.0, turn)
 
 
+def _points(text: str, words: list[str]) -> Probe:
+    if len(words) != 2:
+        raise _unknown(text)
+    diameter = _numbers(words[:1])
+    places = [_numbers(place.split(",")) for place in words[1].split(";")]
+    if not diameter or not all(len(place) in (2, 3) for place in places):
+        raise _unknown(text)
+    if not all(map(math.isfinite, [*diameter, *(number for place in places for number in place)])):
+        raise InputError(f"indenter {text!r}: its sizes and places must be finite, in mm")
+    if not diameter[0] > 0:
+        raise InputError(f"indenter {text!r}: its sizes must be positive, in mm")
+    lifted = [(*place, 0.0)[:3] for place in places]
+    return points_probe(diameter[0] / 2e3, [(x / 1e3, y / 1e3, up / 1e3) for x, y, up in lifted])
+
+
+def points_probe(radius_m: float, places_m: list[Place]) -> Probe:
+    """Balls of one radius at places (x, y, height); the lowest is taken to be at height 0.
+
+    Raises:
+        InputError: no place, or two at the same x and y.
+    """
+    if len({place[:2] for place in places_m}) != len(places_m) or not places_m:
+        raise InputError(f"balls at {places_m} m; give one or more places, no two of them alike in x and y")
+    lowest = min(up for _, _, up in places_m)
+    return Probe("points", radius_m, places_m=tuple((x, y, up - lowest) for x, y, up in places_m))
+
+
+def _leaning(text: str, probe: Probe, words: str) -> Probe:
+    angles = _numbers(words.split(":"))
+    most = 2 if probe.shape in ("sphere", "punch", "points") else 1
+    if not 1 <= len(angles) <= most:
+        raise _unknown(text)
+    if not all(map(math.isfinite, angles)) or abs(angles[0]) > STEEPEST_DEG + 1e-9:
+        raise InputError(f"indenter {text!r}: it leans by -{STEEPEST_DEG:g} to {STEEPEST_DEG:g} degrees")
+    turn = math.radians(angles[1]) if len(angles) > 1 else probe.turn_rad
+    return upright_ball(
+        Probe(
+            probe.shape,
+            probe.radius_m,
+            probe.length_m,
+            turn,
+            math.radians(angles[0]),
+            probe.places_m,
+        )
+    )
+
+
+def upright_ball(probe: Probe) -> Probe:
+    """The same probe; a ball, which is alike from all sides, without turn and tilt."""
+    return Probe("sphere", probe.radius_m) if probe.shape == "sphere" else probe
+
+
+def parts_of(probe: Probe) -> tuple[tuple[Probe, Place], ...]:
+    """What a probe consists of, each with its place beside the axis and its height over the lowest [m].
+
+    Several points are as many balls, moved as the holder leans; all else is one part.
+    """
+    if probe.shape not in ("two-points", "points"):
+        return ((probe, (0.0, 0.0, 0.0)),)
+    c, s = math.cos(probe.turn_rad), math.sin(probe.turn_rad)
+    half = probe.length_m / 2
+    places = probe.places_m or ((-half * c, -half * s, 0.0), (half * c, half * s, 0.0))
+    cos, sin = math.cos(probe.tilt_rad), math.sin(probe.tilt_rad)
+    moved = []
+    for x, y, up in places:
+        along, aside = c * x + s * y, c * y - s * x
+        leant, raised = cos * along + sin * up, cos * up - sin * along
+        moved.append((c * leant - s * aside, s * leant + c * aside, raised))
+    lowest = min(up for _, _, up in moved)
+    return tuple((Probe("sphere", probe.radius_m), (x, y, up - lowest)) for x, y, up in moved)
+
+
 def gap_of(
     probe: Probe, x_m: Float[ndarray, " nx"], y_m: Float[ndarray, " ny"], centre_m: tuple[float, float]
 ) -> Field:
@@ -67,21 +166,28 @@ def gap_of(
 
     Raises:
         InputError: a shape that has no gap.
+        RangeError: a tilt beyond 30 degrees.
     """
     R, L, turn = probe.radius_m, probe.length_m, probe.turn_rad
     match probe.shape:
         case "sphere":
             return gap.sphere(x_m, y_m, R, centre_m)
+        case "two-points" | "points":
+            return gap.balls(
+                x_m,
+                y_m,
+                R,
+                [(centre_m[0] + x, centre_m[1] + y, up) for _, (x, y, up) in parts_of(probe)],
+            )
         case "punch":
-            return gap.flat_punch(x_m, y_m, R, ROUNDED * R, centre_m)
+            upright = gap.flat_punch(x_m, y_m, R, ROUNDED * R, centre_m)
         case "edge":
-            return gap.wedge(x_m, y_m, EDGE_SLOPE_RAD, L, turn, centre_m)
+            upright = gap.wedge(x_m, y_m, EDGE_SLOPE_RAD, L, turn, centre_m)
         case "cylinder":
-            return gap.lying_cylinder(x_m, y_m, R, L, turn, centre_m)
-        case "two-points":
-            return gap.two_points(x_m, y_m, R, L, turn, centre_m)
+            upright = gap.lying_cylinder(x_m, y_m, R, L, turn, centre_m)
         case _:
-            raise InputError(f"no palm knows a {probe.shape!r}; there are {', '.join(SIZES)}")
+            raise InputError(f"no palm knows a {probe.shape!r}; there are {', '.join(SIZES)}, points")
+    return upright if probe.tilt_rad == 0 else gap.leaning(upright, x_m, y_m, probe.tilt_rad, turn)
 
 
 def silhouette(
@@ -100,11 +206,12 @@ def silhouette(
     if depth_m == 0 or not len(near):
         return facing
     x, above = across_m[near], depth_m - z_m[:, None]
-    if probe.shape in ("sphere", "two-points"):
-        apart = probe.length_m / 2 * math.cos(probe.turn_rad)
+    if probe.shape in ("sphere", "two-points", "points"):
         R2 = probe.radius_m**2
-        left = [R2 - (x - side) ** 2 - (above - probe.radius_m) ** 2 for side in (-apart, apart)]
-        facing[:, near] = np.sqrt(np.maximum(np.maximum(*left), 0) / R2)
+        discs = [
+            R2 - (x - side) ** 2 - (above - up - probe.radius_m) ** 2 for _, (side, _, up) in parts_of(probe)
+        ]
+        facing[:, near] = np.sqrt(np.maximum(np.maximum.reduce(discs), 0) / R2)
         return facing
     y = np.linspace(-1, 1, 201) * reach_of(probe)
     lowest = gap_of(probe, x, y, (0.0, 0.0)).min(axis=0)
@@ -114,5 +221,15 @@ def silhouette(
 
 
 def reach_of(probe: Probe) -> float:
-    """How far from its centre the probe may touch [m]."""
-    return probe.radius_m + probe.length_m / 2
+    """How far from its centre along x the probe may touch [m]."""
+    return reaches_of(probe)[0]
+
+
+def reaches_of(probe: Probe) -> tuple[float, float]:
+    """How far from its centre the probe may touch along x and along y [m]; the same for one body."""
+    if probe.shape in ("two-points", "points"):
+        places = [place for _, place in parts_of(probe)]
+        across, down = (max(abs(place[axis]) for place in places) for axis in (0, 1))
+        return across + probe.radius_m, down + probe.radius_m
+    one = probe.radius_m + probe.length_m / 2
+    return one, one

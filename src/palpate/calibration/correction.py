@@ -1,0 +1,238 @@
+"""A small correction of a network's estimates to one copy of its sensor, learnt from a few presses.
+
+With u the network's estimates, z = (u - centre) / scale, and terms f(z) = (1, each z, each product of two),
+
+    corrected = u + f(z) W,    W = argmin mean |label - u - f(z) W|^2 + strength |W|^2
+
+which is a ridge regression of the label, shrunk towards the identity (W = 0). How many of the terms are used
+and how strongly they are shrunk is chosen for each target by leaving one press out. That choice is made anew
+within every press that is scored, without it, so that the scores have not seen what they judge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import onnx
+from jaxtyping import Float
+from onnx import helper, numpy_helper
+
+from palpate.core.axes import Indices, Values
+from palpate.estimators.intervals import design
+
+STRENGTHS = tuple(10.0**power for power in range(-6, 2))
+"""Tried in turn; in units of the mean square of a term, which is about 1."""
+
+AS_IT_WAS = "as it was"
+
+Terms = Float[np.ndarray, "n k"]
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """corrected = u + f(z) W.
+
+    Attributes:
+        centre, scale: of the estimates ``[t]``, in the targets' units.
+        least, greatest: of the scaled estimates met in learning ``[t]``: beyond them the products stay as
+            they are there, since a parabola must not run away; the linear terms go on.
+        weights: W ``[k t]``; zeros where a target keeps its estimate.
+    """
+
+    centre: Float[np.ndarray, " t"]
+    scale: Float[np.ndarray, " t"]
+    least: Float[np.ndarray, " t"]
+    greatest: Float[np.ndarray, " t"]
+    weights: Float[np.ndarray, "k t"]
+
+    @classmethod
+    def none(cls, centre: Float[np.ndarray, " t"], scale: Float[np.ndarray, " t"], met: Values) -> Correction:
+        """The identity, ready to be learnt: `met` are the estimates to learn from."""
+        z = (met - centre) / scale
+        weights = np.zeros((design(z[:1]).shape[1], z.shape[1]))
+        return cls(centre, scale, z.min(axis=0), z.max(axis=0), weights)
+
+    def terms(self, estimates: Values) -> Terms:
+        """f(z)."""
+        z = (estimates - self.centre) / self.scale
+        terms = design(np.clip(z, self.least, self.greatest))
+        terms[:, 1 : 1 + z.shape[1]] = z
+        return terms
+
+    def at(self, estimates: Values) -> Values:
+        """The corrected estimates ``[n t]``."""
+        return estimates + self.terms(estimates) @ self.weights
+
+    def appended(self, model: onnx.ModelProto, tag: str) -> onnx.ModelProto:
+        """A network with the correction behind it, in one graph.
+
+        Args:
+            model: from `image` to `value`; left as it is.
+            tag: a word that no name in the graph holds yet.
+        """
+        whole = onnx.ModelProto()
+        whole.CopyFrom(model)
+        before = f"{tag}-before"
+        for node in whole.graph.node:
+            for names in (node.input, node.output):
+                names[:] = [before if name == "value" else name for name in names]
+        whole.graph.node.extend(self._nodes(before, tag))
+        constants = {f"{tag}-{name}": value for name, value in self._constants().items()}
+        whole.graph.initializer.extend(numpy_helper.from_array(v, k) for k, v in constants.items())
+        onnx.checker.check_model(whole, full_check=True)
+        return whole
+
+    def _constants(self) -> dict[str, np.ndarray]:
+        first, second = np.triu_indices(len(self.centre))
+        rows = {"centre": self.centre, "scale": self.scale, "least": self.least, "greatest": self.greatest}
+        return {name: value[None, :].astype(np.float32) for name, value in rows.items()} | {
+            "first": first.astype(np.int64),
+            "second": second.astype(np.int64),
+            "offset": self.weights[0].astype(np.float32),
+            "weights": self.weights[1:].astype(np.float32),
+        }
+
+    def _nodes(self, before: str, tag: str) -> list[onnx.NodeProto]:
+        steps: tuple[tuple[str, tuple[str, ...], str, dict[str, int]], ...] = (
+            ("Sub", ("centre",), "centred", {}),
+            ("Div", ("centred", "scale"), "z", {}),
+            ("Max", ("z", "least"), "raised", {}),
+            ("Min", ("raised", "greatest"), "held", {}),
+            ("Gather", ("held", "first"), "one", {"axis": 1}),
+            ("Gather", ("held", "second"), "other", {"axis": 1}),
+            ("Mul", ("one", "other"), "products", {}),
+            ("Concat", ("z", "products"), "terms", {"axis": 1}),
+            ("Gemm", ("terms", "weights", "offset"), "change", {}),
+        )
+        made = []
+        for kind, inputs, output, how in steps:
+            names = [f"{tag}-{name}" for name in inputs]
+            made.append(
+                helper.make_node(
+                    kind, [before, *names] if kind == "Sub" else names, [f"{tag}-{output}"], **how
+                )
+            )
+        return [*made, helper.make_node("Add", [before, f"{tag}-change"], ["value"])]
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What a target's correction consists of.
+
+    Attributes:
+        terms: "as it was", "offset", "linear" or "quadratic".
+        count: how many of the terms are used.
+        strength: of the shrinking; None where there is no correction.
+    """
+
+    terms: str
+    count: int = 0
+    strength: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Adapted:
+    """A correction, and what it said of each row before it had learnt from that row's press.
+
+    Attributes:
+        correction: learnt from all presses.
+        estimates: of the network alone ``[n t]``.
+        held_out: corrected estimates ``[n t]``, each by a correction that has not seen its press.
+        choices: of each target.
+    """
+
+    correction: Correction
+    estimates: Values
+    held_out: Values
+    choices: tuple[Choice, ...]
+
+
+def correct(estimates: Values, true: Values, presses: Indices, start: Correction) -> Adapted:
+    """Learn a correction, or keep the estimates where it does not help.
+
+    A target's correction is kept only where leaving one press out shows it better than the estimates as they
+    were, in mean absolute error over presses, by more than its standard error.
+
+    Args:
+        estimates: of the network ``[n t]``.
+        true: the labels ``[n t]``, in the same units.
+        presses: number of each row's press ``[n]``, 0, 1, 2, and so on.
+        start: the identity, with the scales to work in.
+    """
+    left = _LeftOut(start.terms(estimates), true - estimates, presses)
+    held_out, targets = estimates.copy(), range(true.shape[1])
+    for press in range(left.presses):
+        rows = presses == press
+        weights = left.weights(left.chosen(press), press)
+        held_out[rows] += left.terms[rows] @ weights
+    helps = [_helps(held_out[:, j] - true[:, j], left.errors[:, j], presses) for j in targets]
+    found = left.chosen()
+    choices = tuple(c if good else Choice(AS_IT_WAS) for c, good in zip(found, helps, strict=True))
+    for j in targets:
+        if choices[j].terms == AS_IT_WAS:
+            held_out[:, j] = estimates[:, j]
+    return Adapted(replace(start, weights=left.weights(choices)), estimates, held_out, choices)
+
+
+def _helps(after: np.ndarray, before: np.ndarray, presses: Indices) -> bool:
+    """Whether errors have become smaller by more than chance makes them between presses."""
+    rows = np.bincount(presses)
+    gain = np.bincount(presses, weights=np.abs(before) - np.abs(after)) / rows
+    return bool(gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain)))
+
+
+class _LeftOut:
+    """Ridge regressions without one press, or two, from sums that are made once for each press."""
+
+    def __init__(self, terms: Terms, errors: Values, presses: Indices) -> None:
+        self.terms, self.errors, self.of = terms, errors, presses
+        self.presses = int(presses.max()) + 1
+        self.rows = np.bincount(presses).astype(np.float64)
+        parts = [presses == press for press in range(self.presses)]
+        self._squares = np.stack([terms[p].T @ terms[p] for p in parts])
+        self._moments = np.stack([terms[p].T @ errors[p] for p in parts])
+        # A term for which there are not as many presses is not asked of them.
+        t = errors.shape[1]
+        counts = {"offset": 1, "linear": 1 + t, "quadratic": terms.shape[1]}
+        self._kinds = {name: count for name, count in counts.items() if count <= self.presses}
+
+    def chosen(self, without: int | None = None) -> tuple[Choice, ...]:
+        """For each target the terms and the strength that err least where each press is left out in turn.
+
+        Args:
+            without: a press that has no part in the choice.
+        """
+        watched = self.of != (-1 if without is None else without)
+        choices, errors = [Choice(AS_IT_WAS)], [np.abs(self.errors[watched]).mean(axis=0)]
+        for name, count in self._kinds.items():
+            for strength, said in zip(STRENGTHS, self._said(count, without), strict=True):
+                choices.append(Choice(name, count, strength))
+                errors.append(np.abs(self.errors - said)[watched].mean(axis=0))
+        return tuple(choices[best] for best in np.argmin(errors, axis=0))
+
+    def weights(self, choices: tuple[Choice, ...], without: int | None = None) -> Float[np.ndarray, "k t"]:
+        """W of the choices, learnt from all presses but one."""
+        kept = np.arange(self.presses) != (-1 if without is None else without)
+        n, found = self.rows[kept].sum(), np.zeros(self._moments.shape[1:])
+        for j, choice in enumerate(choices):
+            if choice.strength is not None:
+                c = choice.count
+                squares = self._squares[kept, :c, :c].sum(axis=0) / n + choice.strength * np.eye(c)
+                found[:c, j] = np.linalg.solve(squares, self._moments[kept, :c, j].sum(axis=0) / n)
+        return found
+
+    def _said(self, count: int, without: int | None) -> Float[np.ndarray, "s n t"]:
+        """The change of every row at each strength, learnt without its own press and `without`."""
+        squares, moments, rows = self._squares[:, :count, :count], self._moments[:, :count], self.rows
+        kept = np.arange(self.presses) != (-1 if without is None else without)
+        n = rows[kept].sum() - rows
+        n[~kept] = rows[kept].sum()  # of the press left out itself nothing is asked; any sound sums do
+        own = np.where(kept, 1.0, 0.0)[:, None, None]
+        a = (squares[kept].sum(axis=0) - own * squares) / n[:, None, None]
+        b = (moments[kept].sum(axis=0) - own * moments) / n[:, None, None]
+        sizes, axes = np.linalg.eigh(a)
+        along = np.einsum("nk,nkm->nm", self.terms[:, :count], axes[self.of])
+        aims = np.einsum("pkm,pkt->pmt", axes, b)[self.of]
+        shrunk = [along / (np.maximum(sizes, 0.0)[self.of] + strength) for strength in STRENGTHS]
+        return np.einsum("snm,nmt->snt", np.stack(shrunk), aims)

@@ -1,0 +1,287 @@
+"""Contacts beyond one upright ball, drawn for a network to learn from: each picture with what made it.
+
+All are pressed by linear layers, the palm's own ball too, so that no kind is told from another by its law.
+Lamp and place differ from press to press, and the camera's noise from frame to frame. What is drawn at random
+is spread evenly over its range, unless said otherwise; relaxation and wear are left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Int, UInt8
+from numpy import ndarray
+
+from palpate.core.contact import Contact, Pose, Probe
+from palpate.core.errors import InputError, RangeError
+from palpate.mechanics.wrench import wrench_of
+from palpate.sensors.palm.field import has_table
+from palpate.sensors.palm.press import greatest_aside, press, press_layers, pulled
+from palpate.sensors.palm.render import render
+from palpate.sensors.palm.shapes import parts_of, points_probe, reaches_of
+from palpate.sensors.palm.spec import PalmSpec
+
+DEPTH_MM = (0.4, 1.5)
+HELD = 0.8  # of what friction holds, the greatest lateral load and moment, taken together
+LAMP_SD = 0.01
+TILT_DEG = 10.0
+PUNCHES_MM = (6, 8, 10)
+APART_M = 12e-3  # between balls, at least
+INSIDE_M = 0.5e-3  # of the membrane that stays free between a probe's reach and the rim
+TRIES = 1000  # at places for several balls
+
+SHAPES = ("sphere", "punch", "edge", "cylinder", "two-points")
+BALLS = 4  # that a grasp has room for
+PLACE = ("depth_mm", "x_mm", "y_mm")
+EACH = 4  # values of a ball
+
+
+def _each_named(count: int) -> tuple[str, ...]:
+    parts = ("depth{}_mm", "x{}_mm", "y{}_mm", "force{}_N")
+    return tuple(part.format(i + 1) for i in range(count) for part in parts)
+
+
+NAMES = {
+    "lateral": (*PLACE, "force_x_N", "force_y_N", "force_N", "moment_z_Nmm"),
+    "inclined": (
+        *PLACE,
+        "diameter_mm",
+        "tilt_deg",
+        "towards_deg",
+        "force_N",
+        "moment_x_Nmm",
+        "moment_y_Nmm",
+    ),
+    "shapes": (*PLACE, "shape", "turn_deg", "force_N"),
+    "two-contacts": (*_each_named(2), "force_N"),
+    "grasp": ("count", *_each_named(BALLS), "force_N", "moment_x_Nmm", "moment_y_Nmm"),
+}
+"""Of each kind's values. Forces are of the probe on the skin. Moments are about the axes through the probe's
+place on the surface at rest, a grasp's about those through the membrane's centre. ``shape`` is the place in
+`SHAPES`. Balls are numbered from the left; what a grasp of three has none of is NaN."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loads:
+    """What was drawn.
+
+    Attributes:
+        kind: of load, as in `NAMES`.
+        names: of the values.
+        images: sRGB ``[n h w 3]``, fringes left and mirror right.
+        hanging: the untouched skin under each image's lamp, nothing in sight ``[n h w 3]``.
+        press: of each image, its number ``[n]``.
+        values: in the order of the names ``[n v]``.
+    """
+
+    kind: str
+    names: tuple[str, ...]
+    images: UInt8[ndarray, "n h w 3"]
+    hanging: UInt8[ndarray, "n h w 3"]
+    press: Int[ndarray, " n"]
+    values: Float32[ndarray, "n v"]
+
+
+class Drawn(NamedTuple):
+    """One contact and its values."""
+
+    contact: Contact
+    values: tuple[float, ...]
+
+
+def draw_loads(
+    spec: PalmSpec,
+    kind: str,
+    count: int,
+    rng: np.random.Generator,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Loads:
+    """Draw contacts of one kind at places where all of the probe is inside the rim.
+
+    Args:
+        spec: of a frame that both regions fill, as `cropped` makes it.
+        kind: ``"lateral"`` (the palm's ball, pulled in any direction and twisted, up to 0.8 of what friction
+            holds), ``"inclined"`` (a punch leaning by up to 10 degrees), ``"shapes"`` (one of `SHAPES`),
+            ``"two-contacts"`` (two of the palm's balls, 12 mm apart or more) or ``"grasp"`` (three or four).
+        count: of contacts, with one picture each.
+        rng: the only source of chance.
+        progress: told how many are drawn of how many.
+
+    Raises:
+        InputError: another kind, or no contact.
+        RangeError: a membrane too small for the probes.
+    """
+    if kind not in NAMES:
+        raise InputError(f"no kind of load is called {kind!r}; there are {', '.join(NAMES)}")
+    if count < 1:
+        raise InputError(f"{count} contacts; 1 or more are drawn")
+    width, height = spec.frame_px
+    images, hanging = (np.empty((count, height, width, 3), np.uint8) for _ in range(2))
+    values = np.empty((count, len(NAMES[kind])), np.float32)
+    for i in range(count):
+        drawn = DRAW[kind](spec, rng)
+        lit = replace(spec, lamp_gain=spec.lamp_gain * (1 + LAMP_SD * rng.standard_normal()))
+        hanging[i] = render(_untouched(spec, drawn.contact), lit, rng).image
+        images[i] = render(drawn.contact, lit, rng).image
+        values[i] = drawn.values
+        progress(i + 1, count)
+    return Loads(kind, NAMES[kind], images, hanging, np.arange(count), values)
+
+
+def lateral(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
+    """The palm's ball under a lateral force and a moment, their shares of what friction holds on a disc."""
+    probe = Probe("sphere", spec.indenter_radius_m)
+    pose = _pose(spec, probe, rng)
+    pressed = press_layers(spec, pose, probe)
+    force, moment = greatest_aside(pressed)
+    held, mixed, way = HELD * math.sqrt(rng.uniform()), rng.uniform(0, math.pi / 2), rng.uniform(0, math.tau)
+    aside, twist = held * math.cos(mixed) * force, held * math.sin(mixed) * moment
+    twist *= float(rng.choice((-1.0, 1.0)))
+    contact = pulled(pressed, (aside * math.cos(way), aside * math.sin(way)), twist)
+    return Drawn(contact, (*_place(pose), *contact.lateral_n, contact.force_n, 1e3 * contact.moment_nm))
+
+
+def inclined(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
+    """A leaning punch."""
+    diameter = float(rng.choice(PUNCHES_MM))
+    tilt, towards = rng.uniform(0, TILT_DEG), rng.uniform(0, 360)
+    probe = Probe("punch", diameter / 2e3, 0.0, math.radians(towards), math.radians(tilt))
+    pose = _pose(spec, probe, rng)
+    contact = press_layers(spec, pose, probe).contact
+    wrench = wrench_of(contact, (pose.x_m, pose.y_m))
+    moments = (1e3 * wrench.moment_x_nm, 1e3 * wrench.moment_y_nm)
+    return Drawn(contact, (*_place(pose), diameter, tilt, towards, contact.force_n, *moments))
+
+
+def shapes(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
+    """One of the shapes, of one of three sizes, turned anyhow."""
+    which, size = int(rng.integers(len(SHAPES))), int(rng.integers(3))
+    turn = rng.uniform(0, 180)
+    probe = _shape(SHAPES[which], size, math.radians(turn))
+    pose = _pose(spec, probe, rng)
+    contact = press_layers(spec, pose, probe).contact
+    turned = turn if probe.length_m else 0.0
+    return Drawn(contact, (*_place(pose), which, turned, contact.force_n))
+
+
+def two_contacts(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
+    """Two balls."""
+    contact, each = _several(spec, 2, rng)
+    return Drawn(contact, (*each, contact.force_n))
+
+
+def grasp(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
+    """Three or four balls."""
+    count = int(rng.integers(3, BALLS + 1))
+    contact, each = _several(spec, count, rng)
+    wrench = wrench_of(contact)
+    missing = (math.nan,) * (EACH * (BALLS - count))
+    moments = (1e3 * wrench.moment_x_nm, 1e3 * wrench.moment_y_nm)
+    return Drawn(contact, (count, *each, *missing, contact.force_n, *moments))
+
+
+DRAW: dict[str, Callable[[PalmSpec, np.random.Generator], Drawn]] = {
+    "lateral": lateral,
+    "inclined": inclined,
+    "shapes": shapes,
+    "two-contacts": two_contacts,
+    "grasp": grasp,
+}
+
+
+def _untouched(spec: PalmSpec, contact: Contact) -> Contact:
+    """The skin at rest, with no probe in sight."""
+    if has_table(spec):  # whose picture of it is drawn once
+        return press(spec, Pose(0.0, 0.0, 0.0))
+    nothing = 0 * contact.pressure_pa
+    return replace(
+        contact,
+        pressure_pa=nothing,
+        sinking_m=nothing,
+        touching=nothing > 0,
+        force_n=0.0,
+        radius_m=0.0,
+        pose=replace(contact.pose, depth_m=0.0),
+        shear_pa=None,
+        lateral_n=(0.0, 0.0),
+        moment_nm=0.0,
+    )
+
+
+def _place(pose: Pose) -> tuple[float, float, float]:
+    return 1e3 * pose.depth_m, 1e3 * pose.x_m, 1e3 * pose.y_m
+
+
+def _shape(shape: str, size: int, turn_rad: float) -> Probe:
+    """A probe of a shape, small, middling or large."""
+    match shape:
+        case "sphere":
+            return Probe(shape, (4e-3, 6e-3, 7e-3)[size])
+        case "punch":
+            return Probe(shape, (3e-3, 4e-3, 5e-3)[size])
+        case "edge":
+            return Probe(shape, 0.0, (8e-3, 10e-3, 12e-3)[size], turn_rad)
+        case "cylinder":
+            return Probe(shape, 3e-3, (8e-3, 10e-3, 12e-3)[size], turn_rad)
+        case _:
+            return Probe(shape, 3e-3, (8e-3, 10e-3, 12e-3)[size], turn_rad)
+
+
+def _pose(spec: PalmSpec, probe: Probe, rng: np.random.Generator) -> Pose:
+    """A depth, and a place at which the probe's whole reach is inside the rim."""
+    room = _room(spec, max(reaches_of(probe)))
+    away, angle = room * math.sqrt(rng.uniform()), rng.uniform(0, math.tau)
+    return Pose(away * math.cos(angle), away * math.sin(angle), 1e-3 * rng.uniform(*DEPTH_MM))
+
+
+def _room(spec: PalmSpec, reach_m: float) -> float:
+    room = spec.radius_m - reach_m - INSIDE_M
+    if not room > 0:
+        raise RangeError(
+            f"a probe that reaches {reach_m * 1e3:g} mm from its axis has no room on a membrane of "
+            f"{spec.diameter_m * 1e3:g} mm; give a larger one"
+        )
+    return room
+
+
+def _several(spec: PalmSpec, count: int, rng: np.random.Generator) -> tuple[Contact, tuple[float, ...]]:
+    """Balls pressed together, and of each, from the left, its depth, place and force."""
+    R = spec.indenter_radius_m
+    at = np.array(sorted(_apart(count, _room(spec, R), rng)))
+    depth = 1e-3 * rng.uniform(*DEPTH_MM, count)
+    x0, y0 = (at.min(axis=0) + at.max(axis=0)) / 2
+    probe = points_probe(
+        R, [(float(x - x0), float(y - y0), float(-d)) for (x, y), d in zip(at, depth, strict=True)]
+    )
+    pose = Pose(float(x0), float(y0), float(depth.max()))
+    contact = press_layers(spec, pose, probe).contact
+    return contact, tuple(_each(contact, [place for _, place in parts_of(probe)]))
+
+
+def _each(contact: Contact, places: list[tuple[float, float, float]]) -> Iterator[float]:
+    pose = contact.pose
+    x, y = contact.x_m - pose.x_m, contact.y_m - pose.y_m
+    cell = (x[1] - x[0]) * (y[1] - y[0])
+    away = np.stack([(x - at[0]) ** 2 + (y[:, None] - at[1]) ** 2 for at in places])
+    nearest = away.argmin(axis=0)
+    for i, (a, b, up) in enumerate(places):
+        yield from _place(Pose(pose.x_m + a, pose.y_m + b, pose.depth_m - up))
+        yield float(contact.pressure_pa[nearest == i].sum() * cell)
+
+
+def _apart(count: int, room_m: float, rng: np.random.Generator) -> list[tuple[float, float]]:
+    """Places spread evenly over a disc, all drawn anew until no two are too near."""
+    for _ in range(TRIES):
+        away, angle = room_m * np.sqrt(rng.uniform(size=count)), rng.uniform(0, math.tau, count)
+        at = np.stack([away * np.cos(angle), away * np.sin(angle)], axis=1)
+        between = np.hypot(*(at[:, None] - at).T) + 1e9 * np.eye(count)
+        if between.min() >= APART_M:
+            return [(float(x), float(y)) for x, y in at]
+    raise RangeError(
+        f"no {count} places {APART_M * 1e3:g} mm apart were found within {room_m * 1e3:g} mm of the axis; "
+        "give a larger membrane"
+    )

@@ -1,0 +1,130 @@
+import math
+
+import numpy as np
+import pytest
+
+from palpate.core import InputError, Pose, Probe, RangeError
+from palpate.mechanics.wrench import wrench_of
+from palpate.sensors import palm
+from palpate.sensors.palm import loads
+from palpate.sensors.palm.press import FRICTION, greatest_aside, press_layers
+
+SPEC = palm.cropped(palm.palm(), 16, "tiny")
+
+
+def drawn(kind, count=3, seed=3):
+    return loads.draw_loads(SPEC, kind, count, np.random.default_rng(seed))
+
+
+@pytest.fixture(scope="module")
+def every():
+    return {kind: drawn(kind) for kind in loads.NAMES}
+
+
+def column(found, name):
+    return found.values[:, found.names.index(name)]
+
+
+@pytest.mark.parametrize("kind", loads.NAMES)
+def test_each_picture_has_its_untouched_one_and_its_values(every, kind):
+    found = every[kind]
+    assert found.images.shape == found.hanging.shape == (3, 16, 32, 3)
+    assert found.values.shape == (3, len(found.names))
+    assert len(set(found.names)) == len(found.names)
+    assert (np.abs(found.images.astype(int) - found.hanging).mean(axis=(1, 2, 3)) > 1).all()
+    assert (column(found, "force_N") > 0).all()
+
+
+@pytest.mark.parametrize("kind", loads.NAMES)
+def test_all_is_inside_the_rim(every, kind):
+    found, R = every[kind], SPEC.radius_m * 1e3
+    for x in [name for name in found.names if name.startswith("x")]:
+        away = np.hypot(column(found, x), column(found, "y" + x[1:]))
+        assert (np.isnan(away) | (away < R - 2.5)).all()
+
+
+@pytest.mark.parametrize("kind", ["lateral", "grasp"])
+def test_one_seed_draws_one_set(every, kind):
+    again = drawn(kind)
+    np.testing.assert_array_equal(again.images, every[kind].images)
+    np.testing.assert_array_equal(again.values, every[kind].values)
+    assert (drawn(kind, 1, seed=4).values[0] != again.values[0]).any()
+
+
+def test_no_lateral_load_is_more_than_friction_holds(every):
+    found = every["lateral"]
+    aside = np.hypot(column(found, "force_x_N"), column(found, "force_y_N"))
+    assert (aside < loads.HELD * FRICTION * column(found, "force_N")).all()
+    assert (aside > 0).all()
+    assert (column(found, "moment_z_Nmm") != 0).all()
+
+
+def test_the_forces_of_balls_add_up(every):
+    for kind, count in (("two-contacts", 2), ("grasp", 4)):
+        found = every[kind]
+        each = np.stack([column(found, f"force{i + 1}_N") for i in range(count)])
+        assert (np.isnan(each) | (each > 0)).all()
+        np.testing.assert_allclose(np.nansum(each, axis=0), column(found, "force_N"), rtol=1e-5)
+
+
+def test_balls_stand_apart_and_are_numbered_from_the_left(every):
+    found = every["two-contacts"]
+    x = [column(found, f"x{i}_mm") for i in (1, 2)]
+    y = [column(found, f"y{i}_mm") for i in (1, 2)]
+    assert (np.hypot(x[1] - x[0], y[1] - y[0]) > 11.9).all()
+    assert (x[1] > x[0]).all()
+    for i in (1, 2):
+        assert ((column(found, f"depth{i}_mm") > 0.39) & (column(found, f"depth{i}_mm") < 1.51)).all()
+
+
+def test_a_grasp_s_moments_are_those_of_its_balls_forces(every):
+    found = every["grasp"]
+    each = [(column(found, f"y{i}_mm"), column(found, f"force{i}_N")) for i in (1, 2, 3, 4)]
+    expected = np.nansum([y * force for y, force in each], axis=0)
+    # a ball's force acts at its middle but for what its neighbours take off one side
+    np.testing.assert_allclose(column(found, "moment_x_Nmm"), expected, atol=0.1)
+
+
+def test_a_leaning_punch_s_moment_is_of_its_lower_side(every):
+    found = every["inclined"]
+    towards = np.radians(column(found, "towards_deg"))
+    about = -column(found, "moment_y_Nmm") * np.cos(towards) + column(found, "moment_x_Nmm") * np.sin(towards)
+    assert (about > 0).all()
+
+
+def test_a_moment_is_kept_with_the_shear_that_adds_up_to_it():
+    pose, ball = Pose(4e-3, -2e-3, 1e-3), Probe("sphere", SPEC.indenter_radius_m)
+    force, moment = greatest_aside(press_layers(SPEC, pose, ball))
+    contact = palm.press(SPEC, pose, ball, (0.3 * force, 0.0), 0.4 * moment)
+    wrench = wrench_of(contact, (pose.x_m, pose.y_m))
+    assert contact.moment_nm == pytest.approx(0.4 * moment)
+    # the solver is asked for 1e-4 of force and moment taken together
+    assert wrench.moment_z_nm == pytest.approx(contact.moment_nm, rel=5e-4)
+    assert wrench.force_x_n == pytest.approx(0.3 * force, rel=5e-4)
+    assert moment == pytest.approx(3 * math.pi / 16 * force * contact.radius_m, rel=0.02), "about Hertz's"
+
+
+def test_a_probe_that_does_not_turn_takes_the_moment_there_is():
+    punch = palm.parse_probe("punch:6@5:90")
+    contact = palm.press(SPEC, Pose(0.0, 0.0, 0.8e-3), punch, (0.4, 0.0))
+    # pulled along x where it presses at +y: the skin there is moved the most, x F_y - y F_x < 0
+    assert contact.moment_nm < 0
+    free = palm.press(SPEC, Pose(0.0, 0.0, 0.8e-3), punch, (0.4, 0.0), 0.0)
+    assert abs(wrench_of(free).moment_z_nm) < 0.01 * abs(contact.moment_nm)
+
+
+def test_a_moment_that_cannot_be_is_refused():
+    ball = Probe("sphere", SPEC.indenter_radius_m)
+    with pytest.raises(InputError, match="N m"):
+        palm.press(SPEC, Pose(0.0, 0.0, 1e-3), ball, (0.0, 0.0), math.nan)
+    with pytest.raises(RangeError, match="whole contact slip"):
+        palm.press(SPEC, Pose(0.0, 0.0, 1e-3), ball, (0.0, 0.0), 1.0)
+    with pytest.raises(RangeError, match="does not press"):
+        palm.press(SPEC, Pose(0.0, 0.0, 0.0), ball, (0.0, 0.0), 1e-4)
+
+
+def test_what_cannot_be_drawn_is_refused():
+    with pytest.raises(InputError, match="lateral, inclined, shapes, two-contacts, grasp"):
+        drawn("banana")
+    with pytest.raises(InputError, match="1 or more"):
+        drawn("lateral", 0)
