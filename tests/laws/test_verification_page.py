@@ -18,7 +18,7 @@ PAGES = [DOCS / "explanations" / "palm.md", DOCS / "explanations" / "verificatio
 QUICK_ROOMS = ("contact", "tables", "creep")
 QUICK_TABLES = ("spread", "assumptions", "off-centre")
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?")
-MOST_A_PICTURE, MOST_ALL = 250_000, 1_500_000  # bytes
+MOST_A_PICTURE, MOST_ALL = 250_000, 1_800_000  # bytes
 
 sys.path.insert(0, str(REPOSITORY / "tools"))
 

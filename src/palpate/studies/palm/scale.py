@@ -67,6 +67,8 @@ class Scale:
             places=Scattered(kind="scattered", count=self.places, apart_mm=2.0, seed=seed),
             cycles=1,
             step_mm=self.coarse_step_mm if coarse else self.new_step_mm,
+            # Taps set the clocks by what the camera sees of them: without a membrane it sees nothing.
+            **({"taps": 0} if coarse else {}),
             depth_mm=self.depth_mm,
             frames=1,
             reference_frames=1,
