@@ -8,6 +8,7 @@ import pytest
 
 from palpate.core.errors import InputError
 from palpate.estimators.networks.base import TrainingData
+from palpate.estimators.seen import thumbnail
 from palpate.sensors import palm
 from palpate.sensors.palm.presses import TARGETS, draw_presses
 
@@ -72,6 +73,17 @@ def test_rendered_rows_follow_the_recorded_ones_and_are_fetched_in_the_order_ask
 def fitted(data):
     recipe = PalmCompact(rendered=240, epochs=14, batch=16)
     return recipe.fit(data, np.arange(96), seed=0)
+
+
+def test_it_tells_the_guard_of_the_presses_that_it_was_shown(fitted, data):
+    also = fitted.also_seen
+    assert len(also.thumbs) == len(also.groups) == 240 + 20
+    assert len(np.unique(also.groups)) == 20
+    # Of the size of recorded inputs, and as light as a palm: dark fringes, a brighter mirror.
+    assert also.thumbs.shape[1:] == thumbnail(np.zeros((SIDE, 2 * SIDE, 3), np.uint8)).shape
+    half = also.thumbs.shape[2] // 2
+    assert also.thumbs[240:, :, :half].mean() < also.thumbs[240:, :, half:].mean()
+    assert PalmCompact(rendered=0, epochs=1).fit(data, np.arange(96), seed=0).also_seen is None
 
 
 def test_it_learns_what_it_is_shown(fitted, data):

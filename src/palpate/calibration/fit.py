@@ -2,6 +2,8 @@
 
 Work is kept in a folder beside the result (`.NAME.work`) until it is whole. Interrupted, the same command
 goes on from there: the packed set, every finished fold and a network's last epoch are kept.
+
+Of several processes that torchrun began, the first does all this, and the others help it to train.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ import json
 import math
 import shutil
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +35,8 @@ from palpate.core.files import new_file, refuse_existing, storage_errors
 from palpate.estimators.guard import Guard, fit_guard, thumbnails
 from palpate.estimators.networks import make_model, model_kind
 from palpate.estimators.networks.base import Fitted, Model, Progress, TrainingData, predict_rows, silent
+from palpate.estimators.networks.many_processes import Crew
+from palpate.estimators.seen import SawMore
 from palpate.recordings.labels import targets_from
 from palpate.recordings.pack import PackedSet, pack
 from palpate.recordings.reader import Run
@@ -63,35 +67,79 @@ def calibrate(run: Run, plan: Plan, out: Path, progress: Progress = silent) -> P
     refuse_existing(out)
     started = time.monotonic()
     _check_plan(run, plan)
+    crew = _crew(plan)
+    if not crew.first:
+        _help(run, plan, _work_path(out), crew)
+        return out
     work = _work_folder(run, plan, out)
     with storage_errors(work):
-        made = _made(run, plan, work, progress)
+        made = _made(run, plan, work, progress, crew)
         write_certificate(replace(made, seconds=time.monotonic() - started), out)
+        crew.wait()
         shutil.rmtree(work)
     return out
 
 
-def _made(run: Run, plan: Plan, work: Path, progress: Progress) -> Calibrated:
-    whole = _packed(run, plan, work, progress)
+def _crew(plan: Plan) -> Crew:
+    """The processes that shall train together.
+
+    Raises:
+        InputError: there are several, and the model is none that they can share.
+    """
+    crew = Crew.of_environment()
+    if crew.size > 1 and not hasattr(make_model(plan.model, plan.options), "descent"):
+        raise InputError(
+            f"{crew.size} processes, and {plan.model} trains in one; run palpate without torchrun, or take "
+            "one of the palm's networks that are trained with torch"
+        )
+    return crew
+
+
+def _help(run: Run, plan: Plan, work: Path, crew: Crew) -> None:
+    """Train along with the first process, from the set that it packs, and write nothing."""
+    ready = _ready(run, plan, work, silent, crew)
+    _learnt(make_model(plan.model, plan.options), ready, plan, work, silent, crew)
+    crew.wait()
+
+
+@dataclass(frozen=True, slots=True)
+class _Ready:
+    """What there is before anything is learnt: all rows packed, and those to learn from, split."""
+
+    whole: PackedSet
+    rows: Indices
+    untouched: Untouched
+    packed: PackedSet
+    parts: Split
+    data: TrainingData
+
+
+def _ready(run: Run, plan: Plan, work: Path, progress: Progress, crew: Crew) -> _Ready:
+    whole = _packed(run, plan, work, progress, crew)
     untouched = find_untouched(whole, plan)
     rows = rows_to_learn(whole.table, plan)
     packed = whole.only(rows)
     parts = split(packed.table, plan.split, folds=_folds(plan), seed=plan.seed)
     groups = parts.groups if parts.groups is not None else np.arange(len(packed))
     data = training_data(packed, plan, groups, untouched.of(rows), str(run.path))
+    return _Ready(whole, rows, untouched, packed, parts, data)
+
+
+def _made(run: Run, plan: Plan, work: Path, progress: Progress, crew: Crew) -> Calibrated:
+    ready = _ready(run, plan, work, progress, crew)
     model = make_model(plan.model, plan.options)
-    held_out, fitted = _learnt(model, data, parts, plan, work, progress)
+    held_out, fitted = _learnt(model, ready, plan, work, progress, crew)
     return Calibrated(
         run=run,
         plan=plan,
-        packed=packed,
-        data=data,
-        split=parts,
-        audit=audit(packed, parts),
-        untouched=untouched,
+        packed=ready.packed,
+        data=ready.data,
+        split=ready.parts,
+        audit=audit(ready.packed, ready.parts),
+        untouched=ready.untouched,
         held_out=held_out,
         fitted=fitted,
-        guard=_guard(whole, rows, parts, untouched, plan, progress),
+        guard=_guard(ready, fitted, plan, progress),
     )
 
 
@@ -124,7 +172,7 @@ def preparation_of(run: Run, plan: Plan) -> Preparation:
 
 def _work_folder(run: Run, plan: Plan, out: Path) -> Path:
     """The folder of unfinished work towards this very plan, made or found again."""
-    work = out.with_name(f".{out.name}.work")
+    work = _work_path(out)
     wanted = json.dumps({"run": run.hash, "plan": plan.to_dict()}, sort_keys=True)
     note = work / "plan.json"
     if note.is_file():
@@ -143,27 +191,33 @@ def _work_folder(run: Run, plan: Plan, out: Path) -> Path:
     return work
 
 
-def _packed(run: Run, plan: Plan, work: Path, progress: Progress) -> PackedSet:
+def _work_path(out: Path) -> Path:
+    return out.with_name(f".{out.name}.work")
+
+
+def _packed(run: Run, plan: Plan, work: Path, progress: Progress, crew: Crew) -> PackedSet:
     folder = work / "packed"
-    if folder.exists():
-        return PackedSet.open(folder)
-    made = preparation_of(run, plan)
-    return pack(run, folder, made, progress=lambda done, total: progress("packing", done, total))
+    if crew.first and not folder.exists():
+        made = preparation_of(run, plan)
+        pack(run, folder, made, progress=lambda done, total: progress("packing", done, total))
+    crew.wait()
+    return PackedSet.open(folder)
 
 
 def _learnt(
-    model: Model, data: TrainingData, parts: Split, plan: Plan, work: Path, progress: Progress
+    model: Model, ready: _Ready, plan: Plan, work: Path, progress: Progress, crew: Crew
 ) -> tuple[Values, Fitted]:
     """Predictions of rows by a model that has not seen their fold (NaN where none was), and what is kept.
 
     Where every fold is held out in turn, what is kept has learnt from all rows. Where one is, what is kept
     is the very model that was scored.
     """
+    data, parts = ready.data, ready.parts
     predicted = np.full_like(data.values, np.nan)
     count, alone = folds_to_score(plan, parts), most_like_the_rest(parts, data.values)
     if count > 1:
         for k in range(count):
-            predicted[parts.folds[k]] = _fold(model, data, parts, plan, k, work, progress)
+            predicted[parts.folds[k]] = _fold(model, ready, plan, k, work, progress, crew)
     fitted = model.fit(
         data,
         np.arange(len(data.values)) if count > 1 else parts.training_rows(alone),
@@ -205,34 +259,39 @@ def folds_to_score(plan: Plan, parts: Split) -> int:
 
 
 def _fold(
-    model: Model, data: TrainingData, parts: Split, plan: Plan, k: int, work: Path, progress: Progress
+    model: Model, ready: _Ready, plan: Plan, k: int, work: Path, progress: Progress, crew: Crew
 ) -> Values:
+    # All processes see the same here: the first writes it only after they have trained this fold together.
     kept = work / f"fold-{k}.npy"
     if kept.exists():
         return np.asarray(np.load(kept, allow_pickle=False))
-    rows: Indices = parts.folds[k]
+    rows: Indices = ready.parts.folds[k]
     fitted = model.fit(
-        data,
-        parts.training_rows(k),
+        ready.data,
+        ready.parts.training_rows(k),
         seed=plan.seed + k + 1,
-        progress=_named(progress, f"fold {k + 1} of {len(parts.folds)}"),
+        progress=_named(progress, f"fold {k + 1} of {len(ready.parts.folds)}"),
         checkpoint=work / f"fold-{k}.npz",
     )
-    predicted = predict_rows(fitted, data, rows)
-    with new_file(kept) as path, path.open("wb") as file:
-        np.save(file, predicted)
+    predicted = predict_rows(fitted, ready.data, rows)
+    if crew.first:
+        with new_file(kept) as path, path.open("wb") as file:
+            np.save(file, predicted)
     return predicted
 
 
-def _guard(
-    whole: PackedSet, rows: Indices, parts: Split, untouched: Untouched, plan: Plan, progress: Progress
-) -> Guard:
-    """A guard that knows every frame, those of the untouched sensor too; they are dealt out to all folds."""
+def _guard(ready: _Ready, fitted: Fitted, plan: Plan, progress: Progress) -> Guard:
+    """A guard that knows every frame, those of the untouched sensor too; they are dealt out to all folds.
+
+    What the model has learnt from besides, it knows as well.
+    """
     progress("learning what frames look like", 0, 1)
+    whole, rows, held_out = ready.whole, ready.rows, ready.parts.folds
     thumbs = thumbnails(prepared_images(whole, np.arange(len(whole))))
     others = np.setdiff1d(np.arange(len(whole)), rows)
-    folds = [np.append(rows[held], others[k :: len(parts.folds)]) for k, held in enumerate(parts.folds)]
-    guard = fit_guard(thumbs, folds, thumbs[untouched.rows], seed=plan.seed)
+    folds = [np.append(rows[held], others[k :: len(held_out)]) for k, held in enumerate(held_out)]
+    also = fitted.also_seen if isinstance(fitted, SawMore) else None
+    guard = fit_guard(thumbs, folds, thumbs[ready.untouched.rows], also=also, seed=plan.seed)
     progress("learning what frames look like", 1, 1)
     return guard
 

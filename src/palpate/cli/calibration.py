@@ -86,13 +86,16 @@ def calibrate(
 ) -> None:
     """Calibrate an estimator and certify it: model, card, held-out predictions, report.
 
-    Interrupted, the same command goes on from where it was.
+    Interrupted, the same command goes on from where it was. Under torchrun, several processes train
+    a network of the palm.
 
     Example: palpate calibrate run --targets depth_mm,force_N --model compact-cnn --out cal
     """
+    from palpate.calibration.fit import calibrate as help_to_calibrate
     from palpate.calibration.plan import Plan, Reference
     from palpate.calibration.views import two_views
     from palpate.estimators.networks import model_kind
+    from palpate.estimators.networks.many_processes import Crew
     from palpate.recordings.reader import Run
     from palpate.studies.certify import certify
 
@@ -116,6 +119,9 @@ def calibrate(
         learn_untouched=learn_untouched,
         options=options_of(option or []),
     )
+    if not Crew.of_environment().first:
+        help_to_calibrate(recorded, plan, out)
+        return
     with progress_bar(quiet) as progress:
         card = certify(recorded, plan, out, progress)
     print_found(card.model_dump(mode="json"), _card_text(card, out), json_)

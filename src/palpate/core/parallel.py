@@ -51,8 +51,8 @@ def in_parallel(
         raise InputError(f"{processes} processes; 1 or more work, as many as there are cores to spare")
     if scheduler is not None and processes > 1:
         raise InputError(
-            f"{processes} processes as well as the scheduler {scheduler}; give one of them: a cluster's workers "
-            "are as many as it has"
+            f"{processes} processes as well as the scheduler {scheduler}; give one of them: a cluster's "
+            "workers are as many as it has"
         )
     if scheduler is not None:
         _distributed()
@@ -96,9 +96,7 @@ def _short(item: object) -> str:
     return text if len(text) <= SHOWN else f"{text[: SHOWN - 3]}..."
 
 
-def _by_processes(
-    job: Callable[[int, T], R], items: Sequence[T], processes: int
-) -> Generator[R, None, None]:
+def _by_processes(job: Callable[[int, T], R], items: Sequence[T], processes: int) -> Generator[R, None, None]:
     joblib_s = import_module("sklearn.utils.parallel")  # heavy, and needed here alone
     call = joblib_s.delayed(job)
     # max_nbytes: no array is written to a file for the processes to map.

@@ -1,31 +1,35 @@
 """The guard: is this image of the kind the estimator was calibrated on, and has the sensor drifted?
 
-A thumbnail of the prepared image is held against the nearest one of the calibration. Pixels are weighed by
-what they differ between neighbours, so that a corner that never changes counts more than one that always
-does. Two distances are judged: the plain one, and its ratio to the neighbour's own distance from the rest
-of the calibration, since near the untouched skin images lie closer together than under a deep press (the
-idea of the local outlier factor: Breunig et al., SIGMOD 2000, doi:10.1145/335191.335388). Either is too
-far beyond the limit that a stated share of calibration frames, each held against other groups, stays below.
+How strange an image is, `seen` says by two numbers. Each has a limit, and both limits together are such that
+a stated share of the calibration's frames, each held against other groups, would have been turned away.
 """
 
 from __future__ import annotations
 
-import math
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
-import cv2
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float
 
+from palpate.core.axes import Indices
 from palpate.core.errors import CertificateError, InputError
 from palpate.core.reading import Drift
+from palpate.estimators.seen import (
+    AlsoSeen,
+    Prepared,
+    Seen,
+    Thumbnail,
+    Thumbnails,
+    belong_together,
+    learn,
+    thumbnail,
+    thumbnails,
+)
 
-THUMBNAIL_VALUES = 1024
-"""A thumbnail holds about this many values, in one channel or in three."""
+__all__ = ["Guard", "fit_guard", "thumbnails"]
 
 FLOOR_GREY_LEVELS = 0.5
 """Two averages of one scene never agree better than this, whatever a few references suggest."""
@@ -34,81 +38,6 @@ FEW_REFERENCES = 5
 DRIFT_LIMIT_OF_FEW = 3.0
 """Fewer no-contact frames than five say little of how far such frames wander: three times their spread."""
 
-Prepared = UInt8[np.ndarray, "h w c"]
-Thumbnails = Float32[np.ndarray, "_ k"]
-Distances = Float32[np.ndarray, " _"]
-
-
-def thumbnail(prepared: Prepared) -> Float32[np.ndarray, " k"]:
-    """Area means of a prepared image, about as many values whatever its channels, grey levels."""
-    height, width, channels = prepared.shape
-    side = math.isqrt(THUMBNAIL_VALUES // channels)
-    size = (min(width, side), min(height, side))
-    return cv2.resize(prepared, size, interpolation=cv2.INTER_AREA).astype(np.float32).ravel()
-
-
-def thumbnails(images: Iterable[Prepared]) -> Thumbnails:
-    """Thumbnails of many prepared images."""
-    return np.stack([thumbnail(image) for image in images])
-
-
-@dataclass(frozen=True)
-class Neighbours:
-    """The calibration's thumbnails, and the measure of distance between them.
-
-    Attributes:
-        thumbs: of the calibration's frames ``[n k]``.
-        stray: what each pixel differs by between neighbours, at least a grey level ``[k]``.
-        own: each one's distance to the nearest of other groups ``[n]``.
-    """
-
-    thumbs: Thumbnails
-    stray: Float32[np.ndarray, " k"]
-    own: Distances
-
-    def nearest(self, others: Thumbnails) -> tuple[np.ndarray, Distances]:
-        """Row and distance of the nearest thumbnail to each of `others`; 1 is usual between neighbours."""
-        return self._index.nearest(others / self.stray)
-
-    def strangeness(self, others: Thumbnails) -> Float[np.ndarray, "_ 2"]:
-        """Distance to the nearest, and its ratio to that one's own."""
-        rows, distance = self.nearest(others)
-        return np.stack([distance, distance / self.own[rows]], axis=1).astype(np.float64)
-
-    @cached_property
-    def _index(self) -> _Index:
-        return _Index(self.thumbs / self.stray)
-
-
-class _Index:
-    """Rows to search for the nearest of, their squares summed once."""
-
-    def __init__(self, rows: Thumbnails) -> None:
-        self.rows, self.squares = rows, np.sum(rows**2, axis=1)
-
-    def nearest(self, others: Thumbnails) -> tuple[np.ndarray, Distances]:
-        found = np.argmin(self.squares - 2 * others @ self.rows.T, axis=1)
-        return found, np.sqrt(np.mean((others - self.rows[found]) ** 2, axis=1))
-
-
-def neighbours(thumbs: Thumbnails, folds: Sequence[np.ndarray]) -> Neighbours:
-    """Learn the measure of distance, and each thumbnail's own distance, across folds only."""
-    apart = np.empty_like(thumbs)
-    for held, others in _sides(len(thumbs), folds):
-        rows, _ = _Index(thumbs[others]).nearest(thumbs[held])
-        apart[held] = thumbs[held] - thumbs[others][rows]
-    stray = np.maximum(np.sqrt(np.mean(apart**2, axis=0)), 1.0)
-    own = np.empty(len(thumbs), np.float32)
-    for held, others in _sides(len(thumbs), folds):
-        _, own[held] = _Index(thumbs[others] / stray).nearest(thumbs[held] / stray)
-    # Grey levels are whole: no frame is nearer to another than rounding leaves it.
-    return Neighbours(thumbs, stray, np.maximum(own, np.float32(0.05)))
-
-
-def _sides(n: int, folds: Sequence[np.ndarray]) -> Iterable[tuple[np.ndarray, np.ndarray]]:
-    every = np.arange(n)
-    return [(held, np.setdiff1d(every, held)) for held in folds if len(held)]
-
 
 @dataclass(frozen=True, slots=True)
 class Guard:
@@ -116,21 +45,21 @@ class Guard:
 
     Attributes:
         seen: the calibration's thumbnails.
-        limits: of distance and of its ratio, see `Neighbours.strangeness`.
-        reference: mean thumbnail of the untouched sensor ``[k]``; None where none was recorded.
+        limits: of the two numbers of `Seen.strangeness`.
+        reference: mean thumbnail of the untouched sensor ``[h w c]``; None where none was recorded.
         reference_spread: how far its own no-contact thumbnails lie from their mean [grey levels, rms].
         drift_limit: the drift statistic above which the calibration is stale.
     """
 
-    seen: Neighbours
+    seen: Seen
     limits: Float[np.ndarray, " 2"]
-    reference: Float32[np.ndarray, " k"] | None
+    reference: Thumbnail | None
     reference_spread: float
     drift_limit: float
 
     def atypicality(self, prepared: Prepared) -> float:
         """How far the image is from all that was calibrated on; beyond 1 it should not be trusted."""
-        return float(np.max(self.seen.strangeness(thumbnail(prepared)[None, :])[0] / self.limits))
+        return float(np.max(self.seen.strangeness(thumbnail(prepared)) / self.limits))
 
     def drift(self, untouched: Prepared) -> Drift | None:
         """How far the untouched sensor has moved since calibration; None where that had no view of it."""
@@ -144,9 +73,10 @@ class Guard:
         absent = np.empty(0, np.float32)
         np.savez_compressed(
             path,
-            thumbs=np.round(self.seen.thumbs).astype(np.uint8),
-            stray=self.seen.stray,
-            own=self.seen.own,
+            thumbs=self.seen.thumbs,
+            left=self.seen.left,
+            centre=self.seen.centre,
+            axes=self.seen.axes,
             limits=self.limits,
             reference=absent if self.reference is None else self.reference,
             drift=np.array([self.reference_spread, self.drift_limit]),
@@ -157,66 +87,104 @@ class Guard:
         """Read a guard that `save` wrote.
 
         Raises:
-            CertificateError: the file is not one.
+            CertificateError: the file is not one, or of the kind before decision 0010.
         """
         try:
             # Opened here, since numpy leaves a file that is no archive to the garbage collector.
             with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
                 parts = {name: held[name] for name in held.files}
-            seen = Neighbours(parts["thumbs"].astype(np.float32), parts["stray"], parts["own"])
+            _check(path, parts)
+            seen = Seen(parts["thumbs"], parts["left"], parts["centre"], parts["axes"])
             reference = parts["reference"] if parts["reference"].size else None
             spread, limit = (float(v) for v in parts["drift"])
-            guard = cls(seen, parts["limits"], reference, spread, limit)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as e:
             raise CertificateError(f"{path} is not a guard that palpate wrote ({e}); calibrate again") from e
-        guard._check(path)
-        return guard
+        _ = seen.squares  # so that the first frame does not wait for them
+        return cls(seen, parts["limits"], reference, spread, limit)
 
-    def _check(self, path: Path) -> None:
-        n, k = self.seen.thumbs.shape if self.seen.thumbs.ndim == 2 else (-1, -1)
-        fits = self.seen.stray.shape == (k,) and self.seen.own.shape == (n,) and self.limits.shape == (2,)
-        if not fits or (self.reference is not None and self.reference.shape != (k,)):
-            raise CertificateError(f"{path}: the guard's arrays do not fit each other; calibrate again")
+
+def _check(path: Path, parts: Mapping[str, np.ndarray]) -> None:
+    if "stray" in parts:
+        raise CertificateError(
+            f"{path} is of a calibration by an earlier palpate, whose guard let two touches at once pass; "
+            "calibrate again"
+        )
+    thumbs, reference = parts["thumbs"], parts["reference"]
+    fits = belong_together(thumbs, parts["left"], parts["centre"], parts["axes"])
+    untouched = reference.size == 0 or reference.shape == thumbs.shape[1:]
+    if not fits or not untouched or parts["limits"].shape != (2,):
+        raise CertificateError(f"{path}: the guard's arrays do not fit each other; calibrate again")
 
 
 def fit_guard(
     thumbs: Thumbnails,
-    folds: Sequence[np.ndarray],
+    folds: Sequence[Indices],
     untouched: Thumbnails,
     *,
-    false_alarms: float = 0.005,
+    also: AlsoSeen | None = None,
+    false_alarms: float = 0.03,
     most: int = 2000,
     seed: int = 0,
 ) -> Guard:
-    """Keep thumbnails, and set the limits from how far frames lie from those of other folds.
+    """Keep thumbnails, and set the limits from how strange frames look to those of other folds.
 
     Args:
         thumbs: of every calibration frame.
         folds: held-out rows of each fold, whole groups together.
         untouched: thumbnails of the no-contact frames; may be empty.
-        false_alarms: share of good frames that either distance may put beyond its limit.
-        most: frames kept, at most.
+        also: images known to be good besides. The limits are set by recorded frames alone, and where these
+            are too unlike the others, a guard without the others lets less pass, and is taken.
+        false_alarms: share of good frames that may be turned away.
+        most: recorded frames kept, at most.
         seed: of the draw when there are more.
 
     Raises:
-        InputError: fewer than six frames.
+        InputError: fewer than six frames, or fewer than two folds.
     """
     if len(thumbs) < 6:
         raise InputError(f"{len(thumbs)} frames are too few to learn what frames look like; record 6 or more")
-    fold = np.empty(len(thumbs), np.int64)
+    fold = np.zeros(len(thumbs), np.int64)
     for k, held in enumerate(folds):
         fold[held] = k
+    rng = np.random.default_rng(seed)
     if len(thumbs) > most:
-        drawn = np.sort(np.random.default_rng(seed).choice(len(thumbs), most, replace=False))
+        drawn = np.sort(rng.choice(len(thumbs), most, replace=False))
         thumbs, fold = thumbs[drawn], fold[drawn]
-    parts = [np.flatnonzero(fold == k) for k in np.unique(fold)]
-    thumbs = np.round(thumbs)
-    seen = neighbours(thumbs, parts)
-    held_out = np.empty((len(thumbs), 2))
-    for held, others in _sides(len(thumbs), parts):
-        held_out[held] = Neighbours(thumbs[others], seen.stray, seen.own[others]).strangeness(thumbs[held])
-    limits = np.quantile(held_out, 1 - false_alarms, axis=0, method="higher")
-    return Guard(seen, limits, *_untouched(untouched))
+    _, fold = np.unique(fold, return_inverse=True)
+    if fold.max() == 0:
+        raise InputError(
+            "all frames are of one group; what new ones look like shows in others: record two or more"
+        )
+    kept = np.round(thumbs).astype(np.uint8)
+    known = [(kept, fold)]
+    if also is not None:
+        known.append((np.concatenate([kept, also.thumbs]), _dealt(fold, also)))
+    learnt = [learn(images, _rows_of(dealt), rng) for images, dealt in known]
+    limits = [_limits(one.strangeness[: len(kept)], false_alarms) for one in learnt]
+    lets_pass = [one.usual[: len(kept)] * limit[0] for one, limit in zip(learnt, limits, strict=True)]
+    best = int(np.argmin([np.median(grey) for grey in lets_pass]))
+    return Guard(learnt[best].seen, limits[best], *_untouched(untouched))
+
+
+def _rows_of(fold: Indices) -> list[Indices]:
+    return [np.flatnonzero(fold == k) for k in range(fold.max() + 1)]
+
+
+def _dealt(fold: Indices, also: AlsoSeen) -> Indices:
+    """The recorded frames' folds, then those of the others, whose groups are dealt out to the same folds."""
+    _, group = np.unique(also.groups, return_inverse=True)
+    return np.concatenate([fold, group % (fold.max() + 1)])
+
+
+def _limits(strangeness: Float[np.ndarray, "n 2"], false_alarms: float) -> Float[np.ndarray, " 2"]:
+    """Limits that so many are beyond, of one or the other, each by itself of half as many.
+
+    Never below 1: what leaves no more than its neighbours did is not strange.
+    """
+    each = np.quantile(strangeness, 1 - false_alarms / 2, axis=0)
+    each = np.maximum(each, 1e-3)
+    both = np.quantile(np.max(strangeness / each, axis=1), 1 - false_alarms, method="higher")
+    return np.asarray(np.maximum(each * both, 1.0))
 
 
 def _untouched(untouched: Thumbnails) -> tuple[np.ndarray | None, float, float]:

@@ -49,7 +49,7 @@ def sweep(
 
     Example:
         >>> from palpate.studies.sweep import sweep
-        >>> sweep(lambda side, rng: rng.integers(side), [1, 1, 1])
+        >>> sweep(lambda side, rng: int(rng.integers(side)), [1, 1, 1])
         [0, 0, 0]
     """
     if seed < 0:

@@ -4,6 +4,10 @@ Everything random in an epoch follows from the seed and the epoch's number, and 
 is kept in a checkpoint of plain arrays. Training that was interrupted goes on to the same weights, on the
 same machine with the same number of threads.
 
+Begun by torchrun, several processes train one network, each on its share of every batch: the rows of a step
+and their order are those of one process, and so are the weights but for rounding, and, on the CPU, for batch
+normalisation, which there knows one share only. The first process alone writes and decides when to stop.
+
 Where bfloat16 is fast, forward and backward passes are computed in it; weights, their steps and the loss
 stay float32. Reference for Adam: Kingma & Ba, ICLR (2015), arXiv:1412.6980.
 """
@@ -28,6 +32,7 @@ from palpate.core.axes import Indices, Tensor
 from palpate.core.errors import InputError
 from palpate.estimators.networks.base import Progress, silent
 from palpate.estimators.networks.compact_cnn import fast_bfloat16
+from palpate.estimators.networks.many_processes import Crew
 
 Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 PRECISIONS = ("auto", "float32")
@@ -60,8 +65,8 @@ class Descent:
 
     Attributes:
         epochs: passes over the rows, at most.
-        batch: rows a step, 2 or more; a last batch of one row is left out, for batch normalisation knows no
-            spread of one.
+        batch: rows a step of all processes together, 2 or more for each; a last batch of one row is left out,
+            for batch normalisation knows no spread of one.
         learning_rate: Adam's step.
         patience: epochs without a smaller loss on the watched rows before it stops; the weights of the best
             epoch are kept.
@@ -113,23 +118,26 @@ class Descent:
             network: from inputs to answers; changed in place.
             lesson: what it shall learn.
             seed: of the order in which rows are seen.
-            progress: told how far the work is.
-            checkpoint: where to keep what is needed to go on; a file found there is gone on from.
+            progress: told how far the work is; of several processes, only the first's is.
+            checkpoint: where to keep what is needed to go on, in a folder that all processes see; a file
+                found there is gone on from. The same weights need the same number of processes.
 
         Raises:
-            InputError: fewer than two rows, or the loss stops being a number.
+            InputError: fewer than two rows, a batch of fewer than two rows a process, or the loss stops being
+                a number.
         """
         if len(lesson.learn) < 2:
             raise InputError(f"{len(lesson.learn)} rows to learn from; two or more are needed")
         run = Run(self, network, lesson, seed)
-        if checkpoint is not None and checkpoint.exists():
-            run.load(checkpoint)
+        told = progress if run.crew.first else silent
+        if checkpoint is not None:
+            run.resume(checkpoint)
         while not run.ended:
             run.one_epoch()
-            if checkpoint is not None:
+            if checkpoint is not None and run.crew.first:
                 run.save(checkpoint)
-            progress("learning", run.epoch, self.epochs)
-        progress("learning", self.epochs, self.epochs)
+            told("learning", run.epoch, self.epochs)
+        told("learning", self.epochs, self.epochs)
         return run.kept()
 
 
@@ -138,8 +146,16 @@ class Run:
 
     def __init__(self, plan: Descent, network: nn.Module, lesson: Lesson, seed: int) -> None:
         self.plan, self.lesson, self.seed, self.epoch = plan, lesson, seed, 0
-        self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        self.network = network.to(self.device, memory_format=torch.channels_last)
+        self.crew = Crew.of_environment()
+        if plan.batch < 2 * self.crew.size:
+            raise InputError(
+                f"a batch of {plan.batch} rows for {self.crew.size} processes; 2 rows or more for each, so "
+                f"take a batch of {2 * self.crew.size} or more, or fewer processes"
+            )
+        self.crew.join()
+        self.device = self.crew.device()
+        self.given = network.to(self.device, memory_format=torch.channels_last)
+        self.network = self.crew.of_one_mind(self.given)
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=plan.learning_rate)
         self.best: dict[str, torch.Tensor] = {}
         self.best_loss, self.since = math.inf, 0
@@ -157,21 +173,25 @@ class Run:
         rng = np.random.default_rng([self.seed, self.epoch])
         order = rng.permutation(self.lesson.learn)
         self.network.train()
+        # Anew each epoch: how gradients are bundled, and so rounded, then follows from the epoch alone.
+        spread = self.crew.spread(self.network, self.device)
         parts = [order[i : i + self.plan.batch] for i in range(0, len(order), self.plan.batch)]
         parts = [part for part in parts if len(part) > 1]
-        losses = [self._step(part, (i + self.epoch * len(parts), len(parts))) for i, part in enumerate(parts)]
+        before = self.epoch * len(parts)
+        losses = [self._step(spread, part, (before + i, len(parts))) for i, part in enumerate(parts)]
         self.epoch += 1
-        self._require_a_number(torch.stack(losses).sum().item())
+        self._require_a_number(self.crew.sum(torch.stack(losses).sum().item()))
         if self.stops_early:
-            self._remember(self.watched_loss())
+            self._remember(self.crew.first_says(self.watched_loss() if self.crew.first else math.nan))
 
-    def _step(self, part: Indices, at: tuple[int, int]) -> torch.Tensor:
-        """One step down, the `at[0]`-th of `at[1]` an epoch."""
+    def _step(self, spread: nn.Module, part: Indices, at: tuple[int, int]) -> torch.Tensor:
+        """One step down, the `at[0]`-th of `at[1]` an epoch, by this process's share of the rows."""
+        mine, weight = self.crew.share(part)
         for group in self.optimiser.param_groups:
             group["lr"] = self.plan.rate(*at)
         with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self._in_bfloat16()):
-            answer = self.network(self._inputs(part))
-        loss = self.lesson.loss(answer.float(), self._wanted(part))
+            answer = spread(self._inputs(mine))
+        loss = weight * self.lesson.loss(answer.float(), self._wanted(mine))
         self.optimiser.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(self.network.parameters(), self.plan.clip)
@@ -216,9 +236,10 @@ class Run:
 
     def kept(self) -> nn.Module:
         """The network at its best, or as it is where none was watched; on the CPU, in plain layout."""
-        if self.best:
-            self.network.load_state_dict(self.best)
-        return self.network.to("cpu", memory_format=torch.contiguous_format).eval()
+        self.given.load_state_dict(self.best or self.network.state_dict())
+        kept = self.given.to("cpu", memory_format=torch.contiguous_format).eval()
+        self.crew.align(kept)
+        return kept
 
     def save(self, path: Path) -> None:
         """Keep all of it as plain arrays, in one step."""
@@ -235,6 +256,16 @@ class Run:
                 Path(file.name).unlink()
                 raise
         Path(file.name).replace(path)
+
+    def resume(self, path: Path) -> None:
+        """Go on from a checkpoint where there is one: all processes from the same."""
+        if self.crew.first and path.exists():
+            self.load(path)
+        self.crew.wait()
+        if not self.crew.first and path.exists():  # the first has set aside what is damaged
+            self._take(_read(path))
+        if self.epoch != self.crew.first_says(self.epoch):
+            raise InputError(f"process {self.crew.rank} does not see the first's {path}; share its folder")
 
     def load(self, path: Path) -> None:
         """Go on from what `save` kept; a file that is damaged or of another training is set aside."""

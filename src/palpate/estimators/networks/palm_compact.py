@@ -10,6 +10,7 @@ palm they are a model of it, and how much they help there is not known.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -28,6 +29,7 @@ from palpate.estimators.networks.descent import Descent, Lesson
 from palpate.estimators.networks.palm_network import FittedPalm, PalmNetwork, dense
 from palpate.estimators.networks.palm_views import Scales, columns_of, half_width
 from palpate.estimators.networks.torch_graph import TorchGraph
+from palpate.estimators.seen import AlsoSeen, thumbnails
 from palpate.sensors import palm
 from palpate.sensors.palm.presses import TARGETS, Presses, draw_presses
 
@@ -96,16 +98,25 @@ def _grid(side: int) -> torch.Tensor:
 
 
 @dataclass(frozen=True)
+class FittedCompact(FittedPalm):
+    """A trained network, and the rendered presses that it has learnt from, for the guard to know."""
+
+    also_seen: AlsoSeen | None
+
+
+@dataclass(frozen=True)
 class PalmCompact:
     """How the network is built and trained.
 
     Attributes:
-        rendered: frames of rendered presses that are learnt from besides the recorded ones; 0 for none.
+        rendered: frames of rendered presses that are learnt from besides the recorded ones; 0 for none, and
+            then any targets may be asked for.
         palm: the preset that they are rendered of.
         epochs: passes over all of them.
         batch: rows a step.
         learning_rate: Adam's at its greatest; it falls along a cosine.
         precision: see `Descent`.
+        processes: how many render, on this machine; what they render does not depend on it. 1 under torchrun.
     """
 
     rendered: int = 16_000
@@ -114,12 +125,16 @@ class PalmCompact:
     batch: int = 64
     learning_rate: float = 2e-3
     precision: str = "auto"
+    processes: int = 1
 
     targets: ClassVar[tuple[str, ...]] = TARGETS
 
     def __post_init__(self) -> None:
-        if self.rendered < 0:
-            raise InputError(f"rendered is {self.rendered}; it is a number of frames, 0 for none")
+        if self.rendered < 0 or self.processes < 1:
+            raise InputError(
+                f"rendered is {self.rendered} and processes {self.processes}; give a number of frames, 0 for "
+                "none, and one of processes, 1 or more"
+            )
         palm.preset(self.palm)
         self.descent()
 
@@ -135,8 +150,8 @@ class PalmCompact:
         seed: int,
         progress: Progress = silent,
         checkpoint: Path | None = None,
-    ) -> FittedPalm:
-        columns = columns_of(self.targets, data.names, type(self).__name__)
+    ) -> FittedCompact:
+        columns = self._columns(data.names)
         side = self._side(data.shape)
         rng = np.random.default_rng(seed)
         drawn = self._drawn(side, rng, progress)
@@ -153,7 +168,14 @@ class PalmCompact:
             network = CompactPalmNetwork(data.shape[0], side, scales)
         lesson = Lesson(union.fetch, wanted, _loss, learn, rows[:0])
         trained = self.descent().train(network, lesson, seed=seed, progress=progress, checkpoint=checkpoint)
-        return FittedPalm(trained, data.shape)
+        also = None if drawn is None else _seen(drawn, data.shape[0])
+        return FittedCompact(trained, data.shape, also)
+
+    def _columns(self, asked: Sequence[str]) -> Indices:
+        """Rendered presses have labels of four kinds; without them anything may be asked."""
+        if self.rendered == 0:
+            return np.arange(len(asked))
+        return columns_of(self.targets, asked, type(self).__name__)
 
     def _side(self, shape: tuple[int, int, int]) -> int:
         side = half_width(shape)
@@ -173,7 +195,18 @@ class PalmCompact:
         def told(done: int, total: int) -> None:
             progress("rendering presses", done, total)
 
-        return draw_presses(spec, count, DEPTHS_EACH, rng, told)
+        return draw_presses(spec, count, DEPTHS_EACH, rng, told, processes=self.processes)
+
+
+def _seen(drawn: Presses, channels: int) -> AlsoSeen:
+    """Thumbnails of all that was drawn, the skin with the probe over it as well."""
+    images = (_in_channels(image, channels) for part in (drawn.images, drawn.hanging) for image in part)
+    groups = np.concatenate([drawn.press, np.arange(len(drawn.hanging))])
+    return AlsoSeen(np.round(thumbnails(images)).astype(np.uint8), groups)
+
+
+def _in_channels(image: np.ndarray, channels: int) -> np.ndarray:
+    return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None] if channels == 1 else image
 
 
 def _loss(answer: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
@@ -203,6 +236,4 @@ class _Union:
         return np.stack([self._as_input(image) - self._as_input(hanging) for image, hanging in pairs])
 
     def _as_input(self, image: np.ndarray) -> np.ndarray:
-        if self._data.shape[0] == 1:
-            return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[None].astype(np.float32)
-        return image.transpose(2, 0, 1).astype(np.float32)
+        return _in_channels(image, self._data.shape[0]).transpose(2, 0, 1).astype(np.float32)

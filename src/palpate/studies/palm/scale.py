@@ -79,7 +79,7 @@ SCALES: Mapping[str, Scale] = MappingProxyType(
     {
         scale.name: scale
         for scale in (
-            Scale("small", 96, 96, 2, 0.4, 4.8, 1, 24, 0.4, 1.2),
+            Scale("small", 96, 96, 2, 0.4, 4.8, 1, 24, 0.4, 1.2, options={"palm-compact": {"processes": 2}}),
             Scale(
                 "full",
                 128,
@@ -91,7 +91,7 @@ SCALES: Mapping[str, Scale] = MappingProxyType(
                 60,
                 0.2,
                 0.5,
-                options={"palm-compact": {"rendered": 60_000, "epochs": 30}},
+                options={"palm-compact": {"rendered": 60_000, "epochs": 30, "processes": 8}},
                 loads=400,
             ),
         )
