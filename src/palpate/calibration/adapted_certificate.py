@@ -2,31 +2,33 @@
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import onnx
-import onnxruntime
 
-from palpate.calibration.certificate import AGREEMENT, PREDICTIONS_FILE, predictions_table, worst_rows
+from palpate.calibration.certificate import PREDICTIONS_FILE, predictions_table
+from palpate.calibration.certificate_parts import (
+    agreement,
+    file_card,
+    pictures,
+    reference_card,
+    run_card,
+    software,
+    target_cards,
+)
 from palpate.calibration.correction import AS_IT_WAS, Adapted
-from palpate.calibration.evaluate import score
 from palpate.calibration.made import Calibrated
 from palpate.calibration.uncertainty import GROUPS_FOR_SPREAD, conformal_quantile, fit_intervals
 from palpate.core.axes import Values
-from palpate.core.errors import CertificateError
-from palpate.core.files import new_folder, sha256_of
-from palpate.estimators.card import Card, FileCard, ReferenceCard, RunCard, SplitCard, sealed
+from palpate.core.files import new_folder
+from palpate.estimators.card import Card, SplitCard, sealed
 from palpate.estimators.certified import CARD_FILE
 from palpate.estimators.intervals import Intervals
 from palpate.recordings import png
-from palpate.version import __version__
 
 MOST_COVERAGE = 1 - 1e-9
 
@@ -46,14 +48,14 @@ def write_adapted(made: Calibrated, adapted: Adapted, former: Card, out: Path) -
     """
     with new_folder(out) as folder:
         onnx.save(made.fitted.to_onnx(), str(folder / "model.onnx"))
-        agreement = _agreement(made, folder / "model.onnx")
+        agrees = agreement(made, folder / "model.onnx")
         made.guard.save(folder / "guard.npz")
         intervals = intervals_of_presses(made.held_out, made.data.values, made.data.groups, former.coverage)
         halves = intervals.half_widths(made.held_out)
         predictions_table(made, halves).to_parquet(folder / PREDICTIONS_FILE, index=False)
-        for name, image in _pictures(made):
+        for name, image in pictures(made):
             (folder / name).write_bytes(png.encode(image).tobytes())
-        card = _card(made, adapted, former, folder, intervals, halves, agreement)
+        card = _card(made, adapted, former, folder, intervals, halves, agrees)
         (folder / CARD_FILE).write_text(card.model_dump_json(indent=1))
     return card
 
@@ -78,37 +80,6 @@ def intervals_of_presses(predicted: Values, true: Values, groups: np.ndarray, co
     return replace(found, quantile=np.array([conformal_quantile(column, raised) for column in scores.T]))
 
 
-def _agreement(made: Calibrated, model: Path) -> float:
-    """Largest difference of the exported model from network and correction, as a share of each range."""
-    rows = np.linspace(0, len(made.packed) - 1, min(64, len(made.packed))).astype(np.int64)
-    inputs = made.data.fetch(rows)
-    session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
-    (exported,) = session.run(["value"], {"image": inputs})
-    difference = np.abs(exported - made.fitted.predict(inputs)) / np.ptp(made.data.values, axis=0)
-    worst = float(difference.max())
-    if not worst <= AGREEMENT:
-        raise CertificateError(
-            f"the model with its correction differs from the two apart by {worst:.1e} of the range, more "
-            f"than {AGREEMENT:.0e}; nothing was written"
-        )
-    return worst
-
-
-def _pictures(made: Calibrated) -> Iterator[tuple[str, np.ndarray]]:
-    """File names and pictures that the report shows."""
-    shown = {f"worst-{row}.png": int(row) for row in worst_rows(made)} | {
-        "example.png": len(made.packed) // 2
-    }
-    for name, row in shown.items():
-        yield name, _picture(made.packed.read([row])[0])
-    if len(made.untouched.rows):
-        yield "reference.png", _picture(made.untouched.images[0].transpose(1, 2, 0).round().astype(np.uint8))
-
-
-def _picture(prepared: np.ndarray) -> np.ndarray:
-    return prepared if prepared.shape[2] == 3 else prepared[..., 0]
-
-
 def _card(
     made: Calibrated,
     adapted: Adapted,
@@ -118,66 +89,25 @@ def _card(
     halves: Values,
     agreement: float,
 ) -> Card:
-    manifest, rule = made.run.manifest, made.untouched.rule
     others = sorted(p for p in folder.iterdir() if p.name not in ("model.onnx", "guard.npz"))
     return sealed(
         former.model_dump(exclude={"id"})
         | {
             "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-            "software": _software(),
-            "sensor": manifest.sensor,
-            "targets": tuple(_targets(made, former, intervals, halves)),
-            "model": _file(folder / "model.onnx"),
-            "guard": _file(folder / "guard.npz"),
-            "files": tuple(_file(path) for path in others),
-            "reference": ReferenceCard(
-                column=rule.column if rule else None,
-                value=rule.value if rule else None,
-                by=rule.by if rule else (),
-                frames=len(made.untouched.rows),
-                learnt=made.plan.learn_untouched,
-            ),
+            "software": software(),
+            "sensor": made.run.manifest.sensor,
+            "targets": tuple(target_cards(made, intervals, halves)),
+            "model": file_card(folder / "model.onnx"),
+            "guard": file_card(folder / "guard.npz"),
+            "files": tuple(file_card(path) for path in others),
+            "reference": reference_card(made),
             "split": _split(made, adapted, former),
-            "run": RunCard(
-                run_id=manifest.run_id,
-                hash=made.run.hash,
-                frames=len(made.run),
-                origin=manifest.origin,
-                licence=manifest.licence,
-            ),
+            "run": run_card(made),
             "agreement": agreement,
             "seconds": round(made.seconds, 1),
             "adapted_from": former.id,
         }
     )
-
-
-def _targets(
-    made: Calibrated, former: Card, intervals: Intervals, halves: Values
-) -> Iterator[dict[str, Any]]:
-    true, spread = made.data.values, intervals.spread
-    mean_of_others = np.empty_like(true)
-    for k, rows in enumerate(made.split.folds):
-        mean_of_others[rows] = true[made.split.training_rows(k)].mean(axis=0)
-    for j, target in enumerate(former.targets):
-        yield target.model_dump() | {
-            "least": float(true[:, j].min()),
-            "greatest": float(true[:, j].max()),
-            "training_mean": float(true[:, j].mean()),
-            "centre": float(spread.centre[j]),
-            "scale": float(spread.scale[j]),
-            "typical": float(spread.typical[j]),
-            "coefficients": tuple(float(c) for c in spread.coefficients[j]),
-            "quantile": float(intervals.quantile[j]),
-            "score": score(
-                target.unit,
-                true[:, j],
-                made.held_out[:, j],
-                halves[:, j],
-                mean_of_others[:, j],
-                made.data.groups,
-            ),
-        }
 
 
 def _split(made: Calibrated, adapted: Adapted, former: Card) -> SplitCard:
@@ -214,12 +144,3 @@ def _said(made: Calibrated, adapted: Adapted, former: Card) -> dict[str, Any]:
         }
         for j, (column, choice) in enumerate(zip(former.columns, adapted.choices, strict=True))
     }
-
-
-def _file(path: Path) -> FileCard:
-    return FileCard(file=path.name, sha256=sha256_of(path))
-
-
-def _software() -> dict[str, str]:
-    names = ("numpy", "onnx", "onnxruntime")
-    return {"palpate": __version__, "python": platform.python_version()} | {n: version(n) for n in names}

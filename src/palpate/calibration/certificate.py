@@ -2,45 +2,38 @@
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Iterator
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import onnx
-import onnxruntime
 import pandas as pd
 
-from palpate.calibration.evaluate import score
+from palpate.calibration.certificate_parts import (
+    agreement,
+    file_card,
+    pictures,
+    reference_card,
+    run_card,
+    software,
+    target_cards,
+)
 from palpate.calibration.made import Calibrated
 from palpate.calibration.uncertainty import fit_intervals
-from palpate.core.axes import Indices, Values
-from palpate.core.errors import CertificateError
-from palpate.core.files import new_folder, sha256_of
-from palpate.core.units import split_column
+from palpate.core.axes import Values
+from palpate.core.files import new_folder
 from palpate.estimators.card import (
     FORMAT,
     Card,
-    FileCard,
     InputCard,
-    ReferenceCard,
-    RunCard,
     SplitCard,
-    TargetCard,
     sealed,
 )
 from palpate.estimators.certified import CARD_FILE
 from palpate.estimators.intervals import Intervals
 from palpate.estimators.networks import settings_of
 from palpate.recordings import png
-from palpate.version import __version__
 
-AGREEMENT = 1e-4
-"""Largest allowed difference between the exported and the trained model, as a share of a target's range."""
-
-WORST = 6
 PREDICTIONS_FILE = "predictions.parquet"
 
 
@@ -53,7 +46,7 @@ def write_certificate(made: Calibrated, out: Path) -> Card:
     """
     with new_folder(out) as folder:
         onnx.save(made.fitted.to_onnx(), str(folder / "model.onnx"))
-        agreement = _agreement(made, folder / "model.onnx")
+        agrees = agreement(made, folder / "model.onnx")
         made.guard.save(folder / "guard.npz")
         scored = made.scored
         intervals = fit_intervals(
@@ -61,9 +54,9 @@ def write_certificate(made: Calibrated, out: Path) -> Card:
         )
         halves = intervals.half_widths(made.held_out[scored])
         predictions_table(made, halves).to_parquet(folder / PREDICTIONS_FILE, index=False)
-        for name, image in _pictures(made):
+        for name, image in pictures(made):
             (folder / name).write_bytes(png.encode(image).tobytes())
-        card = _card(made, folder, intervals, halves, agreement)
+        card = _card(made, folder, intervals, halves, agrees)
         (folder / CARD_FILE).write_text(card.model_dump_json(indent=1))
     return card
 
@@ -81,44 +74,6 @@ def predictions_table(made: Calibrated, halves: Values) -> pd.DataFrame:
     return table
 
 
-def worst_rows(made: Calibrated) -> Indices:
-    """Rows whose error, in units of each target's range, is the largest."""
-    span, scored = np.ptp(made.data.values, axis=0), made.scored
-    error = np.max(np.abs(made.held_out[scored] - made.data.values[scored]) / span, axis=1)
-    return scored[np.argsort(error)[::-1][:WORST]]
-
-
-def _pictures(made: Calibrated) -> Iterator[tuple[str, np.ndarray]]:
-    """File names and pictures, RGB or grey, that the report shows."""
-    chosen = [(f"worst-{row}.png", int(row)) for row in worst_rows(made)]
-    chosen += [("example.png", len(made.packed) // 2)]
-    for name, row in chosen:
-        yield name, _picture(made.packed.read(np.array([row]))[0])
-    if len(made.untouched.rows):
-        mean = made.untouched.images[0].transpose(1, 2, 0)
-        yield "reference.png", _picture(mean.round().astype(np.uint8))
-
-
-def _picture(prepared: np.ndarray) -> np.ndarray:
-    return prepared if prepared.shape[2] == 3 else prepared[..., 0]
-
-
-def _agreement(made: Calibrated, model: Path) -> float:
-    """Largest difference between exported and trained model, as a share of each target's range."""
-    rows = np.linspace(0, len(made.packed) - 1, min(64, len(made.packed))).astype(np.int64)
-    inputs = made.data.fetch(rows)
-    session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
-    (exported,) = session.run(["value"], {"image": inputs})
-    difference = np.abs(exported - made.fitted.predict(inputs)) / np.ptp(made.data.values, axis=0)
-    worst = float(difference.max())
-    if not worst <= AGREEMENT:
-        raise CertificateError(
-            f"the exported model differs from the trained one by {worst:.1e} of the range, more than "
-            f"{AGREEMENT:.0e}; nothing was written"
-        )
-    return worst
-
-
 def _card(made: Calibrated, folder: Path, intervals: Intervals, halves: Values, agreement: float) -> Card:
     plan, run = made.plan, made.run
     preparation = made.packed.preparation
@@ -127,7 +82,7 @@ def _card(made: Calibrated, folder: Path, intervals: Intervals, halves: Values, 
         {
             "format": FORMAT,
             "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-            "software": _software(),
+            "software": software(),
             "seed": plan.seed,
             "sensor": run.manifest.sensor,
             "model_name": plan.model,
@@ -141,64 +96,16 @@ def _card(made: Calibrated, folder: Path, intervals: Intervals, halves: Values, 
                 beside_px=preparation.beside_px,
                 delta=plan.delta,
             ),
-            "targets": tuple(_targets(made, intervals, halves)),
-            "model": _file(folder / "model.onnx"),
-            "guard": _file(folder / "guard.npz"),
-            "files": tuple(_file(path) for path in others),
-            "reference": _reference(made),
+            "targets": tuple(target_cards(made, intervals, halves)),
+            "model": file_card(folder / "model.onnx"),
+            "guard": file_card(folder / "guard.npz"),
+            "files": tuple(file_card(path) for path in others),
+            "reference": reference_card(made),
             "split": _split(made),
-            "run": RunCard(
-                run_id=run.manifest.run_id,
-                hash=run.hash,
-                frames=len(run),
-                origin=run.manifest.origin,
-                licence=run.manifest.licence,
-            ),
+            "run": run_card(made),
             "agreement": agreement,
             "seconds": round(made.seconds, 1),
         }
-    )
-
-
-def _targets(made: Calibrated, intervals: Intervals, halves: Values) -> Iterator[TargetCard]:
-    mean_of_others = np.empty_like(made.data.values)
-    for k, rows in enumerate(made.split.folds):
-        mean_of_others[rows] = made.data.values[made.split.training_rows(k)].mean(axis=0)
-    scored = made.scored
-    for j, column in enumerate(made.plan.targets):
-        quantity, unit = split_column(column)
-        true = made.data.values[:, j]
-        yield TargetCard(
-            column=column,
-            quantity=quantity,
-            unit=unit.symbol,
-            least=float(true.min()),
-            greatest=float(true.max()),
-            training_mean=float(true.mean()),
-            centre=float(intervals.spread.centre[j]),
-            scale=float(intervals.spread.scale[j]),
-            typical=float(intervals.spread.typical[j]),
-            coefficients=tuple(float(c) for c in intervals.spread.coefficients[j]),
-            quantile=float(intervals.quantile[j]),
-            score=score(
-                unit.symbol,
-                true[scored],
-                made.held_out[scored, j],
-                halves[:, j],
-                mean_of_others[scored, j],
-                made.data.groups[scored],
-            ),
-        )
-
-
-def _reference(made: Calibrated) -> ReferenceCard:
-    rule = made.untouched.rule
-    return ReferenceCard(
-        column=rule.column if rule else None,
-        value=rule.value if rule else None,
-        by=rule.by if rule else (),
-        frames=len(made.untouched.rows),
-        learnt=made.plan.learn_untouched,
     )
 
 
@@ -215,12 +122,3 @@ def _split(made: Calibrated) -> SplitCard:
         audit=made.audit.text,
         details=made.audit.to_dict(),
     )
-
-
-def _file(path: Path) -> FileCard:
-    return FileCard(file=path.name, sha256=sha256_of(path))
-
-
-def _software() -> dict[str, str]:
-    names = ("numpy", "scikit-learn", "onnx", "onnxruntime", "opencv-python-headless")
-    return {"palpate": __version__, "python": platform.python_version()} | {n: version(n) for n in names}

@@ -30,6 +30,7 @@ SAID = {
     "y_mm": "y",
     "place_mm": "place (distance)",
 }
+INITIALS = dict(zip(MODELS, ("joint", "cond.", "MLP", "2-st.", "ours"), strict=True))
 HEADLINE = (FORCE, PLACE, DEPTH)
 Panels = dict[str, dict[str, tuple[list[float], list[float]]]]
 LIGHT, DARK = "#35c46a", "#3d7bff"
@@ -63,6 +64,8 @@ def page(shop: Workshop, found: Mapping[str, Any]) -> str:
         said=SAID,
         targets={m: targets_of(m) for m in MODELS},
         headline=HEADLINE,
+        by_target={t: [m for m in MODELS if t in targets_of(m)] for t in HEADLINE},
+        short=INITIALS,
         printed=MAE,
         printed_r2=R2,
         training=TABLE_2,
