@@ -11,6 +11,7 @@ from jaxtyping import UInt8
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import FuncFormatter, LogLocator
 from numpy import ndarray
 
 from palpate.reports.figures import ACCENT, BAD, BAND, INK, STYLE, drawn
@@ -94,7 +95,7 @@ def curves(
     log: bool = True,
     log_across: bool = False,
 ) -> str:
-    """Panels of curves (x, y) by name; the first models' colours are those of the comparison."""
+    """Panels of curves (x, y) by name, those of a share [%] linear; colours are those of the comparison."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(3.4 * len(panels) + 0.6, 3.1), layout="constrained")
         drawn_axes = figure.subplots(1, len(panels), squeeze=False)[0]
@@ -103,8 +104,11 @@ def curves(
             for name, (x, y) in lines.items():
                 colour = COLOURS[names.index(name) % len(COLOURS)]
                 axes.plot(x, y, "o-", color=colour, ms=3.5, lw=1.2, label=name)
-            if log:
+            if log and not label.endswith("[%]"):
                 axes.set_yscale("log")
+                for side in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
+                    side(FuncFormatter(lambda value, _: f"{value:g}"))
+                axes.yaxis.set_minor_locator(LogLocator(subs=(2, 5)))
             if log_across:
                 axes.set_xscale("log")
             axes.set(xlabel=across, ylabel=label)

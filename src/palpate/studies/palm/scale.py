@@ -75,28 +75,35 @@ class Scale:
         )
 
 
-SCALES: Mapping[str, Scale] = MappingProxyType(
-    {
-        scale.name: scale
-        for scale in (
-            Scale("small", 96, 96, 2, 0.4, 4.8, 1, 24, 0.4, 1.2, options={"palm-compact": {"processes": 2}}),
-            Scale(
-                "full",
-                128,
-                128,
-                5,
-                0.1,
-                5.0,
-                5,
-                60,
-                0.2,
-                0.5,
-                options={"palm-compact": {"rendered": 60_000, "epochs": 30, "processes": 8}},
-                loads=400,
-            ),
-        )
-    }
+SMALL = Scale(
+    name="small",
+    side_px=96,
+    frame_px=96,
+    cycles=2,
+    step_mm=0.4,
+    depth_mm=4.8,
+    frames=1,
+    places=24,
+    new_step_mm=0.4,
+    coarse_step_mm=1.2,
+    options={"palm-compact": {"processes": 2}},
+    loads=240,
 )
+FULL = Scale(
+    name="full",
+    side_px=128,
+    frame_px=128,
+    cycles=5,
+    step_mm=0.1,
+    depth_mm=5.0,
+    frames=5,
+    places=60,
+    new_step_mm=0.2,
+    coarse_step_mm=0.5,
+    options={"palm-compact": {"rendered": 60_000, "epochs": 30, "processes": 8}},
+    loads=1000,
+)
+SCALES: Mapping[str, Scale] = MappingProxyType({scale.name: scale for scale in (SMALL, FULL)})
 """`small` is for two cores and an hour; `full` for a GPU. The source records 25 frames at each depth; they
 differ by the camera's noise alone, and `full` takes five."""
 
