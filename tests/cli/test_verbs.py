@@ -18,6 +18,7 @@ VERBS = (
     ["export"],
     ["calibrate"],
     ["adapt"],
+    ["quantise"],
     ["reproduce", "palm"],
     ["evaluate"],
     ["sense"],

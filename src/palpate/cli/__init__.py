@@ -9,6 +9,7 @@ import typer
 from palpate.cli import calibration, import_palm, mechanics, optics, recordings, render, reproduce, rig
 from palpate.cli.adapt import adapt
 from palpate.cli.demo import demo
+from palpate.cli.quantise import quantise
 from palpate.cli.studio import studio
 from palpate.version import __version__
 
@@ -39,6 +40,7 @@ for verb in (
     recordings.export,
     calibration.calibrate,
     adapt,
+    quantise,
     calibration.evaluate,
     calibration.sense,
     calibration.report,
