@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 from palpate.recordings.reader import Run
 from palpate.rig.plans import Dwell, Listed, Stepped
@@ -15,6 +16,7 @@ from palpate.studies.palm.headline import CAMPAIGN
 from palpate.studies.palm.scale import MODELS, Scale
 from palpate.studies.palm.workshop import Workshop, noisier, ways
 
+RING_MM = 23.0
 NOISES = (0.5, 1.0, 2.0, 4.0)
 PRESSES = (100.0, 1000.0, 3000.0, 10_000.0, 30_000.0)
 
@@ -43,19 +45,20 @@ class Condition:
         said: in words.
         change: of the palm and of what varies.
         campaign: added to the seed.
-        grid: at the grid's own places, instead of the ones off it.
+        where: "off" the grid, at the grid's "own" places, or "beyond" them.
     """
 
     name: str
     said: str
     change: Change = field(default_factory=only)
     campaign: int = CAMPAIGN
-    grid: bool = False
+    where: Literal["off", "own", "beyond"] = "off"
 
 
 CONDITIONS: tuple[Condition, ...] = (
     Condition("unchanged", "as calibrated"),
-    Condition("again", "the grid's own places, in cycles not seen", campaign=2000, grid=True),
+    Condition("again", "the grid's own places, in cycles not seen", campaign=2000, where="own"),
+    Condition("beyond", "places beyond the grid, 23 mm from the middle", where="beyond"),
     Condition("stiffer", "a membrane 10 % stiffer", _scaled("youngs_modulus_pa", 1.1)),
     Condition("softer", "a membrane 10 % softer", _scaled("youngs_modulus_pa", 0.9)),
     Condition("brighter", "the lamp 5 % brighter", only(lamp_gain=1.05)),
@@ -106,10 +109,17 @@ def _models(shop: Workshop, one: Condition) -> dict[str, Any]:
 
 
 def _plan(scale: Scale, seed: int, one: Condition) -> Stepped:
-    if one.grid:
-        changed = {"cycles": 1, "frames": 1, "step_mm": scale.coarse_step_mm}
-        return scale.protocol().model_copy(update=changed)
-    return scale.new_places(seed, coarse=True)
+    plan = scale.new_places(seed, coarse=True)
+    if one.where == "own":
+        return plan.model_copy(update={"places": scale.protocol().places})
+    if one.where == "beyond":
+        return plan.model_copy(update={"places": Listed(kind="listed", at_mm=_ring(scale.places // 2))})
+    return plan
+
+
+def _ring(count: int) -> tuple[tuple[float, float], ...]:
+    angles = [math.tau * (i + 0.5) / count for i in range(count)]
+    return tuple((round(RING_MM * math.cos(a), 3), round(RING_MM * math.sin(a), 3)) for a in angles)
 
 
 def sustained(shop: Workshop, seconds: float = 60.0) -> dict[str, Any]:

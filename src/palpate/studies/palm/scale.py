@@ -13,6 +13,10 @@ from palpate.rig.plans import Scattered, Stepped
 MODELS = ("palm-joint-raw", "palm-force-conditioned", "palm-mlp-delta", "palm-two-stage", "palm-compact")
 """The source's four, in its order, and ours."""
 
+WITHIN_MM, PROBE_MM = 20.5, 10.0
+"""How far from the middle the places off the grid lie. The grid ends at 21 mm: farther out a reading
+is beyond the calibrated range, and marked so."""
+
 SMALL_NETWORK: Mapping[str, Any] = MappingProxyType({"rendered": 0, "epochs": 60, "batch": 32})
 """palm-compact on recorded presses alone: where one architecture is trained many times over."""
 
@@ -64,7 +68,13 @@ class Scale:
         """Places off the grid, in one cycle."""
         return Stepped(
             name="palm-new-places",
-            places=Scattered(kind="scattered", count=self.places, apart_mm=2.0, seed=seed),
+            places=Scattered(
+                kind="scattered",
+                count=self.places,
+                apart_mm=2.0,
+                seed=seed,
+                layer_mm=2 * WITHIN_MM + PROBE_MM,
+            ),
             cycles=1,
             step_mm=self.coarse_step_mm if coarse else self.new_step_mm,
             # Taps set the clocks by what the camera sees of them: without a membrane it sees nothing.
