@@ -1,12 +1,15 @@
 import json
 import math
+from dataclasses import replace
 
 import pytest
 
 from palpate.core.errors import ExistsError, InputError
 from palpate.estimators.networks import model_kind
 from palpate.studies.palm import Scale, reproduce_palm, scale_of
+from palpate.studies.palm.loads import record_loads
 from palpate.studies.palm.published import MAE, NAMES, R2, TABLE_2
+from palpate.studies.palm.report import write_up
 from palpate.studies.palm.reproduce import workshop
 from palpate.studies.palm.scale import MODELS
 from palpate.studies.palm.summary import summary_of
@@ -104,6 +107,24 @@ def test_an_unknown_part_is_refused(tmp_path):
 
 def test_a_study_of_nothing_has_no_numbers():
     assert summary_of({}) == []
+
+
+def test_drawing_that_was_stopped_is_not_taken_for_whole(tmp_path):
+    shop = replace(workshop(tmp_path / "out", TINY, 0), processes=1)
+    half = shop.folder / "runs" / ".loads-inclined.part"
+    half.mkdir(parents=True)
+    (half / "manifest.json").write_text("{}")
+    run = record_loads(shop, "inclined")
+    assert len(run) == 2 * TINY.loads  # of each contact the untouched skin too
+    assert not half.exists()
+
+
+def test_writing_up_that_was_stopped_begins_anew(tmp_path):
+    shop = workshop(tmp_path / "out", TINY, 0)
+    (shop.folder / "summary.json").write_text("[")
+    write_up(shop, {})
+    assert json.loads((shop.folder / "summary.json").read_text()) == []
+    assert "Virtual." in (shop.folder / "report.html").read_text()
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ def start() -> None:
 @reports_errors
 def palm(
     out: Annotated[Path, typer.Option(help="Folder to make; must not exist.")],
-    scale: Annotated[str, typer.Option(help="small: two cores, an hour. full: for a GPU.")] = "small",
+    scale: Annotated[str, typer.Option(help="small: for two cores. full: for a GPU.")] = "small",
     part: Annotated[
         str, typer.Option(help="all, or headline for the comparison of the models alone.")
     ] = "all",

@@ -54,8 +54,7 @@ def headline(shop: Workshop, model: str) -> dict[str, Any]:
         "grid": scores_of(table, columns),
         "new": scores_of(new, columns),
         "new_valid": float(new["valid"].mean()),
-        "points": {"grid": _points(table, columns), "new": _points(new, columns)},
-        "places": _by_place(new, columns),
+        "points": _points(table, columns),
     }
 
 
@@ -65,16 +64,6 @@ def _points(table: pd.DataFrame, columns: tuple[str, ...]) -> dict[str, list[flo
     names = [name for c in columns for name in (c, f"estimate:{c}", f"half_width:{c}")]
     names += [c for c in ("x_mm", "y_mm") if c not in columns]
     return {name: [round(float(v), 5) for v in table[name].iloc[rows]] for name in names}
-
-
-def _by_place(table: pd.DataFrame, columns: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    """Mean error at each place, for a map."""
-    errors = pd.DataFrame({c: (table[f"estimate:{c}"] - table[c]).abs() for c in columns})
-    means = errors.groupby(table["location"]).mean()
-    rows = means.to_numpy(float).round(5).tolist()
-    return {
-        str(place): dict(zip(columns, row, strict=True)) for place, row in zip(means.index, rows, strict=True)
-    }
 
 
 def one_frame(shop: Workshop) -> dict[str, Any]:

@@ -7,6 +7,7 @@ pictures what the source could not: forces and moments that were put in on purpo
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -69,7 +70,10 @@ def record_loads(shop: Workshop, kind: str) -> Run:
         parts = sweep(
             drawn, blocks, seed=shop.seed + KINDS.index(kind), processes=shop.processes, progress=told
         )
-        _write(shop, path, kind, parts)
+        half = path.with_name(f".{path.name}.part")
+        shutil.rmtree(half, ignore_errors=True)  # what a try that was stopped has left
+        _write(shop, half, kind, parts)
+        half.rename(path)
     return Run.open(path)
 
 

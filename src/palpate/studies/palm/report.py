@@ -12,6 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from palpate.core.files import new_file
 from palpate.recordings.reader import Run
 from palpate.reports import study_figures as draw
+from palpate.studies.palm.copies import DIMMER, STIFFER, WARMER_MIRED
 from palpate.studies.palm.published import DEPTH, FORCE, MAE, NAMES, PEERS, PLACE, R2, TABLE_2
 from palpate.studies.palm.scale import MODELS
 from palpate.studies.palm.summary import summary_of, targets_of
@@ -37,7 +38,9 @@ LIGHT, DARK = "#35c46a", "#3d7bff"
 
 
 def write_up(shop: Workshop, found: Mapping[str, Any]) -> None:
-    """Write `summary.json` and `report.html` into the study's folder."""
+    """Write `summary.json` and `report.html` into the study's folder; one that was stopped begins anew."""
+    for name in (SUMMARY_FILE, REPORT_FILE):
+        (shop.folder / name).unlink(missing_ok=True)
     with new_file(shop.folder / SUMMARY_FILE) as path:
         path.write_text(json.dumps(summary_of(found), indent=1, allow_nan=False) + "\n")
     with new_file(shop.folder / REPORT_FILE) as path:
@@ -72,6 +75,7 @@ def page(shop: Workshop, found: Mapping[str, Any]) -> str:
         peers=PEERS,
         verdicts=verdicts(scores),
         figures=_figures(shop, found, scores),
+        copy={"stiffer": STIFFER - 1, "dimmer": 1 - DIMMER, "warmer_mired": WARMER_MIRED},
     )
 
 
@@ -137,15 +141,13 @@ def _bars(scores: Mapping[str, Any], target: str) -> list[draw.Bar]:
 
 
 def _clouds(scores: Mapping[str, Any], target: str) -> list[draw.Cloud]:
-    points = {
-        m: s["points"]["grid"] for m, s in scores.items() if f"estimate:{target}" in s["points"]["grid"]
-    }
+    points = {m: s["points"] for m, s in scores.items() if f"estimate:{target}" in s["points"]}
     return [draw.Cloud(SHORT[m], p[target], p[f"estimate:{target}"]) for m, p in points.items()]
 
 
 def _places(scores: Mapping[str, Any]) -> str:
     names = ("x_mm", "y_mm", "estimate:x_mm", "estimate:y_mm")
-    points = {m: s["points"]["grid"] for m, s in scores.items() if names[2] in s["points"]["grid"]}
+    points = {m: s["points"] for m, s in scores.items() if names[2] in s["points"]}
     return draw.places([SHORT[m] for m in points], [[p[n] for n in names] for p in points.values()])
 
 

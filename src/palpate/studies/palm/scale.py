@@ -114,7 +114,7 @@ FULL = Scale(
     loads=1000,
 )
 SCALES: Mapping[str, Scale] = MappingProxyType({scale.name: scale for scale in (SMALL, FULL)})
-"""`small` is for two cores and an hour; `full` for a GPU. The source records 25 frames at each depth; they
+"""`small` is for two cores, `full` for a GPU. The source records 25 frames at each depth; they
 differ by the camera's noise alone, and `full` takes five."""
 
 

@@ -23,13 +23,14 @@ from palpate.estimators.certified import Estimator, read_card
 from palpate.estimators.networks import model_kind
 from palpate.estimators.networks.base import Progress, silent
 from palpate.recordings.reader import Run
+from palpate.reports.certificate import write_report
 from palpate.rig import State, record
 from palpate.rig.plans import Stepped
 from palpate.rig.virtual.palm import virtual_palm
 from palpate.rig.virtual.variation import Variation
 from palpate.sensors import palm
 from palpate.sensors.palm import PalmSpec
-from palpate.studies.certify import certify
+from palpate.studies.certify import REPORT_FILE, certify
 from palpate.studies.palm.scale import Scale
 from palpate.studies.palm.scores import scores_of
 
@@ -111,6 +112,8 @@ class Workshop:
         """A calibration's folder."""
         out = self.folder / "calibrations" / way.name
         if out.exists():
+            if not (out / REPORT_FILE).exists():  # stopped between the two
+                write_report(out, out / REPORT_FILE)
             return out
         out.parent.mkdir(parents=True, exist_ok=True)
         run, kind = Run.open(self.folder / "runs" / way.run), model_kind(way.model)
