@@ -32,7 +32,7 @@ def table(folders: list[Path]) -> str:
     head = ["model"]
     for said in ("F_z [N]", "place [mm]", "depth [mm]"):
         head += [f"{said} printed", "held-out places", "off the grid"]
-    lines = [" | ".join(head), "|".join(["---"] * len(head))]
+    lines = [" | ".join(head), " | ".join(["---"] * len(head))]
     for model, name in NAMES.items():
         found = [json.loads((f / "results" / f"headline-{model}.json").read_text())["found"] for f in folders]
         cells = [name]

@@ -7,6 +7,7 @@ Jobs and results are pickled on their way and never stored.
 
 from __future__ import annotations
 
+import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
@@ -101,7 +102,9 @@ def _by_processes(job: Callable[[int, T], R], items: Sequence[T], processes: int
     call = joblib_s.delayed(job)
     # max_nbytes: no array is written to a file for the processes to map.
     parallel = joblib_s.Parallel(n_jobs=processes, backend="loky", return_as="generator", max_nbytes=None)
-    with closing(parallel(call(i, item) for i, item in enumerate(items))) as results:
+    with warnings.catch_warnings(), closing(parallel(call(i, it) for i, it in enumerate(items))) as results:
+        # A worker that was idle for minutes stops as new jobs come; joblib starts another and says so.
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs were given")
         yield from results
 
 
