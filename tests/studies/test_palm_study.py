@@ -131,7 +131,7 @@ def test_writing_up_that_was_stopped_begins_anew(tmp_path):
 def test_a_tiny_study_runs_from_end_to_end(tmp_path):
     """Every part, at a size at which no model learns anything: that it runs, goes on, and is written up."""
     out = tmp_path / "study"
-    tiny = replace(TINY, loads=12)  # ten frames are the fewest that anything is learnt from
+    tiny = replace(TINY, loads=40)  # of every shape enough to hold out a fifth
     entries = reproduce_palm(out, tiny, seed=0)
     assert json.loads((out / "summary.json").read_text()) == entries
     names = [one["name"] for one in entries]
