@@ -1,0 +1,12 @@
+"""Optical flow of touch images: Horn and Schunck's, plain and fast, for small motion and large; others to compare."""
+
+from palpate.estimators.flow.coarse_to_fine import CoarseToFine, coarse_to_fine
+from palpate.estimators.flow.fast import FlowField, divergence, flow
+from palpate.estimators.flow.horn_schunck import HornSchunck, horn_schunck
+from palpate.estimators.flow.opencv import dis, farneback
+from palpate.estimators.flow.sequence import along
+
+__all__ = [
+    "CoarseToFine", "FlowField", "HornSchunck", "along", "coarse_to_fine", "dis", "divergence", "farneback",
+    "flow", "horn_schunck",
+]  # fmt: skip

@@ -1,0 +1,189 @@
+"""Optical flow: what any flow must obey, and the fast path against the plain equations."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate.core.errors import ImageError, InputError, RangeError
+from palpate.estimators.flow import (
+    CoarseToFine,
+    HornSchunck,
+    along,
+    coarse_to_fine,
+    dis,
+    divergence,
+    farneback,
+    flow,
+    horn_schunck,
+)
+from palpate.estimators.flow.brightness import brightness, derivatives
+from palpate.estimators.flow.horn_schunck import divergence as plain_divergence
+
+
+def waves(shape=(90, 120), shift=(0.0, 0.0), stretch=0.0) -> np.ndarray:
+    """A smooth pattern, moved by the shift (x, y) px and stretched about the image's middle."""
+    y, x = np.indices(shape).astype(float)
+    cy, cx = (np.array(shape) - 1) / 2
+    x = cx + (x - cx - shift[0]) / (1 + stretch)
+    y = cy + (y - cy - shift[1]) / (1 + stretch)
+    return 0.5 + 0.2 * np.sin(0.31 * x + 0.11 * y) + 0.2 * np.sin(0.27 * y - 0.13 * x + 1)
+
+
+def pins(stretch=0.0, rng=None) -> np.ndarray:
+    """127 bright pins on dark, 300 x 300 px, their lattice stretched about its middle; grey noise if wanted."""
+    y, x = np.indices((300, 300))
+    image = np.full((300, 300), 18.0)
+    for i in range(-6, 7):
+        for j in range(-6, 7):
+            if abs(i + j) <= 6:
+                px, py = 149.5 + np.array([21 * (i + j / 2), 18.2 * j]) * (1 + stretch)
+                image = np.maximum(image, 200 * np.clip((7.5 - np.hypot(x - px, y - py)) / 1.5 + 0.5, 0, 1))
+    if rng is not None:
+        image += rng.normal(0, 2, image.shape)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("between", [horn_schunck, flow, coarse_to_fine, dis, farneback])
+def test_no_motion_is_no_flow(between) -> None:
+    image = pins()
+    assert abs(between(image, image)).max() < 1e-3
+
+
+def test_the_derivatives_of_a_moving_ramp_are_its_slopes() -> None:
+    y, x = np.indices((12, 15)).astype(float)
+    first, second = 0.02 * x + 0.01 * y, 0.02 * x + 0.01 * y + 0.005
+    e_x, e_y, e_t = derivatives(first, second)
+    assert_allclose(e_x[:, :-1], 0.02, rtol=1e-9)
+    assert_allclose(e_y[:-1], 0.01, rtol=1e-9)
+    assert_allclose(e_t, 0.005, rtol=1e-9)
+
+
+def test_flow_solves_the_equations_of_its_minimum() -> None:
+    """At rest of the iteration: alpha^2 (mean - flow) = E (E . flow + E_t), Horn and Schunck's two equations."""
+    first, second = waves(), waves(shift=(0.3, -0.2))
+    settings = HornSchunck(alpha=0.05, iterations=4000)
+    u, v = horn_schunck(first, second, settings)
+    e_x, e_y, e_t = derivatives(first, second)
+    means = [
+        sum(
+            w * np.pad(f, 1, mode="edge")[1 + i : 91 + i, 1 + j : 121 + j]
+            for (i, j), w in {
+                (0, 1): 1 / 6, (0, -1): 1 / 6, (1, 0): 1 / 6, (-1, 0): 1 / 6,
+                (1, 1): 1 / 12, (1, -1): 1 / 12, (-1, 1): 1 / 12, (-1, -1): 1 / 12,
+            }.items()
+        )
+        for f in (u, v)
+    ]  # fmt: skip
+    off = e_x * u + e_y * v + e_t
+    assert_allclose(settings.alpha**2 * (means[0] - u), e_x * off, atol=1e-9)
+    assert_allclose(settings.alpha**2 * (means[1] - v), e_y * off, atol=1e-9)
+
+
+def test_a_small_shift_is_recovered_inside_the_image() -> None:
+    found = horn_schunck(waves(), waves(shift=(0.4, -0.25)), HornSchunck(alpha=0.01, iterations=500))
+    inside = found[:, 15:-15, 15:-15]
+    assert_allclose(inside[0].mean(), 0.4, atol=0.01)
+    assert_allclose(inside[1].mean(), -0.25, atol=0.01)
+
+
+def test_the_divergence_of_a_stretch_is_twice_the_stretch() -> None:
+    found = horn_schunck(waves(), waves(stretch=0.01), HornSchunck(alpha=0.01, iterations=500))
+    assert_allclose(plain_divergence(found)[20:-20, 20:-20].mean(), 0.02, rtol=0.05)
+
+
+def test_divergence_of_a_linear_flow_is_exact_up_to_the_border() -> None:
+    y, x = np.indices((9, 11)).astype(float)
+    field = np.stack([0.3 * x - 0.2 * y + 1, 0.1 * x + 0.05 * y])
+    assert_allclose(plain_divergence(field), 0.35, rtol=1e-12)
+    assert_allclose(divergence(field.astype(np.float32)), 0.35, rtol=1e-5)
+
+
+@pytest.mark.parametrize("iterations", [1, 2, 26])
+def test_the_fast_path_is_the_reference_to_a_millionth_of_a_pixel(rng, iterations) -> None:
+    first, second = pins(0.0, rng), pins(0.01, rng)
+    settings = HornSchunck(iterations=iterations)
+    plain, fast = horn_schunck(first, second, settings), flow(first, second, settings)
+    assert abs(plain).max() > 0.5
+    assert abs(plain - fast).max() < 1e-6
+    assert abs(plain_divergence(plain) - divergence(fast)).max() < 2e-6
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (3, 40), (40, 3), (17, 29)])
+def test_the_fast_path_agrees_on_small_and_narrow_images(rng, shape) -> None:
+    first, second = rng.integers(0, 256, (2, *shape), dtype=np.uint8)
+    plain = horn_schunck(first, second)
+    assert_allclose(flow(first, second), plain, rtol=1e-6, atol=1e-6)
+
+
+def test_brightness_does_not_depend_on_how_an_image_is_stored(rng) -> None:
+    first, second = pins(0.0, rng), pins(0.01, rng)
+    deep = [image.astype(np.uint16) * 257 for image in (first, second)]
+    real = [image / 255 for image in (first, second)]
+    assert_allclose(flow(*deep), flow(first, second), atol=1e-6)
+    assert_allclose(flow(*real), flow(first, second), atol=1e-5)
+
+
+def test_pyoptflow_finds_the_same_flow_one_pixel_away(rng) -> None:
+    pyoptflow = pytest.importorskip("pyoptflow", reason="pyoptflow is not installed")
+    first, second = pins(0.0, rng), pins(0.01, rng)
+    theirs = np.stack(pyoptflow.HornSchunck(first / 255, second / 255, alpha=0.1, Niter=26))
+    ours = horn_schunck(first, second)
+    # Its cube stands on the other side of the pixel. What the border does reaches 26 px inwards.
+    assert abs(theirs[:, 41:-39, 41:-39] - ours[:, 40:-40, 40:-40]).max() < 1e-6
+
+
+def test_coarse_to_fine_finds_motion_of_many_pixels() -> None:
+    first, second = (
+        waves((200, 260), shift) * (1 + 0.3 * waves((200, 260), shift, 1.7)) / 1.3
+        for shift in ((0, 0), (9.5, -6))
+    )
+    error = np.hypot(*(coarse_to_fine(first, second) - np.array([9.5, -6])[:, None, None]))
+    assert np.median(error[30:-30, 30:-30]) < 0.1
+    single = np.hypot(*(flow(first, second) - np.array([9.5, -6])[:, None, None]))
+    assert np.median(single[30:-30, 30:-30]) > 5
+
+
+def test_a_sequence_pairs_each_frame_with_the_last_or_with_the_first() -> None:
+    frames = [np.full((4, 4), level, np.uint8) for level in range(30)]
+
+    def pair(a, b):
+        return int(a[0, 0]), int(b[0, 0])
+
+    assert list(along(frames, pair, threads=3)) == [(i, i + 1) for i in range(29)]
+    assert list(along(frames, pair, since="first", threads=3)) == [(0, i + 1) for i in range(29)]
+
+
+def test_a_sequence_is_read_little_ahead_of_what_is_asked_for() -> None:
+    read = []
+
+    def frames():
+        for i in range(1000):
+            read.append(i)
+            yield np.zeros((8, 8), np.uint8)
+
+    flows = along(frames(), flow, threads=2)
+    next(flows)
+    assert len(read) < 20
+    flows.close()
+
+
+def test_what_cannot_be_flow_is_refused_with_the_reason() -> None:
+    grey = np.zeros((8, 8), np.uint8)
+    with pytest.raises(InputError, match="one size"):
+        flow(grey, np.zeros((8, 9), np.uint8))
+    with pytest.raises(ImageError, match="grey"):
+        flow(np.zeros((8, 8, 3), np.uint8), np.zeros((8, 8, 3), np.uint8))
+    with pytest.raises(ImageError, match="divide by its white"):
+        brightness(np.full((8, 8), 255.0))
+    with pytest.raises(ImageError, match="int64"):
+        flow(grey.astype(int), grey.astype(int))
+    with pytest.raises(InputError, match="two frames"):
+        list(along([grey], flow))
+    with pytest.raises(InputError, match="since"):
+        along([grey, grey], flow, since="yesterday")  # type: ignore[arg-type]
+    with pytest.raises(RangeError, match="alpha"):
+        HornSchunck(alpha=0)
+    with pytest.raises(RangeError, match="iterations"):
+        HornSchunck(iterations=0)
+    with pytest.raises(RangeError, match="median"):
+        CoarseToFine(median_px=4)
