@@ -62,7 +62,7 @@ def inverse_transpose(F: Float[ndarray, "cells q 3 3"]) -> Float[ndarray, "cells
 
 
 def first_piola(
-    solid: NeoHookean, H: Gradient, p: Scalar
+    mu: float | Float[ndarray, "cells 1"], H: Gradient, p: Scalar
 ) -> tuple[Gradient, Float[ndarray, "cells q 5 5"], Gradient, Scalar]:
     """Stress and its derivatives.
 
@@ -71,7 +71,7 @@ def first_piola(
     """
     F = deformation(H)
     J, G = volume_ratio(F), inverse_transpose(F)
-    mu, pJ = solid.mu, p * J
+    pJ = p * J
     A = np.empty((*p.shape, 5, 5))
     for a, (i, j) in enumerate(PARTS):
         for b, (k, m) in enumerate(PARTS):
@@ -79,7 +79,7 @@ def first_piola(
         A[..., a, a] += mu
     g = np.stack([G[..., i, j] for i, j in PARTS], axis=-1)
     f = np.stack([F[..., i, j] for i, j in PARTS], axis=-1)
-    return mu * (f - g) + pJ[..., None] * g, A, J[..., None] * g, J
+    return np.asarray(mu)[..., None] * (f - g) + pJ[..., None] * g, A, J[..., None] * g, J
 
 
 def cauchy(solid: NeoHookean, H: Gradient, p: Scalar) -> Float[ndarray, "cells q 4"]:

@@ -136,7 +136,7 @@ class Press:
         cells, q = w.shape
         H = (B @ state[d.displacement_dofs][:, None, :, None])[..., 0]
         p = np.einsum("cqa,ca->cq", N, state[d.pressure_dofs])
-        P, A, JG, J = first_piola(self.solid, H, p)
+        P, A, JG, J = first_piola(self.solid.mu, H, p)
         if not (J > 0.0).all():
             raise ConvergenceError(f"depth {depth:g} R: a cell turned inside out")
         wB = (w[..., None, None] * B).reshape(cells, q * 5, 18)
