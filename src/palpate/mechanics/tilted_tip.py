@@ -1,0 +1,259 @@
+"""A hemispherical tip pressed along its axis on an inclined specimen: linear elasticity, Coulomb friction.
+
+The tip's axis is z, upwards to its base; it moves down. The specimen's top is a plane whose normal leans by
+the tilt from z towards -x, so that the tip first touches at the polar angle `tilt` on its side +x. Both bodies
+answer by their Fourier modes (`revolved`): displacements are small, but gaps are those of the true sphere.
+Everything is even about the plane y = 0, so that half of the cells are kept.
+
+What linearity costs against finite strain is measured head-on, in `docs/explanations/tactip.md`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from palpate.mechanics.coulomb import balanced
+from palpate.mechanics.revolved import RevolvedBody
+
+FACET = np.array([1.0, 4.0, 1.0]) / 6  # an even pressure on a facet, on its ends and middle
+PATCH = np.array([[0.0, 0.0], *(0.7 * np.array([np.cos(a), np.sin(a)]) for a in np.arange(6) * np.pi / 3)])
+WITHIN = np.deg2rad(56.0)  # of the first touch: cells farther away never touch
+
+Cells = Int[ndarray, " n"]
+
+
+@dataclass(frozen=True)
+class TipModes:
+    """A tip's answer to loads on the cells of its skin, mode by mode.
+
+    Attributes:
+        radius_m: of the hemisphere [m].
+        polar_rad: ends of the rings of cells, from the axis ``[rings + 1]``.
+        azimuths: cells in a half ring.
+        skin: ``[modes rings 3 rings 3]``: mean displacement of ring i (r, around, z) by force on ring j [m/N rad].
+        pins: ``[modes places 3 rings 3]``: displacement of places on the skin's inside.
+        pins_rad: polar angle of these.
+    """
+
+    radius_m: float
+    polar_rad: Float[ndarray, " rings_1"]
+    azimuths: int
+    skin: Float[ndarray, "m rings 3 rings 3"]
+    pins: Float[ndarray, "m places 3 rings 3"]
+    pins_rad: Float[ndarray, " places"]
+
+
+@dataclass(frozen=True)
+class TopModes:
+    """A specimen's answer to loads on its top: ``[modes radii 3 radii 3]`` of point-wise rings [m/N rad]."""
+
+    radii_m: Float[ndarray, " radii"]
+    top: Float[ndarray, "m radii 3 radii 3"]
+
+
+def facet_modes(
+    body: RevolvedBody, facets: Int[ndarray, "rings 3"], pins: Cells, modes: int
+) -> tuple[Float[ndarray, "m rings 3 rings 3"], Float[ndarray, "m places 3 rings 3"]]:
+    """Answers of facets, and of other nodes, to even pressure on facets."""
+    skin_nodes, where = np.unique(facets, return_inverse=True)
+    spread = np.zeros((len(facets), len(skin_nodes)))
+    np.add.at(spread, (np.arange(len(facets))[:, None], where.reshape(facets.shape)), FACET)
+    read = np.concatenate([skin_nodes, pins])
+    skin, inside = [], []
+    for m in range(modes):
+        C = body.compliance(m, skin_nodes, read)
+        C = np.einsum("xanb,jn->xajb", C, spread)
+        skin.append(np.einsum("in,najb->iajb", spread, C[: len(skin_nodes)]))
+        inside.append(C[len(skin_nodes) :])
+    return np.stack(skin), np.stack(inside)
+
+
+@dataclass(frozen=True)
+class TiltedPress:
+    """One state of a press.
+
+    Attributes:
+        approach_m: along the tip's axis, since first touch [m].
+        force_n: on the tip, by cell of the half y > 0, along the specimen's normal, up its slope, and y [N].
+        lift_n: the vertical part of the force on the whole tip [N].
+        area_m2: of the whole contact [m^2].
+    """
+
+    approach_m: float
+    force_n: Float[ndarray, "n 3"]
+    lift_n: float
+    area_m2: float
+
+
+@dataclass(frozen=True)
+class TiltedContact:
+    """A tip above an inclined specimen, None for a rigid plate.
+
+    Attributes:
+        tip, top: the bodies' answers.
+        tilt_rad: of the specimen's normal from the tip's axis, 0 to 50 degrees.
+        friction: Coulomb's coefficient.
+    """
+
+    tip: TipModes
+    top: TopModes | None
+    tilt_rad: float
+    friction: float
+
+    @cached_property
+    def cells(self) -> tuple[Cells, Cells]:
+        """Ring and azimuth of every cell that may touch."""
+        ring, azimuth = np.meshgrid(np.arange(len(self._polar)), np.arange(self.tip.azimuths), indexing="ij")
+        near = self._outward[ring.ravel(), azimuth.ravel()] @ self._touch > np.cos(WITHIN)
+        return ring.ravel()[near], azimuth.ravel()[near]
+
+    @property
+    def _polar(self) -> Float[ndarray, " rings"]:
+        return (self.tip.polar_rad[1:] + self.tip.polar_rad[:-1]) / 2
+
+    @property
+    def _azimuth(self) -> Float[ndarray, " azimuths"]:
+        return (np.arange(self.tip.azimuths) + 0.5) * np.pi / self.tip.azimuths
+
+    @property
+    def _outward(self) -> Float[ndarray, "rings azimuths 3"]:
+        """From the centre to the cells; z up."""
+        phi, theta = self._polar[:, None], self._azimuth
+        return np.stack(
+            np.broadcast_arrays(np.sin(phi) * np.cos(theta), np.sin(phi) * np.sin(theta), -np.cos(phi)), axis=-1
+        )
+
+    @property
+    def _touch(self) -> Float[ndarray, "3"]:
+        """From the centre to where the tip first touches."""
+        return np.array([np.sin(self.tilt_rad), 0.0, -np.cos(self.tilt_rad)])
+
+    @property
+    def axes(self) -> Float[ndarray, "3 3"]:
+        """The specimen's normal, up its slope, and y, in (x, y, z)."""
+        c, s = np.cos(self.tilt_rad), np.sin(self.tilt_rad)
+        return np.array([[-s, 0.0, c], [c, 0.0, s], [0.0, 1.0, 0.0]])
+
+    @cached_property
+    def cell_area_m2(self) -> Float[ndarray, " n"]:
+        """Of every cell that may touch, as it lies on the specimen's plane."""
+        ring, azimuth = self.cells
+        strip = -np.diff(np.cos(self.tip.polar_rad)) * np.pi / self.tip.azimuths
+        return self.tip.radius_m**2 * strip[ring] * (self._outward[ring, azimuth] @ self._touch)
+
+    @cached_property
+    def compliance(self) -> Float[ndarray, "n 3 n 3"]:
+        """What opens the gap and slides, by unit forces on pairs of cells, along the specimen's axes [m/N]."""
+        both = self._tip_compliance()
+        return both if self.top is None else both + self._top_compliance(self.top)
+
+    def _tip_compliance(self) -> Float[ndarray, "n 3 n 3"]:
+        ring, azimuth = self.cells
+        theta = self._azimuth[azimuth]
+        C = np.zeros((len(ring), 3, len(ring), 3))
+        for m, skin in enumerate(self.tip.skin):
+            angle = _angular(m, theta) * np.sinc(m / (2 * self.tip.azimuths))
+            C += _per_pair(m) * angle[:, :, None, None] * skin[ring][:, :, ring] * angle
+        turn = self._from_cylindrical(theta)
+        return _turned(C, turn)
+
+    def _from_cylindrical(self, theta: Float[ndarray, " n"]) -> Float[ndarray, "n 3 3"]:
+        """Specimen's axes by (r, around, z) at every azimuth."""
+        c, s, o = np.cos(theta), np.sin(theta), np.zeros_like(theta)
+        cylindrical = np.stack([np.stack([c, s, o], -1), np.stack([-s, c, o], -1), np.stack([o, o, o + 1], -1)], 1)
+        return np.einsum("xi,nai->nxa", self.axes, cylindrical)
+
+    def _top_compliance(self, top: TopModes) -> Float[ndarray, "n 3 n 3"]:
+        """The specimen's part, each cell spread over a patch as large as it is."""
+        at = self.places_on_top_m[:, None] + np.sqrt(self.cell_area_m2 / np.pi)[:, None, None] * PATCH
+        rho, psi = np.hypot(at[..., 0], at[..., 1]), np.arctan2(at[..., 1], at[..., 0])
+        hat = _hats(top.radii_m, rho) / len(PATCH)
+        # the specimen's own axes are (up the slope, y, its normal); its loads are those on the tip, reversed
+        c, s, o = np.cos(psi), np.sin(psi), np.zeros_like(psi)
+        turn = np.stack(
+            [np.stack([o, o, o + 1], -1), np.stack([c, -s, o], -1), np.stack([s, c, o], -1)], axis=-2
+        )
+        n = len(at)
+        C = np.zeros((n, 3, n, 3))
+        for m, answer in enumerate(top.top):
+            spread = np.einsum("npk,npxa,npa->nxka", hat, turn, _angular(m, psi))
+            rows = spread.reshape(3 * n, -1)
+            k = len(top.radii_m)
+            C += _per_pair(m) * (rows @ answer.reshape(3 * k, 3 * k) @ rows.T).reshape(C.shape)
+        return C
+
+    @cached_property
+    def places_on_top_m(self) -> Float[ndarray, "n 2"]:
+        """Where the cells lie above the specimen, up the slope and y, from the specimen's axis [m]."""
+        ring, azimuth = self.cells
+        return self.tip.radius_m * self._outward[ring, azimuth] @ self.axes[1:].T
+
+    @cached_property
+    def clearance_m(self) -> Float[ndarray, " n"]:
+        """Gap of every cell at first touch [m]."""
+        ring, azimuth = self.cells
+        return self.tip.radius_m * (1.0 - self._outward[ring, azimuth] @ self._touch)
+
+    def through(self, approaches_m: Float[ndarray, " k"]) -> list[TiltedPress]:
+        """States at ascending approaches, each from the last, since friction remembers [m]."""
+        n = len(self.clearance_m)
+        C = self.compliance
+        force, rest = np.zeros((n, 3)), np.zeros((n, 2))
+        down = self.axes @ np.array([0.0, 0.0, -1.0])
+        states = []
+        for approach in approaches_m:
+            base = approach * down
+            gap = self.clearance_m + base[0]
+            force = balanced(C, gap, base[1:] - rest, self.friction, force)
+            # from here on, what sticks stays where it is now
+            rest = base[1:] + np.einsum("iajb,jb->ia", C, force)[:, 1:]
+            lift = 2.0 * float((force @ self.axes[:, 2]).sum())
+            area = 2.0 * float(self.cell_area_m2[force[:, 0] > 0].sum())
+            states.append(TiltedPress(float(approach), force, lift, area))
+        return states
+
+    def pins_moved_m(self, press: TiltedPress) -> Float[ndarray, "places azimuths 3"]:
+        """Displacement (r, around, z) of the skin's inside at cells' azimuths, the tip's base at rest [m]."""
+        ring, azimuth = self.cells
+        theta = self._azimuth[azimuth]
+        turn = self._from_cylindrical(theta)
+        force = np.einsum("nxa,nx->na", turn, press.force_n)
+        rings = len(self._polar)
+        moved = np.zeros((len(self.tip.pins_rad), self.tip.azimuths, 3))
+        for m, pins in enumerate(self.tip.pins):
+            load = force * _angular(m, theta) * np.sinc(m / (2 * self.tip.azimuths)) * _per_pair(m)
+            by_ring = np.stack([np.bincount(ring, load[:, a], rings) for a in range(3)], axis=1)
+            moved += np.einsum("iajb,jb->ia", pins, by_ring)[:, None] * _angular(m, self._azimuth)
+        return moved
+
+
+def _angular(mode: int, theta: ndarray) -> ndarray:
+    """cos m t along r and z, sin m t around."""
+    c, s = np.cos(mode * theta), np.sin(mode * theta)
+    return np.stack([c, s, c], axis=-1)
+
+
+def _per_pair(mode: int) -> float:
+    """Amplitude per radian of two unit forces at t and -t."""
+    return (1.0 if mode == 0 else 2.0) / np.pi
+
+
+def _turned(C: Float[ndarray, "n 3 n 3"], turn: Float[ndarray, "n 3 3"]) -> Float[ndarray, "n 3 n 3"]:
+    """The compliance along other axes."""
+    half = np.einsum("nxa,namb->nxmb", turn, C)
+    return np.einsum("myb,nxmb->nxmy", turn, half)
+
+
+def _hats(knots: Float[ndarray, " k"], at: Float[ndarray, "n p"]) -> Float[ndarray, "n p k"]:
+    """Weights of the knots in linear interpolation; beyond the last, the last."""
+    j = np.clip(np.searchsorted(knots, at) - 1, 0, len(knots) - 2)
+    t = np.clip((at - knots[j]) / (knots[j + 1] - knots[j]), 0.0, 1.0)
+    weights = np.zeros((*at.shape, len(knots)))
+    np.put_along_axis(weights, j[..., None], (1 - t)[..., None], axis=-1)
+    np.put_along_axis(weights, j[..., None] + 1, t[..., None], axis=-1)
+    return weights
