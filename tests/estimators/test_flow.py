@@ -30,7 +30,7 @@ def waves(shape=(90, 120), shift=(0.0, 0.0), stretch=0.0) -> np.ndarray:
 
 
 def pins(stretch=0.0, rng=None) -> np.ndarray:
-    """127 bright pins on dark, 300 x 300 px, their lattice stretched about its middle; grey noise if wanted."""
+    """127 bright pins on dark, 300 x 300 px, stretched about the middle; grey noise if wanted."""
     y, x = np.indices((300, 300))
     image = np.full((300, 300), 18.0)
     for i in range(-6, 7):
@@ -59,7 +59,7 @@ def test_the_derivatives_of_a_moving_ramp_are_its_slopes() -> None:
 
 
 def test_flow_solves_the_equations_of_its_minimum() -> None:
-    """At rest of the iteration: alpha^2 (mean - flow) = E (E . flow + E_t), Horn and Schunck's two equations."""
+    """At rest: alpha^2 (mean - flow) = E (E . flow + E_t), Horn and Schunck's two equations."""
     first, second = waves(), waves(shift=(0.3, -0.2))
     settings = HornSchunck(alpha=0.05, iterations=4000)
     u, v = horn_schunck(first, second, settings)
@@ -150,7 +150,7 @@ def test_a_sequence_pairs_each_frame_with_the_last_or_with_the_first() -> None:
         return int(a[0, 0]), int(b[0, 0])
 
     assert list(along(frames, pair, threads=3)) == [(i, i + 1) for i in range(29)]
-    assert list(along(frames, pair, since="first", threads=3)) == [(0, i + 1) for i in range(29)]
+    assert list(along(frames, pair, from_first=True, threads=3)) == [(0, i + 1) for i in range(29)]
 
 
 def test_a_sequence_is_read_little_ahead_of_what_is_asked_for() -> None:
@@ -179,8 +179,8 @@ def test_what_cannot_be_flow_is_refused_with_the_reason() -> None:
         flow(grey.astype(int), grey.astype(int))
     with pytest.raises(InputError, match="two frames"):
         list(along([grey], flow))
-    with pytest.raises(InputError, match="since"):
-        along([grey, grey], flow, since="yesterday")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="threads"):
+        along([grey, grey], flow, threads=-1)
     with pytest.raises(RangeError, match="alpha"):
         HornSchunck(alpha=0)
     with pytest.raises(RangeError, match="iterations"):

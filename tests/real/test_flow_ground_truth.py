@@ -35,9 +35,7 @@ def test_one_scale_is_no_worse_than_another_code_at_the_same_settings(real_data,
     pyoptflow = pytest.importorskip("pyoptflow", reason="pyoptflow is not installed")
     first, second, truth = scene(real_data / "flow-ground-truth" / name)
     ours = end_point(flow(first, second), truth)
-    theirs = end_point(
-        np.stack(pyoptflow.HornSchunck(first / 255, second / 255, alpha=0.1, Niter=26)), truth
-    )
+    theirs = end_point(np.stack(pyoptflow.HornSchunck(first / 255, second / 255, alpha=0.1, Niter=26)), truth)
     still = end_point(np.zeros_like(truth), truth)
     print(f"{name}: {ours:.4f} px, pyoptflow {theirs:.4f} px, no motion {still:.4f} px")
     assert ours <= theirs * 1.001

@@ -25,7 +25,7 @@ Points = Float[ndarray, " p"]
 
 @dataclass(frozen=True)
 class Ties:
-    """What points that must not slip are tied to: facet of the top, place on it, offset [mm]; facet -1 if free."""
+    """What points that must not slip hold to: facet of the top (-1: none), place on it, offset [mm]."""
 
     facet: Int[ndarray, " p"]
     xi: Points
@@ -73,7 +73,7 @@ class Meeting:
 
     @cached_property
     def weight(self) -> Points:
-        """r ds of every point of the unloaded skin [mm^2]."""
+        """R ds of every point of the unloaded skin [mm^2]."""
         at = self.places[self.nodes]
         along = np.einsum("pa,pai->pi", _slopes(self._gauss[0]), at)
         r = np.einsum("pa,pa->p", self.shapes, at[..., 0])
@@ -126,10 +126,9 @@ class Meeting:
         dofs = _dofs(self.nodes, top)
         kept = here & (k > STIFFNESS * 1e-9)
         tied = self._tied(u, x, ties)
-        return Touch(
-            gap, p, x[:, 0],
-            *(np.concatenate(both) for both in zip((force[kept], stiffness[kept], dofs[kept]), tied, strict=True)),
-        )  # fmt: skip
+        pressing = force[kept], stiffness[kept], dofs[kept]
+        both = (np.concatenate(pair) for pair in zip(pressing, tied, strict=True))
+        return Touch(gap, p, x[:, 0], *both)
 
     def _tied(
         self, u: Float[ndarray, "nodes 2"], x: Float[ndarray, "p 2"], ties: Ties

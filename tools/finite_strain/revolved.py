@@ -2,7 +2,7 @@
 
 The energy is that of `neo_hookean`. A cell's pressure p = P . (1, xi, eta) answers to its own displacements
 alone, int N (J - 1 - p / lambda) = 0, so P is known once they are and the body's unknowns are displacements
-only (the element Q2/P-1). Pressure may jump from cell to cell, as it does between a skin and the gel under it.
+only (the element Q2/P-1). Pressure may jump from cell to cell, as it does between a skin and a gel.
 
 Units are the caller's: lengths and Young's moduli as given, forces in modulus times length squared over 2 pi.
 """
@@ -154,4 +154,3 @@ def tensor_mesh(
     """Cells between knots along two coordinates, whose nodes a function then puts where they belong."""
     flat = MeshQuad2.from_mesh(MeshQuad.init_tensor(first, second))
     return MeshQuad2(place(flat.doflocs), flat.t)
-

@@ -77,10 +77,14 @@ class TipPress:
     def tip_body(self) -> Revolved:
         t, n = self.tip, self.cells
         inner = t.radius - t.skin
-        phi = np.concatenate([np.linspace(0, DENSE_TO, n + 1), np.linspace(DENSE_TO, np.pi / 2, n // 5 + 1)[1:]])
+        phi = np.concatenate(
+            [np.linspace(0, DENSE_TO, n + 1), np.linspace(DENSE_TO, np.pi / 2, n // 5 + 1)[1:]]
+        )
         # cells of the gel grow inwards from the skin
         depth = np.cumsum(1.18 ** np.arange(n // 5))
-        rho = np.concatenate([inner - depth[::-1] / depth[-1] * (inner - CORE), np.linspace(inner, t.radius, 3)])
+        rho = np.concatenate(
+            [inner - depth[::-1] / depth[-1] * (inner - CORE), np.linspace(inner, t.radius, 3)]
+        )
 
         def place(x: Float[ndarray, "2 k"]) -> Float[ndarray, "2 k"]:
             return np.stack([x[1] * np.sin(x[0]), t.radius - x[1] * np.cos(x[0])])
@@ -145,7 +149,9 @@ class TipPress:
         else:
             still = np.arange(first, len(self.places))
         held = np.concatenate([self.base, still])
-        return np.setdiff1d(np.arange(2 * len(self.places)), np.concatenate([2 * held, 2 * held + 1, 2 * axis]))
+        return np.setdiff1d(
+            np.arange(2 * len(self.places)), np.concatenate([2 * held, 2 * held + 1, 2 * axis])
+        )
 
     def untouched(self) -> Balanced:
         u = np.zeros_like(self.places)

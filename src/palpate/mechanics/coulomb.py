@@ -3,7 +3,7 @@
 With C the compliance of the pair, f the forces on cells (normal, two tangential), and the gap and slip of the
 cells affine in f, the forces answer to
 
-    f_n >= 0,  g >= 0,  f_n g = 0;      |f_t| <= mu f_n,  slip against f_t where |f_t| = mu f_n, none elsewhere
+    f_n >= 0,  g >= 0,  f_n g = 0;    |f_t| <= mu f_n,  slip against f_t where |f_t| = mu f_n, else none
 
 Each cell in turn takes the force that satisfies this while the others stand still; sweeps go on until no
 cell's force changes (non-linear block Gauss-Seidel).

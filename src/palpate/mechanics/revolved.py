@@ -1,9 +1,9 @@
-"""A linear elastic body of revolution under any load on its surface: one Fourier mode around the axis at a time.
+"""A linear elastic body of revolution under any load on its surface, one Fourier mode at a time.
 
-With displacements U cos m t, W cos m t (along r and z) and V sin m t (around), loads that are even about the
-plane t = 0 come apart into modes m = 0, 1, 2, ... that do not know of each other, and each is a problem in the
-meridian half-plane. Cells are biquadratic and carry their own linear dilatation (Q2/P-1), which keeps a
-nearly incompressible gel from locking.
+With displacements U cos m t, W cos m t (along r and z) and V sin m t (around), loads that are even about
+the plane t = 0 come apart into modes m = 0, 1, 2, ... that do not know of each other, and each is a problem
+in the meridian half-plane. Cells are biquadratic and carry their own linear dilatation (Q2/P-1), which keeps
+a nearly incompressible gel from locking.
 
 Reference: E. L. Wilson, Structural analysis of axisymmetric solids, AIAA Journal 3 (1965) 2269,
 doi:10.2514/3.3356.

@@ -1,9 +1,9 @@
 """A hemispherical tip pressed along its axis on an inclined specimen: linear elasticity, Coulomb friction.
 
-The tip's axis is z, upwards to its base; it moves down. The specimen's top is a plane whose normal leans by
-the tilt from z towards -x, so that the tip first touches at the polar angle `tilt` on its side +x. Both bodies
-answer by their Fourier modes (`revolved`): displacements are small, but gaps are those of the true sphere.
-Everything is even about the plane y = 0, so that half of the cells are kept.
+The tip's axis is z, upwards to its base; it moves down. The specimen's top is a plane whose normal leans from
+z towards -x by the tilt, so that the tip first touches on its side +x, at that polar angle. Both bodies answer
+by their Fourier modes (`revolved`): displacements are small, but gaps are those of the true sphere. All is
+even about the plane y = 0, so that half of the cells are kept.
 
 What linearity costs against finite strain is measured head-on, in `docs/explanations/tactip.md`.
 """
@@ -35,8 +35,8 @@ class TipModes:
         radius_m: of the hemisphere [m].
         polar_rad: ends of the rings of cells, from the axis ``[rings + 1]``.
         azimuths: cells in a half ring.
-        skin: ``[modes rings 3 rings 3]``: mean displacement of ring i (r, around, z) by force on ring j [m/N rad].
-        pins: ``[modes places 3 rings 3]``: displacement of places on the skin's inside.
+        skin: mean displacement (r, around, z) of a ring of cells by forces on another [m/N rad].
+        pins: displacement of places on the skin's inside by the same [m/N rad].
         pins_rad: polar angle of these.
     """
 
@@ -124,12 +124,11 @@ class TiltedContact:
     def _outward(self) -> Float[ndarray, "rings azimuths 3"]:
         """From the centre to the cells; z up."""
         phi, theta = self._polar[:, None], self._azimuth
-        return np.stack(
-            np.broadcast_arrays(np.sin(phi) * np.cos(theta), np.sin(phi) * np.sin(theta), -np.cos(phi)), axis=-1
-        )
+        x, y, z = np.sin(phi) * np.cos(theta), np.sin(phi) * np.sin(theta), -np.cos(phi)
+        return np.stack(np.broadcast_arrays(x, y, z), axis=-1)
 
     @property
-    def _touch(self) -> Float[ndarray, "3"]:
+    def _touch(self) -> Float[ndarray, 3]:
         """From the centre to where the tip first touches."""
         return np.array([np.sin(self.tilt_rad), 0.0, -np.cos(self.tilt_rad)])
 
@@ -148,7 +147,7 @@ class TiltedContact:
 
     @cached_property
     def compliance(self) -> Float[ndarray, "n 3 n 3"]:
-        """What opens the gap and slides, by unit forces on pairs of cells, along the specimen's axes [m/N]."""
+        """What opens the gap and slides by unit forces on pairs of cells, in the specimen's axes [m/N]."""
         both = self._tip_compliance()
         return both if self.top is None else both + self._top_compliance(self.top)
 
@@ -165,7 +164,8 @@ class TiltedContact:
     def _from_cylindrical(self, theta: Float[ndarray, " n"]) -> Float[ndarray, "n 3 3"]:
         """Specimen's axes by (r, around, z) at every azimuth."""
         c, s, o = np.cos(theta), np.sin(theta), np.zeros_like(theta)
-        cylindrical = np.stack([np.stack([c, s, o], -1), np.stack([-s, c, o], -1), np.stack([o, o, o + 1], -1)], 1)
+        rows = [[c, s, o], [-s, c, o], [o, o, o + 1]]
+        cylindrical = np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
         return np.einsum("xi,nai->nxa", self.axes, cylindrical)
 
     def _top_compliance(self, top: TopModes) -> Float[ndarray, "n 3 n 3"]:
@@ -233,7 +233,7 @@ class TiltedContact:
 
 
 def _angular(mode: int, theta: ndarray) -> ndarray:
-    """cos m t along r and z, sin m t around."""
+    """Cos m t along r and z, sin m t around."""
     c, s = np.cos(mode * theta), np.sin(mode * theta)
     return np.stack([c, s, c], axis=-1)
 

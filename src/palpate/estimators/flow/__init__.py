@@ -1,4 +1,4 @@
-"""Optical flow of touch images: Horn and Schunck's, plain and fast, for small motion and large; others to compare."""
+"""Optical flow of touch images: Horn and Schunck's, plain, fast and from coarse to fine, and others'."""
 
 from palpate.estimators.flow.coarse_to_fine import CoarseToFine, coarse_to_fine
 from palpate.estimators.flow.fast import FlowField, divergence, flow

@@ -2,11 +2,11 @@
 
 Brightness is linear between two images only for motion of about a pixel. On an image shrunk to a few pixels
 all motion is that small; each finer image is then first warped by the flow found so far, so that only the
-remainder must be found. Smoothness is asked of the whole flow, not of the remainder: with u0 the flow that
-warped, E_x (u - u0) + E_y (v - v0) + E_t = 0. Between warps a median takes out what single pixels claim alone.
+remainder must be found. Smoothness is asked of the whole flow, not of the remainder: with (u0, v0) the flow
+that warped, E_x (u - u0) + E_y (v - v0) + E_t = 0. Between warps a median takes out what single pixels claim.
 
-Reference: B. D. Lucas, T. Kanade (1981) for the warp; D. Sun, S. Roth, M. J. Black, A quantitative analysis of
-current practices in optical flow estimation, IJCV 106 (2014), doi:10.1007/s11263-013-0644-x, for the median.
+Reference, for warps and median: D. Sun, S. Roth, M. J. Black, A quantitative analysis of current practices in
+optical flow estimation, IJCV 106 (2014) 115, doi:10.1007/s11263-013-0644-x.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from palpate.estimators.flow.brightness import Grey, brightness, check_pair
 from palpate.estimators.flow.fast import FlowField, relaxed
 from palpate.estimators.flow.horn_schunck import HornSchunck
 
+WARPED = HornSchunck(alpha=0.03, iterations=40)  # smoothness for images that are nearly alike
+
 Levels = Float32[ndarray, "_ _"]  # of any size: each level has its own
 
 
@@ -38,7 +40,7 @@ class CoarseToFine:
         median_px: width of the median of the flow between warps, 3 or 5; 1 for none.
     """
 
-    horn_schunck: HornSchunck = HornSchunck(alpha=0.03, iterations=40)
+    horn_schunck: HornSchunck = WARPED
     shrink: float = 0.5
     smallest_px: int = 16
     warps: int = 10
@@ -55,12 +57,13 @@ class CoarseToFine:
             raise RangeError(f"a median {self.median_px} px wide; 1 (none), 3 or 5")
 
 
-def coarse_to_fine(first: Grey, second: Grey, settings: CoarseToFine = CoarseToFine()) -> FlowField:
+def coarse_to_fine(first: Grey, second: Grey, settings: CoarseToFine | None = None) -> FlowField:
     """Flow from the first image to the second [px/frame], of many pixels if need be.
 
     Raises:
         ImageError, InputError: images that cannot be read as a pair.
     """
+    settings = settings or CoarseToFine()
     first, second = np.asarray(first), np.asarray(second)
     check_pair(first, second)
     levels = _pyramid(first, second, settings)

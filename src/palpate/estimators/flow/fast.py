@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float32
 from numpy import ndarray
 
 from palpate.estimators.flow.brightness import WHITE, Grey, brightness, check_pair
-from palpate.estimators.flow.horn_schunck import HornSchunck
+from palpate.estimators.flow.horn_schunck import AS_REPORTED, HornSchunck
 
 FlowField = Float32[ndarray, "2 h w"]
 
@@ -34,7 +34,7 @@ class _Workspace(local):
 _WORKSPACE = _Workspace()
 
 
-def flow(first: Grey, second: Grey, settings: HornSchunck = HornSchunck()) -> FlowField:
+def flow(first: Grey, second: Grey, settings: HornSchunck = AS_REPORTED) -> FlowField:
     """Flow from the first image to the second [px/frame]; see `horn_schunck`.
 
     Raises:

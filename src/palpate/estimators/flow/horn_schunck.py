@@ -51,7 +51,10 @@ class HornSchunck:
             raise RangeError(f"{self.iterations} iterations; 1 or more, 26 if in doubt")
 
 
-def horn_schunck(first: Grey, second: Grey, settings: HornSchunck = HornSchunck()) -> Flow:
+AS_REPORTED = HornSchunck()
+
+
+def horn_schunck(first: Grey, second: Grey, settings: HornSchunck = AS_REPORTED) -> Flow:
     """Flow from the first image to the second, step by step as the equations stand.
 
     Args:

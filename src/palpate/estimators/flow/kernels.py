@@ -50,8 +50,12 @@ def _one_row(u0, u1, u2, v0, v1, v2, x, y, t, u, v):
     """One row of one sweep: from three padded rows of the last sweep to the padded row (u, v)."""
     w = x.size
     for c in range(w):
-        p = SIDE * (u0[c + 1] + u2[c + 1] + u1[c] + u1[c + 2]) + CORNER * (u0[c] + u0[c + 2] + u2[c] + u2[c + 2])
-        q = SIDE * (v0[c + 1] + v2[c + 1] + v1[c] + v1[c + 2]) + CORNER * (v0[c] + v0[c + 2] + v2[c] + v2[c + 2])
+        p = SIDE * (u0[c + 1] + u2[c + 1] + u1[c] + u1[c + 2]) + CORNER * (
+            u0[c] + u0[c + 2] + u2[c] + u2[c + 2]
+        )
+        q = SIDE * (v0[c + 1] + v2[c + 1] + v1[c] + v1[c + 2]) + CORNER * (
+            v0[c] + v0[c + 2] + v2[c] + v2[c + 2]
+        )
         off = x[c] * p + y[c] * q + t[c]
         u[c + 1] = p - x[c] * off
         v[c + 1] = q - y[c] * off
@@ -61,7 +65,7 @@ def _one_row(u0, u1, u2, v0, v1, v2, x, y, t, u, v):
 @numba.njit(**FAST)
 @no_type_check
 def relax(e, n, rows, flow):
-    """n sweeps from the flow [2 h w], in place.
+    """N sweeps from the flow [2 h w], in place.
 
     Args:
         e: of `coefficients`.

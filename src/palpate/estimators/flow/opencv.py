@@ -1,4 +1,4 @@
-"""OpenCV's dense flows, to compare with: DIS (Kroeger et al. 2016) and Farnebäck (2003), as OpenCV sets them up."""
+"""OpenCV's dense flows, to compare with: dense inverse search and Farnebäck's, as OpenCV sets them up."""
 
 from __future__ import annotations
 

@@ -10,14 +10,13 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 from palpate.core.errors import InputError
 from palpate.estimators.flow.brightness import Grey
 
 AHEAD = 4  # pairs a thread that wait, so that no thread waits for the reader
 
-Since = Literal["last", "first"]
 T = TypeVar("T")
 
 
@@ -25,7 +24,7 @@ def along(
     frames: Iterable[Grey],
     between: Callable[[Grey, Grey], T],
     *,
-    since: Since = "last",
+    from_first: bool = False,
     threads: int | None = None,
 ) -> Iterator[T]:
     """What a function says of each pair of frames, in their order.
@@ -33,25 +32,23 @@ def along(
     Args:
         frames: grey images of one size, in time; read once.
         between: of an earlier and a later frame, e.g. `flow`; it must not keep or change them.
-        since: "last" pairs each frame with the one before it, "first" with the first of all.
+        from_first: pair each frame with the first of all, not with the one before it.
         threads: to share the pairs; None for as many as there are processors.
 
     Yields:
         One result a frame, but for the first frame.
 
     Raises:
-        InputError: fewer than two frames, no thread, or a wrong `since`.
+        InputError: fewer than two frames, or no thread.
         PalpateError: what the function raises for a pair.
     """
-    if since not in ("last", "first"):
-        raise InputError(f"flow is since the last or the first frame, not since {since!r}")
     threads = threads or os.cpu_count() or 1
     if threads < 1:
         raise InputError(f"{threads} threads; 1 or more work")
-    return _results(_pairs(frames, since), between, threads)
+    return _results(_pairs(frames, from_first), between, threads)
 
 
-def _pairs(frames: Iterable[Grey], since: Since) -> Iterator[tuple[Grey, Grey]]:
+def _pairs(frames: Iterable[Grey], from_first: bool) -> Iterator[tuple[Grey, Grey]]:
     """Each frame after the first, behind its partner."""
     frames = iter(frames)
     earlier = next(frames, None)
@@ -60,7 +57,7 @@ def _pairs(frames: Iterable[Grey], since: Since) -> Iterator[tuple[Grey, Grey]]:
         assert earlier is not None
         yield earlier, frame
         several = True
-        if since == "last":
+        if not from_first:
             earlier = frame
     if not several:
         raise InputError("flow needs two frames or more; the sequence has fewer")
