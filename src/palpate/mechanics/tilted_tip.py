@@ -1,7 +1,7 @@
 """A hemispherical tip pressed along its axis on an inclined specimen: linear elasticity, Coulomb friction.
 
-The tip's axis is z, upwards to its base; it moves down. The specimen's top is a plane whose normal leans from
-z towards -x by the tilt, so that the tip first touches on its side +x, at that polar angle. Both bodies answer
+The tip's axis is z, upwards to its base; it moves down. The specimen's top is a plane whose normal leans
+from z towards -x by the tilt, so that the tip first touches on its side +x, at that angle. Both bodies answer
 by their Fourier modes (`revolved`): displacements are small, but gaps are those of the true sphere. All is
 even about the plane y = 0, so that half of the cells are kept.
 

@@ -1,0 +1,184 @@
+"""A hemispherical tip pressed head-on on an elastic cylinder: tables solved at finite strain, read between.
+
+Tip and specimen are nearly incompressible neo-Hookean solids (nu = 0.48) without friction between them; the
+tip's equator and the specimen's base are held. Solved by `tools/tip_tables.py`; `tools/tip_mesh_study.json`
+holds what the mesh costs.
+
+Every table is of one tip on cylinders of one size and nine Young's moduli, the stiffest rigid, at forty
+forces up to 6 N. Between moduli E it is read by a smooth curve over 1 / (1 + E / E0), which runs from 0 for a
+rigid plate to 1 for none; between forces by one over the cube root of force, in which young contact is
+straight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from importlib import resources
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from palpate.core.errors import InputError, RangeError
+
+TURNING_PA = 6e4  # E0: about the tip's own stiffness, so that the curve bends evenly
+FOLDER = "tables"
+
+Levels = Float[ndarray, " f"]
+
+
+@dataclass(frozen=True)
+class HeadOnPress:
+    """One tip on one specimen, at the table's forces; SI.
+
+    Attributes:
+        force_n: forces, from 0 [N].
+        approach_m: of the tip's base since first touch [m].
+        flattening_m: of the tip: how far its apex is pushed in [m].
+        radius_m: of the contact [m].
+        angle_rad: polar angle on the tip of the contact's edge [rad].
+        polar_rad: of places on the skin's inside, from the axis to the equator [rad].
+        inside_m: where these are ``[f n 2]``: (r, z) from the untouched apex, the tip's base at rest [m].
+        energy_pa: strain energy density of the skin there ``[f n]`` [J/m^3].
+    """
+
+    force_n: Levels
+    approach_m: Levels
+    flattening_m: Levels
+    radius_m: Levels
+    angle_rad: Levels
+    polar_rad: Float[ndarray, " n"]
+    inside_m: Float[ndarray, "f n 2"]
+    energy_pa: Float[ndarray, "f n"]
+
+    @property
+    def area_m2(self) -> Levels:
+        """Of the contact [m^2]."""
+        return np.pi * self.radius_m**2
+
+    def at(self, column: str, force_n: Float[ndarray, " k"]) -> Float[ndarray, "k *n"]:
+        """A column of the table at other forces.
+
+        Raises:
+            RangeError: beyond the table's greatest force.
+        """
+        force = np.asarray(force_n, np.float64)
+        if force.size and not (force.min() >= 0 and force.max() <= self.force_n[-1]):
+            raise RangeError(
+                f"forces of {force.min():g} to {force.max():g} N; the table holds 0 to {self.force_n[-1]:g} N"
+            )
+        return np.asarray(self._curves[column](np.cbrt(force)))
+
+    def force_at(self, approach_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
+        """Force at approaches; 0 before first touch [N].
+
+        Raises:
+            RangeError: beyond the table's greatest approach.
+        """
+        d = np.maximum(approach_m, 0.0)
+        if d.size and d.max() > self.approach_m[-1]:
+            raise RangeError(
+                f"an approach of {1e3 * d.max():.3g} mm; the table ends at {1e3 * self.approach_m[-1]:.3g} mm"
+            )
+        return np.asarray(self._cube_root_of_force(d)) ** 3
+
+    @cached_property
+    def _curves(self) -> dict[str, PchipInterpolator]:
+        root = np.cbrt(self.force_n)
+        names = ("approach_m", "flattening_m", "radius_m", "angle_rad", "inside_m", "energy_pa", "area_m2")
+        return {name: PchipInterpolator(root, getattr(self, name)) for name in names}
+
+    @cached_property
+    def _cube_root_of_force(self) -> PchipInterpolator:
+        return PchipInterpolator(self.approach_m, np.cbrt(self.force_n))
+
+
+@dataclass(frozen=True)
+class TipTable:
+    """One tip on every specimen; see `HeadOnPress` for the columns, ``[specimens forces ...]``."""
+
+    radius_m: float
+    skin_m: float
+    skin_pa: float
+    gel_pa: float
+    poisson_ratio: float
+    specimen_radius_m: float
+    specimen_height_m: float
+    specimen_pa: Float[ndarray, " s"]
+    columns: dict[str, Float[ndarray, "s *n"]]
+    force_n: Levels
+    polar_rad: Float[ndarray, " n"]
+
+    def press(self, specimen_pa: float) -> HeadOnPress:
+        """The tip on a specimen of any Young's modulus, `inf` for a rigid plate [Pa].
+
+        Raises:
+            RangeError: softer than the table's softest.
+        """
+        if not specimen_pa >= self.specimen_pa[0] * (1 - 1e-9):
+            raise RangeError(
+                f"a specimen of {specimen_pa:g} Pa; the table holds {self.specimen_pa[0]:g} Pa and stiffer"
+            )
+        found = {name: spline(_softness(specimen_pa)) for name, spline in self._splines.items()}
+        return HeadOnPress(force_n=self.force_n, polar_rad=self.polar_rad, **found)
+
+    @cached_property
+    def _splines(self) -> dict[str, CubicSpline]:
+        softness = np.array([_softness(E) for E in self.specimen_pa])
+        order = np.argsort(softness)
+        return {name: CubicSpline(softness[order], values[order]) for name, values in self.columns.items()}
+
+
+def _softness(specimen_pa: float) -> float:
+    return 1.0 / (1.0 + specimen_pa / TURNING_PA)
+
+
+def shipped_tips() -> tuple[str, ...]:
+    """Names of the tips there are tables of."""
+    folder = resources.files("palpate.mechanics") / FOLDER
+    names = (path.name for path in folder.iterdir() if path.name.startswith("tip-"))
+    return tuple(sorted(name.removeprefix("tip-").removesuffix(".npz") for name in names))
+
+
+@lru_cache(maxsize=None)
+def tip_table(name: str) -> TipTable:
+    """The table of a tip.
+
+    Raises:
+        InputError: there is none of this name.
+    """
+    if name not in shipped_tips():
+        raise InputError(f"no tip {name!r}; there are {', '.join(shipped_tips())}")
+    path = resources.files("palpate.mechanics") / FOLDER / f"tip-{name}.npz"
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
+        data = {key: held[key].astype(np.float64) for key in held.files}
+    radius_mm, skin_mm, skin_mpa, gel_mpa, nu = data["tip"]
+    r_mm, h_mm = data["specimen"]
+    return TipTable(
+        1e-3 * radius_mm, 1e-3 * skin_mm, 1e6 * skin_mpa, 1e6 * gel_mpa, float(nu), 1e-3 * r_mm, 1e-3 * h_mm,
+        1e6 * data["specimen_mpa"],
+        _columns(data, 1e-3 * radius_mm, 1e-3 * skin_mm),
+        np.concatenate([[0.0], data["force_n"]]),
+        data["polar_rad"],
+    )  # fmt: skip
+
+
+def _columns(data: dict[str, ndarray], radius_m: float, skin_m: float) -> dict[str, ndarray]:
+    """The table's columns in SI, the untouched tip before the first force."""
+    phi, inner = data["polar_rad"], radius_m - skin_m
+    rest = np.stack([inner * np.sin(phi), radius_m - inner * np.cos(phi)], axis=-1)
+
+    def led(values: ndarray, first: ndarray | float = 0.0) -> ndarray:
+        start = np.broadcast_to(first, (len(values), 1, *values.shape[2:]))
+        return np.concatenate([start, values], axis=1)
+
+    return {
+        "approach_m": led(1e-3 * data["approach_mm"]),
+        "flattening_m": led(1e-3 * data["flattening_mm"]),
+        "radius_m": led(1e-3 * data["radius_mm"]),
+        "angle_rad": led(data["angle_rad"]),
+        "inside_m": led(1e-3 * data["inside_mm"], rest),
+        "energy_pa": led(1e6 * data["energy_mpa"]),
+    }
