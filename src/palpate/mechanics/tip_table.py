@@ -13,7 +13,7 @@ straight.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property
 from importlib import resources
 
 import numpy as np
@@ -58,7 +58,7 @@ class HeadOnPress:
         """Of the contact [m^2]."""
         return np.pi * self.radius_m**2
 
-    def at(self, column: str, force_n: Float[ndarray, " k"]) -> Float[ndarray, "k *n"]:
+    def at(self, column: str, force_n: Float[ndarray, " k"]) -> Float[ndarray, k * n]:
         """A column of the table at other forces.
 
         Raises:
@@ -107,7 +107,7 @@ class TipTable:
     specimen_radius_m: float
     specimen_height_m: float
     specimen_pa: Float[ndarray, " s"]
-    columns: dict[str, Float[ndarray, "s *n"]]
+    columns: dict[str, Float[ndarray, s * n]]
     force_n: Levels
     polar_rad: Float[ndarray, " n"]
 
@@ -142,7 +142,7 @@ def shipped_tips() -> tuple[str, ...]:
     return tuple(sorted(name.removeprefix("tip-").removesuffix(".npz") for name in names))
 
 
-@lru_cache(maxsize=None)
+@cache
 def tip_table(name: str) -> TipTable:
     """The table of a tip.
 
