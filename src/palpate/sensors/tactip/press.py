@@ -72,7 +72,7 @@ class Trial:
     Attributes:
         time_s: of the force sensor's samples [s].
         raw_n: what the force sensor said [N].
-        desired_m, actual_m: position of the tip as asked for and as the encoder has it, down from the start [m].
+        desired_m, actual_m: position of the tip, asked for and as the encoder has it, from the start [m].
         frame_sample: which sample each frame belongs to.
         true_force_n: without noise or steps [N].
         true_area_m2: of the contact at every sample [m^2].

@@ -1,0 +1,156 @@
+"""Do several specimens differ? Rank tests over one value a trial.
+
+Samples of one trial follow each other in time and are not independent: pooling them as if they were makes any
+difference significant (pseudo-replication). So a trial counts as one value, unless the caller insists.
+
+"LSD after Kruskal-Wallis", as some packages call it, is Dunn's test without correction: z = |dR| over
+sqrt(N (N + 1) / 12 (1/n_i + 1/n_j)). It is given as such, beside Holm's correction.
+
+References: O. J. Dunn, Technometrics 6 (1964) 241, doi:10.1080/00401706.1964.10490181; H. W. Lilliefors, JASA 62
+(1967) 399, doi:10.1080/01621459.1967.10482916; S. Holm, Scand. J. Statist. 6 (1979) 65.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import scikit_posthocs as posthocs  # type: ignore[import-untyped]
+from jaxtyping import Float
+from numpy import ndarray
+from scipy import stats
+from statsmodels.stats.diagnostic import lilliefors
+
+from palpate.core.errors import InputError
+
+LEAST_FOR_LILLIEFORS = 4
+POOLED = (
+    "{samples} samples of {trials} trials are pooled: those of one trial are not independent, so p-values are "
+    "far too small (pseudo-replication); compare one value a trial"
+)
+
+Values = Float[ndarray, " _"]
+Groups = Mapping[str, Sequence[Any]]  # of every group its trials: a number each, or an array of samples
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two groups.
+
+    Attributes:
+        first, second: their names.
+        rank_sum_p: Wilcoxon's rank-sum test, two-sided; exact for small groups without ties.
+        least_p: the smallest that it can be with groups of these sizes.
+        dunn_p: uncorrected.
+        holm_p: Dunn's, corrected by Holm for all pairs.
+    """
+
+    first: str
+    second: str
+    rank_sum_p: float
+    least_p: float
+    dunn_p: float
+    holm_p: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What the tests say.
+
+    Attributes:
+        n: values in each group.
+        lilliefors_p: of each group; small where it is not Gaussian. NaN for fewer than 4 values.
+        standard_normal_p: of Kolmogorov and Smirnov's test of the raw values against N(0, 1), as some packages
+            run it by default: it asks whether the mean is 0 and the spread 1, and not for a shape.
+        kruskal_h, kruskal_p: of all groups at once.
+        pairs: every two.
+        warnings: what a reader must know before using the p-values.
+    """
+
+    n: dict[str, int]
+    lilliefors_p: dict[str, float]
+    standard_normal_p: dict[str, float]
+    kruskal_h: float
+    kruskal_p: float
+    pairs: tuple[Pair, ...]
+    warnings: tuple[str, ...]
+
+    def pair(self, first: str, second: str) -> Pair:
+        """One of the pairs, in either order."""
+        return next(p for p in self.pairs if {p.first, p.second} == {first, second})
+
+
+def compare(groups: Groups, *, pooled: bool = False) -> Comparison:
+    """Compare groups of trials.
+
+    Args:
+        groups: by name: of every trial its samples, or its one value.
+        pooled: take every sample as a value of its own, which the comparison then warns of.
+
+    Raises:
+        InputError: fewer than two groups, or one with fewer than two values, or a value that is not finite.
+
+    Example:
+        >>> groups = {"soft": [[1.0], [1.2], [1.1]], "hard": [[2.0], [2.2], [2.1]]}
+        >>> round(compare(groups).pair("soft", "hard").rank_sum_p, 3)
+        0.1
+    """
+    values = {name: _values(name, trials, pooled) for name, trials in groups.items()}
+    if len(values) < 2:
+        raise InputError(f"{len(values)} groups; two or more can be compared")
+    h, p = stats.kruskal(*values.values())
+    plain, holm = (
+        posthocs.posthoc_dunn(list(values.values()), p_adjust=how).to_numpy() for how in (None, "holm")
+    )
+    names = list(values)
+    pairs = tuple(
+        Pair(
+            names[i],
+            names[j],
+            float(stats.mannwhitneyu(values[names[i]], values[names[j]], alternative="two-sided").pvalue),
+            _least(len(values[names[i]]), len(values[names[j]])),
+            float(plain[i, j]),
+            float(holm[i, j]),
+        )
+        for i, j in combinations(range(len(names)), 2)
+    )
+    return Comparison(
+        {name: len(v) for name, v in values.items()},
+        {name: _lilliefors(v) for name, v in values.items()},
+        {name: float(stats.kstest(v, "norm").pvalue) for name, v in values.items()},
+        float(h),
+        float(p),
+        pairs,
+        _warnings(groups, pooled),
+    )
+
+
+def _values(name: str, trials: Sequence[Any], pooled: bool) -> Values:
+    samples = [np.atleast_1d(np.asarray(trial, np.float64)) for trial in trials]
+    if not all(len(trial) and np.isfinite(trial).all() for trial in samples):
+        raise InputError(f"{name} has a trial without values, or one that is not finite; leave it out")
+    values = np.concatenate(samples) if pooled else np.array([trial.mean() for trial in samples])
+    if len(values) < 2:
+        raise InputError(f"{name} has {len(values)} values; tests need two trials or more")
+    return values
+
+
+def _lilliefors(values: Values) -> float:
+    if len(values) < LEAST_FOR_LILLIEFORS or np.ptp(values) == 0:
+        return float("nan")
+    return float(lilliefors(values, dist="norm", pvalmethod="table")[1])
+
+
+def _least(n: int, m: int) -> float:
+    """Two-sided p of complete separation: two of all orders of n + m values."""
+    return min(1.0, 2 / math.comb(n + m, n))
+
+
+def _warnings(groups: Groups, pooled: bool) -> tuple[str, ...]:
+    trials = sum(len(each) for each in groups.values())
+    samples = sum(np.size(trial) for each in groups.values() for trial in each)
+    return (POOLED.format(samples=samples, trials=trials),) if pooled and samples > trials else ()

@@ -1,0 +1,91 @@
+"""Rank tests against their closed forms, and what they must warn of."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate.core.errors import InputError
+from palpate.psychophysics import compare, fit_line
+
+
+def single(values) -> list[list[float]]:
+    return [[float(v)] for v in values]
+
+
+SEPARATED = {"S1": single(range(10)), "S2": single(range(10, 20)), "S3": single(range(20, 30))}
+
+
+def test_three_separated_groups_of_ten_give_the_known_p_values() -> None:
+    found = compare(SEPARATED)
+    assert_allclose(found.kruskal_h, 25.806, atol=5e-4)
+    assert_allclose(found.pair("S1", "S2").dunn_p, 0.011085, atol=5e-7)
+    assert_allclose(found.pair("S2", "S3").dunn_p, 0.011085, atol=5e-7)
+
+
+def test_dunn_is_its_formula(rng) -> None:
+    groups = {name: single(rng.normal(k, 1, 7)) for k, name in enumerate("abc")}
+    ranks = np.argsort(np.argsort(np.concatenate([np.ravel(g) for g in groups.values()]))) + 1
+    a, b = ranks[:7].mean(), ranks[7:14].mean()
+    z = abs(a - b) / np.sqrt(21 * 22 / 12 * (1 / 7 + 1 / 7))
+    from scipy.stats import norm
+
+    assert_allclose(compare(groups).pair("b", "a").dunn_p, 2 * norm.sf(z), rtol=1e-9)
+
+
+def test_holm_never_makes_a_pair_more_significant(rng) -> None:
+    found = compare({name: single(rng.normal(k, 1, 6)) for k, name in enumerate("abcd")})
+    assert all(pair.holm_p >= pair.dunn_p for pair in found.pairs)
+    most = min(found.pairs, key=lambda pair: pair.dunn_p)
+    assert_allclose(most.holm_p, min(1, 6 * most.dunn_p))
+
+
+def test_five_trials_against_five_cannot_be_more_significant_than_two_orders_in_252() -> None:
+    pair = compare({"a": single(range(5)), "b": single(range(5, 10))}).pair("a", "b")
+    assert_allclose(pair.rank_sum_p, 2 / 252)
+    assert_allclose(pair.least_p, pair.rank_sum_p)
+
+
+def test_a_trial_is_one_value_however_many_samples_it_has(rng) -> None:
+    trials = {name: [rng.normal(k, 1, 100) for _ in range(5)] for k, name in enumerate("ab")}
+    assert compare(trials).n == {"a": 5, "b": 5}
+    assert not compare(trials).warnings
+    pooled = compare(trials, pooled=True)
+    assert pooled.n == {"a": 500, "b": 500}
+    assert "pseudo-replication" in pooled.warnings[0]
+    assert pooled.pair("a", "b").rank_sum_p < compare(trials).pair("a", "b").least_p
+
+
+def test_gaussian_stiffness_is_not_standard_normal_and_yet_gaussian() -> None:
+    """What a test of raw values against N(0, 1) calls not Gaussian is only not standard."""
+    stiffness = np.random.default_rng(1).normal(3.1, 0.4, 60)
+    found = compare({"a": single(stiffness), "b": single(stiffness + 1)})
+    assert found.standard_normal_p["a"] < 1e-60
+    assert found.lilliefors_p["a"] > 0.2
+
+
+def test_what_cannot_be_compared_is_refused() -> None:
+    with pytest.raises(InputError, match="two or more"):
+        compare({"a": single([1, 2])})
+    with pytest.raises(InputError, match="a has 1 values"):
+        compare({"a": single([1]), "b": single([1, 2])})
+    with pytest.raises(InputError, match="not finite"):
+        compare({"a": single([1, np.nan]), "b": single([1, 2])})
+
+
+def test_a_line_gives_its_slope_and_what_a_new_point_may_be(rng) -> None:
+    hits = 0
+    for _ in range(300):
+        x = rng.uniform(0, 10, 12)
+        line = fit_line(x, 2 * x + 1 + rng.normal(0, 1, 12))
+        new_x = rng.uniform(0, 10)
+        _, low, high = line.at(new_x)
+        hits += low <= 2 * new_x + 1 + rng.normal() <= high
+    assert_allclose(hits / 300, 0.9, atol=0.05)
+    exact = fit_line(np.array([0.0, 1.0, 2.0]), np.array([1.0, 3.0, 5.0]))
+    assert_allclose([exact.slope, exact.start, exact.adjusted_r2], [2, 1, 1])
+
+
+def test_two_points_make_a_line_that_promises_nothing() -> None:
+    value, low, high = fit_line(np.array([0.0, 1.0]), np.array([1.0, 3.0])).at(2.0)
+    assert_allclose(value, 5)
+    assert (low, high) == (-np.inf, np.inf)
