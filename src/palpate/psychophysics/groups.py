@@ -6,8 +6,8 @@ difference significant (pseudo-replication). So a trial counts as one value, unl
 "LSD after Kruskal-Wallis", as some packages call it, is Dunn's test without correction: z = |dR| over
 sqrt(N (N + 1) / 12 (1/n_i + 1/n_j)). It is given as such, beside Holm's correction.
 
-References: O. J. Dunn, Technometrics 6 (1964) 241, doi:10.1080/00401706.1964.10490181; H. W. Lilliefors, JASA 62
-(1967) 399, doi:10.1080/01621459.1967.10482916; S. Holm, Scand. J. Statist. 6 (1979) 65.
+References: O. J. Dunn, Technometrics 6 (1964) 241, doi:10.1080/00401706.1964.10490181; H. W. Lilliefors,
+JASA 62 (1967) 399, doi:10.1080/01621459.1967.10482916; S. Holm, Scand. J. Statist. 6 (1979) 65.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from palpate.core.errors import InputError
 
 LEAST_FOR_LILLIEFORS = 4
 POOLED = (
-    "{samples} samples of {trials} trials are pooled: those of one trial are not independent, so p-values are "
-    "far too small (pseudo-replication); compare one value a trial"
+    "{samples} samples of {trials} trials are pooled: those of one trial are not independent, so p-values "
+    "are far too small (pseudo-replication); compare one value a trial"
 )
 
 Values = Float[ndarray, " _"]
@@ -64,7 +64,7 @@ class Comparison:
     Attributes:
         n: values in each group.
         lilliefors_p: of each group; small where it is not Gaussian. NaN for fewer than 4 values.
-        standard_normal_p: of Kolmogorov and Smirnov's test of the raw values against N(0, 1), as some packages
+        standard_normal_p: of Kolmogorov and Smirnov's test of raw values against N(0, 1), as some packages
             run it by default: it asks whether the mean is 0 and the spread 1, and not for a shape.
         kruskal_h, kruskal_p: of all groups at once.
         pairs: every two.

@@ -34,7 +34,7 @@ class Line:
     _fit: object
 
     def at(self, x: float, coverage: float = 0.9) -> tuple[float, float, float]:
-        """The line at x, and the interval that holds a new point there this often; infinite for two points."""
+        """The line at x, and the interval that holds a new point so often; infinite for two points."""
         if self.n < 3:
             return self.slope * x + self.start, -np.inf, np.inf
         told = self._fit.get_prediction([[1.0, x]]).summary_frame(alpha=1 - coverage)  # type: ignore[attr-defined]

@@ -1,0 +1,159 @@
+"""A multi-page TIFF as a sequence of frames: opened once, each page read when asked for.
+
+Before any page is decoded its chain of directories is walked: a chain that comes back to itself, leaves the
+file or is longer than any recording is refused. The file stays open, since opening it anew for every page
+takes far longer than reading one.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO
+
+import numpy as np
+import tifffile
+
+from palpate.core.axes import Image
+from palpate.core.errors import ImageError, RangeError
+from palpate.core.files import storage_errors
+from palpate.recordings.png import MAX_PIXELS
+
+MAX_PAGES = 100_000  # 83 minutes at 20 frames a second
+_ORDERS = {b"II": "<", b"MM": ">"}
+
+
+class TiffFrames:
+    """The pages of a TIFF, all of one size and kind; use it in a `with` block, or `close` it.
+
+    Attributes:
+        path: the file.
+        shape: of every frame, ``(h, w)`` or ``(h, w, 3)``.
+    """
+
+    def __init__(self, path: Path, *, max_pages: int = MAX_PAGES) -> None:
+        """Open a file.
+
+        Raises:
+            ImageError: it is missing, damaged, no TIFF, of too many pages, or its first page is no 8-bit grey
+                or RGB image.
+            StorageError: the disk refused to read it.
+        """
+        self.path = Path(path)
+        if not self.path.is_file():
+            raise ImageError(f"{path} is not there (or no plain file); check the name and the folder")
+        with storage_errors(self.path), self.path.open("rb") as file:
+            self._offsets = page_offsets(file, self.path, max_pages)
+        try:
+            self._file = tifffile.TiffFile(self.path)
+        except (tifffile.TiffFileError, ValueError, struct.error, IndexError, KeyError) as e:
+            raise ImageError(f"{path} cannot be read as a TIFF ({e}); export it again") from e
+        try:
+            self.shape = self._checked(0).shape
+        except ImageError:
+            self.close()
+            raise
+
+    def __len__(self) -> int:
+        return len(self._offsets)
+
+    def __iter__(self) -> Iterator[Image]:
+        return (self[i] for i in range(len(self)))
+
+    def __getitem__(self, index: int) -> Image:
+        """One frame.
+
+        Raises:
+            RangeError: there is no such page.
+            ImageError: it is damaged, or not as the first is.
+            StorageError: the disk refused to read it.
+        """
+        if not 0 <= index < len(self):
+            raise RangeError(f"{self.path} has pages 0 to {len(self) - 1}, and {index} was asked for")
+        page = self._checked(index)
+        if page.shape != self.shape:
+            raise ImageError(
+                f"{self.path}, page {index} is {_kind(page)} and the first {_kind(self._checked(0))}; the "
+                "frames of one press are of one size and kind"
+            )
+        with storage_errors(self.path):
+            try:
+                return np.ascontiguousarray(page.asarray())
+            except (tifffile.TiffFileError, ValueError, RuntimeError, struct.error) as e:
+                raise ImageError(f"{self.path}, page {index} is damaged ({e}); export it again") from e
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __enter__(self) -> TiffFrames:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _checked(self, index: int) -> tifffile.TiffPage:
+        """A page whose header says that it is 8-bit grey or RGB, and not too large."""
+        page = self._file.pages[index]
+        assert isinstance(page, tifffile.TiffPage)
+        pixels = int(np.prod(page.shape[:2])) if len(page.shape) > 1 else 0
+        if not 0 < pixels <= MAX_PIXELS:
+            raise ImageError(f"{self.path}, page {index} claims {pixels} pixels; 1 to {MAX_PIXELS} are read")
+        grey = len(page.shape) == 2
+        if page.dtype != np.uint8 or not (grey or (len(page.shape) == 3 and page.shape[2] == 3)):
+            raise ImageError(
+                f"{self.path}, page {index} is {_kind(page)}; frames are 8-bit grey or RGB: convert them"
+            )
+        return page
+
+
+def page_offsets(file: BinaryIO, path: Path, most: int) -> list[int]:
+    """Where every page's directory lies.
+
+    Raises:
+        ImageError: no TIFF, or a chain of directories that is no recording's.
+    """
+    size = file.seek(0, 2)
+    file.seek(0)
+    order = _ORDERS.get(file.read(2))
+    magic = _number(file, order + "H", path) if order else 0
+    if order is None or magic not in (42, 43):
+        raise ImageError(f"{path} is no TIFF; give a multi-page TIFF")
+    # classic: 4-byte offsets, 2-byte counts, 12-byte entries; BigTIFF: 8, 8 and 20
+    offset_type, count_type, entry = ("I", "H", 12) if magic == 42 else ("Q", "Q", 20)
+    if magic == 43:
+        file.seek(8)
+    found: list[int] = []
+    seen: set[int] = set()
+    offset = _number(file, order + offset_type, path)
+    while offset:
+        if offset in seen:
+            raise ImageError(f"{path}: its pages run in a circle after page {len(found) - 1}; it is damaged")
+        if not 0 < offset < size:
+            raise ImageError(f"{path}: page {len(found)} lies outside the file; it is cut off or damaged")
+        if len(found) >= most:
+            raise ImageError(f"{path} has more than {most} pages; split the recording, or raise the limit")
+        seen.add(offset)
+        found.append(offset)
+        file.seek(offset)
+        entries = _number(file, order + count_type, path)
+        file.seek(entries * entry, 1)
+        offset = _number(file, order + offset_type, path)
+    if not found:
+        raise ImageError(f"{path} has no pages; export it again")
+    return found
+
+
+def _number(file: BinaryIO, kind: str, path: Path) -> int:
+    data = file.read(struct.calcsize(kind))
+    if len(data) < struct.calcsize(kind):
+        raise ImageError(f"{path} ends within a directory of pages; it is cut off: copy it again")
+    return int(struct.unpack(kind, data)[0])
+
+
+def _kind(page: tifffile.TiffPage) -> str:
+    return f"{' x '.join(map(str, page.shape))} of {page.dtype}"
