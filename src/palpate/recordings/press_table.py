@@ -1,0 +1,167 @@
+"""The table of one press: force, and perhaps position, at their own rate, and which sample each frame is of.
+
+Two layouts are read. Where the force sensor is faster than the camera, a row is a sample and the column
+``frame`` says which frame was the latest; a frame belongs to the first row that names it. Where a row is a
+frame, ``frame`` may be left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from palpate.core.errors import LabelError
+from palpate.core.units import has_unit, split_column, unit
+from palpate.recordings.labels import label_kinds, read_labels, rows_text
+
+FORCES = ("force_raw_N", "force_N", "Fz_N", "fz_N")
+POSITIONS = ("actual_mm", "position_mm", "depth_mm", "gripper_width_m")
+TIMES = ("time_s", "t_s")
+FRAME = "frame"
+START = 5  # samples that tell which way the force goes
+
+Samples = Float[ndarray, " s"]
+
+
+@dataclass(frozen=True)
+class PressTable:
+    """One press, SI.
+
+    Attributes:
+        time_s: of every sample, from the first [s].
+        force_n: positive in compression [N].
+        position_m: as the table has it; None where it has none [m].
+        frame_sample: of every frame, which sample it belongs to.
+        force_column, position_column: where these were read.
+        turned: the table has compression negative.
+    """
+
+    time_s: Samples
+    force_n: Samples
+    position_m: Samples | None
+    frame_sample: Int[ndarray, " f"]
+    force_column: str
+    position_column: str | None
+    turned: bool
+
+
+def read_press_table(
+    path: Path,
+    frames: int,
+    *,
+    force_column: str | None = None,
+    position_column: str | None = None,
+    rate_hz: float | None = None,
+) -> PressTable:
+    """Read a table and lay it beside the frames.
+
+    Args:
+        path: CSV or Parquet with a header.
+        frames: how many images there are.
+        force_column: name with a unit of force; None for the first of `FORCES` that is there.
+        position_column: name with a unit of length; None for the first of `POSITIONS` that is there.
+        rate_hz: of the rows, where the table has no column of times.
+
+    Raises:
+        LabelError: a column is missing or of another unit, a cell is no number, times do not rise, or the
+            table does not fit the images.
+    """
+    table = read_labels(path, kinds={})
+    force_name = _named(table, path, force_column, FORCES, "N", "force")
+    place_name = _named(
+        table, path, position_column, POSITIONS, "m", "position", must=position_column is not None
+    )
+    assert force_name is not None
+    force = _si(table, path, force_name)
+    start = np.median(force[:START])
+    turned = bool(force[np.argmax(np.abs(force - start))] < start)
+    return PressTable(
+        _times(table, path, rate_hz),
+        -force if turned else force,
+        None if place_name is None else _si(table, path, place_name),
+        _frame_samples(table, path, frames),
+        force_name,
+        place_name,
+        turned,
+    )
+
+
+def _named(
+    table: pd.DataFrame,
+    path: Path,
+    asked: str | None,
+    usual: tuple[str, ...],
+    si: str,
+    what: str,
+    must: bool = True,
+) -> str | None:
+    """The column of a quantity."""
+    found = asked if asked is not None else next((name for name in usual if name in table.columns), None)
+    if found is None and not must:
+        return None
+    if found is None or found not in table.columns:
+        raise LabelError(
+            f"{path} has no column {' or '.join([asked] if asked else usual)}; name the column of {what}: "
+            f"{', '.join(map(str, table.columns))}"
+        )
+    if not has_unit(found) or split_column(found)[1].si != si:
+        raise LabelError(
+            f"column {found!r} of {path} carries no unit of {what}; rename it, e.g. {usual[-1]!r}"
+        )
+    return found
+
+
+def _si(table: pd.DataFrame, path: Path, name: str) -> Samples:
+    values = _numbers(table, path, name)
+    return values * unit(split_column(name)[1].symbol).factor
+
+
+def _numbers(table: pd.DataFrame, path: Path, name: str) -> Samples:
+    bad = np.arange(len(table))
+    if label_kinds(table)[name] == "number":
+        bad = np.flatnonzero(~np.isfinite(table[name].to_numpy(np.float64)))
+    if bad.size:
+        raise LabelError(
+            f"{path}, {rows_text(bad)}: {name!r} holds no finite number; repair or remove the rows"
+        )
+    return table[name].to_numpy(np.float64)
+
+
+def _times(table: pd.DataFrame, path: Path, rate_hz: float | None) -> Samples:
+    name = next((name for name in TIMES if name in table.columns), None)
+    if name is None:
+        if rate_hz is None or not rate_hz > 0:
+            raise LabelError(f"{path} has no column {' or '.join(TIMES)}; give its rate [Hz]")
+        return np.arange(len(table)) / rate_hz
+    time = _numbers(table, path, name)
+    late = np.flatnonzero(np.diff(time) <= 0) + 1
+    if late.size:
+        raise LabelError(f"{path}, {rows_text(late)}: {name!r} does not rise; sort the rows")
+    return time - time[0]
+
+
+def _frame_samples(table: pd.DataFrame, path: Path, frames: int) -> Int[ndarray, " f"]:
+    if FRAME not in table.columns:
+        if len(table) != frames:
+            raise LabelError(
+                f"{path} has {len(table)} rows and there are {frames} frames; give a row a frame, or a column "
+                f"{FRAME!r} that says which frame each sample belongs to"
+            )
+        return np.arange(frames)
+    index = _numbers(table, path, FRAME)
+    back = np.flatnonzero((np.diff(index) < 0) | (index[1:] % 1 != 0)) + 1
+    if back.size:
+        raise LabelError(f"{path}, {rows_text(back)}: {FRAME!r} is not a whole number that never falls")
+    kinds, first = np.unique(index.astype(np.int64), return_index=True)
+    if len(kinds) != frames or kinds[0] != 0 or kinds[-1] != frames - 1:
+        missing = np.setdiff1d(np.arange(frames), kinds)
+        raise LabelError(
+            f"{path} names {len(kinds)} frames, {kinds[0]} to {kinds[-1]}, and there are {frames}, 0 to "
+            f"{frames - 1}{f'; frame {missing[0]} has no row' if len(missing) else ''}: are they of one press?"
+        )
+    return first

@@ -1,0 +1,81 @@
+"""The table of a press: its quantities by their units, its rows beside the frames."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from palpate.core.errors import LabelError
+from palpate.recordings.press_table import read_press_table
+
+
+def written(tmp_path, columns, name="force.csv"):
+    pd.DataFrame(columns).to_csv(tmp_path / name, index=False)
+    return tmp_path / name
+
+
+def fast(frames=6, every=10) -> dict[str, np.ndarray]:
+    """As the report records: 200 Hz, and the number of the latest of 20 frames a second."""
+    n = frames * every
+    return {
+        "time_s": np.arange(n) / 200,
+        "force_raw_N": np.linspace(0, 5, n),
+        "force_N": np.linspace(0, 5, n) * 0.99,
+        "desired_mm": np.arange(n) * 0.025,
+        "actual_mm": np.arange(n) * 0.025 + 0.01,
+        "frame": np.arange(n) // every,
+    }
+
+
+def test_a_frame_belongs_to_the_first_sample_that_names_it(tmp_path) -> None:
+    found = read_press_table(written(tmp_path, fast()), 6)
+    assert_array_equal(found.frame_sample, np.arange(6) * 10)
+    assert found.force_column == "force_raw_N"
+    assert_allclose(found.position_m[1] - found.position_m[0], 25e-6)
+    assert_allclose(found.time_s[-1], 59 / 200)
+
+
+def test_a_row_a_frame_needs_no_numbers_of_frames(tmp_path) -> None:
+    table = {"Fz_N": np.linspace(0, -3, 8)}
+    found = read_press_table(written(tmp_path, table), 8, rate_hz=20.0)
+    assert_array_equal(found.frame_sample, np.arange(8))
+    assert found.turned
+    assert_allclose(found.force_n[-1], 3)
+    assert found.position_m is None
+
+
+def test_columns_may_be_named(tmp_path) -> None:
+    path = written(tmp_path, fast() | {"load_mN": np.linspace(0, 5000, 60)})
+    found = read_press_table(path, 6, force_column="load_mN", position_column="desired_mm")
+    assert_allclose(found.force_n[-1], 5.0)
+    assert found.position_column == "desired_mm"
+
+
+@pytest.mark.parametrize(
+    ("change", "frames", "said"),
+    [
+        ({}, 7, "names 6 frames, 0 to 5, and there are 7"),
+        ({}, 5, "and there are 5"),
+        ({"frame": np.array([0] * 30 + [5] * 30)}, 6, "frame 1 has no row"),
+        ({"frame": np.array([0] * 30 + [1] * 29 + [0])}, 2, "row 61.*never falls"),
+        ({"time_s": np.zeros(60)}, 6, "does not rise"),
+        ({"force_raw_N": np.where(np.arange(60) == 3, np.nan, 1.0)}, 6, "row 5.*no finite number"),
+        ({"force_raw_N": np.array(["x"] * 60)}, 6, "no finite number"),
+    ],
+)
+def test_a_table_that_does_not_fit_says_where(tmp_path, change, frames, said) -> None:
+    with pytest.raises(LabelError, match=said):
+        read_press_table(written(tmp_path, fast() | change), frames)
+
+
+def test_a_table_without_force_rate_or_unit_says_what_is_missing(tmp_path) -> None:
+    with pytest.raises(LabelError, match="force_raw_N or force_N"):
+        read_press_table(written(tmp_path, {"load": np.ones(4)}), 4, rate_hz=20.0)
+    with pytest.raises(LabelError, match="no unit of force"):
+        read_press_table(
+            written(tmp_path, {"load": np.ones(4)}, "b.csv"), 4, rate_hz=20.0, force_column="load"
+        )
+    with pytest.raises(LabelError, match="give its rate"):
+        read_press_table(written(tmp_path, {"force_N": np.ones(4)}, "c.csv"), 4)
+    with pytest.raises(LabelError, match="4 rows and there are 5 frames"):
+        read_press_table(written(tmp_path, {"force_N": np.ones(4)}, "d.csv"), 5, rate_hz=20.0)
