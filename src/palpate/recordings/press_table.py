@@ -126,9 +126,7 @@ def _numbers(table: pd.DataFrame, path: Path, name: str) -> Samples:
     if label_kinds(table)[name] == "number":
         bad = np.flatnonzero(~np.isfinite(table[name].to_numpy(np.float64)))
     if bad.size:
-        raise LabelError(
-            f"{path}, {rows_text(bad)}: {name!r} holds no finite number; repair or remove the rows"
-        )
+        raise LabelError(f"{path}, {rows_text(bad)}: {name!r} holds no finite number; repair them")
     return table[name].to_numpy(np.float64)
 
 
@@ -149,8 +147,8 @@ def _frame_samples(table: pd.DataFrame, path: Path, frames: int) -> Int[ndarray,
     if FRAME not in table.columns:
         if len(table) != frames:
             raise LabelError(
-                f"{path} has {len(table)} rows and there are {frames} frames; give a row a frame, or a column "
-                f"{FRAME!r} that says which frame each sample belongs to"
+                f"{path} has {len(table)} rows and there are {frames} frames; give a row a frame, or a "
+                f"column {FRAME!r} that says which frame each sample belongs to"
             )
         return np.arange(frames)
     index = _numbers(table, path, FRAME)
@@ -162,6 +160,6 @@ def _frame_samples(table: pd.DataFrame, path: Path, frames: int) -> Int[ndarray,
         missing = np.setdiff1d(np.arange(frames), kinds)
         raise LabelError(
             f"{path} names {len(kinds)} frames, {kinds[0]} to {kinds[-1]}, and there are {frames}, 0 to "
-            f"{frames - 1}{f'; frame {missing[0]} has no row' if len(missing) else ''}: are they of one press?"
+            f"{frames - 1}{f'; frame {missing[0]} has no row' if len(missing) else ''}: is it of this press?"
         )
     return first

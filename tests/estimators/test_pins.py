@@ -1,0 +1,77 @@
+"""Pins: found where they are, followed where they go, given up where they are gone."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate.core.errors import ImageError, InputError
+from palpate.estimators.pins import find_pins, follow, largest_circle
+
+
+def hexagon(rings: int, pitch: float) -> np.ndarray:
+    steps = [
+        (i, j) for i in range(-rings, rings + 1) for j in range(-rings, rings + 1) if abs(i + j) <= rings
+    ]
+    i, j = np.array(sorted(steps, key=lambda s: s[0] ** 2 + s[0] * s[1] + s[1] ** 2)).T
+    return pitch * np.stack([i + j / 2, np.sqrt(0.75) * j], axis=1)
+
+
+def drawn(xy, rng, radius=6.0, size=300, noise=2.0) -> np.ndarray:
+    y, x = np.indices((size, size))
+    image = np.full((size, size), 18.0)
+    for px, py in xy:
+        share = np.clip((radius - np.hypot(x - px, y - py)) / 1.5 + 0.5, 0, 1)
+        image = np.maximum(image, 18 + 182 * share)
+    return np.clip(np.rint(image + noise * rng.standard_normal(image.shape)), 0, 255).astype(np.uint8)
+
+
+def matched(found, truth) -> np.ndarray:
+    """Distance of every found pin to the nearest true one."""
+    return np.hypot(*(found[:, None] - truth[None]).transpose(2, 0, 1)).min(axis=1)
+
+
+def test_pins_are_found_to_a_few_hundredths_of_a_pixel(rng) -> None:
+    truth = np.array([149.3, 150.8]) + hexagon(6, 20.3)
+    pins = find_pins(drawn(truth, rng))
+    assert len(pins.xy_px) == 127
+    assert matched(pins.xy_px, truth).max() < 0.06
+    assert_allclose(pins.xy_px[0], [149.3, 150.8], atol=0.06)
+    assert_allclose(largest_circle(pins), 6 * 20.3, atol=0.1)
+
+
+def test_pins_are_followed_through_stretch_and_shift(rng) -> None:
+    middle, lattice = np.array([149.5, 149.5]), hexagon(6, 18.0)
+    truths = [middle + lattice * (1 + 0.004 * k) + 0.3 * k for k in range(20)]
+    frames = [drawn(truth, rng) for truth in truths]
+    pins = find_pins(frames[0])
+    order = [int(np.argmin(np.hypot(*(truths[0] - xy).T))) for xy in pins.xy_px]
+    for truth, now in zip(truths[1:], follow(frames[1:], pins), strict=True):
+        assert np.hypot(*(now.xy_px - truth[order]).T).max() < 0.08
+
+
+def test_a_pin_that_fades_is_lost_and_stays_lost(rng) -> None:
+    truth = np.array([149.5, 149.5]) + hexagon(4, 25.0)
+    first, without = drawn(truth, rng), drawn(np.delete(truth, 5, axis=0), rng)
+    pins = find_pins(first)
+    gone = int(np.argmin(np.hypot(*(pins.xy_px - truth[5]).T)))
+    later = list(follow([without, first], pins))
+    for now in later:
+        assert not now.found[gone]
+        assert now.found.sum() == 60
+
+
+def test_a_pin_cut_by_the_border_is_not_found(rng) -> None:
+    truth = np.concatenate([np.array([149.5, 149.5]) + hexagon(4, 25.0), [[2.0, 150.0]]])
+    assert len(find_pins(drawn(truth, rng)).xy_px) == 61
+
+
+def test_images_without_pins_are_refused(rng) -> None:
+    noise = rng.integers(0, 30, (300, 300)).astype(np.uint8)
+    for image in (noise, np.zeros((300, 300), np.uint8), np.full((300, 300), 255, np.uint8)):
+        with pytest.raises(ImageError, match="pins in the image"):
+            find_pins(image, least=40)
+    with pytest.raises(ImageError, match="8-bit"):
+        find_pins(np.zeros((10, 10)))
+    pins = find_pins(drawn(np.array([149.5, 149.5]) + hexagon(2, 40.0), rng))
+    with pytest.raises(InputError, match="8-bit"):
+        next(follow([np.zeros((10, 10, 3), np.uint8)], pins))
