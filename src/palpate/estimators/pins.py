@@ -74,8 +74,7 @@ def find_pins(image: Shaped[ndarray, ...], least: int = LEAST_PINS) -> Pins:
     whole = (left > 0) & (top > 0) & (left + wide < w) & (top + high < h)
     typical = np.median(size[size >= LEAST_PX]) if (size >= LEAST_PX).any() else 0
     kept = whole & (size >= LEAST_PX) & (size > 0.3 * typical) & (size < 3 * typical)
-    ground, bright = (float(np.median(image[part])) if part.any() else 0.0 for part in (mask == 0, mask > 0))
-    clear = bright - ground > CLEAR * max(1.0, float(image[mask == 0].std()))
+    ground, bright, clear = _contrast(image, mask > 0)
     if kept.sum() < least or not clear:
         raise ImageError(
             f"{int(kept.sum()) if clear else 0} pins in the image and at least {least} are needed; pins must be brighter "
@@ -87,6 +86,14 @@ def find_pins(image: Shaped[ndarray, ...], least: int = LEAST_PINS) -> Pins:
     first = Pins(xy, ground, bright, REACH * nearest, np.full(len(xy), np.inf))
     xy, weight = _centroids(image, first.xy_px, first.reach_px, _floor(first))
     return Pins(xy, ground, bright, first.reach_px, weight)
+
+
+def _contrast(image: Grey, pin: Bool[ndarray, "h w"]) -> tuple[float, float, bool]:
+    """Levels of ground and pins, and whether pins stand out from the ground's own spread."""
+    if pin.all() or not pin.any():
+        return 0.0, 0.0, False
+    ground, bright = float(np.median(image[~pin])), float(np.median(image[pin]))
+    return ground, bright, bright - ground > CLEAR * max(1.0, float(image[~pin].std()))
 
 
 def follow(frames: Iterable[Grey], pins: Pins) -> Iterator[Pins]:
