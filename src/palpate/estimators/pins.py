@@ -77,8 +77,8 @@ def find_pins(image: Shaped[ndarray, ...], least: int = LEAST_PINS) -> Pins:
     ground, bright, clear = _contrast(image, mask > 0)
     if kept.sum() < least or not clear:
         raise ImageError(
-            f"{int(kept.sum()) if clear else 0} pins in the image and at least {least} are needed; pins must be brighter "
-            "than their ground and apart: look at focus, light and the crop"
+            f"{int(kept.sum()) if clear else 0} pins in the image and at least {least} are needed; pins must "
+            "be brighter than their ground and apart: look at focus, light and the crop"
         )
     xy = centres[1:][kept]
     xy = xy[np.argsort(((xy - xy.mean(axis=0)) ** 2).sum(axis=1))]
@@ -96,7 +96,7 @@ def _contrast(image: Grey, pin: Bool[ndarray, "h w"]) -> tuple[float, float, boo
     return ground, bright, bright - ground > CLEAR * max(1.0, float(image[~pin].std()))
 
 
-def follow(frames: Iterable[Grey], pins: Pins) -> Iterator[Pins]:
+def follow(frames: Iterable[Shaped[ndarray, "..."]], pins: Pins) -> Iterator[Pins]:
     """The pins of every frame, each looked for where it was in the last; a lost pin stays lost.
 
     Args:
