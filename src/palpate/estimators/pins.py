@@ -96,7 +96,7 @@ def _contrast(image: Grey, pin: Bool[ndarray, "h w"]) -> tuple[float, float, boo
     return ground, bright, bright - ground > CLEAR * max(1.0, float(image[~pin].std()))
 
 
-def follow(frames: Iterable[Shaped[ndarray, "..."]], pins: Pins) -> Iterator[Pins]:
+def follow(frames: Iterable[Shaped[ndarray, ...]], pins: Pins) -> Iterator[Pins]:
     """The pins of every frame, each looked for where it was in the last; a lost pin stays lost.
 
     Args:
