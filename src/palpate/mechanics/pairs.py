@@ -10,7 +10,8 @@ is. Equations (1) and (2) of the softness display's report name these two rightl
 sides exchanged; here they stand resolved.
 
 References: K. L. Johnson, Contact Mechanics (1985), ch. 4, doi:10.1017/CBO9781139171731; E. P. Scilingo,
-M. Bianchi, G. Grioli, A. Bicchi, Rendering softness, IEEE Trans. Haptics 3 (2010) 109, doi:10.1109/TOH.2010.2.
+M. Bianchi, G. Grioli, A. Bicchi, Rendering softness, IEEE Trans. Haptics 3 (2010) 109,
+doi:10.1109/TOH.2010.2.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from numpy import ndarray
 
 from palpate.core.errors import RangeError
 
-Values = Float[ndarray, "*n"]
+Values = float | Float[ndarray, "*n"]
 
 
 @dataclass(frozen=True)
