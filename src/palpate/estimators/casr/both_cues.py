@@ -1,0 +1,154 @@
+"""Modulus and radius of a touched object from both cues: force over displacement, and force over contact area.
+
+In Hertz's contact (`mechanics.pairs`) P^(2/3) = c (d - d0) and A = k P^(2/3), both straight lines. The first
+gives E sqrt(R), the second R / E, and together
+
+    R = c k / pi,    E = 3/4 c^(3/2) / sqrt(R)
+
+of finger and object in series, from which the finger's own are taken off. Where the object yields less than a
+fifth of the approach, that difference magnifies every error more than fivefold: such a result is marked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from palpate.core.errors import InputError
+from palpate.mechanics.pairs import Body
+
+LEAST_SHARE = 0.2
+DRAWS = 4000
+LEAST_SAMPLES = 5
+
+Samples = Float[ndarray, " _"]
+
+
+@dataclass(frozen=True)
+class Press:
+    """Loading samples of one press, SI: force [N], approach from any origin [m], true contact area [m^2]."""
+
+    force_n: Samples
+    approach_m: Samples
+    area_m2: Samples
+
+
+@dataclass(frozen=True)
+class Finger:
+    """What touches, and how well it is known.
+
+    Attributes:
+        body: its modulus over 1 - nu^2 and its radius.
+        modulus_spread, radius_spread: relative standard deviations.
+    """
+
+    body: Body
+    modulus_spread: float = 0.0
+    radius_spread: float = 0.0
+
+
+@dataclass(frozen=True)
+class Touched:
+    """An object by both cues.
+
+    Attributes:
+        modulus_pa, radius_m: estimate, low and high; the radius is infinite for a flat.
+        share: of the approach that the object yields.
+        coverage: of the intervals.
+        valid, why: False, and the reason, where the object's own part is too small to be told.
+    """
+
+    modulus_pa: tuple[float, float, float]
+    radius_m: tuple[float, float, float]
+    share: float
+    coverage: float
+    valid: bool
+    why: str
+
+
+def touched(
+    presses: Sequence[Press], finger: Finger, rng: np.random.Generator, coverage: float = 0.9
+) -> Touched:
+    """What was touched, from one press or several.
+
+    Intervals are of draws of the two lines' slopes and of the finger. With several presses the slopes' spread
+    is that between presses; with one it is that of its samples, as if these were independent.
+
+    Raises:
+        InputError: no press, or one with too few samples, with no rise of force, or with area or force that
+            is not positive.
+    """
+    if not presses:
+        raise InputError("no press; give one or more")
+    c, k = np.array([_slopes(press) for press in presses]).T
+    spread = _spread(presses, c, k)
+    draws = np.exp(np.log([c.mean(), k.mean()])[:, None] + spread[:, None] * rng.standard_normal((2, DRAWS)))
+    E_f = finger.body.modulus_pa * np.exp(finger.modulus_spread * rng.standard_normal(DRAWS))
+    R_f = finger.body.radius_m * np.exp(finger.radius_spread * rng.standard_normal(DRAWS))
+    E, R = _both(c.mean(), k.mean())
+    softness, curvature = 1 / E - 1 / finger.body.modulus_pa, 1 / R - 1 / finger.body.radius_m
+    drawn_E, drawn_R = _both(*draws)
+    tails = np.array([(1 - coverage) / 2, (1 + coverage) / 2])
+    share = softness * E
+    return Touched(
+        _inverse(softness, np.quantile(1 / drawn_E - 1 / E_f, tails)),
+        _inverse(curvature, np.quantile(1 / drawn_R - 1 / R_f, tails)),
+        float(share),
+        coverage,
+        bool(share >= LEAST_SHARE),
+        ""
+        if share >= LEAST_SHARE
+        else f"the object yields {100 * share:.0f} % of the approach; below {100 * LEAST_SHARE:.0f} % its own part "
+        "cannot be told from the finger's",
+    )
+
+
+def _both(c: Samples | float, k: Samples | float) -> tuple[Samples, Samples]:
+    """Modulus and radius of the two in series."""
+    R = np.asarray(c * k / np.pi)
+    return np.asarray(0.75 * c**1.5 / np.sqrt(R)), R
+
+
+def _slopes(press: Press) -> tuple[float, float]:
+    """C and k of one press."""
+    force, approach, area = (
+        np.asarray(x, np.float64) for x in (press.force_n, press.approach_m, press.area_m2)
+    )
+    if not (force.shape == approach.shape == area.shape) or force.ndim != 1 or len(force) < LEAST_SAMPLES:
+        raise InputError(
+            f"{force.size} forces, {approach.size} approaches and {area.size} areas; a press has "
+            f"{LEAST_SAMPLES} or more of each"
+        )
+    if not (np.isfinite([force, approach, area]).all() and force.min() > 0 and area.min() > 0):
+        raise InputError(
+            "forces and areas of a press are finite and above 0; leave out what is before contact"
+        )
+    p = force ** (2 / 3)
+    if np.ptp(approach) == 0 or np.ptp(force) == 0:
+        raise InputError("neither force nor approach changes; give the loading part of a press")
+    c = float(np.polyfit(approach, p, 1)[0])
+    if not c > 0:
+        raise InputError("force falls as the approach grows; turn the sign of one of them")
+    return c, float((p * area).sum() / (p * p).sum())
+
+
+def _spread(presses: Sequence[Press], c: Samples, k: Samples) -> Samples:
+    """Relative standard errors of the mean slopes."""
+    if len(presses) > 1:
+        return np.array([x.std(ddof=1) / x.mean() / np.sqrt(len(x)) for x in (c, k)])
+    (press,) = presses
+    p = press.force_n ** (2 / 3)
+    _, cov = np.polyfit(press.approach_m, p, 1, cov=True)
+    off = press.area_m2 - k[0] * p
+    k_error = np.sqrt((off**2).sum() / (len(p) - 1) / (p * p).sum())
+    return np.array([np.sqrt(cov[0, 0]) / c[0], k_error / k[0]])
+
+
+def _inverse(value: float, tails: Samples) -> tuple[float, float, float]:
+    """Estimate, low and high of the reciprocal; what is not positive is infinite."""
+    mid, high, low = (1 / x if x > 0 else np.inf for x in (value, *tails))
+    return float(mid), float(low), float(high)

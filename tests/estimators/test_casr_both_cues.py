@@ -1,0 +1,86 @@
+"""Both cues together: objects that one cue confuses are told apart, with intervals that hold."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate.core.errors import InputError
+from palpate.estimators.casr.both_cues import Finger, Press, touched
+from palpate.mechanics.pairs import Body, alike_to_the_arm, alike_to_the_skin
+
+FINGER = Body(1e5, 15e-3)
+A = Body(1e6, 2.5e-3)
+B = alike_to_the_arm(A, FINGER, 1.5e5)
+C = Body(2e5, 30e-3)
+D = alike_to_the_skin(C, FINGER, 2e4)
+FORCE = np.linspace(0.5, 5, 60)
+
+
+def press(thing: Body, rng=None, area=0.01, place_m=20e-6, offset_m=1e-3) -> Press:
+    """As a sensor would have it: noise of a sixteenth of a newton's step, of area, and of place."""
+    both = thing.against(FINGER)
+    d, a = both.approach_m(FORCE), both.area_m2(FORCE)
+    if rng is None:
+        return Press(FORCE, d + offset_m, a)
+    n = len(FORCE)
+    return Press(
+        FORCE + 0.018 * rng.standard_normal(n),
+        d + offset_m + place_m * rng.standard_normal(n),
+        a * (1 + area * rng.standard_normal(n)),
+    )
+
+
+@pytest.mark.parametrize("thing", [B, C, D])
+def test_without_noise_modulus_and_radius_come_back(rng, thing) -> None:
+    found = touched([press(thing)], Finger(FINGER), rng)
+    assert_allclose(found.modulus_pa[0], thing.modulus_pa, rtol=1e-6)
+    assert_allclose(found.radius_m[0], thing.radius_m, rtol=1e-6)
+    assert found.valid
+
+
+def test_pairs_that_one_cue_confuses_are_told_apart(rng) -> None:
+    for one, other in ((A, B), (C, D)):
+        told = [touched([press(x, rng) for _ in range(5)], Finger(FINGER), rng) for x in (one, other)]
+        soft, hard = sorted(told, key=lambda t: t.modulus_pa[0])
+        assert soft.modulus_pa[2] < hard.modulus_pa[1]
+
+
+def test_objects_that_yield_enough_are_measured_within_the_bars(rng) -> None:
+    errors = []
+    for thing in (B, C, D):
+        found = [touched([press(thing, rng) for _ in range(5)], Finger(FINGER), rng) for _ in range(20)]
+        assert all(f.valid for f in found)
+        errors.append([abs(f.modulus_pa[0] / thing.modulus_pa - 1) for f in found])
+        assert np.median([abs(f.radius_m[0] / thing.radius_m - 1) for f in found]) < 0.15
+    assert np.median(errors, axis=1).max() < 0.10
+
+
+def test_an_object_that_hardly_yields_is_marked(rng) -> None:
+    found = touched([press(A, rng)], Finger(FINGER), rng)
+    assert not found.valid
+    assert "9 %" in found.why
+
+
+def test_intervals_hold_as_often_as_they_say(rng) -> None:
+    held = np.zeros(2)
+    for _ in range(150):
+        found = touched([press(D, rng)], Finger(FINGER), rng)
+        held += [
+            found.modulus_pa[1] <= D.modulus_pa <= found.modulus_pa[2],
+            found.radius_m[1] <= D.radius_m <= found.radius_m[2],
+        ]
+    assert_allclose(held / 150, 0.9, atol=0.07)
+
+
+def test_what_is_no_press_is_refused(rng) -> None:
+    good = press(C)
+    with pytest.raises(InputError, match="no press"):
+        touched([], Finger(FINGER), rng)
+    with pytest.raises(InputError, match="5 or more"):
+        touched([Press(*(x[:3] for x in (good.force_n, good.approach_m, good.area_m2)))], Finger(FINGER), rng)
+    with pytest.raises(InputError, match="turn the sign"):
+        touched([Press(good.force_n, -good.approach_m, good.area_m2)], Finger(FINGER), rng)
+    with pytest.raises(InputError, match="above 0"):
+        touched([Press(good.force_n - 1, good.approach_m, good.area_m2)], Finger(FINGER), rng)
+    with pytest.raises(InputError, match="loading part"):
+        touched([Press(np.ones(9), np.ones(9), np.ones(9))], Finger(FINGER), rng)
