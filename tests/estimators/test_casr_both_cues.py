@@ -58,7 +58,7 @@ def test_objects_that_yield_enough_are_measured_within_the_bars(rng) -> None:
 def test_an_object_that_hardly_yields_is_marked(rng) -> None:
     found = touched([press(A, rng)], Finger(FINGER), rng)
     assert not found.valid
-    assert "9 %" in found.why
+    assert "9%" in found.why
 
 
 def test_intervals_hold_as_often_as_they_say(rng) -> None:

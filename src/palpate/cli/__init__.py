@@ -6,9 +6,20 @@ from typing import Annotated
 
 import typer
 
-from palpate.cli import calibration, import_palm, mechanics, optics, recordings, render, reproduce, rig
+from palpate.cli import (
+    calibration,
+    import_palm,
+    import_press,
+    mechanics,
+    optics,
+    recordings,
+    render,
+    reproduce,
+    rig,
+)
 from palpate.cli.adapt import adapt
 from palpate.cli.demo import demo
+from palpate.cli.flow import flow
 from palpate.cli.quantise import quantise
 from palpate.cli.studio import studio
 from palpate.version import __version__
@@ -33,6 +44,8 @@ app.add_typer(rig.rig_app, name="rig")
 app.add_typer(reproduce.app, name="reproduce")
 import_app.command("images")(recordings.import_images)
 import_app.command("palm")(import_palm.palm)
+import_app.command("tiff")(import_press.tiff)
+import_app.command("video")(import_press.video)
 for verb in (
     rig.record,
     recordings.check,
@@ -44,6 +57,7 @@ for verb in (
     calibration.evaluate,
     calibration.sense,
     calibration.report,
+    flow,
     demo,
     studio,
 ):

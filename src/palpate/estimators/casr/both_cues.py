@@ -1,4 +1,4 @@
-"""Modulus and radius of a touched object from both cues: force over displacement, and force over contact area.
+"""Modulus and radius of a touched object from both cues: force over displacement, and over contact area.
 
 In Hertz's contact (`mechanics.pairs`) P^(2/3) = c (d - d0) and A = k P^(2/3), both straight lines. The first
 gives E sqrt(R), the second R / E, and together
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -24,6 +25,9 @@ from palpate.mechanics.pairs import Body
 LEAST_SHARE = 0.2
 DRAWS = 4000
 LEAST_SAMPLES = 5
+TOO_STIFF = (
+    "the object yields {:.0%} of the approach; below {:.0%} its own part cannot be told from the finger's"
+)
 
 Samples = Float[ndarray, " _"]
 
@@ -100,17 +104,14 @@ def touched(
         float(share),
         coverage,
         bool(share >= LEAST_SHARE),
-        ""
-        if share >= LEAST_SHARE
-        else f"the object yields {100 * share:.0f} % of the approach; below {100 * LEAST_SHARE:.0f} % its own part "
-        "cannot be told from the finger's",
+        "" if share >= LEAST_SHARE else TOO_STIFF.format(share, LEAST_SHARE),
     )
 
 
-def _both(c: Samples | float, k: Samples | float) -> tuple[Samples, Samples]:
+def _both(c: Any, k: Any) -> tuple[Any, Any]:
     """Modulus and radius of the two in series."""
-    R = np.asarray(c * k / np.pi)
-    return np.asarray(0.75 * c**1.5 / np.sqrt(R)), R
+    R = c * k / np.pi
+    return 0.75 * c**1.5 / np.sqrt(R), R
 
 
 def _slopes(press: Press) -> tuple[float, float]:

@@ -1,0 +1,90 @@
+"""One press as a multi-page TIFF or a video, with a table of force, turned into a run.
+
+Frames carry the force and the position at their own time as labels; the table's samples go into the run's own
+streams at their own rate, force as z of the wrench and position as z of the stage.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from palpate.core.clock import NS_PER_S, ManualClock
+from palpate.core.files import new_folder, refuse_existing
+from palpate.recordings.importers.images import ImportReport, Progress
+from palpate.recordings.manifest import Manifest
+from palpate.recordings.press_table import PressTable, read_press_table
+from palpate.recordings.sequences import Sequence, open_sequence
+from palpate.recordings.writer import RunWriter
+
+
+def import_press(
+    frames: Path,
+    run: Path,
+    *,
+    force: Path,
+    force_column: str | None = None,
+    position_column: str | None = None,
+    rate_hz: float | None = None,
+    sensor: str = "",
+    licence: str = "",
+    origin: str = "",
+    progress: Progress | None = None,
+) -> ImportReport:
+    """Turn one press into a run, which appears whole or not at all.
+
+    Args:
+        frames: a multi-page TIFF or a video.
+        run: the run to make; must not exist.
+        force: the table; see `read_press_table` for it and its columns.
+        force_column, position_column, rate_hz: as there.
+        sensor: which sensor was recorded.
+        licence, origin: of the data.
+        progress: told how many frames are done of how many.
+
+    Raises:
+        ExistsError: `run` exists.
+        ImageError: the frames cannot be read, or are not all of one kind.
+        LabelError: the table cannot be read, or does not fit the frames.
+        StorageError: the disk is full, or refused.
+    """
+    refuse_existing(run)
+    with open_sequence(frames) as sequence:
+        table = read_press_table(
+            force,
+            len(sequence),
+            force_column=force_column,
+            position_column=position_column,
+            rate_hz=rate_hz,
+        )
+        names = ("force_N", "position_mm") if table.position_m is not None else ("force_N",)
+        manifest = Manifest.new(
+            sensor=sensor, licence=licence, origin=origin, labels=dict.fromkeys(names, "number")
+        )
+        with new_folder(run) as building:
+            inner = building / "run"  # the writer makes its own folder
+            with RunWriter.create(inner, manifest, clock=ManualClock(), overflow="wait") as writer:
+                _samples(writer, table)
+                _frames(writer, table, sequence, progress)
+            for part in inner.iterdir():
+                part.rename(building / part.name)
+            inner.rmdir()
+    units = {name: name.rpartition("_")[2] for name in names}
+    return ImportReport(len(table.frame_sample), names, units, ())
+
+
+def _samples(writer: RunWriter, table: PressTable) -> None:
+    for i, (seconds, newtons) in enumerate(zip(table.time_s, table.force_n, strict=True)):
+        time_ns = round(seconds * NS_PER_S)
+        writer.force((0.0, 0.0, float(newtons), 0.0, 0.0, 0.0), time_ns=time_ns)
+        if table.position_m is not None:
+            writer.stage((0.0, 0.0, float(table.position_m[i])), time_ns=time_ns)
+
+
+def _frames(writer: RunWriter, table: PressTable, sequence: Sequence, progress: Progress | None) -> None:
+    for k, (image, sample) in enumerate(zip(sequence, table.frame_sample, strict=True)):
+        labels = {"force_N": float(table.force_n[sample])}
+        if table.position_m is not None:
+            labels["position_mm"] = 1e3 * float(table.position_m[sample])
+        writer.frame(image, time_ns=round(table.time_s[sample] * NS_PER_S), labels=labels)
+        if progress is not None:
+            progress(k + 1, len(table.frame_sample))
