@@ -83,6 +83,6 @@ def open_sequence(path: Path) -> Iterator[Sequence]:
             yield pages
     else:
         raise InputError(
-            f"{path} holds no sequence of frames; give a multi-page TIFF, a folder of images, a run, or a video "
-            f"({', '.join(sorted(VIDEOS))})"
+            f"{path} holds no sequence of frames; give a multi-page TIFF, a folder of images, a run, or a "
+            f"video ({', '.join(sorted(VIDEOS))})"
         )

@@ -80,8 +80,8 @@ class VideoFrames:
         if done != self._count:
             found = "more" if done > self._count else str(done)
             raise ImageError(
-                f"{self.path}: its header says {self._count} frames, and {found} can be decoded; it is cut off "
-                "or damaged: convert it anew"
+                f"{self.path}: its header says {self._count} frames, and {found} can be decoded; it is cut "
+                "off or damaged: convert it anew"
             )
 
 
