@@ -1,0 +1,151 @@
+"""Horn and Schunck's flow with its divergence: ours beside what is run today, in one process and in turns.
+
+Run ``python benchmarks/estimators/flow.py [--frames 200] [--threads 2]``. A sequence of 127 stretching pins,
+300 x 300 px with grey noise, goes through each in rounds; the script of numpy and scipy.ndimage.convolve, the
+usual one, through a few of its pairs. The last line reads the frames from a multi-page TIFF first. No time is
+judged, only printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tifffile
+from scipy import ndimage
+
+from palpate.estimators.flow import HornSchunck, along, dis, divergence, flow
+from palpate.recordings.tiff import TiffFrames
+
+ROUNDS, SLOW_PAIRS = 5, 3
+KERNEL = np.array([[1, 2, 1], [2, 0, 2], [1, 2, 1]]) / 12
+
+
+def sequence(frames: int) -> np.ndarray:
+    """Pins that stretch about the middle by a tenth."""
+    rng = np.random.default_rng(0)
+    y, x = np.indices((300, 300))
+    steps = [(i, j) for i in range(-6, 7) for j in range(-6, 7) if abs(i + j) <= 6]
+    made = np.empty((frames, 300, 300), np.uint8)
+    for k in range(frames):
+        image = np.full((300, 300), 18.0)
+        for i, j in steps:
+            px, py = 149.5 + np.array([20 * (i + j / 2), 17.3 * j]) * (1 + 0.1 * k / frames)
+            near = (slice(max(0, int(py) - 10), int(py) + 11), slice(max(0, int(px) - 10), int(px) + 11))
+            disc = 200 * np.clip((7.5 - np.hypot(x[near] - px, y[near] - py)) / 1.5 + 0.5, 0, 1)
+            image[near] = np.maximum(image[near], disc)
+        made[k] = np.clip(np.rint(image + rng.normal(0, 2, image.shape)), 0, 255)
+    return made
+
+
+def usual_script(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """As a lab would write it: two convolutions an iteration."""
+    a, b = np.pad(a / 255.0, ((0, 1), (0, 1)), mode="edge"), np.pad(b / 255.0, ((0, 1), (0, 1)), mode="edge")
+    x = (
+        a[:-1, 1:] - a[:-1, :-1] + a[1:, 1:] - a[1:, :-1] + b[:-1, 1:] - b[:-1, :-1] + b[1:, 1:] - b[1:, :-1]
+    ) / 4
+    y = (
+        a[1:, :-1] - a[:-1, :-1] + a[1:, 1:] - a[:-1, 1:] + b[1:, :-1] - b[:-1, :-1] + b[1:, 1:] - b[:-1, 1:]
+    ) / 4
+    t = (b - a)[:-1, :-1] / 4 + (b - a)[:-1, 1:] / 4 + (b - a)[1:, :-1] / 4 + (b - a)[1:, 1:] / 4
+    u, v = np.zeros((2, *x.shape))
+    for _ in range(26):
+        u_mean = ndimage.convolve(u, KERNEL, mode="nearest")
+        v_mean = ndimage.convolve(v, KERNEL, mode="nearest")
+        off = (x * u_mean + y * v_mean + t) / (0.01 + x**2 + y**2)
+        u, v = u_mean - x * off, v_mean - y * off
+    return np.gradient(u, axis=1) + np.gradient(v, axis=0)
+
+
+def filtered_script(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The same with OpenCV's filters in single precision, written with care."""
+    a, b = (np.pad(np.float32(i) / 255, ((0, 1), (0, 1)), mode="edge") for i in (a, b))
+    c = np.stack([a, b])
+    across, down, later = c[:, :, 1:] - c[:, :, :-1], c[:, 1:] - c[:, :-1], b - a
+    x = (across[:, :-1] + across[:, 1:]).sum(axis=0) / 4
+    y = (down[:, :, :-1] + down[:, :, 1:]).sum(axis=0) / 4
+    t = (later[:-1, :-1] + later[:-1, 1:] + later[1:, :-1] + later[1:, 1:]) / 4
+    g = 1 / np.sqrt(np.float32(0.01) + x * x + y * y)
+    x, y, t = x * g, y * g, t * g
+    u, v = np.zeros((2, *x.shape), np.float32)
+    kernel = KERNEL.astype(np.float32)
+    for _ in range(26):
+        p = cv2.filter2D(u, -1, kernel, borderType=cv2.BORDER_REPLICATE)
+        q = cv2.filter2D(v, -1, kernel, borderType=cv2.BORDER_REPLICATE)
+        off = x * p + y * q + t
+        u, v = p - x * off, q - y * off
+    return np.gradient(u, axis=1) + np.gradient(v, axis=0)
+
+
+def spread(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return divergence(flow(a, b, HornSchunck()))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--frames", type=int, default=200)
+    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    asked = parser.parse_args()
+    frames = sequence(asked.frames)
+    few = frames[: SLOW_PAIRS + 1]
+    pyoptflow = _pyoptflow()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "press.tif"
+        with tifffile.TiffWriter(path) as writer:
+            for frame in frames:
+                writer.write(frame, contiguous=False)
+
+        def from_tiff() -> None:
+            with TiffFrames(path) as pages:
+                list(along(pages, spread, threads=asked.threads))
+
+        calls: dict[str, tuple[Callable[[], object], int]] = {
+            "numpy + scipy.ndimage.convolve": (lambda: list(map(usual_script, few, few[1:])), SLOW_PAIRS),
+            "numpy + cv2.filter2D": (lambda: list(map(filtered_script, frames[:20], frames[1:20])), 19),
+            "ours, one thread": (lambda: list(along(frames, spread, threads=1)), len(frames) - 1),
+            f"ours, {asked.threads} threads": (
+                lambda: list(along(frames, spread, threads=asked.threads)),
+                len(frames) - 1,
+            ),
+            f"ours, {asked.threads} threads, from a TIFF": (from_tiff, len(frames) - 1),
+            "OpenCV DIS, medium": (lambda: list(map(dis, frames[:20], frames[1:20])), 19),
+        }
+        if pyoptflow:
+            calls["pyoptflow"] = (lambda: list(map(pyoptflow, few, few[1:])), SLOW_PAIRS)
+        taken = _in_turns(calls)
+    base = taken["numpy + scipy.ndimage.convolve"]
+    print(
+        f"Horn-Schunck and divergence, 300 x 300 px, 26 iterations, ms a pair; load {os.getloadavg()[0]:.1f}"
+    )
+    for name, ms in taken.items():
+        ratio = np.median(base) / np.median(ms)
+        print(f"  {name:42s} median {np.median(ms):8.3f}, {ms.min():8.3f} to {ms.max():8.3f}; {ratio:6.1f} x")
+
+
+def _pyoptflow() -> Callable[[np.ndarray, np.ndarray], object] | None:
+    try:
+        from pyoptflow import HornSchunck as Theirs  # type: ignore[import-untyped]
+    except ImportError:
+        return None
+    return lambda a, b: Theirs(a / 255, b / 255, alpha=0.1, Niter=26)
+
+
+def _in_turns(calls: dict[str, tuple[Callable[[], object], int]]) -> dict[str, np.ndarray]:
+    taken = {name: np.empty(ROUNDS) for name in calls}
+    for i in range(-1, ROUNDS):
+        for name, (call, pairs) in calls.items():
+            started = time.perf_counter()
+            call()
+            if i >= 0:
+                taken[name][i] = 1e3 * (time.perf_counter() - started) / pairs
+    return taken
+
+
+if __name__ == "__main__":
+    main()
