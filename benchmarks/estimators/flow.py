@@ -46,14 +46,11 @@ def sequence(frames: int) -> np.ndarray:
 
 def usual_script(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """As a lab would write it: two convolutions an iteration."""
-    a, b = np.pad(a / 255.0, ((0, 1), (0, 1)), mode="edge"), np.pad(b / 255.0, ((0, 1), (0, 1)), mode="edge")
-    x = (
-        a[:-1, 1:] - a[:-1, :-1] + a[1:, 1:] - a[1:, :-1] + b[:-1, 1:] - b[:-1, :-1] + b[1:, 1:] - b[1:, :-1]
-    ) / 4
-    y = (
-        a[1:, :-1] - a[:-1, :-1] + a[1:, 1:] - a[:-1, 1:] + b[1:, :-1] - b[:-1, :-1] + b[1:, 1:] - b[:-1, 1:]
-    ) / 4
-    t = (b - a)[:-1, :-1] / 4 + (b - a)[:-1, 1:] / 4 + (b - a)[1:, :-1] / 4 + (b - a)[1:, 1:] / 4
+    a, b = (np.pad(image / 255.0, ((0, 1), (0, 1)), mode="edge") for image in (a, b))
+    x = sum(i[:-1, 1:] - i[:-1, :-1] + i[1:, 1:] - i[1:, :-1] for i in (a, b)) / 4
+    y = sum(i[1:, :-1] - i[:-1, :-1] + i[1:, 1:] - i[:-1, 1:] for i in (a, b)) / 4
+    d = b - a
+    t = (d[:-1, :-1] + d[:-1, 1:] + d[1:, :-1] + d[1:, 1:]) / 4
     u, v = np.zeros((2, *x.shape))
     for _ in range(26):
         u_mean = ndimage.convolve(u, KERNEL, mode="nearest")
