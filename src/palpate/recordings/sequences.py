@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from palpate.core.axes import Image
 from palpate.core.errors import InputError
@@ -21,6 +21,7 @@ TIFFS = frozenset({".tif", ".tiff"})
 IMAGES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp", *TIFFS})
 
 
+@runtime_checkable
 class Sequence(Protocol):
     """Images in time, which may be gone through more than once."""
 

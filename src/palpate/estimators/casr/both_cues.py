@@ -131,10 +131,17 @@ def _slopes(press: Press) -> tuple[float, float]:
     p = force ** (2 / 3)
     if np.ptp(approach) == 0 or np.ptp(force) == 0:
         raise InputError("neither force nor approach changes; give the loading part of a press")
-    c = float(np.polyfit(approach, p, 1)[0])
+    c = float(_line(press)[0][0])
     if not c > 0:
         raise InputError("force falls as the approach grows; turn the sign of one of them")
-    return c, float((p * area).sum() / (p * p).sum())
+    return c, float(np.mean(area / p))
+
+
+def _line(press: Press) -> tuple[Samples, Float[ndarray, "2 2"]]:
+    """P^(2/3) over the approach, and its covariance; weighted for even noise of the force."""
+    return np.polyfit(  # type: ignore[no-any-return]
+        press.approach_m, press.force_n ** (2 / 3), 1, w=np.cbrt(press.force_n), cov=True
+    )
 
 
 def _spread(presses: Sequence[Press], c: Samples, k: Samples) -> Samples:
@@ -142,11 +149,9 @@ def _spread(presses: Sequence[Press], c: Samples, k: Samples) -> Samples:
     if len(presses) > 1:
         return np.array([x.std(ddof=1) / x.mean() / np.sqrt(len(x)) for x in (c, k)])
     (press,) = presses
-    p = press.force_n ** (2 / 3)
-    _, cov = np.polyfit(press.approach_m, p, 1, cov=True)
-    off = press.area_m2 - k[0] * p
-    k_error = np.sqrt((off**2).sum() / (len(p) - 1) / (p * p).sum())
-    return np.array([np.sqrt(cov[0, 0]) / c[0], k_error / k[0]])
+    _, cov = _line(press)
+    ratio = press.area_m2 / press.force_n ** (2 / 3)
+    return np.array([np.sqrt(cov[0, 0]) / c[0], ratio.std(ddof=1) / np.sqrt(len(ratio)) / k[0]])
 
 
 def _inverse(value: float, tails: Samples) -> tuple[float, float, float]:

@@ -7,7 +7,7 @@ the end of a lever, shows the skin's tilt larger than its displacement.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -21,6 +21,7 @@ Places = Float[ndarray, "p 3"]
 Angles = Float[ndarray, " p"]
 
 
+@runtime_checkable
 class Skin(Protocol):
     """The inside of a deformed skin; x, y, z from the untouched apex, z towards the camera [m]."""
 

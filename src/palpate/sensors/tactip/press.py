@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -26,6 +26,7 @@ LEAD_M = 1e-3  # above the specimen, where a trial starts
 GREATEST_N = 5.2
 
 
+@runtime_checkable
 class Specimen(Protocol):
     """A tip on a specimen, whatever its tilt."""
 
