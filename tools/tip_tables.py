@@ -28,8 +28,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from finite_strain.tip import Balanced, Specimen, Tip, TipPress
 
 CELLS, STUDY_CELLS = 60, (40, 60, 90)
-STEP, GREATEST_N = 0.25, 6.2  # mm of approach; N
-FORCES_N = 6.0 * (np.arange(1, 41) / 40) ** 2  # of a table: dense where contact is young
+STEP, GREATEST_N = 0.25, 5.6  # mm of approach; N
+FORCES_N = 5.5 * (np.arange(1, 41) / 40) ** 2  # of a table: dense where contact is young
 EVERY = 2  # of the skin's nodes is kept
 EDGE_TERMS = 5
 
@@ -41,7 +41,7 @@ TIPS = {
     "thick-skin": Tip(skin_mpa=0.3, gel_mpa=0.015, skin=1.5),
 }
 # The report's four specimens stand among them: kappa = E pi r^2 / h is 7.6, 5.3, 3.1 and 1.1 N/mm.
-SPECIMENS_MPA = (0.02, 0.035, 0.06, 0.0987, 0.1687, 0.2419, 0.4, 1.0, np.inf)
+SPECIMENS_MPA = (0.03, 0.035, 0.06, 0.0987, 0.1687, 0.2419, 0.4, 1.0, np.inf)
 
 
 @dataclass(frozen=True)

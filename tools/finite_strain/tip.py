@@ -22,7 +22,7 @@ from .revolved import Displacement, InsideOutError, Revolved, tensor_mesh
 
 RESIDUAL = 2e-7  # N over 2 pi, the greatest force left out of balance
 ITERATIONS = 25
-PATIENT, SETTLED = 12, 5e-5  # after so many, single points that come and go at the edge may remain
+PATIENT, SETTLED = 12, 1e-4  # after so many, single points that come and go at the edge may remain
 LONGEST_MOVE = 1.0  # mm, of one Newton step
 SHORTEST_STEP = 2e-3  # mm of approach
 GROWTH = 100.0  # a changed contact may raise the residual for an iteration or two, but not by more
@@ -98,8 +98,8 @@ class TipPress:
     @cached_property
     def specimen_body(self) -> Revolved:
         s, n = self.specimen or Specimen(1.0), self.cells
-        near = 0.8 * s.radius
-        r = np.concatenate([np.linspace(0, near, round(0.6 * n) + 1), np.linspace(near, s.radius, 6)[1:]])
+        near = 0.9 * s.radius
+        r = np.concatenate([np.linspace(0, near, round(0.65 * n) + 1), np.linspace(near, s.radius, 6)[1:]])
         down = np.cumsum(1.25 ** np.arange(n // 5 + 1))
         z = np.concatenate([-down[::-1] / down[-1] * s.height, [0.0]])
         mesh = tensor_mesh(r, z)

@@ -61,7 +61,7 @@ class TacTipCamera:
     height_m: float = 60e-3
     gel_index: float = 1.41
     size_px: int = 300
-    disc_px: float = 130.0
+    disc_px: float = 115.0
     rate_hz: float = 20.0
     dark: float = 18.0
     bright: float = 200.0

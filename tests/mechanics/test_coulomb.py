@@ -1,0 +1,67 @@
+"""Contact and friction on small systems that can be solved by hand or by another code."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import nnls
+
+from palpate.core.errors import RangeError
+from palpate.mechanics.coulomb import balanced
+
+
+def springs(n: int, rng=None) -> np.ndarray:
+    """Compliance of n cells: a positive definite matrix, or unit springs."""
+    if rng is None:
+        return np.eye(3 * n).reshape(n, 3, n, 3)
+    a = rng.normal(size=(3 * n, 3 * n))
+    return (a @ a.T / (3 * n) + np.eye(3 * n)).reshape(n, 3, n, 3)
+
+
+def solved(C, gap, slid, friction):
+    return balanced(C, np.array(gap), np.array(slid), friction, np.zeros((len(gap), 3)))
+
+
+def test_a_spring_pressed_in_pushes_back_and_one_that_is_apart_does_not() -> None:
+    found = solved(springs(2), [-0.5, 0.3], np.zeros((2, 2)), 0.0)
+    assert_allclose(found[:, 0], [0.5, 0.0])
+
+
+def test_a_cell_sticks_below_the_cone_and_slips_on_it() -> None:
+    stuck = solved(springs(1), [-1.0], [[0.2, 0.1]], 0.5)
+    assert_allclose(stuck[0], [1.0, -0.2, -0.1], atol=1e-6)
+    slips = solved(springs(1), [-1.0], [[3.0, 4.0]], 0.5)
+    assert_allclose(slips[0], [1.0, -0.3, -0.4], atol=1e-6)
+
+
+def test_without_friction_it_is_the_least_energy_with_forces_that_push(rng) -> None:
+    """min 1/2 f C f + g f over f >= 0, which non-negative least squares finds too."""
+    n = 12
+    C = springs(n, rng)
+    gap = rng.normal(size=n)
+    found = solved(C, gap, np.zeros((n, 2)), 0.0)[:, 0]
+    L = np.linalg.cholesky(C[:, 0, :, 0])
+    other, _ = nnls(L.T, -np.linalg.solve(L, gap))
+    assert_allclose(found, other, atol=1e-5)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, 1.0])
+def test_every_cell_obeys_contact_and_coulomb(rng, friction) -> None:
+    n = 15
+    C, gap, slid = springs(n, rng), rng.normal(size=n), rng.normal(size=(n, 2))
+    f = solved(C, gap, slid, friction)
+    moved = np.einsum("iajb,jb->ia", C, f)
+    g, v = gap + moved[:, 0], slid + moved[:, 1:]
+    tangential = np.hypot(*f[:, 1:].T)
+    assert f[:, 0].min() >= 0
+    assert g.min() > -1e-4
+    assert_allclose(f[:, 0] * g, 0, atol=1e-4)
+    assert (tangential <= friction * f[:, 0] + 1e-9).all()
+    stuck = tangential < friction * f[:, 0] * 0.999
+    assert_allclose(v[stuck], 0, atol=1e-3)
+    slips = (tangential > 1e-6) & ~stuck
+    assert ((f[slips, 1:] * v[slips]).sum(axis=1) <= 1e-6).all()
+
+
+def test_limits_are_named() -> None:
+    with pytest.raises(RangeError, match="friction"):
+        solved(springs(1), [0.0], [[0.0, 0.0]], -0.1)
