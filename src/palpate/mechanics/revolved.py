@@ -20,7 +20,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 from jaxtyping import Float, Int
 from numpy import ndarray
-from skfem import CellBasis, ElementQuad2, MeshQuad, MeshQuad2  # type: ignore[import-untyped]
+from skfem import CellBasis, ElementQuad2, MeshQuad, MeshQuad2
 
 from palpate.core.errors import InputError
 

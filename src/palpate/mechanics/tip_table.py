@@ -5,8 +5,8 @@ tip's equator and the specimen's base are held. Solved by `tools/tip_tables.py`;
 holds what the mesh costs.
 
 Every table is of one tip on cylinders of one size and nine Young's moduli, the stiffest rigid, at forty
-forces up to 5.5 N. Between moduli E it is read by a smooth curve over 1 / (1 + E / E0), which runs from 0 for a
-rigid plate to 1 for none; between forces by one over the cube root of force, in which young contact is
+forces up to 5.5 N. Between moduli E it is read by a smooth curve over 1 / (1 + E / E0), which runs from 0 for
+a rigid plate to 1 for none; between forces by one over the cube root of force, in which young contact is
 straight.
 """
 

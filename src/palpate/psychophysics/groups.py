@@ -19,7 +19,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-import scikit_posthocs as posthocs  # type: ignore[import-untyped]
+import scikit_posthocs as posthocs
 from jaxtyping import Float
 from numpy import ndarray
 from scipy import stats

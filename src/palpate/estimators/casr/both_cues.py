@@ -139,9 +139,7 @@ def _slopes(press: Press) -> tuple[float, float]:
 
 def _line(press: Press) -> tuple[Samples, Float[ndarray, "2 2"]]:
     """P^(2/3) over the approach, and its covariance; weighted for even noise of the force."""
-    return np.polyfit(  # type: ignore[no-any-return]
-        press.approach_m, press.force_n ** (2 / 3), 1, w=np.cbrt(press.force_n), cov=True
-    )
+    return np.polyfit(press.approach_m, press.force_n ** (2 / 3), 1, w=np.cbrt(press.force_n), cov=True)
 
 
 def _spread(presses: Sequence[Press], c: Samples, k: Samples) -> Samples:

@@ -16,7 +16,7 @@ def dis(first: Grey, second: Grey) -> FlowField:
         ImageError, InputError: images that cannot be read as a pair.
     """
     a, b = _bytes(first, second)
-    method = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    method = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     return _planes(method.calc(a, b, None))
 
 
