@@ -1,0 +1,127 @@
+"""The virtual TacTip: lattice, lever, refraction, frames, and the trial as a rig records it."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate.core.errors import InputError, RangeError
+from palpate.estimators.casr.region import Field, ring_px
+from palpate.estimators.pins import find_pins, follow
+from palpate.sensors.tactip import PINS_127, PINS_331, HeadOn, Pins, pictured, tactip, trial
+from palpate.sensors.tactip.camera import slopes
+from palpate.sensors.tactip.pins import HeadOnSkin, head_on, lattice, markers
+
+S1, S3 = 0.2419e6, 0.035e6
+
+
+@pytest.fixture(scope="module")
+def spec():
+    return tactip()
+
+
+def specimen(spec, pa=S1) -> HeadOn:
+    return HeadOn(spec.table.press(pa), spec.table.radius_m)
+
+
+@pytest.mark.parametrize(("pins", "count"), [(PINS_127, 127), (PINS_331, 331)])
+def test_a_hexagon_of_pins_has_as_many_as_its_name_says(pins, count) -> None:
+    polar, azimuth = lattice(pins, 0.019)
+    assert len(polar) == len(azimuth) == pins.count == count
+    assert polar[0] == 0
+    x, y = 0.019 * np.sin(polar) * np.cos(azimuth), 0.019 * np.sin(polar) * np.sin(azimuth)
+    gaps = np.hypot(x[:, None] - x, y[:, None] - y) + np.eye(count)
+    assert_allclose(gaps.min(axis=1), pins.pitch_m, rtol=1e-6)
+
+
+def test_an_untouched_dome_has_its_markers_on_a_smaller_dome(spec) -> None:
+    skin = head_on(spec.table.press(S1), 0.02, 0.0, (0.0, 0.0))
+    at = markers(skin, spec.pins, 0.019)
+    assert_allclose(
+        np.hypot(np.hypot(at[:, 0], at[:, 1]), at[:, 2] - 0.02), 0.019 - spec.pins.length_m, rtol=1e-5
+    )
+
+
+def test_a_lever_shows_tilt_larger_than_displacement(spec) -> None:
+    skin = head_on(spec.table.press(S1), 0.02, 4.0, (0.0, 0.0))
+    rest = head_on(spec.table.press(S1), 0.02, 0.0, (0.0, 0.0))
+
+    def outward(length_m: float) -> float:
+        pins = replace(spec.pins, length_m=length_m)
+        away = markers(skin, pins, 0.019)[:, :2] - markers(rest, pins, 0.019)[:, :2]
+        return float(np.hypot(*away.T).max())
+
+    assert outward(2.5e-3) > 1.5 * outward(0.0)
+
+
+def test_a_lean_turns_the_field_towards_it(spec) -> None:
+    skin = head_on(spec.table.press(S1), 0.02, 3.0, (0.05, 0.0))
+    assert isinstance(skin, HeadOnSkin)
+    polar, azimuth = np.array([0.3, 0.3]), np.array([0.0, math.pi])
+    places, normals = skin.at(polar, azimuth)
+    assert places[0, 2] > places[1, 2]  # more pushed in on the side of the lean
+    assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+
+
+def test_refraction_obeys_snell_and_vanishes_without_gel() -> None:
+    r, depth, air, n = np.array([0.0, 0.005, 0.015]), 0.015, 0.04, 1.41
+    t = slopes(r, np.full(3, depth), air, n)
+    g = np.arcsin(np.sin(np.arctan(t)) / n)
+    assert_allclose(depth * np.tan(g) + air * t, r, atol=1e-12)
+    assert_allclose(slopes(r, np.full(3, depth), air, 1.0), r / (depth + air))
+
+
+def test_a_trial_is_recorded_as_the_report_records_it(spec) -> None:
+    made = trial(spec, specimen(spec), seed=3)
+    assert_allclose(np.diff(made.time_s), 1 / 200)
+    assert_allclose(np.diff(made.frame_sample), 10)
+    assert_allclose(made.raw_n % 0.0625, 0, atol=1e-9)
+    assert made.true_force_n[0] == 0
+    assert made.true_force_n[-1] >= 5.2
+    assert_allclose(np.diff(made.desired_m), 5e-3 / 200, rtol=1e-9)
+    frames = list(made.frames())
+    assert frames[0].shape == (300, 300)
+    assert frames[0].dtype == np.uint8
+    np.testing.assert_array_equal(made.frame(5), frames[5])
+    again = trial(spec, specimen(spec), seed=3)
+    np.testing.assert_array_equal(again.raw_n, made.raw_n)
+
+
+def test_pins_in_the_frames_are_where_the_trial_says(spec) -> None:
+    made = trial(spec, specimen(spec), seed=4)
+    frames = list(made.frames())
+    first = find_pins(frames[0])
+    truth, _ = made.points_px(0)
+    order = [int(np.argmin(np.hypot(*(truth - xy).T))) for xy in first.xy_px]
+    *_, last = follow(frames[1:], first)
+    assert last.found.all()
+    at, _ = made.points_px(len(frames) - 1)
+    assert np.hypot(*(last.xy_px - at[order]).T).max() < 0.15
+
+
+def test_half_the_speed_gives_twice_the_frames(spec) -> None:
+    slow = trial(replace(spec, speed_m_s=2.5e-3), specimen(spec), seed=5)
+    fast = trial(spec, specimen(spec), seed=5)
+    assert_allclose(len(slow.frame_sample) / len(fast.frame_sample), 2, rtol=0.06)
+
+
+def test_a_softer_specimen_has_the_larger_ring_at_equal_force(spec) -> None:
+    rings = []
+    for pa in (S1, S3):
+        skins = [head_on(spec.table.press(pa), 0.02, force, (0.0, 0.0)) for force in (0.0, 4.0)]
+        (rest, _), (now, _) = (pictured(spec, skin) for skin in skins)
+        rings.append(ring_px(Field(rest, now - rest)))
+    assert rings[1] > 1.03 * rings[0]
+
+
+def test_what_cannot_be_built_is_refused(spec) -> None:
+    with pytest.raises(InputError, match="127 and 331"):
+        tactip(200)
+    with pytest.raises(RangeError, match="radius"):
+        replace(spec, pins=Pins(9, 2.6e-3, 1e-3, 0.5e-3))
+    with pytest.raises(RangeError, match="camera"):
+        replace(spec, camera=replace(spec.camera, height_m=0.015))
+    with pytest.raises(RangeError, match="speed"):
+        replace(spec, speed_m_s=0.0)
