@@ -24,7 +24,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from palpate.core.errors import InputError, RangeError
 
 TURNING_PA = 6e4  # E0: about the tip's own stiffness, so that the curve bends evenly
-FOLDER = "tables"
+FOLDER = "tip_tables"
 
 Levels = Float[ndarray, " f"]
 
