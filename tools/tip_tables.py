@@ -38,7 +38,6 @@ TIPS = {
     "soft-skin": Tip(skin_mpa=0.3, gel_mpa=0.03),
     "stiff-skin": Tip(skin_mpa=0.6, gel_mpa=0.01),
     "even": Tip(skin_mpa=0.05, gel_mpa=0.05),
-    "thick-skin": Tip(skin_mpa=0.3, gel_mpa=0.015, skin=1.5),
 }
 # The report's four specimens stand among them: kappa = E pi r^2 / h is 7.6, 5.3, 3.1 and 1.1 N/mm.
 SPECIMENS_MPA = (0.03, 0.035, 0.06, 0.0987, 0.1687, 0.2419, 0.4, 1.0, np.inf)
