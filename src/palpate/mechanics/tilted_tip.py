@@ -5,7 +5,7 @@ from z towards -x by the tilt, so that the tip first touches on its side +x, at 
 by their Fourier modes (`revolved`): displacements are small, but gaps are those of the true sphere. All is
 even about the plane y = 0, so that half of the cells are kept.
 
-What linearity costs against finite strain is measured head-on, in `docs/explanations/tactip.md`.
+What linearity costs against finite strain, measured head-on, is in `docs/decisions/0011-*.md`.
 """
 
 from __future__ import annotations
