@@ -1,4 +1,4 @@
-"""Compliance by touch: the force of a press, the contact's area, and its spread rate."""
+"""Compliance by touch: force of a press or a grasp, the contact's area and spread rate, the gel's bulge."""
 
 from palpate.estimators.casr.force import (
     Loading,
@@ -9,6 +9,8 @@ from palpate.estimators.casr.force import (
     within,
     without_spikes,
 )
+from palpate.estimators.casr.grip import at_force, fresh, loading_slope
+from palpate.estimators.casr.imprint import Lamps, Region, bulge
 from palpate.estimators.casr.spread import (
     Spread,
     area_m2,
@@ -19,10 +21,16 @@ from palpate.estimators.casr.spread import (
 )
 
 __all__ = [
+    "Lamps",
     "Loading",
+    "Region",
     "Spread",
     "area_m2",
+    "at_force",
+    "bulge",
+    "fresh",
     "loading",
+    "loading_slope",
     "moving_average",
     "moving_average_response",
     "paper_spread",

@@ -1,0 +1,50 @@
+"""The loading part of a grasp: stiffness from a width that is held, and values at a force."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate.core.errors import InputError, RangeError
+from palpate.estimators.casr import Loading, at_force, fresh, loading_slope
+
+WIDTH = 0.05 - np.linspace(0, 0.012, 49)
+FORCE = 1800.0 * (0.05 - WIDTH)
+ALL = Loading(0, 48, saturated=False)
+
+
+def test_a_spring_s_slope_is_its_stiffness() -> None:
+    assert_allclose(loading_slope(FORCE, WIDTH, ALL), 1800.0)
+
+
+def test_a_spring_read_now_and_then_has_its_stiffness_from_fresh_readings() -> None:
+    held = WIDTH[np.arange(49) // 6 * 6]
+    assert_allclose(loading_slope(FORCE[:-1], held[:-1], Loading(0, 42, saturated=False), held=True), 1800.0)
+    assert abs(loading_slope(FORCE, held, ALL) - 1800.0) > 10.0
+
+
+def test_only_new_readings_are_fresh() -> None:
+    assert fresh(np.array([5.0, 5, 4, 4, 4, 3, 5])).tolist() == [0, 2, 5, 6]
+
+
+def test_a_value_at_a_force_is_taken_where_loading_first_reaches_it() -> None:
+    force = np.array([0.0, 2.0, 6.0, 5.5, 8.0, 1.0])
+    values = np.array([0.0, 10.0, 20.0, 90.0, 30.0, 40.0])
+    part = Loading(1, 4, saturated=False)
+    assert_allclose(at_force(force, values, part, 5.0), 17.5)
+    assert_allclose(at_force(force, values, part, 2.0), 10.0)
+    assert_allclose(at_force(force, values, part, 1.0), 5.0)  # from the sample before contact
+
+
+@pytest.mark.parametrize("level", [-1.0, 9.0])
+def test_a_force_that_was_not_passed_through_is_refused(level) -> None:
+    with pytest.raises(RangeError, match="loading goes from"):
+        at_force(FORCE[:10], WIDTH[:10], Loading(0, 9, saturated=False), level)
+
+
+def test_a_table_that_is_no_grasp_is_refused() -> None:
+    with pytest.raises(InputError, match="does not rise"):
+        loading_slope(FORCE, -WIDTH, ALL)
+    with pytest.raises(InputError, match="close more slowly"):
+        loading_slope(FORCE, np.full(49, 0.05), ALL)
+    with pytest.raises(InputError, match="one of each"):
+        loading_slope(FORCE, WIDTH[:-1], ALL)
