@@ -12,7 +12,7 @@ from palpate.estimators.casr.region import Field, ring_px
 from palpate.estimators.pins import find_pins, follow
 from palpate.sensors.tactip import PINS_127, PINS_331, HeadOn, Pins, pictured, tactip, trial
 from palpate.sensors.tactip.camera import slopes
-from palpate.sensors.tactip.pins import HeadOnSkin, head_on, lattice, markers
+from palpate.sensors.tactip.pins import Turned, head_on, lattice, markers
 
 S1, S3 = 0.2419e6, 0.035e6
 
@@ -58,7 +58,7 @@ def test_a_lever_shows_tilt_larger_than_displacement(spec) -> None:
 
 def test_a_lean_turns_the_field_towards_it(spec) -> None:
     skin = head_on(spec.table.press(S1), 0.02, 3.0, (0.05, 0.0))
-    assert isinstance(skin, HeadOnSkin)
+    assert isinstance(skin, Turned)
     polar, azimuth = np.array([0.3, 0.3]), np.array([0.0, math.pi])
     places, normals = skin.at(polar, azimuth)
     assert places[0, 2] > places[1, 2]  # more pushed in on the side of the lean

@@ -11,7 +11,7 @@ from palpate.mechanics.revolved import RevolvedBody, tensor_mesh
 from palpate.mechanics.tilted_tip import TipModes, TopModes, facet_modes
 
 CORE = 0.05  # of the radius, held, so that no cell shrinks to the centre
-FINE_TO = np.deg2rad(76.0)  # polar angle up to which cells are even
+FINE_TO = np.deg2rad(84.0)  # polar angle up to which cells are even
 TOP_FINE_TO = 0.85  # of a cylinder's radius
 
 
@@ -22,7 +22,7 @@ def tip_modes(
     gel_pa: float,
     poisson_ratio: float,
     *,
-    rings: int = 38,
+    rings: int = 42,
     azimuths: int = 24,
     modes: int = 32,
 ) -> TipModes:
@@ -32,7 +32,7 @@ def tip_modes(
         radius_m, skin_m: of the hemisphere; thickness of its skin [m].
         skin_pa, gel_pa: Young's moduli [Pa].
         poisson_ratio: of both.
-        rings, azimuths: cells of the skin from the axis to 76 degrees, and around half of it.
+        rings, azimuths: cells of the skin from the axis to 84 degrees, and around half of it.
         modes: around the axis.
 
     Raises:

@@ -31,21 +31,45 @@ class Skin(Protocol):
 
 @dataclass(frozen=True)
 class HeadOnSkin:
-    """The skin of a head-on press at one force, perhaps on a top that leans a little.
+    """The skin of a head-on press at one force.
+
+    Attributes:
+        polar_rad, inside_m: as in `HeadOnPress`, of one force.
+    """
+
+    polar_rad: Float[ndarray, " n"]
+    inside_m: Float[ndarray, "n 2"]
+
+    def at(self, polar: Angles, azimuth: Angles) -> tuple[Places, Places]:
+        """Places, and the normals there that point into the tip."""
+        curve = self._curve
+        (r, height), (dr, dz) = curve(polar).T, curve(polar, 1).T
+        size = np.hypot(dr, dz)
+        c, s = np.cos(azimuth), np.sin(azimuth)
+        places = np.stack([r * c, r * s, height], axis=-1)
+        return places, np.stack([-dz / size * c, -dz / size * s, dr / size], axis=-1)
+
+    @property
+    def _curve(self) -> CubicSpline:
+        return CubicSpline(self.polar_rad, self.inside_m)
+
+
+@dataclass(frozen=True)
+class Turned:
+    """A skin whose specimen's top leans a little from where it should be.
 
     A lean turns the whole field about the centre of the dome; that the dome's base does not turn with it is
     neglected, which holds for the degree or so by which a specimen is seated askew.
 
     Attributes:
-        polar_rad, inside_m: as in `HeadOnPress`, of one force.
+        skin: without the lean.
         radius_m: of the dome [m].
-        lean_rad: of the contact's middle from the axis, along x and y.
+        lean_rad: of the contact's middle, along x and y.
     """
 
-    polar_rad: Float[ndarray, " n"]
-    inside_m: Float[ndarray, "n 2"]
+    skin: Skin
     radius_m: float
-    lean_rad: tuple[float, float] = (0.0, 0.0)
+    lean_rad: tuple[float, float]
 
     def at(self, polar: Angles, azimuth: Angles) -> tuple[Places, Places]:
         """Places, and the normals there that point into the tip."""
@@ -54,24 +78,15 @@ class HeadOnSkin:
             [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), -np.cos(polar)], axis=-1
         )
         x, y, z = (out @ turn).T
-        phi, theta = np.arccos(np.clip(-z, -1, 1)), np.arctan2(y, x)
-        curve = self._curve
-        (r, height), (dr, dz) = curve(phi).T, curve(phi, 1).T
-        size = np.hypot(dr, dz)
-        c, s = np.cos(theta), np.sin(theta)
-        places = np.stack([r * c, r * s, height], axis=-1)
-        normals = np.stack([-dz / size * c, -dz / size * s, dr / size], axis=-1)
+        places, normals = self.skin.at(np.arccos(np.clip(-z, -1, 1)), np.arctan2(y, x))
         centre = np.array([0.0, 0.0, self.radius_m])
         return (places - centre) @ turn.T + centre, normals @ turn.T
 
-    @property
-    def _curve(self) -> CubicSpline:
-        return CubicSpline(self.polar_rad, self.inside_m)
 
-
-def head_on(press: HeadOnPress, radius_m: float, force_n: float, lean_rad: tuple[float, float]) -> HeadOnSkin:
-    """The skin at one force [N]."""
-    return HeadOnSkin(press.polar_rad, press.at("inside_m", np.array([force_n]))[0], radius_m, lean_rad)
+def head_on(press: HeadOnPress, radius_m: float, force_n: float, lean_rad: tuple[float, float]) -> Turned:
+    """The skin at one force [N], the specimen's top leaning a little."""
+    inside = press.at("inside_m", np.array([force_n]))[0]
+    return Turned(HeadOnSkin(press.polar_rad, inside), radius_m, lean_rad)
 
 
 def _lean(about_y: float, about_x: float) -> Float[ndarray, "3 3"]:

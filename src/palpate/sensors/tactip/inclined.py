@@ -1,0 +1,223 @@
+"""A specimen whose top is inclined: the tip touches it with its side.
+
+The contact is `mechanics.tilted_tip`'s. Its states are solved once for a specimen, over approaches up to the
+greatest force of a trial, and read between by splines, so that a trial may ask for any.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.interpolate import CubicSpline, NdBSpline, PchipInterpolator, RectBivariateSpline
+
+from palpate.core.errors import RangeError
+from palpate.mechanics.tilted_tip import TiltedContact, TiltedPress, TipModes, TopModes
+from palpate.mechanics.tip_bodies import tip_modes, top_modes
+from palpate.mechanics.tip_table import TipTable, tip_table
+from palpate.sensors.tactip.pins import Skin, Turned
+from palpate.sensors.tactip.spec import TacTipSpec
+
+STATES = 22
+BEYOND_N = 5.5  # a little more than a trial's greatest force
+FIRST_M, STRIDE = 1e-3, 1.4  # of the search for the approach that is deep enough
+GRID = 61  # places across the skin, along x and y
+GREATEST_TILT = np.deg2rad(50.0)
+
+
+@dataclass(frozen=True)
+class Inclined:
+    """A specimen under the tip's side.
+
+    Attributes:
+        contact: of the two bodies.
+        inner_radius_m: of the skin's inside [m].
+        approach_m: of the states [m].
+        lift_n, touched_m2: vertical force and contact area there.
+        knots_rad: of the spline below.
+        moved_m: how far the skin's inside has moved, as control points ``[states g g 3]`` of a cubic spline
+            over (polar angle) x (cosine, sine of azimuth) [m].
+    """
+
+    contact: TiltedContact
+    inner_radius_m: float
+    approach_m: Float[ndarray, " k"]
+    lift_n: Float[ndarray, " k"]
+    touched_m2: Float[ndarray, " k"]
+    knots_rad: Float[ndarray, " n"]
+    moved_m: Float[ndarray, "k g g 3"]
+
+    @property
+    def deepest_m(self) -> float:
+        return float(self.approach_m[-1])
+
+    def force_n(self, approach_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
+        """Vertical force; 0 before first touch [N]."""
+        return np.asarray(self._root(np.maximum(approach_m, 0.0))) ** 1.5
+
+    def area_m2(self, force_n: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
+        """Of the contact [m^2]; smooth, where the states count whole cells."""
+        return np.polyval(self._area, np.cbrt(force_n)) * np.cbrt(force_n) ** 2
+
+    def skin(self, approach_m: float, lean_rad: tuple[float, float]) -> Skin:
+        points = np.asarray(self._moved(np.clip(approach_m, 0.0, self.deepest_m)))
+        moved = NdBSpline((self.knots_rad, self.knots_rad), points, 3)
+        radius = self.contact.tip.radius_m
+        return Turned(MovedDome(self.inner_radius_m, radius, moved), radius, lean_rad)
+
+    @cached_property
+    def _root(self) -> PchipInterpolator:
+        """Force to the 2/3, nearly straight over the approach."""
+        return PchipInterpolator(self.approach_m, np.maximum(self.lift_n, 0.0) ** (2 / 3))
+
+    @cached_property
+    def _area(self) -> Float[ndarray, " k"]:
+        """A / F^(2/3), constant in Hertz's contact, as a quadratic in F^(1/3)."""
+        f = np.cbrt(self.lift_n[1:])
+        return np.polyfit(f, self.touched_m2[1:] / f**2, 2, w=f**2)
+
+    @cached_property
+    def _moved(self) -> CubicSpline:
+        return CubicSpline(self.approach_m, self.moved_m)
+
+
+@dataclass(frozen=True)
+class MovedDome:
+    """The inside of a dome of which every place has moved.
+
+    Attributes:
+        inner_radius_m: of the dome [m].
+        radius_m: of the tip, whose untouched apex is where z is 0 [m].
+        moved_m: by how much, over (polar angle) x (cosine, sine of azimuth) [m].
+    """
+
+    inner_radius_m: float
+    radius_m: float
+    moved_m: NdBSpline
+
+    def at(self, polar: Float[ndarray, " p"], azimuth: Float[ndarray, " p"]) -> tuple[ndarray, ndarray]:
+        """Places, and the normals there that point into the tip."""
+        ab = np.stack([polar * np.cos(azimuth), polar * np.sin(azimuth)], axis=-1)
+        along_a, along_b = (self._tangent(ab, i) for i in range(2))
+        normal = np.cross(along_a, along_b)
+        return self._dome(ab) + self.moved_m(ab), normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+
+    def _tangent(self, ab: ndarray, axis: int) -> ndarray:
+        """Along a or b, of the dome by a central difference over an angle in which it is straight."""
+        step = 1e-4 * np.eye(2)[axis]
+        dome = (self._dome(ab + step) - self._dome(ab - step)) / 2e-4
+        return dome + self.moved_m(ab, nu=np.eye(2, dtype=int)[axis])
+
+    def _dome(self, ab: ndarray) -> ndarray:
+        phi = np.hypot(*ab.T)
+        out = self.inner_radius_m * np.sinc(phi / np.pi)
+        return np.stack([*(ab.T * out), self.radius_m - self.inner_radius_m * np.cos(phi)], axis=-1)
+
+
+def inclined(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> Inclined:
+    """The spec's tip on a specimen of the tables' size, its top inclined.
+
+    Takes about half a minute for a new tip, ten seconds for each specimen after it.
+
+    Args:
+        spec: the sensor; `friction` counts.
+        specimen_pa: Young's modulus, `inf` for a rigid plate [Pa].
+        tilt_rad: of the top [rad].
+
+    Raises:
+        RangeError: a tilt or modulus outside of what is modelled.
+    """
+    if not (0 <= tilt_rad <= GREATEST_TILT and specimen_pa > 0):
+        raise RangeError(
+            f"a specimen of {specimen_pa:g} Pa at {np.rad2deg(tilt_rad):.3g} degrees; above 0 Pa, and 0 to "
+            f"{np.rad2deg(GREATEST_TILT):.0f} degrees"
+        )
+    return _inclined(spec.tip, spec.friction, specimen_pa, tilt_rad)
+
+
+@lru_cache(maxsize=64)
+def _inclined(tip: str, friction: float, specimen_pa: float, tilt_rad: float) -> Inclined:
+    table, modes = tip_of(tip)
+    top = None if np.isinf(specimen_pa) else _top(table, specimen_pa)
+    contact = TiltedContact(modes, top, tilt_rad, friction)
+    approach, states = _states(contact)
+    knots, moved = _splines(modes, np.stack([contact.pins_moved_m(state) for state in states]))
+    return Inclined(
+        contact,
+        table.radius_m - table.skin_m,
+        approach,
+        np.array([0.0] + [state.lift_n for state in states]),
+        np.array([0.0] + [state.area_m2 for state in states]),
+        knots,
+        np.concatenate([np.zeros_like(moved[:1]), moved]),
+    )
+
+
+def _states(contact: TiltedContact) -> tuple[Float[ndarray, " k"], list[TiltedPress]]:
+    """Approaches from 0, and the states after it, up to the greatest force."""
+    deep = FIRST_M
+    while contact.through(np.array([deep]))[0].lift_n < BEYOND_N:
+        deep *= STRIDE
+    while True:
+        approach = np.linspace(0.0, deep, STATES)
+        states = contact.through(approach[1:])
+        enough = [i for i, state in enumerate(states) if state.lift_n >= BEYOND_N]
+        if enough:
+            return approach[: enough[0] + 2], states[: enough[0] + 1]
+        deep *= STRIDE  # by steps, with what sticks, it yields more than at once
+
+
+@lru_cache(maxsize=8)
+def tip_of(name: str) -> tuple[TipTable, TipModes]:
+    """A tip's table, for its numbers, and its answer to loads."""
+    table = tip_table(name)
+    modes = tip_modes(table.radius_m, table.skin_m, table.skin_pa, table.gel_pa, table.poisson_ratio)
+    return table, modes
+
+
+@lru_cache(maxsize=4)
+def _unit_top(radius_m: float, height_m: float, poisson_ratio: float) -> TopModes:
+    return top_modes(radius_m, height_m, 1.0, poisson_ratio)
+
+
+def _top(table: TipTable, specimen_pa: float) -> TopModes:
+    """The tables' cylinder; its answer is in proportion to 1 / E."""
+    unit = _unit_top(table.specimen_radius_m, table.specimen_height_m, table.poisson_ratio)
+    return TopModes(unit.radii_m, unit.top / specimen_pa)
+
+
+def _splines(
+    modes: TipModes, moved: Float[ndarray, "k places azimuths 3"]
+) -> tuple[Float[ndarray, " n"], Float[ndarray, "k g g 3"]]:
+    """Knots and control points on an even grid, which has no pole."""
+    reach = float(modes.pins_rad[-1] / np.sqrt(2))
+    at = np.linspace(-reach, reach, GRID)
+    a, b = np.meshgrid(at, at, indexing="ij")
+    polar, azimuth = np.hypot(a, b), np.arctan2(b, a)
+    points = np.empty((len(moved), GRID, GRID, 3))
+    for k, state in enumerate(moved):
+        phi, theta, across = _all_around(modes, state)
+        for i in range(3):
+            values = RectBivariateSpline(phi, theta, across[..., i])(polar, azimuth, grid=False)
+            spline = RectBivariateSpline(at, at, values)
+            points[k, ..., i] = spline.get_coeffs().reshape(GRID, GRID)
+    return spline.get_knots()[0], points
+
+
+def _all_around(
+    modes: TipModes, moved: Float[ndarray, "places azimuths 3"]
+) -> tuple[Float[ndarray, " p"], Float[ndarray, " a"], Float[ndarray, "p a 3"]]:
+    """Motion along x, y, z, through the pole and once more around, so that it has neither end nor seam."""
+    theta = (np.arange(2 * modes.azimuths) + 0.5) * np.pi / modes.azimuths
+    other = moved[:, ::-1] * [1.0, -1.0, 1.0]  # the half y < 0 mirrors the half y > 0
+    r, around, z = np.moveaxis(np.concatenate([moved, other], axis=1), -1, 0)
+    c, s = np.cos(theta), np.sin(theta)
+    ring = np.stack([r * c - around * s, r * s + around * c, z], axis=-1)
+    beyond = modes.pins_rad > 1e-9
+    across = np.concatenate([np.roll(ring[beyond][::-1], modes.azimuths, axis=1), ring])
+    phi = np.concatenate([-modes.pins_rad[beyond][::-1], modes.pins_rad])
+    turns = np.concatenate([theta - 2 * np.pi, theta, theta + 2 * np.pi])
+    return phi, turns, np.tile(across, (1, 3, 1))
