@@ -47,6 +47,8 @@ UNITS: dict[str, Unit] = {
         Unit("m2", "m2", 1.0),
         Unit("rad", "rad", 1.0),
         Unit("deg", "rad", _DEGREE),
+        Unit("mm2_per_N", "m2_per_N", 1e-6),
+        Unit("m2_per_N", "m2_per_N", 1.0),
         Unit("N", "N", 1.0),
         Unit("mN", "N", 1e-3),
         Unit("kgf", "N", 9.80665),
