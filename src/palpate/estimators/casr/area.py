@@ -1,8 +1,8 @@
 """The contact's area from what each frame shows of the pins, told by references whose area is known.
 
 log A is a smooth function of a few measures of a frame: of the ring's size and the middle's stretch
-(`region`), or, where the ring is cut by the field's edge as on an inclined specimen, of the motion of all pins
-along the directions in which the references' pins moved most. No force is needed.
+(`region`), or, where the ring is cut by the field's edge as on an inclined specimen, of the motion of all
+pins along the directions in which the references' pins moved most. No force is needed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from palpate.estimators.casr.region import Field, ring_px
 MOTIONS = 8
 SQUARES = 3  # of the first measures
 RIDGE = 1e-4  # of the mean square of a measure
-LEAST_FRAMES = 30
+LEAST_FRAMES, LEAST_REFERENCES = 30, 3
 
 Measures = Float[ndarray, "f k"]
 
@@ -33,7 +33,8 @@ class AreaFit:
     Attributes:
         middle, scale: of the measures.
         coefficients: of 1, the measures, and the products of the first of them.
-        spread: root mean square error of log A of a trial that was left out, and of the worst reference's.
+        spread: root mean square error of log A of trials that were left out, of the worst reference's; NaN
+            for fewer than three references, which cannot tell what is lost between them.
         range_m2: least and greatest area of the references [m^2].
     """
 
@@ -89,7 +90,8 @@ def _left_out(z: list[Measures], y: list[ndarray], reference: ndarray) -> float:
         others = [j for j in range(len(z)) if j != i]
         c = _solved([z[j] for j in others], [y[j] for j in others])
         squares.setdefault(int(reference[i]), []).append(float(np.mean((_terms(own) @ c - log_a) ** 2)))
-    return float(np.sqrt(max(np.mean(one) for one in squares.values())))
+    worst = float(np.sqrt(max(np.mean(one) for one in squares.values())))
+    return worst if len(squares) >= LEAST_REFERENCES else float("nan")
 
 
 def _solved(z: list[Measures], y: list[ndarray]) -> Float[ndarray, " c"]:

@@ -104,24 +104,23 @@ class SoftnessCurve:
         trials = 1 / len(np.atleast_2d(presses)) + len(self.means) / (self.freedom + len(self.means))
         spread = np.sqrt(trials / (slope @ weight @ slope))
         t = stats.t.ppf((1 + coverage) / 2, self.freedom)
-        bend = self._bend(y, s) if np.isnan(self.between) else self.between
-        with np.errstate(over="ignore"):  # next to a rigid plate, kappa has no upper end
-            half = np.exp(np.hypot(t * spread / max(s * (1 - s), 1e-9), bend))
-        kappa = self._kappa(s)
+        half = float(np.hypot(t * spread, self._bend(y, s)))
         off = y - self.at(np.array([s]))[0]
-        return Softness((kappa, kappa / half, kappa * half), s, float(np.sqrt(off @ weight @ off / len(off))))
+        kappa = (self._kappa(s), self._kappa(s + half), self._kappa(s - half))
+        return Softness(kappa, s, float(np.sqrt(off @ weight @ off / len(off))))
 
     def _slope(self, s: float) -> Float[ndarray, " q"]:
         low, high = max(s - STEP, 0.0), s + STEP
         return np.diff(self.at(np.array([low, high])), axis=0)[0] / (high - low)
 
     def _bend(self, y: Float[ndarray, " q"], s: float) -> float:
-        """How far log kappa moves when the curve runs otherwise between its references."""
-        other = [self.nearest(y, bend * self.turning_n_m) for bend in BENDS]
-        return float(max(abs(np.log(self._kappa(x) / self._kappa(s))) for x in other))
+        """How far s may be wrong because the curve runs otherwise between its references."""
+        if np.isfinite(self.between):
+            return self.between * s * (1 - s)
+        return max(abs(self.nearest(y, bend * self.turning_n_m) - s) for bend in BENDS)
 
     def _kappa(self, s: float) -> float:
-        return self.turning_n_m * (1 / max(s, 1e-9) - 1)
+        return self.turning_n_m * (1 / min(s, 1.0) - 1) if s > 0 else float("inf")
 
     def strangeness(self, press: Vector) -> float:
         """What of a press no reference shows, in units of what their trials showed of it."""
