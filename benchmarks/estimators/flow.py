@@ -2,8 +2,10 @@
 
 Run ``python benchmarks/estimators/flow.py [--frames 200] [--threads 2]``. A sequence of 127 stretching pins,
 300 x 300 px with grey noise, goes through each in rounds; the script of numpy and scipy.ndimage.convolve, the
-usual one, through a few of its pairs. The last line reads the frames from a multi-page TIFF first. No time is
-judged, only printed.
+usual one, through a few of its pairs. One line of ours reads the frames from a multi-page TIFF, too. Results
+are let go as they come. Memory is that of the whole sequence and of a quarter of it. What a second thread can
+give depends on whether it has a core of its own: the last line measures it with loops that touch no memory.
+No number is judged, only printed.
 """
 
 from __future__ import annotations
@@ -12,10 +14,15 @@ import argparse
 import os
 import tempfile
 import time
-from collections.abc import Callable
+import tracemalloc
+from collections.abc import Callable, Iterable
+from functools import partial
+from itertools import islice
 from pathlib import Path
+from threading import Thread
 
 import cv2
+import numba
 import numpy as np
 import tifffile
 from scipy import ndimage
@@ -98,24 +105,25 @@ def main() -> None:
             for frame in frames:
                 writer.write(frame, contiguous=False)
 
-        def from_tiff() -> None:
+        def from_tiff(last: int | None = None) -> None:
             with TiffFrames(path) as pages:
-                list(along(pages, spread, threads=asked.threads))
+                _drain(along(islice(pages, last), spread, threads=asked.threads))
 
         calls: dict[str, tuple[Callable[[], object], int]] = {
-            "numpy + scipy.ndimage.convolve": (lambda: list(map(usual_script, few, few[1:])), SLOW_PAIRS),
-            "numpy + cv2.filter2D": (lambda: list(map(filtered_script, frames[:20], frames[1:20])), 19),
-            "ours, one thread": (lambda: list(along(frames, spread, threads=1)), len(frames) - 1),
+            "numpy + scipy.ndimage.convolve": (lambda: _drain(map(usual_script, few, few[1:])), SLOW_PAIRS),
+            "numpy + cv2.filter2D": (lambda: _drain(map(filtered_script, frames[:20], frames[1:20])), 19),
+            "ours, one thread": (lambda: _drain(along(frames, spread, threads=1)), len(frames) - 1),
             f"ours, {asked.threads} threads": (
-                lambda: list(along(frames, spread, threads=asked.threads)),
+                lambda: _drain(along(frames, spread, threads=asked.threads)),
                 len(frames) - 1,
             ),
             f"ours, {asked.threads} threads, from a TIFF": (from_tiff, len(frames) - 1),
-            "OpenCV DIS, medium": (lambda: list(map(dis, frames[:20], frames[1:20])), 19),
+            "OpenCV DIS, medium": (lambda: _drain(map(dis, frames[:20], frames[1:20])), 19),
         }
         if pyoptflow:
-            calls["pyoptflow"] = (lambda: list(map(pyoptflow, few, few[1:])), SLOW_PAIRS)
+            calls["pyoptflow"] = (lambda: _drain(map(pyoptflow, few, few[1:])), SLOW_PAIRS)
         taken = _in_turns(calls)
+        memory = [_peak(partial(from_tiff, last)) for last in (asked.frames // 4, asked.frames)]
     base = taken["numpy + scipy.ndimage.convolve"]
     print(
         f"Horn-Schunck and divergence, 300 x 300 px, 26 iterations, ms a pair; load {os.getloadavg()[0]:.1f}"
@@ -123,6 +131,50 @@ def main() -> None:
     for name, ms in taken.items():
         ratio = np.median(base) / np.median(ms)
         print(f"  {name:42s} median {np.median(ms):8.3f}, {ms.min():8.3f} to {ms.max():8.3f}; {ratio:6.1f} x")
+
+    print(
+        f"  memory from a TIFF: at most {memory[0] / 1e6:.1f} MB for {asked.frames // 4} frames, "
+        f"{memory[1] / 1e6:.1f} MB for {asked.frames}"
+    )
+    print(f"  {asked.threads} threads that count do {_gain(asked.threads):.2f} times the work of one")
+
+
+def _drain(results: Iterable[object]) -> None:
+    for _ in results:
+        pass
+
+
+def _peak(call: Callable[[], object]) -> int:
+    """Bytes that a call has at most."""
+    tracemalloc.start()
+    call()
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    return most
+
+
+@numba.njit(nogil=True)
+def _count(n: int) -> int:
+    x = 1
+    for _ in range(n):
+        x = (x * 1664525 + 1013904223) ^ (x >> 7)
+    return x
+
+
+def _gain(threads: int) -> float:
+    """Work of so many threads over that of one, in the same time."""
+
+    def taken(many: int) -> float:
+        workers = [Thread(target=_count, args=(50_000_000,)) for _ in range(many)]
+        started = time.perf_counter()
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            worker.join()
+        return time.perf_counter() - started
+
+    _count(1)
+    return float(np.median([threads * taken(1) / taken(threads) for _ in range(ROUNDS)]))
 
 
 def _pyoptflow() -> Callable[[np.ndarray, np.ndarray], object] | None:

@@ -1,7 +1,10 @@
 """Optical flow: what any flow must obey, and the fast path against the plain equations."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
+import tifffile
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import ImageError, InputError, RangeError
@@ -18,6 +21,7 @@ from palpate.estimators.flow import (
 )
 from palpate.estimators.flow.brightness import brightness, derivatives
 from palpate.estimators.flow.horn_schunck import divergence as plain_divergence
+from palpate.recordings.tiff import TiffFrames
 
 
 def waves(shape=(90, 120), shift=(0.0, 0.0), stretch=0.0) -> np.ndarray:
@@ -108,7 +112,7 @@ def test_the_fast_path_is_the_reference_to_a_millionth_of_a_pixel(rng, iteration
     assert abs(plain_divergence(plain) - divergence(fast)).max() < 2e-6
 
 
-@pytest.mark.parametrize("shape", [(2, 2), (3, 40), (40, 3), (17, 29)])
+@pytest.mark.parametrize("shape", [(2, 2), (3, 40), (40, 3), (17, 29), (9, 15), (9, 16), (9, 17), (30, 33)])
 def test_the_fast_path_agrees_on_small_and_narrow_images(rng, shape) -> None:
     first, second = rng.integers(0, 256, (2, *shape), dtype=np.uint8)
     plain = horn_schunck(first, second)
@@ -165,6 +169,40 @@ def test_a_sequence_is_read_little_ahead_of_what_is_asked_for() -> None:
     next(flows)
     assert len(read) < 20
     flows.close()
+
+
+def test_threads_change_nothing(rng) -> None:
+    frames = rng.integers(0, 256, (12, 40, 50), dtype=np.uint8)
+    alone, shared = (list(along(frames, flow, threads=threads)) for threads in (1, 3))
+    assert all(np.array_equal(a, b) for a, b in zip(alone, shared, strict=True))
+
+
+def test_images_of_another_size_leave_nothing_behind(rng) -> None:
+    """Workspaces are used again; what lies in them from other images must not show."""
+    pairs = [rng.integers(0, 256, (2, *shape), dtype=np.uint8) for shape in ((30, 40), (20, 37), (30, 40))]
+    for first, second in (*pairs, pairs[0]):
+        assert_allclose(flow(first, second), horn_schunck(first, second), atol=1e-6)
+
+
+def test_memory_does_not_grow_with_the_sequence(rng, tmp_path) -> None:
+    def peak(frames: int) -> int:
+        path = tmp_path / f"{frames}.tif"
+        with tifffile.TiffWriter(path) as writer:
+            for _ in range(frames):
+                writer.write(rng.integers(0, 256, (200, 200), dtype=np.uint8), contiguous=False)
+        with TiffFrames(path) as pages:
+            tracemalloc.start()
+            for field in along(pages, flow, threads=2):
+                assert field.shape == (2, 200, 200)
+            _, most = tracemalloc.get_traced_memory()
+            tracemalloc.stop()
+        return most
+
+    peak(20)
+    short, long = peak(20), peak(200)
+    # 180 frames more are 7.2 MB, their flows 58 MB; of flows that wait for their turn, 0.32 MB
+    # each, there may be a few more or fewer.
+    assert abs(long - short) < 3e6
 
 
 def test_what_cannot_be_flow_is_refused_with_the_reason() -> None:

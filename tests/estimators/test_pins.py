@@ -1,11 +1,13 @@
 """Pins: found where they are, followed where they go, given up where they are gone."""
 
+import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from palpate.core.errors import ImageError, InputError
-from palpate.estimators.pins import find_pins, follow, largest_circle
+from palpate.core.errors import ImageError, InputError, RangeError
+from palpate.estimators.pin_kernels import brighter
+from palpate.estimators.pins import FLOOR, Pins, find_pins, follow, largest_circle
 
 
 def hexagon(rings: int, pitch: float) -> np.ndarray:
@@ -65,11 +67,49 @@ def test_a_pin_cut_by_the_border_is_not_found(rng) -> None:
     assert len(find_pins(drawn(truth, rng)).xy_px) == 61
 
 
+def test_patches_are_those_that_opencv_connects(rng) -> None:
+    """Random dots: of all shapes, touching by corners, cut by the border."""
+    for share in (0.2, 0.4, 0.6):
+        image = np.where(rng.random((60, 70)) < share, 200, 20).astype(np.uint8)
+        _, _, stats, centres = cv2.connectedComponentsWithStats(
+            (image > 100).astype(np.uint8), connectivity=8
+        )
+        left, top, wide, high, size = stats[1:].T
+        inside = (left > 0) & (top > 0) & (left + wide < 70) & (top + high < 60)
+        found = brighter(image, 100)
+        ours = np.column_stack([found[:, 1:3] / found[:, :1], found[:, 0], found[:, 3]])
+        theirs = np.column_stack([centres[1:], size, inside])
+        ours, theirs = (table[np.lexsort(table.T)] for table in (ours, theirs))
+        assert_allclose(ours, theirs, atol=1e-9)
+
+
+def test_a_centroid_is_the_mean_place_weighed_by_what_is_over_the_floor(rng) -> None:
+    """Also at the border, where part of the window is outside the image."""
+    image = drawn(np.array([[30.3, 40.2], [5.0, 4.0], [76.0, 75.2]]), rng, size=80)
+    pins = Pins(np.array([[30.0, 40.0], [6.0, 5.0], [75.0, 75.0]]), 18.0, 200.0, np.full(3, 14.0), np.ones(3))
+    now = next(follow([image], pins))
+    y, x = np.indices(image.shape)
+    over = np.clip(image - (18.0 + FLOOR * 182), 0, None)
+    for at in now.xy_px:
+        near = over * (np.hypot(x - at[0], y - at[1]) <= 14)
+        assert_allclose(at, [(near * x).sum() / near.sum(), (near * y).sum() / near.sum()], atol=0.01)
+
+
+def test_wide_windows_do_not_overflow(rng) -> None:
+    truth = np.array([[700.0, 700.0], [700.0, 2100.0], [2100.0, 700.0], [2100.0, 2100.0]])
+    image = np.zeros((2800, 2800), np.uint8)
+    for x, y in truth:
+        cv2.circle(image, (int(x), int(y)), 400, 200, -1)
+    assert matched(find_pins(image, least=4).xy_px, truth).max() < 0.1
+
+
 def test_images_without_pins_are_refused(rng) -> None:
     noise = rng.integers(0, 30, (300, 300)).astype(np.uint8)
     for image in (noise, np.zeros((300, 300), np.uint8), np.full((300, 300), 255, np.uint8)):
         with pytest.raises(ImageError, match="pins in the image"):
             find_pins(image, least=40)
+    with pytest.raises(RangeError, match="2 or more"):
+        find_pins(noise, least=1)
     with pytest.raises(ImageError, match="8-bit"):
         find_pins(np.zeros((10, 10)))
     pins = find_pins(drawn(np.array([149.5, 149.5]) + hexagon(2, 40.0), rng))

@@ -7,27 +7,26 @@ found, until that no longer moves.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import no_type_check
 
 import cv2
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from palpate.core.errors import ImageError, InputError, RangeError
+from palpate.estimators.pin_kernels import PARTS, brighter, settle
 
 FLOOR = 0.25  # of the way from ground to pin: what is darker has no weight
-ROUNDS = 6  # of looking around where it was found
-STILL_PX = 0.005
 LOST = 0.35  # of a pin's first weight: with less it is lost
 CLEAR = 5.0  # spreads of the ground that pins are brighter by
 REACH = 0.45  # of the way to the nearest neighbour
 LEAST_PX, LEAST_PINS = 4, 7
 
+SPAN = 16  # pixels; a window is as wide as some spans
 Grey = UInt8[ndarray, "h w"]
 Points = Float[ndarray, "p 2"]
 
@@ -63,24 +62,23 @@ def find_pins(image: Shaped[ndarray, ...], least: int = LEAST_PINS) -> Pins:
 
     Raises:
         ImageError: not 8-bit grey, or too few pins in it.
+        RangeError: fewer than two pins asked for.
     """
     if image.dtype != np.uint8 or image.ndim != 2:
         raise ImageError(f"pins are found in 8-bit grey images [h w], got {image.dtype} {list(image.shape)}")
-    _, mask = cv2.threshold(image, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
-    _, _, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    size = stats[1:, cv2.CC_STAT_AREA]
-    h, w = image.shape
-    left, top, wide, high = (stats[1:, k] for k in range(4))
-    whole = (left > 0) & (top > 0) & (left + wide < w) & (top + high < h)
-    typical = np.median(size[size >= LEAST_PX]) if (size >= LEAST_PX).any() else 0
-    kept = whole & (size >= LEAST_PX) & (size > 0.3 * typical) & (size < 3 * typical)
-    ground, bright, clear = _contrast(image, mask > 0)
-    if kept.sum() < least or not clear:
+    if least < 2:
+        raise RangeError(
+            f"{least} pins at least; 2 or more, since how far a pin is looked for is its neighbour's"
+        )
+    image = np.ascontiguousarray(image)
+    level, _ = cv2.threshold(image, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    xy = _patches(image, int(level))
+    ground, bright, clear = _contrast(image, int(level))
+    if len(xy) < least or not clear:
         raise ImageError(
-            f"{int(kept.sum()) if clear else 0} pins in the image and at least {least} are needed; pins must "
+            f"{len(xy) if clear else 0} pins in the image and at least {least} are needed; pins must "
             "be brighter than their ground and apart: look at focus, light and the crop"
         )
-    xy = centres[1:][kept]
     xy = xy[np.argsort(((xy - xy.mean(axis=0)) ** 2).sum(axis=1))]
     nearest = cKDTree(xy).query(xy, k=2)[0][:, 1]
     first = Pins(xy, ground, bright, REACH * nearest, np.full(len(xy), np.inf))
@@ -88,12 +86,34 @@ def find_pins(image: Shaped[ndarray, ...], least: int = LEAST_PINS) -> Pins:
     return Pins(xy, ground, bright, first.reach_px, weight)
 
 
-def _contrast(image: Grey, pin: Bool[ndarray, "h w"]) -> tuple[float, float, bool]:
-    """Levels of ground and pins, and whether pins stand out from the ground's own spread."""
-    if pin.all() or not pin.any():
+def _patches(image: Grey, level: int) -> Points:
+    """Middles of the patches brighter than a level that are of a pin's size and inside the image."""
+    patches = brighter(image, level)
+    size = patches[:, 0]
+    large = size >= LEAST_PX
+    typical = np.median(size[large]) if large.any() else 0
+    whole = patches[:, 3] > 0
+    kept = whole & large & (size > 0.3 * typical) & (size < 3 * typical)
+    return patches[kept, 1:3] / size[kept, None]
+
+
+def _contrast(image: Grey, level: int) -> tuple[float, float, bool]:
+    """Grey of ground and pins, and whether pins stand out from the ground's own spread."""
+    counts = cv2.calcHist([image], [0], None, [256], [0, 256]).ravel().astype(np.float64)
+    ground, pin = counts[: level + 1], counts[level + 1 :]
+    if not (ground.any() and pin.any()):
         return 0.0, 0.0, False
-    ground, bright = float(np.median(image[~pin])), float(np.median(image[pin]))
-    return ground, bright, bright - ground > CLEAR * max(1.0, float(image[~pin].std()))
+    greys = np.arange(level + 1)
+    mean = np.average(greys, weights=ground)
+    spread = np.sqrt(np.average((greys - mean) ** 2, weights=ground))
+    dark, bright = _median(ground), level + 1 + _median(pin)
+    return dark, bright, bool(bright - dark > CLEAR * max(1.0, spread))
+
+
+def _median(counts: Float[ndarray, " n"]) -> float:
+    """Of whole numbers from 0, by how often each occurs."""
+    upto = np.cumsum(counts)
+    return float(np.searchsorted(upto, upto[-1] / 2))
 
 
 def follow(frames: Iterable[Shaped[ndarray, ...]], pins: Pins) -> Iterator[Pins]:
@@ -136,33 +156,13 @@ def _centroids(
     image: Grey, xy: Points, reach: Float[ndarray, " p"], floor: float
 ) -> tuple[Points, Float[ndarray, " p"]]:
     found, weight = xy.copy(), np.zeros(len(xy))
-    _settle(image, found, reach, floor, weight)
+    width = SPAN * math.ceil((2 * reach.max() + 2) / SPAN)
+    whole = (
+        np.int32 if width < 700 else np.int64
+    )  # 16 parts of 255 levels on half a window squared fit 31 bits
+    padded = cv2.copyMakeBorder(
+        np.ascontiguousarray(image), width, width, width, width, cv2.BORDER_CONSTANT, value=0
+    )
+    sums = np.empty((2, width), whole)
+    settle(padded.ravel(), padded.shape[1], width, found, reach, np.int32(round(PARTS * floor)), sums, weight)
     return found, weight
-
-
-@numba.njit(cache=True, nogil=True)
-@no_type_check
-def _settle(image, xy, reach, floor, weight):
-    h, w = image.shape
-    for i in range(len(xy)):
-        x, y = xy[i, 0], xy[i, 1]
-        if not (np.isfinite(x) and np.isfinite(y)):
-            continue
-        for _ in range(ROUNDS):
-            total = at_x = at_y = 0.0
-            for r in range(max(0, int(y - reach[i])), min(h, int(y + reach[i]) + 2)):
-                for c in range(max(0, int(x - reach[i])), min(w, int(x + reach[i]) + 2)):
-                    inside = reach[i] ** 2 - (c - x) ** 2 - (r - y) ** 2
-                    over = image[r, c] - floor
-                    if inside > 0 and over > 0:
-                        total += over
-                        at_x += over * c
-                        at_y += over * r
-            if total == 0.0:
-                break
-            moved = np.hypot(at_x / total - x, at_y / total - y)
-            x, y = at_x / total, at_y / total
-            if moved < STILL_PX:
-                break
-        xy[i, 0], xy[i, 1] = x, y
-        weight[i] = total

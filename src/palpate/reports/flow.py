@@ -9,14 +9,17 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from palpate.core.files import new_folder, storage_errors
+from palpate.estimators.flow import FlowField
 from palpate.estimators.flow.course import Step, course
 from palpate.recordings.sequences import open_sequence
 from palpate.reports.figures import ACCENT, INK, STYLE
 
 ARROWS = 24  # along the image's longer side
+SPEEDS = "GnBu"  # light where little moves
 
 
 def write_flow(
@@ -48,27 +51,31 @@ def write_flow(
     """
     with open_sequence(frames) as sequence, new_folder(out) as building:
         rows: list[tuple[int, float, float]] = []
-        last: Step | None = None
+        fastest: Step | None = None
         kept: np.ndarray | None = None
         for i, step in enumerate(course(sequence, method, from_first=from_first)):
             rows.append((i + 1, step.speed_px, step.divergence))
-            last = step
+            if fastest is None or step.speed_px > fastest.speed_px:
+                fastest = step
             if fields:
                 kept = kept if kept is not None else _kept(building, len(sequence) - 1, step)
                 kept[i] = step.field
             progress(i + 1, len(sequence) - 1)
-        assert last is not None
+        assert fastest is not None
         table = pd.DataFrame(rows, columns=["frame", "speed_px", "divergence_per_frame"])
         total = table["divergence_per_frame"]
         table["accumulated_divergence"] = total if from_first else total.cumsum()
         with storage_errors(building):
             table.to_csv(building / "flow.csv", index=False)
-            _draw(table, last).savefig(building / "flow.png")
+            _draw(
+                table, fastest, f"{method}, from {'the first frame' if from_first else 'frame to frame'}"
+            ).savefig(building / "flow.png")
     return {
         "out": str(out),
         "method": method,
         "from_first": from_first,
         "steps": len(table),
+        "fastest_frame": _fastest(table),
         "mean_speed_px": float(table["speed_px"].mean()),
         "accumulated_divergence": float(table["accumulated_divergence"].iloc[-1]),
     }
@@ -81,20 +88,52 @@ def _kept(folder: Path, steps: int, step: Step) -> np.ndarray:
         )
 
 
-def _draw(table: pd.DataFrame, last: Step) -> Figure:
-    """The last flow as arrows; speed and accumulated divergence over the frames."""
+def _fastest(table: pd.DataFrame) -> int:
+    return int(table["frame"].iloc[int(table["speed_px"].argmax())])
+
+
+def _draw(table: pd.DataFrame, fastest: Step, how: str) -> Figure:
+    """The fastest flow, as colours and arrows, beside speed and divergence over the frames."""
+    frame = _fastest(table)
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9.5, 3.6), layout="constrained")
-        left, right = figure.subplots(1, 2, width_ratios=[1, 1.4])
-        every = max(1, max(last.field.shape[1:]) // ARROWS)
-        u, v = last.field[:, every // 2 :: every, every // 2 :: every]
-        y, x = np.mgrid[: u.shape[0], : u.shape[1]] * every + every // 2
-        left.quiver(x, y, u, v, color=ACCENT, angles="xy")
-        left.set(xlim=(0, last.field.shape[2]), ylim=(last.field.shape[1], 0), aspect="equal")
-        left.set(title="flow of the last step", xlabel="x [px]", ylabel="y [px]")
-        right.plot(table["frame"], table["accumulated_divergence"], color=ACCENT)
-        right.set(xlabel="frame", ylabel="accumulated mean divergence", title="along the sequence")
-        speed = right.twinx()
-        speed.plot(table["frame"], table["speed_px"], color=INK, lw=0.8, ls=":")
-        speed.set_ylabel("mean speed [px] (dotted)")
+        figure = Figure(figsize=(11, 4.6), layout="constrained")
+        panels = figure.subplot_mosaic("fs;fd", width_ratios=[1.2, 1])
+        above, below = panels["s"], panels["d"]
+        figure.suptitle(f"Optical flow: {how}", color=INK)
+        _field(panels["f"], fastest.field, f"fastest flow, to frame {frame}")
+        above.plot(table["frame"], table["speed_px"], color=ACCENT)
+        above.set(title="mean speed", ylabel="speed [px]", ylim=(0, None))
+        below.plot(table["frame"], table["accumulated_divergence"], color=ACCENT)
+        below.axhline(0, color=INK, lw=0.6)
+        below.set(title="mean divergence so far", xlabel="frame", ylabel="divergence [1]")
+        below.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3), useMathText=True)
+        above.sharex(below)
+        above.tick_params(labelbottom=False)
+        for axes in (above, below):
+            axes.axvline(frame, color=INK, lw=0.8, ls=":")
         return figure
+
+
+def _field(axes: Axes, field: FlowField, title: str) -> None:
+    """Speed of every pixel as a colour, and the mean flow of squares as arrows with a key."""
+    h, w = field.shape[1:]
+    speed = np.hypot(*field)
+    most = float(np.quantile(speed, 0.999)) or 1.0  # a few pixels at edges claim far more
+    image = axes.imshow(speed, cmap=SPEEDS, vmin=0, vmax=most, extent=(-0.5, w - 0.5, h - 0.5, -0.5))
+    axes.figure.colorbar(image, ax=axes, label="speed [px]", shrink=0.85, extend="max")
+    side = min(-(-max(h, w) // ARROWS), h, w)
+    y, x = (np.arange(n // side) * side + (side - 1) / 2 for n in (h, w))
+    u, v = (
+        part[: len(y) * side, : len(x) * side].reshape(len(y), side, len(x), side).mean(axis=(1, 3))
+        for part in field
+    )
+    longest = float(np.hypot(u, v).max()) or 1.0
+    arrows = axes.quiver(
+        x, y, u, v, color=INK, angles="xy", scale_units="xy", scale=longest / (1.5 * side), width=0.0025
+    )
+    key = float(f"{longest:.1g}")
+    axes.quiverkey(
+        arrows, 0.93, 1.04, key, f"mean of {side} x {side} px: {key:g} px", labelpos="W", coordinates="axes"
+    )
+    axes.set_title(title, loc="left")
+    axes.set(xlabel="x [px]", ylabel="y [px]", xlim=(-0.5, w - 0.5), ylim=(h - 0.5, -0.5))

@@ -6,6 +6,7 @@ that the pairs of a sequence may be shared by threads; see `sequence`.
 
 from __future__ import annotations
 
+import math
 from threading import local
 
 import numpy as np
@@ -19,16 +20,28 @@ FlowField = Float32[ndarray, "2 h w"]
 
 
 class _Workspace(local):
-    """What one thread writes into again and again."""
+    """What one thread writes into again and again; `kernels` says what lies where."""
 
     shape: tuple[int, int, int] = (0, 0, 0)
 
-    def of(self, iterations: int, h: int, w: int) -> tuple[ndarray, ndarray]:
+    def of(self, iterations: int, h: int, w: int) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+        from palpate.estimators.flow.kernels import RING, row_length
+
         if self.shape != (iterations, h, w):
+            row = row_length(w)
+            self.a, self.b = _aligned(h, row), _aligned(h, row)
+            self.e = _aligned(h, 3, row)
+            self.rows = _aligned(iterations + 1, RING, 2, row)
             self.shape = (iterations, h, w)
-            self.e = np.empty((3, h, w), np.float32)
-            self.rows = np.empty((iterations, 2, 3, w + 2), np.float32)
-        return self.e, self.rows
+        return self.a, self.b, self.e, self.rows
+
+
+def _aligned(*shape: int) -> ndarray:
+    """Zeros, at an address that whole cache lines start from."""
+    size = math.prod(shape)
+    spare = np.zeros(size + 16, np.float32)
+    first = -spare.ctypes.data // 4 % 16
+    return spare[first : first + size].reshape(shape)
 
 
 _WORKSPACE = _Workspace()
@@ -66,24 +79,30 @@ def relaxed(
 
     first, second = np.asarray(first), np.asarray(second)
     check_pair(first, second)
-    (a, white), (b, _) = _levels(first), _levels(second)
-    e, rows = _WORKSPACE.of(settings.iterations, *a.shape)
-    kernels.coefficients(a, b, np.float32(0.25 / white), np.float32(settings.alpha**2), e)
-    found = np.zeros((2, *a.shape), np.float32)
+    white = _white(first)
+    if white is None:
+        first, second, white = brightness(first), brightness(second), 1.0
+    h, w = first.shape
+    a, b, e, rows = _WORKSPACE.of(settings.iterations, h, w)
+    for image, levels in ((first, a), (second, b)):
+        levels[:, :w] = image
+        levels[:, w] = image[:, -1]
+    kernels.coefficients(a, b, w, np.float32(0.25 / white), np.float32(settings.alpha**2), e)
+    found = np.zeros((2, h, w), np.float32)
+    e_x, e_y, e_t = (e[:, i, :w] for i in range(3))
     if seen is not None:
-        e *= seen
+        e[:, :, :w] *= seen[:, None]
     if about is not None:
-        e[2] -= e[0] * about[0] + e[1] * about[1]
+        e_t -= e_x * about[0] + e_y * about[1]
         found[:] = about
     kernels.relax(e, settings.iterations, rows, found)
     return found
 
 
-def _levels(image: Grey) -> tuple[Float32[ndarray, "h w"], float]:
-    """Grey levels, exact for images of whole ones, and the level that is white."""
-    whole = image.dtype in WHITE and image.ndim == 2 and min(image.shape) > 1
-    levels = image if whole else brightness(image)
-    return np.ascontiguousarray(levels, np.float32), WHITE[image.dtype] if whole else 1.0
+def _white(image: Grey) -> float | None:
+    """The level that is white in an image of whole ones, which single precision holds exactly."""
+    whole = image.ndim == 2 and min(image.shape) > 1
+    return WHITE.get(image.dtype) if whole else None
 
 
 def divergence(field: FlowField) -> Float32[ndarray, "h w"]:

@@ -1,0 +1,104 @@
+"""`palpate flow`, as typed: what it prints, what it makes, and how it refuses."""
+
+import json
+import re
+import shlex
+
+import numpy as np
+import pandas as pd
+import pytest
+import tifffile
+from typer.testing import CliRunner
+
+from palpate.cli import app
+
+
+def palpate(*words: object, status: int = 0):
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exit_code == status, result.output
+    return result
+
+
+@pytest.fixture
+def press(tmp_path):
+    """Twelve frames of a pattern that moves by a fifth of a pixel a frame to the right."""
+    y, x = np.indices((96, 128)).astype(float)
+    path = tmp_path / "press.tif"
+    with tifffile.TiffWriter(path) as writer:
+        for k in range(12):
+            moved = x - 0.2 * k
+            level = 127 + 40 * np.sin(0.4 * moved + 0.1 * y) + 40 * np.sin(0.3 * y - 0.15 * moved)
+            writer.write(np.rint(level).astype(np.uint8), contiguous=False)
+    return path
+
+
+def test_the_example_in_the_help_runs(press, monkeypatch) -> None:
+    monkeypatch.chdir(press.parent)
+    said = palpate("flow", "--help").stdout
+    example = re.search(r"Example: palpate (flow press\.tif --out \S+)", said)
+    assert example is not None
+    palpate(*shlex.split(example[1]))
+    assert {path.name for path in (press.parent / "flow").iterdir()} == {"flow.csv", "flow.png"}
+
+
+def test_the_table_has_one_row_for_every_frame_but_the_first(press, tmp_path) -> None:
+    said = palpate("flow", press, "--out", tmp_path / "out").stdout
+    assert "11 steps by horn-schunck" in said
+    assert "px" in said
+    table = pd.read_csv(tmp_path / "out/flow.csv")
+    assert list(table) == ["frame", "speed_px", "divergence_per_frame", "accumulated_divergence"]
+    assert table["frame"].tolist() == list(range(1, 12))
+    assert table["speed_px"].between(0.15, 0.21).all()  # of the 0.2 px, smoothness takes a little
+
+
+def test_json_says_what_was_done(press, tmp_path) -> None:
+    got = json.loads(palpate("flow", press, "--out", tmp_path / "out", "--json").stdout)
+    assert got["method"] == "horn-schunck"
+    assert (got["steps"], got["from_first"]) == (11, False)
+    assert got["mean_speed_px"] == pytest.approx(pd.read_csv(tmp_path / "out/flow.csv")["speed_px"].mean())
+    assert 1 <= got["fastest_frame"] <= 11
+
+
+@pytest.mark.parametrize("method", ["coarse-to-fine", "dis", "farneback"])
+def test_every_method_finds_the_motion_since_the_first_frame(press, tmp_path, method) -> None:
+    palpate("flow", press, "--out", tmp_path / "out", "--method", method, "--from-first")
+    speeds = pd.read_csv(tmp_path / "out/flow.csv")["speed_px"]
+    assert speeds.iloc[-1] == pytest.approx(2.2, rel=0.35)  # OpenCV's are rough on so small an image
+
+
+def test_fields_are_kept_on_request(press, tmp_path) -> None:
+    palpate("flow", press, "--out", tmp_path / "out", "--fields")
+    fields = np.load(tmp_path / "out/fields.npy")
+    assert fields.shape == (11, 2, 96, 128)
+    assert fields.dtype == np.float32
+    speeds = pd.read_csv(tmp_path / "out/flow.csv")["speed_px"]
+    assert np.hypot(fields[:, 0], fields[:, 1]).mean(axis=(1, 2)) == pytest.approx(speeds, rel=1e-5)
+
+
+def test_one_page_is_no_sequence(tmp_path) -> None:
+    tifffile.imwrite(tmp_path / "one.tif", np.zeros((20, 30), np.uint8))
+    said = palpate("flow", tmp_path / "one.tif", "--out", tmp_path / "out", status=2)
+    assert "two frames" in said.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_not_there_is_named(tmp_path) -> None:
+    said = palpate("flow", tmp_path / "none.tif", "--out", tmp_path / "out", status=2)
+    assert "none.tif" in said.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_method_is_answered_with_the_known_ones(press, tmp_path) -> None:
+    said = palpate("flow", press, "--out", tmp_path / "out", "--method", "lucas", status=2)
+    assert "lucas" in said.stderr
+    assert "coarse-to-fine" in said.stderr
+
+
+def test_nothing_is_written_over(press, tmp_path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "flow.csv").write_text("mine")
+    said = palpate("flow", press, "--out", out, status=2)
+    assert "nothing is ever overwritten" in said.stderr
+    assert (out / "flow.csv").read_text() == "mine"
+    assert [path.name for path in out.iterdir()] == ["flow.csv"]
