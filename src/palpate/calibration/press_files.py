@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-
 from palpate.calibration.compliance import Reference, ReferenceTrial
 from palpate.core.errors import InputError
 from palpate.estimators.casr.pin_press import watched
@@ -47,8 +46,8 @@ def load_references(folder: PressFolder, progress: Progress = quiet) -> list[Ref
     known = [one for one in folder.specimens if one.stiffness_n_m is not None]
     if len(known) < 2:
         raise InputError(
-            f"{len(known)} of {len(folder.specimens)} specimens in {folder.path} have a known stiffness; write "
-            "two or more into specimens.csv: stiffness_N_per_mm, inf for a rigid plate"
+            f"{len(known)} of {len(folder.specimens)} specimens in {folder.path} have a known stiffness; "
+            "write two or more into specimens.csv: stiffness_N_per_mm, inf for a rigid plate"
         )
     total, done = sum(len(one.presses) for one in known), 0
     references = []
@@ -61,5 +60,3 @@ def load_references(folder: PressFolder, progress: Progress = quiet) -> list[Ref
         assert one.stiffness_n_m is not None
         references.append(Reference(one.name, one.stiffness_n_m, tuple(trials)))
     return references
-
-

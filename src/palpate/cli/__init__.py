@@ -8,6 +8,7 @@ import typer
 
 from palpate.cli import (
     calibration,
+    compliance,
     import_palm,
     import_press,
     mechanics,
@@ -42,6 +43,7 @@ app.add_typer(optics.app, name="optics")
 app.add_typer(rig.plan_app, name="plan")
 app.add_typer(rig.rig_app, name="rig")
 app.add_typer(reproduce.app, name="reproduce")
+app.add_typer(compliance.app, name="compliance")
 import_app.command("images")(recordings.import_images)
 import_app.command("palm")(import_palm.palm)
 import_app.command("tiff")(import_press.tiff)

@@ -50,3 +50,34 @@ def palm(
     ]
     lines += [f"all {len(entries)} numbers: {out / 'summary.json'}", f"report: {out / 'report.html'}"]
     print_found(entries, "\n".join(lines), json_)
+
+
+@app.command()
+@reports_errors
+def tactip(
+    out: Annotated[Path, typer.Option(help="Folder to make; must not exist.")],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    trials: Annotated[int, typer.Option(help="Trials of each specimen at each tilt; the report has 5.")] = 5,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compliance by touch: the report's figures 5 to 9, p-values and new specimen, beside ours.
+
+    Makes report.html and summary.json; some two minutes.
+
+    Example: palpate reproduce tactip --out tactip-study
+    """
+    from palpate.studies.tactip.reproduce import reproduce_tactip
+
+    with progress_bar(quiet) as progress:
+        entries = reproduce_tactip(out, seed=seed, trials=trials, progress=progress)
+    beside = [one for one in entries if one["published"] is not None]
+    width = max(len(one["name"]) for one in beside)
+    lines = ["Virtual sensor: what the estimators recover of a model, not how good a sensor is."]
+    lines += [
+        f"{one['name']:{width}}  {one['value']:.3g} {one['unit']}  (printed: {one['published']:g})"
+        for one in beside
+        if one["value"] is not None
+    ]
+    lines += [f"all {len(entries)} numbers: {out / 'summary.json'}", f"report: {out / 'report.html'}"]
+    print_found(entries, "\n".join(lines), json_)

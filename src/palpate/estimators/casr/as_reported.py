@@ -1,8 +1,9 @@
 """The report's route from frames and force to a spread rate: flow, divergence, accumulated area.
 
-Divergence is the mean over the whole image. Beside the report's own sum over frames stand the secant and the
-regression of A_i = A_0 exp(sum of D_j). A_0 is the circle through the pins, not a contact, so all areas are
-relative to it: only contrasts between presses of one sensor mean anything.
+A_0 is the circle through the pins, not a contact, so all areas are relative to it: only contrasts between
+presses of one sensor mean anything. `over_pins` gives that circle, over which the mean divergence is taken;
+over the whole image, as (8) has it, it is nothing but what flows through the image's border. Beside the
+report's own sum over frames stand the secant and the regression of A_i = A_0 exp(sum of D_j).
 """
 
 from __future__ import annotations
@@ -24,8 +25,10 @@ from palpate.estimators.casr.force import (
     within,
     without_spikes,
 )
-from palpate.estimators.casr.spread import Spread, area_m2, paper_spread, spread
+from palpate.estimators.casr.spread import Spread, Way, area_m2, paper_spread, spread
 from palpate.estimators.flow.course import course
+
+WAYS: tuple[Way, ...] = ("regression", "secant", "paper")
 
 
 @dataclass(frozen=True)
@@ -44,13 +47,31 @@ class AsReported:
     area: Float[ndarray, " f"]
     spreads: dict[str, Spread]
 
+    def above(self, force_n: float) -> AsReported:
+        """The same of frames above a force; the report takes 2.5 N in its section V [N]."""
+        kept = self.force_n >= force_n
+        return AsReported(
+            self.force_n[kept],
+            self.divergence[kept],
+            self.area[kept],
+            _spreads(self.force_n[kept], self.divergence[kept], self.area[kept]),
+        )
+
+
+def over_pins(untouched_px: Float[ndarray, "p 2"], height: int, width: int) -> Bool[ndarray, "h w"]:
+    """The largest circle through the pins about the one in their middle: A_0 of the report's Algorithm 1."""
+    seen = untouched_px[np.isfinite(untouched_px).all(axis=1)]
+    middle = seen[np.argmin(np.hypot(*(seen - seen.mean(axis=0)).T))]
+    reach = np.hypot(*(seen - middle).T).max()
+    y, x = np.mgrid[:height, :width]
+    return np.asarray(np.hypot(x - middle[0], y - middle[1]) <= reach)
+
 
 def as_reported(
     frames: Iterable[Shaped[ndarray, ...]],
     force_n: Float[ndarray, " s"],
     frame_sample: Int[ndarray, " f"],
     *,
-    above_n: float = CONTACT_N,
     method: str = "horn-schunck",
     region: Bool[ndarray, "h w"] | None = None,
 ) -> AsReported:
@@ -60,7 +81,6 @@ def as_reported(
         frames: grey images in time.
         force_n: raw samples [N].
         frame_sample: of every frame, which sample it belongs to.
-        above_n: frames below are left out of the spread rates; the report takes 2.5 N in its section V [N].
         method: of flow.
         region: over which divergence is averaged; None for the whole image, as reported.
 
@@ -74,15 +94,16 @@ def as_reported(
     steps = course(islice(iter(frames), first, last + 1), method, region=region)
     divergence = np.array([step.divergence for step in steps])[-len(used) :]
     force, area = smooth[at[used]], area_m2(1.0, divergence)
-    kept = force >= above_n
-    spreads = {}
-    for way in ("regression", "secant", "paper"):
+    return AsReported(force, divergence, area, _spreads(force, divergence, area))
+
+
+def _spreads(
+    force: Float[ndarray, " f"], divergence: Float[ndarray, " f"], area: Float[ndarray, " f"]
+) -> dict[str, Spread]:
+    found = {}
+    for way in WAYS:
         try:
-            spreads[way] = (
-                paper_spread(force[kept], divergence[kept], 1.0)
-                if way == "paper"
-                else spread(force[kept], area[kept], way)  # type: ignore[arg-type]
-            )
+            found[way] = paper_spread(force, divergence, 1.0) if way == "paper" else spread(force, area, way)
         except PalpateError:  # e.g. too few frames for a line; the others may still stand
             continue
-    return AsReported(force, divergence, area, spreads)
+    return found

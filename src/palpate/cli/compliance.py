@@ -1,0 +1,174 @@
+"""The verbs of compliance by touch: read a press, calibrate on references, compare specimens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from palpate.cli.shared import Json, Quiet, print_found, progress_bar, reports_errors
+
+READ = "read"
+
+
+class ReadsByDefault(TyperGroup):
+    """A group whose first word may be a file: then it is read."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """As written, or after `read`."""
+        if args and args[0] not in self.commands and not args[0].startswith("-"):
+            args = [READ, *args]
+        return super().parse_args(ctx, args)
+
+
+app = typer.Typer(
+    cls=ReadsByDefault,
+    help="Softness in N/mm from presses: PRESS --force TABLE reads one; calibrate and compare take folders.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+Calibration = Annotated[
+    Path | None, typer.Option(help="Calibration (.npz) of this sensor; without, only relative numbers.")
+]
+
+
+@app.callback()
+def start() -> None:
+    """Softness in N/mm from presses of a sensor with pins.
+
+    Example: palpate compliance PRESS.tif --force force.csv --calibration tip.npz
+    """
+
+
+@app.command(READ)
+@reports_errors
+def read(
+    press: Annotated[
+        Path, typer.Argument(help="Frames of one press: multi-page TIFF, video, folder or run.")
+    ],
+    force: Annotated[Path, typer.Option(help="CSV or Parquet: samples of force and the frame each is of.")],
+    calibration: Calibration = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to make: press.png, readings.json.")] = None,
+    force_column: Annotated[
+        str | None, typer.Option(help="Its column of force, if not a usual name.")
+    ] = None,
+    position_column: Annotated[
+        str | None, typer.Option(help="Its column of position, if not a usual name.")
+    ] = None,
+    rate_hz: Annotated[float | None, typer.Option(help="Rate of its rows [Hz], if it has no time_s.")] = None,
+    json_: Json = False,
+) -> None:
+    """Read one press: stiffness, contact area, spread rate, E*, with intervals and flags.
+
+    Example: palpate compliance PRESS.tif --force force.csv --calibration tip.npz --out press
+    """
+    from palpate.studies.compliance import read_files
+
+    found = read_files(
+        press, force, calibration=calibration, out=out,
+        force_column=force_column, position_column=position_column, rate_hz=rate_hz,
+    )  # fmt: skip
+    print_found(found, _text(found), json_)
+
+
+@app.command()
+@reports_errors
+def calibrate(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of references: specimens.csv, SPECIMEN/01.tif, 01.csv.")
+    ],
+    out: Annotated[Path, typer.Option(help="Calibration to make, an .npz; must not exist.")],
+    tilt_deg: Annotated[float, typer.Option(help="Tilt of the specimens' tops [deg].")] = 0.0,
+    note: Annotated[str, typer.Option(help="Free words to keep with it.")] = "",
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate a tip on a rigid plate and specimens of known stiffness.
+
+    Example: palpate compliance calibrate references --out tip.npz
+    """
+    from palpate.studies.compliance import calibrate_folder
+
+    with progress_bar(quiet) as progress:
+        found = calibrate_folder(folder, out, tilt_deg=tilt_deg, note=note, progress=progress)
+    names = ", ".join(
+        f"{one['specimen']} ({_stiff(one['stiffness_N_per_mm'])}, {one['trials']} trials)"
+        for one in found["references"]
+    )
+    between, area = found["error_between_references"], found["area_error"]
+    lines = [
+        f"{out}: {found['calibration']}, {found['pins']} pins, on {names}",
+        "a reference between others is told by them to "
+        + (
+            "no known error (two references)"
+            if between is None
+            else f"{100 * between:.1f} % of its stiffness"
+        ),
+        "contact area: no reference has a known one"
+        if area is None
+        else f"contact area to {100 * area:.1f} %",
+    ]
+    print_found(found, "\n".join(lines), json_)
+
+
+@app.command()
+@reports_errors
+def compare(
+    folder: Annotated[Path, typer.Argument(help="Folder of an experiment: SPECIMEN/01.tif with 01.csv.")],
+    out: Annotated[Path, typer.Option(help="Folder to make: trials.csv, comparison.json, comparison.png.")],
+    calibration: Calibration = None,
+    pooled: Annotated[
+        bool, typer.Option(help="Also test pooled samples as the report did; warns of it.")
+    ] = False,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare several specimens, a value a trial: means, rank tests, box plots.
+
+    Example: palpate compliance compare experiment --calibration tip.npz --out compared
+    """
+    from palpate.studies.compliance import compare_specimens
+
+    with progress_bar(quiet) as progress:
+        found = compare_specimens(folder, out, calibration=calibration, pooled=pooled, progress=progress)
+    print_found(found, _compared(found), json_)
+
+
+def _stiff(stiffness_n_per_mm: float | None) -> str:
+    return "rigid" if stiffness_n_per_mm is None else f"{stiffness_n_per_mm:.3g} N/mm"
+
+
+def _text(found: dict[str, Any]) -> str:
+    lines = []
+    for one in found["readings"]:
+        ends = " to ".join("inf" if x is None else f"{x:.3g}" for x in (one["low"], one["high"]))
+        value = "inf" if one["value"] is None else f"{one['value']:.3g}"
+        verdict = "valid" if one["valid"] else f"NOT VALID: {one['why']}"
+        lines.append(f"{one['quantity']:20} {value:>8} {one['unit']:10} ({ends}, 90 %)  {verdict}")
+    series = found.get("series_stiffness")
+    if series:
+        value = series["value_N_per_mm"]
+        lines.append(f"{'sensor and specimen':20} {value:8.3g} N_per_mm   in series, by force and position")
+    lines += [f"flag: {flag}" for flag in found["flags"]]
+    if found["readings"]:
+        lines.append(f"calibration {found['readings'][0]['calibration']}")
+    if "out" in found:
+        lines.append(f"picture and readings: {found['out']}")
+    return "\n".join(lines)
+
+
+def _compared(found: dict[str, Any]) -> str:
+    lines = []
+    for cue, one in found["cues"].items():
+        means = ", ".join(f"{name} {mean:.3g}" for name, mean in one["mean"].items())
+        worst = max(one["pairs"], key=lambda pair: pair["rank_sum_p"])
+        lines.append(f"{cue}: {means}")
+        lines.append(
+            f"    Kruskal-Wallis p {one['kruskal_p']:.2g}; worst pair {worst['first']}, {worst['second']}: "
+            f"rank-sum p {worst['rank_sum_p']:.2g} (at least {worst['least_p']:.2g} for so many trials)"
+        )
+    lines.append(f"trials, tests and picture: {found['out']}")
+    return "\n".join(lines)

@@ -1,0 +1,159 @@
+"""The report's experiments on the virtual TacTip: specimens under a rigid plate, and under the tip."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+from numpy import ndarray
+
+from palpate.calibration.compliance import ComplianceCalibration, Reference, calibrate_compliance
+from palpate.calibration.compliance_reading import Touch, read_touch
+from palpate.psychophysics.lines import Line, fit_line
+from palpate.recordings.press_table import PressTable
+from palpate.sensors.tactip import HeadOn, Specimen, TacTipSpec, Trial, trial
+from palpate.sensors.tactip.inclined import inclined
+from palpate.studies.compliance.compare import trials_table
+from palpate.studies.compliance.cues import Cues, cues_of, series
+from palpate.studies.tactip.published import KAPPA, NAMES
+
+RIGID = "rigid"
+REFERENCES = (RIGID, "S1", "S2", "S3")
+NEW = "new"
+Progress = Callable[[str, int, int], None]
+
+
+def youngs_pa(spec: TacTipSpec, kappa_n_m: float) -> float:
+    """E of the tables' cylinder with kappa = E pi r^2 / h; infinite for a rigid plate [Pa]."""
+    table = spec.table
+    return float(kappa_n_m * table.specimen_height_m / (np.pi * table.specimen_radius_m**2))
+
+
+def kappa_n_m(name: str) -> float:
+    """Of a specimen [N/m]."""
+    return float("inf") if name == RIGID else 1e3 * KAPPA[name].value
+
+
+def under_tip(spec: TacTipSpec, name: str, tilt_deg: float) -> Specimen:
+    """A specimen under the tip: by finite strain head-on, by Fourier modes inclined."""
+    E = youngs_pa(spec, kappa_n_m(name))
+    if tilt_deg == 0:
+        return HeadOn(spec.table.press(E), spec.table.radius_m)
+    return inclined(spec, E, float(np.deg2rad(tilt_deg)))
+
+
+def table_of(made: Trial) -> PressTable:
+    """A trial's table, as if read from a file."""
+    return PressTable(
+        made.time_s, made.raw_n, made.actual_m, made.frame_sample, "force_raw_N", "actual_mm", False,
+        made.true_area_m2,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Specimens at one tilt.
+
+    Attributes:
+        tilt_deg: of their tops [deg].
+        cues: of every specimen its trials.
+        calibration: on the first five trials of the references.
+        touch: readings of the new specimen, its trials together.
+        table: a row a trial that the calibration has not seen, with every cue.
+    """
+
+    tilt_deg: int
+    cues: Mapping[str, tuple[Cues, ...]]
+    calibration: ComplianceCalibration
+    touch: Touch
+    table: pd.DataFrame
+
+    def unseen(self) -> dict[str, tuple[Cues, ...]]:
+        """Trials of the specimens, stiffest first, that the calibration has not seen."""
+        counts = self.table["specimen"].value_counts()
+        return {name: self.cues[name][-counts[name] :] for name in NAMES}
+
+
+def press_all(
+    spec: TacTipSpec, tilt_deg: int, seed: int, *, calibrating: int, testing: int, progress: Progress
+) -> Experiment:
+    """Press, calibrate on the references, read the rest.
+
+    Args:
+        spec: the virtual sensor.
+        tilt_deg: of the specimens' tops [deg].
+        seed: of everything random.
+        calibrating, testing: trials of each reference; the new specimen has `testing` alone.
+        progress: told of every press.
+    """
+    counts = {RIGID: calibrating} | dict.fromkeys(("S1", "S2", "S3"), calibrating + testing) | {NEW: testing}
+    done, total, cues = 0, sum(counts.values()), {}
+    for i, (name, count) in enumerate(counts.items()):
+        specimen, found = under_tip(spec, name, tilt_deg), []
+        for k in range(count):
+            made = trial(spec, specimen, seed=100_000 * seed + 1000 * tilt_deg + 100 * i + k)
+            found.append(cues_of(list(made.frames()), table_of(made)))
+            done += 1
+            progress(f"presses at {tilt_deg} degrees", done, total)
+        cues[name] = tuple(found)
+    calibration = calibrate_compliance(
+        [
+            Reference(name, kappa_n_m(name), tuple(c.trial for c in cues[name][:calibrating]))
+            for name in REFERENCES
+        ],
+        tilt_rad=float(np.deg2rad(tilt_deg)),
+        note=f"virtual {spec.tip} tip",
+    )
+    unseen = {name: cues[name][-testing:] for name in NAMES}
+    return Experiment(
+        tilt_deg,
+        cues,
+        calibration,
+        read_touch(calibration, [c.trial.press for c in cues[NEW]], NEW),
+        trials_table(unseen, calibration),
+    )
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A specimen under a rigid plate: lines of its trials, and the samples of the first."""
+
+    lines: tuple[Line, ...]
+    position_m: Float[ndarray, " s"]
+    force_n: Float[ndarray, " s"]
+
+
+def under_plate(spec: TacTipSpec, name: str, trials: int, seed: int) -> Plate:
+    """Force over deformation between 0.5 and 5 N at the rig's speed, rates and noise; F = kappa d."""
+    lines, tables = [], []
+    for k in range(trials):
+        tables.append(_plate_table(spec, kappa_n_m(name), np.random.default_rng([seed, k])))
+        lines.append(series(tables[-1]))
+    position = tables[0].position_m
+    assert position is not None
+    return Plate(tuple(lines), position, tables[0].force_n)
+
+
+def _plate_table(spec: TacTipSpec, kappa: float, rng: np.random.Generator) -> PressTable:
+    sensor, step = spec.force, spec.force.resolution_n
+    start = -1e-3 - rng.uniform(0, spec.speed_m_s / spec.camera.rate_hz)
+    n = int((5.5 / kappa - start) / spec.speed_m_s * sensor.rate_hz)
+    time = np.arange(n) / sensor.rate_hz
+    depth = start + spec.speed_m_s * time
+    force = kappa * np.maximum(depth, 0) + sensor.noise_n * rng.standard_normal(n)
+    encoder = depth + spec.seating.position_m * rng.standard_normal()
+    return PressTable(
+        time, step * np.rint(force / step), encoder, np.arange(n), "force_raw_N", "actual_mm", False
+    )
+
+
+def stiffness_line(experiment: Experiment, cue: str) -> tuple[Line, float]:
+    """The report's route: a line of kappa [N/mm] over a cue of S1 to S3, and the new specimen's mean cue."""
+    rows = experiment.table[["specimen", cue]].dropna()
+    known = rows[rows["specimen"] != NEW]
+    kappa = known["specimen"].map(lambda name: KAPPA[name].value).to_numpy(np.float64)
+    new = rows.loc[rows["specimen"] == NEW, cue].mean()
+    return fit_line(known[cue].to_numpy(np.float64), kappa), float(new)
