@@ -41,6 +41,17 @@ def test_frames_force_and_position_arrive_at_their_times(press) -> None:
     assert_allclose(run.stage()["z_m"].iloc[-1], 79 * 25e-6)
 
 
+def test_an_area_becomes_a_label_where_it_is_known(press) -> None:
+    _, folder = press
+    table = pd.read_csv(folder / "force.csv")
+    table["true_area_mm2"] = [np.nan] * 25 + [1.0 + i for i in range(55)]
+    table.to_csv(folder / "area.csv", index=False)
+    import_press(folder / "press.tif", folder / "run", force=folder / "area.csv")
+    run = Run.open(folder / "run")
+    assert_allclose(run.labels["true_area_mm2"], [np.nan] * 3 + [6.0, 16.0, 26.0, 36.0, 46.0])
+    assert run.manifest.units["true_area_mm2"] == "mm2"
+
+
 def test_the_verb_says_what_it_made(press) -> None:
     _, folder = press
     typed = [

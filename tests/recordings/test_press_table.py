@@ -79,3 +79,21 @@ def test_a_table_without_force_rate_or_unit_says_what_is_missing(tmp_path) -> No
         read_press_table(written(tmp_path, {"force_N": np.ones(4)}, "c.csv"), 4)
     with pytest.raises(LabelError, match="4 rows and there are 5 frames"):
         read_press_table(written(tmp_path, {"force_N": np.ones(4)}, "d.csv"), 5, rate_hz=20.0)
+
+
+def test_an_area_is_read_where_there_is_one_and_truth_comes_first(tmp_path) -> None:
+    areas = np.where(np.arange(60) < 9, np.nan, 2.5)
+    found = read_press_table(written(tmp_path, fast() | {"area_mm2": areas}), 6)
+    assert_allclose(found.area_m2, areas * 1e-6)
+    assert found.area_column == "area_mm2"
+    both = fast() | {"area_mm2": areas, "true_area_mm2": np.full(60, 3.0)}
+    found = read_press_table(written(tmp_path, both, "b.csv"), 6)
+    assert_allclose(found.area_m2, 3e-6)
+    assert read_press_table(written(tmp_path, fast(), "c.csv"), 6).area_m2 is None
+
+
+@pytest.mark.parametrize("wrong", [-1.0, np.inf, "wide"])
+def test_what_is_no_area_says_where(tmp_path, wrong) -> None:
+    areas = [1.0] * 59 + [wrong]
+    with pytest.raises(LabelError, match=r"rows? .*is no area"):
+        read_press_table(written(tmp_path, fast() | {"area_mm2": areas}), 6)

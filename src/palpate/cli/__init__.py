@@ -46,8 +46,8 @@ app.add_typer(reproduce.app, name="reproduce")
 app.add_typer(compliance.app, name="compliance")
 import_app.command("images")(recordings.import_images)
 import_app.command("palm")(import_palm.palm)
-import_app.command("tiff")(import_press.tiff)
-import_app.command("video")(import_press.video)
+import_app.command("tiff", help=import_press.TIFF)(import_press.press)
+import_app.command("video", help=import_press.VIDEO)(import_press.press)
 for verb in (
     rig.record,
     recordings.check,

@@ -1,4 +1,4 @@
-"""The verbs that import one press: frames in a TIFF or a video, force in a table."""
+"""The verb that imports one press: frames in a TIFF or a video, force in a table."""
 
 from __future__ import annotations
 
@@ -20,8 +20,18 @@ Licence = Annotated[str, typer.Option(help="Licence of the data.")]
 Origin = Annotated[str, typer.Option(help="Where the data come from.")]
 
 
+TIFF = """Import a press from a multi-page TIFF and its table of force.
+
+Example: palpate import tiff PRESS.tif RUN --force force.csv
+"""
+VIDEO = """Import a press from a video and its table of force.
+
+Example: palpate import video press.avi RUN --force force.csv --rate-hz 30
+"""
+
+
 @reports_errors
-def tiff(
+def press(
     frames: Frames,
     run: Made,
     force: Force,
@@ -34,47 +44,7 @@ def tiff(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Import a press from a multi-page TIFF and its table of force.
-
-    Example: palpate import tiff PRESS.tif RUN --force force.csv
-    """
-    _import(frames, run, force, force_column, position_column, rate_hz, sensor, licence, origin, json_, quiet)
-
-
-@reports_errors
-def video(
-    frames: Frames,
-    run: Made,
-    force: Force,
-    force_column: ForceColumn = None,
-    position_column: PositionColumn = None,
-    rate_hz: Rate = None,
-    sensor: Sensor = "",
-    licence: Licence = "",
-    origin: Origin = "",
-    json_: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Import a press from a video and its table of force.
-
-    Example: palpate import video press.avi RUN --force force.csv --rate-hz 30
-    """
-    _import(frames, run, force, force_column, position_column, rate_hz, sensor, licence, origin, json_, quiet)
-
-
-def _import(
-    frames: Path,
-    run: Path,
-    force: Path,
-    force_column: str | None,
-    position_column: str | None,
-    rate_hz: float | None,
-    sensor: str,
-    licence: str,
-    origin: str,
-    json_: bool,
-    quiet: bool,
-) -> None:
+    """Import a press; the two kinds of frames differ only in what their help says."""
     from palpate.recordings.importers.press import import_press
 
     with progress_bar(quiet) as progress:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from palpate.cli.shared import Json, print_found, reports_errors
+from palpate.cli.shared import Json, Quiet, print_found, progress_bar, reports_errors
 
 if TYPE_CHECKING:
+    from palpate.recordings.press_folder import PressFolder
     from palpate.sensors.palm.wear import Wear
 
 app = typer.Typer(help="Draw what a virtual sensor would see.", no_args_is_help=True, rich_markup_mode=None)
@@ -105,6 +108,93 @@ def palm(
     with new_file(out) as path:
         path.write_bytes(png.encode(frame.image).tobytes())
     print_found(found, "\n".join(f"{name}: {_shown(value)}" for name, value in found.items()), json_)
+
+
+@app.command()
+@reports_errors
+def tactip(
+    out: Annotated[Path, typer.Argument(help="Folder to make; must not exist.")],
+    specimen: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=STIFFNESS [N/mm] of a cylinder 40 mm high and wide; again for more."),
+    ] = None,
+    rigid: Annotated[bool, typer.Option("--rigid", help="Press a rigid plate as well.")] = False,
+    tilt_deg: Annotated[
+        float,
+        typer.Option(
+            help="Of the specimens' tops, 0 to 50 [deg]. 0 is solved at finite strain without friction, all "
+            "others by linear bodies with friction: compare them with 0.001."
+        ),
+    ] = 0.0,
+    trials: Annotated[int, typer.Option(min=1, max=999, help="Of each specimen.")] = 5,
+    pins: Annotated[int, typer.Option(help="127 or 331.")] = 127,
+    tip: Annotated[str, typer.Option(help="base, even, soft-skin or stiff-skin.")] = "base",
+    speed_mm_s: Annotated[float, typer.Option(min=0.1, max=20, help="Of the tip's way down [mm/s].")] = 5.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of seating and noise.")] = 0,
+    runs: Annotated[bool, typer.Option("--runs", help="Also write each press as a run.")] = False,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Press the virtual TacTip on soft specimens and write what its rig would record.
+
+    Without --specimen and --rigid the compliance report's five are pressed: rigid, S1 of 7.6 N/mm, S2 of 3.1,
+    S3 of 1.1 and new of 5.3. Each press is a TIFF of frames and a table of force beside it.
+
+    Example: palpate render tactip presses --specimen S1=7.6 --specimen S2=3.1 --trials 3
+    """
+    from palpate.core.files import refuse_existing
+    from palpate.sensors.tactip import tactip as tactip_of
+    from palpate.studies.tactip_trials import REPORT_N_M, record_trials, specimens_at
+
+    refuse_existing(out)  # before solving for minutes
+    stiffness = _stiffnesses(specimen or [], rigid) or REPORT_N_M
+    spec = replace(tactip_of(pins), tip=tip, speed_m_s=1e-3 * speed_mm_s)
+    with progress_bar(quiet) as progress:
+        pressed = specimens_at(spec, stiffness, math.radians(tilt_deg), progress=progress)
+        made = record_trials(out, spec, pressed, trials, seed=seed, runs=runs, progress=progress)
+    found, text = _trials_said(made, stiffness, tilt_deg, runs)
+    print_found(found, text, json_)
+
+
+def _stiffnesses(pairs: list[str], rigid: bool) -> dict[str, float]:
+    """Specimens from ``NAME=STIFFNESS`` [N/m]."""
+    from palpate.core.errors import InputError
+
+    found = {"rigid": float("inf")} if rigid else {}
+    for pair in pairs:
+        name, _, value = pair.partition("=")
+        try:
+            stiffness = 1e3 * float(value)
+        except ValueError:
+            raise InputError(f"--specimen {pair!r} is not NAME=STIFFNESS in N/mm, as in S1=7.6") from None
+        if name in found:
+            raise InputError(f"specimen {name!r} is given twice; a name stands for one specimen")
+        found[name] = stiffness
+    return found
+
+
+def _trials_said(
+    made: PressFolder, stiffness_n_m: Mapping[str, float], tilt_deg: float, runs: bool
+) -> tuple[dict[str, Any], str]:
+    """What was made, as values and as text."""
+    from palpate.studies.tactip_trials import TRUTH, stiffness_shown
+
+    presses = sum(len(one.presses) for one in made.specimens)
+    shown = {name: stiffness_shown(k) for name, k in stiffness_n_m.items()}
+    found = {
+        "out": str(made.path),
+        "virtual": True,
+        "presses": presses,
+        "runs": presses if runs else 0,
+        "tilt_deg": tilt_deg,
+        "stiffness_N_per_mm": shown,
+    }
+    lines = [
+        f"{made.path}: {presses} virtual press{'es' if presses > 1 else ''} at {tilt_deg:g} degrees, not measured",
+        *(f"  {name}: {'a rigid plate' if k == 'inf' else f'{k:.4g} N/mm'}" for name, k in shown.items()),
+        f"  a press is a TIFF and a table{' and a run' if runs else ''}; the truth behind them: {TRUTH}",
+    ]
+    return found, "\n".join(lines)
 
 
 def _wear(presses: float, haze: float | None, scratches: int | None, yellowing: float) -> Wear:

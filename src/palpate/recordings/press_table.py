@@ -1,8 +1,11 @@
-"""The table of one press: force, and perhaps position, at their own rate, and which sample each frame is of.
+"""The table of one press: force, perhaps position and area, and which sample each frame is of.
 
 Two layouts are read. Where the force sensor is faster than the camera, a row is a sample and the column
 ``frame`` says which frame was the latest; a frame belongs to the first row that names it. Where a row is a
-frame, ``frame`` may be left out.
+frame, ``frame`` may be left out. The first is also written.
+
+The contact's area is read where there is one: ``true_area_mm2`` is a simulator's own truth, ``area_mm2`` what
+a rig measured beside the sensor, by ink or by light. Cells without one are left empty.
 """
 
 from __future__ import annotations
@@ -21,9 +24,11 @@ from palpate.recordings.labels import label_kinds, read_labels, rows_text
 
 FORCES = ("force_raw_N", "force_N", "Fz_N", "fz_N")
 POSITIONS = ("actual_mm", "position_mm", "depth_mm", "gripper_width_m")
+AREAS = ("true_area_mm2", "area_mm2")
 TIMES = ("time_s", "t_s")
 FRAME = "frame"
 START = 5  # samples that tell which way the force goes
+TAPS = 5  # of the moving average that the report's rig writes beside the raw force
 
 Samples = Float[ndarray, " s"]
 
@@ -36,17 +41,20 @@ class PressTable:
         time_s: of every sample, from the first [s].
         force_n: positive in compression [N].
         position_m: as the table has it; None where it has none [m].
+        area_m2: of the contact, NaN where a sample has none; None where the table has none [m^2].
         frame_sample: of every frame, which sample it belongs to.
-        force_column, position_column: where these were read.
+        force_column, position_column, area_column: where these were read.
         turned: the table has compression negative.
     """
 
     time_s: Samples
     force_n: Samples
     position_m: Samples | None
+    area_m2: Samples | None
     frame_sample: Int[ndarray, " f"]
     force_column: str
     position_column: str | None
+    area_column: str | None
     turned: bool
 
 
@@ -76,6 +84,7 @@ def read_press_table(
     place_name = _named(
         table, path, position_column, POSITIONS, "m", "position", must=position_column is not None
     )
+    area_name = next((name for name in AREAS if name in table.columns), None)
     assert force_name is not None
     force = _si(table, path, force_name)
     start = np.median(force[:START])
@@ -84,11 +93,50 @@ def read_press_table(
         _times(table, path, rate_hz),
         -force if turned else force,
         None if place_name is None else _si(table, path, place_name),
+        None if area_name is None else _areas(table, path, area_name),
         _frame_samples(table, path, frames),
         force_name,
         place_name,
+        area_name,
         turned,
     )
+
+
+def press_rows(
+    time_s: Samples,
+    raw_n: Samples,
+    desired_m: Samples,
+    actual_m: Samples,
+    frame_sample: Int[ndarray, " f"],
+    true_area_m2: Samples | None = None,
+) -> pd.DataFrame:
+    """A press as the report's rig writes it, a row a sample.
+
+    Args:
+        time_s: of the samples [s].
+        raw_n: what the force sensor said; a trailing moving average goes beside it [N].
+        desired_m, actual_m: position asked for, and as the encoder has it [m].
+        frame_sample: of every frame, which sample it belongs to; the first one's is 0.
+        true_area_m2: of the contact, from a simulator [m^2].
+
+    Raises:
+        LabelError: a sample has no latest frame, or a frame no sample of its own.
+    """
+    rising = len(frame_sample) and frame_sample[0] == 0 and (np.diff(frame_sample) > 0).all()
+    if not (rising and frame_sample[-1] < len(time_s)):
+        raise LabelError("each frame belongs to a later sample than the one before, the first to sample 0")
+    raw = raw_n + 0.0  # no minus before a zero
+    rows = {
+        "time_s": time_s,
+        "force_raw_N": raw,
+        "force_filtered_N": pd.Series(raw).rolling(TAPS, min_periods=1).mean(),
+        "desired_mm": 1e3 * desired_m,
+        "actual_mm": 1e3 * actual_m,
+        FRAME: np.searchsorted(frame_sample, np.arange(len(time_s)), side="right") - 1,
+    }
+    if true_area_m2 is not None:
+        rows["true_area_mm2"] = 1e6 * true_area_m2
+    return pd.DataFrame(rows)
 
 
 def _named(
@@ -119,6 +167,19 @@ def _named(
 def _si(table: pd.DataFrame, path: Path, name: str) -> Samples:
     values = _numbers(table, path, name)
     return values * unit(split_column(name)[1].symbol).factor
+
+
+def _areas(table: pd.DataFrame, path: Path, name: str) -> Samples:
+    """Areas, of which some may be missing."""
+    bad = np.arange(len(table))
+    if label_kinds(table)[name] == "number":
+        values = table[name].to_numpy(np.float64)
+        bad = np.flatnonzero((values < 0) | np.isinf(values))
+    if bad.size:
+        raise LabelError(
+            f"{path}, {rows_text(bad)}: {name!r} is no area, 0 or more, or an empty cell; repair them"
+        )
+    return values * split_column(name)[1].factor
 
 
 def _numbers(table: pd.DataFrame, path: Path, name: str) -> Samples:

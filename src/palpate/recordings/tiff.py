@@ -3,12 +3,14 @@
 Before any page is decoded its chain of directories is walked: a chain that comes back to itself, leaves the
 file or is longer than any recording is refused. The file stays open, since opening it anew for every page
 takes far longer than reading one.
+
+Written page by page, uncompressed, so that whatever reads a TIFF reads it.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
@@ -18,7 +20,8 @@ import tifffile
 
 from palpate.core.axes import Image
 from palpate.core.errors import ImageError, RangeError
-from palpate.core.files import storage_errors
+from palpate.core.files import new_file, storage_errors
+from palpate.core.frame import Frame
 from palpate.recordings.png import MAX_PIXELS
 
 MAX_PAGES = 100_000  # 83 minutes at 20 frames a second
@@ -109,6 +112,30 @@ class TiffFrames:
                 f"{self.path}, page {index} is {_kind(page)}; frames are 8-bit grey or RGB: convert them"
             )
         return page
+
+
+def write_tiff(path: Path, frames: Iterable[Image]) -> int:
+    """Write frames as the pages of a new TIFF, each as it comes; the file appears whole or not at all.
+
+    Returns:
+        How many there were.
+
+    Raises:
+        ExistsError: `path` exists.
+        ImageError: there was none, one is no 8-bit grey or RGB image, or not of the first's size.
+        StorageError: the disk is full, or refused.
+    """
+    shapes: list[tuple[int, ...]] = []
+    with new_file(path) as building, tifffile.TiffWriter(building) as writer:
+        for image in frames:
+            shapes.append(Frame(image).image.shape)  # refuses what is no image
+            if shapes[-1] != shapes[0]:
+                raise ImageError(f"{path}: frame {len(shapes) - 1} is {shapes[-1]}, the first {shapes[0]}")
+            kind = "rgb" if image.ndim == 3 else "minisblack"
+            writer.write(image, photometric=kind, contiguous=False, metadata=None)
+        if not shapes:
+            raise ImageError(f"{path} would have no pages; give at least one frame")
+    return len(shapes)
 
 
 def page_offsets(file: BinaryIO, path: Path, most: int) -> list[int]:

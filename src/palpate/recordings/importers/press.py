@@ -1,12 +1,15 @@
 """One press as a multi-page TIFF or a video, with a table of force, turned into a run.
 
-Frames carry the force and the position at their own time as labels; the table's samples go into the run's own
-streams at their own rate, force as z of the wrench and position as z of the stage.
+Frames carry force, position and the contact's area at their own time as labels, as far as the table has them;
+its samples go into the run's own streams at their own rate, force as z of the wrench and position as z of the
+stage.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+
+import numpy as np
 
 from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.core.files import new_folder, refuse_existing
@@ -56,7 +59,7 @@ def import_press(
             position_column=position_column,
             rate_hz=rate_hz,
         )
-        names = ("force_N", "position_mm") if table.position_m is not None else ("force_N",)
+        names = _label_names(table)
         manifest = Manifest.new(
             sensor=sensor, licence=licence, origin=origin, labels=dict.fromkeys(names, "number")
         )
@@ -72,6 +75,12 @@ def import_press(
     return ImportReport(len(table.frame_sample), names, units, ())
 
 
+def _label_names(table: PressTable) -> tuple[str, ...]:
+    position = () if table.position_m is None else ("position_mm",)
+    area = () if table.area_column is None else (table.area_column,)
+    return ("force_N", *position, *area)
+
+
 def _samples(writer: RunWriter, table: PressTable) -> None:
     for i, (seconds, newtons) in enumerate(zip(table.time_s, table.force_n, strict=True)):
         time_ns = round(seconds * NS_PER_S)
@@ -85,6 +94,8 @@ def _frames(writer: RunWriter, table: PressTable, sequence: Sequence, progress: 
         labels = {"force_N": float(table.force_n[sample])}
         if table.position_m is not None:
             labels["position_mm"] = 1e3 * float(table.position_m[sample])
+        if table.area_m2 is not None and table.area_column and np.isfinite(table.area_m2[sample]):
+            labels[table.area_column] = 1e6 * float(table.area_m2[sample])
         writer.frame(image, time_ns=round(table.time_s[sample] * NS_PER_S), labels=labels)
         if progress is not None:
             progress(k + 1, len(table.frame_sample))

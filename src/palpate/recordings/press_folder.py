@@ -1,0 +1,216 @@
+"""An experiment as a folder: in it a folder for every specimen, and in that two files for every press.
+
+======================  ==================================================================================
+``specimens.csv``       a row a specimen: ``specimen``, ``stiffness_N_per_mm`` (inf for a rigid plate, empty
+                        where it is not known), and any further columns
+``S1/01.tif``           frames of one press, a multi-page TIFF
+``S1/01.csv``           its table, of the same name: see `press_table`
+======================  ==================================================================================
+
+`specimens.csv` may be left out; then no stiffness is known. Further columns and other files are passed over,
+and so are folders within a specimen's, such as runs made of its presses.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from palpate.core.axes import Image
+from palpate.core.errors import InputError, LabelError
+from palpate.core.files import new_file, storage_errors
+from palpate.core.units import UNITS, has_unit, split_column
+from palpate.recordings.labels import FIRST_ROW, label_kinds, read_labels
+from palpate.recordings.sequences import TIFFS
+from palpate.recordings.tiff import write_tiff
+
+SPECIMENS = "specimens.csv"
+NAME, STIFFNESS = "specimen", "stiffness_N_per_mm"
+DIGITS = "%.9g"  # a nanometre in a metre, more than any device of a rig says
+_PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+
+@dataclass(frozen=True)
+class PressedSpecimen:
+    """A specimen and its presses.
+
+    Attributes:
+        name: of its folder.
+        stiffness_n_m: of the specimen alone, inf for a rigid plate; None where it is not known [N/m].
+        presses: of every press its TIFF and its table, in the order of their names.
+    """
+
+    name: str
+    stiffness_n_m: float | None
+    presses: tuple[tuple[Path, Path], ...]
+
+
+@dataclass(frozen=True)
+class PressFolder:
+    """An experiment.
+
+    Attributes:
+        path: its folder.
+        specimens: in the order of `specimens.csv`, or of their names where there is none.
+    """
+
+    path: Path
+    specimens: tuple[PressedSpecimen, ...]
+
+
+def press_folder(path: Path) -> PressFolder:
+    """Find the specimens and presses of an experiment; no frame or table of a press is opened yet.
+
+    Raises:
+        InputError: no such folder, a specimen without presses, or a press of which a file is missing or there
+            twice.
+        LabelError: `specimens.csv` cannot be read, names a specimen twice or one that has no folder, leaves
+            one out, or holds a stiffness that is none.
+        StorageError: the disk refused to read it.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        raise InputError(f"{path} is no folder; give that of an experiment, with a folder for every specimen")
+    with storage_errors(path):
+        found = {p.name: p for p in sorted(path.iterdir()) if p.is_dir() and not p.name.startswith(".")}
+        if not found:
+            raise InputError(
+                f"{path} holds no folders; put the presses of each specimen into one, e.g. S1/01.tif"
+            )
+        table = path / SPECIMENS
+        known = _known(table, found) if table.exists() else dict.fromkeys(found)
+        return PressFolder(
+            path,
+            tuple(PressedSpecimen(name, known[name], _presses(found[name])) for name in known),
+        )
+
+
+def write_specimens(folder: Path, stiffness_n_m: Mapping[str, float]) -> Path:
+    """Write `specimens.csv` into a folder.
+
+    Args:
+        folder: which is there.
+        stiffness_n_m: of every specimen, inf for a rigid plate, NaN where it is not known [N/m].
+
+    Raises:
+        InputError: a name that cannot be a folder's everywhere, or a stiffness that is none.
+        ExistsError: the file is there.
+        StorageError: the disk is full, or refused.
+    """
+    for name, stiffness in stiffness_n_m.items():
+        if not _PLAIN.fullmatch(name):
+            raise InputError(
+                f"specimen {name!r} cannot name a folder everywhere; use letters, digits, '.', '_' and '-'"
+            )
+        if stiffness <= 0:
+            raise InputError(f"specimen {name} of {stiffness:g} N/m; above 0, inf for a rigid plate")
+    values = {name: UNITS["N_per_mm"].from_si(k) for name, k in stiffness_n_m.items()}
+    return _written(folder / SPECIMENS, pd.DataFrame({NAME: values.keys(), STIFFNESS: values.values()}))
+
+
+def write_press(folder: Path, press: str, frames: Iterable[Image], rows: pd.DataFrame) -> tuple[Path, Path]:
+    """Write one press into the folder of its specimen, frame by frame as they come.
+
+    Args:
+        folder: of the specimen; made where it is not there.
+        press: name of both files.
+        frames: 8-bit grey or RGB, of one size.
+        rows: see `press_rows`.
+
+    Returns:
+        The TIFF and the table.
+
+    Raises:
+        ExistsError: one of the files is there.
+        ImageError: no frames, or one that is no such image.
+        StorageError: the disk is full, or refused.
+    """
+    tiff = folder / f"{press}.tif"
+    write_tiff(tiff, frames)
+    return tiff, _written(folder / f"{press}.csv", rows)
+
+
+def _written(path: Path, rows: pd.DataFrame) -> Path:
+    with new_file(path) as building:
+        rows.to_csv(building, index=False, float_format=DIGITS)
+    return path
+
+
+def _known(path: Path, found: Mapping[str, Path]) -> dict[str, float | None]:
+    """Stiffness of every specimen of the table [N/m], which are those that have a folder."""
+    table = read_labels(path, kinds={NAME: "text"})
+    if NAME not in table.columns:
+        raise LabelError(f"{path} has no column {NAME!r}; it has {', '.join(map(str, table.columns))}")
+    names = [str(name).strip() for name in table[NAME]]
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise LabelError(f"{path} names specimen {twice[0]!r} more than once; a specimen has one row")
+    gone = [name for name in names if name not in found]
+    if gone:
+        raise LabelError(
+            f"{path} names {', '.join(map(repr, gone))}, without a folder of that name beside it; there are "
+            f"{', '.join(found)}"
+        )
+    left = [name for name in found if name not in names]
+    if left:
+        raise LabelError(
+            f"{path} has no row for {', '.join(map(repr, left))}; add one, or move the folder away"
+        )
+    return dict(zip(names, _stiffnesses(path, table), strict=True))
+
+
+def _stiffnesses(path: Path, table: pd.DataFrame) -> list[float | None]:
+    column = next((str(name) for name in table.columns if _is_stiffness(str(name))), None)
+    if column is None:
+        raise LabelError(
+            f"{path} has no column {STIFFNESS!r}; add it: inf for a rigid plate, empty where not known"
+        )
+    if label_kinds(table)[column] != "number":
+        raise LabelError(f"{path}: {column!r} holds what is no number; write inf for a rigid plate")
+    values = table[column].to_numpy(np.float64)
+    bad = np.flatnonzero(values <= 0)
+    if bad.size:
+        raise LabelError(
+            f"{path}, row {bad[0] + FIRST_ROW}: a stiffness of {values[bad[0]]:g}; it is above 0, "
+            "and inf for a rigid plate"
+        )
+    to_si = split_column(column)[1].to_si
+    return [None if np.isnan(value) else to_si(float(value)) for value in values]
+
+
+def _is_stiffness(name: str) -> bool:
+    if not has_unit(name):
+        return False
+    quantity, unit = split_column(name)
+    return quantity == "stiffness" and unit.si == "N_per_m"
+
+
+def _presses(folder: Path) -> tuple[tuple[Path, Path], ...]:
+    files = [p for p in sorted(folder.iterdir()) if p.is_file() and not p.name.startswith(".")]
+    tiffs = _by_stem(p for p in files if p.suffix.lower() in TIFFS)
+    tables = _by_stem(p for p in files if p.suffix.lower() == ".csv")
+    alone = sorted(tiffs.keys() ^ tables.keys())
+    if alone:
+        is_tiff = alone[0] in tiffs
+        raise InputError(
+            f"{(tiffs if is_tiff else tables)[alone[0]]} is without its {'table' if is_tiff else 'frames'} "
+            f"{alone[0]}{'.csv' if is_tiff else '.tif'}; a press is two files of one name"
+        )
+    if not tiffs:
+        raise InputError(f"{folder} holds no presses; put e.g. 01.tif and 01.csv into it, or move it away")
+    return tuple((tiffs[stem], tables[stem]) for stem in sorted(tiffs))
+
+
+def _by_stem(files: Iterable[Path]) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    for path in files:
+        if path.stem in found:
+            raise InputError(f"{found[path.stem]} and {path.name} are of one press; keep one of them")
+        found[path.stem] = path
+    return found

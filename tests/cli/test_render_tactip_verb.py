@@ -1,0 +1,77 @@
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from palpate.cli import app
+from palpate.recordings import Run
+from palpate.recordings.press_folder import press_folder
+
+FAST = ("--speed-mm-s", "20", "--trials", "1")
+
+
+def render(*words, status=0):
+    result = CliRunner().invoke(app, ["render", "tactip", *words])
+    assert result.exit_code == status, result.output + result.stderr
+    return result
+
+
+def test_a_press_is_made_and_said_to_be_virtual(tmp_path) -> None:
+    out = tmp_path / "presses"
+    said = render(str(out), "--specimen", "S1=7.6", *FAST).output
+    assert "1 virtual press at 0 degrees, not measured" in said
+    assert "S1: 7.6 N/mm" in said
+    (one,) = press_folder(out).specimens
+    assert one.stiffness_n_m == pytest.approx(7600)
+    assert len(one.presses) == 1
+
+
+def test_a_rigid_plate_other_pins_and_runs_in_json(tmp_path) -> None:
+    out = tmp_path / "presses"
+    words = (str(out), "--rigid", "--pins", "331", "--runs", "--json", "--quiet", *FAST)
+    said = json.loads(render(*words).stdout)
+    assert said == {
+        "out": str(out),
+        "virtual": True,
+        "presses": 1,
+        "runs": 1,
+        "tilt_deg": 0.0,
+        "stiffness_N_per_mm": {"rigid": "inf"},
+    }
+    assert len(Run.open(out / "rigid" / "01")) > 3
+    assert json.loads((out / "virtual.json").read_text())["spec"]["pins"]["rings"] == 10
+
+
+def test_the_example_of_the_help_is_of_this_verb() -> None:
+    said = " ".join(render("--help").output.split())
+    assert "Example: palpate render tactip presses --specimen S1=7.6" in said
+    assert "rigid, S1 of 7.6 N/mm, S2 of 3.1, S3 of 1.1 and new of 5.3" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--specimen", "S1"], "NAME=STIFFNESS in N/mm"),
+        (["--specimen", "S1=soft"], "NAME=STIFFNESS in N/mm"),
+        (["--specimen", "S1=1.1", "--specimen", "S1=2"], "given twice"),
+        (["--specimen", "=1.1"], "cannot name a folder"),
+        (["--specimen", "../S1=7.6"], "cannot name a folder"),
+        (["--specimen", "S1=0.1"], "down to 0.942 N/mm"),
+        (["--specimen", "S1=nan"], "down to 0.942 N/mm"),
+        (["--tilt-deg", "60"], "0 to 50 degrees"),
+        (["--tilt-deg", "-1"], "0 to 50 degrees"),
+        (["--tilt-deg", "nan"], "0 to 50 degrees"),
+        (["--pins", "128"], "127 and 331"),
+        (["--tip", "hard"], "no tip 'hard'"),
+    ],
+)
+def test_what_cannot_be_pressed_is_said_in_one_line_and_nothing_is_written(words, says, tmp_path) -> None:
+    result = render(str(tmp_path / "out"), *words, *FAST, status=2)
+    assert says in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_is_there_is_refused_before_anything_is_solved(tmp_path) -> None:
+    result = render(str(tmp_path), "--tilt-deg", "45", status=2)
+    assert "exists" in result.stderr

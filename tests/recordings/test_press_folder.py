@@ -1,0 +1,175 @@
+"""An experiment's folder: what is written is read back, and what is missing is named."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from palpate.core.errors import ExistsError, ImageError, InputError, LabelError
+from palpate.recordings.press_folder import press_folder, write_press, write_specimens
+from palpate.recordings.press_table import press_rows, read_press_table
+from palpate.recordings.tiff import TiffFrames, write_tiff
+
+STIFFNESS = {"soft": 1.1e3, "007": math.nan, "rigid": math.inf}
+
+
+def rows(samples=40, every=10) -> pd.DataFrame:
+    i = np.arange(samples)
+    return press_rows(
+        i / 200, 0.0625 * i, 25e-6 * i, 25e-6 * i + 12e-6, i[::every], np.where(i < 5, np.nan, 1e-6 * i)
+    )
+
+
+@pytest.fixture
+def frames(rng):
+    return rng.integers(0, 256, (4, 24, 32), dtype=np.uint8)
+
+
+@pytest.fixture
+def folder(tmp_path, frames):
+    """Three specimens, of which none is in the order of the names."""
+    write_specimens(tmp_path, STIFFNESS)
+    for name in STIFFNESS:
+        for press in ("02", "01"):
+            write_press(tmp_path / name, press, iter(frames), rows())
+    return tmp_path
+
+
+def test_specimens_come_in_the_order_of_their_table_and_presses_in_that_of_their_names(folder) -> None:
+    found = press_folder(folder)
+    assert [one.name for one in found.specimens] == list(STIFFNESS)
+    assert [one.stiffness_n_m for one in found.specimens] == [pytest.approx(1.1e3), None, math.inf]
+    for one in found.specimens:
+        assert [(tiff.name, table.name) for tiff, table in one.presses] == [
+            ("01.tif", "01.csv"),
+            ("02.tif", "02.csv"),
+        ]
+
+
+def test_frames_and_samples_come_back_equal(folder, frames) -> None:
+    tiff, table = press_folder(folder).specimens[0].presses[0]
+    with TiffFrames(tiff) as pages:
+        assert_array_equal(np.stack(list(pages)), frames)
+    found = read_press_table(table, 4)
+    i = np.arange(40)
+    assert_array_equal(found.force_n, 0.0625 * i)  # sixteenths, which nine digits hold
+    assert_allclose(found.time_s, i / 200, rtol=1e-15)
+    assert_allclose(found.position_m, 25e-6 * i + 12e-6, rtol=1e-9)
+    assert_allclose(found.area_m2, np.where(i < 5, np.nan, 1e-6 * i), rtol=1e-9)
+    assert_array_equal(found.frame_sample, i[::10])
+
+
+def test_the_filtered_force_trails_over_five_samples() -> None:
+    made = rows(12, 4)["force_filtered_N"].to_numpy()
+    assert_allclose(made[7], 0.0625 * np.mean([3, 4, 5, 6, 7]))
+    assert_allclose(made[1], 0.0625 * 0.5)  # of the two there are
+
+
+def test_without_a_table_of_specimens_no_stiffness_is_known(folder) -> None:
+    (folder / "specimens.csv").unlink()
+    found = press_folder(folder)
+    assert [(one.name, one.stiffness_n_m) for one in found.specimens] == [
+        ("007", None),
+        ("rigid", None),
+        ("soft", None),
+    ]
+
+
+def test_runs_notes_and_hidden_files_are_passed_over(folder) -> None:
+    (folder / ".cache").mkdir()
+    (folder / "soft" / "01").mkdir()
+    (folder / "soft" / "notes.txt").write_text("none")
+    (folder / "soft" / "._01.tif").write_bytes(b"a mac was here")
+    assert len(press_folder(folder).specimens[0].presses) == 2
+
+
+def test_further_columns_and_other_units_are_fine(folder) -> None:
+    table = pd.read_csv(folder / "specimens.csv", dtype={"specimen": str})
+    table["stiffness_N_per_m"] = 1e3 * table.pop("stiffness_N_per_mm")
+    table["made"] = "Tuesday"
+    table.to_csv(folder / "specimens.csv", index=False)
+    assert press_folder(folder).specimens[0].stiffness_n_m == pytest.approx(1.1e3)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "kind", "said"),
+    [
+        (lambda p: (p / "soft" / "01.csv").unlink(), InputError, r"01\.tif is without its table 01\.csv"),
+        (lambda p: (p / "soft" / "01.tif").unlink(), InputError, r"01\.csv is without its frames 01\.tif"),
+        (lambda p: (p / "soft" / "01.tiff").touch(), InputError, r"01\.tif and 01\.tiff are of one press"),
+        (lambda p: [f.unlink() for f in (p / "soft").iterdir()], InputError, "soft holds no presses"),
+        (lambda p: (p / "soft").rename(p / "hard"), LabelError, "names 'soft', without a folder"),
+        (lambda p: (p / "other").mkdir(), LabelError, "no row for 'other'"),
+    ],
+)
+def test_what_is_missing_is_named(folder, spoil, kind, said) -> None:
+    spoil(folder)
+    with pytest.raises(kind, match=said):
+        press_folder(folder)
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (["specimen,stiffness_N_per_mm", "soft,1.1", "soft,1.1"], "'soft' more than once"),
+        (["specimen,stiffness_N_per_mm", "soft,1", "007,0", "rigid,inf"], "row 3: a stiffness of 0"),
+        (["specimen,stiffness_N_per_mm", "soft,-inf", "007,1", "rigid,inf"], "row 2: a stiffness of -inf"),
+        (["specimen,stiffness_N_per_mm", "soft,1", "007,2", "rigid,very"], "holds what is no number"),
+        (["specimen,stiffness", "soft,1", "007,2", "rigid,inf"], "no column 'stiffness_N_per_mm'"),
+        (["name,stiffness_N_per_mm", "soft,1", "007,2", "rigid,inf"], "no column 'specimen'"),
+        (["specimen,stiffness_N_per_mm", "soft,1", "../007,2", "rigid,inf"], "names '../007', without"),
+        ([], "is empty"),
+    ],
+)
+def test_a_table_of_specimens_that_cannot_be_meant_is_refused(folder, lines, said) -> None:
+    (folder / "specimens.csv").write_text("\n".join(lines))
+    with pytest.raises(LabelError, match=said):
+        press_folder(folder)
+
+
+def test_no_folder_and_an_empty_one_are_refused(tmp_path) -> None:
+    with pytest.raises(InputError, match="is no folder"):
+        press_folder(tmp_path / "gone")
+    with pytest.raises(InputError, match="holds no folders"):
+        press_folder(tmp_path)
+
+
+def test_nothing_is_overwritten_and_nothing_half_written_is_left(folder, frames) -> None:
+    with pytest.raises(ExistsError):
+        write_press(folder / "soft", "01", iter(frames), rows())
+    with pytest.raises(ExistsError):
+        write_specimens(folder, STIFFNESS)
+
+    def stopped():
+        yield frames[0]
+        raise KeyboardInterrupt
+
+    for bad, kind in (
+        (stopped(), KeyboardInterrupt),
+        (iter(()), ImageError),
+        (iter([np.ones((3, 4, 4), np.uint8)]), ImageError),
+        (iter([frames[0], frames[1][:5]]), ImageError),
+    ):
+        with pytest.raises(kind):
+            write_tiff(folder / "soft" / "03.tif", bad)
+    assert len(list((folder / "soft").iterdir())) == 4
+
+
+def test_colour_frames_come_back_equal(tmp_path, rng) -> None:
+    frames = rng.integers(0, 256, (2, 6, 7, 3), dtype=np.uint8)
+    assert write_tiff(tmp_path / "c.tif", frames) == 2
+    with TiffFrames(tmp_path / "c.tif") as pages:
+        assert_array_equal(np.stack(list(pages)), frames)
+
+
+def test_names_and_stiffnesses_that_cannot_be_written_are_refused(tmp_path) -> None:
+    for name in ("../up", "", ".hidden", "a/b", "=1+1"):
+        with pytest.raises(InputError, match="cannot name a folder"):
+            write_specimens(tmp_path, {name: 1.0})
+    with pytest.raises(InputError, match="above 0"):
+        write_specimens(tmp_path, {"S1": 0.0})
+    with pytest.raises(LabelError, match="first to sample 0"):
+        press_rows(*[np.arange(4.0)] * 4, np.array([1, 3]))
+    assert not list(tmp_path.iterdir())

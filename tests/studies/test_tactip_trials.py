@@ -1,0 +1,125 @@
+"""Virtual trials as files: what the sensor made comes back from them."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from palpate.core.errors import ExistsError, InputError, RangeError
+from palpate.recordings import Run
+from palpate.recordings.press_folder import press_folder
+from palpate.recordings.press_table import read_press_table
+from palpate.recordings.tiff import TiffFrames
+from palpate.sensors.tactip import HeadOn, tactip, trial
+from palpate.sensors.tactip.inclined import Inclined
+from palpate.studies import tactip_trials
+from palpate.studies.tactip_trials import REPORT_N_M, modulus_pa, record_trials, specimens_at
+
+
+@pytest.fixture(scope="module")
+def spec():
+    return replace(tactip(), speed_m_s=20e-3)  # a quarter of the frames
+
+
+@pytest.fixture(scope="module")
+def folder(spec, tmp_path_factory):
+    """One specimen, two trials, as runs too."""
+    out = tmp_path_factory.mktemp("trials") / "presses"
+    record_trials(out, spec, specimens_at(spec, {"S1": 7.6e3}), 2, seed=4, runs=True)
+    return out
+
+
+def made(spec, folder, press):
+    seed = json.loads((folder / "virtual.json").read_text())["specimens"]["S1"]["presses"][press]["seed"]
+    return trial(spec, specimens_at(spec, {"S1": 7.6e3})["S1"][1], seed)
+
+
+def test_frames_force_position_and_area_come_back(spec, folder) -> None:
+    (one,) = press_folder(folder).specimens
+    assert (one.name, one.stiffness_n_m) == ("S1", pytest.approx(7.6e3))
+    for tiff, path in one.presses:
+        rig = made(spec, folder, path.stem)
+        with TiffFrames(tiff) as pages:
+            assert_array_equal(np.stack(list(pages)), np.stack(list(rig.frames())))
+            table = read_press_table(path, len(pages))
+        assert table.force_column == "force_raw_N"
+        assert_array_equal(table.force_n, rig.raw_n)
+        assert_array_equal(table.frame_sample, rig.frame_sample)
+        # nine digits of millimetres
+        assert_allclose(table.position_m, rig.actual_m, rtol=1e-8)
+        assert_allclose(table.area_m2, rig.true_area_m2, rtol=1e-8)
+
+
+def test_a_run_holds_the_same_press(folder) -> None:
+    run = Run.open(folder / "S1" / "01")
+    with TiffFrames(folder / "S1" / "01.tif") as pages:
+        assert_array_equal(np.stack([frame.image for frame in run.frames()]), np.stack(list(pages)))
+        table = read_press_table(folder / "S1" / "01.csv", len(pages))
+    assert_allclose(run.labels["force_N"], table.force_n[table.frame_sample])
+    assert_allclose(run.labels["true_area_mm2"], 1e6 * table.area_m2[table.frame_sample])
+    assert "virtual" in run.manifest.origin
+
+
+def test_trials_differ_and_the_same_seed_makes_them_again_in_any_company(spec, folder, tmp_path) -> None:
+    assert (folder / "S1" / "01.csv").read_bytes() != (folder / "S1" / "02.csv").read_bytes()
+    both = specimens_at(spec, {"rigid": math.inf, "S1": 7.6e3})
+    record_trials(tmp_path / "again", spec, both, 1, seed=4)
+    for name in ("01.csv", "01.tif"):
+        again = (tmp_path / "again" / "S1" / name).read_bytes()
+        assert again == (folder / "S1" / name).read_bytes()
+
+
+def test_a_reports_specimen_has_the_modulus_of_its_stiffness(spec) -> None:
+    # a column's stiffness: E pi (20 mm)^2 / 40 mm
+    assert_allclose(modulus_pa(spec.table, 7.6e3) * math.pi * 0.02**2 / 0.04, 7.6e3)
+    made = specimens_at(spec, REPORT_N_M)
+    assert list(made) == ["rigid", "S1", "S2", "S3", "new"]
+    assert all(isinstance(one, HeadOn) for _, one in made.values())
+    deep = [one.deepest_m for _, one in made.values()]
+    assert np.argsort(deep).tolist() == [0, 1, 4, 2, 3]  # the stiffer, the shallower
+
+
+def test_stopped_or_refused_trials_leave_nothing(spec, tmp_path) -> None:
+    def stop(what: str, done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    pressed = specimens_at(spec, {"S1": 7.6e3})
+    with pytest.raises(KeyboardInterrupt):
+        record_trials(tmp_path / "a", spec, pressed, 2, progress=stop)
+    for wrong in ({"specimens": {}}, {"trials": 0}, {"seed": -1}, {"specimens": {"../b": pressed["S1"]}}):
+        with pytest.raises(InputError):
+            record_trials(tmp_path / "a", spec, **{"specimens": pressed, **wrong})
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "a").mkdir()
+    with pytest.raises(ExistsError):
+        record_trials(tmp_path / "a", spec, pressed)
+
+
+@pytest.mark.parametrize("stiffness", [0.0, -1.0, math.nan, 0.5e3])
+def test_a_stiffness_that_is_not_modelled_is_refused_in_its_unit(spec, stiffness) -> None:
+    with pytest.raises(RangeError, match=r"down to 0\.942 N/mm"):
+        specimens_at(spec, {"S9": stiffness})
+
+
+def test_a_tilt_asks_for_inclined_contact(spec, monkeypatch) -> None:
+    asked = []
+    (_, flat) = specimens_at(spec, {"S1": 7.6e3})["S1"]
+    monkeypatch.setattr(tactip_trials, "inclined", lambda *args: asked.append(args) or flat)
+    specimens_at(spec, {"S1": 7.6e3}, math.radians(30))
+    assert asked == [(spec, modulus_pa(spec.table, 7.6e3), math.radians(30))]
+    monkeypatch.undo()
+    with pytest.raises(RangeError, match="0 to 50 degrees"):
+        specimens_at(spec, {"S1": 7.6e3}, math.radians(60))
+
+
+@pytest.mark.slow
+def test_inclined_trials_say_their_tilt_and_model(spec, tmp_path) -> None:
+    pressed = specimens_at(spec, {"S1": 7.6e3}, math.radians(30))
+    assert isinstance(pressed["S1"][1], Inclined)
+    record_trials(tmp_path / "a", spec, pressed, 1)
+    about = json.loads((tmp_path / "a" / "virtual.json").read_text())["specimens"]["S1"]
+    assert about["tilt_deg"] == pytest.approx(30)
+    assert "friction" in about["model"]
