@@ -189,8 +189,9 @@ def _trials_said(
         "tilt_deg": tilt_deg,
         "stiffness_N_per_mm": shown,
     }
+    many = "presses" if presses > 1 else "press"
     lines = [
-        f"{made.path}: {presses} virtual press{'es' if presses > 1 else ''} at {tilt_deg:g} degrees, not measured",
+        f"{made.path}: {presses} virtual {many} at {tilt_deg:g} degrees, not measured",
         *(f"  {name}: {'a rigid plate' if k == 'inf' else f'{k:.4g} N/mm'}" for name, k in shown.items()),
         f"  a press is a TIFF and a table{' and a run' if runs else ''}; the truth behind them: {TRUTH}",
     ]

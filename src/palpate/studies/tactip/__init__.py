@@ -1,0 +1,1 @@
+"""The compliance report on the virtual TacTip: its experiments made again, and its controls."""

@@ -14,11 +14,11 @@ from palpate.calibration.compliance import ComplianceCalibration, Reference, cal
 from palpate.calibration.compliance_reading import Touch, read_touch
 from palpate.psychophysics.lines import Line, fit_line
 from palpate.recordings.press_table import PressTable
-from palpate.sensors.tactip import HeadOn, Specimen, TacTipSpec, Trial, trial
-from palpate.sensors.tactip.inclined import inclined
+from palpate.sensors.tactip import TacTipSpec, Trial, trial
 from palpate.studies.compliance.compare import trials_table
 from palpate.studies.compliance.cues import Cues, cues_of, series
 from palpate.studies.tactip.published import KAPPA, NAMES
+from palpate.studies.tactip_trials import specimens_at
 
 RIGID = "rigid"
 REFERENCES = (RIGID, "S1", "S2", "S3")
@@ -26,30 +26,16 @@ NEW = "new"
 Progress = Callable[[str, int, int], None]
 
 
-def youngs_pa(spec: TacTipSpec, kappa_n_m: float) -> float:
-    """E of the tables' cylinder with kappa = E pi r^2 / h; infinite for a rigid plate [Pa]."""
-    table = spec.table
-    return float(kappa_n_m * table.specimen_height_m / (np.pi * table.specimen_radius_m**2))
-
-
 def kappa_n_m(name: str) -> float:
     """Of a specimen [N/m]."""
     return float("inf") if name == RIGID else 1e3 * KAPPA[name].value
 
 
-def under_tip(spec: TacTipSpec, name: str, tilt_deg: float) -> Specimen:
-    """A specimen under the tip: by finite strain head-on, by Fourier modes inclined."""
-    E = youngs_pa(spec, kappa_n_m(name))
-    if tilt_deg == 0:
-        return HeadOn(spec.table.press(E), spec.table.radius_m)
-    return inclined(spec, E, float(np.deg2rad(tilt_deg)))
-
-
 def table_of(made: Trial) -> PressTable:
     """A trial's table, as if read from a file."""
     return PressTable(
-        made.time_s, made.raw_n, made.actual_m, made.frame_sample, "force_raw_N", "actual_mm", False,
-        made.true_area_m2,
+        made.time_s, made.raw_n, made.actual_m, made.true_area_m2, made.frame_sample,
+        "force_raw_N", "actual_mm", "true_area_mm2", False,
     )  # fmt: skip
 
 
@@ -90,11 +76,13 @@ def press_all(
         progress: told of every press.
     """
     counts = {RIGID: calibrating} | dict.fromkeys(("S1", "S2", "S3"), calibrating + testing) | {NEW: testing}
+    kappas = {name: kappa_n_m(name) for name in counts}
+    specimens = specimens_at(spec, kappas, float(np.deg2rad(tilt_deg)), progress=progress)
     done, total, cues = 0, sum(counts.values()), {}
     for i, (name, count) in enumerate(counts.items()):
-        specimen, found = under_tip(spec, name, tilt_deg), []
+        found = []
         for k in range(count):
-            made = trial(spec, specimen, seed=100_000 * seed + 1000 * tilt_deg + 100 * i + k)
+            made = trial(spec, specimens[name][1], seed=100_000 * seed + 1000 * tilt_deg + 100 * i + k)
             found.append(cues_of(list(made.frames()), table_of(made)))
             done += 1
             progress(f"presses at {tilt_deg} degrees", done, total)
@@ -146,7 +134,15 @@ def _plate_table(spec: TacTipSpec, kappa: float, rng: np.random.Generator) -> Pr
     force = kappa * np.maximum(depth, 0) + sensor.noise_n * rng.standard_normal(n)
     encoder = depth + spec.seating.position_m * rng.standard_normal()
     return PressTable(
-        time, step * np.rint(force / step), encoder, np.arange(n), "force_raw_N", "actual_mm", False
+        time,
+        step * np.rint(force / step),
+        encoder,
+        None,
+        np.arange(n),
+        "force_raw_N",
+        "actual_mm",
+        None,
+        False,
     )
 
 

@@ -154,16 +154,12 @@ def _tilt_entries(one: Experiment) -> Iterator[Entry]:
 
 
 PLATE_WHY = "virtual specimens were given the printed values; what differs is noise and where contact begins"
-R2_WHY = (
-    "virtual specimens are linear, with the sensor's noise; real silicone and first contact are not"
-)
+R2_WHY = "virtual specimens are linear, with the sensor's noise; real silicone and first contact are not"
 RANK_WHY = (
     "the printed p needs some 160 independent samples a group, and samples of one trial are not independent; "
     "with so few trials complete separation gives the value found here, and no test can give less"
 )
-NEW_WHY = (
-    "another route: the motion of all pins, calibrated on a rigid plate and S1 to S3; virtual"
-)
+NEW_WHY = "another route: the motion of all pins, calibrated on a rigid plate and S1 to S3; virtual"
 LINE_WHY = "the printed route, with the sum over frames of equation (12), on a virtual tip"
 KRUSKAL_WHY = (
     "the printed p and the printed post-hoc p exclude each other: a worst pair at 0.01 forces p below 7e-6"
@@ -171,7 +167,9 @@ KRUSKAL_WHY = (
 DUNN_WHY = "'LSD' after Kruskal-Wallis is Dunn's test uncorrected: 3 x 10 trials cannot give less than 0.011"
 
 
-def entry(name: str, value: float | np.floating[Any], unit: str, printed: Printed | None = None, why: str = "") -> Entry:
+def entry(
+    name: str, value: float | np.floating[Any], unit: str, printed: Printed | None = None, why: str = ""
+) -> Entry:
     """One number, beside what the report prints of it."""
     return Entry(
         name=name,
