@@ -119,7 +119,13 @@ def tactip(
         typer.Option(help="NAME=STIFFNESS [N/mm] of a cylinder 40 mm high and wide; again for more."),
     ] = None,
     rigid: Annotated[bool, typer.Option("--rigid", help="Press a rigid plate as well.")] = False,
-    tilt_deg: Annotated[float, typer.Option(help="Of the specimens' tops, 0 to 50 [deg].")] = 0.0,
+    tilt_deg: Annotated[
+        float,
+        typer.Option(
+            help="Of the specimens' tops, 0 to 50 [deg]. 0 is solved at finite strain without friction, all "
+            "others by linear bodies with friction: compare them with 0.001."
+        ),
+    ] = 0.0,
     trials: Annotated[int, typer.Option(min=1, max=999, help="Of each specimen.")] = 5,
     pins: Annotated[int, typer.Option(help="127 or 331.")] = 127,
     tip: Annotated[str, typer.Option(help="base, even, soft-skin or stiff-skin.")] = "base",
@@ -183,8 +189,9 @@ def _trials_said(
         "tilt_deg": tilt_deg,
         "stiffness_N_per_mm": shown,
     }
+    what = "press" if presses == 1 else "presses"
     lines = [
-        f"{made.path}: {presses} virtual presses at {tilt_deg:g} degrees, not measured ones",
+        f"{made.path}: {presses} virtual {what} at {tilt_deg:g} degrees, not measured",
         *(f"  {name}: {'a rigid plate' if k == 'inf' else f'{k:.4g} N/mm'}" for name, k in shown.items()),
         f"  a press is a TIFF and a table{' and a run' if runs else ''}; the truth behind them: {TRUTH}",
     ]
