@@ -58,9 +58,9 @@ def specimens_at(
 ) -> dict[str, tuple[float, Specimen]]:
     """The tip on specimens: head-on from tables at finite strain, inclined by linear bodies with friction.
 
-    The two models are not the same. At 0 degrees and 5.2 N, on specimens from 1.1 N/mm to rigid, the area of
-    contact by linear bodies is 20 to 25 % smaller than by the tables of the tip "base", the approach 5 %
-    smaller to 2 % larger. To compare tilts by one model, take a tiny tilt such as 0.001 degrees for the upright one.
+    The two models are not the same. At 0 degrees and 5.2 N, on specimens from 1.1 N/mm to rigid, the area by
+    linear bodies is 20 to 25 % smaller than by the tables of the tip "base", the approach 5 % smaller to 2 %
+    larger. To compare tilts by one model, take a tiny tilt such as 0.001 degrees for the upright one.
 
     Args:
         spec: the sensor.
