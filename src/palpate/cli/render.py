@@ -189,15 +189,9 @@ def _trials_said(
         "tilt_deg": tilt_deg,
         "stiffness_N_per_mm": shown,
     }
-<<<<<<< HEAD
-    many = "presses" if presses > 1 else "press"
-    lines = [
-        f"{made.path}: {presses} virtual {many} at {tilt_deg:g} degrees, not measured",
-=======
     what = "press" if presses == 1 else "presses"
     lines = [
         f"{made.path}: {presses} virtual {what} at {tilt_deg:g} degrees, not measured",
->>>>>>> e95c34a3c87d605f9ae09d18bc54dfb508b4f68c
         *(f"  {name}: {'a rigid plate' if k == 'inf' else f'{k:.4g} N/mm'}" for name, k in shown.items()),
         f"  a press is a TIFF and a table{' and a run' if runs else ''}; the truth behind them: {TRUTH}",
     ]

@@ -74,8 +74,9 @@ class Told:
 def line_figure(lines: Sequence[Told]) -> str:
     """Figure 7: stiffness over a cue, the line, the new specimen by it with its 90 % interval."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(4.0 * len(lines), 3.3), layout="constrained")
-        for axes, one in zip(np.atleast_1d(figure.subplots(1, len(lines))), lines, strict=True):
+        high = -(-len(lines) // 2)
+        figure = Figure(figsize=(8.6, 3.1 * high), layout="constrained")
+        for axes, one in zip(np.ravel(figure.subplots(high, 2)), lines, strict=False):
             _line(axes, one)
         return drawn(figure)
 

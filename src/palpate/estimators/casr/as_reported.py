@@ -100,7 +100,7 @@ def as_reported(
 def _spreads(
     force: Float[ndarray, " f"], divergence: Float[ndarray, " f"], area: Float[ndarray, " f"]
 ) -> dict[str, Spread]:
-    found = {}
+    found: dict[str, Spread] = {}
     for way in WAYS:
         try:
             found[way] = paper_spread(force, divergence, 1.0) if way == "paper" else spread(force, area, way)

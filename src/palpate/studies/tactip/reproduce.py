@@ -46,8 +46,8 @@ SOURCE = "tactip-compliance-casr"
 CUES = {
     "spread_rate_mm2_per_N": "spread rate dA/dF [mm²/N]",
     "area_at_4_N_mm2": "area at 4 N [mm²]",
-    "divergence_paper_per_N": "by divergence, eq. (12) [1/N]",
-    "divergence_regression_per_N": "by divergence, regression [1/N]",
+    "divergence_paper_per_N": "divergence, eq. (12) [1/N]",
+    "divergence_regression_per_N": "divergence, regression [1/N]",
 }
 
 
