@@ -28,7 +28,7 @@ from palpate.studies.tactip.controls import (
     truth,
     youngs_pa,
 )
-from palpate.studies.tactip.energy import contour, told
+from palpate.studies.tactip.energy import STEP_N, contour, contour_rad, told
 
 S1, S3 = KAPPA_N_M["S1"], KAPPA_N_M["S3"]
 
@@ -159,8 +159,6 @@ def test_outer_contours_know_the_force_and_not_the_specimen(spec) -> None:
 
 def test_a_growing_contour_is_flux_and_its_own_going_over_the_skin(spec) -> None:
     """The kinematics of (3): with dphi_L/dF by differences, both parts add up to the growth."""
-    from palpate.studies.tactip.energy import STEP_N, contour_rad
-
     press, at = head_on(spec, S3).press, np.array([3.0])
     c = contour(spec, S3, "half", "inner", "skin", (3.0,))
     later, before = (contour_rad(press, "half", "inner", at + step) for step in (STEP_N, -STEP_N))
