@@ -14,8 +14,8 @@ from palpate.studies.tactip.controls import (
     KAPPA_N_M,
     TO_N,
     areas_by_friction,
+    compared,
     concordance,
-    controls,
     counted,
     cues,
     head_on,
@@ -180,7 +180,7 @@ def test_in_all_tips_the_middle_is_reversed() -> None:
 def test_equal_frames_leave_equation_12_without_its_order_in_the_contact() -> None:
     rows = {
         (r.condition, r.region): r
-        for r in controls(("as assumed", "20 frames each"), range(3))
+        for r in compared(("as assumed", "20 frames each"), range(3))
         if r.source == "flow" and r.way == "paper"
     }
     assert rows["as assumed", "contact"].concordance > 0.7

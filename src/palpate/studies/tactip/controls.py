@@ -290,7 +290,7 @@ CONDITIONS: dict[str, Condition] = {
 }
 
 
-def controls(names: Sequence[str] = tuple(CONDITIONS), seeds: Sequence[int] = range(5)) -> tuple[Row, ...]:
+def compared(names: Sequence[str] = tuple(CONDITIONS), seeds: Sequence[int] = range(5)) -> tuple[Row, ...]:
     """Every cue under every condition; about a second a trial."""
     return tuple(row for name in names for row in _rows(name, CONDITIONS[name], seeds))
 
