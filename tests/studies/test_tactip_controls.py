@@ -13,21 +13,15 @@ from palpate.studies.tactip.controls import (
     FROM_N,
     KAPPA_N_M,
     TO_N,
-    areas_by_friction,
     compared,
     concordance,
     counted,
     cues,
-    head_on,
-    linear_error,
     order,
-    recorded,
     sensitivity,
-    shares,
-    true_course,
-    truth,
-    youngs_pa,
 )
+from palpate.studies.tactip.costs import areas_by_friction, linear_error, shares, truth
+from palpate.studies.tactip.courses import head_on, recorded, true_course, youngs_pa
 from palpate.studies.tactip.energy import STEP_N, contour, contour_rad, told
 
 S1, S3 = KAPPA_N_M["S1"], KAPPA_N_M["S3"]

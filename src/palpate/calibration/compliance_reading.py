@@ -32,6 +32,7 @@ OUTSIDE = "{:.3g} N/mm is outside of the calibrated range, {:.3g} to {:.3g} N/mm
 AREA_OUTSIDE = "{:.4g} mm2 is outside of the calibrated range, {:.4g} to {:.4g} mm2"
 SPEED = "pressed at {:.3g} mm/s, calibrated at {:.3g} to {:.3g} mm/s; the skin may answer otherwise"
 DRIFTED = "the untouched pins have moved against each other since calibration; calibrate anew"
+EDGE = 1.05  # how far beyond the outermost reference an interval may begin: it scatters about its own value
 HEAD_ON_RAD = 0.05
 INCLINED = "E* and R are of head-on presses; this calibration is of an inclined top"
 MISFIT = 0.1
@@ -159,7 +160,7 @@ class _Said:
         strange = max(curve.strangeness(row) for row in rows)
         if strange > STRANGE:
             why.append(UNLIKE.format(strange, STRANGE))
-        if low > range_[1] or high < range_[0]:
+        if low > range_[1] * EDGE or high < range_[0] / EDGE:
             why.append(OUTSIDE.format(1e-3 * kappa, 1e-3 * range_[0], 1e-3 * range_[1]))
         return self.reading(quantity, (kappa, low, high), "N_per_m", range_, why)
 

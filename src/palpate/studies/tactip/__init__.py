@@ -1,19 +1,7 @@
 """The compliance report on the virtual TacTip: made again, its controls, and its equation (3) itself."""
 
-from palpate.studies.tactip.controls import (
-    Linear,
-    Row,
-    Share,
-    Truth,
-    areas_by_friction,
-    compared,
-    counted,
-    cues,
-    linear_error,
-    sensitivity,
-    shares,
-    truth,
-)
+from palpate.studies.tactip.controls import Row, compared, counted, cues, sensitivity
+from palpate.studies.tactip.costs import Linear, Share, Truth, areas_by_friction, linear_error, shares, truth
 from palpate.studies.tactip.energy import Contour, Told, contour, told
 
 __all__ = [

@@ -2,164 +2,41 @@
 and the region?
 
 The report's four specimens are pressed head-on from 0.5 to 5 N. Every step from frame to frame has a mean
-divergence over a region of the image, from flow of rendered frames or from the markers' true motion; of these
-come the report's equation (12), the secant, and the regression. What a region says is set beside specimens'
-known order. All is of one model: verified, not validated.
-
-Regions are discs around the tip's axis: the `whole` image, the `disc` that untouched pins fill, the true
-`contact` as the camera would see pins at its edge, and the `middle`, inside the pins 6 mm from the axis.
+divergence over a region of the image (`courses`), from flow of rendered frames or from the markers' true
+motion; of these come the report's equation (12), the secant, and the regression. What a region says is set
+beside specimens' known order. All is of one model: verified, not validated.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from palpate.estimators.casr import area_m2, loading, moving_average, paper_spread, spread, within
+from palpate.estimators.casr import area_m2, paper_spread, spread
 from palpate.estimators.casr.over_force import at_forces
 from palpate.estimators.casr.spread import summed_slopes
-from palpate.estimators.flow import divergence
-from palpate.estimators.flow.course import course
-from palpate.estimators.pins import find_pins, follow
-from palpate.mechanics.tip_table import HeadOnPress, TipTable
-from palpate.sensors.tactip import PINS_331, HeadOn, TacTipSpec, Trial, pictured, trial
-from palpate.sensors.tactip.camera import projected
-from palpate.sensors.tactip.inclined import inclined
-from palpate.sensors.tactip.pins import HeadOnSkin
-from palpate.sensors.tactip.press import pixels_per_tangent
+from palpate.sensors.tactip import PINS_331, TacTipSpec
+from palpate.studies.tactip.courses import (
+    HIGH_N,
+    Steps,
+    circles_px,
+    flow_course,
+    head_on,
+    recorded,
+    true_course,
+)
 
 KAPPA_N_M = {"S1": 7600.0, "Snew": 5300.0, "S2": 3100.0, "S3": 1100.0}
 """The report's specimens, stiffest first."""
 
-LOW_N, HIGH_N = 0.5, 5.0
 FROM_N, TO_N = 1.0, 4.0  # between these divergence is read: frames seldom fall on the ends of a press
-MIDDLE_M = 6e-3
-POLAR = np.linspace(1e-3, np.deg2rad(70.0), 141)  # of imagined pins, all along a meridian
-NEAR = 0.8  # of the pins' pitch: those by which a circle's motion is told
 FINE_STEPS = 200  # of the markers' true motion where no frames are counted
-
-Region = Literal["whole", "disc", "contact", "middle"]
-REGIONS: tuple[Region, ...] = ("whole", "disc", "contact", "middle")
 WAYS = ("divergence", "paper", "secant", "regression")
-Steps = Float[ndarray, " _"]  # one a step, a frame or a force
-Courses = dict[str, Steps]  # of every step, by region
-
-
-def youngs_pa(kappa_n_m: float, table: TipTable) -> float:
-    """E of the tables' cylinder whose kappa is E pi r^2 / h; infinite for a rigid plate [Pa]."""
-    return float(kappa_n_m * table.specimen_height_m / (np.pi * table.specimen_radius_m**2))
-
-
-def head_on(spec: TacTipSpec, kappa_n_m: float) -> HeadOn:
-    """The tip on a specimen by finite strain."""
-    return HeadOn(spec.table.press(youngs_pa(kappa_n_m, spec.table)), spec.table.radius_m)
-
-
-def seen_px(spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray, " f"]) -> Float[ndarray, "f n"]:
-    """Distance from the axis in the image of the markers of pins at `POLAR`, at every force [px]."""
-    scale, base = pixels_per_tangent(spec), spec.table.radius_m
-    rows = []
-    for inside in press.at("inside_m", force_n):
-        places, normals = HeadOnSkin(press.polar_rad, inside).at(POLAR, np.zeros_like(POLAR))
-        tangent, _ = projected(places + spec.pins.length_m * normals, spec.camera, base)
-        rows.append(scale * tangent[:, 0])
-    return np.stack(rows)
-
-
-def circles_px(spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray, " f"]) -> Courses:
-    """Radius of every region's circle halfway through every step from one force to the next [px].
-
-    Halfway, since the contact grows during a step: a circle from its beginning would make divergence depend
-    on how long steps are.
-    """
-    inner, even = spec.table.radius_m - spec.table.skin_m, np.ones(len(force_n) - 1)
-    seen, edge = seen_px(spec, press, force_n), press.at("angle_rad", force_n)
-    untouched = seen_px(spec, press, np.zeros(1))[0]
-    contact = np.array([np.interp(a, POLAR, r) for a, r in zip(edge, seen, strict=True)])
-    return {
-        "whole": np.inf * even,
-        "disc": spec.camera.disc_px * even,
-        "contact": (contact[1:] + contact[:-1]) / 2,
-        "middle": np.interp(np.arcsin(MIDDLE_M / inner), POLAR, untouched) * even,
-    }
-
-
-def true_course(spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray, " f"]) -> Courses:
-    """Mean divergence of the markers' true motion: 2 u_r(r) / r on a circle of radius r, for every step.
-
-    Of the whole image there is none: beyond the pins nothing moves that could be true.
-    """
-    seen, circles = seen_px(spec, press, force_n), circles_px(spec, press, force_n)
-
-    def of(circle: Steps) -> Steps:
-        pairs = zip(circle, pairwise(seen), strict=True)
-        return np.array([2 * np.interp(c, (now + later) / 2, later - now) / c for c, (now, later) in pairs])
-
-    return {name: of(circle) for name, circle in circles.items() if name != "whole"}
-
-
-def recorded(spec: TacTipSpec, kappa_n_m: float, seed: int, steps: int | None = None) -> tuple[Trial, Steps]:
-    """A trial with only its frames from 0.5 to 5 N, and their smoothed forces [N].
-
-    Args:
-        spec: the sensor; its speed counts.
-        kappa_n_m: of the specimen [N/m].
-        seed: of seating and noise.
-        steps: None for the frames that there are; else that many even steps of approach for any specimen.
-    """
-    made = trial(spec, head_on(spec, kappa_n_m), seed)
-    force = moving_average(made.raw_n)
-    samples = within(force, loading(force, LOW_N), LOW_N, HIGH_N)
-    if steps is None:
-        at = made.frame_sample[np.isin(made.frame_sample, samples)]
-    else:
-        at = np.rint(np.linspace(samples[0], samples[-1], steps + 1)).astype(np.int64)
-    return replace(made, frame_sample=at), force[at]
-
-
-def flow_course(made: Trial, circles: Courses, method: str = "horn-schunck") -> Courses:
-    """Mean divergence by a method of `flow.course`, for every step and region."""
-    far = _from_axis(made)
-    found: dict[str, list[float]] = {name: [] for name in circles}
-    for j, step in enumerate(course(made.frames(), method)):
-        spreading = divergence(step.field)
-        for name, circle in circles.items():
-            found[name].append(float(spreading[far < circle[j]].mean(dtype=np.float64)))
-    return {name: np.array(values) for name, values in found.items()}
-
-
-def tracked_course(made: Trial, circles: Courses) -> Courses:
-    """The same from pins that are followed: a line through the outward motion of those near the circle."""
-    frames = made.frames()
-    first = find_pins(next(frames))
-    near = NEAR * made.spec.camera.disc_px / made.spec.pins.rings
-    places = [first.xy_px, *(pins.xy_px for pins in follow(frames, first))]
-    found: dict[str, list[float]] = {name: [] for name in circles if name != "whole"}
-    for j, (now, later) in enumerate(pairwise(places)):
-        off = now - _middle(made)
-        r = np.hypot(*off.T)
-        away = ((later - now) * off).sum(axis=1) / np.maximum(r, 1.0)
-        for name in found:
-            c = circles[name][j]
-            here = (np.abs(r - c) < near) & np.isfinite(away)
-            found[name].append(float(2 * np.polyfit(r[here] - c, away[here], 1)[1] / c))
-    return {name: np.array(values) for name, values in found.items()}
-
-
-def _middle(made: Trial) -> Float[ndarray, 2]:
-    return (made.spec.camera.size_px - 1) / 2 + np.array(made.shift_px)
-
-
-def _from_axis(made: Trial) -> Float[ndarray, "h w"]:
-    y, x = np.mgrid[: made.spec.camera.size_px, : made.spec.camera.size_px]
-    at = _middle(made)
-    return np.hypot(x - at[0], y - at[1])
 
 
 @dataclass(frozen=True)
@@ -346,121 +223,3 @@ def counted(kappa_n_m: float, slope: float = 10.0, stride_m: float = 0.25e-3) ->
 
 
 METHODS = ("horn-schunck", "coarse-to-fine", "dis", "tracked")
-
-
-@dataclass(frozen=True)
-class Share:
-    """Accumulated divergence by a method over that of the true markers.
-
-    Attributes:
-        pins: how many there are.
-        mean, spread: over trials.
-    """
-
-    pins: int
-    kappa_n_m: float
-    method: str
-    region: str
-    mean: float
-    spread: float
-
-
-def shares(
-    spec: TacTipSpec, kappa_n_m: float, seeds: Sequence[int] = range(3), methods: Sequence[str] = METHODS
-) -> tuple[Share, ...]:
-    """Of every method over disc and contact, from 0.5 to 5 N."""
-    found: dict[tuple[str, str], list[float]] = {}
-    for seed in seeds:
-        made, _ = recorded(spec, kappa_n_m, seed)
-        press, force = head_on(spec, kappa_n_m).press, made.true_force_n[made.frame_sample]
-        circles = {name: circles_px(spec, press, force)[name] for name in ("disc", "contact")}
-        true = true_course(spec, press, force)
-        for method in methods:
-            tracked = method == "tracked"
-            told = tracked_course(made, circles) if tracked else flow_course(made, circles, method)
-            for region, D in told.items():
-                found.setdefault((method, region), []).append(float(D.sum() / true[region].sum()))
-    return tuple(
-        Share(spec.pins.count, kappa_n_m, *key, float(np.mean(v)), float(np.std(v, ddof=len(v) > 1)))
-        for key, v in found.items()
-    )
-
-
-@dataclass(frozen=True)
-class Truth:
-    """One specimen at forces, by finite strain; SI.
-
-    Attributes:
-        casr_m2_n: dA/dF.
-        divergence: of the true markers over the region, accumulated from 0.5 N to each force.
-    """
-
-    kappa_n_m: float
-    force_n: Steps
-    area_m2: Steps
-    casr_m2_n: Steps
-    flattening_m: Steps
-    approach_m: Steps
-    divergence: dict[str, Steps]
-
-
-def truth(spec: TacTipSpec, kappa_n_m: float, force_n: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0)) -> Truth:
-    """What is true of a press, and of its pins."""
-    press, at = head_on(spec, kappa_n_m).press, np.array(force_n)
-    fine = np.linspace(LOW_N, HIGH_N, FINE_STEPS)
-    area, above, below = (press.at("area_m2", at + step) for step in (0.0, 0.05, -0.05))
-    so_far = {
-        name: np.interp(at, fine[1:], np.cumsum(D)) for name, D in true_course(spec, press, fine).items()
-    }
-    flattening, approach = press.at("flattening_m", at), press.at("approach_m", at)
-    return Truth(kappa_n_m, at, area, (above - below) / 0.1, flattening, approach, so_far)
-
-
-@dataclass(frozen=True)
-class Linear:
-    """The linear model head-on without friction, over finite strain, less 1.
-
-    Attributes:
-        motion: of the markers: the difference's root mean square over the true motion's.
-    """
-
-    tip: str
-    kappa_n_m: float
-    force_n: Steps
-    approach: Steps
-    area: Steps
-    motion: Steps
-
-
-def linear_error(tip: str, kappa_n_m: float, force_n: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0)) -> Linear:
-    """At forces; half a minute for a new tip."""
-    spec, at = TacTipSpec(tip, friction=0.0), np.array(force_n)
-    true = head_on(spec, kappa_n_m)
-    linear = inclined(spec, youngs_pa(kappa_n_m, spec.table), 0.0)
-    deep = np.linspace(0.0, linear.deepest_m, 2000)
-    approach = np.interp(at, linear.force_n(deep), deep)
-    true_approach = true.press.at("approach_m", at)
-    rest = pictured(spec, true.skin(0.0, (0.0, 0.0)))[0]
-    motion = []
-    for theirs, ours in zip(approach, true_approach, strict=True):
-        a, b = (
-            pictured(spec, s.skin(float(d), (0.0, 0.0)))[0] - rest
-            for s, d in ((linear, theirs), (true, ours))
-        )
-        motion.append(float(np.sqrt(((a - b) ** 2).sum() / (b**2).sum())))
-    return Linear(
-        tip, kappa_n_m, at, approach / true_approach - 1,
-        linear.area_m2(at) / true.press.at("area_m2", at) - 1, np.array(motion),
-    )  # fmt: skip
-
-
-def areas_by_friction(
-    tilt_rad: float, frictions: Sequence[float] = (0.0, 0.5, 1.0), force_n: float = HIGH_N
-) -> dict[float, tuple[float, ...]]:
-    """Contact area on every specimen, stiffest first, by Coulomb's coefficient [m^2]; ten seconds a press."""
-    found = {}
-    for friction in frictions:
-        spec = replace(TacTipSpec(), friction=friction)
-        specimens = (inclined(spec, youngs_pa(k, spec.table), tilt_rad) for k in KAPPA_N_M.values())
-        found[friction] = tuple(float(s.area_m2(np.array([force_n]))[0]) for s in specimens)
-    return found

@@ -30,7 +30,8 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from palpate.mechanics.tip_table import HeadOnPress
 from palpate.sensors.tactip import TacTipSpec
-from palpate.studies.tactip.controls import KAPPA_N_M, POLAR, head_on, order, seen_px
+from palpate.studies.tactip.controls import KAPPA_N_M, order
+from palpate.studies.tactip.courses import POLAR, head_on, seen_px
 
 LEVELS_PA = (150.0, 300.0, 600.0)
 HALF = "half"  # of the greatest at each force, instead of a fixed level
