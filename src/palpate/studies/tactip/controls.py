@@ -220,6 +220,3 @@ def counted(kappa_n_m: float, slope: float = 10.0, stride_m: float = 0.25e-3) ->
     """
     force = np.arange(0.0, HIGH_N, kappa_n_m * stride_m)
     return summed_slopes(force, 100.0 + slope * force)
-
-
-METHODS = ("horn-schunck", "coarse-to-fine", "dis", "tracked")

@@ -23,6 +23,8 @@ from palpate.studies.tactip.courses import (
     youngs_pa,
 )
 
+METHODS = ("horn-schunck", "coarse-to-fine", "dis", "tracked")
+
 
 @dataclass(frozen=True)
 class Share:

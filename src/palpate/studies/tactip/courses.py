@@ -6,6 +6,7 @@ Regions are discs around the tip's axis: the `whole` image, the `disc` that unto
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Literal
 
