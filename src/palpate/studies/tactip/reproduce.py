@@ -19,6 +19,7 @@ from palpate.psychophysics.groups import Comparison, compare
 from palpate.psychophysics.lines import Line
 from palpate.reports import tactip_figures as draw
 from palpate.sensors.tactip import tactip
+from palpate.studies.tactip.controls import Row, compared
 from palpate.studies.tactip.experiment import (
     NEW,
     Experiment,
@@ -51,6 +52,12 @@ CUES = {
 }
 
 
+CONTROLS = ("as assumed", "half the speed", "twice the speed", "20 frames each", "tight crop")
+"""Of `controls`: what equation (12) says when frames, and not specimens, change."""
+
+SHOWN = (("disc", "paper"), ("contact", "paper"), ("disc", "secant"), ("contact", "secant"))
+
+
 class Entry(TypedDict):
     """A number: what it is, what was found, its unit, what is printed and where, and why the two differ."""
 
@@ -68,6 +75,7 @@ class Study:
 
     plates: Mapping[str, Plate]
     experiments: Mapping[int, Experiment]
+    controls: tuple[Row, ...]
     seed: int
     trials: int
     seconds: float
@@ -100,7 +108,11 @@ def reproduce_tactip(
         tilt: press_all(spec, tilt, seed, calibrating=trials, testing=trials, progress=progress)
         for tilt in TILTS
     }
-    study = Study(plates, experiments, seed, trials, time.perf_counter() - began)
+    controls: list[Row] = []
+    for i, name in enumerate(CONTROLS):
+        controls += compared((name,), range(trials))
+        progress("controls of divergence", i + 1, len(CONTROLS))
+    study = Study(plates, experiments, tuple(controls), seed, trials, time.perf_counter() - began)
     entries = list(entries_of(study))
     with new_folder(out) as building, storage_errors(out):
         (building / "summary.json").write_text(json.dumps(entries, indent=1, allow_nan=False) + "\n")
@@ -113,6 +125,20 @@ def entries_of(study: Study) -> Iterator[Entry]:
     yield from _plate_entries(study.plates)
     for experiment in study.experiments.values():
         yield from _tilt_entries(experiment)
+    for row in shown_controls(study):
+        name = f"0 degrees, {row.condition}: {row.way} over the {row.region}, softest over stiffest"
+        yield entry(name, row.mean[-1] / row.mean[0], "1")
+        yield entry(f"{name}, concordance", row.concordance, "1")
+
+
+def shown_controls(study: Study) -> list[Row]:
+    """By flow, over the pins' disc and the true contact, equation (12) and the secant."""
+    return [
+        row
+        for region, way in SHOWN
+        for row in study.controls
+        if (row.source, row.region, row.way) == ("flow", region, way)
+    ]
 
 
 def _plate_entries(plates: Mapping[str, Plate]) -> Iterator[Entry]:
@@ -240,7 +266,7 @@ def page(study: Study, entries: Sequence[Entry]) -> str:
         orders={t: {cue: order(means(one, cue)) for cue in CUES} for t, one in study.experiments.items()},
         tests={t: {cue: cue_tests(one, cue) for cue in CUES} for t, one in study.experiments.items()},
         areas={t: area_errors(one) for t, one in study.experiments.items()},
-        touch={t: one.touch for t, one in study.experiments.items()},
+        controls=shown_controls(study),
         calibration={t: one.calibration for t, one in study.experiments.items()},
         figures=_figures(study),
     )
