@@ -49,7 +49,7 @@ class AreaFit:
         """Area, low and high of its interval of every frame; NaN where a measure is [m^2]."""
         log_a = _terms((measures - self.middle) / self.scale) @ self.coefficients
         half = stats.norm.ppf((1 + coverage) / 2) * self.spread
-        return np.exp(log_a[:, None] + half * np.array([0.0, -1.0, 1.0]))
+        return np.exp(np.stack([log_a, log_a - half, log_a + half], axis=1))
 
 
 def fit_area(
