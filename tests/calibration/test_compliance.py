@@ -228,14 +228,14 @@ def test_without_areas_or_positions_less_is_told_and_the_rest_is_the_same(given,
     assert read_touch(bare, still).stiffness_both is None
 
 
-def test_two_references_tell_stiffness_and_say_that_areas_between_are_not_known(given, fresh) -> None:
-    two = calibrate_compliance([given[0], given[3]])
-    found = read_touch(two, fresh["S2"])
-    assert np.isfinite(found.stiffness.value)
-    assert found.stiffness.low < KAPPA_N_M["S2"] < found.stiffness.high
-    assert np.isfinite(found.area.value)
-    assert not found.area.valid
-    assert "calibrate on a third" in found.area.why
+def test_two_references_tell_something_and_say_that_what_is_between_is_not_known(given, fresh) -> None:
+    """By a rigid plate and S3 alone S2 reads half as stiff again, and no interval could know."""
+    found = read_touch(calibrate_compliance([given[0], given[3]]), fresh["S2"])
+    for one in (found.stiffness, found.stiffness_both, found.area):
+        assert np.isfinite(one.value)
+        assert not one.valid
+        assert "calibrate on a third" in one.why
+    assert_allclose(found.stiffness.value, KAPPA_N_M["S2"], rtol=0.7)
 
 
 def test_an_inclined_calibration_tells_no_modulus(given, fresh) -> None:

@@ -112,7 +112,8 @@ class ComplianceCalibration:
             StorageError: it cannot be read.
         """
         try:
-            with storage_errors(path), np.load(path, allow_pickle=False) as held:
+            # opened here, since numpy leaves a damaged file open
+            with storage_errors(path), path.open("rb") as file, np.load(file, allow_pickle=False) as held:
                 data = {name: held[name] for name in held.files}
             if int(data.pop("format")) != FORMAT:
                 raise CertificateError(f"{path} is of another format; calibrate anew with this version")
