@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError
-from palpate.estimators.casr.both_cues import Finger, Press, touched
+from palpate.estimators.casr.both_cues import Finger, Press, finger_of, touched
 from palpate.mechanics.pairs import Body, alike_to_the_arm, alike_to_the_skin
 
 FINGER = Body(1e5, 15e-3)
@@ -84,3 +84,44 @@ def test_what_is_no_press_is_refused(rng) -> None:
         touched([Press(good.force_n - 1, good.approach_m, good.area_m2)], Finger(FINGER), rng)
     with pytest.raises(InputError, match="loading part"):
         touched([Press(np.ones(9), np.ones(9), np.ones(9))], Finger(FINGER), rng)
+
+
+def rigid(finger: Body, rng=None) -> Press:
+    """The finger alone: on a rigid plate the pair is the finger."""
+    d, a = finger.approach_m(FORCE), finger.area_m2(FORCE)
+    noise = np.zeros(len(FORCE)) if rng is None else rng.standard_normal(len(FORCE))
+    return Press(FORCE, d + 5e-6 * noise, a)
+
+
+def test_a_hertz_finger_is_found_from_its_presses_on_a_rigid_plate(rng) -> None:
+    found = finger_of([rigid(FINGER), rigid(FINGER)])
+    assert_allclose((found.body.modulus_pa, found.body.radius_m), (FINGER.modulus_pa, FINGER.radius_m), rtol=1e-6)
+    assert found.misfit < 1e-6
+    assert found.modulus_spread < 1e-6
+    noisy = finger_of([rigid(FINGER, rng) for _ in range(5)])
+    assert_allclose(noisy.body.modulus_pa, FINGER.modulus_pa, rtol=0.01)
+    assert noisy.modulus_spread > 0
+
+
+def test_a_finger_that_stiffens_says_by_how_much(rng) -> None:
+    """P^(2/3) over approach bends: the upper half of the forces has the stiffer line."""
+    alone = rigid(FINGER)
+    bent = Press(alone.force_n, 6e-3 * (1 - np.exp(-alone.approach_m / 6e-3)), alone.area_m2)
+    found = finger_of([bent])
+    assert 0.1 < found.misfit < 1
+    assert_allclose(found.modulus_spread, found.misfit / 4, rtol=0.3)
+    wide, tight = (
+        touched([press(D)], Finger(FINGER, spread, spread), rng) for spread in (found.modulus_spread, 0.0)
+    )
+    assert np.diff(wide.modulus_pa[1:]) > np.diff(tight.modulus_pa[1:])
+
+
+def test_a_press_too_short_to_halve_has_no_misfit() -> None:
+    alone = rigid(FINGER)
+    short = Press(*(x[::8] for x in (alone.force_n, alone.approach_m, alone.area_m2)))
+    assert finger_of([short]).misfit == 0
+
+
+def test_a_finger_without_presses_is_refused() -> None:
+    with pytest.raises(InputError, match="rigid plate"):
+        finger_of([])

@@ -112,7 +112,8 @@ class ComplianceCalibration:
             StorageError: it cannot be read.
         """
         try:
-            with storage_errors(path), np.load(path, allow_pickle=False) as held:
+            # opened here, since numpy leaves a damaged file open
+            with storage_errors(path), path.open("rb") as file, np.load(file, allow_pickle=False) as held:
                 data = {name: held[name] for name in held.files}
             if int(data.pop("format")) != FORMAT:
                 raise CertificateError(f"{path} is of another format; calibrate anew with this version")
@@ -190,7 +191,14 @@ def _layout(presses: Sequence[PinPress]) -> Float[ndarray, "p 2"]:
 
 def _untouched(press: PinPress, layout: Float[ndarray, "p 2"]) -> Float[ndarray, "p 2"]:
     """A press's untouched pins in the order of the layout."""
-    return laid_on(replace(press, force_n=press.force_n[:1], moved_px=press.untouched_px[None]), layout)[0]
+    still = replace(
+        press,
+        frame=press.frame[:1],
+        force_n=press.force_n[:1],
+        moved_px=press.untouched_px[None],
+        position_m=None,
+    )
+    return laid_on(still, layout)[0]
 
 
 def wobble_px(press: PinPress, layout: Float[ndarray, "p 2"]) -> float:
@@ -209,7 +217,7 @@ def touch_row(press: PinPress, layout: Float[ndarray, "p 2"], levels_n: Float[nd
     return row.ravel()
 
 
-def approach_row(press: PinPress, levels_n: Float[ndarray, " l"]) -> Float[ndarray, " l"]:
+def approach_row(press: PinPress, levels_n: Float[ndarray, " l"]) -> Float[ndarray, " l-1"]:
     """Approach from the first level to the others, weighed as pins' motion."""
     assert press.position_m is not None
     d = at_forces(press.force_n, press.position_m, levels_n)
@@ -218,7 +226,7 @@ def approach_row(press: PinPress, levels_n: Float[ndarray, " l"]) -> Float[ndarr
 
 def _areas(
     trials: Sequence[tuple[int, ReferenceTrial]],
-    moved: Sequence[Float[ndarray, "f p 2"]],
+    moved: Sequence[Float[ndarray, "_ p 2"]],
     layout: Float[ndarray, "p 2"],
 ) -> tuple[Motions | None, AreaFit | None, AreaFit | None]:
     known = [(i, m, t.area_m2) for (i, t), m in zip(trials, moved, strict=True) if t.area_m2 is not None]

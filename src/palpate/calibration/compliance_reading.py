@@ -156,7 +156,7 @@ class _Said:
         kappa, low, high = found.kappa_n_m
         finite = curve.kappa_n_m[np.isfinite(curve.kappa_n_m)]
         range_ = float(finite.min()), float(finite.max())
-        why = []
+        why = [] if np.isfinite(curve.between) else [NO_BETWEEN]
         strange = max(curve.strangeness(row) for row in rows)
         if strange > STRANGE:
             why.append(UNLIKE.format(strange, STRANGE))

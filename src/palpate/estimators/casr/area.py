@@ -24,6 +24,7 @@ RIDGE = 1e-4  # of the mean square of a measure
 LEAST_FRAMES, LEAST_REFERENCES = 30, 3
 
 Measures = Float[ndarray, "f k"]
+AnyMeasures = Float[ndarray, "_ k"]  # of trials, which differ in how many frames they have
 
 
 @dataclass(frozen=True)
@@ -48,11 +49,11 @@ class AreaFit:
         """Area, low and high of its interval of every frame; NaN where a measure is [m^2]."""
         log_a = _terms((measures - self.middle) / self.scale) @ self.coefficients
         half = stats.norm.ppf((1 + coverage) / 2) * self.spread
-        return np.exp(log_a[:, None] + half * np.array([0.0, -1.0, 1.0]))
+        return np.exp(np.stack([log_a, log_a - half, log_a + half], axis=1))
 
 
 def fit_area(
-    measures: Sequence[Measures], area_m2: Sequence[Float[ndarray, " f"]], reference: Sequence[int]
+    measures: Sequence[AnyMeasures], area_m2: Sequence[Float[ndarray, " _"]], reference: Sequence[int]
 ) -> AreaFit:
     """Fit to references.
 
@@ -83,7 +84,7 @@ def fit_area(
     return AreaFit(middle, scale, _solved(z, y), errors, (float(areas.min()), float(areas.max())))
 
 
-def _left_out(z: list[Measures], y: list[ndarray], reference: ndarray) -> float:
+def _left_out(z: list[AnyMeasures], y: list[ndarray], reference: ndarray) -> float:
     """Error of log A of trials of each reference, told by the others' trials of it: the worst reference's."""
     squares: dict[int, list[float]] = {}
     for i, (own, log_a) in enumerate(zip(z, y, strict=True)):
@@ -94,7 +95,7 @@ def _left_out(z: list[Measures], y: list[ndarray], reference: ndarray) -> float:
     return worst if len(squares) >= LEAST_REFERENCES else float("nan")
 
 
-def _solved(z: list[Measures], y: list[ndarray]) -> Float[ndarray, " c"]:
+def _solved(z: list[AnyMeasures], y: list[ndarray]) -> Float[ndarray, " c"]:
     X = _terms(np.concatenate(z))
     penalty = np.sqrt(RIDGE * len(X)) * np.eye(X.shape[1])
     penalty[0, 0] = 0.0
@@ -132,7 +133,7 @@ class Motions:
         return np.asarray(found.T)
 
 
-def fit_motions(moved_px: Sequence[Float[ndarray, "f p 2"]], count: int = MOTIONS) -> Motions:
+def fit_motions(moved_px: Sequence[Float[ndarray, "_ p 2"]], count: int = MOTIONS) -> Motions:
     """Of the references' frames.
 
     Raises:

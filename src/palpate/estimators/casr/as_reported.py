@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from numpy import ndarray
 
-from palpate.core.errors import PalpateError
+from palpate.core.errors import InputError, PalpateError
 from palpate.estimators.casr.force import (
     CONTACT_N,
     GREATEST_N,
@@ -93,6 +93,11 @@ def as_reported(
     first, last = int(max(used[0] - 1, 0)) if len(used) else 0, int(used[-1]) if len(used) else 0
     steps = course(islice(iter(frames), first, last + 1), method, region=region)
     divergence = np.array([step.divergence for step in steps])[-len(used) :]
+    if len(divergence) < len(used) or not len(used):
+        raise InputError(
+            f"{len(divergence)} steps between frames for {len(used)} frames under {CONTACT_N:g} to {GREATEST_N:g} N; "
+            "give the frames and the table of one press, from a frame before contact on"
+        )
     force, area = smooth[at[used]], area_m2(1.0, divergence)
     return AsReported(force, divergence, area, _spreads(force, divergence, area))
 
@@ -101,7 +106,7 @@ def _spreads(
     force: Float[ndarray, " f"], divergence: Float[ndarray, " f"], area: Float[ndarray, " f"]
 ) -> dict[str, Spread]:
     found: dict[str, Spread] = {}
-    for way in WAYS:
+    for way in WAYS if len(force) > 1 else ():
         try:
             found[way] = paper_spread(force, divergence, 1.0) if way == "paper" else spread(force, area, way)
         except PalpateError:  # e.g. too few frames for a line; the others may still stand

@@ -91,6 +91,10 @@ def watched(
             "press more slowly, or take more frames a second"
         )
     xy = _followed(frames, int(used[-1]) + 1)
+    if len(xy) <= used[-1]:
+        raise InputError(
+            f"{len(xy)} frames, and the table tells of {len(at)}; give the frames and the table of one press"
+        )
     still = _still(smooth[at[: used[0] + 1]])
     untouched = xy[:still].mean(axis=0)
     lost = ~np.isfinite(xy[used]).all(axis=(0, 2))

@@ -157,7 +157,7 @@ def softness(kappa_n_m: Float[ndarray, " k"], turning_n_m: float) -> Float[ndarr
     return 1.0 / (1.0 + np.asarray(kappa_n_m, np.float64) / turning_n_m)
 
 
-def fit_softness(kappa_n_m: Sequence[float], trials: Sequence[Vectors]) -> SoftnessCurve:
+def fit_softness(kappa_n_m: Sequence[float], trials: Sequence[Float[ndarray, "_ d"]]) -> SoftnessCurve:
     """The curve through references.
 
     Args:

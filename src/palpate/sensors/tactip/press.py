@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -169,6 +169,7 @@ def pictured(
     return middle + scale * seen, scale * share * spec.pins.radius_m
 
 
+@lru_cache(maxsize=32)
 def pixels_per_tangent(spec: TacTipSpec) -> float:
     """The camera's focal length [px]: the untouched field of pins fills its disc."""
     table, camera = spec.table, spec.camera

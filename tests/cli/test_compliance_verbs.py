@@ -1,0 +1,190 @@
+"""The verbs of compliance on a tiny experiment of rendered presses."""
+
+import json
+import math
+import shutil
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from palpate.cli import app
+from palpate.sensors.tactip import tactip
+from palpate.studies.tactip_trials import record_trials, specimens_at
+
+
+def compliance(*words, status=0):
+    result = CliRunner().invoke(app, ["compliance", *map(str, words)])
+    assert result.exit_code == status, result.output + result.stderr
+    return result
+
+
+def strict(text: str):
+    """JSON as the standard has it: no NaN, no Infinity."""
+
+    def refuse(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+@pytest.fixture(scope="module")
+def experiment(tmp_path_factory):
+    """A rigid plate and two specimens, two trials each, at 10 mm/s so that there are few frames."""
+    out = tmp_path_factory.mktemp("experiment") / "presses"
+    spec = replace(tactip(), speed_m_s=10e-3)
+    record_trials(out, spec, specimens_at(spec, {"rigid": math.inf, "S1": 7.6e3, "S3": 1.1e3}), 2, seed=1)
+    return out
+
+
+@pytest.fixture(scope="module")
+def press(experiment):
+    return experiment / "S1" / "01.tif", "--force", experiment / "S1" / "01.csv"
+
+
+@pytest.fixture(scope="module")
+def calibration(experiment, tmp_path_factory):
+    path = tmp_path_factory.mktemp("calibration") / "tip.npz"
+    return path, compliance("calibrate", experiment, "--out", path, "--note", "tiny", "--quiet").output
+
+
+def test_a_press_alone_is_read_and_said_to_be_uncalibrated(press) -> None:
+    said = compliance(*press).output
+    assert "sensor and specimen" in said
+    assert "no calibration was given" in said
+    found = strict(compliance(*press, "--json").output)
+    assert found["readings"] == []
+    assert found["pins"] == 127
+    assert found["speed_mm_s"] == pytest.approx(10)
+    assert 0.5 < found["series_stiffness"]["value_N_per_mm"] < 7.6  # tip and specimen in series yield more
+    assert found["as_reported"]["regression_per_N"]["value"] > 0
+
+
+def test_a_calibrated_press_is_told_with_its_interval(press, calibration) -> None:
+    path, _ = calibration
+    found = strict(compliance(*press, "--calibration", path, "--json").output)
+    readings = {one["quantity"]: one for one in found["readings"]}
+    assert set(readings) == {
+        "stiffness", "stiffness_both_cues", "area_at_4_N", "spread_rate", "modulus", "radius"
+    }  # fmt: skip
+    told = readings["stiffness"]
+    assert told["unit"] == "N_per_mm"
+    assert told["value"] == pytest.approx(7.6, rel=0.15)
+    assert told["low"] <= told["value"] <= told["high"]
+    assert told["valid"], told["why"]
+    assert len(found["area"]) == found["frames"]
+    assert "stiffness" in compliance("read", *press, "--calibration", path).output
+
+
+def test_picture_and_readings_are_written_once(press, calibration, tmp_path) -> None:
+    path, _ = calibration
+    for i, more in enumerate(((), ("--calibration", path))):
+        out = tmp_path / str(i)
+        compliance(*press, *more, "--out", out)
+        assert sorted(one.name for one in out.iterdir()) == ["press.png", "readings.json"]
+        strict((out / "readings.json").read_text())
+        assert (out / "press.png").read_bytes().startswith(b"\x89PNG")
+        before = (out / "readings.json").read_bytes()
+        assert "nothing is ever overwritten" in compliance(*press, "--out", out, status=2).stderr
+        assert (out / "readings.json").read_bytes() == before
+
+
+def test_a_calibration_says_what_it_is_of(calibration) -> None:
+    path, said = calibration
+    assert path.is_file()
+    assert "127 pins" in said
+    assert "rigid (rigid, 2 trials)" in said
+    assert "S1 (7.6 N/mm, 2 trials)" in said
+    assert "compliance-" in said
+
+
+def test_a_calibration_is_told_in_json(experiment, tmp_path) -> None:
+    found = strict(compliance("calibrate", experiment, "--out", tmp_path / "a.npz", "--json").output)
+    assert [one["stiffness_N_per_mm"] for one in found["references"]] == [None, 7.6, 1.1]
+    assert found["error_between_references"] > 0
+
+
+def test_a_calibration_is_never_overwritten(experiment, calibration) -> None:
+    path, _ = calibration
+    before = path.read_bytes()
+    assert "nothing is ever overwritten" in compliance("calibrate", experiment, "--out", path, status=2).stderr
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_specimens_are_compared(experiment, calibration, tmp_path, calibrated) -> None:
+    out, more = tmp_path / "compared", ("--calibration", calibration[0]) if calibrated else ()
+    found = strict(compliance("compare", experiment, "--out", out, "--json", "--pooled", *more).output)
+    assert sorted(one.name for one in out.iterdir()) == ["comparison.json", "comparison.png", "trials.csv"]
+    assert found["trials"] == {"rigid": 2, "S1": 2, "S3": 2}
+    assert (found["calibration"] is not None) == calibrated
+    held = strict((out / "comparison.json").read_text())
+    assert {**held, "out": str(out)} == found
+    table = pd.read_csv(out / "trials.csv")
+    assert list(table["specimen"]) == ["rigid", "rigid", "S1", "S1", "S3", "S3"]
+    series = found["cues"]["series_stiffness_N_per_mm"]
+    assert series["mean"]["rigid"] > series["mean"]["S1"] > series["mean"]["S3"]
+    for name, (low, high) in series["interval_95"].items():
+        assert low <= series["mean"][name] <= high
+    assert "pseudo-replication" in json.dumps(found["pooled_divergence"])
+    if calibrated:
+        told = {name: each[0] for name, each in found["specimens"].items()}
+        assert told["S3"]["value"] < told["S1"]["value"]
+    assert "overwritten" in compliance("compare", experiment, "--out", out, status=2).stderr
+
+
+def test_a_comparison_is_told_in_words(experiment, tmp_path) -> None:
+    said = compliance("compare", experiment, "--out", tmp_path / "compared", "--quiet").output
+    assert "Kruskal-Wallis p" in said
+    assert "worst pair" in said
+
+
+@pytest.mark.parametrize("verb", [(), ("read",), ("calibrate",), ("compare",)])
+def test_help_has_an_example(verb) -> None:
+    assert "Example: palpate compliance" in " ".join(compliance(*verb, "--help").output.split())
+
+
+def one_line(result, *says: str) -> None:
+    assert result.stderr.startswith("palpate: ")
+    assert result.stderr.count("\n") == 1
+    for one in says:
+        assert one in result.stderr
+
+
+def test_frames_and_table_of_different_length_are_refused_in_one_line(experiment, tmp_path) -> None:
+    short = tmp_path / "short.csv"
+    rows = pd.read_csv(experiment / "S1" / "01.csv")
+    rows[rows["frame"] < rows["frame"].max() - 3].to_csv(short, index=False)
+    out = tmp_path / "out"
+    result = compliance(experiment / "S1" / "01.tif", "--force", short, "--out", out, status=2)
+    one_line(result, "is it of this press?")
+    assert not out.exists()
+    whole = tmp_path / "whole.csv"
+    rows.drop(columns="frame").to_csv(whole, index=False)
+    one_line(compliance(experiment / "S1" / "01.tif", "--force", whole, status=2), "rows and there are")
+
+
+def test_what_cannot_be_read_is_said_in_one_line(experiment, press, tmp_path) -> None:
+    garbage = tmp_path / "tip.npz"
+    garbage.write_bytes(b"nothing")
+    one_line(compliance(*press, "--calibration", garbage, status=2), "no calibration of compliance")
+    one_line(compliance(*press, "--calibration", tmp_path / "none.npz", status=2), "none.npz")
+    one_line(compliance(tmp_path / "none.tif", *press[1:], status=2), "none.tif")
+    one_line(compliance(*press, "--force-column", "grip_N", status=2), "grip_N")
+    one_line(compliance("calibrate", experiment, "--out", tmp_path / "tip.txt", status=2), ".npz")
+    one_line(compliance("calibrate", tmp_path / "none", "--out", tmp_path / "a.npz", status=2), "is no folder")
+
+
+def test_references_without_a_known_stiffness_calibrate_nothing(experiment, tmp_path) -> None:
+    shutil.copytree(experiment, tmp_path / "presses")
+    (tmp_path / "presses" / "specimens.csv").unlink()
+    result = compliance("calibrate", tmp_path / "presses", "--out", tmp_path / "a.npz", status=2)
+    one_line(result, "inf for a rigid plate")
+    assert not (tmp_path / "a.npz").exists()
+
+
+def test_one_specimen_cannot_be_compared(experiment, tmp_path) -> None:
+    (tmp_path / "presses").mkdir()
+    shutil.copytree(experiment / "S1", tmp_path / "presses" / "S1")
+    one_line(compliance("compare", tmp_path / "presses", "--out", tmp_path / "out", status=2), "two or more")

@@ -1,0 +1,104 @@
+"""Contact area from measures of a frame: what the fit can follow comes back, and what it cannot know is NaN."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate.core.errors import InputError
+from palpate.estimators.casr.area import fit_area, fit_motions, ring_measures
+
+
+def log_area(x: np.ndarray) -> np.ndarray:
+    """Of two measures, with squares: what the fit holds."""
+    a, b = x.T
+    return np.log(2e-4) + 0.8 * a - 0.5 * b + 0.2 * a * b + 0.1 * a**2 - 0.05 * b**2
+
+
+def trials(rng, references: int, each: int = 3, frames: int = 20):
+    measures = [rng.uniform(-1, 1, (frames + k, 2)) for k in range(references * each)]
+    which = [k // each for k in range(references * each)]
+    return measures, [np.exp(log_area(x)) for x in measures], which
+
+
+def test_a_log_area_that_the_fit_can_follow_comes_back(rng) -> None:
+    """The ridge of 1e-4 pulls by about as much."""
+    fit = fit_area(*trials(rng, 3))
+    fresh = rng.uniform(-1, 1, (50, 2))
+    area, low, high = fit.at(fresh).T
+    assert_allclose(area, np.exp(log_area(fresh)), rtol=2e-3)
+    assert (low <= area).all()
+    assert (area <= high).all()
+    assert fit.spread < 1e-3
+
+
+def test_the_interval_is_as_wide_as_the_worst_references_error(rng) -> None:
+    """Areas of one reference scatter by 5 %, which trials that are left out show."""
+    measures, areas, which = trials(rng, 3, each=6)
+    areas = [a * (np.exp(0.05 * rng.standard_normal()) if k == 1 else 1.0) for a, k in zip(areas, which, strict=True)]
+    fit = fit_area(measures, areas, which)
+    assert 0.025 < fit.spread < 0.1
+    area, low, high = fit.at(measures[0], coverage=0.9)[0]
+    assert_allclose([np.log(high / area), np.log(area / low)], 1.645 * fit.spread, rtol=1e-3)
+
+
+def test_two_references_cannot_say_how_far_they_are_off(rng) -> None:
+    fit = fit_area(*trials(rng, 2))
+    area, low, high = fit.at(rng.uniform(-1, 1, (5, 2))).T
+    assert np.isfinite(area).all()
+    assert np.isnan([low, high]).all()
+
+
+def test_frames_without_a_measure_have_no_area(rng) -> None:
+    fit = fit_area(*trials(rng, 3))
+    assert np.isnan(fit.at(np.array([[np.nan, 0.0]]))).all()
+
+
+def test_frames_without_a_known_area_are_left_out(rng) -> None:
+    measures, areas, which = trials(rng, 3)
+    whole = fit_area(measures, areas, which)
+    areas[0][::3] = np.nan
+    areas[4][2] = 0.0
+    measures[5][1] = np.nan
+    fresh = rng.uniform(-1, 1, (9, 2))
+    assert_allclose(fit_area(measures, areas, which).at(fresh)[:, 0], whole.at(fresh)[:, 0], rtol=1e-3)
+
+
+def test_the_calibrated_range_is_that_of_the_areas(rng) -> None:
+    measures, areas, which = trials(rng, 3)
+    every = np.concatenate(areas)
+    assert_allclose(fit_area(measures, areas, which).range_m2, (every.min(), every.max()))
+
+
+def test_too_few_frames_are_refused(rng) -> None:
+    with pytest.raises(InputError, match="29 frames.*30 or more"):
+        fit_area([rng.uniform(-1, 1, (29, 2))], [np.ones(29)], [0])
+    measures, areas, which = trials(rng, 3)
+    with pytest.raises(InputError, match="0 frames"):
+        fit_area(measures, [np.full_like(a, np.nan) for a in areas], which)
+    with pytest.raises(InputError, match="29 frames; 30"):
+        fit_motions([np.zeros((29, 7, 2))])
+
+
+def test_motion_along_few_directions_is_told_by_as_many_measures(rng) -> None:
+    modes, pins = rng.standard_normal((3, 40, 2)), 40
+    places = [rng.standard_normal((n, 3)) * [5.0, 2.0, 1.0] for n in (15, 20, 18)]
+    moved = [np.einsum("fk,kpx->fpx", at, modes) for at in places]
+    motions = fit_motions(moved, 3)
+    assert_allclose(np.einsum("kpx,lpx->kl", motions.directions, motions.directions), np.eye(3), atol=1e-12)
+    again = motions.middle + np.einsum("fk,kpx->fpx", motions.of(moved[1]), motions.directions)
+    assert_allclose(again, moved[1], atol=1e-9)
+    holes = moved[1].copy()
+    holes[:, rng.choice(pins, 8, replace=False)] = np.nan
+    assert_allclose(motions.of(holes), motions.of(moved[1]), atol=1e-9)
+
+
+def test_a_ring_is_measured_where_there_is_one() -> None:
+    """Motion r (1 - r^2 / c^2) outwards is greatest at c / sqrt 3; the middle's stretch is twice the slope."""
+    i, j = np.meshgrid(np.arange(-7, 8), np.arange(-7, 8))
+    at = 10.0 * np.stack([i + j / 2, np.sqrt(0.75) * j], axis=-1).reshape(-1, 2)
+    at = at[np.hypot(*at.T) < 71]
+    r2 = (at**2).sum(axis=1, keepdims=True)
+    flattened = 0.1 * at * (1 - r2 / 80.0**2)
+    found = ring_measures(at, np.stack([flattened, 0.1 * at, np.full_like(at, np.nan)])[:2])
+    assert_allclose(np.exp(found[0]), [80 / np.sqrt(3), 0.2], rtol=0.01)
+    assert np.isnan(found[1]).all()  # it grows to the field's edge

@@ -1,0 +1,117 @@
+"""Motion over force: read alike whatever the frames were, laid on the pins that were calibrated."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate.core.errors import InputError, RangeError
+from palpate.estimators.casr.over_force import at_forces, laid_on
+from palpate.estimators.casr.pin_press import PinPress
+
+LEVELS = np.arange(1.0, 4.51, 0.5)
+
+
+def motion(force_n: np.ndarray) -> np.ndarray:
+    """Smooth in the cube root of force, three values a frame."""
+    x = np.cbrt(force_n)[:, None]
+    return x * [1.0, -2.0, 0.5] + x**2 * [0.3, 0.1, -0.4] + 0.1 * x**4 * [1.0, 0.0, 2.0]
+
+
+@pytest.mark.parametrize("frames", [7, 12, 40, 400])
+def test_values_at_fixed_forces_do_not_depend_on_the_number_of_frames(frames) -> None:
+    force = np.linspace(0.5, 5.1, frames)
+    assert_allclose(at_forces(force, motion(force), LEVELS), motion(LEVELS), rtol=1e-9)
+
+
+def test_values_at_fixed_forces_do_not_depend_on_when_frames_were_taken() -> None:
+    even, late, early = (0.5 + 4.6 * np.linspace(0, 1, 25) ** power for power in (1.0, 2.0, 0.4))
+    for force in (even, late, early):
+        assert_allclose(at_forces(force, motion(force), LEVELS), motion(LEVELS), rtol=1e-9)
+
+
+def test_noise_is_averaged_over_the_frames(rng) -> None:
+    """Noise of 1 over 400 frames and 5 coefficients: about 0.1 at the middle forces, 0.2 at the ends."""
+    force = np.linspace(0.5, 5.1, 400)
+    noisy = motion(force) + rng.standard_normal((400, 3))
+    assert np.abs(at_forces(force, noisy, LEVELS) - motion(LEVELS)).max() < 0.45
+
+
+def test_values_of_any_shape_are_read() -> None:
+    force = np.linspace(0.5, 5, 30)
+    assert at_forces(force, force, LEVELS).shape == (8,)
+    assert at_forces(force, np.ones((30, 6, 2)), LEVELS).shape == (8, 6, 2)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.5, 4.3), (1.2, 5.0), (0.5, 2.0)])
+def test_forces_that_were_not_reached_are_refused(low, high) -> None:
+    force = np.linspace(low, high, 30)
+    with pytest.raises(RangeError, match="press as far as the references"):
+        at_forces(force, motion(force), LEVELS)
+
+
+@pytest.fixture
+def layout() -> np.ndarray:
+    """A hexagon of pins, 12 px apart."""
+    i, j = np.meshgrid(np.arange(-5, 6), np.arange(-5, 6))
+    at = np.stack([12 * (i + j / 2), 12 * np.sqrt(0.75) * j], axis=-1).reshape(-1, 2)
+    return at[np.abs(i + j).ravel() <= 5] + 150.0
+
+
+def press(untouched: np.ndarray, moved: np.ndarray) -> PinPress:
+    frames = len(moved)
+    return PinPress(np.arange(frames), np.linspace(0.5, 5, frames), untouched, moved, None, np.nan, ())
+
+
+@pytest.fixture
+def moved(layout, rng) -> np.ndarray:
+    return rng.standard_normal((6, len(layout), 2))
+
+
+def test_a_shift_of_the_image_is_undone(layout, moved) -> None:
+    for shift in ((0.0, 0.0), (2.5, -1.5), (-40.0, 25.0)):
+        assert_allclose(laid_on(press(layout + shift, moved), layout), moved)
+
+
+def test_the_order_of_the_pins_does_not_matter(layout, moved, rng) -> None:
+    order = rng.permutation(len(layout))
+    found = laid_on(press(layout[order] + 1.0, moved[:, order]), layout)
+    assert_allclose(found, moved)
+
+
+def test_pins_a_little_out_of_place_are_still_the_same_pins(layout, moved, rng) -> None:
+    assert_allclose(laid_on(press(layout + rng.standard_normal(layout.shape), moved), layout), moved)
+
+
+def test_lost_pins_are_nan_and_the_others_stay(layout, moved) -> None:
+    gone = [0, 7, 30]
+    moved[3, gone] = np.nan  # in one frame only
+    found = laid_on(press(layout + 2.0, moved), layout)
+    assert np.isnan(found[:, gone]).all()
+    kept = np.delete(np.arange(len(layout)), gone)
+    assert_allclose(found[:, kept], moved[:, kept])
+
+
+def test_pins_that_were_never_found_are_nan(layout, moved) -> None:
+    kept = np.arange(len(layout)) % 10 != 0
+    found = laid_on(press(layout[kept], moved[:, kept]), layout)
+    assert np.isnan(found[:, ~kept]).all()
+    assert_allclose(found[:, kept], moved[:, kept])
+
+
+@pytest.mark.parametrize("other", ["larger", "turned", "denser", "fewer"])
+def test_another_layout_is_refused(layout, moved, other) -> None:
+    middle = layout.mean(axis=0)
+    c, s = np.cos(0.4), np.sin(0.4)
+    at = {
+        "larger": middle + 1.3 * (layout - middle),
+        "turned": middle + (layout - middle) @ np.array([[c, s], [-s, c]]),
+        "denser": np.concatenate([layout, layout + [6.0, 0.0]]),
+        "fewer": layout[: len(layout) // 2],
+    }[other]
+    with pytest.raises(InputError, match="calibrate for it"):
+        laid_on(press(at, np.ones((6, len(at), 2))), layout)
+
+
+def test_a_press_without_pins_is_refused(layout, moved) -> None:
+    with pytest.raises(InputError, match="every pin is lost"):
+        laid_on(press(layout, np.full_like(moved, np.nan)), layout)

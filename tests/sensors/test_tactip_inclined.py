@@ -1,0 +1,135 @@
+"""The tip on an inclined top, coarse: the field's symmetry, the untouched dome, force and area over approach."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate.core.errors import RangeError
+from palpate.mechanics.tip_bodies import tip_modes, top_modes
+from palpate.mechanics.tip_table import tip_table
+from palpate.sensors.tactip import inclined as module
+from palpate.sensors.tactip import pictured, tactip
+from palpate.sensors.tactip.inclined import Inclined, inclined
+from palpate.sensors.tactip.pins import Turned, lattice
+
+TILT = float(np.deg2rad(30))
+FORCES = np.array([0.5, 1.0, 2.0, 4.0])
+
+
+@pytest.fixture(scope="module")
+def tilted() -> dict[str, Inclined]:
+    """A rigid and a soft specimen at 30 degrees; meshes and states fewer than shipped, and nothing cached."""
+    table = tip_table("base")
+    coarse = tip_modes(
+        table.radius_m, table.skin_m, table.skin_pa, table.gel_pa, table.poisson_ratio,
+        rings=26, azimuths=18, modes=22,
+    )  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "tip_of", lambda name: (table, coarse))
+        patch.setattr(module, "_unit_top", lambda r, h, nu: top_modes(r, h, 1.0, nu, rings=22, modes=22))
+        patch.setattr(module, "STATES", 9)
+        return {
+            name: module._inclined.__wrapped__("base", 0.5, pa, TILT)
+            for name, pa in (("rigid", np.inf), ("soft", 5e4))
+        }
+
+
+def places(specimen: Inclined, force_n: float, lean=(0.0, 0.0)):
+    spec = tactip()
+    deep = np.interp(force_n, specimen.lift_n, specimen.approach_m)
+    skin = specimen.skin(float(deep), lean)
+    return skin.at(*lattice(spec.pins, specimen.inner_radius_m))
+
+
+@pytest.mark.parametrize("name", ["rigid", "soft"])
+def test_at_zero_approach_the_skin_is_the_untouched_dome(tilted, name) -> None:
+    specimen = tilted[name]
+    at, normals = places(specimen, 0.0)
+    centre = np.array([0.0, 0.0, 0.02])
+    assert_allclose(np.linalg.norm(at - centre, axis=1), specimen.inner_radius_m, atol=1e-9)
+    assert_allclose(normals, (centre - at) / specimen.inner_radius_m, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["rigid", "soft"])
+def test_a_field_is_its_own_mirror_across_the_slope(tilted, name) -> None:
+    """The top leans along x; pins at y and -y are each other's mirror."""
+    spec = tactip()
+    polar, azimuth = lattice(spec.pins, tilted[name].inner_radius_m)
+    deep = float(np.interp(4.0, tilted[name].lift_n, tilted[name].approach_m))
+    skin = tilted[name].skin(deep, (0.0, 0.0))
+    (at, normals), (other, others) = skin.at(polar, azimuth), skin.at(polar, -azimuth)
+    assert_allclose(other, at * [1, -1, 1], atol=1e-8)
+    assert_allclose(others, normals * [1, -1, 1], atol=1e-6)
+
+
+def test_normals_have_unit_length_and_point_into_the_tip(tilted) -> None:
+    for force in FORCES:
+        at, normals = places(tilted["soft"], force)
+        assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-9)
+        inward = np.array([0.0, 0.0, 0.02]) - at
+        assert ((normals * inward).sum(axis=1) > 0).all()
+
+
+def test_the_tip_is_pushed_in_on_the_side_that_touches(tilted) -> None:
+    (rest, _), (now, _) = (places(tilted["rigid"], force) for force in (0.0, 4.0))
+    moved = np.linalg.norm(now - rest, axis=1)
+    x = rest[:, 0]
+    sides = moved[x > 5e-3].mean(), moved[x < -5e-3].mean()
+    assert max(sides) > 3 * min(sides)
+
+
+@pytest.mark.parametrize("name", ["rigid", "soft"])
+def test_force_rises_with_approach_and_area_with_force(tilted, name) -> None:
+    specimen = tilted[name]
+    deep = np.linspace(0, specimen.deepest_m, 200)
+    force = specimen.force_n(deep)
+    assert force[0] == 0
+    assert (np.diff(force) > 0).all()
+    assert force[-1] >= 5.5
+    assert_allclose(specimen.force_n(specimen.approach_m), specimen.lift_n, rtol=1e-9, atol=1e-12)
+    area = specimen.area_m2(np.linspace(0, 5.5, 100))
+    assert area[0] == 0
+    assert (np.diff(area) > 0).all()
+    # whole cells of a coarse mesh are counted: a tenth at large contacts
+    large = specimen.lift_n > 2
+    assert_allclose(specimen.area_m2(specimen.lift_n[large]), specimen.touched_m2[large], rtol=0.1)
+
+
+def test_before_contact_nothing_has_moved_and_there_is_no_force(tilted) -> None:
+    assert_allclose(tilted["soft"].force_n(np.array([-1e-3, 0.0])), 0.0)
+
+
+def test_a_softer_top_yields_more_and_is_touched_over_more(tilted) -> None:
+    rigid, soft = tilted["rigid"], tilted["soft"]
+    for force in FORCES:
+        deep = [float(np.interp(force, one.lift_n, one.approach_m)) for one in (rigid, soft)]
+        assert deep[1] > 1.1 * deep[0]
+    assert soft.area_m2(FORCES)[-1] > 1.05 * rigid.area_m2(FORCES)[-1]
+
+
+def test_a_lean_turns_the_whole_field_about_the_domes_centre(tilted) -> None:
+    """A lean of 0.03 rad along x moves every place by as much as that turn of the sphere does."""
+    specimen = tilted["soft"]
+    turned = specimen.skin(0.0, (0.03, 0.0))
+    assert isinstance(turned, Turned)
+    at, _ = turned.at(*lattice(tactip().pins, specimen.inner_radius_m))
+    still, _ = places(specimen, 0.0)
+    assert_allclose(at, still, atol=1e-9)  # the untouched dome looks alike from everywhere
+    (upright, _), (leant, _) = (places(specimen, 4.0, lean) for lean in ((0.0, 0.0), (0.03, 0.0)))
+    off = np.linalg.norm(leant - upright, axis=1)
+    assert 1e-5 < off.max() < 0.03 * 0.02
+
+
+def test_pins_of_an_inclined_press_stay_in_the_image(tilted) -> None:
+    spec, specimen = tactip(), tilted["soft"]
+    at, radius = pictured(spec, specimen.skin(specimen.deepest_m, (0.0, 0.0)))
+    assert np.isfinite(at).all()
+    assert (radius > 1).all()
+    assert at.min() > 0
+    assert at.max() < spec.camera.size_px
+
+
+@pytest.mark.parametrize(("pa", "tilt"), [(0.0, 0.5), (-1.0, 0.5), (1e5, -0.1), (1e5, 1.0), (np.nan, 0.5), (1e5, np.nan)])
+def test_what_is_not_modelled_is_refused(pa, tilt) -> None:
+    with pytest.raises(RangeError, match="0 to 50 degrees"):
+        inclined(tactip(), pa, tilt)
