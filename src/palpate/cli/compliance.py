@@ -137,38 +137,81 @@ def compare(
     print_found(found, _compared(found), json_)
 
 
+def _area_said(known: bool, error: float | None) -> str:
+    if not known:
+        return "contact area: fewer than two references have a known one"
+    if error is None:
+        return "contact area: calibrated; two references cannot tell how well"
+    return f"contact area: to {100 * error:.1f} %, of trials left out"
+
+
 def _stiff(stiffness_n_per_mm: float | None) -> str:
     return "rigid" if stiffness_n_per_mm is None else f"{stiffness_n_per_mm:.3g} N/mm"
 
 
+NAMES = {
+    "stiffness": "stiffness, by touch",
+    "stiffness_both_cues": "stiffness, both cues",
+    "area_at_4_N": "contact area at 4 N",
+    "spread_rate": "spread rate dA/dF",
+    "modulus": "modulus E*",
+    "radius": "radius R",
+}
+SYMBOLS = {"N_per_mm": "N/mm", "mm2": "mm²", "mm2_per_N": "mm²/N"}
+
+
 def _text(found: dict[str, Any]) -> str:
-    lines = []
-    for one in found["readings"]:
-        ends = " to ".join("inf" if x is None else f"{x:.3g}" for x in (one["low"], one["high"]))
-        value = "inf" if one["value"] is None else f"{one['value']:.3g}"
-        verdict = "valid" if one["valid"] else f"NOT VALID: {one['why']}"
-        lines.append(f"{one['quantity']:20} {value:>8} {one['unit']:10} ({ends}, 90 %)  {verdict}")
+    readings = found["readings"]
+    common = _common([one["why"].split("; ") for one in readings])
+    lines = [_reading(one, common) for one in readings]
     series = found.get("series_stiffness")
     if series:
-        value = series["value_N_per_mm"]
-        lines.append(f"{'sensor and specimen':20} {value:8.3g} N_per_mm   in series, by force and position")
-    lines += [f"flag: {flag}" for flag in found["flags"]]
-    if found["readings"]:
-        lines.append(f"calibration {found['readings'][0]['calibration']}")
+        lines.append(
+            f"{'tip and specimen':22}{series['value_N_per_mm']:9.3g} N/mm    in series, by force and position"
+        )
+    lines += [f"flag: {flag}" for flag in dict.fromkeys([*common, *found["flags"]])]
+    if readings:
+        drift = readings[0]["drift"]
+        lines.append(f"drift {drift['statistic']:.2g} (stale above {drift['limit']:g})")
+        lines.append(f"calibration {readings[0]['calibration']}")
     if "out" in found:
         lines.append(f"picture and readings: {found['out']}")
     return "\n".join(lines)
 
 
+def _common(reasons: list[list[str]]) -> list[str]:
+    """Those that every reading has: said once."""
+    return [why for why in reasons[0] if why and all(why in each for each in reasons)] if reasons else []
+
+
+def _reading(one: dict[str, Any], common: list[str]) -> str:
+    ends = " to ".join("inf" if x is None else f"{x:.3g}" for x in (one["low"], one["high"]))
+    value = "inf" if one["value"] is None else f"{one['value']:.3g}"
+    own = "; ".join(why for why in one["why"].split("; ") if why not in common)
+    verdict = "valid" if one["valid"] else f"NOT VALID: {own}" if own else "NOT VALID, see flag"
+    unit = SYMBOLS.get(one["unit"], one["unit"])
+    return f"{NAMES[one['quantity']]:22}{value:>9} {unit:7} ({ends}, 90 %)  {verdict}"
+
+
 def _compared(found: dict[str, Any]) -> str:
     lines = []
     for cue, one in found["cues"].items():
-        means = ", ".join(f"{name} {mean:.3g}" for name, mean in one["mean"].items())
+        told = ", ".join(
+            f"{name} {mean:.3g} ({one['interval_95'][name][0]:.3g} to {one['interval_95'][name][1]:.3g})"
+            for name, mean in one["mean"].items()
+        )
         worst = max(one["pairs"], key=lambda pair: pair["rank_sum_p"])
-        lines.append(f"{cue}: {means}")
+        missing = [name for name in found["trials"] if name not in one["mean"]]
+        lines.append(f"{cue}: {told}" + (f"; no two valid readings: {', '.join(missing)}" if missing else ""))
         lines.append(
-            f"    Kruskal-Wallis p {one['kruskal_p']:.2g}; worst pair {worst['first']}, {worst['second']}: "
+            f"    Kruskal-Wallis p {one['kruskal_p']:.2g}; least apart {worst['first']}, {worst['second']}: "
             f"rank-sum p {worst['rank_sum_p']:.2g} (at least {worst['least_p']:.2g} for so many trials)"
         )
-    lines.append(f"trials, tests and picture: {found['out']}")
+    if found["references"]:
+        lines.append(f"{', '.join(found['references'])}: references of this calibration, read by it")
+    if "pooled_divergence" in found:
+        pooled = found["pooled_divergence"]
+        lines.append(f"pooled samples: Kruskal-Wallis p {pooled['kruskal_p']:.2g}")
+        lines += [f"warning: {warning}" for warning in pooled["warnings"]]
+    lines.append(f"means with 95 % intervals over trials; trials, tests and picture: {found['out']}")
     return "\n".join(lines)

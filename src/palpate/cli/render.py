@@ -119,6 +119,10 @@ def tactip(
         typer.Option(help="NAME=STIFFNESS [N/mm] of a cylinder 40 mm high and wide; again for more."),
     ] = None,
     rigid: Annotated[bool, typer.Option("--rigid", help="Press a rigid plate as well.")] = False,
+    unknown: Annotated[
+        list[str] | None,
+        typer.Option(help="Name whose stiffness specimens.csv shall not tell; again for more."),
+    ] = None,
     tilt_deg: Annotated[
         float,
         typer.Option(
@@ -138,20 +142,23 @@ def tactip(
     """Press the virtual TacTip on soft specimens and write what its rig would record.
 
     Without --specimen and --rigid the compliance report's five are pressed: rigid, S1 of 7.6 N/mm, S2 of 3.1,
-    S3 of 1.1 and new of 5.3. Each press is a TIFF of frames and a table of force beside it.
+    S3 of 1.1 and new of 5.3, which specimens.csv does not tell. Each press is a TIFF of frames and a table of force beside it.
 
     Example: palpate render tactip presses --specimen S1=7.6 --specimen S2=3.1 --trials 3
     """
     from palpate.core.files import refuse_existing
     from palpate.sensors.tactip import tactip as tactip_of
-    from palpate.studies.tactip_trials import REPORT_N_M, record_trials, specimens_at
+    from palpate.studies.tactip_trials import REPORT_N_M, UNKNOWN, record_trials, specimens_at
 
     refuse_existing(out)  # before solving for minutes
-    stiffness = _stiffnesses(specimen or [], rigid) or REPORT_N_M
+    own = _stiffnesses(specimen or [], rigid)
+    stiffness, hidden = own or REPORT_N_M, unknown or ([] if own else list(UNKNOWN))
     spec = replace(tactip_of(pins), tip=tip, speed_m_s=1e-3 * speed_mm_s)
     with progress_bar(quiet) as progress:
         pressed = specimens_at(spec, stiffness, math.radians(tilt_deg), progress=progress)
-        made = record_trials(out, spec, pressed, trials, seed=seed, runs=runs, progress=progress)
+        made = record_trials(
+            out, spec, pressed, trials, seed=seed, unknown=hidden, runs=runs, progress=progress
+        )
     found, text = _trials_said(made, stiffness, tilt_deg, runs)
     print_found(found, text, json_)
 

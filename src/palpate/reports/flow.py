@@ -133,7 +133,7 @@ def _field(axes: Axes, field: FlowField, title: str) -> None:
     )
     key = float(f"{longest:.1g}")
     axes.quiverkey(
-        arrows, 0.93, 1.04, key, f"mean of {side} x {side} px: {key:g} px", labelpos="W", coordinates="axes"
+        arrows, 0.93, -0.12, key, f"mean of {side} x {side} px: {key:g} px", labelpos="W", coordinates="axes"
     )
     axes.set_title(title, loc="left")
     axes.set(xlabel="x [px]", ylabel="y [px]", xlim=(-0.5, w - 0.5), ylim=(h - 0.5, -0.5))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,9 @@ from palpate.version import __version__
 
 REPORT_N_M = {"rigid": math.inf, "S1": 7.6e3, "S2": 3.1e3, "S3": 1.1e3, "new": 5.3e3}
 """The compliance report's specimens (source "R" of `sensors.tactip.spec`) [N/m]."""
+
+UNKNOWN = ("new",)
+"""Of these, the one that a calibration shall not be told."""
 
 TRUTH = "virtual.json"
 LICENCE = "CC0-1.0"
@@ -92,6 +95,7 @@ def record_trials(
     trials: int = 5,
     *,
     seed: int = 0,
+    unknown: Collection[str] = (),
     runs: bool = False,
     progress: Progress = silent,
 ) -> PressFolder:
@@ -107,6 +111,7 @@ def record_trials(
         specimens: name -> stiffness, inf for a rigid plate [N/m], and what is pressed.
         trials: of each.
         seed: of everything random, 0 or more.
+        unknown: names whose stiffness `specimens.csv` leaves empty; `virtual.json` has it.
         runs: also write each press as a run, in a folder of the press's name.
         progress: told how many trials are done.
 
@@ -122,7 +127,8 @@ def record_trials(
         )
     truths: dict[str, dict[str, Any]] = {name: {} for name in specimens}
     with new_folder(out) as building:
-        write_specimens(building, {name: stiffness for name, (stiffness, _) in specimens.items()})
+        told = {name: math.nan if name in unknown else k for name, (k, _) in specimens.items()}
+        write_specimens(building, told)
         for i, (name, (_, specimen)) in enumerate(specimens.items()):
             for k in range(1, trials + 1):
                 made = trial(spec, specimen, _seed(seed, name, k))

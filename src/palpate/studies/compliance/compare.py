@@ -71,6 +71,7 @@ def compare_specimens(
     table = trials_table(groups, known)
     found: dict[str, Any] = {
         "calibration": None if known is None else known.id,
+        "references": [] if known is None else [name for name in groups if name in known.names],
         "trials": {name: len(each) for name, each in groups.items()},
         "cues": tests_of(table),
     }
@@ -105,7 +106,9 @@ def trials_table(groups: Groups, calibration: ComplianceCalibration | None) -> p
         for name, each in groups.items()
         for i, one in enumerate(each)
     ]
-    return pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
+    first = ["specimen", "trial", *(cue for cue in LABELS if cue in table)]
+    return table[first + [column for column in table if column not in first]]
 
 
 def tests_of(table: pd.DataFrame) -> dict[str, Any]:

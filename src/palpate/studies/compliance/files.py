@@ -170,6 +170,7 @@ def calibrate_folder(
         "pins": len(made.layout_px),
         "error_between_references": _finite(made.touch.between),
         "error_between_references_both_cues": None if made.both is None else _finite(made.both.between),
+        "area_known": made.area is not None,
         "area_error": None if made.area is None else _finite(made.area.spread),
         "tilt_deg": tilt_deg,
     }
