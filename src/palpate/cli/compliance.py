@@ -98,18 +98,12 @@ def calibrate(
         f"{one['specimen']} ({_stiff(one['stiffness_N_per_mm'])}, {one['trials']} trials)"
         for one in found["references"]
     )
-    between, area = found["error_between_references"], found["area_error"]
+    between = found["error_between_references"]
     lines = [
         f"{out}: {found['calibration']}, {found['pins']} pins, on {names}",
-        "a reference between others is told by them to "
-        + (
-            "no known error (two references)"
-            if between is None
-            else f"{100 * between:.1f} % of its stiffness"
-        ),
-        "contact area: no reference has a known one"
-        if area is None
-        else f"contact area to {100 * area:.1f} %",
+        "each inner reference, read from the others: "
+        + ("none is between two references" if between is None else f"off by up to {100 * between:.1f} %"),
+        _area_said(found["area_known"], found["area_error"]),
     ]
     print_found(found, "\n".join(lines), json_)
 
@@ -209,9 +203,11 @@ def _compared(found: dict[str, Any]) -> str:
         )
     if found["references"]:
         lines.append(f"{', '.join(found['references'])}: references of this calibration, read by it")
-    if "pooled_divergence" in found:
-        pooled = found["pooled_divergence"]
-        lines.append(f"pooled samples: Kruskal-Wallis p {pooled['kruskal_p']:.2g}")
+    if "pooled_sums" in found:
+        pooled = found["pooled_sums"]
+        lines.append(
+            f"equation (12) at all frames above 2.5 N, pooled: Kruskal-Wallis p {pooled['kruskal_p']:.2g}"
+        )
         lines += [f"warning: {warning}" for warning in pooled["warnings"]]
     lines.append(f"means with 95 % intervals over trials; trials, tests and picture: {found['out']}")
     return "\n".join(lines)

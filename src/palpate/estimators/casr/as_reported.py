@@ -47,6 +47,14 @@ class AsReported:
     area: Float[ndarray, " f"]
     spreads: dict[str, Spread]
 
+    @property
+    def summed(self) -> Float[ndarray, " f"]:
+        """Equation (12) up to every frame, with F_0 = 0 and steps of equal force left out [1/N]."""
+        A = np.exp(np.cumsum(self.divergence) * self.force_n)
+        step = np.diff(self.force_n, prepend=0.0)
+        slopes = np.divide(np.diff(A, prepend=1.0), step, out=np.zeros_like(step), where=step != 0)
+        return np.cumsum(slopes)
+
     def above(self, force_n: float) -> AsReported:
         """The same of frames above a force; the report takes 2.5 N in its section V [N]."""
         kept = self.force_n >= force_n

@@ -21,7 +21,7 @@ from palpate.recordings.press_folder import PressFolder, press_folder
 from palpate.recordings.press_table import read_press_table
 from palpate.recordings.sequences import open_sequence
 from palpate.reports.compliance import compare_figure
-from palpate.studies.compliance.cues import Cues, cues_of
+from palpate.studies.compliance.cues import LATE_N, Cues, cues_of
 
 DRAWS = 2000
 BESIDE = ("frames", "series_adjusted_r2")  # of the table, but no cues
@@ -78,7 +78,7 @@ def compare_specimens(
     if known is not None:
         found["specimens"] = pooled_readings(groups, known)
     if pooled:
-        found["pooled_divergence"] = asdict(_pooled(groups))
+        found["pooled_sums"] = asdict(_pooled(groups))
     with new_folder(out) as building, storage_errors(out):
         table.to_csv(building / "trials.csv", index=False)
         (building / "comparison.json").write_text(json.dumps(_null(found), indent=1, allow_nan=False) + "\n")
@@ -145,7 +145,11 @@ def pooled_readings(groups: Groups, calibration: ComplianceCalibration) -> dict[
 
 
 def _pooled(groups: Groups) -> Comparison:
-    return compare({name: [c.late.area for c in each] for name, each in groups.items()}, pooled=True)
+    """Of equation (12) at every frame above 2.5 N, as the report pools them."""
+    sums = {
+        name: [c.reported.summed[c.reported.force_n >= LATE_N] for c in each] for name, each in groups.items()
+    }
+    return compare(sums, pooled=True)
 
 
 def _figure(groups: Groups, table: pd.DataFrame, calibration: ComplianceCalibration | None) -> Any:

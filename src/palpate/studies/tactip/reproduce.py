@@ -323,7 +323,9 @@ def _panels(one: Experiment) -> dict[str, tuple[draw.Courses, draw.Groups]]:
         name: [(c.force_n, 1e6 * c.area_m2[:, 0]) for c in (_course(one, cue) for cue in cues)]
         for name, cues in unseen.items()
     }
-    summed = {name: [_summed(cue) for cue in cues] for name, cues in unseen.items()}
+    summed = {
+        name: [(cue.reported.force_n, cue.reported.summed) for cue in cues] for name, cues in unseen.items()
+    }
     return {
         "contact area [mm²]|spread rate dA/dF [mm²/N]": (area, groups_of(one, "spread_rate_mm2_per_N")),
         "eq. (12) up to this force, over A0 [1/N]|eq. (12) above 2.5 N, over A0 [1/N]": (
@@ -331,15 +333,6 @@ def _panels(one: Experiment) -> dict[str, tuple[draw.Courses, draw.Groups]]:
             groups_of(one, "divergence_paper_per_N"),
         ),
     }
-
-
-def _summed(cue: Any) -> tuple[Any, Any]:
-    """Equation (12) up to every frame."""
-    force, D = cue.reported.force_n, cue.reported.divergence
-    A = np.exp(np.cumsum(D) * force)
-    step = np.diff(force, prepend=0.0)
-    slopes = np.divide(np.diff(A, prepend=1.0), step, out=np.zeros_like(step), where=step != 0)
-    return force, np.cumsum(slopes)
 
 
 def _told(one: Experiment, cue: str) -> draw.Told:
