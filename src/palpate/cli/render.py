@@ -142,7 +142,8 @@ def tactip(
     """Press the virtual TacTip on soft specimens and write what its rig would record.
 
     Without --specimen and --rigid the compliance report's five are pressed: rigid, S1 of 7.6 N/mm, S2 of 3.1,
-    S3 of 1.1 and new of 5.3, which specimens.csv does not tell. Each press is a TIFF of frames and a table of force beside it.
+    S3 of 1.1 and new of 5.3, which specimens.csv does not tell. Each press is a TIFF of frames and a table of
+    force beside it.
 
     Example: palpate render tactip presses --specimen S1=7.6 --specimen S2=3.1 --trials 3
     """
