@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from tests.virtual_presses import KAPPA_N_M, pressed, references, without_area
 
 from palpate.calibration.compliance import (
     LEVELS_N,
@@ -17,7 +18,6 @@ from palpate.calibration.compliance_reading import read_touch
 from palpate.core.errors import CertificateError, ExistsError, InputError, RangeError, StorageError
 from palpate.sensors.tactip import tactip
 from palpate.studies.tactip_trials import modulus_pa, specimens_at
-from tests.virtual_presses import KAPPA_N_M, pressed, references, without_area
 
 TRIALS = 3
 

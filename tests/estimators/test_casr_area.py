@@ -34,7 +34,10 @@ def test_a_log_area_that_the_fit_can_follow_comes_back(rng) -> None:
 def test_the_interval_is_as_wide_as_the_worst_references_error(rng) -> None:
     """Areas of one reference scatter by 5 %, which trials that are left out show."""
     measures, areas, which = trials(rng, 3, each=6)
-    areas = [a * (np.exp(0.05 * rng.standard_normal()) if k == 1 else 1.0) for a, k in zip(areas, which, strict=True)]
+    areas = [
+        a * (np.exp(0.05 * rng.standard_normal()) if k == 1 else 1.0)
+        for a, k in zip(areas, which, strict=True)
+    ]
     fit = fit_area(measures, areas, which)
     assert 0.025 < fit.spread < 0.1
     area, low, high = fit.at(measures[0], coverage=0.9)[0]
