@@ -1,4 +1,4 @@
-"""A tip calibrated on references: what it says of others, when it says that it does not know, and its file."""
+"""A tip calibrated on references: what it says of others, when it does not know, and its file."""
 
 from dataclasses import replace
 
@@ -158,7 +158,7 @@ def test_pins_that_moved_against_each_other_are_drift(calibration, fresh, rng) -
 
 def test_a_shift_of_the_whole_image_is_no_drift(calibration, fresh) -> None:
     (press, *_) = fresh["new"]
-    shifted = replace(press, untouched_px=press.untouched_px + [3.0, -2.0])
+    shifted = replace(press, untouched_px=press.untouched_px + np.array([3.0, -2.0]))
     there, here = (read_touch(calibration, [one]).stiffness for one in (shifted, press))
     assert_allclose(there.value, here.value, rtol=1e-6)
     assert not there.drift.drifted

@@ -1,4 +1,4 @@
-"""The tip on an inclined top, coarse: the field's symmetry, the untouched dome, force and area over approach."""
+"""The tip on an inclined top, coarse: symmetry, the untouched dome, force and area over approach."""
 
 import numpy as np
 import pytest

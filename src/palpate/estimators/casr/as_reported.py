@@ -95,8 +95,8 @@ def as_reported(
     divergence = np.array([step.divergence for step in steps])[-len(used) :]
     if len(divergence) < len(used) or not len(used):
         raise InputError(
-            f"{len(divergence)} steps between frames for {len(used)} frames under {CONTACT_N:g} to {GREATEST_N:g} N; "
-            "give the frames and the table of one press, from a frame before contact on"
+            f"{len(divergence)} steps between frames for {len(used)} frames under {CONTACT_N:g} to "
+            f"{GREATEST_N:g} N; give the frames and the table of one press, from a frame before contact on"
         )
     force, area = smooth[at[used]], area_m2(1.0, divergence)
     return AsReported(force, divergence, area, _spreads(force, divergence, area))
