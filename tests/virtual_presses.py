@@ -24,9 +24,7 @@ NOISE_PX = 0.02  # of a pin's centre, as it is found in a frame
 
 def seen(made: Trial) -> ReferenceTrial:
     """Frames rendered, pins followed."""
-    press = watched(
-        list(made.frames()), made.raw_n, made.frame_sample, made.actual_m, made.time_s
-    )
+    press = watched(list(made.frames()), made.raw_n, made.frame_sample, made.actual_m, made.time_s)
     return ReferenceTrial(press, made.true_area_m2[made.frame_sample[press.frame]])
 
 

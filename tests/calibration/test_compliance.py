@@ -1,10 +1,11 @@
-"""A tip calibrated on references: what it says of others, when it says that it does not know, and its file."""
+"""A tip calibrated on references: what it says of others, when it does not know, and its file."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from tests.virtual_presses import KAPPA_N_M, pressed, references, without_area
 
 from palpate.calibration.compliance import (
     LEVELS_N,
@@ -17,7 +18,6 @@ from palpate.calibration.compliance_reading import read_touch
 from palpate.core.errors import CertificateError, ExistsError, InputError, RangeError, StorageError
 from palpate.sensors.tactip import tactip
 from palpate.studies.tactip_trials import modulus_pa, specimens_at
-from tests.virtual_presses import KAPPA_N_M, pressed, references, without_area
 
 TRIALS = 3
 
@@ -158,7 +158,7 @@ def test_pins_that_moved_against_each_other_are_drift(calibration, fresh, rng) -
 
 def test_a_shift_of_the_whole_image_is_no_drift(calibration, fresh) -> None:
     (press, *_) = fresh["new"]
-    shifted = replace(press, untouched_px=press.untouched_px + [3.0, -2.0])
+    shifted = replace(press, untouched_px=press.untouched_px + np.array([3.0, -2.0]))
     there, here = (read_touch(calibration, [one]).stiffness for one in (shifted, press))
     assert_allclose(there.value, here.value, rtol=1e-6)
     assert not there.drift.drifted

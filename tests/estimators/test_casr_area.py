@@ -1,4 +1,4 @@
-"""Contact area from measures of a frame: what the fit can follow comes back, and what it cannot know is NaN."""
+"""Contact area from measures of a frame: what can be followed comes back, what cannot be known is NaN."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,10 @@ def test_a_log_area_that_the_fit_can_follow_comes_back(rng) -> None:
 def test_the_interval_is_as_wide_as_the_worst_references_error(rng) -> None:
     """Areas of one reference scatter by 5 %, which trials that are left out show."""
     measures, areas, which = trials(rng, 3, each=6)
-    areas = [a * (np.exp(0.05 * rng.standard_normal()) if k == 1 else 1.0) for a, k in zip(areas, which, strict=True)]
+    areas = [
+        a * (np.exp(0.05 * rng.standard_normal()) if k == 1 else 1.0)
+        for a, k in zip(areas, which, strict=True)
+    ]
     fit = fit_area(measures, areas, which)
     assert 0.025 < fit.spread < 0.1
     area, low, high = fit.at(measures[0], coverage=0.9)[0]
@@ -70,7 +73,7 @@ def test_the_calibrated_range_is_that_of_the_areas(rng) -> None:
 
 
 def test_too_few_frames_are_refused(rng) -> None:
-    with pytest.raises(InputError, match="29 frames.*30 or more"):
+    with pytest.raises(InputError, match=r"29 frames.*30 or more"):
         fit_area([rng.uniform(-1, 1, (29, 2))], [np.ones(29)], [0])
     measures, areas, which = trials(rng, 3)
     with pytest.raises(InputError, match="0 frames"):
@@ -93,7 +96,7 @@ def test_motion_along_few_directions_is_told_by_as_many_measures(rng) -> None:
 
 
 def test_a_ring_is_measured_where_there_is_one() -> None:
-    """Motion r (1 - r^2 / c^2) outwards is greatest at c / sqrt 3; the middle's stretch is twice the slope."""
+    """Motion r (1 - r^2 / c^2) outwards is greatest at c / sqrt 3; the stretch is twice its slope."""
     i, j = np.meshgrid(np.arange(-7, 8), np.arange(-7, 8))
     at = 10.0 * np.stack([i + j / 2, np.sqrt(0.75) * j], axis=-1).reshape(-1, 2)
     at = at[np.hypot(*at.T) < 71]

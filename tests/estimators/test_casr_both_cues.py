@@ -95,7 +95,9 @@ def rigid(finger: Body, rng=None) -> Press:
 
 def test_a_hertz_finger_is_found_from_its_presses_on_a_rigid_plate(rng) -> None:
     found = finger_of([rigid(FINGER), rigid(FINGER)])
-    assert_allclose((found.body.modulus_pa, found.body.radius_m), (FINGER.modulus_pa, FINGER.radius_m), rtol=1e-6)
+    assert_allclose(
+        (found.body.modulus_pa, found.body.radius_m), (FINGER.modulus_pa, FINGER.radius_m), rtol=1e-6
+    )
     assert found.misfit < 1e-6
     assert found.modulus_spread < 1e-6
     noisy = finger_of([rigid(FINGER, rng) for _ in range(5)])

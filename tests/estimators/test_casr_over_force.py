@@ -105,7 +105,7 @@ def test_another_layout_is_refused(layout, moved, other) -> None:
     at = {
         "larger": middle + 1.3 * (layout - middle),
         "turned": middle + (layout - middle) @ np.array([[c, s], [-s, c]]),
-        "denser": np.concatenate([layout, layout + [6.0, 0.0]]),
+        "denser": np.concatenate([layout, layout + np.array([6.0, 0.0])]),
         "fewer": layout[: len(layout) // 2],
     }[other]
     with pytest.raises(InputError, match="calibrate for it"):

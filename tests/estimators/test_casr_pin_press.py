@@ -101,7 +101,7 @@ def test_a_force_that_was_never_biased_is_refused(made, frames) -> None:
 
 
 def test_too_few_frames_are_refused(made, frames) -> None:
-    with pytest.raises(InputError, match="6 are needed.*more frames a second"):
+    with pytest.raises(InputError, match=r"6 are needed.*more frames a second"):
         watched(frames[::5], made.raw_n, made.frame_sample[::5])
 
 
@@ -116,7 +116,7 @@ def test_no_frame_is_refused(made) -> None:
 
 
 def test_a_force_that_never_reaches_contact_is_refused(made, frames) -> None:
-    with pytest.raises(InputError, match="never stays above 0.5 N"):
+    with pytest.raises(InputError, match=r"never stays above 0\.5 N"):
         watch(made, frames, force_n=made.raw_n / 20)
 
 
@@ -128,7 +128,7 @@ def test_unloading_alone_is_refused(made, frames) -> None:
 def test_a_force_with_holes_is_refused(made, frames) -> None:
     force = made.raw_n.copy()
     force[60] = np.nan
-    with pytest.raises(InputError, match="not finite|spikes"):
+    with pytest.raises(InputError, match=r"not finite|spikes"):
         watch(made, frames, force_n=force)
 
 

@@ -64,7 +64,7 @@ def test_intervals_hold_as_often_as_they_say(world, rng, trials) -> None:
 
 
 def test_scatter_along_a_known_lean_widens_the_interval_little(world, rng) -> None:
-    """The lean moves a trial by a tenth of the whole curve; discounted, a quarter of kappa is left at most."""
+    """The lean moves a trial by a tenth of the curve; discounted, it leaves a quarter of kappa at most."""
     value, low, high = world.curve(rng).of(world.trials(3.1e3, 1, rng)).kappa_n_m
     assert (high - low) / value < 0.25
 

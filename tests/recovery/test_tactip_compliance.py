@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.virtual_presses import KAPPA_N_M, pressed, references
 
 from palpate.calibration.compliance import calibrate_compliance
 from palpate.calibration.compliance_reading import read_touch
 from palpate.sensors.tactip import tactip
 from palpate.studies.tactip_trials import specimens_at
-from tests.virtual_presses import KAPPA_N_M, pressed, references
 
 SEEDS, TRIALS = 20, 5
 STIFFEST_FIRST = ("S1", "new", "S2", "S3")

@@ -1,4 +1,4 @@
-"""The tip on an inclined top, coarse: the field's symmetry, the untouched dome, force and area over approach."""
+"""The tip on an inclined top, coarse: symmetry, the untouched dome, force and area over approach."""
 
 import numpy as np
 import pytest
@@ -129,7 +129,9 @@ def test_pins_of_an_inclined_press_stay_in_the_image(tilted) -> None:
     assert at.max() < spec.camera.size_px
 
 
-@pytest.mark.parametrize(("pa", "tilt"), [(0.0, 0.5), (-1.0, 0.5), (1e5, -0.1), (1e5, 1.0), (np.nan, 0.5), (1e5, np.nan)])
+@pytest.mark.parametrize(
+    ("pa", "tilt"), [(0.0, 0.5), (-1.0, 0.5), (1e5, -0.1), (1e5, 1.0), (np.nan, 0.5), (1e5, np.nan)]
+)
 def test_what_is_not_modelled_is_refused(pa, tilt) -> None:
     with pytest.raises(RangeError, match="0 to 50 degrees"):
         inclined(tactip(), pa, tilt)

@@ -25,7 +25,6 @@ class ReadsByDefault(TyperGroup):
 
 app = typer.Typer(
     cls=ReadsByDefault,
-    help="Softness in N/mm from presses: PRESS --force TABLE reads one; calibrate and compare take folders.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -37,7 +36,7 @@ Calibration = Annotated[
 
 @app.callback()
 def start() -> None:
-    """Softness in N/mm from presses of a sensor with pins.
+    """Softness in N/mm from presses: PRESS --force TABLE reads one; calibrate and compare take folders.
 
     Example: palpate compliance PRESS.tif --force force.csv --calibration tip.npz
     """

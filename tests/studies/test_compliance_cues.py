@@ -1,0 +1,74 @@
+"""Cues of a press and tests between specimens: a value a trial, and what cannot be told left out."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate.recordings.press_table import PressTable
+from palpate.sensors.tactip import HeadOn, tactip, trial
+from palpate.studies.compliance.compare import bootstrap, trials_table
+from palpate.studies.compliance.compare import tests_of as told_apart  # pytest takes its own name for a test
+from palpate.studies.compliance.cues import cues_of, series
+from palpate.studies.tactip.experiment import table_of
+
+
+@pytest.fixture(scope="module")
+def cues():
+    spec = tactip()
+    made = trial(spec, HeadOn(spec.table.press(0.2419e6), spec.table.radius_m), seed=3)
+    return cues_of(list(made.frames()), table_of(made))
+
+
+def test_cues_without_a_calibration_are_relative_ones(cues) -> None:
+    row = cues.row(None)
+    assert set(row) == {
+        "series_stiffness_N_per_mm", "series_adjusted_r2", "accumulated_divergence", "frames",
+        "divergence_regression_per_N", "divergence_secant_per_N", "divergence_paper_per_N",
+    }  # fmt: skip
+    assert np.isfinite(list(row.values())).all()
+    assert (cues.late.force_n >= 2.5).all()
+    assert cues.trial.area_m2.shape == cues.trial.press.force_n.shape
+
+
+def test_force_over_position_is_the_stiffness_of_all_that_yields(rng) -> None:
+    depth = np.linspace(-1e-3, 3e-3, 400)
+    force = 2e3 * np.maximum(depth, 0)
+    table = PressTable(
+        np.arange(400) / 200, force, depth + 0.7, None, np.arange(400), "force_N", "position_mm", None, False
+    )
+    line = series(table)
+    assert_allclose(line.slope, 2e3, rtol=1e-3)
+    assert line.adjusted_r2 > 0.999
+
+
+def test_a_table_has_a_row_a_trial(cues) -> None:
+    table = trials_table({"S1": [cues, cues], "S2": [cues]}, None)
+    assert list(table["specimen"]) == ["S1", "S1", "S2"]
+    assert list(table["trial"]) == [1, 2, 1]
+
+
+def test_cues_are_tested_where_two_specimens_have_them() -> None:
+    table = pd.DataFrame(
+        {
+            "specimen": ["a"] * 3 + ["b"] * 3,
+            "trial": [1, 2, 3] * 2,
+            "told": [1.0, 1.1, 1.2, 2.0, 2.1, 2.2],
+            "once": [1.0, 1.1, 1.2, 2.0, np.nan, np.nan],
+            "same": [1.0] * 6,
+            "frames": [9.0, 10.0, 11.0, 19.0, 20.0, 21.0],
+        }
+    )
+    found = told_apart(table)
+    assert set(found) == {"told"}  # frames are no cue, and what is alike cannot be tested
+    assert_allclose(found["told"]["mean"]["a"], 1.1)
+    low, high = found["told"]["interval_95"]["a"]
+    assert 1.0 <= low < 1.1 < high <= 1.2
+
+
+def test_a_bootstrap_interval_is_the_same_at_every_call(rng) -> None:
+    values = list(rng.standard_normal(40))
+    assert bootstrap(values) == bootstrap(values)
+    low, high = bootstrap(values)
+    # of a mean of 40: 1.96 / sqrt 40 = 0.31 to either side
+    assert_allclose(high - low, 2 * 1.96 * np.std(values) / np.sqrt(40), rtol=0.15)
