@@ -131,7 +131,7 @@ def test_specimens_are_compared(experiment, calibration, tmp_path, calibrated) -
     assert series["mean"]["rigid"] > series["mean"]["S1"] > series["mean"]["S3"]
     for name, (low, high) in series["interval_95"].items():
         assert low <= series["mean"][name] <= high
-    assert "pseudo-replication" in json.dumps(found["pooled_divergence"])
+    assert "pseudo-replication" in json.dumps(found["pooled_sums"])
     if calibrated:
         told = {name: each[0] for name, each in found["specimens"].items()}
         assert told["S3"]["value"] < told["S1"]["value"]
@@ -141,7 +141,7 @@ def test_specimens_are_compared(experiment, calibration, tmp_path, calibrated) -
 def test_a_comparison_is_told_in_words(experiment, tmp_path) -> None:
     said = compliance("compare", experiment, "--out", tmp_path / "compared", "--quiet").output
     assert "Kruskal-Wallis p" in said
-    assert "worst pair" in said
+    assert "least apart" in said
 
 
 @pytest.mark.parametrize("verb", [(), ("read",), ("calibrate",), ("compare",)])

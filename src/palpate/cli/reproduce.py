@@ -75,7 +75,8 @@ def tactip(
     width = max(len(one["name"]) for one in beside)
     lines = ["Virtual sensor: what the estimators recover of a model, not how good a sensor is."]
     lines += [
-        f"{one['name']:{width}}  {one['value']:.3g} {one['unit']}  (printed: {one['published']:g})"
+        f"{one['name']:{width}}  {one['value']:.3g} {one['unit'] if one['unit'] != '1' else '':4}  "
+        f"(printed: {one['published']:g})"
         for one in beside
         if one["value"] is not None
     ]

@@ -127,8 +127,8 @@ def entries_of(study: Study) -> Iterator[Entry]:
         yield from _tilt_entries(experiment)
     for row in shown_controls(study):
         name = f"0 degrees, {row.condition}: {row.way} over the {row.region}, softest over stiffest"
-        yield entry(name, row.mean[-1] / row.mean[0], "")
-        yield entry(f"{name}, concordance", row.concordance, "")
+        yield entry(name, row.mean[-1] / row.mean[0], "1")
+        yield entry(f"{name}, concordance", row.concordance, "1")
 
 
 def shown_controls(study: Study) -> list[Row]:
@@ -146,10 +146,10 @@ def _plate_entries(plates: Mapping[str, Plate]) -> Iterator[Entry]:
         slopes = [1e-3 * line.slope for line in plate.lines]
         yield entry(f"stiffness of {name} by a rigid plate", np.mean(slopes), "N/mm", KAPPA[name], PLATE_WHY)
     worst = min(line.adjusted_r2 for plate in plates.values() for line in plate.lines)
-    yield entry("adjusted R2 of these lines, the worst", worst, "", ADJUSTED_R2, R2_WHY)
+    yield entry("adjusted R2 of these lines, the worst", worst, "1", ADJUSTED_R2, R2_WHY)
     by_trial = compare({n: [1e-3 * line.slope for line in p.lines] for n, p in plates.items() if n != NEW})
     p = max(pair.rank_sum_p for pair in by_trial.pairs)
-    yield entry("rank-sum p of these, one value a trial, worst pair", p, "", RANK_SUM_P, RANK_WHY)
+    yield entry("rank-sum p of these, one value a trial, worst pair", p, "1", RANK_SUM_P, RANK_WHY)
 
 
 def _tilt_entries(one: Experiment) -> Iterator[Entry]:
@@ -169,9 +169,9 @@ def _tilt_entries(one: Experiment) -> Iterator[Entry]:
         tests = cue_tests(one, cue)
         kruskal = KRUSKAL_P if one.tilt_deg == 0 and cue == "divergence_paper_per_N" else None
         dunn = DUNN_P[one.tilt_deg] if cue == "divergence_paper_per_N" else None
-        yield entry(f"{at}: {CUES[cue]}, Kruskal-Wallis p", tests.kruskal_p, "", kruskal, KRUSKAL_WHY)
+        yield entry(f"{at}: {CUES[cue]}, Kruskal-Wallis p", tests.kruskal_p, "1", kruskal, KRUSKAL_WHY)
         worst = max(pair.dunn_p for pair in tests.pairs)
-        yield entry(f"{at}: {CUES[cue]}, Dunn p, worst pair", worst, "", dunn, DUNN_WHY)
+        yield entry(f"{at}: {CUES[cue]}, Dunn p, worst pair", worst, "1", dunn, DUNN_WHY)
         for name, mean in means(one, cue).items():
             yield entry(f"{at}: {CUES[cue]} of {name}", mean, CUES[cue].split("[")[1].rstrip("]"))
     for name, (error, spread) in area_errors(one).items():
