@@ -200,6 +200,8 @@ class _Said:
         ]
         found = touched(presses, finger, np.random.default_rng(0), COVERAGE)
         why = [found.why] if found.why else []
+        if not np.isfinite(self._fit.spread):
+            why.append(NO_BETWEEN)
         if self.calibration.tilt_rad > HEAD_ON_RAD:
             why.append(INCLINED)
         round_ = [NO_HERTZ.format(finger.misfit, MISFIT)] if finger.misfit > MISFIT else []
