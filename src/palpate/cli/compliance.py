@@ -1,4 +1,4 @@
-"""The verbs of compliance by touch: read a press, calibrate on references, compare specimens."""
+"""The verbs of compliance by touch: read a press, calibrate on references, compare, and the plate."""
 
 from __future__ import annotations
 
@@ -104,6 +104,35 @@ def calibrate(
         + ("none is between two references" if between is None else f"off by up to {100 * between:.1f} %"),
         _area_said(found["area_known"], found["area_error"]),
     ]
+    print_found(found, "\n".join(lines), json_)
+
+
+@app.command()
+@reports_errors
+def plate(
+    tables: Annotated[list[Path], typer.Argument(help="Tables of force and position, one a trial.")],
+    force_column: Annotated[str | None, typer.Option(help="Column of force, if not a usual name.")] = None,
+    position_column: Annotated[
+        str | None, typer.Option(help="Column of position, if not a usual name.")
+    ] = None,
+    rate_hz: Annotated[float | None, typer.Option(help="Rate of the rows [Hz], if without time_s.")] = None,
+    json_: Json = False,
+) -> None:
+    """Stiffness of a specimen itself, from presses with a rigid plate: what specimens.csv asks for.
+
+    Example: palpate compliance plate S1-plate-1.csv S1-plate-2.csv S1-plate-3.csv
+    """
+    from palpate.studies.compliance import by_plate
+
+    found = by_plate(tables, force_column=force_column, position_column=position_column, rate_hz=rate_hz)
+    low, high = found["low_N_per_mm"], found["high_N_per_mm"]
+    ends = ", of one trial" if low is None else f" ({low:.3g} to {high:.3g}, 95 % over trials)"
+    lines = [
+        f"{one['table']}: {one['stiffness_N_per_mm']:.3g} N/mm, adjusted R2 {one['adjusted_r2']:.3g}"
+        for one in found["trials"]
+    ]
+    lines += [f"flag: {flag}" for flag in found["flags"]]
+    lines.append(f"stiffness {found['stiffness_N_per_mm']:.3g} N/mm{ends}")
     print_found(found, "\n".join(lines), json_)
 
 

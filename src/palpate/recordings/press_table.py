@@ -60,7 +60,7 @@ class PressTable:
 
 def read_press_table(
     path: Path,
-    frames: int,
+    frames: int | None,
     *,
     force_column: str | None = None,
     position_column: str | None = None,
@@ -70,7 +70,7 @@ def read_press_table(
 
     Args:
         path: CSV or Parquet with a header.
-        frames: how many images there are.
+        frames: how many images there are; None for a press without a camera.
         force_column: name with a unit of force; None for the first of `FORCES` that is there.
         position_column: name with a unit of length; None for the first of `POSITIONS` that is there.
         rate_hz: of the rows, where the table has no column of times.
@@ -94,7 +94,7 @@ def read_press_table(
         -force if turned else force,
         None if place_name is None else _si(table, path, place_name),
         None if area_name is None else _areas(table, path, area_name),
-        _frame_samples(table, path, frames),
+        np.arange(0) if frames is None else _frame_samples(table, path, frames),
         force_name,
         place_name,
         area_name,

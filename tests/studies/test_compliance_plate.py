@@ -1,0 +1,63 @@
+"""Stiffness by a rigid plate: the slope comes back, a curve is flagged, and bad tables are named."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from palpate.cli import app
+from palpate.core.errors import InputError, LabelError
+from palpate.studies.compliance import by_plate
+
+
+def written(folder, name: str, force_of, **more):
+    """A trial at 5 mm/s and 200 Hz, its force in steps of 1/16 N with noise."""
+    rng = np.random.default_rng(len(name))
+    time = np.arange(700) / 200
+    depth_mm = -1 + 5 * time
+    force = force_of(np.maximum(depth_mm, 0.0)) + 0.02 * rng.standard_normal(len(time))
+    table = pd.DataFrame(
+        {"time_s": time, "force_raw_N": np.rint(force * 16) / 16, "actual_mm": depth_mm} | more
+    )
+    path = folder / f"{name}.csv"
+    table[: int(np.searchsorted(force, 5.5)) + 1 or None].to_csv(path, index=False)
+    return path
+
+
+@pytest.mark.parametrize("kappa", [7.6, 3.1, 1.1])
+def test_the_slope_of_force_over_deformation_is_the_stiffness(tmp_path, kappa) -> None:
+    tables = [written(tmp_path, f"trial{'x' * k}", lambda d: kappa * d) for k in range(3)]
+    found = by_plate(tables)
+    assert found["stiffness_N_per_mm"] == pytest.approx(kappa, rel=0.02)  # steps of 1/16 N over 24 samples
+    assert found["low_N_per_mm"] <= found["stiffness_N_per_mm"] <= found["high_N_per_mm"]
+    assert all(one["adjusted_r2"] > 0.99 for one in found["trials"])
+    assert not found["flags"]
+
+
+def test_a_force_that_is_no_line_is_flagged(tmp_path) -> None:
+    jumps = written(tmp_path, "jumps", lambda d: 0.6 * (d > 0.1) + 4.5 * (d > 4) + 0.01 * d)
+    assert "no line" in by_plate([jumps])["flags"][0]
+
+
+def test_what_is_no_press_of_a_plate_is_refused_in_words(tmp_path) -> None:
+    with pytest.raises(InputError, match="no table"):
+        by_plate([])
+    path = written(tmp_path, "short", lambda d: 3 * d)
+    pd.read_csv(path).drop(columns="actual_mm").to_csv(tmp_path / "none.csv", index=False)
+    with pytest.raises(LabelError, match="no column of position"):
+        by_plate([tmp_path / "none.csv"])
+    turned = pd.read_csv(path).assign(actual_mm=lambda t: -t["actual_mm"])
+    turned.to_csv(tmp_path / "turned.csv", index=False)
+    with pytest.raises(InputError, match="turn the position's sign"):
+        by_plate([tmp_path / "turned.csv"])
+
+
+def test_the_verb_prints_and_speaks_json(tmp_path) -> None:
+    path = str(written(tmp_path, "one", lambda d: 3.1 * d))
+    said = CliRunner().invoke(app, ["compliance", "plate", path])
+    assert said.exit_code == 0
+    assert "N/mm, of one trial" in said.output
+    found = json.loads(CliRunner().invoke(app, ["compliance", "plate", path, "--json"]).output)
+    assert found["low_N_per_mm"] is None
