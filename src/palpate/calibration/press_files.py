@@ -2,42 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from pathlib import Path
+
+from jaxtyping import Shaped
+from numpy import ndarray
 
 from palpate.calibration.compliance import Reference, ReferenceTrial
 from palpate.core.errors import InputError
 from palpate.estimators.casr.pin_press import watched
+from palpate.estimators.networks.base import Progress, silent
 from palpate.recordings.press_folder import PressFolder
 from palpate.recordings.press_table import PressTable, read_press_table
 from palpate.recordings.sequences import open_sequence
 
-Progress = Callable[[str, int, int], None]
+
+def followed(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -> ReferenceTrial:
+    """One press: its pins followed, and its contact area at their frames where the table has it.
+
+    Raises:
+        InputError, ImageError: they cannot be read as a press.
+    """
+    press = watched(frames, table.force_n, table.frame_sample, table.position_m, table.time_s)
+    area = None if table.area_m2 is None else table.area_m2[table.frame_sample[press.frame]]
+    return ReferenceTrial(press, area)
 
 
-def quiet(what: str, done: int, total: int) -> None:
-    """No progress shown."""
-
-
-def load_press(frames: Path, table: Path, **columns: object) -> tuple[ReferenceTrial, PressTable]:
-    """One press: its pins followed, and its contact area where the table has it.
-
-    Args:
-        frames: a multi-page TIFF, a video, a folder of images or a run.
-        table: of its force; see `read_press_table`.
-        columns: for `read_press_table`, e.g. ``rate_hz``.
+def load_press(frames: Path, table: Path) -> ReferenceTrial:
+    """The same from files.
 
     Raises:
         InputError, ImageError, LabelError: what cannot be read as a press.
     """
     with open_sequence(frames) as sequence:
-        held = read_press_table(table, len(sequence), **columns)  # type: ignore[arg-type]
-        press = watched(sequence, held.force_n, held.frame_sample, held.position_m, held.time_s)
-    area = None if held.area_m2 is None else held.area_m2[held.frame_sample[press.frame]]
-    return ReferenceTrial(press, area), held
+        return followed(sequence, read_press_table(table, len(sequence)))
 
 
-def load_references(folder: PressFolder, progress: Progress = quiet) -> list[Reference]:
+def load_references(folder: PressFolder, progress: Progress = silent) -> list[Reference]:
     """The specimens of known stiffness, in the folder's order.
 
     Raises:
@@ -54,7 +55,7 @@ def load_references(folder: PressFolder, progress: Progress = quiet) -> list[Ref
     for one in known:
         trials = []
         for frames, table in one.presses:
-            trials.append(load_press(frames, table)[0])
+            trials.append(load_press(frames, table))
             done += 1
             progress("presses", done, total)
         assert one.stiffness_n_m is not None

@@ -13,9 +13,9 @@ import pandas as pd
 
 from palpate.calibration.compliance import ComplianceCalibration
 from palpate.calibration.compliance_reading import read_touch
-from palpate.calibration.press_files import Progress, quiet
 from palpate.core.errors import InputError
 from palpate.core.files import new_folder, refuse_existing, storage_errors
+from palpate.estimators.networks.base import Progress, silent
 from palpate.psychophysics.groups import Comparison, compare
 from palpate.recordings.press_folder import PressFolder, press_folder
 from palpate.recordings.press_table import read_press_table
@@ -44,7 +44,7 @@ def compare_specimens(
     *,
     calibration: Path | None = None,
     pooled: bool = False,
-    progress: Progress = quiet,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Compare the specimens of an experiment's folder.
 

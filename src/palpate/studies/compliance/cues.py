@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from palpate.calibration.compliance import ComplianceCalibration, ReferenceTrial
 from palpate.calibration.compliance_reading import Touch, read_touch
+from palpate.calibration.press_files import followed
 from palpate.estimators.casr.as_reported import AsReported, as_reported, over_pins
 from palpate.estimators.casr.force import (
     CONTACT_N,
@@ -19,7 +20,6 @@ from palpate.estimators.casr.force import (
     within,
     without_spikes,
 )
-from palpate.estimators.casr.pin_press import watched
 from palpate.psychophysics.lines import Line, fit_line
 from palpate.recordings.press_table import PressTable
 
@@ -73,12 +73,11 @@ def cues_of(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -> Cues:
     Raises:
         InputError, ImageError: it cannot be read as a press.
     """
-    press = watched(frames, table.force_n, table.frame_sample, table.position_m, table.time_s)
-    area = None if table.area_m2 is None else table.area_m2[table.frame_sample[press.frame]]
-    circle = over_pins(press.untouched_px, *next(iter(frames)).shape[:2])
+    trial = followed(frames, table)
+    circle = over_pins(trial.press.untouched_px, *next(iter(frames)).shape[:2])
     reported = as_reported(frames, table.force_n, table.frame_sample, region=circle)
     return Cues(
-        ReferenceTrial(press, area),
+        trial,
         None if table.position_m is None else series(table),
         reported,
         reported.above(LATE_N),

@@ -10,10 +10,11 @@ import numpy as np
 
 from palpate.calibration.compliance import ComplianceCalibration, calibrate_compliance
 from palpate.calibration.compliance_reading import Touch, read_touch
-from palpate.calibration.press_files import Progress, load_references, quiet
+from palpate.calibration.press_files import load_references
 from palpate.core.errors import InputError
 from palpate.core.files import new_folder, refuse_existing
 from palpate.core.reading import Reading
+from palpate.estimators.networks.base import Progress, silent
 from palpate.recordings.press_folder import press_folder
 from palpate.recordings.press_table import read_press_table
 from palpate.recordings.sequences import open_sequence
@@ -136,7 +137,7 @@ def _finite(value: float) -> float | None:
 
 
 def calibrate_folder(
-    folder: Path, out: Path, *, tilt_deg: float = 0.0, note: str = "", progress: Progress = quiet
+    folder: Path, out: Path, *, tilt_deg: float = 0.0, note: str = "", progress: Progress = silent
 ) -> dict[str, Any]:
     """Calibrate on the specimens of known stiffness in a folder; what was found, as the verb prints it.
 

@@ -20,8 +20,8 @@ from palpate.studies.tactip.courses import (
     recorded,
     tracked_course,
     true_course,
-    youngs_pa,
 )
+from palpate.studies.tactip_trials import modulus_pa
 
 METHODS = ("horn-schunck", "coarse-to-fine", "dis", "tracked")
 
@@ -114,7 +114,7 @@ def linear_error(tip: str, kappa_n_m: float, force_n: Sequence[float] = (1.0, 2.
     """At forces; half a minute for a new tip."""
     spec, at = TacTipSpec(tip, friction=0.0), np.array(force_n)
     true = head_on(spec, kappa_n_m)
-    linear = inclined(spec, youngs_pa(kappa_n_m, spec.table), 0.0)
+    linear = inclined(spec, modulus_pa(spec.table, kappa_n_m), 0.0)
     deep = np.linspace(0.0, linear.deepest_m, 2000)
     approach = np.interp(at, linear.force_n(deep), deep)
     true_approach = true.press.at("approach_m", at)
@@ -139,6 +139,6 @@ def areas_by_friction(
     found = {}
     for friction in frictions:
         spec = replace(TacTipSpec(), friction=friction)
-        specimens = (inclined(spec, youngs_pa(k, spec.table), tilt_rad) for k in KAPPA_N_M.values())
+        specimens = (inclined(spec, modulus_pa(spec.table, k), tilt_rad) for k in KAPPA_N_M.values())
         found[friction] = tuple(float(s.area_m2(np.array([force_n]))[0]) for s in specimens)
     return found

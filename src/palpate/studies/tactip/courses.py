@@ -18,11 +18,12 @@ from palpate.estimators.casr import loading, moving_average, within
 from palpate.estimators.flow import divergence
 from palpate.estimators.flow.course import course
 from palpate.estimators.pins import find_pins, follow
-from palpate.mechanics.tip_table import HeadOnPress, TipTable
+from palpate.mechanics.tip_table import HeadOnPress
 from palpate.sensors.tactip import HeadOn, TacTipSpec, Trial, trial
 from palpate.sensors.tactip.camera import projected
 from palpate.sensors.tactip.pins import HeadOnSkin
 from palpate.sensors.tactip.press import pixels_per_tangent
+from palpate.studies.tactip_trials import modulus_pa
 
 LOW_N, HIGH_N = 0.5, 5.0
 MIDDLE_M = 6e-3
@@ -35,14 +36,9 @@ Steps = Float[ndarray, " _"]  # one a step, a frame or a force
 Courses = dict[str, Steps]  # of every step, by region
 
 
-def youngs_pa(kappa_n_m: float, table: TipTable) -> float:
-    """E of the tables' cylinder whose kappa is E pi r^2 / h; infinite for a rigid plate [Pa]."""
-    return float(kappa_n_m * table.specimen_height_m / (np.pi * table.specimen_radius_m**2))
-
-
 def head_on(spec: TacTipSpec, kappa_n_m: float) -> HeadOn:
     """The tip on a specimen by finite strain."""
-    return HeadOn(spec.table.press(youngs_pa(kappa_n_m, spec.table)), spec.table.radius_m)
+    return HeadOn(spec.table.press(modulus_pa(spec.table, kappa_n_m)), spec.table.radius_m)
 
 
 def seen_px(spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray, " f"]) -> Float[ndarray, "f n"]:

@@ -19,7 +19,7 @@ from palpate.psychophysics.groups import Comparison, compare
 from palpate.psychophysics.lines import Line
 from palpate.reports import tactip_figures as draw
 from palpate.sensors.tactip import tactip
-from palpate.studies.tactip.controls import Row, compared
+from palpate.studies.tactip.controls import Row, compared, order
 from palpate.studies.tactip.experiment import (
     NEW,
     Experiment,
@@ -263,19 +263,16 @@ def page(study: Study, entries: Sequence[Entry]) -> str:
         cues=CUES,
         kappa={name: printed.value for name, printed in KAPPA.items()},
         means={t: {cue: means(one, cue) for cue in CUES} for t, one in study.experiments.items()},
-        orders={t: {cue: order(means(one, cue)) for cue in CUES} for t, one in study.experiments.items()},
+        orders={
+            t: {cue: order(list(means(one, cue).values())) for cue in CUES}
+            for t, one in study.experiments.items()
+        },
         tests={t: {cue: cue_tests(one, cue) for cue in CUES} for t, one in study.experiments.items()},
         areas={t: area_errors(one) for t, one in study.experiments.items()},
         controls=shown_controls(study),
         calibration={t: one.calibration for t, one in study.experiments.items()},
         figures=_figures(study),
     )
-
-
-def order(values: Mapping[str, float]) -> str:
-    """Whether a cue grows from the stiffest specimen to the softest."""
-    steps = np.sign(np.diff([values[name] for name in NAMES]))
-    return "rising" if (steps > 0).all() else "falling" if (steps < 0).all() else "mixed"
 
 
 def _figures(study: Study) -> dict[str, Any]:
