@@ -43,7 +43,9 @@ def palm(
         entries = reproduce_palm(out, scale_of(scale), seed=seed, part=part, progress=progress)
     beside = [one for one in entries if one["published"] is not None]
     width = max((len(one["name"]) for one in beside), default=0)
-    lines = ["Virtual sensor: compare how models stand to each other, not how good a sensor is."]
+    lines = [
+        "Virtual sensor, and models trained with unequal budgets: neither a sensor's accuracy nor a ranking."
+    ]
     lines += [
         f"{one['name']:{width}}  {one['value']:.3g} {one['unit']}  (printed: {one['published']:g})"
         for one in beside
