@@ -1,4 +1,4 @@
-"""The page says what the card says, and says when a target is not told by the images."""
+"""The page says what the card says, and says when a model does not read a target."""
 
 import html
 
@@ -35,11 +35,11 @@ def test_a_page_is_not_written_from_altered_predictions(calibration, tmp_path) -
     assert not (tmp_path / "page.html").exists()
 
 
-def test_a_target_that_is_not_told_is_called_so(record_spots, tmp_path) -> None:
+def test_a_target_that_the_model_does_not_read_is_called_so(record_spots, tmp_path) -> None:
     plan = Plan(("x_mm",), model="mean", split="group:press")
     card = read_card(calibrate(record_spots("run", 16), plan, tmp_path / "cal"))
-    assert "do not tell x" in verdict(card.targets[0])
-    assert "these images do not tell it" in scores_table({"x_mm": card.targets[0].score})
+    assert "This model does not read x" in verdict(card.targets[0])
+    assert "this model does not read it" in scores_table({"x_mm": card.targets[0].score})
 
 
 def test_the_first_frame_s_warm_up_is_left_out_of_the_latency() -> None:

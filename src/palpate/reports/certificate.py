@@ -69,8 +69,9 @@ def verdict(target: TargetCard) -> str:
     s = target.score
     if s.says_nothing:
         return (
-            f"These images do not tell {target.quantity.replace('_', ' ')}: the error, {s.mae:.3g} {s.unit}, "
-            f"is no better than always saying the mean ({s.mean_mae:.3g} {s.unit}). Do not use this reading."
+            f"This model does not read {target.quantity.replace('_', ' ')} from these images: the error, "
+            f"{s.mae:.3g} {s.unit}, is no better than always saying the mean ({s.mean_mae:.3g} {s.unit}). "
+            "Do not use this reading; another model may read it."
         )
     return (
         f"Off by {s.mae:.3g} {s.unit} on average, {s.mean_mae / s.mae:.1f} times less than always saying the "

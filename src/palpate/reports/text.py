@@ -23,7 +23,7 @@ HEAD = (
 
 
 def scores_table(scores: Mapping[str, ScoreCard]) -> str:
-    """One line a target, and a sentence for those the images do not tell."""
+    """One line a target, and a sentence for those that the model does not read."""
     lines = [HEAD, *(_cells(name, score) for name, score in scores.items())]
     widths = [max(len(line[i]) for line in lines) for i in range(len(HEAD))]
     text = [
@@ -35,7 +35,7 @@ def scores_table(scores: Mapping[str, ScoreCard]) -> str:
     ]
     text += [
         f"{name}: no better than always saying the mean ({score.mae:.3g} against {score.mean_mae:.3g} "
-        f"{score.unit}): these images do not tell it"
+        f"{score.unit}): this model does not read it from these images; another may"
         for name, score in scores.items()
         if score.says_nothing
     ]
