@@ -2,12 +2,16 @@
 
 import html
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from palpate.calibration import Plan, calibrate
+from palpate.calibration.evaluate import score
 from palpate.core import CertificateError
 from palpate.estimators import read_card
 from palpate.reports import scores_table, verdict, write_report
+from palpate.reports.certificate import outer_ranges
 from palpate.reports.text import latency_line
 
 
@@ -40,6 +44,62 @@ def test_a_target_that_the_model_does_not_read_is_called_so(record_spots, tmp_pa
     card = read_card(calibrate(record_spots("run", 16), plan, tmp_path / "cal"))
     assert "This model does not read x" in verdict(card.targets[0])
     assert "this model does not read it" in scores_table({"x_mm": card.targets[0].score})
+
+
+def held_out(card, missed_at_the_top: int, rng: np.random.Generator, n: int = 500):
+    """A target's card and held-out rows: truth 0 to 6 mm, 450 of 500 covered, some of the others at the top."""
+    true = np.linspace(0, 6, n)
+    missed = np.zeros(n, bool)
+    missed[rng.choice(np.arange(n - 50, n), missed_at_the_top, replace=False)] = True
+    missed[rng.choice(np.arange(n - 50), n // 10 - missed_at_the_top, replace=False)] = True
+    estimate = true - np.where(missed, 0.3, 0.02)
+    half = np.full(n, 0.1)
+    found = score("mm", true, estimate, half, 3.0, np.arange(n))
+    target = card.targets[0].model_copy(update={"column": "depth_mm", "quantity": "depth", "score": found})
+    return target.model_copy(update={"unit": "mm"}), pd.DataFrame(
+        {"depth_mm": true, "estimate:depth_mm": estimate, "half_width:depth_mm": half}
+    )
+
+
+def test_as_promised_is_said_where_both_outer_ranges_cover(calibration, rng) -> None:
+    target, table = held_out(read_card(calibration), 5, rng)
+    ends = outer_ranges(target, table, np.arange(len(table)))
+    assert [end.n for end in ends] == [50, 50]
+    assert "as promised, at both ends" in verdict(target, ends)
+
+
+def test_an_outer_range_that_does_not_cover_is_named_instead(calibration, rng) -> None:
+    target, table = held_out(read_card(calibration), 20, rng)
+    said = verdict(target, outer_ranges(target, table, np.arange(len(table))))
+    assert target.score.coverage_90 == 0.9  # over all rows the rate is kept to the row
+    assert "as promised" not in said
+    assert "above 5.41 mm only 30 of 50" in said
+    assert "below" not in said
+
+
+def test_the_rows_of_one_press_do_not_count_as_many(calibration, rng) -> None:
+    """Twenty missed rows of one long press are one event, not twenty."""
+    target, table = held_out(read_card(calibration), 0, rng)
+    table.loc[table.index[-20:], "estimate:depth_mm"] -= 1.0
+    apart, together = np.arange(len(table)), np.minimum(np.arange(len(table)), len(table) - 20)
+    *_, alone = outer_ranges(target, table, apart)
+    *_, grouped = outer_ranges(target, table, together)
+    assert (alone.n, alone.covered) == (grouped.n, grouped.covered) == (50, 30)
+    assert grouped.low < alone.low
+    assert alone.high < grouped.high
+
+
+def test_ends_with_too_few_rows_are_not_judged(calibration, rng) -> None:
+    target, table = held_out(read_card(calibration), 5, rng)
+    few = table.iloc[::15]
+    assert outer_ranges(target, few, np.arange(len(few))) == ()
+    assert "too few to judge the ends" in verdict(target)
+
+
+def test_rows_of_one_load_stay_in_one_range(calibration, rng) -> None:
+    target, table = held_out(read_card(calibration), 5, rng)
+    loads = table.assign(depth_mm=np.repeat([1.0, 2.0, 3.0, 4.0, 5.0], 100))
+    assert [end.n for end in outer_ranges(target, loads, np.arange(len(loads)))] == [100, 100]
 
 
 def test_the_first_frame_s_warm_up_is_left_out_of_the_latency() -> None:
