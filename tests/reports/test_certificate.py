@@ -47,7 +47,7 @@ def test_a_target_that_the_model_does_not_read_is_called_so(record_spots, tmp_pa
 
 
 def held_out(card, missed_at_the_top: int, rng: np.random.Generator, n: int = 500):
-    """A target's card and held-out rows: truth 0 to 6 mm, 450 of 500 covered, some of the others at the top."""
+    """A target's card and held-out rows: truth 0 to 6 mm, 450 of 500 covered."""
     true = np.linspace(0, 6, n)
     missed = np.zeros(n, bool)
     missed[rng.choice(np.arange(n - 50, n), missed_at_the_top, replace=False)] = True

@@ -34,7 +34,7 @@ Samples = Float[ndarray, " _"]
 
 @dataclass(frozen=True)
 class Press:
-    """Loading samples of one press, SI: force [N], approach from any origin [m], true contact area [m^2]."""
+    """Loading samples of one press, SI: force [N], approach from any origin [m], contact area [m^2]."""
 
     force_n: Samples
     approach_m: Samples
