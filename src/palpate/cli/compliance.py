@@ -126,7 +126,7 @@ def plate(
 
     found = by_plate(tables, force_column=force_column, position_column=position_column, rate_hz=rate_hz)
     low, high = found["low_N_per_mm"], found["high_N_per_mm"]
-    ends = ", of one trial" if low is None else f" ({low:.3g} to {high:.3g}, 95 % over trials)"
+    ends = ", of one trial" if low is None else f" ({low:.3g} to {high:.3g}, bootstrap over trials)"
     lines = [
         f"{one['table']}: {one['stiffness_N_per_mm']:.3g} N/mm, adjusted R2 {one['adjusted_r2']:.3g}"
         for one in found["trials"]
@@ -237,5 +237,5 @@ def _compared(found: dict[str, Any]) -> str:
             f"equation (12) at all frames above 2.5 N, pooled: Kruskal-Wallis p {pooled['kruskal_p']:.2g}"
         )
         lines += [f"warning: {warning}" for warning in pooled["warnings"]]
-    lines.append(f"means with 95 % intervals over trials; trials, tests and picture: {found['out']}")
+    lines.append(f"means with bootstrap intervals over trials; trials, tests and picture: {found['out']}")
     return "\n".join(lines)

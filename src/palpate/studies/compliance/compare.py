@@ -128,7 +128,10 @@ def tests_of(table: pd.DataFrame) -> dict[str, Any]:
 
 
 def bootstrap(values: Sequence[float], seed: int = 0) -> tuple[float, float]:
-    """95 % interval of the mean, trials drawn anew."""
+    """Interval of the mean by resampling trials: the percentile bootstrap at 95 %, too narrow for few trials.
+
+    Of few trials it covers less often than 95 %: about 83 % with five, 76 % with three, 50 % with two.
+    """
     drawn = np.random.default_rng(seed).choice(np.asarray(values), (DRAWS, len(values)))
     low, high = np.quantile(drawn.mean(axis=1), [0.025, 0.975])
     return float(low), float(high)
