@@ -1,6 +1,6 @@
 """The flow of `horn_schunck`, compiled and in single precision.
 
-Between TacTip frames it agrees with the plain reference to 1e-6 px. It releases the interpreter's lock, so
+Between TacTip frames it agrees with the plain reference to 5e-6 px. It releases the interpreter's lock, so
 that the pairs of a sequence may be shared by threads; see `sequence`.
 """
 
