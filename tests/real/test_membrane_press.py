@@ -5,6 +5,9 @@ positive behind it, where the speckle opens, negative before it, and over the wh
 So a region is needed, and the rule is: in the frame of the greatest mean motion from the first, the pixels on
 the speckle whose divergence, smoothed over 8 px, is half the greatest or more. It is no area of contact.
 
+What follows shows that flow runs on a real press, and no more: the region is chosen at the peak of the same
+press, and curl (r = 0.991) and convergence (0.993) follow force there as closely as divergence does.
+
 Force is the length of the force vector less its mean over the first ten frames, since the sensor's axes are
 not the press's.
 
