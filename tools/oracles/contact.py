@@ -188,7 +188,10 @@ def _rest(part: Callable[[ndarray], float], scale: float, x: float, z: float, nu
 ORACLES = (
     Oracle("Hertz: force", "the integral of its pressure, 30 digits (mpmath)", 1e-12, hertz_force),
     Oracle(
-        "Hertz: sinking of the surface", "superposed point forces (elliptic integrals)", 1e-8, hertz_surface
+        "Hertz: displacement of the surface",
+        "superposed point forces (elliptic integrals)",
+        1e-8,
+        hertz_surface,
     ),
     Oracle("Sphere, cone, punch: force", "Sneddon's integral by quadrature", 1e-8, sneddon_shapes),
     Oracle("JKR: pull-off force", "the least force over all radii", 1e-8, pull_off),

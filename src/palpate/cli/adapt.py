@@ -9,7 +9,7 @@ import typer
 
 from palpate.cli.shared import Json, Quiet, print_found, progress_bar, reports_errors
 
-HEAD = ("target", "unit", "MAE before", "MAE after", "correction", "90 % interval", "held truth in")
+HEAD = ("target", "unit", "MAE before", "MAE after", "correction", "90 % interval", "covered")
 
 
 @reports_errors
@@ -47,7 +47,7 @@ def _text(card: Any, out: Path, report: str) -> str:
         for line in lines
     ]
     scored = (
-        f"scored on {card.split.groups} groups, each read by a correction that had not learnt from it "
+        f"scored on {card.split.groups} groups, each read by a correction fitted without it "
         f"(split {card.split.kind}); before: the network alone, with the copy's own zero"
     )
     return "\n".join(

@@ -1,4 +1,4 @@
-"""Verbs that make a published study again."""
+"""Verbs that reproduce a published study."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import typer
 from palpate.cli.shared import Json, Quiet, print_found, progress_bar, reports_errors
 
 app = typer.Typer(
-    help="Published studies, made again on virtual sensors.", no_args_is_help=True, rich_markup_mode=None
+    help="Published studies, reproduced on virtual sensors.", no_args_is_help=True, rich_markup_mode=None
 )
 
 
 @app.callback()
 def start() -> None:
-    """Published studies, made again on virtual sensors."""
+    """Published studies, reproduced on virtual sensors."""
 
 
 @app.command()

@@ -110,7 +110,7 @@ def _coverage(axes: Axes, target: TargetCard, true: np.ndarray, guess: np.ndarra
         axes.plot([centre, centre], [100 * low, 100 * high], color=ACCENT, lw=1.4)
         axes.plot(centre, 100 * inside[rows].mean(), "o", color=ACCENT, ms=4)
     axes.axhline(90, color=INK, lw=0.8, ls="--")
-    axes.set(title="rows whose interval held the truth", ylabel="[%], bars: 95 % interval", ylim=(40, 102))
+    axes.set(title="rows whose interval covers the truth", ylabel="[%], bars: 95 % interval", ylim=(40, 102))
     axes.set_xlabel(_label(target, "true"))
 
 

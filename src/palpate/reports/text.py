@@ -17,7 +17,7 @@ HEAD = (
     "R2",
     "MAE of mean",
     "90 % interval",
-    "held truth in",
+    "covered",
     "(95 % interval)",
 )
 

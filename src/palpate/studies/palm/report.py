@@ -172,7 +172,7 @@ def _against(rows: list[dict[str, Any]], across: str) -> Panels:
 def _stood_by(rows: list[dict[str, Any]]) -> Panels:
     across = [row["presses"] for row in rows]
     lines = {SHORT[m]: (across, [100 * row["models"][m]["valid"] for row in rows]) for m in MODELS}
-    return {"frames stood by [%]": lines}
+    return {"frames accepted [%]": lines}
 
 
 def _sustained(found: Mapping[str, Any]) -> str:
