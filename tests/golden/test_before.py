@@ -1,0 +1,99 @@
+"""Certificates, calibrations and runs that were written before open, and give the same numbers.
+
+`before.zip` was written by `write_before.py` at commit d58013a, on another layout of the code.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from zipfile import ZipFile
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from tests.rig.rigs import CLOCK_NS, keys, plan, rig, wanted
+from typer.testing import CliRunner
+
+from palpate.calibration import evaluate
+from palpate.calibration.compliance import ComplianceCalibration
+from palpate.calibration.compliance_reading import read_touch
+from palpate.cli import app
+from palpate.core.clock import ManualClock
+from palpate.estimators import Estimator
+from palpate.estimators.casr.pin_press import PinPress
+from palpate.recordings import Run
+from palpate.recordings.check import check
+from palpate.rig import State, record
+from palpate.rig.plans import Listed
+
+# Another processor sums float32 products in another order; here the numbers are equal to the last bit.
+FLOAT32 = 1e-5
+
+
+@pytest.fixture(scope="module")
+def before(tmp_path_factory) -> Path:
+    """The files as they were written."""
+    folder = tmp_path_factory.mktemp("before")
+    with ZipFile(Path(__file__).with_name("before.zip")) as archive:
+        archive.extractall(folder)
+    return folder
+
+
+def stored(path: Path):
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def test_what_sense_prints_of_a_certificate_of_before_is_the_same_to_the_byte(before) -> None:
+    printed = CliRunner().invoke(app, ["sense", str(before / "cal"), str(before / "run"), "--json"])
+    assert printed.exit_code == 0, printed.output
+    assert printed.stdout == (before / "sense.jsonl").read_text(encoding="utf-8")
+
+
+def test_a_certificate_of_before_reads_the_same_values_and_intervals(before) -> None:
+    estimator, run = Estimator.open(before / "cal", threads=1), Run.open(before / "run")
+    for frame, expected in zip(run.frames(), stored(before / "readings.json"), strict=True):
+        readings = estimator.read(frame)
+        assert list(readings) == list(expected)
+        for name, ends in expected.items():
+            reading = readings[name]
+            assert_allclose([reading.value, reading.low, reading.high], ends, rtol=FLOAT32, atol=1e-9)
+
+
+def test_a_certificate_of_before_scores_the_same(before) -> None:
+    scores = evaluate(Estimator.open(before / "cal", threads=1), Run.open(before / "run"))
+    expected = stored(before / "scores.json")
+    for column, target in expected.pop("targets").items():
+        score = scores["targets"][column]
+        assert score.pop("unit") == target.pop("unit")
+        assert score == pytest.approx(target, rel=FLOAT32, abs=1e-9), column
+    assert {name: scores[name] for name in expected} == expected
+
+
+def test_a_tip_calibrated_before_reads_a_press_the_same(before) -> None:
+    with np.load(before / "press.npz") as held:
+        press = PinPress(**{k: float(v) if v.ndim == 0 else v for k, v in held.items()}, flaws=())
+    touch = read_touch(ComplianceCalibration.load(before / "tip.npz"), [press], "new")
+    expected = stored(before / "touch.json")
+    assert {reading.quantity for reading in touch.readings} == set(expected)
+    for reading in touch.readings:
+        told = expected[reading.quantity]
+        ends = [told["value"], told["low"], told["high"]]
+        assert_allclose([reading.value, reading.low, reading.high], ends, rtol=1e-9)
+        assert [reading.unit, reading.valid, reading.why] == [told["unit"], told["valid"], told["why"]]
+        assert reading.calibration == told["calibration"]
+
+
+def test_a_recording_stopped_before_is_checked_alike_and_goes_on(before) -> None:
+    verdict = json.loads(json.dumps(check(before / "stopped").to_dict()))
+    del verdict["path"]
+    assert verdict == stored(before / "check.json")
+    first = keys(Run.open(before / "stopped"))
+    small = plan(places=Listed(kind="listed", at_mm=((6.0, -4.0),)), depth_mm=0.4)
+    assert set(first) < wanted(small)
+    resumed = record(rig(clock=ManualClock(100 * CLOCK_NS)), small, before / "stopped")
+    assert resumed.state is State.DONE
+    run = Run.open(before / "stopped")
+    assert keys(run)[: len(first)] == first
+    assert set(keys(run)) == wanted(small)
+    assert len(keys(run)) == len(wanted(small))
