@@ -147,8 +147,9 @@ class _Said:
     ) -> Reading:  # fmt: skip
         reasons = [*self.flaws, *why]
         return Reading(
-            quantity, *value, unit, coverage, range_, not reasons, "; ".join(reasons), self.drift,
-            self.calibration.id, self.name, 0.0,
+            quantity=quantity, value=value[0], low=value[1], high=value[2], unit=unit, coverage=coverage,
+            calibrated_range=range_, valid=not reasons, why="; ".join(reasons), drift=self.drift,
+            calibration=self.calibration.id, frame=self.name, time_s=0.0,
         )  # fmt: skip
 
     def stiffness(self, quantity: str, curve: SoftnessCurve, rows: Float[ndarray, "t d"]) -> Reading:

@@ -5,6 +5,8 @@ PalpateError
 │   ├── UnitError           a column or quantity without a known unit
 │   ├── RangeError          outside the range where a law or a device is valid
 │   ├── ImageError          an image that is missing, damaged, too large or of another kind
+│   ├── ColumnError         no reading of that name or quantity
+│   ├── PluginError         a plug-in that cannot be imported, or breaks a law
 │   ├── LabelError          a table of labels that does not fit its images
 │   └── SplitError          a split that the data cannot carry
 ├── ExistsError             the path exists; nothing is ever overwritten
@@ -38,6 +40,16 @@ class RangeError(InputError):
 
 class ImageError(InputError):
     """An image is missing, damaged, too large, or of a kind that is not read."""
+
+
+class ColumnError(InputError, KeyError):
+    """There is no reading of that name or quantity."""
+
+    __str__ = Exception.__str__  # a KeyError shows its message in quotes
+
+
+class PluginError(InputError):
+    """A plug-in cannot be imported, takes a name that exists, or breaks a law of its kind."""
 
 
 class LabelError(InputError):

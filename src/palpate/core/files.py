@@ -13,6 +13,9 @@ from pathlib import Path
 
 from palpate.core.errors import ExistsError, StorageError
 
+PathText = str | os.PathLike[str]
+"""A path, as a caller may give it."""
+
 
 def refuse_existing(path: Path) -> None:
     """Raise if `path` exists in any form, a dangling link included.

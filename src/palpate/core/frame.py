@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from palpate.core.axes import Image
 from palpate.core.errors import ImageError
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Frame:
     """One image, when it was taken and by what.
 
@@ -37,3 +38,14 @@ class Frame:
             )
         if image.ndim == 3 and image.shape[2] != 3:
             raise ImageError(f"a colour Frame has 3 channels in RGB order, got {image.shape[2]}")
+
+    def __repr__(self) -> str:
+        height, width = self.image.shape[:2]
+        kind = "grey" if self.image.ndim == 2 else "RGB"
+        of = f" of {self.sensor}" if self.sensor else ""
+        return (
+            f"<Frame {self.name or 'without a name'}{of}: {width} × {height} px, {kind}, {self.time_s:.3f} s>"
+        )
+
+    def _repr_html_(self) -> str:
+        return f"<code>{escape(repr(self))}</code>"

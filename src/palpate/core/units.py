@@ -8,8 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
 
 from palpate.core.errors import UnitError
+
+Number = TypeVar("Number", float, np.ndarray)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,12 +31,12 @@ class Unit:
     si: str
     factor: float
 
-    def to_si(self, value: float) -> float:
-        """Convert a value in this unit to SI."""
+    def to_si(self, value: Number) -> Number:
+        """Convert a value, or an array of them, in this unit to SI."""
         return value * self.factor
 
-    def from_si(self, value: float) -> float:
-        """Convert a value in SI to this unit."""
+    def from_si(self, value: Number) -> Number:
+        """Convert a value, or an array of them, in SI to this unit."""
         return value / self.factor
 
 
