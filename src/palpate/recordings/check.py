@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from palpate.core.clock import NS_PER_S
 from palpate.core.errors import RecordingError
+from palpate.core.files import PathText
 from palpate.recordings.reader import Run
 from palpate.recordings.scan import Damage
 from palpate.recordings.schema import EVENTS, FRAMES, RECORDED, Channel, decode, decode_json
@@ -71,7 +71,7 @@ class CheckReport:
         return asdict(self)
 
 
-def check(path: Path) -> CheckReport:
+def check(path: PathText) -> CheckReport:
     """Read a run whole and report on it.
 
     Raises:

@@ -20,7 +20,7 @@ from PIL.WebPImagePlugin import WebPImageFile
 
 from palpate.core.axes import Image
 from palpate.core.errors import ImageError
-from palpate.core.files import storage_errors
+from palpate.core.files import PathText, storage_errors
 
 # The decoders are named one by one, because Pillow's own `open` would try every format it knows.
 _FORMATS: tuple[tuple[int, bytes, type[ImageFile]], ...] = (
@@ -38,7 +38,7 @@ _HEADER_BYTES = 1 << 20
 _BYTES_PER_PIXEL = 8
 
 
-def read_image(path: Path, *, max_pixels: int = 100_000_000) -> Image:
+def read_image(path: PathText, *, max_pixels: int = 100_000_000) -> Image:
     """Read one PNG, JPEG, BMP, single-page TIFF or WebP file, recognised by content and not by name.
 
     An orientation noted by the camera is applied, so that rows and columns are those a person sees.

@@ -7,7 +7,7 @@ import io
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -17,7 +17,7 @@ from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
 from palpate.core.axes import Values
 from palpate.core.errors import LabelError
-from palpate.core.files import storage_errors
+from palpate.core.files import PathText, storage_errors
 from palpate.core.units import split_column
 
 Kind = Literal["number", "text", "flag"]
@@ -26,7 +26,7 @@ _SHOWN = 5
 _FLAGS = {"true": True, "false": False}
 
 
-def read_labels(path: Path, *, kinds: Mapping[str, Kind] | None = None) -> pd.DataFrame:
+def read_labels(path: PathText, *, kinds: Mapping[str, Kind] | None = None) -> pd.DataFrame:
     """Read a table of labels, one row an image.
 
     A column becomes ``flag`` where every cell is true or false, ``number`` where every cell is a number or
@@ -86,6 +86,42 @@ def targets_from(table: pd.DataFrame, columns: Sequence[str], source: str) -> Va
     if twice or not columns:
         raise LabelError(f"targets {list(columns)}: name at least one column, and each once")
     return np.column_stack([_target(table, name, source) for name in columns])
+
+
+OWN = "own:"
+RESERVED = (OWN, "estimate:", "half_width:", "frame:")
+"""How columns begin that the code adds to a table of labels; no label may."""
+
+
+def with_own(table: pd.DataFrame, columns: Mapping[str, Sequence[Any] | np.ndarray]) -> pd.DataFrame:
+    """Add columns of the code's own to a table of labels, without taking a label's place.
+
+    Args:
+        table: the labels, one row a frame.
+        columns: values of each. It is added as ``own:NAME``, and as ``NAME`` where no label has that name.
+    """
+    own = {f"{OWN}{name}": values for name, values in columns.items()}
+    short = {name: values for name, values in columns.items() if name not in table.columns}
+    return table.assign(**own, **short)
+
+
+def own_column(table: pd.DataFrame, name: str) -> pd.Series[Any]:
+    """A column that `with_own` added; in tables from before it did, the one of its short name."""
+    return table[f"{OWN}{name}" if f"{OWN}{name}" in table.columns else name]
+
+
+def refuse_reserved(names: Sequence[str], source: str) -> None:
+    """Raise if a label's name begins as the code's own columns do.
+
+    Raises:
+        LabelError: one does.
+    """
+    for name in names:
+        if name.startswith(RESERVED):
+            raise LabelError(
+                f"{source}: label column {name!r} begins with {name.partition(':')[0]}:, as columns do that "
+                "a calibration adds; rename it"
+            )
 
 
 def rows_text(positions: np.ndarray | Sequence[int]) -> str:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from palpate.core.clock import NS_PER_S
 from palpate.core.errors import InputError, RecordingError
-from palpate.core.files import new_file, storage_errors
+from palpate.core.files import PathText, new_file, storage_errors
 from palpate.core.units import has_unit, split_column, unit
 from palpate.version import __version__
 
@@ -122,13 +122,13 @@ class Manifest(BaseModel):
             raise InputError(f"these do not make a manifest: {_first(e)}") from e
 
     @classmethod
-    def read(cls, run: Path) -> Manifest:
+    def read(cls, run: PathText) -> Manifest:
         """The manifest in a run's folder.
 
         Raises:
             RecordingError: there is none, or it is damaged.
         """
-        path = run / MANIFEST
+        path = Path(run) / MANIFEST
         if not path.is_file():
             raise RecordingError(f"{run} is not a run: it holds no {MANIFEST}; name a run's folder")
         with storage_errors(path):
@@ -140,13 +140,13 @@ class Manifest(BaseModel):
         except ValidationError as e:
             raise RecordingError(f"{path} is damaged: {_first(e)}; restore it from a copy of the run") from e
 
-    def write(self, run: Path) -> None:
+    def write(self, run: PathText) -> None:
         """Write the manifest into a run's folder, whole or not at all.
 
         Raises:
             ExistsError: one is there already.
         """
-        with new_file(run / MANIFEST) as path:
+        with new_file(Path(run) / MANIFEST) as path:
             path.write_text(self.model_dump_json(indent=2) + "\n", encoding="utf-8")
 
     @property

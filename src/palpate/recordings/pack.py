@@ -17,7 +17,7 @@ import pandas as pd
 
 from palpate.core.axes import Images, Indices
 from palpate.core.errors import InputError, RecordingError
-from palpate.core.files import new_folder, sha256_of, storage_errors
+from palpate.core.files import PathText, new_folder, sha256_of, storage_errors
 from palpate.recordings.reader import Run
 from palpate.sensors.preparation import Preparation
 from palpate.version import __version__
@@ -63,7 +63,7 @@ class PackedSet:
         weakref.finalize(self, os.close, self._handle)
 
     @classmethod
-    def open(cls, folder: Path | str, verify: bool = False) -> PackedSet:
+    def open(cls, folder: PathText, verify: bool = False) -> PackedSet:
         """Open a packed set.
 
         Args:
@@ -164,7 +164,7 @@ _REMEDY = "pack the run again into a new folder"
 
 
 def pack(
-    run: Run, folder: Path, preparation: Preparation, progress: Callable[[int, int], None] | None = None
+    run: Run, folder: PathText, preparation: Preparation, progress: Callable[[int, int], None] | None = None
 ) -> PackedSet:
     """Prepare every frame of a run and write them as one array, a frame at a time.
 
@@ -185,6 +185,7 @@ def pack(
     """
     if len(run) == 0:
         raise RecordingError(f"run {run.manifest.run_id} has no frames, so there is nothing to pack")
+    folder = Path(folder)
     with new_folder(folder) as building:
         with (building / FRAMES_NAME).open("wb") as file:
             names, digest = _write_frames(file, run, preparation, progress)

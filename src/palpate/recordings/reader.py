@@ -6,6 +6,7 @@ import json
 from array import array
 from collections.abc import Callable, Iterator
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import pandas as pd
 
 from palpate.core.clock import NS_PER_S
 from palpate.core.errors import InputError, RangeError, RecordingError
-from palpate.core.files import sha256_of, sha256_of_all
+from palpate.core.files import PathText, sha256_of, sha256_of_all
 from palpate.core.frame import Frame
 from palpate.recordings import schema
 from palpate.recordings.manifest import MANIFEST, LabelKind, Manifest
@@ -55,7 +56,7 @@ class Run:
         self._checked = bytearray(len(self._frames))
 
     @classmethod
-    def open(cls, path: Path | str) -> Run:
+    def open(cls, path: PathText) -> Run:
         """Open a run, whole or damaged.
 
         Raises:
@@ -72,6 +73,24 @@ class Run:
 
     def __len__(self) -> int:
         return len(self._frames)
+
+    def __repr__(self) -> str:
+        about, labels = self.manifest, ", ".join(self.manifest.labels) or "none"
+        return f"<Run {self.path}: {len(self)} frames of {about.sensor or 'a sensor'}; labels: {labels}>"
+
+    def _repr_html_(self) -> str:
+        about = self.manifest
+        facts = {
+            "run": str(self.path),
+            "frames": str(len(self)),
+            "sensor": about.sensor,
+            "rig": about.rig,
+            "begun": about.created_utc,
+            "labels": ", ".join(about.labels),
+            "targets": ", ".join(about.targets),
+        }
+        rows = (f"<tr><th>{name}</th><td>{escape(fact)}</td></tr>" for name, fact in facts.items() if fact)
+        return f"<table>{''.join(rows)}</table>"
 
     @cached_property
     def times_s(self) -> np.ndarray:

@@ -9,7 +9,7 @@ from heapq import merge
 from pathlib import Path
 
 from palpate.core.errors import RecordingError
-from palpate.core.files import new_folder, sha256_of
+from palpate.core.files import PathText, new_folder, sha256_of
 from palpate.recordings import schema
 from palpate.recordings.manifest import MANIFEST, Manifest
 from palpate.recordings.reader import Run
@@ -34,7 +34,7 @@ class RepairReport:
     lost: tuple[Damage, ...]
 
 
-def repair(run_path: Path, new_path: Path) -> RepairReport:
+def repair(run_path: PathText, new_path: PathText) -> RepairReport:
     """Copy what is readable of a run, byte for byte, into a new run; the old one is not touched.
 
     The new run keeps the old one's identity and times, and its origin says what it was repaired from.
@@ -49,7 +49,7 @@ def repair(run_path: Path, new_path: Path) -> RepairReport:
         raise RecordingError(f"{run_path} holds no segment, so there is nothing to repair; record a new run")
     lost = list(run.damage)
     frames = messages = 0
-    with new_folder(new_path) as folder:
+    with new_folder(Path(new_path)) as folder:
         manifest = _manifest(run)
         manifest.write(folder)
         for number, segment in enumerate(run.segments):

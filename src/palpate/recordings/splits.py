@@ -1,15 +1,21 @@
-"""Which rows train and which are held out, so that a score says something about new presses."""
+"""Which rows train and which are held out, so that a score says something about new presses.
+
+A split of a user's is a function named ``module:function`` or by an entry point: of the table of labels, the
+number of folds and the seed, it makes either a group's label for each row, or a `Split`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
-from palpate.core.errors import SplitError
+from palpate.core.errors import PluginError, SplitError
+from palpate.core.plugins import PLUGIN, Registry, imported
 from palpate.recordings.labels import rows_text
 
 # Coarsest first: a split by an earlier one also holds apart everything that a later one would.
@@ -25,7 +31,12 @@ CONVENTIONAL_GROUPS: tuple[tuple[str, ...], ...] = (
     ("cycle",),
     ("trial",),
 )
-_KINDS = "'auto', 'random', 'group:COLUMN[,COLUMN...]' or 'leave-one-out:COLUMN[,COLUMN...]'"
+REGISTRY = Registry("split", "palpate.splits", {"auto": "", "random": ""})
+_BY_COLUMNS = ("group", "leave-one-out")
+_KINDS = (
+    "'auto', 'random', 'group:COLUMN[,COLUMN...]', 'leave-one-out:COLUMN[,COLUMN...]', or a function of "
+    "yours as 'module:function'"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,13 +69,15 @@ def split(table: pd.DataFrame, spec: str, *, folds: int = 5, seed: int = 0) -> S
     Args:
         table: the labels, one row a frame.
         spec: ``auto`` (by the coarsest conventional group that is there, else random), ``random``,
-            ``group:COL[,COL...]`` or ``leave-one-out:COL[,COL...]``.
+            ``group:COL[,COL...]``, ``leave-one-out:COL[,COL...]``, or a plug-in, as ``module:function`` or
+            the name of an entry point of the group ``palpate.splits``.
         folds: how many, 2 or more; leave-one-out has one for each group.
         seed: of the shuffle.
 
     Raises:
         SplitError: the specification is not one of these, names an unknown column or one with gaps, or the
             table has too few rows or groups for it.
+        PluginError: a plug-in does not import, or what it makes breaks a law.
 
     Example:
         >>> table = pd.DataFrame({"press": ["a", "a", "b", "b"], "depth_mm": [1.0, 2.0, 1.0, 2.0]})
@@ -84,21 +97,109 @@ def split(table: pd.DataFrame, spec: str, *, folds: int = 5, seed: int = 0) -> S
             )
         parts = np.array_split(rng.permutation(len(table)), folds)
         return Split(spec, (), None, tuple(np.sort(p) for p in parts), "random, as asked")
-    if kind not in ("group", "leave-one-out") or not names:
-        raise SplitError(f"split {spec!r} is not known; give {_KINDS}")
+    if kind not in _BY_COLUMNS:
+        return _plugged_in(table, spec, folds, seed)
+    check_split_text(spec)
     columns = tuple(name.strip() for name in names.split(","))
     groups = group_names(table, columns)
+    parts = _parts(groups, spec, None if kind == "leave-one-out" else folds, rng)
+    return Split(
+        f"{kind}:{','.join(columns)}", columns, groups, parts, f"by {' and '.join(columns)}, as asked"
+    )
+
+
+def _parts(
+    groups: np.ndarray, spec: str, folds: int | None, rng: np.random.Generator
+) -> tuple[np.ndarray, ...]:
+    """Rows of each fold, whole groups together; without `folds`, each group is one."""
     labels, inverse = np.unique(groups, return_inverse=True)
     if len(labels) < 2:
         raise SplitError(
             f"split {spec!r}: all rows are of one group ({labels[0]}); name another column, or 'random'"
         )
-    if kind == "group":
+    if folds is not None:
         inverse = _fold_of_group(np.bincount(inverse), folds, spec, rng)[inverse]
-    parts = [np.flatnonzero(inverse == k) for k in range(inverse.max() + 1)]
-    return Split(
-        f"{kind}:{','.join(columns)}", columns, groups, tuple(parts), f"by {' and '.join(columns)}, as asked"
-    )
+    return tuple(np.flatnonzero(inverse == k) for k in range(inverse.max() + 1))
+
+
+def check_split_text(spec: str) -> None:
+    """Refuse what is no split, before there is a table to part.
+
+    Raises:
+        SplitError: it is neither a kind that palpate has nor the name of a plug-in.
+        PluginError: it is a plug-in that does not import, or cannot be called.
+    """
+    kind, colon, names = spec.partition(":")
+    if kind in _BY_COLUMNS and any(name.strip() for name in names.split(",")):
+        return
+    if spec not in REGISTRY.built_in:
+        if (not colon and spec not in REGISTRY.added) or kind in _BY_COLUMNS:
+            raise SplitError(f"split {spec!r} is not known; give {_KINDS}")
+        _function(spec)
+
+
+def _function(spec: str) -> Any:
+    if ":" in spec and not PLUGIN.fullmatch(spec):
+        raise SplitError(f"split {spec!r} is not known; give {_KINDS}")
+    path = REGISTRY.text(spec)
+    function = imported(path, "split")
+    if not callable(function):
+        raise PluginError(f"split {path} cannot be called; it is a function of (table, *, folds, seed)")
+    return function
+
+
+def _plugged_in(table: pd.DataFrame, spec: str, folds: int, seed: int) -> Split:
+    """What a function of a user's makes of the table, twice, so that chance without a seed is seen."""
+    check_split_text(spec)
+    function = _function(spec)
+    first, second = (_made_by(function, table, spec, folds, seed) for _ in range(2))
+    if len(first.folds) != len(second.folds) or not all(map(np.array_equal, first.folds, second.folds)):
+        raise PluginError(f"split {spec}: the same table and seed give other folds; draw from the seed alone")
+    check_split(first, len(table))
+    return first
+
+
+def _made_by(function: Any, table: pd.DataFrame, spec: str, folds: int, seed: int) -> Split:
+    try:
+        made = function(table.copy(), folds=folds, seed=seed)
+    except Exception as e:  # somebody else's function may raise anything
+        raise PluginError(f"split {spec} failed on {len(table)} rows ({type(e).__name__}: {e})") from e
+    if isinstance(made, Split):
+        return replace(made, kind=spec)
+    groups = np.asarray(made)
+    if groups.shape != (len(table),):
+        raise PluginError(
+            f"split {spec} gave {type(made).__name__} of shape {list(groups.shape)} for {len(table)} rows; "
+            f"it gives the label of each row's group, [{len(table)}], or a Split"
+        )
+    groups = groups.astype(str)
+    return Split(spec, (), groups, _parts(groups, spec, folds, np.random.default_rng(seed)), f"by {spec}")
+
+
+def check_split(made: Split, rows: int) -> None:
+    """Check that a split holds out every row once and no group in parts.
+
+    Args:
+        made: the split.
+        rows: of the table that it parts.
+
+    Raises:
+        PluginError: it breaks a law; the message names the split and the law.
+    """
+    held = np.concatenate(made.folds) if made.folds else np.empty(0, np.int64)
+    if len(made.folds) < 2 or not all(len(fold) for fold in made.folds):
+        raise PluginError(f"split {made.kind} has {len(made.folds)} folds; there are two or more, none empty")
+    if not np.array_equal(np.sort(held), np.arange(rows)):
+        raise PluginError(f"split {made.kind}: its folds hold out each of the {rows} rows once")
+    if made.groups is None:
+        return
+    if np.shape(made.groups) != (rows,):
+        raise PluginError(f"split {made.kind}: groups of shape {np.shape(made.groups)}; one for each row")
+    for fold in made.folds:
+        rest = np.setdiff1d(np.arange(rows), fold)
+        both = np.intersect1d(made.groups[fold], made.groups[rest])
+        if both.size:
+            raise PluginError(f"split {made.kind}: group {both[0]} stands on both sides of a fold")
 
 
 def conventional_groups(table: pd.DataFrame) -> list[tuple[str, ...]]:

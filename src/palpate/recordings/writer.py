@@ -14,7 +14,7 @@ import numpy as np
 from palpate.core.axes import Image
 from palpate.core.clock import NS_PER_S, Clock, MonotonicClock
 from palpate.core.errors import ImageError, InputError, PalpateError, RecordingError
-from palpate.core.files import new_folder
+from palpate.core.files import PathText, new_folder
 from palpate.core.frame import Frame
 from palpate.recordings import png, schema
 from palpate.recordings.buffer import Buffer, Item, Overflow
@@ -69,7 +69,7 @@ class RunWriter:
     @classmethod
     def create(
         cls,
-        path: Path,
+        path: PathText,
         manifest: Manifest,
         *,
         clock: Clock = _MACHINE_CLOCK,
@@ -90,7 +90,7 @@ class RunWriter:
             StorageError: the disk refused.
         """
         buffer = _buffer(queue_frames, overflow)
-        now_ns = clock.now_ns()
+        path, now_ns = Path(path), clock.now_ns()
         with new_folder(path) as folder:
             manifest.write(folder)
         return cls(open_segment(path, now_ns), clock, buffer)
@@ -98,7 +98,7 @@ class RunWriter:
     @classmethod
     def resume(
         cls,
-        path: Path,
+        path: PathText,
         *,
         clock: Clock = _MACHINE_CLOCK,
         queue_frames: int = 64,
@@ -114,7 +114,7 @@ class RunWriter:
             StorageError: the disk refused.
         """
         buffer = _buffer(queue_frames, overflow)
-        return cls(open_segment(path, clock.now_ns()), clock, buffer)
+        return cls(open_segment(Path(path), clock.now_ns()), clock, buffer)
 
     def frame(
         self,

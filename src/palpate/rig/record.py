@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from palpate.core.files import PathText
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.reader import Run
 from palpate.recordings.writer import RunWriter
@@ -19,7 +20,7 @@ from palpate.rig.walking import check_plan
 
 
 def record(
-    rig: Rig, plan: Plan, out: Path, *, control: Control | None = None, watch: Watch = nobody
+    rig: Rig, plan: Plan, out: PathText, *, control: Control | None = None, watch: Watch = nobody
 ) -> Outcome:
     """Record all of a plan that a run does not hold yet.
 
@@ -38,6 +39,7 @@ def record(
         RecordingError: the run has another plan, or another writer records into it.
         StorageError: the disk refused before anything moved.
     """
+    out = Path(out)
     check_plan(rig, plan)
     done: Done = {}
     if out.exists():

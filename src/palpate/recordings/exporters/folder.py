@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 from PIL import Image
 
-from palpate.core.files import new_folder
+from palpate.core.files import PathText, new_folder
 from palpate.recordings.labels import refuse_formulas
 from palpate.recordings.manifest import MANIFEST
 from palpate.recordings.reader import Run
@@ -18,7 +18,7 @@ TIME_COLUMN = "frame_time_s"
 LABELS_NAME = "labels.csv"
 
 
-def export_folder(run: Run, path: Path, progress: Callable[[int, int], None] | None = None) -> int:
+def export_folder(run: Run, path: PathText, progress: Callable[[int, int], None] | None = None) -> int:
     """Write a run as a folder of PNG files with tables beside them.
 
     The folder holds ``images/000000.png`` and so on; ``labels.csv``, whose column ``frame_file`` names each
@@ -39,7 +39,7 @@ def export_folder(run: Run, path: Path, progress: Callable[[int, int], None] | N
         LabelError: a text of the run is one that a spreadsheet would run as a formula.
         StorageError: the disk is full, or refused.
     """
-    with new_folder(path) as building:
+    with new_folder(Path(path)) as building:
         _write_table(building / LABELS_NAME, _labels(run))
         for name, table in (("force", run.force()), ("stage", run.stage()), ("events", run.events())):
             if not table.empty:

@@ -12,7 +12,7 @@ import pandas as pd
 
 from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.core.errors import ImageError, InputError, LabelError
-from palpate.core.files import new_folder, refuse_existing
+from palpate.core.files import PathText, new_folder, refuse_existing
 from palpate.core.units import has_unit, split_column
 from palpate.recordings.exporters.folder import FILE_COLUMN, TIME_COLUMN
 from palpate.recordings.images import read_image
@@ -44,10 +44,10 @@ class ImportReport:
 
 
 def import_images(
-    folder: Path,
-    run: Path,
+    folder: PathText,
+    run: PathText,
     *,
-    labels: Path,
+    labels: PathText,
     image_column: str,
     sensor: str = "",
     licence: str = "",
@@ -88,6 +88,7 @@ def import_images(
         RecordingError: `folder` was exported and its manifest is damaged.
         StorageError: the disk is full, or refused.
     """
+    folder, run, labels = Path(folder), Path(run), Path(labels)
     refuse_existing(run)
     source = labels if labels.is_file() else folder / labels
     exported = _exported_manifest(folder, image_column)
