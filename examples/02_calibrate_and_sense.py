@@ -8,17 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate import Estimator, Plan, certify, open_source, sense
+from palpate import CalibrationPlan, Estimator, certify, open_source, sense
 from palpate.studies import Protocol, record
 
 with tempfile.TemporaryDirectory() as folder:
     here = Path(folder)
     run = record(here / "run", Protocol(), locations=60, seed=0)
-    plan = Plan(("x_mm", "depth_mm"), split="group:location", size_px=(60, 107), channels=3)
+    plan = CalibrationPlan(("x_mm", "depth_mm"), split="group:location", size_px=(60, 107), channels=3)
     certify(run, plan, here / "cal")
     new = record(here / "new", Protocol(), locations=20, seed=1)
     touched = ~new.labels["reference"].to_numpy(bool)
-    readings = [s.shown()["depth_mm"] for s in sense(Estimator.open(here / "cal"), open_source(new.path))]
+    readings = [s.readings["depth_mm"] for s in sense(Estimator.open(here / "cal"), open_source(new.path))]
     frames = [new.frame(row).image for row in (1, 4, 7)]
 
 true_mm = new.labels["depth_mm"].to_numpy()[touched]

@@ -50,13 +50,13 @@ def main() -> None:
     except ImportError:
         print("torch is not installed, so there is no baseline: pip install 'palpate[train]'")
         return
-    from palpate import Estimator, Plan, Run, calibrate
+    from palpate import CalibrationPlan, Estimator, Run, calibrate
     from palpate.estimators.networks.base import Scaler
     from palpate.estimators.networks.compact_cnn import CompactCnn, Network
 
     with tempfile.TemporaryDirectory() as folder:
         run = Run.open(recorded(Path(folder)))
-        plan = Plan(("x_mm", "y_mm"), model="compact-cnn", folds=2, options={"epochs": 1})
+        plan = CalibrationPlan(("x_mm", "y_mm"), model="compact-cnn", folds=2, options={"epochs": 1})
         estimator = Estimator.open(calibrate(run, plan, Path(folder, "cal")))
         frame = run.frame(0)
         height, width = estimator.card.input.size_px

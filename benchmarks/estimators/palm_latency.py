@@ -109,7 +109,7 @@ def compared(side: int, threads: int) -> None:
 
 def calibrated(folder: Path, side: int) -> Path:
     """A palm-compact of rendered presses, trained for one epoch: as fast as one that knows its task."""
-    from palpate import Manifest, Plan, Run, RunWriter, calibrate
+    from palpate import CalibrationPlan, Manifest, Run, RunWriter, calibrate
     from palpate.calibration import Reference
     from palpate.sensors import palm
     from palpate.sensors.palm.presses import TARGETS, draw_presses
@@ -126,7 +126,7 @@ def calibrated(folder: Path, side: int) -> Path:
             for i in np.flatnonzero(drawn.press == press):
                 held = dict(zip(TARGETS, map(float, drawn.values[i]), strict=True))
                 writer.frame(drawn.images[i], labels=held | about | {"reference": False})
-    plan = Plan(
+    plan = CalibrationPlan(
         TARGETS,
         model="palm-compact",
         split="group:press",

@@ -5,12 +5,13 @@ The names here load when they are first used, so that `import palpate` is quick.
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+from warnings import warn
 
-from palpate.core import Frame, PalpateError, Reading
+from palpate.core import Frame, PalpateError, Reading, Readings
 from palpate.version import __version__
 
 if TYPE_CHECKING:
-    from palpate.calibration import Plan, calibrate, evaluate
+    from palpate.calibration import CalibrationPlan, calibrate, evaluate
     from palpate.estimators import Estimator
     from palpate.live import open_source, sense
     from palpate.recordings import Manifest, Run, RunWriter, import_images, read_image
@@ -18,9 +19,9 @@ if TYPE_CHECKING:
     from palpate.studies import certify, run_demo
 
 _ROOMS = {
+    "CalibrationPlan": "calibration",
     "Estimator": "estimators",
     "Manifest": "recordings",
-    "Plan": "calibration",
     "Run": "recordings",
     "RunWriter": "recordings",
     "calibrate": "calibration",
@@ -35,12 +36,13 @@ _ROOMS = {
 }
 
 __all__ = [
+    "CalibrationPlan",
     "Estimator",
     "Frame",
     "Manifest",
     "PalpateError",
-    "Plan",
     "Reading",
+    "Readings",
     "Run",
     "RunWriter",
     "__version__",
@@ -57,6 +59,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "Plan":
+        warn("palpate.Plan is now called palpate.CalibrationPlan", DeprecationWarning, stacklevel=2)
+        name = "CalibrationPlan"
     if name in _ROOMS:
         return getattr(import_module(f"palpate.{_ROOMS[name]}"), name)
     raise AttributeError(f"palpate has no {name!r}; it has {', '.join(__all__)}")

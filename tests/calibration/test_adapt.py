@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from palpate.calibration import Plan, calibrate, evaluate
+from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.adapt import adapt
 from palpate.calibration.adapted_certificate import intervals_of_presses
 from palpate.calibration.correction import AS_IT_WAS, Correction, correct
@@ -65,7 +65,7 @@ def kept(tmp_path_factory) -> Path:
 @pytest.fixture
 def original(kept, record_spots, tmp_path) -> Path:
     if not (kept / "cal").exists():
-        plan = Plan(TARGETS, split="group:press", size_px=(24, 32), delta=True)
+        plan = CalibrationPlan(TARGETS, split="group:press", size_px=(24, 32), delta=True)
         run = record_spots("run", ORIGINAL_PRESSES)
         calibrate(run, plan, kept / "cal")
         shutil.move(run.path, kept / "run")

@@ -6,15 +6,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from palpate.calibration import Plan, Reference, calibrate, evaluate
+from palpate.calibration import CalibrationPlan, Reference, calibrate, evaluate
 from palpate.calibration.data import find_untouched
 from palpate.calibration.fit import most_like_the_rest
-from palpate.core import ExistsError, InputError, LabelError, SplitError, UnitError
+from palpate.core import ExistsError, InputError, LabelError, SplitError
 from palpate.estimators import Estimator, read_card
 from palpate.recordings import Split, pack
 from palpate.sensors.preparation import Preparation
 
-PLAN = Plan(targets=("x_mm", "height_mm"), split="group:press", size_px=(24, 32))
+PLAN = CalibrationPlan(targets=("x_mm", "height_mm"), split="group:press", size_px=(24, 32))
 
 
 def left_over(tmp_path) -> list[str]:
@@ -33,7 +33,11 @@ def test_a_calibration_recovers_the_truth_inside_its_intervals(record_spots, tmp
 
 
 def test_held_out_predictions_come_from_the_other_folds(record_spots, tmp_path) -> None:
-    calibrate(record_spots("run", 10), Plan(("x_mm",), model="mean", split="group:press"), tmp_path / "cal")
+    calibrate(
+        record_spots("run", 10),
+        CalibrationPlan(("x_mm",), model="mean", split="group:press"),
+        tmp_path / "cal",
+    )
     table = pd.read_parquet(tmp_path / "cal" / "predictions.parquet")
     for fold in range(5):
         held = table["held_out_in_fold"] == fold
@@ -45,7 +49,7 @@ def test_frames_of_the_untouched_sensor_are_not_learnt_from_unless_asked(record_
     run = record_spots("run", 10)
     calibrate(run, PLAN, tmp_path / "cal")
     assert len(pd.read_parquet(tmp_path / "cal" / "predictions.parquet")) == 50
-    with_them = Plan(("height_mm",), model="mean", split="group:press", learn_untouched=True)
+    with_them = CalibrationPlan(("height_mm",), model="mean", split="group:press", learn_untouched=True)
     calibrate(run, with_them, tmp_path / "cal-all")
     assert len(pd.read_parquet(tmp_path / "cal-all" / "predictions.parquet")) == 60
     assert read_card(tmp_path / "cal-all").targets[0].least == 0
@@ -83,7 +87,7 @@ def test_work_towards_another_plan_is_not_taken_over(record_spots, tmp_path) -> 
 
     with pytest.raises(KeyboardInterrupt):
         calibrate(run, PLAN, tmp_path / "cal", stop)
-    other = Plan(targets=("x_mm",), split="group:press", size_px=(24, 32))
+    other = CalibrationPlan(targets=("x_mm",), split="group:press", size_px=(24, 32))
     with pytest.raises(ExistsError, match="unfinished work towards another calibration"):
         calibrate(run, other, tmp_path / "cal")
 
@@ -98,14 +102,12 @@ def test_what_exists_is_never_overwritten(record_spots, tmp_path) -> None:
 @pytest.mark.parametrize(
     ("plan", "error", "says"),
     [
-        (Plan(("depth_mm",)), LabelError, "x_mm"),
-        (Plan(("press",)), (LabelError, UnitError), "press"),
-        (Plan(("flat_mm",)), LabelError, "flat_mm"),
-        (Plan(("x_mm",), split="group:nothing"), SplitError, "press"),
-        (Plan(("x_mm",), split="group:press", folds=50), SplitError, "at most 10 folds"),
-        (Plan(("x_mm",), model="resnet"), InputError, "compact-cnn"),
-        (Plan(("x_mm",), reference=Reference("weight_g", "0")), LabelError, "weight_g"),
-        (Plan(("x_mm",), reference=Reference("press", "none")), LabelError, "press=none"),
+        (CalibrationPlan(("depth_mm",)), LabelError, "x_mm"),
+        (CalibrationPlan(("flat_mm",)), LabelError, "flat_mm"),
+        (CalibrationPlan(("x_mm",), split="group:nothing"), SplitError, "press"),
+        (CalibrationPlan(("x_mm",), split="group:press", folds=50), SplitError, "at most 10 folds"),
+        (CalibrationPlan(("x_mm",), reference=Reference("weight_g", "0")), LabelError, "weight_g"),
+        (CalibrationPlan(("x_mm",), reference=Reference("press", "none")), LabelError, "press=none"),
     ],
 )
 def test_a_plan_that_does_not_fit_is_refused_and_leaves_nothing(
@@ -122,12 +124,22 @@ def test_a_plan_that_does_not_fit_is_refused_and_leaves_nothing(
     [
         ({"targets": ()}, "no target"),
         ({"targets": ("x_mm", "x_mm")}, "named twice"),
-        ({"targets": ("x_mm",), "coverage": 1.0}, "coverage"),
+        ({"targets": ("x_mm", "press")}, "'press' carries no unit"),
+        ({"targets": "x_mm, height_mm"}, r"give \('x_mm', 'height_mm',\)"),
+        ({"coverage": 1.0}, "coverage"),
+        ({"model": "resnet"}, "compact-cnn"),
+        ({"split": "by-hand"}, "group:COLUMN"),
+        ({"split": "group:"}, "group:COLUMN"),
+        ({"folds": 1}, "2 or more"),
+        ({"scored_folds": 0}, "at least 1"),
+        ({"seed": -1}, "0 or more"),
+        ({"size_px": (0, 32)}, "1 px or more"),
+        ({"crop_px": (-1, 0, 20, 20)}, "x and y are 0 or more"),
     ],
 )
 def test_a_plan_without_sense_is_refused(fields, says) -> None:
     with pytest.raises(InputError, match=says):
-        Plan(**fields)
+        CalibrationPlan(**{"targets": ("x_mm",), **fields})
 
 
 def test_too_few_frames_are_refused(record_spots, tmp_path) -> None:
@@ -136,7 +148,7 @@ def test_too_few_frames_are_refused(record_spots, tmp_path) -> None:
 
 
 def test_the_difference_from_a_reference_does_not_see_the_lamp(record_spots, tmp_path) -> None:
-    plan = Plan(("x_mm", "height_mm"), split="group:press", size_px=(24, 32), delta=True)
+    plan = CalibrationPlan(("x_mm", "height_mm"), split="group:press", size_px=(24, 32), delta=True)
     calibrate(record_spots("run", 40), plan, tmp_path / "cal")
     brighter = record_spots("brighter", 20, seed=2, lamp=12.0)
     score = evaluate(Estimator.open(tmp_path / "cal"), brighter)["targets"]["height_mm"]
@@ -146,7 +158,7 @@ def test_the_difference_from_a_reference_does_not_see_the_lamp(record_spots, tmp
 def test_each_group_may_have_its_own_reference(record_spots, tmp_path) -> None:
     run = record_spots("run", 6)
     packed = pack(run, tmp_path / "packed", Preparation(None, (24, 32), 1))
-    own = Plan(("x_mm",), delta=True, reference=Reference("reference", "true", ("press",)))
+    own = CalibrationPlan(("x_mm",), delta=True, reference=Reference("reference", "true", ("press",)))
     untouched = find_untouched(packed, own)
     assert len(untouched.images) == 6
     for row in (0, 6, 17):
@@ -159,13 +171,13 @@ def test_a_difference_needs_a_reference(record_spots, tmp_path) -> None:
     packed = pack(run, tmp_path / "packed", Preparation(None, (24, 32), 1))
     packed.table = packed.table.drop(columns="reference")
     with pytest.raises(LabelError, match="--reference COLUMN=VALUE"):
-        find_untouched(packed, Plan(("x_mm",), delta=True))
+        find_untouched(packed, CalibrationPlan(("x_mm",), delta=True))
 
 
 def test_leakage_is_found_and_said_on_the_card(record_spots, tmp_path) -> None:
     run = record_spots("run", 12)
-    calibrate(run, Plan(("x_mm",), model="mean", split="random"), tmp_path / "random")
-    calibrate(run, Plan(("x_mm",), model="mean", split="group:press"), tmp_path / "grouped")
+    calibrate(run, CalibrationPlan(("x_mm",), model="mean", split="random"), tmp_path / "random")
+    calibrate(run, CalibrationPlan(("x_mm",), model="mean", split="group:press"), tmp_path / "grouped")
     assert not read_card(tmp_path / "random").split.clean
     assert "press" in read_card(tmp_path / "random").split.audit
     assert read_card(tmp_path / "grouped").split.clean
@@ -183,7 +195,7 @@ def test_the_card_is_json_that_anyone_can_read(record_spots, tmp_path) -> None:
 
 def test_one_fold_is_held_out_from_the_model_that_is_kept(record_spots, tmp_path) -> None:
     run = record_spots("run", 20)
-    plan = Plan(("x_mm",), split="group:press", size_px=(24, 32), scored_folds=1)
+    plan = CalibrationPlan(("x_mm",), split="group:press", size_px=(24, 32), scored_folds=1)
     split_card = read_card(calibrate(run, plan, tmp_path / "cal")).split
     assert (split_card.rows_scored, split_card.rows_learnt) == (20, 80)
     table = pd.read_parquet(tmp_path / "cal" / "predictions.parquet")

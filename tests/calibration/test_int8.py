@@ -11,7 +11,7 @@ import typer
 from onnx import TensorProto, helper
 from typer.testing import CliRunner
 
-from palpate.calibration import Plan, Reference, calibrate
+from palpate.calibration import CalibrationPlan, Reference, calibrate
 from palpate.calibration.int8 import quantise
 from palpate.calibration.int8_cost import cost
 from palpate.calibration.int8_model import nodes_to_round
@@ -27,7 +27,7 @@ pytest.importorskip("torch", reason="networks with convolutions train with torch
 
 TARGETS = ("x_mm", "height_mm")
 NETWORK = {"widths": (8, 12, 16), "members": 1, "hidden": 16, "epochs": 6, "batch": 16, "shift_px": 0}
-PLAN = Plan(
+PLAN = CalibrationPlan(
     TARGETS, model="compact-cnn", split="group:press", scored_folds=1, size_px=(24, 32), options=NETWORK
 )
 CHANGES = 0.05
@@ -168,7 +168,7 @@ def test_what_is_int8_already_and_what_exists_is_refused(calibration, quantised,
     ("held_out", "says"), [(None, "none that it has not seen"), (1, "no convolution behind")]
 )
 def test_a_network_that_int8_cannot_help_or_be_judged_on_is_refused(held_out, says, run, tmp_path) -> None:
-    plan = Plan(TARGETS, split="group:press", scored_folds=held_out, size_px=(24, 32))
+    plan = CalibrationPlan(TARGETS, split="group:press", scored_folds=held_out, size_px=(24, 32))
     calibrate(run, plan, tmp_path / "cal")
     with pytest.raises(InputError, match=says):
         quantise(tmp_path / "cal", run, tmp_path / "out")
@@ -198,7 +198,7 @@ def test_a_network_that_is_not_the_one_scored_is_refused(calibration, run, tmp_p
 
 def test_the_palms_network_of_two_views_in_differences_goes_the_same_way(tmp_path) -> None:
     run = record(tmp_path / "run", presses=20, two_views=True)
-    plan = Plan(
+    plan = CalibrationPlan(
         ("depth_mm", "x_mm", "y_mm", "force_N"),
         model="palm-compact",
         split="group:press",

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from palpate.calibration import Plan, calibrate
+from palpate.calibration import CalibrationPlan, calibrate
 from palpate.estimators import read_card
 from palpate.recordings import Run, import_images
 
@@ -32,7 +32,7 @@ def weights(real_data, tmp_path_factory) -> Run:
 
 
 def test_five_nominal_loads_are_held_out_in_turn(weights, tmp_path) -> None:
-    plan = Plan(("normal_force_N",), split="leave-one-out:load", learn_untouched=True)
+    plan = CalibrationPlan(("normal_force_N",), split="leave-one-out:load", learn_untouched=True)
     card = read_card(calibrate(weights, plan, tmp_path / "cal"))
     assert card.split.groups == card.split.folds == 5
     assert card.split.clean
@@ -43,5 +43,5 @@ def test_five_nominal_loads_are_held_out_in_turn(weights, tmp_path) -> None:
 
 
 def test_ten_photographs_of_one_load_leak_through_a_random_split(weights, tmp_path) -> None:
-    plan = Plan(("normal_force_N",), model="mean", split="random", learn_untouched=True)
+    plan = CalibrationPlan(("normal_force_N",), model="mean", split="random", learn_untouched=True)
     assert not read_card(calibrate(weights, plan, tmp_path / "cal")).split.clean

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.calibration import Plan, calibrate, evaluate
+from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.core import Frame
 from palpate.estimators import Estimator
 from palpate.recordings import Run, import_images
@@ -23,7 +23,7 @@ def imported(real_data, part: str, folder) -> Run:
 @pytest.mark.slow
 def test_the_ridge_reads_depth_and_shear_from_real_pins_and_the_guard_holds(real_data, tmp_path) -> None:
     train, val = (imported(real_data, part, tmp_path) for part in ("train", "val"))
-    estimator = Estimator.open(calibrate(train, Plan(TARGETS, split="random"), tmp_path / "cal"))
+    estimator = Estimator.open(calibrate(train, CalibrationPlan(TARGETS, split="random"), tmp_path / "cal"))
     found = evaluate(estimator, val)["targets"]
     # 300 components with ridge regression at 112 px gave 0.42 mm and 0.69 mm elsewhere.
     assert found["depth_mm"]["mae"] < 0.45

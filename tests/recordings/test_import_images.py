@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from typer.testing import CliRunner
 
-from palpate.core import ExistsError, ImageError, InputError, LabelError, PalpateError
+from palpate.cli import app
+from palpate.core import ExistsError, ImageError, InputError, LabelError, PalpateError, UnitError
 from palpate.recordings.importers import ImportReport, import_images
 from palpate.recordings.reader import Run
 
@@ -195,3 +197,24 @@ def test_a_disk_that_fills_up_leaves_nothing(folder, monkeypatch):
 
     monkeypatch.setattr("palpate.recordings.writer.RunWriter.frame", full)
     refused(folder, PalpateError, "no room left", "free some space")
+
+
+def test_columns_without_a_unit_are_told_and_refused_where_asked(tmp_path) -> None:
+    folder = tmp_path / "taps"
+    folder.mkdir()
+    for i in range(3):
+        Image.fromarray(np.full((4, 6), 40 * i, np.uint8)).save(folder / f"{i}.png")
+    rows = "".join(f"{i}.png,{i},{i},0.5,{i}\n" for i in range(3))
+    (folder / "labels.csv").write_text("image_file,press,depth,force_N,row\n" + rows)
+    given = {"labels": folder / "labels.csv", "image_column": "image_file"}
+    with pytest.raises(UnitError, match=r"without a unit: depth; .*depth_mm"):
+        import_images(folder, tmp_path / "strict", strict=True, **given)
+    assert not (tmp_path / "strict").exists()
+    report = import_images(folder, tmp_path / "run", **given)
+    assert report.unitless == ("press", "depth", "row")
+    assert report.no_targets == ("depth",)
+    words = ["import", "images", str(folder), str(tmp_path / "told"), "--labels", "labels.csv", "--quiet"]
+    told = CliRunner().invoke(app, words)
+    assert told.exit_code == 0
+    assert "no unit in depth: these cannot be targets" in told.stderr
+    assert "no unit" not in told.stdout

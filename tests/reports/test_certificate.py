@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from palpate.calibration import Plan, calibrate
+from palpate.calibration import CalibrationPlan, calibrate
 from palpate.calibration.evaluate import score
 from palpate.core import CertificateError
 from palpate.estimators import read_card
@@ -17,7 +17,7 @@ from palpate.reports.text import latency_line
 
 @pytest.fixture
 def calibration(record_spots, tmp_path):
-    plan = Plan(("x_mm", "height_mm"), split="group:press", size_px=(24, 32), channels=3)
+    plan = CalibrationPlan(("x_mm", "height_mm"), split="group:press", size_px=(24, 32), channels=3)
     return calibrate(record_spots("run", 16, colour=True), plan, tmp_path / "cal")
 
 
@@ -40,7 +40,7 @@ def test_a_page_is_not_written_from_altered_predictions(calibration, tmp_path) -
 
 
 def test_a_target_that_the_model_does_not_read_is_called_so(record_spots, tmp_path) -> None:
-    plan = Plan(("x_mm",), model="mean", split="group:press")
+    plan = CalibrationPlan(("x_mm",), model="mean", split="group:press")
     card = read_card(calibrate(record_spots("run", 16), plan, tmp_path / "cal"))
     assert "This model does not read x" in verdict(card.targets[0])
     assert "this model does not read it" in scores_table({"x_mm": card.targets[0].score})

@@ -55,8 +55,9 @@ def test_the_demo_loads_no_torch(tmp_path) -> None:
     code = (
         "import sys; from pathlib import Path; from palpate.studies import demo; "
         "demo.record(Path(sys.argv[1]) / 'run', demo.Protocol(), 6, seed=0); "
-        "from palpate.calibration import Plan; from palpate.recordings import Run; "
-        "demo.certify(Run.open(Path(sys.argv[1]) / 'run'), Plan(('x_mm',)), Path(sys.argv[1]) / 'cal'); "
+        "from palpate.calibration import CalibrationPlan; from palpate.recordings import Run; "
+        "plan = CalibrationPlan(('x_mm',)); "
+        "demo.certify(Run.open(Path(sys.argv[1]) / 'run'), plan, Path(sys.argv[1]) / 'cal'); "
         "sys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False).returncode == 0

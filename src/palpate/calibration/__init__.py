@@ -1,9 +1,29 @@
 """Recordings to certified estimators and their scores; virtual and real data are treated alike."""
 
+from typing import Any
+from warnings import warn
+
 from palpate.calibration.adapt import adapt
 from palpate.calibration.evaluate import evaluate
 from palpate.calibration.fit import calibrate
 from palpate.calibration.leakage import LeakageAudit, audit
-from palpate.calibration.plan import Plan, Reference
+from palpate.calibration.model_check import check_model
+from palpate.calibration.plan import CalibrationPlan, Reference
 
-__all__ = ["LeakageAudit", "Plan", "Reference", "adapt", "audit", "calibrate", "evaluate"]
+__all__ = [
+    "CalibrationPlan",
+    "LeakageAudit",
+    "Reference",
+    "adapt",
+    "audit",
+    "calibrate",
+    "check_model",
+    "evaluate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Plan":
+        warn("calibration.Plan is now called CalibrationPlan", DeprecationWarning, stacklevel=2)
+        return CalibrationPlan
+    raise AttributeError(f"palpate.calibration has no {name!r}; it has {', '.join(__all__)}")

@@ -32,10 +32,10 @@ from palpate.calibration.data import (
 )
 from palpate.calibration.leakage import audit
 from palpate.calibration.made import Calibrated
-from palpate.calibration.plan import Plan, Reference
+from palpate.calibration.plan import CalibrationPlan, Reference
 from palpate.core.axes import Indices, Tensor, Values
 from palpate.core.errors import ImageError, InputError, LabelError
-from palpate.core.files import refuse_existing, storage_errors
+from palpate.core.files import PathText, refuse_existing, storage_errors
 from palpate.estimators.card import Card
 from palpate.estimators.certified import Estimator, checked_file, intervals_of
 from palpate.estimators.guard import Guard, thumbnails
@@ -51,7 +51,7 @@ GROUPS = ("press", "location")
 FEWEST = 10
 
 
-def adapt(folder: Path, run: Run, out: Path, progress: Progress = silent) -> Card:
+def adapt(folder: PathText, run: Run, out: PathText, progress: Progress = silent) -> Card:
     """Adapt a calibration to another copy of its sensor.
 
     Args:
@@ -72,6 +72,7 @@ def adapt(folder: Path, run: Run, out: Path, progress: Progress = silent) -> Car
         LabelError: a target, or the untouched sensor, is not among the labels.
         InputError: too few presses, or the very run that the calibration has learnt from.
     """
+    out = Path(out)
     refuse_existing(out)
     started = time.monotonic()
     estimator = Estimator.open(folder)
@@ -103,11 +104,10 @@ class _Corrected:
         return self.correction.appended(model, f"adapted-{card.id}")
 
 
-def _plan(card: Card, run: Run) -> Plan:
+def _plan(card: Card, run: Run) -> CalibrationPlan:
     """What the calibration was asked, of the copy's run."""
-    return Plan(
+    return CalibrationPlan(
         targets=tuple(card.columns),
-        model=card.model_name,
         split=_grouping(run),
         seed=card.seed,
         size_px=card.input.size_px,
@@ -118,7 +118,6 @@ def _plan(card: Card, run: Run) -> Plan:
         reference=_rule(card, run),
         learn_untouched=card.reference.learnt,
         coverage=card.coverage,
-        options=card.options,
     )
 
 
@@ -144,7 +143,7 @@ def _rule(card: Card, run: Run) -> Reference | None:
     return rule
 
 
-def _check(card: Card, run: Run, plan: Plan) -> None:
+def _check(card: Card, run: Run, plan: CalibrationPlan) -> None:
     """Refuse what cannot be learnt from, before anything is written."""
     if run.hash == card.run.hash:
         raise InputError(
@@ -180,7 +179,7 @@ def _packed(run: Run, work: Path, card: Card, progress: Progress) -> PackedSet:
 
 
 def _made(
-    estimator: Estimator, run: Run, whole: PackedSet, plan: Plan, progress: Progress
+    estimator: Estimator, run: Run, whole: PackedSet, plan: CalibrationPlan, progress: Progress
 ) -> tuple[Calibrated, Adapted]:
     card, untouched = estimator.card, find_untouched(whole, plan)
     rows = rows_to_learn(whole.table, plan)
@@ -210,7 +209,7 @@ def _made(
     return made, adapted
 
 
-def _split(packed: PackedSet, plan: Plan) -> Split:
+def _split(packed: PackedSet, plan: CalibrationPlan) -> Split:
     if plan.split.endswith(":row"):
         each = tuple(np.arange(len(packed))[:, None])
         return Split(plan.split, (), None, each, "no column says which rows are of one press")

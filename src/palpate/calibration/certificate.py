@@ -33,6 +33,7 @@ from palpate.estimators.certified import CARD_FILE
 from palpate.estimators.intervals import Intervals
 from palpate.estimators.networks import settings_of
 from palpate.recordings import png
+from palpate.recordings.labels import with_own
 
 PREDICTIONS_FILE = "predictions.parquet"
 
@@ -66,8 +67,10 @@ def predictions_table(made: Calibrated, halves: Values) -> pd.DataFrame:
     fold = np.empty(len(made.packed), np.int64)
     for k, rows in enumerate(made.split.folds):
         fold[rows] = k
-    table = made.packed.table.iloc[made.scored].reset_index(names="row")
-    table["held_out_in_fold"] = fold[made.scored]
+    rows = made.scored
+    names = [made.packed.names[row] for row in rows]
+    own = {"row": rows, "frame": names, "held_out_in_fold": fold[rows]}
+    table = with_own(made.packed.table.iloc[rows].reset_index(drop=True), own)
     for j, column in enumerate(made.plan.targets):
         table[f"estimate:{column}"] = made.held_out[made.scored, j]
         table[f"half_width:{column}"] = halves[:, j]

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float32, Int, Shaped
 
-from palpate.calibration.plan import Plan, Reference
+from palpate.calibration.plan import CalibrationPlan, Reference
 from palpate.core.axes import Indices, Tensor
 from palpate.core.errors import LabelError
 from palpate.estimators.networks.base import TrainingData
@@ -72,7 +72,7 @@ def default_rule(table: pd.DataFrame) -> Reference | None:
     return None
 
 
-def _rule(table: pd.DataFrame, plan: Plan) -> Reference | None:
+def _rule(table: pd.DataFrame, plan: CalibrationPlan) -> Reference | None:
     """The plan's rule, or the conventional one.
 
     Raises:
@@ -87,7 +87,7 @@ def _rule(table: pd.DataFrame, plan: Plan) -> Reference | None:
     return rule
 
 
-def rows_to_learn(table: pd.DataFrame, plan: Plan) -> Indices:
+def rows_to_learn(table: pd.DataFrame, plan: CalibrationPlan) -> Indices:
     """Rows to learn from: all but those of the untouched sensor, where a press has no place or shape.
 
     Raises:
@@ -99,7 +99,7 @@ def rows_to_learn(table: pd.DataFrame, plan: Plan) -> Indices:
     return np.flatnonzero(~marked(table, rule))
 
 
-def find_untouched(packed: PackedSet, plan: Plan) -> Untouched:
+def find_untouched(packed: PackedSet, plan: CalibrationPlan) -> Untouched:
     """Find and average the no-contact frames.
 
     Raises:
@@ -131,7 +131,11 @@ def _mean_images(
 
 
 def training_data(
-    packed: PackedSet, plan: Plan, groups: Shaped[np.ndarray, " n"], untouched: Untouched, source: str
+    packed: PackedSet,
+    plan: CalibrationPlan,
+    groups: Shaped[np.ndarray, " n"],
+    untouched: Untouched,
+    source: str,
 ) -> TrainingData:
     """What a model learns from.
 
@@ -146,7 +150,7 @@ def training_data(
         return np.ascontiguousarray(inputs)
 
     values = targets_from(packed.table, plan.targets, source)
-    return TrainingData(packed.preparation.shape, values, groups, fetch, plan.targets)
+    return TrainingData(packed.preparation.shape, values, groups, fetch, tuple(plan.targets))
 
 
 def prepared_images(packed: PackedSet, rows: Indices) -> Iterator[np.ndarray]:

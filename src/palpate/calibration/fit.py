@@ -28,23 +28,24 @@ from palpate.calibration.data import (
 )
 from palpate.calibration.leakage import audit
 from palpate.calibration.made import Calibrated
-from palpate.calibration.plan import Plan
+from palpate.calibration.model_check import check_plugged_in
+from palpate.calibration.plan import CalibrationPlan
 from palpate.core.axes import Indices, Values
 from palpate.core.errors import ExistsError, InputError
-from palpate.core.files import new_file, refuse_existing, storage_errors
+from palpate.core.files import PathText, new_file, refuse_existing, storage_errors
 from palpate.estimators.guard import Guard, fit_guard, thumbnails
 from palpate.estimators.networks import make_model, model_kind
 from palpate.estimators.networks.base import Fitted, Model, Progress, TrainingData, predict_rows, silent
 from palpate.estimators.networks.many_processes import Crew
 from palpate.estimators.seen import SawMore
-from palpate.recordings.labels import targets_from
+from palpate.recordings.labels import refuse_reserved, targets_from
 from palpate.recordings.pack import PackedSet, pack
 from palpate.recordings.reader import Run
 from palpate.recordings.splits import Split, split
 from palpate.sensors.preparation import Preparation
 
 
-def calibrate(run: Run, plan: Plan, out: Path, progress: Progress = silent) -> Path:
+def calibrate(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress = silent) -> Path:
     """Calibrate an estimator and write its certificate.
 
     Rows are predicted by a model that has not seen their group; the scores, the intervals and the report
@@ -64,6 +65,7 @@ def calibrate(run: Run, plan: Plan, out: Path, progress: Progress = silent) -> P
         ExistsError: `out` exists, or work towards another plan lies beside it.
         LabelError, UnitError, SplitError, InputError: the plan does not fit the run.
     """
+    out = Path(out)
     refuse_existing(out)
     started = time.monotonic()
     _check_plan(run, plan)
@@ -80,7 +82,7 @@ def calibrate(run: Run, plan: Plan, out: Path, progress: Progress = silent) -> P
     return out
 
 
-def _crew(plan: Plan) -> Crew:
+def _crew(plan: CalibrationPlan) -> Crew:
     """The processes that shall train together.
 
     Raises:
@@ -95,7 +97,7 @@ def _crew(plan: Plan) -> Crew:
     return crew
 
 
-def _help(run: Run, plan: Plan, work: Path, crew: Crew) -> None:
+def _help(run: Run, plan: CalibrationPlan, work: Path, crew: Crew) -> None:
     """Train along with the first process, from the set that it packs, and write nothing."""
     ready = _ready(run, plan, work, silent, crew)
     _learnt(make_model(plan.model, plan.options), ready, plan, work, silent, crew)
@@ -114,7 +116,7 @@ class _Ready:
     data: TrainingData
 
 
-def _ready(run: Run, plan: Plan, work: Path, progress: Progress, crew: Crew) -> _Ready:
+def _ready(run: Run, plan: CalibrationPlan, work: Path, progress: Progress, crew: Crew) -> _Ready:
     whole = _packed(run, plan, work, progress, crew)
     untouched = find_untouched(whole, plan)
     rows = rows_to_learn(whole.table, plan)
@@ -125,7 +127,7 @@ def _ready(run: Run, plan: Plan, work: Path, progress: Progress, crew: Crew) -> 
     return _Ready(whole, rows, untouched, packed, parts, data)
 
 
-def _made(run: Run, plan: Plan, work: Path, progress: Progress, crew: Crew) -> Calibrated:
+def _made(run: Run, plan: CalibrationPlan, work: Path, progress: Progress, crew: Crew) -> Calibrated:
     ready = _ready(run, plan, work, progress, crew)
     model = make_model(plan.model, plan.options)
     held_out, fitted = _learnt(model, ready, plan, work, progress, crew)
@@ -143,18 +145,20 @@ def _made(run: Run, plan: Plan, work: Path, progress: Progress, crew: Crew) -> C
     )
 
 
-def _check_plan(run: Run, plan: Plan) -> None:
+def _check_plan(run: Run, plan: CalibrationPlan) -> None:
     """Refuse at once what would fail after an hour."""
     if len(run) < 10:
         raise InputError(f"{run.path} holds {len(run)} frames; a calibration needs 10 or more")
+    refuse_reserved(list(run.manifest.labels), str(run.path))
     make_model(plan.model, plan.options)
-    preparation_of(run, plan).apply(run.frame(0).image)
+    prepared = preparation_of(run, plan).apply(run.frame(0).image)
     table = run.labels.iloc[rows_to_learn(run.labels, plan)].reset_index(drop=True)
     targets_from(table, plan.targets, str(run.path))
     split(table, plan.split, folds=_folds(plan), seed=plan.seed)
+    check_plugged_in(plan, prepared.transpose(2, 0, 1).shape)
 
 
-def preparation_of(run: Run, plan: Plan) -> Preparation:
+def preparation_of(run: Run, plan: CalibrationPlan) -> Preparation:
     """The preparation a plan asks for.
 
     Where it names no size, the input has as many pixels as the model's own square one, in the frame's
@@ -170,7 +174,7 @@ def preparation_of(run: Run, plan: Plan) -> Preparation:
     return Preparation(plan.crop_px, (round(side * tall), round(side / tall)), plan.channels)
 
 
-def _work_folder(run: Run, plan: Plan, out: Path) -> Path:
+def _work_folder(run: Run, plan: CalibrationPlan, out: Path) -> Path:
     """The folder of unfinished work towards this very plan, made or found again."""
     work = _work_path(out)
     wanted = json.dumps({"run": run.hash, "plan": plan.to_dict()}, sort_keys=True)
@@ -195,7 +199,7 @@ def _work_path(out: Path) -> Path:
     return out.with_name(f".{out.name}.work")
 
 
-def _packed(run: Run, plan: Plan, work: Path, progress: Progress, crew: Crew) -> PackedSet:
+def _packed(run: Run, plan: CalibrationPlan, work: Path, progress: Progress, crew: Crew) -> PackedSet:
     folder = work / "packed"
     if crew.first and not folder.exists():
         made = preparation_of(run, plan)
@@ -205,7 +209,7 @@ def _packed(run: Run, plan: Plan, work: Path, progress: Progress, crew: Crew) ->
 
 
 def _learnt(
-    model: Model, ready: _Ready, plan: Plan, work: Path, progress: Progress, crew: Crew
+    model: Model, ready: _Ready, plan: CalibrationPlan, work: Path, progress: Progress, crew: Crew
 ) -> tuple[Values, Fitted]:
     """Predictions of rows by a model that has not seen their fold (NaN where none was), and what is kept.
 
@@ -240,12 +244,12 @@ def most_like_the_rest(parts: Split, values: Values) -> int:
     return int(np.argmin(gaps))
 
 
-def _folds(plan: Plan) -> int:
+def _folds(plan: CalibrationPlan) -> int:
     """How many parts: five, or eight where a costly model shall learn from as many rows as it can."""
     return plan.folds or (8 if model_kind(plan.model).costly else 5)
 
 
-def folds_to_score(plan: Plan, parts: Split) -> int:
+def folds_to_score(plan: CalibrationPlan, parts: Split) -> int:
     """How many folds are held out: all, unless the model is costly and the first gives scores enough.
 
     With 200 scores of 20 groups the rate that 90 % intervals really keep scatters by 2 %.
@@ -259,7 +263,7 @@ def folds_to_score(plan: Plan, parts: Split) -> int:
 
 
 def _fold(
-    model: Model, ready: _Ready, plan: Plan, k: int, work: Path, progress: Progress, crew: Crew
+    model: Model, ready: _Ready, plan: CalibrationPlan, k: int, work: Path, progress: Progress, crew: Crew
 ) -> Values:
     # All processes see the same here: the first writes it only after they have trained this fold together.
     kept = work / f"fold-{k}.npy"
@@ -280,7 +284,7 @@ def _fold(
     return predicted
 
 
-def _guard(ready: _Ready, fitted: Fitted, plan: Plan, progress: Progress) -> Guard:
+def _guard(ready: _Ready, fitted: Fitted, plan: CalibrationPlan, progress: Progress) -> Guard:
     """A guard that knows every frame, those of the untouched sensor too; they are dealt out to all folds.
 
     What the model has learnt from besides, it knows as well.

@@ -25,15 +25,16 @@ from palpate.calibration.certificate_parts import WORST, file_card, software
 from palpate.calibration.data import find_untouched, rows_to_learn, training_data
 from palpate.calibration.evaluate import groups_in, score
 from palpate.calibration.int8_model import int8_model
-from palpate.calibration.plan import Plan, Reference
+from palpate.calibration.plan import CalibrationPlan, Reference
 from palpate.calibration.uncertainty import fit_intervals
 from palpate.core.axes import Indices, Tensor, Values
 from palpate.core.errors import CertificateError, InputError
-from palpate.core.files import new_folder, refuse_existing
+from palpate.core.files import PathText, new_folder, refuse_existing
 from palpate.estimators.card import Card, TargetCard, sealed
 from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
 from palpate.estimators.networks.base import Progress, TrainingData, silent
 from palpate.recordings import png
+from palpate.recordings.labels import own_column
 from palpate.recordings.pack import PackedSet, pack
 from palpate.recordings.reader import Run
 
@@ -62,7 +63,7 @@ class _Material:
         return float((np.abs(answered - self.before) / np.ptp(self.data.values, axis=0)).max())
 
 
-def quantise(folder: Path, run: Run, out: Path, progress: Progress = silent) -> Card:
+def quantise(folder: PathText, run: Run, out: PathText, progress: Progress = silent) -> Card:
     """Write a calibration anew with its network in int8, scored on the rows that it held out.
 
     The card's options say ``int8``, ``quantised_from`` (the id of the calibration it comes from) and
@@ -81,6 +82,7 @@ def quantise(folder: Path, run: Run, out: Path, progress: Progress = silent) -> 
         CertificateError: the folder is damaged, or its model is not the one that was scored.
         ExistsError: `out` exists.
     """
+    folder, out = Path(folder), Path(out)
     refuse_existing(out)
     estimator = Estimator.open(folder)
     card = estimator.card
@@ -134,17 +136,16 @@ def _material(folder: Path, card: Card, run: Run, work: Path, progress: Progress
     table = pd.read_parquet(_part(folder, card, PREDICTIONS_FILE))
     groups = groups_in(packed.table, card.split.columns)
     data = training_data(packed, plan, groups, untouched.of(rows), str(run.path))
-    held = table["row"].to_numpy(np.int64)
+    held = own_column(table, "row").to_numpy(np.int64)
     return _Material(packed, data, table, held, np.setdiff1d(np.arange(len(packed)), held))
 
 
-def _plan(card: Card) -> Plan:
+def _plan(card: Card) -> CalibrationPlan:
     """The plan by which images and references are found as they were for this card."""
     rule, made = card.reference, card.input
     known = rule.column is not None and rule.value is not None
-    return Plan(
+    return CalibrationPlan(
         targets=tuple(card.columns),
-        model=card.model_name,
         size_px=made.size_px,
         channels=made.channels,
         crop_px=made.crop_px,

@@ -8,7 +8,7 @@ import numpy as np
 
 from palpate.calibration.data import Untouched
 from palpate.calibration.leakage import LeakageAudit
-from palpate.calibration.plan import Plan
+from palpate.calibration.plan import CalibrationPlan
 from palpate.core.axes import Indices, Values
 from palpate.estimators.guard import Guard
 from palpate.estimators.networks.base import Fitted, TrainingData
@@ -32,7 +32,7 @@ class Calibrated:
     """
 
     run: Run
-    plan: Plan
+    plan: CalibrationPlan
     packed: PackedSet
     data: TrainingData
     split: Split

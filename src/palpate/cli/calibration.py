@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,12 +35,10 @@ def calibrate(
     ] = "",
     model: Annotated[
         str,
-        typer.Option(
-            help="mean, pca-ridge, pixel-mlp, compact-cnn, or a palm's own, such as palm-two-stage."
-        ),
+        typer.Option(help="mean, pca-ridge, pixel-mlp, compact-cnn, a palm's own, or yours, module:Class."),
     ] = "pca-ridge",
     split: Annotated[
-        str, typer.Option(help="auto, random, group:COLUMN[,COLUMN] or leave-one-out:COLUMN.")
+        str, typer.Option(help="auto, random, group:COLUMN, leave-one-out:COLUMN, or module:function.")
     ] = "auto",
     folds: Annotated[
         int | None, typer.Option(help="Parts the rows are split in; default 5, for a network 8.")
@@ -92,18 +91,20 @@ def calibrate(
     Example: palpate calibrate run --targets depth_mm,force_N --model compact-cnn --out cal
     """
     from palpate.calibration.fit import calibrate as help_to_calibrate
-    from palpate.calibration.plan import Plan, Reference
+    from palpate.calibration.plan import CalibrationPlan, Reference
     from palpate.calibration.views import two_views
     from palpate.estimators.networks import model_kind
     from palpate.estimators.networks.many_processes import Crew
     from palpate.recordings.reader import Run
     from palpate.studies.certify import certify
 
+    if ":" in model + split:
+        sys.path.append(str(Path.cwd()))  # a module of one's own lies where one works
     recorded, kind = Run.open(run), model_kind(model)
     crops = _crops(crop or [])
     if kind.views == 2 and crops[0] is None:
         crops = two_views(recorded.manifest)
-    plan = Plan(
+    plan = CalibrationPlan(
         targets=columns_of(targets) or kind.targets or recorded.manifest.targets,
         model=model,
         split=split,
@@ -193,7 +194,7 @@ def sense(
         if json_:
             typer.echo(json.dumps(sensed.to_dict(), allow_nan=False))
         else:
-            typer.echo("\n".join(f"{sensed.frame}: {reading}" for reading in sensed.shown().values()))
+            typer.echo("\n".join(f"{sensed.frame}: {reading}" for reading in sensed.readings.values()))
     if timing:
         typer.echo(_latency_text(latencies), err=True)
 

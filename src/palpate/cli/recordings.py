@@ -21,6 +21,9 @@ def import_images(
     origin: Annotated[str, typer.Option(help="Where the data come from.")] = "",
     rate_hz: Annotated[float | None, typer.Option(help="Frame rate, if the images are a sequence.")] = None,
     allow_unlabelled: Annotated[bool, typer.Option(help="Skip images without a row.")] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Refuse columns of numbers that carry no unit.")
+    ] = False,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -41,12 +44,19 @@ def import_images(
             origin=origin,
             rate_hz=rate_hz,
             allow_unlabelled=allow_unlabelled,
+            strict=strict,
             progress=lambda done, total: progress("importing", done, total),
         )
     units = ", ".join(f"{column} [{symbol}]" for column, symbol in report.units.items())
     text = f"{run}: {report.frames} frames; columns with a unit: {units or 'none'}"
     if report.unitless:
         text += f"; without: {', '.join(report.unitless)}"
+    if report.no_targets:
+        typer.echo(
+            f"palpate: no unit in {', '.join(report.no_targets)}: these cannot be targets; rename such as "
+            "depth to depth_mm and import again if one shall be",
+            err=True,
+        )
     found = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
     print_found(found | {"unitless": list(report.unitless)}, text, json_)
 

@@ -95,8 +95,8 @@ def split(table: pd.DataFrame, spec: str, *, folds: int = 5, seed: int = 0) -> S
             raise SplitError(
                 f"{folds} folds of {len(table)} rows: fewer rows than folds; ask for fewer folds"
             )
-        parts = np.array_split(rng.permutation(len(table)), folds)
-        return Split(spec, (), None, tuple(np.sort(p) for p in parts), "random, as asked")
+        shuffled = np.array_split(rng.permutation(len(table)), folds)
+        return Split(spec, (), None, tuple(np.sort(p) for p in shuffled), "random, as asked")
     if kind not in _BY_COLUMNS:
         return _plugged_in(table, spec, folds, seed)
     check_split_text(spec)

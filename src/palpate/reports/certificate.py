@@ -11,9 +11,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from palpate.calibration.evaluate import groups_in
 from palpate.calibration.uncertainty import grouped_coverage_interval
-from palpate.core.files import new_file
+from palpate.core.files import PathText, new_file
 from palpate.estimators.card import Card, ScoreCard, TargetCard
 from palpate.estimators.certified import checked_file, read_card
+from palpate.recordings.labels import OWN, own_column
 from palpate.reports.figures import picture, surface_columns, surface_figure, target_figure
 
 PREDICTIONS_FILE = "predictions.parquet"
@@ -50,7 +51,7 @@ class _Worst:
     said: str
 
 
-def write_report(calibration: Path, out: Path) -> Path:
+def write_report(calibration: PathText, out: PathText) -> Path:
     """Write a calibration's report.
 
     Args:
@@ -61,6 +62,7 @@ def write_report(calibration: Path, out: Path) -> Path:
         CertificateError: the folder is damaged.
         ExistsError: `out` exists.
     """
+    calibration, out = Path(calibration), Path(out)
     card = read_card(calibration)
     for part in card.files:
         checked_file(calibration, part)
@@ -161,9 +163,15 @@ def _kept(s: ScoreCard, ends: tuple[OuterRange, ...]) -> str:
 def _worst(calibration: Path, card: Card, table: pd.DataFrame) -> list[_Worst]:
     found = []
     for path in sorted(calibration.glob("worst-*.png"), key=lambda p: int(p.stem.split("-")[1])):
-        row = table[table["row"] == int(path.stem.split("-")[1])].iloc[0]
+        row = table[own_column(table, "row") == int(path.stem.split("-")[1])].iloc[0]
         target = max(card.targets, key=lambda t: _error(row, t) / (t.greatest - t.least))
-        found.append(_Worst(picture(path), str(row["frame"]), _said(row, target)))
+        found.append(
+            _Worst(
+                picture(path),
+                str(row[f"{OWN}frame" if f"{OWN}frame" in row else "frame"]),
+                _said(row, target),
+            )
+        )
     return found
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from palpate.calibration.fit import calibrate
-from palpate.calibration.plan import Plan
+from palpate.calibration.plan import CalibrationPlan
+from palpate.core.files import PathText
 from palpate.estimators.card import Card
 from palpate.estimators.certified import read_card
 from palpate.estimators.networks.base import Progress, silent
@@ -15,7 +16,7 @@ from palpate.reports.certificate import write_report
 REPORT_FILE = "report.html"
 
 
-def certify(run: Run, plan: Plan, out: Path, progress: Progress = silent) -> Card:
+def certify(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress = silent) -> Card:
     """Calibrate, and write the report into the calibration's folder.
 
     Args:
@@ -24,6 +25,7 @@ def certify(run: Run, plan: Plan, out: Path, progress: Progress = silent) -> Car
         out: calibration folder to make; must not exist.
         progress: told what is being done and how far it is.
     """
+    out = Path(out)
     calibrate(run, plan, out, progress)
     progress("writing the report", 0, 1)
     write_report(out, out / REPORT_FILE)

@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 
 from palpate.calibration.evaluate import evaluate
-from palpate.calibration.plan import Plan
+from palpate.calibration.plan import CalibrationPlan
 from palpate.core.clock import ManualClock
 from palpate.core.contact import Pose
-from palpate.core.files import new_file, new_folder
+from palpate.core.files import PathText, new_file, new_folder
 from palpate.core.frame import Frame
 from palpate.estimators.card import ScoreCard
 from palpate.estimators.certified import Estimator
@@ -133,7 +133,7 @@ class DemoResult:
 
 
 def run_demo(
-    out: Path, *, locations: tuple[int, int] = (80, 20), seed: int = 0, progress: Progress = silent
+    out: PathText, *, locations: tuple[int, int] = (80, 20), seed: int = 0, progress: Progress = silent
 ) -> DemoResult:
     """Run the whole loop into a new folder.
 
@@ -143,6 +143,7 @@ def run_demo(
         seed: of everything random.
         progress: told what is being done.
     """
+    out = Path(out)
     with new_folder(out) as folder:
         record(folder / "run", Protocol(), locations[0], seed=seed, progress=progress)
         record(folder / "run-new-places", Protocol(), locations[1], seed=seed + 1, progress=progress)
@@ -154,7 +155,9 @@ def run_demo(
     return result
 
 
-def record(path: Path, protocol: Protocol, locations: int, *, seed: int, progress: Progress = silent) -> Run:
+def record(
+    path: PathText, protocol: Protocol, locations: int, *, seed: int, progress: Progress = silent
+) -> Run:
     """Record presses at random locations as a run.
 
     Args:
@@ -217,7 +220,7 @@ def _presses(
 def _calibrated(folder: Path, name: str, seed: int, progress: Progress) -> dict[str, ScoreCard]:
     """Calibrate and certify one way, then score it on the places of the second run."""
     way = WAYS[name]
-    plan = Plan(
+    plan = CalibrationPlan(
         targets=TARGETS,
         model=way.model,
         split="group:location",
@@ -245,12 +248,8 @@ def _some_readings(folder: Path) -> tuple[str, ...]:
     lines = []
     for i, sensed in enumerate(sense(estimator, RunFrames(run))):
         if i in (4, 14):
-            shown = sensed.shown()
-            lines += [
-                f"frame {sensed.frame}: {shown['depth_mm']}",
-                f"frame {sensed.frame}: {shown['force_N']}",
-            ]
+            lines += [f"frame {sensed.frame}: {sensed.readings[c]}" for c in ("depth_mm", "force_N")]
     dark = Frame(run.frame(4).image // 8, name="4, made dark")
-    reading = estimator.read(dark)["depth_mm"].in_unit("mm")
+    reading = estimator.read(dark)["depth_mm"]
     cv2.imwrite(str(folder / "frame-14.png"), run.frame(14).image[..., ::-1])
     return (*lines, f"frame {dark.name}: {reading}")

@@ -1,22 +1,22 @@
-"""Models behind one small interface, and the list of them by name."""
+"""Models behind one small interface, and the list of them by name; those of others by ``module:Class``."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from importlib import import_module
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
-from palpate.core.errors import InputError, MissingExtraError
+from palpate.core.errors import InputError, MissingExtraError, PluginError
+from palpate.core.plugins import Registry, imported
 from palpate.estimators.networks.base import Fitted, Model, Progress, TrainingData, silent
 
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """Where a model's code is, and what it is like.
+    """Where a model's code is, and what it is like; a user's model may say so in its class variable ``kind``.
 
     Attributes:
-        file, name: module and class.
+        path: ``module:Class``; empty where a model says itself what it is like.
         side_px: of the square input it takes where no size is asked for [px].
         costly: whether training it again for every fold is more than most would wait for.
         channels: it was made for, 1 or 3; 0 where any will do.
@@ -25,9 +25,8 @@ class Kind:
         views: how many parts of a frame it sees, side by side.
     """
 
-    file: str
-    name: str
-    side_px: int
+    path: str = ""
+    side_px: int = 112
     costly: bool = False
     channels: int = 0
     delta: bool | None = None
@@ -39,13 +38,12 @@ _FORCES = ("force_x_N", "force_y_N", "force_N")
 _PLACE = ("x_mm", "y_mm")
 
 MODELS: dict[str, Kind] = {
-    "mean": Kind("mean", "Mean", 32),
-    "pca-ridge": Kind("pca_ridge", "PcaRidge", 112),
-    "pixel-mlp": Kind("pixel_mlp", "PixelMlp", 64),
-    "compact-cnn": Kind("compact_cnn", "CompactCnn", 224, costly=True),
+    "mean": Kind("palpate.estimators.networks.mean:Mean", 32),
+    "pca-ridge": Kind("palpate.estimators.networks.pca_ridge:PcaRidge", 112),
+    "pixel-mlp": Kind("palpate.estimators.networks.pixel_mlp:PixelMlp", 64),
+    "compact-cnn": Kind("palpate.estimators.networks.compact_cnn:CompactCnn", 224, costly=True),
     "palm-joint-raw": Kind(
-        "palm_joint_raw",
-        "PalmJointRaw",
+        "palpate.estimators.networks.palm_joint_raw:PalmJointRaw",
         128,
         costly=True,
         channels=3,
@@ -54,8 +52,7 @@ MODELS: dict[str, Kind] = {
         views=2,
     ),
     "palm-force-conditioned": Kind(
-        "palm_force_conditioned",
-        "PalmForceConditioned",
+        "palpate.estimators.networks.palm_force_conditioned:PalmForceConditioned",
         128,
         costly=True,
         channels=3,
@@ -64,11 +61,15 @@ MODELS: dict[str, Kind] = {
         views=2,
     ),
     "palm-mlp-delta": Kind(
-        "palm_mlp_delta", "PalmMlpDelta", 128, channels=1, delta=True, targets=_FORCES, views=2
+        "palpate.estimators.networks.palm_mlp_delta:PalmMlpDelta",
+        128,
+        channels=1,
+        delta=True,
+        targets=_FORCES,
+        views=2,
     ),
     "palm-two-stage": Kind(
-        "palm_two_stage",
-        "PalmTwoStage",
+        "palpate.estimators.networks.palm_two_stage:PalmTwoStage",
         128,
         costly=True,
         channels=1,
@@ -77,8 +78,7 @@ MODELS: dict[str, Kind] = {
         views=2,
     ),
     "palm-compact": Kind(
-        "palm_compact",
-        "PalmCompact",
+        "palpate.estimators.networks.palm_compact:PalmCompact",
         96,
         costly=True,
         channels=3,
@@ -89,39 +89,67 @@ MODELS: dict[str, Kind] = {
 }
 
 
+REGISTRY = Registry("model", "palpate.models", {name: kind.path for name, kind in MODELS.items()})
+
+
 def model_kind(name: str) -> Kind:
     """What the named model is like.
 
     Raises:
         InputError: there is no such model; the message lists those there are.
+        PluginError: it is a plug-in, and breaks a law that a class can be seen to break.
     """
-    if name not in MODELS:
-        raise InputError(f"there is no model {name!r}; there are {', '.join(MODELS)}")
-    return MODELS[name]
+    path = REGISTRY.text(name)
+    if name in MODELS:
+        return MODELS[name]
+    kind = getattr(model_class(path), "kind", Kind())
+    if not isinstance(kind, Kind):
+        raise PluginError(f"model {path}: its class variable kind is a {type(kind).__name__}, not a Kind")
+    return kind
+
+
+def model_class(path: str) -> type:
+    """The class of a plug-in, which says its settings by fields and can be asked to fit.
+
+    Raises:
+        PluginError: it does not import, or is no such class.
+    """
+    found = imported(path, "model")
+    if not (isinstance(found, type) and is_dataclass(found)):
+        raise PluginError(
+            f"model {path} is not a dataclass; its settings are its fields, which the certificate tells"
+        )
+    if not callable(getattr(found, "fit", None)):
+        raise PluginError(f"model {path} has no method fit(data, rows, *, seed, progress, checkpoint)")
+    return found
 
 
 def make_model(name: str, options: Mapping[str, Any]) -> Model:
-    """A model by name, with some of its fields set.
+    """A model by name, or of a user's by ``module:Class``, with some of its fields set.
 
     Raises:
         InputError: no such model, or no such option; the message lists those there are.
+        PluginError: it is a plug-in that does not import, or is no model.
         MissingExtraError: the model needs a package that is not installed.
     """
-    kind = model_kind(name)
+    path = REGISTRY.text(name)
     try:
-        module = import_module(f"palpate.estimators.networks.{kind.file}")
-        make: Callable[..., Model] = getattr(module, kind.name)
-    except ImportError as e:
-        raise MissingExtraError(
-            f"model {name} needs {e.name}, which is not installed; run: pip install 'palpate[train]'"
-        ) from e
-    known = [f.name for f in fields(make)]  # type: ignore[arg-type]
+        make = model_class(path)
+    except PluginError as e:
+        if name in MODELS and isinstance(e.__cause__, ImportError):
+            raise MissingExtraError(
+                f"model {name} needs {e.__cause__.name}, which is not installed; run: pip install "
+                "'palpate[train]'"
+            ) from e
+        raise
+    known = [f.name for f in fields(make)]
     unknown = sorted(set(options) - set(known))
     if unknown:
         raise InputError(
             f"model {name} has no option {', '.join(unknown)}; it has {', '.join(known) or 'none'}"
         )
-    return make(**options)
+    made: Model = make(**options)
+    return made
 
 
 def settings_of(name: str, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -132,12 +160,14 @@ def settings_of(name: str, options: Mapping[str, Any]) -> dict[str, Any]:
 
 __all__ = [
     "MODELS",
+    "REGISTRY",
     "Fitted",
     "Kind",
     "Model",
     "Progress",
     "TrainingData",
     "make_model",
+    "model_class",
     "model_kind",
     "settings_of",
     "silent",

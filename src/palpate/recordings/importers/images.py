@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from palpate.core.clock import NS_PER_S, ManualClock
-from palpate.core.errors import ImageError, InputError, LabelError
+from palpate.core.errors import ImageError, InputError, LabelError, UnitError
 from palpate.core.files import PathText, new_folder, refuse_existing
 from palpate.core.units import has_unit, split_column
 from palpate.recordings.exporters.folder import FILE_COLUMN, TIME_COLUMN
@@ -19,11 +19,13 @@ from palpate.recordings.images import read_image
 from palpate.recordings.labels import FIRST_ROW, label_kinds, read_labels, rows_text
 from palpate.recordings.manifest import MANIFEST, Manifest
 from palpate.recordings.reader import NAME_COLUMN
+from palpate.recordings.splits import CONVENTIONAL_GROUPS
 from palpate.recordings.writer import RunWriter
 
 Progress = Callable[[int, int], None]
 _SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 _SHOWN = 5
+_GROUP_NAMES = frozenset(name for columns in CONVENTIONAL_GROUPS for name in columns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +44,11 @@ class ImportReport:
     units: Mapping[str, str]
     unitless: tuple[str, ...]
 
+    @property
+    def no_targets(self) -> tuple[str, ...]:
+        """Those of `unitless` that are not called as groups are: somebody may want one for a target."""
+        return tuple(name for name in self.unitless if name not in _GROUP_NAMES)
+
 
 def import_images(
     folder: PathText,
@@ -56,6 +63,7 @@ def import_images(
     rate_hz: float | None = None,
     time_column: str | None = None,
     allow_unlabelled: bool = False,
+    strict: bool = False,
     progress: Progress | None = None,
 ) -> ImportReport:
     """Turn a folder of images and a table of labels into a run; row ``i`` of the table becomes frame ``i``.
@@ -77,12 +85,15 @@ def import_images(
             without `time_column` the run's times are ordinal: frame ``i`` is at ``i`` seconds.
         time_column: the column that holds each frame's time [s], strictly increasing.
         allow_unlabelled: leave out images that no row names, rather than refuse the folder.
+        strict: refuse columns of numbers whose names carry no unit, unless they are called as groups are,
+            such as ``press``. Without it the report's `no_targets` names them, and they cannot be targets.
         progress: told how many steps are done of how many; an image is checked in one and written in another.
 
     Raises:
         ExistsError: `run` exists.
         LabelError: the table is damaged, lacks the column, names an image twice, or one that is not there or
             not inside `folder`; a number is missing; or an image has no row.
+        UnitError: `strict`, and a column of numbers carries no unit.
         ImageError: an image cannot be read, or is not of the first one's size and kind.
         InputError: `folder` is none, or `rate_hz` is no rate or given beside `time_column`.
         RecordingError: `folder` was exported and its manifest is damaged.
@@ -101,6 +112,11 @@ def import_images(
     times_ns = _times_ns(table, source, rate_hz, TIME_COLUMN if exported else time_column)
     timed = exported.clock == "measured" if exported else (rate_hz is not None or time_column is not None)
     kept = _labels(table, image_column)
+    if strict and (bare := _report(kept).no_targets):
+        raise UnitError(
+            f"{source}: columns of numbers without a unit: {', '.join(bare)}; name each quantity_unit, as in "
+            "depth_mm or mass_ratio, or import without strict and use them as groups only"
+        )
     for done, _ in enumerate(_same_kind(paths), start=1):
         _tell(progress, done, 2 * len(paths))
     given = {"sensor": sensor, "rig": rig, "licence": licence, "origin": origin}

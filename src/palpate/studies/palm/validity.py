@@ -8,6 +8,7 @@ import numpy as np
 
 from palpate.calibration.uncertainty import coverage_interval
 from palpate.estimators.certified import Estimator
+from palpate.recordings.labels import own_column
 from palpate.recordings.reader import Run
 from palpate.studies.palm.conditions import Condition, only, recorded
 from palpate.studies.palm.loads import record_loads
@@ -63,7 +64,7 @@ def _held_out(shop: Workshop, way: Way) -> np.ndarray:
     pressed, untouched = np.flatnonzero(~reference), np.flatnonzero(reference)
     zero_of = dict(zip(table["press"].iloc[untouched], untouched.tolist(), strict=True))
     flagged = []
-    for row in pressed[shop.held_out(way)["row"].to_numpy(int)]:
+    for row in pressed[own_column(shop.held_out(way), "row").to_numpy(int)]:
         zero = estimator.zero(run.frame(zero_of[table["press"].iloc[row]]).image)
         readings = estimator.read(run.frame(int(row)), zero)
         flagged.append(not all(reading.valid for reading in readings.values()))

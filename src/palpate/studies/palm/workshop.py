@@ -15,7 +15,7 @@ from typing import Any
 import pandas as pd
 
 from palpate.calibration.evaluate import predictions
-from palpate.calibration.plan import Plan, Reference
+from palpate.calibration.plan import CalibrationPlan, Reference
 from palpate.calibration.views import two_views
 from palpate.core.errors import DeviceError
 from palpate.core.files import new_file
@@ -118,7 +118,7 @@ class Workshop:
         out.parent.mkdir(parents=True, exist_ok=True)
         run, kind = Run.open(self.folder / "runs" / way.run), model_kind(way.model)
         first, beside = two_views(run.manifest)
-        plan = Plan(
+        plan = CalibrationPlan(
             targets=way.targets or kind.targets,
             model=way.model,
             split=way.split,

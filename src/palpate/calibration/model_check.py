@@ -1,0 +1,197 @@
+"""The laws that a model of a user's must keep, checked on a small made-up set before a calibration begins."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime
+
+from palpate.calibration.certificate_parts import AGREEMENT
+from palpate.calibration.plan import CalibrationPlan
+from palpate.core.axes import Indices, Tensor, Values
+from palpate.core.errors import PalpateError, PluginError
+from palpate.estimators.networks import MODELS, make_model, model_kind
+from palpate.estimators.networks.base import Fitted, TrainingData
+
+GROUPS, ROWS_A_GROUP = 12, 3
+HELD_OUT_GROUPS = 2
+
+
+def check_model(
+    model: Any,
+    options: Mapping[str, Any] | None = None,
+    *,
+    shape: tuple[int, int, int] | None = None,
+    targets: tuple[str, ...] = ("depth_mm", "force_N"),
+) -> None:
+    """Check that a model keeps the laws of one, by letting it learn twice from 30 made-up images.
+
+    Args:
+        model: a class, an instance, ``module:Class``, or a name.
+        options: its settings.
+        shape: (channels, height, width) of its input; None takes what it asks for.
+        targets: columns to estimate, where it does not fix them itself.
+
+    Raises:
+        PluginError: it breaks a law; the message names the model and the law.
+        InputError: there is no such model, or no such option.
+
+    Example:
+        >>> check_model("pca-ridge", shape=(1, 24, 32))
+    """
+    plan = CalibrationPlan(targets, model=model, options=dict(options or {}))
+    kind = model_kind(plan.model)
+    columns = kind.targets or tuple(plan.targets)
+    made = _MadeUp.of(shape or (kind.channels or 1, kind.side_px, kind.side_px * kind.views), columns)
+    fitted = _fitted(plan, made)
+    _check_estimates(plan.model, fitted, made)
+    _check_same_again(plan, fitted, made)
+    _check_onnx(plan.model, fitted, made)
+
+
+def check_plugged_in(plan: CalibrationPlan, shape: tuple[int, int, int]) -> None:
+    """Check a plan's model where it is not one that palpate brings along."""
+    if plan.model not in MODELS:
+        check_model(plan.model, plan.options, shape=shape, targets=tuple(plan.targets))
+
+
+@dataclass
+class _MadeUp:
+    """A spot whose brightness tells the targets, in twelve groups of three rows, of which two are held out.
+
+    Attributes:
+        images: ``[n c h w]``.
+        values: ``[n t]``; NaN where held out, so that whoever learns from them shows it.
+        learnt: rows that may be learnt from.
+        trespass: rows fetched while learning that may not be.
+    """
+
+    images: Tensor
+    values: Values
+    names: tuple[str, ...]
+    learnt: Indices
+    trespass: list[int] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, shape: tuple[int, int, int], names: tuple[str, ...]) -> _MadeUp:
+        rng, n = np.random.default_rng(0), GROUPS * ROWS_A_GROUP
+        level = rng.uniform(0, 1, n)
+        rows, columns = np.mgrid[-1 : 1 : shape[1] * 1j, -1 : 1 : shape[2] * 1j]
+        spot = np.exp(-4 * (rows**2 + columns**2))
+        images = 40 + 150 * level[:, None, None, None] * spot + rng.normal(0, 2, (n, *shape))
+        values = np.stack([10.0 ** (2 - k % 3) * (2 + level) for k in range(len(names))], axis=1)
+        learnt = np.arange((GROUPS - HELD_OUT_GROUPS) * ROWS_A_GROUP)
+        values[len(learnt) :] = np.nan
+        return cls(images.astype(np.float32), values, names, learnt)
+
+    @property
+    def data(self) -> TrainingData:
+        return TrainingData(
+            self.images.shape[1:],
+            self.values,
+            np.repeat(np.arange(GROUPS), ROWS_A_GROUP),
+            self._fetch,
+            self.names,
+        )
+
+    def _fetch(self, rows: Indices) -> Tensor:
+        self.trespass += np.setdiff1d(rows, self.learnt).tolist()
+        return self.images[rows]
+
+
+def _fitted(plan: CalibrationPlan, made: _MadeUp) -> Fitted:
+    name, rows = plan.model, made.learnt.copy()
+    try:
+        fitted = make_model(name, plan.options).fit(made.data, rows, seed=0)
+    except PalpateError:
+        raise
+    except Exception as e:  # somebody else's model may raise anything
+        raise PluginError(
+            f"model {name}: fit(data, rows, *, seed, progress, checkpoint) failed on {len(rows)} rows of "
+            f"{list(made.images.shape[1:])} ({type(e).__name__}: {e})"
+        ) from e
+    if made.trespass:
+        raise PluginError(
+            f"model {name} fetched rows it may not learn from: {made.trespass[:5]}; keep to `rows`"
+        )
+    if not isinstance(fitted, Fitted):
+        raise PluginError(
+            f"model {name}: fit gave a {type(fitted).__name__}, which lacks predict(inputs) or to_onnx()"
+        )
+    return fitted
+
+
+def _predicted(name: str, fitted: Fitted, inputs: Tensor, count: int) -> Values:
+    try:
+        found: Any = fitted.predict(inputs)
+    except Exception as e:
+        raise PluginError(
+            f"model {name}: predict failed on {list(inputs.shape)} ({type(e).__name__}: {e})"
+        ) from e
+    wanted = (len(inputs), count)
+    if not isinstance(found, np.ndarray) or found.shape != wanted or found.dtype.kind != "f":
+        got = f"{found.dtype} {list(found.shape)}" if isinstance(found, np.ndarray) else type(found).__name__
+        raise PluginError(
+            f"model {name}: predict gave {got} for {len(inputs)} images, not floats {list(wanted)}"
+        )
+    if not np.isfinite(found).all():
+        raise PluginError(
+            f"model {name}: predict gave what is no number; it learns from `rows` and no others"
+        )
+    return found
+
+
+def _check_estimates(name: str, fitted: Fitted, made: _MadeUp) -> None:
+    """Shape for one image and for several, and the unit: near the values learnt, not a thousandth of them."""
+    learnt = made.values[made.learnt]
+    _predicted(name, fitted, made.images[:1], len(made.names))
+    mean = _predicted(name, fitted, made.images[made.learnt], len(made.names)).mean(axis=0)
+    least, greatest = learnt.min(axis=0), learnt.max(axis=0)
+    span = greatest - least
+    for column, value, low, high in zip(made.names, mean, least - span, greatest + span, strict=True):
+        if not low <= value <= high:
+            raise PluginError(
+                f"model {name}: {column} is {value:.3g} on average over rows whose labels are {low:.3g} to "
+                f"{high:.3g} or nearer; predict gives the targets in their own units"
+            )
+
+
+def _check_same_again(plan: CalibrationPlan, fitted: Fitted, made: _MadeUp) -> None:
+    again = _fitted(plan, made)
+    first, second = (one.predict(made.images) for one in (fitted, again))
+    if not np.allclose(first, second, rtol=1e-6, atol=0):
+        raise PluginError(
+            f"model {plan.model}: the same rows and seed give other estimates; draw all chance from `seed`"
+        )
+
+
+def _check_onnx(name: str, fitted: Fitted, made: _MadeUp) -> None:
+    """The ONNX model, which is what senses: its names and shapes, and the same estimates."""
+    try:
+        model: Any = fitted.to_onnx()
+        onnx.checker.check_model(model)
+        session = onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
+    except Exception as e:
+        raise PluginError(f"model {name}: to_onnx gave no model that runs ({type(e).__name__}: {e})") from e
+    inputs = {one.name: one.shape[1:] for one in session.get_inputs()}
+    outputs = {one.name: one.shape[1:] for one in session.get_outputs()}
+    wanted = {"image": list(made.images.shape[1:])}, {"value": [len(made.names)]}
+    if (inputs, outputs) != wanted:
+        raise PluginError(
+            f"model {name}: its ONNX model takes {inputs} and gives {outputs}, not {wanted[0]} and "
+            f"{wanted[1]} behind a free first axis"
+        )
+    if any(part.HasField("g") or part.graphs for node in model.graph.node for part in node.attribute):
+        raise PluginError(f"model {name}: its ONNX model has graphs inside its graph, which is not opened")
+    span = np.ptp(made.values[made.learnt], axis=0)
+    (found,) = session.run(["value"], {"image": made.images})
+    apart = float(np.max(np.abs(found - fitted.predict(made.images)) / span))
+    if not apart <= AGREEMENT:
+        raise PluginError(
+            f"model {name}: its ONNX model and predict differ by {apart:.2g} of a target's range; at most "
+            f"{AGREEMENT:g}"
+        )
