@@ -7,7 +7,7 @@ import numpy as np
 import onnx
 import pytest
 
-from palpate.calibration import Plan, calibrate
+from palpate.calibration import CalibrationPlan, calibrate
 from palpate.core import CertificateError, Frame, ImageError
 from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
@@ -17,7 +17,7 @@ from palpate.estimators.card import card_id
 @pytest.fixture
 def calibration(record_spots, tmp_path):
     run = record_spots("run", 20)
-    plan = Plan(("x_mm", "height_mm"), split="group:press", size_px=(24, 32))
+    plan = CalibrationPlan(("x_mm", "height_mm"), split="group:press", size_px=(24, 32))
     return run, calibrate(run, plan, tmp_path / "cal")
 
 
@@ -32,18 +32,39 @@ def reseal(folder, change) -> None:
 def test_a_reading_carries_all_that_makes_it_trustworthy(calibration) -> None:
     run, folder = calibration
     estimator = Estimator.open(folder)
-    reading = estimator.read(run.frame(1), estimator.zero(run.frame(0).image))["x_mm"]
-    truth = run.labels["x_mm"][1]
-    assert reading.unit == "m"
+    readings = estimator.read(run.frame(1), estimator.zero(run.frame(0).image))
+    reading, truth = readings["x_mm"], run.labels["x_mm"][1]
+    assert reading.unit == "mm"
     assert reading.low < reading.value < reading.high
-    assert reading.in_unit("mm").value == pytest.approx(truth, abs=0.5)
-    assert reading.calibrated_range == pytest.approx((-2e-3, 2e-3), abs=2e-4)
+    assert reading.value == pytest.approx(truth, abs=0.5)
+    assert reading.calibrated_range == pytest.approx((-2, 2), abs=0.2)
+    assert (readings["x"].unit, readings["x"].value) == ("m", pytest.approx(1e-3 * reading.value))
     assert (reading.valid, reading.why) == (True, "")
     assert reading.drift is not None
     assert not reading.drift.drifted
     assert reading.calibration == read_card(folder).id
-    assert reading.column == "x_m"
+    assert reading.column == "x_mm"
     assert reading.time_s == run.times_s[1]
+
+
+def test_an_image_is_read_as_its_frame_is(calibration) -> None:
+    run, folder = calibration
+    estimator, frame = Estimator.open(folder), run.frame(1)
+    assert estimator.read(frame.image)["x_mm"].value == estimator.read(frame)["x_mm"].value
+    with pytest.raises(ImageError, match="8-bit"):
+        estimator.read(frame.image / 255)
+
+
+def test_what_a_notebook_shows_is_short_and_holds_no_pixels(calibration) -> None:
+    run, folder = calibration
+    estimator = Estimator.open(folder)
+    assert repr(estimator).startswith(f"<Estimator {estimator.card.id} of spots: x_mm ± ")
+    assert repr(run) == f"<Run {run.path}: 120 frames of spots; labels: {', '.join(run.labels)}>"
+    assert repr(run.frame(1)) == "<Frame 1 of spots: 64 × 48 px, grey, 0.200 s>"
+    for one in (estimator, run, run.frame(1), estimator.read(run.frame(1))):
+        assert len(repr(one)) < 250
+        assert len(one._repr_html_()) < 1500
+    assert "<td>height_mm</td>" in estimator._repr_html_()
 
 
 def test_an_image_of_another_size_gives_no_value(calibration) -> None:
@@ -75,7 +96,9 @@ def test_a_value_beyond_the_calibrated_range_is_flagged(calibration) -> None:
 
 def test_a_differential_calibration_asks_for_its_reference(record_spots, tmp_path) -> None:
     run = record_spots("run", 12)
-    calibrate(run, Plan(("x_mm",), split="group:press", size_px=(24, 32), delta=True), tmp_path / "cal")
+    calibrate(
+        run, CalibrationPlan(("x_mm",), split="group:press", size_px=(24, 32), delta=True), tmp_path / "cal"
+    )
     estimator = Estimator.open(tmp_path / "cal")
     with pytest.raises(ImageError, match="--reference FRAME"):
         estimator.read(run.frame(1))

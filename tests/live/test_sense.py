@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.calibration import Plan, calibrate
+from palpate.calibration import CalibrationPlan, calibrate
 from palpate.core import ImageError, InputError
 from palpate.estimators import Estimator
 from palpate.live import open_source, sense
@@ -17,7 +17,7 @@ from palpate.recordings import export_folder
 def estimator(record_spots, tmp_path):
     run = record_spots("run", 16)
     return Estimator.open(
-        calibrate(run, Plan(("x_mm",), split="group:press", size_px=(24, 32)), tmp_path / "cal")
+        calibrate(run, CalibrationPlan(("x_mm",), split="group:press", size_px=(24, 32)), tmp_path / "cal")
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,11 +13,11 @@ from palpate.calibration.plan import Reference
 from palpate.calibration.uncertainty import grouped_coverage_interval
 from palpate.core.axes import Values
 from palpate.core.errors import LabelError
-from palpate.core.reading import Reading
+from palpate.core.reading import Readings
 from palpate.estimators.card import Card, ScoreCard
 from palpate.estimators.certified import Estimator, Zero
 from palpate.estimators.networks.base import Progress, silent
-from palpate.recordings.labels import targets_from
+from palpate.recordings.labels import own_column, targets_from, with_own
 from palpate.recordings.reader import Run
 
 
@@ -108,7 +107,7 @@ def predictions(
     Returns:
         The labels of the frames that would be scored, which need not have the targets; of each target
         ``estimate:COLUMN`` and ``half_width:COLUMN`` in the column's unit, NaN where a frame could not be
-        read; ``valid``, and ``why`` it is not.
+        read; ``own:valid``, and ``own:why`` it is not, also without ``own:`` where no label is called so.
 
     Raises:
         ImageError: the calibration is differential and the run has no reference.
@@ -126,7 +125,7 @@ def predictions(
         progress("evaluating", i + 1, len(rows))
     for j, column in enumerate(card.columns):
         table[f"estimate:{column}"], table[f"half_width:{column}"] = predicted[:, j], half[:, j]
-    return table.assign(valid=[not why for why in whys], why=whys)
+    return with_own(table, {"valid": [not why for why in whys], "why": whys})
 
 
 def _rows_to_score(card: Card, table: pd.DataFrame) -> np.ndarray:
@@ -146,10 +145,10 @@ def _untouched_rows(card: Card, table: pd.DataFrame) -> np.ndarray:
         return np.empty(0, np.int64)
 
 
-def _in_units(card: Card, readings: Mapping[str, Reading]) -> tuple[np.ndarray, np.ndarray]:
+def _in_units(card: Card, readings: Readings) -> tuple[np.ndarray, np.ndarray]:
     values, halves = [], []
     for target in card.targets:
-        reading = readings[target.column].in_unit(target.unit)
+        reading = readings[target.column]
         values.append(reading.value)
         halves.append((reading.high - reading.low) / 2)
     return np.array(values), np.array(halves)
@@ -176,7 +175,7 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str
         "run": {"run_id": run.manifest.run_id, "hash": run.hash, "frames": len(run)},
         "frames_scored": len(table),
         "frames_read": int(read.sum()),
-        "frames_valid": int(table["valid"].sum()),
+        "frames_valid": int(own_column(table, "valid").sum()),
         "groups": len(np.unique(groups)),
         "group_columns": list(card.split.columns),
         "learnt_from_this_run": run.hash == card.run.hash,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,9 @@ from pydantic import ValidationError
 
 from palpate.core.axes import Image, Tensor, Values
 from palpate.core.errors import CertificateError, ImageError, StorageError
-from palpate.core.files import sha256_of
+from palpate.core.files import PathText, sha256_of
 from palpate.core.frame import Frame
-from palpate.core.reading import Drift, Reading
+from palpate.core.reading import Drift, Reading, Readings
 from palpate.core.units import unit
 from palpate.estimators.card import Card, FileCard, TargetCard, card_id
 from palpate.estimators.guard import Guard
@@ -28,7 +29,7 @@ MOST_MODEL_BYTES = 1_000_000_000
 PreparedFloat = Float32[np.ndarray, "h w c"]
 
 
-def read_card(folder: Path | str) -> Card:
+def read_card(folder: PathText) -> Card:
     """Read and check a calibration's card.
 
     Raises:
@@ -86,8 +87,9 @@ class Estimator:
     """A certified estimator, ready to sense.
 
     Example:
-        estimator = Estimator.open(Path("cal"))
-        readings = estimator.read(frame)        # {"depth_mm": Reading(...)}
+        estimator = Estimator.open("cal")
+        readings = estimator.read(image)        # an array, or a Frame
+        readings["depth_mm"].value              # in mm, as the key says
     """
 
     def __init__(self, folder: Path, card: Card, session: onnxruntime.InferenceSession, guard: Guard) -> None:
@@ -99,7 +101,7 @@ class Estimator:
         self._intervals = intervals_of(card)
 
     @classmethod
-    def open(cls, folder: Path | str, *, threads: int = 0) -> Estimator:
+    def open(cls, folder: PathText, *, threads: int = 0) -> Estimator:
         """Open a calibration folder, checking every part against the card.
 
         Args:
@@ -135,20 +137,22 @@ class Estimator:
         (value,) = self._session.run(["value"], {"image": inputs})
         return np.asarray(value, dtype=np.float64)
 
-    def read(self, frame: Frame, zero: Zero | None = None) -> dict[str, Reading]:
+    def read(self, frame: Frame | Image, zero: Zero | None = None) -> Readings:
         """Read every target from one frame.
 
         Args:
-            frame: an image of the kind calibrated on; another size or kind gives readings that are not
-                valid and say why, never a value that looks right.
+            frame: a frame or its image, 8-bit grey ``[h w]`` or RGB ``[h w 3]``, of the kind calibrated on;
+                another size or kind gives readings that are not valid and say why, never a value that looks
+                right.
             zero: the untouched sensor, see `zero`; needed where the calibration is differential.
 
         Returns:
-            Readings in SI, keyed by the target's column.
+            A reading for each target's column, in that column's unit.
 
         Raises:
-            ImageError: the calibration is differential and no `zero` was given.
+            ImageError: the calibration is differential and no `zero` was given, or it is no such image.
         """
+        frame = frame if isinstance(frame, Frame) else Frame(frame)
         if self.card.input.delta and zero is None:
             raise ImageError(
                 "this calibration is differential: it needs an image of the untouched sensor; "
@@ -164,22 +168,22 @@ class Estimator:
         values = self.values(np.ascontiguousarray(difference.transpose(2, 0, 1))[None])
         return self._readings(frame, values, why, zero)
 
-    def unread(self, name: str, time_s: float, why: str) -> dict[str, Reading]:
+    def unread(self, name: str, time_s: float, why: str) -> Readings:
         """Readings of a frame that could not be opened: no values, not valid, and the reason."""
         nothing = Frame(np.zeros((1, 1), np.uint8), time_s, name=name)
         return self._readings(nothing, None, why, None)
 
-    def _readings(
-        self, frame: Frame, values: Values | None, why: str, zero: Zero | None
-    ) -> dict[str, Reading]:
+    def _readings(self, frame: Frame, values: Values | None, why: str, zero: Zero | None) -> Readings:
         targets = self.card.targets
         value = np.full(len(targets), np.nan) if values is None else values[0]
         half = np.full(len(targets), np.nan) if values is None else self._intervals.half_widths(values)[0]
         drift = None if zero is None else zero.drift
-        return {
-            target.column: self._reading(target, float(v), float(w), why, drift, frame)
-            for target, v, w in zip(targets, value, half, strict=True)
-        }
+        return Readings(
+            {
+                target.column: self._reading(target, float(v), float(w), why, drift, frame)
+                for target, v, w in zip(targets, value, half, strict=True)
+            }
+        )
 
     def _reading(
         self, target: TargetCard, value: float, half: float, why: str, drift: Drift | None, frame: Frame
@@ -201,6 +205,20 @@ class Estimator:
             frame=frame.name,
             time_s=frame.time_s,
         )
+
+    def __repr__(self) -> str:
+        targets = ", ".join(f"{t.column} ± {t.score.half_width:.2g}" for t in self.card.targets)
+        return f"<Estimator {self.card.id} of {self.card.sensor or 'a sensor'}: {targets}>"
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{escape(t.column)}</td><td>{t.least:.3g} to {t.greatest:.3g} {t.unit}</td>"
+            f"<td>{t.score.mae:.2g} {t.unit}</td><td>± {t.score.half_width:.2g} {t.unit}</td></tr>"
+            for t in self.card.targets
+        )
+        heads = ("target", "range", "mean absolute error", f"{100 * self.card.coverage:g} % interval")
+        head = "".join(f"<th>{name}</th>" for name in heads)
+        return f"<table><caption>{escape(repr(self)[1:-1])}</caption><tr>{head}</tr>{rows}</table>"
 
     def _check_size(self, image: Image) -> None:
         if image.shape[:2] != self.card.input.frame_px:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from palpate.core.errors import ImageError, InputError
+from palpate.core.files import PathText
 from palpate.core.frame import Frame
 from palpate.recordings.images import read_image
 from palpate.recordings.manifest import MANIFEST
@@ -68,13 +69,14 @@ class RunFrames:
         return self.run.frames()
 
 
-def open_source(path: Path) -> Source:
+def open_source(path: PathText) -> Source:
     """Open an image, a folder of images or a run.
 
     Raises:
         InputError: there is nothing to sense there.
         ImageError: it is one image, and cannot be read.
     """
+    path = Path(path)
     if (path / MANIFEST).is_file():
         return RunFrames(Run.open(path))
     if path.is_dir():
