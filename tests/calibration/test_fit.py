@@ -210,3 +210,13 @@ def test_the_fold_that_stands_for_all_is_the_one_most_like_all() -> None:
     values = np.r_[np.zeros(30), np.linspace(0, 1, 30), np.ones(30)][:, None]
     folds = tuple(np.array_split(np.arange(90), 3))
     assert most_like_the_rest(Split("random", (), None, folds, ""), values) == 1
+
+
+def test_the_plan_s_name_of_before_still_works_and_says_the_new_one() -> None:
+    import palpate
+    import palpate.calibration
+
+    for module in (palpate, palpate.calibration):
+        with pytest.warns(DeprecationWarning, match="CalibrationPlan"):
+            assert module.Plan is CalibrationPlan
+    assert "Plan" not in palpate.__all__

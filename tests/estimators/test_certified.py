@@ -51,8 +51,8 @@ def test_an_image_is_read_as_its_frame_is(calibration) -> None:
     run, folder = calibration
     estimator, frame = Estimator.open(folder), run.frame(1)
     assert estimator.read(frame.image)["x_mm"].value == estimator.read(frame)["x_mm"].value
-    with pytest.raises(ImageError, match="8-bit"):
-        estimator.read(frame.image / 255)
+    with pytest.raises(ImageError, match="3 channels in RGB"):
+        estimator.read(np.zeros((48, 64, 4), np.uint8))
 
 
 def test_what_a_notebook_shows_is_short_and_holds_no_pixels(calibration) -> None:
