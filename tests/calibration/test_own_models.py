@@ -262,6 +262,9 @@ def test_an_entry_point_that_takes_an_existing_name_is_refused(monkeypatch) -> N
     added(monkeypatch, "palpate.models", pca_ridge=f"{HERE}:Level")
     with pytest.raises(PluginError, match=f"'pca-ridge' of {HERE}:Level takes the name of palpate"):
         CalibrationPlan(("x_mm",))
+    added(monkeypatch, "palpate.splits", auto=f"{HERE}:halves")
+    with pytest.raises(PluginError, match=f"split 'auto' of {HERE}:halves takes the name of palpate itself"):
+        CalibrationPlan(("x_mm",))
 
 
 TABLE = pd.DataFrame({"press": list("aabbccdd"), "x_mm": np.arange(8.0)})

@@ -41,8 +41,8 @@ class Registry:
         """
         found: dict[str, str] = {}
         for point in entry_points(group=self.group):
-            taken = self.built_in.get(point.name) or found.get(point.name)
-            if taken and taken != point.value:
+            taken = self.built_in.get(point.name, found.get(point.name))
+            if taken is not None and taken != point.value:
                 raise PluginError(
                     f"{self.kind} {point.name!r} of {point.value} takes the name of {taken}; an added "
                     f"{self.kind} has a name of its own: rename it in its package's entry points"

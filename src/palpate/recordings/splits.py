@@ -31,7 +31,7 @@ CONVENTIONAL_GROUPS: tuple[tuple[str, ...], ...] = (
     ("cycle",),
     ("trial",),
 )
-REGISTRY = Registry("split", "palpate.splits", {"auto": "", "random": ""})
+REGISTRY = Registry("split", "palpate.splits", dict.fromkeys(("auto", "random"), "palpate itself"))
 _BY_COLUMNS = ("group", "leave-one-out")
 _KINDS = (
     "'auto', 'random', 'group:COLUMN[,COLUMN...]', 'leave-one-out:COLUMN[,COLUMN...]', or a function of "
@@ -130,10 +130,11 @@ def check_split_text(spec: str) -> None:
         PluginError: it is a plug-in that does not import, or cannot be called.
     """
     kind, colon, names = spec.partition(":")
+    added = REGISTRY.added  # which refuses a package that takes a name
     if kind in _BY_COLUMNS and any(name.strip() for name in names.split(",")):
         return
     if spec not in REGISTRY.built_in:
-        if (not colon and spec not in REGISTRY.added) or kind in _BY_COLUMNS:
+        if (not colon and spec not in added) or kind in _BY_COLUMNS:
             raise SplitError(f"split {spec!r} is not known; give {_KINDS}")
         _function(spec)
 
