@@ -7,11 +7,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 from warnings import warn
 
-from palpate.core import Frame, PalpateError, Reading, Readings
 from palpate.version import __version__
 
 if TYPE_CHECKING:
     from palpate.calibration import CalibrationPlan, calibrate, evaluate
+    from palpate.core import Frame, PalpateError, Reading, Readings
     from palpate.estimators import Estimator
     from palpate.live import open_source, sense
     from palpate.recordings import Manifest, Run, RunWriter, import_images, read_image
@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 _ROOMS = {
     "CalibrationPlan": "calibration",
     "Estimator": "estimators",
+    "Frame": "core",
     "Manifest": "recordings",
+    "PalpateError": "core",
+    "Reading": "core",
+    "Readings": "core",
     "Run": "recordings",
     "RunWriter": "recordings",
     "calibrate": "calibration",

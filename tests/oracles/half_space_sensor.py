@@ -11,13 +11,13 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Float32
 from numpy import ndarray
 from tests.oracles.hertz_fringes import FringeTable, fringe_table, marched
 
 from palpate.core.contact import Contact, Pose, Probe
 from palpate.core.errors import InputError, RangeError
 from palpate.core.frame import Frame
+from palpate.core.shapes import Float, Float32
 from palpate.mechanics import hertz
 from palpate.optics.colour import Spectrum, assumed_camera, encode_srgb
 from palpate.optics.noise import electrons, illumination, quantise

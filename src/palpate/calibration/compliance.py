@@ -14,12 +14,12 @@ from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.calibration.flat import built, flat
 from palpate.core.errors import CertificateError, InputError
 from palpate.core.files import new_file, storage_errors
+from palpate.core.shapes import Float
 from palpate.estimators.casr.area import AreaFit, Motions, fit_area, fit_motions, ring_measures
 from palpate.estimators.casr.both_cues import Finger, Press, finger_of
 from palpate.estimators.casr.over_force import at_forces, laid_on

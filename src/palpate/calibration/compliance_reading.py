@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.calibration.compliance import ComplianceCalibration, approach_row, touch_row, wobble_px
 from palpate.core.errors import InputError
 from palpate.core.reading import Drift, Reading
+from palpate.core.shapes import Float
 from palpate.estimators.casr.area import AreaFit, ring_measures
 from palpate.estimators.casr.both_cues import Press, touched
 from palpate.estimators.casr.over_force import at_forces, laid_on

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import onnx
-from jaxtyping import Float
 from onnx import helper, numpy_helper
 
 from palpate.core.axes import Indices, Values
+from palpate.core.shapes import Float
 from palpate.estimators.intervals import design
 
 STRENGTHS = tuple(10.0**power for power in range(-6, 2))

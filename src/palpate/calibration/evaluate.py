@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Shaped
 
 from palpate.calibration.data import marked
 from palpate.calibration.plan import Reference
@@ -14,6 +13,7 @@ from palpate.calibration.uncertainty import grouped_coverage_interval
 from palpate.core.axes import Values
 from palpate.core.errors import LabelError
 from palpate.core.reading import Readings
+from palpate.core.shapes import Shaped
 from palpate.estimators.card import Card, ScoreCard
 from palpate.estimators.certified import Estimator, Zero
 from palpate.estimators.networks.base import Progress, silent

@@ -9,12 +9,12 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 from PIL.JpegImagePlugin import JpegImageFile
 
 from palpate.core.axes import Image
 from palpate.core.errors import ImageError, InputError, LabelError, UnitError
+from palpate.core.shapes import Bool, Float, UInt8
 from palpate.core.units import Unit, has_unit, split_column, unit
 from palpate.estimators.fringe_order import check_loads
 from palpate.recordings.images import read_image

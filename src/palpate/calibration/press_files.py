@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from jaxtyping import Shaped
 from numpy import ndarray
 
 from palpate.calibration.compliance import Reference, ReferenceTrial
 from palpate.core.errors import InputError
+from palpate.core.shapes import Shaped
 from palpate.estimators.casr.pin_press import watched
 from palpate.estimators.networks.base import Progress, silent
 from palpate.recordings.press_folder import PressFolder

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.calibration.load_series import Series, Tone, read_series
 from palpate.calibration.specimens import Disc, Strip
 from palpate.core.files import sha256_of_all
+from palpate.core.shapes import Float
 from palpate.estimators.fringe_light import Polariscope
 from palpate.estimators.fringe_order import OrderFit, fit_orders
 from palpate.version import __version__

@@ -12,13 +12,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float
 from scipy.stats import beta
 from sklearn.linear_model import GammaRegressor
 from sklearn.model_selection import GroupKFold
 
 from palpate.core.axes import Values
 from palpate.core.errors import InputError
+from palpate.core.shapes import Float
 from palpate.estimators.intervals import Intervals, Spread, design
 from palpate.estimators.networks.base import Scaler
 

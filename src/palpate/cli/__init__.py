@@ -2,68 +2,98 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import sys
+from collections import UserDict
+from importlib import import_module
+from typing import Annotated, Any
 
 import typer
+from typer.main import get_command
 
-from palpate.cli import (
-    calibration,
-    compliance,
-    import_palm,
-    import_press,
-    mechanics,
-    optics,
-    recordings,
-    render,
-    reproduce,
-    rig,
-)
-from palpate.cli.adapt import adapt
-from palpate.cli.demo import demo
-from palpate.cli.flow import flow
-from palpate.cli.quantise import quantise
-from palpate.cli.studio import studio
+from palpate.cli.shared import Group
 from palpate.version import __version__
 
 __all__ = ["app", "main"]
 
+HEADINGS: dict[str, dict[str, str]] = {
+    "Record": {
+        "plan": "rig:plan_app",
+        "record": "rig:record",
+        "rig": "rig:rig_app",
+        "studio": "studio:studio",
+        "import": "recordings:import_app",
+        "check": "recordings:check",
+        "repair": "recordings:repair",
+        "export": "recordings:export",
+    },
+    "Calibrate": {
+        "calibrate": "calibration:calibrate",
+        "evaluate": "calibration:evaluate",
+        "report": "calibration:report",
+        "adapt": "adapt:adapt",
+        "quantise": "quantise:quantise",
+    },
+    "Sense": {
+        "sense": "calibration:sense",
+        "compliance": "compliance:app",
+        "flow": "flow:flow",
+    },
+    "Study": {
+        "demo": "demo:demo",
+        "render": "render:app",
+        "reproduce": "reproduce:app",
+        "mechanics": "mechanics:app",
+        "optics": "optics:app",
+    },
+}
+"""Module and name of each verb or group of verbs, under the headings that `palpate --help` shows."""
+
+ALIASES = {"quantize": "quantise"}
+
+
+class Verbs(UserDict[str, Any]):
+    """Commands by name, each imported and built when it is first asked for: one verb loads no other."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        for heading, verbs in HEADINGS.items():
+            self.data |= {verb: (heading, place) for verb, place in verbs.items()}
+        self.data |= {alias: self.data[verb] for alias, verb in ALIASES.items()}
+
+    def __getitem__(self, name: str) -> Any:
+        if isinstance(self.data[name], tuple):
+            self.data[name] = self._built(name, *self.data[name])
+        return self.data[name]
+
+    def _built(self, name: str, heading: str, place: str) -> Any:
+        module, _, member = place.partition(":")
+        verb = getattr(import_module(f"palpate.cli.{module}"), member)
+        if not isinstance(verb, typer.Typer):
+            alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+            alone.command(name)(verb)
+            verb = alone
+        command = get_command(verb)
+        command.name, command.hidden = name, name in ALIASES
+        command.rich_help_panel = heading
+        return command
+
+
+class Root(Group):
+    """The group of all verbs."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands = Verbs()
+
+
 app = typer.Typer(
     name="palpate",
+    cls=Root,
     help="Camera-based touch you can trust: record, calibrate, certify, sense.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-import_app = typer.Typer(help="Bring recordings from elsewhere into a run.", no_args_is_help=True)
-app.add_typer(import_app, name="import")
-app.add_typer(render.app, name="render")
-app.add_typer(mechanics.app, name="mechanics")
-app.add_typer(optics.app, name="optics")
-app.add_typer(rig.plan_app, name="plan")
-app.add_typer(rig.rig_app, name="rig")
-app.add_typer(reproduce.app, name="reproduce")
-app.add_typer(compliance.app, name="compliance")
-import_app.command("images")(recordings.import_images)
-import_app.command("palm")(import_palm.palm)
-import_app.command("tiff", help=import_press.TIFF)(import_press.press)
-import_app.command("video", help=import_press.VIDEO)(import_press.press)
-for verb in (
-    rig.record,
-    recordings.check,
-    recordings.repair,
-    recordings.export,
-    calibration.calibrate,
-    adapt,
-    quantise,
-    calibration.evaluate,
-    calibration.sense,
-    calibration.report,
-    flow,
-    demo,
-    studio,
-):
-    app.command()(verb)
 
 
 @app.callback(invoke_without_command=True)
@@ -78,4 +108,7 @@ def start(
 
 def main() -> None:
     """Entry point of the `palpate` command."""
+    if sys.argv[1:] == ["--version"]:
+        print(f"palpate {__version__}")  # before typer loads what checks options, which takes longer
+        return
     app()

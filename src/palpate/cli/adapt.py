@@ -20,7 +20,9 @@ def adapt(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Adapt a calibration to your own copy of its sensor, from 10 to 50 presses.
+    """Adapt a calibration to your own copy of its sensor.
+
+    Ten to 50 presses are enough.
 
     Example: palpate adapt cal run-of-my-copy --out cal-my-copy
     """

@@ -83,10 +83,10 @@ def calibrate(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Calibrate an estimator and certify it: model, card, held-out predictions, report.
+    """Calibrate an estimator and certify it.
 
-    Interrupted, the same command goes on from where it was. Under torchrun, several processes train
-    a network of the palm.
+    Makes a folder of model, card, held-out predictions and report. Interrupted, the same command goes on
+    from where it was. Under torchrun, several processes train a network of the palm.
 
     Example: palpate calibrate run --targets depth_mm,force_N --model compact-cnn --out cal
     """

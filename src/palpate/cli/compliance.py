@@ -6,14 +6,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
-from palpate.cli.shared import Json, Quiet, print_found, progress_bar, reports_errors
+from palpate.cli.shared import Group, Json, Quiet, print_found, progress_bar, reports_errors
 
 READ = "read"
 
 
-class ReadsByDefault(TyperGroup):
+class ReadsByDefault(Group):
     """A group whose first word may be a file: then it is read."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -25,6 +24,7 @@ class ReadsByDefault(TyperGroup):
 
 app = typer.Typer(
     cls=ReadsByDefault,
+    add_completion=False,
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -36,7 +36,9 @@ Calibration = Annotated[
 
 @app.callback()
 def start() -> None:
-    """Softness in N/mm from presses: PRESS --force TABLE reads one; calibrate and compare take folders.
+    """Measure softness in N/mm from presses of a camera-based tip.
+
+    PRESS --force TABLE reads one press; calibrate and compare take folders.
 
     Example: palpate compliance PRESS.tif --force force.csv --calibration tip.npz
     """
@@ -60,7 +62,9 @@ def read(
     rate_hz: Annotated[float | None, typer.Option(help="Rate of its rows [Hz], if it has no time_s.")] = None,
     json_: Json = False,
 ) -> None:
-    """Read one press: stiffness, contact area, spread rate, E*, with intervals and flags.
+    """Read one press: stiffness, contact area, spread rate and E*.
+
+    Each comes with its interval and its flags.
 
     Example: palpate compliance PRESS.tif --force force.csv --calibration tip.npz --out press
     """
@@ -85,7 +89,7 @@ def calibrate(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Calibrate a tip on a rigid plate and specimens of known stiffness.
+    """Calibrate a tip on a rigid plate and known specimens.
 
     Example: palpate compliance calibrate references --out tip.npz
     """
@@ -118,7 +122,9 @@ def plate(
     rate_hz: Annotated[float | None, typer.Option(help="Rate of the rows [Hz], if without time_s.")] = None,
     json_: Json = False,
 ) -> None:
-    """Stiffness of a specimen itself, from presses with a rigid plate: what specimens.csv asks for.
+    """Measure a specimen's own stiffness by a rigid plate.
+
+    It is what specimens.csv asks for.
 
     Example: palpate compliance plate S1-plate-1.csv S1-plate-2.csv S1-plate-3.csv
     """
@@ -148,7 +154,9 @@ def compare(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compare several specimens, a value a trial: means, rank tests, box plots.
+    """Compare several specimens, a value a trial.
+
+    Gives means, rank tests and box plots.
 
     Example: palpate compliance compare experiment --calibration tip.npz --out compared
     """

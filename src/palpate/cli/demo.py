@@ -17,7 +17,9 @@ def demo(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Record a virtual photoelastic skin, calibrate it, certify it, sense with it. Needs no hardware.
+    """Show the whole loop on a virtual photoelastic skin.
+
+    Records it, calibrates it, certifies it and senses with it; needs no hardware.
 
     Example: palpate demo --out demo-out
     """

@@ -22,7 +22,9 @@ def flow(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compute optical flow and its divergence along a sequence: flow.csv and flow.png.
+    """Compute optical flow and its divergence along a sequence.
+
+    Makes flow.csv and flow.png.
 
     Example: palpate flow press.tif --out flow
     """

@@ -10,14 +10,16 @@ from typing import Annotated, ParamSpec, TypeVar
 
 import typer
 
-from palpate.cli.shared import Json, reports_errors
+from palpate.cli.shared import Group, Json, reports_errors
 from palpate.core.errors import InputError
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 app = typer.Typer(
-    help="Work out a contact from a closed-form law: force, depth, contact radius, pressure.",
+    cls=Group,
+    add_completion=False,
+    help="Work out force, depth, radius and pressure by a contact law.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -165,7 +167,9 @@ def layer(
     base: Lies = "bonded",
     json_: Json = False,
 ) -> dict[str, object]:
-    """Sphere on a layer over a rigid base: exact (to d/h = 0.2), Dimitriadis's series, and a half-space.
+    """Sphere on a layer over a rigid base: to d/h = 0.2.
+
+    Beside the exact force stand Dimitriadis's series and a half-space.
 
     Example: palpate mechanics layer --radius-mm 5 --thickness-mm 10 --depth-mm 1 --modulus-kpa 300
     """
@@ -211,7 +215,9 @@ def jkr(
     ] = 0.3,
     json_: Json = False,
 ) -> dict[str, object]:
-    """Sphere that sticks to a half-space (Johnson, Kendall, Roberts), and whether that law applies.
+    """Sphere that sticks to a half-space (Johnson, Kendall, Roberts).
+
+    Says whether that law applies.
 
     Example: palpate mechanics jkr --radius-mm 5 --modulus-kpa 300 --adhesion-j-per-m2 0.05 --force-n 0.01
     """
@@ -250,7 +256,9 @@ def ting(
     samples: Annotated[int, typer.Option("--samples", help="Samples of the press, 10 to 100000.")] = 401,
     json_: Json = False,
 ) -> dict[str, object]:
-    """Sphere pressed into a viscoelastic half-space and taken back at constant speed (Ting).
+    """Sphere pressed into a viscoelastic half-space and back (Ting).
+
+    Both at constant speed.
 
     Example: palpate mechanics ting --radius-mm 5 --depth-mm 1 --equilibrium-kpa 200 --branch 100:0.5
     --rise-s 1 --fall-s 1

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import typer
 
-from palpate.cli.shared import numbers_of, print_found, progress_bar, reports_errors
+from palpate.cli.shared import Group, numbers_of, print_found, progress_bar, reports_errors
 from palpate.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,7 +17,11 @@ if TYPE_CHECKING:
     from palpate.estimators.fringe_light import Polariscope
 
 app = typer.Typer(
-    help="Light, stress and what a material makes of them.", no_args_is_help=True, rich_markup_mode=None
+    cls=Group,
+    add_completion=False,
+    help="Light, stress and what a material makes of them.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
 )
 
 
@@ -68,7 +72,9 @@ def fit_c(
     json_: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress bar.")] = False,
 ) -> None:
-    """Fit the stress-optic coefficient C from photographs under known loads. Writes nothing without --out.
+    """Fit the stress-optic coefficient C from photographs.
+
+    They are taken under known loads. Writes nothing without --out.
 
     Example: palpate optics fit-c photos --labels labels.csv --roi-px 200,300,240,120 --strip-mm 20x6
     """

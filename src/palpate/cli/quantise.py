@@ -18,9 +18,10 @@ def quantise(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a calibration anew with its network in int8, and say what that costs in accuracy.
+    """Make a calibration's network int8, and say what that costs.
 
-    Both networks are scored on the rows that the calibration held out.
+    Also spelt quantize. The calibration is written anew; both networks are scored on the rows that it
+    held out.
 
     Example: palpate quantise cal run --out cal-int8
     """

@@ -7,9 +7,19 @@ from typing import Annotated
 
 import typer
 
-from palpate.cli.shared import Json, Quiet, print_found, progress_bar, reports_errors
+from palpate.cli import import_palm, import_press
+from palpate.cli.shared import Group, Json, Quiet, print_found, progress_bar, reports_errors
+
+import_app = typer.Typer(
+    cls=Group,
+    help="Bring recordings from elsewhere into a run.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
 
 
+@import_app.command("images")
 @reports_errors
 def import_images(
     folder: Annotated[Path, typer.Argument(help="Folder of images.")],
@@ -59,6 +69,11 @@ def import_images(
         )
     found = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
     print_found(found | {"unitless": list(report.unitless)}, text, json_)
+
+
+import_app.command("palm")(import_palm.palm)
+import_app.command("tiff", help=import_press.TIFF)(import_press.press)
+import_app.command("video", help=import_press.VIDEO)(import_press.press)
 
 
 @reports_errors

@@ -10,13 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from palpate.cli.shared import Json, Quiet, print_found, progress_bar, reports_errors
+from palpate.cli.shared import Group, Json, Quiet, print_found, progress_bar, reports_errors
 
 if TYPE_CHECKING:
     from palpate.recordings.press_folder import PressFolder
     from palpate.sensors.palm.wear import Wear
 
-app = typer.Typer(help="Draw what a virtual sensor would see.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(
+    cls=Group,
+    add_completion=False,
+    help="Draw what a virtual sensor would see.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
 
 
 @app.callback()
@@ -70,7 +76,7 @@ def palm(
     ] = False,
     json_: Json = False,
 ) -> None:
-    """Press a probe into the virtual photoelastic palm and write the camera's frame.
+    """Press a probe into the virtual palm and write the frame.
 
     Example: palpate render palm --depth-mm 3 --x-mm 5 --y-mm -2 --out frame.png
     """
@@ -139,7 +145,7 @@ def tactip(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Press the virtual TacTip on soft specimens and write what its rig would record.
+    """Press the virtual TacTip on soft specimens, as a rig records it.
 
     Without --specimen and --rigid the compliance report's five are pressed: rigid, S1 of 7.6 N/mm, S2 of 3.1,
     S3 of 1.1 and new of 5.3, which specimens.csv does not tell. Each press is a TIFF of frames and a table of

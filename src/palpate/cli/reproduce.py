@@ -7,16 +7,20 @@ from typing import Annotated
 
 import typer
 
-from palpate.cli.shared import Json, Quiet, print_found, progress_bar, reports_errors
+from palpate.cli.shared import Group, Json, Quiet, print_found, progress_bar, reports_errors
 
 app = typer.Typer(
-    help="Published studies, reproduced on virtual sensors.", no_args_is_help=True, rich_markup_mode=None
+    cls=Group,
+    add_completion=False,
+    help="Reproduce published studies on virtual sensors.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
 )
 
 
 @app.callback()
 def start() -> None:
-    """Published studies, reproduced on virtual sensors."""
+    """Reproduce published studies on virtual sensors."""
 
 
 @app.command()
@@ -31,9 +35,10 @@ def palm(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """The photoelastic palm: record, train the source's four networks and ours, compare, write it up.
+    """Compare the palm's four published networks with ours.
 
-    Makes report.html and summary.json. Interrupted, the same command goes on from where it was.
+    Records the virtual palm, trains the networks and writes it up: report.html and summary.json.
+    Interrupted, the same command goes on from where it was.
 
     Example: palpate reproduce palm --scale small --out palm-study
     """
@@ -63,9 +68,9 @@ def tactip(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compliance by touch: the report's figures 5 to 9, p-values and new specimen, beside ours.
+    """Set the report on compliance by touch beside our numbers.
 
-    Makes report.html and summary.json; some two minutes.
+    Its figures 5 to 9, p-values and new specimen. Makes report.html and summary.json; some two minutes.
 
     Example: palpate reproduce tactip --out tactip-study
     """

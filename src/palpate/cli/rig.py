@@ -11,17 +11,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from palpate.cli.shared import Json, Quiet, print_found, progress_bar, reports_errors
+from palpate.cli.shared import Group, Json, Quiet, print_found, progress_bar, reports_errors
 
 if TYPE_CHECKING:
     from palpate.recordings.align import Offset
     from palpate.rig import Control, Status
     from palpate.rig.check import Finding
 
-plan_app = typer.Typer(help="Plans of recordings.", no_args_is_help=True, rich_markup_mode=None)
+plan_app = typer.Typer(
+    cls=Group, add_completion=False, help="Plans of recordings.", no_args_is_help=True, rich_markup_mode=None
+)
 
 
-rig_app = typer.Typer(help="Rigs: stage, force sensor, camera.", no_args_is_help=True, rich_markup_mode=None)
+rig_app = typer.Typer(
+    cls=Group,
+    add_completion=False,
+    help="Rigs: stage, force sensor, camera.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
 
 
 SHOWN_IN = {"s": (1e3, "ms"), "m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
@@ -48,7 +56,7 @@ def record(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Record a plan on a rig; the same command goes on with a run that was interrupted.
+    """Record a plan on a rig, or go on with an interrupted run.
 
     Ctrl-C stops the motion, lifts the probe and ends; a second one is the emergency stop: nothing moves.
     Ends with status 1 where shots are still missing.
@@ -86,9 +94,10 @@ def record(
 def check(
     rig: Annotated[str, typer.Argument(help="A TOML file, or virtual:palm.")], json_: Json = False
 ) -> None:
-    """Check a rig whose probe hangs in free air: rates, noise, stamps, limits; the stage moves by 2 mm.
+    """Check a rig with its probe in free air; the stage moves by 2 mm.
 
-    Prints what was measured, and in brackets what was stated or is allowed; then what is wrong.
+    Measures rates, noise, stamps and limits. Prints what was measured, and in brackets what was stated or
+    is allowed; then what is wrong.
     It never goes nearer to the expected surface than 2 mm, and does not move where the force sensor fails.
     Ends with status 1 where something is wrong.
 
@@ -110,7 +119,9 @@ def check(
 @rig_app.command()
 @reports_errors
 def layer(run: Annotated[Path, typer.Argument(help="A run of the plan layer.")], json_: Json = False) -> None:
-    """Say where the layer lies, from a run of the plan layer: what to write into the rig's file.
+    """Say where the layer lies, from a run of the plan layer.
+
+    Prints what to write into the rig's file.
 
     Example: palpate rig layer layer-run
     """
@@ -137,7 +148,9 @@ def documents(
     out: Annotated[Path, typer.Option(help="JSON-lines file to make; must not exist.")],
     json_: Json = False,
 ) -> None:
-    """Write what the engine did as event-model documents, one a line, as Bluesky's tools take them in.
+    """Write what the engine did as event-model documents.
+
+    One document a line, as Bluesky's tools take them in.
 
     Example: palpate rig documents run --out run.jsonl
     """
@@ -164,7 +177,7 @@ def preview(
     frame_kb: Annotated[float, typer.Option(min=0.1, help="Size of a frame on disk [kB].")] = 90.0,
     json_: Json = False,
 ) -> None:
-    """Say how many points, shots and frames a plan asks for, about how long it takes, and draw it.
+    """Count a plan's points, shots, frames and minutes, and draw it.
 
     Example: palpate plan preview palm --png places.png
     """

@@ -9,8 +9,7 @@ from contextlib import contextmanager
 from typing import Annotated, Any, ParamSpec, TypeVar
 
 import typer
-
-from palpate.core.errors import InputError, PalpateError
+from typer.core import TyperGroup
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -19,11 +18,31 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text."
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress bar.")]
 
 
+class Group(TyperGroup):
+    """Commands under their headings, each with the whole first sentence of its help."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write a section a heading; the names of all sections are as wide, so that sentences align."""
+        named = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        shown = [(name, command) for name, command in named if command is not None and not command.hidden]
+        width = max(len(name) for name, _ in shown)
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for name, command in shown:
+            heading = getattr(command, "rich_help_panel", None) or "Commands"
+            sentence = command.get_short_help_str(limit=1000)
+            sections.setdefault(heading, []).append((name.ljust(width), sentence))
+        for heading, rows in sections.items():
+            with formatter.section(heading):
+                formatter.write_dl(rows)
+
+
 def reports_errors(verb: Callable[P, T]) -> Callable[P, T]:
     """Print an expected error as one line and end with status 2; Ctrl-C ends with 130."""
 
     @functools.wraps(verb)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> T:
+        from palpate.core.errors import PalpateError  # loads NumPy, which no help needs
+
         try:
             return verb(*args, **kwargs)
         except PalpateError as e:
@@ -65,6 +84,8 @@ def columns_of(text: str) -> tuple[str, ...]:
 
 def numbers_of(text: str | None, count: int, what: str) -> tuple[int, ...] | None:
     """Whole numbers from ``1,2,3`` or ``96x160``."""
+    from palpate.core.errors import InputError
+
     if text is None:
         return None
     try:
@@ -78,6 +99,8 @@ def numbers_of(text: str | None, count: int, what: str) -> tuple[int, ...] | Non
 
 def options_of(pairs: list[str]) -> dict[str, Any]:
     """Model options from ``name=value``, the values read as JSON where they are."""
+    from palpate.core.errors import InputError
+
     options: dict[str, Any] = {}
     for pair in pairs:
         name, equals, value = pair.partition("=")

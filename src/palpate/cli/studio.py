@@ -23,11 +23,11 @@ def studio(
         bool, typer.Option("--accelerated", help="Let virtual:palm run as fast as the machine can.")
     ] = False,
 ) -> None:
-    """Open the operator's page of the indentation rig in the browser, on this machine only.
+    """Open the operator's page of the rig in the browser.
 
-    The rig itself is held by a process of its own, which is started where none runs: closing the page or
-    losing this command moves nothing and loses nothing. Ctrl-C pauses a recording with the probe lifted; run
-    the same command again to go on.
+    The page is open to this machine only. The rig itself is held by a process of its own, which is started
+    where none runs: closing the page or losing this command moves nothing and loses nothing. Ctrl-C pauses a
+    recording with the probe lifted; run the same command again to go on.
 
     Example: palpate studio --port 8080
     """

@@ -13,7 +13,8 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, UInt8
+
+from palpate.core.shapes import Bool, Float, Float32, Int, UInt8
 
 Image = UInt8[np.ndarray, "h w *c"]
 Images = UInt8[np.ndarray, "n h w c"]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.axes import Field, Mask
+from palpate.core.shapes import Float
 
 
 @dataclass(frozen=True, slots=True)

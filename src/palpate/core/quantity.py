@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from palpate.core.errors import ColumnError, InputError
 from palpate.core.reading import MeasurementResult, Reading, plain_number
+from palpate.core.shapes import Bool, Float
 from palpate.core.units import unit
 
 

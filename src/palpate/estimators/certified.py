@@ -7,9 +7,7 @@ from html import escape
 from pathlib import Path
 
 import numpy as np
-import onnx
 import onnxruntime
-from jaxtyping import Float32
 from pydantic import ValidationError
 
 from palpate.core.axes import Image, Tensor, Values
@@ -17,10 +15,12 @@ from palpate.core.errors import CertificateError, ImageError, StorageError
 from palpate.core.files import PathText, sha256_of
 from palpate.core.frame import Frame
 from palpate.core.reading import Drift, Reading, Readings
+from palpate.core.shapes import Float32
 from palpate.core.units import unit
 from palpate.estimators.card import Card, FileCard, TargetCard, card_id
 from palpate.estimators.guard import Guard
 from palpate.estimators.intervals import Intervals, Spread
+from palpate.estimators.model_parts import refuse_other_files
 
 CARD_FILE = "card.json"
 MOST_CARD_BYTES = 4_000_000
@@ -259,8 +259,8 @@ def _outside(target: TargetCard, value: float, half: float) -> str:
 def _session(path: Path, card: Card, threads: int) -> onnxruntime.InferenceSession:
     """An inference session over a model that keeps to its card and to its own bytes."""
     try:
-        model = onnx.load(str(path), load_external_data=False)
-        _refuse_external_data(model, path)
+        model = path.read_bytes()
+        refuse_other_files(model, str(path))
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.log_severity_level = 3
@@ -268,27 +268,13 @@ def _session(path: Path, card: Card, threads: int) -> onnxruntime.InferenceSessi
         # percentile of a frame's latency on two cores.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         # From bytes, so that nothing beside the file can be drawn in.
-        session = onnxruntime.InferenceSession(
-            model.SerializeToString(), options, providers=["CPUExecutionProvider"]
-        )
+        session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
     except (CertificateError, StorageError):
         raise
-    except Exception as e:  # onnx and onnxruntime raise many kinds of their own
+    except Exception as e:  # protobuf and onnxruntime raise many kinds of their own
         raise CertificateError(f"{path} is not a model that can be run ({e}); calibrate again") from e
     _check_shapes(session, card, path)
     return session
-
-
-def _refuse_external_data(model: onnx.ModelProto, path: Path) -> None:
-    for tensor in model.graph.initializer:
-        if tensor.data_location == onnx.TensorProto.EXTERNAL or tensor.external_data:
-            raise CertificateError(f"{path} keeps weights in another file, which is refused; export it whole")
-    for node in model.graph.node:
-        for attribute in node.attribute:
-            if attribute.HasField("t") and attribute.t.data_location == onnx.TensorProto.EXTERNAL:
-                raise CertificateError(f"{path} keeps constants in another file, which is refused")
-            if attribute.HasField("g") or attribute.graphs:
-                raise CertificateError(f"{path} has graphs inside its graph, which palpate never writes")
 
 
 def _check_shapes(session: onnxruntime.InferenceSession, card: Card, path: Path) -> None:

@@ -20,10 +20,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Bool, Float
 from palpate.estimators.fringe_light import Polariscope
 from palpate.estimators.fringe_refine import Fit, refined
 from palpate.estimators.fringe_scan import LEAST_ORDER, Traces, candidates

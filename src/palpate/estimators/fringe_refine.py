@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import t as student
 
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Float
 from palpate.estimators.fringe_scan import STEP, TOO_LITTLE, UNKNOWNS, Traces, profiled
 
 CONFIDENCE = 0.95

@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Bool, Float
 from palpate.estimators.fringe_light import Polariscope
 
 UNKNOWNS = 4  # k, N0, a and b

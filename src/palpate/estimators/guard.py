@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from palpate.core.axes import Indices
 from palpate.core.errors import CertificateError, InputError
 from palpate.core.reading import Drift
+from palpate.core.shapes import Float
 from palpate.estimators.seen import (
     AlsoSeen,
     Prepared,

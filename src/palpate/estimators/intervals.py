@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from palpate.core.axes import Values
+from palpate.core.shapes import Float
 
 LEAST, MOST = 0.2, 5.0
 """The spread is held between these multiples of the typical error: a quadratic fitted inside the

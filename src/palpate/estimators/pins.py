@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Shaped, UInt8
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from palpate.core.errors import ImageError, InputError, RangeError
+from palpate.core.shapes import Bool, Float, Shaped, UInt8
 from palpate.estimators.pin_kernels import PARTS, brighter, settle
 
 FLOOR = 0.25  # of the way from ground to pin: what is darker has no weight

@@ -19,10 +19,10 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float16, Float32, Int, UInt8
 from scipy.optimize import nnls
 
 from palpate.core.axes import Indices
+from palpate.core.shapes import Float, Float16, Float32, Int, UInt8
 
 THUMBNAIL_VALUES = 1024
 """A thumbnail holds about this many values, in one channel or in three."""

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from palpate.calibration.evaluate import zeros_of
 from palpate.core.reading import Drift, Readings, plain_number
 from palpate.estimators.certified import Estimator, Zero
 from palpate.live.sources import RunFrames, Source, Unreadable
@@ -58,7 +57,7 @@ def sense(estimator: Estimator, source: Source, zero: Zero | None = None) -> Ite
     Raises:
         ImageError: the calibration is differential, and there is no image of the untouched sensor.
     """
-    zeros = zeros_of(estimator, source.run) if zero is None and isinstance(source, RunFrames) else {}
+    zeros = _zeros(estimator, source) if zero is None and isinstance(source, RunFrames) else {}
     for i, frame in enumerate(source):
         started = time.perf_counter()
         if isinstance(frame, Unreadable):
@@ -66,6 +65,13 @@ def sense(estimator: Estimator, source: Source, zero: Zero | None = None) -> Ite
         else:
             readings = estimator.read(frame, zero or zeros.get(i))
         yield Sensed(frame.name, frame.time_s, readings, time.perf_counter() - started)
+
+
+def _zeros(estimator: Estimator, source: RunFrames) -> dict[int, Zero]:
+    """The untouched sensor at each row, by the run's labels."""
+    from palpate.calibration.evaluate import zeros_of  # loads tables, which no image needs
+
+    return zeros_of(estimator, source.run)
 
 
 def _drift(drift: Drift | None) -> dict[str, Any] | None:

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from palpate.core.errors import ImageError, InputError
 from palpate.core.files import PathText
 from palpate.core.frame import Frame
 from palpate.recordings.images import read_image
 from palpate.recordings.manifest import MANIFEST
-from palpate.recordings.reader import Run
+
+if TYPE_CHECKING:
+    from palpate.recordings.reader import Run
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 
@@ -78,6 +80,8 @@ def open_source(path: PathText) -> Source:
     """
     path = Path(path)
     if (path / MANIFEST).is_file():
+        from palpate.recordings.reader import Run  # loads tables, which no image needs
+
         return RunFrames(Run.open(path))
     if path.is_dir():
         found = tuple(sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES))

@@ -11,11 +11,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.contact import Contact, Pose, Probe
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float
 
 GREATEST_SLOPE = 0.5  # a/R; beyond it the paraboloid is no longer the sphere
 GRID_POINTS = 81

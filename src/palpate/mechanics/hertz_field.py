@@ -17,10 +17,10 @@ Reference: K. L. Johnson, Contact Mechanics (1985), sec. 3.2, doi:10.1017/CBO978
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Float
 
 SURFACE = (
     1e-12  # depth in contact radii that stands for z -> 0, where the edge circle's 1/S would be infinite

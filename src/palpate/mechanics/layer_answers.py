@@ -9,9 +9,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
 from numpy import ndarray
 
+from palpate.core.shapes import Float, Float32, Int
 from palpate.mechanics.stack import LONG_WAVE
 from palpate.mechanics.stack_transfer import Material, Slab, climb
 

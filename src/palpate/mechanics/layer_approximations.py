@@ -28,11 +28,11 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from scipy.optimize import brentq
 
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float
 from palpate.mechanics.hertz import force_from_depth, positive, reduced_modulus
 from palpate.mechanics.sneddon import GREATEST_RADIUS
 

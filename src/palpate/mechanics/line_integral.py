@@ -15,10 +15,10 @@ doi:10.1017/CBO9781139171731.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Complex, Float
 from numpy import ndarray
 
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Complex, Float
 
 FAR = (
     8.0  # contact radii beyond which the series is used: the closed form loses (r/a)^2 digits by cancellation

@@ -19,10 +19,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Float
 from palpate.mechanics.hertz import positive, reduced_modulus
 
 Points = Float[ndarray, "..."]

@@ -28,10 +28,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float
 from palpate.mechanics.hertz import reduced_modulus
 
 Points = Float[ndarray, "..."] | float

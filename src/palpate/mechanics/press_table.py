@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32
 from numpy import ndarray
 from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 
 from palpate.core.contact import Contact, Pose, Probe
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float, Float32
 from palpate.mechanics.hertz import GRID_POINTS, positive
 
 DRAWN_TO = 2.0  # contact radii from the centre within which a field follows the contact's edge

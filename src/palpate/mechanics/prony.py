@@ -17,10 +17,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Float
 from palpate.mechanics.hertz import positive
 
 History = Float[ndarray, " n"]

@@ -20,12 +20,12 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from scipy.optimize import brentq
 
 from palpate.core.contact import Contact, Pose, Probe
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float
 from palpate.mechanics.hertz import GRID_POINTS, positive, reduced_modulus
 
 GREATEST_RADIUS = 0.99  # a/R of the sphere; at 1 the depth is infinite

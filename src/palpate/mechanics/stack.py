@@ -20,10 +20,10 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float
 from palpate.mechanics.stack_transfer import Material, Slab, climb
 
 Base = Literal["bonded", "half-space"]

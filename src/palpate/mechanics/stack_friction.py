@@ -16,11 +16,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy import ndarray
 
 from palpate.core.axes import Field, Mask
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float, Int
 from palpate.mechanics.stack_contact import StackContact
 from palpate.mechanics.stack_influence import tangential_influence, tangential_resistance
 from palpate.mechanics.surface_grid import cells

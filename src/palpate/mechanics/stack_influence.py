@@ -22,12 +22,12 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from scipy import fft, interpolate, special
 
 from palpate.core.axes import Field
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Float
 from palpate.mechanics.stack import Compliance, Stack, surface_compliance
 from palpate.mechanics.surface_grid import Cells
 

@@ -21,8 +21,9 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
+
+from palpate.core.shapes import Float
 
 DEEP = 22.0  # k h beyond which the far face is felt by less than s^2 exp(-2 s) = 4e-17
 

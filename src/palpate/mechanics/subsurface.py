@@ -21,11 +21,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from scipy.optimize import minimize_scalar
 
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Float
 from palpate.mechanics.hertz import positive, reduced_modulus
 from palpate.mechanics.hertz_field import SURFACE
 from palpate.mechanics.point_loads import Potentials, stress_of_load_along_x, stress_of_normal_load

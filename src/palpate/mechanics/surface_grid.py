@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.errors import InputError
+from palpate.core.shapes import Float
 
 UNEVEN = 1e-6  # of a step: what may be left of rounding in a grid's positions
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy import ndarray
 
+from palpate.core.shapes import Float, Int
 from palpate.mechanics.coulomb import balanced
 from palpate.mechanics.revolved import RevolvedBody
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy import ndarray
 
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Float, Int
 from palpate.mechanics.revolved import RevolvedBody, tensor_mesh
 from palpate.mechanics.tilted_tip import TipModes, TopModes, facet_modes
 

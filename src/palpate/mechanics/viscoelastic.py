@@ -33,10 +33,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Float
 from palpate.mechanics.hertz import contact_radius, reduced_modulus
 from palpate.mechanics.prony import KelvinVoigt, Prony
 

@@ -16,11 +16,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Complex, Float, Float32
 from numpy import ndarray
 from scipy.interpolate import RegularGridInterpolator
 
 from palpate.core.errors import InputError
+from palpate.core.shapes import Bool, Complex, Float, Float32
 from palpate.optics.axisymmetric_field import Along, AxisymmetricField, Rays
 from palpate.optics.fast_march import check_bands, march_colour_plain, packed, shared
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float
 
 Along = Float[ndarray, "*_"]
 Numbers = Float[ndarray, "5 *n"]

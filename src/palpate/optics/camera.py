@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, UInt8, UInt16
 from numpy import ndarray
 
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float, UInt8, UInt16
 from palpate.optics.colour import encode_srgb
 from palpate.optics.noise import electrons, quantise
 

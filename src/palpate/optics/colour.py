@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from palpate.core.errors import InputError
+from palpate.core.shapes import Float, UInt8
 
 Banded = Float[ndarray, "k *n"]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32
 from numpy import ndarray
 
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Float, Float32
 from palpate.optics.noise import illumination
 
 Places = Float[ndarray, " n"]

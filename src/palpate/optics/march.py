@@ -13,10 +13,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.errors import InputError
+from palpate.core.shapes import Float
 
 Summed = Float[ndarray, "*n"]
 Slices = Float[ndarray, "s *n"]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt16
 from numpy import ndarray
 
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Float, Float32, UInt16
 
 Electrons = Float[ndarray, "*n"]
 

@@ -8,10 +8,10 @@ is the squared modulus, so a march needs no more than these numbers of any polar
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Complex, Float
 from numpy import ndarray
 
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Complex, Float
 from palpate.optics.march import Retarder
 
 Light = Float[ndarray, "*n"]

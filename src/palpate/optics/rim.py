@@ -12,10 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Bool, Float
 
 Columns = Float[ndarray, " w"]
 

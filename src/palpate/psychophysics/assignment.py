@@ -24,10 +24,10 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy import ndarray
 
 from palpate.core.errors import InputError
+from palpate.core.shapes import Float, Int
 
 EXACT_UP_TO = 20_000  # labellings
 DRAWS = 9_999

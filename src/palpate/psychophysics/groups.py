@@ -20,12 +20,12 @@ from typing import Any
 
 import numpy as np
 import scikit_posthocs as posthocs
-from jaxtyping import Float
 from numpy import ndarray
 from scipy import stats
 from statsmodels.stats.diagnostic import lilliefors
 
 from palpate.core.errors import InputError
+from palpate.core.shapes import Float
 
 LEAST_FOR_LILLIEFORS = 4
 POOLED = (

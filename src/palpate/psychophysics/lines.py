@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import statsmodels.api as sm
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.errors import InputError
+from palpate.core.shapes import Float
 
 Values = Float[ndarray, " n"]
 

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Int
 from numpy import ndarray
 
 from palpate.core.errors import LabelError
+from palpate.core.shapes import Float, Int
 from palpate.core.units import has_unit, split_column, unit
 from palpate.recordings.labels import label_kinds, read_labels, rows_text
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
@@ -14,6 +13,7 @@ from numpy import ndarray
 
 from palpate.calibration.compliance import ReferenceTrial
 from palpate.calibration.compliance_reading import Touch
+from palpate.core.shapes import Float
 from palpate.estimators.casr.as_reported import AsReported
 from palpate.reports.figures import ACCENT, BAND, INK, STYLE
 

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import UInt8
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator
 from numpy import ndarray
 
+from palpate.core.shapes import UInt8
 from palpate.reports.figures import ACCENT, BAD, BAND, INK, STYLE, drawn
 
 COLOURS = ("#5b6b75", "#c77d0a", "#8e44ad", "#2e6fb7", ACCENT)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy import ndarray
 
+from palpate.core.shapes import Float
 from palpate.reports.compliance import boxes
 from palpate.reports.figures import INK, STYLE, drawn
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from palpate.estimators.card import ScoreCard
-from palpate.recordings.check import CheckReport
+
+if TYPE_CHECKING:
+    from palpate.recordings.check import CheckReport
 
 HEAD = (
     "target",

@@ -13,13 +13,13 @@ from dataclasses import asdict
 from itertools import islice
 
 import numpy as np
-from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from palpate.core.clock import NS_PER_S
 from palpate.core.errors import InputError, RangeError
 from palpate.core.frame import Frame
 from palpate.core.protocols import Wrench
+from palpate.core.shapes import Float, UInt8
 from palpate.recordings.align import Offset, offset_between
 from palpate.rig.guard import Guard
 from palpate.rig.outcome import Reason, Tripped

@@ -7,10 +7,10 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
 
 from palpate.core.axes import Image
 from palpate.core.errors import ImageError, InputError
+from palpate.core.shapes import UInt8
 
 Box = tuple[int, int, int, int]
 

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from scipy import stats
 
 from palpate.core.errors import InputError
+from palpate.core.shapes import Float
 from palpate.estimators.casr.region import Field, ring_px
 
 MOTIONS = 8

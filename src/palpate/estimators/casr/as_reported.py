@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
 from numpy import ndarray
 
 from palpate.core.errors import InputError, PalpateError
+from palpate.core.shapes import Bool, Float, Int, Shaped
 from palpate.estimators.casr.force import (
     CONTACT_N,
     GREATEST_N,

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.errors import InputError
+from palpate.core.shapes import Float
 from palpate.mechanics.pairs import Body
 
 LEAST_SHARE = 0.2

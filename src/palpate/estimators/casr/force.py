@@ -11,12 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.ndimage import median_filter
 from scipy.optimize import brentq
 
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Bool, Float, Int
 
 TAPS = 5
 CONTACT_N, GREATEST_N = 0.5, 5.0

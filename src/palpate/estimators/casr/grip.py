@@ -7,10 +7,10 @@ several frames and jumps. A repeated width is no measurement; `fresh` tells thos
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy import ndarray
 
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float, Int
 from palpate.estimators.casr.force import Loading
 
 LEAST_SAMPLES = 3

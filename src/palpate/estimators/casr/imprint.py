@@ -26,10 +26,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Shaped
 from numpy import ndarray
 
 from palpate.core.errors import ImageError, InputError
+from palpate.core.shapes import Float, Shaped
 
 WHITE = 255
 MOST_CLIPPED = 0.01  # of the region's pixels, in one colour

@@ -7,11 +7,11 @@ straight, and read at fixed forces; so presses of any speed and frame rate can b
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float
 from palpate.estimators.casr.pin_press import PinPress
 
 DEGREE = 4

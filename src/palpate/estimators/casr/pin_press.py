@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
 from numpy import ndarray
 
 from palpate.core.errors import InputError
+from palpate.core.shapes import Float, Int, Shaped
 from palpate.estimators.casr.force import (
     CONTACT_N,
     loading,

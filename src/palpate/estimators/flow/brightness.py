@@ -10,10 +10,10 @@ doi:10.1016/0004-3702(81)90024-2, sections 7 and 8.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Shaped
 from numpy import ndarray
 
 from palpate.core.errors import ImageError, InputError
+from palpate.core.shapes import Float, Shaped
 
 WHITE = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}
 

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float32
 from numpy import ndarray
 
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Float32
 from palpate.estimators.flow.brightness import Grey, brightness, check_pair
 from palpate.estimators.flow.fast import FlowField, relaxed
 from palpate.estimators.flow.horn_schunck import HornSchunck

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from jaxtyping import Bool
 from numpy import ndarray
 
 from palpate.core.errors import InputError
+from palpate.core.shapes import Bool
 from palpate.estimators.flow.brightness import Grey
 from palpate.estimators.flow.coarse_to_fine import coarse_to_fine
 from palpate.estimators.flow.fast import FlowField, divergence, flow

@@ -10,9 +10,9 @@ import math
 from threading import local
 
 import numpy as np
-from jaxtyping import Bool, Float32
 from numpy import ndarray
 
+from palpate.core.shapes import Bool, Float32
 from palpate.estimators.flow.brightness import WHITE, Grey, brightness, check_pair
 from palpate.estimators.flow.horn_schunck import AS_REPORTED, HornSchunck
 

@@ -20,11 +20,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from scipy import ndimage
 
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Float
 from palpate.estimators.flow.brightness import Grey, brightness, check_pair, derivatives
 
 NEIGHBOURS = np.array([[1, 2, 1], [2, 0, 2], [1, 2, 1]]) / 12

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-from jaxtyping import Float
 from onnx import helper
 
 from palpate.core.axes import Indices, Tensor, Values
+from palpate.core.shapes import Float
 from palpate.estimators.networks.base import Progress, TrainingData, silent
 from palpate.estimators.networks.graph import image_to_value
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-from jaxtyping import Float, Float32
 from onnx import helper
 from scipy.linalg import eigh
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GroupKFold
 
 from palpate.core.axes import Indices, Tensor, Values
+from palpate.core.shapes import Float, Float32
 from palpate.estimators.networks.base import Progress, Scaler, TrainingData, silent
 from palpate.estimators.networks.graph import image_to_value
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-from jaxtyping import Float
 from onnx import helper
 from sklearn.neural_network import MLPRegressor
 
 from palpate.core.axes import Indices, Tensor, Values
+from palpate.core.shapes import Float
 from palpate.estimators.networks.base import Progress, Scaler, TrainingData, inner_validation, silent
 from palpate.estimators.networks.graph import image_to_value
 

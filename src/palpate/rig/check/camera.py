@@ -7,13 +7,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.clock import NS_PER_S, Clock
 from palpate.core.errors import DeviceError, RangeError
 from palpate.core.frame import Frame
 from palpate.core.protocols import Camera
+from palpate.core.shapes import Float
 from palpate.rig.check.finding import (
     Finding,
     Part,

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.clock import Clock
 from palpate.core.errors import RangeError
 from palpate.core.protocols import Position, Stage
+from palpate.core.shapes import Float
 from palpate.rig.check.finding import seconds
 
 Box = tuple[Position, Position]

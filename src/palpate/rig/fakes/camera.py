@@ -8,8 +8,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
 from numpy import ndarray
+
+from palpate.core.shapes import UInt8
 
 BLUE = 7  # of every pixel: tells a picture in BGR from one in RGB
 

@@ -6,11 +6,11 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import UInt8
 from numpy import ndarray
 
 from palpate.core.clock import NS_PER_S
 from palpate.core.errors import DeviceError
+from palpate.core.shapes import UInt8
 
 _RATE_OVER = 100  # frames
 _MOST_BROKEN = 10  # frames in a row

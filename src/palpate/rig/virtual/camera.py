@@ -8,13 +8,13 @@ from collections.abc import Hashable
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float32
 from numpy import ndarray
 
 from palpate.core.clock import NS_PER_S
 from palpate.core.contact import Contact, Pose
 from palpate.core.errors import DeviceError, RangeError
 from palpate.core.frame import Frame
+from palpate.core.shapes import Float32
 from palpate.rig.virtual.skin import own_ball
 from palpate.rig.virtual.world import KEPT_S, Touch, World
 from palpate.sensors import palm

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.protocols import Position
+from palpate.core.shapes import Float
 
 Times = Float[ndarray, " n"]
 Places = Float[ndarray, "n 3"]

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from scipy.interpolate import PchipInterpolator
 from scipy.signal import lfilter
 
 from palpate.core.contact import Pose, Probe
+from palpate.core.shapes import Float
 from palpate.mechanics.press_table import PressTable
 from palpate.sensors import palm
 from palpate.sensors.palm import PalmSpec

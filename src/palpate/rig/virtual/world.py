@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.clock import NS_PER_S, Clock
 from palpate.core.contact import Probe
 from palpate.core.protocols import Position, Travel
+from palpate.core.shapes import Float
 from palpate.mechanics.partial_slip import tangential_stiffness
 from palpate.rig.virtual.faults import Fault, Faults
 from palpate.rig.virtual.motion import Motion, standing

@@ -5,12 +5,12 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Float
 from palpate.mechanics.press_table import SAME, Press, PressTable, shipped
 from palpate.optics.axisymmetric_field import AxisymmetricField
 from palpate.sensors.palm.spec import PalmSpec

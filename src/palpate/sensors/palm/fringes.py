@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Float32
 from numpy import ndarray
 
 from palpate.core.contact import Probe
+from palpate.core.shapes import Float, Float32
 from palpate.optics.axisymmetric import Rays, march_axisymmetric
 from palpate.optics.colour import Spectrum, assumed_camera
 from palpate.optics.polariscope import plane_amplitude, with_leak

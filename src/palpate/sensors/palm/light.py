@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Float32
 from numpy import ndarray
 
+from palpate.core.shapes import Float, Float32
 from palpate.optics.colour import Spectrum
 
 SECOND_RADIATION_M_K = 1.438777e-2

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int, UInt8
 from numpy import ndarray
 
 from palpate.core.contact import Contact, Pose, Probe
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float32, Int, UInt8
 from palpate.mechanics.wrench import wrench_of
 from palpate.sensors.palm.field import has_table
 from palpate.sensors.palm.press import greatest_aside, press, press_layers, pulled

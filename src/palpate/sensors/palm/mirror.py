@@ -19,11 +19,11 @@ from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32
 from numpy import ndarray
 from scipy.interpolate import RegularGridInterpolator
 
 from palpate.core.contact import Contact
+from palpate.core.shapes import Bool, Float32
 from palpate.mechanics.press_table import Press
 from palpate.sensors.palm.field import pressed
 from palpate.sensors.palm.kept import kept

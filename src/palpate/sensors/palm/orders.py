@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from scipy.interpolate import RegularGridInterpolator
 
+from palpate.core.shapes import Float
 from palpate.optics.axisymmetric import AxisymmetricField
 from palpate.optics.stress_optic import fringe_order
 from palpate.sensors.palm.field import field_of, pressed

@@ -11,12 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Float32, Int, UInt8
 from numpy import ndarray
 
 from palpate.core.contact import Pose
 from palpate.core.errors import InputError
 from palpate.core.parallel import in_parallel
+from palpate.core.shapes import Float, Float32, Int, UInt8
 from palpate.sensors.palm.press import press, press_to_force
 from palpate.sensors.palm.render import render
 from palpate.sensors.palm.spec import PalmSpec

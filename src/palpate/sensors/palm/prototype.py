@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.contact import Contact
 from palpate.core.errors import InputError
+from palpate.core.shapes import Float
 from palpate.sensors.palm import fringes
 from palpate.sensors.palm.field import field_of, pressed
 from palpate.sensors.palm.orders import WAVELENGTH_M, edge_on

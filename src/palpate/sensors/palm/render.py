@@ -13,12 +13,12 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, UInt8, UInt16
 from numpy import ndarray
 
 from palpate.core.contact import Contact, Pose, Probe
 from palpate.core.errors import InputError
 from palpate.core.frame import Frame
+from palpate.core.shapes import Float32, UInt8, UInt16
 from palpate.optics.camera import Camera, develop, raw_codes
 from palpate.optics.illumination import LedStrip, backlight
 from palpate.optics.noise import illumination

@@ -10,10 +10,10 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float
 from palpate.optics.camera import Camera
 from palpate.optics.colour import LEAST_BANDS
 from palpate.optics.illumination import LedStrip

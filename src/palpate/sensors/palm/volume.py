@@ -9,12 +9,12 @@ all marched: between two that are, light runs straight.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Float32
 from numpy import ndarray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
 from palpate.core.contact import Contact
+from palpate.core.shapes import Float, Float32
 from palpate.mechanics.layer_stress import OnGrid, stress_under
 from palpate.optics.fast_march import march_colour
 from palpate.optics.polariscope import plane_amplitude, with_leak

@@ -14,11 +14,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
 from numpy import ndarray
 from scipy.ndimage import uniform_filter
 
 from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Bool, Float, Float32
 from palpate.optics.colour import Spectrum
 
 MOST_SCRATCHES = 1000

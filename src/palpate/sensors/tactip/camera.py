@@ -7,9 +7,9 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Float, UInt8
 from numpy import ndarray
 
+from palpate.core.shapes import Float, UInt8
 from palpate.sensors.tactip.spec import TacTipCamera
 
 ITERATIONS = 30

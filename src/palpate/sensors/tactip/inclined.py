@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from scipy.interpolate import CubicSpline, NdBSpline, PchipInterpolator, RectBivariateSpline
 
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Float
 from palpate.mechanics.tilted_tip import TiltedContact, TiltedPress, TipModes, TopModes
 from palpate.mechanics.tip_bodies import tip_modes, top_modes
 from palpate.mechanics.tip_table import TipTable, tip_table

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from scipy.interpolate import CubicSpline
 
+from palpate.core.shapes import Float
 from palpate.mechanics.tip_table import HeadOnPress
 from palpate.sensors.tactip.spec import Pins
 

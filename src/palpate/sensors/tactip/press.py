@@ -13,10 +13,10 @@ from functools import cached_property, lru_cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Float, Int, UInt8
 from palpate.mechanics.tip_table import HeadOnPress
 from palpate.sensors.tactip.camera import projected, rendered
 from palpate.sensors.tactip.pins import Skin, head_on, markers

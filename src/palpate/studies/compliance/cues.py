@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from jaxtyping import Shaped
 from numpy import ndarray
 
 from palpate.calibration.compliance import ComplianceCalibration, ReferenceTrial
 from palpate.calibration.compliance_reading import Touch, read_touch
 from palpate.calibration.press_files import followed
+from palpate.core.shapes import Shaped
 from palpate.estimators.casr.as_reported import AsReported, as_reported, over_pins
 from palpate.estimators.casr.force import (
     CONTACT_N,

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Shaped
 from numpy import ndarray
 
 from palpate.calibration.uncertainty import grouped_coverage_interval
 from palpate.core.errors import InputError
+from palpate.core.shapes import Float, Shaped
 from palpate.core.units import split_column
 from palpate.studies.palm.published import PLACE
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
+from palpate.core.shapes import Float
 from palpate.estimators.casr import area_m2, paper_spread, spread
 from palpate.estimators.casr.over_force import at_forces
 from palpate.estimators.casr.spread import summed_slopes

@@ -11,9 +11,9 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 
+from palpate.core.shapes import Float
 from palpate.estimators.casr import loading, moving_average, within
 from palpate.estimators.flow import divergence
 from palpate.estimators.flow.course import course

@@ -24,10 +24,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
+from palpate.core.shapes import Float
 from palpate.mechanics.tip_table import HeadOnPress
 from palpate.sensors.tactip import TacTipSpec
 from palpate.studies.tactip.controls import KAPPA_N_M, order

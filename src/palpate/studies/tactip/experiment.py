@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 from numpy import ndarray
 
 from palpate.calibration.compliance import ComplianceCalibration, Reference, calibrate_compliance
 from palpate.calibration.compliance_reading import Touch, read_touch
+from palpate.core.shapes import Float
 from palpate.psychophysics.lines import Line, fit_line
 from palpate.recordings.press_table import PressTable
 from palpate.sensors.tactip import TacTipSpec, Trial, trial
