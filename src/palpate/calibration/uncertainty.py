@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import binomtest
 from sklearn.linear_model import GammaRegressor
 from sklearn.model_selection import GroupKFold
 
@@ -65,10 +65,8 @@ def fit_intervals(predicted: Values, true: Values, groups: np.ndarray, coverage:
 
 def coverage_interval(hits: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
     """Clopper-Pearson interval of a rate, from `hits` of `n` independent rows."""
-    tail = (1 - confidence) / 2
-    low = float(beta.ppf(tail, hits, n - hits + 1)) if hits else 0.0
-    high = float(beta.ppf(1 - tail, hits + 1, n - hits)) if hits < n else 1.0
-    return low, high
+    found = binomtest(hits, n).proportion_ci(confidence, method="exact")
+    return float(found.low), float(found.high)
 
 
 def grouped_coverage_interval(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-import statsmodels.api as sm
 from numpy import ndarray
+from scipy import stats
 
 from palpate.core.errors import InputError
 from palpate.core.shapes import Float
@@ -23,6 +24,9 @@ class Line:
         slope_low, slope_high: 95 % interval of the slope, if the points are independent.
         adjusted_r2: 1 less the residual variance over y's.
         n: points.
+        mean_x: of the points, in x's unit.
+        sxx: sum of squares of x around it.
+        residual: standard deviation of y around the line, with n - 2 degrees of freedom.
     """
 
     slope: float
@@ -31,18 +35,18 @@ class Line:
     slope_high: float
     adjusted_r2: float
     n: int
-    _fit: object
+    mean_x: float
+    sxx: float
+    residual: float
 
     def at(self, x: float, coverage: float = 0.9) -> tuple[float, float, float]:
         """The line at x, and the interval that holds a new point so often; infinite for two points."""
+        y = self.slope * x + self.start
         if self.n < 3:
-            return self.slope * x + self.start, -np.inf, np.inf
-        told = self._fit.get_prediction([[1.0, x]]).summary_frame(alpha=1 - coverage)  # type: ignore[attr-defined]
-        return (
-            float(told["mean"].iloc[0]),
-            float(told["obs_ci_lower"].iloc[0]),
-            float(told["obs_ci_upper"].iloc[0]),
-        )
+            return y, -np.inf, np.inf
+        spread = self.residual * math.sqrt(1 + 1 / self.n + (x - self.mean_x) ** 2 / self.sxx)
+        half = float(stats.t.ppf((1 + coverage) / 2, self.n - 2)) * spread
+        return y, y - half, y + half
 
 
 def fit_line(x: Values, y: Values) -> Line:
@@ -56,7 +60,18 @@ def fit_line(x: Values, y: Values) -> Line:
         raise InputError(f"a line needs two points or more at different x; got {len(x)} and {len(y)} values")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise InputError("a line is through finite points; leave out those that are not")
-    fit = sm.OLS(y, np.stack([np.ones_like(x), x], axis=1)).fit()
-    low, high = fit.conf_int()[1] if len(x) > 2 else (np.nan, np.nan)
-    adjusted = float(fit.rsquared_adj) if len(x) > 2 else float("nan")
-    return Line(float(fit.params[1]), float(fit.params[0]), float(low), float(high), adjusted, len(x), fit)
+    fit, n = stats.linregress(x, y), len(x)
+    sxx = float(np.sum((x - x.mean()) ** 2))
+    half = float(stats.t.ppf(0.975, n - 2) * fit.stderr) if n > 2 else float("nan")
+    adjusted = 1 - (1 - fit.rvalue**2) * (n - 1) / (n - 2) if n > 2 else float("nan")
+    return Line(
+        slope=float(fit.slope),
+        start=float(fit.intercept),
+        slope_low=float(fit.slope - half),
+        slope_high=float(fit.slope + half),
+        adjusted_r2=float(adjusted),
+        n=n,
+        mean_x=float(x.mean()),
+        sxx=sxx,
+        residual=float(fit.stderr) * math.sqrt(sxx),
+    )
