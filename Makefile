@@ -15,11 +15,13 @@ INSTALL := $(PIP) install --constraint constraints.txt --build-constraint constr
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
 
+# One thread: its images are small, and threads that wait for each other take the cores from the renderer.
 demo: .venv/sense.stamp ## render a recording, calibrate, evaluate, sense, report; no torch, no data
 	@out=demo-out; n=1; \
 	while [ -e "$$out" ]; do n=$$((n + 1)); out=demo-out-$$n; done; \
 	echo "palpate demo --out $$out"; \
-	$(BIN)/palpate demo --out "$$out"
+	OMP_NUM_THREADS=1 $(BIN)/palpate demo --out "$$out" && \
+	echo "palpate itself is $(BIN)/palpate: try $(BIN)/palpate --help"
 
 # One thread a process: two processes with two threads each would fight over two cores.
 test: .venv/work.stamp ## run the tests that take seconds

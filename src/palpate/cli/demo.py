@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from palpate.cli.shared import Json, Quiet, print_found, progress_bar, reports_errors
+from palpate.cli.shared import Json, Quiet, phases, print_found, progress_bar, reports_errors
 
 
 @reports_errors
@@ -25,6 +26,7 @@ def demo(
     """
     from palpate.studies.demo import run_demo
 
-    with progress_bar(quiet) as progress:
+    with progress_bar(quiet) as bar:
+        progress = bar if sys.stderr.isatty() else phases(quiet)
         result = run_demo(out, seed=seed, progress=progress)
     print_found(result.to_dict(), result.text(), json_)

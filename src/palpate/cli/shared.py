@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Annotated, Any, ParamSpec, TypeVar
@@ -54,6 +55,20 @@ def reports_errors(verb: Callable[P, T]) -> Callable[P, T]:
             raise typer.Exit(130) from e
 
     return wrapped
+
+
+def phases(quiet: bool) -> Callable[[str, int, int], None]:
+    """A line on stderr for each phase as it begins, for a log or a pipe, where no bar can be drawn."""
+    last = ""
+
+    def show(what: str, done: int, total: int) -> None:
+        nonlocal last
+        phase = ": ".join(what.split(": ")[:2])
+        if phase != last and not quiet:
+            print(phase, file=sys.stderr, flush=True)
+        last = phase
+
+    return show
 
 
 @contextmanager

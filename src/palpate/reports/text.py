@@ -12,25 +12,30 @@ from palpate.estimators.card import ScoreCard
 if TYPE_CHECKING:
     from palpate.recordings.check import CheckReport
 
+COLUMNS = 80  # of a terminal
 HEAD = (
     "target",
     "unit",
     "MAE",
+    "of mean",
     "RMSE",
     "R2",
-    "MAE of mean",
-    "90 % interval",
-    "covered",
-    "(95 % interval)",
+    "90 %",
+    "covered (95 %)",
 )
 
 
 def scores_table(scores: Mapping[str, ScoreCard]) -> str:
-    """One line a target, and a sentence for those that the model does not read."""
+    """One line a target, and a sentence for those that the model does not read; 80 columns at most.
+
+    After the mean absolute error stands that of always saying the mean; after the half-width of the 90 %
+    intervals the share of the truths they covered, and the 95 % interval of that share.
+    """
     lines = [HEAD, *(_cells(name, score) for name, score in scores.items())]
     widths = [max(len(line[i]) for line in lines) for i in range(len(HEAD))]
+    gap = "  " if sum(widths) + 2 * len(HEAD) - 2 <= COLUMNS else " "
     text = [
-        "  ".join(
+        gap.join(
             cell.ljust(w) if i < 2 else cell.rjust(w)
             for i, (cell, w) in enumerate(zip(line, widths, strict=True))
         )
@@ -50,12 +55,11 @@ def _cells(name: str, s: ScoreCard) -> tuple[str, ...]:
         name,
         s.unit,
         f"{s.mae:.3g}",
+        f"{s.mean_mae:.3g}",
         f"{s.rmse:.3g}",
         f"{s.r2:.3f}",
-        f"{s.mean_mae:.3g}",
         f"±{s.half_width:.3g}",
-        f"{100 * s.coverage_90:.1f} %",
-        f"({100 * s.coverage_90_low:.1f} to {100 * s.coverage_90_high:.1f} %)",
+        f"{100 * s.coverage_90:.3g} ({100 * s.coverage_90_low:.3g}–{100 * s.coverage_90_high:.3g}) %",
     )
 
 

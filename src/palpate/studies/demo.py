@@ -56,13 +56,13 @@ class Way:
 
 WAYS = {
     "pca-ridge": Way("pca-ridge", (60, 107)),
-    "pixel-mlp": Way("pixel-mlp", (30, 53)),
+    "pixel-mlp": Way("pixel-mlp", (20, 36)),
     "edge-on": Way("pca-ridge", (35, 118), edge_on=True),
 }
 """A linear and a nonlinear model of both views, and one of the edge-on view alone. Inputs are as small as the
 model can bear: a third of the frame's side and less. More pixels made both worse."""
 
-STEP_MM = 0.02
+STEP_MM = 0.04
 """Seating goes in the steps in which a rig seeks contact, so that depths repeat and are rendered once."""
 
 LABELS: dict[str, LabelKind] = {

@@ -1,0 +1,108 @@
+"""What the command costs before it does anything: what is loaded for a verb, and a help that can be read."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import pytest
+from typer.main import get_command
+from typer.testing import CliRunner
+
+from palpate.calibration import Plan, calibrate
+from palpate.cli import ALIASES, HEADINGS, app
+from palpate.estimators.card import ScoreCard
+from palpate.reports import scores_table
+
+NEVER_TO_SENSE = {
+    "jaxtyping", "matplotlib", "mcap", "numba", "onnx", "pandas", "pyarrow", "rosbags", "scipy.stats",
+    "sklearn", "torch",
+}  # fmt: skip
+MEANT_TO_LOAD = """
+import sys
+from palpate.cli import main
+
+sys.argv[1:] = sys.argv[2:]
+try:
+    main()
+except SystemExit as e:
+    assert not e.code, e.code
+print(*sys.modules, file=open(ASKED, "w"))
+"""
+
+
+def loaded_by(folder: Path, *words: object) -> set[str]:
+    """The modules that a fresh interpreter holds after `palpate WORDS`."""
+    asked = folder / "modules.txt"
+    code = MEANT_TO_LOAD.replace("ASKED", repr(str(asked)))
+    command = [sys.executable, "-c", code, "palpate", *map(str, words)]
+    subprocess.run(command, cwd=folder, capture_output=True, check=True, timeout=300)
+    return set(asked.read_text().split())
+
+
+def test_sensing_one_image_loads_no_tables_no_training_and_no_plots(record_spots, tmp_path: Path) -> None:
+    run = record_spots("run", 12)
+    calibrate(run, Plan(("height_mm",), split="group:press", size_px=(12, 16)), tmp_path / "cal")
+    cv2.imwrite(str(tmp_path / "frame.png"), run.frame(3).image)
+    loaded = loaded_by(tmp_path, "sense", tmp_path / "cal", tmp_path / "frame.png", "--timing")
+    assert "onnxruntime" in loaded
+    assert not NEVER_TO_SENSE & loaded
+
+
+def test_the_version_is_said_before_numpy_is_loaded(tmp_path: Path) -> None:
+    assert not {"numpy", "pydantic"} & loaded_by(tmp_path, "--version")
+
+
+def test_one_verb_loads_no_other(tmp_path: Path) -> None:
+    loaded = {name for name in loaded_by(tmp_path, "check", "--help") if name.startswith("palpate.cli.")}
+    assert "palpate.cli.recordings" in loaded
+    assert not {"palpate.cli.rig", "palpate.cli.calibration", "palpate.cli.render"} & loaded
+
+
+def groups() -> list[tuple[str, ...]]:
+    """The root and every verb that holds verbs."""
+    root = get_command(app)
+    return [(), *((name,) for name in root.commands if hasattr(root.commands[name], "commands"))]
+
+
+@pytest.mark.parametrize("words", groups(), ids=" ".join)
+def test_every_verb_s_first_sentence_stands_uncut_in_one_line_of_80_columns(words: tuple[str, ...]) -> None:
+    shown = CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "80"}).output
+    group = get_command(app)
+    for word in words:
+        group = group.commands[word]
+    assert max(map(len, shown.splitlines())) <= 80
+    for name, verb in group.commands.items():
+        if not verb.hidden:
+            sentence = f"{' '.join(verb.help.split())} ".partition(". ")[0]
+            rows = [line for line in shown.splitlines() if line.split()[:1] == [name]]
+            assert any(row.split(maxsplit=1)[1].rstrip(".") == sentence.rstrip(".") for row in rows), name
+
+
+def test_verbs_stand_under_headings() -> None:
+    shown = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "80"}).output
+    assert [line[:-1] for line in shown.splitlines() if line[:1].isupper() and line.endswith(":")] == [
+        "Options",
+        *HEADINGS,
+    ]
+    assert "--install-completion" in shown
+
+
+def test_an_alias_is_the_same_verb_and_is_shown_once() -> None:
+    root = get_command(app)
+    for alias, name in ALIASES.items():
+        same, verb = root.commands[alias], root.commands[name]
+        assert same.hidden
+        assert [p.name for p in same.params] == [p.name for p in verb.params]
+        assert same.help == verb.help
+
+
+def test_the_table_of_scores_fits_80_columns() -> None:
+    score = ScoreCard(
+        unit="mm", n=1, mae=0.0123, rmse=0.0123, bias=0.0, r2=-0.123, mean_mae=0.0123, coverage_90=1.0,
+        coverage_90_low=0.9987, coverage_90_high=1.0, half_width=0.0123,
+    )  # fmt: skip
+    table = scores_table({"force_magnitude_N": score}).splitlines()[:2]  # the longest target there is
+    assert max(map(len, table)) <= 80
