@@ -72,7 +72,7 @@ class Verbs(UserDict[str, Any]):
             alone = typer.Typer(add_completion=False, rich_markup_mode=None)
             alone.command(name)(verb)
             verb = alone
-        command = get_command(verb)
+        command: Any = get_command(verb)
         command.name, command.hidden = name, name in ALIASES
         command.rich_help_panel = heading
         return command

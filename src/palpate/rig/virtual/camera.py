@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from collections.abc import Hashable
 from dataclasses import replace
 
 import numpy as np
+from cachetools import LRUCache
 from numpy import ndarray
 
 from palpate.core.clock import NS_PER_S
@@ -38,7 +38,7 @@ class VirtualCamera:
         self._rng = np.random.default_rng([world.seed & 0xFFFFFFFF, 0xCA])
         self._next = int(np.floor(world.now_s * rate_hz)) + 1
         self._frozen: Frame | None = None
-        self._pictures: OrderedDict[Hashable, Picture] = OrderedDict()
+        self._pictures: LRUCache[Hashable, Picture] = LRUCache(PICTURES)
         self._closed = False
 
     @property
@@ -135,8 +135,6 @@ class VirtualCamera:
             except RangeError as e:
                 raise DeviceError(f"the virtual camera cannot draw this: {e}") from e
             self._pictures[key] = palm.render_clean(contact, spec)
-            while len(self._pictures) > PICTURES:
-                self._pictures.popitem(last=False)
         return self._pictures[key]
 
     def _pulled(self, touch: Touch) -> tuple[float, float]:

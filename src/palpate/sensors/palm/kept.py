@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 import threading
-from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from typing import ParamSpec, Protocol, TypeVar, runtime_checkable
+
+from cachetools import LRUCache, cached
 
 
 @runtime_checkable
@@ -24,26 +24,12 @@ T = TypeVar("T", bound=Sized)
 
 
 def kept(most_bytes: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Keep what a function returned, the least recently used going first; arguments must be hashable."""
+    """Keep what a function returned, the least recently used going first; arguments must be hashable.
 
-    def keeping(make: Callable[P, T]) -> Callable[P, T]:
-        held: OrderedDict[Hashable, T] = OrderedDict()
-        lock = threading.Lock()
+    What takes more than the bound by itself displaces all others and is kept alone.
+    """
 
-        @functools.wraps(make)
-        def wrapped(*args: P.args, **kwargs: P.kwargs) -> T:
-            key = (args, tuple(kwargs.items()))
-            with lock:
-                if key in held:
-                    held.move_to_end(key)
-                    return held[key]
-            made = make(*args, **kwargs)
-            with lock:
-                held[key] = made
-                while len(held) > 1 and sum(one.nbytes for one in held.values()) > most_bytes:
-                    held.popitem(last=False)
-            return made
+    def size(made: Sized) -> int:
+        return min(made.nbytes, most_bytes)
 
-        return wrapped
-
-    return keeping
+    return cached(LRUCache(most_bytes, getsizeof=size), lock=threading.Lock())
