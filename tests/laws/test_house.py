@@ -80,16 +80,16 @@ def test_importing_palpate_and_its_verbs_loads_nothing_heavy(tmp_path: Path) -> 
     assert run_python(code, tmp_path) == ""
 
 
-def test_only_what_trains_needs_torch(tmp_path: Path) -> None:
+def test_only_what_trains_needs_torch_and_nothing_needs_jaxtyping(tmp_path: Path) -> None:
     code = f"""
 import importlib, sys
 
-class WithoutTorch:
+class Without:
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] == "torch":
+        if name.partition(".")[0] in ("torch", "jaxtyping"):
             raise ModuleNotFoundError(f"no {{name}} in this test", name=name)
 
-sys.meta_path.insert(0, WithoutTorch())
+sys.meta_path.insert(0, Without())
 for name in {list(MODULES)}:
     try:
         importlib.import_module(name)
