@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from palpate.calibration import Plan, calibrate
 from palpate.cli import ALIASES, HEADINGS, app
+from palpate.cli.shared import phases
 from palpate.estimators.card import ScoreCard
 from palpate.reports import scores_table
 
@@ -106,3 +107,11 @@ def test_the_table_of_scores_fits_80_columns() -> None:
     )  # fmt: skip
     table = scores_table({"force_magnitude_N": score}).splitlines()[:2]  # the longest target there is
     assert max(map(len, table)) <= 80
+
+
+def test_in_a_pipe_each_phase_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    for quiet, lines in ((False, ["recording", "pca-ridge: fold 1 of 5", "evaluating"]), (True, [])):
+        show = phases(quiet)
+        for what in ("recording", "recording", "pca-ridge: fold 1 of 5: projecting", "evaluating"):
+            show(what, 1, 2)
+        assert capsys.readouterr().err.splitlines() == lines
