@@ -10,7 +10,7 @@ INSTALL := $(PIP) install --constraint constraints.txt --build-constraint constr
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test slow check style types layers doctests exports documentation docs bench clean
+.PHONY: help demo test slow mutants check style types layers doctests exports documentation docs bench clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
@@ -29,6 +29,10 @@ test: .venv/work.stamp ## run the tests that take seconds
 
 slow: .venv/work.stamp ## run the tests that take minutes
 	$(BIN)/python -m pytest -m slow
+
+# One line after another is changed on a copy; MUTANTS="--only n3" runs one of them.
+mutants: .venv/work.stamp ## see that the nearest tests notice each line changed in the frozen list
+	PYTHONPATH=tools OMP_NUM_THREADS=1 $(BIN)/python -m mutants $(MUTANTS)
 
 check: style types layers doctests exports documentation ## style, types, layers, doctests, exports, documentation
 
