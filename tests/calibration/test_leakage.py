@@ -95,6 +95,27 @@ def test_copies_among_separate_touches_are_found_and_named(tmp_path, rng, grey_l
     assert not found.clean
 
 
+@pytest.mark.parametrize(("grey_levels", "twins"), [(6, 0), (1, 16)])
+def test_frames_that_differ_in_one_small_cell_only_are_no_copies(tmp_path, rng, grey_levels, twins):
+    """A touch of one cell of 16 x 16 is lost in the mean over all cells and seen in the largest.
+
+    Two frames of it differ by 6 grey levels in two cells: 0.53 of root mean square, or 0.49 as resizing
+    smears it, below the limit of 0.5 of frames without noise; one cell alone may differ by four times that
+    limit, 2 grey levels, and by no more.
+    """
+    scene = seen(press(rng), rng, 0).astype(float) / 2 + 60
+    images = []
+    for number in range(16):
+        image = scene.copy()
+        row, column = 4 * (2 + 3 * (number // 4)), 4 * (2 + 3 * (number % 4))
+        image[row : row + 4, column : column + 4] += grey_levels
+        images.append(image.astype(np.uint8))
+    packed = packed_set(tmp_path, images, pd.DataFrame({"press": np.arange(16.0)}))
+    found = audited(packed, "leave-one-out:press")
+    assert found.limit == 0.5
+    assert found.near_duplicates == twins
+
+
 def test_the_untouched_skin_is_the_same_in_every_press_and_counts_as_no_leak(tmp_path, rng):
     ground = np.full((SIDE, SIDE), 120.0)
     images, rows = [], []

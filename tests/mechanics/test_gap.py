@@ -50,6 +50,41 @@ def test_turning_a_lying_cylinder_by_a_right_angle_swaps_x_and_y():
     np.testing.assert_allclose(along_y, along_x.T, atol=1e-15)
 
 
+@pytest.mark.parametrize("turn_deg", [25, -40, 130])
+@pytest.mark.parametrize("place", [(0.0, 0.0), (1e-3, -5e-4)])
+def test_a_long_indenter_turns_from_x_towards_y(turn_deg, place):
+    """At an odd angle, where the senses differ: its edge runs along (cos, sin) and rises to both sides."""
+    turn, slope = math.radians(turn_deg), math.radians(20)
+    along, across = (math.cos(turn), math.sin(turn)), (-math.sin(turn), math.cos(turn))
+
+    def height(shape, u, v):
+        at = [np.array([place[k] + u * along[k] + v * across[k]]) for k in (0, 1)]
+        return float(shape(*at)[0, 0])
+
+    def wedge(x, y):
+        return gap.wedge(x, y, slope, 4e-3, turn, place)
+
+    def cylinder(x, y):
+        return gap.lying_cylinder(x, y, R, 4e-3, turn, place)
+
+    for end in (-1, 1):
+        for shape in (wedge, cylinder):
+            assert height(shape, end * 1.9e-3, 0.0) == pytest.approx(0.0, abs=1e-15)
+            assert height(shape, end * 2.1e-3, 0.0) == math.inf
+        for u in (0.0, 1.5e-3, -1.5e-3):
+            assert height(wedge, u, end * 3e-3) == pytest.approx(3e-3 * math.tan(slope), rel=1e-12)
+            expected = R - math.sqrt(R**2 - 3e-3**2)
+            assert height(cylinder, u, end * 3e-3) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("turn_deg", [25, -40, 130])
+def test_two_points_lie_on_a_line_turned_from_x_towards_y(turn_deg):
+    turn = math.radians(turn_deg)
+    for end in (-2e-3, 2e-3):
+        x, y = np.array([end * math.cos(turn)]), np.array([end * math.sin(turn)])
+        assert gap.two_points(x, y, 1e-3, 4e-3, turn)[0, 0] == pytest.approx(0.0, abs=1e-15)
+
+
 def test_two_points_are_two_spheres_at_their_separation():
     z = gap.two_points(X, Y, 1e-3, 4e-3)
     assert z[25, 20] == z[25, 40] == 0.0

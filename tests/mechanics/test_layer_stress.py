@@ -70,6 +70,22 @@ def test_the_stress_ends_before_the_wide_grid_does(loads):
     assert np.abs(border).max() < 5e-4 * loads[0].max()  # 2.6e-4 is measured, images and all
 
 
+def test_every_plane_carries_the_whole_shear_and_the_whole_pressure(loads):
+    """Global equilibrium: what acts on the skin acts on each plane below it, whatever the depth.
+
+    A traction along +x on the skin is a stress -q on planes whose normal points into it. Pressure leaves
+    the mean of xx - zz that a bonded layer has under even pressure, where it cannot widen: xx = nu / (1 - nu)
+    zz. Far from the load all of this is the sum over the wide grid; single precision leaves 1e-6.
+    """
+    p = loads[0]
+    q = np.stack([0.3 * p, -0.1 * p])
+    _, far = stress_under(H, NU, Z, p, X, X, q)
+    cell = far.cell_m[0] * far.cell_m[1] / (X[1] - X[0]) ** 2
+    carried = far.stress_pa.sum(axis=(2, 3), dtype=np.float64) * cell / p.sum()
+    widened = 1 - NU / (1 - NU)
+    np.testing.assert_allclose(carried, [[widened, widened, 0.0, -0.3, 0.1]] * len(Z), atol=2e-5)
+
+
 def test_stresses_add_up(loads):
     p, q = loads
     pressed, pulled, both = (
@@ -85,6 +101,18 @@ def test_a_load_moved_by_whole_cells_moves_its_stress():
     moved = np.subtract(there.first_m, here.first_m)
     np.testing.assert_allclose(moved, [-5 * 1.5e-4, 3 * 1.5e-4], atol=1e-12)
     np.testing.assert_allclose(there.stress_pa, here.stress_pa, atol=1e-5 * np.abs(here.stress_pa).max())
+
+
+def test_stress_depends_on_ratios_of_lengths_only(loads):
+    """All lengths ten times as long; the tables' steps go with them, so only rounding differs."""
+    p, q = loads
+    for here, there in zip(
+        stress_under(H, NU, Z, p, X, X, q),
+        stress_under(10 * H, NU, 10 * Z, p, 10 * X, 10 * X, q),
+        strict=True,
+    ):
+        np.testing.assert_allclose(np.multiply(there.cell_m, 0.1), here.cell_m)
+        np.testing.assert_allclose(there.stress_pa, here.stress_pa, atol=1e-5 * np.abs(here.stress_pa).max())
 
 
 def test_no_load_makes_no_stress():

@@ -77,6 +77,29 @@ def test_matrices_of_retarders_lose_no_light_and_multiply_like_them(ray):
     np.testing.assert_allclose(mueller(ray.then(ray)), M @ M, atol=1e-13)
 
 
+def test_a_quarter_wave_plate_gives_the_sign_of_v():
+    """Larger index along x, light along the diagonal x = z: x is a quarter period ahead in exp(i phase).
+
+    So E_x* E_z is -i / 2, and V, twice its imaginary part, is -1; along the other diagonal it is +1.
+    """
+    plate = mueller(linear_retarder(0.25, 0.0))
+    np.testing.assert_allclose(plate @ [1, 0, 1, 0], [1, 0, 0, -1], atol=1e-15)
+    np.testing.assert_allclose(plate @ [1, 0, -1, 0], [1, 0, 0, 1], atol=1e-15)
+
+
+def test_any_light_has_the_stokes_vector_of_its_amplitudes(ray, rng):
+    """V > 0 being Im(E_x* E_z) > 0, before the retarder and behind it."""
+
+    def stokes(E):
+        x, z = E
+        both = 2 * x.conj() * z
+        return [abs(x) ** 2 + abs(z) ** 2, abs(x) ** 2 - abs(z) ** 2, both.real, both.imag]
+
+    E = rng.normal(size=2) + 1j * rng.normal(size=2)
+    for J, M in zip(jones(ray), mueller(ray), strict=True):
+        np.testing.assert_allclose(M @ stokes(E), stokes(J @ E), atol=1e-13)
+
+
 def test_stokes_and_jones_see_the_same_light(ray):
     horizontal, vertical = np.array([1, 1, 0, 0]), np.array([1, -1, 0, 0]) / 2
     np.testing.assert_allclose(vertical @ (mueller(ray) @ horizontal).T, dark_field(ray, 0.0), atol=1e-14)
