@@ -74,7 +74,7 @@ def test_ten_scores_promise_nine_in_ten_by_their_largest_only() -> None:
 
 @pytest.mark.parametrize("n", [5, 10, 14])
 def test_the_promise_holds_for_few_scores(n: int) -> None:
-    """ceil(0.8 (n + 1)) / (n + 1), which is where the new score of n + 1 falls; 20,000 draws, within 0.3 %."""
+    """ceil(0.8 (n + 1)) / (n + 1), which is where the new score of n + 1 falls; 20,000 draws, to 0.3 %."""
     scores = np.random.default_rng(n).exponential(size=(20_000, n + 1))
     below = np.mean([row[0] <= conformal_quantile(row[1:], 0.8) for row in scores])
     assert below >= 0.8 - 0.01

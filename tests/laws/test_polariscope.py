@@ -180,6 +180,14 @@ def test_a_coefficient_without_dispersion_is_the_same_at_every_wavelength():
         StressOpticLaw(0.0)
 
 
+def test_one_slice_is_a_ray_whose_middle_lies_at_its_scale():
+    """y = scale tan 45 degrees, and dy = scale / cos^2 45 degrees times the right angle."""
+    scale = np.array([1.0, 2.5])
+    y, dy = graded_slices(scale, 1)
+    np.testing.assert_allclose(y, scale[None], rtol=1e-14)
+    np.testing.assert_allclose(dy, np.pi * scale[None], rtol=1e-14)
+
+
 def test_a_ray_without_slices_is_refused():
     with pytest.raises(InputError, match="slices"):
         graded_slices(np.ones(3), 0)

@@ -25,6 +25,13 @@ def hertz_load(x):
     return hertz.pressure(np.hypot(x, x[:, None]), A, P0)
 
 
+def test_the_diagonal_of_a_grid_is_the_greatest_distance_between_its_points():
+    x, y = np.arange(5) * 2e-4, np.arange(4) * 3e-4
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    apart = np.linalg.norm(points[:, None] - points, axis=-1)
+    assert cells(x, y).diagonal_m == pytest.approx(apart.max(), rel=1e-12)
+
+
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.49])
 def test_below_the_centre_of_hertzs_contact_the_stress_is_hubers(nu):
     x = np.linspace(-3 * A, 3 * A, 97)

@@ -275,6 +275,13 @@ def test_rays_that_cannot_be_are_refused(part, value):
         Rays(**(one | {part: np.full(1, value)}))
 
 
+def test_one_slice_is_marched():
+    optics = LAW.half_phase(GREEN), ONE, plane_amplitude(0.3, 1)
+    rays = view(columns=5, rows=4)
+    one = march_axisymmetric(dimple_field(), rays, *optics, slices=1)
+    assert_equal_light(one, march_axisymmetric_plain(dimple_field(), rays, *optics, slices=1))
+
+
 def test_marches_that_cannot_be_are_refused():
     optics = LAW.half_phase(GREEN), ONE, plane_amplitude(0.3, 1)
     with pytest.raises(InputError, match="slices"):

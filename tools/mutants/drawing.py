@@ -64,7 +64,7 @@ AREAS: dict[str, tuple[int, dict[str, str]]] = {
             "optics.noise": "laws/test_noise",
             "optics.polariscope": "optics/test_polariscopes laws/test_polariscope",
             "optics.rim": "optics/test_rim",
-            "optics.sampling": "optics/test_fast_march",
+            "optics.sampling": "optics/test_axisymmetric",
             "optics.single_slice": "optics/test_single_slice",
             "optics.stress_optic": "optics/test_stress_optic laws/test_polariscope",
         },
