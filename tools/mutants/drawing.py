@@ -18,102 +18,133 @@ SEED = 20261122
 KINDS = ("sign", "constant", "comparison", "dropped term", "swapped axis")
 
 # Modules that mutants are drawn from, each with its nearest tests: how many of an area, and which.
-AREAS: dict[str, tuple[int, dict[str, str]]] = {
+AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
     "core mathematics": (
         38,
         {
-            "mechanics.adhesion": "mechanics/test_adhesion",
-            "mechanics.coulomb": "mechanics/test_coulomb",
-            "mechanics.gap": "mechanics/test_gap",
-            "mechanics.hertz": "laws/test_hertz",
-            "mechanics.hertz_field": "mechanics/test_subsurface laws/test_hertz",
-            "mechanics.layer_answers": "mechanics/test_layer_stress",
-            "mechanics.layer_approximations": "mechanics/test_layer_approximations",
-            "mechanics.layer_stress": "mechanics/test_layer_stress",
-            "mechanics.line_integral": "laws/test_line_integral",
-            "mechanics.pairs": "mechanics/test_pairs",
-            "mechanics.partial_slip": "mechanics/test_partial_slip",
-            "mechanics.point_loads": "mechanics/test_point_loads mechanics/test_subsurface",
-            "mechanics.press_table": "mechanics/test_press_table",
-            "mechanics.prony": "mechanics/test_prony mechanics/test_viscoelastic",
-            "mechanics.revolved": "mechanics/test_revolved",
-            "mechanics.rim": "mechanics/test_rim",
-            "mechanics.settle": "mechanics/test_stack_contact mechanics/test_coulomb",
-            "mechanics.sneddon": "mechanics/test_sneddon",
-            "mechanics.stack": "mechanics/test_stack",
-            "mechanics.stack_contact": "mechanics/test_stack_contact",
-            "mechanics.stack_field": "mechanics/test_stack_field",
-            "mechanics.stack_friction": "mechanics/test_stack_friction",
-            "mechanics.stack_influence": "mechanics/test_stack_field mechanics/test_stack_contact",
-            "mechanics.stack_transfer": "mechanics/test_stack mechanics/test_layer_stress",
-            "mechanics.subsurface": "mechanics/test_subsurface",
-            "mechanics.surface_grid": "mechanics/test_stack_field",
-            "mechanics.surface_waves": "mechanics/test_stack_field",
-            "mechanics.tilted_tip": "mechanics/test_tilted_tip",
-            "mechanics.tip_table": "mechanics/test_tip_table",
-            "mechanics.twist": "mechanics/test_twist",
-            "mechanics.viscoelastic": "mechanics/test_viscoelastic",
-            "mechanics.wrench": "mechanics/test_wrench",
-            "optics.axisymmetric": "optics/test_axisymmetric",
-            "optics.axisymmetric_field": "optics/test_axisymmetric",
-            "optics.camera": "optics/test_camera",
-            "optics.colour": "laws/test_colour",
-            "optics.illumination": "optics/test_illumination",
-            "optics.kernels": "optics/test_fast_march",
-            "optics.march": "laws/test_polariscope",
-            "optics.noise": "laws/test_noise",
-            "optics.polariscope": "optics/test_polariscopes laws/test_polariscope",
-            "optics.rim": "optics/test_rim",
-            "optics.sampling": "optics/test_axisymmetric",
-            "optics.single_slice": "optics/test_single_slice",
-            "optics.stress_optic": "optics/test_stress_optic laws/test_polariscope",
+            "palpate.mechanics.adhesion": ("tests/mechanics/test_adhesion.py",),
+            "palpate.mechanics.coulomb": ("tests/mechanics/test_coulomb.py",),
+            "palpate.mechanics.gap": ("tests/mechanics/test_gap.py",),
+            "palpate.mechanics.hertz": ("tests/laws/test_hertz.py",),
+            "palpate.mechanics.hertz_field": (
+                "tests/mechanics/test_subsurface.py",
+                "tests/laws/test_hertz.py",
+            ),
+            "palpate.mechanics.layer_answers": ("tests/mechanics/test_layer_stress.py",),
+            "palpate.mechanics.layer_approximations": ("tests/mechanics/test_layer_approximations.py",),
+            "palpate.mechanics.layer_stress": ("tests/mechanics/test_layer_stress.py",),
+            "palpate.mechanics.line_integral": ("tests/laws/test_line_integral.py",),
+            "palpate.mechanics.pairs": ("tests/mechanics/test_pairs.py",),
+            "palpate.mechanics.partial_slip": ("tests/mechanics/test_partial_slip.py",),
+            "palpate.mechanics.point_loads": (
+                "tests/mechanics/test_point_loads.py",
+                "tests/mechanics/test_subsurface.py",
+            ),
+            "palpate.mechanics.press_table": ("tests/mechanics/test_press_table.py",),
+            "palpate.mechanics.prony": (
+                "tests/mechanics/test_prony.py",
+                "tests/mechanics/test_viscoelastic.py",
+            ),
+            "palpate.mechanics.revolved": ("tests/mechanics/test_revolved.py",),
+            "palpate.mechanics.rim": ("tests/mechanics/test_rim.py",),
+            "palpate.mechanics.settle": (
+                "tests/mechanics/test_stack_contact.py",
+                "tests/mechanics/test_coulomb.py",
+            ),
+            "palpate.mechanics.sneddon": ("tests/mechanics/test_sneddon.py",),
+            "palpate.mechanics.stack": ("tests/mechanics/test_stack.py",),
+            "palpate.mechanics.stack_contact": ("tests/mechanics/test_stack_contact.py",),
+            "palpate.mechanics.stack_field": ("tests/mechanics/test_stack_field.py",),
+            "palpate.mechanics.stack_friction": ("tests/mechanics/test_stack_friction.py",),
+            "palpate.mechanics.stack_influence": (
+                "tests/mechanics/test_stack_field.py",
+                "tests/mechanics/test_stack_contact.py",
+            ),
+            "palpate.mechanics.stack_transfer": (
+                "tests/mechanics/test_stack.py",
+                "tests/mechanics/test_layer_stress.py",
+            ),
+            "palpate.mechanics.subsurface": ("tests/mechanics/test_subsurface.py",),
+            "palpate.mechanics.surface_grid": ("tests/mechanics/test_stack_field.py",),
+            "palpate.mechanics.surface_waves": ("tests/mechanics/test_stack_field.py",),
+            "palpate.mechanics.tilted_tip": ("tests/mechanics/test_tilted_tip.py",),
+            "palpate.mechanics.tip_table": ("tests/mechanics/test_tip_table.py",),
+            "palpate.mechanics.twist": ("tests/mechanics/test_twist.py",),
+            "palpate.mechanics.viscoelastic": ("tests/mechanics/test_viscoelastic.py",),
+            "palpate.mechanics.wrench": ("tests/mechanics/test_wrench.py",),
+            "palpate.optics.axisymmetric": ("tests/optics/test_axisymmetric.py",),
+            "palpate.optics.axisymmetric_field": ("tests/optics/test_axisymmetric.py",),
+            "palpate.optics.camera": ("tests/optics/test_camera.py",),
+            "palpate.optics.colour": ("tests/laws/test_colour.py",),
+            "palpate.optics.illumination": ("tests/optics/test_illumination.py",),
+            "palpate.optics.kernels": ("tests/optics/test_fast_march.py",),
+            "palpate.optics.march": ("tests/laws/test_polariscope.py",),
+            "palpate.optics.noise": ("tests/laws/test_noise.py",),
+            "palpate.optics.polariscope": (
+                "tests/optics/test_polariscopes.py",
+                "tests/laws/test_polariscope.py",
+            ),
+            "palpate.optics.rim": ("tests/optics/test_rim.py",),
+            "palpate.optics.sampling": ("tests/optics/test_axisymmetric.py",),
+            "palpate.optics.single_slice": ("tests/optics/test_single_slice.py",),
+            "palpate.optics.stress_optic": (
+                "tests/optics/test_stress_optic.py",
+                "tests/laws/test_polariscope.py",
+            ),
         },
     ),
     "parsers": (
         20,
         {
-            "core.units": "recordings/test_labels laws/test_house",
-            "recordings.align": "recordings/test_align",
-            "recordings.importers.images": "recordings/test_import_images",
-            "recordings.importers.palm_tables": "recordings/test_import_palm",
-            "recordings.importers.press": "recordings/test_import_press",
-            "recordings.labels": "recordings/test_labels",
-            "recordings.press_folder": "recordings/test_press_folder",
-            "recordings.press_table": "recordings/test_press_table",
-            "recordings.scan": "recordings/test_reader recordings/test_repair",
-            "recordings.tiff": "recordings/test_tiff",
-            "recordings.values": "recordings/test_labels recordings/test_reader",
-            "rig.real.grbl_lines": "rig/test_grbl_lines",
-            "rig.real.netft_calibration": "rig/test_netft_calibration",
-            "rig.real.rdt": "rig/test_rdt",
+            "palpate.core.units": ("tests/recordings/test_labels.py", "tests/laws/test_house.py"),
+            "palpate.recordings.align": ("tests/recordings/test_align.py",),
+            "palpate.recordings.importers.images": ("tests/recordings/test_import_images.py",),
+            "palpate.recordings.importers.palm_tables": ("tests/recordings/test_import_palm.py",),
+            "palpate.recordings.importers.press": ("tests/recordings/test_import_press.py",),
+            "palpate.recordings.labels": ("tests/recordings/test_labels.py",),
+            "palpate.recordings.press_folder": ("tests/recordings/test_press_folder.py",),
+            "palpate.recordings.press_table": ("tests/recordings/test_press_table.py",),
+            "palpate.recordings.scan": ("tests/recordings/test_reader.py", "tests/recordings/test_repair.py"),
+            "palpate.recordings.tiff": ("tests/recordings/test_tiff.py",),
+            "palpate.recordings.values": (
+                "tests/recordings/test_labels.py",
+                "tests/recordings/test_reader.py",
+            ),
+            "palpate.rig.real.grbl_lines": ("tests/rig/test_grbl_lines.py",),
+            "palpate.rig.real.netft_calibration": ("tests/rig/test_netft_calibration.py",),
+            "palpate.rig.real.rdt": ("tests/rig/test_rdt.py",),
         },
     ),
     "guards": (
         14,
         {
-            "estimators.guard": "estimators/test_guard",
-            "estimators.seen": "estimators/test_guard",
-            "rig.guard": "rig/test_engine rig/test_engine_faults",
-            "rig.limits": "rig/test_engine rig/test_engine_faults rig/test_plans",
-            "rig.tare": "rig/test_engine rig/test_engine_faults",
+            "palpate.estimators.guard": ("tests/estimators/test_guard.py",),
+            "palpate.estimators.seen": ("tests/estimators/test_guard.py",),
+            "palpate.rig.guard": ("tests/rig/test_engine.py", "tests/rig/test_engine_faults.py"),
+            "palpate.rig.limits": (
+                "tests/rig/test_engine.py",
+                "tests/rig/test_engine_faults.py",
+                "tests/rig/test_plans.py",
+            ),
+            "palpate.rig.tare": ("tests/rig/test_engine.py", "tests/rig/test_engine_faults.py"),
         },
     ),
     "splits": (
         10,
         {
-            "calibration.leakage": "calibration/test_leakage",
-            "recordings.splits": "recordings/test_splits",
+            "palpate.calibration.leakage": ("tests/calibration/test_leakage.py",),
+            "palpate.recordings.splits": ("tests/recordings/test_splits.py",),
         },
     ),
     "certificates": (
         16,
         {
-            "calibration.certificate": "calibration/test_fit",
-            "calibration.evaluate": "calibration/test_fit",
-            "calibration.uncertainty": "calibration/test_uncertainty",
-            "estimators.casr.softness": "estimators/test_casr_softness",
-            "estimators.certified": "estimators/test_certified",
-            "estimators.intervals": "calibration/test_uncertainty",
+            "palpate.calibration.certificate": ("tests/calibration/test_fit.py",),
+            "palpate.calibration.evaluate": ("tests/calibration/test_fit.py",),
+            "palpate.calibration.uncertainty": ("tests/calibration/test_uncertainty.py",),
+            "palpate.estimators.casr.softness": ("tests/estimators/test_casr_softness.py",),
+            "palpate.estimators.certified": ("tests/estimators/test_certified.py",),
+            "palpate.estimators.intervals": ("tests/calibration/test_uncertainty.py",),
         },
     ),
 }
@@ -121,42 +152,42 @@ AREAS: dict[str, tuple[int, dict[str, str]]] = {
 # Found by hand in a review of the tests before the list was drawn.
 NAMED = (
     (
-        "calibration.uncertainty",
+        "palpate.calibration.uncertainty",
         "conformal_quantile",
         "rank = min(int(np.ceil((n + 1) * coverage)), n)",
         "rank = min(int(np.ceil(n * coverage)), n)",
         "dropped term",
     ),
     (
-        "estimators.casr.softness",
+        "palpate.estimators.casr.softness",
         "SoftnessCurve.of",
         "half = float(np.hypot(t * spread, self._bend(y, s)))",
         "half = float(np.hypot(spread, self._bend(y, s)))",
         "dropped term",
     ),
     (
-        "calibration.leakage",
+        "palpate.calibration.leakage",
         "_alike",
         "alike: np.ndarray = (typical <= limit) & (largest <= _PEAK_FACTOR * limit)",
         "alike: np.ndarray = typical <= limit",
         "dropped term",
     ),
     (
-        "mechanics.gap",
+        "palpate.mechanics.gap",
         "_turned",
         "return c * x + s * y, c * y - s * x",
         "return c * x - s * y, c * y + s * x",
         "sign",
     ),
     (
-        "mechanics.layer_answers",
+        "palpate.mechanics.layer_answers",
         "of_mean",
         "made.append((trace / 2 + R[0, 1, 1], -(R[0, 0, 0] + r[0]) / 2))",
         "made.append((trace / 2 + R[0, 1, 1], 0.0 * R[0, 0, 0]))",
         "dropped term",
     ),
     (
-        "optics.polariscope",
+        "palpate.optics.polariscope",
         "mueller",
         "pauli = np.array([np.eye(2), np.diag([1, -1]), [[0, 1], [1, 0]], [[0, -1j], [1j, 0]]])",
         "pauli = np.array([np.eye(2), np.diag([1, -1]), [[0, 1], [1, 0]], [[0, 1j], [-1j, 0]]])",
@@ -333,16 +364,16 @@ def _with(tree: ast.Module, node: ast.AST, other: ast.AST) -> str:
 def draw(seed: int) -> list[Mutant]:
     """The mutants found by hand and, area by area, as many drawn: kinds in turn, modules evenly."""
     rng = random.Random(seed)  # noqa: S311
-    nearest = {module: _tests(names) for _, modules in AREAS.values() for module, names in modules.items()}
+    nearest = {module: tests for _, modules in AREAS.values() for module, tests in modules.items()}
     area_of = {module: area for area, (_, modules) in AREAS.items() for module in modules}
     drawn = [
-        Mutant("", area_of[module], f"palpate.{module}", function, line, 0, mutated, kind, nearest[module])
+        Mutant("", area_of[module], module, function, line, 0, mutated, kind, nearest[module])
         for module, function, line, mutated, kind in NAMED
     ]
     drawn = [replace(mutant, id=f"n{i}") for i, mutant in enumerate(drawn)]
     taken = {(mutant.module, mutant.function, mutant.line) for mutant in drawn}
     for area, (count, modules) in AREAS.items():
-        candidates = {module: _candidates(f"palpate.{module}", area) for module in modules}
+        candidates = {module: _candidates(module, area) for module in modules}
         times = Counter(dict.fromkeys(modules, 0))
         for i in range(count):
             kind = KINDS[i % len(KINDS)]
@@ -357,7 +388,3 @@ def draw(seed: int) -> list[Mutant]:
             number = len(drawn) - len(NAMED)
             drawn.append(replace(mutant, id=f"m{number:02d}", tests=nearest[module]))
     return drawn
-
-
-def _tests(names: str) -> tuple[str, ...]:
-    return tuple(f"tests/{name}.py" for name in names.split())

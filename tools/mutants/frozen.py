@@ -107,27 +107,32 @@ def lines_of(source: str, function: str) -> list[int]:
 
 
 def _found(source: str, function: str, line: str, occurrence: int) -> int:
-    text = source.splitlines()
-    candidates = lines_of(source, function)
-    equal = [number for number in candidates if text[number].strip() == line]
+    text = {number: source.splitlines()[number].strip() for number in lines_of(source, function)}
+    equal = [number for number in text if text[number] == line]
     if occurrence >= len(equal):
-        near = difflib.get_close_matches(line, [text[number].strip() for number in candidates], 1, 0.5)
-        raise LookupError(
-            f"{function} has no line `{line}`" + (f"; the nearest is `{near[0]}`" if near else "")
-        )
+        near = difflib.get_close_matches(line, text.values(), 1, 0.5)
+        hint = f"; the nearest is `{near[0]}`" if near else ""
+        raise LookupError(f"{function} has no line `{line}`, occurrence {occurrence}{hint}")
     return equal[occurrence]
 
 
 def write(mutants: Sequence[Mutant], seed: int) -> None:
     """Write the list."""
-    content = {"seed": seed, "mutants": [asdict(mutant) for mutant in mutants]}
-    FROZEN.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    _save({"seed": seed, "mutants": [asdict(mutant) for mutant in mutants]})
 
 
 def retarget(renames: Sequence[str]) -> None:
-    """Replace whole words, dotted ones too, everywhere in the list but in ids and explanations."""
-    text = FROZEN.read_text(encoding="utf-8")
+    """Replace whole words, dotted ones too, in all that names code: OLD=NEW, one after another."""
+    content = json.loads(FROZEN.read_text(encoding="utf-8"))
     for rename in renames:
         old, _, new = rename.partition("=")
-        text = re.sub(rf"(?<!\w){re.escape(old)}(?!\w)", lambda _: new, text)  # noqa: B023
-    FROZEN.write_text(text, encoding="utf-8")
+        word = re.compile(rf"(?<!\w){re.escape(old)}(?!\w)")
+        for entry in content["mutants"]:
+            for name in ("module", "function", "line", "mutated"):
+                entry[name] = word.sub(lambda _, new=new: new, entry[name])
+            entry["tests"] = [word.sub(lambda _, new=new: new, test) for test in entry["tests"]]
+    _save(content)
+
+
+def _save(content: object) -> None:
+    FROZEN.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
