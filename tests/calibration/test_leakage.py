@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from palpate.calibration import leakage
 from palpate.calibration.leakage import LeakageAudit, audit
 from palpate.core import ManualClock
 from palpate.recordings.labels import label_kinds
@@ -168,6 +169,15 @@ def test_colour_frames_are_audited_too(tmp_path, rng):
     packed = packed_set(tmp_path, images, pd.DataFrame({"press": np.repeat(np.arange(10.0), 5)}))
     assert audited(packed, "random").near_duplicates >= 48
     assert audited(packed, "group:press").near_duplicates == 0
+
+
+def test_beyond_so_many_pairs_every_so_many_frames_stand_for_all(tmp_path, rng, monkeypatch):
+    """40 frames are 1,600 pairs; of 500 at most, every fourth held-out frame is compared."""
+    packed = pressed(tmp_path, rng, 1.0, presses=10, each=4)
+    whole = audited(packed, "group:press")
+    assert whole.checked_pairs == 40 * 32
+    monkeypatch.setattr(leakage, "_MOST_PAIRS", 500)
+    assert audited(packed, "group:press").checked_pairs == 5 * 2 * 32
 
 
 def real_set(folder: Path, source: Path, table: pd.DataFrame) -> PackedSet:

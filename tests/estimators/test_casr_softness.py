@@ -154,6 +154,16 @@ def test_the_order_of_the_references_does_not_matter(world, rng) -> None:
     assert_allclose(there, back, rtol=1e-5)
 
 
+def test_what_every_press_shows_alike_changes_nothing(world, rng) -> None:
+    """A tip at rest whose pins lie elsewhere: only differences between presses count."""
+    trials = [world.trials(one, 5, rng) for one in KAPPA]
+    press = world.trials(2e3, 2, rng)
+    offset = 50 * rng.standard_normal(LENGTH)
+    here = fit_softness(KAPPA, trials).of(press)
+    there = fit_softness(KAPPA, [trial + offset for trial in trials]).of(press + offset)
+    assert_allclose(there.kappa_n_m, here.kappa_n_m, rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("kappa", "counts", "says"),
     [

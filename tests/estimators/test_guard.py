@@ -5,7 +5,7 @@ import pytest
 
 from palpate.core.errors import CertificateError, InputError
 from palpate.estimators.guard import Guard, fit_guard
-from palpate.estimators.seen import AlsoSeen, thumbnails
+from palpate.estimators.seen import AlsoSeen, Seen, thumbnails
 
 ROWS, COLUMNS = np.mgrid[0:64, 0:64]
 GROUND = 60 + 50 * np.exp(-((ROWS - 20) ** 2 + (COLUMNS - 40) ** 2) / 300)
@@ -196,3 +196,56 @@ def test_too_few_frames_or_groups_are_refused() -> None:
         fit_guard(thumbs[:4], [np.array([0])], thumbs[:0])
     with pytest.raises(InputError, match="one group"):
         fit_guard(thumbs, [np.arange(8)], thumbs[:0])
+
+
+def test_where_nothing_was_left_a_twentieth_of_a_grey_level_is_the_unit() -> None:
+    """Even thumbnails that rebuilt each other exactly: what is left of a new one counts in units of 0.05."""
+    thumbs = np.full((6, 6, 6, 1), 100, np.uint8)
+    blocks_and_level = np.zeros((6, 5), np.float16)
+    known = Seen(thumbs, blocks_and_level, np.full(36, 100, np.float32), np.eye(36, dtype=np.float32)[:, :4])
+    for off in (0.05, 0.2):
+        new = np.full((6, 6, 1), 100 + off, np.float32)
+        # the thumbnail is in single precision, whose step at 100 is 8e-6
+        np.testing.assert_allclose(known.strangeness(new), off / 0.05, rtol=1e-3)
+
+
+def test_a_neighbour_counts_by_its_distance_and_a_hundredth_of_the_mean_one() -> None:
+    """Two thumbnails that differ from the new one in different cells, by 1 and by 3 grey levels.
+
+    The weights that make the squared error least go as 1 / (distance^2 + a hundredth of their mean), so the
+    nearer one, 1.05 beside 9.05, has 0.896 of the weight.
+    """
+    thumbs = np.full((2, 2, 2, 1), 100, np.uint8)
+    thumbs[0, 0, 0], thumbs[1, 1, 1] = 101, 103
+    flat = thumbs.reshape(2, -1).astype(np.float32)
+    known = Seen(thumbs, np.zeros((2, 2), np.float16), flat.mean(axis=0), np.eye(4, dtype=np.float32))
+    level = known.rebuilt(np.full((2, 2, 1), 100, np.float32)).left[-1]
+    nearer = 9.05 / (1.05 + 9.05)
+    assert level == pytest.approx(((nearer * 1 + (1 - nearer) * 3) / 4) ** 2, rel=1e-3)
+
+
+def test_drift_counts_in_half_grey_levels_where_references_agree() -> None:
+    """Two averages of one scene never agree better, whatever equal references suggest."""
+    rng = np.random.default_rng(5)
+    ground = np.full((8, 64, 64, 1), 70, np.uint8)
+    fitted = fit_guard(thumbnails(scene(rng, 60)), folds_of(60, rng), thumbnails(ground))
+    assert fitted.reference_spread == 0.5
+    drift = fitted.drift(ground[0] + np.uint8(2))
+    assert drift.statistic == pytest.approx(2 / 0.5)
+
+
+@pytest.mark.parametrize("count", [2, 6])
+def test_the_spread_of_references_is_that_about_a_mean_they_had_no_part_in(count: int) -> None:
+    """r frames of independent noise wander by sigma sqrt((r + 1) / r) about the mean of r others.
+
+    About their own mean it is sigma sqrt((r - 1) / r); times r / (r - 1), sigma sqrt(r / (r - 1)), a little
+    more than the former and never less. 1,024 cells and 40 draws scatter by 1 %.
+    """
+    rng = np.random.default_rng(6)
+    good = thumbnails(scene(rng, 60))
+    folds = folds_of(60, rng)
+    spreads = [
+        fit_guard(good, folds, rng.normal(70, 3, (count, 32, 32, 1)).astype(np.float32)).reference_spread
+        for _ in range(5)
+    ]
+    assert np.mean(spreads) == pytest.approx(3 * np.sqrt(count / (count - 1)), rel=0.03)

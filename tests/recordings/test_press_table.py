@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate.core.errors import LabelError
-from palpate.recordings.press_table import read_press_table
+from palpate.recordings.press_table import press_rows, read_press_table
 
 
 def written(tmp_path, columns, name="force.csv"):
@@ -33,6 +33,21 @@ def test_a_frame_belongs_to_the_first_sample_that_names_it(tmp_path) -> None:
     assert found.force_column == "force_raw_N"
     assert_allclose(found.position_m[1] - found.position_m[0], 25e-6)
     assert_allclose(found.time_s[-1], 59 / 200)
+
+
+def test_each_sample_written_names_its_latest_frame(tmp_path) -> None:
+    """Frames that come every few samples, the first at sample 0; what is written is read back."""
+    time = np.arange(8) / 200
+    rows = press_rows(time, time, time, time, np.array([0, 3, 5]))
+    assert_array_equal(rows["frame"], [0, 0, 0, 1, 1, 2, 2, 2])
+    assert_array_equal(read_press_table(written(tmp_path, rows), 3).frame_sample, [0, 3, 5])
+
+
+@pytest.mark.parametrize("frame_sample", [[], [1, 3], [0, 3, 3], [0, 8]])
+def test_frames_without_a_sample_of_their_own_are_not_written(frame_sample) -> None:
+    time = np.arange(8) / 200
+    with pytest.raises(LabelError, match="the first to sample 0"):
+        press_rows(time, time, time, time, np.array(frame_sample, int))
 
 
 def test_a_row_a_frame_needs_no_numbers_of_frames(tmp_path) -> None:
