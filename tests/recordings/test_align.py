@@ -96,6 +96,18 @@ def test_taps_and_the_frames_on_their_flanks_are_counted() -> None:
     assert found.explained > 0.99
 
 
+@pytest.mark.parametrize("times", [0.05, 1.0, 20.0])
+def test_taps_are_told_apart_by_shares_of_the_greatest_force(times: float) -> None:
+    """Light or hard: a force that falls to a twentieth of its greatest between taps has ended each."""
+    made = Tapped(0.0, taps=6, noise_n=1e-3)
+    first, last = made.starts[0] + 0.575, made.starts[-1] + 0.575
+    between = (made.force_t > first) & (made.force_t < last)
+    made.force = times * np.maximum(made.force, np.where(between, 0.05 * made.force.max(), 0.0))
+    found = made.found()
+    assert found.taps == 6
+    assert found.seconds == pytest.approx(0.0, abs=2e-3)
+
+
 def test_one_tap_does_if_it_is_slow() -> None:
     found = Tapped(0.04, taps=1).found()
     assert found.taps == 1

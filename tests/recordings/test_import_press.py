@@ -41,6 +41,18 @@ def test_frames_force_and_position_arrive_at_their_times(press) -> None:
     assert_allclose(run.stage()["z_m"].iloc[-1], 79 * 25e-6)
 
 
+def test_progress_counts_the_frames_that_are_done(press) -> None:
+    _, folder = press
+    told = []
+    import_press(
+        folder / "press.tif",
+        folder / "run",
+        force=folder / "force.csv",
+        progress=lambda done, of: told.append((done, of)),
+    )
+    assert told == [(k, 8) for k in range(1, 9)]
+
+
 def test_an_area_becomes_a_label_where_it_is_known(press) -> None:
     _, folder = press
     table = pd.read_csv(folder / "force.csv")

@@ -96,7 +96,7 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
     "parsers": (
         20,
         {
-            "palpate.core.units": ("tests/recordings/test_labels.py", "tests/laws/test_house.py"),
+            "palpate.core.units": ("tests/core/test_units.py",),
             "palpate.recordings.align": ("tests/recordings/test_align.py",),
             "palpate.recordings.importers.images": ("tests/recordings/test_import_images.py",),
             "palpate.recordings.importers.palm_tables": ("tests/recordings/test_import_palm.py",),
