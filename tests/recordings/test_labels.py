@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from palpate.core import LabelError, UnitError
+from palpate.core import InputError, LabelError, UnitError
 from palpate.recordings.labels import label_kinds, read_labels, targets_from
+from palpate.recordings.values import finite
 
 
 def csv_file(folder: Path, text: str | bytes) -> Path:
@@ -136,3 +137,12 @@ def test_a_target_without_a_unit_is_refused_with_an_example():
 def test_targets_are_at_least_one_and_each_once(columns):
     with pytest.raises(LabelError, match="once"):
         targets_from(pd.DataFrame({"depth_mm": [1.0, 2.0]}), columns, "my-run")
+
+
+@pytest.mark.parametrize(
+    ("values", "count"),
+    [(np.array(["a"]), 1), ([], 1), ([1.0], 2), ([np.nan], 1), ([np.inf], 1), (np.array([[1.0]]), 1)],
+)
+def test_what_is_not_so_many_finite_numbers_is_refused(values, count):
+    with pytest.raises(InputError, match=f"a wrench takes {count} finite numbers"):
+        finite(values, count, "a wrench")

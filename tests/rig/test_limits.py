@@ -1,0 +1,78 @@
+"""The rig's limits: what is inside is let pass, to the last digit, and what is outside is refused."""
+
+import math
+
+import pytest
+
+from palpate.core.errors import RangeError
+from palpate.core.protocols import Travel
+from palpate.rig.limits import Limits
+from palpate.rig.outcome import Reason, Tripped
+
+LOW, HIGH = (-10e-3, -8e-3, -5e-3), (10e-3, 8e-3, 6e-3)
+LIMITS = Limits(LOW, HIGH, overshoot_m=0.1e-3)
+
+
+def travel(top_speed_m_s: float = 1.0, low=LOW, high=HIGH, latency_s: float = 0.01) -> Travel:
+    return Travel(low, high, top_speed_m_s, 0.2, latency_s)
+
+
+@pytest.mark.parametrize("latency_s", [0.0, 0.01, 0.1])
+def test_the_fastest_speed_overshoots_by_just_what_is_allowed(latency_s: float) -> None:
+    stage = travel(latency_s=latency_s)
+    fastest = LIMITS.fastest_m_s(stage)
+    assert stage.overshoot_m(fastest) == pytest.approx(LIMITS.overshoot_m, rel=1e-9)
+    LIMITS.check_speed(fastest * (1 - 1e-9), stage)
+    with pytest.raises(Tripped, match="runs on") as caught:
+        LIMITS.check_speed(fastest * (1 + 1e-6), stage)
+    assert caught.value.reason is Reason.TOO_FAST
+
+
+def test_the_fastest_speed_is_no_more_than_the_stage_s_own() -> None:
+    assert LIMITS.fastest_m_s(travel(1e-4)) == 1e-4
+
+
+@pytest.mark.parametrize("speed", [0.0, -1e-3, math.nan, math.inf])
+def test_a_speed_that_is_none_is_refused(speed: float) -> None:
+    with pytest.raises(Tripped, match="give a positive number"):
+        LIMITS.check_speed(speed, travel())
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_target_is_let_pass_to_the_limits_and_refused_beyond(axis: int) -> None:
+    def target(value: float) -> tuple[float, ...]:
+        return tuple(value if k == axis else 0.0 for k in range(3))
+
+    for inside in (LOW[axis], 0.0, HIGH[axis]):
+        LIMITS.check_target(target(inside))
+    for outside in (LOW[axis] - 1e-9, HIGH[axis] + 1e-9, math.nan):
+        with pytest.raises(Tripped, match=f"^{'xyz'[axis]} = ") as caught:
+            LIMITS.check_target(target(outside))
+        assert caught.value.reason is Reason.SOFT_LIMIT
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_soft_limits_lie_within_the_travel(axis: int) -> None:
+    def moved(end, by: float) -> tuple[float, ...]:
+        return tuple(value + by * (k == axis) for k, value in enumerate(end))
+
+    LIMITS.check_within(travel())
+    LIMITS.check_within(travel(low=moved(LOW, -1e-3), high=moved(HIGH, 1e-3)))
+    for narrow in (travel(low=moved(LOW, 1e-6)), travel(high=moved(HIGH, -1e-6))):
+        with pytest.raises(RangeError, match=f"soft limits of {'xyz'[axis]}"):
+            LIMITS.check_within(narrow)
+
+
+@pytest.mark.parametrize(
+    "name", ["force_n", "force_rate_n_s", "rate_window_s", "age_s", "overshoot_m", "step_m"]
+)
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
+def test_a_limit_that_is_none_is_refused_by_name(name: str, value: float) -> None:
+    with pytest.raises(RangeError, match=f"limit {name} is"):
+        Limits(LOW, HIGH, **{name: value})
+
+
+@pytest.mark.parametrize("ends", [(1e-3, 1e-3), (2e-3, 1e-3), (math.nan, 1e-3), (-1e-3, math.inf)])
+def test_soft_limits_that_enclose_nothing_are_refused(ends) -> None:
+    with pytest.raises(RangeError, match="the first must be less"):
+        Limits((LOW[0], ends[0], LOW[2]), (HIGH[0], ends[1], HIGH[2]))
