@@ -10,7 +10,7 @@ import pytest
 
 from palpate.core import InputError, LabelError, UnitError
 from palpate.recordings.labels import label_kinds, read_labels, targets_from
-from palpate.recordings.values import finite
+from palpate.recordings.values import finite, label_values
 
 
 def csv_file(folder: Path, text: str | bytes) -> Path:
@@ -146,3 +146,31 @@ def test_targets_are_at_least_one_and_each_once(columns):
 def test_what_is_not_so_many_finite_numbers_is_refused(values, count):
     with pytest.raises(InputError, match=f"a wrench takes {count} finite numbers"):
         finite(values, count, "a wrench")
+
+
+KINDS = {"contact": "flag", "press": "text", "depth_mm": "number"}
+
+
+@pytest.mark.parametrize("flag", [True, False, np.True_, np.False_])
+@pytest.mark.parametrize("number", [1.5, 2, np.float32(0.5), np.int64(3)])
+def test_labels_of_their_column_s_kind_come_as_plain_values(flag, number):
+    found = label_values({"contact": flag, "press": "p1", "depth_mm": number}, KINDS)
+    assert found == {"contact": bool(flag), "press": "p1", "depth_mm": float(number)}
+    assert [type(value) for value in found.values()] == [bool, str, float]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("contact", 1),
+        ("contact", "true"),
+        ("press", 3.0),
+        ("depth_mm", True),
+        ("depth_mm", np.True_),
+        ("depth_mm", "1.5"),
+        ("depth_mm", np.nan),
+    ],
+)
+def test_a_label_of_another_kind_than_its_column_is_refused(name, value):
+    with pytest.raises(LabelError, match=f"label '{name}' is a {KINDS[name]} by the manifest"):
+        label_values({name: value}, KINDS)
