@@ -136,7 +136,10 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
         16,
         {
             "palpate.calibration.certificate": ("tests/calibration/test_fit.py",),
-            "palpate.calibration.evaluate": ("tests/calibration/test_fit.py",),
+            "palpate.calibration.evaluate": (
+                "tests/calibration/test_evaluate.py",
+                "tests/calibration/test_fit.py",
+            ),
             "palpate.calibration.uncertainty": ("tests/calibration/test_uncertainty.py",),
             "palpate.estimators.casr.softness": ("tests/estimators/test_casr_softness.py",),
             "palpate.estimators.certified": ("tests/estimators/test_certified.py",),
