@@ -120,9 +120,9 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
         {
             "palpate.estimators.guard": ("tests/estimators/test_guard.py",),
             "palpate.estimators.seen": ("tests/estimators/test_guard.py",),
-            "palpate.rig.guard": ("tests/rig/test_engine.py", "tests/rig/test_engine_faults.py"),
-            "palpate.rig.limits": ("tests/rig/test_limits.py", "tests/rig/test_engine.py"),
-            "palpate.rig.tare": ("tests/rig/test_tare.py", "tests/rig/test_engine.py"),
+            "palpate.rig.guard": ("tests/rig/test_motion_guard.py",),
+            "palpate.rig.limits": ("tests/rig/test_limits.py",),
+            "palpate.rig.tare": ("tests/rig/test_tare.py",),
         },
     ),
     "splits": (

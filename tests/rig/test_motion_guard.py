@@ -1,0 +1,202 @@
+"""Guarded motion without an engine: a stage that moves as time passes, a spring from z = 0 on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from palpate.core import ManualClock
+from palpate.core.protocols import Position, Travel, Wrench
+from palpate.rig.control import Ask, Asked, Control
+from palpate.rig.guard import RISE_N, Guard
+from palpate.rig.limits import Limits
+from palpate.rig.outcome import Reason, Tripped
+from palpate.rig.recorder import Recorder
+from palpate.rig.tare import Tare
+
+TRAVEL = Travel((-20e-3,) * 3, (20e-3,) * 3, 10e-3, 0.5, 0.002)
+LIMITS = Limits((-15e-3,) * 3, (15e-3,) * 3, force_n=5.0, force_rate_n_s=100.0, step_m=0.5e-3)
+SPEED = 2e-3
+STIFFNESS = 1e3  # N/m, from z = 0 on
+
+
+class Silent(Recorder):
+    """Takes everything and keeps nothing."""
+
+    def __init__(self) -> None: ...
+
+    def force(self, samples: Sequence[Wrench]) -> None: ...
+
+    def stage(self, position_m: Position, time_ns: int) -> None: ...
+
+
+class Stage:
+    """Runs in a straight line at its speed, `slower` times as slow."""
+
+    travel = TRAVEL
+
+    def __init__(self, clock: ManualClock, slower: float = 1.0) -> None:
+        self.clock, self.slower = clock, slower
+        self.start = self.target = (0.0, 0.0, -1e-3)
+        self.begun_ns = self.speed = 1
+        self.sent: list[Position] = []
+        self.stops = 0
+
+    def _share(self) -> float:
+        length = math.dist(self.start, self.target)
+        gone = (self.clock.now_ns() - self.begun_ns) / 1e9 * self.speed / self.slower
+        return 1.0 if length == 0 else min(gone / length, 1.0)
+
+    def position_m(self) -> Position:
+        x, y, z = (a + (b - a) * self._share() for a, b in zip(self.start, self.target, strict=True))
+        return x, y, z
+
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        self.start, self.target = self.position_m(), position_m
+        self.begun_ns, self.speed = self.clock.now_ns(), speed_m_s
+        self.sent.append(position_m)
+
+    def moving(self) -> bool:
+        return self._share() < 1.0
+
+    def stop(self) -> None:
+        self.start = self.target = self.position_m()
+        self.stops += 1
+
+    def close(self) -> None: ...
+
+
+class Sensor:
+    """A sample at each look, of the force that the place gives."""
+
+    rate_hz, range_n = 500.0, (100.0, 100.0, 100.0)
+
+    def __init__(self, clock: ManualClock, force_n: Callable[[], float]) -> None:
+        self.clock, self.force_n = clock, force_n
+        self.fault, self.age_s = "", 0.0
+
+    def latest(self) -> Wrench:
+        time_ns = self.clock.now_ns() - round(self.age_s * 1e9)
+        return Wrench(time_ns, (0.0, 0.0, float(self.force_n())), fault=self.fault)
+
+    def drain(self) -> list[Wrench]:
+        return [self.latest()]
+
+    def close(self) -> None: ...
+
+
+class Bench:
+    """A guard over such a stage and sensor."""
+
+    def __init__(
+        self, slower: float = 1.0, stiffness_n_m: float = STIFFNESS, limits: Limits = LIMITS
+    ) -> None:
+        self.clock = ManualClock(10**9)
+        self.stage = Stage(self.clock, slower)
+        self.sensor = Sensor(self.clock, lambda: max(self.stage.position_m()[2], 0.0) * stiffness_n_m)
+        self.control = Control()
+        self.guard = Guard(self.stage, self.sensor, limits, Tare(), self.clock, self.control, Silent())
+
+
+def test_a_guarded_motion_ends_at_its_target_by_even_steps_no_longer_than_allowed() -> None:
+    bench = Bench()
+    target = (1e-3, -2e-3, -0.2e-3)
+    begun = bench.stage.position_m()
+    assert not bench.guard.towards(target, SPEED)
+    assert bench.stage.position_m() == pytest.approx(target, abs=1e-12)
+    steps = np.diff([begun, *bench.stage.sent], axis=0)
+    np.testing.assert_allclose(steps, np.tile(steps[0], (len(steps), 1)), atol=1e-12)
+    length = np.linalg.norm(np.subtract(target, begun))
+    assert len(steps) == math.ceil(length / LIMITS.step_m)
+
+
+def test_it_stops_at_the_first_force_that_is_enough() -> None:
+    bench = Bench()
+    assert bench.guard.towards((0.0, 0.0, 4e-3), SPEED, until=lambda force: force[2] >= 1.5)
+    # One look every 2 ms at 2 mm/s is 4 micrometres, 0.004 N.
+    assert bench.sensor.force_n() == pytest.approx(1.5, abs=0.01)
+    assert bench.stage.stops == 1
+
+
+def test_it_stops_on_more_force_than_is_allowed() -> None:
+    bench = Bench()
+    with pytest.raises(Tripped, match="5 N are allowed") as caught:
+        bench.guard.towards((0.0, 0.0, 10e-3), SPEED)
+    assert caught.value.reason is Reason.FORCE_LIMIT
+    assert bench.sensor.force_n() == pytest.approx(5.0, abs=0.01)
+    assert not bench.stage.moving()
+
+
+@pytest.mark.parametrize(("stiffness", "trips"), [(40e3, False), (60e3, True)])
+def test_it_stops_on_a_force_that_rises_too_fast(stiffness: float, trips: bool) -> None:
+    """At 2 mm/s these are 80 and 120 N/s; 100 are allowed."""
+    bench = Bench(stiffness_n_m=stiffness, limits=Limits(LIMITS.least_m, LIMITS.greatest_m, 1e3, 100.0))
+    if not trips:
+        bench.guard.towards((0.0, 0.0, 0.3e-3), SPEED)
+        return
+    with pytest.raises(Tripped, match="N/s are allowed") as caught:
+        bench.guard.towards((0.0, 0.0, 0.3e-3), SPEED)
+    assert caught.value.reason is Reason.FORCE_RATE
+
+
+def test_nothing_moves_on_an_old_or_faulty_force() -> None:
+    for change, reason in (({"age_s": 0.11}, Reason.FORCE_STALE), ({"fault": "wet"}, Reason.FORCE_FAULT)):
+        bench = Bench()
+        vars(bench.sensor).update(change)
+        with pytest.raises(Tripped) as caught:
+            bench.guard.towards((0.0, 0.0, 1e-3), SPEED)
+        assert caught.value.reason is reason
+        assert not bench.stage.sent
+
+
+@pytest.mark.parametrize(("slower", "late"), [(1.0, False), (1.9, False), (40.0, True)])
+def test_a_stage_that_takes_much_longer_than_it_should_is_stopped(slower: float, late: bool) -> None:
+    """Twice the time of the way and a second are given; half a millimetre at 2 mm/s is 0.25 s."""
+    bench = Bench(slower)
+    begun = bench.clock.now_ns()
+    if not late:
+        bench.guard.towards((0.0, 0.0, -0.5e-3), SPEED)
+        return
+    with pytest.raises(Tripped, match="still moves") as caught:
+        bench.guard.towards((0.0, 0.0, -0.5e-3), SPEED)
+    assert caught.value.reason is Reason.STAGE_LATE
+    waited = (bench.clock.now_ns() - begun) / 1e9
+    slowing = SPEED / TRAVEL.acceleration_m_s2
+    assert waited == pytest.approx(1.0 + 2.0 * (0.25 + slowing), abs=0.005)
+    assert not bench.stage.moving()
+
+
+def test_moving_away_is_allowed_under_any_force_that_does_not_rise() -> None:
+    bench = Bench()
+    bench.stage.start = bench.stage.target = (0.0, 0.0, 8e-3)  # 8 N, where 5 are allowed
+    bench.guard.away((0.0, 0.0, -1e-3), SPEED)
+    assert bench.stage.position_m()[2] == pytest.approx(-1e-3)
+
+
+def test_moving_away_into_more_force_is_stopped() -> None:
+    bench = Bench()
+    with pytest.raises(Tripped, match="turned round"):
+        bench.guard.away((0.0, 0.0, 8e-3), SPEED)
+    assert bench.sensor.force_n() == pytest.approx(RISE_N, abs=0.01)
+
+
+@pytest.mark.parametrize("seconds", [0.01, 0.5, 2.5])
+def test_waiting_takes_as_long_as_it_is_told_and_looks_all_the_while(seconds: float) -> None:
+    bench = Bench()
+    begun = bench.clock.now_ns()
+    samples = bench.guard.wait(seconds)
+    assert (bench.clock.now_ns() - begun) / 1e9 == pytest.approx(seconds)
+    assert len(samples) == math.ceil(seconds / 0.02 - 1e-9)
+
+
+def test_a_wish_stops_a_motion_and_only_an_emergency_stops_one_away() -> None:
+    for wish in (Ask.PAUSE, Ask.ABORT, Ask.ESTOP):
+        bench = Bench()
+        bench.control.ask(wish)
+        with pytest.raises(Asked):
+            bench.guard.towards((0.0, 0.0, 1e-3), SPEED)
+        if wish is not Ask.ESTOP:
+            bench.guard.away((0.0, 0.0, -2e-3), SPEED)
