@@ -147,6 +147,25 @@ def test_a_part_that_is_a_link_is_refused(calibration, tmp_path) -> None:
         Estimator.open(folder)
 
 
+def test_a_value_is_in_range_as_long_as_its_interval_reaches_into_it(calibration) -> None:
+    """At both ends; at the end itself an interval is half inside, and no reason to doubt."""
+    run, folder = calibration
+    reading = Estimator.open(folder).read(run.frame(1))["x_mm"].in_unit("mm")
+    value, half = reading.value, reading.high - reading.value
+    reaching = {0.0: True, 0.9: True, 1.1: False}
+    for beyond, valid in reaching.items():
+        for least, greatest in (
+            (value + beyond * half, value + 10 + beyond * half),
+            (value - 10 - beyond * half, value - beyond * half),
+        ):
+
+            def narrowed(card, least=least, greatest=greatest) -> None:
+                card["targets"][0] |= {"least": least, "greatest": greatest}
+
+            reseal(folder, narrowed)
+            assert Estimator.open(folder).read(run.frame(1))["x_mm"].valid == valid, (beyond, least)
+
+
 def test_a_part_outside_the_folder_cannot_be_named(calibration) -> None:
     _, folder = calibration
     reseal(folder, lambda card: card["model"].update(file="../model.onnx"))
