@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import assert_never
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from palpate.rig.control import Ask, Asked, Control
 from palpate.rig.guard import Guard
 from palpate.rig.outcome import Outcome, Reason, State, Tripped
 from palpate.rig.plans.plan import Plan, Press
-from palpate.rig.plans.steps import Done, Over
+from palpate.rig.plans.steps import Aside, Burst, Depth, Done, Over, Pause, Seek, Step, Sweep
 from palpate.rig.plans.steps import Tare as TareStep
 from palpate.rig.progress import PLAN, Status
 from palpate.rig.recorder import Recorder
@@ -64,13 +65,14 @@ class Engine:
         self._done = dict(done)
         self._control = control
         self._watch = watch
-        tare = Tare(rig.mounting)
-        self._recorder = Recorder(writer, tare, rig.clock.now_ns())
-        guard = Guard(rig.stage, rig.force, rig.limits, tare, rig.clock, control, self._recorder)
-        guard.on_poll = self._tell
-        self._walking = Walking(rig, plan, guard, tare)
-        self._shooting = Shooting(rig, guard, self._walking, self._mark)
-        self._guard = guard
+        tare = self._tare = Tare(rig.mounting)
+        recorder = self._recorder = Recorder(writer, tare, rig.clock.now_ns())
+        guard = self._guard = Guard(rig.stage, rig.force, rig.limits, tare, rig.clock, control)
+        guard.samples.subscribe(recorder.force)  # first, so that all is on disk that anybody else hears
+        guard.positions.subscribe(recorder.stage)
+        guard.looks.subscribe(self._tell)
+        self._walking = Walking(rig, plan, guard, tare, recorder)
+        self._shooting = Shooting(rig, guard, self._walking, recorder, tare, self._mark)
         self._state = State.READY
         self._message = ""
         self._told_s = 0.0
@@ -130,17 +132,37 @@ class Engine:
         for step in self._plan.steps(press, self._done):
             self._control.check()
             self._message = f"{press.place.name}, cycle {press.cycle}: {type(step).__name__.lower()}"
-            if not self._walking.take(step):
-                self._shooting.take(step)
+            self._take(step)
         self._walking.lift()
+
+    def _take(self, step: Step) -> None:
+        match step:
+            case Over(x, y):
+                self._walking.over(x, y)
+            case TareStep():
+                self._walking.measure_zero()
+            case Seek():
+                self._walking.seek()
+            case Depth(depth, speed):
+                self._walking.to_depth(depth, speed)
+            case Aside(x, y, speed):
+                self._walking.aside(x, y, speed)
+            case Pause(seconds):
+                self._guard.wait(seconds)
+            case Burst():
+                self._shooting.burst(step)
+            case Sweep():
+                self._shooting.sweep(step)
+            case _:
+                assert_never(step)
 
     def _set_clocks(self, press: Press) -> None:
         """Tap where the first press will be."""
         self._message = f"{press.place.name}: {self._plan.taps} taps, to set the clocks"
         self._walking.begin(press)
-        for step in (Over(press.place.x_mm * 1e-3, press.place.y_mm * 1e-3), TareStep()):
-            self._walking.take(step)
-        self._clocks = Tapping(self._rig, self._plan, self._guard).tap()
+        self._walking.over(press.place.x_mm * 1e-3, press.place.y_mm * 1e-3)
+        self._walking.measure_zero()
+        self._clocks = Tapping(self._rig, self._plan, self._guard, self._recorder, self._tare).tap()
         self._shooting.late_s = self._clocks.seconds
 
     def _fit(self, indenter: str) -> None:

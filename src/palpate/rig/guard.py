@@ -3,13 +3,15 @@
 A move towards the skin is cut into short ones, one in flight at a time, so that a link that breaks can run on
 by one of them at most. While anything moves, the force sensor is read without pause; the stage is stopped on
 too much force, too fast a rise, an old or faulty sample, the operator's wish, or any failure at all.
+
+What passes meanwhile is published: the samples as they were drained, where the stage is, and each look.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from palpate.core.clock import NS_PER_S, Clock
 from palpate.core.errors import DeviceError
@@ -17,7 +19,7 @@ from palpate.core.protocols import ForceSensor, Position, Stage, Wrench
 from palpate.rig.control import AT_ONCE, Ask, Control
 from palpate.rig.limits import Limits
 from palpate.rig.outcome import Reason, Tripped
-from palpate.rig.recorder import Recorder
+from palpate.rig.subscribers import Subscribers
 from palpate.rig.tare import Force, Tare
 
 POLL_S = 0.002  # between two looks at the force while something moves
@@ -39,7 +41,16 @@ def _never(force: Force) -> bool:
 
 
 class Guard:
-    """Moves the stage within limits, and watches the force all the while."""
+    """Moves the stage within limits, and watches the force all the while.
+
+    Attributes:
+        samples: hear each batch of force samples, raw and oldest first, before it is checked.
+        positions: hear where the stage is [m], and when that was asked [ns], at each look while it moves and
+            once it stands.
+        looks: hear of each look at the force, after its samples and position.
+
+    An exception of a subscriber stops the motion as that of a device does.
+    """
 
     def __init__(
         self,
@@ -49,7 +60,6 @@ class Guard:
         tare: Tare,
         clock: Clock,
         control: Control,
-        recorder: Recorder,
     ) -> None:
         limits.check_within(stage.travel)
         self._stage = stage
@@ -58,8 +68,9 @@ class Guard:
         self._tare = tare
         self._clock = clock
         self._control = control
-        self.recorder = recorder
-        self.on_poll: Callable[[], None] = _nothing
+        self.samples: Subscribers[[Sequence[Wrench]]] = Subscribers()
+        self.positions: Subscribers[[Position, int]] = Subscribers()
+        self.looks: Subscribers[[]] = Subscribers()
         self._recent: deque[tuple[int, float]] = deque()
 
     @property
@@ -89,7 +100,7 @@ class Guard:
         while (left_s := (end_ns - self._clock.now_ns()) / NS_PER_S) > 0:
             self._clock.sleep(min(WAIT_S, left_s))
             seen += self.look(check)
-            self.on_poll()
+            self.looks.publish()
         return seen
 
     def towards(
@@ -141,7 +152,7 @@ class Guard:
         self._run(target, speed, _never, rising, LEAVING)
 
     def look(self, check: Check | None = None, asks: tuple[Ask, ...] = AT_ONCE) -> list[Wrench]:
-        """Take in and record what the sensor measured since, and raise on what must stop a motion.
+        """Take in and publish what the sensor measured since, and raise on what must stop a motion.
 
         On the way away from the skin a sensor that is gone stops nothing: there it is safer to move on.
         """
@@ -152,7 +163,7 @@ class Guard:
             if asks == LEAVING:
                 return []
             raise Tripped(Reason.FORCE_SENSOR, f"the force sensor failed: {e}") from e
-        self.recorder.force(fresh)
+        self.samples.publish(fresh)
         for one in fresh:
             (check or self._within)(one)
         return fresh
@@ -200,15 +211,15 @@ class Guard:
             if check == self._within:
                 self._newest()
             now_ns = self._clock.now_ns()
-            self.recorder.stage(self._stage.position_m(), now_ns)
-            self.on_poll()
+            self.positions.publish(self._stage.position_m(), now_ns)
+            self.looks.publish()
             if now_ns > end_ns:
                 raise Tripped(Reason.STAGE_LATE, f"the stage still moves {due_s:.1f} s after it was sent")
         return False
 
     def _check_arrived(self, target: Position) -> None:
         at = self.position_m()
-        self.recorder.stage(at, self._clock.now_ns())
+        self.positions.publish(at, self._clock.now_ns())
         if (missed := math.dist(at, target)) > ARRIVED_M:
             raise Tripped(
                 Reason.STAGE,
@@ -260,7 +271,3 @@ class Guard:
         except DeviceError:
             return None
         return None if newest.fault else math.hypot(*self._tare.force(newest))
-
-
-def _nothing() -> None:
-    """Nobody wants to know."""

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from palpate.core.frame import Frame
 from palpate.core.protocols import Position, Wrench
 from palpate.recordings.values import Label
 from palpate.recordings.writer import RunWriter
-from palpate.rig.tare import Force, Tare
+from palpate.rig.tare import Tare
 
 
 class Recorder:
@@ -21,7 +21,6 @@ class Recorder:
         self._writer = writer
         self._tare = tare
         self._muted = False
-        self.on_force: Callable[[Wrench, Force], None] = _nothing
 
     def mute(self) -> None:
         """Record nothing more: the disk has refused, and the probe is still to be lifted."""
@@ -31,10 +30,9 @@ class Recorder:
         """Every good sample; faulty ones hold no numbers."""
         for one in samples:
             if not one.fault and not self._muted and one.time_ns >= self._begun_ns:
-                force = self._tare.force(one)
-                self._writer.force((*force, *self._tare.torque(one)), time_ns=one.time_ns)
+                force, torque = self._tare.force(one), self._tare.torque(one)
+                self._writer.force((*force, *torque), time_ns=one.time_ns)
                 self._writer.force((*one.force_n, *one.torque_nm), time_ns=one.time_ns, raw=True)
-                self.on_force(one, force)
 
     def stage(self, position_m: Position, time_ns: int) -> None:
         """Where the stage is."""
@@ -49,7 +47,3 @@ class Recorder:
         """That something happened."""
         if not self._muted:
             self._writer.event(kind, **fields)
-
-
-def _nothing(sample: Wrench, force: Force) -> None:
-    """Nobody wants to know."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -17,10 +17,11 @@ from palpate.recordings.values import Label
 from palpate.rig.guard import Guard
 from palpate.rig.outcome import Reason, Tripped
 from palpate.rig.plans.plan import Press
-from palpate.rig.plans.steps import Burst, Shot, Step, Sweep
+from palpate.rig.plans.steps import Burst, Shot, Sweep
 from palpate.rig.progress import SHOT
+from palpate.rig.recorder import Recorder
 from palpate.rig.rig import FrameSource, Rig
-from palpate.rig.tare import Force
+from palpate.rig.tare import Force, Tare
 from palpate.rig.walking import Walking
 
 LABELS: dict[str, LabelKind] = {
@@ -54,40 +55,37 @@ Mark = Callable[[str, int, bool], None]
 
 
 class Shooting:
-    """Takes the plan's steps that record.
+    """Records bursts and sweeps of frames, each frame with its labels; keeps the force of the last seconds.
 
     Attributes:
         late_s: how far the frames' stamps run behind the force's [s].
     """
 
-    def __init__(self, rig: Rig, guard: Guard, walking: Walking, mark: Mark) -> None:
+    def __init__(
+        self, rig: Rig, guard: Guard, walking: Walking, recorder: Recorder, tare: Tare, mark: Mark
+    ) -> None:
         self._rig = rig
         self._guard = guard
         self._walking = walking
+        self._recorder = recorder
+        self._tare = tare
         self._mark = mark
         self._samples: deque[tuple[int, Force]] = deque()
         self.late_s = 0.0
         self._same = 0
         self._last: np.ndarray | None = None
-        guard.recorder.on_force = self._remember
+        guard.samples.subscribe(self._remember)
 
     def begin(self, press: Press) -> None:
         """Of which press the next frames are."""
         self._press = press
 
-    def take(self, step: Step) -> None:
-        """Record a burst or a sweep.
+    def burst(self, burst: Burst) -> None:
+        """Record the frames of a shot that are missing, at a stand.
 
         Raises:
-            Tripped: the camera or the force sensor fails, or a guard stops a sweep.
+            Tripped: the camera or the force sensor fails.
         """
-        match step:
-            case Burst():
-                self._burst(step)
-            case Sweep():
-                self._sweep(step)
-
-    def _burst(self, burst: Burst) -> None:
         begun_ns = self._rig.clock.now_ns()
         for i, k in enumerate(burst.missing):
             due_s = i * burst.every_s - (self._rig.clock.now_ns() - begun_ns) / NS_PER_S
@@ -97,10 +95,14 @@ class Shooting:
             self._guard.look()
             self._record(burst.shot, k, time_ns, frame)
             self._mark(burst.shot.key, k, k == burst.missing[-1])
-        self._guard.recorder.event(SHOT, key=burst.shot.key, frames=len(burst.missing))
+        self._recorder.event(SHOT, key=burst.shot.key, frames=len(burst.missing))
 
-    def _sweep(self, sweep: Sweep) -> None:
-        """Down to the force or the depth, and back up; frames as they come."""
+    def sweep(self, sweep: Sweep) -> None:
+        """Record frames as they come on the way down to the force or the depth, and back up.
+
+        Raises:
+            Tripped: the camera or the force sensor fails, or a guard stops the motion.
+        """
         x, y, z = self._guard.position_m()
         counter = iter(range(1_000_000_000))
         last_ns = self._rig.clock.now_ns()
@@ -116,8 +118,7 @@ class Shooting:
                 )
 
         drained(self._rig.camera)
-        told, self._guard.on_poll = self._guard.on_poll, take_in
-        try:
+        with self._guard.looks.subscribed(take_in):
             until = sweep.until_n
             lowest = self._rig.origin_m[2] + sweep.depth_m
             reached = self._guard.towards(
@@ -127,20 +128,18 @@ class Shooting:
                 step_m=lowest - z,
             )
             self._guard.away((x, y, z), sweep.speed_m_s)
-        finally:
-            self._guard.on_poll = told
         if until is not None and not reached:
             raise Tripped(
                 Reason.NO_CONTACT,
                 f"{until:g} N was not reached down to {sweep.depth_m * 1e3:g} mm below the expected surface",
             )
-        self._guard.recorder.event(SHOT, key=sweep.shot.key, frames=next(counter), whole=True)
+        self._recorder.event(SHOT, key=sweep.shot.key, frames=next(counter), whole=True)
         self._mark(sweep.shot.key, 0, True)
 
     def _record(self, shot: Shot, k: int, time_ns: int, frame: Frame) -> None:
         self._check_alive(frame)
         labels = self._labels(shot, k, time_ns, frame.exposure_s or 0.0)
-        self._guard.recorder.frame(frame, time_ns, labels)
+        self._recorder.frame(frame, time_ns, labels)
 
     def _labels(self, shot: Shot, k: int, time_ns: int, exposure_s: float) -> dict[str, Label]:
         press, force = self._press, self._mean_force(time_ns, exposure_s)
@@ -168,10 +167,11 @@ class Shooting:
         }
         return labels | dict(self._rig.truth(time_ns))
 
-    def _remember(self, sample: Wrench, force: Force) -> None:
-        self._samples.append((sample.time_ns, force))
-        oldest = sample.time_ns - KEPT_S * NS_PER_S
-        while self._samples and self._samples[0][0] < oldest:
+    def _remember(self, samples: Sequence[Wrench]) -> None:
+        for sample in samples:
+            if not sample.fault:
+                self._samples.append((sample.time_ns, self._tare.force(sample)))
+        while self._samples and self._samples[0][0] < self._samples[-1][0] - KEPT_S * NS_PER_S:
             self._samples.popleft()
 
     def _mean_force(self, time_ns: int, exposure_s: float) -> Force:

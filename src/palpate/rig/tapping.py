@@ -24,9 +24,10 @@ from palpate.recordings.align import Offset, offset_between
 from palpate.rig.guard import Guard
 from palpate.rig.outcome import Reason, Tripped
 from palpate.rig.plans.plan import Plan
+from palpate.rig.recorder import Recorder
 from palpate.rig.rig import Rig
 from palpate.rig.shooting import STARVED_S, check_size, drained
-from palpate.rig.tare import Force
+from palpate.rig.tare import Tare
 
 CLOCKS = "clocks"
 MM = 1e-3
@@ -42,10 +43,12 @@ Signal = Float[ndarray, " _"]
 class Tapping:
     """A few taps at the place where the probe hangs."""
 
-    def __init__(self, rig: Rig, plan: Plan, guard: Guard) -> None:
+    def __init__(self, rig: Rig, plan: Plan, guard: Guard, recorder: Recorder, tare: Tare) -> None:
         self._rig = rig
         self._plan = plan
         self._guard = guard
+        self._recorder = recorder
+        self._tare = tare
         self._force: list[tuple[int, float]] = []
         self._seen: list[tuple[int, Pixels]] = []
         self._exposure_s = 0.0
@@ -57,23 +60,14 @@ class Tapping:
         Raises:
             Tripped: no contact, or the frames do not show the taps; and all that a guarded motion raises.
         """
-        heard, told = self._guard.recorder.on_force, self._guard.on_poll
-
-        def both() -> None:
-            told()
-            self._look()
-
         drained(self._rig.camera)
         self._last_ns = self._rig.clock.now_ns()
-        self._guard.recorder.on_force, self._guard.on_poll = self._feel, both
-        try:
+        with self._guard.samples.subscribed(self._feel), self._guard.looks.subscribed(self._look):
             self._guard.wait(2 * MOST_S)
             for rest_s in islice(RESTS_S * self._plan.taps, self._plan.taps):
                 self._once()
                 self._guard.wait(rest_s)
             self._guard.wait(2 * MOST_S)
-        finally:
-            self._guard.recorder.on_force, self._guard.on_poll = heard, told
         return self._offset()
 
     def _once(self) -> None:
@@ -91,8 +85,8 @@ class Tapping:
             )
         self._guard.away((x, y, z), speed)
 
-    def _feel(self, sample: Wrench, force: Force) -> None:
-        self._force.append((sample.time_ns, force[2]))
+    def _feel(self, samples: Sequence[Wrench]) -> None:
+        self._force += [(one.time_ns, self._tare.force(one)[2]) for one in samples if not one.fault]
 
     def _look(self) -> None:
         for time_ns, frame in drained(self._rig.camera):
@@ -125,7 +119,7 @@ class Tapping:
                 "the camera shows, or plan without (taps = 0)",
             ) from e
         ago_s = np.round((self._rig.clock.now_ns() - frame_ns) / NS_PER_S, 6)
-        self._guard.recorder.event(
+        self._recorder.event(
             CLOCKS, **asdict(found), frames_ago_s=ago_s.tolist(), change=np.round(change, 5).tolist()
         )
         return found

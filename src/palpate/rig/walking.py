@@ -6,9 +6,8 @@ from palpate.core.protocols import Position
 from palpate.rig.guard import Guard
 from palpate.rig.outcome import Reason, Tripped
 from palpate.rig.plans.plan import Plan, Press
-from palpate.rig.plans.steps import Aside, Depth, Over, Pause, Seek, Step
-from palpate.rig.plans.steps import Tare as TareStep
 from palpate.rig.progress import ZERO
+from palpate.rig.recorder import Recorder
 from palpate.rig.rig import Rig
 from palpate.rig.tare import Tare
 
@@ -20,13 +19,14 @@ SIGMAS = 5.0  # of the force's noise that a threshold must lie above
 
 
 class Walking:
-    """Takes the plan's steps that move, each within the guard."""
+    """Moves over a place, onto the skin, into it, aside and away, each within the guard."""
 
-    def __init__(self, rig: Rig, plan: Plan, guard: Guard, tare: Tare) -> None:
+    def __init__(self, rig: Rig, plan: Plan, guard: Guard, tare: Tare, recorder: Recorder) -> None:
         self._rig = rig
         self._plan = plan
         self._guard = guard
         self._tare = tare
+        self._recorder = recorder
         self._zero_m: float | None = None
         self.approach = 0
 
@@ -41,25 +41,6 @@ class Walking:
         self._place = press.place
         self.approach += 1
 
-    def take(self, step: Step) -> bool:
-        """Do a step that moves or waits; False where it is not one."""
-        match step:
-            case Over(x, y):
-                self._over(x, y)
-            case TareStep():
-                self._measure_zero()
-            case Seek():
-                self._seek()
-            case Depth(depth, speed):
-                self._to_depth(depth, speed)
-            case Aside(x, y, speed):
-                self._aside(x, y, speed)
-            case Pause(seconds):
-                self._guard.wait(seconds)
-            case _:
-                return False
-        return True
-
     def lift(self) -> None:
         """Straight up to the clearance, if the probe is below it; the contact is over."""
         x, y, z = self._guard.position_m()
@@ -71,7 +52,8 @@ class Walking:
     def _clearance_m(self) -> float:
         return self._rig.origin_m[2] - self._plan.clearance_mm * MM
 
-    def _over(self, x_m: float, y_m: float) -> None:
+    def over(self, x_m: float, y_m: float) -> None:
+        """Lift, and go over a place at the clearance [m]."""
         self.lift()
         speed = self._plan.travel_mm_s * MM
         x, y, _ = _at(self._rig, x_m, y_m, 0.0)
@@ -79,14 +61,20 @@ class Walking:
         self._guard.away((x, y, z), speed)
         self._guard.away((x, y, self._clearance_m), speed)
 
-    def _measure_zero(self) -> None:
-        """In the air, standing. A zero far from the last one means that the probe touches something."""
+    def measure_zero(self) -> None:
+        """Measure the force sensor's zero, standing in the air.
+
+        A zero far from the last one means that the probe touches something.
+
+        Raises:
+            Tripped: it does, or the sensor is too noisy for the plan's contact threshold.
+        """
         before = self._tare.force_n[2]
         known = self._tare.noise_n > 0
         threshold = self._plan.threshold_N
         samples = self._guard.wait(TARE_S, lambda sample: None)
         self._tare.measure(samples)
-        self._guard.recorder.event("tare", force_n=self._tare.force_n, noise_n=self._tare.noise_n)
+        self._recorder.event("tare", force_n=self._tare.force_n, noise_n=self._tare.noise_n)
         if threshold < SIGMAS * self._tare.noise_n:
             raise Tripped(
                 Reason.FORCE_NOISE,
@@ -101,7 +89,12 @@ class Walking:
                 "the probe touch something?",
             )
 
-    def _seek(self) -> None:
+    def seek(self) -> None:
+        """Go down until the force says contact; that place is the press's zero.
+
+        Raises:
+            Tripped: contact at the clearance already, or none down to the plan's search depth.
+        """
         plan = self._plan
         x, y, _ = self._guard.position_m()
         if self._guard.force_n[2] > plan.threshold_N:
@@ -117,7 +110,7 @@ class Walking:
                 f"{self._place.name}; is the layer there, and the force sensor's sign right?",
             )
         self._zero_m = self._guard.position_m()[2]
-        self._guard.recorder.event(
+        self._recorder.event(
             ZERO,
             place=self._place.name,
             x_mm=self._place.x_mm,
@@ -125,14 +118,16 @@ class Walking:
             z_mm=1e3 * (self._zero_m - self._rig.origin_m[2]),
         )
 
-    def _to_depth(self, depth_m: float, speed_m_s: float) -> None:
+    def to_depth(self, depth_m: float, speed_m_s: float) -> None:
+        """Go to a depth below the zero, down or up [m]."""
         if self._zero_m is None:
             raise Tripped(Reason.PLAN, "a plan that presses before it has found contact")
         x, y, z = self._guard.position_m()
         target = (x, y, self._zero_m + depth_m)
         (self._guard.towards if target[2] > z else self._guard.away)(target, speed_m_s)
 
-    def _aside(self, x_m: float, y_m: float, speed_m_s: float) -> None:
+    def aside(self, x_m: float, y_m: float, speed_m_s: float) -> None:
+        """Shift aside at the same depth, to so far from the place [m]."""
         z = self._guard.position_m()[2]
         x, y, _ = _at(self._rig, self._place.x_mm * MM + x_m, self._place.y_mm * MM + y_m, 0.0)
         self._guard.towards((x, y, z), speed_m_s)
