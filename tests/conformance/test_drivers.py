@@ -8,23 +8,22 @@ import sys
 import pytest
 
 from palpate.core import MonotonicClock
-from palpate.rig.check import Finding, check_camera, check_force_sensor, check_stage
-from palpate.rig.fakes.camera import FakeVideoCapture
-from palpate.rig.fakes.grbl import GrblFirmware
+from palpate.rig.check import CheckResult, check_camera, check_force_sensor, check_stage
+from palpate.rig.fakes.grbl_firmware import GrblFirmware
 from palpate.rig.fakes.grbl_model import GrblFaults, GrblModel
-from palpate.rig.fakes.rdt import FakeNetFT
-from palpate.rig.fakes.terminal import FakeTerminal
-from palpate.rig.real.grbl import GrblStage
-from palpate.rig.real.grbl_spec import GrblSpec
-from palpate.rig.real.netft import NetFT
-from palpate.rig.real.netft_settings import NetFTSettings
+from palpate.rig.fakes.netft_box import FakeNetFT
+from palpate.rig.fakes.serial_terminal import FakeTerminal
+from palpate.rig.fakes.video_capture import FakeVideoCapture
+from palpate.rig.real.grbl.spec import GrblSpec
+from palpate.rig.real.grbl.stage import GrblStage
+from palpate.rig.real.netft.sensor import NetFT, NetFTSettings
 from palpate.rig.real.uvc import UvcCamera, UvcSettings
 
 # What a loaded machine may break although the driver keeps it.
 TIMING = ("latest is never old", "leaves no gap", "stamps frames evenly", "calls return at once")
 
 
-def broken(findings: list[Finding]) -> list[Finding]:
+def broken(findings: list[CheckResult]) -> list[CheckResult]:
     return [one for one in findings if not one.ok and one.name not in TIMING]
 
 

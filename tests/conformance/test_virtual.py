@@ -12,8 +12,8 @@ import pytest
 
 from palpate.core import DeviceError, ManualClock, Position, RangeError, Travel, Wrench
 from palpate.core.frame import Frame
-from palpate.rig.check import Finding, check_camera, check_force_sensor, check_rig, check_stage
-from palpate.rig.check.motion import Box
+from palpate.devices.check.stage_motion import Box
+from palpate.rig.check import CheckResult, check_camera, check_force_sensor, check_rig, check_stage
 from palpate.rig.rig import Rig
 from palpate.rig.virtual import Fault, virtual_palm
 from palpate.sensors import palm
@@ -28,7 +28,7 @@ def rig(*faults: Fault) -> Rig:
     return virtual_palm(spec=SPEC, clock=ManualClock(10**11), faults=faults)
 
 
-def failed(findings: list[Finding]) -> set[str]:
+def failed(findings: list[CheckResult]) -> set[str]:
     assert all(one.ok or one.message for one in findings), "what is wrong is told"
     return {one.name for one in findings if not one.ok}
 

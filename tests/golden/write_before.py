@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 sys.path.insert(0, str(Path.cwd()))
 
+from palpate.rig.control import Ask
 from tests.rig.rigs import CLOCK_NS, SPEC, plan, rig
 from tests.virtual_presses import KAPPA_N_M, pressed, references
 
@@ -27,7 +28,6 @@ from palpate.core.clock import ManualClock
 from palpate.estimators import Estimator
 from palpate.recordings.check import check
 from palpate.rig import Control, record
-from palpate.rig.control import Ask
 from palpate.rig.plans import Listed
 from palpate.sensors import palm
 from palpate.sensors.tactip import tactip

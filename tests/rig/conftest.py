@@ -9,11 +9,11 @@ from contextlib import ExitStack
 import pytest
 
 from palpate.core.clock import NS_PER_S, ManualClock
-from palpate.rig.fakes.grbl import GrblFirmware
+from palpate.rig.fakes.grbl_firmware import GrblFirmware
 from palpate.rig.fakes.grbl_model import GrblFaults, GrblModel
-from palpate.rig.fakes.terminal import FakeTerminal
-from palpate.rig.real.grbl import GrblStage
-from palpate.rig.real.grbl_spec import GrblSpec
+from palpate.rig.fakes.serial_terminal import FakeTerminal
+from palpate.rig.real.grbl.spec import GrblSpec
+from palpate.rig.real.grbl.stage import GrblStage
 
 PATIENCE_S = 60.0  # for what must happen; a loaded machine may take long, a broken one takes for ever
 

@@ -15,7 +15,7 @@ from palpate.core.clock import ManualClock
 from palpate.core.errors import RecordingError
 from palpate.recordings.check import check
 from palpate.recordings.reader import Run
-from palpate.rig import Ask, Control, State, Status, done_in, record
+from palpate.rig import OperatorCommand, OperatorControl, State, Status, done_in, record
 from palpate.rig.plans import Listed, Swept
 from palpate.rig.progress import fields_of
 from palpate.rig.virtual import Fault, Variation
@@ -84,11 +84,11 @@ def test_the_stage_never_goes_deeper_than_the_plan(whole: Run) -> None:
 
 
 @pytest.mark.parametrize("after_shots", [0, 1, 5, 11])
-@pytest.mark.parametrize("wish", [Ask.ABORT, Ask.ESTOP, Ask.STOP])
+@pytest.mark.parametrize("wish", [OperatorCommand.ABORT, OperatorCommand.ESTOP, OperatorCommand.STOP])
 def test_what_was_ended_goes_on_at_the_first_missing_shot(
-    tmp_path: Path, after_shots: int, wish: Ask
+    tmp_path: Path, after_shots: int, wish: OperatorCommand
 ) -> None:
-    control = Control()
+    control = OperatorControl()
 
     def watch(status: Status) -> None:
         if status.shots >= after_shots:
@@ -96,7 +96,14 @@ def test_what_was_ended_goes_on_at_the_first_missing_shot(
 
     out = tmp_path / "run"
     first = record(rig(), plan(), out, control=control, watch=watch)
-    assert first.state == {Ask.ABORT: "aborted", Ask.ESTOP: "e-stopped", Ask.STOP: "stopped"}[wish]
+    assert (
+        first.state
+        == {
+            OperatorCommand.ABORT: "aborted",
+            OperatorCommand.ESTOP: "e-stopped",
+            OperatorCommand.STOP: "stopped",
+        }[wish]
+    )
     assert first.shots < 16
     second = record(rig(clock=ManualClock(3 * CLOCK_NS)), plan(), out)
     assert (second.state, second.shots) == (State.DONE, 16)
@@ -123,11 +130,11 @@ def test_another_plan_does_not_go_on_with_a_run(tmp_path: Path) -> None:
 def test_an_interrupted_run_is_the_uninterrupted_one_shot_by_shot(whole: Run, tmp_path: Path) -> None:
     out = tmp_path / "run"
     for after in (2, 6, 7, 13, 99):
-        control = Control()
+        control = OperatorControl()
 
-        def watch(status: Status, after: int = after, control: Control = control) -> None:
+        def watch(status: Status, after: int = after, control: OperatorControl = control) -> None:
             if status.shots >= after:
-                control.ask(Ask.ABORT)
+                control.ask(OperatorCommand.ABORT)
 
         clock = ManualClock((3 + after) * CLOCK_NS)
         record(rig(variation=Variation(), seed=5, clock=clock), plan(), out, control=control, watch=watch)
@@ -143,12 +150,12 @@ def test_an_interrupted_run_is_the_uninterrupted_one_shot_by_shot(whole: Run, tm
 
 
 def test_a_pause_lifts_the_probe_and_a_resumed_press_finds_contact_anew(tmp_path: Path) -> None:
-    control, seen = Control(), []
+    control, seen = OperatorControl(), []
 
     def watch(status: Status) -> None:
         seen.append(status.state)
         if status.shots == 3 and State.PAUSED not in seen:
-            control.ask(Ask.PAUSE)
+            control.ask(OperatorCommand.PAUSE)
             threading.Timer(0.3, control.resume).start()
 
     out = tmp_path / "run"

@@ -18,11 +18,11 @@ from contextlib import ExitStack, contextmanager
 import pytest
 
 from palpate.core.clock import NS_PER_S, MonotonicClock
-from palpate.rig.fakes.grbl import GrblFirmware
+from palpate.rig.fakes.grbl_firmware import GrblFirmware
 from palpate.rig.fakes.grbl_model import GrblFaults, GrblModel
-from palpate.rig.fakes.terminal import FakeTerminal
-from palpate.rig.real.grbl import GrblStage
-from palpate.rig.real.grbl_spec import GrblSpec
+from palpate.rig.fakes.serial_terminal import FakeTerminal
+from palpate.rig.real.grbl.spec import GrblSpec
+from palpate.rig.real.grbl.stage import GrblStage
 
 serial = pytest.importorskip("serial", reason="the stage's driver needs pyserial")
 SIMULATOR = os.environ.get("PALPATE_GRBL_SIM", "")

@@ -15,9 +15,10 @@ from palpate.core.clock import MonotonicClock
 from palpate.core.errors import DeviceError, InputError, MissingExtraError, RangeError
 from palpate.core.protocols import Stage
 from palpate.rig.fakes.grbl_model import GrblModel
-from palpate.rig.real import grbl, grbl_port
-from palpate.rig.real.grbl import GrblStage
-from palpate.rig.real.grbl_spec import GrblSpec, Mount, fixed
+from palpate.rig.real.grbl import link as grbl_link
+from palpate.rig.real.grbl import stage as grbl_stage
+from palpate.rig.real.grbl.spec import GrblSpec, Mount, fixed
+from palpate.rig.real.grbl.stage import GrblStage
 
 # The default mount: x = X, y = -Y, z = -Z; the fake starts at machine -50, -50, -50 mm.
 START = (-0.050, 0.050, 0.050)
@@ -167,7 +168,7 @@ def test_a_move_recalled_before_it_was_sent_is_not_sent(grbl_bench, monkeypatch)
                 failures.append(error)
 
         entered = threading.Event()
-        monkeypatch.setattr(grbl, "check_range", lambda *asked: entered.set())
+        monkeypatch.setattr(grbl_stage, "check_range", lambda *asked: entered.set())
         mover = threading.Thread(target=move)
         mover.start()
         entered.wait()
@@ -423,7 +424,7 @@ class TestPorts:
 
     def test_a_port_that_is_not_there_is_refused_with_those_that_are(self, monkeypatch):
         there = [SimpleNamespace(device="/dev/ttyACM7", serial_number="5583", hwid="USB")]
-        monkeypatch.setattr(grbl_port, "_ports", lambda: there)
+        monkeypatch.setattr(grbl_link, "_ports", lambda: there)
         for name in ("/dev/ttyNOWHERE", "9999"):
             with pytest.raises(DeviceError, match=r"/dev/ttyACM7 \(serial number 5583\)"):
                 GrblStage.open(GrblSpec(name))
@@ -431,17 +432,17 @@ class TestPorts:
     def test_a_serial_number_names_a_port(self, grbl_bench, monkeypatch):
         bench = grbl_bench()
         there = [SimpleNamespace(device=bench.terminal.path, serial_number="5583")]
-        monkeypatch.setattr(grbl_port, "_ports", lambda: there)
-        assert grbl_port.find_port("5583") == bench.terminal.path
-        monkeypatch.setattr(grbl_port, "_ports", lambda: there * 2)
+        monkeypatch.setattr(grbl_link, "_ports", lambda: there)
+        assert grbl_link.find_port("5583") == bench.terminal.path
+        monkeypatch.setattr(grbl_link, "_ports", lambda: there * 2)
         with pytest.raises(DeviceError, match="by its path"):
-            grbl_port.find_port("5583")
+            grbl_link.find_port("5583")
 
     def test_without_pyserial_the_extra_is_named(self, monkeypatch):
         def absent(name, *_):
             raise ImportError(name)
 
-        monkeypatch.setattr(grbl_port.importlib, "import_module", absent)
+        monkeypatch.setattr(grbl_link.importlib, "import_module", absent)
         with pytest.raises(MissingExtraError, match=r"palpate\[rig\]"):
             GrblStage.open(GrblSpec("/dev/null"))
 

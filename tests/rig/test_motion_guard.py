@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
+from palpate.rig.control import Ask, Asked, Control
+from palpate.rig.guard import RISE_N, Guard
+from palpate.rig.outcome import Reason, Tripped
 
 from palpate.core import ManualClock
 from palpate.core.protocols import Position, Travel, Wrench
-from palpate.rig.control import Ask, Asked, Control
-from palpate.rig.guard import RISE_N, Guard
 from palpate.rig.limits import Limits
-from palpate.rig.outcome import Reason, Tripped
 from palpate.rig.recorder import Recorder
 from palpate.rig.tare import Tare
 

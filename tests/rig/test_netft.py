@@ -14,10 +14,9 @@ import pytest
 
 from palpate.core import ForceSensor, MonotonicClock, Wrench
 from palpate.core.errors import DeviceError, RangeError
-from palpate.rig.fakes.rdt import START, STOP, FakeNetFT, FakePage
-from palpate.rig.real.netft import NetFT
-from palpate.rig.real.netft_settings import NetFTSettings
-from palpate.rig.real.netft_stream import Stream
+from palpate.rig.fakes.netft_box import START, STOP, FakeNetFT, FakePage
+from palpate.rig.real.netft.sensor import NetFT, NetFTSettings
+from palpate.rig.real.netft.stream import Stream
 
 PATIENCE_S = 30.0  # only a test that fails waits so long
 FORCE, TORQUE = (1.0, -2.0, -12.5), (0.25, 0.0, -0.125)  # whole counts, so equal and not only close

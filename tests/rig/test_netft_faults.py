@@ -13,11 +13,10 @@ from dataclasses import replace
 import pytest
 
 from palpate.core.errors import DeviceError, ProtocolError
-from palpate.rig.fakes.rdt import START, STOP, FakeNetFT, FakePage
-from palpate.rig.real.netft import NetFT
-from palpate.rig.real.netft_calibration import MOST_PAGE_BYTES
-from palpate.rig.real.netft_settings import NetFTSettings
-from palpate.rig.real.rdt import Command, request
+from palpate.rig.fakes.netft_box import START, STOP, FakeNetFT, FakePage
+from palpate.rig.real.netft.calibration import MOST_PAGE_BYTES
+from palpate.rig.real.netft.sensor import NetFT, NetFTSettings
+from palpate.rig.real.netft.stream import RdtCommand, request
 
 PATIENCE_S = 30.0  # only a test that fails waits so long
 FORCE = (1.0, -2.0, -12.5)
@@ -304,7 +303,7 @@ def test_a_stolen_stream_is_told_and_the_other_client_is_not_cut_off(box: FakeNe
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as thief:
         with NetFT(box.host, watchful(box)) as sensor:
             more(sensor)
-            thief.sendto(request(Command.START), (box.host, box.rdt_port))
+            thief.sendto(request(RdtCommand.START), (box.host, box.rdt_port))
             assert "another client took the stream" in failure(sensor)
         assert box.streams_to is not None
         assert box.streams_to[1] == thief.getsockname()[1]

@@ -8,10 +8,10 @@ import pytest
 from tests.rig.rigs import plan
 
 from palpate.core.errors import DeviceError, InputError
+from palpate.devices.rpc import path_of
 from palpate.rig import Reason, State, open_rig, record
-from palpate.rig.fakes.rdt import FakeNetFT
+from palpate.rig.fakes.netft_box import FakeNetFT
 from palpate.rig.service import opening, rig_name
-from palpate.rig.service.address import path_of
 from palpate.rig.virtual.palm import REAL_TIME_AGE_S
 
 REAL = """
@@ -92,12 +92,12 @@ def test_the_operators_page_opens_a_rig_by_its_file(tmp_path: Path) -> None:
         'name = "b"\n[virtual]\nreal_time = true\n[[regions]]\nname = "rim"\nbox_px = [1, 2, 30, 40]',
     )
     assert rig_name(path) == str(Path(path).resolve())
-    opened = opening.open_rig(path)
+    opened = opening.open_served_rig(path)
     assert opened.real_time
     assert opened.rig.regions == (("rim", (1, 2, 30, 40)),)
     assert opened.rig.limits.age_s == REAL_TIME_AGE_S
     opened.rig.close()
-    plain = opening.open_rig(written(tmp_path, 'name = "b"\n[virtual]'))
+    plain = opening.open_served_rig(written(tmp_path, 'name = "b"\n[virtual]'))
     assert [region.name for region in plain.rig.regions] == ["fringes", "mirror"]
     assert not plain.real_time
     plain.rig.close()

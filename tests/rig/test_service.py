@@ -15,14 +15,13 @@ from hypothesis import strategies as st
 
 from palpate.core import InputError, RecordingError
 from palpate.core.errors import DeviceError, ProtocolError, SafetyError
+from palpate.devices.operator import OperatorInterrupt
+from palpate.devices.proxies import StageProxy
+from palpate.devices.rpc import ASKED_BYTES, Address, Lines, decode, find, hold, publish
 from palpate.recordings import Run
-from palpate.rig.control import Asked
 from palpate.rig.plans import plan_from
 from palpate.rig.progress import done_in
-from palpate.rig.service import Address, RigClient, RigService, Server, find, launch, open_rig
-from palpate.rig.service.address import hold, publish
-from palpate.rig.service.taps import HeldStage
-from palpate.rig.service.wire import ASKED_BYTES, Lines, decode
+from palpate.rig.service import RigClient, RigServer, RigService, launch, open_served_rig
 
 RIG = "virtual:palm"
 HALT_S = 0.05  # from the client's call until the stage stands, of a press into the skin
@@ -49,9 +48,9 @@ TWICE = {"kind": "listed", "at_mm": [[0.0, 0.0], [12.0, 0.0]]}
 
 @contextmanager
 def served(tmp_path, *, accelerated):
-    opened = open_rig(RIG, accelerated=accelerated)
+    opened = open_served_rig(RIG, accelerated=accelerated)
     service = RigService(opened, tmp_path / "runs")
-    server = Server(service)
+    server = RigServer(service)
     publish(Address(RIG, server.port, server.token, os.getpid()), tmp_path / "at")
     with RigClient(RIG, tmp_path / "at") as client:
         try:
@@ -419,12 +418,12 @@ def test_an_emergency_stop_at_rest_holds_the_stage_too(quick):
 
 
 def test_a_held_stage_takes_no_move_from_anybody():
-    rig = open_rig(RIG, accelerated=True).rig
-    stage = HeldStage(rig.stage, rig.clock)
+    rig = open_served_rig(RIG, accelerated=True).rig
+    stage = StageProxy(rig.stage, rig.clock)
     stage.hold()
-    with pytest.raises(Asked):
+    with pytest.raises(OperatorInterrupt):
         stage.move_to((0.0, 0.0, 0.0), 1e-3)
-    with pytest.raises(Asked):
+    with pytest.raises(OperatorInterrupt):
         stage.moving()
     assert stage.position_m() == (0.0, 0.0, -5e-3)
     stage.release()

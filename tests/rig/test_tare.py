@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from palpate.rig.outcome import Reason, Tripped
 
 from palpate.core.errors import RangeError
 from palpate.core.protocols import Wrench
-from palpate.rig.outcome import Reason, Tripped
 from palpate.rig.tare import SAMPLES, Mounting, Tare
 
 FORCE, TORQUE = np.array([0.3, -0.2, 1.5]), np.array([0.01, -0.02, 0.04])

@@ -15,11 +15,9 @@ from hypothesis import strategies as st
 
 from palpate.core import Camera
 from palpate.core.errors import DeviceError, RangeError
-from palpate.rig.fakes.camera import BLUE, FakeVideoCapture, frame_number
-from palpate.rig.real.uvc import UvcCamera, UvcSettings
-from palpate.rig.real.uvc_address import device
-from palpate.rig.real.uvc_watch import FrameWatch
-from palpate.rig.rig import FrameSource
+from palpate.core.protocols import FrameSource
+from palpate.rig.fakes.video_capture import BLUE, FakeVideoCapture, frame_number
+from palpate.rig.real.uvc import FrameWatch, UvcCamera, UvcSettings, device
 
 PATIENCE_S = 30.0  # only a test that fails waits so long
 SETTINGS = UvcSettings(size_px=(64, 48), rate_hz=100.0, exposure_s=5e-3, freeze_s=0.2)

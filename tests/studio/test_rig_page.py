@@ -13,10 +13,11 @@ import urllib.request
 
 import pytest
 
+from palpate.devices.rpc import find
 from palpate.recordings import Run
 from palpate.rig.plans import plan_from
 from palpate.rig.progress import done_in
-from palpate.rig.service import RigClient, find
+from palpate.rig.service import RigClient
 
 devtools_spec = importlib.util.spec_from_file_location(
     "devtools", os.path.join(os.path.dirname(__file__), "devtools.py")

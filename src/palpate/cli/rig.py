@@ -15,8 +15,8 @@ from palpate.cli.shared import Group, Json, Quiet, print_found, progress_bar, re
 
 if TYPE_CHECKING:
     from palpate.recordings.align import Offset
-    from palpate.rig import Control, Status
-    from palpate.rig.check import Finding
+    from palpate.rig import OperatorControl, Status
+    from palpate.rig.check import CheckResult
 
 plan_app = typer.Typer(
     cls=Group, add_completion=False, help="Plans of recordings.", no_args_is_help=True, rich_markup_mode=None
@@ -63,11 +63,11 @@ def record(
 
     Example: palpate record --rig virtual:palm --plan palm-reduced --out run
     """
-    from palpate.rig import Control, State, plan_of
+    from palpate.rig import OperatorControl, State, plan_of
     from palpate.rig import record as record_plan
     from palpate.rig.rig_file import open_rig
 
-    chosen, control, opened = plan_of(plan), Control(), open_rig(rig, seed=seed)
+    chosen, control, opened = plan_of(plan), OperatorControl(), open_rig(rig, seed=seed)
     try:
         with progress_bar(quiet) as progress, _signals_ask(control):
 
@@ -126,9 +126,9 @@ def layer(run: Annotated[Path, typer.Argument(help="A run of the plan layer.")],
     Example: palpate rig layer layer-run
     """
     from palpate.recordings.reader import Run
-    from palpate.rig.layer import layer_of
+    from palpate.rig.locate_specimen import locate_specimen
 
-    found = layer_of(Run.open(run))
+    found = locate_specimen(Run.open(run))
     at, moved = (", ".join(f"{d:.3f}" for d in three) for three in (found.origin_mm, found.moved_mm))
     text = (
         f"origin_mm = [{at}]\n"
@@ -158,7 +158,7 @@ def documents(
 
     from palpate.core.files import new_file
     from palpate.recordings.reader import Run
-    from palpate.rig.documents import documents as documents_of
+    from palpate.rig.event_model import documents as documents_of
 
     count = 0
     with new_file(out) as path, path.open("w", encoding="utf-8") as file:
@@ -202,7 +202,7 @@ def preview(
     print_found(found, text, json_)
 
 
-def _measured(finding: Finding) -> str:
+def _measured(finding: CheckResult) -> str:
     scale, unit = SHOWN_IN.get(finding.unit, (1.0, finding.unit))
     values = (finding.measured or 0.0, finding.allowed or 0.0)
     measured, allowed = (f"{round(scale * value, 6):.4g}" for value in values)
@@ -220,12 +220,14 @@ def _late(clocks: Offset) -> str:
 
 
 @contextmanager
-def _signals_ask(control: Control) -> Iterator[None]:
+def _signals_ask(control: OperatorControl) -> Iterator[None]:
     """Ctrl-C and a request to end abort the recording; the second time they are the emergency stop."""
-    from palpate.rig import Ask
+    from palpate.rig import OperatorCommand
 
     def ask(number: int, frame: object) -> None:
-        control.ask(Ask.ESTOP if control.asked is Ask.ABORT else Ask.ABORT)
+        control.ask(
+            OperatorCommand.ESTOP if control.asked is OperatorCommand.ABORT else OperatorCommand.ABORT
+        )
 
     before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

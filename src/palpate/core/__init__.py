@@ -25,6 +25,7 @@ from palpate.core.frame import Frame
 from palpate.core.protocols import (
     Camera,
     ForceSensor,
+    FrameSource,
     Position,
     Stage,
     Travel,
@@ -57,6 +58,7 @@ __all__ = [
     "FieldReading",
     "ForceSensor",
     "Frame",
+    "FrameSource",
     "GridAxis",
     "ImageError",
     "InputError",

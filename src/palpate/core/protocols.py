@@ -166,3 +166,12 @@ class Camera(Protocol):
     def close(self) -> None:
         """Let go of the device. Closing again does nothing."""
         ...
+
+
+@runtime_checkable
+class FrameSource(Camera, Protocol):
+    """A camera that also hands out what it took meanwhile, without waiting."""
+
+    def drain(self) -> list[tuple[int, Frame]]:
+        """All frames since the last call or `grab`, oldest first, each with when its exposure ended [ns]."""
+        ...

@@ -9,8 +9,8 @@ from typing import BinaryIO
 
 from palpate.core.errors import RecordingError
 from palpate.core.files import sha256_of
+from palpate.core.lock import lock
 from palpate.recordings import schema
-from palpate.recordings.lock import lock
 from palpate.recordings.manifest import MANIFEST, Manifest
 from palpate.recordings.reader import Run
 from palpate.recordings.segment import Segment, segment_numbers

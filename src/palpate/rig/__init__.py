@@ -1,22 +1,22 @@
 """Moves, measures and records: plans, guards, drivers of real devices and their virtual twin."""
 
-from palpate.rig.control import Ask, Control
-from palpate.rig.limits import Limits
-from palpate.rig.outcome import Outcome, Reason, State, Tripped
+from palpate.core.protocols import FrameSource
+from palpate.devices.force_bias import Mounting
+from palpate.devices.limits import Limits, Reason, Tripped
+from palpate.devices.operator import OperatorCommand, OperatorControl
+from palpate.rig.engine import record
 from palpate.rig.plans import PLANS, plan_of, size_of
-from palpate.rig.progress import Status, done_in
-from palpate.rig.record import record
-from palpate.rig.rig import FrameSource, Rig
+from palpate.rig.progress import Outcome, State, Status, done_in
+from palpate.rig.rig import Rig
 from palpate.rig.rig_file import open_rig
-from palpate.rig.tare import Mounting
 
 __all__ = [
     "PLANS",
-    "Ask",
-    "Control",
     "FrameSource",
     "Limits",
     "Mounting",
+    "OperatorCommand",
+    "OperatorControl",
     "Outcome",
     "Reason",
     "Rig",

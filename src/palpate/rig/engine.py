@@ -11,27 +11,30 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import assert_never
 
 import numpy as np
 
 from palpate.core.errors import DeviceError, PalpateError, StorageError
+from palpate.core.files import PathText
 from palpate.core.protocols import Position
+from palpate.devices.force_bias import ForceBias
+from palpate.devices.guard import MotionGuard
+from palpate.devices.limits import Reason, Tripped
+from palpate.devices.operator import OperatorCommand, OperatorControl, OperatorInterrupt
 from palpate.recordings.align import Offset
+from palpate.recordings.manifest import Manifest
+from palpate.recordings.reader import Run
 from palpate.recordings.writer import RunWriter
-from palpate.rig.control import Ask, Asked, Control
-from palpate.rig.guard import Guard
-from palpate.rig.outcome import Outcome, Reason, State, Tripped
+from palpate.rig.acquisition import LABELS, Acquisition
+from palpate.rig.clock_sync import ClockSync
+from palpate.rig.motion import PressMotion, check_plan
 from palpate.rig.plans.plan import Plan, Press
-from palpate.rig.plans.steps import Aside, Burst, Depth, Done, Over, Pause, Seek, Step, Sweep
-from palpate.rig.plans.steps import Tare as TareStep
-from palpate.rig.progress import PLAN, Status
+from palpate.rig.plans.steps import Aside, Burst, Depth, Done, Over, Pause, Seek, Step, Sweep, Tare
+from palpate.rig.progress import PLAN, Outcome, State, Status, check_same_plan, done_in
 from palpate.rig.recorder import Recorder
 from palpate.rig.rig import Rig
-from palpate.rig.shooting import Shooting
-from palpate.rig.tapping import Tapping
-from palpate.rig.tare import Tare
-from palpate.rig.walking import Walking
 
 UNMOVED = (Reason.STAGE, Reason.STAGE_LATE, Reason.SOFT_LIMIT)
 """After these nothing is lifted: the stage is not to be trusted."""
@@ -58,21 +61,27 @@ class Engine:
     """
 
     def __init__(
-        self, rig: Rig, plan: Plan, writer: RunWriter, done: Done, control: Control, watch: Watch = nobody
+        self,
+        rig: Rig,
+        plan: Plan,
+        writer: RunWriter,
+        done: Done,
+        control: OperatorControl,
+        watch: Watch = nobody,
     ) -> None:
         self._rig = rig
         self._plan = plan
         self._done = dict(done)
         self._control = control
         self._watch = watch
-        tare = self._tare = Tare(rig.mounting)
-        recorder = self._recorder = Recorder(writer, tare, rig.clock.now_ns())
-        guard = self._guard = Guard(rig.stage, rig.force, rig.limits, tare, rig.clock, control)
+        bias = self._bias = ForceBias(rig.mounting)
+        recorder = self._recorder = Recorder(writer, bias, rig.clock.now_ns())
+        guard = self._guard = MotionGuard(rig.stage, rig.force, rig.limits, bias, rig.clock, control)
         guard.samples.subscribe(recorder.force)  # first, so that all is on disk that anybody else hears
         guard.positions.subscribe(recorder.stage)
         guard.looks.subscribe(self._tell)
-        self._walking = Walking(rig, plan, guard, tare, recorder)
-        self._shooting = Shooting(rig, guard, self._walking, recorder, tare, self._mark)
+        self._motion = PressMotion(rig, plan, guard, bias, recorder)
+        self._acquisition = Acquisition(rig, guard, self._motion, recorder, bias, self._mark)
         self._state = State.READY
         self._message = ""
         self._told_s = 0.0
@@ -92,11 +101,11 @@ class Engine:
         self._turn(State.RUNNING, "begun")
         try:
             for press in self._plan.presses():
-                if self._control.asked is Ask.STOP:
+                if self._control.asked is OperatorCommand.STOP:
                     return self._over(State.STOPPED, "stopped by the operator")
                 self._finish(press)
-        except Asked as asked:
-            if asked.ask is Ask.ESTOP:
+        except OperatorInterrupt as asked:
+            if asked.ask is OperatorCommand.ESTOP:
                 return self._over(State.ESTOPPED, "emergency stop")
             return self._over(State.ABORTED, "aborted by the operator")
         except Tripped as e:
@@ -121,49 +130,49 @@ class Engine:
                 if self._clocks is None and self._plan.taps:
                     self._set_clocks(press)
                 self._approached(press)
-            except Asked as asked:
-                if asked.ask is not Ask.PAUSE:
+            except OperatorInterrupt as asked:
+                if asked.ask is not OperatorCommand.PAUSE:
                     raise
                 self._paused()
 
     def _approached(self, press: Press) -> None:
-        self._walking.begin(press)
-        self._shooting.begin(press)
+        self._motion.begin(press)
+        self._acquisition.begin(press)
         for step in self._plan.steps(press, self._done):
             self._control.check()
             self._message = f"{press.place.name}, cycle {press.cycle}: {type(step).__name__.lower()}"
             self._take(step)
-        self._walking.lift()
+        self._motion.lift()
 
     def _take(self, step: Step) -> None:
         match step:
             case Over(x, y):
-                self._walking.over(x, y)
-            case TareStep():
-                self._walking.measure_zero()
+                self._motion.over(x, y)
+            case Tare():
+                self._motion.measure_zero()
             case Seek():
-                self._walking.seek()
+                self._motion.seek()
             case Depth(depth, speed):
-                self._walking.to_depth(depth, speed)
+                self._motion.to_depth(depth, speed)
             case Aside(x, y, speed):
-                self._walking.aside(x, y, speed)
+                self._motion.aside(x, y, speed)
             case Pause(seconds):
                 self._guard.wait(seconds)
             case Burst():
-                self._shooting.burst(step)
+                self._acquisition.burst(step)
             case Sweep():
-                self._shooting.sweep(step)
+                self._acquisition.sweep(step)
             case _:
                 assert_never(step)
 
     def _set_clocks(self, press: Press) -> None:
         """Tap where the first press will be."""
         self._message = f"{press.place.name}: {self._plan.taps} taps, to set the clocks"
-        self._walking.begin(press)
-        self._walking.over(press.place.x_mm * 1e-3, press.place.y_mm * 1e-3)
-        self._walking.measure_zero()
-        self._clocks = Tapping(self._rig, self._plan, self._guard, self._recorder, self._tare).tap()
-        self._shooting.late_s = self._clocks.seconds
+        self._motion.begin(press)
+        self._motion.over(press.place.x_mm * 1e-3, press.place.y_mm * 1e-3)
+        self._motion.measure_zero()
+        self._clocks = ClockSync(self._rig, self._plan, self._guard, self._recorder, self._bias).tap()
+        self._acquisition.late_s = self._clocks.seconds
 
     def _fit(self, indenter: str) -> None:
         if indenter == self._indenter:
@@ -171,18 +180,18 @@ class Engine:
         self._indenter = indenter
         if not self._rig.fit(indenter) and len(self._plan.indenters) > 1:
             self._wanted = f"fit the indenter {indenter}, then resume"
-            self._control.ask(Ask.PAUSE)
+            self._control.ask(OperatorCommand.PAUSE)
             self._control.check()
 
     def _paused(self) -> None:
-        """Lifted, and watching, until resumed; raises `Asked` on anything stronger."""
-        self._walking.lift()
+        """Lifted, and watching, until resumed; raises `OperatorInterrupt` on anything stronger."""
+        self._motion.lift()
         self._turn(State.PAUSED, self._wanted or "paused by the operator")
         self._wanted = ""
         while self._control.wait_while_paused(0.02):
-            self._guard.look(lambda sample: None, (Ask.ABORT, Ask.ESTOP))
+            self._guard.look(lambda sample: None, (OperatorCommand.ABORT, OperatorCommand.ESTOP))
             self._tell()
-        self._control.check((Ask.ABORT, Ask.ESTOP))
+        self._control.check((OperatorCommand.ABORT, OperatorCommand.ESTOP))
         self._turn(State.RUNNING, "resumed")
 
     def _mark(self, key: str, frame: int, whole: bool) -> None:
@@ -204,7 +213,7 @@ class Engine:
 
     def _lift_if_possible(self) -> None:
         with _quietly():
-            self._walking.lift()
+            self._motion.lift()
 
     def _over(self, state: State, message: str, reason: Reason | None = None) -> Outcome:
         if state in (State.STOPPED, State.ABORTED, State.DONE):
@@ -251,5 +260,66 @@ def _quietly() -> Iterator[None]:
     """What fails on the way out hides nothing of why it is left."""
     try:
         yield
-    except (PalpateError, Asked):
+    except (PalpateError, OperatorInterrupt):
         return
+
+
+def record(
+    rig: Rig, plan: Plan, out: PathText, *, control: OperatorControl | None = None, watch: Watch = nobody
+) -> Outcome:
+    """Record all of a plan that a run does not hold yet.
+
+    A new run is begun where there is none. Where there is one of the same plan, the next segment begins at
+    its first missing shot; what is there is never touched, repeated or skipped.
+
+    Args:
+        rig: the devices; the caller closes them.
+        plan: what to record.
+        out: the run.
+        control: through which the operator interrupts.
+        watch: told how far it is, a few times a second.
+
+    Raises:
+        Tripped: the plan leaves the rig's limits; nothing has moved and nothing is written.
+        RecordingError: the run has another plan, or another writer records into it.
+        StorageError: the disk refused before anything moved.
+    """
+    out = Path(out)
+    check_plan(rig, plan)
+    done: Done = {}
+    if out.exists():
+        run = Run.open(out)
+        check_same_plan(run, plan)
+        done = done_in(run)
+        writer = RunWriter.resume(out, clock=rig.clock, overflow="wait")
+    else:
+        writer = RunWriter.create(out, manifest_of(rig, plan), clock=rig.clock, overflow="wait")
+    with writer:
+        return Engine(rig, plan, writer, done, control or OperatorControl(), watch).run()
+
+
+def manifest_of(rig: Rig, plan: Plan) -> Manifest:
+    """What a run of this rig and plan says of itself."""
+    truths = dict.fromkeys(rig.truths, "number")
+    return Manifest.new(
+        sensor=rig.sensor,
+        rig=f"{rig.name}, plan {plan.name}",
+        licence=rig.licence,
+        origin=rig.origin,
+        labels={**LABELS, **truths},  # type: ignore[dict-item]
+        targets=targets_of(plan),
+        regions=dict(rig.regions),
+        seed=rig.seed,
+    )
+
+
+def targets_of(plan: Plan) -> tuple[str, ...]:
+    """The labels that differ between a plan's presses, and so can be learnt from them."""
+    if plan.deepest_mm == 0:
+        return ()
+    targets = ["depth_mm", "force_N"]
+    if len(plan.places.places()) > 1:
+        targets += ["x_mm", "y_mm"]
+    if getattr(plan, "lateral", None):
+        targets += ["force_x_N", "force_y_N"]
+    return tuple(targets)

@@ -1,18 +1,54 @@
-"""What is recorded already, read from the recording itself, and how far a recording is."""
+"""How far a recording is, how it ended, and what a run holds already: read from the recording itself."""
 
 from __future__ import annotations
 
 import json
 from collections import defaultdict
 from dataclasses import dataclass
+from enum import StrEnum
 
 import pandas as pd
 
 from palpate.core.errors import RecordingError
+from palpate.devices.limits import Reason
+from palpate.recordings.align import Offset
 from palpate.recordings.reader import Run
-from palpate.rig.outcome import State
 from palpate.rig.plans.plan import Plan
 from palpate.rig.plans.steps import Done
+
+
+class State(StrEnum):
+    """Where the engine is."""
+
+    READY = "ready"
+    RUNNING = "running"
+    PAUSED = "paused"
+    DONE = "done"  # every shot of the plan is recorded
+    STOPPED = "stopped"  # the operator ended it after a press; to be resumed
+    ABORTED = "aborted"  # the operator ended it at once; to be resumed
+    ESTOPPED = "e-stopped"  # the operator's emergency stop: nothing moves, also not away
+    FAILED = "failed"  # a guard or a device ended it; the reason says which
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a recording ended.
+
+    Attributes:
+        state: done, stopped, aborted, e-stopped or failed.
+        reason: of a failure.
+        message: what happened, with numbers and units.
+        shots: recorded so far, over all segments; planned: all of the plan's.
+        clocks: how far the frames run behind the force, from taps; None where there were none.
+    """
+
+    state: State
+    shots: int
+    planned: int
+    reason: Reason | None = None
+    message: str = ""
+    clocks: Offset | None = None
+
 
 PLAN = "plan"
 SHOT = "shot"

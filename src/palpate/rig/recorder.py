@@ -7,19 +7,19 @@ from typing import Any
 
 from palpate.core.frame import Frame
 from palpate.core.protocols import Position, Wrench
+from palpate.devices.force_bias import ForceBias
 from palpate.recordings.values import Label
 from palpate.recordings.writer import RunWriter
-from palpate.rig.tare import Tare
 
 
 class Recorder:
     """Writes what the rig sees; what the disk refuses is raised where the next thing is recorded."""
 
-    def __init__(self, writer: RunWriter, tare: Tare, begun_ns: int) -> None:
+    def __init__(self, writer: RunWriter, bias: ForceBias, begun_ns: int) -> None:
         """Args: of what was before `begun_ns` nothing is recorded."""
         self._begun_ns = begun_ns
         self._writer = writer
-        self._tare = tare
+        self._bias = bias
         self._muted = False
 
     def mute(self) -> None:
@@ -30,7 +30,7 @@ class Recorder:
         """Every good sample; faulty ones hold no numbers."""
         for one in samples:
             if not one.fault and not self._muted and one.time_ns >= self._begun_ns:
-                force, torque = self._tare.force(one), self._tare.torque(one)
+                force, torque = self._bias.force(one), self._bias.torque(one)
                 self._writer.force((*force, *torque), time_ns=one.time_ns)
                 self._writer.force((*one.force_n, *one.torque_nm), time_ns=one.time_ns, raw=True)
 

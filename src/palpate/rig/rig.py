@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 from palpate.core.clock import Clock
-from palpate.core.frame import Frame
-from palpate.core.protocols import Camera, ForceSensor, Position, Stage
-from palpate.rig.limits import Limits
-from palpate.rig.tare import Mounting
+from palpate.core.protocols import ForceSensor, FrameSource, Position, Stage
+from palpate.devices.force_bias import Mounting
+from palpate.devices.limits import Limits
 
 
 class Region(NamedTuple):
@@ -24,15 +23,6 @@ class Region(NamedTuple):
 
     name: str
     box_px: tuple[int, int, int, int]
-
-
-@runtime_checkable
-class FrameSource(Camera, Protocol):
-    """A camera that also hands out what it took meanwhile, without waiting."""
-
-    def drain(self) -> list[tuple[int, Frame]]:
-        """All frames since the last call or `grab`, oldest first, each with when its exposure ended [ns]."""
-        ...
 
 
 def no_truth(time_ns: int) -> dict[str, float]:

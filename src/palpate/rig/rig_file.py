@@ -17,10 +17,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from palpate.core.clock import Clock, ManualClock, MonotonicClock
 from palpate.core.errors import InputError
 from palpate.core.files import storage_errors
-from palpate.core.protocols import ForceSensor, Position, Stage
-from palpate.rig.limits import Limits
-from palpate.rig.rig import FrameSource, Region, Rig
-from palpate.rig.tare import Mounting
+from palpate.core.protocols import ForceSensor, FrameSource, Position, Stage
+from palpate.devices.force_bias import Mounting
+from palpate.devices.limits import Limits
+from palpate.rig.rig import Region, Rig
 from palpate.rig.virtual import Fault, virtual_palm
 from palpate.rig.virtual.faults import Kind
 from palpate.rig.virtual.palm import FORCE_N, REAL_TIME_AGE_S, TRAVEL
@@ -251,8 +251,8 @@ def _real(
 
 
 def _grbl(part: GrblPart, clock: Clock) -> Stage:
-    from palpate.rig.real.grbl import GrblStage
-    from palpate.rig.real.grbl_spec import GrblSpec
+    from palpate.rig.real.grbl.spec import GrblSpec
+    from palpate.rig.real.grbl.stage import GrblStage
 
     stage = GrblStage.open(GrblSpec(part.port, axes=part.axes, latency_s=part.latency_s), clock)
     if part.home:
@@ -265,8 +265,7 @@ def _grbl(part: GrblPart, clock: Clock) -> Stage:
 
 
 def _netft(part: NetFTPart, clock: Clock) -> ForceSensor:
-    from palpate.rig.real.netft import NetFT
-    from palpate.rig.real.netft_settings import NetFTSettings
+    from palpate.rig.real.netft.sensor import NetFT, NetFTSettings
 
     return NetFT(part.host, NetFTSettings(rdt_port=part.rdt_port, http_port=part.http_port), clock)
 

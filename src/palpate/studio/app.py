@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from palpate.core.errors import DeviceError, MissingExtraError
-from palpate.rig.service.client import RigClient
+from palpate.rig.service.rig_client import RigClient
 
 HOST = "127.0.0.1"
 NAMES = ["127.0.0.1", "localhost"]

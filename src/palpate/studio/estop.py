@@ -14,7 +14,7 @@ from fastapi import FastAPI, Request
 from fastapi.responses import JSONResponse
 
 from palpate.core.errors import PalpateError
-from palpate.rig.service.client import RigClient
+from palpate.rig.service.rig_client import RigClient
 
 PATH = "/estop"
 HEADER = "x-palpate"  # which a page from elsewhere cannot send without being allowed to

@@ -10,7 +10,7 @@ from nicegui import run, ui
 
 from palpate.core.errors import PalpateError
 from palpate.rig.plans import PLANS, Plan, size_of
-from palpate.rig.service.asked_plan import asked_plan
+from palpate.rig.service.rig_service import checked_plan
 from palpate.studio import drawing, words
 
 FIELDS: tuple[tuple[str, str, str, bool], ...] = (
@@ -164,7 +164,7 @@ class PlanPanel:
 
 
 def _laid_out(fields: Mapping[str, Any]) -> tuple[Plan, str]:
-    plan = asked_plan(fields)
+    plan = checked_plan(fields)
     probe, layer = plan.places.probe_mm, plan.places.layer_mm
     facts = (
         f"<b>{escape(words.plan_facts(plan, size_of(plan)))}</b><br>indenter of {probe:g} mm on a layer of "

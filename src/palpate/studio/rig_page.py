@@ -13,7 +13,7 @@ from typing import Any
 from nicegui import run, ui
 
 from palpate.core.errors import PalpateError
-from palpate.rig.service.client import RigClient
+from palpate.rig.service.rig_client import RigClient
 from palpate.studio import drawing, look, words
 from palpate.studio.palette import ACCENT, AXES, BAD, INK, SOFT
 from palpate.studio.plan_panel import PlanPanel
@@ -108,7 +108,7 @@ class RigPage:
 
     def _devices_card(self) -> None:
         with ui.element("section").classes("card"):
-            ui.html("<h2>Devices</h2>", sanitize=False)
+            ui.html("<h2>RigMonitor</h2>", sanitize=False)
             self._devices = ui.html("", sanitize=False).classes("devices").props('id="devices"')
 
     def _log_card(self) -> None:

@@ -36,7 +36,7 @@ def import_palm(
 ) -> ImportReport:
     """Turn a folder of the palm's tables and photographs into a run.
 
-    Frames come by place, cycle and the table's order of shots, with the labels of `rig.shooting` as far as
+    Frames come by place, cycle and the table's order of shots, with the labels of `rig.acquisition` as far as
     the source has them, and `row`, `column` and, where each shot has several samples, their spread
     `force_sd_N`. When photographs were taken is not known: the run's times are ordinal, and `t_s` is the
     middle of the dwell by the table.

@@ -12,18 +12,163 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import cycle
+from pathlib import Path
 from threading import Condition, Event, Thread
 from types import TracebackType
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from palpate.core.clock import NS_PER_S, Clock, MonotonicClock
 from palpate.core.errors import DeviceError, RangeError
 from palpate.core.frame import Frame
-from palpate.rig.real.uvc_address import device
-from palpate.rig.real.uvc_watch import FrameWatch, UvcCounts
+from palpate.core.shapes import UInt8
+
+BY_ID = Path("/dev/v4l/by-id")
+
+
+def device(address: str | int, by_id: Path = BY_ID) -> str | int:
+    """What to open for an address.
+
+    Args:
+        address: a number, a path such as ``/dev/video2``, or the serial number that the camera tells over
+            USB. Only the last stays with the camera when cables are swapped.
+        by_id: where the system lists cameras by serial number.
+
+    Raises:
+        DeviceError: no camera, or more than one, has this serial number.
+    """
+    if isinstance(address, int) or "/" in address:
+        return address
+    found = [path for path in _cameras(by_id) if path.name.endswith(f"_{address}-video-index0")]
+    if len(found) != 1 or not address:
+        there = ", ".join(path.name for path in _cameras(by_id)) or "none"
+        raise DeviceError(
+            f"{len(found)} cameras have the serial number {address!r}; {by_id} lists: {there}. "
+            "Give one of these serial numbers, a path such as /dev/video0, or a number"
+        )
+    return str(found[0].resolve())
+
+
+def _cameras(by_id: Path) -> list[Path]:
+    return sorted(by_id.glob("*-video-index0"))
+
+
+_RATE_OVER = 100  # frames
+_MOST_BROKEN = 10  # frames in a row
+_FEWEST_EQUAL = 3  # frames in a row; one pair a long time apart is a busy computer
+Picture = UInt8[ndarray, "h w 3"]
+
+
+@dataclass(frozen=True, slots=True)
+class UvcCounts:
+    """What a camera has sent.
+
+    Attributes:
+        frames: new ones.
+        dropped: that the time between two frames leaves room for; counted by the camera driver's stamps.
+        duplicate: equal to the one before in every pixel, and passed over.
+        broken: that could not be decoded, and were passed over.
+        backwards: how often the driver's stamps went back.
+    """
+
+    frames: int = 0
+    dropped: int = 0
+    duplicate: int = 0
+    broken: int = 0
+    backwards: int = 0
+
+
+class FrameWatch:
+    """Follows the frames of one camera."""
+
+    def __init__(self, size_px: tuple[int, int], rate_hz: float, freeze_s: float) -> None:
+        """Follow a camera.
+
+        Args:
+            size_px: (width, height) of every frame [px].
+            rate_hz: that it is set to [Hz].
+            freeze_s: after equal frames for longer, it counts as frozen [s].
+        """
+        self._size_px, self._period_ns, self._freeze_ns = size_px, NS_PER_S / rate_hz, freeze_s * NS_PER_S
+        self._frames = self._dropped = self._duplicate = self._broken = self._backwards = 0
+        self._broken_in_a_row = self._equal_in_a_row = 0
+        self._before: Picture | None = None
+        self._stamps_ns: deque[int] = deque(maxlen=_RATE_OVER)
+        self._new_ns = 0
+
+    @property
+    def counts(self) -> UvcCounts:
+        """What has come so far."""
+        return UvcCounts(self._frames, self._dropped, self._duplicate, self._broken, self._backwards)
+
+    @property
+    def measured_rate_hz(self) -> float | None:
+        """Frames a second over the last hundred, duplicates among them; None until there are two [Hz]."""
+        stamps = self._stamps_ns.copy()
+        return (len(stamps) - 1) * NS_PER_S / (stamps[-1] - stamps[0]) if len(stamps) > 1 else None
+
+    def broken(self, stamp_ns: int) -> None:
+        """Count a frame that could not be decoded.
+
+        Args:
+            stamp_ns: the driver's time of it [ns].
+
+        Raises:
+            DeviceError: it was the tenth in a row.
+        """
+        self._stamp(stamp_ns)
+        self._broken += 1
+        self._broken_in_a_row += 1
+        if self._broken_in_a_row >= _MOST_BROKEN:
+            raise DeviceError(f"{_MOST_BROKEN} frames in a row could not be decoded; try another cable")
+
+    def is_new(self, picture: ndarray, stamp_ns: int, time_ns: int) -> bool:
+        """Whether a frame is another one than that before.
+
+        Args:
+            picture: as the camera gave it.
+            stamp_ns: the driver's time of it, on whatever clock [ns].
+            time_ns: when it came [ns].
+
+        Raises:
+            DeviceError: its size or format is another, or the camera froze.
+        """
+        self._refuse_changed(picture)
+        self._broken_in_a_row = 0
+        self._stamp(stamp_ns)
+        if self._before is not None and np.array_equal(picture, self._before):
+            self._duplicate += 1
+            self._equal_in_a_row += 1
+            if self._equal_in_a_row >= _FEWEST_EQUAL and time_ns - self._new_ns > self._freeze_ns:
+                raise DeviceError(
+                    f"all frames for {self._freeze_ns / NS_PER_S:g} s were equal in every pixel: it froze, "
+                    "or sees perfect darkness; plug it in anew, or take off its cap"
+                )
+            return False
+        self._frames, self._before, self._new_ns, self._equal_in_a_row = self._frames + 1, picture, time_ns, 0
+        return True
+
+    def _refuse_changed(self, picture: ndarray) -> None:
+        width, height = self._size_px
+        if picture.dtype != np.uint8 or picture.shape != (height, width, 3):
+            raise DeviceError(
+                f"a frame came as {picture.dtype} {list(picture.shape)} where uint8 [{height}, {width}, 3] "
+                "was set: its size or format changed; close other programs that use it and open it anew"
+            )
+
+    def _stamp(self, stamp_ns: int) -> None:
+        if self._stamps_ns:
+            step_ns = stamp_ns - self._stamps_ns[-1]
+            if step_ns <= 0:
+                self._backwards += step_ns < 0
+                self._stamps_ns.clear()
+            else:
+                self._dropped += max(round(step_ns / self._period_ns) - 1, 0)
+        self._stamps_ns.append(stamp_ns)
+
 
 EXPOSURE_UNIT_S = 1e-4  # of the control "exposure time, absolute" in UVC
 MANUAL = 1  # of the control "exposure, auto" in Video4Linux
@@ -33,7 +178,7 @@ _CLOSE_S = 2.0  # for a read under way to end
 
 
 @runtime_checkable
-class Source(Protocol):
+class VideoSource(Protocol):
     """What is used of `cv2.VideoCapture`."""
 
     def isOpened(self) -> bool: ...  # noqa: N802 - OpenCV's name
@@ -44,7 +189,7 @@ class Source(Protocol):
     def release(self) -> None: ...
 
 
-def open_source(where: str | int) -> Source:
+def open_source(where: str | int) -> VideoSource:
     """The camera there, by Video4Linux where there is one."""
     return cv2.VideoCapture(where, cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY)
 
@@ -96,7 +241,7 @@ class UvcCamera:
     Use it in a ``with`` block, or close it.
 
     Example:
-        >>> from palpate.rig.fakes.camera import FakeVideoCapture
+        >>> from palpate.rig.fakes.video_capture import FakeVideoCapture
         >>> settings = UvcSettings(size_px=(64, 48), rate_hz=100.0, exposure_s=5e-3)
         >>> with UvcCamera("/dev/video0", settings, opener=lambda where: FakeVideoCapture()) as camera:
         ...     time_ns, frame = camera.grab(timeout_s=10.0)
@@ -109,7 +254,7 @@ class UvcCamera:
         address: str | int = 0,
         settings: UvcSettings | None = None,
         clock: Clock | None = None,
-        opener: Callable[[str | int], Source] = open_source,
+        opener: Callable[[str | int], VideoSource] = open_source,
     ) -> None:
         """Open the camera.
 

@@ -11,10 +11,9 @@ from pathlib import Path
 from types import FrameType
 
 from palpate.core.errors import PalpateError
-from palpate.rig.service.address import Address, hold, publish
-from palpate.rig.service.host import RigService
-from palpate.rig.service.opening import open_rig
-from palpate.rig.service.server import Server
+from palpate.devices.rpc import Address, hold, publish
+from palpate.rig.service.opening import open_served_rig
+from palpate.rig.service.rig_service import RigServer, RigService
 
 LOOK_S = 0.2
 SWITCH_S = 0.001  # between threads, so that an emergency stop does not wait for what others compute
@@ -54,8 +53,8 @@ def serve(rig: str, runs: Path, folder: Path | None, accelerated: bool, ended: t
         InputError: there is no such rig.
     """
     with hold(rig, folder):
-        service = RigService(open_rig(rig, accelerated=accelerated), runs)
-        server = Server(service)
+        service = RigService(open_served_rig(rig, accelerated=accelerated), runs)
+        server = RigServer(service)
         path = publish(Address(rig, server.port, server.token, os.getpid()), folder)
         try:
             while not (ended.wait(LOOK_S) or server.ended.is_set()):

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from palpate.core.clock import Clock, ManualClock, MonotonicClock
-from palpate.rig.limits import Limits
+from palpate.devices.limits import Limits
 from palpate.rig.rig import Rig
 from palpate.rig.rig_file import VIRTUAL, read_rig, rig_from
 from palpate.rig.virtual.palm import FORCE_N, REAL_TIME_AGE_S, TRAVEL, virtual_palm
 
 
 @dataclass(frozen=True, slots=True)
-class Opened:
+class ServedRig:
     """A rig and how to watch it.
 
     Attributes:
@@ -25,7 +25,7 @@ class Opened:
     real_time: bool = True
 
 
-def open_rig(name: str, *, accelerated: bool = False, seed: int = 0) -> Opened:
+def open_served_rig(name: str, *, accelerated: bool = False, seed: int = 0) -> ServedRig:
     """Open a rig.
 
     Args:
@@ -52,12 +52,12 @@ def rig_name(rig: str) -> str:
     return str(Path(rig).resolve())
 
 
-def _virtual(accelerated: bool, seed: int) -> Opened:
+def _virtual(accelerated: bool, seed: int) -> ServedRig:
     clock: Clock = ManualClock() if accelerated else MonotonicClock()
     limits = Limits(TRAVEL.least_m, TRAVEL.greatest_m, force_n=FORCE_N, age_s=REAL_TIME_AGE_S)
-    return Opened(virtual_palm(clock=clock, seed=seed, limits=limits), not accelerated)
+    return ServedRig(virtual_palm(clock=clock, seed=seed, limits=limits), not accelerated)
 
 
-def _of_file(path: Path) -> Opened:
+def _of_file(path: Path) -> ServedRig:
     file = read_rig(path)
-    return Opened(rig_from(file), file.virtual is None or file.virtual.real_time)
+    return ServedRig(rig_from(file), file.virtual is None or file.virtual.real_time)

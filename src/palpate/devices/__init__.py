@@ -1,0 +1,22 @@
+"""Holds devices safely: limits, guarded motion, the operator's commands, conformance checks, a process.
+
+Nothing here knows a rig, a plan or a recording: an actuator that moves and a force that is measured do.
+"""
+
+from palpate.devices.force_bias import ForceBias, Mounting
+from palpate.devices.guard import MotionGuard, Subscribers
+from palpate.devices.limits import Limits, Reason, Tripped
+from palpate.devices.operator import OperatorCommand, OperatorControl, OperatorInterrupt
+
+__all__ = [
+    "ForceBias",
+    "Limits",
+    "MotionGuard",
+    "Mounting",
+    "OperatorCommand",
+    "OperatorControl",
+    "OperatorInterrupt",
+    "Reason",
+    "Subscribers",
+    "Tripped",
+]

@@ -1,0 +1,211 @@
+"""Does a camera keep what `core.Camera` promises?"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy import ndarray
+
+from palpate.core.clock import NS_PER_S, Clock
+from palpate.core.errors import DeviceError, RangeError
+from palpate.core.frame import Frame
+from palpate.core.protocols import Camera
+from palpate.core.shapes import Float
+from palpate.devices.check.result import (
+    CheckResult,
+    Part,
+    at_most,
+    closing,
+    gathered,
+    held,
+    judged,
+    refusal,
+    seconds,
+    told,
+)
+
+FROZEN = 5  # frames in a row that are the same to the last bit, as in the rig
+LAG_S = 0.5  # from the end of an exposure until its frame is here
+EARLY_S = 1e-3  # rounding
+RATE_WITHIN = 0.05  # of what is stated
+JITTER = 0.1  # of a period, standard deviation
+FEWEST = 20
+GRAB_PERIODS = 10.0  # to wait for one frame, and a second
+PAUSE_PERIODS = 4.0  # at most, between two grabs; random, so that only the true rate beats with all stamps
+SIDE = 8.0  # rates are looked for from an eighth of what is stated to twice
+FINE = 0.1  # of the width of a peak
+AS_HIGH = 0.9  # as the highest peak, for a lower rate to be the true one
+
+
+@dataclass(frozen=True, slots=True)
+class Grabbed:
+    """One frame, when it was asked for, when it came and when its exposure ended [s]."""
+
+    asked_s: float
+    came_s: float
+    ended_s: float
+    frame: Frame
+
+
+def check_camera(camera: object, *, clock: Clock, frames: int = 40, close: bool = True) -> list[CheckResult]:
+    """Check a driver of a camera. It should see something that lives; noise is enough.
+
+    Args:
+        camera: the driver's, a `core.Camera`.
+        clock: that it stamps on: `MonotonicClock` for a real one.
+        frames: how many to grab, with pauses of up to four frames between.
+        close: close it at the end, and check that.
+
+    Raises:
+        RangeError: fewer than 20 frames.
+
+    Example:
+        >>> from palpate.rig.virtual import virtual_palm
+        >>> rig = virtual_palm()
+        >>> all(one.ok for one in check_camera(rig.camera, clock=rig.clock))
+        True
+    """
+    if frames < FEWEST:
+        raise RangeError(f"{frames} frames say too little about a rate; grab {FEWEST} or more")
+    found = [*gathered("the protocol", _shape(camera))]
+    if isinstance(camera, Camera) and all(one.ok for one in found):
+        found += gathered("grabbing", _grabbing(camera, clock, frames))
+    if close and isinstance(camera, Camera):
+        found += gathered("close", closing(camera, camera.grab, "grab()"))
+    return found
+
+
+def _shape(camera: object) -> Part:
+    shaped = isinstance(camera, Camera)
+    yield held("has the protocol's methods", shaped, "see palpate.core.Camera for what a camera must have")
+    if not isinstance(camera, Camera):
+        return
+    rate, size = camera.rate_hz, camera.size_px
+    yield held("states a rate", math.isfinite(rate) and rate > 0, f"rate_hz is {rate}; it must be above 0 Hz")
+    sane = len(size) == 2 and all(isinstance(side, int) and side > 0 for side in size)
+    yield held("states a size", sane, f"size_px is {size}; give (width, height), whole numbers above 0")
+
+
+def _grabbing(camera: Camera, clock: Clock, count: int) -> Part:
+    wait_s = 1.0 + GRAB_PERIODS / camera.rate_hz
+    grabbed: list[Grabbed] = []
+    rng = np.random.default_rng(0)
+    for _ in range(count):
+        asked_s = seconds(clock)
+        ended_ns, frame = camera.grab(wait_s)
+        grabbed.append(Grabbed(asked_s, seconds(clock), ended_ns / NS_PER_S, frame))
+        clock.sleep(float(rng.uniform(0, PAUSE_PERIODS)) / camera.rate_hz)
+    yield from _pictures(camera, grabbed)
+    yield from _times(grabbed)
+    yield from _rate(camera, np.array([one.ended_s for one in grabbed]))
+    short_s = 1e-3 / camera.rate_hz
+    error = refusal(lambda: camera.grab(short_s))
+    yield held(
+        "says so when no frame comes in time",
+        isinstance(error, DeviceError),
+        f"grab({short_s:.1g}), which no frame can keep, {told(error)}; raise DeviceError",
+    )
+
+
+def _pictures(camera: Camera, grabbed: list[Grabbed]) -> Part:
+    width, height = camera.size_px
+    shapes = {one.frame.image.shape for one in grabbed}
+    yield held(
+        "keeps the stated size",
+        len(shapes) == 1 and next(iter(shapes))[:2] == (height, width),
+        f"{width} x {height} px are stated, and rows, columns and colours of {sorted(shapes)} came",
+    )
+    same = [
+        np.array_equal(a.frame.image, b.frame.image)
+        for a, b in itertools.pairwise(grabbed)
+    ]  # fmt: skip
+    longest = max((len(list(run)) for alike, run in itertools.groupby(same) if alike), default=0)
+    yield at_most(
+        "is not frozen",
+        longest,
+        FROZEN - 1,
+        "",
+        f"{longest + 1} frames in a row are the same to the last bit; is the camera running?",
+    )
+    exposures = [one.frame.exposure_s for one in grabbed]
+    known = [one for one in exposures if one is not None and 0 < one < math.inf]
+    yield held(
+        "tells its exposure",
+        len(known) == len(exposures),
+        "frame.exposure_s is missing; force is averaged over it, so give it in s",
+    )
+    if known:
+        yield at_most(
+            "exposes for no longer than a frame",
+            max(known),
+            1 / camera.rate_hz,
+            "s",
+            "the exposure is longer than the stated rate leaves room for; is it in seconds?",
+        )
+
+
+def _times(grabbed: list[Grabbed]) -> Part:
+    ends = np.array([one.ended_s for one in grabbed])
+    back = int(np.count_nonzero(np.diff(ends) <= 0))
+    yield at_most(
+        "timestamps increase",
+        back,
+        0,
+        "",
+        f"{back} frames were not later than the one before; grab() returns the next frame, not the last",
+    )
+    early = max(one.asked_s - (one.ended_s - (one.frame.exposure_s or 0.0)) for one in grabbed)
+    yield at_most(
+        "frames are exposed after the call",
+        early,
+        EARLY_S,
+        "s",
+        "a frame was begun before it was asked for: an old one from a queue; throw those away",
+    )
+    lags = [one.came_s - one.ended_s for one in grabbed]
+    lag = min(lags)
+    ok = lag >= -EARLY_S and max(lags) <= LAG_S
+    yield judged(
+        "timestamps are on the host's clock",
+        ok,
+        lag,
+        LAG_S,
+        "s",
+        f"frames came {lag:g} to {max(lags):g} s after their stamps; stamp the end of the exposure, with the "
+        "clock that was given, in ns",
+    )
+
+
+def _rate(camera: Camera, ends_s: Float[ndarray, " n"]) -> Part:
+    """The lowest rate whose beat all stamps keep: pauses of any length lie between them."""
+    stated = camera.rate_hz
+    span_s = float(ends_s[-1] - ends_s[0])
+    if not span_s > 0:
+        yield held("takes frames at the stated rate", False, "all frames have one time")
+        return
+    rates = np.arange(stated / SIDE, 2 * stated, FINE / span_s)
+    beat = np.abs(np.exp(2j * np.pi * np.outer(rates, ends_s - ends_s[0])).mean(axis=1))
+    rate = float(rates[np.flatnonzero(beat >= AS_HIGH * beat.max())[0]])
+    near = np.abs(rates - rate) < 1 / span_s
+    best = int(np.argmax(np.where(near, beat, 0.0)))
+    rate = float(rates[best])
+    yield judged(
+        "takes frames at the stated rate",
+        abs(rate / stated - 1) <= RATE_WITHIN,
+        rate,
+        stated,
+        "Hz",
+        f"stamps keep the beat of {rate:.4g} Hz, and {stated:g} Hz are stated: are frames lost?",
+    )
+    # Of a normal jitter, the mean of exp(i phase) is exp(-variance / 2).
+    jitter_s = math.sqrt(max(0.0, -2 * math.log(max(float(beat[best]), 1e-12)))) / (2 * math.pi * rate)
+    yield at_most(
+        "stamps frames evenly",
+        jitter_s,
+        JITTER / stated,
+        "s",
+        "stamps jitter too much to tell when a frame was exposed; use the driver's stamps, or stamp sooner",
+    )

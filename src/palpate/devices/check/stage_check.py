@@ -1,0 +1,441 @@
+"""Does a stage keep what `core.Stage` promises? Small moves inside a box in free air say so."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+
+from palpate.core.clock import Clock
+from palpate.core.errors import DeviceError, RangeError
+from palpate.core.protocols import Position, Stage, Travel
+from palpate.devices.check.result import (
+    CheckResult,
+    Part,
+    at_most,
+    closing,
+    gathered,
+    held,
+    refusal,
+    seconds,
+    told,
+)
+from palpate.devices.check.stage_motion import Box, UnsafeError, Walker, spread_m
+
+WITHIN_M = 0.02e-3  # how exactly a stage must stand where it was sent, as everywhere in the rig
+AT_ONCE_S = 0.25  # a serial line and a few answers; a driver that waits for the motion takes longer
+FASTER = 1.05  # than asked, which the finite number of looks may make it seem
+
+
+def check_stage(
+    stage: object,
+    *,
+    clock: Clock,
+    region_m: Box,
+    speed_m_s: float = 2e-3,
+    within_m: float = WITHIN_M,
+    watch: Callable[[], None] = lambda: None,
+    close: bool = True,
+) -> list[CheckResult]:
+    """Check a driver of a stage, by moving it a little.
+
+    The stage must stand in the box already, homed and at rest. It is stopped, and nothing moves any more, as
+    soon as it is seen outside the box or `watch` raises. A place outside the travel is asked for too, which a
+    good driver refuses; a bad one begins to go there, slowly, and is stopped at once. So leave some
+    millimetres of free air around the box as well.
+
+    Args:
+        stage: the driver's, a `core.Stage`.
+        clock: that it lives by: `MonotonicClock` for a real one.
+        region_m: least and greatest corner of the box, inside the travel [m]. All of it is free air.
+        speed_m_s: of the moves.
+        within_m: how exactly it must stand where it was sent [m].
+        watch: called at every look while it moves; raises what ends the check, such as too much force.
+        close: close it at the end, and check that.
+
+    Returns:
+        The findings, in the order they were made.
+
+    Raises:
+        RangeError: the box leaves the travel or is too small for the speed, or no such speed; nothing moved.
+
+    Example:
+        >>> from palpate.rig.virtual import virtual_palm
+        >>> rig = virtual_palm()
+        >>> box = ((-2e-3, -2e-3, -7e-3), (2e-3, 2e-3, -3e-3))
+        >>> all(one.ok for one in check_stage(rig.stage, clock=rig.clock, region_m=box))
+        True
+    """
+    found = [*gathered("the protocol", _shape(stage))]
+    if not (isinstance(stage, Stage) and all(one.ok for one in found)):
+        return found
+    walker = Walker(stage, clock, region_m, speed_m_s, within_m, watch)
+    found += _moved(walker)
+    if close:
+        found += gathered("close", closing(stage, lambda: stage.move_to(walker.centre, speed_m_s), "move_to"))
+    return found
+
+
+def _shape(stage: object) -> Part:
+    shaped = isinstance(stage, Stage)
+    yield held("has the protocol's methods", shaped, "see palpate.core.Stage for what a stage must have")
+    if not isinstance(stage, Stage):
+        return
+    travel = stage.travel
+    wrong = list(_wrong(travel)) if isinstance(travel, Travel) else ["it is no palpate.core.Travel"]
+    yield held("has a sane travel", not wrong, f"{'; '.join(wrong)}: {travel}")
+
+
+def _wrong(travel: Travel) -> Iterator[str]:
+    for axis, low, high in zip("xyz", travel.least_m, travel.greatest_m, strict=True):
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            yield f"{axis} from {low} to {high} m"
+        elif high - low > 10.0:
+            yield f"{axis} spans {high - low:g} m; are these millimetres?"
+    for name in ("top_speed_m_s", "acceleration_m_s2"):
+        value = getattr(travel, name)
+        if not (math.isfinite(value) and value > 0):
+            yield f"{name} is {value}; it must be above 0"
+    if not (math.isfinite(travel.latency_s) and travel.latency_s >= 0):
+        yield f"latency_s is {travel.latency_s}; it must be 0 or more"
+
+
+def _moved(walker: Walker) -> Iterator[CheckResult]:
+    """All parts that may move, ended by the first that leaves the stage unsafe."""
+    parts = (
+        ("standing", _standing),
+        ("moving", _moving),
+        ("a second move", refusing_second),
+        ("stop", stopping),
+        ("stop from another thread", stopping_elsewhere),
+        ("stop at a stand", stopping_still),
+        ("refusing", refusing),
+    )
+    try:
+        for what, part in parts:
+            yield from _kept_safe(what, part(walker), walker)
+    except UnsafeError as e:
+        yield held("stays safe", False, f"{e}; nothing was moved after that")
+
+
+def _kept_safe(what: str, part: Part, walker: Walker) -> Part:
+    """As `gathered`, but whatever goes wrong the stage stands at the end, or `UnsafeError` leaves."""
+    unsafe: list[UnsafeError] = []
+
+    def watched() -> Part:
+        try:
+            yield from part
+        except UnsafeError as e:
+            unsafe.append(e)
+
+    yield from gathered(what, watched())
+    walker.halt()
+    if unsafe:
+        raise unsafe[0]
+
+
+def _standing(walker: Walker) -> Part:
+    first = walker.stage.position_m()
+    inside = walker.inside(first)
+    yield held(
+        "stands in the box at the start",
+        inside,
+        f"it is at {first} m; move it into the box by hand before the check, nothing was moved",
+    )
+    if not inside:
+        raise UnsafeError("it does not stand in the box")
+    yield at_most(
+        "holds its position at a stand",
+        spread_m(walker.rest(0.1)),
+        walker.within_m,
+        "m",
+        "its position changes while it stands",
+    )
+    yield held("says that it stands", not walker.stage.moving(), "moving() is True before any move")
+
+
+def _moving(walker: Walker) -> Part:
+    walker.go(walker.centre)
+    first = walker.go(walker.low(2))
+    yield held(
+        "says that it moves",
+        first.moved,
+        "moving() was False right after move_to, which would be taken for having arrived",
+    )
+    if not first.moved and first.missed_m > walker.within_m:
+        raise UnsafeError("it cannot be told when it moves")
+    sideways = [place for axis in (0, 1) for place in (walker.low(axis), walker.high(axis), walker.centre)]
+    aslant = [walker.low(0), walker.high(2), walker.centre]
+    traces = [first, *(walker.go(place) for place in (walker.high(2), walker.centre, *sideways, *aslant))]
+    shortest = min(trace.took_s for trace in traces)
+    yield at_most(
+        "returns at once from move_to",
+        max(trace.call_s for trace in traces),
+        min(AT_ONCE_S, shortest / 2),
+        "s",
+        "move_to must begin the motion and return; moving() tells when it is over",
+    )
+    late = sum(not trace.ended for trace in traces)
+    yield at_most(
+        "says when it stands", late, 0, "", f"{late} moves never ended; moving() must become False at the end"
+    )
+    yield at_most(
+        "goes where it is sent",
+        max(trace.missed_m for trace in traces),
+        walker.within_m,
+        "m",
+        "it stands elsewhere: are steps lost, or are signs, units or scale wrong?",
+    )
+    yield at_most(
+        "goes on, never back, on its way",
+        max(trace.backwards_m for trace in traces),
+        walker.within_m,
+        "m",
+        "its position steps back while it moves on",
+    )
+    yield held(
+        "tells its position on its way",
+        min(trace.seen_between for trace in traces) >= 3,
+        "position_m() must be where it is now, also while it moves",
+    )
+    yield at_most(
+        "goes straight",
+        max(trace.aside_m for trace in traces),
+        walker.within_m,
+        "m",
+        "it leaves the straight line between start and target",
+    )
+    fastest = max(math.dist(trace.start_m, trace.target_m) / max(trace.took_s, 1e-9) for trace in traces)
+    yield at_most(
+        "is no faster than asked",
+        fastest,
+        FASTER * walker.speed_m_s,
+        "m/s",
+        "its overshoot after a stop is calculated from the speed that was asked for",
+    )
+
+
+PATIENCE_S = 1.0  # beyond the slowing down: a few answers of a controller
+STAND_S = 0.2  # for how long it must go on standing
+HUNG_S = 30.0  # of the machine's time, after which a call in another thread counts as one that never returns
+
+
+def stopping(walker: Walker) -> Part:
+    """From full speed, along each axis."""
+    for axis in range(3):
+        walker.go(walker.low(axis))
+        target = walker.high(axis)
+        walker.go(target, share=0.5)
+        begun = seconds(walker.clock)
+        at = walker.here()
+        looked_s = seconds(walker.clock) - begun
+        walker.stage.stop()
+        took_s = seconds(walker.clock) - begun
+        yield from _stopped(walker, "xyz"[axis], at, target, looked_s, took_s)
+
+
+def _stopped(
+    walker: Walker, axis: str, at: Position, target: Position, looked_s: float, took_s: float
+) -> Part:
+    travel, speed = walker.travel, walker.speed_m_s
+    stands = not walker.stage.moving()
+    places = walker.rest(STAND_S)
+    yield held(
+        f"stands when stop returns, along {axis}",
+        stands and spread_m(places) <= walker.within_m,
+        "stop() must return only once the stage stands, and moving() is False then",
+    )
+    yield at_most(
+        f"runs on by its stated overshoot at most, along {axis}",
+        math.dist(at, places[-1]),
+        # Looking takes time too, during which it goes on.
+        travel.overshoot_m(speed) + speed * looked_s + walker.within_m,
+        "m",
+        "v^2 / 2a + v latency is what guarded motion relies on: state a longer latency_s or a lower "
+        "acceleration_m_s2 in travel, or stop sooner",
+    )
+    yield at_most(
+        f"stop returns in time, along {axis}",
+        took_s,
+        speed / travel.acceleration_m_s2 + travel.latency_s + looked_s + PATIENCE_S,
+        "s",
+        "stop() takes too long to return; an operator's emergency stop waits for it",
+    )
+    yield held(
+        f"stops short of the target, along {axis}",
+        math.dist(places[-1], target) > walker.margin_m,
+        "it went on to its target: stop() did not end the move",
+    )
+
+
+def stopping_elsewhere(walker: Walker) -> Part:
+    """By another thread, while this one goes on asking for the position."""
+    walker.go(walker.low(0))
+    target = walker.high(0)
+    walker.go(target, share=0.5)
+    at = walker.here()
+    returned, raised = _called_elsewhere(walker.stage.stop, walker.stage.position_m)
+    places = walker.rest(STAND_S)
+    yield held(
+        "stops from another thread",
+        returned
+        and raised is None
+        and not walker.stage.moving()
+        and spread_m(places) <= walker.within_m
+        and math.dist(places[-1], target) > walker.margin_m,
+        f"stop() in another thread at {at} m {'raised ' + repr(raised) if raised else 'did not stop it'}; "
+        "stop() must be safe from any thread, also while others ask for the position",
+    )
+    after = walker.go(walker.centre)
+    yield at_most(
+        "moves again after a stop",
+        after.missed_m,
+        walker.within_m,
+        "m",
+        "after a stop its position is known, the old move is forgotten, and a new one goes where it is sent",
+    )
+
+
+def _called_elsewhere(
+    call: Callable[[], object], meanwhile: Callable[[], object]
+) -> tuple[bool, Exception | None]:
+    """Whether a call in another thread returned, and what it raised."""
+    raised: list[Exception] = []
+
+    def run() -> None:
+        error = refusal(call)
+        if error is not None:
+            raised.append(error)
+
+    thread = threading.Thread(target=run, name="conformance check", daemon=True)
+    thread.start()
+    end_s = time.monotonic() + HUNG_S
+    while thread.is_alive() and time.monotonic() < end_s:
+        with suppress(DeviceError):  # a call that a stop cuts off may say so
+            meanwhile()
+        thread.join(0.002)
+    return not thread.is_alive(), raised[0] if raised else None
+
+
+def stopping_still(walker: Walker) -> Part:
+    """Twice at a stand: nothing happens."""
+    walker.go(walker.centre)
+    before = walker.here()
+    errors = [refusal(walker.stage.stop) for _ in range(2)]
+    raised = next((error for error in errors if error is not None), None)
+    yield held(
+        "may be stopped at a stand",
+        raised is None,
+        f"stop() at a stand raised {type(raised).__name__}: {raised}; let it do nothing",
+    )
+    yield at_most(
+        "stays where it is when stopped at a stand",
+        spread_m([before, *walker.rest(STAND_S)]),
+        walker.within_m,
+        "m",
+        "stop() at a stand moved it",
+    )
+    yield at_most(
+        "moves again after a stop at a stand",
+        walker.go(walker.low(1)).missed_m,
+        walker.within_m,
+        "m",
+        "a stop at a stand must not spoil the next move",
+    )
+
+
+BEYOND_M = 1e-3  # the travel
+SLOW_M_S = 0.5e-3  # for what must be refused, should it be taken
+NEAR_M = 0.1e-3
+
+
+def refusing_second(walker: Walker) -> Part:
+    """A move while another is under way is refused, and the first goes on."""
+    walker.go(walker.low(0))
+    target = walker.high(0)
+    walker.go(target, share=0.3)
+    error = refusal(lambda: walker.stage.move_to(walker.centre, walker.speed_m_s))
+    yield held(
+        "refuses a second move with DeviceError",
+        isinstance(error, DeviceError),
+        f"move_to while it moves {told(error)}; one move at a time: raise DeviceError",
+    )
+    yield at_most(
+        "goes on with the first move after refusing a second",
+        walker.finish(target),
+        walker.within_m,
+        "m",
+        "the refused move changed the one under way",
+    )
+
+
+def refusing(walker: Walker) -> Part:
+    """Places and speeds that are not allowed; whatever is taken nevertheless is stopped at once."""
+    walker.go(walker.centre)
+    before = walker.here()
+    slow = min(SLOW_M_S, walker.speed_m_s)
+    asked = {
+        "refuses places outside its travel": [(place, slow) for place in _outside(walker, before)],
+        "refuses places that are no numbers": [(place, slow) for place in _no_places(before)],
+        "refuses speeds it cannot run at": [(_near(before), speed) for speed in _no_speeds(walker)],
+    }
+    for name, moves in asked.items():
+        errors = []
+        for place, speed in moves:
+            errors.append(refusal(lambda place=place, speed=speed: walker.stage.move_to(place, speed)))  # type: ignore[misc]
+            walker.halt()
+        taken = [move for move, error in zip(moves, errors, strict=True) if not isinstance(error, RangeError)]
+        first = next((e for e in errors if not isinstance(e, RangeError)), None)
+        yield at_most(
+            name,
+            len(taken),
+            0,
+            "",
+            f"{len(taken)} of {len(moves)} were not refused with RangeError, such as move_to{taken[:1]}, "
+            f"which {told(first)}; raise RangeError before anything moves",
+        )
+    yield at_most(
+        "stands still when it refuses",
+        spread_m([before, walker.here()]),
+        walker.within_m,
+        "m",
+        "it moved although it was asked for what is not allowed",
+    )
+
+
+def _outside(walker: Walker, at: Position) -> Iterator[Position]:
+    travel = walker.travel
+    for axis in range(3):
+        for limit in (travel.least_m[axis] - BEYOND_M, travel.greatest_m[axis] + BEYOND_M):
+            yield _with(at, axis, limit)
+
+
+def _no_places(at: Position) -> Iterator[Position]:
+    for axis in range(3):
+        for value in (math.nan, math.inf, -math.inf):
+            yield _with(at, axis, value)
+
+
+def _no_speeds(walker: Walker) -> tuple[float, ...]:
+    return (
+        math.nan,
+        math.inf,
+        -math.inf,
+        0.0,
+        -walker.speed_m_s,
+        2 * walker.travel.top_speed_m_s,
+    )
+
+
+def _near(at: Position) -> Position:
+    """Inside the box, away from the skin."""
+    return at[0], at[1], at[2] - NEAR_M
+
+
+def _with(at: Position, axis: int, value: float) -> Position:
+    place = list(at)
+    place[axis] = value
+    x, y, z = place
+    return x, y, z

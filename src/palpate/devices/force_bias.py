@@ -1,0 +1,95 @@
+"""From the force sensor's own axes to the skin's: signs, and the bias in software.
+
+The convention, stated once: z into the skin, and the normal force is positive in compression; x and y are the
+force of the probe on the skin. The bias is the mean of samples without contact, taken off here and never in
+the device; raw samples are recorded beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from palpate.core.errors import RangeError
+from palpate.core.protocols import Wrench
+from palpate.devices.limits import Reason, Tripped
+
+SAMPLES = 20  # fewest for a mean that is worth taking off
+
+Force = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Mounting:
+    """How the sensor sits: for the skin's x, y and z, which of the device's axes, and its sign.
+
+    Attributes:
+        axes: such as ("x", "y", "-z"), where a device pushed along its own +z reads negative in compression.
+    """
+
+    axes: tuple[str, str, str] = ("x", "y", "z")
+
+    def __post_init__(self) -> None:
+        letters = [axis.lstrip("+-") for axis in self.axes]
+        if sorted(letters) != ["x", "y", "z"] or any(len(axis) > 2 for axis in self.axes):
+            raise RangeError(
+                f"a sensor mounted as {self.axes}; name x, y and z once each, with + or - before"
+            )
+
+    def turned(self, vector: Sequence[float]) -> Force:
+        """A device's vector in the skin's axes."""
+        x, y, z = (
+            (-1.0 if axis.startswith("-") else 1.0) * vector["xyz".index(axis.lstrip("+-"))]
+            for axis in self.axes
+        )
+        return x, y, z
+
+
+@dataclass(slots=True)
+class ForceBias:
+    """What the sensor reads without contact, in the skin's axes.
+
+    Attributes:
+        mounting: of the sensor.
+        force_n, torque_nm: taken off every sample.
+        noise_n: standard deviation along z while it was measured [N].
+    """
+
+    mounting: Mounting = field(default_factory=Mounting)
+    force_n: Force = (0.0, 0.0, 0.0)
+    torque_nm: Force = (0.0, 0.0, 0.0)
+    noise_n: float = 0.0
+
+    def measure(self, samples: Sequence[Wrench]) -> None:
+        """Set it from samples taken without contact.
+
+        Raises:
+            Tripped: fewer than `SAMPLES` good ones; the reason says whether the rest were faulty or missing.
+        """
+        good = [one for one in samples if not one.fault]
+        faults = {one.fault for one in samples if one.fault}
+        if len(good) < SAMPLES and faults:
+            raise Tripped(Reason.FORCE_FAULT, f"the force sensor says: {', '.join(sorted(faults))}")
+        if len(good) < SAMPLES:
+            raise Tripped(
+                Reason.FORCE_STALE,
+                f"{len(good)} good force samples for the zero of {SAMPLES}: is the sensor streaming?",
+            )
+        force = np.array([self.mounting.turned(one.force_n) for one in good])
+        torque = np.array([self.mounting.turned(one.torque_nm) for one in good])
+        fx, fy, fz = force.mean(axis=0).tolist()
+        tx, ty, tz = torque.mean(axis=0).tolist()
+        self.force_n, self.torque_nm = (fx, fy, fz), (tx, ty, tz)
+        self.noise_n = float(force[:, 2].std(ddof=1))
+
+    def force(self, sample: Wrench) -> Force:
+        """Of a sample, in the skin's axes, without the bias [N]."""
+        x, y, z = self.mounting.turned(sample.force_n)
+        return x - self.force_n[0], y - self.force_n[1], z - self.force_n[2]
+
+    def torque(self, sample: Wrench) -> Force:
+        """Likewise [Nm]."""
+        x, y, z = self.mounting.turned(sample.torque_nm)
+        return x - self.torque_nm[0], y - self.torque_nm[1], z - self.torque_nm[2]

@@ -1,0 +1,342 @@
+"""Guarded motion: nothing moves on an old force, and nothing goes on moving past a limit.
+
+A move towards the skin is cut into short ones, one in flight at a time, so that a link that breaks can run on
+by one of them at most. While anything moves, the force sensor is read without pause; the stage is stopped on
+too much force, too fast a rise, an old or faulty sample, the operator's wish, or any failure at all.
+
+What passes meanwhile is published: the samples as they were drained, where the stage is, and each look.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Generic, ParamSpec
+
+from palpate.core.clock import NS_PER_S, Clock
+from palpate.core.errors import DeviceError
+from palpate.core.protocols import ForceSensor, Position, Stage, Wrench
+from palpate.devices.force_bias import Force, ForceBias
+from palpate.devices.limits import Limits, Reason, Tripped
+from palpate.devices.operator import AT_ONCE, OperatorCommand, OperatorControl
+
+POLL_S = 0.002  # between two looks at the force while something moves
+WAIT_S = 0.02  # and while nothing does
+ARRIVED_M = 0.02e-3  # from the target, at most, after a move
+LATE_S = 1.0  # beyond the time that a move should take
+LATE_FACTOR = 2.0
+RISE_N = 1.0  # by which force may rise while the probe moves away: friction, noise, a sign that is wrong
+
+LEAVING = (OperatorCommand.ESTOP,)
+"""What may stop the probe on its way away from the skin."""
+
+Until = Callable[[Force], bool]
+Check = Callable[[Wrench], None]
+
+
+def _never(force: Force) -> bool:
+    return False
+
+
+class MotionGuard:
+    """Moves the stage within limits, and watches the force all the while.
+
+    Attributes:
+        samples: hear each batch of force samples, raw and oldest first, before it is checked.
+        positions: hear where the stage is [m], and when that was asked [ns], at each look while it moves and
+            once it stands.
+        looks: hear of each look at the force, after its samples and position.
+
+    An exception of a subscriber stops the motion as that of a device does.
+    """
+
+    def __init__(
+        self,
+        stage: Stage,
+        sensor: ForceSensor,
+        limits: Limits,
+        bias: ForceBias,
+        clock: Clock,
+        control: OperatorControl,
+    ) -> None:
+        limits.check_within(stage.travel)
+        self._stage = stage
+        self._sensor = sensor
+        self._limits = limits
+        self._bias = bias
+        self._clock = clock
+        self._control = control
+        self.samples: Subscribers[[Sequence[Wrench]]] = Subscribers()
+        self.positions: Subscribers[[Position, int]] = Subscribers()
+        self.looks: Subscribers[[]] = Subscribers()
+        self._recent: deque[tuple[int, float]] = deque()
+
+    @property
+    def force_n(self) -> Force:
+        """The newest force, in the skin's axes [N].
+
+        Raises:
+            Tripped: it is old or faulty.
+        """
+        return self._bias.force(self._newest())
+
+    def position_m(self) -> Position:
+        """Where the stage is.
+
+        Raises:
+            Tripped: it does not say.
+        """
+        try:
+            return self._stage.position_m()
+        except DeviceError as e:
+            raise Tripped(Reason.STAGE, f"the stage does not say where it is: {e}") from e
+
+    def wait(self, seconds: float, check: Check | None = None) -> list[Wrench]:
+        """Let time pass while watching, and return what the sensor measured in it."""
+        end_ns = self._clock.now_ns() + round(seconds * NS_PER_S)
+        seen: list[Wrench] = []
+        while (left_s := (end_ns - self._clock.now_ns()) / NS_PER_S) > 0:
+            self._clock.sleep(min(WAIT_S, left_s))
+            seen += self.look(check)
+            self.looks.publish()
+        return seen
+
+    def towards(
+        self, target: Position, speed_m_s: float, until: Until = _never, step_m: float | None = None
+    ) -> bool:
+        """Move in short guarded steps; True as soon as `until` says so of a force, stopped there.
+
+        Args:
+            target: where to [m].
+            speed_m_s: how fast.
+            until: of the force in the skin's axes; asked before each step and of every sample on the way.
+            step_m: longest step; the limits' own where left out.
+
+        Raises:
+            Tripped: a limit, before or during the motion; the stage stands.
+            OperatorInterrupt: the operator's wish; the stage stands.
+        """
+        self._limits.check_target(target)
+        self._limits.check_speed(speed_m_s, self._stage.travel)
+        start = self.position_m()
+        pieces = max(1, math.ceil(math.dist(start, target) / (step_m or self._limits.step_m) - 1e-9))
+        for i in range(1, pieces + 1):
+            if until(self.force_n):
+                return True
+            x, y, z = (start[k] + (target[k] - start[k]) * i / pieces for k in range(3))
+            if self._run((x, y, z), speed_m_s, until, self._within, AT_ONCE):
+                return True
+        return until(self.force_n)
+
+    def away(self, target: Position, speed_m_s: float) -> None:
+        """Move away from the skin, or beside it, in one go; allowed under a force above the limit.
+
+        Raises:
+            Tripped: the force rises on the way, or the stage fails.
+            OperatorInterrupt: an emergency stop; no other wish holds it up.
+        """
+        self._limits.check_target(target)
+        begun = self._last_force()
+
+        def rising(sample: Wrench) -> None:
+            force = math.hypot(*self._bias.force(sample))
+            if not sample.fault and begun is not None and force > begun + RISE_N:
+                raise Tripped(
+                    Reason.FORCE_LIMIT,
+                    f"{force:.2f} N while moving away, from {begun:.2f} N: is the stage's z turned round?",
+                )
+
+        speed = min(speed_m_s, self._stage.travel.top_speed_m_s)
+        self._run(target, speed, _never, rising, LEAVING)
+
+    def look(self, check: Check | None = None, asks: tuple[OperatorCommand, ...] = AT_ONCE) -> list[Wrench]:
+        """Take in and publish what the sensor measured since, and raise on what must stop a motion.
+
+        On the way away from the skin a sensor that is gone stops nothing: there it is safer to move on.
+        """
+        self._control.check(asks)
+        try:
+            fresh = self._sensor.drain()
+        except DeviceError as e:
+            if asks == LEAVING:
+                return []
+            raise Tripped(Reason.FORCE_SENSOR, f"the force sensor failed: {e}") from e
+        self.samples.publish(fresh)
+        for one in fresh:
+            (check or self._within)(one)
+        return fresh
+
+    def halt(self) -> None:
+        """Bring the stage to a stand.
+
+        Raises:
+            Tripped: it could not be.
+        """
+        try:
+            self._stage.stop()
+        except DeviceError as e:
+            raise Tripped(Reason.STAGE, f"the stage did not stop when told to: {e}") from e
+
+    def _run(
+        self,
+        target: Position,
+        speed_m_s: float,
+        until: Until,
+        check: Check,
+        asks: tuple[OperatorCommand, ...],
+    ) -> bool:
+        """One move, watched; the stage stands when this returns or raises."""
+        try:
+            if self._watched(target, speed_m_s, until, check, asks):
+                self.halt()
+                return True
+        except DeviceError as e:
+            self.halt()
+            raise Tripped(Reason.STAGE, f"the stage failed on its way: {e}") from e
+        except BaseException:
+            self.halt()
+            raise
+        self._control.check(asks)  # a stop from outside leaves it short of its target
+        self._check_arrived(target)
+        return False
+
+    def _watched(
+        self,
+        target: Position,
+        speed_m_s: float,
+        until: Until,
+        check: Check,
+        asks: tuple[OperatorCommand, ...],
+    ) -> bool:
+        slowing_s = speed_m_s / self._stage.travel.acceleration_m_s2
+        due_s = LATE_S + LATE_FACTOR * (math.dist(self.position_m(), target) / speed_m_s + slowing_s)
+        end_ns = self._clock.now_ns() + round(due_s * NS_PER_S)
+        self._stage.move_to(target, speed_m_s)
+        while self._stage.moving():
+            self._clock.sleep(POLL_S)
+            if any(until(self._bias.force(one)) for one in self.look(check, asks)):
+                return True
+            if check == self._within:
+                self._newest()
+            now_ns = self._clock.now_ns()
+            self.positions.publish(self._stage.position_m(), now_ns)
+            self.looks.publish()
+            if now_ns > end_ns:
+                raise Tripped(Reason.STAGE_LATE, f"the stage still moves {due_s:.1f} s after it was sent")
+        return False
+
+    def _check_arrived(self, target: Position) -> None:
+        at = self.position_m()
+        self.positions.publish(at, self._clock.now_ns())
+        if (missed := math.dist(at, target)) > ARRIVED_M:
+            raise Tripped(
+                Reason.STAGE,
+                f"the stage stands {missed * 1e3:.3f} mm from where it was sent; {ARRIVED_M * 1e3:g} mm are "
+                "allowed: were steps lost?",
+            )
+
+    def _newest(self) -> Wrench:
+        try:
+            newest = self._sensor.latest()
+        except DeviceError as e:
+            raise Tripped(Reason.FORCE_SENSOR, f"the force sensor failed: {e}") from e
+        age_s = (self._clock.now_ns() - newest.time_ns) / NS_PER_S
+        if age_s > self._limits.age_s:
+            raise Tripped(
+                Reason.FORCE_STALE,
+                f"the newest force is {age_s * 1e3:.0f} ms old; nothing moves on more than "
+                f"{self._limits.age_s * 1e3:g} ms",
+            )
+        if newest.fault:
+            raise Tripped(Reason.FORCE_FAULT, f"the force sensor says: {newest.fault}")
+        return newest
+
+    def _within(self, sample: Wrench) -> None:
+        if sample.fault:
+            raise Tripped(Reason.FORCE_FAULT, f"the force sensor says: {sample.fault}")
+        force = self._bias.force(sample)
+        if (size := math.hypot(*force)) > self._limits.force_n:
+            raise Tripped(Reason.FORCE_LIMIT, f"{size:.2f} N; {self._limits.force_n:g} N are allowed")
+        self._check_rate(sample.time_ns, force[2])
+
+    def _check_rate(self, time_ns: int, normal_n: float) -> None:
+        """Of the normal force, from the oldest sample inside the window to this one."""
+        window_ns = self._limits.rate_window_s * NS_PER_S
+        while self._recent and time_ns - self._recent[0][0] > window_ns:
+            self._recent.popleft()
+        self._recent.append((time_ns, normal_n))
+        rate = abs(normal_n - self._recent[0][1]) / self._limits.rate_window_s
+        if rate > self._limits.force_rate_n_s:
+            raise Tripped(
+                Reason.FORCE_RATE,
+                f"the force changed at {rate:.0f} N/s; {self._limits.force_rate_n_s:g} N/s are allowed",
+            )
+
+    def _last_force(self) -> float | None:
+        """However old; None where the sensor does not say."""
+        try:
+            newest = self._sensor.latest()
+        except DeviceError:
+            return None
+        return None if newest.fault else math.hypot(*self._bias.force(newest))
+
+
+P = ParamSpec("P")
+
+
+class Subscribers(Generic[P]):
+    """Callbacks for one kind of event, called in the order in which they subscribed.
+
+    Example:
+        >>> force: Subscribers[[float]] = Subscribers()
+        >>> force.subscribe(lambda newtons: print("recorded", newtons))
+        >>> with force.subscribed(lambda newtons: print("plotted", newtons)):
+        ...     force.publish(1.5)
+        recorded 1.5
+        plotted 1.5
+        >>> force.publish(2.0)
+        recorded 2.0
+    """
+
+    def __init__(self) -> None:
+        self._callbacks: list[Callable[P, None]] = []
+
+    def subscribe(self, callback: Callable[P, None]) -> None:
+        """Call it at each event from now on, after those that subscribed before."""
+        self._callbacks.append(callback)
+
+    def unsubscribe(self, callback: Callable[P, None]) -> None:
+        """Call it no more.
+
+        Raises:
+            ValueError: it has not subscribed.
+        """
+        self._callbacks.remove(callback)
+
+    @contextmanager
+    def subscribed(self, callback: Callable[P, None]) -> Iterator[None]:
+        """Call it at each event within a ``with`` block, and then no more, however the block ends."""
+        self.subscribe(callback)
+        try:
+            yield
+        finally:
+            self.unsubscribe(callback)
+
+    def publish(self, *args: P.args, **kwargs: P.kwargs) -> None:
+        """Call all of them, also where one raises.
+
+        Raises:
+            Exception: the first that a callback raised; the others are noted on it.
+        """
+        errors: list[Exception] = []
+        for callback in tuple(self._callbacks):
+            try:
+                callback(*args, **kwargs)
+            except Exception as e:
+                errors.append(e)
+        if errors:
+            for other in errors[1:]:
+                errors[0].add_note(f"another subscriber raised {type(other).__name__}: {other}")
+            raise errors[0]

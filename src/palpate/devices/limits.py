@@ -1,0 +1,130 @@
+"""How far, how fast and how hard the rig may go: refused in software, whatever the devices allow."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from palpate.core.errors import RangeError, SafetyError
+from palpate.core.protocols import Position, Travel
+
+AXES = "xyz"
+
+
+class Reason(StrEnum):
+    """What ends a recording that should have gone on."""
+
+    FORCE_LIMIT = "force-limit"
+    FORCE_RATE = "force-rate"
+    FORCE_STALE = "force-stale"
+    FORCE_FAULT = "force-fault"
+    FORCE_NOISE = "force-noise"
+    TOUCHED_EARLY = "touched-early"
+    NO_CONTACT = "no-contact"
+    SOFT_LIMIT = "soft-limit"
+    TOO_FAST = "too-fast"
+    STAGE = "stage"
+    STAGE_LATE = "stage-late"
+    CAMERA = "camera"
+    FORCE_SENSOR = "force-sensor"
+    CLOCKS = "clocks"
+    STORAGE = "storage"
+    PLAN = "plan"
+
+
+class Tripped(SafetyError):  # noqa: N818 - a guard trips
+    """A guard stopped a motion, or refused it.
+
+    Attributes:
+        reason: which guard.
+    """
+
+    def __init__(self, reason: Reason, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a guarded motion keeps to.
+
+    Attributes:
+        least_m, greatest_m: soft limits of each axis, inside the stage's travel [m].
+        force_n: greatest force, any direction [N].
+        force_rate_n_s: greatest change of force, over `rate_window_s` [N/s].
+        rate_window_s: long enough that noise is no rate [s].
+        age_s: oldest force sample on which anything still moves [s].
+        overshoot_m: how far the probe may run on into the skin after a stop [m].
+        step_m: longest single move towards the skin [m]: what a broken link can run on.
+    """
+
+    least_m: Position
+    greatest_m: Position
+    force_n: float = 30.0
+    force_rate_n_s: float = 400.0
+    rate_window_s: float = 0.02
+    age_s: float = 0.1
+    overshoot_m: float = 0.1e-3
+    step_m: float = 0.2e-3
+
+    def __post_init__(self) -> None:
+        for name in ("force_n", "force_rate_n_s", "rate_window_s", "age_s", "overshoot_m", "step_m"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise RangeError(f"the rig's limit {name} is {value}; it must be positive")
+        for axis, low, high in zip(AXES, self.least_m, self.greatest_m, strict=True):
+            if not (math.isfinite(low) and math.isfinite(high) and low < high):
+                raise RangeError(
+                    f"soft limits of {axis}: {low * 1e3:g} to {high * 1e3:g} mm; the first must be less"
+                )
+
+    def check_within(self, travel: Travel) -> None:
+        """Refuse soft limits that the stage cannot reach.
+
+        Raises:
+            RangeError: an axis whose soft limits lie outside its travel.
+        """
+        for i, axis in enumerate(AXES):
+            if self.least_m[i] < travel.least_m[i] or self.greatest_m[i] > travel.greatest_m[i]:
+                raise RangeError(
+                    f"soft limits of {axis}, {self.least_m[i] * 1e3:g} to {self.greatest_m[i] * 1e3:g} mm, "
+                    f"lie outside the stage's travel, {travel.least_m[i] * 1e3:g} to "
+                    f"{travel.greatest_m[i] * 1e3:g} mm"
+                )
+
+    def check_target(self, target: Position) -> None:
+        """Refuse a target outside the soft limits.
+
+        Raises:
+            Tripped: says which axis, where to, and what is allowed.
+        """
+        for axis, at, low, high in zip(AXES, target, self.least_m, self.greatest_m, strict=True):
+            if not low <= at <= high:
+                raise Tripped(
+                    Reason.SOFT_LIMIT,
+                    f"{axis} = {at * 1e3:.3f} mm lies outside the soft limits, {low * 1e3:g} to "
+                    f"{high * 1e3:g} mm",
+                )
+
+    def fastest_m_s(self, travel: Travel) -> float:
+        """The greatest speed towards the skin whose overshoot, v^2 / 2a + v latency, is allowed [m/s]."""
+        a, tau = travel.acceleration_m_s2, travel.latency_s
+        return min(travel.top_speed_m_s, a * (math.sqrt(tau**2 + 2 * self.overshoot_m / a) - tau))
+
+    def check_speed(self, speed_m_s: float, travel: Travel) -> None:
+        """Refuse a speed towards the skin at which the probe would run on too far.
+
+        Raises:
+            Tripped: says how far it would, and how fast is allowed.
+        """
+        if not (math.isfinite(speed_m_s) and speed_m_s > 0):
+            raise Tripped(Reason.TOO_FAST, f"a speed of {speed_m_s} m/s; give a positive number")
+        runs_on = travel.overshoot_m(speed_m_s)
+        if runs_on > self.overshoot_m:
+            raise Tripped(
+                Reason.TOO_FAST,
+                f"at {speed_m_s * 1e3:g} mm/s the probe runs on {runs_on * 1e3:.3f} mm after a stop; "
+                f"{self.overshoot_m * 1e3:g} mm are allowed, which is at most "
+                f"{self.fastest_m_s(travel) * 1e3:.2f} mm/s",
+            )

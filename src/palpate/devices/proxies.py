@@ -1,0 +1,213 @@
+"""Devices that let whoever watches see what passes, and a stage that an emergency stop holds.
+
+The engine uses them as it uses any other device: nothing is taken from it, delayed or changed.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from palpate.core.clock import NS_PER_S, Clock
+from palpate.core.errors import DeviceError
+from palpate.core.frame import Frame
+from palpate.core.protocols import ForceSensor, FrameSource, Position, Stage, Travel, Wrench
+from palpate.devices.operator import OperatorCommand, OperatorInterrupt
+
+KEPT_S = 20.0  # of force, for the plot
+MOST = 50_000  # samples, however fast they come
+RATE_S = 2.0  # over which rates are counted
+SENT_S = 1.0  # in which a stage that answers has taken in a move
+
+
+class _Proxy:
+    """Remembers how the last call went."""
+
+    def __init__(self) -> None:
+        self.error = ""
+
+    @contextmanager
+    def _heard(self) -> Iterator[None]:
+        try:
+            yield
+        except DeviceError as e:
+            self.error = str(e)
+            raise
+        self.error = ""
+
+
+class ForceProxy(_Proxy):
+    """Implements `core.ForceSensor`; keeps the last samples that somebody drained."""
+
+    def __init__(self, inner: ForceSensor, clock: Clock) -> None:
+        super().__init__()
+        self._inner = inner
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._recent: deque[Wrench] = deque(maxlen=MOST)
+        self.asked: Wrench | None = None
+
+    @property
+    def rate_hz(self) -> float:
+        """As the device says."""
+        return self._inner.rate_hz
+
+    @property
+    def range_n(self) -> tuple[float, float, float]:
+        """As the device says."""
+        return self._inner.range_n
+
+    def latest(self) -> Wrench:
+        """The newest sample."""
+        with self._heard():
+            self.asked = self._inner.latest()
+        return self.asked
+
+    def drain(self) -> list[Wrench]:
+        """All since the last call."""
+        with self._heard():
+            fresh = self._inner.drain()
+        with self._lock:
+            self._recent.extend(fresh)
+            oldest = self._clock.now_ns() - KEPT_S * NS_PER_S
+            while self._recent and self._recent[0].time_ns < oldest:
+                self._recent.popleft()
+        return fresh
+
+    def close(self) -> None:
+        """Let go."""
+        self._inner.close()
+
+    def recent(self) -> list[Wrench]:
+        """The last `KEPT_S` seconds, oldest first."""
+        with self._lock:
+            return list(self._recent)
+
+
+class CameraProxy(_Proxy):
+    """Implements `rig.FrameSource`; keeps the newest frame, and when the last ones came."""
+
+    def __init__(self, inner: FrameSource) -> None:
+        super().__init__()
+        self._inner = inner
+        self._turn = threading.Lock()
+        self._came: deque[int] = deque(maxlen=1000)
+        self.newest: tuple[int, Frame] | None = None
+        self.count = 0
+
+    @property
+    def rate_hz(self) -> float:
+        """As the device says."""
+        return self._inner.rate_hz
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """As the device says."""
+        return self._inner.size_px
+
+    def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
+        """The next frame."""
+        with self._turn, self._heard():
+            taken = self._inner.grab(timeout_s)
+            self._keep([taken])
+        return taken
+
+    def drain(self) -> list[tuple[int, Frame]]:
+        """All since the last call."""
+        with self._turn, self._heard():
+            taken = self._inner.drain()
+            self._keep(taken)
+        return taken
+
+    def close(self) -> None:
+        """Let go."""
+        self._inner.close()
+
+    def came(self, now_ns: int) -> int:
+        """How many frames came in the last `RATE_S` seconds."""
+        return sum(now_ns - at <= RATE_S * NS_PER_S for at in tuple(self._came))
+
+    def _keep(self, taken: list[tuple[int, Frame]]) -> None:
+        if taken:
+            self._came.extend(time_ns for time_ns, _ in taken)
+            self.newest = taken[-1]
+            self.count += len(taken)
+
+
+class StageProxy(_Proxy):
+    """Implements `core.Stage`; after an emergency stop it moves for nobody until it is released."""
+
+    def __init__(self, inner: Stage, clock: Clock) -> None:
+        super().__init__()
+        self._inner = inner
+        self._clock = clock
+        self._sending = threading.Lock()
+        self._sent = 0
+        self.held = False
+
+    @property
+    def travel(self) -> Travel:
+        """As the device says."""
+        return self._inner.travel
+
+    def position_m(self) -> Position:
+        """Where it is."""
+        with self._heard():
+            return self._inner.position_m()
+
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        """Start moving, unless it is held.
+
+        Raises:
+            OperatorInterrupt: an emergency stop holds it.
+        """
+        with self._sending:
+            self._check_free()
+            with self._heard():
+                self._inner.move_to(position_m, speed_m_s)
+                self._sent += 1
+
+    def moving(self) -> bool:
+        """Whether it is under way.
+
+        Raises:
+            OperatorInterrupt: an emergency stop holds it: wherever it was sent, it does not arrive.
+        """
+        self._check_free()
+        with self._heard():
+            return self._inner.moving()
+
+    def stop(self) -> None:
+        """Bring it to a stand."""
+        with self._heard():
+            self._inner.stop()
+
+    def close(self) -> None:
+        """Let go."""
+        self._inner.close()
+
+    def hold(self) -> int:
+        """Emergency stop, past everything else; returns when it stood [ns], and nothing moves it any more.
+
+        Raises:
+            DeviceError: the device could not be stopped.
+        """
+        self.held, before = True, self._sent
+        self.stop()
+        stood_ns = self._clock.now_ns()
+        if self._sending.acquire(timeout=SENT_S):
+            self._sending.release()
+        if self._sent != before:  # a move had passed the check just before
+            self.stop()
+            stood_ns = self._clock.now_ns()
+        return stood_ns
+
+    def release(self) -> None:
+        """Let it move again."""
+        self.held = False
+
+    def _check_free(self) -> None:
+        if self.held:
+            raise OperatorInterrupt(OperatorCommand.ESTOP)

@@ -1,0 +1,165 @@
+"""What a process that holds devices and its clients share: address, lock, and the language of the socket.
+
+An address file holds a port and a token. Only its user can read it: whoever can may drive the devices, and
+nobody else on the machine can. A lock lets one process at a time hold them.
+
+The language is one JSON object a line, of bounded length, in both directions. A request is
+``{"id": 7, "do": "pause"}``; its reply carries the same id, ``"ok"``, and what came of it or ``"error"``
+and ``"kind"``. What is pushed carries ``"push"`` instead of an id. Whoever connects says ``{"token": ...}``
+first.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from palpate.core.errors import DeviceError, PalpateError, ProtocolError, RecordingError
+from palpate.core.files import storage_errors
+from palpate.core.lock import lock
+
+_MAX_BYTES = 4096
+MAX_NAME = 80  # characters of a file's name
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """How to reach a process that holds devices.
+
+    Attributes:
+        name: of what the process holds, such as a rig's.
+        port: on 127.0.0.1.
+        token: said first by whoever connects.
+        pid: of the process.
+    """
+
+    name: str
+    port: int
+    token: str
+    pid: int
+
+
+def folder_of(folder: Path | None = None) -> Path:
+    """Where the files lie: the user's runtime folder, or the one in their home, closed to everybody else.
+
+    Raises:
+        StorageError: it cannot be made.
+    """
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    found = folder or (Path(runtime) if runtime else Path.home() / ".cache") / "palpate"
+    with storage_errors(found):
+        found.mkdir(parents=True, exist_ok=True, mode=0o700)
+        found.chmod(0o700)
+    return found
+
+
+def path_of(name: str, folder: Path | None = None, kind: str = "json") -> Path:
+    """The file of a process, by the name of what it holds or its file's path."""
+    stem = re.sub("[^A-Za-z0-9]+", "-", name)
+    if len(stem) > MAX_NAME:  # two long paths may end alike
+        stem = f"{stem[-MAX_NAME:]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+    return folder_of(folder) / f"devices-{stem}.{kind}"
+
+
+def hold(name: str, folder: Path | None = None) -> BinaryIO:
+    """The right to be the only process of this name, until what is returned is closed or the process ends.
+
+    Raises:
+        DeviceError: another process drives it.
+    """
+    path = path_of(name, folder, "lock")
+    with storage_errors(path):
+        path.touch(mode=0o600)
+    try:
+        return lock(path)
+    except RecordingError as e:
+        raise DeviceError(f"another process drives the rig {name} already; end that one first") from e
+
+
+def publish(address: Address, folder: Path | None = None) -> Path:
+    """Write the file, whole, in place of one that a process left that is gone."""
+    path = path_of(address.name, folder)
+    with storage_errors(path):
+        handle, name = tempfile.mkstemp(prefix=".devices-", dir=path.parent)  # of mode 0600
+        with os.fdopen(handle, "w") as file:
+            json.dump(asdict(address), file)
+        Path(name).replace(path)
+    return path
+
+
+def find(name: str, folder: Path | None = None) -> Address | None:
+    """What the file says; None where there is none, or none that can be read as one.
+
+    That there is a file does not mean that there is a process: one that was killed leaves it behind.
+    """
+    try:
+        data = path_of(name, folder).read_bytes()[:_MAX_BYTES]
+        said = json.loads(data)
+        return Address(str(said["name"]), int(said["port"]), str(said["token"]), int(said["pid"]))
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, PalpateError):
+        return None
+
+
+ASKED_BYTES = 256 * 1024
+"""Longest line that a service reads: a plan of many thousand places by hand."""
+SAID_BYTES = 16 * 1024 * 1024
+"""Longest line that a client reads: a large picture."""
+
+
+def encode(message: Mapping[str, Any]) -> bytes:
+    """A message as a line.
+
+    Raises:
+        ValueError: a number in it is not finite.
+    """
+    return json.dumps(message, allow_nan=False, separators=(",", ":")).encode() + b"\n"
+
+
+def decode(line: bytes) -> dict[str, Any]:
+    """A line as a message.
+
+    Raises:
+        ProtocolError: it is none.
+    """
+    try:
+        message = json.loads(line)
+    except (ValueError, RecursionError) as e:
+        raise ProtocolError("a line that is not JSON; send one JSON object a line, in UTF-8") from e
+    if not isinstance(message, dict):
+        raise ProtocolError("a line of JSON that is not an object; send one such as {'do': 'status'}")
+    return message
+
+
+class Lines:
+    """Cuts bytes into lines, and keeps no more of them than one line may have."""
+
+    def __init__(self, most_bytes: int) -> None:
+        self._most = most_bytes
+        self._held = bytearray()
+        self._skipping = False
+
+    def feed(self, data: bytes) -> Iterator[bytes | None]:
+        """Each line that is whole now, without its end; None for one that was too long."""
+        for i, part in enumerate(data.split(b"\n")):
+            if i:
+                yield self._ended()
+            if not self._skipping:
+                self._held += part
+                if len(self._held) > self._most:
+                    self._held.clear()
+                    self._skipping = True
+
+    def _ended(self) -> bytes | None:
+        if self._skipping:
+            self._skipping = False
+            return None
+        line = bytes(self._held)
+        self._held.clear()
+        return line

@@ -1,0 +1,313 @@
+"""The sockets: loopback only, a token first, then one JSON object a line.
+
+Each client has a thread that reads, one that writes and one for what takes time, so that nothing that one
+client does, sends or fails to read holds up another, and an emergency stop never waits behind a plan.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import secrets
+import socket
+import sys
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from palpate.core.errors import InputError, PalpateError, ProtocolError
+from palpate.devices.rpc import ASKED_BYTES, Lines, decode, encode
+
+MOST_REPLIES = 1000  # that a client may leave unread
+
+
+class Outbox:
+    """Sends from a thread of its own, so that a client that does not read holds nobody up."""
+
+    def __init__(self, to: socket.socket, give_up: Callable[[], None]) -> None:
+        self._socket = to
+        self._give_up = give_up
+        self._changed = threading.Condition()
+        self._replies: deque[bytes] = deque()
+        self._pushes: dict[str, bytes] = {}
+        self._closed = False
+        self.pictured = False
+        threading.Thread(target=self._send, name="palpate-rpc-outbox", daemon=True).start()
+
+    def reply(self, message: Mapping[str, Any]) -> None:
+        """To be sent in order; a client that lets too many lie is dropped."""
+        line = encode(message)
+        with self._changed:
+            self._replies.append(line)
+            full = len(self._replies) > MOST_REPLIES
+            self._changed.notify()
+        if full:
+            self._give_up()
+
+    def push(self, kind: str, line: bytes) -> None:
+        """In place of the last of its kind, if that still waits."""
+        with self._changed:
+            self._pushes[kind] = line
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Send the replies that wait, then let go of the socket."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+
+    def _send(self) -> None:
+        with self._socket:
+            while (line := self._next()) is not None:
+                try:
+                    self._socket.sendall(line)
+                except OSError:
+                    return self._give_up()
+            return self._give_up()
+
+    def _next(self) -> bytes | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._closed or self._replies or self._pushes)
+            if self._replies:
+                return self._replies.popleft()
+            if self._closed:
+                return None
+            return self._pushes.pop(next(iter(self._pushes)))
+
+
+HOST = "127.0.0.1"
+TOLD_S = 0.2  # between two pushes
+AUTH_S = 5.0  # in which a client says the token
+MOST_CLIENTS = 32
+MOST_WAITING = 8  # slow requests of one client
+CHUNK = 65_536
+
+Request = Callable[[Mapping[str, Any]], Any]
+
+
+class RpcServer:
+    """Lets others on this machine ask the process that holds devices.
+
+    Args:
+        name: of what it holds, told to every client that is let in.
+        status: what is pushed to every client, a few times a second; plain values.
+        picture: the newest picture with its "number", or None where there is none newer than that number.
+        quick: requests answered in the thread that reads, never behind another: all that stops something.
+        slow: requests that may take time; those of one client wait for each other.
+
+    Attributes:
+        port: on 127.0.0.1, chosen by the system.
+        token: that a client says first.
+        serial: of the last status that was pushed.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        status: Callable[[], Mapping[str, Any]],
+        picture: Callable[[int], Mapping[str, Any] | None],
+        quick: Mapping[str, Request],
+        slow: Mapping[str, Request],
+    ) -> None:
+        self.name, self.quick, self.slow = name, quick, slow
+        self._status, self._picture = status, picture
+        self.token = secrets.token_urlsafe(32)
+        self._socket = socket.create_server((HOST, 0))
+        self.port: int = self._socket.getsockname()[1]
+        self._closing = threading.Event()
+        self._news = threading.Event()
+        self._lock = threading.Lock()
+        self._clients: set[_Connection] = set()
+        self.serial = 0
+        for work in (self._accept, self._tell):
+            threading.Thread(target=work, name=f"palpate-rpc{work.__name__}", daemon=True).start()
+
+    def close(self) -> None:
+        """Let go of every client; the service goes on."""
+        self._closing.set()
+        self._news.set()
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+        for client in self._all():
+            client.drop()
+
+    def nudge(self) -> None:
+        """Something has changed: tell it sooner."""
+        self._news.set()
+
+    def forget(self, client: _Connection) -> None:
+        """A client has gone."""
+        with self._lock:
+            self._clients.discard(client)
+
+    def _all(self) -> list[_Connection]:
+        with self._lock:
+            return list(self._clients)
+
+    def _accept(self) -> None:
+        while not self._closing.is_set():
+            try:
+                connection, _ = self._socket.accept()
+            except OSError:
+                return
+            if len(self._all()) >= MOST_CLIENTS:
+                connection.close()
+                continue
+            client = _Connection(self, connection)
+            with self._lock:
+                self._clients.add(client)
+            client.begin()
+
+    def _tell(self) -> None:
+        shown = -1
+        while not self._closing.is_set():
+            try:
+                shown = self._tell_all(shown)
+            except Exception:
+                # A thing that cannot be told must not end the telling; it is read in the process's log.
+                traceback.print_exc(file=sys.stderr)
+            self._news.wait(TOLD_S)
+            self._news.clear()
+            self._closing.wait(TOLD_S / 4)  # however often it is nudged
+
+    def _tell_all(self, shown: int) -> int:
+        """Push the status, and a picture where there is one newer than that shown; its number."""
+        watching = [client.outbox for client in self._all() if client.known]
+        if not watching:
+            return shown
+        self.serial += 1  # before it is looked at: what was done by then is in it
+        status = encode({"push": "status", "serial": self.serial, **self._status()})
+        picture = self._picture(shown if all(out.pictured for out in watching) else -1)
+        for out in watching:
+            out.push("status", status)
+        if picture is None:
+            return shown
+        line = encode({"push": "picture", **picture})
+        for out in watching:
+            out.push("picture", line)
+            out.pictured = True
+        return int(picture["number"])
+
+
+class _Connection:
+    """One connection."""
+
+    def __init__(self, server: RpcServer, connection: socket.socket) -> None:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.settimeout(AUTH_S)
+        self._server = server
+        self._socket = connection
+        self.outbox = Outbox(connection, self.drop)
+        self.known = False
+        self._waiting = threading.Semaphore(MOST_WAITING)
+        self._turn = threading.Lock()
+
+    def begin(self) -> None:
+        threading.Thread(target=self._read, name="palpate-rpc-client", daemon=True).start()
+
+    def drop(self) -> None:
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+
+    def _read(self) -> None:
+        lines, late_s = Lines(ASKED_BYTES), time.monotonic() + AUTH_S
+        try:
+            while data := self._socket.recv(CHUNK):
+                if not self.known and time.monotonic() > late_s:
+                    return
+                for line in lines.feed(data):
+                    if not self._take(line):
+                        return
+        except OSError:
+            return  # it has gone, or never said the token
+        finally:
+            self._server.forget(self)
+            self.outbox.close()  # sends what waits, then lets go of the socket
+
+    def _take(self, line: bytes | None) -> bool:
+        """One line; False where the connection ends with it."""
+        asked: dict[str, Any] = {}
+        try:
+            if line is None:
+                raise ProtocolError(f"a line longer than {ASKED_BYTES} bytes; send shorter ones")
+            asked = decode(line)
+            if not self.known:
+                self._admit(asked)
+                self._answer(asked, {"rig": self._server.name})
+                self.known = True
+                self._server.nudge()
+                return True
+            self._do(asked)
+        except PalpateError as e:
+            self._refuse(asked, e)
+            return self.known
+        return True
+
+    def _admit(self, asked: Mapping[str, Any]) -> None:
+        said = asked.get("token")
+        right = self._server.token.encode()
+        if not isinstance(said, str) or not hmac.compare_digest(said.encode("utf-8", "replace"), right):
+            raise ProtocolError(
+                "say the token first, as in {'token': ...}; it is in the process's address file"
+            )
+        self._socket.settimeout(None)
+
+    def _do(self, asked: Mapping[str, Any]) -> None:
+        name = asked.get("do")
+        if isinstance(name, str) and name in self._server.quick:
+            self._done(asked, self._server.quick[name])
+        elif isinstance(name, str) and name in self._server.slow:
+            if not self._waiting.acquire(blocking=False):
+                raise InputError(f"{MOST_WAITING} requests wait already; wait for their replies")
+            work = threading.Thread(target=self._later, args=(asked, self._server.slow[name]), daemon=True)
+            work.start()
+        else:
+            known = ", ".join([*self._server.quick, *self._server.slow])
+            raise InputError(f"there is nothing called {str(name)[:50]!r} to do; there are {known}")
+
+    def _later(self, asked: Mapping[str, Any], ask: Request) -> None:
+        try:
+            with self._turn:
+                self._done(asked, ask)
+        finally:
+            self._waiting.release()
+
+    def _done(self, asked: Mapping[str, Any], ask: Request) -> None:
+        try:
+            self._answer(asked, ask(asked))
+        except PalpateError as e:
+            self._refuse(asked, e)
+        except Exception as e:
+            # Whatever a client sends, the process that holds the devices goes on, and the client is told.
+            self._refuse(asked, e)
+        finally:
+            self._server.nudge()
+
+    def _answer(self, asked: Mapping[str, Any], result: Any) -> None:
+        said = {"id": _id(asked), "ok": True, "serial": self._server.serial, "result": result}
+        self.outbox.reply(said)
+
+    def _refuse(self, asked: Mapping[str, Any], error: Exception) -> None:
+        said = {"id": _id(asked), "ok": False, "kind": type(error).__name__, "error": str(error)}
+        self.outbox.reply(said)
+
+
+def _id(asked: Mapping[str, Any]) -> int | None:
+    number = asked.get("id")
+    return number if isinstance(number, int) and abs(number) < 1 << 53 else None
+
+
+def field_of(asked: Mapping[str, Any], name: str, kinds: tuple[type, ...]) -> Any:
+    """A field of a request.
+
+    Raises:
+        InputError: it is missing, or of another kind.
+    """
+    value = asked.get(name)
+    if not isinstance(value, kinds):
+        raise InputError(f"{name!r} is missing, or not {' or '.join(kind.__name__ for kind in kinds)}")
+    return value

@@ -1,0 +1,240 @@
+"""What the engine records: bursts at a stand, sweeps on the move, and the labels of every frame."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from palpate.core.clock import NS_PER_S
+from palpate.core.errors import DeviceError
+from palpate.core.frame import Frame
+from palpate.core.protocols import FrameSource, Wrench
+from palpate.devices.force_bias import Force, ForceBias
+from palpate.devices.guard import MotionGuard
+from palpate.devices.limits import Reason, Tripped
+from palpate.recordings.manifest import LabelKind
+from palpate.recordings.values import Label
+from palpate.rig.motion import PressMotion
+from palpate.rig.plans.plan import Press
+from palpate.rig.plans.steps import Burst, Shot, Sweep
+from palpate.rig.progress import SHOT
+from palpate.rig.recorder import Recorder
+from palpate.rig.rig import Rig
+
+LABELS: dict[str, LabelKind] = {
+    "shot": "text",
+    "frame_in_shot": "number",
+    "approach": "number",
+    "location": "text",
+    "press": "text",
+    "cycle": "number",
+    "phase": "text",
+    "indenter": "text",
+    "reference": "flag",
+    "x_mm": "number",
+    "y_mm": "number",
+    "depth_mm": "number",
+    "force_N": "number",
+    "force_x_N": "number",
+    "force_y_N": "number",
+    "force_magnitude_N": "number",
+}
+"""Of every frame. `depth_mm` is below the local zero, where the normal force passed the plan's threshold: a
+little below first touch. `force_N` is along z, positive in compression, the mean over the exposure."""
+
+KEPT_S = 2.0  # of force samples, to average over exposures
+NEAR_S = 0.05  # within which a sample stands for an exposure that has none of its own
+FROZEN = 5  # frames in a row that are the same to the last bit
+GRAB_S = 2.0
+STARVED_S = 0.5  # without a frame, while one is filmed: at the slowest rates still a few frames
+
+Mark = Callable[[str, int, bool], None]
+
+
+class Acquisition:
+    """Records bursts and sweeps of frames, each frame with its labels; keeps the force of the last seconds.
+
+    Attributes:
+        late_s: how far the frames' stamps run behind the force's [s].
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        guard: MotionGuard,
+        motion: PressMotion,
+        recorder: Recorder,
+        bias: ForceBias,
+        mark: Mark,
+    ) -> None:
+        self._rig = rig
+        self._guard = guard
+        self._motion = motion
+        self._recorder = recorder
+        self._bias = bias
+        self._mark = mark
+        self._samples: deque[tuple[int, Force]] = deque()
+        self.late_s = 0.0
+        self._same = 0
+        self._last: np.ndarray | None = None
+        guard.samples.subscribe(self._remember)
+
+    def begin(self, press: Press) -> None:
+        """Of which press the next frames are."""
+        self._press = press
+
+    def burst(self, burst: Burst) -> None:
+        """Record the frames of a shot that are missing, at a stand.
+
+        Raises:
+            Tripped: the camera or the force sensor fails.
+        """
+        begun_ns = self._rig.clock.now_ns()
+        for i, k in enumerate(burst.missing):
+            due_s = i * burst.every_s - (self._rig.clock.now_ns() - begun_ns) / NS_PER_S
+            if due_s > 0:
+                self._guard.wait(due_s)
+            time_ns, frame = self._grabbed()
+            self._guard.look()
+            self._record(burst.shot, k, time_ns, frame)
+            self._mark(burst.shot.key, k, k == burst.missing[-1])
+        self._recorder.event(SHOT, key=burst.shot.key, frames=len(burst.missing))
+
+    def sweep(self, sweep: Sweep) -> None:
+        """Record frames as they come on the way down to the force or the depth, and back up.
+
+        Raises:
+            Tripped: the camera or the force sensor fails, or a guard stops the motion.
+        """
+        x, y, z = self._guard.position_m()
+        counter = iter(range(1_000_000_000))
+        last_ns = self._rig.clock.now_ns()
+
+        def take_in() -> None:
+            nonlocal last_ns
+            for time_ns, frame in drained(self._rig.camera):
+                self._record(sweep.shot, next(counter), time_ns, frame)
+                last_ns = self._rig.clock.now_ns()
+            if self._rig.clock.now_ns() - last_ns > STARVED_S * NS_PER_S:
+                raise Tripped(
+                    Reason.CAMERA, f"no frame came for {STARVED_S:g} s of a sweep; is the camera still there?"
+                )
+
+        drained(self._rig.camera)
+        with self._guard.looks.subscribed(take_in):
+            until = sweep.until_n
+            lowest = self._rig.origin_m[2] + sweep.depth_m
+            reached = self._guard.towards(
+                (x, y, lowest),
+                sweep.speed_m_s,
+                lambda force: until is not None and force[2] >= until,
+                step_m=lowest - z,
+            )
+            self._guard.away((x, y, z), sweep.speed_m_s)
+        if until is not None and not reached:
+            raise Tripped(
+                Reason.NO_CONTACT,
+                f"{until:g} N was not reached down to {sweep.depth_m * 1e3:g} mm below the expected surface",
+            )
+        self._recorder.event(SHOT, key=sweep.shot.key, frames=next(counter), whole=True)
+        self._mark(sweep.shot.key, 0, True)
+
+    def _record(self, shot: Shot, k: int, time_ns: int, frame: Frame) -> None:
+        self._check_alive(frame)
+        labels = self._labels(shot, k, time_ns, frame.exposure_s or 0.0)
+        self._recorder.frame(frame, time_ns, labels)
+
+    def _labels(self, shot: Shot, k: int, time_ns: int, exposure_s: float) -> dict[str, Label]:
+        press, force = self._press, self._mean_force(time_ns, exposure_s)
+        at = self._guard.position_m()
+        x, y, z = (1e3 * float(d) for d in np.subtract(at, self._rig.origin_m))
+        zero = self._motion.zero_m
+        depth = 0.0 if zero is None else 1e3 * (at[2] - zero)
+        labels: dict[str, Label] = {
+            "shot": shot.key,
+            "frame_in_shot": float(k),
+            "approach": float(self._motion.approach),
+            "location": press.place.name,
+            "press": f"{shot.place}/{shot.cycle}",
+            "cycle": float(shot.cycle),
+            "phase": shot.phase,
+            "indenter": press.indenter,
+            "reference": shot.phase == "reference",
+            "x_mm": round(x, 6),
+            "y_mm": round(y, 6),
+            "depth_mm": round(z if shot.phase == "sweep" else depth, 6),
+            "force_N": force[2],
+            "force_x_N": force[0],
+            "force_y_N": force[1],
+            "force_magnitude_N": math.hypot(*force),
+        }
+        return labels | dict(self._rig.truth(time_ns))
+
+    def _remember(self, samples: Sequence[Wrench]) -> None:
+        for sample in samples:
+            if not sample.fault:
+                self._samples.append((sample.time_ns, self._bias.force(sample)))
+        while self._samples and self._samples[0][0] < self._samples[-1][0] - KEPT_S * NS_PER_S:
+            self._samples.popleft()
+
+    def _mean_force(self, time_ns: int, exposure_s: float) -> Force:
+        """Over the exposure, on the force's clock; the nearest sample where none fell into it."""
+        time_ns -= round(self.late_s * NS_PER_S)
+        begun_ns = time_ns - exposure_s * NS_PER_S
+        during = [force for at, force in self._samples if begun_ns <= at <= time_ns]
+        if during:
+            fx, fy, fz = np.mean(during, axis=0).tolist()
+            return fx, fy, fz
+        if self._samples:
+            at, force = min(self._samples, key=lambda one: abs(one[0] - time_ns))
+            if abs(at - time_ns) <= NEAR_S * NS_PER_S:
+                return force
+        raise Tripped(
+            Reason.FORCE_STALE,
+            f"no force was measured within {NEAR_S * 1e3:g} ms of a frame; is it streaming?",
+        )
+
+    def _grabbed(self) -> tuple[int, Frame]:
+        try:
+            return self._rig.camera.grab(GRAB_S)
+        except DeviceError as e:
+            raise Tripped(Reason.CAMERA, f"the camera failed: {e}") from e
+
+    def _check_alive(self, frame: Frame) -> None:
+        """A frame of the size that was promised, and not the same again and again."""
+        check_size(self._rig.camera, frame)
+        alike = self._last is not None and np.array_equal(self._last, frame.image)
+        self._same = self._same + 1 if alike else 0
+        self._last = frame.image
+        if self._same >= FROZEN:
+            raise Tripped(Reason.CAMERA, f"{FROZEN + 1} frames in a row are the same: the camera is frozen")
+
+
+def drained(camera: FrameSource) -> list[tuple[int, Frame]]:
+    """What a camera took meanwhile.
+
+    Raises:
+        Tripped: it failed.
+    """
+    try:
+        return camera.drain()
+    except DeviceError as e:
+        raise Tripped(Reason.CAMERA, f"the camera failed: {e}") from e
+
+
+def check_size(camera: FrameSource, frame: Frame) -> None:
+    """Refuse a frame of another size than the camera promised.
+
+    Raises:
+        Tripped: it is of another.
+    """
+    width, height = camera.size_px
+    if frame.image.shape[:2] != (height, width):
+        raise Tripped(
+            Reason.CAMERA,
+            f"a frame of {frame.image.shape[1]} x {frame.image.shape[0]} px came from a camera of "
+            f"{width} x {height} px",
+        )

@@ -1,0 +1,163 @@
+"""Conformance checks of a whole rig before its first press: each device, and whether they fit together.
+
+The checks of single devices are those of `palpate.devices.check`, offered here under the same names.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from palpate.core.clock import NS_PER_S
+from palpate.core.errors import PalpateError
+from palpate.core.protocols import FrameSource, Wrench
+from palpate.devices.check import check_camera, check_force_sensor, check_stage
+from palpate.devices.check.result import CheckResult, Part, at_most, closing, gathered, held, prefixed
+from palpate.devices.check.stage_motion import Box, UnsafeError
+from palpate.rig.rig import Rig
+
+__all__ = ["CheckResult", "check_camera", "check_force_sensor", "check_rig", "check_stage"]
+
+CLEAR_M = 2e-3  # between the box and the expected surface
+HALF_M = 2e-3  # of the box's sides
+SPEED_M_S = 5e-3
+PUSHED_N = 1.0  # change of force, any direction, that ends all motion: nothing is to be touched
+SIGMAS = 5.0  # of the noise that the contact threshold lies above
+
+
+def check_rig(
+    rig: Rig, *, clear_m: float = CLEAR_M, threshold_n: float = 0.05, close: bool = True
+) -> list[CheckResult]:
+    """Check a rig whose probe hangs in free air, a few millimetres above the skin.
+
+    The stage is moved by 2 mm to each side of where it stands and never nearer to the expected surface than
+    `clear_m`; a change of force by 1 N ends all motion.
+
+    Args:
+        rig: the devices, homed; the probe above the layer.
+        clear_m: least distance to the expected surface [m].
+        threshold_n: of contact, which the noise must stay well below [N].
+        close: close the devices at the end, and check that.
+
+    Example:
+        >>> from palpate.rig.virtual import virtual_palm
+        >>> all(one.ok for one in check_rig(virtual_palm()))
+        True
+    """
+    noise_n = threshold_n / SIGMAS
+    force = check_force_sensor(rig.force, clock=rig.clock, noise_n=noise_n, close=False)
+    found = prefixed("force", force)
+    found += prefixed("camera", check_camera(rig.camera, clock=rig.clock, close=False))
+    found += prefixed("rig", [*gathered("fitting", _fits(rig))])
+    found += prefixed("stage", [*gathered("the checks", _stage(rig, clear_m, all(one.ok for one in force)))])
+    if close:
+        near = rig.origin_m
+        found += prefixed(
+            "stage",
+            [*gathered("close", closing(rig.stage, lambda: rig.stage.move_to(near, 1e-4), "move_to"))],
+        )
+        found += prefixed("force", [*gathered("close", closing(rig.force, rig.force.latest, "latest()"))])
+        found += prefixed("camera", [*gathered("close", closing(rig.camera, rig.camera.grab, "grab()"))])
+    return found
+
+
+def _fits(rig: Rig) -> Part:
+    travel, limits = rig.stage.travel, rig.limits
+    try:
+        limits.check_within(travel)
+        wrong = ""
+    except PalpateError as e:
+        wrong = str(e)
+    yield held("soft limits lie inside the travel", not wrong, wrong)
+    x, y, z = rig.origin_m
+    inside = all(
+        low <= at <= high for at, low, high in zip((x, y, z), limits.least_m, limits.greatest_m, strict=True)
+    )
+    yield held(
+        "the layer's centre lies inside the soft limits",
+        inside,
+        f"origin_m is {rig.origin_m}, the limits are {limits.least_m} to {limits.greatest_m} m",
+    )
+    normal = "xyz".index(rig.mounting.axes[2].lstrip("+-"))
+    yield at_most(
+        "the force limit lies inside the sensor's range",
+        limits.force_n,
+        rig.force.range_n[normal],
+        "N",
+        "the sensor would saturate before the rig stops; lower the limit",
+    )
+    yield held(
+        "the camera hands out what it took meanwhile",
+        isinstance(rig.camera, FrameSource),
+        "sweeps need drain(), see palpate.rig.rig.FrameSource",
+    )
+
+
+def _stage(rig: Rig, clear_m: float, sensed: bool) -> Part:
+    if not sensed:
+        yield held("was moved", False, "it was not: the force sensor, which guards its motion, has failed")
+        return
+    at = rig.stage.position_m()
+    highest_z = rig.origin_m[2] - clear_m
+    yield held(
+        "stands clear of the skin",
+        at[2] < highest_z,
+        f"it stands {(rig.origin_m[2] - at[2]) * 1e3:.3f} mm above the expected surface; lift it to more "
+        f"than {clear_m * 1e3:g} mm. Nothing was moved",
+    )
+    if at[2] >= highest_z:
+        return
+    speed = min(SPEED_M_S, rig.limits.fastest_m_s(rig.stage.travel))
+    watch = _Untouched(rig)
+    yield from check_stage(
+        rig.stage,
+        clock=rig.clock,
+        region_m=_box(rig, highest_z),
+        speed_m_s=speed,
+        watch=watch,
+        close=False,
+    )
+    yield at_most(
+        "touched nothing",
+        watch.most_n,
+        PUSHED_N,
+        "N",
+        "the force changed while the probe should have hung in free air",
+    )
+
+
+def _box(rig: Rig, highest_z: float) -> Box:
+    """Around where the stage stands, inside the soft limits, clear of the skin."""
+    at, limits = rig.stage.position_m(), rig.limits
+    least = [max(p - HALF_M, low) for p, low in zip(at, limits.least_m, strict=True)]
+    most = [min(p + HALF_M, high) for p, high in zip(at, limits.greatest_m, strict=True)]
+    most[2] = min(most[2], highest_z)
+    least[2] = max(min(least[2], most[2] - 2 * HALF_M), limits.least_m[2])
+    return (least[0], least[1], least[2]), (most[0], most[1], most[2])
+
+
+class _Untouched:
+    """Watches the force while the stage moves; ends the motion where it changes or is old."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._air = np.mean([one.force_n for one in self._fresh(0.2)], axis=0)
+        self.most_n = 0.0
+
+    def __call__(self) -> None:
+        for one in self._rig.force.drain():
+            if one.fault:
+                raise UnsafeError(f"the force sensor says: {one.fault}")
+            self.most_n = max(self.most_n, math.dist(one.force_n, self._air))
+        if self.most_n > PUSHED_N:
+            raise UnsafeError(f"the force changed by {self.most_n:.2f} N in free air: it touches something")
+        newest = self._rig.force.latest()
+        age_s = (self._rig.clock.now_ns() - newest.time_ns) / NS_PER_S
+        if age_s > self._rig.limits.age_s:
+            raise UnsafeError(f"the newest force is {age_s:.2f} s old")
+
+    def _fresh(self, time_s: float) -> list[Wrench]:
+        self._rig.force.drain()
+        self._rig.clock.sleep(time_s)
+        return self._rig.force.drain()

@@ -1,0 +1,144 @@
+"""Taps before the first press, from which the frames' clock is set against the force's.
+
+Pairing a frame with the force of its instant needs both clocks. A camera stamps a frame when it arrives and a
+force sensor its samples likewise, each late by its own way; a few short presses, seen by both, say by how
+much. It is done anew whenever a recording goes on, since a device that was opened again may run otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from itertools import islice
+
+import numpy as np
+from numpy import ndarray
+
+from palpate.core.clock import NS_PER_S
+from palpate.core.errors import InputError, RangeError
+from palpate.core.frame import Frame
+from palpate.core.protocols import Wrench
+from palpate.core.shapes import Float, UInt8
+from palpate.devices.force_bias import ForceBias
+from palpate.devices.guard import MotionGuard
+from palpate.devices.limits import Reason, Tripped
+from palpate.recordings.align import Offset, offset_between
+from palpate.rig.acquisition import STARVED_S, check_size, drained
+from palpate.rig.plans.plan import Plan
+from palpate.rig.recorder import Recorder
+from palpate.rig.rig import Rig
+
+CLOCKS = "clocks"
+MM = 1e-3
+RESTS_S = (0.25, 0.4, 0.3, 0.55)  # between taps, in turn: uneven, so that no tap is taken for its neighbour
+MOST_S = 0.4  # of the offset looked for, to either side
+MOST_DEEP_MM = 1.0  # below the lowest place where contact may be found
+MOST_PIXELS = 30_000  # of a frame that are compared, evenly over it: more changes nothing, and takes memory
+
+Pixels = UInt8[ndarray, " _"]
+Signal = Float[ndarray, " _"]
+
+
+class ClockSync:
+    """A few taps at the place where the probe hangs."""
+
+    def __init__(self, rig: Rig, plan: Plan, guard: MotionGuard, recorder: Recorder, bias: ForceBias) -> None:
+        self._rig = rig
+        self._plan = plan
+        self._guard = guard
+        self._recorder = recorder
+        self._bias = bias
+        self._force: list[tuple[int, float]] = []
+        self._seen: list[tuple[int, Pixels]] = []
+        self._exposure_s = 0.0
+        self._last_ns = 0
+
+    def tap(self) -> Offset:
+        """Tap, and say how far the frames run behind the force.
+
+        Raises:
+            Tripped: no contact, or the frames do not show the taps; and all that a guarded motion raises.
+        """
+        drained(self._rig.camera)
+        self._last_ns = self._rig.clock.now_ns()
+        with self._guard.samples.subscribed(self._feel), self._guard.looks.subscribed(self._look):
+            self._guard.wait(2 * MOST_S)
+            for rest_s in islice(RESTS_S * self._plan.taps, self._plan.taps):
+                self._once()
+                self._guard.wait(rest_s)
+            self._guard.wait(2 * MOST_S)
+        return self._offset()
+
+    def _once(self) -> None:
+        """Down until the force says so, and back."""
+        plan = self._plan
+        x, y, z = self._guard.position_m()
+        deepest_mm = plan.seek_mm + min(plan.deepest_mm, MOST_DEEP_MM)
+        lowest = (x, y, self._rig.origin_m[2] + deepest_mm * MM)
+        speed = plan.press_mm_s * MM
+        if not self._guard.towards(lowest, speed, lambda force: force[2] >= plan.tap_N):
+            raise Tripped(
+                Reason.NO_CONTACT,
+                f"a tap of {plan.tap_N:g} N was not felt down to {deepest_mm:g} mm below the "
+                "expected surface; is the layer there, and the force sensor's sign right?",
+            )
+        self._guard.away((x, y, z), speed)
+
+    def _feel(self, samples: Sequence[Wrench]) -> None:
+        self._force += [(one.time_ns, self._bias.force(one)[2]) for one in samples if not one.fault]
+
+    def _look(self) -> None:
+        for time_ns, frame in drained(self._rig.camera):
+            check_size(self._rig.camera, frame)
+            self._exposure_s = frame.exposure_s or 0.0
+            self._seen.append((time_ns, _thinned(frame)))
+            self._last_ns = self._rig.clock.now_ns()
+        if self._rig.clock.now_ns() - self._last_ns > STARVED_S * NS_PER_S:
+            raise Tripped(Reason.CAMERA, f"no frame came for {STARVED_S:g} s; is the camera still there?")
+
+    def _offset(self) -> Offset:
+        force_ns, force = np.array([at for at, _ in self._force]), np.array([n for _, n in self._force])
+        if not self._seen:
+            raise Tripped(Reason.CAMERA, "not a single frame came while the probe tapped")
+        frame_ns, change = np.array([at for at, _ in self._seen]), most_telling([p for _, p in self._seen])
+        begun = min(int(force_ns[0]), int(frame_ns[0]))
+        try:
+            found = offset_between(
+                (force_ns - begun) / NS_PER_S,
+                force,
+                (frame_ns - begun) / NS_PER_S,
+                change,
+                exposure_s=self._exposure_s,
+                most_s=MOST_S,
+            )
+        except (RangeError, InputError) as e:  # InputError: stamps that do not increase
+            raise Tripped(
+                Reason.CLOCKS,
+                f"{self._plan.taps} taps do not tell the frames' clock from the force's: {e}; look at what "
+                "the camera shows, or plan without (taps = 0)",
+            ) from e
+        ago_s = np.round((self._rig.clock.now_ns() - frame_ns) / NS_PER_S, 6)
+        self._recorder.event(
+            CLOCKS, **asdict(found), frames_ago_s=ago_s.tolist(), change=np.round(change, 5).tolist()
+        )
+        return found
+
+
+def _thinned(frame: Frame) -> Pixels:
+    height, width = frame.image.shape[:2]
+    step = math.ceil(math.sqrt(height * width / MOST_PIXELS))
+    return np.ascontiguousarray(frame.image[::step, ::step]).ravel()
+
+
+def most_telling(images: Sequence[Pixels]) -> Signal:
+    """How far each frame lies along what varies most between them: their first principal component.
+
+    Of frames over their mean brightness, so that a lamp that flickers is no signal. All pixels tell together,
+    which leaves far less noise than there is in a mean difference.
+    """
+    frames = np.stack(images).astype(np.float32)
+    frames /= np.maximum(frames.mean(axis=1, keepdims=True), 1.0)
+    frames -= frames.mean(axis=0)
+    size, towards = np.linalg.eigh(frames @ frames.T)
+    return np.asarray(towards[:, -1] * math.sqrt(max(float(size[-1]), 0.0)), dtype=float)

@@ -1,0 +1,180 @@
+"""Where the engine goes: over a place, onto the skin, into it, aside and away."""
+
+from __future__ import annotations
+
+from palpate.core.protocols import Position
+from palpate.devices.force_bias import ForceBias
+from palpate.devices.guard import MotionGuard
+from palpate.devices.limits import Reason, Tripped
+from palpate.rig.plans.plan import Plan, Press
+from palpate.rig.progress import ZERO
+from palpate.rig.recorder import Recorder
+from palpate.rig.rig import Rig
+
+MM = 1e-3
+BELOW_TOUCH_MM = 0.2  # of a contact that is said by a force
+TARE_S = 0.3  # in the air, for the force sensor's zero
+MOST_DRIFT_N = 0.5  # of the zero, from one press to the next
+SIGMAS = 5.0  # of the force's noise that a threshold must lie above
+
+
+class PressMotion:
+    """Moves over a place, onto the skin, into it, aside and away, each within the guard."""
+
+    def __init__(self, rig: Rig, plan: Plan, guard: MotionGuard, bias: ForceBias, recorder: Recorder) -> None:
+        self._rig = rig
+        self._plan = plan
+        self._guard = guard
+        self._bias = bias
+        self._recorder = recorder
+        self._zero_m: float | None = None
+        self.approach = 0
+
+    @property
+    def zero_m(self) -> float | None:
+        """Where contact was found in this press, along the stage's z; None before [m]."""
+        return self._zero_m
+
+    def begin(self, press: Press) -> None:
+        """A new approach: whatever was known of the contact is forgotten."""
+        self._zero_m = None
+        self._place = press.place
+        self.approach += 1
+
+    def lift(self) -> None:
+        """Straight up to the clearance, if the probe is below it; the contact is over."""
+        x, y, z = self._guard.position_m()
+        self._zero_m = None
+        if z > self._clearance_m:
+            self._guard.away((x, y, self._clearance_m), self._plan.travel_mm_s * MM)
+
+    @property
+    def _clearance_m(self) -> float:
+        return self._rig.origin_m[2] - self._plan.clearance_mm * MM
+
+    def over(self, x_m: float, y_m: float) -> None:
+        """Lift, and go over a place at the clearance [m]."""
+        self.lift()
+        speed = self._plan.travel_mm_s * MM
+        x, y, _ = _at(self._rig, x_m, y_m, 0.0)
+        z = min(self._guard.position_m()[2], self._clearance_m)
+        self._guard.away((x, y, z), speed)
+        self._guard.away((x, y, self._clearance_m), speed)
+
+    def measure_zero(self) -> None:
+        """Measure the force sensor's zero, standing in the air.
+
+        A zero far from the last one means that the probe touches something.
+
+        Raises:
+            Tripped: it does, or the sensor is too noisy for the plan's contact threshold.
+        """
+        before = self._bias.force_n[2]
+        known = self._bias.noise_n > 0
+        threshold = self._plan.threshold_N
+        samples = self._guard.wait(TARE_S, lambda sample: None)
+        self._bias.measure(samples)
+        self._recorder.event("tare", force_n=self._bias.force_n, noise_n=self._bias.noise_n)
+        if threshold < SIGMAS * self._bias.noise_n:
+            raise Tripped(
+                Reason.FORCE_NOISE,
+                f"a contact threshold of {threshold:g} N under a noise of {self._bias.noise_n:.4f} N; give "
+                f"{SIGMAS * self._bias.noise_n:.3f} N or more",
+            )
+        moved = abs(self._bias.force_n[2] - before)
+        if known and moved > max(MOST_DRIFT_N, 2 * threshold):
+            raise Tripped(
+                Reason.TOUCHED_EARLY,
+                f"in the air the force stands {moved:.2f} N from where it stood before the last press: does "
+                "the probe touch something?",
+            )
+
+    def seek(self) -> None:
+        """Go down until the force says contact; that place is the press's zero.
+
+        Raises:
+            Tripped: contact at the clearance already, or none down to the plan's search depth.
+        """
+        plan = self._plan
+        x, y, _ = self._guard.position_m()
+        if self._guard.force_n[2] > plan.threshold_N:
+            raise Tripped(Reason.TOUCHED_EARLY, "the probe is in contact at the clearance already")
+        lowest = (x, y, self._rig.origin_m[2] + plan.seek_mm * MM)
+        step = plan.seek_step_mm * MM
+        if not self._guard.towards(
+            lowest, plan.seek_mm_s * MM, lambda force: force[2] > plan.threshold_N, step
+        ):
+            raise Tripped(
+                Reason.NO_CONTACT,
+                f"no contact down to {plan.seek_mm:g} mm below the expected surface at "
+                f"{self._place.name}; is the layer there, and the force sensor's sign right?",
+            )
+        self._zero_m = self._guard.position_m()[2]
+        self._recorder.event(
+            ZERO,
+            place=self._place.name,
+            x_mm=self._place.x_mm,
+            y_mm=self._place.y_mm,
+            z_mm=1e3 * (self._zero_m - self._rig.origin_m[2]),
+        )
+
+    def to_depth(self, depth_m: float, speed_m_s: float) -> None:
+        """Go to a depth below the zero, down or up [m]."""
+        if self._zero_m is None:
+            raise Tripped(Reason.PLAN, "a plan that presses before it has found contact")
+        x, y, z = self._guard.position_m()
+        target = (x, y, self._zero_m + depth_m)
+        (self._guard.towards if target[2] > z else self._guard.away)(target, speed_m_s)
+
+    def aside(self, x_m: float, y_m: float, speed_m_s: float) -> None:
+        """Shift aside at the same depth, to so far from the place [m]."""
+        z = self._guard.position_m()[2]
+        x, y, _ = _at(self._rig, self._place.x_mm * MM + x_m, self._place.y_mm * MM + y_m, 0.0)
+        self._guard.towards((x, y, z), speed_m_s)
+
+
+def check_plan(rig: Rig, plan: Plan) -> None:
+    """Refuse a plan that leaves the soft limits, or is too fast, before anything moves.
+
+    Raises:
+        Tripped: says which.
+        InputError: an indenter that the rig does not know.
+    """
+    lowest = (plan.deepest_mm + plan.seek_mm) * MM
+    for place in plan.places.places():
+        for dx, dy in _aside_mm(plan):
+            x, y = (place.x_mm + dx) * MM, (place.y_mm + dy) * MM
+            for z in (-plan.clearance_mm * MM, lowest):
+                rig.limits.check_target(_at(rig, x, y, z))
+    _check_known(rig, plan)
+    for speed in (plan.seek_mm_s, plan.press_mm_s, getattr(plan, "speed_mm_s", plan.press_mm_s)):
+        rig.limits.check_speed(speed * MM, rig.stage.travel)
+
+
+def _check_known(rig: Rig, plan: Plan) -> None:
+    """Depths count from where a force says contact; the little that lies below first touch is added."""
+    for indenter in plan.indenters:
+        for lateral, deepest_mm in ((False, plan.deepest_mm), (True, _deepest_aside_mm(plan))):
+            known_mm = rig.known_m(indenter, lateral) / MM
+            if deepest_mm > 0 and deepest_mm + BELOW_TOUCH_MM > known_mm:
+                way = f"{indenter} shifted aside" if lateral else indenter
+                raise Tripped(
+                    Reason.PLAN,
+                    f"{deepest_mm:g} mm under {way}: {rig.name} knows its skin to {known_mm:g} mm below "
+                    f"first touch; press to {known_mm - BELOW_TOUCH_MM:g} mm",
+                )
+
+
+def _deepest_aside_mm(plan: Plan) -> float:
+    lateral = getattr(plan, "lateral", None)
+    return max(lateral.depths_mm) if lateral else 0.0
+
+
+def _at(rig: Rig, x_m: float, y_m: float, z_m: float) -> Position:
+    x0, y0, z0 = rig.origin_m
+    return x0 + x_m, y0 + y_m, z0 + z_m
+
+
+def _aside_mm(plan: Plan) -> list[tuple[float, float]]:
+    lateral = getattr(plan, "lateral", None)
+    return [(0.0, 0.0), *(lateral.to_mm if lateral else ())]

@@ -1,0 +1,364 @@
+"""The conversation with a GRBL controller: one line and one question in flight, one thread that reads.
+
+An answer carries no name, so what was heard before a line was sent never counts as its answer, and after a
+line went unanswered nothing counts until a reset and its banner. Waiting here is in real time: it bounds
+what the wire may take. Nothing here knows of positions.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import threading
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+from palpate.core.errors import DeviceError, MissingExtraError, ProtocolError
+from palpate.rig.real.grbl.parser import (
+    Alarm,
+    Banner,
+    Failed,
+    GrblStatus,
+    Line,
+    Ok,
+    Splitter,
+    error_name,
+    parse_line,
+)
+
+READ_S = 0.05  # how long one read waits, and so how soon its thread sees that it must end
+WRITE_S = 1.0
+
+
+@runtime_checkable
+class SerialPort(Protocol):
+    """What the driver needs of a serial port; pyserial's `Serial` has it."""
+
+    def read(self, size: int = 1, /) -> bytes:
+        """Up to `size` bytes, none after a short wait."""
+        ...
+
+    def write(self, data: bytes, /) -> int | None:
+        """Send, and say how many bytes went."""
+        ...
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that can be read at once."""
+        ...
+
+    def close(self) -> None:
+        """Let go."""
+        ...
+
+
+def open_port(name: str, baud: int, *, dtr: bool = False) -> SerialPort:
+    """Open a port for this programme alone.
+
+    Raises:
+        MissingExtraError: pyserial is not installed.
+        DeviceError: there is no such port, it is in use, or it cannot be opened.
+    """
+    serial = _serial()
+    path = find_port(name)
+    port = serial.Serial(
+        port=None,
+        baudrate=baud,
+        timeout=READ_S,
+        write_timeout=WRITE_S,
+        exclusive=True if os.name == "posix" else None,
+        dsrdtr=False,
+    )
+    port.dtr = dtr  # before it is opened: afterwards the edge has been seen
+    port.port = path
+    try:
+        port.open()
+    except (serial.SerialException, OSError, ValueError) as error:
+        if "lock" in str(error) or "PermissionError" in str(error):
+            raise DeviceError(f"port {path} is in use by another programme; close that one first") from error
+        raise DeviceError(f"port {path} could not be opened ({error}); {_listed()}") from error
+    return port
+
+
+def find_port(name: str) -> str:
+    """The path of a port.
+
+    Args:
+        name: a path, or the serial number of a USB adapter.
+
+    Raises:
+        MissingExtraError: pyserial is not installed.
+        DeviceError: no port has that path or serial number, or several have that number.
+    """
+    if os.sep in name and Path(name).exists():
+        return name
+    ports = _ports()
+    matching = [port.device for port in ports if name in (port.device, port.serial_number)]
+    if len(matching) == 1:
+        return matching[0]
+    if matching:
+        raise DeviceError(f"{name!r} fits {', '.join(matching)}; name one by its path")
+    raise DeviceError(f"there is no port {name!r}, by path or by serial number; {_listed()}")
+
+
+def _listed() -> str:
+    ports = _ports()
+    if not ports:
+        return "no serial port is to be seen; is it plugged in, and may you use it?"
+    known = ", ".join(f"{port.device} (serial number {port.serial_number or 'none'})" for port in ports)
+    return f"the ports are {known}"
+
+
+def _ports() -> list[Any]:
+    _serial()
+    return sorted(importlib.import_module("serial.tools.list_ports").comports(), key=lambda port: port.device)
+
+
+def _serial() -> Any:
+    try:
+        return importlib.import_module("serial")
+    except ImportError as error:
+        raise MissingExtraError(
+            "a stage on a serial port needs pyserial; install it with pip install 'palpate[rig]'"
+        ) from error
+
+
+HOLD, RESET, ASK = b"!", b"\x18", b"?"
+LONGEST_SENT = 80  # bytes; the controller refuses longer lines
+KEPT = 512  # push messages between a line and its answer; the longest list of settings has below 300
+READ_AT_MOST = 4096
+
+
+class RefusedError(DeviceError):
+    """The controller answered a line with `error:N`: it did nothing."""
+
+    def __init__(self, code: int, line: str) -> None:
+        super().__init__(f"the stage's controller refused {line!r} with {error_name(code)}")
+        self.code = code
+
+
+class CutOffError(DeviceError):
+    """`halt` was called, or the controller started anew, before a line was answered."""
+
+
+class SilenceError(DeviceError):
+    """No answer in time."""
+
+
+class GrblLink:
+    """Sends lines and single bytes, and tells what was heard.
+
+    Args:
+        port: an open serial port; this object closes it.
+        reply_s: how long an answer may take [s].
+    """
+
+    def __init__(self, port: SerialPort, reply_s: float) -> None:
+        self._port, self._reply_s = port, reply_s
+        self._writing = threading.RLock()  # held for the bytes of one line, never while waiting
+        self._turn, self._asking = threading.RLock(), threading.RLock()
+        self._news = threading.Condition()
+        self._dead = ""
+        self._closing = False
+        self._replies: deque[Ok | Failed] = deque(maxlen=KEPT)
+        self._pushed: deque[Line] = deque(maxlen=KEPT)
+        self._status: GrblStatus | None = None
+        self._heard = 0  # status reports
+        self.halts = 0  # calls of `halt`; a line asked for before the last one is not sent any more
+        self.banners = 0
+        self.firmware = ""  # as the last banner named it
+        self.garbage = 0  # lines that are not GRBL's
+        self.alarm: int | None = None  # the last one, until `forget_alarm`; a reset does not undo it
+        self.restless = False  # a line that can move something went out since `settled`
+        self.out_of_step = False  # an answer may still come for a line given up
+        self._reader = threading.Thread(target=self._read, name="grbl reader", daemon=True)
+        self._reader.start()
+
+    @property
+    def dead(self) -> str:
+        """Why nothing can be sent any more; empty while it can."""
+        return self._dead
+
+    def command(
+        self, line: str, *, timeout_s: float | None = None, halts: int | None = None, moves: bool = False
+    ) -> tuple[Line, ...]:
+        """Send one line and wait for its `ok`.
+
+        Args:
+            line: without its end.
+            timeout_s: for the answer; left out, the link's own [s].
+            halts: the count of halts when this was asked for; if one came since, the line is not sent.
+            moves: it can set something in motion.
+
+        Returns:
+            What was pushed between the line and its answer.
+
+        Raises:
+            RefusedError: the answer was `error:N`.
+            SilenceError: there was none; the link is out of step until `reset`.
+            CutOffError: `halt` was called, or the controller started anew.
+            DeviceError: the link is gone, or the line is too long.
+        """
+        if len(line) > LONGEST_SENT or not line.isascii():
+            raise DeviceError(f"{line[:40]!r} has more than {LONGEST_SENT} characters and would not be read")
+        with self._turn:
+            halts = self.halts if halts is None else halts
+            with self._writing:
+                if self.halts != halts:
+                    raise CutOffError("the stage was stopped before it was to move; ask again")
+                with self._news:
+                    self._replies.clear()
+                    self._pushed.clear()
+                    banners = self.banners
+                self.restless = self.restless or moves
+                self.out_of_step = True
+                self._write(line.encode() + b"\n")
+            answered = self._wait(
+                lambda: self._replies or self.banners != banners or self.halts != halts, timeout_s
+            )
+            with self._news:
+                if self._replies:
+                    reply, pushed = self._replies.popleft(), tuple(self._pushed)
+                    self.out_of_step = False
+                    if isinstance(reply, Failed):
+                        raise RefusedError(reply.code, line)
+                    return pushed
+                self.out_of_step = self.banners == banners
+            if answered:
+                raise CutOffError(f"{line!r} was not answered: the stage was stopped or its controller reset")
+            raise SilenceError(f"the stage's controller did not answer {line!r} in time")
+
+    def ask(self, timeout_s: float | None = None) -> GrblStatus | None:
+        """The answer to a `?` asked now; None where none comes in time.
+
+        Raises:
+            DeviceError: the link is gone.
+        """
+        with self._asking:
+            with self._news:
+                heard = self._heard
+            self._write(ASK)
+            self._wait(lambda: self._heard != heard, timeout_s)
+            with self._news:
+                return self._status if self._heard != heard else None
+
+    def halt(self) -> bool:
+        """Hold what a line may have set moving, and recall lines not sent yet; waits for no answer.
+
+        Returns:
+            Whether a hold was sent: not where nothing that moves was sent since `settled`.
+        """
+        with self._writing:
+            self.halts += 1
+            with self._news:
+                self._news.notify_all()
+            if self.restless:
+                self._write(HOLD)
+            return self.restless
+
+    def hold(self) -> None:
+        """Send a hold."""
+        self._write(HOLD)
+
+    def settled(self) -> None:
+        """It was seen standing, with nothing in flight."""
+        self.restless = False
+
+    def reset(self) -> bool:
+        """Reset the controller, and wait for its banner; answers still due are forgotten.
+
+        Returns:
+            Whether the banner came.
+
+        Raises:
+            DeviceError: the link is gone.
+        """
+        with self._news:
+            banners = self.banners
+        self._write(RESET)
+        came = self._wait(lambda: self.banners != banners, None)
+        if came:
+            self.out_of_step = False
+        return came
+
+    def listen(self, timeout_s: float) -> bool:
+        """Wait for a banner.
+
+        Returns:
+            Whether one came, also before this call.
+        """
+        return self._wait(lambda: self.banners > 0, timeout_s)
+
+    def forget_alarm(self) -> None:
+        """Take the last alarm as dealt with."""
+        self.alarm = None
+
+    def close(self) -> None:
+        """End the reading thread and let go of the port. Closing again does nothing."""
+        self._closing = True
+        self._bury("the stage's port was closed")
+        if self._reader is not threading.current_thread():
+            self._reader.join(timeout=5.0)
+        self._port.close()
+
+    def _wait(self, until: Callable[[], object], timeout_s: float | None) -> bool:
+        with self._news:
+            came = self._news.wait_for(
+                lambda: self._dead or until(), self._reply_s if timeout_s is None else timeout_s
+            )
+            if self._dead:
+                raise DeviceError(self._dead)
+            return bool(came)
+
+    def _write(self, data: bytes) -> None:
+        with self._writing:
+            if self._dead:
+                raise DeviceError(self._dead)
+            try:
+                sent = self._port.write(data)
+            except Exception as error:  # each system and adapter has its own kinds
+                self._bury(f"the stage's port failed on writing ({error}); check cable and power")
+                raise DeviceError(self._dead) from error
+            if sent != len(data):
+                self._bury(f"the stage's port took {sent} of {len(data)} bytes; check cable and power")
+                raise DeviceError(self._dead)
+
+    def _bury(self, why: str) -> None:
+        with self._news:
+            self._dead = self._dead or why
+            self._news.notify_all()
+
+    def _read(self) -> None:
+        splitter = Splitter()
+        try:
+            while not self._closing and not self._dead:
+                data = self._port.read(min(max(self._port.in_waiting, 1), READ_AT_MOST))
+                for line in splitter.feed(data):
+                    self._take(line)
+        except Exception as error:  # each system and adapter has its own kinds; none is swallowed
+            self._bury(
+                f"the stage's port is gone ({error}); it may still be moving: check it, then open it anew"
+            )
+
+    def _take(self, raw: bytes) -> None:
+        try:
+            line = parse_line(raw)
+        except ProtocolError:  # noise on a wire; an answer lost in it shows as silence
+            self.garbage += 1
+            return
+        with self._news:
+            if isinstance(line, GrblStatus):
+                self._status, self._heard = line, self._heard + 1
+            elif isinstance(line, Ok | Failed):
+                self._replies.append(line)
+            else:
+                self._pushed.append(line)
+            if isinstance(line, Banner):
+                self.banners += 1
+                self.firmware = line.firmware
+                self._replies.clear()
+            elif isinstance(line, Alarm):
+                self.alarm = line.code
+            self._news.notify_all()

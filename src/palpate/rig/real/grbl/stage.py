@@ -1,0 +1,358 @@
+"""A stage on a Grbl 1.1 or grblHAL controller, over a serial port.
+
+Every move is one bounded jog, `$J=G21G90G53...`: it states all its modes, so that a reset, which undoes
+them, or a unit left behind by another programme changes nothing; it is absolute in machine coordinates, so
+that roundings do not add up; and the controller refuses one beyond its own travel without an alarm. Never
+more than one is in flight, because a controller goes on moving when its link is gone: what it holds is
+what it runs on by. Stopping in an emergency needs a switch of its own; no programme can promise it.
+
+Reference: behaviour of Grbl 1.1h and grblHAL 1.1f as observed.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterable
+from types import TracebackType
+
+from palpate.core.clock import NS_PER_S, Clock, MonotonicClock
+from palpate.core.errors import DeviceError, RangeError
+from palpate.core.protocols import Position, Travel
+from palpate.rig.real.grbl.link import CutOffError, RefusedError, SerialPort, SilenceError, open_port
+from palpate.rig.real.grbl.parser import Alarm, GrblState, GrblStatus, Line, ProbeReport, alarm_name
+from palpate.rig.real.grbl.session import Session
+from palpate.rig.real.grbl.spec import MM_PER_M, S_PER_MIN, GrblSpec, check_range, feed_mm_min, fixed
+from palpate.rig.real.grbl.supervisor import Millimetres, MoveSupervisor
+
+
+class GrblStage:
+    """A `palpate.core.Stage`; a context manager that stops it on the way out, also on Ctrl-C.
+
+    After opening, its position is not known until `home` or `reference`: opening a port resets many boards.
+
+    Args:
+        spec: how it is reached, mounted and limited.
+        port: an open serial port; `open` opens the spec's.
+        clock: times the motion.
+
+    Raises:
+        DeviceError: no GRBL controller answers at the port.
+        RangeError: the spec's limits are wider than the machine.
+    """
+
+    def __init__(self, spec: GrblSpec, port: SerialPort, clock: Clock | None = None) -> None:
+        self._spec, self._clock = spec, clock or MonotonicClock()
+        self._lock = threading.RLock()
+        self._closed = False
+        self._session = Session(spec, port, self._clock)
+        self._link = self._session.link
+
+    @classmethod
+    def open(cls, spec: GrblSpec, clock: Clock | None = None) -> GrblStage:
+        """Open the spec's port and get into step with what is there; a motion found under way is stopped.
+
+        Raises:
+            MissingExtraError: pyserial is not installed.
+            DeviceError: no such port, in use, or no GRBL controller at it.
+            RangeError: the spec's limits are wider than the machine.
+        """
+        return cls(spec, open_port(spec.port, spec.baud, dtr=spec.dtr), clock)
+
+    def __enter__(self) -> GrblStage:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def travel(self) -> Travel:
+        """The spec's limits, or the machine's own; speed and deceleration of its slowest axis."""
+        machine, spec = self._session.machine, self._spec
+        least, greatest = self._session.mount.box_m(machine.travel_mm)
+        top = min(machine.top_mm_min) / S_PER_MIN / MM_PER_M
+        return Travel(
+            least_m=least if spec.least_m is None else spec.least_m,
+            greatest_m=greatest if spec.greatest_m is None else spec.greatest_m,
+            top_speed_m_s=top if spec.top_speed_m_s is None else min(top, spec.top_speed_m_s),
+            acceleration_m_s2=min(machine.acceleration_mm_s2) / MM_PER_M,
+            latency_s=spec.latency_s,
+        )
+
+    def position_m(self) -> Position:
+        """Where it is now [m]. See `palpate.core.Stage`."""
+        with self._lock:
+            self._session.need_known()
+            _, place_mm = self._session.look()
+            self._session.check_place(place_mm)
+            return self._session.mount.sensor_m(place_mm)
+
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        """Start moving in a straight line, and return at once. See `palpate.core.Stage`."""
+        halts = self._link.halts
+        check_range(self.travel, position_m, speed_m_s)
+        with self._lock:
+            target_mm = self._begin(position_m, speed_m_s).target_mm
+            words = _words(target_mm)
+            line = f"$J=G21G90G53{words}F{fixed(feed_mm_min(speed_m_s), 3)}"
+            try:
+                self._link.command(line, halts=halts, moves=True)
+            except RefusedError:
+                self._session.move = None
+                self._link.settled()
+                raise
+            except CutOffError:
+                if not self._link.restless:  # recalled before it was sent
+                    self._session.move = None
+                raise
+            except SilenceError:
+                self._session.bring_to_stand()  # it may have begun to move
+                raise
+
+    def moving(self) -> bool:
+        """Whether the last move is still under way. See `palpate.core.Stage`."""
+        with self._lock:
+            status, place_mm = self._session.look()
+            move = self._session.move
+            self._session.check_place(place_mm)
+            if move is None:
+                return status.state is not GrblState.IDLE
+            if not move.arrived(status, place_mm, self._clock.now_ns()):
+                return True
+            self._session.settle(place_mm)
+            return False
+
+    def stop(self) -> None:
+        """Slow down to a stand at once; returns when it stands. See `palpate.core.Stage`.
+
+        A feed hold, `!`, goes out before anything is waited for: unlike a jog cancel it stops every kind of
+        motion, and it keeps the count of steps. `0x18` follows only once the hold is complete. Calls in other
+        threads that wait for an answer end with a `DeviceError`. At worst it takes the spec's `stop_s`, the
+        slowing down and three times `reply_s`.
+        """
+        self._link.halt()
+        with self._lock:
+            self._session.bring_to_stand()
+
+    def home(self) -> None:
+        """Drive to the switches and take the machine's own coordinates from there; returns when done.
+
+        Raises:
+            DeviceError: it is moving, has no switches, did not find them, or was stopped.
+        """
+        halts = self._link.halts
+        with self._lock:
+            home(self._session, halts)
+
+    def unlock(self) -> None:
+        """Reset it and lift the lock of an alarm without homing; its position stays unknown.
+
+        Raises:
+            DeviceError: it is moving or refuses.
+        """
+        with self._lock:
+            unlock(self._session)
+
+    def reference(self, position_m: Position | None = None) -> None:
+        """Take the caller's word for where it stands.
+
+        Args:
+            position_m: where it is in the sensor's frame [m]; left out, the controller's own coordinates
+                hold, as they do when it was homed and neither reset in motion nor pushed since.
+
+        Raises:
+            RangeError: the position is not finite.
+            DeviceError: it is not standing idle.
+        """
+        if position_m is not None and not all(math.isfinite(value) for value in position_m):
+            raise RangeError(f"position {position_m} m must be finite")
+        with self._lock:
+            self._session.note_restart()  # its place is about to be found anew
+            _, place_mm = self._session.standing()
+            mount = self._session.mount
+            mount = mount.at_origin() if position_m is None else mount.placed(place_mm, position_m)
+            self._session.settle(place_mm)
+            self._session.found(mount)
+
+    def probe_to(self, position_m: Position, speed_m_s: float) -> Position | None:
+        """Move until the probe input triggers; returns when it stands.
+
+        Args:
+            position_m: where to give up [m].
+            speed_m_s: [m/s].
+
+        Returns:
+            Where the input triggered [m], short of where it stopped; None if it did not.
+
+        Raises:
+            RangeError: a position outside the travel or a speed it cannot run at.
+            DeviceError: the probe was triggered before, is not connected, or the move was stopped.
+        """
+        halts = self._link.halts
+        session = self._session
+        check_range(self.travel, position_m, speed_m_s)
+        with self._lock:
+            move = self._begin(position_m, speed_m_s, probing=True)
+            words = _words(b - a for a, b in zip(move.start_mm, move.target_mm, strict=True))
+            patience_s = math.dist(move.start_mm, move.target_mm) / MM_PER_M / speed_m_s
+            patience_s += self._spec.reply_s + self._spec.still_s
+            # G38.3 takes no machine coordinates, so it goes by steps; a miss locks nothing.
+            line = f"G21G91G94G38.3{words}F{fixed(feed_mm_min(speed_m_s), 3)}"
+            try:
+                pushed = self._link.command(line, timeout_s=patience_s, halts=halts, moves=True)
+            except SilenceError:
+                session.bring_to_stand()
+                raise
+            session.check_alarm()
+            hit_mm = probed(pushed)
+            self._link.command("G90", halts=halts)
+            _, place_mm = session.look()
+            session.check_place(place_mm)
+            session.settle(place_mm)
+            return None if hit_mm is None else session.mount.sensor_m(hit_mm)
+
+    def close(self) -> None:
+        """Stop, and let go of the port. Closing again does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            if self._link.restless or not self._link.dead:
+                self.stop()
+        finally:
+            self._link.close()
+
+    def _begin(self, position_m: Position, speed_m_s: float, *, probing: bool = False) -> MoveSupervisor:
+        """Everything that must hold before a line that moves is sent."""
+        session = self._session
+        session.need_known()
+        if session.move:
+            raise DeviceError("the stage is moving already; wait for it, or stop() it")
+        if self._link.out_of_step:
+            session.standing()
+            session.reset()
+        _, place_mm = session.standing()
+        session.need_homed()
+        session.move = MoveSupervisor(
+            place_mm,
+            session.mount.machine_mm(position_m),
+            feed_mm_min(speed_m_s),
+            session.machine,
+            self._spec.still_s,
+            self._clock.now_ns(),
+            beyond_mm=self.travel.overshoot_m(speed_m_s) * MM_PER_M if probing else 0.0,
+        )
+        return session.move
+
+
+def _words(axes_mm: Iterable[float]) -> str:
+    return "".join(f"{axis}{fixed(value)}" for axis, value in zip("XYZ", axes_mm, strict=True))
+
+
+def home(session: Session, halts: int) -> None:
+    """Drive to the switches and take the machine's own coordinates from there.
+
+    Args:
+        session: with the stage's lock held.
+        halts: the link's count of halts when this was asked for.
+
+    Raises:
+        DeviceError: it is moving, has no switches, did not find them, or was stopped.
+    """
+    link = session.link
+    _clear(session)
+    session.lose("homing was not finished")
+    session.homing, session.homed = True, None
+    try:
+        link.command("$H", timeout_s=session.spec.home_s, halts=halts, moves=True)
+        status = _await_homed(session, halts)
+    except RefusedError:
+        session.homing = False
+        link.settled()
+        raise
+    except SilenceError:
+        session.bring_to_stand()
+        raise
+    session.homing = False
+    session.check_alarm()
+    if status is None or status.state is not GrblState.IDLE:
+        raise DeviceError("the stage did not finish homing; see to its switches, then home() again")
+    _, place_mm = session.look()
+    session.settle(place_mm)
+    session.unlocked = False
+    session.homed = True if session.homed is None else session.homed
+    session.found(session.mount.at_origin())
+
+
+def unlock(session: Session) -> None:
+    """Reset it and lift the lock of an alarm; its place stays unknown.
+
+    Raises:
+        DeviceError: it is moving, or refuses.
+    """
+    alarm = _clear(session)
+    session.lose(f"it was unlocked without homing, after {alarm or 'no alarm'}")
+    session.unlocked = True
+    session.link.command("$X")
+
+
+def _clear(session: Session) -> str:
+    """Make it take `$H` or `$X`: standing, in step, and past the alarm, which is named."""
+    link = session.link
+    if session.move:
+        raise DeviceError("the stage is moving; stop() it first")
+    session.note_restart()
+    alarm = link.alarm
+    status = link.ask() if alarm is None else None  # after some alarms it answers nothing
+    if status and status.state not in (GrblState.IDLE, GrblState.ALARM):
+        raise DeviceError(f"the stage is in {status.state}, not idle; stop() it first")
+    if status is None or link.out_of_step:  # and some end by a reset alone
+        session.reset()
+    link.forget_alarm()
+    return "" if alarm is None else alarm_name(alarm)
+
+
+def _await_homed(session: Session, halts: int) -> GrblStatus | None:
+    """The first report past homing: an `ok` may have been to another line, so it proves nothing."""
+    link, spec, clock = session.link, session.spec, session.clock
+    began_ns = clock.now_ns()
+    while clock.now_ns() - began_ns < spec.home_s * NS_PER_S:
+        status = link.ask(spec.home_s)
+        if link.halts != halts:
+            raise CutOffError("homing was stopped; the stage's position is not known")
+        if status is None or status.state not in (GrblState.HOME, GrblState.RUN):
+            return status
+        clock.sleep(spec.poll_s)
+    return None
+
+
+def probed(pushed: Iterable[Line]) -> Millimetres | None:
+    """Where the probe triggered, in machine coordinates [mm]; None if it did not.
+
+    Judged by the flag of the report and by there being no alarm. Not by the `ok`, which comes either way,
+    nor by the place: on a miss one firmware prints zeros or an old place and another the end of the move.
+
+    Args:
+        pushed: what the controller pushed between the line and its answer.
+
+    Raises:
+        DeviceError: there was an alarm, or no report.
+
+    Example:
+        >>> from palpate.rig.real.grbl.parser import parse_line
+        >>> probed([parse_line(b"[PRB:0.000,0.000,-0.872:1]")])
+        (0.0, 0.0, -0.872)
+    """
+    report: ProbeReport | None = None
+    for line in pushed:
+        if isinstance(line, Alarm):
+            raise DeviceError(f"the probing move ended with {alarm_name(line.code)}; see to the probe")
+        if isinstance(line, ProbeReport):
+            report = line
+    if report is None or len(report.machine_mm) < len("XYZ"):
+        raise DeviceError(
+            "the controller did not report the outcome of the probing move; check the probe input"
+        )
+    return report.machine_mm[:3] if report.hit else None  # type: ignore[return-value]

@@ -1,0 +1,88 @@
+"""How a page or a script asks the process that holds a rig, and how that process is started."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from palpate.devices.rpc import Address
+from palpate.devices.rpc_client import RpcClient
+from palpate.devices.rpc_client import launch as launch_process
+
+ESTOP_S = 5.0
+
+
+class RigClient(RpcClient):
+    """Asks one rig's process, and reaches for it again whenever it is gone.
+
+    Example:
+        >>> with RigClient("virtual:palm") as rig:  # doctest: +SKIP
+        ...     rig.plan("palm-reduced")
+        ...     rig.start("first")
+    """
+
+    def plan(self, what: str | Mapping[str, Any]) -> dict[str, Any]:
+        """Set what is recorded next."""
+        return self.ask("plan", plan=what if isinstance(what, str) else dict(what))
+
+    def start(self, out: str) -> dict[str, Any]:
+        """Record it into a run of this name, or go on with that run."""
+        return self.ask("start", out=out)
+
+    def pause(self) -> None:
+        """Stop moving, lift the probe, wait."""
+        self.ask("pause")
+
+    def resume(self) -> None:
+        """Go on after a pause."""
+        self.ask("resume")
+
+    def stop(self) -> None:
+        """End after this press."""
+        self.ask("stop")
+
+    def abort(self) -> None:
+        """Stop moving, lift the probe, end."""
+        self.ask("abort")
+
+    def estop(self) -> dict[str, Any]:
+        """Emergency stop. When it was asked for and when the stage stood, on the rig's clock [ns]."""
+        return self.send_estop()()
+
+    def send_estop(self) -> Callable[[], dict[str, Any]]:
+        """Emergency stop, asked for at once; what is returned waits for the answer."""
+        return self.send("estop", ESTOP_S)
+
+    def release(self) -> None:
+        """Take the emergency stop back."""
+        self.ask("release")
+
+    def shutdown(self) -> None:
+        """End the process, unless it records."""
+        self.ask("shutdown")
+
+    def ask_status(self) -> dict[str, Any]:
+        """The status now."""
+        return self.ask("status")
+
+
+def launch(
+    rig: str, runs: Path, *, accelerated: bool = False, folder: Path | None = None
+) -> tuple[subprocess.Popen[bytes], Address]:
+    """Start the process and wait until it can be reached. It outlives its starter, and its terminal.
+
+    Args:
+        rig: its name.
+        runs: the folder that recordings go into.
+        accelerated: let a virtual rig's time run as fast as the machine can.
+        folder: of the address file, where it is not the user's own.
+
+    Raises:
+        DeviceError: it ended at once, or did not begin to listen; the message says what it said.
+    """
+    words = ["-m", "palpate.rig.service", "--rig", rig, "--runs", str(runs.absolute())]
+    words += ["--accelerated"] if accelerated else []
+    words += ["--folder", str(folder)] if folder else []
+    return launch_process(rig, words, folder)

@@ -1,0 +1,344 @@
+"""Who holds the rig: records when asked to, and stops when told to.
+
+The recording runs in a thread of its own and asks nobody who watches: they may come and go.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from palpate.core.errors import DeviceError, InputError, PalpateError, SafetyError
+from palpate.devices.limits import Tripped
+from palpate.devices.operator import OperatorCommand, OperatorControl
+from palpate.devices.rpc_server import Request, RpcServer, field_of
+from palpate.devices.status import Kind, Log
+from palpate.rig.engine import record
+from palpate.rig.motion import check_plan
+from palpate.rig.plans import PLANS, Known, Stepped, plan_from, size_of
+from palpate.rig.progress import Outcome, State, Status
+from palpate.rig.service.opening import ServedRig
+from palpate.rig.service.rig_monitor import RigMonitor
+
+BEGIN_S = 15.0  # in which a recording has begun, or has been refused
+END_S = 30.0  # in which one that was told to end has lifted the probe and closed its run
+TAIL = 60  # lines of the log that are told
+NAME_LENGTH = 100
+FIRST = "palm-reduced"
+
+AnyPlan = Known
+_UNTOLD = Status(State.READY, "", 0, 0, None)
+
+
+class RigService:
+    """One rig, and whatever is asked of it from any thread.
+
+    Args:
+        opened: the rig; closed by `close`.
+        runs: the folder that recordings go into.
+    """
+
+    def __init__(self, opened: ServedRig, runs: Path) -> None:
+        self._runs = runs
+        self._real_time = opened.real_time
+        self._log = Log()
+        self._asking = threading.RLock()  # plan, start, release: one after the other
+        self._control = OperatorControl()
+        self._thread: threading.Thread | None = None
+        self._begun = threading.Event()
+        self._refused: Exception | None = None
+        self._status = _UNTOLD
+        self._run = self._place = ""
+        self._estop: dict[str, int] | None = None
+        self._devices = RigMonitor(opened, lambda: self._status.state is State.PAUSED)
+        self._rig = self._devices.rig
+        self._set(PLANS[FIRST])
+        self._log.add("rig", f"{self._rig.name} opened")
+
+    def plan(self, what: str | Mapping[str, Any]) -> dict[str, Any]:
+        """Set what is recorded next, by name or by its fields; says how much that is.
+
+        Raises:
+            InputError: no such plan, or a field that is not one, or out of range.
+            Tripped: it leaves the rig's limits.
+            SafetyError: a recording is under way.
+        """
+        with self._asking:
+            self._check_at_rest("set a plan")
+            plan = checked_plan(what)
+            check_plan(self._rig, plan)
+            self._set(plan)
+            self._status = _UNTOLD
+            self._log.add("operator", f"plan {plan.name}: {len(plan.places.places())} places")
+            return self._asked
+
+    def start(self, out: str) -> dict[str, Any]:
+        """Record the plan into a run of this name, or go on with one that is there.
+
+        Raises:
+            InputError: a name that is none.
+            SafetyError: a recording is under way, or the emergency stop holds the stage.
+            Tripped: the plan leaves the rig's limits.
+            RecordingError: the run has another plan.
+            StorageError: the disk refused before anything moved.
+        """
+        with self._asking:
+            path = self._runs / _run_name(out)
+            self._check_at_rest("start")
+            self._check_released()
+            check_plan(self._rig, self._plan)
+            self._log.add("operator", f"start {self._plan.name} into {out}")
+            self._begin(out, path)
+            self._begun.wait(BEGIN_S)
+            if self._refused is not None:
+                raise self._refused
+            return {"run": str(path)}
+
+    def pause(self) -> None:
+        """Stop moving, lift the probe, and wait."""
+        self._wish(OperatorCommand.PAUSE)
+
+    def resume(self) -> None:
+        """Go on after a pause: the press that was left is approached anew.
+
+        Raises:
+            SafetyError: nothing is recorded.
+        """
+        self._check_recording("resume")
+        self._log.add("operator", "resume")
+        self._control.resume()
+
+    def stop(self) -> None:
+        """End after this press; a paused one ends where it is."""
+        self._wish(OperatorCommand.STOP)
+
+    def abort(self) -> None:
+        """Stop moving, lift the probe, end."""
+        self._wish(OperatorCommand.ABORT)
+
+    def estop(self) -> dict[str, int]:
+        """Emergency stop: nothing moves any more, also not away, until it is released. Never waits its turn.
+
+        Returns:
+            When it was asked for and when the stage stood, on the rig's clock [ns].
+
+        Raises:
+            DeviceError: the stage did not stop when told to.
+        """
+        asked_ns = self._rig.clock.now_ns()
+        self._control.ask(OperatorCommand.ESTOP)
+        try:
+            stood_ns = self._devices.stage.hold()
+        except DeviceError as e:
+            self._log.add("fault", f"EMERGENCY STOP, and the stage did not answer: {e}")
+            raise
+        self._estop = {"asked_ns": asked_ns, "stood_ns": stood_ns}
+        self._log.add(
+            "fault", f"emergency stop: the stage stands, {(stood_ns - asked_ns) / 1e6:.1f} ms later"
+        )
+        return self._estop
+
+    def release(self) -> None:
+        """Take the emergency stop back; nothing moves until something is started.
+
+        Raises:
+            SafetyError: the recording that it ended has not ended yet.
+        """
+        with self._asking:
+            if self._thread is not None:
+                self._thread.join(END_S)
+            self._check_at_rest("release the emergency stop")
+            self._devices.stage.release()
+            self._estop = None
+            self._log.add("operator", "emergency stop released")
+
+    def close(self) -> None:
+        """End a recording, the probe lifted, and let go of the devices."""
+        if self.recording:
+            self._log.add("rig", "the process ends: the recording is aborted")
+            self._control.ask(OperatorCommand.ABORT)
+        if self._thread is not None:
+            self._thread.join(END_S)
+        self._devices.close()
+
+    @property
+    def recording(self) -> bool:
+        """Whether a recording is under way."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def status(self) -> dict[str, Any]:
+        """All that a page shows, but for the picture; plain values."""
+        told, recording, asked = self._status, self.recording, self._control.asked
+        return {
+            "rig": self._rig.name,
+            "real_time": self._real_time,
+            "recording": recording,
+            "state": told.state.value,
+            "asked": asked.value if recording and asked else None,
+            "held": self._devices.stage.held,
+            "estop": self._estop,
+            "message": told.message,
+            "run": self._run,
+            "shots": told.shots,
+            "left_s": None if told.left_s is None else round(told.left_s, 1),
+            "place": self._place if recording else "",
+            "log": self._log.tail(TAIL),
+            "log_count": self._log.count,
+            **self._asked,
+            **self._devices.status(recording),
+        }
+
+    def picture(self, after: int = -1) -> dict[str, Any] | None:
+        """The newest frame as a JPEG, numbered; None where there is none newer than `after`."""
+        return self._devices.picture(after)
+
+    def _set(self, plan: AnyPlan) -> None:
+        size = size_of(plan, self._rig.camera.rate_hz)
+        planned = sum(len(plan.shots(press)) for press in plan.presses())
+        self._plan = plan
+        self._asked = {"plan": plan.model_dump(mode="json"), "size": size._asdict(), "planned": planned}
+
+    def _begin(self, out: str, path: Path) -> None:
+        control = OperatorControl()
+        self._run, self._place = out, ""
+        self._status = replace(_UNTOLD, message="begins")
+        self._begun.clear()
+        self._refused = None
+        self._control = control
+        if self._devices.stage.held:  # pressed since it was looked at: this control was not told
+            control.ask(OperatorCommand.ESTOP)
+        work = (self._plan, path, control)
+        self._thread = threading.Thread(target=self._record, args=work, name="palpate-rig-record")
+        self._thread.start()
+
+    def _record(self, plan: AnyPlan, path: Path, control: OperatorControl) -> None:
+        try:
+            with self._devices.taken():
+                outcome = record(self._rig, plan, path, control=control, watch=self._told)
+        except PalpateError as e:
+            self._failed(e)
+        except Exception as e:
+            self._failed(e)
+            raise
+        else:
+            self._ended(outcome)
+
+    def _failed(self, error: Exception) -> None:
+        if not self._begun.is_set():
+            self._refused = error
+        reason = error.reason if isinstance(error, Tripped) else None
+        self._ended(Outcome(State.FAILED, self._status.shots, 0, reason, str(error)))
+
+    def _ended(self, outcome: Outcome) -> None:
+        kind: Kind = "fault" if outcome.state in (State.FAILED, State.ESTOPPED) else "rig"
+        reason = f", {outcome.reason.value}" if outcome.reason else ""
+        self._log.add(kind, f"{outcome.state.value}{reason}: {outcome.message}")
+        self._status = replace(
+            self._status, state=outcome.state, message=outcome.message, shots=outcome.shots, left_s=None
+        )
+        self._begun.set()
+
+    def _told(self, status: Status) -> None:
+        """By the engine, a few times a second, in the recording's thread."""
+        if status.state is not self._status.state and status.state in (State.RUNNING, State.PAUSED):
+            self._log.add("rig", f"{status.state.value}: {status.message}")
+        press, colon, _ = status.message.rpartition(":")
+        if colon and ", cycle " in press and press != self._place:
+            self._place = press
+            self._log.add("place", press)
+        self._devices.told(status)
+        self._status = status
+        self._begun.set()
+
+    def _wish(self, wish: OperatorCommand) -> None:
+        self._check_recording(wish.value)
+        self._log.add("operator", wish.value)
+        self._control.ask(wish)
+
+    def _check_at_rest(self, what: str) -> None:
+        if self.recording:
+            raise SafetyError(f"a recording is under way; end it before you {what}")
+
+    def _check_released(self) -> None:
+        if self._devices.stage.held:
+            raise SafetyError("the emergency stop holds the stage; look at the rig, release it, then start")
+
+    def _check_recording(self, what: str) -> None:
+        if not self.recording:
+            raise SafetyError(f"there is no recording to {what}")
+
+
+def _run_name(out: str) -> str:
+    """A name and no path: what is recorded lies in the service's folder, and nowhere else."""
+    good = out.isprintable() and 0 < len(out) <= NAME_LENGTH and not set(out) & set('/\\:*?"<>|')
+    if not good or out.startswith(".") or out.strip() != out:
+        raise InputError(
+            f"{out[:NAME_LENGTH]!r} is no name for a run; give 1 to {NAME_LENGTH} letters, digits and such, "
+            "no slash, and no dot in front"
+        )
+    return out
+
+
+MOST_SCATTERED = 1000  # random places, each of which is compared with all the others
+MOST_SHOTS = 500_000
+SHOWN = 100  # characters of a name
+
+
+def checked_plan(what: str | Mapping[str, Any]) -> Known:
+    """A plan by its name or its fields.
+
+    Raises:
+        InputError: no such plan; a field that is not one, or out of range; or more than is planned this way.
+    """
+    if isinstance(what, str):
+        if what not in PLANS:
+            raise InputError(f"there is no plan {what[:SHOWN]!r}; there are {', '.join(PLANS)}")
+        return PLANS[what]
+    places = what.get("places")
+    count = places.get("count") if isinstance(places, Mapping) else None
+    if isinstance(count, int | float) and count > MOST_SCATTERED:
+        raise InputError(f"{count:g} random places; up to {MOST_SCATTERED} can be asked for here")
+    plan = plan_from(what)
+    depths = plan.depth_mm / plan.step_mm if isinstance(plan, Stepped) else 1.0
+    shots = len(plan.places.places()) * plan.cycles * len(plan.indenters) * max(depths, 1.0)
+    if not shots <= MOST_SHOTS:
+        raise InputError(
+            f"about {shots:.3g} shots; up to {MOST_SHOTS} can be asked for here: take fewer presses, or a "
+            "larger step"
+        )
+    return plan
+
+
+class RigServer(RpcServer):
+    """Lets others on this machine ask a `RigService`.
+
+    Attributes:
+        ended: set once a client has asked for the end.
+    """
+
+    def __init__(self, service: RigService) -> None:
+        self.ended = threading.Event()
+        self._service = service
+        quick: dict[str, Request] = {
+            "estop": lambda _: service.estop(),
+            "abort": lambda _: service.abort(),
+            "pause": lambda _: service.pause(),
+            "resume": lambda _: service.resume(),
+            "stop": lambda _: service.stop(),
+            "status": lambda _: service.status(),
+        }
+        slow: dict[str, Request] = {
+            "plan": lambda request: service.plan(field_of(request, "plan", (str, dict))),
+            "start": lambda request: service.start(field_of(request, "out", (str,))),
+            "release": lambda _: service.release(),
+            "shutdown": lambda _: self._shutdown(),
+        }
+        super().__init__(str(service.status()["rig"]), service.status, service.picture, quick, slow)
+
+    def _shutdown(self) -> None:
+        if self._service.recording:
+            raise InputError("a recording is under way; stop or abort it first")
+        self.ended.set()

@@ -1,0 +1,117 @@
+"""Several listeners at once: who hears what, in which order, and what becomes of a listener that fails."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from tests.rig.rigs import rig
+
+from palpate.core.errors import StorageError
+from palpate.core.protocols import Position, Wrench
+from palpate.devices.force_bias import ForceBias
+from palpate.devices.guard import MotionGuard, Subscribers
+from palpate.devices.operator import OperatorControl
+from palpate.recordings.reader import Run
+from palpate.rig import Reason, State, Status, Tripped, record
+from palpate.rig.plans import Listed, Swept
+from palpate.rig.rig import Rig
+
+
+def guarded(small: Rig) -> MotionGuard:
+    return MotionGuard(
+        small.stage, small.force, small.limits, ForceBias(small.mounting), small.clock, OperatorControl()
+    )
+
+
+def test_two_subscribers_both_hear_each_sample_in_the_order_in_which_they_subscribed() -> None:
+    small = rig()
+    guard, first, second = guarded(small), list[Wrench](), list[Wrench]()
+    order: list[str] = []
+
+    def hear_first(samples: Sequence[Wrench]) -> None:
+        first.extend(samples)
+        order.append("first")
+
+    def hear_second(samples: Sequence[Wrench]) -> None:
+        second.extend(samples)
+        order.append("second")
+
+    guard.samples.subscribe(hear_first)
+    guard.samples.subscribe(hear_second)
+    returned = guard.wait(0.2)
+    assert len(returned) > 20
+    assert first == second == returned
+    assert order == ["first", "second"] * (len(order) // 2)
+
+
+def test_a_subscription_ends_with_its_block_and_leaves_the_others_as_they_were() -> None:
+    guard, always, within = guarded(rig()), list[int](), list[int]()
+    guard.samples.subscribe(lambda samples: always.append(len(samples)))
+    with suppress(KeyError), guard.samples.subscribed(lambda samples: within.append(len(samples))):
+        guard.wait(0.1)
+        raise KeyError
+    heard_within, heard_always = len(within), len(always)
+    guard.wait(0.1)
+    assert heard_within == heard_always > 0
+    assert len(within) == heard_within
+    assert len(always) > heard_always
+
+
+def test_where_one_subscriber_raises_the_others_still_hear_and_no_exception_is_lost() -> None:
+    events: Subscribers[[int]] = Subscribers()
+    heard: list[int] = []
+
+    def full(event: int) -> None:
+        raise StorageError(f"no room for {event}")
+
+    def broken(event: int) -> None:
+        raise ValueError(f"cannot draw {event}")
+
+    for callback in (full, broken, heard.append):
+        events.subscribe(callback)
+    with pytest.raises(StorageError, match="no room for 7") as raised:
+        events.publish(7)
+    assert heard == [7]
+    assert raised.value.__notes__ == ["another subscriber raised ValueError: cannot draw 7"]
+
+
+def test_a_callback_that_has_not_subscribed_cannot_leave() -> None:
+    events: Subscribers[[]] = Subscribers()
+    with pytest.raises(ValueError, match="not in list"):
+        events.unsubscribe(lambda: None)
+
+
+def test_a_subscriber_that_raises_stops_the_motion_it_hears_of() -> None:
+    small = rig()
+    guard = guarded(small)
+    x, y, z = small.stage.position_m()
+
+    def hear(position_m: Position, time_ns: int) -> None:
+        raise Tripped(Reason.CAMERA, "no frame came")
+
+    guard.positions.subscribe(hear)
+    with pytest.raises(Tripped, match="no frame came"):
+        guard.away((x + 2e-3, y, z), 5e-3)
+    assert not small.stage.moving()
+    assert small.stage.position_m()[0] < x + 1e-3
+
+
+def test_who_watches_hears_during_a_sweep_as_well_as_the_sweep_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("palpate.rig.engine.TOLD_EVERY_S", 0.0)
+    depths: list[float] = []
+
+    def watch(status: Status) -> None:
+        if status.position_mm is not None and "sweep" in status.message:
+            depths.append(status.position_mm[2])
+
+    centre = Listed(kind="listed", at_mm=((0.0, 0.0),))
+    slow = Swept(name="s", kind="swept", places=centre, cycles=1, speed_mm_s=2.0, depth_mm=1.0, taps=0)
+    outcome = record(rig(), slow, tmp_path / "run", watch=watch)
+    assert outcome.state is State.DONE
+    assert (Run.open(tmp_path / "run").labels["phase"] == "sweep").any()
+    assert max(depths) > 0, "the probe was seen below the surface"

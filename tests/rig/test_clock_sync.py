@@ -1,0 +1,156 @@
+"""Taps at the start of a recording set the frames' clock against the force's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.rig.rigs import CLOCK_NS, plan, rig
+
+from palpate.core.clock import ManualClock
+from palpate.core.frame import Frame
+from palpate.recordings.align import offset_between
+from palpate.recordings.reader import Run
+from palpate.rig import OperatorCommand, OperatorControl, Outcome, Reason, State, Status, record
+from palpate.rig.clock_sync import CLOCKS, MOST_S, most_telling
+from palpate.rig.plans import Listed, Swept
+from palpate.rig.progress import fields_of
+from palpate.rig.virtual import Fault, Variation
+from palpate.rig.virtual.camera import TRANSPORT_S
+from palpate.rig.virtual.force import LATENCY_S
+
+TRUE_S = TRANSPORT_S - LATENCY_S
+CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
+SMALL = {"cycles": 1, "places": CENTRE}
+
+
+@pytest.fixture(scope="module")
+def tapped(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Run]:
+    out = tmp_path_factory.mktemp("taps") / "run"
+    outcome = record(rig(variation=Variation(), seed=2), plan(taps=4, **SMALL), out)
+    assert outcome.state is State.DONE
+    return outcome, Run.open(out)
+
+
+def test_taps_find_how_late_frames_are_stamped(tapped: tuple[Outcome, Run]) -> None:
+    outcome, _ = tapped
+    assert outcome.clocks is not None
+    assert outcome.clocks.taps == 4
+    assert outcome.clocks.seconds == pytest.approx(TRUE_S, abs=1e-3)
+    assert outcome.clocks.low_s < TRUE_S < outcome.clocks.high_s
+    assert outcome.clocks.jitter_s < 4e-3
+
+
+def test_the_run_holds_the_offset_and_all_it_was_found_from(tapped: tuple[Outcome, Run]) -> None:
+    outcome, run = tapped
+    (stored,) = fields_of(run, CLOCKS)
+    assert outcome.clocks is not None
+    assert stored["seconds"] == outcome.clocks.seconds
+    events = run.events()
+    tared_s, event_s = (float(events.loc[events["kind"] == k, "time_s"].iloc[0]) for k in ("tare", CLOCKS))
+    frames = event_s - np.array(stored["frames_ago_s"])
+    force = run.force()
+    near = force[force["time_s"].between(tared_s, event_s)]
+    again = offset_between(
+        near["time_s"].to_numpy(),
+        near["fz_N"].to_numpy(),
+        frames,
+        np.array(stored["change"]),
+        exposure_s=float(run.frame(0).exposure_s or 0),
+        most_s=MOST_S,
+    )
+    assert again.seconds == pytest.approx(outcome.clocks.seconds, abs=2e-4)
+
+
+def test_nothing_but_the_plans_frames_is_recorded(tapped: tuple[Outcome, Run]) -> None:
+    _, run = tapped
+    assert run.labels["shot"].notna().all()
+    assert len(run) == 3 * 2 + 1
+
+
+def test_a_recording_that_goes_on_taps_again(tmp_path: Path) -> None:
+    control, small = OperatorControl(), plan(taps=3, **SMALL)
+
+    def watch(status: Status) -> None:
+        if status.shots >= 2:
+            control.ask(OperatorCommand.ABORT)
+
+    out = tmp_path / "run"
+    assert record(rig(), small, out, control=control, watch=watch).state is State.ABORTED
+    assert record(rig(clock=ManualClock(3 * CLOCK_NS)), small, out).state is State.DONE
+    assert len(fields_of(Run.open(out), CLOCKS)) == 2
+    done = record(rig(clock=ManualClock(9 * CLOCK_NS)), small, out)
+    assert done.clocks is None, "where nothing is missing, nothing moves"
+
+
+def test_the_force_in_a_sweeps_labels_is_that_of_the_frames_own_instant(tmp_path: Path) -> None:
+    def worst(taps: int) -> float:
+        sweep = Swept(
+            name="sweep", kind="swept", places=CENTRE, cycles=1, speed_mm_s=5.0, depth_mm=3.0, taps=taps
+        )
+        out = tmp_path / f"run{taps}"
+        assert record(rig(), sweep, out).state is State.DONE
+        labels = Run.open(out).labels
+        return float((labels["force_N"] - labels["true_force_N"]).abs().max())
+
+    # 5 mm/s times 7 N/mm times 6 ms without, and a fifth of that with.
+    without, with_taps = worst(0), worst(4)
+    assert without > 0.1
+    assert with_taps < without / 2
+
+
+def test_a_camera_that_does_not_see_the_taps_stops_the_recording_before_it_begins(tmp_path: Path) -> None:
+    class Elsewhere:
+        """A camera that looks at something else."""
+
+        def __init__(self, camera: object) -> None:
+            self._camera, self._rng = camera, np.random.default_rng(0)
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(self._camera, name)
+
+        def drain(self) -> list[tuple[int, Frame]]:
+            return [(at, self._other(frame)) for at, frame in self._camera.drain()]  # type: ignore[attr-defined]
+
+        def _other(self, frame: Frame) -> Frame:
+            return replace(frame, image=self._rng.integers(90, 110, frame.image.shape, np.uint8))
+
+    blind = rig()
+    blind = replace(blind, camera=Elsewhere(blind.camera))  # type: ignore[arg-type]
+    out = tmp_path / "run"
+    outcome = record(blind, plan(taps=3, **SMALL), out)
+    assert (outcome.state, outcome.reason, outcome.shots) == (State.FAILED, Reason.CLOCKS, 0)
+    assert "taps = 0" in outcome.message
+    assert blind.stage.position_m()[2] < 0
+    assert len(Run.open(out)) == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason"),
+    [
+        ("camera-resized", Reason.CAMERA),
+        ("camera-stalls", Reason.CAMERA),
+        ("camera-gone", Reason.CAMERA),
+        ("camera-frozen", Reason.CLOCKS),
+        ("force-stalls", Reason.FORCE_STALE),
+        ("layer-gone", Reason.NO_CONTACT),
+    ],
+)
+def test_what_fails_while_tapping_stops_with_its_name_and_the_recording_goes_on_afterwards(
+    tmp_path: Path, kind: str, reason: Reason
+) -> None:
+    small, out = plan(taps=2, **SMALL), tmp_path / "run"
+    outcome = record(rig(Fault(kind, 0.9)), small, out)  # type: ignore[arg-type]
+    assert (outcome.state, outcome.reason, outcome.shots) == (State.FAILED, reason, 0)
+    assert record(rig(clock=ManualClock(3 * CLOCK_NS)), small, out).state is State.DONE
+
+
+def test_what_varies_most_tells_more_than_any_one_pixel() -> None:
+    rng, true = np.random.default_rng(1), np.sin(np.linspace(0, 9, 60))
+    weights = rng.uniform(-20, 20, 500)
+    lamp = 1 + 0.02 * rng.standard_normal(60)
+    frames = lamp[:, None] * (100 + true[:, None] * weights) + 4 * rng.standard_normal((60, 500))
+    found = most_telling(list(frames.astype(np.uint8)))
+    assert abs(np.corrcoef(found, true)[0, 1]) > 0.999
