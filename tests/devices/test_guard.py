@@ -1,4 +1,4 @@
-"""Several listeners at once: who hears what, in which order, and what becomes of a listener that fails."""
+"""Guarded motion of any actuator, and its listeners: who hears what, in which order, and what if one fails."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from pathlib import Path
 import pytest
 from tests.rig.rigs import rig
 
+from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.core.errors import StorageError
-from palpate.core.protocols import Position, Wrench
+from palpate.core.protocols import ForceSensor, Position, Stage, Travel, Wrench
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.guard import MotionGuard, Subscribers
+from palpate.devices.limits import Limits
 from palpate.devices.operator import OperatorControl
 from palpate.recordings.reader import Run
 from palpate.rig import Reason, State, Status, Tripped, record
@@ -115,3 +117,60 @@ def test_who_watches_hears_during_a_sweep_as_well_as_the_sweep_itself(
     assert outcome.state is State.DONE
     assert (Run.open(tmp_path / "run").labels["phase"] == "sweep").any()
     assert max(depths) > 0, "the probe was seen below the surface"
+
+
+class Plunger:
+    """An actuator along z that is no stage: it cannot be closed. It pushes on a spring that begins at z = 0."""
+
+    travel = Travel((-1e-3, -1e-3, -5e-3), (1e-3, 1e-3, 5e-3), 0.05, 1.0, 1e-3)
+
+    def __init__(self, clock: ManualClock) -> None:
+        self._clock = clock
+        self._begun_ns, self._start, self._target, self._speed = 0, -2e-3, -2e-3, 1.0
+
+    def position_m(self) -> Position:
+        gone = (self._clock.now_ns() - self._begun_ns) / NS_PER_S * self._speed
+        way = self._target - self._start
+        return 0.0, 0.0, self._start + min(1.0, gone / abs(way) if way else 1.0) * way
+
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        self._start, self._target = self.position_m()[2], position_m[2]
+        self._begun_ns, self._speed = self._clock.now_ns(), speed_m_s
+
+    def moving(self) -> bool:
+        return self.position_m()[2] != self._target
+
+    def stop(self) -> None:
+        self._start = self._target = self.position_m()[2]
+
+
+class Spring:
+    """A force that is no sensor: it states no rate and no range."""
+
+    def __init__(self, plunger: Plunger, clock: ManualClock) -> None:
+        self._plunger, self._clock = plunger, clock
+
+    def latest(self) -> Wrench:
+        depth = max(0.0, self._plunger.position_m()[2])
+        return Wrench(self._clock.now_ns(), (0.0, 0.0, 2e3 * depth))
+
+    def drain(self) -> list[Wrench]:
+        return [self.latest()]
+
+
+def test_any_actuator_and_any_force_are_guarded_by_the_same_guard() -> None:
+    clock = ManualClock()
+    plunger = Plunger(clock)
+    spring = Spring(plunger, clock)
+    assert not isinstance(plunger, Stage)
+    assert not isinstance(spring, ForceSensor)
+    limits = Limits(plunger.travel.least_m, plunger.travel.greatest_m, force_n=1.0)
+    guard = MotionGuard(plunger, spring, limits, ForceBias(), clock, OperatorControl())
+    with pytest.raises(Tripped, match="1 N are allowed") as tripped:
+        guard.towards((0.0, 0.0, 2e-3), 5e-3)
+    assert tripped.value.reason is Reason.FORCE_LIMIT
+    assert not plunger.moving()
+    # One newton is 0.5 mm; a poll at 5 mm/s is 0.01 mm, and the steps that lead there are whole.
+    assert 0.5e-3 < plunger.position_m()[2] < 0.52e-3
+    guard.away((0.0, 0.0, -2e-3), 5e-3)
+    assert guard.force_n == (0.0, 0.0, 0.0)

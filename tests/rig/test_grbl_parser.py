@@ -138,7 +138,7 @@ def test_a_report_in_the_midst_of_a_reply_costs_neither(stream):
             heard.append(parse_line(line))
         except ProtocolError:
             assert line == b"\xfe"
-    assert sorted(type(line).__name__ for line in heard) == ["Ok", "Status"]
+    assert sorted(type(line).__name__ for line in heard) == ["GrblStatus", "Ok"]
 
 
 class TestProbingIsJudgedByFlagAndAlarm:

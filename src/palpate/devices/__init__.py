@@ -7,6 +7,7 @@ from palpate.devices.force_bias import ForceBias, Mounting
 from palpate.devices.guard import MotionGuard, Subscribers
 from palpate.devices.limits import Limits, Reason, Tripped
 from palpate.devices.operator import OperatorCommand, OperatorControl, OperatorInterrupt
+from palpate.devices.plugins import open_device
 
 __all__ = [
     "ForceBias",
@@ -19,4 +20,5 @@ __all__ = [
     "Reason",
     "Subscribers",
     "Tripped",
+    "open_device",
 ]

@@ -13,11 +13,11 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Generic, ParamSpec
+from typing import Generic, ParamSpec, Protocol, runtime_checkable
 
 from palpate.core.clock import NS_PER_S, Clock
 from palpate.core.errors import DeviceError
-from palpate.core.protocols import ForceSensor, Position, Stage, Wrench
+from palpate.core.protocols import Position, Travel, Wrench
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.limits import Limits, Reason, Tripped
 from palpate.devices.operator import AT_ONCE, OperatorCommand, OperatorControl
@@ -32,6 +32,46 @@ RISE_N = 1.0  # by which force may rise while the probe moves away: friction, no
 LEAVING = (OperatorCommand.ESTOP,)
 """What may stop the probe on its way away from the skin."""
 
+
+@runtime_checkable
+class Actuator(Protocol):
+    """Goes to a position in straight moves, one at a time, and stops when told; a `core.Stage` is one."""
+
+    @property
+    def travel(self) -> Travel:
+        """Where it may go, how fast, and how soon it stops."""
+        ...
+
+    def position_m(self) -> Position:
+        """Where it is now [m]; raises `DeviceError` where it does not know."""
+        ...
+
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        """Start moving [m, m/s], and return at once."""
+        ...
+
+    def moving(self) -> bool:
+        """Whether the last move is still under way."""
+        ...
+
+    def stop(self) -> None:
+        """Come to a stand, from any thread; return once it stands."""
+        ...
+
+
+@runtime_checkable
+class ForceSource(Protocol):
+    """Measures force all the time; a `core.ForceSensor` is one."""
+
+    def latest(self) -> Wrench:
+        """The newest sample; raises `DeviceError` where there is none."""
+        ...
+
+    def drain(self) -> list[Wrench]:
+        """All samples since the last call, oldest first."""
+        ...
+
+
 Until = Callable[[Force], bool]
 Check = Callable[[Wrench], None]
 
@@ -41,7 +81,15 @@ def _never(force: Force) -> bool:
 
 
 class MotionGuard:
-    """Moves the stage within limits, and watches the force all the while.
+    """Moves an actuator within limits, and watches a force all the while.
+
+    Args:
+        stage: what moves.
+        sensor: what feels the contact.
+        limits: of position, speed and force.
+        bias: from a sample to the force in the skin's axes.
+        clock: that samples are stamped on.
+        control: through which the operator interrupts.
 
     Attributes:
         samples: hear each batch of force samples, raw and oldest first, before it is checked.
@@ -54,8 +102,8 @@ class MotionGuard:
 
     def __init__(
         self,
-        stage: Stage,
-        sensor: ForceSensor,
+        stage: Actuator,
+        sensor: ForceSource,
         limits: Limits,
         bias: ForceBias,
         clock: Clock,

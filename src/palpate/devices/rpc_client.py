@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, Self
+from typing import Any
 
 from palpate.core import errors
 from palpate.core.errors import DeviceError, PalpateError, ProtocolError
@@ -57,7 +57,7 @@ class RpcClient:
         self._thread = threading.Thread(target=self._run, name="palpate-rpc-client", daemon=True)
         self._thread.start()
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> RpcClient:
         return self
 
     def __exit__(self, *_: object) -> None:

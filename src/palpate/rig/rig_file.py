@@ -10,16 +10,18 @@ import tomllib
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
 from palpate.core.clock import Clock, ManualClock, MonotonicClock
 from palpate.core.errors import InputError
 from palpate.core.files import storage_errors
 from palpate.core.protocols import ForceSensor, FrameSource, Position, Stage
+from palpate.devices.check.interface_check import Role
 from palpate.devices.force_bias import Mounting
 from palpate.devices.limits import Limits
+from palpate.devices.plugins import check_kind, open_device
 from palpate.rig.rig import Region, Rig
 from palpate.rig.virtual import Fault, virtual_palm
 from palpate.rig.virtual.faults import Kind
@@ -69,6 +71,24 @@ class UvcPart(_Part):
     white_balance_k: int | None = 4600
 
 
+class PluginPart(BaseModel):
+    """A device by the name of its class or entry point; all other fields are its options."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+    kind: Annotated[str, Field(min_length=1, max_length=200)]
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What it is opened with."""
+        return dict(self.model_extra or {})
+
+
+class ForcePluginPart(PluginPart):
+    """A force sensor by the name of its class; `axes` is how it is mounted, and no option of its own."""
+
+    axes: tuple[str, str, str] = ("x", "y", "z")
+
+
 class LimitsPart(_Part):
     """As `rig.Limits`, in millimetres and newtons."""
 
@@ -116,6 +136,24 @@ class RegionPart(_Part):
     box_px: tuple[int, int, int, int]
 
 
+def _own(kind: str) -> Discriminator:
+    """Whether a part is palpate's own driver of a kind, or a plug-in."""
+
+    def tag(part: Any) -> str:
+        named = part.get("kind") if isinstance(part, dict) else getattr(part, "kind", None)
+        return "#own" if named in (kind, None) else "#plugin"
+
+    return Discriminator(tag)
+
+
+StagePart = Annotated[Annotated[GrblPart, Tag("#own")] | Annotated[PluginPart, Tag("#plugin")], _own("grbl")]
+ForcePart = Annotated[
+    Annotated[NetFTPart, Tag("#own")] | Annotated[ForcePluginPart, Tag("#plugin")], _own("netft")
+]
+CameraPart = Annotated[Annotated[UvcPart, Tag("#own")] | Annotated[PluginPart, Tag("#plugin")], _own("uvc")]
+OWN: dict[Role, str] = {"stage": "grbl", "force": "netft", "camera": "uvc"}
+
+
 class RigFile(_Part):
     """The whole file: either `virtual`, or all of stage, force, camera and limits.
 
@@ -132,9 +170,9 @@ class RigFile(_Part):
     origin: str = ""
     origin_mm: Three = (0.0, 0.0, 0.0)
     virtual: VirtualPart | None = None
-    stage: GrblPart | None = None
-    force: NetFTPart | None = None
-    camera: UvcPart | None = None
+    stage: StagePart | None = None
+    force: ForcePart | None = None
+    camera: CameraPart | None = None
     limits: LimitsPart | None = None
     regions: tuple[RegionPart, ...] = ()
 
@@ -174,12 +212,24 @@ def read_rig(path: Path) -> RigFile:
     with storage_errors(path):
         data = path.read_bytes()[:_MOST_BYTES]
     try:
-        return RigFile.model_validate(tomllib.loads(data.decode()))
+        file = RigFile.model_validate(tomllib.loads(data.decode()))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
         raise InputError(f"{path} is not TOML: {e}") from e
     except ValidationError as e:
-        said = "; ".join(f"{'.'.join(map(str, d['loc']))}: {d['msg']}" for d in e.errors())
+        said = "; ".join(f"{_field(d['loc'])}: {d['msg']}" for d in e.errors())
         raise InputError(f"{path}: {said}") from e
+    for role, own in OWN.items():
+        if (part := getattr(file, role)) is not None:
+            try:
+                check_kind(role, part.kind, (own,))
+            except InputError as e:
+                raise InputError(f"{path}: {role}.kind: {e}") from e
+    return file
+
+
+def _field(location: tuple[str | int, ...]) -> str:
+    """The field's name in the file, without the tags of its kinds."""
+    return ".".join(str(part) for part in location if not str(part).startswith("#"))
 
 
 def rig_from(file: RigFile) -> Rig:
@@ -225,14 +275,19 @@ def _virtual_limits(file: RigFile, real_time: bool) -> Limits | None:
 
 
 def _real(
-    file: RigFile, stage: GrblPart, force: NetFTPart, camera: UvcPart, limits: LimitsPart, opened: ExitStack
+    file: RigFile,
+    stage: StagePart,
+    force: ForcePart,
+    camera: CameraPart,
+    limits: LimitsPart,
+    opened: ExitStack,
 ) -> Rig:
     clock = MonotonicClock()
-    sensor = _netft(force, clock)
+    sensor = _force(force, clock)
     opened.callback(sensor.close)
-    frames = _uvc(camera, clock)
+    frames = _camera(camera, clock)
     opened.callback(frames.close)
-    moved = _grbl(stage, clock)
+    moved = _stage(stage, clock)
     opened.callback(moved.close)
     return Rig(
         name=file.name,
@@ -250,7 +305,13 @@ def _real(
     )
 
 
-def _grbl(part: GrblPart, clock: Clock) -> Stage:
+def _plugin(role: Role, part: PluginPart, clock: Clock) -> Any:
+    return open_device(role, part.kind, part.options, clock)
+
+
+def _stage(part: GrblPart | PluginPart, clock: Clock) -> Stage:
+    if isinstance(part, PluginPart):
+        return _plugin("stage", part, clock)
     from palpate.rig.real.grbl.spec import GrblSpec
     from palpate.rig.real.grbl.stage import GrblStage
 
@@ -264,13 +325,17 @@ def _grbl(part: GrblPart, clock: Clock) -> Stage:
     return stage
 
 
-def _netft(part: NetFTPart, clock: Clock) -> ForceSensor:
+def _force(part: NetFTPart | ForcePluginPart, clock: Clock) -> ForceSensor:
+    if isinstance(part, PluginPart):
+        return _plugin("force", part, clock)
     from palpate.rig.real.netft.sensor import NetFT, NetFTSettings
 
     return NetFT(part.host, NetFTSettings(rdt_port=part.rdt_port, http_port=part.http_port), clock)
 
 
-def _uvc(part: UvcPart, clock: Clock) -> FrameSource:
+def _camera(part: UvcPart | PluginPart, clock: Clock) -> FrameSource:
+    if isinstance(part, PluginPart):
+        return _plugin("camera", part, clock)
     from palpate.rig.real.uvc import UvcCamera, UvcSettings
 
     settings = UvcSettings(

@@ -14,6 +14,7 @@ from palpate.core.errors import DeviceError, RangeError
 from palpate.core.frame import Frame
 from palpate.core.protocols import Camera
 from palpate.core.shapes import Float
+from palpate.devices.check.interface_check import camera_interface
 from palpate.devices.check.result import (
     CheckResult,
     Part,
@@ -70,23 +71,12 @@ def check_camera(camera: object, *, clock: Clock, frames: int = 40, close: bool 
     """
     if frames < FEWEST:
         raise RangeError(f"{frames} frames say too little about a rate; grab {FEWEST} or more")
-    found = [*gathered("the protocol", _shape(camera))]
+    found = [*gathered("the protocol", camera_interface(camera))]
     if isinstance(camera, Camera) and all(one.ok for one in found):
         found += gathered("grabbing", _grabbing(camera, clock, frames))
     if close and isinstance(camera, Camera):
         found += gathered("close", closing(camera, camera.grab, "grab()"))
     return found
-
-
-def _shape(camera: object) -> Part:
-    shaped = isinstance(camera, Camera)
-    yield held("has the protocol's methods", shaped, "see palpate.core.Camera for what a camera must have")
-    if not isinstance(camera, Camera):
-        return
-    rate, size = camera.rate_hz, camera.size_px
-    yield held("states a rate", math.isfinite(rate) and rate > 0, f"rate_hz is {rate}; it must be above 0 Hz")
-    sane = len(size) == 2 and all(isinstance(side, int) and side > 0 for side in size)
-    yield held("states a size", sane, f"size_px is {size}; give (width, height), whole numbers above 0")
 
 
 def _grabbing(camera: Camera, clock: Clock, count: int) -> Part:

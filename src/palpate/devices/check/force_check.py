@@ -12,6 +12,7 @@ import numpy as np
 from palpate.core.clock import NS_PER_S, Clock
 from palpate.core.errors import RangeError
 from palpate.core.protocols import ForceSensor, Wrench
+from palpate.devices.check.interface_check import force_interface
 from palpate.devices.check.result import (
     CheckResult,
     Part,
@@ -63,7 +64,7 @@ def check_force_sensor(
             raise RangeError(
                 f"{name} is {value}; give a number above 0, in {'s' if name != 'noise_n' else 'N'}"
             )
-    found = [*gathered("the protocol", _shape(sensor, seconds))]
+    found = [*gathered("the protocol", _described(sensor, seconds))]
     if isinstance(sensor, ForceSensor) and all(one.ok for one in found):
         found += gathered("listening", _listened(sensor, clock, seconds, noise_n))
     if close and isinstance(sensor, ForceSensor):
@@ -71,25 +72,15 @@ def check_force_sensor(
     return found
 
 
-def _shape(sensor: object, time_s: float) -> Part:
-    shaped = isinstance(sensor, ForceSensor)
-    yield held(
-        "has the protocol's methods",
-        shaped,
-        "see palpate.core.ForceSensor for what a force sensor must have",
-    )
-    if not isinstance(sensor, ForceSensor):
-        return
-    rate, most = sensor.rate_hz, sensor.range_n
-    sane = math.isfinite(rate) and rate > 0
-    yield held("states a rate", sane, f"rate_hz is {rate}; it must be above 0 Hz")
-    sane = len(most) == 3 and all(math.isfinite(one) and one > 0 for one in most)
-    yield held("states a range", sane, f"range_n is {most}; give the greatest force of each axis, above 0 N")
-    yield held(
-        "is listened to for long enough",
-        rate * time_s >= SAMPLES,
-        f"{rate:g} samples a second give fewer than {SAMPLES} in {time_s:g} s; listen for longer",
-    )
+def _described(sensor: object, time_s: float) -> Part:
+    yield from force_interface(sensor)
+    if isinstance(sensor, ForceSensor):
+        rate = sensor.rate_hz
+        yield held(
+            "is listened to for long enough",
+            rate * time_s >= SAMPLES,
+            f"{rate:g} samples a second give fewer than {SAMPLES} in {time_s:g} s; listen for longer",
+        )
 
 
 def _listened(sensor: ForceSensor, clock: Clock, time_s: float, noise_n: float | None) -> Part:

@@ -10,7 +10,8 @@ from contextlib import suppress
 
 from palpate.core.clock import Clock
 from palpate.core.errors import DeviceError, RangeError
-from palpate.core.protocols import Position, Stage, Travel
+from palpate.core.protocols import Position, Stage
+from palpate.devices.check.interface_check import stage_interface
 from palpate.devices.check.result import (
     CheckResult,
     Part,
@@ -68,7 +69,7 @@ def check_stage(
         >>> all(one.ok for one in check_stage(rig.stage, clock=rig.clock, region_m=box))
         True
     """
-    found = [*gathered("the protocol", _shape(stage))]
+    found = [*gathered("the protocol", stage_interface(stage))]
     if not (isinstance(stage, Stage) and all(one.ok for one in found)):
         return found
     walker = Walker(stage, clock, region_m, speed_m_s, within_m, watch)
@@ -76,30 +77,6 @@ def check_stage(
     if close:
         found += gathered("close", closing(stage, lambda: stage.move_to(walker.centre, speed_m_s), "move_to"))
     return found
-
-
-def _shape(stage: object) -> Part:
-    shaped = isinstance(stage, Stage)
-    yield held("has the protocol's methods", shaped, "see palpate.core.Stage for what a stage must have")
-    if not isinstance(stage, Stage):
-        return
-    travel = stage.travel
-    wrong = list(_wrong(travel)) if isinstance(travel, Travel) else ["it is no palpate.core.Travel"]
-    yield held("has a sane travel", not wrong, f"{'; '.join(wrong)}: {travel}")
-
-
-def _wrong(travel: Travel) -> Iterator[str]:
-    for axis, low, high in zip("xyz", travel.least_m, travel.greatest_m, strict=True):
-        if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            yield f"{axis} from {low} to {high} m"
-        elif high - low > 10.0:
-            yield f"{axis} spans {high - low:g} m; are these millimetres?"
-    for name in ("top_speed_m_s", "acceleration_m_s2"):
-        value = getattr(travel, name)
-        if not (math.isfinite(value) and value > 0):
-            yield f"{name} is {value}; it must be above 0"
-    if not (math.isfinite(travel.latency_s) and travel.latency_s >= 0):
-        yield f"latency_s is {travel.latency_s}; it must be 0 or more"
 
 
 def _moved(walker: Walker) -> Iterator[CheckResult]:

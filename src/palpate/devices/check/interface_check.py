@@ -1,0 +1,248 @@
+"""Does an object offer what a device's protocol asks for, in its shapes and units? Nothing is moved.
+
+The first part of every conformance check, and all of it that a device goes through each time it is opened by
+the name of its class.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Iterator, Mapping
+from numbers import Integral, Real
+from typing import Any, Literal
+
+from palpate.core.clock import NS_PER_S, Clock
+from palpate.core.errors import DeviceError
+from palpate.core.frame import Frame
+from palpate.core.protocols import Camera, ForceSensor, Stage, Travel, Wrench
+from palpate.devices.check.result import CheckResult, Part, gathered, held
+
+Role = Literal["stage", "force", "camera"]
+
+MAX_TRAVEL_M = 10.0  # of an axis; more is millimetres
+MARGIN_M = 1e-3  # by which a stage may stand outside its stated travel, at rest
+FIRST_SAMPLE_S = 1.0  # from opening a sensor to its first sample
+POLL_S = 0.01
+MAX_AGE_S = 5.0  # of a stamp; on another clock or in another unit it is off by far more
+EARLY_S = 1e-3  # by which a stamp may lie ahead of the clock: rounding
+
+MEMBERS: dict[type, tuple[str, ...]] = {
+    Stage: ("travel", "position_m", "move_to", "moving", "stop", "close"),
+    ForceSensor: ("rate_hz", "range_n", "latest", "drain", "close"),
+    Camera: ("rate_hz", "size_px", "grab", "close"),
+}
+ARGUMENTS: dict[str, tuple[Any, ...]] = {
+    "position_m": (),
+    "move_to": ((0.0, 0.0, 0.0), 1e-3),
+    "moving": (),
+    "stop": (),
+    "close": (),
+    "latest": (),
+    "drain": (),
+    "grab": (1.0,),
+}
+"""What the rig calls each method with."""
+
+
+def check_interface(role: Role, device: object, clock: Clock) -> list[CheckResult]:
+    """Check members, arguments, shapes and units of a device that has just been opened.
+
+    Args:
+        role: what it is to be used as.
+        device: a stage is asked where it is and not moved; a force sensor is asked for a sample and a camera
+            for a frame.
+        clock: that it stamps on.
+    """
+    described, asked = ROLES[role]
+    results = [*gathered("the protocol", described(device))]
+    if all(one.ok for one in results):
+        results += gathered("being asked", asked(device, clock))
+    return results
+
+
+def stage_interface(stage: object) -> Part:
+    """Check a stage's members and its stated travel."""
+    yield from _members(stage, Stage)
+    if isinstance(stage, Stage):
+        travel = stage.travel
+        wrong = list(_wrong(travel)) if isinstance(travel, Travel) else ["it is no palpate.core.Travel"]
+        yield held("has a sane travel", not wrong, f"{'; '.join(wrong)}: {travel}")
+
+
+def force_interface(sensor: object) -> Part:
+    """Check a force sensor's members, rate and range."""
+    yield from _members(sensor, ForceSensor)
+    if isinstance(sensor, ForceSensor):
+        yield _stated_rate(sensor.rate_hz)
+        most = sensor.range_n
+        sane = _is_vector(most) and all(one > 0 for one in most)
+        yield held(
+            "states a range", sane, f"range_n is {most}; give the greatest force of each axis, above 0 N"
+        )
+
+
+def camera_interface(camera: object) -> Part:
+    """Check a camera's members, rate and size."""
+    yield from _members(camera, Camera)
+    if isinstance(camera, Camera):
+        yield _stated_rate(camera.rate_hz)
+        size = camera.size_px
+        sane = len(size) == 2 and all(isinstance(side, int) and side > 0 for side in size)
+        yield held("states a size", sane, f"size_px is {size}; give (width, height), whole numbers above 0")
+
+
+def _members(device: object, protocol: type) -> Part:
+    missing = [name for name in MEMBERS[protocol] if not hasattr(device, name)]
+    yield held(
+        "has the protocol's methods",
+        not missing,
+        f"it lacks {', '.join(missing)}; see palpate.core.{protocol.__name__} for what it must have",
+    )
+    if not missing:
+        called = [name for name in MEMBERS[protocol] if name in ARGUMENTS]
+        wrong = [name for name in called if not _takes(getattr(device, name), ARGUMENTS[name])]
+        yield held(
+            "takes the protocol's arguments",
+            not wrong,
+            f"{', '.join(wrong)} cannot be called as palpate.core.{protocol.__name__} says",
+        )
+
+
+def _takes(method: Callable[..., object], arguments: tuple[Any, ...]) -> bool:
+    try:
+        inspect.signature(method).bind(*arguments)
+    except TypeError:
+        return False
+    except ValueError:  # of a compiled function that does not tell
+        return True
+    return True
+
+
+def _wrong(travel: Travel) -> Iterator[str]:
+    for axis, low, high in zip("xyz", travel.least_m, travel.greatest_m, strict=True):
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            yield f"{axis} from {low} to {high} m"
+        elif high - low > MAX_TRAVEL_M:
+            yield f"{axis} spans {high - low:g} m; are these millimetres?"
+    for name in ("top_speed_m_s", "acceleration_m_s2"):
+        value = getattr(travel, name)
+        if not (math.isfinite(value) and value > 0):
+            yield f"{name} is {value}; it must be above 0"
+    if not (math.isfinite(travel.latency_s) and travel.latency_s >= 0):
+        yield f"latency_s is {travel.latency_s}; it must be 0 or more"
+
+
+def _stated_rate(rate_hz: float) -> CheckResult:
+    sane = isinstance(rate_hz, Real) and math.isfinite(rate_hz) and rate_hz > 0
+    return held("states a rate", sane, f"rate_hz is {rate_hz}; it must be above 0 Hz")
+
+
+def _standing(stage: Any, clock: Clock) -> Part:
+    moving = stage.moving()
+    yield held("says whether it moves", isinstance(moving, bool), f"moving() is {moving!r}; give a bool")
+    try:
+        place = stage.position_m()
+    except DeviceError:
+        return  # before it is homed a stage need not know where it is
+    shaped = _is_vector(place)
+    yield held(
+        "tells its position as x, y, z", shaped, f"position_m() is {place!r}; give three numbers, in m"
+    )
+    if shaped:
+        travel = stage.travel
+        inside = all(
+            low - MARGIN_M <= at <= high + MARGIN_M
+            for low, at, high in zip(travel.least_m, place, travel.greatest_m, strict=True)
+        )
+        yield held(
+            "stands inside its travel",
+            inside,
+            f"position_m() is {place}, the travel {travel.least_m} to {travel.greatest_m} m; is it in m?",
+        )
+
+
+def _measuring(sensor: Any, clock: Clock) -> Part:
+    sample = _first_sample(sensor, clock)
+    yield held(
+        "measures within a second",
+        sample is not None,
+        "latest() raises DeviceError; is it streaming?",
+    )
+    if sample is None:
+        return
+    drained = sensor.drain()
+    shaped = isinstance(sample, Wrench) and isinstance(drained, list)
+    shaped = shaped and all(isinstance(one, Wrench) for one in drained)
+    yield held(
+        "hands out samples",
+        shaped,
+        f"latest() is {sample!r} and drain() {type(drained).__name__}; give a palpate.core.Wrench and a list",
+    )
+    if not shaped:
+        return
+    yield _on_clock(sample.time_ns, clock)
+    if not sample.fault:
+        within = _is_vector(sample.force_n) and all(
+            abs(force) <= most for force, most in zip(sample.force_n, sensor.range_n, strict=True)
+        )
+        yield held(
+            "reads forces inside its range",
+            within,
+            f"force_n is {sample.force_n!r} of a stated {sensor.range_n} N; give three numbers, in newtons",
+        )
+
+
+def _first_sample(sensor: Any, clock: Clock) -> Any:
+    end_ns = clock.now_ns() + round(FIRST_SAMPLE_S * NS_PER_S)
+    while True:
+        try:
+            return sensor.latest()
+        except DeviceError:
+            if clock.now_ns() >= end_ns:
+                return None
+            clock.sleep(POLL_S)
+
+
+def _filming(camera: Any, clock: Clock) -> Part:
+    taken = camera.grab(FIRST_SAMPLE_S + 2.0 / camera.rate_hz)
+    shaped = isinstance(taken, tuple) and len(taken) == 2 and isinstance(taken[1], Frame)
+    yield held(
+        "hands out a time and a frame",
+        shaped,
+        f"grab() gave {type(taken).__name__}; give (when the exposure ended [ns], palpate.core.Frame)",
+    )
+    if shaped:
+        time_ns, frame = taken
+        width, height = camera.size_px
+        yield held(
+            "keeps the stated size",
+            frame.image.shape[:2] == (height, width),
+            f"{width} x {height} px are stated, and rows, columns and colours of {frame.image.shape} came",
+        )
+        yield _on_clock(time_ns, clock)
+
+
+def _on_clock(time_ns: object, clock: Clock) -> CheckResult:
+    age_s = (clock.now_ns() - int(time_ns)) / NS_PER_S if isinstance(time_ns, Integral) else math.nan
+    return held(
+        "timestamps are on the host's clock",
+        -EARLY_S <= age_s <= MAX_AGE_S,
+        f"a stamp of {time_ns!r} at {clock.now_ns()} ns; stamp with the clock that was given, in whole ns",
+    )
+
+
+def _is_vector(value: object) -> bool:
+    """Whether these are three finite numbers."""
+    return (
+        isinstance(value, tuple | list)
+        and len(value) == 3
+        and all(isinstance(one, Real) and math.isfinite(one) for one in value)
+    )
+
+
+ROLES: Mapping[Role, tuple[Callable[[object], Part], Callable[[Any, Clock], Part]]] = {
+    "stage": (stage_interface, _standing),
+    "force": (force_interface, _measuring),
+    "camera": (camera_interface, _filming),
+}

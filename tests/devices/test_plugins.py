@@ -1,0 +1,295 @@
+"""Devices by the name of their class: opened where they keep the interface, refused by the law they break."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from palpate.core.clock import MonotonicClock
+from palpate.core.errors import DeviceError, InputError
+from palpate.devices import open_device
+from palpate.devices.plugins import check_kind
+from palpate.rig import open_rig
+from palpate.rig.rig_file import RigFile, rig_from
+
+GOOD = '''
+import numpy as np
+from palpate.core import DeviceError, Frame, MonotonicClock, Travel, Wrench
+
+
+class Stage:
+    """A stage that stands."""
+
+    opened = []
+    travel = Travel((-0.05, -0.05, -0.03), (0.05, 0.05, 0.02), 0.02, 0.5, 0.02)
+
+    def __init__(self, port="COM3"):
+        self.port, self.closed = port, False
+        Stage.opened.append(self)
+
+    def position_m(self):
+        return (0.0, 0.0, -0.01)
+
+    def move_to(self, position_m, speed_m_s):
+        pass
+
+    def moving(self):
+        return False
+
+    def stop(self):
+        pass
+
+    def close(self):
+        self.closed = True
+
+
+class Force:
+    rate_hz, range_n = 1000.0, (20.0, 20.0, 60.0)
+    opened = []
+
+    def __init__(self, *, clock, gain=1.0):
+        self.clock, self.gain, self.closed = clock, gain, False
+        Force.opened.append(self)
+
+    def latest(self):
+        return Wrench(self.clock.now_ns(), (0.1, 0.2, 0.3 * self.gain))
+
+    def drain(self):
+        return [self.latest()]
+
+    def close(self):
+        self.closed = True
+
+
+class Camera:
+    rate_hz, size_px = 30.0, (64, 48)
+    opened = []
+
+    def __init__(self, clock):
+        self.clock, self.closed = clock, False
+        Camera.opened.append(self)
+
+    def grab(self, timeout_s=1.0):
+        time_ns = self.clock.now_ns()
+        return time_ns, Frame(np.zeros((48, 64), np.uint8), time_ns / 1e9)
+
+    def drain(self):
+        return [self.grab()]
+
+    def close(self):
+        self.closed = True
+'''
+
+BROKEN = {
+    # role, what is changed in the good one, and the law that this breaks
+    "no stop": ("Stage", "del Broken.stop", "has the protocol's methods"),
+    "move_to without a speed": (
+        "Stage",
+        "Broken.move_to = lambda self, position_m: None",
+        "takes the protocol's arguments",
+    ),
+    "travel in millimetres": (
+        "Stage",
+        "Broken.travel = Travel((-50.0,) * 3, (50.0,) * 3, 20.0, 500.0, 0.02)",
+        "has a sane travel",
+    ),
+    "position in millimetres": (
+        "Stage",
+        "Broken.position_m = lambda self: (0.0, 0.0, -10.0)",
+        "stands inside its travel",
+    ),
+    "position of two axes": ("Stage", "Broken.position_m = lambda self: (0.0, 0.0)", "tells its position"),
+    "moving as a word": ("Stage", "Broken.moving = lambda self: 'idle'", "says whether it moves"),
+    "no drain": ("Force", "del Broken.drain", "has the protocol's methods"),
+    "no rate": ("Force", "Broken.rate_hz = 0.0", "states a rate"),
+    "range of one axis": ("Force", "Broken.range_n = (20.0,)", "states a range"),
+    "bare numbers": ("Force", "Broken.latest = lambda self: (0.0, 0.0, 0.1)", "hands out samples"),
+    "stamps in seconds": (
+        "Force",
+        "Broken.latest = lambda self: Wrench(int(self.clock.now_ns() / 1e9), (0.0, 0.0, 0.1))",
+        "timestamps are on the host's clock",
+    ),
+    "force in millinewtons": (
+        "Force",
+        "Broken.latest = lambda self: Wrench(self.clock.now_ns(), (100.0, 200.0, 300.0))",
+        "reads forces inside its range",
+    ),
+    "size as one number": ("Camera", "Broken.size_px = (3072,)", "states a size"),
+    "rows and columns changed over": ("Camera", "Broken.size_px = (48, 64)", "keeps the stated size"),
+    "a bare image": (
+        "Camera",
+        "Broken.grab = lambda self, timeout_s=1.0: np.zeros((48, 64), np.uint8)",
+        "hands out a time and a frame",
+    ),
+    "an exception of its own": (
+        "Camera",
+        "def grab(self, timeout_s=1.0):\n    raise KeyError('lens')\nBroken.grab = grab",
+        "raises nothing unexpected",
+    ),
+}
+ROLES: dict[str, Any] = {"Stage": "stage", "Force": "force", "Camera": "camera"}
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder on Python's path, with a module of good devices in it."""
+    before = set(sys.modules)
+    (tmp_path / "bench_devices.py").write_text(GOOD)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield tmp_path
+    for name in set(sys.modules) - before:
+        if name.startswith("bench_"):
+            del sys.modules[name]
+
+
+def registered(folder: Path, package: str, group: str, name: str, value: str) -> None:
+    """Install a package that registers an entry point, as pip does."""
+    about = folder / f"{package}-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(f"[{group}]\n{name} = {value}\n")
+    importlib.invalidate_caches()
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_a_class_that_keeps_the_interface_is_opened_by_its_name(bench: Path, role: str) -> None:
+    device = open_device(ROLES[role], f"bench_devices:{role}", {}, MonotonicClock())
+    assert type(device).__name__ == role
+    assert not device.closed
+
+
+@pytest.mark.parametrize(("role", "change", "law"), BROKEN.values(), ids=BROKEN)
+def test_what_breaks_the_interface_is_refused_by_its_law_and_closed(
+    bench: Path, role: str, change: str, law: str
+) -> None:
+    text = GOOD.replace(f"class {role}:", "class Broken:").replace(f"{role}.opened", "Broken.opened")
+    (bench / "bench_broken.py").write_text(f"{text}\n\n{change}\n")
+    with pytest.raises(InputError, match=f"bench_broken:Broken' breaks the law .*{law}"):
+        open_device(ROLES[role], "bench_broken:Broken", {}, MonotonicClock())
+    import bench_broken  # type: ignore[import-not-found]
+
+    assert [one.closed for one in bench_broken.Broken.opened] == [True]
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("bench_nowhere:Stage", "does not import: No module named 'bench_nowhere'"),
+        ("bench_devices:Gantry", "does not import: .*no attribute 'Gantry'"),
+        ("bench_raises:Stage", "does not import: this machine has no driver"),
+        ("bench_devices:np.pi", "is no class and no function"),
+    ],
+)
+def test_what_does_not_import_is_refused_by_name(bench: Path, kind: str, said: str) -> None:
+    (bench / "bench_raises.py").write_text("raise OSError('this machine has no driver')\n")
+    with pytest.raises(InputError, match=f"stage '{kind}' {said}"):
+        open_device("stage", kind, {}, MonotonicClock())
+
+
+def test_an_option_that_a_device_does_not_take_is_refused_before_it_is_opened(bench: Path) -> None:
+    with pytest.raises(InputError, match=r"'prot'.*it takes .*port"):
+        open_device("stage", "bench_devices:Stage", {"prot": "COM4"}, MonotonicClock())
+    import bench_devices  # type: ignore[import-not-found]
+
+    assert not bench_devices.Stage.opened
+
+
+def test_a_device_that_says_what_is_wrong_says_it_unchanged(bench: Path) -> None:
+    (bench / "bench_gone.py").write_text(
+        "from palpate.core import DeviceError\ndef stage():\n    raise DeviceError('no answer on COM3')\n"
+    )
+    with pytest.raises(DeviceError, match=r"^no answer on COM3$"):
+        open_device("stage", "bench_gone:stage", {}, MonotonicClock())
+    (bench / "bench_rude.py").write_text("def stage():\n    raise KeyError('COM3')\n")
+    with pytest.raises(InputError, match=r"opens, or raises DeviceError.*KeyError"):
+        open_device("stage", "bench_rude:stage", {}, MonotonicClock())
+
+
+def test_an_installed_package_registers_a_device_by_a_name(bench: Path) -> None:
+    registered(bench, "bench_gantry", "palpate.stages", "gantry", "bench_devices:Stage")
+    check_kind("stage", "gantry", ("grbl",))
+    assert open_device("stage", "gantry", {"port": "COM9"}, MonotonicClock()).port == "COM9"
+    with pytest.raises(InputError, match="there is no camera 'gantry'; palpate has uvc"):
+        check_kind("camera", "gantry", ("uvc",))
+
+
+def test_a_package_that_takes_an_existing_name_is_refused_by_name(bench: Path) -> None:
+    registered(bench, "bench_one", "palpate.stages", "grbl", "bench_devices:Stage")
+    with pytest.raises(InputError, match="bench_devices:Stage is registered as 'grbl', a name of palpate's"):
+        check_kind("stage", "grbl", ("grbl",))
+    registered(bench, "bench_two", "palpate.stages", "gantry", "bench_devices:Stage")
+    registered(bench, "bench_three", "palpate.stages", "gantry", "bench_other:Stage")
+    with pytest.raises(InputError, match="are all registered as 'gantry'"):
+        check_kind("stage", "gantry", ("grbl",))
+
+
+FILE = """
+name = "own bench"
+[stage]
+kind = "bench_devices:Stage"
+port = "COM7"
+[force]
+kind = "bench_devices:Force"
+axes = ["x", "-y", "-z"]
+gain = 2.0
+[camera]
+kind = "bench_devices:Camera"
+[limits]
+least_mm = [-30, -30, -20]
+greatest_mm = [30, 30, 8]
+"""
+
+
+def test_a_rigs_file_names_ones_own_devices_and_their_options(bench: Path) -> None:
+    path = bench / "rig.toml"
+    path.write_text(FILE)
+    rig = open_rig(str(path))
+    assert rig.stage.port == "COM7"  # type: ignore[attr-defined]
+    assert rig.force.latest().force_n[2] == pytest.approx(0.6)
+    assert rig.mounting.axes == ("x", "-y", "-z")
+    assert rig.camera.size_px == (64, 48)
+    rig.close()
+
+
+def test_the_same_devices_are_named_from_python(bench: Path) -> None:
+    file = RigFile.model_validate(
+        {
+            "name": "own bench",
+            "stage": {"kind": "bench_devices:Stage"},
+            "force": {"kind": "bench_devices:Force"},
+            "camera": {"kind": "bench_devices:Camera"},
+            "limits": {"least_mm": (-30, -30, -20), "greatest_mm": (30, 30, 8)},
+        }
+    )
+    rig = rig_from(file)
+    assert not rig.stage.moving()
+    rig.close()
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("bench_devices:Camera", "bench_broken:Camera", "camera 'bench_broken:Camera' does not import"),
+        ("bench_devices:Camera", "webcam", "camera.kind: there is no camera 'webcam'; palpate has uvc"),
+        ('port = "COM7"', "prot = 1", "stage 'bench_devices:Stage' cannot be opened .*'prot'"),
+        ('axes = ["x", "-y", "-z"]', 'axes = ["x", "-y"]', "force.axes"),
+        ('kind = "bench_devices:Stage"', 'kind = "grbl"\nspeed = 3', "stage.speed"),
+    ],
+)
+def test_a_file_that_names_a_device_wrongly_is_refused_and_nothing_stays_open(
+    bench: Path, before: str, after: str, said: str
+) -> None:
+    path = bench / "rig.toml"
+    path.write_text(textwrap.dedent(FILE.replace(before, after)))
+    with pytest.raises(InputError, match=said):
+        open_rig(str(path))
+    import bench_devices
+
+    opened = [*bench_devices.Force.opened, *bench_devices.Camera.opened, *bench_devices.Stage.opened]
+    assert all(one.closed for one in opened)
