@@ -1,4 +1,4 @@
-"""Guarded motion of any actuator, and its listeners: who hears what, in which order, and what if one fails."""
+"""Guarded motion of any actuator, and its listeners: who hears what, in which order, and what fails."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_who_watches_hears_during_a_sweep_as_well_as_the_sweep_itself(
 
 
 class Plunger:
-    """An actuator along z that is no stage: it cannot be closed. It pushes on a spring that begins at z = 0."""
+    """An actuator along z that is no stage, since it cannot be closed; its spring begins at z = 0."""
 
     travel = Travel((-1e-3, -1e-3, -5e-3), (1e-3, 1e-3, 5e-3), 0.05, 1.0, 1e-3)
 

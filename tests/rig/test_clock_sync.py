@@ -14,7 +14,7 @@ from palpate.core.frame import Frame
 from palpate.recordings.align import offset_between
 from palpate.recordings.reader import Run
 from palpate.rig import OperatorCommand, OperatorControl, Outcome, Reason, State, Status, record
-from palpate.rig.clock_sync import CLOCKS, MOST_S, most_telling
+from palpate.rig.clock_sync import CLOCKS, MAX_S, most_telling
 from palpate.rig.plans import Listed, Swept
 from palpate.rig.progress import fields_of
 from palpate.rig.virtual import Fault, Variation
@@ -59,7 +59,7 @@ def test_the_run_holds_the_offset_and_all_it_was_found_from(tapped: tuple[Outcom
         frames,
         np.array(stored["change"]),
         exposure_s=float(run.frame(0).exposure_s or 0),
-        most_s=MOST_S,
+        most_s=MAX_S,
     )
     assert again.seconds == pytest.approx(outcome.clocks.seconds, abs=2e-4)
 

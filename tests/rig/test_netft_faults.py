@@ -14,7 +14,7 @@ import pytest
 
 from palpate.core.errors import DeviceError, ProtocolError
 from palpate.rig.fakes.netft_box import START, STOP, FakeNetFT, FakePage
-from palpate.rig.real.netft.calibration import MOST_PAGE_BYTES
+from palpate.rig.real.netft.calibration import MAX_PAGE_BYTES
 from palpate.rig.real.netft.sensor import NetFT, NetFTSettings
 from palpate.rig.real.netft.stream import RdtCommand, request
 
@@ -345,7 +345,7 @@ def test_a_web_server_that_answers_with_an_error_is_told(box: FakeNetFT) -> None
 
 
 def test_a_page_without_end_is_refused_after_64_kib(box: FakeNetFT) -> None:
-    box.http_body = b"<netft>" + b" " * (4 * MOST_PAGE_BYTES)
+    box.http_body = b"<netft>" + b" " * (4 * MAX_PAGE_BYTES)
     with pytest.raises(ProtocolError, match="65536 bytes"):
         NetFT(box.host, patient(box))
 

@@ -25,7 +25,7 @@ from palpate.rig.service import RigClient, RigServer, RigService, launch, open_s
 
 RIG = "virtual:palm"
 HALT_S = 0.05  # from the client's call until the stage stands, of a press into the skin
-MOST_S = 30.0  # for anything to come about, however busy the machine
+MAX_S = 30.0  # for anything to come about, however busy the machine
 
 
 def tiny(**changed):
@@ -54,7 +54,7 @@ def served(tmp_path, *, accelerated):
     publish(Address(RIG, server.port, server.token, os.getpid()), tmp_path / "at")
     with RigClient(RIG, tmp_path / "at") as client:
         try:
-            client.wait_for(lambda status: True, MOST_S)
+            client.wait_for(lambda status: True, MAX_S)
             yield client, server, opened.rig
         finally:
             service.close()
@@ -107,7 +107,7 @@ def ended(status):
 def record(client, name, plan):
     client.plan(plan)
     client.start(name)
-    return client.wait_for(ended, MOST_S)
+    return client.wait_for(ended, MAX_S)
 
 
 def shots_of(path):
@@ -261,10 +261,10 @@ def test_a_client_that_leaves_changes_nothing(quick, folder):
     client, _, _ = quick
     client.plan(tiny())
     with RigClient(RIG, folder / "at") as starter:
-        starter.wait_for(lambda status: True, MOST_S)
+        starter.wait_for(lambda status: True, MAX_S)
         starter.start("left")
-    client.wait_for(lambda status: status["run"] == "left", MOST_S)
-    assert client.wait_for(ended, MOST_S)["state"] == "done"
+    client.wait_for(lambda status: status["run"] == "left", MAX_S)
+    assert client.wait_for(ended, MAX_S)["state"] == "done"
     assert shots_of(folder / "runs" / "left") == planned(tiny())
 
 
@@ -281,12 +281,12 @@ def test_a_client_that_reads_nothing_holds_nobody_up(quick):
 def test_two_clients_see_and_drive_the_same_rig(quick, folder):
     client, _, _ = quick
     with RigClient(RIG, folder / "at") as other:
-        other.wait_for(lambda status: True, MOST_S)
+        other.wait_for(lambda status: True, MAX_S)
         client.plan(tiny(name="ours"))
-        other.wait_for(lambda status: status["plan"]["name"] == "ours", MOST_S)
+        other.wait_for(lambda status: status["plan"]["name"] == "ours", MAX_S)
         other.start("shared")
-        client.wait_for(lambda status: status["run"] == "shared", MOST_S)
-        assert other.wait_for(ended, MOST_S)["state"] == client.wait_for(ended, MOST_S)["state"] == "done"
+        client.wait_for(lambda status: status["run"] == "shared", MAX_S)
+        assert other.wait_for(ended, MAX_S)["state"] == client.wait_for(ended, MAX_S)["state"] == "done"
 
 
 def test_what_is_refused_says_why_as_if_it_were_asked_here(quick):
@@ -312,9 +312,9 @@ def test_a_paused_recording_waits_lifted_and_goes_on(real, tmp_path):
     plan = tiny(depth_mm=1.0)
     client.plan(plan)
     client.start("paused")
-    client.wait_for(lambda status: status["shots"] >= 1, MOST_S)
+    client.wait_for(lambda status: status["shots"] >= 1, MAX_S)
     client.pause()
-    client.wait_for(lambda status: status["state"] == "paused", MOST_S)
+    client.wait_for(lambda status: status["state"] == "paused", MAX_S)
     stood = rig.stage.position_m()
     assert stood[2] == pytest.approx(-1e-3, abs=1e-5)  # the plan's clearance
     pictured = client.picture[0]
@@ -322,7 +322,7 @@ def test_a_paused_recording_waits_lifted_and_goes_on(real, tmp_path):
     assert rig.stage.position_m() == stood
     assert client.picture[0] > pictured  # the camera is still watched
     client.resume()
-    assert client.wait_for(ended, MOST_S)["state"] == "done"
+    assert client.wait_for(ended, MAX_S)["state"] == "done"
     assert shots_of(tmp_path / "runs" / "paused") == planned(plan)
 
 
@@ -331,19 +331,19 @@ def test_aborted_the_probe_is_lifted_and_the_next_start_goes_on(real, tmp_path):
     client, _, rig = real
     client.plan(tiny(places=TWICE))
     client.start("aborted")
-    client.wait_for(lambda status: status["shots"] >= 1, MOST_S)
+    client.wait_for(lambda status: status["shots"] >= 1, MAX_S)
     client.abort()
-    assert client.wait_for(ended, MOST_S)["state"] == "aborted"
+    assert client.wait_for(ended, MAX_S)["state"] == "aborted"
     assert rig.stage.position_m()[2] == pytest.approx(-1e-3, abs=1e-5)
     client.start("aborted")
     client.stop()
-    last = client.wait_for(ended, MOST_S)
+    last = client.wait_for(ended, MAX_S)
     assert (last["state"], last["shots"]) == ("stopped", 2)  # after the press, whole
 
 
 def moves(rig, *, speed_m_s, into):
     """Wait for a move of this speed that has a while to go; `into` the skin, or whichever way."""
-    world, end_s = rig.stage._world, time.monotonic() + MOST_S
+    world, end_s = rig.stage._world, time.monotonic() + MAX_S
     while time.monotonic() < end_s:
         motion = world.motion
         deeper = motion.target_m[2] > motion.start_m[2] and motion.start_m[2] > 0
@@ -366,7 +366,7 @@ def test_an_emergency_stop_halts_a_press_within_50_ms_and_nothing_moves_after(re
     client, _, rig = real
     watching = [RigClient(RIG, tmp_path / "at") for _ in range(others)]
     presser = watching[-1] if watching else client
-    presser.wait_for(lambda status: True, MOST_S)
+    presser.wait_for(lambda status: True, MAX_S)
     client.plan(tiny())
     client.start("estop")
     with pytest.raises(SafetyError, match="under way"):
@@ -378,7 +378,7 @@ def test_an_emergency_stop_halts_a_press_within_50_ms_and_nothing_moves_after(re
     assert stands_s - asked_s < HALT_S
     assert said["stood_ns"] / 1e9 >= stands_s - 1e-6  # what is told is not too early
     stood = rig.stage.position_m()
-    last = client.wait_for(ended, MOST_S)
+    last = client.wait_for(ended, MAX_S)
     assert (last["state"], last["held"]) == ("e-stopped", True)
     time.sleep(0.3)
     assert rig.stage.position_m() == stood  # not lifted either
@@ -386,7 +386,7 @@ def test_an_emergency_stop_halts_a_press_within_50_ms_and_nothing_moves_after(re
         client.start("estop")
     client.release()
     client.start("estop")
-    assert client.wait_for(ended, MOST_S)["state"] == "done"
+    assert client.wait_for(ended, MAX_S)["state"] == "done"
     assert shots_of(tmp_path / "runs" / "estop") == planned(tiny())
     for one in watching:
         one.close()
@@ -437,23 +437,23 @@ def test_the_process_outlives_its_client_and_lifts_the_probe_when_it_is_told_to_
     with process:
         try:
             with RigClient(RIG, folder) as client:
-                client.wait_for(lambda status: True, MOST_S)
+                client.wait_for(lambda status: True, MAX_S)
                 client.plan(tiny(places=TWICE, frames=3))
                 client.start("night")
                 with pytest.raises(DeviceError, match="another process"):
                     launch(RIG, tmp_path / "runs", folder=folder)
             with RigClient(RIG, folder) as client:
-                status = client.wait_for(lambda status: status["shots"] >= 1, MOST_S)
+                status = client.wait_for(lambda status: status["shots"] >= 1, MAX_S)
                 assert status["recording"]
                 asked_s = time.monotonic()
                 said = client.estop()
                 assert said["stood_ns"] / 1e9 - asked_s < HALT_S
-                client.wait_for(ended, MOST_S)
+                client.wait_for(ended, MAX_S)
                 client.release()
                 client.start("night")
-                client.wait_for(lambda status: status["state"] == "running", MOST_S)
+                client.wait_for(lambda status: status["state"] == "running", MAX_S)
                 process.send_signal(signal.SIGTERM)
-                assert process.wait(MOST_S) == 0
+                assert process.wait(MAX_S) == 0
                 with pytest.raises(DeviceError, match=r"cannot be reached|did not answer|is gone"):
                     client.ask_status()
         finally:

@@ -49,7 +49,7 @@ class Mounting:
 
 @dataclass(slots=True)
 class ForceBias:
-    """What the sensor reads without contact, in the skin's axes.
+    """Force and torque that the sensor reads without contact, in the skin's axes.
 
     Attributes:
         mounting: of the sensor.
@@ -85,11 +85,11 @@ class ForceBias:
         self.noise_n = float(force[:, 2].std(ddof=1))
 
     def force(self, sample: Wrench) -> Force:
-        """Of a sample, in the skin's axes, without the bias [N]."""
+        """Force of a sample, in the skin's axes, without the bias [N]."""
         x, y, z = self.mounting.turned(sample.force_n)
         return x - self.force_n[0], y - self.force_n[1], z - self.force_n[2]
 
     def torque(self, sample: Wrench) -> Force:
-        """Likewise [Nm]."""
+        """Torque of a sample, in the skin's axes, without the bias [Nm]."""
         x, y, z = self.mounting.turned(sample.torque_nm)
         return x - self.torque_nm[0], y - self.torque_nm[1], z - self.torque_nm[2]

@@ -310,7 +310,7 @@ class MotionGuard:
         self._check_rate(sample.time_ns, force[2])
 
     def _check_rate(self, time_ns: int, normal_n: float) -> None:
-        """Of the normal force, from the oldest sample inside the window to this one."""
+        """Check the normal force's rate, from the oldest sample inside the window to this one."""
         window_ns = self._limits.rate_window_s * NS_PER_S
         while self._recent and time_ns - self._recent[0][0] > window_ns:
             self._recent.popleft()

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class OperatorCommand(StrEnum):
-    """A wish that interrupts."""
+    """A command that interrupts."""
 
     PAUSE = "pause"  # lift the probe, and wait to be resumed
     STOP = "stop"  # end after this press
@@ -24,46 +24,46 @@ _RANK = {
 }
 
 
-class OperatorInterrupt(Exception):  # noqa: N818 - a wish, not an error; it never leaves the engine
-    """Raised where a wish interrupts what was going on."""
+class OperatorInterrupt(Exception):  # noqa: N818 - a command, not an error; it never leaves the engine
+    """Raised where a command interrupts what was going on."""
 
-    def __init__(self, ask: OperatorCommand) -> None:
-        super().__init__(ask.value)
-        self.ask = ask
+    def __init__(self, command: OperatorCommand) -> None:
+        super().__init__(command.value)
+        self.command = command
 
 
 class OperatorControl:
-    """Between the operator and the engine. A stronger wish replaces a weaker one, never the other way."""
+    """Passes the operator's commands to whoever moves; a stronger one replaces a weaker one."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._ask: OperatorCommand | None = None
+        self._command: OperatorCommand | None = None
 
-    def ask(self, wish: OperatorCommand) -> None:
+    def ask(self, command: OperatorCommand) -> None:
         """Ask for something; an emergency stop cannot be taken back."""
         with self._changed:
-            if self._ask is None or _RANK[wish] >= _RANK[self._ask]:
-                self._ask = wish
+            if self._command is None or _RANK[command] >= _RANK[self._command]:
+                self._command = command
             self._changed.notify_all()
 
     def resume(self) -> None:
         """Take back a pause; nothing else can be."""
         with self._changed:
-            if self._ask is OperatorCommand.PAUSE:
-                self._ask = None
+            if self._command is OperatorCommand.PAUSE:
+                self._command = None
             self._changed.notify_all()
 
     @property
     def asked(self) -> OperatorCommand | None:
         """What is asked for now."""
-        return self._ask
+        return self._command
 
     def check(self, asks: tuple[OperatorCommand, ...] = AT_ONCE) -> None:
         """Raise `OperatorInterrupt` where one of these is asked for."""
-        if self._ask in asks:
-            raise OperatorInterrupt(self._ask)
+        if self._command in asks:
+            raise OperatorInterrupt(self._command)
 
     def wait_while_paused(self, seconds: float) -> bool:
         """Wait so long at most; whether the pause still holds."""
         with self._changed:
-            return not self._changed.wait_for(lambda: self._ask is not OperatorCommand.PAUSE, seconds)
+            return not self._changed.wait_for(lambda: self._command is not OperatorCommand.PAUSE, seconds)

@@ -1,4 +1,4 @@
-"""Devices that let whoever watches see what passes, and a stage that an emergency stop holds.
+"""Proxies of devices: whoever watches sees what passes, and an emergency stop holds the stage.
 
 The engine uses them as it uses any other device: nothing is taken from it, delayed or changed.
 """
@@ -17,7 +17,7 @@ from palpate.core.protocols import ForceSensor, FrameSource, Position, Stage, Tr
 from palpate.devices.operator import OperatorCommand, OperatorInterrupt
 
 KEPT_S = 20.0  # of force, for the plot
-MOST = 50_000  # samples, however fast they come
+MAX_SAMPLES = 50_000  # samples, however fast they come
 RATE_S = 2.0  # over which rates are counted
 SENT_S = 1.0  # in which a stage that answers has taken in a move
 
@@ -29,7 +29,7 @@ class _Proxy:
         self.error = ""
 
     @contextmanager
-    def _heard(self) -> Iterator[None]:
+    def _noting_errors(self) -> Iterator[None]:
         try:
             yield
         except DeviceError as e:
@@ -46,28 +46,28 @@ class ForceProxy(_Proxy):
         self._inner = inner
         self._clock = clock
         self._lock = threading.Lock()
-        self._recent: deque[Wrench] = deque(maxlen=MOST)
+        self._recent: deque[Wrench] = deque(maxlen=MAX_SAMPLES)
         self.asked: Wrench | None = None
 
     @property
     def rate_hz(self) -> float:
-        """As the device says."""
+        """Samples or frames a second, as the device states them [Hz]."""
         return self._inner.rate_hz
 
     @property
     def range_n(self) -> tuple[float, float, float]:
-        """As the device says."""
+        """Greatest force along each axis, as the device states it [N]."""
         return self._inner.range_n
 
     def latest(self) -> Wrench:
         """The newest sample."""
-        with self._heard():
+        with self._noting_errors():
             self.asked = self._inner.latest()
         return self.asked
 
     def drain(self) -> list[Wrench]:
         """All since the last call."""
-        with self._heard():
+        with self._noting_errors():
             fresh = self._inner.drain()
         with self._lock:
             self._recent.extend(fresh)
@@ -77,7 +77,7 @@ class ForceProxy(_Proxy):
         return fresh
 
     def close(self) -> None:
-        """Let go."""
+        """Let go of the device."""
         self._inner.close()
 
     def recent(self) -> list[Wrench]:
@@ -99,30 +99,30 @@ class CameraProxy(_Proxy):
 
     @property
     def rate_hz(self) -> float:
-        """As the device says."""
+        """Samples or frames a second, as the device states them [Hz]."""
         return self._inner.rate_hz
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """As the device says."""
+        """(width, height) of a frame, as the device states it [px]."""
         return self._inner.size_px
 
     def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
         """The next frame."""
-        with self._turn, self._heard():
+        with self._turn, self._noting_errors():
             taken = self._inner.grab(timeout_s)
             self._keep([taken])
         return taken
 
     def drain(self) -> list[tuple[int, Frame]]:
         """All since the last call."""
-        with self._turn, self._heard():
+        with self._turn, self._noting_errors():
             taken = self._inner.drain()
             self._keep(taken)
         return taken
 
     def close(self) -> None:
-        """Let go."""
+        """Let go of the device."""
         self._inner.close()
 
     def came(self, now_ns: int) -> int:
@@ -149,12 +149,12 @@ class StageProxy(_Proxy):
 
     @property
     def travel(self) -> Travel:
-        """As the device says."""
+        """What the device can do."""
         return self._inner.travel
 
     def position_m(self) -> Position:
         """Where it is."""
-        with self._heard():
+        with self._noting_errors():
             return self._inner.position_m()
 
     def move_to(self, position_m: Position, speed_m_s: float) -> None:
@@ -165,7 +165,7 @@ class StageProxy(_Proxy):
         """
         with self._sending:
             self._check_free()
-            with self._heard():
+            with self._noting_errors():
                 self._inner.move_to(position_m, speed_m_s)
                 self._sent += 1
 
@@ -176,16 +176,16 @@ class StageProxy(_Proxy):
             OperatorInterrupt: an emergency stop holds it: wherever it was sent, it does not arrive.
         """
         self._check_free()
-        with self._heard():
+        with self._noting_errors():
             return self._inner.moving()
 
     def stop(self) -> None:
         """Bring it to a stand."""
-        with self._heard():
+        with self._noting_errors():
             self._inner.stop()
 
     def close(self) -> None:
-        """Let go."""
+        """Let go of the device."""
         self._inner.close()
 
     def hold(self) -> int:

@@ -192,7 +192,7 @@ class RpcClient:
 
 
 def _error(kind: str, message: str) -> PalpateError:
-    """As it was raised in the process, or the nearest of its family."""
+    """Make the error that was raised in the process, or the nearest of its family."""
     found = getattr(errors, "SafetyError" if kind == "Tripped" else kind, None)
     if isinstance(found, type) and issubclass(found, PalpateError):
         return found(message)

@@ -21,7 +21,7 @@ from typing import Any
 from palpate.core.errors import InputError, PalpateError, ProtocolError
 from palpate.devices.rpc import ASKED_BYTES, Lines, decode, encode
 
-MOST_REPLIES = 1000  # that a client may leave unread
+MAX_REPLIES = 1000  # that a client may leave unread
 
 
 class Outbox:
@@ -38,17 +38,17 @@ class Outbox:
         threading.Thread(target=self._send, name="palpate-rpc-outbox", daemon=True).start()
 
     def reply(self, message: Mapping[str, Any]) -> None:
-        """To be sent in order; a client that lets too many lie is dropped."""
+        """Send it in order; a client that lets too many lie is dropped."""
         line = encode(message)
         with self._changed:
             self._replies.append(line)
-            full = len(self._replies) > MOST_REPLIES
+            full = len(self._replies) > MAX_REPLIES
             self._changed.notify()
         if full:
             self._give_up()
 
     def push(self, kind: str, line: bytes) -> None:
-        """In place of the last of its kind, if that still waits."""
+        """Send it in place of the last of its kind, if that still waits."""
         with self._changed:
             self._pushes[kind] = line
             self._changed.notify()
@@ -81,8 +81,8 @@ class Outbox:
 HOST = "127.0.0.1"
 TOLD_S = 0.2  # between two pushes
 AUTH_S = 5.0  # in which a client says the token
-MOST_CLIENTS = 32
-MOST_WAITING = 8  # slow requests of one client
+MAX_CLIENTS = 32
+MAX_WAITING = 8  # slow requests of one client
 CHUNK = 65_536
 
 Request = Callable[[Mapping[str, Any]], Any]
@@ -154,7 +154,7 @@ class RpcServer:
                 connection, _ = self._socket.accept()
             except OSError:
                 return
-            if len(self._all()) >= MOST_CLIENTS:
+            if len(self._all()) >= MAX_CLIENTS:
                 connection.close()
                 continue
             client = _Connection(self, connection)
@@ -203,7 +203,7 @@ class _Connection:
         self._socket = connection
         self.outbox = Outbox(connection, self.drop)
         self.known = False
-        self._waiting = threading.Semaphore(MOST_WAITING)
+        self._waiting = threading.Semaphore(MAX_WAITING)
         self._turn = threading.Lock()
 
     def begin(self) -> None:
@@ -262,7 +262,7 @@ class _Connection:
             self._done(asked, self._server.quick[name])
         elif isinstance(name, str) and name in self._server.slow:
             if not self._waiting.acquire(blocking=False):
-                raise InputError(f"{MOST_WAITING} requests wait already; wait for their replies")
+                raise InputError(f"{MAX_WAITING} requests wait already; wait for their replies")
             work = threading.Thread(target=self._later, args=(asked, self._server.slow[name]), daemon=True)
             work.start()
         else:

@@ -19,12 +19,12 @@ from palpate.devices.proxies import KEPT_S, RATE_S, CameraProxy, ForceProxy, Sta
 
 BIN_S = 0.1  # of the plotted force; of each bin its least and its greatest are told, so that no peak is lost
 OLD_S = 3.0  # from when a device that says nothing is said to be silent
-MOST_PX = 960  # width of the picture that is told
+MAX_PX = 960  # width of the picture that is told
 QUALITY = 90  # of its JPEG
 
 
 def stage_health(stage: StageProxy, position_mm: Position | None) -> dict[str, str]:
-    """Of the stage."""
+    """Health of the stage, and where it is."""
     if stage.error:
         return _health("stage", "failed", stage.error)
     if stage.held:
@@ -36,7 +36,7 @@ def stage_health(stage: StageProxy, position_mm: Position | None) -> dict[str, s
 
 
 def force_health(force: ForceProxy, now_ns: int) -> dict[str, str]:
-    """Of the force sensor: its rate as it comes, and what it says is wrong."""
+    """Health of the force sensor: its rate as it comes, and what it says is wrong."""
     if force.error:
         return _health("force sensor", "failed", force.error)
     recent = force.recent()
@@ -53,7 +53,7 @@ def force_health(force: ForceProxy, now_ns: int) -> dict[str, str]:
 
 
 def camera_health(camera: CameraProxy, now_ns: int, recording: bool) -> dict[str, str]:
-    """Of the camera. It is asked for frames when they are wanted: an old one is no fault in itself."""
+    """Health of the camera: it is asked for frames when they are wanted, so an old one is no fault."""
     if camera.error:
         return _health("camera", "failed", camera.error)
     if camera.newest is None:
@@ -92,18 +92,18 @@ def force_series(force: ForceProxy, mounting: Mounting, bias: Force, now_ns: int
 
 
 def picture_of(image: Image) -> dict[str, Any]:
-    """A JPEG in base64, not wider than `MOST_PX`, with the image's own size [px]."""
+    """A JPEG in base64, not wider than `MAX_PX`, with the image's own size [px]."""
     height, width = image.shape[:2]
     rows = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    if width > MOST_PX:
-        size = (MOST_PX, max(1, round(height * MOST_PX / width)))
+    if width > MAX_PX:
+        size = (MAX_PX, max(1, round(height * MAX_PX / width)))
         rows = cv2.resize(rows, size, interpolation=cv2.INTER_AREA)
     _, data = cv2.imencode(".jpg", rows, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     return {"jpeg": base64.b64encode(data.tobytes()).decode(), "size_px": [width, height]}
 
 
 def relative_mm(at_m: Position, origin_m: Position) -> Position:
-    """Of the stage, from the layer's centre at its expected surface [mm]."""
+    """Position from the layer's centre at its expected surface [mm]."""
     x, y, z = (1e3 * float(d) for d in np.subtract(at_m, origin_m))
     return x, y, z
 

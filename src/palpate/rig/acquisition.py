@@ -42,8 +42,9 @@ LABELS: dict[str, LabelKind] = {
     "force_y_N": "number",
     "force_magnitude_N": "number",
 }
-"""Of every frame. `depth_mm` is below the local zero, where the normal force passed the plan's threshold: a
-little below first touch. `force_N` is along z, positive in compression, the mean over the exposure."""
+"""Labels of every frame. `depth_mm` is below the local zero, where the normal force passed the plan's
+threshold: a little below first touch. `force_N` is along z, positive in compression, the mean over the
+exposure."""
 
 KEPT_S = 2.0  # of force samples, to average over exposures
 NEAR_S = 0.05  # within which a sample stands for an exposure that has none of its own
@@ -83,7 +84,7 @@ class Acquisition:
         guard.samples.subscribe(self._remember)
 
     def begin(self, press: Press) -> None:
-        """Of which press the next frames are."""
+        """Label the next frames with this press."""
         self._press = press
 
     def burst(self, burst: Burst) -> None:

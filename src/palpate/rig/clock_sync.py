@@ -32,9 +32,9 @@ from palpate.rig.rig import Rig
 CLOCKS = "clocks"
 MM = 1e-3
 RESTS_S = (0.25, 0.4, 0.3, 0.55)  # between taps, in turn: uneven, so that no tap is taken for its neighbour
-MOST_S = 0.4  # of the offset looked for, to either side
-MOST_DEEP_MM = 1.0  # below the lowest place where contact may be found
-MOST_PIXELS = 30_000  # of a frame that are compared, evenly over it: more changes nothing, and takes memory
+MAX_S = 0.4  # of the offset looked for, to either side
+MAX_DEEP_MM = 1.0  # below the lowest place where contact may be found
+MAX_PIXELS = 30_000  # of a frame that are compared, evenly over it: more changes nothing, and takes memory
 
 Pixels = UInt8[ndarray, " _"]
 Signal = Float[ndarray, " _"]
@@ -63,18 +63,18 @@ class ClockSync:
         drained(self._rig.camera)
         self._last_ns = self._rig.clock.now_ns()
         with self._guard.samples.subscribed(self._feel), self._guard.looks.subscribed(self._look):
-            self._guard.wait(2 * MOST_S)
+            self._guard.wait(2 * MAX_S)
             for rest_s in islice(RESTS_S * self._plan.taps, self._plan.taps):
                 self._once()
                 self._guard.wait(rest_s)
-            self._guard.wait(2 * MOST_S)
+            self._guard.wait(2 * MAX_S)
         return self._offset()
 
     def _once(self) -> None:
         """Down until the force says so, and back."""
         plan = self._plan
         x, y, z = self._guard.position_m()
-        deepest_mm = plan.seek_mm + min(plan.deepest_mm, MOST_DEEP_MM)
+        deepest_mm = plan.seek_mm + min(plan.deepest_mm, MAX_DEEP_MM)
         lowest = (x, y, self._rig.origin_m[2] + deepest_mm * MM)
         speed = plan.press_mm_s * MM
         if not self._guard.towards(lowest, speed, lambda force: force[2] >= plan.tap_N):
@@ -110,7 +110,7 @@ class ClockSync:
                 (frame_ns - begun) / NS_PER_S,
                 change,
                 exposure_s=self._exposure_s,
-                most_s=MOST_S,
+                most_s=MAX_S,
             )
         except (RangeError, InputError) as e:  # InputError: stamps that do not increase
             raise Tripped(
@@ -127,7 +127,7 @@ class ClockSync:
 
 def _thinned(frame: Frame) -> Pixels:
     height, width = frame.image.shape[:2]
-    step = math.ceil(math.sqrt(height * width / MOST_PIXELS))
+    step = math.ceil(math.sqrt(height * width / MAX_PIXELS))
     return np.ascontiguousarray(frame.image[::step, ::step]).ravel()
 
 

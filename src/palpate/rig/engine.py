@@ -104,8 +104,8 @@ class Engine:
                 if self._control.asked is OperatorCommand.STOP:
                     return self._over(State.STOPPED, "stopped by the operator")
                 self._finish(press)
-        except OperatorInterrupt as asked:
-            if asked.ask is OperatorCommand.ESTOP:
+        except OperatorInterrupt as interrupt:
+            if interrupt.command is OperatorCommand.ESTOP:
                 return self._over(State.ESTOPPED, "emergency stop")
             return self._over(State.ABORTED, "aborted by the operator")
         except Tripped as e:
@@ -130,8 +130,8 @@ class Engine:
                 if self._clocks is None and self._plan.taps:
                     self._set_clocks(press)
                 self._approached(press)
-            except OperatorInterrupt as asked:
-                if asked.ask is not OperatorCommand.PAUSE:
+            except OperatorInterrupt as interrupt:
+                if interrupt.command is not OperatorCommand.PAUSE:
                     raise
                 self._paused()
 

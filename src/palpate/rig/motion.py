@@ -14,7 +14,7 @@ from palpate.rig.rig import Rig
 MM = 1e-3
 BELOW_TOUCH_MM = 0.2  # of a contact that is said by a force
 TARE_S = 0.3  # in the air, for the force sensor's zero
-MOST_DRIFT_N = 0.5  # of the zero, from one press to the next
+MAX_DRIFT_N = 0.5  # of the zero, from one press to the next
 SIGMAS = 5.0  # of the force's noise that a threshold must lie above
 
 
@@ -82,7 +82,7 @@ class PressMotion:
                 f"{SIGMAS * self._bias.noise_n:.3f} N or more",
             )
         moved = abs(self._bias.force_n[2] - before)
-        if known and moved > max(MOST_DRIFT_N, 2 * threshold):
+        if known and moved > max(MAX_DRIFT_N, 2 * threshold):
             raise Tripped(
                 Reason.TOUCHED_EARLY,
                 f"in the air the force stands {moved:.2f} N from where it stood before the last press: does "

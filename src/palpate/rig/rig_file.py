@@ -29,7 +29,7 @@ from palpate.rig.virtual.palm import FORCE_N, REAL_TIME_AGE_S, TRAVEL
 
 VIRTUAL = "virtual:palm"
 MM = 1e-3
-_MOST_BYTES = 1 << 20
+_MAX_BYTES = 1 << 20
 
 Three = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -90,7 +90,7 @@ class ForcePluginPart(PluginPart):
 
 
 class LimitsPart(_Part):
-    """As `rig.Limits`, in millimetres and newtons."""
+    """Limits of position, force and speed, in millimetres and newtons."""
 
     least_mm: Three
     greatest_mm: Three
@@ -101,7 +101,7 @@ class LimitsPart(_Part):
     step_mm: Positive = 0.2
 
     def limits(self) -> Limits:
-        """In SI."""
+        """Convert to SI."""
         return Limits(
             _metres(self.least_mm),
             _metres(self.greatest_mm),
@@ -210,7 +210,7 @@ def read_rig(path: Path) -> RigFile:
             f"there is no rig {str(path)!r}: no such file, and {VIRTUAL} is the only one by name"
         )
     with storage_errors(path):
-        data = path.read_bytes()[:_MOST_BYTES]
+        data = path.read_bytes()[:_MAX_BYTES]
     try:
         file = RigFile.model_validate(tomllib.loads(data.decode()))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
@@ -268,7 +268,7 @@ def _regions(file: RigFile) -> tuple[Region, ...]:
 
 
 def _virtual_limits(file: RigFile, real_time: bool) -> Limits | None:
-    """In real time a virtual force is as old as this machine is slow."""
+    """Limits of a virtual rig: in real time its force is as old as this machine is slow."""
     if file.limits is not None or not real_time:
         return None if file.limits is None else file.limits.limits()
     return Limits(TRAVEL.least_m, TRAVEL.greatest_m, force_n=FORCE_N, age_s=REAL_TIME_AGE_S)

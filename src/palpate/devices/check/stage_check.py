@@ -98,7 +98,7 @@ def _moved(walker: Walker) -> Iterator[CheckResult]:
 
 
 def _kept_safe(what: str, part: Part, walker: Walker) -> Part:
-    """As `gathered`, but whatever goes wrong the stage stands at the end, or `UnsafeError` leaves."""
+    """Gather a part's results; whatever goes wrong the stage stands at the end, or `UnsafeError` leaves."""
     unsafe: list[UnsafeError] = []
 
     def watched() -> Part:

@@ -131,12 +131,12 @@ class Walker:
         return self._corner(axis, 0)
 
     def high(self, axis: int) -> Position:
-        """Likewise its high end [m]."""
+        """The box's centre, but its high end along one axis, with room to stop [m]."""
         return self._corner(axis, 1)
 
     @property
     def centre(self) -> Position:
-        """Of the box [m]."""
+        """The box's centre [m]."""
         x, y, z = (sum(pair) / 2 for pair in zip(*self._box, strict=True))
         return x, y, z
 

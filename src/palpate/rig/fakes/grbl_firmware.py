@@ -76,7 +76,7 @@ class GrblController:
 
     @property
     def state(self) -> str:
-        """As a status report names it."""
+        """The state as a status report names it."""
         if self._homing:
             return "Home"
         if self._alarm:

@@ -16,8 +16,8 @@ from typing import Protocol, runtime_checkable
 from palpate.core.clock import NS_PER_S, Clock, MonotonicClock
 
 _TURN_S = 0.002
-_MOST_BYTES = 4096
-_MOST_UNSENT = 1 << 20  # bytes, for a host that does not read
+_MAX_BYTES = 4096
+_MAX_UNSENT = 1 << 20  # bytes, for a host that does not read
 
 
 @runtime_checkable
@@ -114,10 +114,10 @@ class FakeTerminal:
 
     def _hear(self, end: int) -> None:
         with suppress(OSError):  # nothing to hear, or nobody there
-            self.device.receive(os.read(end, _MOST_BYTES))
+            self.device.receive(os.read(end, _MAX_BYTES))
 
     def _say(self, end: int, data: bytes) -> bytes:
         try:
             return data[os.write(end, data) :] if data else b""
         except OSError:  # the host does not read
-            return data[-_MOST_UNSENT:]
+            return data[-_MAX_UNSENT:]

@@ -57,7 +57,7 @@ def _cameras(by_id: Path) -> list[Path]:
 
 
 _RATE_OVER = 100  # frames
-_MOST_BROKEN = 10  # frames in a row
+_MAX_BROKEN = 10  # frames in a row
 _FEWEST_EQUAL = 3  # frames in a row; one pair a long time apart is a busy computer
 Picture = UInt8[ndarray, "h w 3"]
 
@@ -122,8 +122,8 @@ class FrameWatch:
         self._stamp(stamp_ns)
         self._broken += 1
         self._broken_in_a_row += 1
-        if self._broken_in_a_row >= _MOST_BROKEN:
-            raise DeviceError(f"{_MOST_BROKEN} frames in a row could not be decoded; try another cable")
+        if self._broken_in_a_row >= _MAX_BROKEN:
+            raise DeviceError(f"{_MAX_BROKEN} frames in a row could not be decoded; try another cable")
 
     def is_new(self, picture: ndarray, stamp_ns: int, time_ns: int) -> bool:
         """Whether a frame is another one than that before.

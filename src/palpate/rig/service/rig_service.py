@@ -282,8 +282,8 @@ def _run_name(out: str) -> str:
     return out
 
 
-MOST_SCATTERED = 1000  # random places, each of which is compared with all the others
-MOST_SHOTS = 500_000
+MAX_SCATTERED = 1000  # random places, each of which is compared with all the others
+MAX_SHOTS = 500_000
 SHOWN = 100  # characters of a name
 
 
@@ -299,14 +299,14 @@ def checked_plan(what: str | Mapping[str, Any]) -> Known:
         return PLANS[what]
     places = what.get("places")
     count = places.get("count") if isinstance(places, Mapping) else None
-    if isinstance(count, int | float) and count > MOST_SCATTERED:
-        raise InputError(f"{count:g} random places; up to {MOST_SCATTERED} can be asked for here")
+    if isinstance(count, int | float) and count > MAX_SCATTERED:
+        raise InputError(f"{count:g} random places; up to {MAX_SCATTERED} can be asked for here")
     plan = plan_from(what)
     depths = plan.depth_mm / plan.step_mm if isinstance(plan, Stepped) else 1.0
     shots = len(plan.places.places()) * plan.cycles * len(plan.indenters) * max(depths, 1.0)
-    if not shots <= MOST_SHOTS:
+    if not shots <= MAX_SHOTS:
         raise InputError(
-            f"about {shots:.3g} shots; up to {MOST_SHOTS} can be asked for here: take fewer presses, or a "
+            f"about {shots:.3g} shots; up to {MAX_SHOTS} can be asked for here: take fewer presses, or a "
             "larger step"
         )
     return plan

@@ -66,7 +66,7 @@ def error_name(code: int) -> str:
 
 
 LONGEST_LINE = 512  # bytes; the longest that firmware prints, a full status or a message, is below 200
-MOST_AXES = 8
+MAX_AXES = 8
 
 
 class GrblState(StrEnum):
@@ -252,8 +252,8 @@ def _numbers(fields: dict[str, str], name: str) -> tuple[float, ...] | None:
 
 def _read_numbers(text: str) -> tuple[float, ...]:
     words = text.split(",")
-    if len(words) > MOST_AXES or not all(_NUMBER.fullmatch(word) for word in words):
-        raise ProtocolError(f"{text[:40]!r} is not a list of up to {MOST_AXES} numbers")
+    if len(words) > MAX_AXES or not all(_NUMBER.fullmatch(word) for word in words):
+        raise ProtocolError(f"{text[:40]!r} is not a list of up to {MAX_AXES} numbers")
     return tuple(float(word) for word in words)
 
 

@@ -78,7 +78,7 @@ class Session:
         return status, place_mm
 
     def standing(self) -> tuple[GrblStatus, Millimetres]:
-        """As `look`, of a stage that must stand where it was left.
+        """Look at a stage that must stand where it was left.
 
         Raises:
             DeviceError: it is not Idle, or not where it stood.

@@ -11,7 +11,7 @@ from palpate.core.protocols import Position, Travel
 
 MM_PER_M = 1e3
 S_PER_MIN = 60.0
-LEAST_FEED_MM_MIN = 1.0  # below it the planner runs at 1 mm/min whatever was asked (its stock build)
+MIN_FEED_MM_MIN = 1.0  # below it the planner runs at 1 mm/min whatever was asked (its stock build)
 _ROUNDING_M = 1e-9  # of a limit that was calculated; a thousandth of what the stage resolves
 _AXIS = re.compile(r"([+-])([XYZ])")
 _DECIMALS = 4  # of a target [mm]; a tenth of what the controller reports
@@ -155,7 +155,7 @@ def check_range(travel: Travel, position_m: Position, speed_m_s: float) -> None:
             raise RangeError(
                 f"{name} = {value} m lies outside the stage's travel, {low:g} to {high:g} m; not moved"
             )
-    least, greatest = LEAST_FEED_MM_MIN / MM_PER_M / S_PER_MIN, travel.top_speed_m_s
+    least, greatest = MIN_FEED_MM_MIN / MM_PER_M / S_PER_MIN, travel.top_speed_m_s
     if not least <= speed_m_s <= greatest * (1 + 1e-9):  # a rounding above the limit is the limit
         raise RangeError(f"speed {speed_m_s} m/s lies outside {least:.3g} to {greatest:g} m/s; not moved")
 

@@ -18,8 +18,8 @@ from xml.parsers import expat
 from palpate.core.errors import DeviceError, ProtocolError
 
 PATH = "/netftapi2.xml"
-MOST_PAGE_BYTES = 65536
-MOST_CHARACTERS = 128
+MAX_PAGE_BYTES = 65536
+MAX_CHARACTERS = 128
 
 POUND_N = 0.45359237 * 9.80665  # exact, by definition of the pound and of standard gravity
 KILOGRAM_N = 9.80665
@@ -112,10 +112,8 @@ def calibration(page: bytes) -> Calibration:
 
 def _fields(page: bytes) -> dict[str, str]:
     """The text of every field of interest on the page, each at most once."""
-    if len(page) > MOST_PAGE_BYTES:
-        raise ProtocolError(
-            f"the box's page is longer than {MOST_PAGE_BYTES} bytes; it is not a Net F/T page"
-        )
+    if len(page) > MAX_PAGE_BYTES:
+        raise ProtocolError(f"the box's page is longer than {MAX_PAGE_BYTES} bytes; it is not a Net F/T page")
     told: dict[str, str] = {}
     inside: list[str] = []
 
@@ -132,8 +130,8 @@ def _fields(page: bytes) -> dict[str, str]:
         if inside and inside[-1] in told:
             name = inside[-1]
             told[name] += data
-            if len(told[name]) > MOST_CHARACTERS:
-                raise ProtocolError(f"{name} on the box's page is longer than {MOST_CHARACTERS} characters")
+            if len(told[name]) > MAX_CHARACTERS:
+                raise ProtocolError(f"{name} on the box's page is longer than {MAX_CHARACTERS} characters")
 
     def refuse(*_: object) -> None:
         raise ProtocolError("the box's page declares a document type or an entity; a Net F/T page does not")
@@ -239,7 +237,7 @@ def _body(connection: HTTPConnection, page: str) -> bytes:
     with connection.getresponse() as answer:
         if answer.status != 200:
             raise DeviceError(f"{page} answers {answer.status} {answer.reason}; it has to be 200")
-        body = answer.read(MOST_PAGE_BYTES + 1)
-        if len(body) <= MOST_PAGE_BYTES and answer.length:  # a bounded read does not complain of an early end
+        body = answer.read(MAX_PAGE_BYTES + 1)
+        if len(body) <= MAX_PAGE_BYTES and answer.length:  # a bounded read does not complain of an early end
             raise DeviceError(f"{page} ended {answer.length} bytes early; read it again")
         return body

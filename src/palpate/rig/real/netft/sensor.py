@@ -77,7 +77,7 @@ class NetFTSettings:
             raise RangeError(f"recovery is {self.recovery!r}; give 'stop' or 'reconnect'")
 
 
-MOST_MALFORMED = 10  # datagrams in a row
+MAX_MALFORMED = 10  # datagrams in a row
 _NOTHING: Triple = (math.nan, math.nan, math.nan)
 _RAILS = (-(2**31), 2**31 - 1)
 
@@ -146,8 +146,8 @@ class Samples:
         except ProtocolError as error:
             self.counts.malformed += 1
             self._malformed += 1
-            if self._malformed >= MOST_MALFORMED:
-                self.failure = ProtocolError(f"{MOST_MALFORMED} datagrams in a row were no records: {error}")
+            if self._malformed >= MAX_MALFORMED:
+                self.failure = ProtocolError(f"{MAX_MALFORMED} datagrams in a row were no records: {error}")
             return []
         self._malformed = 0
         new = [record for record in found if self._is_new(record)]

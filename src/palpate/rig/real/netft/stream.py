@@ -26,13 +26,13 @@ from palpate.core.errors import DeviceError, ProtocolError, RangeError
 
 PORT = 49152
 HEADER = 0x1234
-MOST_RECORDS = 40  # that the box puts in one datagram, in buffered mode
+MAX_RECORDS = 40  # that the box puts in one datagram, in buffered mode
 GREATEST_JUMP = 2**20  # measurements; 150 s at 7 kHz, far longer than any silence that is borne
 
 _REQUEST = struct.Struct(">HHI")
 _RECORD = struct.Struct(">III6i")
 RECORD_BYTES = _RECORD.size
-MOST_BYTES = MOST_RECORDS * RECORD_BYTES
+MAX_BYTES = MAX_RECORDS * RECORD_BYTES
 
 HEALTHY = 0x00000000
 MONITOR_WARNING = 0x80010000  # a threshold that the user set in the box was crossed; the force is good
@@ -121,9 +121,9 @@ def records(datagram: bytes) -> list[Record]:
         ProtocolError: it is not one to forty whole records of 36 bytes.
     """
     size = len(datagram)
-    if size == 0 or size % RECORD_BYTES or size > MOST_BYTES:
+    if size == 0 or size % RECORD_BYTES or size > MAX_BYTES:
         raise ProtocolError(
-            f"a datagram of {size} bytes is not RDT: it holds 1 to {MOST_RECORDS} records of {RECORD_BYTES} "
+            f"a datagram of {size} bytes is not RDT: it holds 1 to {MAX_RECORDS} records of {RECORD_BYTES} "
             "bytes each; does another program send to this port?"
         )
     return [Record(r, f, s, tuple(c)) for r, f, s, *c in _RECORD.iter_unpack(datagram)]
@@ -277,7 +277,7 @@ class Stream:
         """
         self._socket.settimeout(timeout_s)
         try:
-            datagram, told, _, _ = self._socket.recvmsg(MOST_BYTES + 1, 64)
+            datagram, told, _, _ = self._socket.recvmsg(MAX_BYTES + 1, 64)
         except (TimeoutError, BlockingIOError):
             return None
         except OSError as error:
