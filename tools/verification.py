@@ -20,8 +20,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from oracles import Oracle, contact, creep, layers, light, palm, table, tables
 from oracles.measured import MEASURED
+
+from oracles import Oracle, contact, creep, layers, light, palm, table, tables
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 ORACLES = {

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 sys.path.insert(0, str(Path.cwd()))
 
-from palpate.rig.control import Ask
+from palpate.devices.operator import OperatorCommand
 from tests.rig.rigs import CLOCK_NS, SPEC, plan, rig
 from tests.virtual_presses import KAPPA_N_M, pressed, references
 
@@ -83,7 +83,7 @@ def stopped_recording(folder: Path) -> None:
 
     def stop_half_way(status) -> None:
         if status.shots >= 1:
-            control.ask(Ask.STOP)
+            control.ask(OperatorCommand.STOP)
 
     one_place = plan(places=Listed(kind="listed", at_mm=((6.0, -4.0),)), depth_mm=0.4)
     record(

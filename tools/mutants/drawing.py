@@ -110,9 +110,9 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
                 "tests/recordings/test_labels.py",
                 "tests/recordings/test_reader.py",
             ),
-            "palpate.rig.real.grbl_lines": ("tests/rig/test_grbl_lines.py",),
-            "palpate.rig.real.netft_calibration": ("tests/rig/test_netft_calibration.py",),
-            "palpate.rig.real.rdt": ("tests/rig/test_rdt.py",),
+            "palpate.rig.real.grbl.parser": ("tests/rig/test_grbl_parser.py",),
+            "palpate.rig.real.netft.calibration": ("tests/rig/test_netft_calibration.py",),
+            "palpate.rig.real.netft.stream": ("tests/rig/test_netft_stream.py",),
         },
     ),
     "guards": (
@@ -120,9 +120,9 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
         {
             "palpate.estimators.guard": ("tests/estimators/test_guard.py",),
             "palpate.estimators.seen": ("tests/estimators/test_guard.py",),
-            "palpate.rig.guard": ("tests/rig/test_motion_guard.py",),
-            "palpate.rig.limits": ("tests/rig/test_limits.py",),
-            "palpate.rig.tare": ("tests/rig/test_tare.py",),
+            "palpate.devices.guard": ("tests/devices/test_motion_guard_laws.py",),
+            "palpate.devices.limits": ("tests/devices/test_limits.py",),
+            "palpate.devices.force_bias": ("tests/devices/test_force_bias.py",),
         },
     ),
     "splits": (

@@ -3,34 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from palpate.rig.control import Ask, Asked, Control
-from palpate.rig.guard import RISE_N, Guard
-from palpate.rig.outcome import Reason, Tripped
 
 from palpate.core import ManualClock
 from palpate.core.protocols import Position, Travel, Wrench
-from palpate.rig.limits import Limits
-from palpate.rig.recorder import Recorder
-from palpate.rig.tare import Tare
+from palpate.devices.force_bias import ForceBias
+from palpate.devices.guard import RISE_N, MotionGuard
+from palpate.devices.limits import Limits, Reason, Tripped
+from palpate.devices.operator import OperatorCommand, OperatorControl, OperatorInterrupt
 
 TRAVEL = Travel((-20e-3,) * 3, (20e-3,) * 3, 10e-3, 0.5, 0.002)
 LIMITS = Limits((-15e-3,) * 3, (15e-3,) * 3, force_n=5.0, force_rate_n_s=100.0, step_m=0.5e-3)
 SPEED = 2e-3
 STIFFNESS = 1e3  # N/m, from z = 0 on
-
-
-class Silent(Recorder):
-    """Takes everything and keeps nothing."""
-
-    def __init__(self) -> None: ...
-
-    def force(self, samples: Sequence[Wrench]) -> None: ...
-
-    def stage(self, position_m: Position, time_ns: int) -> None: ...
 
 
 class Stage:
@@ -97,8 +85,8 @@ class Bench:
         self.clock = ManualClock(10**9)
         self.stage = Stage(self.clock, slower)
         self.sensor = Sensor(self.clock, lambda: max(self.stage.position_m()[2], 0.0) * stiffness_n_m)
-        self.control = Control()
-        self.guard = Guard(self.stage, self.sensor, limits, Tare(), self.clock, self.control, Silent())
+        self.control = OperatorControl()
+        self.guard = MotionGuard(self.stage, self.sensor, limits, ForceBias(), self.clock, self.control)
 
 
 def test_a_guarded_motion_ends_at_its_target_by_even_steps_no_longer_than_allowed() -> None:
@@ -193,10 +181,10 @@ def test_waiting_takes_as_long_as_it_is_told_and_looks_all_the_while(seconds: fl
 
 
 def test_a_wish_stops_a_motion_and_only_an_emergency_stops_one_away() -> None:
-    for wish in (Ask.PAUSE, Ask.ABORT, Ask.ESTOP):
+    for wish in (OperatorCommand.PAUSE, OperatorCommand.ABORT, OperatorCommand.ESTOP):
         bench = Bench()
         bench.control.ask(wish)
-        with pytest.raises(Asked):
+        with pytest.raises(OperatorInterrupt):
             bench.guard.towards((0.0, 0.0, 1e-3), SPEED)
-        if wish is not Ask.ESTOP:
+        if wish is not OperatorCommand.ESTOP:
             bench.guard.away((0.0, 0.0, -2e-3), SPEED)

@@ -3,11 +3,10 @@
 import math
 
 import pytest
-from palpate.rig.outcome import Reason, Tripped
 
 from palpate.core.errors import RangeError
 from palpate.core.protocols import Travel
-from palpate.rig.limits import Limits
+from palpate.devices.limits import Limits, Reason, Tripped
 
 LOW, HIGH = (-10e-3, -8e-3, -5e-3), (10e-3, 8e-3, 6e-3)
 LIMITS = Limits(LOW, HIGH, overshoot_m=0.1e-3)

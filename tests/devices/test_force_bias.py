@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from palpate.rig.outcome import Reason, Tripped
 
 from palpate.core.errors import RangeError
 from palpate.core.protocols import Wrench
-from palpate.rig.tare import SAMPLES, Mounting, Tare
+from palpate.devices.force_bias import SAMPLES, ForceBias, Mounting
+from palpate.devices.limits import Reason, Tripped
 
 FORCE, TORQUE = np.array([0.3, -0.2, 1.5]), np.array([0.01, -0.02, 0.04])
 
@@ -45,7 +45,7 @@ def test_a_mounting_that_is_none_is_refused(axes) -> None:
 @pytest.mark.parametrize("axes", [("x", "y", "z"), ("-y", "x", "-z")])
 def test_a_load_after_the_tare_is_the_load(rng, axes) -> None:
     """All six components, in the skin's axes; the mean of 40 samples is known to a sixth of the noise."""
-    tare = Tare(Mounting(axes))
+    tare = ForceBias(Mounting(axes))
     tare.measure(quiet(rng))
     load, moment = np.array([0.4, 0.6, -2.0]), np.array([0.05, 0.03, -0.07])
     loaded = sample(FORCE + load, TORQUE + moment)
@@ -54,18 +54,18 @@ def test_a_load_after_the_tare_is_the_load(rng, axes) -> None:
 
 
 def test_without_a_tare_the_sensor_is_believed() -> None:
-    assert Tare().force(sample()) == tuple(FORCE)
-    assert Tare().torque(sample()) == tuple(TORQUE)
+    assert ForceBias().force(sample()) == tuple(FORCE)
+    assert ForceBias().torque(sample()) == tuple(TORQUE)
 
 
 def test_the_noise_is_that_along_z(rng) -> None:
-    tare = Tare()
+    tare = ForceBias()
     tare.measure(quiet(rng, 400))
     assert tare.noise_n == pytest.approx(0.02, rel=0.15)  # four times the scatter of 400 samples' deviation
 
 
 def test_faulty_samples_have_no_part_in_the_tare(rng) -> None:
-    tare = Tare()
+    tare = ForceBias()
     tare.measure([*quiet(rng, SAMPLES), *[sample(100 * FORCE, fault="saturated")] * 5])
     np.testing.assert_allclose(tare.force_n, FORCE, atol=0.02)
 
@@ -73,8 +73,8 @@ def test_faulty_samples_have_no_part_in_the_tare(rng) -> None:
 def test_too_few_samples_are_refused_for_what_is_wrong_with_the_rest(rng) -> None:
     few = quiet(rng, SAMPLES - 1)
     with pytest.raises(Tripped, match="is the sensor streaming") as missing:
-        Tare().measure(few)
+        ForceBias().measure(few)
     assert missing.value.reason is Reason.FORCE_STALE
     with pytest.raises(Tripped, match="saturated") as faulty:
-        Tare().measure([*few, sample(fault="saturated")])
+        ForceBias().measure([*few, sample(fault="saturated")])
     assert faulty.value.reason is Reason.FORCE_FAULT
