@@ -1,6 +1,6 @@
 """Certificates, calibrations and runs that were written before open, and give the same numbers.
 
-`before.zip` was written by `write_before.py` at commit d58013a, on another layout of the code.
+`before.zip` was written by `write_before.py.txt` at commit d58013a, on another layout of the code.
 """
 
 from __future__ import annotations
