@@ -12,6 +12,7 @@ from palpate.version import __version__
 if TYPE_CHECKING:
     from palpate.calibration import CalibrationPlan, calibrate, evaluate
     from palpate.core import Frame, PalpateError, Reading, Readings
+    from palpate.core.sensor import sensor
     from palpate.estimators import Estimator
     from palpate.live import open_source, sense
     from palpate.recordings import Manifest, Run, RunWriter, import_images, read_image
@@ -36,6 +37,7 @@ _ROOMS = {
     "read_image": "recordings",
     "run_demo": "studies",
     "sense": "live",
+    "sensor": "core.sensor",
     "write_report": "reports",
 }
 
@@ -58,6 +60,7 @@ __all__ = [
     "read_image",
     "run_demo",
     "sense",
+    "sensor",
     "write_report",
 ]
 

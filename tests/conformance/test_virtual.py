@@ -15,8 +15,9 @@ from palpate.core.frame import Frame
 from palpate.devices.check.stage_motion import Box
 from palpate.rig.check import CheckResult, check_camera, check_force_sensor, check_rig, check_stage
 from palpate.rig.rig import Rig
-from palpate.rig.virtual import Fault, virtual_palm
+from palpate.rig.virtual import Fault, virtual_rig
 from palpate.sensors import palm
+from palpate.sensors.palm.sensor import Palm
 
 SPEC = palm.cropped(palm.palm(), 16, "tiny")
 BOX: Box = ((-2e-3, -2e-3, -7e-3), (2e-3, 2e-3, -3e-3))
@@ -25,7 +26,7 @@ SURFACE_M = 0.0  # of the virtual palm's layer
 
 
 def rig(*faults: Fault) -> Rig:
-    return virtual_palm(spec=SPEC, clock=ManualClock(10**11), faults=faults)
+    return virtual_rig(Palm(SPEC), clock=ManualClock(10**11), faults=faults)
 
 
 def failed(findings: list[CheckResult]) -> set[str]:

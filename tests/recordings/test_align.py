@@ -115,14 +115,15 @@ def test_one_tap_does_if_it_is_slow() -> None:
 
 
 def test_what_the_virtual_rig_delays_is_found_in_its_own_frames() -> None:
-    from palpate.rig.virtual import virtual_palm
+    from palpate.rig.virtual import virtual_rig
     from palpate.rig.virtual.camera import TRANSPORT_S
     from palpate.rig.virtual.force import LATENCY_S
     from palpate.rig.virtual.variation import Variation
     from palpate.sensors import palm
+    from palpate.sensors.palm.sensor import Palm
 
     spec = palm.cropped(palm.palm(), 16, "tiny")
-    made = virtual_palm(spec=spec, clock=ManualClock(10**11), variation=Variation(frame_jitter_s=0.0))
+    made = virtual_rig(Palm(spec), clock=ManualClock(10**11), variation=Variation(frame_jitter_s=0.0))
     samples, frames = [], []
     for z, wait_s in ((-1e-3, 1.4), (1.5e-3, 0.8), (-1e-3, 1.1), (1.5e-3, 0.9), (-1e-3, 1.2)):
         made.stage.move_to((0.0, 0.0, z), 4e-3)

@@ -8,9 +8,10 @@ from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.recordings.reader import Run
 from palpate.rig.plans import Listed, Stepped
 from palpate.rig.rig import Rig
-from palpate.rig.virtual import Fault, virtual_palm
+from palpate.rig.virtual import Fault, virtual_rig
 from palpate.rig.virtual.variation import IDEAL
 from palpate.sensors import palm
+from palpate.sensors.palm.sensor import Palm
 
 SPEC = palm.cropped(palm.palm(), 16, "tiny")
 CLOCK_NS = 100 * NS_PER_S
@@ -19,8 +20,8 @@ CLEARANCE_MM = 0.4
 
 def rig(*faults: Fault, **kwargs: Any) -> Rig:
     """A rig of tiny frames on which nothing varies; faults count from its start."""
-    settings = {"spec": SPEC, "clock": ManualClock(CLOCK_NS), "variation": IDEAL, "faults": faults}
-    return virtual_palm(**{**settings, **kwargs})
+    settings = {"sensor": Palm(SPEC), "clock": ManualClock(CLOCK_NS), "variation": IDEAL, "faults": faults}
+    return virtual_rig(**{**settings, **kwargs})
 
 
 def plan(**kwargs: Any) -> Stepped:

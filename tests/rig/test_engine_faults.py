@@ -14,7 +14,7 @@ from palpate.recordings.reader import Run
 from palpate.rig import Limits, Reason, State, Tripped, record
 from palpate.rig.plans import Grid, Listed, Swept
 from palpate.rig.virtual import Fault, Variation
-from palpate.rig.virtual.palm import TRAVEL
+from palpate.rig.virtual.bench import TRAVEL
 
 
 @pytest.mark.parametrize(

@@ -264,8 +264,9 @@ def test_a_run_that_no_plan_recorded_is_refused(tmp_path: Path) -> None:
 def test_what_the_engine_itself_records_becomes_documents(tmp_path: Path) -> None:
     from palpate.rig.engine import record
     from palpate.rig.plans import Listed, Stepped
-    from palpate.rig.virtual import virtual_palm
+    from palpate.rig.virtual import virtual_rig
     from palpate.sensors import palm
+    from palpate.sensors.palm.sensor import Palm
 
     plan = Stepped(
         taps=0,
@@ -278,7 +279,7 @@ def test_what_the_engine_itself_records_becomes_documents(tmp_path: Path) -> Non
         frames=2,
         reference_frames=1,
     )
-    made = virtual_palm(spec=palm.cropped(palm.palm(), 16, "tiny"), clock=ManualClock(10**11))
+    made = virtual_rig(Palm(palm.cropped(palm.palm(), 16, "tiny")), clock=ManualClock(10**11))
     outcome = record(made, plan, tmp_path / "run")
     assert outcome.state is State.DONE
     found = list(documents(Run.open(tmp_path / "run")))

@@ -13,8 +13,9 @@ from palpate.core.errors import InputError
 from palpate.recordings.reader import Run
 from palpate.rig import Reason, State, Tripped, record
 from palpate.rig.plans import Lateral, Listed, Stepped, plan_from
-from palpate.rig.virtual.skin import LINEAR_DEPTH_M, law_of, own_ball
 from palpate.sensors import palm
+from palpate.sensors.palm.press import LINEAR_DEPTH_M
+from palpate.sensors.palm.sensor import force_law_of
 
 CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
 
@@ -26,14 +27,17 @@ def small(**kwargs: object) -> Stepped:
 @pytest.mark.parametrize("words", ["punch:6", "cylinder:6:12", "two-points:4:8"])
 def test_the_force_under_a_probe_is_that_of_pressing_it_once(words: str) -> None:
     probe = palm.parse_probe(words)
-    law = law_of(SPEC, probe)
+    law = force_law_of(SPEC, probe)
     for depth in (0.3e-3, 0.77e-3, 1.5e-3):
         alone = palm.press(SPEC, Pose(0.0, 0.0, depth), probe).force_n
         assert np.interp(depth, law.depth_m, law.force_n) == pytest.approx(alone, rel=0.02)
 
 
 def test_linear_layers_and_the_table_agree_on_the_ball_where_both_hold() -> None:
-    table, layers = law_of(SPEC, own_ball(SPEC)), law_of(SPEC, palm.parse_probe("sphere:9.99"))
+    table, layers = (
+        force_law_of(SPEC, palm.parse_probe("sphere:10")),
+        force_law_of(SPEC, palm.parse_probe("sphere:9.99")),
+    )
     depth = np.linspace(0.4e-3, LINEAR_DEPTH_M, 6)
     one, other = (np.interp(depth, law.depth_m, law.force_n) for law in (table, layers))
     assert other == pytest.approx(one, rel=0.05)

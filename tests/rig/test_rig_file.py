@@ -12,7 +12,7 @@ from palpate.devices.rpc import path_of
 from palpate.rig import Reason, State, open_rig, record
 from palpate.rig.fakes.netft_box import FakeNetFT
 from palpate.rig.service import opening, rig_name
-from palpate.rig.virtual.palm import REAL_TIME_AGE_S
+from palpate.rig.virtual.bench import REAL_TIME_AGE_S
 
 REAL = """
 name = "bench"

@@ -49,9 +49,11 @@ def start_rig() -> None:
 def record(
     out: Annotated[Path, typer.Option(help="Run to make, or to go on with.")],
     plan: Annotated[
-        str, typer.Option(help="Plan: a TOML file, or a name such as palm or palm-reduced.")
+        str, typer.Option(help="Plan: a TOML file, or a name such as palm, palm-reduced or tactip.")
     ] = "palm",
-    rig: Annotated[str, typer.Option(help="Rig: a TOML file, or virtual:palm.")] = "virtual:palm",
+    rig: Annotated[
+        str, typer.Option(help="Rig: a TOML file, virtual:palm, virtual:tactip or another sensor's.")
+    ] = "virtual:palm",
     seed: Annotated[int, typer.Option(min=0, help="Of all that varies on a virtual rig.")] = 0,
     json_: Json = False,
     quiet: Quiet = False,
@@ -59,7 +61,8 @@ def record(
     """Record a plan on a rig, or go on with an interrupted run.
 
     Ctrl-C stops the motion, lifts the probe and ends; a second one is the emergency stop: nothing moves.
-    Ends with status 1 where shots are still missing.
+    Ends with status 1 where shots are still missing. Presses on specimens are also written as the folder
+    `presses` within the run, for `palpate compliance`.
 
     Example: palpate record --rig virtual:palm --plan palm-reduced --out run
     """
@@ -67,8 +70,9 @@ def record(
     from palpate.rig import record as record_plan
     from palpate.rig.rig_file import open_rig
 
-    chosen, control, opened = plan_of(plan), OperatorControl(), open_rig(rig, seed=seed)
+    control, opened = OperatorControl(), open_rig(rig, seed=seed)
     try:
+        chosen = plan_of(plan, opened.design)
         with progress_bar(quiet) as progress, _signals_ask(control):
 
             def watch(status: Status) -> None:
@@ -84,9 +88,26 @@ def record(
     if outcome.state is not State.DONE:
         reason = f" ({outcome.reason.value})" if outcome.reason else ""
         text += f"{reason}: {outcome.message}\nthe same command goes on at the first missing shot"
+    else:
+        text += _presses_written(out, found)
     print_found(found, text, json_)
     if outcome.state is not State.DONE:
         raise typer.Exit(1)
+
+
+def _presses_written(out: Path, found: dict[str, Any]) -> str:
+    """Presses on specimens, as `palpate compliance` reads them, into the run's folder."""
+    from palpate.recordings.exporters.presses import export_presses
+    from palpate.recordings.press_folder import PRESSES
+    from palpate.recordings.reader import Run
+
+    if (out / PRESSES).exists():
+        return ""
+    written = export_presses(Run.open(out))
+    if written is None:
+        return ""
+    found[PRESSES] = str(written.path)
+    return f"\n{written.path}: presses on {len(written.specimens)} specimens, as compliance reads them"
 
 
 @rig_app.command()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from numpy import ndarray
 
 from palpate.core.axes import Field, Mask
+from palpate.core.errors import InputError
 from palpate.core.shapes import Float
 
 
@@ -16,9 +18,10 @@ class Probe:
 
     Attributes:
         shape: ``"sphere"``, ``"punch"`` (an upright cylinder), ``"edge"`` (a wedge), ``"cylinder"`` (lying),
-            ``"two-points"`` (two spheres), ``"points"`` (any number of spheres).
+            ``"two-points"`` (two spheres), ``"points"`` (any number of spheres), ``"plate"`` (a flat face
+            wider than any contact, which touches a curved skin).
         radius_m: of the sphere, the lying cylinder or each of several points; of a punch's flat end [m]. An
-            edge has none: 0.
+            edge and a plate have none: 0.
         length_m: of an edge or lying cylinder; between two points [m].
         turn_rad: of that length, and of the way the probe leans, from x towards y [rad].
         tilt_rad: by which it leans: the side that ``turn_rad`` points to is the lower one [rad].
@@ -49,6 +52,81 @@ class Pose:
     depth_m: float
 
 
+RIGID, UNTOLD = "rigid", "?"
+
+
+@dataclass(frozen=True, slots=True)
+class Specimen:
+    """A body that yields where it is touched; without one, the probe is rigid.
+
+    Attributes:
+        name: of the specimen, such as "S1".
+        stiffness_n_m: force over deformation under a load spread over its whole top, inf for a rigid body;
+            None where only the modulus is known [N/m].
+        youngs_modulus_pa: of its material; None where only the stiffness is known [Pa].
+    """
+
+    name: str = ""
+    stiffness_n_m: float | None = math.inf
+    youngs_modulus_pa: float | None = None
+
+    @classmethod
+    def parse(cls, words: str) -> Specimen:
+        """A specimen from NAME=STIFFNESS in N/mm, as in "S1=7.6", or "rigid".
+
+        A question mark after the stiffness asks that whoever records it does not tell it on, as of a specimen
+        that a calibration shall be tried on; it changes nothing here.
+
+        Raises:
+            InputError: the words are of another form.
+        """
+        name, equals, value = words.removesuffix(UNTOLD).partition("=")
+        try:
+            stiffness_n_m = 1e3 * float(value) if equals else math.inf
+        except ValueError:
+            stiffness_n_m = math.nan
+        if not (name and stiffness_n_m > 0 and (equals or name == RIGID)):
+            raise InputError(f"{words!r} is no specimen; give {RIGID} or NAME=STIFFNESS in N/mm, as S1=7.6")
+        return cls(name, stiffness_n_m)
+
+
+@dataclass(frozen=True, slots=True)
+class EarlierPress:
+    """A press that is over.
+
+    Attributes:
+        pose: its deepest.
+        ago_s: since the probe left [s].
+    """
+
+    pose: Pose
+    ago_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class PressHistory:
+    """What happened before a press came to its pose.
+
+    Attributes:
+        path_m: where the probe has been since first touch, beside where it touched first, (x, y) in order,
+            the last one now; empty for a press straight down [m].
+        lateral_n: force along x and y that this path has built up, where whoever presses knows it; None
+            leaves it to the sensor's own law [N].
+        stiffening: normal force over that of the relaxed skin at this depth: above 1 while a viscoelastic
+            skin still remembers.
+        earlier: presses of the same skin before, the oldest first.
+    """
+
+    path_m: tuple[tuple[float, float], ...] = ()
+    lateral_n: tuple[float, float] | None = None
+    stiffening: float = 1.0
+    earlier: tuple[EarlierPress, ...] = ()
+
+
+FRESH = PressHistory()
+"""Straight down on a skin that was never touched before."""
+
+
 @dataclass(frozen=True, slots=True)
 class Contact:
     """Traction, displacement and contact region on a grid of the skin's surface, SI.
@@ -69,6 +147,7 @@ class Contact:
         shear_pa: traction of the probe on the skin along x and y ``[2 ny nx]`` [Pa]; None without any.
         lateral_n: force of the probe on the skin along x and y [N].
         moment_nm: of that shear about z through the probe's axis, from x towards y [N m].
+        specimen, history: what made it besides probe and pose; None for a rigid probe.
     """
 
     x_m: Float[ndarray, " nx"]
@@ -84,3 +163,5 @@ class Contact:
     shear_pa: Float[ndarray, "2 ny nx"] | None = None
     lateral_n: tuple[float, float] = (0.0, 0.0)
     moment_nm: float = 0.0
+    specimen: Specimen | None = None
+    history: PressHistory = FRESH

@@ -7,6 +7,8 @@
 ``S1/01.csv``           its table, of the same name: see `press_table`
 ======================  ==================================================================================
 
+A run that was recorded on specimens holds such a folder, ``presses``, and is read as it.
+
 `specimens.csv` may be left out; then no stiffness is known. Further columns and other files are passed over,
 and so are folders within a specimen's, such as runs made of its presses.
 """
@@ -27,10 +29,12 @@ from palpate.core.errors import InputError, LabelError
 from palpate.core.files import new_file, storage_errors
 from palpate.core.units import UNITS, has_unit, split_column
 from palpate.recordings.labels import FIRST_ROW, label_kinds, read_labels
+from palpate.recordings.manifest import MANIFEST
 from palpate.recordings.sequences import TIFFS
 from palpate.recordings.tiff import write_tiff
 
 SPECIMENS = "specimens.csv"
+PRESSES = "presses"  # within a run, where its presses lie as such a folder
 NAME, STIFFNESS = "specimen", "stiffness_N_per_mm"
 DIGITS = "%.9g"  # a nanometre in a metre, more than any device of a rig says
 _PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
@@ -75,6 +79,7 @@ def press_folder(path: Path) -> PressFolder:
         StorageError: the disk refused to read it.
     """
     path = Path(path)
+    path = path / PRESSES if (path / PRESSES).is_dir() and (path / MANIFEST).exists() else path
     if not path.is_dir():
         raise InputError(f"{path} is no folder; give that of an experiment, with a folder for every specimen")
     with storage_errors(path):

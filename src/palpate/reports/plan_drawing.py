@@ -22,7 +22,7 @@ def draw_places(plan: Plan, path: Path) -> None:
         InputError: the plan has no valid place.
     """
     places = plan.places.places()
-    layer, probe = plan.places.layer_mm / 2, plan.places.probe_mm / 2
+    layer, probe = (diameter / 2 for diameter in plan.places.sizes_mm())
     figure = Figure(figsize=(6, 6.4), layout="constrained")
     axes = figure.add_subplot()
     axes.add_patch(Circle((0, 0), layer, facecolor=LAYER, edgecolor=INK, lw=1.2))

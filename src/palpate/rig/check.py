@@ -41,8 +41,8 @@ def check_rig(
         close: close the devices at the end, and check that.
 
     Example:
-        >>> from palpate.rig.virtual import virtual_palm
-        >>> all(one.ok for one in check_rig(virtual_palm()))
+        >>> from palpate.rig.virtual import virtual_rig
+        >>> all(one.ok for one in check_rig(virtual_rig()))
         True
     """
     noise_n = threshold_n / SIGMAS

@@ -285,6 +285,7 @@ def record(
         StorageError: the disk refused before anything moved.
     """
     out = Path(out)
+    plan = plan if rig.design is None else plan.on(rig.design)
     check_plan(rig, plan)
     done: Done = {}
     if out.exists():

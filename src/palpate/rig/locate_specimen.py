@@ -63,7 +63,7 @@ def locate_specimen(run: Run) -> SpecimenPlacement:
         raise RecordingError(f"{run.path} has not touched {', '.join(missing)} yet; record it to its end")
     inside = np.array([found[name] for name in ("middle", *(f"inside{way}" for way in WAYS))])
     plane, off = _plane(inside)
-    rims = {way: _rim_mm(found[f"rim{way}"], plane, plan.places.probe_mm / 2) for way in WAYS}
+    rims = {way: _rim_mm(found[f"rim{way}"], plane, plan.places.sizes_mm()[1] / 2) for way in WAYS}
     x, y = (rims["+x"] - rims["-x"]) / 2, (rims["+y"] - rims["-y"]) / 2
     moved = (x, y, float(plane @ (1.0, x, y)))
     return SpecimenPlacement(

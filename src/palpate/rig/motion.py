@@ -154,7 +154,7 @@ def check_plan(rig: Rig, plan: Plan) -> None:
 def _check_known(rig: Rig, plan: Plan) -> None:
     """Depths count from where a force says contact; the little that lies below first touch is added."""
     for indenter in plan.indenters:
-        for lateral, deepest_mm in ((False, plan.deepest_mm), (True, _deepest_aside_mm(plan))):
+        for lateral, deepest_mm in ((False, plan.pressed_mm), (True, _deepest_aside_mm(plan))):
             known_mm = rig.known_m(indenter, lateral) / MM
             if deepest_mm > 0 and deepest_mm + BELOW_TOUCH_MM > known_mm:
                 way = f"{indenter} shifted aside" if lateral else indenter

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from palpate.core.clock import Clock
 from palpate.core.protocols import ForceSensor, FrameSource, Position, Stage
+from palpate.core.sensor import Sensor
 from palpate.devices.force_bias import Mounting
 from palpate.devices.limits import Limits
 
@@ -60,6 +61,7 @@ class Rig:
         fit: change the indenter; False where a person has to.
         known_m: how deep an indenter may press, with a lateral load or without: a virtual skin has a law to
             that depth and none beyond [m].
+        design: of the sensor, whose outline and probe plans are laid on; None where only its plan knows.
     """
 
     name: str
@@ -79,6 +81,7 @@ class Rig:
     truths: tuple[str, ...] = ()
     fit: Callable[[str], bool] = by_hand
     known_m: Callable[[str, bool], float] = unlimited
+    design: Sensor | None = None
 
     def close(self) -> None:
         """Let go of every device, the stage first; all are tried."""

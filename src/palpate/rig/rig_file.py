@@ -18,16 +18,17 @@ from palpate.core.clock import Clock, ManualClock, MonotonicClock
 from palpate.core.errors import InputError
 from palpate.core.files import storage_errors
 from palpate.core.protocols import ForceSensor, FrameSource, Position, Stage
+from palpate.core.sensor import DEFAULT_SENSOR, SENSORS
+from palpate.core.sensor import sensor as sensor_of
 from palpate.devices.check.interface_check import Role
 from palpate.devices.force_bias import Mounting
 from palpate.devices.limits import Limits
 from palpate.devices.plugins import check_kind, open_device
 from palpate.rig.rig import Region, Rig
-from palpate.rig.virtual import Fault, virtual_palm
+from palpate.rig.virtual import Fault, virtual_rig
+from palpate.rig.virtual.bench import PREFIX, REAL_TIME_AGE_S
 from palpate.rig.virtual.faults import Kind
-from palpate.rig.virtual.palm import FORCE_N, REAL_TIME_AGE_S, TRAVEL
 
-VIRTUAL = "virtual:palm"
 MM = 1e-3
 _MAX_BYTES = 1 << 20
 
@@ -121,7 +122,7 @@ class FaultPart(_Part):
 
 
 class VirtualPart(_Part):
-    """A virtual palm, with what goes wrong on it; `askew_mm` is where its layer lies from the origin."""
+    """A virtual rig, with what goes wrong on it; `askew_mm` is where its skin lies from the origin."""
 
     seed: Annotated[int, Field(ge=0)] = 0
     askew_mm: Three = (0.0, 0.0, 0.0)
@@ -159,6 +160,8 @@ class RigFile(_Part):
 
     Attributes:
         name, sensor: go into every run.
+        design: the name of the sensor's design, such as "palm" or "tactip": its outline and probe are those
+            of plans that give none, and a virtual rig drives it.
         origin_mm: in the stage's frame, the layer's centre at its expected surface.
         licence, origin: of what is recorded.
         regions: of the picture, each (x, y, width, height) [px].
@@ -166,6 +169,7 @@ class RigFile(_Part):
 
     name: str
     sensor: str = ""
+    design: str = DEFAULT_SENSOR
     licence: str = ""
     origin: str = ""
     origin_mm: Three = (0.0, 0.0, 0.0)
@@ -181,21 +185,41 @@ def open_rig(text: str, *, seed: int = 0) -> Rig:
     """A rig by name, or from a TOML file; the caller closes it.
 
     Args:
-        text: "virtual:palm", or a file's path.
+        text: "virtual:" and a sensor's name, such as "virtual:palm"; or a file's path.
         seed: of the rig by name; a file has its own.
 
     Raises:
         InputError: neither; or a field that is not one, or out of range.
         DeviceError: a device is missing, busy or refuses; those opened before are closed.
     """
-    if text == VIRTUAL:
-        return virtual_palm(seed=seed)
+    if is_virtual(text):
+        return virtual_rig(sensor_named(text), seed=seed)
     path = Path(text)
     file = read_rig(path)
     try:
         return rig_from(file)
     except InputError as e:
         raise InputError(f"{path}: {e}") from e
+
+
+def sensor_named(text: str) -> str:
+    """The sensor of a virtual rig's name.
+
+    Raises:
+        InputError: there is no such sensor, or it breaks its contract.
+    """
+    name = text.removeprefix(PREFIX)
+    try:
+        sensor_of(name)
+    except InputError as e:
+        rigs = ", ".join(PREFIX + one for one in SENSORS.names())
+        raise InputError(f"the rig {text!r} cannot be opened: {e}; by name there are {rigs}") from e
+    return name
+
+
+def is_virtual(text: str) -> bool:
+    """Whether a text names a virtual rig, of whatever sensor."""
+    return text.startswith(PREFIX)
 
 
 def read_rig(path: Path) -> RigFile:
@@ -207,7 +231,8 @@ def read_rig(path: Path) -> RigFile:
     """
     if not path.is_file():
         raise InputError(
-            f"there is no rig {str(path)!r}: no such file, and {VIRTUAL} is the only one by name"
+            f"there is no rig {str(path)!r}: no such file, and by name there are "
+            f"{', '.join(PREFIX + name for name in SENSORS.names())}"
         )
     with storage_errors(path):
         data = path.read_bytes()[:_MAX_BYTES]
@@ -243,16 +268,17 @@ def rig_from(file: RigFile) -> Rig:
         if file.stage or file.force or file.camera:
             raise InputError(f"the rig {file.name!r} is virtual and names real devices; leave one out")
         clock: Clock = MonotonicClock() if file.virtual.real_time else ManualClock()
-        limits = _virtual_limits(file, file.virtual.real_time)
         faults = [Fault(one.kind, one.after_s) for one in file.virtual.faults]
-        rig = virtual_palm(
+        rig = virtual_rig(
+            file.design,
             clock=clock,
             seed=file.virtual.seed,
             faults=faults,
-            limits=limits,
+            limits=None if file.limits is None else file.limits.limits(),
+            age_s=REAL_TIME_AGE_S if file.virtual.real_time else None,
             askew_m=_metres(file.virtual.askew_mm),
         )
-        return replace(rig, name=f"{file.name}, {VIRTUAL}", regions=_regions(file) or rig.regions)
+        return replace(rig, name=f"{file.name}, {rig.name}", regions=_regions(file) or rig.regions)
     if not (file.stage and file.force and file.camera and file.limits):
         raise InputError(
             f"the rig {file.name!r} needs [stage], [force], [camera] and [limits], or [virtual] instead"
@@ -265,13 +291,6 @@ def rig_from(file: RigFile) -> Rig:
 
 def _regions(file: RigFile) -> tuple[Region, ...]:
     return tuple(Region(one.name, one.box_px) for one in file.regions)
-
-
-def _virtual_limits(file: RigFile, real_time: bool) -> Limits | None:
-    """Limits of a virtual rig: in real time its force is as old as this machine is slow."""
-    if file.limits is not None or not real_time:
-        return None if file.limits is None else file.limits.limits()
-    return Limits(TRAVEL.least_m, TRAVEL.greatest_m, force_n=FORCE_N, age_s=REAL_TIME_AGE_S)
 
 
 def _real(
@@ -302,6 +321,7 @@ def _real(
         regions=_regions(file),
         licence=file.licence,
         origin=file.origin,
+        design=sensor_of(file.design),
     )
 
 

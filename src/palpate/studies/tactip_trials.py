@@ -25,6 +25,7 @@ from palpate.recordings.press_folder import PressFolder, press_folder, write_pre
 from palpate.recordings.press_table import press_rows
 from palpate.sensors.tactip import HeadOn, Specimen, TacTipSpec, Trial, trial
 from palpate.sensors.tactip.inclined import Inclined, inclined
+from palpate.sensors.tactip.press import modulus_pa
 from palpate.version import __version__
 
 REPORT_N_M = {"rigid": math.inf, "S1": 7.6e3, "S2": 3.1e3, "S3": 1.1e3, "new": 5.3e3}
@@ -39,12 +40,6 @@ ORIGIN = "rendered by palpate; virtual, not measured"
 MODELS = {HeadOn: "finite strain, without friction", Inclined: "linear bodies, with friction"}
 
 Specimens = Mapping[str, tuple[float, Specimen]]
-
-
-def modulus_pa(table: TipTable, stiffness_n_m: float) -> float:
-    """Young's modulus of the tables' cylinder of a stiffness [N/m], inf for a rigid plate [Pa]."""
-    area_m2 = math.pi * table.specimen_radius_m**2
-    return stiffness_n_m * table.specimen_height_m / area_m2
 
 
 def least_stiffness_n_m(table: TipTable) -> float:

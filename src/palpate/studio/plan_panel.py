@@ -154,8 +154,7 @@ class PlanPanel:
         self._drawing.set_content(
             drawing.grid_svg(
                 self._plan.places.places(),
-                self._plan.places.layer_mm,
-                self._plan.places.probe_mm,
+                *self._plan.places.sizes_mm(),
                 done=words.done_by_place(self._plan, shots),
                 now=place,
                 at_mm=at,
@@ -165,7 +164,7 @@ class PlanPanel:
 
 def _laid_out(fields: Mapping[str, Any]) -> tuple[Plan, str]:
     plan = checked_plan(fields)
-    probe, layer = plan.places.probe_mm, plan.places.layer_mm
+    layer, probe = plan.places.sizes_mm()
     facts = (
         f"<b>{escape(words.plan_facts(plan, size_of(plan)))}</b><br>indenter of {probe:g} mm on a layer of "
         f"{layer:g} mm: {words.clearance(plan)}"

@@ -76,7 +76,8 @@ def done_by_place(plan: Plan, shots: int) -> dict[str, float]:
 def clearance_mm(plan: Plan) -> float:
     """Between the probe and the layer's rim, at the place where it is least."""
     places = plan.places
-    reach = (places.layer_mm - places.probe_mm) / 2
+    layer_mm, probe_mm = places.sizes_mm()
+    reach = (layer_mm - probe_mm) / 2
     return min(reach - (p.x_mm**2 + p.y_mm**2) ** 0.5 for p in places.places())
 
 

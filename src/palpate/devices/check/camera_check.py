@@ -64,8 +64,8 @@ def check_camera(camera: object, *, clock: Clock, frames: int = 40, close: bool 
         RangeError: fewer than 20 frames.
 
     Example:
-        >>> from palpate.rig.virtual import virtual_palm
-        >>> rig = virtual_palm()
+        >>> from palpate.rig.virtual import virtual_rig
+        >>> rig = virtual_rig()
         >>> all(one.ok for one in check_camera(rig.camera, clock=rig.clock))
         True
     """

@@ -54,8 +54,8 @@ def check_force_sensor(
         RangeError: no such time or noise.
 
     Example:
-        >>> from palpate.rig.virtual import virtual_palm
-        >>> rig = virtual_palm()
+        >>> from palpate.rig.virtual import virtual_rig
+        >>> rig = virtual_rig()
         >>> all(one.ok for one in check_force_sensor(rig.force, clock=rig.clock))
         True
     """

@@ -63,8 +63,8 @@ def check_stage(
         RangeError: the box leaves the travel or is too small for the speed, or no such speed; nothing moved.
 
     Example:
-        >>> from palpate.rig.virtual import virtual_palm
-        >>> rig = virtual_palm()
+        >>> from palpate.rig.virtual import virtual_rig
+        >>> rig = virtual_rig()
         >>> box = ((-2e-3, -2e-3, -7e-3), (2e-3, 2e-3, -3e-3))
         >>> all(one.ok for one in check_stage(rig.stage, clock=rig.clock, region_m=box))
         True

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field, TypeAdapter, ValidationError
 
 from palpate.core.errors import InputError
 from palpate.core.files import storage_errors
+from palpate.core.sensor import DEFAULT_SENSOR, SENSORS, Sensor
+from palpate.core.sensor import sensor as sensor_of
 from palpate.rig.plans.places import Around, Grid, Listed, Scattered
 from palpate.rig.plans.plan import Plan
 from palpate.rig.plans.stepped import Dwell, Lateral, Stepped
@@ -27,7 +28,6 @@ _CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
 _ROUND = ((0.3, 0.0), (0.0, 0.3), (-0.3, 0.0), (0.0, -0.3))
 _SMALL = {"cycles": 1, "frames": 5, "reference_frames": 5}
 _PLANS: tuple[Known, ...] = (
-    Stepped(name="palm"),
     Touched(name="layer", kind="touched", places=Around(kind="around"), taps=0),
     Stepped(name="palm-reduced", cycles=1, depth_mm=4.0, step_mm=1.0, frames=2, reference_frames=1),
     Stepped(
@@ -66,9 +66,30 @@ _PLANS: tuple[Known, ...] = (
     Swept(name="repeated", kind="swept", places=_CENTRE, cycles=70, speed_mm_s=5.0, depth_mm=2.0),
     Swept(name="slow", kind="swept", places=_CENTRE, cycles=3, speed_mm_s=0.5, depth_mm=2.0),
 )
-PLANS: Mapping[str, Known] = MappingProxyType({plan.name: plan for plan in _PLANS})
-"""The palm's protocol, one that finds where its layer lies, a small one, and one of each kind. "tactip-press"
-and the two after it are those of the TacTip's and NUSense's reports."""
+_OWN = {plan.name: plan for plan in _PLANS}
+
+
+class _Plans(Mapping[str, Known]):
+    """Plans by name, laid on the usual sensor; the default plan of a sensor has the sensor's name."""
+
+    def __getitem__(self, name: str) -> Known:
+        if name in _OWN:
+            return _OWN[name].on(sensor_of())
+        if name not in SENSORS.names():
+            raise KeyError(name)
+        return plan_of_sensor(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((DEFAULT_SENSOR, *_OWN, *(name for name in SENSORS.names() if name != DEFAULT_SENSOR)))
+
+    def __len__(self) -> int:
+        return len(tuple(iter(self)))
+
+
+PLANS: Mapping[str, Known] = _Plans()
+"""The palm's protocol first; one that finds where a layer lies, small ones, one of each kind; then the
+protocols of the other sensors. "tactip-press" and the two after it are those of the TacTip's and NUSense's
+reports, on the usual skin."""
 
 
 class Size(NamedTuple):
@@ -87,13 +108,29 @@ class Size(NamedTuple):
     seconds: float
 
 
-def plan_of(text: str | Path) -> Known:
+def plan_of_sensor(name: str) -> Known:
+    """The default plan of a sensor.
+
+    Raises:
+        InputError: there is no such sensor, or its plan is none.
+    """
+    sensor = sensor_of(name)
+    return plan_from(sensor.default_plan(), sensor)
+
+
+def plan_of(text: str | Path, sensor: Sensor | None = None) -> Known:
     """A plan by its name, or from a TOML file.
+
+    Args:
+        text: a name of `PLANS`, or a file's path.
+        sensor: whose outline and probe it is laid on where it gives none; None for the usual one.
 
     Raises:
         InputError: neither; or a field that is not one, or out of range: the message lists them.
         StorageError: the file cannot be read.
     """
+    if str(text) in _OWN:
+        return _OWN[str(text)].on(sensor or sensor_of())
     if str(text) in PLANS:
         return PLANS[str(text)]
     path = Path(text)
@@ -102,21 +139,21 @@ def plan_of(text: str | Path) -> Known:
     with storage_errors(path):
         data = path.read_bytes()[:_MOST_BYTES]
     try:
-        return plan_from(tomllib.loads(data.decode()))
+        return plan_from(tomllib.loads(data.decode()), sensor)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
         raise InputError(f"{path} is not TOML: {e}") from e
     except InputError as e:
         raise InputError(f"{path}: {e}") from e
 
 
-def plan_from(fields: Mapping[str, Any]) -> Known:
-    """A plan from plain values.
+def plan_from(fields: Mapping[str, Any], sensor: Sensor | None = None) -> Known:
+    """A plan from plain values, laid on a sensor; on the usual one without.
 
     Raises:
         InputError: a field that is not one, or out of range.
     """
     try:
-        plan = _ADAPTER.validate_python({"kind": "stepped", **fields})
+        plan = _ADAPTER.validate_python({"kind": "stepped", **fields}).on(sensor or sensor_of())
         plan.places.places()
     except ValidationError as e:
         said = "; ".join(f"{'.'.join(map(str, d['loc'][1:])) or 'plan'}: {d['msg']}" for d in e.errors())

@@ -1,14 +1,22 @@
-"""Where to press: the candidate grid clipped by membrane and probe, or seeded random places."""
+"""Where to press: the candidate grid clipped by the skin's outline and the probe, or seeded random places.
+
+Outline and probe are the sensor's where a plan does not give them: `laid_on` writes them into the places.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, NamedTuple
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_serializer
 
 from palpate.core.errors import InputError
+from palpate.core.outline import Outline
+from palpate.core.sensor import DEFAULT_SENSOR, Sensor
+from palpate.core.sensor import sensor as sensor_of
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 ROUNDING_MM = 1e-9
@@ -29,22 +37,80 @@ class Place(NamedTuple):
     y_mm: float
 
 
-class Grid(BaseModel):
-    """Square candidates, of which those stay whose probe lies wholly on the layer.
+Laid = TypeVar("Laid", bound="OnSkin")
+
+
+class OnSkin(BaseModel):
+    """Places on a skin.
 
     Attributes:
-        per_side: candidates along each side; odd, so that one is the centre.
-        pitch_mm: between neighbours.
-        layer_mm, probe_mm: diameters.
+        layer_mm: diameter of the skin, or of the circle around a polygon's corners; None for the sensor's.
+        probe_mm: diameter of the probe; None for that of the sensor's own.
+        corners_mm: (x, y) of a convex polygon, from +x towards +y; empty for a disc of `layer_mm`.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    layer_mm: Positive | None = None
+    probe_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    corners_mm: tuple[tuple[float, float], ...] = ()
+
+    @model_serializer(mode="wrap")
+    def _without_corners(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """A disc's plan is written, and hashed, as it was before there were other outlines."""
+        fields = handler(self)
+        if not self.corners_mm:
+            fields.pop("corners_mm", None)
+        return fields
+
+    def laid_on(self: Laid, sensor: Sensor) -> Laid:
+        """The same places with the sensor's outline and probe, where they give none of their own."""
+        found: dict[str, Any] = {}
+        if self.layer_mm is None:
+            outline = sensor.outline
+            found["layer_mm"] = _mm(2 * outline.radius_m)
+            found["corners_mm"] = tuple((_mm(x), _mm(y)) for x, y in outline.corners_m)
+        if self.probe_mm is None:
+            found["probe_mm"] = _mm(2 * sensor.probe(sensor.default_probe).radius_m)
+        return self.model_copy(update=found)
+
+    def sizes_mm(self) -> tuple[float, float]:
+        """Diameters of skin and probe, the usual sensor's where none are given."""
+        layer, probe = self.layer_mm, self.probe_mm
+        if layer is None or probe is None:
+            usual = _usual()
+            layer, probe = usual[0] if layer is None else layer, usual[1] if probe is None else probe
+        return layer, probe
+
+    @property
+    def reach_mm(self) -> float:
+        """How far from the skin's centre the probe's axis may lie.
+
+        Raises:
+            InputError: the probe is wider than the skin.
+        """
+        return reach_mm(*self.sizes_mm())
+
+    def holds(self, x_mm: float, y_mm: float) -> bool:
+        """Whether the probe lies wholly on the skin."""
+        if not self.corners_mm:
+            return math.hypot(x_mm, y_mm) <= self.reach_mm + ROUNDING_MM
+        corners = tuple((1e-3 * x, 1e-3 * y) for x, y in self.corners_mm)
+        radius_m = 0.5e-3 * self.sizes_mm()[1]
+        return Outline.polygon(corners).contains(1e-3 * x_mm, 1e-3 * y_mm, radius_m)
+
+
+class Grid(OnSkin):
+    """Square candidates, of which those stay whose probe lies wholly on the skin.
+
+    Attributes:
+        per_side: candidates along each side; odd, so that one is the centre.
+        pitch_mm: between neighbours.
+    """
+
     kind: Literal["grid"] = "grid"
     per_side: Annotated[int, Field(ge=1, le=999)] = 15
     pitch_mm: Positive = 7.0
-    layer_mm: Positive = 57.0
-    probe_mm: Positive = 10.0
 
     def places(self) -> tuple[Place, ...]:
         """Row by row, from the top left, as the camera sees it.
@@ -52,13 +118,13 @@ class Grid(BaseModel):
         Raises:
             InputError: none is left.
         """
-        reach = reach_mm(self.layer_mm, self.probe_mm)
+        reach = self.reach_mm
         middle = (self.per_side - 1) / 2
         found = [
             Place(f"r{row}c{column}", (column - middle) * self.pitch_mm, (row - middle) * self.pitch_mm)
             for row in range(self.per_side)
             for column in range(self.per_side)
-            if math.hypot(column - middle, row - middle) * self.pitch_mm <= reach + ROUNDING_MM
+            if self.holds((column - middle) * self.pitch_mm, (row - middle) * self.pitch_mm)
         ]
         if not found:
             raise InputError(
@@ -68,22 +134,17 @@ class Grid(BaseModel):
         return tuple(found)
 
 
-class Scattered(BaseModel):
+class Scattered(OnSkin):
     """Random places off the grid, evenly over the area, the same for the same seed.
 
     Attributes:
         count: how many.
-        layer_mm, probe_mm: diameters.
         apart_mm: least distance between two.
         seed: of the places.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     kind: Literal["scattered"]
     count: Annotated[int, Field(ge=1, le=100_000)]
-    layer_mm: Positive = 57.0
-    probe_mm: Positive = 10.0
     apart_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     seed: int = 0
 
@@ -93,7 +154,7 @@ class Scattered(BaseModel):
         Raises:
             InputError: they cannot lie so far apart.
         """
-        reach, rng = reach_mm(self.layer_mm, self.probe_mm), np.random.default_rng(self.seed)
+        reach, rng = self.reach_mm, np.random.default_rng(self.seed)
         found: list[Place] = []
         for _ in range(MOST_TRIES * self.count):
             if len(found) == self.count:
@@ -101,6 +162,8 @@ class Scattered(BaseModel):
             away, angle = reach * math.sqrt(rng.uniform()), rng.uniform(0, math.tau)
             # To a micrometre, so that the name, the label and the stage agree.
             x, y = round(away * math.cos(angle), 3), round(away * math.sin(angle), 3)
+            if self.corners_mm and not self.holds(x, y):
+                continue
             if all(math.hypot(x - p.x_mm, y - p.y_mm) >= self.apart_mm for p in found):
                 found.append(Place(f"s{len(found)}", x, y))
         if len(found) < self.count:
@@ -111,20 +174,15 @@ class Scattered(BaseModel):
         return tuple(found)
 
 
-class Listed(BaseModel):
+class Listed(OnSkin):
     """Places by hand.
 
     Attributes:
         at_mm: (x, y) of each.
-        layer_mm, probe_mm: diameters.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["listed"]
     at_mm: Annotated[tuple[tuple[float, float], ...], Field(min_length=1)]
-    layer_mm: Positive = 57.0
-    probe_mm: Positive = 10.0
 
     def places(self) -> tuple[Place, ...]:
         """In the order given.
@@ -132,9 +190,9 @@ class Listed(BaseModel):
         Raises:
             InputError: one at which the probe reaches over the rim.
         """
-        reach = reach_mm(self.layer_mm, self.probe_mm)
+        reach = self.reach_mm
         for x, y in self.at_mm:
-            if not math.hypot(x, y) <= reach + ROUNDING_MM:
+            if not self.holds(x, y):
                 raise InputError(
                     f"at ({x:g}, {y:g}) mm the probe reaches over the layer's rim; within {reach:g} mm of "
                     "the centre it does not"
@@ -142,21 +200,18 @@ class Listed(BaseModel):
         return tuple(Place(f"l{i}", x, y) for i, (x, y) in enumerate(self.at_mm))
 
 
-class Around(BaseModel):
+class Around(OnSkin):
     """The middle, four places about it, and four just beyond the rim: from where a layer lies can be told.
 
+    The skin is a disc and the probe a ball.
+
     Attributes:
-        layer_mm, probe_mm: diameters; the probe is a ball.
         inside_mm: of the four about the middle, from it.
         beyond_mm: of the four outside, from the rim as it is expected; a little less than the ball's radius,
             and more than the layer may lie askew.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     kind: Literal["around"]
-    layer_mm: Positive = 57.0
-    probe_mm: Positive = 10.0
     inside_mm: Positive = 15.0
     beyond_mm: Positive = 2.0
 
@@ -164,19 +219,22 @@ class Around(BaseModel):
         """The middle, then inside and outside along +x, -x, +y, -y.
 
         Raises:
-            InputError: the probe reaches over the rim inside, or passes beside it outside.
+            InputError: the probe reaches over the rim inside, or passes beside it outside; or there is no
+                round rim.
         """
-        reach = reach_mm(self.layer_mm, self.probe_mm)
+        if self.corners_mm:
+            raise InputError("only a round skin is gone around; this sensor's outline is a polygon")
+        (layer_mm, probe_mm), reach = self.sizes_mm(), self.reach_mm
         if self.inside_mm > reach + ROUNDING_MM:
             raise InputError(
                 f"inside_mm is {self.inside_mm:g}; the probe reaches over the rim from {reach:g}"
             )
-        if self.beyond_mm >= self.probe_mm / 2:
+        if self.beyond_mm >= probe_mm / 2:
             raise InputError(
-                f"beyond_mm is {self.beyond_mm:g}: a ball of {self.probe_mm:g} mm passes the rim without "
-                f"touching it; give less than {self.probe_mm / 2:g}"
+                f"beyond_mm is {self.beyond_mm:g}: a ball of {probe_mm:g} mm passes the rim without "
+                f"touching it; give less than {probe_mm / 2:g}"
             )
-        outside = self.layer_mm / 2 + self.beyond_mm
+        outside = layer_mm / 2 + self.beyond_mm
         return (
             Place("middle", 0.0, 0.0),
             *(
@@ -199,3 +257,15 @@ def reach_mm(layer_mm: float, probe_mm: float) -> float:
     if probe_mm > layer_mm:
         raise InputError(f"a probe of {probe_mm:g} mm is wider than the layer, {layer_mm:g} mm")
     return (layer_mm - probe_mm) / 2
+
+
+def _mm(metres: float) -> float:
+    """In millimetres, to a picometre, so that 57 mm are 57.0."""
+    return round(1e3 * float(metres), 9)
+
+
+@lru_cache(maxsize=1)
+def _usual() -> tuple[float, float]:
+    """Diameters of the usual sensor's skin and probe [mm]."""
+    usual = sensor_of(DEFAULT_SENSOR)
+    return _mm(2 * usual.outline.radius_m), _mm(2 * usual.probe(usual.default_probe).radius_m)

@@ -6,11 +6,13 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from palpate.core.errors import InputError
+from palpate.core.sensor import Sensor
 from palpate.rig.plans.places import Grid, Place, Places, Positive
 from palpate.rig.plans.steps import Done, Shot, Steps
 
@@ -25,6 +27,19 @@ class Press(NamedTuple):
     place: Place
     cycle: int
     indenter: str
+
+
+def _check_width(indenters: tuple[str, ...], probe_mm: float) -> None:
+    for indenter in indenters:
+        wide = ROUND_ONE.fullmatch(indenter)
+        if wide and float(wide[1]) > probe_mm:
+            raise InputError(
+                f"the indenter {indenter} is wider than the probe of {probe_mm:g} mm that places are clipped "
+                "for; give places.probe_mm as wide as the widest"
+            )
+
+
+AnyPlan = TypeVar("AnyPlan", bound="Plan")
 
 
 class Plan(BaseModel):
@@ -70,14 +85,22 @@ class Plan(BaseModel):
 
     @model_validator(mode="after")
     def _check_indenters(self) -> Plan:
-        for indenter in self.indenters:
-            wide = ROUND_ONE.fullmatch(indenter)
-            if wide and float(wide[1]) > self.places.probe_mm:
-                raise ValueError(
-                    f"the indenter {indenter} is wider than the probe of {self.places.probe_mm:g} mm that "
-                    "places are clipped for; give places.probe_mm as wide as the widest"
-                )
+        if self.places.probe_mm is not None:
+            _check_width(self.indenters, self.places.probe_mm)
         return self
+
+    def on(self: AnyPlan, sensor: Sensor) -> AnyPlan:
+        """The same plan for a sensor: its outline and its probe where the plan gives none.
+
+        Raises:
+            InputError: an indenter is wider than the probe that places are clipped for.
+        """
+        found: dict[str, Any] = {"places": self.places.laid_on(sensor)}
+        if "indenters" not in self.model_fields_set:
+            found["indenters"] = (sensor.default_probe,)
+        elif self.places.probe_mm is None:
+            _check_width(self.indenters, found["places"].probe_mm)
+        return self.model_copy(update=found)
 
     @property
     def hash(self) -> str:
@@ -89,6 +112,11 @@ class Plan(BaseModel):
     def deepest_mm(self) -> float:
         """The greatest depth below a local zero."""
         raise NotImplementedError
+
+    @property
+    def pressed_mm(self) -> float:
+        """The depth that it goes to whatever the force: 0 where a force turns it round."""
+        return self.deepest_mm
 
     def presses(self) -> Iterator[Press]:
         """All of them, in order."""

@@ -36,6 +36,11 @@ class Swept(Plan):
         """The greatest depth below the expected surface."""
         return self.depth_mm
 
+    @property
+    def pressed_mm(self) -> float:
+        """None of it, where a force turns it round."""
+        return self.depth_mm if self.until_N is None else 0.0
+
     def steps(self, press: Press, done: Done) -> Steps:
         """Over the place, the zero, the sweep, the wait."""
         missing = self.missing(press, done)

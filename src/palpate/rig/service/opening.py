@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from palpate.core.clock import Clock, ManualClock, MonotonicClock
-from palpate.devices.limits import Limits
 from palpate.rig.rig import Rig
-from palpate.rig.rig_file import VIRTUAL, read_rig, rig_from
-from palpate.rig.virtual.palm import FORCE_N, REAL_TIME_AGE_S, TRAVEL, virtual_palm
+from palpate.rig.rig_file import is_virtual, read_rig, rig_from, sensor_named
+from palpate.rig.virtual.bench import REAL_TIME_AGE_S, virtual_rig
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +28,7 @@ def open_served_rig(name: str, *, accelerated: bool = False, seed: int = 0) -> S
     """Open a rig.
 
     Args:
-        name: "virtual:palm", or the path of a rig's file.
+        name: "virtual:" and a sensor's name, or the path of a rig's file.
         accelerated: let the virtual rig's time run as fast as the machine can; a file says so itself.
         seed: of a virtual rig; a file says so itself.
 
@@ -37,7 +36,7 @@ def open_served_rig(name: str, *, accelerated: bool = False, seed: int = 0) -> S
         InputError: there is no such rig, or its file is not one.
         DeviceError: a device is missing, busy or refuses.
     """
-    return _virtual(accelerated, seed) if name == VIRTUAL else _of_file(Path(name))
+    return _virtual(name, accelerated, seed) if is_virtual(name) else _of_file(Path(name))
 
 
 def rig_name(rig: str) -> str:
@@ -46,16 +45,17 @@ def rig_name(rig: str) -> str:
     Raises:
         InputError: there is no such rig, or its file is not one.
     """
-    if rig == VIRTUAL:
+    if is_virtual(rig):
+        sensor_named(rig)
         return rig
     read_rig(Path(rig))
     return str(Path(rig).resolve())
 
 
-def _virtual(accelerated: bool, seed: int) -> ServedRig:
+def _virtual(name: str, accelerated: bool, seed: int) -> ServedRig:
     clock: Clock = ManualClock() if accelerated else MonotonicClock()
-    limits = Limits(TRAVEL.least_m, TRAVEL.greatest_m, force_n=FORCE_N, age_s=REAL_TIME_AGE_S)
-    return ServedRig(virtual_palm(clock=clock, seed=seed, limits=limits), not accelerated)
+    rig = virtual_rig(sensor_named(name), clock=clock, seed=seed, age_s=REAL_TIME_AGE_S)
+    return ServedRig(rig, not accelerated)
 
 
 def _of_file(path: Path) -> ServedRig:

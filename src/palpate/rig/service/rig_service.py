@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from palpate.core.errors import DeviceError, InputError, PalpateError, SafetyError
+from palpate.core.sensor import DEFAULT_SENSOR, Sensor
 from palpate.devices.limits import Tripped
 from palpate.devices.operator import OperatorCommand, OperatorControl
 from palpate.devices.rpc_server import Request, RpcServer, field_of
 from palpate.devices.status import Kind, Log
 from palpate.rig.engine import record
 from palpate.rig.motion import check_plan
-from palpate.rig.plans import PLANS, Known, Stepped, plan_from, size_of
+from palpate.rig.plans import PLANS, Known, Stepped, plan_from, plan_of, size_of
 from palpate.rig.progress import Outcome, State, Status
 from palpate.rig.service.opening import ServedRig
 from palpate.rig.service.rig_monitor import RigMonitor
@@ -27,7 +28,6 @@ BEGIN_S = 15.0  # in which a recording has begun, or has been refused
 END_S = 30.0  # in which one that was told to end has lifted the probe and closed its run
 TAIL = 60  # lines of the log that are told
 NAME_LENGTH = 100
-FIRST = "palm-reduced"
 
 AnyPlan = Known
 _UNTOLD = Status(State.READY, "", 0, 0, None)
@@ -55,7 +55,7 @@ class RigService:
         self._estop: dict[str, int] | None = None
         self._devices = RigMonitor(opened, lambda: self._status.state is State.PAUSED)
         self._rig = self._devices.rig
-        self._set(PLANS[FIRST])
+        self._set(first_plan(self._rig.design))
         self._log.add("rig", f"{self._rig.name} opened")
 
     def plan(self, what: str | Mapping[str, Any]) -> dict[str, Any]:
@@ -68,7 +68,7 @@ class RigService:
         """
         with self._asking:
             self._check_at_rest("set a plan")
-            plan = checked_plan(what)
+            plan = checked_plan(what, self._rig.design)
             check_plan(self._rig, plan)
             self._set(plan)
             self._status = _UNTOLD
@@ -287,7 +287,13 @@ MAX_SHOTS = 500_000
 SHOWN = 100  # characters of a name
 
 
-def checked_plan(what: str | Mapping[str, Any]) -> Known:
+def first_plan(sensor: Sensor | None) -> Known:
+    """Choose the plan that a rig is opened with: a short one on the usual sensor, its own on any other."""
+    own = None if sensor is None else plan_from(sensor.default_plan(), sensor)
+    return plan_of(FIRST, sensor) if own is None or own.name == DEFAULT_SENSOR else own
+
+
+def checked_plan(what: str | Mapping[str, Any], sensor: Sensor | None = None) -> Known:
     """A plan by its name or its fields.
 
     Raises:
@@ -296,12 +302,12 @@ def checked_plan(what: str | Mapping[str, Any]) -> Known:
     if isinstance(what, str):
         if what not in PLANS:
             raise InputError(f"there is no plan {what[:SHOWN]!r}; there are {', '.join(PLANS)}")
-        return PLANS[what]
+        return plan_of(what, sensor)
     places = what.get("places")
     count = places.get("count") if isinstance(places, Mapping) else None
     if isinstance(count, int | float) and count > MAX_SCATTERED:
         raise InputError(f"{count:g} random places; up to {MAX_SCATTERED} can be asked for here")
-    plan = plan_from(what)
+    plan = plan_from(what, sensor)
     depths = plan.depth_mm / plan.step_mm if isinstance(plan, Stepped) else 1.0
     shots = len(plan.places.places()) * plan.cycles * len(plan.indenters) * max(depths, 1.0)
     if not shots <= MAX_SHOTS:

@@ -1,7 +1,7 @@
-"""A rig that is not there: stage, force sensor and camera around one virtual palm, in real or faster time."""
+"""A rig that is not there: stage, force sensor and camera around any sensor, in real or faster time."""
 
+from palpate.rig.virtual.bench import virtual_rig
 from palpate.rig.virtual.faults import Fault
-from palpate.rig.virtual.palm import virtual_palm
 from palpate.rig.virtual.variation import Variation
 
-__all__ = ["Fault", "Variation", "virtual_palm"]
+__all__ = ["Fault", "Variation", "virtual_rig"]

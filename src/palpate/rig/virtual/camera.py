@@ -1,44 +1,35 @@
-"""A virtual camera: frames at a rate, with exposure, jitter and transport, of what the palm shows then."""
+"""A virtual camera: frames at a rate, with exposure, jitter and transport, of what the sensor shows then."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
 from dataclasses import replace
 
 import numpy as np
-from cachetools import LRUCache
-from numpy import ndarray
 
 from palpate.core.clock import NS_PER_S
-from palpate.core.contact import Contact, Pose
+from palpate.core.contact import Contact, Pose, PressHistory
 from palpate.core.errors import DeviceError, RangeError
 from palpate.core.frame import Frame
-from palpate.core.shapes import Float32
-from palpate.rig.virtual.skin import own_ball
+from palpate.core.sensor import Seating, untouched
 from palpate.rig.virtual.world import KEPT_S, Touch, World
-from palpate.sensors import palm
 
 TRANSPORT_S = 0.008  # from the end of an exposure to the frame's arrival, which is what stamps it
 STEP_M = 1e-6  # to which depth is rounded, so that the frames of a burst share one picture
 STEP_AIR_M = 20e-6  # and the height of a probe in the air
 STEP_STIFFNESS = 0.005  # and the skin's stiffness
 STEP_N = 0.02  # and a lateral load
-PICTURES = 64  # under other probes and lateral loads
-
-Picture = tuple[Float32[ndarray, "h w 3"], Float32[ndarray, "u v 3"]]
 
 
 class VirtualCamera:
     """Implements `rig.FrameSource`."""
 
-    def __init__(self, world: World, rate_hz: float = 30.0) -> None:
+    def __init__(self, world: World) -> None:
         self._world = world
-        self._rate_hz = rate_hz
+        self._rate_hz = rate_hz = world.sensor.rate_hz
         self._rng = np.random.default_rng([world.seed & 0xFFFFFFFF, 0xCA])
         self._next = int(np.floor(world.now_s * rate_hz)) + 1
         self._frozen: Frame | None = None
-        self._pictures: LRUCache[Hashable, Picture] = LRUCache(PICTURES)
         self._closed = False
 
     @property
@@ -49,13 +40,13 @@ class VirtualCamera:
     @property
     def size_px(self) -> tuple[int, int]:
         """(width, height)."""
-        return self._world.spec.frame_px
+        return self._world.sensor.frame_px
 
     def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
         """The next frame that is exposed wholly after this call."""
         world = self._world
         begun_s = world.now_s
-        exposure = world.spec.exposure_s
+        exposure = world.sensor.exposure_s
         index = max(self._next, int(np.ceil((begun_s + exposure) * self._rate_hz)))
         if world.faults.on("camera-drops", world.clock.now_ns()):
             index += index % 2
@@ -90,7 +81,7 @@ class VirtualCamera:
             raise DeviceError("the camera does not answer")
         if self._frozen is not None and world.faults.on("camera-frozen", now_ns):
             return self._frozen
-        touch = world.touch_at(ends_s - world.spec.exposure_s / 2)
+        touch = world.touch_at(ends_s - world.sensor.exposure_s / 2)
         frame = replace(self._seen(touch), time_s=ends_s)
         if world.faults.on("camera-resized", now_ns):
             frame = replace(frame, image=np.ascontiguousarray(frame.image[:-8]))
@@ -98,46 +89,33 @@ class VirtualCamera:
         return frame
 
     def _seen(self, touch: Touch | None) -> Frame:
-        world = self._world
-        spec = replace(
-            world.spec, lamp_gain=world.spec.lamp_gain * (touch.approach.lamp_gain if touch else 1.0)
-        )
+        sensor = self._world.sensor
         if touch is None:
-            return palm.render(palm.press(spec, Pose(0.0, 0.0, 0.0)), spec, self._rng)
+            return sensor.render(untouched(sensor), self._rng)
+        seating = Seating(touch.approach.lamp_gain, touch.approach.shift_px)
+        return sensor.render(self._contact(touch), self._rng, seating)
+
+    def _contact(self, touch: Touch) -> Contact:
+        world = self._world
         step = STEP_M if touch.depth_m > 0 else STEP_AIR_M
         # Never 0 exactly, which would show no probe at all.
         pose = Pose(touch.x_m, touch.y_m, (math.floor(touch.depth_m / step) + 0.5) * step)
-        if world.probe == own_ball(world.spec) and not any(self._pulled(touch)):
-            stiff = round(touch.stiffening / STEP_STIFFNESS) * STEP_STIFFNESS
-            if pose.depth_m > 0 and stiff > 0:  # light sees stress, which relaxes as the force does
-                spec = replace(spec, youngs_modulus_pa=spec.youngs_modulus_pa * stiff)
-            return palm.render(self._contact(spec, pose), spec, self._rng)
-        fringes, below = self._layered(pose, self._pulled(touch))
-        gain = np.float32(spec.lamp_gain)
-        return palm.expose((gain * fringes, gain * below), spec, self._rng)
-
-    def _contact(self, spec: palm.PalmSpec, pose: Pose) -> Contact:
         try:
-            return palm.press(spec, pose)
+            return world.sensor.press(world.probe, pose, world.specimen, self._history(touch, pose))
         except RangeError as e:
             # Beside the rim there is no law: contact is felt there, and a skin at rest drawn.
-            if math.hypot(pose.x_m, pose.y_m) + spec.indenter_radius_m > spec.radius_m:
-                return palm.press(spec, Pose(0.0, 0.0, 0.0))
+            if not world.outline.contains(pose.x_m, pose.y_m, world.probe.radius_m):
+                return untouched(world.sensor)
             raise DeviceError(f"the virtual camera cannot draw this: {e}") from e
 
-    def _layered(self, pose: Pose, pulled_n: tuple[float, float]) -> Picture:
-        """Under another probe or a lateral load, on the relaxed skin: slow, so the last ones are kept."""
-        key = (pose, self._world.probe, pulled_n)
-        if key not in self._pictures:
-            spec = replace(self._world.spec, lamp_gain=1.0)
-            try:
-                contact = palm.press(spec, pose, self._world.probe, pulled_n)
-            except RangeError as e:
-                raise DeviceError(f"the virtual camera cannot draw this: {e}") from e
-            self._pictures[key] = palm.render_clean(contact, spec)
-        return self._pictures[key]
-
-    def _pulled(self, touch: Touch) -> tuple[float, float]:
-        """The lateral load to draw, in steps: a probe's slight lean is not drawn."""
+    def _history(self, touch: Touch, pose: Pose) -> PressHistory:
+        """A lateral load in steps, as a probe's slight lean is not drawn; and how stiff the skin is still."""
         x, y = (round(n / STEP_N) * STEP_N for n in touch.pulled_n)
-        return x, y
+        stiff = round(touch.stiffening / STEP_STIFFNESS) * STEP_STIFFNESS
+        pulled = (x, y) != (0.0, 0.0)
+        return PressHistory(
+            path_m=(touch.shift_m,) if pulled else (),
+            lateral_n=(x, y),
+            stiffening=stiff if pose.depth_m > 0 and stiff > 0 else 1.0,
+            earlier=self._world.earlier(touch.time_s),
+        )

@@ -1,9 +1,9 @@
 """The force of a viscoelastic skin on a probe, sample after sample.
 
-Elastic force from the finite-strain table under the palm's own ball, and from linear layers under any other
-probe, as far as they hold; with every change dF of it a share g_i dF is added that fades with time t_i (a
-Prony series: the modulus is the relaxed one). A probe is never pulled: below zero the force is zero. That the
-contact of a skin that lags behind is smaller on the way back (Ting) is left out.
+Elastic force from the sensor's own law, as far as it holds; with every change dF of it a share g_i dF is
+added that fades with time t_i (a Prony series: the modulus is the relaxed one). A probe is never pulled:
+below zero the force is zero. That the contact of a skin that lags behind is smaller on the way back (Ting) is
+left out.
 
 When the probe has left, what is left is a dent: each branch has come to some depth, of which its share
 remains and fades with its own time. The next touch is of the dented skin, and begins without memory.
@@ -12,81 +12,21 @@ remains and fades with its own time. The next touch is of the dented skin, and b
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy import ndarray
-from scipy.interpolate import PchipInterpolator
 from scipy.signal import lfilter
 
-from palpate.core.contact import Pose, Probe
+from palpate.core.sensor import ForceLaw
 from palpate.core.shapes import Float
-from palpate.mechanics.press_table import PressTable
-from palpate.sensors import palm
-from palpate.sensors.palm import PalmSpec
-from palpate.sensors.palm.field import table_of
-from palpate.sensors.palm.press import LINEAR_DEPTH_M
 
 Series = Float[ndarray, " n"]
-Knots = Float[ndarray, " k"]
-KNOTS = 1201  # of depth, between which force is read along straight lines
-PRESSES = 13  # of linear layers, between which a curve is laid
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Law:
-    """What a probe feels of the relaxed skin, over depth.
-
-    Attributes:
-        depth_m: ascending from 0, to the deepest that is known.
-        force_n: at each.
-        radius_m: of the contact, or of a circle as large.
-    """
-
-    depth_m: Knots
-    force_n: Knots
-    radius_m: Knots
-
-    @property
-    def greatest_m(self) -> float:
-        """The deepest that is known."""
-        return float(self.depth_m[-1])
-
-
-def own_ball(spec: PalmSpec) -> Probe:
-    """The probe of the palm's own protocol."""
-    return Probe("sphere", spec.indenter_radius_m)
-
-
-@lru_cache(maxsize=16)
-def law_of(spec: PalmSpec, probe: Probe) -> Law:
-    """The law of a skin under a probe."""
-    return _of_table(spec) if probe == own_ball(spec) else _of_layers(spec, probe)
-
-
-def _of_table(spec: PalmSpec) -> Law:
-    table: PressTable = table_of(spec)
-    R = spec.indenter_radius_m
-    depth = np.linspace(0.0, table.greatest_depth * R, KNOTS)
-    force = table.force_at(depth / R) * spec.youngs_modulus_pa * R**2
-    return Law(depth, force, np.interp(depth, table.depth * R, table.contact_radius * R))
-
-
-def _of_layers(spec: PalmSpec, probe: Probe) -> Law:
-    pressed = np.linspace(0.0, LINEAR_DEPTH_M, PRESSES)
-    contacts = [palm.press(spec, Pose(0.0, 0.0, float(d)), probe) for d in pressed]
-    area = [c.touching.sum() * (c.x_m[1] - c.x_m[0]) * (c.y_m[1] - c.y_m[0]) for c in contacts]
-    depth = np.linspace(0.0, LINEAR_DEPTH_M, KNOTS)
-    force = PchipInterpolator(pressed, [c.force_n for c in contacts])(depth)
-    radius = PchipInterpolator(pressed, np.sqrt(np.array(area) / math.pi))(depth)
-    return Law(depth, np.asarray(force), np.asarray(radius))
 
 
 class Skin:
     """Remembers what the fading branches still hold."""
 
-    def __init__(self, law: Law, relaxation: tuple[tuple[float, float], ...]) -> None:
+    def __init__(self, law: ForceLaw, relaxation: tuple[tuple[float, float], ...]) -> None:
         self.law = law
         self._branches = relaxation
         self._held = np.zeros(len(relaxation))
@@ -123,3 +63,7 @@ class Skin:
     def radius_at(self, depth_m: float) -> float:
         """Of the contact [m]."""
         return float(np.interp(depth_m, self.law.depth_m, self.law.radius_m, left=0.0))
+
+    def lateral_at(self, depth_m: float) -> float:
+        """Force for a small shift along the skin [N/m]."""
+        return float(np.interp(depth_m, self.law.depth_m, self.law.lateral_n_m, left=0.0))

@@ -23,6 +23,7 @@ class Variation:
         lean, lean_spread: lateral force along x and y over the normal force: the constant part, and its
             standard deviation from press to press.
         lamp: relative change of the lamp from press to press.
+        shift_px: of the whole image from press to press, along each axis [px], standard deviation.
         backlash_m: of the stage, each axis [m].
         force_noise_n: of a sample [N].
         force_drift_n: of the zero over a minute, a random walk [N].
@@ -38,6 +39,7 @@ class Variation:
     lean: tuple[float, float] = (0.007, 0.030)
     lean_spread: tuple[float, float] = (0.0055, 0.022)
     lamp: float = 0.01
+    shift_px: float = 0.0
     backlash_m: float = 5e-6
     force_noise_n: float = 0.005
     force_drift_n: float = 0.01
@@ -53,6 +55,7 @@ IDEAL = Variation(
     lean=(0.0, 0.0),
     lean_spread=(0.0, 0.0),
     lamp=0.0,
+    shift_px=0.0,
     backlash_m=0.0,
     force_noise_n=1e-4,
     force_drift_n=0.0,
@@ -72,12 +75,14 @@ class Approach:
         aside_m: of the probe along x and y [m].
         lean: lateral over normal force, along x and y.
         lamp_gain: of the lamp, over that at set-up.
+        shift_px: of the whole image, which is seen from the end of the press before.
     """
 
     height_m: float
     aside_m: tuple[float, float]
     lean: tuple[float, float]
     lamp_gain: float
+    shift_px: tuple[float, float] = (0.0, 0.0)
 
 
 def approach_of(variation: Variation, seed: int, x_m: float, y_m: float, visit: int) -> Approach:
@@ -95,3 +100,9 @@ def approach_of(variation: Variation, seed: int, x_m: float, y_m: float, visit: 
         ),
         lamp_gain=1.0 + variation.lamp * lamp,
     )
+
+
+def shift_of(variation: Variation, seed: int, presses: int) -> tuple[float, float]:
+    """Of the whole image after so many presses [px]."""
+    x, y = np.random.default_rng([seed & 0xFFFFFFFF, 0x5F, presses]).standard_normal(2).tolist()
+    return variation.shift_px * x, variation.shift_px * y

@@ -18,15 +18,14 @@ import numpy as np
 from numpy import ndarray
 
 from palpate.core.clock import NS_PER_S, Clock
-from palpate.core.contact import Probe
+from palpate.core.contact import EarlierPress, Pose, Probe, Specimen
 from palpate.core.protocols import Position, Travel
+from palpate.core.sensor import Sensor, force_law
 from palpate.core.shapes import Float
-from palpate.mechanics.partial_slip import tangential_stiffness
 from palpate.rig.virtual.faults import Fault, Faults
 from palpate.rig.virtual.motion import Motion, standing
-from palpate.rig.virtual.skin import Skin, law_of, own_ball
-from palpate.rig.virtual.variation import Approach, Variation, approach_of
-from palpate.sensors.palm import PalmSpec
+from palpate.rig.virtual.skin import Skin
+from palpate.rig.virtual.variation import Approach, Variation, approach_of, shift_of
 
 KEPT_S = 3.0  # of what was, for frames that are asked for late
 FRICTION = 0.5  # between probe and skin, of a lateral load
@@ -35,6 +34,7 @@ MOST_FRESH = 1_000_000  # samples that wait for the force sensor
 HALF = 0.5  # way between two samples
 FAR_M = 1.0  # to where the layer goes that is not there
 
+NEAR_M = 1e-3  # at least, to which a dent reaches
 MOST_DENTS = 32  # that are remembered
 
 Series = Float[ndarray, " n"]
@@ -50,6 +50,7 @@ class Touch:
         x_m, y_m: of the probe on the skin.
         force_n: along x, y, z, positive z in compression.
         pulled_n: what of the lateral force a shift of the probe has made; the rest is its lean.
+        shift_m: of the probe along x and y since it touched.
         stiffening: normal force over that of the relaxed skin at this depth.
         approach: what is particular to it.
         known: whether the skin's law reaches so deep; the force means nothing where it does not.
@@ -64,23 +65,25 @@ class Touch:
     stiffening: float
     approach: Approach
     known: bool = True
+    shift_m: tuple[float, float] = (0.0, 0.0)
 
 
 class Dent(NamedTuple):
-    """What a press has left: where, when, and of each branch of the skin's memory how deep [m]."""
+    """What a press has left: where, when, and how deep each branch of memory and the probe came [m]."""
 
     x_m: float
     y_m: float
     time_s: float
     left_m: tuple[float, ...]
+    depth_m: float
 
 
 class World:
-    """One palm under one probe on one stage."""
+    """One sensor and one probe on one stage."""
 
     def __init__(
         self,
-        spec: PalmSpec,
+        sensor: Sensor,
         clock: Clock,
         travel: Travel,
         origin_m: Position,
@@ -90,7 +93,8 @@ class World:
         faults: Sequence[Fault],
         askew_m: Position = (0.0, 0.0, 0.0),
     ) -> None:
-        self.spec = spec
+        self.sensor = sensor
+        self.outline = sensor.outline
         self.clock = clock
         self.travel = travel
         self.variation = variation
@@ -100,7 +104,9 @@ class World:
         self.faults = Faults(faults, clock.now_ns())
         # Where the layer lies, which need not be where the rig believes it to be.
         self._origin = tuple(o + a for o, a in zip(origin_m, askew_m, strict=True))
-        self.fit(own_ball(spec))
+        self.fit(sensor.default_probe)
+        self._own_radius_m = self.probe.radius_m
+        self._pressed_m = 0.0
         self._step_s = 1.0 / rate_hz
         self._count = math.floor(self.now_s * rate_hz)
         start = (origin_m[0], origin_m[1], max(travel.least_m[2], origin_m[2] - 5e-3))
@@ -108,16 +114,35 @@ class World:
         self._played = np.array(start)
         self._visits: dict[tuple[int, int], int] = {}
         self._approach = approach_of(variation, seed, 0.0, 0.0, 0)
+        self._presses = 0
+        self._hook()
         self._lifted = True
         self._dents: deque[Dent] = deque(maxlen=MOST_DENTS)
         self._stuck_at: tuple[float, float] | None = None
         self.touches: deque[Touch] = deque()
         self._fresh: deque[Touch] = deque(maxlen=MOST_FRESH)
 
-    def fit(self, probe: Probe) -> None:
-        """Change the probe, in the air."""
-        self.probe = probe
-        self._skin = Skin(law_of(self.spec, probe), self.variation.relaxation)
+    def fit(self, indenter: str) -> None:
+        """Change what touches the skin, in the air.
+
+        Raises:
+            InputError: the sensor knows nothing of these words.
+        """
+        self.probe: Probe = self.sensor.probe(indenter)
+        self.specimen: Specimen | None = self.sensor.specimen(indenter)
+        self._skin = Skin(force_law(self.sensor, self.probe, self.specimen), self.variation.relaxation)
+
+    def earlier(self, time_s: float) -> tuple[EarlierPress, ...]:
+        """The presses that are over at a time, of those that are remembered."""
+        return tuple(
+            EarlierPress(Pose(dent.x_m, dent.y_m, dent.depth_m), time_s - dent.time_s)
+            for dent in self._dents
+            if dent.time_s < time_s
+        )
+
+    def radius_at(self, depth_m: float) -> float:
+        """Of the contact at a depth [m]."""
+        return self._skin.radius_at(depth_m)
 
     @property
     def now_s(self) -> float:
@@ -192,8 +217,13 @@ class World:
         normal, elastic = self._skin.force(np.minimum(depth, greatest), self._step_s)
         if depth[-1] < -LIFTED_M and not self._lifted:
             self._lifted, self._stuck_at = True, None
-            self._dents.append(Dent(*self._place(relative), float(times[-1]), self._skin.leave()))
-        pulled = self._pulled(relative, depth, normal)
+            left_m, pressed_m = self._skin.leave(), max(self._pressed_m, 0.0)
+            self._dents.append(Dent(*self._place(relative), float(times[-1]), left_m, pressed_m))
+            if pressed_m > 0:
+                self._presses, self._pressed_m = self._presses + 1, 0.0
+                self._hook()
+        self._pressed_m = max(self._pressed_m, float(depth.max()))
+        pulled, shift = self._pulled(relative, depth, normal)
         lateral = pulled + normal[:, None] * np.array(self._approach.lean)
         aside = self._approach.aside_m
         for i, time_s in enumerate(times.tolist()):
@@ -209,17 +239,20 @@ class World:
                     stiff,
                     self._approach,
                     bool(known[i]),
+                    (float(shift[i, 0]), float(shift[i, 1])),
                 )
             )
         return touches
 
     def _beyond_the_rim(self, relative: Float[ndarray, "n 3"]) -> Series:
-        """How much lower a ball has to come to touch the rim's edge beside it; infinite where it passes it.
+        """How much lower a round probe has to come to touch the rim's edge beside it; far where it passes it.
 
         That the edge yields more easily than the middle is left out.
         """
-        R = self.spec.indenter_radius_m
-        beyond = np.clip(np.hypot(relative[:, 0], relative[:, 1]) - self.spec.radius_m, 0.0, None)
+        R = self._own_radius_m
+        beyond = self.outline.beyond_m(relative[:, 0], relative[:, 1])
+        if not beyond.any():
+            return beyond
         return np.where(beyond < R, R - np.sqrt(np.clip(R**2 - beyond**2, 0.0, None)), FAR_M)
 
     def _play(self, times: Series) -> Float[ndarray, "n 3"]:
@@ -249,12 +282,18 @@ class World:
 
     def _dent_at(self, x_m: float, y_m: float, time_s: float) -> float:
         """What earlier presses near a place have left of themselves."""
-        R, depth_m = self.spec.indenter_radius_m, 0.0
+        R, depth_m = max(self._own_radius_m, NEAR_M), 0.0
         for dent in self._dents:
             near = math.exp(-((x_m - dent.x_m) ** 2 + (y_m - dent.y_m) ** 2) / R**2)
             for (_, fades_s), left_m in zip(self.variation.relaxation, dent.left_m, strict=True):
                 depth_m += near * left_m * math.exp(-(time_s - dent.time_s) / fades_s)
         return depth_m
+
+    def _hook(self) -> None:
+        """Where the camera sees the sensor until the next press is over."""
+        if self.variation.shift_px > 0:
+            shift_px = shift_of(self.variation, self.seed, self._presses)
+            self._approach = replace(self._approach, shift_px=shift_px)
 
     def _begin_approach(self, relative: ndarray, time_s: float) -> None:
         x, y = float(relative[0]), float(relative[1])
@@ -262,29 +301,34 @@ class World:
         visit = self._visits.get(spot, 0)
         self._visits[spot] = visit + 1
         approach = approach_of(self.variation, self.seed, x, y, visit)
-        self._approach = replace(approach, height_m=approach.height_m + self._dent_at(x, y, time_s))
+        self._approach = replace(
+            approach,
+            height_m=approach.height_m + self._dent_at(x, y, time_s),
+            shift_px=self._approach.shift_px,
+        )
         self._lifted, self._stuck_at = False, None
 
-    def _pulled(self, relative: ndarray, depth: Series, normal: Series) -> Float[ndarray, "n 2"]:
-        """By a probe that is shifted while it sticks: Cattaneo's and Mindlin's law, as on a half-space."""
+    def _pulled(
+        self, relative: ndarray, depth: Series, normal: Series
+    ) -> tuple[Float[ndarray, "n 2"], Float[ndarray, "n 2"]]:
+        """Force and shift of a probe that sticks: Cattaneo's and Mindlin's law, as on a half-space."""
         none = np.zeros((len(normal), 2))
         if self._stuck_at is None:
             if not (normal > 0).any():
-                return none
+                return none, none
             self._stuck_at = self._place(relative)
         shift = relative[:, :2] - np.array(self._stuck_at)
         size = np.hypot(shift[:, 0], shift[:, 1])
         if not (size > self.variation.backlash_m + 1e-9).any():
-            return none
+            return none, none
         triples = zip(size.tolist(), depth.tolist(), normal.tolist(), strict=True)
         pull = np.array([self._pull(*one) for one in triples])
-        return np.asarray((pull / np.maximum(size, 1e-12))[:, None] * shift)
+        return np.asarray((pull / np.maximum(size, 1e-12))[:, None] * shift), shift
 
     def _pull(self, shift_m: float, depth_m: float, normal_n: float) -> float:
-        radius = self._skin.radius_at(depth_m)
-        if normal_n <= 0 or radius <= 0:
+        stiff = self._skin.lateral_at(depth_m)
+        if normal_n <= 0 or stiff <= 0:
             return 0.0
-        stiff = tangential_stiffness(radius, self.spec.youngs_modulus_pa, self.spec.poisson_ratio)
         most = FRICTION * normal_n
         free = min(stiff * shift_m * 2 / (3 * most), 1.0)
         return most * (1.0 - (1.0 - free) ** 1.5)
@@ -298,7 +342,8 @@ def _between(before: Touch, after: Touch, share: float) -> Touch:
     mixed = {n: getattr(before, n) * (1 - share) + getattr(after, n) * share for n in names}
     fx, fy, fz = (b * (1 - share) + a * share for b, a in zip(before.force_n, after.force_n, strict=True))
     px, py = (b * (1 - share) + a * share for b, a in zip(before.pulled_n, after.pulled_n, strict=True))
-    return replace(before, **mixed, force_n=(fx, fy, fz), pulled_n=(px, py))
+    sx, sy = (b * (1 - share) + a * share for b, a in zip(before.shift_m, after.shift_m, strict=True))
+    return replace(before, **mixed, force_n=(fx, fy, fz), pulled_n=(px, py), shift_m=(sx, sy))
 
 
 def halted(motion: Motion, time_s: float) -> Motion:

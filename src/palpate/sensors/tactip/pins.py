@@ -64,7 +64,7 @@ class Turned:
     Attributes:
         skin: without the lean.
         radius_m: of the dome [m].
-        lean_rad: of the contact's middle, along x and y.
+        lean_rad: of the contact's middle, towards +x and -y.
     """
 
     skin: Skin
@@ -90,7 +90,7 @@ def head_on(press: HeadOnPress, radius_m: float, force_n: float, lean_rad: tuple
 
 
 def _lean(about_y: float, about_x: float) -> Float[ndarray, "3 3"]:
-    """Turns the apex towards +x and +y by small angles."""
+    """Turns the apex towards +x and -y by small angles."""
     a, b = about_y, -about_x
     around_y = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
     around_x = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])

@@ -17,7 +17,7 @@ from numpy import ndarray
 
 from palpate.core.errors import RangeError
 from palpate.core.shapes import Float, Int, UInt8
-from palpate.mechanics.tip_table import HeadOnPress
+from palpate.mechanics.tip_table import HeadOnPress, TipTable
 from palpate.sensors.tactip.camera import projected, rendered
 from palpate.sensors.tactip.pins import Skin, head_on, markers
 from palpate.sensors.tactip.spec import TacTipSpec
@@ -167,6 +167,12 @@ def pictured(
     scale = pixels_per_tangent(spec)
     middle = (camera.size_px - 1) / 2 + np.array(shift_px)
     return middle + scale * seen, scale * share * spec.pins.radius_m
+
+
+def modulus_pa(table: TipTable, stiffness_n_m: float) -> float:
+    """Young's modulus of the tables' cylinder of a stiffness [N/m], inf for a rigid plate [Pa]."""
+    area_m2 = math.pi * table.specimen_radius_m**2
+    return stiffness_n_m * table.specimen_height_m / area_m2
 
 
 @lru_cache(maxsize=32)

@@ -53,6 +53,7 @@ class TacTipCamera:
         size_px: of the square image [px]. R: 300.
         disc_px: radius of the untouched field of pins in the image [px]. Assumed.
         rate_hz: frames a second. R: 20.
+        exposure_s: of a frame [s]. Assumed; a trial's frames are of one instant.
         dark, bright: grey levels of ground and pins. Assumed.
         noise: standard deviation of a pixel [grey levels]. Assumed.
         edge_px: width over which a pin's edge fades [px]. Assumed.
@@ -63,6 +64,7 @@ class TacTipCamera:
     size_px: int = 300
     disc_px: float = 115.0
     rate_hz: float = 20.0
+    exposure_s: float = 5e-3
     dark: float = 18.0
     bright: float = 200.0
     noise: float = 2.0

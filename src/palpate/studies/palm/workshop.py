@@ -26,10 +26,11 @@ from palpate.recordings.reader import Run
 from palpate.reports.certificate import write_report
 from palpate.rig import State, record
 from palpate.rig.plans import Stepped
-from palpate.rig.virtual.palm import virtual_palm
+from palpate.rig.virtual.bench import virtual_rig
 from palpate.rig.virtual.variation import Variation
 from palpate.sensors import palm
 from palpate.sensors.palm import PalmSpec
+from palpate.sensors.palm.sensor import Palm
 from palpate.studies.certify import REPORT_FILE, certify
 from palpate.studies.palm.scale import Scale
 from palpate.studies.palm.scores import scores_of
@@ -97,7 +98,7 @@ class Workshop:
         path = self.folder / "runs" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         seed = self.seed if seed is None else seed
-        rig = virtual_palm(spec=spec or self.spec, variation=variation, seed=seed)
+        rig = virtual_rig(Palm(spec or self.spec), variation=variation, seed=seed)
         try:
             outcome = record(
                 rig, plan, path, watch=lambda s: self.progress(f"recording {name}", s.shots, s.planned)

@@ -1,0 +1,285 @@
+"""The laws that every sensor design keeps, so that the rig, calibration and pages need to know none of them.
+
+Run `check_sensor` over one that you write. Device drivers have laws of their own: `palpate.rig.check`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import numpy as np
+from numpy import ndarray
+
+from palpate.core.contact import Contact, Pose
+from palpate.core.errors import InputError, PalpateError, RangeError
+from palpate.core.sensor import Sensor, contract_faults, force_law, frame_faults, untouched
+from palpate.core.shapes import Float
+from palpate.rig.check.finding import Finding, at_most, held, judged, refusal, told
+from palpate.rig.plans.load import plan_from
+
+DEPTHS = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)  # of the known depth
+HALF = 0.5
+INTEGRAL = 0.03  # by which the pressure's integral may miss the force: a coarse grid's
+SAME_LAW = 0.03  # by which a force law may miss a press, read between its knots
+BEYOND_NOISE = 2.0  # times as different as two frames of one skin
+GREATEST_M, GREATEST_N, GREATEST_PA = 0.5, 1e4, 1e10  # of anything that a sensor for touch may say
+ASIDE = 0.25  # of the outline's reach, by which a contact is moved to see it move
+ALIGNED = 0.7  # cosine of the angle between where it moves and where the axes say, at least
+FRAMES = 4  # whose mean is looked at, so that noise counts less
+STRANGE = 1e-3  # of a depth, beyond which a refused depth is asked for
+
+Part = Iterator[Finding]
+
+
+def check_sensor(sensor: Sensor) -> list[Finding]:
+    """Check a sensor against every law.
+
+    Args:
+        sensor: see `core.sensor.Sensor`.
+
+    Returns:
+        A finding a law, in the same order every time; those that do not hold say what to do.
+
+    Example:
+        >>> import palpate
+        >>> all(one.ok for one in check_sensor(palpate.sensor("palm-debug")))
+        True
+    """
+    faults = contract_faults(sensor)
+    contract = held("keeps the contract", not faults, "; ".join(faults))
+    if faults:
+        return [contract]
+    return [contract, *(one for law in LAWS for one in _asked(law, sensor))]
+
+
+def _asked(law: Callable[[Sensor], Part], sensor: Sensor) -> Part:
+    """A law's findings; what it raises is one more that does not hold."""
+    try:
+        yield from law(sensor)
+    except Exception as e:  # whatever a stranger's sensor raises is what is to be told
+        name = (law.__doc__ or law.__name__).strip().rstrip(".")
+        yield held(name, False, f"{type(e).__name__}: {e}")
+
+
+def _pressed(sensor: Sensor, share: float, x_m: float = 0.0, y_m: float = 0.0) -> Contact:
+    """The sensor under its own probe, at a share of the depth that it knows."""
+    probe, specimen = _own(sensor)
+    depth_m = share * sensor.known_depth_m(probe, specimen)
+    return sensor.press(probe, Pose(x_m, y_m, depth_m), specimen)
+
+
+def _own(sensor: Sensor):  # type: ignore[no-untyped-def]
+    return sensor.probe(sensor.default_probe), sensor.specimen(sensor.default_probe)
+
+
+def _seen(sensor: Sensor, contact: Contact, seed: int = 0) -> Float[ndarray, "h w"]:
+    """Mean of some frames, grey."""
+    rng = np.random.default_rng(seed)
+    frames = [sensor.render(contact, rng).image.astype(float) for _ in range(FRAMES)]
+    mean = np.mean(frames, axis=0)
+    return mean if mean.ndim == 2 else mean.mean(axis=2)
+
+
+def at_rest(sensor: Sensor) -> Part:
+    """At rest there is no force, and the frame is as stated."""
+    faults = frame_faults(sensor)
+    yield held("at rest there is no force, and the frame is as stated", not faults, "; ".join(faults))
+
+
+def grows(sensor: Sensor) -> Part:
+    """Force grows with depth as far as it is known."""
+    force = [0.0, *(_pressed(sensor, share).force_n for share in DEPTHS)]
+    least = float(np.diff(force).min())
+    yield judged(
+        "force grows with depth as far as it is known", least > 0, least, 0.0, "N",
+        f"forces {force} N at {[0.0, *DEPTHS]} of the known depth; each is greater than the one before",
+    )  # fmt: skip
+
+
+def integrates(sensor: Sensor) -> Part:
+    """Pressure integrates to the force."""
+    contact = _pressed(sensor, HALF)
+    cell = (contact.x_m[1] - contact.x_m[0]) * (contact.y_m[1] - contact.y_m[0])
+    whole = float(contact.pressure_pa.sum() * cell)
+    off = abs(whole / contact.force_n - 1)
+    yield at_most(
+        "pressure integrates to the force", off, INTEGRAL, "",
+        f"its integral is {whole:g} N and the force {contact.force_n:g} N; are all in Pa, m and N?",
+    )  # fmt: skip
+
+
+def plausible(sensor: Sensor) -> Part:
+    """What a press returns is finite, shaped and in SI."""
+    contact = _pressed(sensor, HALF)
+    grid = (len(contact.y_m), len(contact.x_m))
+    fields = {name: np.asarray(getattr(contact, name)) for name in ("pressure_pa", "sinking_m", "touching")}
+    wrong = [
+        f"{name} is {list(a.shape)}, the grid {list(grid)}" for name, a in fields.items() if a.shape != grid
+    ]
+    lengths = [contact.x_m, contact.y_m, contact.sinking_m, contact.radius_m]
+    for what, values, most in (
+        ("lengths [m]", lengths, GREATEST_M),
+        ("forces [N]", [contact.force_n, *contact.lateral_n], GREATEST_N),
+        ("pressures [Pa]", [contact.pressure_pa], GREATEST_PA),
+    ):
+        greatest = max(float(np.abs(value).max()) for value in values)
+        if not greatest <= most:
+            wrong.append(f"{what} up to {greatest:g}; no touch goes beyond {most:g}")
+    if not (contact.radius_m > 0 and np.asarray(contact.touching).any()):
+        wrong.append("a press at half the known depth touches nothing")
+    yield held("what a press returns is finite, shaped and in SI", not wrong, "; ".join(wrong))
+
+
+def says_what_made_it(sensor: Sensor) -> Part:
+    """A contact says what made it."""
+    probe, specimen = _own(sensor)
+    contact = _pressed(sensor, HALF)
+    pose = Pose(0.0, 0.0, HALF * sensor.known_depth_m(probe, specimen))
+    same = (contact.probe, contact.pose, contact.specimen) == (probe, pose, specimen)
+    yield held(
+        "a contact says what made it", same, f"asked {probe} at {pose}, told {contact.probe}, {contact.pose}"
+    )
+
+
+def obeys_its_force_law(sensor: Sensor) -> Part:
+    """The force law is that of its presses."""
+    law = force_law(sensor, *_own(sensor))
+    pressed = [_pressed(sensor, share) for share in DEPTHS]
+    read = np.interp([one.pose.depth_m for one in pressed], law.depth_m, law.force_n)
+    off = float(np.abs(read / [one.force_n for one in pressed] - 1).max())
+    yield at_most(
+        "the force law is that of its presses", off, SAME_LAW, "",
+        f"between them lie {100 * off:.1f} %; let force_law() read what press() gives, or leave it out",
+    )  # fmt: skip
+
+
+def refuses_the_unknown(sensor: Sensor) -> Part:
+    """Beyond the known depth a press is refused."""
+    error = refusal(partial(_pressed, sensor, 1 + STRANGE))
+    yield held(
+        "beyond the known depth a press is refused", isinstance(error, RangeError),
+        f"a press a thousandth deeper than known {told(error)}; raise RangeError",
+    )  # fmt: skip
+
+
+def draws_by_its_rng(sensor: Sensor) -> Part:
+    """The same rng draws the same frame."""
+    contact = _pressed(sensor, HALF)
+    one, other = (sensor.render(contact, np.random.default_rng(3)).image for _ in range(2))
+    yield held(
+        "the same rng draws the same frame", np.array_equal(one, other),
+        "two frames of one contact and one seed differ; draw all chance from the rng that is given",
+    )  # fmt: skip
+
+
+def shows_a_press(sensor: Sensor) -> Part:
+    """A press is seen beyond the noise."""
+    rest, pressed = untouched(sensor), _pressed(sensor, HALF)
+    noise = _rms(_seen(sensor, rest, 1) - _seen(sensor, rest, 2))
+    change = _rms(_seen(sensor, pressed, 3) - _seen(sensor, rest, 1))
+    yield judged(
+        "a press is seen beyond the noise", change > BEYOND_NOISE * noise, change, BEYOND_NOISE * noise, "",
+        f"a press changes the frame by {change:.3g} grey levels, noise by {noise:.3g}",
+    )  # fmt: skip
+
+
+def moves_along_its_axes(sensor: Sensor) -> Part:
+    """A contact moves in the image as the axes say."""
+    reach_m, axes = _reach_m(sensor), sensor.axes
+    rest, worst, message = _region(sensor, untouched(sensor)), 1.0, ""
+    for x_m, y_m in ((reach_m, 0.0), (0.0, reach_m)):
+        told_px = np.array(axes.moved_px(2 * x_m, 2 * y_m))
+        if not told_px.any():
+            continue
+        before, after = (
+            _middle(_region(sensor, _pressed(sensor, HALF, side * x_m, side * y_m)), rest) for side in (-1, 1)
+        )
+        seen_px = after - before
+        cosine = float(seen_px @ told_px / max(np.hypot(*seen_px) * np.hypot(*told_px), 1e-12))
+        if cosine < worst:
+            worst = cosine
+            message = f"moved by ({2e3 * x_m:.3g}, {2e3 * y_m:.3g}) mm it is seen to move by {seen_px} px"
+    yield judged(
+        "a contact moves in the image as the axes say", worst >= ALIGNED, worst, ALIGNED, "",
+        f"{message}; the axes of {axes.region!r} say {axes.across} and {axes.down} px/m",
+    )  # fmt: skip
+
+
+def keeps_its_plan_inside(sensor: Sensor) -> Part:
+    """Its outline holds its own plan's places."""
+    outline, message = sensor.outline, ""
+    try:
+        plan = plan_from(dict(sensor.default_plan())).on(sensor)
+        outside = [
+            place.name
+            for place in plan.places.places()
+            if not outline.contains(place.x_mm * 1e-3, place.y_mm * 1e-3, _own(sensor)[0].radius_m)
+        ]
+        message = f"at {', '.join(outside)} its probe reaches over the outline" if outside else ""
+        for words in plan.indenters:
+            sensor.probe(words)
+    except PalpateError as e:
+        message = f"its plan is refused: {e}"
+    yield held("its outline holds its own plan's places", not message, message)
+
+
+def rectifies_to_its_size(sensor: Sensor) -> Part:
+    """A rectified frame has the size it states."""
+    frame = sensor.render(untouched(sensor), np.random.default_rng(0))
+    height, width = sensor.rectify(frame).image.shape[:2]
+    yield held(
+        "a rectified frame has the size it states", (width, height) == sensor.rectified_px,
+        f"{width} x {height} px, and it states {sensor.rectified_px[0]} x {sensor.rectified_px[1]} px",
+    )  # fmt: skip
+
+
+def refuses_nonsense(sensor: Sensor) -> Part:
+    """Words that are no probe are refused."""
+    error = refusal(partial(sensor.probe, "no such probe"))
+    yield held(
+        "words that are no probe are refused", isinstance(error, InputError),
+        f"probe('no such probe') {told(error)}; raise InputError and say what there is",
+    )  # fmt: skip
+
+
+LAWS: tuple[Callable[[Sensor], Part], ...] = (
+    at_rest,
+    grows,
+    integrates,
+    plausible,
+    says_what_made_it,
+    obeys_its_force_law,
+    refuses_the_unknown,
+    draws_by_its_rng,
+    shows_a_press,
+    moves_along_its_axes,
+    keeps_its_plan_inside,
+    rectifies_to_its_size,
+    refuses_nonsense,
+)
+
+
+def _rms(difference: ndarray) -> float:
+    return float(np.sqrt(np.mean(difference**2)))
+
+
+def _region(sensor: Sensor, contact: Contact) -> Float[ndarray, "h w"]:
+    x, y, w, h = sensor.regions()[sensor.axes.region]
+    return _seen(sensor, contact)[y : y + h, x : x + w]
+
+
+def _middle(seen: ndarray, rest: ndarray) -> Float[ndarray, 2]:
+    """Of what has changed: column and row, weighed by the square of the change."""
+    weight = (seen - rest) ** 2
+    y, x = np.mgrid[: weight.shape[0], : weight.shape[1]]
+    return np.array([(weight * x).sum(), (weight * y).sum()]) / weight.sum()
+
+
+def _reach_m(sensor: Sensor) -> float:
+    """How far a contact is moved to either side of the middle."""
+    room = sensor.outline.radius_m - _own(sensor)[0].radius_m
+    return ASIDE * room
+
+
+__all__ = ["LAWS", "check_sensor"]

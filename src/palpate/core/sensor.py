@@ -1,0 +1,348 @@
+"""What a sensor design is to everything that uses one: the rig, calibration, the live loop, pages.
+
+A sensor turns a probe at a pose into a `Contact`, and a `Contact` into a `Frame`. Everything is SI, in the
+sensor's own frame: x to the right, y towards the viewer, z into the skin, the origin at the skin's centre
+where it rests. Whether the probe is moved into the sensor or the sensor onto a specimen changes nothing here:
+a pose is the probe's, seen from the skin.
+
+Whoever has another sensor writes one class that keeps this contract, names it in the entry points of its
+package (group ``palpate.sensors``), and checks it with `palpate.sensors.check_sensor`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, is_dataclass
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy import ndarray
+
+from palpate.core.contact import FRESH, Contact, Pose, PressHistory, Probe, Specimen
+from palpate.core.frame import Frame
+from palpate.core.outline import Outline
+from palpate.core.registry import Registry
+from palpate.core.shapes import Float
+
+Box = tuple[int, int, int, int]
+"""x, y, width, height [px]."""
+
+Knots = Float[ndarray, " k"]
+
+PRESSES = 25  # between which a force law is laid
+KNOTS = 601  # of a force law, between which it is read along straight lines
+MINDLIN = 2 / 3  # tangential over normal stiffness of an incompressible body under a rigid probe
+
+
+@dataclass(frozen=True, slots=True)
+class Seating:
+    """How the sensor was set up for one press, where that differs from press to press.
+
+    A sensor whose design holds one of these fixed leaves it out, and its documentation says so.
+
+    Attributes:
+        light: over the light at set-up.
+        shift_px: of the whole image, along columns and rows [px].
+    """
+
+    light: float = 1.0
+    shift_px: tuple[float, float] = (0.0, 0.0)
+
+
+SEATED = Seating()
+"""As at set-up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """How a region of the frame lies over the skin.
+
+    Attributes:
+        region: in which a contact is seen to move.
+        across: columns by which it moves for a metre along the skin's x and y [px/m].
+        down: rows, likewise [px/m].
+    """
+
+    region: str
+    across: tuple[float, float]
+    down: tuple[float, float]
+
+    def moved_px(self, x_m: float, y_m: float) -> tuple[float, float]:
+        """Columns and rows by which a contact moves in the image [px]."""
+        (xx, xy), (yx, yy) = self.across, self.down
+        return xx * x_m + xy * y_m, yx * x_m + yy * y_m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceLaw:
+    """What a probe feels of the relaxed skin, over depth.
+
+    Attributes:
+        depth_m: ascending from 0, to the deepest that is known [m].
+        force_n: normal force at each [N].
+        radius_m: of the contact, or of a circle as large [m].
+        lateral_n_m: force that builds up for a small shift along the skin, while the probe sticks [N/m].
+    """
+
+    depth_m: Knots
+    force_n: Knots
+    radius_m: Knots
+    lateral_n_m: Knots
+
+    @property
+    def greatest_m(self) -> float:
+        """The deepest that is known [m]."""
+        return float(self.depth_m[-1])
+
+
+@runtime_checkable
+class Sensor(Protocol):
+    """One sensor design, at one size of its image. It is not changed by what is asked of it."""
+
+    @property
+    def name(self) -> str:
+        """What its frames and runs call it."""
+        ...
+
+    @property
+    def spec(self) -> Any:
+        """Every number of it: a frozen dataclass."""
+        ...
+
+    @property
+    def frame_px(self) -> tuple[int, int]:
+        """(width, height) of its frames [px]."""
+        ...
+
+    @property
+    def rectified_px(self) -> tuple[int, int]:
+        """(width, height) of a rectified frame [px]."""
+        ...
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames a second."""
+        ...
+
+    @property
+    def exposure_s(self) -> float:
+        """Exposure of a frame [s]."""
+        ...
+
+    @property
+    def moves(self) -> Literal["probe", "sensor"]:
+        """Which of the two a stage moves; poses are the probe's either way."""
+        ...
+
+    @property
+    def outline(self) -> Outline:
+        """Where a probe may come down on the skin."""
+        ...
+
+    @property
+    def axes(self) -> Axes:
+        """How its image lies over the skin."""
+        ...
+
+    @property
+    def default_probe(self) -> str:
+        """The words of the probe that its protocol presses."""
+        ...
+
+    def regions(self) -> Mapping[str, Box]:
+        """Parts of the frame that matter, by name, (x, y, width, height) [px]."""
+        ...
+
+    def probe(self, words: str) -> Probe:
+        """A probe from words, such as "sphere:10".
+
+        Raises:
+            InputError: the sensor knows no such probe; the message lists what it knows.
+        """
+        ...
+
+    def specimen(self, words: str) -> Specimen | None:
+        """The compliant body that the same words name; None for a rigid probe."""
+        ...
+
+    def press(
+        self, probe: Probe, pose: Pose, specimen: Specimen | None = None, history: PressHistory = FRESH
+    ) -> Contact:
+        """Press a probe into the skin, or a specimen.
+
+        Args:
+            probe: what touches.
+            pose: where and how deep; at a depth of 0 or below nothing is touched.
+            specimen: the compliant body, whose face the probe is; None for a rigid probe.
+            history: the tangential path, and what was before.
+
+        Raises:
+            RangeError: beyond what the sensor's laws know.
+        """
+        ...
+
+    def known_depth_m(
+        self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
+    ) -> float:
+        """The deepest press that is known, with a lateral load or without; 0 for none [m]."""
+        ...
+
+    def render(self, contact: Contact, rng: np.random.Generator, seating: Seating = SEATED) -> Frame:
+        """The camera's frame of a contact; `rng` is the only source of chance."""
+        ...
+
+    def rectify(self, frame: Frame) -> Frame:
+        """A frame cut and scaled to `rectified_px`: what an estimator of this sensor is given."""
+        ...
+
+    def default_plan(self) -> Mapping[str, Any]:
+        """The fields of a plan that records it by its own protocol, as in a plan's file."""
+        ...
+
+
+def force_law(sensor: Sensor, probe: Probe, specimen: Specimen | None = None) -> ForceLaw:
+    """The force law of a sensor: its own `force_law(probe, specimen)`, or one laid through some presses.
+
+    Between presses the force's two-thirds power is straight, which a ball's nearly is; its shear follows from
+    its slope as it does under a ball on an incompressible skin.
+    """
+    own = getattr(sensor, "force_law", None)
+    if own is not None:
+        found: ForceLaw = own(probe, specimen)
+        return found
+    pressed_m = np.linspace(0.0, sensor.known_depth_m(probe, specimen), PRESSES)
+    contacts = [sensor.press(probe, Pose(0.0, 0.0, float(d)), specimen) for d in pressed_m]
+    depth = np.linspace(0.0, pressed_m[-1], KNOTS)
+    root = np.array([max(contact.force_n, 0.0) ** (2 / 3) for contact in contacts])
+    force = np.interp(depth, pressed_m, root) ** 1.5
+    radius = np.interp(depth, pressed_m, [contact.radius_m for contact in contacts])
+    return ForceLaw(depth, force, radius, MINDLIN * np.gradient(force, depth))
+
+
+def variation_of(sensor: Sensor) -> Mapping[str, Any]:
+    """What its own `variation()` says of how its presses differ, in the virtual rig's words; or nothing."""
+    own = getattr(sensor, "variation", None)
+    return {} if own is None else own()
+
+
+def for_rig(sensor: Sensor) -> Sensor:
+    """The same sensor at the size that a virtual rig films: its own `for_rig()`, or itself."""
+    own = getattr(sensor, "for_rig", None)
+    return sensor if own is None else own()
+
+
+def untouched(sensor: Sensor) -> Contact:
+    """The skin at rest, with no probe in sight."""
+    return sensor.press(sensor.probe(sensor.default_probe), Pose(0.0, 0.0, 0.0))
+
+
+def is_rigid(specimen: Specimen | None) -> bool:
+    """Whether what is pressed does not yield."""
+    return specimen is None or (specimen.stiffness_n_m == math.inf and specimen.youngs_modulus_pa is None)
+
+
+VALUES = (
+    "name",
+    "spec",
+    "frame_px",
+    "rectified_px",
+    "rate_hz",
+    "exposure_s",
+    "moves",
+    "outline",
+    "axes",
+    "default_probe",
+)
+METHODS = (
+    "regions",
+    "probe",
+    "specimen",
+    "press",
+    "known_depth_m",
+    "render",
+    "rectify",
+    "default_plan",
+)
+
+
+def contract_faults(made: Any) -> list[str]:
+    """The laws of the contract that can be told without pressing, of those that an object breaks."""
+    missing = [name for name in (*VALUES, *METHODS) if not hasattr(made, name)]
+    missing += [name for name in METHODS if hasattr(made, name) and not callable(getattr(made, name))]
+    if missing:
+        return [f"a sensor has {', '.join(missing)}"]
+    return list(_faults(made))
+
+
+def _faults(made: Sensor) -> Iterator[str]:
+    if not (isinstance(made.name, str) and made.name):
+        yield f"its name is a word, not {made.name!r}"
+    params = getattr(made.spec, "__dataclass_params__", None)
+    if not (is_dataclass(made.spec) and params is not None and params.frozen):
+        yield "its spec is a frozen dataclass"
+    for what in ("frame_px", "rectified_px"):
+        size = getattr(made, what)
+        whole = isinstance(size, tuple) and len(size) == 2 and all(isinstance(n, int) and n > 0 for n in size)
+        if not whole:
+            yield f"{what} is (width, height), two whole numbers of pixels above 0, not {size!r}"
+            return
+    for what, unit in (("rate_hz", "Hz"), ("exposure_s", "s")):
+        value = getattr(made, what)
+        if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
+            yield f"{what} is a number above 0 {unit}, not {value!r}"
+    if made.moves not in ("probe", "sensor"):
+        yield f'moves is "probe" or "sensor", not {made.moves!r}'
+    if not isinstance(made.outline, Outline):
+        yield "its outline is an Outline"
+    if not isinstance(made.default_plan(), Mapping):
+        yield "default_plan() is a mapping of a plan's fields"
+    yield from _region_faults(made)
+
+
+def _region_faults(made: Sensor) -> Iterator[str]:
+    (width, height), regions = made.frame_px, made.regions()
+    for name, (x, y, w, h) in regions.items():
+        if min(x, y) < 0 or min(w, h) < 1 or x + w > width or y + h > height:
+            yield f"its regions lie inside its frame, {width} x {height} px, and {name} {(x, y, w, h)} does not"
+    if not (isinstance(made.axes, Axes) and made.axes.region in regions):
+        yield f"its axes are Axes of one of its regions, {', '.join(regions) or 'of which it has none'}"
+
+
+def frame_faults(made: Sensor) -> list[str]:
+    """The laws that a skin at rest and its frame break; cheap enough for every start."""
+    rest = untouched(made)
+    frame = made.render(rest, np.random.default_rng(0))
+    faults = []
+    if not isinstance(rest, Contact):
+        return [f"press() returns a Contact, not a {type(rest).__name__}"]
+    if rest.force_n != 0 or rest.touching.any():
+        faults.append(f"an untouched skin carries no force, not {rest.force_n:g} N")
+    if not isinstance(frame, Frame):
+        return [*faults, f"render() returns a Frame, not a {type(frame).__name__}"]
+    height, width = frame.image.shape[:2]
+    if (width, height) != made.frame_px:
+        faults.append(
+            f"a frame has its stated size, {made.frame_px[0]} x {made.frame_px[1]} px, not {width} x {height}"
+        )
+    return faults
+
+
+DEFAULT_SENSOR = "palm"
+"""The sensor of rigs and plans that name none: until there was a second, all were of it."""
+
+SENSORS: Registry[Sensor] = Registry(
+    "sensor",
+    "palpate.sensors",
+    {"palm": "palpate.sensors.palm.sensor:palm", "tactip": "palpate.sensors.tactip.sensor:tactip"},
+    contract_faults,
+)
+
+
+def sensor(name: str = DEFAULT_SENSOR) -> Sensor:
+    """A sensor by name: a built-in one or another package's, with a preset after it as in "palm-small".
+
+    Raises:
+        InputError: there is none of the name, or it breaks the contract; the message says which law.
+    """
+    return SENSORS.make(name)

@@ -1,0 +1,126 @@
+"""A run of presses on specimens as an experiment's folder: what compliance is read from.
+
+A press is a sweep of the run, down to a force and back. Its table has a row a force sample, and each frame
+belongs to the sample of its own instant: the camera's latency, as the run's taps have told it, is taken off.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy import ndarray
+
+from palpate.core.axes import Image
+from palpate.core.contact import UNTOLD, Specimen
+from palpate.core.errors import InputError, RecordingError
+from palpate.core.files import new_folder
+from palpate.core.shapes import Float, Int
+from palpate.recordings.press_folder import PRESSES, PressFolder, press_folder, write_press, write_specimens
+from palpate.recordings.press_table import press_rows
+from palpate.recordings.reader import Run
+
+SWEEP, CLOCKS = "sweep", "clocks"
+AREA = "true_area_mm2"
+
+
+@dataclass(frozen=True)
+class _Press:
+    """One sweep: on what, which, and its frames."""
+
+    specimen: Specimen
+    told: bool
+    name: str
+    frames: Int[ndarray, " f"]
+
+
+def export_presses(run: Run, out: Path | None = None) -> PressFolder | None:
+    """Write the presses of a run.
+
+    Args:
+        run: recorded by a plan whose indenters are specimens, such as "S1=7.6".
+        out: the folder to make; must not exist. None for ``presses`` within the run.
+
+    Returns:
+        The folder; None where the run has no presses on specimens.
+
+    Raises:
+        ExistsError: `out` exists.
+        RecordingError: a press has no force samples, or its frames do not follow one another.
+        StorageError: the disk is full, or refused.
+    """
+    presses = list(_presses(run))
+    if not presses:
+        return None
+    out = run.path / PRESSES if out is None else out
+    force, stage, late_s = run.force(), run.stage(), latency_s(run)
+    with new_folder(out) as building:
+        told = {p.specimen.name: p.specimen.stiffness_n_m if p.told else math.nan for p in presses}
+        write_specimens(building, {name: math.nan if k is None else k for name, k in told.items()})
+        for press in presses:
+            rows = _rows(run, press, force, stage, late_s)
+            write_press(building / press.specimen.name, press.name, _images(run, press.frames), rows)
+    return press_folder(out)
+
+
+def latency_s(run: Run) -> float:
+    """By how much the frames' stamps run behind the force's, by the run's last taps; 0 without any [s]."""
+    events = run.events()
+    told = [json.loads(text) for text in events.loc[events["kind"] == CLOCKS, "fields"]]
+    return float(told[-1]["seconds"]) if told else 0.0
+
+
+def _presses(run: Run) -> Iterator[_Press]:
+    labels = run.labels
+    if not {"phase", "indenter", "location", "approach", "cycle"} <= set(labels.columns):
+        return
+    sweeps = labels[labels["phase"] == SWEEP]
+    places = sweeps["location"].nunique()
+    for (place, words, cycle), rows in sweeps.groupby(["location", "indenter", "cycle"], sort=False):
+        try:
+            specimen = Specimen.parse(str(words).partition("@")[0])
+        except InputError:
+            continue
+        last = rows[rows["approach"] == rows["approach"].max()]  # an interrupted sweep was done again
+        name = f"{int(cycle):02d}" if places == 1 else f"{place}-{int(cycle):02d}"
+        yield _Press(specimen, UNTOLD not in str(words), name, last.index.to_numpy(np.int64))
+
+
+def _rows(run: Run, press: _Press, force: pd.DataFrame, stage: pd.DataFrame, late_s: float) -> pd.DataFrame:
+    times = force["time_s"].to_numpy(np.float64)
+    seen_s = run.times_s[press.frames] - late_s
+    at = np.clip(np.searchsorted(times, seen_s), 1, max(len(times) - 1, 1))
+    if len(times) < 2 or not (np.diff(seen_s) > 0).all():
+        raise RecordingError(f"{run.path}: press {press.name} has no force samples, or frames out of order")
+    sample = at - (seen_s - times[at - 1] < times[at] - seen_s)
+    part = slice(int(sample[0]), int(sample[-1]) + 1)
+    time_s, first = times[part], int(sample[0])
+    z_m = np.interp(time_s, stage["time_s"], stage["z_m"])
+    return press_rows(
+        time_s - time_s[0],
+        force["fz_N"].to_numpy(np.float64)[part],
+        z_m - z_m[0],
+        z_m - z_m[0],
+        sample - first,
+        _areas_m2(run, press, sample - first, len(time_s)),
+    )
+
+
+def _areas_m2(
+    run: Run, press: _Press, sample: Int[ndarray, " f"], samples: int
+) -> Float[ndarray, " s"] | None:
+    """Of the contact where a frame is, from a simulator; none elsewhere."""
+    if AREA not in run.labels.columns:
+        return None
+    area = np.full(samples, np.nan)
+    area[sample] = 1e-6 * run.labels[AREA].to_numpy(np.float64)[press.frames]
+    return area
+
+
+def _images(run: Run, frames: Int[ndarray, " f"]) -> Iterator[Image]:
+    return (run.frame(int(i)).image for i in frames)

@@ -1,0 +1,134 @@
+"""A virtual rig, put together round any sensor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from palpate.core.clock import Clock, ManualClock
+from palpate.core.errors import InputError
+from palpate.core.protocols import Position, Travel
+from palpate.core.sensor import DEFAULT_SENSOR, Sensor, for_rig, frame_faults, variation_of
+from palpate.core.sensor import sensor as sensor_of
+from palpate.rig.limits import Limits
+from palpate.rig.rig import Region, Rig
+from palpate.rig.virtual.camera import TRANSPORT_S, VirtualCamera
+from palpate.rig.virtual.faults import Fault
+from palpate.rig.virtual.force import VirtualForce
+from palpate.rig.virtual.stage import VirtualStage
+from palpate.rig.virtual.variation import Variation
+from palpate.rig.virtual.world import World
+
+PREFIX = "virtual:"
+ORIGIN_M: Position = (0.0, 0.0, 0.0)
+TRAVEL = Travel(
+    least_m=(-40e-3, -40e-3, -30e-3),
+    greatest_m=(40e-3, 40e-3, 12e-3),
+    top_speed_m_s=50e-3,
+    acceleration_m_s2=0.5,
+    latency_s=0.004,
+)
+"""Of a small belt-free stage. Assumed."""
+CARRYING = replace(TRAVEL, greatest_m=(40e-3, 40e-3, 20e-3))
+"""Of one that carries the sensor, onto specimens softer than it is. Assumed."""
+
+FORCE_HZ = 200.0
+FORCE_N = 35.0  # allowed
+REAL_TIME_AGE_S = 0.5
+"""Of the oldest force that is moved on in real time: it is measured when it is asked for, on a machine that
+may have other work."""
+TRUTHS = ("true_depth_mm", "true_force_N")
+AREA = "true_area_mm2"
+"""Of the contact; told beside the others by a sensor that is pressed onto specimens."""
+
+
+def virtual_rig(
+    sensor: Sensor | str = DEFAULT_SENSOR,
+    *,
+    clock: Clock | None = None,
+    seed: int = 0,
+    variation: Variation | None = None,
+    faults: Sequence[Fault] = (),
+    limits: Limits | None = None,
+    age_s: float | None = None,
+    force_hz: float = FORCE_HZ,
+    askew_m: Position = (0.0, 0.0, 0.0),
+) -> Rig:
+    """A stage, a force sensor and a camera around one sensor.
+
+    Args:
+        sensor: a name, whose sensor is filmed at the size that it states for a rig; or a sensor as it is.
+        clock: time; one that runs as fast as it is asked to, where left out.
+        seed: of all that varies.
+        variation: how presses differ; by default as the sensor says.
+        faults: what goes wrong, and when.
+        limits: of motion; by default the whole travel and 35 N.
+        age_s: of the oldest force that is moved on, where no limits are given; None for the usual one.
+        force_hz: samples of force a second.
+        askew_m: where the skin lies, from where the rig believes it to be.
+
+    Raises:
+        InputError: there is no such sensor, or it breaks a law of the contract.
+    """
+    name = f"{PREFIX}{sensor if isinstance(sensor, str) else sensor.name}"
+    made = for_rig(sensor_of(sensor)) if isinstance(sensor, str) else sensor
+    broken = frame_faults(made)
+    if broken:
+        raise InputError(f"{name} cannot be driven, it breaks its contract: {'; '.join(broken)}")
+    clock = clock or ManualClock()
+    vary = _variation(made, name) if variation is None else variation
+    travel = TRAVEL if made.moves == "probe" else CARRYING
+    world = World(made, clock, travel, ORIGIN_M, vary, force_hz, seed, faults, askew_m)
+    force = VirtualForce(world)
+    truths = TRUTHS if made.moves == "probe" else (*TRUTHS, AREA)
+
+    def truth(time_ns: int) -> dict[str, float]:
+        """At the middle of the exposure that a frame's time tells of."""
+        touch = world.touch_at(time_ns / 1e9 - TRANSPORT_S - made.exposure_s / 2)
+        if touch is None:
+            return dict.fromkeys(truths, 0.0)
+        area_mm2 = 1e6 * math.pi * world.radius_at(touch.depth_m) ** 2
+        told = (max(touch.depth_m, 0.0) * 1e3, touch.force_n[2], area_mm2)
+        return dict(zip(truths, told, strict=False))
+
+    def fit(indenter: str) -> bool:
+        world.fit(indenter)
+        return True
+
+    def known_m(indenter: str, lateral: bool) -> float:
+        return made.known_depth_m(made.probe(indenter), made.specimen(indenter), lateral=lateral)
+
+    return Rig(
+        name=name,
+        sensor=f"virtual {made.name}",
+        stage=VirtualStage(world),
+        force=force,
+        camera=VirtualCamera(world),
+        limits=limits or _limits(travel, age_s),
+        origin_m=ORIGIN_M,
+        clock=clock,
+        regions=tuple(Region(*one) for one in made.regions().items()),
+        licence="CC0-1.0",
+        origin="recorded on palpate's virtual rig; virtual, not measured",
+        seed=seed,
+        truth=truth,
+        truths=truths,
+        fit=fit,
+        known_m=known_m,
+        design=made,
+    )
+
+
+def _limits(travel: Travel, age_s: float | None) -> Limits:
+    usual = Limits(travel.least_m, travel.greatest_m, force_n=FORCE_N)
+    return usual if age_s is None else replace(usual, age_s=age_s)
+
+
+def _variation(sensor: Sensor, name: str) -> Variation:
+    told: dict[str, Any] = dict(variation_of(sensor))
+    try:
+        return replace(Variation(), **told)
+    except TypeError as e:
+        raise InputError(f"{name}: variation() gives fields of the rig's Variation: {e}") from e

@@ -1,0 +1,253 @@
+"""The photoelastic palm under the contract of every sensor."""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, Literal
+
+import numpy as np
+from numpy import ndarray
+from scipy.interpolate import PchipInterpolator
+
+from palpate.core.contact import FRESH, Contact, Pose, PressHistory, Probe, Specimen
+from palpate.core.errors import RangeError
+from palpate.core.frame import Frame
+from palpate.core.outline import Outline
+from palpate.core.sensor import SEATED, Axes, Box, ForceLaw, Seating, is_rigid
+from palpate.core.shapes import Float32
+from palpate.mechanics.partial_slip import tangential_stiffness
+from palpate.sensors.palm import presets
+from palpate.sensors.palm.field import table_of
+from palpate.sensors.palm.press import FRICTION, LINEAR_DEPTH_M, press
+from palpate.sensors.palm.render import expose, is_ball, render, render_clean
+from palpate.sensors.palm.shapes import parse_probe
+from palpate.sensors.palm.spec import PalmSpec
+from palpate.sensors.preparation import Preparation
+
+RATE_HZ = 30.0
+"""R (see `spec`)."""
+
+RECTIFIED_PX = 224
+"""Side of both regions as the report's networks see them, or of the frame's own where that has less."""
+
+RIG_PX = 128  # side of both regions on a virtual rig
+KNOTS = 1201  # of depth, between which force is read along straight lines
+PRESSES = 13  # of linear layers, between which a curve is laid
+PICTURES = 64  # under other probes and lateral loads, which are slow to press and to draw
+
+Picture = tuple[Float32[ndarray, "h w 3"], Float32[ndarray, "u v 3"]]
+
+
+@dataclass(frozen=True)
+class Palm:
+    """The palm of a spec. A `Seating` moves its lamp alone: the camera is fixed to the housing.
+
+    Under its own ball it is pressed by the finite-strain table, under any other probe or a lateral load by
+    linear layers, and then the relaxed skin is drawn.
+    """
+
+    spec: PalmSpec = field(default_factory=PalmSpec)
+    _slow: OrderedDict[Hashable, Any] = field(default_factory=OrderedDict, repr=False, compare=False)
+
+    @property
+    def name(self) -> str:
+        """The spec's."""
+        return self.spec.name
+
+    @property
+    def frame_px(self) -> tuple[int, int]:
+        """(width, height) [px]."""
+        return self.spec.frame_px
+
+    @property
+    def rectified_px(self) -> tuple[int, int]:
+        """Both regions as squares, side by side [px]."""
+        side = min(RECTIFIED_PX, *self.spec.fringes.size_px, *self.spec.mirror.size_px)
+        return 2 * side, side
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames a second."""
+        return RATE_HZ
+
+    @property
+    def exposure_s(self) -> float:
+        """Exposure of a frame [s]."""
+        return self.spec.exposure_s
+
+    @property
+    def moves(self) -> Literal["probe", "sensor"]:
+        """The palm stands, and a probe is pressed into it."""
+        return "probe"
+
+    @property
+    def outline(self) -> Outline:
+        """The membrane."""
+        return Outline.disc(self.spec.diameter_m)
+
+    @property
+    def axes(self) -> Axes:
+        """The mirror's, which looks up along the skin's y under its elevation."""
+        wide, high = self.spec.mirror.pitches_m
+        return Axes("mirror", (1 / wide, 0.0), (0.0, math.sin(self.spec.mirror_elevation_rad) / high))
+
+    @property
+    def default_probe(self) -> str:
+        """The ball of its protocol."""
+        return f"sphere:{round(2e3 * self.spec.indenter_radius_m, 9):g}"
+
+    def regions(self) -> Mapping[str, Box]:
+        """Both views."""
+        return {"fringes": self.spec.fringes.box_px, "mirror": self.spec.mirror.box_px}
+
+    def probe(self, words: str) -> Probe:
+        """See `parse_probe`."""
+        return parse_probe(words)
+
+    def specimen(self, words: str) -> Specimen | None:
+        """Its probes are rigid."""
+        return None
+
+    def press(
+        self, probe: Probe, pose: Pose, specimen: Specimen | None = None, history: PressHistory = FRESH
+    ) -> Contact:
+        """Press a rigid probe; see `press.press`.
+
+        Raises:
+            RangeError: beyond the laws, over the rim, slipping, or a specimen that yields.
+        """
+        if not is_rigid(specimen):
+            raise RangeError("the palm is pressed by rigid probes; a specimen that yields is not modelled")
+        if probe != self._ball:
+            history = replace(history, stiffening=1.0)  # linear layers know the relaxed skin alone
+        lateral_n = self._lateral_n(probe, pose, history)
+        if lateral_n == (0.0, 0.0) and probe == self._ball:
+            contact = press(self._stiffened(history), pose)
+        else:
+            key = ("press", pose, probe, lateral_n)
+            contact = self._kept(key, lambda: press(self.spec, pose, probe, lateral_n))
+        return replace(contact, history=replace(history, lateral_n=lateral_n))
+
+    def known_depth_m(
+        self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
+    ) -> float:
+        """To where the table reaches under the own ball, and linear layers under all else [m]."""
+        if not is_rigid(specimen):
+            return 0.0
+        return LINEAR_DEPTH_M if lateral or probe != self._ball else self.force_law(probe).greatest_m
+
+    def force_law(self, probe: Probe, specimen: Specimen | None = None) -> ForceLaw:
+        """The table's under the own ball, a curve through presses of linear layers under any other."""
+        return force_law_of(self.spec, probe)
+
+    def render(self, contact: Contact, rng: np.random.Generator, seating: Seating = SEATED) -> Frame:
+        """The camera's frame; see `render.render`."""
+        gain = self.spec.lamp_gain * seating.light
+        if is_ball(contact, self.spec):
+            return render(contact, replace(self._stiffened(contact.history), lamp_gain=gain), rng)
+        at_setup = replace(self.spec, lamp_gain=1.0)
+        key = ("picture", contact.pose, contact.probe, contact.lateral_n, contact.moment_nm)
+        fringes, below = self._kept(key, lambda: render_clean(contact, at_setup))
+        light = np.float32(gain)
+        return expose((light * fringes, light * below), self.spec, rng)
+
+    def rectify(self, frame: Frame) -> Frame:
+        """Fringes left and mirror right, as squares: the report's input to its networks."""
+        width, height = self.rectified_px
+        regions = self.regions()
+        cut = Preparation(regions["fringes"], (height, width), 3, regions["mirror"])
+        return replace(frame, image=cut.apply(frame.image))
+
+    def default_plan(self) -> Mapping[str, Any]:
+        """The report's: 37 places, five presses at each, to 5 mm in steps of 0.1 mm."""
+        return {
+            "kind": "stepped",
+            "name": "palm",
+            "places": {"kind": "grid", "per_side": 15, "pitch_mm": 7.0},
+            "cycles": 5,
+            "depth_mm": 5.0,
+            "step_mm": 0.1,
+            "frames": 25,
+        }
+
+    def for_rig(self) -> Palm:
+        """Both regions as squares of 128 px; a palm that is smaller already stays as it is."""
+        small = max(self.frame_px) <= 2 * RIG_PX
+        return self if small else Palm(presets.cropped(self.spec, RIG_PX, f"{self.spec.name}-rig"))
+
+    @property
+    def _ball(self) -> Probe:
+        return Probe("sphere", self.spec.indenter_radius_m)
+
+    def _stiffened(self, history: PressHistory) -> PalmSpec:
+        """The skin as it still remembers: light sees stress, which relaxes as the force does."""
+        if history.stiffening == 1.0:
+            return self.spec
+        return replace(self.spec, youngs_modulus_pa=self.spec.youngs_modulus_pa * history.stiffening)
+
+    def _lateral_n(self, probe: Probe, pose: Pose, history: PressHistory) -> tuple[float, float]:
+        """Of the path, by Cattaneo's and Mindlin's law, where it is not known."""
+        if history.lateral_n is not None:
+            return history.lateral_n
+        if not history.path_m or pose.depth_m <= 0:
+            return 0.0, 0.0
+        x, y = history.path_m[-1]
+        shift, law = math.hypot(x, y), self.force_law(probe)
+        most = FRICTION * float(np.interp(pose.depth_m, law.depth_m, law.force_n))
+        stiff = float(np.interp(pose.depth_m, law.depth_m, law.lateral_n_m))
+        if shift == 0 or most == 0:
+            return 0.0, 0.0
+        free = 1.0 - 2 * stiff * shift / (3 * most)
+        if free <= 0:
+            raise RangeError(
+                f"shifted by {1e3 * shift:.3g} mm at {1e3 * pose.depth_m:.3g} mm the probe slips over the "
+                "palm; shift less, or press deeper"
+            )
+        pull = most * (1.0 - free**1.5)
+        return pull * x / shift, pull * y / shift
+
+    def _kept(self, key: Hashable, make: Any) -> Any:
+        if key not in self._slow:
+            self._slow[key] = make()
+            while len(self._slow) > 2 * PICTURES:
+                self._slow.popitem(last=False)
+        return self._slow[key]
+
+
+def palm(preset: str = "palm") -> Palm:
+    """The palm by the name of a preset.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    return Palm(presets.preset(preset))
+
+
+@lru_cache(maxsize=16)
+def force_law_of(spec: PalmSpec, probe: Probe) -> ForceLaw:
+    """The law of a skin under a probe."""
+    own = probe == Probe("sphere", spec.indenter_radius_m)
+    depth, force, radius = _of_table(spec) if own else _of_layers(spec, probe)
+    per_radius = tangential_stiffness(1.0, spec.youngs_modulus_pa, spec.poisson_ratio)
+    return ForceLaw(depth, force, radius, radius * per_radius)
+
+
+def _of_table(spec: PalmSpec) -> tuple[ndarray, ndarray, ndarray]:
+    table, R = table_of(spec), spec.indenter_radius_m
+    depth = np.linspace(0.0, table.greatest_depth * R, KNOTS)
+    force = table.force_at(depth / R) * spec.youngs_modulus_pa * R**2
+    return depth, force, np.interp(depth, table.depth * R, table.contact_radius * R)
+
+
+def _of_layers(spec: PalmSpec, probe: Probe) -> tuple[ndarray, ndarray, ndarray]:
+    pressed = np.linspace(0.0, LINEAR_DEPTH_M, PRESSES)
+    contacts = [press(spec, Pose(0.0, 0.0, float(d)), probe) for d in pressed]
+    area = [c.touching.sum() * (c.x_m[1] - c.x_m[0]) * (c.y_m[1] - c.y_m[0]) for c in contacts]
+    depth = np.linspace(0.0, LINEAR_DEPTH_M, KNOTS)
+    force = PchipInterpolator(pressed, [c.force_n for c in contacts])(depth)
+    radius = PchipInterpolator(pressed, np.sqrt(np.array(area) / math.pi))(depth)
+    return depth, np.asarray(force), np.asarray(radius)

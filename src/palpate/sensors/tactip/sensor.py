@@ -1,0 +1,290 @@
+"""The TacTip under the contract of every sensor.
+
+A flat face touches the dome, and a pose says at which place: at (x, y) beside the apex the face leans
+towards it, so that a face seated a little askew is one that touches a little aside. The face is a rigid
+plate's or the top of the tables' cylinder.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, Literal
+
+import numpy as np
+
+from palpate.core.contact import FRESH, RIGID, Contact, Pose, PressHistory, Probe, Specimen
+from palpate.core.errors import InputError, RangeError
+from palpate.core.frame import Frame
+from palpate.core.outline import Outline
+from palpate.core.sensor import SEATED, Axes, Box, ForceLaw, Seating, is_rigid
+from palpate.sensors.tactip import spec as specs
+from palpate.sensors.tactip.camera import projected, rendered
+from palpate.sensors.tactip.inclined import GREATEST_TILT, inclined
+from palpate.sensors.tactip.press import HeadOn, modulus_pa, pictured, pixels_per_tangent
+from palpate.sensors.tactip.press import Specimen as Pressed
+from palpate.sensors.tactip.spec import TacTipSpec
+
+REGION = "pins"
+PLATE = "plate"
+GREATEST_LEAN = math.radians(2.0)
+"""Of a face besides its own tilt: to there the whole field of pins turns with it, see `pins.Turned`."""
+
+REACH = 1.5  # contact radii of the grid about a contact
+CELLS = 64
+KNOTS = 1201  # of a force law, between which it is read along straight lines
+WORDS = f"{RIGID} or NAME=STIFFNESS [N/mm], each with @TILT [deg] where its top is inclined"
+
+
+@dataclass(frozen=True)
+class TacTip:
+    """The TacTip of a spec; it has no law of a load along its skin."""
+
+    spec: TacTipSpec = field(default_factory=TacTipSpec)
+
+    @property
+    def name(self) -> str:
+        """With the number of pins, where it is not the usual one."""
+        return "tactip" if self.spec.pins == specs.PINS_127 else f"tactip-{self.spec.pins.count}"
+
+    @property
+    def frame_px(self) -> tuple[int, int]:
+        """(width, height) [px]."""
+        return self.spec.camera.size_px, self.spec.camera.size_px
+
+    @property
+    def rectified_px(self) -> tuple[int, int]:
+        """The whole frame: the camera looks along the tip's axis [px]."""
+        return self.frame_px
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames a second."""
+        return self.spec.camera.rate_hz
+
+    @property
+    def exposure_s(self) -> float:
+        """Exposure of a frame [s]."""
+        return self.spec.camera.exposure_s
+
+    @property
+    def moves(self) -> Literal["probe", "sensor"]:
+        """The tip is pressed onto a specimen."""
+        return "sensor"
+
+    @property
+    def outline(self) -> Outline:
+        """Places about the apex at which a face touches that leans no more than its law allows."""
+        return Outline.disc(2 * self.spec.table.radius_m * math.sin(GREATEST_LEAN))
+
+    @property
+    def axes(self) -> Axes:
+        """Of the apex as the camera sees it, x to the right and y down."""
+        _, share = projected(np.zeros((1, 3)), self.spec.camera, self.spec.table.radius_m)
+        scale = pixels_per_tangent(self.spec) * float(share[0])
+        return Axes(REGION, (scale, 0.0), (0.0, scale))
+
+    @property
+    def default_probe(self) -> str:
+        """A rigid plate."""
+        return RIGID
+
+    def regions(self) -> Mapping[str, Box]:
+        """The whole frame."""
+        return {REGION: (0, 0, *self.frame_px)}
+
+    def probe(self, words: str) -> Probe:
+        """The face of "rigid" or "S1=7.6", upright, or inclined towards +x as in "S1=7.6@30".
+
+        Raises:
+            InputError: other words, or a tilt beyond what is modelled.
+        """
+        return Probe(PLATE, 0.0, tilt_rad=math.radians(_read(words)[1]))
+
+    def specimen(self, words: str) -> Specimen | None:
+        """The cylinder that the words name; None for a rigid plate."""
+        specimen, _ = _read(words)
+        return None if is_rigid(specimen) else specimen
+
+    def press(
+        self, probe: Probe, pose: Pose, specimen: Specimen | None = None, history: PressHistory = FRESH
+    ) -> Contact:
+        """Press a face onto the dome.
+
+        The force and the contact's area are the tables' (head-on) or those of linear bodies (inclined). The
+        pressure is drawn as a sphere's over that area, and the skin as flat under the face.
+
+        Raises:
+            InputError: not a face.
+            RangeError: deeper than the tables, at a place beyond the outline, or pulled along the skin.
+        """
+        if history.path_m or any(history.lateral_n or ()):
+            raise RangeError("a load along the skin of the TacTip is not modelled; press straight down")
+        if not self.outline.contains(pose.x_m, pose.y_m):
+            raise RangeError(
+                f"at ({1e3 * pose.x_m:.3g}, {1e3 * pose.y_m:.3g}) mm the face leans more than "
+                f"{math.degrees(GREATEST_LEAN):g} degrees; touch within "
+                f"{1e3 * self.outline.radius_m:.3g} mm of the apex, or incline the specimen"
+            )
+        body = self.body(probe, specimen)
+        if not pose.depth_m <= body.deepest_m:
+            raise RangeError(
+                f"an approach of {1e3 * pose.depth_m:.3g} mm; this contact is known to "
+                f"{1e3 * body.deepest_m:.3g} mm"
+            )
+        depth = np.array([max(pose.depth_m, 0.0)])
+        force_n = float(body.force_n(depth)[0])
+        radius_m = math.sqrt(float(body.area_m2(np.array([force_n]))[0]) / math.pi)
+        return self._contact(probe, pose, force_n, radius_m, specimen, history)
+
+    def known_depth_m(
+        self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
+    ) -> float:
+        """The approach at the tables' greatest force; none with a lateral load [m]."""
+        return 0.0 if lateral else self.body(probe, specimen).deepest_m
+
+    def force_law(self, probe: Probe, specimen: Specimen | None = None) -> ForceLaw:
+        """Along the tip's axis; a shift finds no resistance, as there is no friction in the tables."""
+        body = self.body(probe, specimen)
+        depth = np.linspace(0.0, body.deepest_m, KNOTS)
+        force = body.force_n(depth)
+        return ForceLaw(depth, force, np.sqrt(body.area_m2(force) / math.pi), np.zeros(KNOTS))
+
+    def render(self, contact: Contact, rng: np.random.Generator, seating: Seating = SEATED) -> Frame:
+        """Discs of the markers, light on dark."""
+        body, radius_m = self.body(contact.probe, contact.specimen), self.spec.table.radius_m
+        lean = contact.pose.x_m / radius_m, -contact.pose.y_m / radius_m
+        skin = body.skin(max(contact.pose.depth_m, 0.0), lean)
+        image = rendered(*pictured(self.spec, skin, seating.shift_px), self.spec.camera, rng, seating.light)
+        return Frame(image, exposure_s=self.exposure_s, sensor=self.name)
+
+    def rectify(self, frame: Frame) -> Frame:
+        """As it is.
+
+        Raises:
+            InputError: a frame of another size.
+        """
+        height, width = frame.image.shape[:2]
+        if (width, height) != self.frame_px:
+            raise InputError(
+                f"a frame of {width} x {height} px; this TacTip's have {self.frame_px[0]} x "
+                f"{self.frame_px[1]} px"
+            )
+        return frame
+
+    def default_plan(self) -> Mapping[str, Any]:
+        """The report's specimens and a rigid plate, five presses each at 5 mm/s to 5 N."""
+        return {
+            "kind": "swept",
+            "name": "tactip",
+            "places": {"kind": "listed", "at_mm": [[0.0, 0.0]]},
+            "indenters": [RIGID, "S1=7.6", "S2=3.1", "S3=1.1", "new=5.3?"],
+            "cycles": 5,
+            "speed_mm_s": 1e3 * self.spec.speed_m_s,
+            "until_N": 5.1,
+            "depth_mm": 11.0,
+            "threshold_N": 0.5,
+            "wait_s": 1.0,
+            "press_mm_s": 5.0,
+            "seek_mm": 3.5,
+            "tap_N": 2.0,
+        }
+
+    def variation(self) -> Mapping[str, Any]:
+        """Of the report's rig: see `spec.Seating` and `spec.ForceSensor`."""
+        seat, force = self.spec.seating, self.spec.force
+        return {
+            "seating_m": seat.position_m,
+            "place_m": seat.tilt_rad * self.spec.table.radius_m,
+            "tilt_rad": (0.0, 0.0),
+            "lean": (0.0, 0.0),
+            "lean_spread": (0.0, 0.0),
+            "lamp": seat.light,
+            "shift_px": seat.shift_px,
+            "force_noise_n": force.noise_n,
+            "force_step_n": force.resolution_n,
+            "relaxation": (),
+        }
+
+    def body(self, probe: Probe, specimen: Specimen | None) -> Pressed:
+        """The tip on what it is pressed onto."""
+        if probe.shape != PLATE:
+            raise InputError(f"the TacTip is pressed onto a flat face, not a {probe.shape}; give {WORDS}")
+        if probe.turn_rad:
+            raise InputError("a face inclined towards another side than +x is not modelled; turn the tip")
+        return _body(self.spec, self._modulus_pa(specimen), probe.tilt_rad)
+
+    def _modulus_pa(self, specimen: Specimen | None) -> float:
+        if specimen is None:
+            return math.inf
+        if specimen.youngs_modulus_pa is not None:
+            return specimen.youngs_modulus_pa
+        if specimen.stiffness_n_m is None:
+            raise InputError(f"the specimen {specimen.name!r} has neither a stiffness nor a modulus")
+        return modulus_pa(self.spec.table, specimen.stiffness_n_m)
+
+    def _contact(
+        self,
+        probe: Probe,
+        pose: Pose,
+        force_n: float,
+        radius_m: float,
+        specimen: Specimen | None,
+        history: PressHistory,
+    ) -> Contact:
+        a, R = radius_m, self.spec.table.radius_m
+        half = REACH * a if a > 0 else 1e-3
+        at = (np.arange(CELLS) + 0.5 - CELLS / 2) * 2 * half / CELLS
+        r2 = at**2 + at[:, None] ** 2
+        touching = r2 < a**2
+        shape = np.sqrt(np.maximum(1 - r2 / a**2, 0.0)) if a > 0 else np.zeros_like(r2)
+        cell = (at[1] - at[0]) ** 2
+        whole = float(shape.sum()) * cell
+        return Contact(
+            x_m=pose.x_m + at,
+            y_m=pose.y_m + at,
+            pressure_pa=shape * (force_n / whole) if whole > 0 else shape,
+            sinking_m=np.where(touching, (a**2 - r2) / (2 * R), 0.0),
+            touching=touching,
+            force_n=force_n,
+            radius_m=a,
+            probe=probe,
+            pose=pose,
+            model="a dome on a flat face; pressure drawn as a sphere's over the known force and area",
+            specimen=specimen,
+            history=history,
+        )
+
+
+def tactip(preset: str = "127") -> TacTip:
+    """The TacTip with 127 or 331 pins.
+
+    Raises:
+        InputError: another number.
+    """
+    if not preset.isdecimal():
+        raise InputError(f"there is no TacTip {preset!r}; there are 127 and 331, by their number of pins")
+    return TacTip(specs.tactip(int(preset)))
+
+
+@lru_cache(maxsize=64)
+def _body(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> Pressed:
+    if tilt_rad == 0:
+        return HeadOn(spec.table.press(specimen_pa), spec.table.radius_m)
+    return inclined(spec, specimen_pa, tilt_rad)
+
+
+def _read(words: str) -> tuple[Specimen, float]:
+    """A specimen, and its tilt [deg], of "S1=7.6@30"."""
+    what, at, leaning = words.partition("@")
+    try:
+        specimen, tilt = Specimen.parse(what), float(leaning) if at else 0.0
+    except (InputError, ValueError):
+        raise InputError(f"{words!r} is no specimen of the TacTip; give {WORDS}") from None
+    if not 0 <= math.radians(tilt) <= GREATEST_TILT:
+        raise InputError(
+            f"{words!r} is inclined by {tilt:g} degrees; 0 to {math.degrees(GREATEST_TILT):g} are modelled"
+        )
+    return specimen, tilt

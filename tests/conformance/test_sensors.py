@@ -1,0 +1,167 @@
+"""Every registered sensor keeps the laws of the contract; for each law there is a sensor that breaks it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from palpate.check import LAWS, check_sensor
+from palpate.core.contact import Contact, Pose
+from palpate.core.errors import InputError, RangeError
+from palpate.core.frame import Frame
+from palpate.core.outline import Outline
+from palpate.core.sensor import SENSORS, Axes, Sensor, contract_faults, for_rig, sensor
+from palpate.rig.virtual import virtual_rig
+from palpate.sensors import palm
+from palpate.sensors.palm.sensor import Palm
+
+SMALL = {"palm": "palm-debug"}  # a tenth of the pixels each way is the same design
+
+
+@pytest.mark.parametrize("name", SENSORS.names())
+def test_every_registered_sensor_keeps_every_law(name: str) -> None:
+    findings = check_sensor(sensor(SMALL.get(name, name)))
+    assert [one for one in findings if not one.ok] == []
+    assert len(findings) == len(LAWS) + 1
+
+
+@pytest.mark.parametrize("name", SENSORS.names())
+def test_a_sensor_at_the_size_of_a_rig_keeps_every_law(name: str) -> None:
+    assert [one for one in check_sensor(for_rig(sensor(name))) if not one.ok] == []
+
+
+class Broken:
+    """A sound sensor in which some things are otherwise."""
+
+    def __init__(self, sound: Sensor, **otherwise: Any) -> None:
+        self._sound = sound
+        self.__dict__.update(otherwise)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._sound, name)
+
+
+SOUND = Palm(palm.debug())
+
+
+def contact_with(change: Callable[[Contact], dict[str, Any]]) -> dict[str, Any]:
+    """A press whose contact is otherwise."""
+
+    def press(*args: Any, **kwargs: Any) -> Contact:
+        made = SOUND.press(*args, **kwargs)
+        return replace(made, **change(made))
+
+    return {"press": press}
+
+
+def frame_with(change: Callable[[np.ndarray, Contact], np.ndarray]) -> dict[str, Any]:
+    """A picture that is otherwise."""
+
+    def render(contact: Contact, rng: np.random.Generator, *rest: Any) -> Frame:
+        frame = SOUND.render(contact, rng, *rest)
+        return replace(frame, image=np.ascontiguousarray(change(frame.image, contact)))
+
+    return {"render": render}
+
+
+def shallow(*args: Any, **kwargs: Any) -> Contact:
+    """What is deeper than is known is pressed as deep as is known."""
+    probe, pose, *rest = args
+    known = SOUND.known_depth_m(probe)
+    return SOUND.press(probe, replace(pose, depth_m=min(pose.depth_m, known)), *rest, **kwargs)
+
+
+def by_chance(contact: Contact, rng: np.random.Generator, *rest: Any) -> Frame:
+    """Noise of its own."""
+    return SOUND.render(contact, np.random.default_rng(), *rest)
+
+
+def any_probe(words: str) -> Any:
+    try:
+        return SOUND.probe(words)
+    except InputError:
+        return SOUND.probe("sphere:10")
+
+
+WRONG: dict[str, dict[str, Any]] = {
+    "keeps the contract": {"regions": lambda: {"fringes": (0, 0, 10_000, 10), "mirror": (0, 0, 10, 10)}},
+    "at rest there is no force, and the frame is as stated": frame_with(lambda image, _: image[:-1]),
+    "force grows with depth as far as it is known": contact_with(
+        lambda made: {"force_n": 2.0 * (made.pose.depth_m > 0)}
+    ),
+    "pressure integrates to the force": contact_with(lambda made: {"pressure_pa": 1.1 * made.pressure_pa}),
+    "what a press returns is finite, shaped and in SI": contact_with(
+        lambda made: {"x_m": 1e3 * made.x_m, "y_m": 1e3 * made.y_m, "pressure_pa": 1e-6 * made.pressure_pa}
+    ),
+    "a contact says what made it": contact_with(lambda made: {"pose": Pose(1e-3, 0.0, made.pose.depth_m)}),
+    "the force law is that of its presses": {
+        "force_law": lambda probe, specimen=None: replace(
+            SOUND.force_law(probe), force_n=1e3 * SOUND.force_law(probe).force_n
+        )
+    },
+    "beyond the known depth a press is refused": {"press": shallow},
+    "the same rng draws the same frame": {"render": by_chance},
+    "a press is seen beyond the noise": {
+        "render": lambda contact, rng, *rest: SOUND.render(
+            SOUND.press(SOUND.probe("sphere:10"), Pose(0.0, 0.0, 0.0)), rng, *rest
+        )
+    },
+    "a contact moves in the image as the axes say": {"axes": Axes("mirror", (-1e3, 0.0), (0.0, 866.0))},
+    "its outline holds its own plan's places": {
+        "outline": Outline.disc(57e-3),
+        "default_plan": lambda: {
+            "kind": "listed",
+            "places": {"kind": "listed", "at_mm": [[26.0, 0.0]]},
+        },
+    },
+    "a rectified frame has the size it states": {"rectified_px": (100, 50)},
+    "words that are no probe are refused": {"probe": any_probe},
+}
+
+
+def test_a_broken_sensor_is_known_for_every_law() -> None:
+    names = [one.name for one in check_sensor(SOUND)]
+    assert sorted(names) == sorted(WRONG)
+
+
+@pytest.mark.parametrize("law", WRONG)
+def test_a_sensor_that_breaks_a_law_is_found_out_by_it(law: str) -> None:
+    findings = {one.name: one for one in check_sensor(Broken(SOUND, **WRONG[law]))}
+    assert not findings[law].ok
+    assert findings[law].message
+
+
+@pytest.mark.parametrize(
+    ("otherwise", "says"),
+    [
+        ({"frame_px": (192.0, 108)}, "frame_px is .width, height."),
+        ({"rate_hz": 0.0}, "rate_hz is a number above 0 Hz"),
+        ({"exposure_s": float("nan")}, "exposure_s is a number above 0 s"),
+        ({"moves": "both"}, "moves is"),
+        ({"spec": {"diameter_m": 1}}, "spec is a frozen dataclass"),
+        ({"outline": 57e-3}, "outline is an Outline"),
+        ({"axes": Axes("top", (1, 0), (0, 1))}, "axes are Axes of one of its regions, fringes, mirror"),
+        ({"render": None}, "a sensor has render"),
+    ],
+)
+def test_what_can_be_told_without_a_press_is_told_by_its_law(otherwise: dict[str, Any], says: str) -> None:
+    import re
+
+    faults = "; ".join(contract_faults(Broken(SOUND, **otherwise)))
+    assert re.search(says, faults)
+
+
+def test_a_rig_refuses_a_sensor_whose_frames_are_of_another_size() -> None:
+    wrong = Broken(SOUND, **frame_with(lambda image, _: image[::2]))
+    with pytest.raises(InputError, match=r"stated size, 192 x 108 px, not 192 x 54"):
+        virtual_rig(wrong)  # type: ignore[arg-type]
+
+
+def test_a_face_that_leans_too_far_is_refused_in_degrees() -> None:
+    tip = sensor("tactip")
+    with pytest.raises(RangeError, match="2 degrees"):
+        tip.press(tip.probe("rigid"), Pose(1e-3, 0.0, 1e-3))

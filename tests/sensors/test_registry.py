@@ -1,0 +1,136 @@
+"""Sensors by name: built in, by another package, and what is refused by which law."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import palpate
+from palpate.core.contact import Pose, PressHistory, Specimen
+from palpate.core.errors import InputError, RangeError
+from palpate.core.outline import Outline
+from palpate.core.sensor import SENSORS, sensor
+
+Install = Callable[..., None]
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
+    """Lay a package with an entry point on the path, as an installer does."""
+
+    def lay(name: str, value: str, code: str = "", package: str = "stranger") -> None:
+        (tmp_path / f"{package}.py").write_text(code)
+        info = tmp_path / f"{package}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[palpate.sensors]\n{name} = {value}\n")
+        monkeypatch.syspath_prepend(str(tmp_path))
+        monkeypatch.delitem(sys.modules, package, raising=False)
+
+    return lay
+
+
+def test_built_in_sensors_are_found_by_name_and_preset() -> None:
+    assert SENSORS.names()[:2] == ("palm", "tactip")
+    assert palpate.sensor("palm").name == "palm"
+    assert palpate.sensor("palm-small").frame_px == (480, 270)
+    assert palpate.sensor("tactip-331").spec.pins.count == 331
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("hand", "no sensor 'hand'; there are palm, tactip"),
+        ("palm-huge", "no palm 'huge'"),
+        ("tactip-12", "12 pins"),
+        ("tactip-soft", "no TacTip 'soft'"),
+        ("nowhere.at.all:make", "does not import"),
+        ("palpate.core:VERSION", "does not import"),
+        ("palpate.core.sensor:SEATED", "no function or class"),
+    ],
+)
+def test_a_name_that_is_none_is_refused(name: str, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        sensor(name)
+
+
+def test_a_sensor_of_another_package_is_found_and_one_without_a_name_by_its_path(install: Install) -> None:
+    code = "from palpate.sensors.palm.sensor import palm\ndef make(): return palm('debug')\n"
+    install("strange", "stranger:make", code)
+    assert "strange" in SENSORS.names()
+    assert sensor("strange").name == "palm-debug"
+    assert sensor("stranger:make").name == "palm-debug"
+
+
+@pytest.mark.parametrize(
+    ("code", "says"),
+    [
+        ("import nothing_of_that_name", "'strange' .stranger:make. does not import: ModuleNotFoundError"),
+        ("def make(): raise OSError('no disk')", "cannot be made: OSError: no disk"),
+        ("class make: name = 'x'", "breaks its contract: a sensor has spec, frame_px"),
+    ],
+)
+def test_a_sensor_that_cannot_be_one_is_refused_by_name_and_law(
+    install: Install, code: str, says: str
+) -> None:
+    install("strange", "stranger:make", code)
+    with pytest.raises(InputError, match=says):
+        sensor("strange")
+
+
+def test_a_name_that_is_taken_is_refused_and_both_are_named(install: Install) -> None:
+    install("palm", "stranger:make", "def make(): return None")
+    with pytest.raises(InputError, match=r"stranger:make of stranger, palpate\.sensors.*one sensor"):
+        sensor("palm")
+
+
+def test_a_disc_a_rectangle_and_a_polygon_say_what_lies_inside() -> None:
+    disc, box = Outline.disc(20e-3), Outline.rectangle(20e-3, 10e-3)
+    triangle = Outline.polygon(((-10e-3, -5e-3), (10e-3, -5e-3), (0.0, 5e-3)))
+    assert disc.contains(5e-3, 0.0, 5e-3)
+    assert not disc.contains(5.01e-3, 0.0, 5e-3)
+    assert box.contains(0.0, 2e-3, 3e-3)
+    assert not box.contains(0.0, 2e-3, 3.01e-3)
+    assert triangle.contains(0.0, 0.0, 2e-3)
+    assert not triangle.contains(0.0, 4e-3, 2e-3)
+    assert box.extent_m == (-10e-3, -5e-3, 10e-3, 5e-3)
+    assert box.radius_m == pytest.approx(125**0.5 * 1e-3)
+    with pytest.raises(InputError, match="convex"):
+        Outline.polygon(((0.0, 0.0), (0.0, 1.0), (1.0, 0.0)))
+
+
+def test_specimens_are_read_from_words() -> None:
+    assert Specimen.parse("S1=7.6") == Specimen("S1", 7600.0)
+    assert Specimen.parse("new=5.3?") == Specimen("new", 5300.0)
+    for words in ("", "soft", "=3", "S1=", "S1=-1", "S1=nan"):
+        with pytest.raises(InputError, match="no specimen"):
+            Specimen.parse(words)
+
+
+def test_a_tangential_path_pulls_the_palm_as_its_law_says_until_it_slips() -> None:
+    palm = sensor("palm-debug")
+    probe, pose = palm.probe("sphere:10"), Pose(0.0, 0.0, 1e-3)
+    pulled = palm.press(probe, pose, history=PressHistory(path_m=((0.0, 0.0), (0.05e-3, 0.0))))
+    law = palm.force_law(probe)  # type: ignore[attr-defined]
+    stiff = float(law.lateral_n_m[law.depth_m.searchsorted(1e-3)])
+    # Mindlin's law is straight at first, and yields by a few percent at this share of friction.
+    assert pulled.lateral_n[0] == pytest.approx(stiff * 0.05e-3, rel=0.1)
+    assert 0 < pulled.lateral_n[0] < stiff * 0.05e-3
+    with pytest.raises(RangeError, match="slips"):
+        palm.press(probe, pose, history=PressHistory(path_m=((5e-3, 0.0),)))
+
+
+def test_a_specimen_that_yields_takes_less_force_at_the_same_approach() -> None:
+    tip = sensor("tactip")
+    force = [
+        tip.press(tip.probe(words), Pose(0.0, 0.0, 4e-3), tip.specimen(words)).force_n
+        for words in ("rigid", "S1=7.6", "S3=1.1")
+    ]
+    assert force[0] > force[1] > force[2] > 0
+    with pytest.raises(RangeError, match="yields is not modelled"):
+        sensor("palm-debug").press(
+            sensor("palm-debug").probe("sphere:10"), Pose(0.0, 0.0, 1e-3), Specimen("S1", 7600.0)
+        )
