@@ -210,7 +210,7 @@ def keeps_its_plan_inside(sensor: Sensor) -> Part:
     """Its outline holds its own plan's places."""
     outline, message = sensor.outline, ""
     try:
-        plan = plan_from(dict(sensor.default_plan())).on(sensor)
+        plan = plan_from(sensor.default_plan(), sensor)
         outside = [
             place.name
             for place in plan.places.places()

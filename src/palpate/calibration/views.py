@@ -1,4 +1,4 @@
-"""Which parts of a frame a model of two views sees, where nobody says so."""
+"""Which parts of a frame a model sees, where nobody says so: the regions that it was made for."""
 
 from __future__ import annotations
 
@@ -6,20 +6,23 @@ from palpate.core.errors import InputError
 from palpate.recordings.manifest import Manifest
 
 Box = tuple[int, int, int, int]
-FRINGES, MIRROR = "fringes", "mirror"
 
 
-def two_views(manifest: Manifest) -> tuple[Box, Box]:
-    """The fringes' and the mirror's region, as the run names them.
+def regions_seen(manifest: Manifest, names: tuple[str, ...]) -> tuple[Box, ...]:
+    """The regions of these names, in their order.
+
+    Args:
+        manifest: of the run, which names its regions.
+        names: of a model's regions, see `estimators.networks.Kind`.
 
     Raises:
-        InputError: it does not name both.
+        InputError: the run does not name all of them.
     """
     regions = manifest.regions
-    if not (FRINGES in regions and MIRROR in regions):
+    if not set(names) <= set(regions):
         named = ", ".join(regions) or "none"
         raise InputError(
-            f"this model sees two parts of a frame, {FRINGES} and {MIRROR}, and the run names {named}; "
-            "give --crop X,Y,WIDTH,HEIGHT twice, the fringes first"
+            f"this model sees two parts of a frame, {' and '.join(names)}, and the run names {named}; "
+            f"give --crop X,Y,WIDTH,HEIGHT twice, the {names[0]} first"
         )
-    return regions[FRINGES], regions[MIRROR]
+    return tuple(regions[name] for name in names)

@@ -92,7 +92,7 @@ def calibrate(
     """
     from palpate.calibration.fit import calibrate as help_to_calibrate
     from palpate.calibration.plan import CalibrationPlan, Reference
-    from palpate.calibration.views import two_views
+    from palpate.calibration.views import regions_seen
     from palpate.estimators.networks import model_kind
     from palpate.estimators.networks.many_processes import Crew
     from palpate.recordings.reader import Run
@@ -102,8 +102,8 @@ def calibrate(
         sys.path.append(str(Path.cwd()))  # a module of one's own lies where one works
     recorded, kind = Run.open(run), model_kind(model)
     crops = _crops(crop or [])
-    if kind.views == 2 and crops[0] is None:
-        crops = two_views(recorded.manifest)
+    if kind.regions and crops[0] is None:
+        crops = regions_seen(recorded.manifest, kind.regions)  # type: ignore[assignment]
     plan = CalibrationPlan(
         targets=columns_of(targets) or kind.targets or recorded.manifest.targets,
         model=model,

@@ -1,7 +1,7 @@
 """The nouns that every room speaks in, their units, their errors and the clock."""
 
 from palpate.core.clock import Clock, ManualClock, MonotonicClock
-from palpate.core.contact import Contact, Pose, Probe
+from palpate.core.contact import Contact, Pose, PressHistory, Probe, Specimen
 from palpate.core.errors import (
     CertificateError,
     ColumnError,
@@ -22,6 +22,7 @@ from palpate.core.errors import (
     UnitError,
 )
 from palpate.core.frame import Frame
+from palpate.core.outline import Outline
 from palpate.core.protocols import (
     Camera,
     ForceSensor,
@@ -41,6 +42,7 @@ from palpate.core.quantity import (
     VectorReading,
 )
 from palpate.core.reading import Drift, MeasurementResult, Reading, Readings
+from palpate.core.sensor import Sensor
 from palpate.core.units import Unit, has_unit, split_column, unit
 
 __all__ = [
@@ -67,10 +69,12 @@ __all__ = [
     "MeasurementResult",
     "MissingExtraError",
     "MonotonicClock",
+    "Outline",
     "PalpateError",
     "PluginError",
     "Pose",
     "Position",
+    "PressHistory",
     "Probe",
     "ProtocolError",
     "RangeError",
@@ -78,7 +82,9 @@ __all__ = [
     "Readings",
     "RecordingError",
     "SafetyError",
+    "Sensor",
     "SetReading",
+    "Specimen",
     "SplitError",
     "Stage",
     "StorageError",

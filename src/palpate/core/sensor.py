@@ -304,7 +304,7 @@ def _region_faults(made: Sensor) -> Iterator[str]:
     (width, height), regions = made.frame_px, made.regions()
     for name, (x, y, w, h) in regions.items():
         if min(x, y) < 0 or min(w, h) < 1 or x + w > width or y + h > height:
-            yield f"its regions lie inside its frame, {width} x {height} px, and {name} {(x, y, w, h)} does not"
+            yield f"its regions lie in its frame of {width} x {height} px; {name} {(x, y, w, h)} does not"
     if not (isinstance(made.axes, Axes) and made.axes.region in regions):
         yield f"its axes are Axes of one of its regions, {', '.join(regions) or 'of which it has none'}"
 

@@ -22,7 +22,7 @@ class Kind:
         channels: it was made for, 1 or 3; 0 where any will do.
         delta: whether it was made for differences from the untouched sensor; None where either will do.
         targets: what it estimates, where that is fixed; empty where it estimates what it is asked.
-        views: how many parts of a frame it sees, side by side.
+        regions: of a frame that it sees side by side, by the sensor's names; empty where it sees the whole.
     """
 
     path: str = ""
@@ -31,11 +31,12 @@ class Kind:
     channels: int = 0
     delta: bool | None = None
     targets: tuple[str, ...] = ()
-    views: int = 1
+    regions: tuple[str, ...] = ()
 
 
 _FORCES = ("force_x_N", "force_y_N", "force_N")
 _PLACE = ("x_mm", "y_mm")
+_PALM = ("fringes", "mirror")
 
 MODELS: dict[str, Kind] = {
     "mean": Kind("palpate.estimators.networks.mean:Mean", 32),
@@ -49,7 +50,7 @@ MODELS: dict[str, Kind] = {
         channels=3,
         delta=False,
         targets=(*_FORCES, *_PLACE),
-        views=2,
+        regions=_PALM,
     ),
     "palm-force-conditioned": Kind(
         "palpate.estimators.networks.palm_force_conditioned:PalmForceConditioned",
@@ -58,7 +59,7 @@ MODELS: dict[str, Kind] = {
         channels=3,
         delta=True,
         targets=("force_N", *_PLACE),
-        views=2,
+        regions=_PALM,
     ),
     "palm-mlp-delta": Kind(
         "palpate.estimators.networks.palm_mlp_delta:PalmMlpDelta",
@@ -66,7 +67,7 @@ MODELS: dict[str, Kind] = {
         channels=1,
         delta=True,
         targets=_FORCES,
-        views=2,
+        regions=_PALM,
     ),
     "palm-two-stage": Kind(
         "palpate.estimators.networks.palm_two_stage:PalmTwoStage",
@@ -75,7 +76,7 @@ MODELS: dict[str, Kind] = {
         channels=1,
         delta=True,
         targets=("depth_mm", *_PLACE, *_FORCES, "force_magnitude_N"),
-        views=2,
+        regions=_PALM,
     ),
     "palm-compact": Kind(
         "palpate.estimators.networks.palm_compact:PalmCompact",
@@ -84,7 +85,7 @@ MODELS: dict[str, Kind] = {
         channels=3,
         delta=True,
         targets=("depth_mm", *_PLACE, "force_N"),
-        views=2,
+        regions=_PALM,
     ),
 }
 

@@ -284,6 +284,7 @@ def _run_name(out: str) -> str:
 
 MAX_SCATTERED = 1000  # random places, each of which is compared with all the others
 MAX_SHOTS = 500_000
+FIRST = "palm-reduced"  # on the usual sensor
 SHOWN = 100  # characters of a name
 
 

@@ -23,6 +23,7 @@ from palpate.mechanics.partial_slip import tangential_stiffness
 from palpate.sensors.palm import presets
 from palpate.sensors.palm.field import table_of
 from palpate.sensors.palm.press import FRICTION, LINEAR_DEPTH_M, press
+from palpate.sensors.palm.presses import Presses, draw_presses
 from palpate.sensors.palm.render import expose, is_ball, render, render_clean
 from palpate.sensors.palm.shapes import parse_probe
 from palpate.sensors.palm.spec import PalmSpec
@@ -173,6 +174,13 @@ class Palm:
             "step_mm": 0.1,
             "frames": 25,
         }
+
+    def draw_presses(
+        self, side_px: int, count: int, depths_each: int, rng: np.random.Generator, *told: Any, processes: int
+    ) -> Presses:
+        """Rendered presses to learn from, both regions as squares; see `presses.draw_presses`."""
+        spec = presets.cropped(self.spec, side_px, "palm-rendered")
+        return draw_presses(spec, count, depths_each, rng, *told, processes=processes)
 
     def for_rig(self) -> Palm:
         """Both regions as squares of 128 px; a palm that is smaller already stays as it is."""

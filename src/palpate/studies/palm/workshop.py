@@ -16,7 +16,7 @@ import pandas as pd
 
 from palpate.calibration.evaluate import predictions
 from palpate.calibration.plan import CalibrationPlan, Reference
-from palpate.calibration.views import two_views
+from palpate.calibration.views import regions_seen
 from palpate.core.errors import DeviceError
 from palpate.core.files import new_file
 from palpate.estimators.certified import Estimator, read_card
@@ -118,7 +118,7 @@ class Workshop:
             return out
         out.parent.mkdir(parents=True, exist_ok=True)
         run, kind = Run.open(self.folder / "runs" / way.run), model_kind(way.model)
-        first, beside = two_views(run.manifest)
+        first, beside = regions_seen(run.manifest, ("fringes", "mirror"))
         plan = CalibrationPlan(
             targets=way.targets or kind.targets,
             model=way.model,
