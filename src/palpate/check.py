@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from numpy import ndarray
 
-from palpate.core.contact import Contact, Pose
+from palpate.core.contact import Contact, Pose, Probe, Specimen
 from palpate.core.errors import InputError, PalpateError, RangeError
 from palpate.core.sensor import Sensor, contract_faults, force_law, frame_faults, untouched
 from palpate.core.shapes import Float
@@ -69,7 +69,7 @@ def _pressed(sensor: Sensor, share: float, x_m: float = 0.0, y_m: float = 0.0) -
     return sensor.press(probe, Pose(x_m, y_m, depth_m), specimen)
 
 
-def _own(sensor: Sensor):  # type: ignore[no-untyped-def]
+def _own(sensor: Sensor) -> tuple[Probe, Specimen | None]:
     return sensor.probe(sensor.default_probe), sensor.specimen(sensor.default_probe)
 
 
@@ -123,7 +123,7 @@ def plausible(sensor: Sensor) -> Part:
         ("forces [N]", [contact.force_n, *contact.lateral_n], GREATEST_N),
         ("pressures [Pa]", [contact.pressure_pa], GREATEST_PA),
     ):
-        greatest = max(float(np.abs(value).max()) for value in values)
+        greatest = max(float(np.abs(np.asarray(value)).max()) for value in values)
         if not greatest <= most:
             wrong.append(f"{what} up to {greatest:g}; no touch goes beyond {most:g}")
     if not (contact.radius_m > 0 and np.asarray(contact.touching).any()):

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from palpate.core.errors import InputError
+from palpate.core.sensor import sensor
 from palpate.rig.plans import PLANS, Grid, Listed, Scattered, Stepped, plan_from, plan_of, size_of
 from palpate.rig.plans.stepped import Dwell, Lateral
 from palpate.rig.plans.steps import Aside, Burst, Depth, Over, Seek, Step, Tare
@@ -165,3 +166,29 @@ def test_a_plan_is_read_from_toml_and_says_which_file_is_wrong(tmp_path: Path) -
 def test_places_by_hand_stay_in_the_order_given() -> None:
     places = Listed(kind="listed", at_mm=((1, 2), (0, 0))).places()
     assert [(p.x_mm, p.y_mm) for p in places] == [(1, 2), (0, 0)]
+
+
+def test_a_plan_is_laid_on_the_outline_and_probe_of_its_sensor() -> None:
+    bare = plan_from({"places": {"kind": "listed", "at_mm": [[0.0, 0.0]]}}, sensor("tactip"))
+    assert bare.indenters == ("rigid",)
+    assert bare.places.sizes_mm() == (pytest.approx(1.396, abs=1e-3), 0.0)
+    assert plan_from({}).places.sizes_mm() == (57.0, 10.0)
+
+
+def test_places_on_a_rectangle_keep_the_probe_inside_it() -> None:
+    corners = ((-20.0, -10.0), (20.0, -10.0), (20.0, 10.0), (-20.0, 10.0))
+    grid = Grid(per_side=9, pitch_mm=5.0, layer_mm=45.0, probe_mm=10.0, corners_mm=corners)
+    found = {(p.x_mm, p.y_mm) for p in grid.places()}
+    assert found == {(x, y) for x in (-15, -10, -5, 0, 5, 10, 15) for y in (-5, 0, 5)}
+    scattered = Scattered(
+        kind="scattered", count=40, layer_mm=45.0, probe_mm=10.0, corners_mm=corners
+    ).places()
+    assert all(abs(p.x_mm) <= 15 and abs(p.y_mm) <= 5 for p in scattered)
+
+
+@pytest.mark.parametrize(
+    ("name", "begins"),
+    [("palm", "e542eaa5067f"), ("layer", "551bc56c3b4e"), ("tactip-press", "b2828c4cf9cf")],
+)
+def test_a_plan_has_the_hash_that_runs_of_before_hold(name: str, begins: str) -> None:
+    assert PLANS[name].hash.startswith(begins)

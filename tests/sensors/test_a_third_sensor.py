@@ -16,7 +16,7 @@ import palpate
 from palpate.check import check_sensor
 from palpate.cli import app
 from palpate.recordings import Run
-from palpate.rig.plans import PLANS
+from palpate.rig.plans import PLANS, plan_from
 
 PAD = '''
 """A square pad of rubber over a camera."""
@@ -108,12 +108,13 @@ class Pad:
         return {
             "kind": "stepped",
             "name": "pad",
-            "places": {"kind": "grid", "per_side": 3, "pitch_mm": 6.0},
-            "cycles": 2,
+            "places": {"kind": "listed", "at_mm": [[0.0, 0.0]]},
+            "cycles": 12,
             "depth_mm": 0.6,
             "step_mm": 0.2,
             "frames": 2,
             "reference_frames": 1,
+            "taps": 0,
         }
 '''
 
@@ -135,7 +136,9 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_sensor_of_one_folder_is_found_checked_recorded_and_calibrated(installed: Path) -> None:
     pad = palpate.sensor("pad")
     assert [one for one in check_sensor(pad) if not one.ok] == []
-    assert len(PLANS["pad"].places.places()) == 9
+    assert PLANS["pad"].indenters == ("sphere:8",)
+    wide = plan_from({"places": {"kind": "grid", "per_side": 5, "pitch_mm": 6.0}}, pad)
+    assert len(wide.places.places()) == 9  # the outer ones reach over the pad's edge
 
     run, cal = installed / "run", installed / "cal"
     recorded = CliRunner().invoke(

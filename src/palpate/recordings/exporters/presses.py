@@ -81,13 +81,14 @@ def _presses(run: Run) -> Iterator[_Press]:
         return
     sweeps = labels[labels["phase"] == SWEEP]
     places = sweeps["location"].nunique()
-    for (place, words, cycle), rows in sweeps.groupby(["location", "indenter", "cycle"], sort=False):
+    for (place, words, _), rows in sweeps.groupby(["location", "indenter", "cycle"], sort=False):
         try:
             specimen = Specimen.parse(str(words).partition("@")[0])
         except InputError:
             continue
         last = rows[rows["approach"] == rows["approach"].max()]  # an interrupted sweep was done again
-        name = f"{int(cycle):02d}" if places == 1 else f"{place}-{int(cycle):02d}"
+        cycle = int(last["cycle"].iloc[0])
+        name = f"{cycle:02d}" if places == 1 else f"{place}-{cycle:02d}"
         yield _Press(specimen, UNTOLD not in str(words), name, last.index.to_numpy(np.int64))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from palpate.sensors.tactip import TacTipSpec, pictured
 from palpate.sensors.tactip.inclined import inclined
+from palpate.sensors.tactip.press import modulus_pa
 from palpate.studies.tactip.controls import FINE_STEPS, KAPPA_N_M
 from palpate.studies.tactip.courses import (
     HIGH_N,
@@ -21,7 +22,6 @@ from palpate.studies.tactip.courses import (
     tracked_course,
     true_course,
 )
-from palpate.studies.tactip_trials import modulus_pa
 
 METHODS = ("horn-schunck", "coarse-to-fine", "dis", "tracked")
 

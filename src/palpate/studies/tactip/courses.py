@@ -22,8 +22,7 @@ from palpate.mechanics.tip_table import HeadOnPress
 from palpate.sensors.tactip import HeadOn, TacTipSpec, Trial, trial
 from palpate.sensors.tactip.camera import projected
 from palpate.sensors.tactip.pins import HeadOnSkin
-from palpate.sensors.tactip.press import pixels_per_tangent
-from palpate.studies.tactip_trials import modulus_pa
+from palpate.sensors.tactip.press import modulus_pa, pixels_per_tangent
 
 LOW_N, HIGH_N = 0.5, 5.0
 MIDDLE_M = 6e-3

@@ -1,0 +1,108 @@
+"""The virtual rig drives the TacTip: presses on specimens come back from the run as compliance reads them."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palpate.calibration.compliance import Reference, calibrate_compliance
+from palpate.calibration.compliance_reading import read_touch
+from palpate.core.errors import ExistsError
+from palpate.core.sensor import sensor
+from palpate.recordings.exporters.presses import export_presses, latency_s
+from palpate.recordings.press_folder import PressFolder, press_folder
+from palpate.recordings.press_table import read_press_table
+from palpate.recordings.reader import Run
+from palpate.recordings.tiff import TiffFrames
+from palpate.rig import PLANS, State, record
+from palpate.rig.virtual import virtual_rig
+from palpate.rig.virtual.camera import TRANSPORT_S
+from palpate.rig.virtual.force import LATENCY_S
+from palpate.studies.compliance.cues import cues_of
+
+TACTIP = sensor("tactip")
+FEW = PLANS["tactip"].model_copy(update={"indenters": ("rigid", "S3=1.1?"), "cycles": 1, "wait_s": 0.0})
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """One press on a rigid plate and one on the softest specimen."""
+    out = tmp_path_factory.mktemp("tactip") / "run"
+    rig = virtual_rig("tactip", seed=2)
+    try:
+        outcome = record(rig, FEW, out)
+    finally:
+        rig.close()
+    assert outcome.state is State.DONE, outcome.message
+    export_presses(Run.open(out))
+    return Run.open(out)
+
+
+def test_a_run_on_specimens_is_read_as_an_experiments_folder(run: Run) -> None:
+    folder = press_folder(run.path)
+    assert [(one.name, one.stiffness_n_m) for one in folder.specimens] == [("rigid", math.inf), ("S3", None)]
+    with pytest.raises(ExistsError):
+        export_presses(run)
+
+
+def test_force_position_and_area_of_a_press_are_those_of_its_contact(run: Run) -> None:
+    for one, words in zip(press_folder(run.path).specimens, FEW.indenters, strict=True):
+        tiff, path = one.presses[0]
+        with TiffFrames(tiff) as pages:
+            table = read_press_table(path, len(pages))
+        assert 5.0 < table.force_n.max() < 5.4
+        assert table.area_m2 is not None
+        body = TACTIP.force_law(TACTIP.probe(words), TACTIP.specimen(words))  # type: ignore[attr-defined]
+        at = table.frame_sample[table.force_n[table.frame_sample] > 1.0]
+        law_n = np.interp(table.area_m2[at], math.pi * body.radius_m**2, body.force_n)
+        # Noise of 0.02 N in steps of 1/16 N, and a force that moves on by 0.1 N while a frame is exposed.
+        assert np.abs(table.force_n[at] - law_n).max() < 0.25
+        assert np.abs(np.median(table.force_n[at] - law_n)) < 0.03
+
+
+def test_the_camera_s_latency_is_told_by_taps(run: Run) -> None:
+    """A frame is stamped its transport after the end of its exposure, a force sample its own latency late."""
+    late_s = TRANSPORT_S - LATENCY_S
+    assert latency_s(run) == pytest.approx(late_s, abs=6e-3)  # an eighth of the camera's period
+
+
+def test_seating_differs_from_press_to_press_and_not_before_a_touch(run: Run) -> None:
+    first = []
+    for one in press_folder(run.path).specimens:
+        with TiffFrames(one.presses[0][0]) as pages:
+            frames = [frame.astype(float) for _, frame in zip(range(3), pages, strict=False)]
+        noise = TACTIP.spec.camera.noise
+        assert (frames[1] - frames[0]).std() == pytest.approx(math.sqrt(2) * noise, rel=0.1)
+        first.append(frames[0])
+    assert (first[1] - first[0]).std() > 3 * noise
+
+
+@pytest.mark.slow
+def test_the_stiffness_of_a_specimen_is_read_from_a_recorded_run(tmp_path: Path) -> None:
+    """Five presses each: to 3 %, as from the same presses without a rig."""
+    rig = virtual_rig("tactip", seed=1)
+    assert record(rig, PLANS["tactip"], tmp_path / "run").state is State.DONE
+    folder = export_presses(Run.open(tmp_path / "run"))
+    assert folder is not None
+    trials = _trials(folder)
+    references = [
+        Reference(one.name, one.stiffness_n_m, trials[one.name])
+        for one in folder.specimens
+        if one.stiffness_n_m is not None
+    ]
+    touch = read_touch(calibrate_compliance(references), [one.press for one in trials["new"]], "new")
+    assert touch.stiffness.in_unit("N_per_mm").value == pytest.approx(5.3, rel=0.03)
+
+
+def _trials(folder: PressFolder):  # type: ignore[no-untyped-def]
+    found = {}
+    for one in folder.specimens:
+        cues = []
+        for tiff, path in one.presses:
+            with TiffFrames(tiff) as pages:
+                cues.append(cues_of(list(pages), read_press_table(path, len(pages))))
+        found[one.name] = tuple(one.trial for one in cues)
+    return found
