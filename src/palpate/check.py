@@ -15,7 +15,7 @@ from palpate.core.contact import Contact, Pose, Probe, Specimen
 from palpate.core.errors import InputError, PalpateError, RangeError
 from palpate.core.sensor import Sensor, contract_faults, force_law, frame_faults, untouched
 from palpate.core.shapes import Float
-from palpate.rig.check.finding import Finding, at_most, held, judged, refusal, told
+from palpate.devices.check.result import CheckResult, at_most, held, judged, refusal, told
 from palpate.rig.plans.load import plan_from
 
 DEPTHS = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)  # of the known depth
@@ -29,17 +29,17 @@ ALIGNED = 0.7  # cosine of the angle between where it moves and where the axes s
 FRAMES = 4  # whose mean is looked at, so that noise counts less
 STRANGE = 1e-3  # of a depth, beyond which a refused depth is asked for
 
-Part = Iterator[Finding]
+Part = Iterator[CheckResult]
 
 
-def check_sensor(sensor: Sensor) -> list[Finding]:
+def check_sensor(sensor: Sensor) -> list[CheckResult]:
     """Check a sensor against every law.
 
     Args:
         sensor: see `core.sensor.Sensor`.
 
     Returns:
-        A finding a law, in the same order every time; those that do not hold say what to do.
+        One result for each law, in the same order every time; those that do not hold say what to do.
 
     Example:
         >>> import palpate
