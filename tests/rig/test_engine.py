@@ -13,7 +13,6 @@ from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, plan, rig, wanted
 
 from palpate.core.clock import ManualClock
 from palpate.core.errors import RecordingError
-from palpate.core.sensor import sensor
 from palpate.recordings.check import check
 from palpate.recordings.reader import Run
 from palpate.rig import OperatorCommand, OperatorControl, State, Status, done_in, record
@@ -40,7 +39,7 @@ def test_a_run_is_sound_and_says_what_it_is(whole: Run) -> None:
     assert whole.manifest.sensor == "virtual tiny"
     assert whole.manifest.units["force_N"] == "N"
     assert whole.manifest.seed == 5
-    assert fields_of(whole, "plan")[0]["hash"] == plan().on(sensor()).hash
+    assert fields_of(whole, "plan")[0]["hash"] == plan().hash
 
 
 def test_force_in_a_label_is_the_truth_within_the_sensors_noise(whole: Run) -> None:

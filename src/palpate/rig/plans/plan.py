@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from palpate.core.errors import InputError
 from palpate.core.sensor import Sensor
+from palpate.core.sensor import sensor as sensor_of
 from palpate.rig.plans.places import Grid, Place, Places, Positive
 from palpate.rig.plans.steps import Done, Shot, Steps
 
@@ -104,8 +105,10 @@ class Plan(BaseModel):
 
     @property
     def hash(self) -> str:
-        """SHA-256 of all that decides what is recorded."""
-        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        """SHA-256 of all that decides what is recorded; on the usual sensor where it is laid on none yet."""
+        bare = self.places.layer_mm is None or self.places.probe_mm is None
+        plan = self.on(sensor_of()) if bare else self
+        text = json.dumps(plan.model_dump(mode="json"), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property
