@@ -46,7 +46,9 @@ def check_model(
     plan = CalibrationPlan(targets, model=model, options=dict(options or {}))
     kind = model_kind(plan.model)
     columns = kind.targets or tuple(plan.targets)
-    made = _MadeUp.of(shape or (kind.channels or 1, kind.side_px, kind.side_px * max(len(kind.regions), 1)), columns)
+    made = _MadeUp.of(
+        shape or (kind.channels or 1, kind.side_px, kind.side_px * max(len(kind.regions), 1)), columns
+    )
     fitted = _fitted(plan, made)
     _check_estimates(plan.model, fitted, made)
     _check_same_again(plan, fitted, made)

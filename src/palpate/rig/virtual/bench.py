@@ -12,7 +12,7 @@ from palpate.core.errors import InputError
 from palpate.core.protocols import Position, Travel
 from palpate.core.sensor import DEFAULT_SENSOR, Sensor, for_rig, frame_faults, variation_of
 from palpate.core.sensor import sensor as sensor_of
-from palpate.rig.limits import Limits
+from palpate.devices.limits import Limits
 from palpate.rig.rig import Region, Rig
 from palpate.rig.virtual.camera import TRANSPORT_S, VirtualCamera
 from palpate.rig.virtual.faults import Fault
