@@ -7,13 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from palpate.calibration.compliance import Reference, ReferenceTrial
-from palpate.estimators.casr.force import (
-    CONTACT_N,
-    loading,
-    moving_average,
-    within,
-    without_spikes,
-)
+from palpate.estimators.casr.force import CONTACT_N, loading, moving_average, within, without_spikes
 from palpate.estimators.casr.pin_press import UNTOUCHED_N, PinPress, watched
 from palpate.sensors.tactip import Specimen, TacTipSpec, Trial, trial
 

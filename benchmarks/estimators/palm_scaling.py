@@ -101,10 +101,11 @@ def as_one_of_two() -> None:
     """All ways in turn, by both processes; the first tells."""
     import torch
 
+    from palpate.estimators.networks.base import Scaler
     from palpate.estimators.networks.descent import Descent, Lesson
     from palpate.estimators.networks.many_processes import Crew
     from palpate.estimators.networks.palm_compact import CompactPalmNetwork, _loss
-    from palpate.estimators.networks.palm_views import Scaler, Scales
+    from palpate.estimators.networks.palm_views import Scales
 
     crew, rng = Crew.of_environment(), np.random.default_rng(0)
     frames = rng.integers(0, 256, (ROWS, SIDE, 2 * SIDE, 3), np.uint8)

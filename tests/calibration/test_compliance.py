@@ -17,7 +17,8 @@ from palpate.calibration.compliance import (
 from palpate.calibration.compliance_reading import read_touch
 from palpate.core.errors import CertificateError, ExistsError, InputError, RangeError, StorageError
 from palpate.sensors.tactip import tactip
-from palpate.studies.tactip_trials import modulus_pa, specimens_at
+from palpate.sensors.tactip.press import modulus_pa
+from palpate.studies.tactip_trials import specimens_at
 
 TRIALS = 3
 

@@ -8,7 +8,10 @@ import sys
 import pytest
 
 from palpate.core import MonotonicClock
-from palpate.rig.check import CheckResult, check_camera, check_force_sensor, check_stage
+from palpate.devices.check.camera_check import check_camera
+from palpate.devices.check.force_check import check_force_sensor
+from palpate.devices.check.result import CheckResult
+from palpate.devices.check.stage_check import check_stage
 from palpate.rig.fakes.grbl_firmware import GrblFirmware
 from palpate.rig.fakes.grbl_model import GrblFaults, GrblModel
 from palpate.rig.fakes.netft_box import FakeNetFT

@@ -14,7 +14,7 @@ from palpate.core.contact import Contact, Pose
 from palpate.core.errors import InputError, RangeError
 from palpate.core.frame import Frame
 from palpate.core.outline import Outline
-from palpate.core.sensor import SENSORS, Axes, Sensor, contract_faults, for_rig, sensor
+from palpate.core.sensor import SENSORS, ImageAxes, Sensor, contract_faults, for_rig, sensor
 from palpate.rig.virtual import virtual_rig
 from palpate.sensors import palm
 from palpate.sensors.palm.sensor import Palm
@@ -110,7 +110,7 @@ WRONG: dict[str, dict[str, Any]] = {
             SOUND.press(SOUND.probe("sphere:10"), Pose(0.0, 0.0, 0.0)), rng, *rest
         )
     },
-    "a contact moves in the image as the axes say": {"axes": Axes("mirror", (-1e3, 0.0), (0.0, 866.0))},
+    "a contact moves in the image as the axes say": {"axes": ImageAxes("mirror", (-1e3, 0.0), (0.0, 866.0))},
     "its outline holds its own plan's places": {
         "outline": Outline.disc(57e-3),
         "default_plan": lambda: {
@@ -144,7 +144,7 @@ def test_a_sensor_that_breaks_a_law_is_found_out_by_it(law: str) -> None:
         ({"moves": "both"}, "moves is"),
         ({"spec": {"diameter_m": 1}}, "spec is a frozen dataclass"),
         ({"outline": 57e-3}, "outline is an Outline"),
-        ({"axes": Axes("top", (1, 0), (0, 1))}, "axes are Axes of one of its regions, fringes, mirror"),
+        ({"axes": ImageAxes("top", (1, 0), (0, 1))}, "axes are Axes of one of its regions, fringes, mirror"),
         ({"render": None}, "a sensor has render"),
     ],
 )

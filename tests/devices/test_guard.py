@@ -14,10 +14,10 @@ from palpate.core.errors import StorageError
 from palpate.core.protocols import ForceSensor, Position, Stage, Travel, Wrench
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.guard import MotionGuard, Subscribers
-from palpate.devices.limits import Limits
+from palpate.devices.limits import Limits, Reason, Tripped
 from palpate.devices.operator import OperatorControl
 from palpate.recordings.reader import Run
-from palpate.rig import Reason, State, Status, Tripped, record
+from palpate.rig import State, Status, record
 from palpate.rig.plans import Listed, Swept
 from palpate.rig.rig import Rig
 

@@ -11,7 +11,8 @@ torch = pytest.importorskip("torch", reason="the extra `train` is not installed"
 
 from torch import nn  # noqa: E402
 
-from palpate.estimators.networks.descent import Descent, Lesson, Run, fast_bfloat16  # noqa: E402
+from palpate.estimators.networks.compact_cnn import fast_bfloat16  # noqa: E402
+from palpate.estimators.networks.descent import Descent, Lesson, Run  # noqa: E402
 
 
 class Interrupted(Exception):

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import palpate
-import palpate.core.axes
+import palpate.core.shapes
 from palpate.core import Contact, ManualClock, Pose, Probe
 from palpate.core.units import UNITS
 from palpate.version import __version__

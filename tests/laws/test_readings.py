@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from palpate.core import ColumnError, InputError, Reading, Readings, UnitError
-from palpate.core.quantity import (
+from palpate.core.reading import (
     AlignedBox,
     CircularReading,
     Ellipsoid,

@@ -11,9 +11,11 @@ from tests.rig.rigs import CLOCK_NS, plan, rig
 
 from palpate.core.clock import ManualClock
 from palpate.core.frame import Frame
+from palpate.devices.limits import Reason
+from palpate.devices.operator import OperatorCommand, OperatorControl
 from palpate.recordings.align import offset_between
 from palpate.recordings.reader import Run
-from palpate.rig import OperatorCommand, OperatorControl, Outcome, Reason, State, Status, record
+from palpate.rig import Outcome, State, Status, record
 from palpate.rig.clock_sync import CLOCKS, MAX_S, most_telling
 from palpate.rig.plans import Listed, Swept
 from palpate.rig.progress import fields_of

@@ -9,9 +9,10 @@ from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, plan, rig, wanted
 
 from palpate.core.clock import ManualClock
 from palpate.core.errors import StorageError
+from palpate.devices.limits import Limits, Reason, Tripped
 from palpate.recordings.check import check
 from palpate.recordings.reader import Run
-from palpate.rig import Limits, Reason, State, Tripped, record
+from palpate.rig import State, record
 from palpate.rig.plans import Grid, Listed, Swept
 from palpate.rig.virtual import Fault, Variation
 from palpate.rig.virtual.bench import TRAVEL

@@ -8,8 +8,9 @@ import pytest
 from tests.rig.rigs import plan
 
 from palpate.core.errors import DeviceError, InputError
+from palpate.devices.limits import Reason
 from palpate.devices.rpc import path_of
-from palpate.rig import Reason, State, open_rig, record
+from palpate.rig import State, open_rig, record
 from palpate.rig.fakes.netft_box import FakeNetFT
 from palpate.rig.service import opening, rig_name
 from palpate.rig.virtual.bench import REAL_TIME_AGE_S

@@ -9,15 +9,7 @@ from palpate.optics.colour import Spectrum
 from palpate.sensors import palm
 from palpate.sensors.palm import fringes, mirror
 from palpate.sensors.palm.render import lamp
-from palpate.sensors.palm.wear import (
-    MOST_SCRATCHES,
-    Wear,
-    film,
-    passed_by,
-    scratches_over,
-    spread,
-    worn,
-)
+from palpate.sensors.palm.wear import MOST_SCRATCHES, Wear, film, passed_by, scratches_over, spread, worn
 
 SPEC, FULL = palm.debug(), palm.palm()
 USED = Wear(haze=0.2, scratches=20, yellowing=0.2)

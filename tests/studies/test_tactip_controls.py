@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.sensors.tactip import PINS_331, TacTipSpec
+from palpate.sensors.tactip.press import modulus_pa
 from palpate.studies.tactip.controls import (
     CONDITIONS,
     FROM_N,
@@ -23,7 +24,6 @@ from palpate.studies.tactip.controls import (
 from palpate.studies.tactip.costs import areas_by_friction, linear_error, shares, truth
 from palpate.studies.tactip.courses import head_on, recorded, true_course
 from palpate.studies.tactip.energy import STEP_N, contour, contour_rad, told
-from palpate.studies.tactip_trials import modulus_pa
 
 S1, S3 = KAPPA_N_M["S1"], KAPPA_N_M["S3"]
 

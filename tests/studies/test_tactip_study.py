@@ -14,15 +14,10 @@ from palpate.core.errors import ExistsError, InputError
 from palpate.psychophysics.lines import fit_line
 from palpate.sensors.tactip import tactip, trial
 from palpate.studies.tactip import reproduce as study
-from palpate.studies.tactip.experiment import (
-    Experiment,
-    kappa_n_m,
-    stiffness_line,
-    table_of,
-    under_plate,
-)
+from palpate.studies.tactip.controls import order
+from palpate.studies.tactip.experiment import Experiment, kappa_n_m, stiffness_line, table_of, under_plate
 from palpate.studies.tactip.published import KAPPA, KAPPA_NEW, NAMES
-from palpate.studies.tactip.reproduce import CUES, entry, order, reproduce_tactip
+from palpate.studies.tactip.reproduce import CUES, entry, reproduce_tactip
 from palpate.studies.tactip_trials import specimens_at
 
 FIELDS = {"name", "value", "unit", "published", "source", "why"}

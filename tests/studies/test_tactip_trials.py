@@ -15,8 +15,9 @@ from palpate.recordings.press_table import read_press_table
 from palpate.recordings.tiff import TiffFrames
 from palpate.sensors.tactip import HeadOn, tactip, trial
 from palpate.sensors.tactip.inclined import Inclined
+from palpate.sensors.tactip.press import modulus_pa
 from palpate.studies import tactip_trials
-from palpate.studies.tactip_trials import REPORT_N_M, modulus_pa, record_trials, specimens_at
+from palpate.studies.tactip_trials import REPORT_N_M, record_trials, specimens_at
 
 
 @pytest.fixture(scope="module")

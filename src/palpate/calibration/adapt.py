@@ -23,23 +23,18 @@ import onnx
 from palpate.calibration.adapted_certificate import write_adapted
 from palpate.calibration.adapted_guard import guard_with
 from palpate.calibration.correction import Adapted, Correction, correct
-from palpate.calibration.data import (
-    find_untouched,
-    marked,
-    prepared_images,
-    rows_to_learn,
-    training_data,
-)
+from palpate.calibration.data import find_untouched, marked, prepared_images, rows_to_learn, training_data
 from palpate.calibration.leakage import audit
 from palpate.calibration.made import Calibrated
 from palpate.calibration.plan import CalibrationPlan, Reference
-from palpate.core.axes import Indices, Tensor, Values
 from palpate.core.errors import ImageError, InputError, LabelError
 from palpate.core.files import PathText, refuse_existing, storage_errors
+from palpate.core.shapes import Indices, Tensor, Values
 from palpate.estimators.card import Card
 from palpate.estimators.certified import Estimator, checked_file, intervals_of
-from palpate.estimators.guard import Guard, thumbnails
+from palpate.estimators.guard import Guard
 from palpate.estimators.networks.base import Progress, TrainingData, silent
+from palpate.estimators.seen import thumbnails
 from palpate.recordings.labels import targets_from
 from palpate.recordings.pack import PackedSet, pack
 from palpate.recordings.reader import Run

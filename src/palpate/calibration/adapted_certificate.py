@@ -23,8 +23,8 @@ from palpate.calibration.certificate_parts import (
 from palpate.calibration.correction import AS_IT_WAS, Adapted
 from palpate.calibration.made import Calibrated
 from palpate.calibration.uncertainty import GROUPS_FOR_SPREAD, conformal_quantile, fit_intervals
-from palpate.core.axes import Values
 from palpate.core.files import new_folder
+from palpate.core.shapes import Values
 from palpate.estimators.card import Card, SplitCard, sealed
 from palpate.estimators.certified import CARD_FILE
 from palpate.estimators.intervals import Intervals

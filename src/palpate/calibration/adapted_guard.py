@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from palpate.core.axes import Indices
+from palpate.core.shapes import Indices
 from palpate.estimators.guard import Guard, fit_guard
 from palpate.estimators.seen import AlsoSeen, Thumbnails
 

@@ -20,15 +20,9 @@ from palpate.calibration.certificate_parts import (
 )
 from palpate.calibration.made import Calibrated
 from palpate.calibration.uncertainty import fit_intervals
-from palpate.core.axes import Values
 from palpate.core.files import new_folder
-from palpate.estimators.card import (
-    FORMAT,
-    Card,
-    InputCard,
-    SplitCard,
-    sealed,
-)
+from palpate.core.shapes import Values
+from palpate.estimators.card import FORMAT, Card, InputCard, SplitCard, sealed
 from palpate.estimators.certified import CARD_FILE
 from palpate.estimators.intervals import Intervals
 from palpate.estimators.networks import settings_of

@@ -12,9 +12,9 @@ import onnxruntime
 
 from palpate.calibration.evaluate import score
 from palpate.calibration.made import Calibrated
-from palpate.core.axes import Indices, Values
 from palpate.core.errors import CertificateError
 from palpate.core.files import sha256_of
+from palpate.core.shapes import Indices, Values
 from palpate.core.units import split_column
 from palpate.estimators.card import FileCard, ReferenceCard, RunCard, TargetCard
 from palpate.estimators.intervals import Intervals

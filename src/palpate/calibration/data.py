@@ -9,9 +9,8 @@ import numpy as np
 import pandas as pd
 
 from palpate.calibration.plan import CalibrationPlan, Reference
-from palpate.core.axes import Indices, Tensor
 from palpate.core.errors import LabelError
-from palpate.core.shapes import Bool, Float32, Int, Shaped
+from palpate.core.shapes import Bool, Float32, Indices, Int, Shaped, Tensor
 from palpate.estimators.networks.base import TrainingData
 from palpate.recordings.labels import targets_from
 from palpate.recordings.pack import PackedSet

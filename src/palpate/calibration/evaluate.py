@@ -10,10 +10,9 @@ import pandas as pd
 from palpate.calibration.data import marked
 from palpate.calibration.plan import Reference
 from palpate.calibration.uncertainty import grouped_coverage_interval
-from palpate.core.axes import Values
 from palpate.core.errors import LabelError
 from palpate.core.reading import Readings
-from palpate.core.shapes import Shaped
+from palpate.core.shapes import Shaped, Values
 from palpate.estimators.card import Card, ScoreCard
 from palpate.estimators.certified import Estimator, Zero
 from palpate.estimators.networks.base import Progress, silent

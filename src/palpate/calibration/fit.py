@@ -19,25 +19,19 @@ import numpy as np
 from scipy.stats import ks_2samp
 
 from palpate.calibration.certificate import write_certificate
-from palpate.calibration.data import (
-    Untouched,
-    find_untouched,
-    prepared_images,
-    rows_to_learn,
-    training_data,
-)
+from palpate.calibration.data import Untouched, find_untouched, prepared_images, rows_to_learn, training_data
 from palpate.calibration.leakage import audit
 from palpate.calibration.made import Calibrated
 from palpate.calibration.model_check import check_plugged_in
 from palpate.calibration.plan import CalibrationPlan
-from palpate.core.axes import Indices, Values
 from palpate.core.errors import ExistsError, InputError
 from palpate.core.files import PathText, new_file, refuse_existing, storage_errors
-from palpate.estimators.guard import Guard, fit_guard, thumbnails
+from palpate.core.shapes import Indices, Values
+from palpate.estimators.guard import Guard, fit_guard
 from palpate.estimators.networks import make_model, model_kind
 from palpate.estimators.networks.base import Fitted, Model, Progress, TrainingData, predict_rows, silent
 from palpate.estimators.networks.many_processes import Crew
-from palpate.estimators.seen import SawMore
+from palpate.estimators.seen import SawMore, thumbnails
 from palpate.recordings.labels import refuse_reserved, targets_from
 from palpate.recordings.pack import PackedSet, pack
 from palpate.recordings.reader import Run

@@ -27,9 +27,9 @@ from palpate.calibration.evaluate import groups_in, score
 from palpate.calibration.int8_model import int8_model
 from palpate.calibration.plan import CalibrationPlan, Reference
 from palpate.calibration.uncertainty import fit_intervals
-from palpate.core.axes import Indices, Tensor, Values
 from palpate.core.errors import CertificateError, InputError
 from palpate.core.files import PathText, new_folder, refuse_existing
+from palpate.core.shapes import Indices, Tensor, Values
 from palpate.estimators.card import Card, TargetCard, sealed
 from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
 from palpate.estimators.networks.base import Progress, TrainingData, silent

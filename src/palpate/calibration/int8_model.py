@@ -16,8 +16,8 @@ import onnx
 from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
-from palpate.core.axes import Tensor
 from palpate.core.errors import InputError
+from palpate.core.shapes import Tensor
 
 ROUNDED = ("Conv", "Relu", "Add")
 

@@ -12,9 +12,8 @@ import pandas as pd
 from numpy import ndarray
 from PIL.JpegImagePlugin import JpegImageFile
 
-from palpate.core.axes import Image
 from palpate.core.errors import ImageError, InputError, LabelError, UnitError
-from palpate.core.shapes import Bool, Float, UInt8
+from palpate.core.shapes import Bool, Float, Image, UInt8
 from palpate.core.units import Unit, has_unit, split_column, unit
 from palpate.estimators.fringe_order import check_loads
 from palpate.recordings.images import read_image

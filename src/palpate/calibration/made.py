@@ -9,7 +9,7 @@ import numpy as np
 from palpate.calibration.data import Untouched
 from palpate.calibration.leakage import LeakageAudit
 from palpate.calibration.plan import CalibrationPlan
-from palpate.core.axes import Indices, Values
+from palpate.core.shapes import Indices, Values
 from palpate.estimators.guard import Guard
 from palpate.estimators.networks.base import Fitted, TrainingData
 from palpate.recordings.pack import PackedSet

@@ -12,8 +12,8 @@ import onnxruntime
 
 from palpate.calibration.certificate_parts import AGREEMENT
 from palpate.calibration.plan import CalibrationPlan
-from palpate.core.axes import Indices, Tensor, Values
 from palpate.core.errors import PalpateError, PluginError
+from palpate.core.shapes import Indices, Tensor, Values
 from palpate.estimators.networks import MODELS, make_model, model_kind
 from palpate.estimators.networks.base import Fitted, TrainingData
 

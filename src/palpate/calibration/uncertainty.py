@@ -16,9 +16,8 @@ from scipy.stats import binomtest
 from sklearn.linear_model import GammaRegressor
 from sklearn.model_selection import GroupKFold
 
-from palpate.core.axes import Values
 from palpate.core.errors import InputError
-from palpate.core.shapes import Float
+from palpate.core.shapes import Float, Values
 from palpate.estimators.intervals import Intervals, Spread, design
 from palpate.estimators.networks.base import Scaler
 

@@ -14,9 +14,10 @@ import typer
 from palpate.cli.shared import Group, Json, Quiet, print_found, progress_bar, reports_errors
 
 if TYPE_CHECKING:
+    from palpate.devices.check.result import CheckResult
+    from palpate.devices.operator import OperatorControl
     from palpate.recordings.align import Offset
-    from palpate.rig import OperatorControl, Status
-    from palpate.rig.check import CheckResult
+    from palpate.rig import Status
 
 plan_app = typer.Typer(
     cls=Group, add_completion=False, help="Plans of recordings.", no_args_is_help=True, rich_markup_mode=None
@@ -66,7 +67,8 @@ def record(
 
     Example: palpate record --rig virtual:palm --plan palm-reduced --out run
     """
-    from palpate.rig import OperatorControl, State, plan_of
+    from palpate.devices.operator import OperatorControl
+    from palpate.rig import State, plan_of
     from palpate.rig import record as record_plan
     from palpate.rig.rig_file import open_rig
 
@@ -243,7 +245,7 @@ def _late(clocks: Offset) -> str:
 @contextmanager
 def _signals_ask(control: OperatorControl) -> Iterator[None]:
     """Ctrl-C and a request to end abort the recording; the second time they are the emergency stop."""
-    from palpate.rig import OperatorCommand
+    from palpate.devices.operator import OperatorCommand
 
     def ask(number: int, frame: object) -> None:
         control.ask(

@@ -23,25 +23,20 @@ from palpate.core.errors import (
 )
 from palpate.core.frame import Frame
 from palpate.core.outline import Outline
-from palpate.core.protocols import (
-    Camera,
-    ForceSensor,
-    FrameSource,
-    Position,
-    Stage,
-    Travel,
-    Wrench,
-)
-from palpate.core.quantity import (
+from palpate.core.protocols import Camera, ForceSensor, FrameSource, Position, Stage, Travel, Wrench
+from palpate.core.reading import (
     AlignedBox,
     CircularReading,
+    Drift,
     Ellipsoid,
     FieldReading,
     GridAxis,
+    MeasurementResult,
+    Reading,
+    Readings,
     SetReading,
     VectorReading,
 )
-from palpate.core.reading import Drift, MeasurementResult, Reading, Readings
 from palpate.core.sensor import Sensor
 from palpate.core.units import Unit, has_unit, split_column, unit
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 from numpy import ndarray
 
-from palpate.core.axes import Field, Mask
 from palpate.core.errors import InputError
-from palpate.core.shapes import Float
+from palpate.core.shapes import Field, Float, Mask
 
 
 @dataclass(frozen=True, slots=True)

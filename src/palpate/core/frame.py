@@ -7,8 +7,8 @@ from html import escape
 
 import numpy as np
 
-from palpate.core.axes import Image
 from palpate.core.errors import ImageError
+from palpate.core.shapes import Image
 
 
 @dataclass(frozen=True, slots=True, repr=False)

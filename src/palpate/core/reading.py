@@ -2,6 +2,10 @@
 
 The scalar kind is here. Angles that wrap, vectors, fields and sets of candidates are in `core.quantity`; all
 carry what `MeasurementResult` holds.
+
+Readings that are no single number on a line: angles that wrap, vectors, fields, sets of candidates.
+
+Each says what its coverage is a rate of, and `contains` is the event that is counted.
 """
 
 from __future__ import annotations
@@ -12,7 +16,10 @@ from dataclasses import dataclass, replace
 from html import escape
 from typing import Any, TypeVar
 
-from palpate.core.errors import ColumnError, UnitError
+import numpy as np
+
+from palpate.core.errors import ColumnError, InputError, UnitError
+from palpate.core.shapes import Bool, Float
 from palpate.core.units import has_unit, split_column, unit
 
 Same = TypeVar("Same", bound="MeasurementResult")
@@ -203,3 +210,315 @@ class Readings(Mapping[str, MeasurementResult]):
 def plain_number(value: float) -> float | None:
     """Six significant digits, or None for what is not a number."""
     return float(f"{value:.6g}") if math.isfinite(value) else None
+
+
+def wrapped(difference: float, period: float) -> float:
+    """A difference modulo the period: the shortest way round, from -period/2 up to, not including, period/2.
+
+    Example:
+        >>> wrapped(179.0 - (-179.0), 360.0)
+        -2.0
+    """
+    return (difference + period / 2) % period - period / 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class CircularReading(MeasurementResult):
+    """A scalar that comes round again, such as an angle of ±180°; the coverage is that of the arc.
+
+    Attributes:
+        value: the estimate, in `unit`.
+        low, high: the arc, from `low` upwards to `high`, with low ≤ value ≤ high; an end may lie outside the
+            principal turn, as 170° and 190° do around 180°.
+        period: after which it comes round again, in `unit`.
+        calibrated_range: the arc that the calibration saw, from the first upwards to the second.
+    """
+
+    value: float
+    low: float
+    high: float
+    period: float
+    calibrated_range: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        if not self.period > 0:
+            raise InputError(f"{self.quantity}: the period is {self.period} {self.unit}; it is above 0")
+        if self.low > self.value or self.value > self.high:
+            raise InputError(
+                f"{self.quantity}: the arc from {self.low} to {self.high} {self.unit} does not hold its "
+                f"value {self.value} {self.unit}; let its ends run on beyond half a period"
+            )
+
+    def distance(self, other: float) -> float:
+        """The shortest way from `other` to the value, with its sign, in `unit`."""
+        return wrapped(self.value - other, self.period)
+
+    def contains(self, truth: float) -> bool:
+        """Whether a value, in `unit`, lies on the arc."""
+        return bool((truth - self.low) % self.period <= self.high - self.low)
+
+    def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
+        names = ("value", "low", "high", "period")
+        ends = {name: convert(getattr(self, name)) for name in names}
+        return {**ends, "calibrated_range": tuple(convert(end) for end in self.calibrated_range)}
+
+    def _numbers(self) -> dict[str, Any]:
+        numbers = {n: plain_number(getattr(self, n)) for n in ("value", "low", "high", "period")}
+        return {**numbers, "unit": self.unit, "range": [plain_number(end) for end in self.calibrated_range]}
+
+    def __str__(self) -> str:
+        half = min(self.high - self.low, self.period) / 2
+        shown = wrapped(self.value, self.period)
+        return (
+            f"{self.quantity} {shown:.3g} {self.unit} ± {half:.2g} {self.unit} "
+            f"(modulo {self.period:g} {self.unit}), {self.verdict}"
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ellipsoid:
+    """A joint region around a vector: offsets d with dᵀ S⁻¹ d ≤ radius².
+
+    Attributes:
+        covariance: S, in the square of the unit, symmetric and positive definite.
+        radius: how many standard deviations it reaches along each axis of S.
+    """
+
+    covariance: Float[np.ndarray, "k k"]
+    radius: float
+
+    def __post_init__(self) -> None:
+        covariance = self.covariance
+        symmetric = np.allclose(covariance, covariance.T)
+        if not (symmetric and np.linalg.eigvalsh(covariance).min() > 0 and self.radius > 0):
+            raise InputError("a region's covariance is symmetric and positive definite, its radius above 0")
+
+    def contains(self, offset: Float[np.ndarray, " k"]) -> bool:
+        """Whether an offset from the estimate lies within it."""
+        return bool(offset @ np.linalg.solve(self.covariance, offset) <= self.radius**2)
+
+    @property
+    def half_widths(self) -> Float[np.ndarray, " k"]:
+        """How far the ellipsoid reaches along each component."""
+        return np.asarray(self.radius * np.sqrt(np.diag(self.covariance)))
+
+    def scaled(self, factor: float) -> Ellipsoid:
+        """The same region in a unit that is 1/`factor` as large."""
+        return Ellipsoid(self.covariance * factor**2, self.radius)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AlignedBox:
+    """A joint region around a vector: each component within its half-width, all at once.
+
+    Attributes:
+        half_widths: in the unit, 0 or more.
+    """
+
+    half_widths: Float[np.ndarray, " k"]
+
+    def __post_init__(self) -> None:
+        if not (self.half_widths >= 0).all():
+            raise InputError(f"a box has half-widths of 0 or more, got {self.half_widths.tolist()}")
+
+    def contains(self, offset: Float[np.ndarray, " k"]) -> bool:
+        """Whether an offset from the estimate lies within it."""
+        return bool((np.abs(offset) <= self.half_widths).all())
+
+    def scaled(self, factor: float) -> AlignedBox:
+        """The same region in a unit that is 1/`factor` as large."""
+        return AlignedBox(self.half_widths * factor)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
+class VectorReading(MeasurementResult):
+    """Several components that were estimated together; the coverage is that of the joint region.
+
+    Attributes:
+        components: their names, such as ``("x", "y")``.
+        value: the estimates ``[k]``, in `unit`.
+        region: around `value`; it holds all components at once at the rate `coverage`.
+        calibrated_range: least and greatest of each component that the calibration saw ``[2 k]``, in `unit`.
+    """
+
+    components: tuple[str, ...]
+    value: Float[np.ndarray, " k"]
+    region: Ellipsoid | AlignedBox
+    calibrated_range: Float[np.ndarray, "2 k"]
+
+    def __post_init__(self) -> None:
+        k = len(self.components)
+        if not k or len(set(self.components)) != k:
+            raise InputError(f"{self.quantity}: components {self.components}; name one or more, each once")
+        if self.value.shape != (k,) or self.region.half_widths.shape != (k,):
+            raise InputError(f"{self.quantity}: {k} components need {k} values and a region of {k} axes")
+
+    def contains(self, truth: Float[np.ndarray, " k"]) -> bool:
+        """Whether a vector, in `unit`, lies in the joint region."""
+        return self.region.contains(truth - self.value)
+
+    def component(self, name: str) -> Reading:
+        """One component with the region's reach along it; it holds the truth at least at the joint rate.
+
+        Raises:
+            ColumnError: there is no such component.
+        """
+        if name not in self.components:
+            raise ColumnError(f"{self.quantity} has no component {name!r}: {', '.join(self.components)}")
+        at = self.components.index(name)
+        value, half = float(self.value[at]), float(self.region.half_widths[at])
+        least, greatest = (float(end) for end in self.calibrated_range[:, at])
+        return Reading(
+            quantity=f"{self.quantity}_{name}",
+            value=value,
+            low=value - half,
+            high=value + half,
+            calibrated_range=(least, greatest),
+            **provenance(self),
+        )
+
+    def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
+        return {
+            "value": convert(self.value),
+            "region": self.region.scaled(convert(1.0)),
+            "calibrated_range": convert(self.calibrated_range),
+        }
+
+    def _numbers(self) -> dict[str, Any]:
+        region = self.region
+        joint = (
+            {"covariance": _plain(region.covariance), "radius": plain_number(region.radius)}
+            if isinstance(region, Ellipsoid)
+            else {"half_widths": _plain(region.half_widths)}
+        )
+        return {
+            "value": dict(zip(self.components, _plain(self.value), strict=True)),
+            "unit": self.unit,
+            "region": joint,
+            "range": _plain(self.calibrated_range),
+        }
+
+    def __str__(self) -> str:
+        each = zip(self.components, self.value, self.region.half_widths, strict=True)
+        shown = ", ".join(f"{name} {value:.3g} ± {half:.2g}" for name, value, half in each)
+        return f"{self.quantity} ({shown}) {self.unit} together, {self.verdict}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GridAxis:
+    """One axis of a field's grid.
+
+    Attributes:
+        name: such as ``x``.
+        unit: of its nodes.
+        nodes: places along it, ascending ``[n]``, in `unit`.
+    """
+
+    name: str
+    unit: str
+    nodes: Float[np.ndarray, " n"]
+
+    def __post_init__(self) -> None:
+        unit(self.unit)
+        if not len(self.nodes) or not (np.diff(self.nodes) > 0).all():
+            raise InputError(f"axis {self.name}: nodes ascend, and there is one or more")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
+class FieldReading(MeasurementResult):
+    """An array on a grid; the coverage is that of each node by itself, not of all at once.
+
+    Attributes:
+        axes: of the grid, in the order of the array's axes.
+        value: the estimates, in `unit`; NaN where there is none.
+        low, high: each node's interval, in `unit`.
+        calibrated_range: least and greatest value the calibration saw, in `unit`.
+    """
+
+    axes: tuple[GridAxis, ...]
+    value: Float[np.ndarray, ...]
+    low: Float[np.ndarray, ...]
+    high: Float[np.ndarray, ...]
+    calibrated_range: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        grid = tuple(len(axis.nodes) for axis in self.axes)
+        if not self.value.shape == self.low.shape == self.high.shape == grid:
+            raise InputError(
+                f"{self.quantity}: values {self.value.shape}, intervals {self.low.shape} and "
+                f"{self.high.shape}; all lie on the axes' grid {grid}"
+            )
+
+    def contains(self, truth: Float[np.ndarray, ...]) -> Bool[np.ndarray, ...]:
+        """At each node, whether a field, in `unit`, lies in the interval; False where there is none."""
+        return np.asarray((self.low <= truth) & (truth <= self.high))
+
+    def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
+        arrays = {name: convert(getattr(self, name)) for name in ("value", "low", "high")}
+        return {**arrays, "calibrated_range": tuple(convert(end) for end in self.calibrated_range)}
+
+    def _numbers(self) -> dict[str, Any]:
+        axes = [{"name": a.name, "unit": a.unit, "nodes": _plain(a.nodes)} for a in self.axes]
+        arrays = {name: _plain(getattr(self, name)) for name in ("value", "low", "high")}
+        range_ = [plain_number(end) for end in self.calibrated_range]
+        return {**arrays, "unit": self.unit, "axes": axes, "range": range_}
+
+    def __str__(self) -> str:
+        grid = " × ".join(f"{len(axis.nodes)} {axis.name}" for axis in self.axes)
+        known = self.value[np.isfinite(self.value)]
+        span = f"{known.min():.3g} to {known.max():.3g} {self.unit}" if known.size else "no value"
+        return f"{self.quantity} {span} on {grid}, {self.verdict}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class SetReading(MeasurementResult):
+    """Several candidates, as where a fringe's order is open; one interval or another holds the truth.
+
+    Attributes:
+        candidates: (value, low, high) of each, in `unit`, the likeliest first.
+        calibrated_range: least and greatest value the calibration saw, in `unit`.
+    """
+
+    candidates: tuple[tuple[float, float, float], ...]
+    calibrated_range: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        for value, low, high in self.candidates:
+            if low > value or value > high:
+                raise InputError(
+                    f"{self.quantity}: {value} {self.unit} lies outside its interval {low} to {high}"
+                )
+        if not self.candidates and self.valid:
+            raise InputError(f"{self.quantity}: no candidate, and yet valid; say why there is none")
+
+    def contains(self, truth: float) -> bool:
+        """Whether a value, in `unit`, lies in any candidate's interval."""
+        return any(bool(low <= truth <= high) for _, low, high in self.candidates)
+
+    def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
+        candidates = tuple(tuple(convert(end) for end in one) for one in self.candidates)
+        return {
+            "candidates": candidates,
+            "calibrated_range": tuple(convert(end) for end in self.calibrated_range),
+        }
+
+    def _numbers(self) -> dict[str, Any]:
+        names = ("value", "low", "high")
+        candidates = [dict(zip(names, map(plain_number, one), strict=True)) for one in self.candidates]
+        range_ = [plain_number(end) for end in self.calibrated_range]
+        return {"candidates": candidates, "unit": self.unit, "range": range_}
+
+    def __str__(self) -> str:
+        shown = " or ".join(f"{v:.3g} ± {(high - low) / 2:.2g}" for v, low, high in self.candidates)
+        return f"{self.quantity} {shown or 'without a candidate'} {self.unit}, {self.verdict}"
+
+
+def provenance(of: MeasurementResult) -> dict[str, Any]:
+    """All that a reading carries beside its quantity and its value, for another made from it."""
+    names = ("unit", "coverage", "valid", "why", "drift", "calibration", "frame", "time_s")
+    return {name: getattr(of, name) for name in names}
+
+
+def _plain(array: np.ndarray) -> Any:
+    """Nested lists of plain numbers; None where there is none."""
+    return [_plain(part) if np.ndim(part) else plain_number(float(part)) for part in array]

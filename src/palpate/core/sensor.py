@@ -22,7 +22,7 @@ from numpy import ndarray
 from palpate.core.contact import FRESH, Contact, Pose, PressHistory, Probe, Specimen
 from palpate.core.frame import Frame
 from palpate.core.outline import Outline
-from palpate.core.registry import Registry
+from palpate.core.plugins import Registry
 from palpate.core.shapes import Float
 
 Box = tuple[int, int, int, int]
@@ -55,7 +55,7 @@ SEATED = Seating()
 
 
 @dataclass(frozen=True, slots=True)
-class Axes:
+class ImageAxes:
     """How a region of the frame lies over the skin.
 
     Attributes:
@@ -141,7 +141,7 @@ class Sensor(Protocol):
         ...
 
     @property
-    def axes(self) -> Axes:
+    def axes(self) -> ImageAxes:
         """How its image lies over the skin."""
         ...
 
@@ -305,7 +305,7 @@ def _region_faults(made: Sensor) -> Iterator[str]:
     for name, (x, y, w, h) in regions.items():
         if min(x, y) < 0 or min(w, h) < 1 or x + w > width or y + h > height:
             yield f"its regions lie in its frame of {width} x {height} px; {name} {(x, y, w, h)} does not"
-    if not (isinstance(made.axes, Axes) and made.axes.region in regions):
+    if not (isinstance(made.axes, ImageAxes) and made.axes.region in regions):
         yield f"its axes are Axes of one of its regions, {', '.join(regions) or 'of which it has none'}"
 
 

@@ -22,8 +22,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from palpate.core.errors import DeviceError, PalpateError, ProtocolError, RecordingError
-from palpate.core.files import storage_errors
-from palpate.core.lock import lock
+from palpate.core.files import lock, storage_errors
 
 _MAX_BYTES = 4096
 MAX_NAME = 80  # characters of a file's name

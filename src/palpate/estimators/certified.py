@@ -10,12 +10,11 @@ import numpy as np
 import onnxruntime
 from pydantic import ValidationError
 
-from palpate.core.axes import Image, Tensor, Values
 from palpate.core.errors import CertificateError, ImageError, StorageError
 from palpate.core.files import PathText, sha256_of
 from palpate.core.frame import Frame
 from palpate.core.reading import Drift, Reading, Readings
-from palpate.core.shapes import Float32
+from palpate.core.shapes import Float32, Image, Tensor, Values
 from palpate.core.units import unit
 from palpate.estimators.card import Card, FileCard, TargetCard, card_id
 from palpate.estimators.guard import Guard

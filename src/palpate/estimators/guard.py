@@ -13,10 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.core.axes import Indices
 from palpate.core.errors import CertificateError, InputError
 from palpate.core.reading import Drift
-from palpate.core.shapes import Float
+from palpate.core.shapes import Float, Indices
 from palpate.estimators.seen import (
     AlsoSeen,
     Prepared,

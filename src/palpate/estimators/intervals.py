@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.core.axes import Values
-from palpate.core.shapes import Float
+from palpate.core.shapes import Float, Values
 
 LEAST, MOST = 0.2, 5.0
 """The spread is held between these multiples of the typical error: a quadratic fitted inside the

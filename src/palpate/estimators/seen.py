@@ -21,8 +21,7 @@ import cv2
 import numpy as np
 from scipy.optimize import nnls
 
-from palpate.core.axes import Indices
-from palpate.core.shapes import Float, Float16, Float32, Int, UInt8
+from palpate.core.shapes import Float, Float16, Float32, Indices, Int, UInt8
 
 THUMBNAIL_VALUES = 1024
 """A thumbnail holds about this many values, in one channel or in three."""

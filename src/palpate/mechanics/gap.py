@@ -13,9 +13,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy import ndarray
 
-from palpate.core.axes import Field
 from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float
+from palpate.core.shapes import Field, Float
 from palpate.mechanics.hertz import positive
 
 PROFILE_POINTS = 2001  # at which a profile is looked at before it is used

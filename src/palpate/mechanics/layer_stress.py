@@ -24,9 +24,8 @@ import numpy as np
 from numpy import ndarray
 from scipy import fft
 
-from palpate.core.axes import Field
 from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Complex64, Float, Float32
+from palpate.core.shapes import Complex64, Field, Float, Float32
 from palpate.mechanics.layer_answers import answers, of_mean
 from palpate.mechanics.surface_grid import cells
 

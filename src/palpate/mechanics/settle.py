@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpate.core.axes import Field, Mask
 from palpate.core.errors import RangeError
+from palpate.core.shapes import Field, Mask
 
 STEPS = 1000
 REFRESHED = 10  # steps after which the sinking is summed anew, so that rounding does not gather in it

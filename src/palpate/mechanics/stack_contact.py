@@ -19,10 +19,9 @@ from functools import partial
 import numpy as np
 from numpy import ndarray
 
-from palpate.core.axes import Field, Mask
 from palpate.core.contact import Contact, Pose, Probe
 from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float
+from palpate.core.shapes import Field, Float, Mask
 from palpate.mechanics.settle import settle
 from palpate.mechanics.stack import Stack
 from palpate.mechanics.stack_influence import normal_influence, normal_resistance

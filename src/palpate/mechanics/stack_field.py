@@ -19,9 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy import ndarray
 
-from palpate.core.axes import Field
 from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float
+from palpate.core.shapes import Field, Float
 from palpate.mechanics.stack import Stack
 from palpate.mechanics.stack_transfer import Level, Material, Slab, climb
 from palpate.mechanics.surface_grid import Cells, cells

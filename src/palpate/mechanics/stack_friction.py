@@ -18,9 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy import ndarray
 
-from palpate.core.axes import Field, Mask
 from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float, Int
+from palpate.core.shapes import Field, Float, Int, Mask
 from palpate.mechanics.stack_contact import StackContact
 from palpate.mechanics.stack_influence import tangential_influence, tangential_resistance
 from palpate.mechanics.surface_grid import cells

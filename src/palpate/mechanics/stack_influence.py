@@ -25,9 +25,8 @@ import numpy as np
 from numpy import ndarray
 from scipy import fft, interpolate, special
 
-from palpate.core.axes import Field
 from palpate.core.errors import RangeError
-from palpate.core.shapes import Float
+from palpate.core.shapes import Field, Float
 from palpate.mechanics.stack import Compliance, Stack, surface_compliance
 from palpate.mechanics.surface_grid import Cells
 

@@ -16,8 +16,7 @@ import numpy as np
 from numpy import ndarray
 from scipy import fft
 
-from palpate.core.axes import Field
-from palpate.core.shapes import Complex, Float, Int
+from palpate.core.shapes import Complex, Field, Float, Int
 from palpate.mechanics.surface_grid import Cells
 
 LONGEST = 1e-6  # of the least wavenumber: the one that stands for the mean

@@ -1,12 +1,7 @@
 """Stress and light to images."""
 
-from palpate.optics.axisymmetric import (
-    AxisymmetricField,
-    MarchedRays,
-    Rays,
-    march_axisymmetric,
-    march_axisymmetric_plain,
-)
+from palpate.optics.axisymmetric import MarchedRays, march_axisymmetric, march_axisymmetric_plain
+from palpate.optics.axisymmetric_field import AxisymmetricField, Rays
 from palpate.optics.camera import Camera, develop, raw_codes
 from palpate.optics.colour import Spectrum, assumed_camera, encode_srgb, spectral_to_linear
 from palpate.optics.fast_march import march_colour, march_colour_plain, march_spectral

@@ -23,6 +23,13 @@ if TYPE_CHECKING:
     from palpate.recordings.writer import RunWriter
 
 _MODULES = {
+    "export_folder": "exporters.folder",
+    "import_images": "importers.images",
+    "import_palm": "importers.palm",
+    "offset_between": "align",
+    "read_image": "images",
+    "read_labels": "labels",
+    "split": "splits",
     "CheckReport": "check",
     "ImportReport": "importers.images",
     "Manifest": "manifest",
@@ -32,13 +39,6 @@ _MODULES = {
     "Run": "reader",
     "RunWriter": "writer",
     "Split": "splits",
-    "export_folder": "exporters.folder",
-    "import_images": "importers.images",
-    "import_palm": "importers.palm",
-    "offset_between": "align",
-    "read_image": "images",
-    "read_labels": "labels",
-    "split": "splits",
 }
 
 __all__ = [

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from threading import Condition
 from typing import Literal
 
-from palpate.core.axes import Image
+from palpate.core.shapes import Image
 from palpate.recordings.schema import RECORDED, Channel
 
 Overflow = Literal["drop", "wait"]

@@ -18,9 +18,9 @@ from PIL.PngImagePlugin import PngImageFile
 from PIL.TiffImagePlugin import BITSPERSAMPLE, SAMPLEFORMAT, TiffImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
-from palpate.core.axes import Image
 from palpate.core.errors import ImageError
 from palpate.core.files import PathText, storage_errors
+from palpate.core.shapes import Image
 
 # The decoders are named one by one, because Pillow's own `open` would try every format it knows.
 _FORMATS: tuple[tuple[int, bytes, type[ImageFile]], ...] = (

@@ -15,9 +15,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
-from palpate.core.axes import Values
 from palpate.core.errors import LabelError
 from palpate.core.files import PathText, storage_errors
+from palpate.core.shapes import Values
 from palpate.core.units import split_column
 
 Kind = Literal["number", "text", "flag"]

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from palpate.core.errors import RecordingError
-from palpate.core.files import sha256_of
-from palpate.core.lock import lock
+from palpate.core.files import lock, sha256_of
 from palpate.recordings import schema
 from palpate.recordings.manifest import MANIFEST, Manifest
 from palpate.recordings.reader import Run

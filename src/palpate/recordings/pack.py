@@ -15,9 +15,9 @@ from typing import Any, BinaryIO
 import numpy as np
 import pandas as pd
 
-from palpate.core.axes import Images, Indices
 from palpate.core.errors import InputError, RecordingError
 from palpate.core.files import PathText, new_folder, sha256_of, storage_errors
+from palpate.core.shapes import Images, Indices
 from palpate.recordings.reader import Run
 from palpate.sensors.preparation import Preparation
 from palpate.version import __version__

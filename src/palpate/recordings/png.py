@@ -7,8 +7,8 @@ import struct
 import cv2
 import numpy as np
 
-from palpate.core.axes import Image
 from palpate.core.errors import ImageError
+from palpate.core.shapes import Image
 
 MAX_PIXELS = 100_000_000  # beyond any touch camera; a header that claims more is an attack or damage
 

@@ -24,9 +24,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from palpate.core.axes import Image
 from palpate.core.errors import InputError, LabelError
 from palpate.core.files import new_file, storage_errors
+from palpate.core.shapes import Image
 from palpate.core.units import UNITS, has_unit, split_column
 from palpate.recordings.labels import FIRST_ROW, label_kinds, read_labels
 from palpate.recordings.manifest import MANIFEST

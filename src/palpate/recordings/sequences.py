@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from palpate.core.axes import Image
 from palpate.core.errors import InputError
+from palpate.core.shapes import Image
 from palpate.recordings.images import read_image
 from palpate.recordings.manifest import MANIFEST
 from palpate.recordings.reader import Run

@@ -15,7 +15,7 @@ import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
 from palpate.core.errors import PluginError, SplitError
-from palpate.core.plugins import PLUGIN, Registry, imported
+from palpate.core.plugins import PLUGIN, PluginRegistry, imported
 from palpate.recordings.labels import rows_text
 
 # Coarsest first: a split by an earlier one also holds apart everything that a later one would.
@@ -31,7 +31,7 @@ CONVENTIONAL_GROUPS: tuple[tuple[str, ...], ...] = (
     ("cycle",),
     ("trial",),
 )
-REGISTRY = Registry("split", "palpate.splits", dict.fromkeys(("auto", "random"), "palpate itself"))
+REGISTRY = PluginRegistry("split", "palpate.splits", dict.fromkeys(("auto", "random"), "palpate itself"))
 _BY_COLUMNS = ("group", "leave-one-out")
 _KINDS = (
     "'auto', 'random', 'group:COLUMN[,COLUMN...]', 'leave-one-out:COLUMN[,COLUMN...]', or a function of "

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from palpate.core.axes import Image
 from palpate.core.errors import ImageError, RecordingError
+from palpate.core.shapes import Image
 from palpate.recordings import png
 from palpate.recordings.manifest import MANIFEST
 from palpate.recordings.scan import Chunk, Damage, Message, Scan, read_chunk, scan, verify

@@ -18,10 +18,10 @@ from typing import BinaryIO
 import numpy as np
 import tifffile
 
-from palpate.core.axes import Image
 from palpate.core.errors import ImageError, RangeError
 from palpate.core.files import new_file, storage_errors
 from palpate.core.frame import Frame
+from palpate.core.shapes import Image
 from palpate.recordings.png import MAX_PIXELS
 
 MAX_PAGES = 100_000  # 83 minutes at 20 frames a second

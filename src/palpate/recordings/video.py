@@ -12,8 +12,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from palpate.core.axes import Image
 from palpate.core.errors import ImageError
+from palpate.core.shapes import Image
 from palpate.recordings.png import MAX_PIXELS
 
 MAX_FRAMES = 1_000_000  # nine hours at 30 frames a second

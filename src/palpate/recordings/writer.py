@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from palpate.core.axes import Image
 from palpate.core.clock import NS_PER_S, Clock, MonotonicClock
 from palpate.core.errors import ImageError, InputError, PalpateError, RecordingError
 from palpate.core.files import PathText, new_folder
 from palpate.core.frame import Frame
+from palpate.core.shapes import Image
 from palpate.recordings import png, schema
 from palpate.recordings.buffer import Buffer, Item, Overflow
 from palpate.recordings.manifest import Manifest

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from palpate.calibration.stress_optic_fit import FringeFit, Rival
-from palpate.core.axes import Values
 from palpate.core.files import new_file
+from palpate.core.shapes import Values
 from palpate.estimators.fringe_order import RIVAL
 from palpate.optics.colour import encode_srgb
 from palpate.reports.figures import ACCENT, BAD, BAND, INK, STYLE

@@ -8,9 +8,8 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from palpate.core.axes import Image
 from palpate.core.errors import ImageError, InputError
-from palpate.core.shapes import UInt8
+from palpate.core.shapes import Image, UInt8
 
 Box = tuple[int, int, int, int]
 

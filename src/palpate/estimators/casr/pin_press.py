@@ -11,13 +11,7 @@ from numpy import ndarray
 
 from palpate.core.errors import InputError
 from palpate.core.shapes import Float, Int, Shaped
-from palpate.estimators.casr.force import (
-    CONTACT_N,
-    loading,
-    moving_average,
-    within,
-    without_spikes,
-)
+from palpate.estimators.casr.force import CONTACT_N, loading, moving_average, within, without_spikes
 from palpate.estimators.pins import find_pins, follow
 
 UNTOUCHED_N = 0.06  # about one step of a 1/16 N sensor

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 from palpate.core.errors import InputError, MissingExtraError, PluginError
-from palpate.core.plugins import Registry, imported
+from palpate.core.plugins import PluginRegistry, imported
 from palpate.estimators.networks.base import Fitted, Model, Progress, TrainingData, silent
 
 
@@ -90,7 +90,7 @@ MODELS: dict[str, Kind] = {
 }
 
 
-REGISTRY = Registry("model", "palpate.models", {name: kind.path for name, kind in MODELS.items()})
+REGISTRY = PluginRegistry("model", "palpate.models", {name: kind.path for name, kind in MODELS.items()})
 
 
 def model_kind(name: str) -> Kind:

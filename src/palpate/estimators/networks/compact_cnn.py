@@ -23,8 +23,8 @@ from torch import nn
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
 
-from palpate.core.axes import Indices, Tensor, Values
 from palpate.core.errors import InputError
+from palpate.core.shapes import Indices, Tensor, Values
 from palpate.estimators.networks.base import Progress, Scaler, TrainingData, inner_validation, silent
 from palpate.estimators.networks.torch_graph import TorchGraph
 from palpate.estimators.networks.turns import Turns

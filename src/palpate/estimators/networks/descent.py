@@ -27,9 +27,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from palpate.core.axes import Indices, Tensor
 from palpate.core.errors import InputError
-from palpate.core.shapes import Float32
+from palpate.core.shapes import Float32, Indices, Tensor
 from palpate.estimators.networks.base import Progress, silent
 from palpate.estimators.networks.compact_cnn import fast_bfloat16
 from palpate.estimators.networks.many_processes import Crew

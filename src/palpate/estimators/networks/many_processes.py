@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import TYPE_CHECKING
 
-from palpate.core.axes import Indices
 from palpate.core.errors import InputError
+from palpate.core.shapes import Indices
 
 if TYPE_CHECKING:
     import torch

@@ -9,8 +9,7 @@ import numpy as np
 import onnx
 from onnx import helper
 
-from palpate.core.axes import Indices, Tensor, Values
-from palpate.core.shapes import Float
+from palpate.core.shapes import Float, Indices, Tensor, Values
 from palpate.estimators.networks.base import Progress, TrainingData, silent
 from palpate.estimators.networks.graph import image_to_value
 

@@ -21,10 +21,9 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from palpate.core.axes import Indices, Tensor
 from palpate.core.errors import InputError
 from palpate.core.sensor import DEFAULT_SENSOR, Sensor, sensor
-from palpate.core.shapes import Float32, Int, UInt8
+from palpate.core.shapes import Float32, Indices, Int, Tensor, UInt8
 from palpate.estimators.networks.base import Progress, Scaler, TrainingData, silent
 from palpate.estimators.networks.compact_cnn import seeded
 from palpate.estimators.networks.descent import Descent, Lesson

@@ -14,8 +14,8 @@ import numpy as np
 import onnx
 from onnx import helper, numpy_helper
 
-from palpate.core.axes import Indices, Tensor, Values
 from palpate.core.errors import InputError
+from palpate.core.shapes import Indices, Tensor, Values
 from palpate.estimators.networks.base import Progress, TrainingData, silent
 from palpate.estimators.networks.graph import image_to_value
 from palpate.estimators.networks.palm_views import FORCES, columns_of, half_width

@@ -14,7 +14,7 @@ import onnx
 import torch
 from torch import nn
 
-from palpate.core.axes import Indices, Tensor, Values
+from palpate.core.shapes import Indices, Tensor, Values
 from palpate.estimators.networks.base import Progress, TrainingData, inner_validation, silent
 from palpate.estimators.networks.compact_cnn import seeded
 from palpate.estimators.networks.descent import Descent, Lesson

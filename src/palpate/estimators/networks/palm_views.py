@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.core.axes import Indices
 from palpate.core.errors import InputError
+from palpate.core.shapes import Indices
 from palpate.estimators.networks.base import Scaler, TrainingData
 
 FORCES = ("force_x_N", "force_y_N", "force_N")

@@ -12,8 +12,7 @@ from scipy.linalg import eigh
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GroupKFold
 
-from palpate.core.axes import Indices, Tensor, Values
-from palpate.core.shapes import Float, Float32
+from palpate.core.shapes import Float, Float32, Indices, Tensor, Values
 from palpate.estimators.networks.base import Progress, Scaler, TrainingData, silent
 from palpate.estimators.networks.graph import image_to_value
 

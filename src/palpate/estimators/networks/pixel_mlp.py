@@ -10,8 +10,7 @@ import onnx
 from onnx import helper
 from sklearn.neural_network import MLPRegressor
 
-from palpate.core.axes import Indices, Tensor, Values
-from palpate.core.shapes import Float
+from palpate.core.shapes import Float, Indices, Tensor, Values
 from palpate.estimators.networks.base import Progress, Scaler, TrainingData, inner_validation, silent
 from palpate.estimators.networks.graph import image_to_value
 

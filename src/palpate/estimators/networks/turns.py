@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from palpate.core.axes import Tensor, Values
 from palpate.core.errors import InputError
-from palpate.core.shapes import Float
+from palpate.core.shapes import Float, Tensor, Values
 from palpate.core.units import split_column
 
 LEAST_LIKENESS = 0.8

@@ -16,11 +16,10 @@ import numpy as np
 import pandas as pd
 from numpy import ndarray
 
-from palpate.core.axes import Image
 from palpate.core.contact import UNTOLD, Specimen
 from palpate.core.errors import InputError, RecordingError
 from palpate.core.files import new_folder
-from palpate.core.shapes import Float, Int
+from palpate.core.shapes import Float, Image, Int
 from palpate.recordings.press_folder import PRESSES, PressFolder, press_folder, write_press, write_specimens
 from palpate.recordings.press_table import press_rows
 from palpate.recordings.reader import Run

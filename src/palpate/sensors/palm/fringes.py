@@ -19,7 +19,8 @@ from numpy import ndarray
 
 from palpate.core.contact import Probe
 from palpate.core.shapes import Float, Float32
-from palpate.optics.axisymmetric import Rays, march_axisymmetric
+from palpate.optics.axisymmetric import march_axisymmetric
+from palpate.optics.axisymmetric_field import Rays
 from palpate.optics.colour import Spectrum, assumed_camera
 from palpate.optics.polariscope import plane_amplitude, with_leak
 from palpate.optics.rim import ColumnRays, round_rim, straight

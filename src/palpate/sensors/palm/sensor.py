@@ -17,7 +17,7 @@ from palpate.core.contact import FRESH, Contact, Pose, PressHistory, Probe, Spec
 from palpate.core.errors import RangeError
 from palpate.core.frame import Frame
 from palpate.core.outline import Outline
-from palpate.core.sensor import SEATED, Axes, Box, ForceLaw, Seating, is_rigid
+from palpate.core.sensor import SEATED, Box, ForceLaw, ImageAxes, Seating, is_rigid
 from palpate.core.shapes import Float32
 from palpate.mechanics.partial_slip import tangential_stiffness
 from palpate.sensors.palm import presets
@@ -91,10 +91,10 @@ class Palm:
         return Outline.disc(self.spec.diameter_m)
 
     @property
-    def axes(self) -> Axes:
+    def axes(self) -> ImageAxes:
         """The mirror's, which looks up along the skin's y under its elevation."""
         wide, high = self.spec.mirror.pitches_m
-        return Axes("mirror", (1 / wide, 0.0), (0.0, math.sin(self.spec.mirror_elevation_rad) / high))
+        return ImageAxes("mirror", (1 / wide, 0.0), (0.0, math.sin(self.spec.mirror_elevation_rad) / high))
 
     @property
     def default_probe(self) -> str:

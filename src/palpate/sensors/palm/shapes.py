@@ -10,10 +10,9 @@ import math
 import numpy as np
 from numpy import ndarray
 
-from palpate.core.axes import Field
 from palpate.core.contact import Probe
 from palpate.core.errors import InputError
-from palpate.core.shapes import Float, Float32
+from palpate.core.shapes import Field, Float, Float32
 from palpate.mechanics import gap
 
 EDGE_SLOPE_RAD = math.radians(30)

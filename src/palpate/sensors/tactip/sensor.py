@@ -19,7 +19,7 @@ from palpate.core.contact import FRESH, RIGID, Contact, Pose, PressHistory, Prob
 from palpate.core.errors import InputError, RangeError
 from palpate.core.frame import Frame
 from palpate.core.outline import Outline
-from palpate.core.sensor import SEATED, Axes, Box, ForceLaw, Seating, is_rigid
+from palpate.core.sensor import SEATED, Box, ForceLaw, ImageAxes, Seating, is_rigid
 from palpate.sensors.tactip import spec as specs
 from palpate.sensors.tactip.camera import projected, rendered
 from palpate.sensors.tactip.inclined import GREATEST_TILT, inclined
@@ -80,11 +80,11 @@ class TacTip:
         return Outline.disc(2 * self.spec.table.radius_m * math.sin(GREATEST_LEAN))
 
     @property
-    def axes(self) -> Axes:
+    def axes(self) -> ImageAxes:
         """Of the apex as the camera sees it, x to the right and y down."""
         _, share = projected(np.zeros((1, 3)), self.spec.camera, self.spec.table.radius_m)
         scale = pixels_per_tangent(self.spec) * float(share[0])
-        return Axes(REGION, (scale, 0.0), (0.0, scale))
+        return ImageAxes(REGION, (scale, 0.0), (0.0, scale))
 
     @property
     def default_probe(self) -> str:
