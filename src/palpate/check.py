@@ -113,11 +113,13 @@ def plausible(sensor: Sensor) -> Part:
     """What a press returns is finite, shaped and in SI."""
     contact = _pressed(sensor, HALF)
     grid = (len(contact.y_m), len(contact.x_m))
-    fields = {name: np.asarray(getattr(contact, name)) for name in ("pressure_pa", "sinking_m", "touching")}
+    fields = {
+        name: np.asarray(getattr(contact, name)) for name in ("pressure_pa", "displacement_m", "touching")
+    }
     wrong = [
         f"{name} is {list(a.shape)}, the grid {list(grid)}" for name, a in fields.items() if a.shape != grid
     ]
-    lengths = [contact.x_m, contact.y_m, contact.sinking_m, contact.radius_m]
+    lengths = [contact.x_m, contact.y_m, contact.displacement_m, contact.radius_m]
     for what, values, most in (
         ("lengths [m]", lengths, GREATEST_M),
         ("forces [N]", [contact.force_n, *contact.lateral_n], GREATEST_N),

@@ -6,7 +6,7 @@ import typer
 from typer.testing import CliRunner
 
 from palpate.cli.mechanics import app
-from palpate.mechanics import sneddon
+from palpate.mechanics.half_space import sneddon
 
 # The sub-app under a parent, as palpate has it.
 PARENT = typer.Typer()

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError
 from palpate.estimators.casr.both_cues import Finger, Press, finger_of, touched
-from palpate.mechanics.pairs import Body, alike_to_the_arm, alike_to_the_skin
+from palpate.mechanics.half_space.hertz_pairs import Body, alike_to_the_arm, alike_to_the_skin
 
 FINGER = Body(1e5, 15e-3)
 A = Body(1e6, 2.5e-3)

@@ -6,7 +6,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from palpate.core import InputError, Pose, Probe, RangeError
-from palpate.mechanics import hertz
+from palpate.mechanics.half_space import hertz
 
 R, E, NU = 5e-3, 0.3e6, 0.49
 BALL = Probe("sphere", R)
@@ -67,12 +67,12 @@ def test_the_work_done_is_the_integral_of_the_force():
 def test_inside_the_contact_the_skin_has_the_balls_shape():
     x = np.linspace(-2e-3, 2e-3, 41)
     contact = pressed(1e-3, x_m=x, y_m=np.zeros(1))
-    np.testing.assert_allclose(contact.sinking_m[0], 1e-3 - x**2 / (2 * R), rtol=1e-12)
+    np.testing.assert_allclose(contact.displacement_m[0], 1e-3 - x**2 / (2 * R), rtol=1e-12)
 
 
 def test_the_surface_is_continuous_at_the_rim():
     a = hertz.contact_radius(1e-3, R)
-    inside, outside = hertz.sinking(np.array([a * (1 - 1e-9), a * (1 + 1e-9)]), a, R)
+    inside, outside = hertz.surface_displacement(np.array([a * (1 - 1e-9), a * (1 + 1e-9)]), a, R)
     assert inside == pytest.approx(outside, rel=1e-8)
 
 
@@ -87,7 +87,7 @@ def test_the_surface_around_the_contact_is_boussinesqs_superposed():
     for at in (1.2 * a, 2 * a, 5 * a):
         distance = np.hypot(at - r * np.cos(angle), r * np.sin(angle))
         superposed = (load / distance).sum() / (math.pi * hertz.reduced_modulus(E, NU))
-        assert hertz.sinking(np.array([at]), a, R)[0] == pytest.approx(superposed, rel=1e-5)
+        assert hertz.surface_displacement(np.array([at]), a, R)[0] == pytest.approx(superposed, rel=1e-5)
 
 
 def test_the_neglected_roundness_costs_less_than_three_percent_of_force_at_the_limit():
@@ -112,7 +112,7 @@ def test_first_touch_does_nothing():
     contact = pressed(0.0)
     assert contact.force_n == contact.radius_m == 0.0
     assert not contact.pressure_pa.any()
-    assert not contact.sinking_m.any()
+    assert not contact.displacement_m.any()
     assert not contact.touching.any()
 
 

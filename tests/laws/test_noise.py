@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from palpate.core import RangeError
-from palpate.optics import electrons, electrons_exact, illumination, quantise
+from palpate.optics import electrons, electrons_exact, quantise, uneven_light
 
 N = 200_000
 
@@ -40,7 +40,7 @@ def test_codes_start_at_no_electrons_and_end_at_the_full_well():
 
 
 def test_light_falls_from_the_centre_to_the_corners_by_the_named_loss():
-    light = illumination(101, 201, 0.3)
+    light = uneven_light(101, 201, 0.3)
     assert light.max() == light[50, 100] == 1.0
     assert light[0, 0] == pytest.approx(0.7, abs=0.01)  # the corner pixel's centre is half a pixel inside
     np.testing.assert_array_equal(light, light[::-1, ::-1])
@@ -48,4 +48,4 @@ def test_light_falls_from_the_centre_to_the_corners_by_the_named_loss():
 
 def test_a_loss_of_more_than_all_light_is_refused():
     with pytest.raises(RangeError, match="corner loss"):
-        illumination(10, 10, 1.2)
+        uneven_light(10, 10, 1.2)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.core import RangeError
-from palpate.mechanics import adhesion, hertz
+from palpate.mechanics.half_space import adhesion, hertz
 
 W, R, E, NU = 0.05, 5e-3, 0.3e6, 0.49
 SKIN = (W, R, E, NU)

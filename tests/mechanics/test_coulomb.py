@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import nnls
 
 from palpate.core.errors import RangeError
-from palpate.mechanics.coulomb import balanced
+from palpate.mechanics.axisymmetric.friction_solver import solve_friction
 
 
 def springs(n: int, rng=None) -> np.ndarray:
@@ -18,7 +18,7 @@ def springs(n: int, rng=None) -> np.ndarray:
 
 
 def solved(C, gap, slid, friction):
-    return balanced(C, np.array(gap), np.array(slid), friction, np.zeros((len(gap), 3)))
+    return solve_friction(C, np.array(gap), np.array(slid), friction, np.zeros((len(gap), 3)))
 
 
 def test_a_spring_pressed_in_pushes_back_and_one_that_is_apart_does_not() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.core import InputError, RangeError
-from palpate.mechanics import gap
+from palpate.mechanics.layers import indenters
 
 X = np.linspace(-6e-3, 6e-3, 61)
 Y = np.linspace(-5e-3, 5e-3, 51)
@@ -12,7 +12,7 @@ R = 4e-3
 
 
 def test_every_point_of_the_sphere_is_one_radius_from_its_centre():
-    z = gap.sphere(X, Y, R, (1e-3, -5e-4))
+    z = indenters.sphere(X, Y, R, (1e-3, -5e-4))
     r2 = (X - 1e-3) ** 2 + (Y[:, None] + 5e-4) ** 2
     below = np.isfinite(z)
     np.testing.assert_allclose((r2 + (R - z) ** 2)[below], R**2, rtol=1e-12)
@@ -21,21 +21,21 @@ def test_every_point_of_the_sphere_is_one_radius_from_its_centre():
 
 def test_the_paraboloid_is_the_spheres_first_term():
     near = np.linspace(-1e-5, 1e-5, 5)
-    sphere, paraboloid = (shape(near, near, R) for shape in (gap.sphere, gap.paraboloid))
+    sphere, paraboloid = (shape(near, near, R) for shape in (indenters.sphere, indenters.paraboloid))
     np.testing.assert_allclose(sphere, paraboloid, rtol=1e-5, atol=1e-30)  # the next term is (r / 2R)^2
 
 
 def test_cone_and_wedge_rise_at_their_slope():
     slope = math.radians(20)
-    cone = gap.cone(X, Y, slope)
+    cone = indenters.cone(X, Y, slope)
     assert cone[25, -1] == pytest.approx(6e-3 * math.tan(slope))
-    wedge = gap.wedge(X, Y, slope, 4e-3)
+    wedge = indenters.wedge(X, Y, slope, 4e-3)
     np.testing.assert_allclose(wedge[:, 30], np.abs(Y) * math.tan(slope), atol=1e-18)
     assert np.isinf(wedge[25, [0, -1]]).all()
 
 
 def test_a_punch_is_flat_to_its_edge_and_round_at_it():
-    sharp, rounded = gap.flat_punch(X, Y, 3e-3), gap.flat_punch(X, Y, 3e-3, 1e-3)
+    sharp, rounded = indenters.flat_punch(X, Y, 3e-3), indenters.flat_punch(X, Y, 3e-3, 1e-3)
     r = np.hypot(X, Y[:, None])
     assert set(np.unique(sharp)) == {0.0, np.inf}
     np.testing.assert_array_equal(np.isfinite(sharp), r <= 3e-3)
@@ -45,8 +45,8 @@ def test_a_punch_is_flat_to_its_edge_and_round_at_it():
 
 
 def test_turning_a_lying_cylinder_by_a_right_angle_swaps_x_and_y():
-    along_x = gap.lying_cylinder(X, X, R, 8.01e-3)
-    along_y = gap.lying_cylinder(X, X, R, 8.01e-3, math.pi / 2)
+    along_x = indenters.lying_cylinder(X, X, R, 8.01e-3)
+    along_y = indenters.lying_cylinder(X, X, R, 8.01e-3, math.pi / 2)
     np.testing.assert_allclose(along_y, along_x.T, atol=1e-15)
 
 
@@ -62,10 +62,10 @@ def test_a_long_indenter_turns_from_x_towards_y(turn_deg, place):
         return float(shape(*at)[0, 0])
 
     def wedge(x, y):
-        return gap.wedge(x, y, slope, 4e-3, turn, place)
+        return indenters.wedge(x, y, slope, 4e-3, turn, place)
 
     def cylinder(x, y):
-        return gap.lying_cylinder(x, y, R, 4e-3, turn, place)
+        return indenters.lying_cylinder(x, y, R, 4e-3, turn, place)
 
     for end in (-1, 1):
         for shape in (wedge, cylinder):
@@ -82,86 +82,89 @@ def test_two_points_lie_on_a_line_turned_from_x_towards_y(turn_deg):
     turn = math.radians(turn_deg)
     for end in (-2e-3, 2e-3):
         x, y = np.array([end * math.cos(turn)]), np.array([end * math.sin(turn)])
-        assert gap.two_points(x, y, 1e-3, 4e-3, turn)[0, 0] == pytest.approx(0.0, abs=1e-15)
+        assert indenters.two_points(x, y, 1e-3, 4e-3, turn)[0, 0] == pytest.approx(0.0, abs=1e-15)
 
 
 def test_two_points_are_two_spheres_at_their_separation():
-    z = gap.two_points(X, Y, 1e-3, 4e-3)
+    z = indenters.two_points(X, Y, 1e-3, 4e-3)
     assert z[25, 20] == z[25, 40] == 0.0
     assert np.isinf(z[25, 30])
     np.testing.assert_array_equal(
-        z, gap.together(gap.sphere(X, Y, 1e-3, (-2e-3, 0.0)), gap.sphere(X, Y, 1e-3, (2e-3, 0.0)))
+        z,
+        indenters.together(
+            indenters.sphere(X, Y, 1e-3, (-2e-3, 0.0)), indenters.sphere(X, Y, 1e-3, (2e-3, 0.0))
+        ),
     )
 
 
 def test_a_profile_gives_its_own_shape():
-    by_function = gap.axisymmetric(X, Y, lambda r: r**2 / (2 * R), 3e-3)
+    by_function = indenters.axisymmetric(X, Y, lambda r: r**2 / (2 * R), 3e-3)
     inside = np.isfinite(by_function)
-    np.testing.assert_allclose(by_function[inside], gap.paraboloid(X, Y, R)[inside], rtol=1e-12)
+    np.testing.assert_allclose(by_function[inside], indenters.paraboloid(X, Y, R)[inside], rtol=1e-12)
     r = np.linspace(0.0, 3e-3, 2000)
-    by_points = gap.axisymmetric(X, Y, (r, r**2 / (2 * R)), 3e-3)
+    by_points = indenters.axisymmetric(X, Y, (r, r**2 / (2 * R)), 3e-3)
     # straight lines between points are off by dr^2 / (8 R)
     np.testing.assert_allclose(by_points[inside], by_function[inside], atol=1e-10)
 
 
 def test_leaning_adds_the_slope_and_keeps_the_lowest_point_at_zero():
-    z = gap.tilted(gap.flat_punch(X, Y, 3e-3), X, Y, math.radians(5), math.radians(-2))
+    z = indenters.tilted(indenters.flat_punch(X, Y, 3e-3), X, Y, math.radians(5), math.radians(-2))
     assert z.min() == 0.0
     assert z[25, 40] - z[25, 30] == pytest.approx(2e-3 * math.tan(math.radians(5)))
     assert z[30, 30] - z[25, 30] == pytest.approx(-1e-3 * math.tan(math.radians(2)))
 
 
 def test_balls_on_a_holder_are_spheres_lifted():
-    z = gap.balls(X, Y, 1e-3, [(-2e-3, 0.0, 0.0), (2e-3, 1e-3, 2e-4)])
+    z = indenters.balls(X, Y, 1e-3, [(-2e-3, 0.0, 0.0), (2e-3, 1e-3, 2e-4)])
     assert z[25, 20] == 0.0
     assert z[30, 40] == pytest.approx(2e-4)
     with pytest.raises(RangeError, match="at first touch"):
-        gap.balls(X, Y, 1e-3, [(0.0, 0.0, 1e-4)])
+        indenters.balls(X, Y, 1e-3, [(0.0, 0.0, 1e-4)])
     with pytest.raises(InputError, match="without spheres"):
-        gap.balls(X, Y, 1e-3, [])
+        indenters.balls(X, Y, 1e-3, [])
 
 
 @pytest.mark.parametrize("turn_deg", [0, 90, 200])
 def test_the_side_that_an_indenter_leans_to_is_the_lower_one(turn_deg):
     turn = math.radians(turn_deg)
-    z = gap.leaning(gap.flat_punch(X, Y, 3e-3), X, Y, math.radians(5), turn)
+    z = indenters.leaning(indenters.flat_punch(X, Y, 3e-3), X, Y, math.radians(5), turn)
     lowest = np.unravel_index(z.argmin(), z.shape)
     x, y = X[lowest[1]], Y[lowest[0]]
     # the lowest point of the grid lies at the rim, within a cell of 0.2 mm of that direction
     assert (x * math.cos(turn) + y * math.sin(turn)) == pytest.approx(3e-3, abs=2e-4)
     assert np.ptp(z[np.isfinite(z)]) == pytest.approx(6e-3 * math.tan(math.radians(5)), rel=0.05)
     with pytest.raises(RangeError, match="tilt"):
-        gap.leaning(z, X, Y, math.nan)
+        indenters.leaning(z, X, Y, math.nan)
 
 
 def test_a_profile_that_falls_or_starts_elsewhere_is_refused():
     with pytest.raises(RangeError, match="falls from r"):
-        gap.axisymmetric(X, Y, lambda r: np.sin(r * 1e3), 3e-3)
+        indenters.axisymmetric(X, Y, lambda r: np.sin(r * 1e3), 3e-3)
     with pytest.raises(RangeError, match="heights fall"):
-        gap.axisymmetric(
+        indenters.axisymmetric(
             X, Y, (np.array([0.0, 1e-3, 1.001e-3, 3e-3]), np.array([0.0, 1e-3, 9e-4, 2e-3])), 3e-3
         )
     with pytest.raises(RangeError, match="starts at"):
-        gap.axisymmetric(X, Y, lambda r: r + 1e-3, 3e-3)
+        indenters.axisymmetric(X, Y, lambda r: r + 1e-3, 3e-3)
     with pytest.raises(RangeError, match="not finite"):
-        gap.axisymmetric(X, Y, lambda r: np.where(r > 1e-3, np.nan, r), 3e-3)
+        indenters.axisymmetric(X, Y, lambda r: np.where(r > 1e-3, np.nan, r), 3e-3)
     with pytest.raises(InputError, match="positions rise"):
-        gap.axisymmetric(X, Y, (np.array([0.0, 1e-3]), np.array([0.0, 1e-3])), 3e-3)
+        indenters.axisymmetric(X, Y, (np.array([0.0, 1e-3]), np.array([0.0, 1e-3])), 3e-3)
 
 
 @pytest.mark.parametrize(
     "shape",
     [
-        lambda: gap.sphere(X, Y, 0.0),
-        lambda: gap.sphere(X, Y, math.nan),
-        lambda: gap.paraboloid(X, Y, -1e-3),
-        lambda: gap.cone(X, Y, 0.0),
-        lambda: gap.cone(X, Y, math.pi / 2),
-        lambda: gap.flat_punch(X, Y, 1e-3, 2e-3),
-        lambda: gap.wedge(X, Y, 0.1, 0.0),
-        lambda: gap.lying_cylinder(X, Y, -R, 1e-3),
-        lambda: gap.two_points(X, Y, 1e-3, 0.0),
-        lambda: gap.tilted(gap.sphere(X, Y, R), X, Y, 0.6),
+        lambda: indenters.sphere(X, Y, 0.0),
+        lambda: indenters.sphere(X, Y, math.nan),
+        lambda: indenters.paraboloid(X, Y, -1e-3),
+        lambda: indenters.cone(X, Y, 0.0),
+        lambda: indenters.cone(X, Y, math.pi / 2),
+        lambda: indenters.flat_punch(X, Y, 1e-3, 2e-3),
+        lambda: indenters.wedge(X, Y, 0.1, 0.0),
+        lambda: indenters.lying_cylinder(X, Y, -R, 1e-3),
+        lambda: indenters.two_points(X, Y, 1e-3, 0.0),
+        lambda: indenters.tilted(indenters.sphere(X, Y, R), X, Y, 0.6),
     ],
 )
 def test_a_shape_that_cannot_be_is_refused(shape):

@@ -7,8 +7,8 @@ from scipy.optimize import brentq
 from scipy.special import j0
 
 from palpate.core import InputError, RangeError
-from palpate.mechanics import hertz, sneddon
-from palpate.mechanics import layer_approximations as layer
+from palpate.mechanics.half_space import hertz, sneddon
+from palpate.mechanics.layers import bonded_layer as layer
 
 R, E = 5e-3, 0.3e6
 BASES = ("bonded", "sliding")

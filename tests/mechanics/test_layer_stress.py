@@ -5,14 +5,14 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from palpate.core import InputError, RangeError
-from palpate.mechanics.layer_stress import stress_under
-from palpate.mechanics.stack import Layer, Stack
-from palpate.mechanics.stack_field import field_below
+from palpate.mechanics.layers.layer_stress import stress_under
+from palpate.mechanics.layers.stack import ElasticLayer, Stack
+from palpate.mechanics.layers.stack_field import field_below
 
 H, NU, A = 10e-3, 0.49, 2.2e-3
 X = (np.arange(120) - 59.5) * 1.5e-4
 Z = H * np.linspace(0, 1, 12) ** 2
-STACK = Stack((Layer(H, 0.3e6, NU),))
+STACK = Stack((ElasticLayer(H, 0.3e6, NU),))
 
 
 def hertzian(x, y, radius_m=A):

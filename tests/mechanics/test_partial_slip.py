@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from palpate.core import RangeError
-from palpate.mechanics import partial_slip as slip
+from palpate.mechanics.half_space import tangential as slip
 
 A, P, MU, E = 2e-3, 1.0, 0.8, 0.3e6
 P0 = 1.5 * P / (math.pi * A**2)

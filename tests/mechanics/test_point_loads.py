@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.core import InputError, RangeError
-from palpate.mechanics import point_loads as loads
+from palpate.mechanics.half_space import point_loads as loads
 
 E, C = 2.0, 0.6  # modulus and depth of the buried force
 NUS = (0.0, 0.3, 0.5)

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from palpate.core import RangeError
-from palpate.mechanics.prony import KelvinVoigt, Prony
+from palpate.mechanics.viscoelastic import KelvinVoigt, Prony
 
 SKIN = Prony(0.2e6, (0.1e6, 0.05e6, 0.3e6), (0.5, 3.0, 0.01))
 ELASTIC = Prony(0.3e6, (), ())

@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError, RangeError
-from palpate.mechanics.revolved import RevolvedBody, tensor_mesh
-from palpate.mechanics.tip_bodies import tip_modes, top_modes
+from palpate.mechanics.axisymmetric.axisymmetric_fem import RevolvedBody, tensor_mesh
+from palpate.mechanics.axisymmetric.tilted_tip import tip_modes, top_modes
 
 
 def block(E=1e5, nu=0.3, cells=(12, 10), radius=0.02, height=0.03) -> RevolvedBody:

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from palpate.core import InputError, Pose, Probe, RangeError
-from palpate.mechanics import hertz, sneddon
+from palpate.mechanics.half_space import hertz, sneddon
 
 R, E, NU = 5e-3, 0.3e6, 0.49
 ES = hertz.reduced_modulus(E, NU)
@@ -103,7 +103,7 @@ def test_the_surface_around_the_contact_is_boussinesqs_superposed(probe):
     d, far = 1e-3, np.array([1.0])
     contact = sneddon.press(probe, Pose(0.0, 0.0, d), E, NU, x_m=far, y_m=np.zeros(1))
     # at 1 m, 200 radii away, it is a point force; the next order is (a/r)^2 = 2e-5
-    assert contact.sinking_m.item() == pytest.approx(contact.force_n / (np.pi * ES), rel=1e-4)
+    assert contact.displacement_m.item() == pytest.approx(contact.force_n / (np.pi * ES), rel=1e-4)
 
 
 @pytest.mark.parametrize("probe", [Probe("sphere", R), Probe("punch", R)])
@@ -111,7 +111,7 @@ def test_the_surface_is_continuous_at_the_rim(probe):
     d = 1e-3
     a = sneddon.press(probe, Pose(0.0, 0.0, d), E, NU).radius_m
     x = a * np.array([1 - 1e-10, 1 + 1e-10])
-    inside, outside = sneddon.press(probe, Pose(0.0, 0.0, d), E, NU, x_m=x, y_m=np.zeros(1)).sinking_m[0]
+    inside, outside = sneddon.press(probe, Pose(0.0, 0.0, d), E, NU, x_m=x, y_m=np.zeros(1)).displacement_m[0]
     # the punch's surface leaves its edge with a vertical tangent: sqrt(2e-10) is 1.4e-5
     assert outside == pytest.approx(inside, rel=3e-5)
 
@@ -136,7 +136,7 @@ def test_first_touch_gives_no_pressure():
         contact = sneddon.press(Probe(shape, R), Pose(0.0, 0.0, 0.0), E, NU)
         assert contact.force_n == 0
         assert not contact.pressure_pa.any()
-        assert not contact.sinking_m.any()
+        assert not contact.displacement_m.any()
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from palpate.core import InputError, RangeError
-from palpate.mechanics.stack import Layer, Stack, surface_compliance
-from palpate.mechanics.stack_transfer import climb
+from palpate.mechanics.layers.stack import ElasticLayer, Stack, climb, surface_compliance
 
 E, H = 0.3e6, 10e-3
 ENDLESS = math.inf
 RATIOS = [0.0, 0.3, 0.49, 0.499]
-TWO = Stack((Layer(2e-3, 3 * E, 0.3), Layer(5e-3, E, 0.49)))
+TWO = Stack((ElasticLayer(2e-3, 3 * E, 0.3), ElasticLayer(5e-3, E, 0.49)))
 
 
 def waves(least=1e-2, most=1e2):
@@ -33,21 +32,21 @@ def boussinesq_and_cerruti(k, nu):
 def test_one_bonded_layer_is_burmisters_closed_form(nu):
     k = waves()
     closed = 2 * (1 - nu**2) / (E * k) * burmister(k * H, nu)
-    found = surface_compliance(Stack((Layer(H, E, nu),)), k).normal
+    found = surface_compliance(Stack((ElasticLayer(H, E, nu),)), k).normal
     np.testing.assert_allclose(found, closed, rtol=1e-10)  # the closed form itself rounds to about 1e-12
 
 
 @pytest.mark.parametrize("nu", RATIOS)
 def test_short_waves_see_the_half_space_of_the_top_layer(nu):
     k = np.array([30.0, 1e3, 1e5]) / 2e-3
-    found = surface_compliance(Stack((Layer(2e-3, E, nu), Layer(1e-3, 50 * E, 0.1))), k)
+    found = surface_compliance(Stack((ElasticLayer(2e-3, E, nu), ElasticLayer(1e-3, 50 * E, 0.1))), k)
     for part, closed in zip(found, boussinesq_and_cerruti(k, nu), strict=True):
         np.testing.assert_allclose(part, closed, rtol=1e-12)
 
 
 @pytest.mark.parametrize("nu", RATIOS)
 def test_a_uniform_load_squeezes_and_shears_the_layers_in_series(nu):
-    layers = (Layer(1e-3, E, nu), Layer(4e-3, 5 * E, 0.2))
+    layers = (ElasticLayer(1e-3, E, nu), ElasticLayer(4e-3, 5 * E, 0.2))
     moduli = [layer.material for layer in layers]
     squeezed = sum(
         m.thickness_m * (1 - 2 * nu) / (2 * mu * (1 - nu)) for m, (mu, nu) in zip(layers, moduli, strict=True)
@@ -63,9 +62,9 @@ def test_a_uniform_load_squeezes_and_shears_the_layers_in_series(nu):
 
 @pytest.mark.parametrize("nu", RATIOS)
 def test_a_layer_cut_into_identical_ones_is_the_same_layer(nu):
-    whole = surface_compliance(Stack((Layer(H, E, nu),)), waves())
+    whole = surface_compliance(Stack((ElasticLayer(H, E, nu),)), waves())
     for n in (2, 5):
-        cut = surface_compliance(Stack((Layer(H / n, E, nu),) * n), waves())
+        cut = surface_compliance(Stack((ElasticLayer(H / n, E, nu),) * n), waves())
         for part, same in zip(cut, whole, strict=True):
             # the 1-D compliance is a difference that nearly cancels as nu nears 1/2
             np.testing.assert_allclose(part, same, rtol=1e-9, atol=1e-13 * whole.along.max())
@@ -74,7 +73,9 @@ def test_a_layer_cut_into_identical_ones_is_the_same_layer(nu):
 @pytest.mark.parametrize("nu", RATIOS)
 def test_layers_on_a_half_space_of_their_material_are_the_half_space(nu):
     k = waves()
-    found = surface_compliance(Stack((Layer(H / 3, E, nu),) * 3 + (Layer(ENDLESS, E, nu),), "half-space"), k)
+    found = surface_compliance(
+        Stack((ElasticLayer(H / 3, E, nu),) * 3 + (ElasticLayer(ENDLESS, E, nu),), "half-space"), k
+    )
     for part, closed in zip(found, boussinesq_and_cerruti(k, nu), strict=True):
         # the coupled part is a small difference as nu nears 1/2
         np.testing.assert_allclose(part, closed, rtol=1e-12, atol=1e-15 * found.along.max())
@@ -93,7 +94,10 @@ def test_unlike_layers_agree_with_all_of_them_solved_at_once(kh, solved_at_once)
 @pytest.mark.parametrize("base", ["bonded", "half-space"])
 def test_the_compliance_is_positive_definite_and_its_halves_are_reciprocal(base):
     last = ENDLESS if base == "half-space" else 3e-3
-    stack = Stack((Layer(1e-3, 20 * E, 0.1), Layer(2e-3, E / 10, 0.499), Layer(last, E, 0.45)), base)
+    stack = Stack(
+        (ElasticLayer(1e-3, 20 * E, 0.1), ElasticLayer(2e-3, E / 10, 0.499), ElasticLayer(last, E, 0.45)),
+        base,
+    )
     k = waves(1e-3, 1e3)
     in_plane, across = climb(stack.slabs, stack.below, k)
     C = in_plane.compliance[0]
@@ -104,7 +108,7 @@ def test_the_compliance_is_positive_definite_and_its_halves_are_reciprocal(base)
 
 def test_a_stiffer_stack_yields_less_at_every_wavelength():
     soft = surface_compliance(TWO, waves())
-    stiff = surface_compliance(Stack((Layer(2e-3, 4 * E, 0.3), Layer(5e-3, E, 0.49))), waves())
+    stiff = surface_compliance(Stack((ElasticLayer(2e-3, 4 * E, 0.3), ElasticLayer(5e-3, E, 0.49))), waves())
     for yielding, less in (
         (soft.normal, stiff.normal),
         (soft.along, stiff.along),
@@ -129,22 +133,22 @@ def test_a_stiffer_stack_yields_less_at_every_wavelength():
 )
 def test_a_layer_that_cannot_be_is_refused(layer):
     with pytest.raises(RangeError, match="give"):
-        Layer(*layer)
+        ElasticLayer(*layer)
 
 
 def test_a_stack_whose_thicknesses_do_not_fit_its_base_is_refused():
     with pytest.raises(InputError, match="one Layer or more"):
         Stack(())
     with pytest.raises(InputError, match="belongs to the last layer"):
-        Stack((Layer(ENDLESS, E, 0.3),))
+        Stack((ElasticLayer(ENDLESS, E, 0.3),))
     with pytest.raises(InputError, match="belongs to the last layer"):
-        Stack((Layer(1e-3, E, 0.3),), "half-space")
+        Stack((ElasticLayer(1e-3, E, 0.3),), "half-space")
     with pytest.raises(InputError, match="belongs to the last layer"):
-        Stack((Layer(ENDLESS, E, 0.3), Layer(ENDLESS, E, 0.3)), "half-space")
+        Stack((ElasticLayer(ENDLESS, E, 0.3), ElasticLayer(ENDLESS, E, 0.3)), "half-space")
 
 
 def test_wavenumbers_without_an_answer_are_refused():
-    half_space = Stack((Layer(ENDLESS, E, 0.3),), "half-space")
+    half_space = Stack((ElasticLayer(ENDLESS, E, 0.3),), "half-space")
     with pytest.raises(RangeError, match="above 0 1/m"):
         surface_compliance(half_space, np.array([0.0]))
     for k in (-1.0, math.nan, math.inf):

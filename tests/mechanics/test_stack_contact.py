@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from palpate.core import InputError, Pose, Probe, RangeError
-from palpate.mechanics import gap, hertz
-from palpate.mechanics.stack import Layer, Stack
-from palpate.mechanics.stack_contact import press_stack
+from palpate.mechanics.half_space import hertz
+from palpate.mechanics.layers import indenters
+from palpate.mechanics.layers.contact_solver import press_stack
+from palpate.mechanics.layers.stack import ElasticLayer, Stack
 
 R, E, NU, DEPTH = 5e-3, 0.3e6, 0.49, 1e-3
-HALF_SPACE = Stack((Layer(math.inf, E, NU),), "half-space")
+HALF_SPACE = Stack((ElasticLayer(math.inf, E, NU),), "half-space")
 E_STAR = HALF_SPACE.layers[0].reduced_modulus_pa
 
 
@@ -20,13 +21,13 @@ def square(half_width_m, points):
 def ball(stack, depth, half_width_m=4e-3, points=96, **pressing):
     x = square(half_width_m, points)
     pressing = pressing or {"depth_m": depth}
-    return press_stack(stack, gap.sphere(x, x, R), x, x, **pressing)
+    return press_stack(stack, indenters.sphere(x, x, R), x, x, **pressing)
 
 
 @pytest.fixture(scope="module")
 def hertzian():
     x = square(3e-3, 128)
-    return press_stack(HALF_SPACE, gap.paraboloid(x, x, R), x, x, depth_m=DEPTH)
+    return press_stack(HALF_SPACE, indenters.paraboloid(x, x, R), x, x, depth_m=DEPTH)
 
 
 def test_a_paraboloid_on_a_half_space_is_hertzs_contact(hertzian):
@@ -38,20 +39,24 @@ def test_a_paraboloid_on_a_half_space_is_hertzs_contact(hertzian):
     r = np.hypot(hertzian.x_m, hertzian.y_m[:, None])
     away = np.abs(r - a) > 0.1 * a  # on the rim a square root meets a cell
     np.testing.assert_allclose(hertzian.pressure_pa[away], hertz.pressure(r, a, p0)[away], atol=1e-2 * p0)
-    np.testing.assert_allclose(hertzian.sinking_m, hertz.sinking(r, a, R), atol=2e-3 * DEPTH)
+    np.testing.assert_allclose(
+        hertzian.displacement_m, hertz.surface_displacement(r, a, R), atol=2e-3 * DEPTH
+    )
 
 
 def test_a_thick_bonded_layer_is_nearly_the_half_space():
     # the leading correction is 1.13 sqrt(R d) / h, 0.25 % here
     x = square(3e-3, 96)
-    thick = press_stack(Stack((Layer(1.0, E, NU),)), gap.paraboloid(x, x, R), x, x, depth_m=DEPTH)
+    thick = press_stack(
+        Stack((ElasticLayer(1.0, E, NU),)), indenters.paraboloid(x, x, R), x, x, depth_m=DEPTH
+    )
     assert 1.0 < thick.force_n / hertz.force_from_depth(DEPTH, R, E, NU) < 1.005
 
 
 def test_the_error_falls_as_the_cells_do():
     def error(points):
         x = square(2.6e-3, points)
-        found = press_stack(HALF_SPACE, gap.paraboloid(x, x, R), x, x, depth_m=DEPTH)
+        found = press_stack(HALF_SPACE, indenters.paraboloid(x, x, R), x, x, depth_m=DEPTH)
         return abs(found.force_n / hertz.force_from_depth(DEPTH, R, E, NU) - 1)
 
     assert error(97) < error(25) / 4  # at least as the first power of the cell
@@ -64,14 +69,14 @@ def test_pressure_is_never_negative_and_adds_up_to_the_force(hertzian):
 
 
 def test_the_skin_has_the_indenters_shape_where_it_touches_and_lies_below_elsewhere(hertzian):
-    room = hertzian.sinking_m - (DEPTH - gap.paraboloid(hertzian.x_m, hertzian.y_m, R))
+    room = hertzian.displacement_m - (DEPTH - indenters.paraboloid(hertzian.x_m, hertzian.y_m, R))
     assert np.abs(room[hertzian.touching]).max() == pytest.approx(hertzian.misfit_m, rel=1e-6)
     assert hertzian.misfit_m <= 1e-5 * DEPTH
     assert room.min() >= -1e-5 * DEPTH
 
 
 def test_the_depth_of_a_force_gives_the_force_back():
-    for stack in (HALF_SPACE, Stack((Layer(1e-3, 10 * E, NU), Layer(9e-3, E, NU)))):
+    for stack in (HALF_SPACE, Stack((ElasticLayer(1e-3, 10 * E, NU), ElasticLayer(9e-3, E, NU)))):
         by_depth = ball(stack, 0.6e-3, 3e-3, 64)
         by_force = ball(stack, None, 3e-3, 64, force_n=by_depth.force_n)
         assert by_force.force_n == pytest.approx(by_depth.force_n, rel=1e-9)
@@ -82,7 +87,7 @@ def test_a_flat_punch_is_as_stiff_as_its_diameter():
     # the counted disc is a rough circle: its radius is right to half a cell
     a, depth = 2e-3, 1e-4
     x = square(2.5e-3, 201)
-    found = press_stack(HALF_SPACE, gap.flat_punch(x, x, a), x, x, depth_m=depth)
+    found = press_stack(HALF_SPACE, indenters.flat_punch(x, x, a), x, x, depth_m=depth)
     assert found.force_n / (2 * a * E_STAR * depth) == pytest.approx(1.0, abs=0.01)
     assert found.area_m2 == pytest.approx(math.pi * a**2, rel=0.01)
 
@@ -90,7 +95,7 @@ def test_a_flat_punch_is_as_stiff_as_its_diameter():
 def test_a_cone_carries_sneddons_force():
     slope = math.radians(15)
     x = square(3e-3, 128)
-    found = press_stack(HALF_SPACE, gap.cone(x, x, slope), x, x, depth_m=0.8e-3)
+    found = press_stack(HALF_SPACE, indenters.cone(x, x, slope), x, x, depth_m=0.8e-3)
     assert found.force_n == pytest.approx(2 * E_STAR * 0.8e-3**2 / (math.pi * math.tan(slope)), rel=2e-3)
 
 
@@ -104,7 +109,7 @@ AXISYMMETRIC = {
 
 @pytest.mark.parametrize("thickness_mm", [10, 20])
 def test_a_sphere_on_a_bonded_layer_agrees_with_an_axisymmetric_solution(thickness_mm):
-    layer = Stack((Layer(thickness_mm * 1e-3, E, NU),))
+    layer = Stack((ElasticLayer(thickness_mm * 1e-3, E, NU),))
     for depth_mm, over_modulus_mm2 in AXISYMMETRIC[thickness_mm].items():
         found = ball(layer, depth_mm * 1e-3, 6e-3)
         assert found.force_n / E * 1e6 == pytest.approx(
@@ -114,7 +119,7 @@ def test_a_sphere_on_a_bonded_layer_agrees_with_an_axisymmetric_solution(thickne
 
 def test_the_stiffer_layer_above_makes_force_against_area_steeper():
     # Scilingo et al. 2010, Fig. 1: one object of two layers, probed from its two sides
-    soft, stiff = Layer(5e-3, 0.1e6, NU), Layer(5e-3, 0.4e6, NU)
+    soft, stiff = ElasticLayer(5e-3, 0.1e6, NU), ElasticLayer(5e-3, 0.4e6, NU)
     forces = np.array([0.2, 0.6, 1.2])
     above, below = (
         [ball(Stack(order), None, 4e-3, 80, force_n=float(force)) for force in forces]
@@ -130,9 +135,9 @@ def test_the_stiffer_layer_above_makes_force_against_area_steeper():
 
 def test_under_a_stiff_cover_force_against_area_hides_what_lies_below():
     # Fig. 2: a far stiffer cover over two unlike layers; what lies below shows in depth more than in area
-    cover = Layer(2e-3, 10e6, NU)
+    cover = ElasticLayer(2e-3, 10e6, NU)
     one, other = (
-        ball(Stack((cover, Layer(8e-3, below, NU))), None, 1.6e-3, 96, force_n=3.0)
+        ball(Stack((cover, ElasticLayer(8e-3, below, NU))), None, 1.6e-3, 96, force_n=3.0)
         for below in (0.2e6, 0.4e6)
     )
     deeper, wider = one.depth_m / other.depth_m - 1, one.area_m2 / other.area_m2 - 1
@@ -141,10 +146,10 @@ def test_under_a_stiff_cover_force_against_area_hides_what_lies_below():
 
 
 def test_far_contacts_on_a_bonded_layer_do_not_feel_each_other():
-    layer = Stack((Layer(1e-3, E, NU),))
+    layer = Stack((ElasticLayer(1e-3, E, NU),))
     x, y = square(8e-3, 192), square(2.5e-3, 60)
-    alone = press_stack(layer, gap.sphere(x, y, 3e-3, (-5.2e-3, 0.0)), x, y, depth_m=3e-4)
-    both = press_stack(layer, gap.two_points(x, y, 3e-3, 10.4e-3), x, y, depth_m=3e-4)
+    alone = press_stack(layer, indenters.sphere(x, y, 3e-3, (-5.2e-3, 0.0)), x, y, depth_m=3e-4)
+    both = press_stack(layer, indenters.two_points(x, y, 3e-3, 10.4e-3), x, y, depth_m=3e-4)
     # ten thicknesses apart the motion of one has faded below 1e-3 under the other
     assert both.force_n == pytest.approx(2 * alone.force_n, rel=2e-3)
     np.testing.assert_allclose(
@@ -154,8 +159,8 @@ def test_far_contacts_on_a_bonded_layer_do_not_feel_each_other():
 
 def test_near_contacts_share_the_load():
     x = square(4e-3, 96)
-    alone = press_stack(HALF_SPACE, gap.sphere(x, x, R / 4), x, x, depth_m=2e-4)
-    both = press_stack(HALF_SPACE, gap.two_points(x, x, R / 4, 4e-3), x, x, depth_m=2e-4)
+    alone = press_stack(HALF_SPACE, indenters.sphere(x, x, R / 4), x, x, depth_m=2e-4)
+    both = press_stack(HALF_SPACE, indenters.two_points(x, x, R / 4, 4e-3), x, x, depth_m=2e-4)
     # each lies on ground that the other's force has sunk by F / (pi E* s)
     part = both.force_n / (2 * alone.force_n)
     sunk = both.force_n / 2 / (math.pi * E_STAR * 4e-3)
@@ -165,8 +170,8 @@ def test_near_contacts_share_the_load():
 
 def test_a_leaning_punch_presses_on_its_lower_side():
     x = square(2.5e-3, 96)
-    leaning = gap.tilted(gap.flat_punch(x, x, 1.5e-3, 3e-4), x, x, math.radians(3))
-    found = press_stack(Stack((Layer(6e-3, E, NU),)), leaning, x, x, force_n=0.1)
+    leaning = indenters.tilted(indenters.flat_punch(x, x, 1.5e-3, 3e-4), x, x, math.radians(3))
+    found = press_stack(Stack((ElasticLayer(6e-3, E, NU),)), leaning, x, x, force_n=0.1)
     assert (found.pressure_pa.sum(axis=0) * x).sum() < 0.0  # the side with x < 0 lies lower
 
 
@@ -190,7 +195,7 @@ def test_what_the_grid_does_not_hold_is_refused():
     with pytest.raises(RangeError, match="no point of the grid"):
         ball(HALF_SPACE, 1e-8, 4e-3, 96)
     with pytest.raises(RangeError, match="do not resolve a top layer"):
-        ball(Stack((Layer(1e-5, E, NU), Layer(5e-3, E, NU))), DEPTH)
+        ball(Stack((ElasticLayer(1e-5, E, NU), ElasticLayer(5e-3, E, NU))), DEPTH)
 
 
 @pytest.mark.parametrize("asked", [{"depth_m": -1e-4}, {"depth_m": math.nan}, {"force_n": -1.0}])
@@ -202,12 +207,12 @@ def test_a_depth_or_force_that_cannot_be_is_refused(asked):
 def test_a_depth_beyond_the_stack_is_refused():
     for asked in ({"depth_m": 2e-3}, {"force_n": 1e4}):
         with pytest.raises(RangeError, match=r"thickness|border"):
-            ball(Stack((Layer(2e-3, E, NU),)), None, **asked)
+            ball(Stack((ElasticLayer(2e-3, E, NU),)), None, **asked)
 
 
 def test_input_that_is_no_height_field_on_a_grid_is_refused():
     x = square(4e-3, 40)
-    z = gap.sphere(x, x, R)
+    z = indenters.sphere(x, x, R)
     with pytest.raises(InputError, match="exactly one"):
         press_stack(HALF_SPACE, z, x, x)
     with pytest.raises(InputError, match="exactly one"):

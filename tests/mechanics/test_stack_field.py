@@ -4,21 +4,22 @@ import numpy as np
 import pytest
 
 from palpate.core import InputError, RangeError
-from palpate.mechanics import hertz, line_integrated_stress, secondary_stress
-from palpate.mechanics.stack import Layer, Stack, surface_compliance
-from palpate.mechanics.stack_field import STRESSES, field_below
-from palpate.mechanics.stack_influence import normal_influence, tangential_influence
-from palpate.mechanics.surface_grid import cells
+from palpate.mechanics import line_integrated_stress, secondary_stress
+from palpate.mechanics.half_space import hertz
+from palpate.mechanics.layers.influence import normal_influence, tangential_influence
+from palpate.mechanics.layers.stack import ElasticLayer, Stack, surface_compliance
+from palpate.mechanics.layers.stack_field import STRESSES, field_below
+from palpate.mechanics.layers.surface_grid import cells
 
 E, A, P0 = 0.3e6, 1e-3, 1e4
-TWO = Stack((Layer(1.5e-3, 3 * E, 0.3), Layer(2.5e-3, E, 0.49)))
+TWO = Stack((ElasticLayer(1.5e-3, 3 * E, 0.3), ElasticLayer(2.5e-3, E, 0.49)))
 X = np.linspace(-4 * A, 4 * A, 97)
 SMOOTH = P0 * np.exp(-(X**2 + X[:, None] ** 2) / A**2)
 MIDDLE = len(X) // 2
 
 
 def half_space(nu):
-    return Stack((Layer(math.inf, E, nu),), "half-space")
+    return Stack((ElasticLayer(math.inf, E, nu),), "half-space")
 
 
 def hertz_load(x):
@@ -60,19 +61,19 @@ def test_the_surface_under_hertzs_contact_sinks_as_hertz_says():
     stack = half_space(0.3)
     radius = 2 * A * stack.layers[0].reduced_modulus_pa / (math.pi * P0)
     found = field_below(stack, hertz_load(x), x, x, [0.0])
-    closed = hertz.sinking(np.hypot(x, x[:, None]), A, radius)
+    closed = hertz.surface_displacement(np.hypot(x, x[:, None]), A, radius)
     np.testing.assert_allclose(found.displacement_m[0, 2], closed, atol=5e-3 * closed.max())
 
 
 def test_a_thick_layer_is_nearly_the_half_space_below():
     x = np.linspace(-3 * A, 3 * A, 97)
     z = [0.5 * A, A]
-    thick = field_below(Stack((Layer(60 * A, E, 0.45),)), hertz_load(x), x, x, z)
+    thick = field_below(Stack((ElasticLayer(60 * A, E, 0.45),)), hertz_load(x), x, x, z)
     endless = field_below(half_space(0.45), hertz_load(x), x, x, z)
     np.testing.assert_allclose(thick.stress_pa, endless.stress_pa, atol=1e-3 * P0)
 
 
-@pytest.mark.parametrize("stack", [TWO, half_space(0.4), Stack((Layer(30 * A, E, 0.49),))])
+@pytest.mark.parametrize("stack", [TWO, half_space(0.4), Stack((ElasticLayer(30 * A, E, 0.49),))])
 def test_the_surface_of_the_field_moves_as_the_influence_of_cells_says(stack):
     # two ways to the same: waves on a padded grid, and a sum over cells without images
     grid = cells(X, X)

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from palpate.core import InputError, RangeError
-from palpate.mechanics import gap, twist
-from palpate.mechanics.stack import Layer, Stack
-from palpate.mechanics.stack_contact import press_stack
-from palpate.mechanics.stack_friction import shear_stack
+from palpate.mechanics.half_space import tangential
+from palpate.mechanics.layers import indenters
+from palpate.mechanics.layers.contact_solver import press_stack
+from palpate.mechanics.layers.stack import ElasticLayer, Stack
+from palpate.mechanics.layers.stack_friction import shear_stack
 
 R, E, DEPTH, MU = 5e-3, 0.3e6, 5e-4, 0.6
 A = math.sqrt(R * DEPTH)
@@ -15,11 +16,11 @@ X = np.linspace(-1.2 * A, 1.2 * A, 64)
 
 
 def pressed(stack):
-    return press_stack(stack, gap.paraboloid(X, X, R), X, X, depth_m=DEPTH)
+    return press_stack(stack, indenters.paraboloid(X, X, R), X, X, depth_m=DEPTH)
 
 
 def on_half_space(nu):
-    return pressed(Stack((Layer(math.inf, E, nu),), "half-space"))
+    return pressed(Stack((ElasticLayer(math.inf, E, nu),), "half-space"))
 
 
 @pytest.mark.parametrize(("nu", "tolerance"), [(0.0, 1e-3), (0.49, 4e-3)])
@@ -37,7 +38,7 @@ def test_a_sphere_sheared_on_a_half_space_slips_as_cattaneo_and_mindlin_say(nu, 
 
 
 def test_no_traction_exceeds_friction_and_sticking_skin_goes_with_the_probe():
-    contact = pressed(Stack((Layer(0.5e-3, 2 * E, 0.49), Layer(3e-3, E, 0.3))))
+    contact = pressed(Stack((ElasticLayer(0.5e-3, 2 * E, 0.49), ElasticLayer(3e-3, E, 0.3))))
     found = shear_stack(contact, MU, shift_m=(4e-5, -2e-5))
     limit = MU * contact.pressure_pa
     assert np.all(np.hypot(*found.shear_pa) <= limit * (1 + 1e-12))
@@ -76,7 +77,7 @@ def test_a_contact_that_sticks_twists_as_reissner_and_sagoci_say(nu):
     contact = on_half_space(nu)
     found = shear_stack(contact, 1e4, turn_rad=1e-6)
     # the traction rises without end to the rim, which lies in cells of A/27: 0.6 % is measured at nu = 0.49
-    assert found.moment_nm == pytest.approx(1e-6 * twist.twisting_stiffness(A, E, nu), rel=0.01)
+    assert found.moment_nm == pytest.approx(1e-6 * tangential.twisting_stiffness(A, E, nu), rel=0.01)
     assert np.abs(found.force_n).max() < 1e-6 * found.moment_nm / A
 
 
@@ -85,7 +86,7 @@ def test_a_contact_that_sticks_twists_as_reissner_and_sagoci_say(nu):
 def test_a_twisted_sphere_slips_as_lubkin_says(nu, turn):
     contact = on_half_space(nu)
     found = shear_stack(contact, MU, turn_rad=turn)
-    moment, stick = twist.twisted(turn, contact.force_n, MU, A, E, nu)
+    moment, stick = tangential.twisted(turn, contact.force_n, MU, A, E, nu)
     assert found.moment_nm == pytest.approx(moment, rel=1e-3)  # 4e-4 is measured
     sticking = math.sqrt(found.sticking.sum() / contact.touching.sum())
     assert sticking == pytest.approx(stick / A, abs=0.01)  # counted in cells of A/27
@@ -94,13 +95,13 @@ def test_a_twisted_sphere_slips_as_lubkin_says(nu, turn):
 def test_a_great_turn_slips_everywhere_at_the_moment_of_friction():
     contact = on_half_space(0.3)
     found = shear_stack(contact, MU, turn_rad=3.0)
-    greatest = twist.greatest_moment(contact.force_n, MU, A)
+    greatest = tangential.greatest_moment(contact.force_n, MU, A)
     assert found.moment_nm == pytest.approx(greatest, rel=1e-3)
 
 
 def test_a_moment_to_the_left_is_that_to_the_right_mirrored():
     contact = on_half_space(0.49)
-    most = twist.greatest_moment(contact.force_n, MU, A)
+    most = tangential.greatest_moment(contact.force_n, MU, A)
     one, other = (shear_stack(contact, MU, moment_nm=sign * 0.5 * most) for sign in (1, -1))
     assert one.turn_rad > 0
     assert other.turn_rad == pytest.approx(-one.turn_rad, rel=1e-6)
@@ -120,7 +121,7 @@ def test_force_and_moment_together_convert_back_to_shift_and_turn():
 
 def test_force_and_moment_share_the_friction():
     contact = on_half_space(0.49)
-    most = twist.greatest_moment(contact.force_n, MU, A)
+    most = tangential.greatest_moment(contact.force_n, MU, A)
     alone = shear_stack(contact, MU, moment_nm=0.6 * most)
     both = shear_stack(contact, MU, force_n=(0.5 * MU * contact.force_n, 0.0), moment_nm=0.6 * most)
     assert both.turn_rad > 1.1 * alone.turn_rad
@@ -159,6 +160,6 @@ def test_what_cannot_be_sheared_is_refused():
         shear_stack(contact, MU, moment_nm=math.inf)
     with pytest.raises(RangeError, match="moment of 1 N m"):
         shear_stack(contact, MU, moment_nm=1.0)
-    nothing = press_stack(contact.stack, gap.paraboloid(X, X, R), X, X, depth_m=0.0)
+    nothing = press_stack(contact.stack, indenters.paraboloid(X, X, R), X, X, depth_m=0.0)
     with pytest.raises(RangeError, match="carries no shear"):
         shear_stack(nothing, MU, shift_m=(1e-5, 0.0))

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from palpate.mechanics.pairs import Body
-from palpate.mechanics.tilted_tip import TiltedContact, TiltedPress
-from palpate.mechanics.tip_bodies import tip_modes, top_modes
+from palpate.mechanics.axisymmetric.tilted_tip import TiltedContact, TiltedPress, tip_modes, top_modes
+from palpate.mechanics.half_space.hertz_pairs import Body
 
 NU = 0.48
 

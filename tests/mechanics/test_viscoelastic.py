@@ -6,8 +6,9 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from palpate.core import RangeError
-from palpate.mechanics import hertz, viscoelastic
-from palpate.mechanics.prony import KelvinVoigt, Prony
+from palpate.mechanics import viscoelastic
+from palpate.mechanics.half_space import hertz
+from palpate.mechanics.viscoelastic import KelvinVoigt, Prony
 
 R, NU, TOP = 5e-3, 0.49, 1e-3
 SKIN = Prony(0.1e6, (0.15e6, 0.05e6), (0.5, 0.05))

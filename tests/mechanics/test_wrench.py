@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from palpate.core import Contact, InputError, Pose, Probe
-from palpate.mechanics.wrench import Wrench, wrench_of
+from palpate.mechanics.resultant import Resultant, resultant_of
 
 X = np.linspace(4e-3, 6e-3, 41)
 Y = np.linspace(-4e-3, -2e-3, 41)
@@ -26,14 +26,14 @@ def loaded(rng):
 def test_a_small_contact_s_moment_is_r_cross_f():
     one = np.zeros((41, 41))
     one[20, 20] = 1.0 / CELL  # at (5, -3) mm
-    found = wrench_of(contact(one, np.stack([0.2 * one, -0.1 * one])))
+    found = resultant_of(contact(one, np.stack([0.2 * one, -0.1 * one])))
     force = np.array([0.2, -0.1, 1.0])
     np.testing.assert_allclose(found[:3], force, rtol=1e-12)
     np.testing.assert_allclose(found[3:], np.cross([5e-3, -3e-3, 0.0], force), rtol=1e-9)
 
 
 def test_moments_about_another_point_differ_by_r_cross_f(loaded):
-    here, there = wrench_of(loaded), wrench_of(loaded, (5e-3, -3e-3))
+    here, there = resultant_of(loaded), resultant_of(loaded, (5e-3, -3e-3))
     np.testing.assert_allclose(here[:3], there[:3])
     moved = np.cross([5e-3, -3e-3, 0.0], here[:3])
     np.testing.assert_allclose(np.array(here[3:]), np.array(there[3:]) + moved, rtol=1e-9)
@@ -41,23 +41,23 @@ def test_moments_about_another_point_differ_by_r_cross_f(loaded):
 
 def test_wrenches_of_loads_add_up(loaded):
     pressed, pulled = contact(loaded.pressure_pa), contact(0 * loaded.pressure_pa, loaded.shear_pa)
-    both = np.add(wrench_of(pressed), wrench_of(pulled))
-    np.testing.assert_allclose(wrench_of(loaded), both, rtol=1e-9)
-    assert wrench_of(pressed).force_z_n == pytest.approx(loaded.pressure_pa.sum() * CELL)
-    assert wrench_of(pressed).moment_z_nm == 0.0
+    both = np.add(resultant_of(pressed), resultant_of(pulled))
+    np.testing.assert_allclose(resultant_of(loaded), both, rtol=1e-9)
+    assert resultant_of(pressed).force_z_n == pytest.approx(loaded.pressure_pa.sum() * CELL)
+    assert resultant_of(pressed).moment_z_nm == 0.0
 
 
 def test_an_even_contact_has_its_force_in_its_middle():
     r = np.hypot(X - 5e-3, (Y + 3e-3)[:, None])
     p = 1e4 * np.sqrt(np.maximum(1 - (r / 8e-4) ** 2, 0))
-    found = wrench_of(contact(p), (5e-3, -3e-3))
+    found = resultant_of(contact(p), (5e-3, -3e-3))
     assert abs(found.moment_x_nm) + abs(found.moment_y_nm) < 1e-12 * found.force_z_n
     assert found.force_z_n == pytest.approx(2 / 3 * math.pi * 8e-4**2 * 1e4, rel=3e-3)  # 16 cells a radius
 
 
 def test_what_has_no_moment_is_refused(loaded):
     with pytest.raises(InputError, match="finite"):
-        wrench_of(loaded, (math.nan, 0.0))
+        resultant_of(loaded, (math.nan, 0.0))
     with pytest.raises(InputError, match="regular grid"):
-        wrench_of(replace(loaded, x_m=np.sort(np.append(X[1:], 5.01e-3))))
-    assert isinstance(wrench_of(loaded), Wrench)
+        resultant_of(replace(loaded, x_m=np.sort(np.append(X[1:], 5.01e-3))))
+    assert isinstance(resultant_of(loaded), Resultant)

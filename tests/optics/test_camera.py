@@ -2,10 +2,12 @@ import numpy as np
 import pytest
 
 from palpate.core import InputError, RangeError
-from palpate.optics import Camera, assumed_camera, develop, encode_srgb, raw_codes
+from palpate.optics import CameraResponse, assumed_camera, develop, encode_srgb, raw_codes
 
 SENSITIVITY = assumed_camera().sensitivity
-QUIET = Camera(full_well_e=1e9, read_noise_e=0.0)  # so many electrons that their noise is below a code
+QUIET = CameraResponse(
+    full_well_e=1e9, read_noise_e=0.0
+)  # so many electrons that their noise is below a code
 
 
 def patch(value, side=100):
@@ -28,7 +30,7 @@ def test_developing_gives_back_the_colour_of_the_light():
 
 def test_twice_the_exposure_is_twice_the_code_until_it_clips():
     def mean(exposure):
-        camera = Camera(exposure=exposure)
+        camera = CameraResponse(exposure=exposure)
         return raw_codes(patch(0.5), np.ones(3), camera, np.random.default_rng(0)).mean()
 
     assert mean(0.8) == pytest.approx(2 * mean(0.4), rel=1e-3)
@@ -36,7 +38,7 @@ def test_twice_the_exposure_is_twice_the_code_until_it_clips():
 
 
 def test_noise_of_the_codes_is_the_electrons():
-    camera = Camera()
+    camera = CameraResponse()
     codes = raw_codes(patch(0.5, 300), np.ones(3), camera, np.random.default_rng(1))
     per_code = camera.full_well_e / 4095
     expected = np.sqrt(0.5 * camera.exposure * camera.full_well_e + camera.read_noise_e**2 + per_code**2 / 12)
@@ -54,4 +56,4 @@ def test_light_that_is_no_light_is_refused():
 )
 def test_cameras_that_cannot_be_are_refused(change):
     with pytest.raises(RangeError):
-        Camera(**change)
+        CameraResponse(**change)

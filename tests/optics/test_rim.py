@@ -3,7 +3,7 @@ import pytest
 
 from palpate.core import InputError, RangeError
 from palpate.optics import flat_windows, round_rim, straight
-from palpate.optics.rim import fresnel
+from palpate.optics.wall_refraction import fresnel
 
 R, INDEX = 28.5e-3, 1.41
 

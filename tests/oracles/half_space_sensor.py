@@ -18,9 +18,9 @@ from palpate.core.contact import Contact, Pose, Probe
 from palpate.core.errors import InputError, RangeError
 from palpate.core.frame import Frame
 from palpate.core.shapes import Float, Float32
-from palpate.mechanics import hertz
+from palpate.mechanics.half_space import hertz
+from palpate.optics.camera_response import electrons, quantise, uneven_light
 from palpate.optics.colour import Spectrum, assumed_camera, encode_srgb
-from palpate.optics.noise import electrons, illumination, quantise
 from palpate.optics.polariscope import with_leak
 from palpate.optics.stress_optic import StressOpticLaw
 
@@ -233,7 +233,7 @@ def _spectrum(bands: int) -> Spectrum:
 def _lamp(
     height: int, width: int, corner_loss: float, centre: tuple[float, float]
 ) -> Float32[ndarray, "h w"]:
-    return illumination(height, width, corner_loss, centre)
+    return uneven_light(height, width, corner_loss, centre)
 
 
 @lru_cache(maxsize=4)

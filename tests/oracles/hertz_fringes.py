@@ -17,7 +17,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from palpate.core.errors import RangeError
 from palpate.core.shapes import Float
-from palpate.mechanics.hertz_field import secondary_stress
+from palpate.mechanics.half_space.hertz import secondary_stress
 from palpate.optics.march import Retarder, graded_slices, march_even
 from palpate.optics.polariscope import dark_field
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.core import InputError, Pose, Probe, RangeError
-from palpate.mechanics.wrench import wrench_of
+from palpate.mechanics.resultant import resultant_of
 from palpate.sensors import palm
 from palpate.sensors.palm import loads
 from palpate.sensors.palm.press import FRICTION, greatest_aside, press_layers
@@ -96,7 +96,7 @@ def test_a_moment_is_kept_with_the_shear_that_adds_up_to_it():
     pose, ball = Pose(4e-3, -2e-3, 1e-3), Probe("sphere", SPEC.indenter_radius_m)
     force, moment = greatest_aside(press_layers(SPEC, pose, ball))
     contact = palm.press(SPEC, pose, ball, (0.3 * force, 0.0), 0.4 * moment)
-    wrench = wrench_of(contact, (pose.x_m, pose.y_m))
+    wrench = resultant_of(contact, (pose.x_m, pose.y_m))
     assert contact.moment_nm == pytest.approx(0.4 * moment)
     # the solver is asked for 1e-4 of force and moment taken together
     assert wrench.moment_z_nm == pytest.approx(contact.moment_nm, rel=5e-4)
@@ -110,7 +110,7 @@ def test_a_probe_that_does_not_turn_takes_the_moment_there_is():
     # pulled along x where it presses at +y: the skin there is moved the most, x F_y - y F_x < 0
     assert contact.moment_nm < 0
     free = palm.press(SPEC, Pose(0.0, 0.0, 0.8e-3), punch, (0.4, 0.0), 0.0)
-    assert abs(wrench_of(free).moment_z_nm) < 0.01 * abs(contact.moment_nm)
+    assert abs(resultant_of(free).moment_z_nm) < 0.01 * abs(contact.moment_nm)
 
 
 def test_a_moment_that_cannot_be_is_refused():

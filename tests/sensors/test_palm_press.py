@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from palpate.core import InputError, Pose, Probe, RangeError
-from palpate.mechanics.layer_approximations import punch_force, sphere_force
+from palpate.mechanics.layers.bonded_layer import punch_force, sphere_force
 from palpate.sensors import palm
 from palpate.sensors.palm.press import FRICTION, LINEAR_DEPTH_M
 

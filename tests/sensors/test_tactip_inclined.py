@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import RangeError
-from palpate.mechanics.tip_bodies import tip_modes, top_modes
-from palpate.mechanics.tip_table import tip_table
+from palpate.mechanics.axisymmetric.tilted_tip import tip_modes, top_modes
+from palpate.mechanics.axisymmetric.tip_table import tip_table
 from palpate.sensors.tactip import inclined as module
 from palpate.sensors.tactip import pictured, tactip
 from palpate.sensors.tactip.inclined import Inclined, inclined

@@ -14,9 +14,8 @@ from oracles.palm import GRID_MM
 from oracles.shortcuts import FARTHEST, baseline
 
 from drawn import RIM, SPEC, H, R, outer_labels, sheet
-from palpate.mechanics.layer_approximations import dimitriadis_factor, sphere_force
-from palpate.mechanics.press_table import PressTable
-from palpate.mechanics.rim import rim_effect
+from palpate.mechanics.axisymmetric.sphere_table import SphereTable, edge_correction
+from palpate.mechanics.layers.bonded_layer import dimitriadis_factor, sphere_force
 from palpate.optics import round_rim
 from palpate.reports.figures import ACCENT, BAD, BAND, INK
 from palpate.sensors.palm.field import field_of, pressed
@@ -171,7 +170,7 @@ def off_centre() -> Figure:
 
 
 def _too_high(offset: float, depth: float) -> float:
-    return 100 * (1 / rim_effect(offset, depth / R, H / R).force_ratio - 1)
+    return 100 * (1 / edge_correction(offset, depth / R, H / R).force_ratio - 1)
 
 
 def forces() -> Figure:
@@ -179,13 +178,13 @@ def forces() -> Figure:
     figure, [[left, right]] = sheet(1, 2, (9.4, 3.6))
     unit = SPEC.youngs_modulus_pa * SPEC.indenter_radius_m**2
     d = np.linspace(0.02, 1, 60)  # in ball radii
-    table = PressTable.load("sphere-h2-mu0")
+    table = SphereTable.load("sphere-h2-mu0")
     solved = np.array([table.at(c).force for c in d])
     hertz = 4 / 3 / (1 - 0.49**2) * d**1.5
     linear_to = d <= 0.4  # of the layer's thickness a fifth
     linear = np.array([sphere_force(c, 1.0, 2.0, 1.0, 0.49) for c in d[linear_to]])
     series = hertz * np.array([dimitriadis_factor(math.sqrt(c) / 2, 0.49) for c in d])
-    rough = PressTable.load("sphere-h2-mu05")
+    rough = SphereTable.load("sphere-h2-mu05")
     stuck = np.array([rough.at(c).force for c in d])
     for at, force, label, style in (
         (d, solved, "finite strain (the palm's)", {"color": ACCENT, "lw": 2}),

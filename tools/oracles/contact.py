@@ -13,11 +13,15 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.special import ellipk
 
 from oracles import Oracle, relative
-from palpate.mechanics import adhesion, hertz, sneddon
-from palpate.mechanics.hertz_field import secondary_stress
-from palpate.mechanics.line_integral import line_integrated_stress
-from palpate.mechanics.point_loads import cerruti_stress
-from palpate.mechanics.subsurface import centreline_stress, greatest_shear, hertz_stress
+from palpate.mechanics.half_space import adhesion, hertz, sneddon
+from palpate.mechanics.half_space.hertz import secondary_stress
+from palpate.mechanics.half_space.point_loads import cerruti_stress
+from palpate.mechanics.half_space.subsurface import (
+    centreline_stress,
+    greatest_shear,
+    hertz_stress,
+    line_integrated_stress,
+)
 
 R, E, NU = 5e-3, 0.3e6, 0.49
 BELOW = np.array([[0.0, 0.0, 0.5], [0.6, 0.3, 0.4], [1.0, 0.0, 0.5], [-1.4, 0.8, 0.9], [2.0, -1.0, 0.3]])
@@ -45,7 +49,7 @@ def hertz_surface() -> float:
 
     at = a * np.array([0.2, 0.5, 0.9, 1.3, 3.0])
     sunk = [quad(ring, 0, a, args=(r,), points=[r] if r < a else None, limit=200)[0] for r in at]
-    return relative(hertz.sinking(at, a, R), np.array(sunk) * (1 - NU**2) / (math.pi * E))
+    return relative(hertz.surface_displacement(at, a, R), np.array(sunk) * (1 - NU**2) / (math.pi * E))
 
 
 def sneddon_shapes() -> float:

@@ -9,8 +9,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from oracles import Oracle, relative
-from palpate.mechanics.prony import Prony
-from palpate.mechanics.viscoelastic import press, ting
+from palpate.mechanics.viscoelastic import Prony, press, ting
 
 R, NU, TOP = 5e-3, 0.49, 1e-3
 SKIN = Prony(0.1e6, (0.15e6, 0.05e6), (0.5, 0.05))

@@ -10,7 +10,7 @@ from numpy import ndarray
 from scipy.linalg import expm
 
 from oracles import Oracle
-from palpate.mechanics.hertz_field import secondary_stress
+from palpate.mechanics.half_space.hertz import secondary_stress
 from palpate.optics import (
     AxisymmetricField,
     Rays,
@@ -31,8 +31,8 @@ from palpate.optics import (
     spectral_to_linear,
     through,
 )
+from palpate.optics.camera_response import electrons
 from palpate.optics.march import march_even
-from palpate.optics.noise import electrons
 
 GREEN = np.array([550e-9])
 RIM, INDEX = 28.5e-3, 1.41

@@ -16,11 +16,10 @@ from oracles.light import even_slices, three_wavelengths
 from oracles.palm import GRID_MM, SMALL, inside
 from oracles.tables import STUDY
 from palpate.core import Pose
-from palpate.mechanics import hertz
-from palpate.mechanics.hertz_field import secondary_stress
-from palpate.mechanics.layer_approximations import dimitriadis_factor
-from palpate.mechanics.press_table import PressTable
-from palpate.mechanics.rim import rim_effect
+from palpate.mechanics.axisymmetric.sphere_table import SphereTable, edge_correction
+from palpate.mechanics.half_space import hertz
+from palpate.mechanics.half_space.hertz import secondary_stress
+from palpate.mechanics.layers.bonded_layer import dimitriadis_factor
 from palpate.optics import (
     Rays,
     StressOpticLaw,
@@ -114,7 +113,7 @@ def ways() -> str:
 
 def shortcuts() -> str:
     """What simpler ways cost, in the same units as the checks."""
-    solved = PressTable.load("sphere-h2-mu0").at(1.0).force
+    solved = SphereTable.load("sphere-h2-mu0").at(1.0).force
     hertz = 4 / 3 / (1 - 0.49**2)
     rows = [
         ("Hertz's force at 5 mm", f"{100 * (hertz / solved - 1):+.0f} %"),
@@ -169,7 +168,7 @@ def assumptions() -> str:
             ("A membrane twice as wide", "disc twice as wide"),
         )
     ]
-    thick, thin = (PressTable.load(f"sphere-h{h}-mu0") for h in (4, 2))
+    thick, thin = (SphereTable.load(f"sphere-h{h}-mu0") for h in (4, 2))
     changes = (f"{100 * (thick.at(d).force / thin.at(d).force - 1):+.1f} %" for d in depths)
     rows.append(("A membrane twice as thick", *changes))
     return table(("other than assumed", "force at 1 mm", "3 mm", "5 mm"), rows)
@@ -183,7 +182,7 @@ def off_centre() -> str:
     pushed = palm.press(spec, Pose(0.0, 0.0, 5e-3)).force_n
     for mm, places in sorted(away.items())[1:]:
         offset = min(mm * 1e-3 / R, FARTHEST)
-        found = [rim_effect(offset, depth_mm * 1e-3 / R, h / R) for depth_mm in (1, 3, 5)]
+        found = [edge_correction(offset, depth_mm * 1e-3 / R, h / R) for depth_mm in (1, 3, 5)]
         errors = (f"{100 * (1 / effect.force_ratio - 1):+.1f} %" for effect in found)
         rows.append((f"{mm:.1f}", f"{places}", *errors, f"{found[-1].side_ratio * pushed:.2f}"))
     head = (

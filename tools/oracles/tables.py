@@ -12,20 +12,19 @@ from numpy import ndarray
 from scipy.interpolate import CubicSpline, RegularGridInterpolator
 
 from oracles import Oracle
-from palpate.mechanics.layer_approximations import sphere_force
-from palpate.mechanics.press_table import Press, PressTable, shipped
-from palpate.mechanics.rim import OFF_CENTRE
+from palpate.mechanics.axisymmetric.sphere_table import OFF_CENTRE, SphereTable, TabulatedPress, shipped
+from palpate.mechanics.layers.bonded_layer import sphere_force
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 STUDY = REPOSITORY / "tools" / "mesh_study.json"
 DEPTHS = (0.2, 0.33, 0.6, 1.0, 1.2)
 
 
-def presses(depths: tuple[float, ...] = DEPTHS) -> Iterator[Press]:
+def presses(depths: tuple[float, ...] = DEPTHS) -> Iterator[TabulatedPress]:
     """Every shipped table at these depths [R]."""
     for name in shipped():
         for depth in depths:
-            yield PressTable.load(name).at(depth)
+            yield SphereTable.load(name).at(depth)
 
 
 def base() -> float:
@@ -79,7 +78,7 @@ def shape() -> float:
 def shallow(depth: float) -> float:
     """Force without friction against the exact small-strain layer, at one depth [R]."""
     return max(
-        abs(PressTable.load(f"sphere-h{h}-mu0").at(depth).force / sphere_force(depth, 1.0, h, 1.0, 0.49) - 1)
+        abs(SphereTable.load(f"sphere-h{h}-mu0").at(depth).force / sphere_force(depth, 1.0, h, 1.0, 0.49) - 1)
         for h in (2, 4)
     )
 
@@ -87,7 +86,7 @@ def shallow(depth: float) -> float:
 def other_force() -> float:
     """Force at 1 R against other elements, mesh and contact springs: F / E of 61.97 and 45.33 mm^2."""
     other = {2: 61.97 / 25, 4: 45.33 / 25}
-    return max(abs(PressTable.load(f"sphere-h{h}-mu0").at(1.0).force / f - 1) for h, f in other.items())
+    return max(abs(SphereTable.load(f"sphere-h{h}-mu0").at(1.0).force / f - 1) for h, f in other.items())
 
 
 def other_exponent() -> float:
@@ -98,7 +97,7 @@ def other_exponent() -> float:
 def exponent(thickness: int) -> float:
     """Slope of log force over log depth from 0.2 to 1 R, without friction."""
     depths = np.linspace(0.2, 1.0, 9)
-    force = [PressTable.load(f"sphere-h{thickness}-mu0").at(d).force for d in depths]
+    force = [SphereTable.load(f"sphere-h{thickness}-mu0").at(d).force for d in depths]
     return float(np.polyfit(np.log(depths), np.log(force), 1)[0])
 
 
@@ -108,7 +107,7 @@ def between(part: str) -> float:
     for name in shipped():
         with np.load(REPOSITORY / "tests" / "mechanics" / f"between-{name}.npz") as solved:
             for depth, wanted in zip(solved["depth"], solved[part], strict=True):
-                p = PressTable.load(name).at(float(depth))
+                p = SphereTable.load(name).at(float(depth))
                 if part == "stress":
                     off = (p.stress[:, ::4, ::4] - wanted) / np.abs(wanted).max()
                     errors.append(float(np.sqrt(np.mean(off**2))))
@@ -120,7 +119,7 @@ def between(part: str) -> float:
 def bricks() -> float:
     """Force without friction from 0.2 to 1 R against another mesh, in three dimensions, of other elements."""
     return max(
-        abs(row["force"] / PressTable.load(f"sphere-h{row['thickness']:g}-mu0").at(row["depth"]).force - 1)
+        abs(row["force"] / SphereTable.load(f"sphere-h{row['thickness']:g}-mu0").at(row["depth"]).force - 1)
         for row in _off_centre("presses")
         if row["offset"] == 0 and row["depth"] >= 0.2
     )

@@ -63,8 +63,8 @@ def hertz(
 
     Example: palpate mechanics hertz --radius-mm 5 --modulus-kpa 300 --poisson 0.49 --depth-mm 1
     """
-    from palpate.mechanics import hertz as law
-    from palpate.mechanics.subsurface import greatest_shear
+    from palpate.mechanics.half_space import hertz as law
+    from palpate.mechanics.half_space.subsurface import greatest_shear
 
     R, skin = radius_mm / 1e3, (modulus_kpa * 1e3, poisson)
     d = _depth(depth_mm, force_n, lambda F: law.depth_from_force(F, R, *skin))
@@ -94,7 +94,7 @@ def sphere(
     """
     import numpy as np
 
-    from palpate.mechanics import sneddon as law
+    from palpate.mechanics.half_space import sneddon as law
 
     R, skin = radius_mm / 1e3, (modulus_kpa * 1e3, poisson)
     d = _depth(depth_mm, force_n, lambda F: law.sphere_depth_from_force(F, R, *skin))
@@ -120,7 +120,7 @@ def punch(
 
     Example: palpate mechanics punch --radius-mm 3 --modulus-kpa 300 --depth-mm 0.5
     """
-    from palpate.mechanics import sneddon as law
+    from palpate.mechanics.half_space import sneddon as law
 
     R, skin = radius_mm / 1e3, (modulus_kpa * 1e3, poisson)
     d = _depth(depth_mm, force_n, lambda F: law.punch_depth(F, R, *skin))
@@ -147,7 +147,7 @@ def cone(
 
     Example: palpate mechanics cone --half-angle-deg 70 --modulus-kpa 300 --depth-mm 1
     """
-    from palpate.mechanics import sneddon as law
+    from palpate.mechanics.half_space import sneddon as law
 
     alpha, skin = math.radians(half_angle_deg), (modulus_kpa * 1e3, poisson)
     d = _depth(depth_mm, force_n, lambda F: law.cone_depth(F, alpha, *skin))
@@ -174,8 +174,8 @@ def layer(
     Example: palpate mechanics layer --radius-mm 5 --thickness-mm 10 --depth-mm 1 --modulus-kpa 300
     """
     from palpate.core.errors import RangeError
-    from palpate.mechanics import layer_approximations as law
-    from palpate.mechanics.sneddon import sphere_force_from_depth
+    from palpate.mechanics.half_space.sneddon import sphere_force_from_depth
+    from palpate.mechanics.layers import bonded_layer as law
 
     d, R, h, skin = depth_mm / 1e3, radius_mm / 1e3, thickness_mm / 1e3, (modulus_kpa * 1e3, poisson)
     if base not in ("bonded", "sliding"):
@@ -221,7 +221,7 @@ def jkr(
 
     Example: palpate mechanics jkr --radius-mm 5 --modulus-kpa 300 --adhesion-j-per-m2 0.05 --force-n 0.01
     """
-    from palpate.mechanics import adhesion as law
+    from palpate.mechanics.half_space import adhesion as law
 
     w, R = adhesion_j_per_m2, radius_mm / 1e3
     skin = (w, R, modulus_kpa * 1e3, poisson)
@@ -265,7 +265,7 @@ def ting(
     """
     import numpy as np
 
-    from palpate.mechanics.prony import Prony
+    from palpate.mechanics.viscoelastic import Prony
     from palpate.mechanics.viscoelastic import ting as law
 
     for name, value in (("--rise-s", rise_s), ("--fall-s", fall_s)):

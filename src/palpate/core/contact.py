@@ -152,7 +152,7 @@ class Contact:
     x_m: Float[ndarray, " nx"]
     y_m: Float[ndarray, " ny"]
     pressure_pa: Field
-    sinking_m: Field
+    displacement_m: Field
     touching: Mask
     force_n: float
     radius_m: float

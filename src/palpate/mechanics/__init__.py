@@ -1,6 +1,12 @@
 """Probe and pose on an elastomer: what they do to it."""
 
-from palpate.mechanics.hertz import (
+from palpate.mechanics.axisymmetric.sphere_table import (
+    EdgeCorrection,
+    SphereTable,
+    edge_correction,
+    press_finite_strain,
+)
+from palpate.mechanics.half_space.hertz import (
     contact_radius,
     depth_from_force,
     depth_from_radius,
@@ -9,18 +15,17 @@ from palpate.mechanics.hertz import (
     peak_pressure,
     press,
     reduced_modulus,
+    secondary_stress,
 )
-from palpate.mechanics.hertz_field import secondary_stress
-from palpate.mechanics.line_integral import line_integrated_stress
-from palpate.mechanics.press_table import PressTable, press_finite_strain
-from palpate.mechanics.rim import RimEffect, rim_effect
+from palpate.mechanics.half_space.subsurface import line_integrated_stress
 
 __all__ = [
-    "PressTable",
-    "RimEffect",
+    "EdgeCorrection",
+    "SphereTable",
     "contact_radius",
     "depth_from_force",
     "depth_from_radius",
+    "edge_correction",
     "force_from_depth",
     "greatest_depth",
     "line_integrated_stress",
@@ -28,6 +33,5 @@ __all__ = [
     "press",
     "press_finite_strain",
     "reduced_modulus",
-    "rim_effect",
     "secondary_stress",
 ]

@@ -1,13 +1,25 @@
 """Stress and light to images."""
 
-from palpate.optics.axisymmetric import MarchedRays, march_axisymmetric, march_axisymmetric_plain
-from palpate.optics.axisymmetric_field import AxisymmetricField, Rays
-from palpate.optics.camera import Camera, develop, raw_codes
+from palpate.optics.axisymmetric import (
+    AxisymmetricField,
+    MarchedRays,
+    Rays,
+    march_axisymmetric,
+    march_axisymmetric_plain,
+)
+from palpate.optics.camera_response import (
+    CameraResponse,
+    develop,
+    electrons,
+    electrons_exact,
+    quantise,
+    raw_codes,
+    uneven_light,
+)
 from palpate.optics.colour import Spectrum, assumed_camera, encode_srgb, spectral_to_linear
-from palpate.optics.fast_march import march_colour, march_colour_plain, march_spectral
+from palpate.optics.compiled_march import march_colour, march_colour_plain, march_spectral
 from palpate.optics.illumination import LedStrip, backlight, strip_light
 from palpate.optics.march import Retarder, graded_slices, march
-from palpate.optics.noise import electrons, electrons_exact, illumination, quantise
 from palpate.optics.polariscope import (
     circular_amplitude,
     circular_dark_field,
@@ -18,13 +30,13 @@ from palpate.optics.polariscope import (
     through,
     with_leak,
 )
-from palpate.optics.rim import ColumnRays, flat_windows, round_rim, straight
 from palpate.optics.single_slice import SingleSliceError, best_path, single_slice, single_slice_error
 from palpate.optics.stress_optic import StressOpticLaw, fringe_order, frozen_stress, stress_axis
+from palpate.optics.wall_refraction import ColumnRays, flat_windows, round_rim, straight
 
 __all__ = [
     "AxisymmetricField",
-    "Camera",
+    "CameraResponse",
     "ColumnRays",
     "LedStrip",
     "MarchedRays",
@@ -47,7 +59,6 @@ __all__ = [
     "fringe_order",
     "frozen_stress",
     "graded_slices",
-    "illumination",
     "linear_retarder",
     "march",
     "march_axisymmetric",
@@ -67,5 +78,6 @@ __all__ = [
     "stress_axis",
     "strip_light",
     "through",
+    "uneven_light",
     "with_leak",
 ]

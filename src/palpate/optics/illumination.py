@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from palpate.core.errors import RangeError
 from palpate.core.shapes import Float, Float32
-from palpate.optics.noise import illumination
+from palpate.optics.camera_response import uneven_light
 
 Places = Float[ndarray, " n"]
 
@@ -91,5 +91,5 @@ def backlight(
     Raises:
         RangeError: the loss lies outside 0 to 1.
     """
-    lens = illumination(len(z_m), len(x_m), corner_loss)
+    lens = uneven_light(len(z_m), len(x_m), corner_loss)
     return (strip_light(strip, x_m, z_m) * lens).astype(np.float32)

@@ -20,7 +20,7 @@ from numpy import ndarray
 
 from palpate.core.errors import InputError
 from palpate.core.shapes import Float
-from palpate.mechanics.pairs import Body
+from palpate.mechanics.half_space.hertz_pairs import Body
 
 LEAST_SHARE = 0.2
 DRAWS = 4000

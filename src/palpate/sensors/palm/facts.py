@@ -9,8 +9,8 @@ import numpy as np
 
 from palpate.core.contact import Contact
 from palpate.core.errors import RangeError
-from palpate.mechanics.rim import rim_effect
-from palpate.mechanics.stack_field import field_below
+from palpate.mechanics.axisymmetric.sphere_table import edge_correction
+from palpate.mechanics.layers.stack_field import field_below
 from palpate.optics.stress_optic import fringe_order
 from palpate.sensors.palm import orders
 from palpate.sensors.palm.field import pressed, table_of
@@ -73,7 +73,7 @@ def _rim_percent(contact: Contact, spec: PalmSpec) -> float | None:
     if not math.isclose(spec.radius_m, table_of(spec).disc_radius * R):
         return None
     try:
-        effect = rim_effect(math.hypot(pose.x_m, pose.y_m) / R, pose.depth_m / R, spec.thickness_m / R)
+        effect = edge_correction(math.hypot(pose.x_m, pose.y_m) / R, pose.depth_m / R, spec.thickness_m / R)
     except RangeError:
         return None
     return 100 * (effect.force_ratio - 1)

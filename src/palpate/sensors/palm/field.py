@@ -11,8 +11,8 @@ from scipy.optimize import brentq
 
 from palpate.core.errors import RangeError
 from palpate.core.shapes import Float
-from palpate.mechanics.press_table import SAME, Press, PressTable, shipped
-from palpate.optics.axisymmetric_field import AxisymmetricField
+from palpate.mechanics.axisymmetric.sphere_table import SAME, SphereTable, TabulatedPress, shipped
+from palpate.optics.axisymmetric import AxisymmetricField
 from palpate.sensors.palm.spec import PalmSpec
 
 FINER = 3  # times as many knots each way: the march reads between them along straight lines
@@ -24,9 +24,9 @@ Knots = Float[ndarray, " n"]
 
 
 @lru_cache(maxsize=32)
-def _table(thickness: float, disc_radius: float, poisson_ratio: float, friction: float) -> PressTable | None:
+def _table(thickness: float, disc_radius: float, poisson_ratio: float, friction: float) -> SphereTable | None:
     """The shipped table of these proportions (lengths in ball radii); None if there is none."""
-    for table in (PressTable.load(name) for name in shipped()):
+    for table in (SphereTable.load(name) for name in shipped()):
         held = np.array([table.thickness, table.poisson_ratio, table.friction])
         fits = np.allclose(held, [thickness, poisson_ratio, friction], rtol=SAME, atol=SAME)
         if fits and table.disc_radius <= disc_radius * (1 + SAME):
@@ -40,7 +40,7 @@ def has_table(spec: PalmSpec) -> bool:
     return _table(spec.thickness_m / R, spec.radius_m / R, spec.poisson_ratio, spec.friction) is not None
 
 
-def table_of(spec: PalmSpec) -> PressTable:
+def table_of(spec: PalmSpec) -> SphereTable:
     """The shipped table whose membrane has the spec's proportions.
 
     Raises:
@@ -53,7 +53,7 @@ def table_of(spec: PalmSpec) -> PressTable:
     known = "; ".join(
         f"{t.thickness * R * 1e3:g} mm thick, {2 * t.disc_radius * R * 1e3:g} mm wide or more, "
         f"nu {t.poisson_ratio:g}, friction {t.friction:g}"
-        for t in map(PressTable.load, shipped())
+        for t in map(SphereTable.load, shipped())
     )
     raise RangeError(
         f"no table for a membrane {spec.thickness_m * 1e3:g} mm thick, {spec.diameter_m * 1e3:g} mm wide, nu "
@@ -62,7 +62,7 @@ def table_of(spec: PalmSpec) -> PressTable:
     )
 
 
-def pressed(spec: PalmSpec, depth_m: float) -> Press:
+def pressed(spec: PalmSpec, depth_m: float) -> TabulatedPress:
     """The table at one depth, in sphere radii and moduli."""
     return table_of(spec).at(depth_m / spec.indenter_radius_m)
 
@@ -90,7 +90,7 @@ def depth_of_force(spec: PalmSpec, force_n: float) -> float:
     )
 
 
-def field_of(press: Press, spec: PalmSpec, finer: int = FINER) -> AxisymmetricField:
+def field_of(press: TabulatedPress, spec: PalmSpec, finer: int = FINER) -> AxisymmetricField:
     """The same in SI, on finer knots, without the rim's own stress."""
     R, E = spec.indenter_radius_m, spec.youngs_modulus_pa
     r, zeta = between(press.r, finer), between(press.zeta, finer)

@@ -19,12 +19,11 @@ from numpy import ndarray
 
 from palpate.core.contact import Probe
 from palpate.core.shapes import Float, Float32
-from palpate.optics.axisymmetric import march_axisymmetric
-from palpate.optics.axisymmetric_field import Rays
+from palpate.optics.axisymmetric import Rays, march_axisymmetric
 from palpate.optics.colour import Spectrum, assumed_camera
 from palpate.optics.polariscope import plane_amplitude, with_leak
-from palpate.optics.rim import ColumnRays, round_rim, straight
 from palpate.optics.stress_optic import frozen_stress
+from palpate.optics.wall_refraction import ColumnRays, round_rim, straight
 from palpate.sensors.palm.field import field_of, pressed
 from palpate.sensors.palm.kept import kept
 from palpate.sensors.palm.shapes import silhouette

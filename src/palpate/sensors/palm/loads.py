@@ -18,7 +18,7 @@ from numpy import ndarray
 from palpate.core.contact import Contact, Pose, Probe
 from palpate.core.errors import InputError, RangeError
 from palpate.core.shapes import Float32, Int, UInt8
-from palpate.mechanics.wrench import wrench_of
+from palpate.mechanics.resultant import resultant_of
 from palpate.sensors.palm.field import has_table
 from palpate.sensors.palm.press import greatest_aside, press, press_layers, pulled
 from palpate.sensors.palm.render import render
@@ -152,7 +152,7 @@ def inclined(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
     probe = Probe("punch", diameter / 2e3, 0.0, math.radians(towards), math.radians(tilt))
     pose = _pose(spec, probe, rng)
     contact = press_layers(spec, pose, probe).contact
-    wrench = wrench_of(contact, (pose.x_m, pose.y_m))
+    wrench = resultant_of(contact, (pose.x_m, pose.y_m))
     moments = (1e3 * wrench.moment_x_nm, 1e3 * wrench.moment_y_nm)
     return Drawn(contact, (*_place(pose), diameter, tilt, towards, contact.force_n, *moments))
 
@@ -178,7 +178,7 @@ def grasp(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
     """Three or four balls."""
     count = int(rng.integers(3, BALLS + 1))
     contact, each = _several(spec, count, rng)
-    wrench = wrench_of(contact)
+    wrench = resultant_of(contact)
     missing = (math.nan,) * (EACH * (BALLS - count))
     moments = (1e3 * wrench.moment_x_nm, 1e3 * wrench.moment_y_nm)
     return Drawn(contact, (count, *each, *missing, contact.force_n, *moments))
@@ -201,7 +201,7 @@ def _untouched(spec: PalmSpec, contact: Contact) -> Contact:
     return replace(
         contact,
         pressure_pa=nothing,
-        sinking_m=nothing,
+        displacement_m=nothing,
         touching=nothing > 0,
         force_n=0.0,
         radius_m=0.0,

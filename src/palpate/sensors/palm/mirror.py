@@ -24,7 +24,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from palpate.core.contact import Contact
 from palpate.core.shapes import Bool, Float32
-from palpate.mechanics.press_table import Press
+from palpate.mechanics.axisymmetric.sphere_table import TabulatedPress
 from palpate.sensors.palm.field import pressed
 from palpate.sensors.palm.kept import kept
 from palpate.sensors.palm.spec import PalmSpec
@@ -51,7 +51,7 @@ def exact(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Grey:
 def of_contact(spec: PalmSpec, contact: Contact) -> Grey:
     """The same under any probe, from the contact's own grid."""
     x, y = _underside(spec)
-    reach = (min(float(contact.sinking_m.min()), 0.0), float(contact.sinking_m.max()))
+    reach = (min(float(contact.displacement_m.min()), 0.0), float(contact.displacement_m.max()))
     traced = _traced(spec, GridSurface(contact), reach, x - contact.pose.x_m, y - contact.pose.y_m)
     return _inside_rim(spec, traced)
 
@@ -170,7 +170,7 @@ class Surface(Protocol):
 class BallSurface:
     """Under a ball, from the finite-strain table; a depth below 0 is of a ball that hangs over it."""
 
-    press: Press
+    press: TabulatedPress
     radius_m: float
     depth_m: float
 
@@ -206,8 +206,8 @@ class GridSurface:
 
     def __init__(self, contact: Contact) -> None:
         x, y = contact.x_m - contact.pose.x_m, contact.y_m - contact.pose.y_m
-        down, right = np.gradient(contact.sinking_m, y, x)
-        parts = (contact.sinking_m, right, down, contact.touching.astype(float))
+        down, right = np.gradient(contact.displacement_m, y, x)
+        parts = (contact.displacement_m, right, down, contact.touching.astype(float))
         self._read = RegularGridInterpolator(
             (y, x), np.stack(parts, axis=-1), bounds_error=False, fill_value=0.0
         )

@@ -13,7 +13,7 @@ from numpy import ndarray
 from scipy.interpolate import RegularGridInterpolator
 
 from palpate.core.shapes import Float
-from palpate.optics.axisymmetric_field import AxisymmetricField
+from palpate.optics.axisymmetric import AxisymmetricField
 from palpate.optics.stress_optic import fringe_order
 from palpate.sensors.palm.field import field_of, pressed
 from palpate.sensors.palm.spec import PalmSpec

@@ -14,10 +14,10 @@ import numpy as np
 
 from palpate.core.contact import Contact, Pose, Probe
 from palpate.core.errors import InputError, RangeError
-from palpate.mechanics.press_table import press_finite_strain
-from palpate.mechanics.stack import Layer, Stack
-from palpate.mechanics.stack_contact import StackContact, press_stack
-from palpate.mechanics.stack_friction import shear_stack
+from palpate.mechanics.axisymmetric.sphere_table import press_finite_strain
+from palpate.mechanics.layers.contact_solver import StackContact, press_stack
+from palpate.mechanics.layers.stack import ElasticLayer, Stack
+from palpate.mechanics.layers.stack_friction import shear_stack
 from palpate.sensors.palm.field import depth_of_force
 from palpate.sensors.palm.shapes import gap_of, reaches_of, upright_ball
 from palpate.sensors.palm.spec import PalmSpec
@@ -104,7 +104,7 @@ def press_to_force(spec: PalmSpec, force_n: float, x_m: float = 0.0, y_m: float 
 
 def stack_of(spec: PalmSpec) -> Stack:
     """The membrane as one bonded layer."""
-    return Stack((Layer(spec.thickness_m, spec.youngs_modulus_pa, spec.poisson_ratio),))
+    return Stack((ElasticLayer(spec.thickness_m, spec.youngs_modulus_pa, spec.poisson_ratio),))
 
 
 def press_layers(spec: PalmSpec, pose: Pose, probe: Probe) -> Layered:

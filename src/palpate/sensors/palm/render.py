@@ -19,9 +19,8 @@ from palpate.core.contact import Contact, Pose, Probe
 from palpate.core.errors import InputError
 from palpate.core.frame import Frame
 from palpate.core.shapes import Float32, UInt8, UInt16
-from palpate.optics.camera import Camera, develop, raw_codes
+from palpate.optics.camera_response import CameraResponse, develop, raw_codes, uneven_light
 from palpate.optics.illumination import LedStrip, backlight
-from palpate.optics.noise import illumination
 from palpate.sensors.palm import fringes, mirror, volume
 from palpate.sensors.palm.light import in_box, lamp_tint, room_light
 from palpate.sensors.palm.shapes import parts_of, reach_of, silhouette
@@ -173,7 +172,7 @@ def _codes(light: Linear, spec: PalmSpec, rng: np.random.Generator) -> UInt16[nd
 
 
 @lru_cache(maxsize=4)
-def _developed(camera: Camera, bands: int) -> UInt8[ndarray, "n 3"]:
+def _developed(camera: CameraResponse, bands: int) -> UInt8[ndarray, "n 3"]:
     every = np.repeat(np.arange(2**camera.bits, dtype=np.uint16)[:, None, None], 3, axis=2)
     return np.ascontiguousarray(develop(every, fringes.spectrum(bands).sensitivity, camera)[:, 0])
 
@@ -197,7 +196,7 @@ def _films(
     view, rim, R, h = spec.fringes, fringes.columns_kept(spec), spec.radius_m, spec.thickness_m
     seen = fringes.spectrum(spec.bands)
     x, z = view.x_m, view.down_m
-    lens = illumination(len(z), len(x), corner_loss)
+    lens = uneven_light(len(z), len(x), corner_loss)
     veil = BEHIND_ANALYSER * lens * spread(_lamp(strip, 0.0, transmission, spec)[..., 0], view.pitches_m)
     edge_on = film(
         wear,

@@ -19,7 +19,7 @@ from palpate.core.frame import Frame
 from palpate.core.outline import Outline
 from palpate.core.sensor import SEATED, Box, ForceLaw, ImageAxes, Seating, is_rigid
 from palpate.core.shapes import Float32
-from palpate.mechanics.partial_slip import tangential_stiffness
+from palpate.mechanics.half_space.tangential import tangential_stiffness
 from palpate.sensors.palm import presets
 from palpate.sensors.palm.field import table_of
 from palpate.sensors.palm.press import FRICTION, LINEAR_DEPTH_M, press

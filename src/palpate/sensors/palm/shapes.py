@@ -13,7 +13,7 @@ from numpy import ndarray
 from palpate.core.contact import Probe
 from palpate.core.errors import InputError
 from palpate.core.shapes import Field, Float, Float32
-from palpate.mechanics import gap
+from palpate.mechanics.layers import indenters
 
 EDGE_SLOPE_RAD = math.radians(30)
 """Of both sides of the edge against the skin: a blunt blade, gentle enough for small strain."""
@@ -34,7 +34,7 @@ SIZES = {
 LEAST = {"sphere": 1, "punch": 1, "edge": 1, "cylinder": 2, "two-points": 2}
 POINTS = "points:DIAMETER_MM:X_MM,Y_MM[,HEIGHT_MM];..."
 LEANING = "@TILT_DEG[:TOWARDS_DEG]"
-STEEPEST_DEG = math.degrees(gap.STEEPEST_TILT)
+STEEPEST_DEG = math.degrees(indenters.STEEPEST_TILT)
 
 Place = tuple[float, float, float]
 
@@ -170,23 +170,23 @@ def gap_of(
     R, L, turn = probe.radius_m, probe.length_m, probe.turn_rad
     match probe.shape:
         case "sphere":
-            return gap.sphere(x_m, y_m, R, centre_m)
+            return indenters.sphere(x_m, y_m, R, centre_m)
         case "two-points" | "points":
-            return gap.balls(
+            return indenters.balls(
                 x_m,
                 y_m,
                 R,
                 [(centre_m[0] + x, centre_m[1] + y, up) for _, (x, y, up) in parts_of(probe)],
             )
         case "punch":
-            upright = gap.flat_punch(x_m, y_m, R, ROUNDED * R, centre_m)
+            upright = indenters.flat_punch(x_m, y_m, R, ROUNDED * R, centre_m)
         case "edge":
-            upright = gap.wedge(x_m, y_m, EDGE_SLOPE_RAD, L, turn, centre_m)
+            upright = indenters.wedge(x_m, y_m, EDGE_SLOPE_RAD, L, turn, centre_m)
         case "cylinder":
-            upright = gap.lying_cylinder(x_m, y_m, R, L, turn, centre_m)
+            upright = indenters.lying_cylinder(x_m, y_m, R, L, turn, centre_m)
         case _:
             raise InputError(f"no palm knows a {probe.shape!r}; there are {', '.join(SIZES)}, points")
-    return upright if probe.tilt_rad == 0 else gap.leaning(upright, x_m, y_m, probe.tilt_rad, turn)
+    return upright if probe.tilt_rad == 0 else indenters.leaning(upright, x_m, y_m, probe.tilt_rad, turn)
 
 
 def silhouette(

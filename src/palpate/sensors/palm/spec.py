@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from palpate.core.errors import InputError, RangeError
 from palpate.core.shapes import Float
-from palpate.optics.camera import Camera
+from palpate.optics.camera_response import CameraResponse
 from palpate.optics.colour import LEAST_BANDS
 from palpate.optics.illumination import LedStrip
 from palpate.optics.stress_optic import StressOpticLaw
@@ -150,7 +150,7 @@ class PalmSpec:
     wear: Wear = field(default_factory=Wear)
     bands: int = LEAST_BANDS
     rays_per_pixel: tuple[int, int] = (1, 1)
-    camera: Camera = field(default_factory=Camera)
+    camera: CameraResponse = field(default_factory=CameraResponse)
     exposure_s: float = 0.02
     name: str = "palm"
 

@@ -15,11 +15,11 @@ from scipy.ndimage import map_coordinates
 
 from palpate.core.contact import Contact
 from palpate.core.shapes import Float, Float32
-from palpate.mechanics.layer_stress import OnGrid, stress_under
-from palpate.optics.fast_march import march_colour
+from palpate.mechanics.layers.layer_stress import OnGrid, stress_under
+from palpate.optics.compiled_march import march_colour
 from palpate.optics.polariscope import plane_amplitude, with_leak
-from palpate.optics.rim import ColumnRays
 from palpate.optics.stress_optic import frozen_stress
+from palpate.optics.wall_refraction import ColumnRays
 from palpate.sensors.palm import fringes
 from palpate.sensors.palm.shapes import parts_of, silhouette
 from palpate.sensors.palm.spec import PalmSpec
@@ -116,7 +116,7 @@ def _lowest(contact: Contact, places: Places) -> Float[ndarray, " w"]:
     """How deep the surface lies where each ray passes it deepest [m]."""
     x, y = contact.x_m, contact.y_m
     at = [(places.y - y[0]) / (y[1] - y[0]), (places.x - x[0]) / (x[1] - x[0])]
-    return np.asarray(map_coordinates(contact.sinking_m, at, order=1, cval=0.0).max(axis=1))
+    return np.asarray(map_coordinates(contact.displacement_m, at, order=1, cval=0.0).max(axis=1))
 
 
 def _stopped(spec: PalmSpec, contact: Contact, rays: ColumnRays, z: Float[ndarray, " h"]) -> ndarray:

@@ -15,9 +15,15 @@ from scipy.interpolate import CubicSpline, NdBSpline, PchipInterpolator, RectBiv
 
 from palpate.core.errors import RangeError
 from palpate.core.shapes import Float
-from palpate.mechanics.tilted_tip import TiltedContact, TiltedPress, TipModes, TopModes
-from palpate.mechanics.tip_bodies import tip_modes, top_modes
-from palpate.mechanics.tip_table import TipTable, tip_table
+from palpate.mechanics.axisymmetric.tilted_tip import (
+    TiltedContact,
+    TiltedPress,
+    TipModes,
+    TopModes,
+    tip_modes,
+    top_modes,
+)
+from palpate.mechanics.axisymmetric.tip_table import TipTable, tip_table
 from palpate.sensors.tactip.pins import Skin, Turned
 from palpate.sensors.tactip.spec import TacTipSpec
 

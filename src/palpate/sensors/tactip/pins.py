@@ -14,7 +14,7 @@ from numpy import ndarray
 from scipy.interpolate import CubicSpline
 
 from palpate.core.shapes import Float
-from palpate.mechanics.tip_table import HeadOnPress
+from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
 from palpate.sensors.tactip.spec import Pins
 
 Places = Float[ndarray, "p 3"]

@@ -17,7 +17,7 @@ from numpy import ndarray
 
 from palpate.core.errors import RangeError
 from palpate.core.shapes import Float, Int, UInt8
-from palpate.mechanics.tip_table import HeadOnPress, TipTable
+from palpate.mechanics.axisymmetric.tip_table import HeadOnPress, TipTable
 from palpate.sensors.tactip.camera import projected, rendered
 from palpate.sensors.tactip.pins import Skin, head_on, markers
 from palpate.sensors.tactip.spec import TacTipSpec

@@ -246,7 +246,7 @@ class TacTip:
             x_m=pose.x_m + at,
             y_m=pose.y_m + at,
             pressure_pa=shape * (force_n / whole) if whole > 0 else shape,
-            sinking_m=np.where(touching, (a**2 - r2) / (2 * R), 0.0),
+            displacement_m=np.where(touching, (a**2 - r2) / (2 * R), 0.0),
             touching=touching,
             force_n=force_n,
             radius_m=a,

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from palpate.core.errors import InputError, RangeError
-from palpate.mechanics.tip_table import TipTable, tip_table
+from palpate.mechanics.axisymmetric.tip_table import TipTable, tip_table
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from palpate.estimators.casr import loading, moving_average, within
 from palpate.estimators.flow import divergence
 from palpate.estimators.flow.course import course
 from palpate.estimators.pins import find_pins, follow
-from palpate.mechanics.tip_table import HeadOnPress
+from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
 from palpate.sensors.tactip import HeadOn, TacTipSpec, Trial, trial
 from palpate.sensors.tactip.camera import projected
 from palpate.sensors.tactip.pins import HeadOnSkin

@@ -28,7 +28,7 @@ from numpy import ndarray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from palpate.core.shapes import Float
-from palpate.mechanics.tip_table import HeadOnPress
+from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
 from palpate.sensors.tactip import TacTipSpec
 from palpate.studies.tactip.controls import KAPPA_N_M, order
 from palpate.studies.tactip.courses import POLAR, head_on, seen_px

@@ -1,0 +1,352 @@
+"""A rigid sphere, flat punch or cone on an elastic half-space: Sneddon's laws, no friction, no adhesion.
+
+With f(r) the punch's height over its tip, every law here follows from one function on 0 <= t <= a,
+
+    g(t) = d - t int_0^t f'(r) / sqrt(t^2 - r^2) dr,      F = 2 E* int_0^a g dt,
+    u(r) = (2/pi) int_0^a g / sqrt(r^2 - t^2) dt outside,   g(a) = 0 where the punch has no edge:
+
+    sphere  g = d - t atanh(t/R),     flat punch  g = d,     cone  g = d - (pi/2) t cot(alpha).
+
+The sphere is exact, not a paraboloid, so it needs no limit on a/R but the equator. The material stays linear:
+the strain is small only while the slope of the punch is (a/R or cot(alpha) below about 0.3), and beyond that
+these laws are the exact solution of a linear problem, not of rubber.
+
+Reference: I. N. Sneddon, Int. J. Eng. Sci. 3 (1965) 47, doi:10.1016/0020-7225(65)90019-4.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy import ndarray
+from scipy.optimize import brentq
+
+from palpate.core.contact import Contact, Pose, Probe
+from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float
+from palpate.mechanics.half_space.hertz import GRID_POINTS, positive, reduced_modulus
+
+GREATEST_RADIUS = 0.99  # a/R of the sphere; at 1 the depth is infinite
+GREATEST_PUNCH_DEPTH = 0.5  # d/a of the flat punch; its strain is of this order
+SERIES_BELOW = 0.1  # a/R below which (1 + s^2) atanh(s) - s would lose digits
+TERMS = np.arange(1, 9)  # of that series; the first left out is below 1e-16 of the sum
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(64)  # on -1 to 1
+MODEL = "Sneddon: rigid {shape}, elastic half-space, small strain, no friction, no adhesion"
+
+Points = Float[ndarray, "..."]
+
+
+def sphere_depth_from_radius(contact_radius_m: float, radius_m: float) -> float:
+    """Depth d = a atanh(a/R) [m] of a sphere of radius R whose contact has radius a.
+
+    Raises:
+        RangeError: a/R lies outside 0 to 0.99.
+    """
+    return contact_radius_m * math.atanh(_slope(contact_radius_m, radius_m))
+
+
+def sphere_force_from_radius(
+    contact_radius_m: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
+) -> float:
+    """Force F = E* [(a^2 + R^2) atanh(a/R) - a R] [N], positive in compression.
+
+    Raises:
+        RangeError: a/R lies outside 0 to 0.99, or the material is out of range.
+    """
+    s = _slope(contact_radius_m, radius_m)
+    if s < SERIES_BELOW:
+        shape = float(np.sum(4 * TERMS / (4 * TERMS**2 - 1) * s ** (2 * TERMS + 1)))
+    else:
+        shape = (1 + s**2) * math.atanh(s) - s
+    return reduced_modulus(youngs_modulus_pa, poisson_ratio) * radius_m**2 * shape
+
+
+def sphere_radius_from_depth(depth_m: float, radius_m: float) -> float:
+    """Contact radius a [m], from a atanh(a/R) = d.
+
+    Raises:
+        RangeError: the depth is negative or beyond a/R = 0.99, which is d = 2.62 R.
+
+    Example:
+        >>> round(sphere_radius_from_depth(1e-3, 5e-3) * 1e3, 4)
+        2.1613
+    """
+    positive("the sphere's radius", radius_m, "m")
+    limit = sphere_depth_from_radius(GREATEST_RADIUS * radius_m, radius_m)
+    _within("depth", depth_m, limit, "m", f"a/R <= {GREATEST_RADIUS}")
+    return radius_m * _root(lambda s: s * math.atanh(s) - depth_m / radius_m, math.sqrt(depth_m / radius_m))
+
+
+def sphere_radius_from_force(
+    force_n: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
+) -> float:
+    """Contact radius a [m] under a force [N].
+
+    Raises:
+        RangeError: the force is negative or beyond a/R = 0.99, or the material is out of range.
+    """
+    positive("the sphere's radius", radius_m, "m")
+    E = reduced_modulus(youngs_modulus_pa, poisson_ratio)
+    limit = sphere_force_from_radius(GREATEST_RADIUS * radius_m, radius_m, youngs_modulus_pa, poisson_ratio)
+    _within("force", force_n, limit, "N", f"a/R <= {GREATEST_RADIUS}")
+
+    def excess(s: float) -> float:
+        force = sphere_force_from_radius(s * radius_m, radius_m, youngs_modulus_pa, poisson_ratio)
+        return (force - force_n) / (E * radius_m**2)
+
+    return radius_m * _root(excess, math.cbrt(0.75 * force_n / (E * radius_m**2)))
+
+
+def sphere_force_from_depth(
+    depth_m: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
+) -> float:
+    """Force [N] of a sphere pressed to a depth [m].
+
+    Raises:
+        RangeError: the depth is negative or beyond a/R = 0.99, or the material is out of range.
+
+    Example:
+        >>> round(sphere_force_from_depth(1e-3, 5e-3, 0.3e6, 0.49), 4)
+        1.1534
+    """
+    a = sphere_radius_from_depth(depth_m, radius_m)
+    return sphere_force_from_radius(a, radius_m, youngs_modulus_pa, poisson_ratio)
+
+
+def sphere_depth_from_force(
+    force_n: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
+) -> float:
+    """Depth [m] of a sphere under a force [N].
+
+    Raises:
+        RangeError: the force is negative or beyond a/R = 0.99, or the material is out of range.
+    """
+    a = sphere_radius_from_force(force_n, radius_m, youngs_modulus_pa, poisson_ratio)
+    return sphere_depth_from_radius(a, radius_m)
+
+
+def sphere_pressure(
+    r_m: Points, contact_radius_m: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
+) -> Points:
+    """Pressure p = -(E*/pi) int_r^a g'(t) / sqrt(t^2 - r^2) dt [Pa] at distance r [m]; zero outside.
+
+    Raises:
+        RangeError: a/R lies outside 0 to 0.99, or the material is out of range.
+    """
+    E, R = reduced_modulus(youngs_modulus_pa, poisson_ratio), radius_m
+    if _slope(contact_radius_m, R) == 0.0:
+        return np.zeros_like(r_m)
+    r2 = np.minimum(r_m, contact_radius_m) ** 2
+    v = np.sqrt(contact_radius_m**2 - r2)  # of t; with v = sqrt(t^2 - r^2), dt / v is dv / t
+    rest = np.sqrt(R**2 - r2)
+    closed = R / rest * np.arctanh(v / rest)
+    open_ = np.zeros_like(r2)
+    for node, weight in zip((1 + NODES) / 2, WEIGHTS / 2, strict=True):
+        t = np.sqrt(r2 + (node * v) ** 2)
+        open_ += weight * v * np.arctanh(t / R) / t
+    return np.asarray(E / np.pi * (closed + open_))
+
+
+def punch_force(
+    depth_m: float, punch_radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
+) -> float:
+    """Force F = 2 a E* d [N] of a flat-ended cylinder of radius a pressed to a depth of at most a/2.
+
+    Raises:
+        RangeError: depth, radius or material is out of range.
+
+    Example:
+        >>> round(punch_force(1e-3, 3e-3, 0.3e6, 0.49), 4)
+        2.3687
+    """
+    positive("the punch's radius", punch_radius_m, "m")
+    _within("depth", depth_m, GREATEST_PUNCH_DEPTH * punch_radius_m, "m", "a flat punch d/a <= 0.5")
+    return 2.0 * punch_radius_m * reduced_modulus(youngs_modulus_pa, poisson_ratio) * depth_m
+
+
+def punch_depth(
+    force_n: float, punch_radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
+) -> float:
+    """Depth d = F / (2 a E*) [m] of a flat-ended cylinder of radius a.
+
+    Raises:
+        RangeError: the force is negative, presses beyond d/a = 0.5, or the material is out of range.
+    """
+    positive("the punch's radius", punch_radius_m, "m")
+    stiffness = 2.0 * punch_radius_m * reduced_modulus(youngs_modulus_pa, poisson_ratio)
+    limit = stiffness * GREATEST_PUNCH_DEPTH * punch_radius_m
+    _within("force", force_n, limit, "N", "a flat punch d/a <= 0.5")
+    return force_n / stiffness
+
+
+def punch_pressure(r_m: Points, punch_radius_m: float, force_n: float) -> Points:
+    """Pressure F / (2 pi a sqrt(a^2 - r^2)) [Pa] at distance r [m]; infinite at the edge, zero outside it.
+
+    Raises:
+        RangeError: the radius is not positive or the force is negative.
+    """
+    positive("the punch's radius", punch_radius_m, "m")
+    _within("force", force_n, math.inf, "N", "a contact without adhesion")
+    a, r = punch_radius_m, np.abs(r_m)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inside = force_n / (2 * np.pi * a * np.sqrt(np.maximum(a**2 - r**2, 0.0)))
+    return np.where((r > a) | (force_n == 0.0), 0.0, inside)
+
+
+def cone_radius(depth_m: float, half_angle_rad: float) -> float:
+    """Contact radius a = (2/pi) d tan(alpha) [m]; alpha from the cone's axis to its side.
+
+    Raises:
+        RangeError: the depth is negative, or alpha lies outside 0 to pi/2 rad.
+    """
+    _within("depth", depth_m, math.inf, "m", "a contact")
+    return 2.0 / math.pi * depth_m * _tangent(half_angle_rad)
+
+
+def cone_force(
+    depth_m: float, half_angle_rad: float, youngs_modulus_pa: float, poisson_ratio: float
+) -> float:
+    """Force F = (2/pi) E* d^2 tan(alpha) [N].
+
+    Raises:
+        RangeError: the depth is negative, alpha outside 0 to pi/2 rad, or the material out of range.
+    """
+    a = cone_radius(depth_m, half_angle_rad)
+    return reduced_modulus(youngs_modulus_pa, poisson_ratio) * a * depth_m
+
+
+def cone_depth(
+    force_n: float, half_angle_rad: float, youngs_modulus_pa: float, poisson_ratio: float
+) -> float:
+    """Depth [m] of a cone under a force [N].
+
+    Raises:
+        RangeError: the force is negative, alpha outside 0 to pi/2 rad, or the material out of range.
+    """
+    _within("force", force_n, math.inf, "N", "a contact without adhesion")
+    stiffness = 2 / math.pi * reduced_modulus(youngs_modulus_pa, poisson_ratio) * _tangent(half_angle_rad)
+    return math.sqrt(force_n / stiffness)
+
+
+def cone_pressure(
+    r_m: Points,
+    contact_radius_m: float,
+    half_angle_rad: float,
+    youngs_modulus_pa: float,
+    poisson_ratio: float,
+) -> Points:
+    """Pressure (E*/2) cot(alpha) arcosh(a/r) [Pa] at distance r [m]; infinite at the tip, zero outside.
+
+    Raises:
+        RangeError: a is not positive, alpha outside 0 to pi/2 rad, or the material out of range.
+    """
+    positive("contact radius", contact_radius_m, "m")
+    E = reduced_modulus(youngs_modulus_pa, poisson_ratio)
+    with np.errstate(divide="ignore"):
+        ratio = contact_radius_m / np.minimum(np.abs(r_m), contact_radius_m)
+    return np.asarray(E / (2.0 * _tangent(half_angle_rad)) * np.arccosh(ratio))
+
+
+def press(
+    probe: Probe,
+    pose: Pose,
+    youngs_modulus_pa: float,
+    poisson_ratio: float,
+    x_m: Float[ndarray, " nx"] | None = None,
+    y_m: Float[ndarray, " ny"] | None = None,
+) -> Contact:
+    """Press a sphere, or a flat punch, into a half-space.
+
+    Args:
+        probe: shape ``"sphere"``, or ``"punch"`` with the radius of its flat end [m].
+        pose: where, and how deep; depth 0 is first touch and gives no pressure.
+        youngs_modulus_pa: of the skin [Pa].
+        poisson_ratio: of the skin, 0 to 0.5.
+        x_m: columns of the surface grid in the sensor's frame [m], evenly spaced; by default 81 points over
+            two contact or punch radii to each side of the pose.
+        y_m: its rows [m]; by default likewise.
+
+    Returns:
+        The contact; the pressure is that at the grid's points. A punch's is infinite at its edge, so within a
+        quarter of a cell of it the grid holds the mean over that cell, and a sum over the grid misses some of
+        the force (10 % of it at 20 cells a radius); ``force_n`` is exact.
+
+    Raises:
+        InputError: the probe has another shape or the pose is not finite.
+        RangeError: depth or material lies outside the law's range.
+    """
+    if probe.shape not in ("sphere", "punch"):
+        raise InputError(f"Sneddon's press is for 'sphere' or 'punch', got probe shape {probe.shape!r}")
+    if not (math.isfinite(pose.x_m) and math.isfinite(pose.y_m)):
+        raise InputError(
+            f"the pose ({pose.x_m}, {pose.y_m}) m is not a finite position; give numbers in metres"
+        )
+    R, d, E, nu = probe.radius_m, pose.depth_m, youngs_modulus_pa, poisson_ratio
+    sphere = probe.shape == "sphere"
+    force = sphere_force_from_depth(d, R, E, nu) if sphere else punch_force(d, R, E, nu)
+    a = sphere_radius_from_depth(d, R) if sphere else R if d > 0 else 0.0
+    around = 2.0 * (a or R) * np.linspace(-1, 1, GRID_POINTS)
+    x = pose.x_m + around if x_m is None else x_m
+    y = pose.y_m + around if y_m is None else y_m
+    r = np.hypot(x[None, :] - pose.x_m, y[:, None] - pose.y_m)
+    if sphere:
+        pressure = sphere_pressure(r, a, R, E, nu)
+        profile = R - np.sqrt(R**2 - np.minimum(r, a) ** 2)
+        sinking = _surface_displacement(r, a, d - profile, lambda t: d - t * np.arctanh(t / R))
+    else:
+        cell = abs(x[1] - x[0]) if len(x) > 1 else 0.0
+        short = np.where(r < a, np.minimum(r, a - cell / 4), r)
+        pressure = punch_pressure(short, R, force)
+        sinking = _surface_displacement(r, a, np.full_like(r, d), lambda t: np.full_like(t, d))
+    return Contact(
+        x_m=x,
+        y_m=y,
+        pressure_pa=np.where(r < a, pressure, 0.0),
+        displacement_m=sinking,
+        touching=r < a,
+        force_n=force,
+        radius_m=a,
+        probe=probe,
+        pose=pose,
+        model=MODEL.format(shape=probe.shape),
+    )
+
+
+def _surface_displacement(r: Points, a: float, inside: Points, g: Callable[[Points], Points]) -> Points:
+    if a == 0.0:
+        return np.zeros_like(r)
+    outer = np.maximum(r, a)
+    widest = np.arcsin(a / outer)  # with t = r sin(angle), dt / sqrt(r^2 - t^2) is d(angle)
+    around = np.zeros_like(r)
+    for node, weight in zip((1 + NODES) / 2, WEIGHTS / 2, strict=True):
+        around += weight * widest * g(outer * np.sin(node * widest))
+    return np.where(r < a, inside, 2 / np.pi * around)
+
+
+def _slope(contact_radius_m: float, radius_m: float) -> float:
+    positive("the sphere's radius", radius_m, "m")
+    _within("contact radius", contact_radius_m, GREATEST_RADIUS * radius_m, "m", f"a/R <= {GREATEST_RADIUS}")
+    return contact_radius_m / radius_m
+
+
+def _tangent(half_angle_rad: float) -> float:
+    if not 0.0 < half_angle_rad < math.pi / 2:
+        raise RangeError(
+            f"half-angle {half_angle_rad} rad lies outside 0 to pi/2 rad; measure it from the cone's axis"
+        )
+    return math.tan(half_angle_rad)
+
+
+def _within(name: str, value: float, limit: float, unit: str, law: str) -> None:
+    if not (0.0 <= value <= limit * (1 + 1e-12) and math.isfinite(value)):
+        raise RangeError(f"{name} {value:g} {unit} lies outside 0 to {limit:g} {unit}, where {law} holds")
+
+
+def _root(excess: Callable[[float], float], upper: float) -> float:
+    """Slope a/R; the paraboloid's is always too large, so it brackets the root."""
+    if upper == 0.0:
+        return 0.0
+    top = min(upper * (1 + 1e-9), GREATEST_RADIUS * (1 + 1e-12))
+    return brentq(excess, 0.0, top, xtol=1e-300, rtol=1e-15) if excess(top) > 0 else top

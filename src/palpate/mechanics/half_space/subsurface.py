@@ -1,0 +1,211 @@
+"""All of the stress below a Hertz contact, with or without sliding; small strain, any Poisson's ratio.
+
+Hertz's pressure p0 sqrt(1 - r^2/a^2) is a segment of point forces at complex depths z + i t with the density
+c (a^2 - t^2), c = pi p0 / (2 a). Where a point force has a derivative g of its potential, the contact has
+
+    c int_{-a}^{a} (a^2 - t^2) g(z + i t) dt = 4 c Im W - 4 c a Re W_z,      W_zzz = g, at w = z + i a.
+
+All antiderivatives along z of ln(rho + z) are elementary in q = w + S, S = sqrt(r^2 + w^2): at constant r,
+dw = (1 + r^2/q^2) dq / 2, so a power of q or its logarithm integrates to the like. Below, K1, K2, K3, K4 are
+the first to fourth, each the z-derivative of the next, and a prime is the derivative by r divided by r.
+
+Sliding is a traction q_x = mu p over the whole contact (Hamilton's problem). The pressure stays Hertz's: what
+the traction does to it for nu < 1/2 is left out.
+
+References: K. L. Johnson, Contact Mechanics (1985), sec. 3.2 and 3.4, doi:10.1017/CBO9781139171731;
+G. M. Hamilton, Proc. IMechE 197C (1983) 53, doi:10.1243/PIME_PROC_1983_197_076_02.
+
+Hertz's stress summed along a ray, in closed form.
+
+Summed over y, the equations of a laterally infinite half-space become those of plane strain under the summed
+load. So for any Poisson's ratio, int (s_xx, s_zz, s_xz) dy under a Hertz contact is the plane field of the
+parabola  int p dy = P0 (1 - x^2/a^2),  P0 = (pi/2) p0 a.
+With zeta = x + i z, Flamant's line loads under it add up to
+
+    int (s_xx - s_zz) dy = -(2/pi) z Re K,     int 2 s_xz dy = (2/pi) z Im K,
+    K = int (int p dy)(s) / (zeta - s)^2 ds = P0 [ -(2 zeta/a^2) ln((zeta - a)/(zeta + a)) - 4/a ].
+
+Reference for Flamant's line load: K. L. Johnson, Contact Mechanics (1985), sec. 2.2,
+doi:10.1017/CBO9781139171731.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+from scipy.optimize import minimize_scalar
+
+from palpate.core.errors import RangeError
+from palpate.core.shapes import Complex, Float
+from palpate.mechanics.half_space.hertz import SURFACE, positive, reduced_modulus
+from palpate.mechanics.half_space.point_loads import Potentials, stress_of_load_along_x, stress_of_normal_load
+
+Points = Float[ndarray, "..."] | float
+Tensors = Float[ndarray, "... 3 3"]
+
+
+def hertz_stress(
+    x_m: Points,
+    y_m: Points,
+    z_m: Points,
+    contact_radius_m: float,
+    peak_pressure_pa: float,
+    poisson_ratio: float,
+    friction: float = 0.0,
+) -> Tensors:
+    """Stress below a Hertz contact at the origin, sliding along x or at rest [Pa].
+
+    Args:
+        x_m, y_m: in the sensor's frame [m].
+        z_m: into the skin, not negative [m]; the three shapes broadcast.
+        contact_radius_m: a, positive [m].
+        peak_pressure_pa: p0, positive [Pa].
+        poisson_ratio: of the skin, 0 to 0.5.
+        friction: traction along +x on the skin over pressure, -2 to 2; 0 where nothing slides.
+
+    Returns:
+        The symmetric tensor ``[... 3 3]``, positive in tension. The relative rounding error is about
+        1e-14 (rho/a)^2 at a distance rho from the contact, and 1e-6 at its edge.
+
+    Raises:
+        RangeError: an argument is out of its range.
+
+    Example:
+        >>> s = hertz_stress(0.0, 0.0, 0.48, 1.0, 1.0, 0.3)
+        >>> round(float(s[0, 0] - s[2, 2]) / 2, 3)
+        0.31
+    """
+    reduced_modulus(1.0, poisson_ratio)
+    positive("contact radius", contact_radius_m, "m")
+    positive("peak pressure", peak_pressure_pa, "Pa")
+    if not -2.0 <= friction <= 2.0:
+        raise RangeError(f"friction {friction} lies outside -2 to 2, where a coefficient of friction may lie")
+    x, y, z = (np.asarray(v, dtype=float) / contact_radius_m for v in (x_m, y_m, z_m))
+    if not (np.isfinite(x).all() and np.isfinite(y).all() and np.isfinite(z).all() and (z >= 0).all()):
+        raise RangeError("the skin lies at finite places with z >= 0 m; a negative z is in the air above it")
+    z = np.maximum(z, SURFACE)
+    K = hertz_potentials(np.hypot(x, y), z)
+    s = stress_of_normal_load(K, x, y, z, poisson_ratio)
+    if friction:
+        s = s + friction * stress_of_load_along_x(K, x, y, z, poisson_ratio)
+    return peak_pressure_pa * s
+
+
+def hertz_potentials(r: Points, z: Points) -> Potentials:
+    """Derivatives of the potentials of a Hertz contact with a = 1 and p0 = 1, at z > 0."""
+    r2, w = np.square(r), z + 1j
+    S = np.sqrt(r2 + w**2)
+    q = w + S
+    L = np.log(q)
+
+    k0_a, k1_a = 1 / (S * q), -1 / q
+    k2_a = -L / 2 + r2 / (4 * q**2)
+    k3_a = -w * L / 2 + q / 4 + r2 / (8 * q) - r2**2 / (24 * q**3)
+    k1_b, k2_b, k3_b = 1 / (S * q**2), -1 / (2 * q**2), 1 / (4 * q) + r2 / (12 * q**3)
+    k4_b = L / 8 - r2 / (12 * q**2) - r2**2 / (96 * q**4)
+    k2_c, k3_c, k4_c = 1 / (S * q**3), -1 / (3 * q**3), 1 / (12 * q**2) + r2 / (24 * q**4)
+    return Potentials(
+        v_z=_contact(w * L - S, L),
+        v_zz=_contact(L, 1 / S),
+        v_a=_contact(k2_a, k1_a),
+        v_b=_contact(k2_b, k1_b),
+        v_az=_contact(k1_a, k0_a),
+        f_a=_contact(k3_a, k2_a),
+        f_b=_contact(k3_b, k2_b),
+        f_c=_contact(k3_c, k2_c),
+        f1_b=_contact(k4_b, k3_b),
+        f1_c=_contact(k4_c, k3_c),
+    )
+
+
+def centreline_stress(
+    z_m: Points, contact_radius_m: float, peak_pressure_pa: float, poisson_ratio: float
+) -> tuple[Points, Points]:
+    """s_rr and s_zz on the axis of a Hertz contact [Pa], positive in tension: Johnson (3.45).
+
+    Raises:
+        RangeError: an argument is out of its range, or some z is negative.
+    """
+    reduced_modulus(1.0, poisson_ratio)
+    positive("contact radius", contact_radius_m, "m")
+    positive("peak pressure", peak_pressure_pa, "Pa")
+    if not np.all(np.asarray(z_m) >= 0):
+        raise RangeError("the skin lies at z >= 0 m; a negative z is in the air above it")
+    z = np.asarray(z_m) / contact_radius_m
+    s_zz = -1 / (1 + z**2)
+    s_rr = -(1 + poisson_ratio) * (1 - z * np.arctan2(1.0, z)) - s_zz / 2
+    return peak_pressure_pa * s_rr, peak_pressure_pa * s_zz
+
+
+def greatest_shear(poisson_ratio: float) -> tuple[float, float]:
+    """The greatest shear stress under a Hertz contact, over p0, and its depth, over a.
+
+    Raises:
+        RangeError: nu lies outside 0 to 0.5.
+
+    Example:
+        >>> [round(v, 3) for v in greatest_shear(0.5)]
+        [0.266, 0.548]
+    """
+
+    def shear(z: float) -> float:
+        s_rr, s_zz = centreline_stress(z, 1.0, 1.0, poisson_ratio)
+        return float(s_rr - s_zz) / 2
+
+    best = minimize_scalar(lambda z: -shear(z), bounds=(0.3, 0.7), method="bounded", options={"xatol": 1e-9})
+    return shear(best.x), float(best.x)
+
+
+def _contact(W: Any, W_z: Any) -> Any:
+    return 2 * np.pi * (W.imag - W_z.real)  # 4 c = 2 pi p0 / a
+
+
+FAR = (
+    8.0  # contact radii beyond which the series is used: the closed form loses (r/a)^2 digits by cancellation
+)
+TERMS = 9  # of the series in (a/zeta)^2; the first left out is below 1e-17 of the sum at FAR
+
+Summed = Float[ndarray, "..."]
+
+
+def line_integrated_stress(
+    x_m: Points, z_m: Points, contact_radius_m: float, peak_pressure_pa: float
+) -> tuple[Summed, Summed]:
+    """Stress summed along y under a Hertz contact at the origin; any Poisson's ratio.
+
+    Args:
+        x_m: where the ray passes [m].
+        z_m: how far below the surface, not negative [m].
+        contact_radius_m: a, positive [m].
+        peak_pressure_pa: p0 [Pa].
+
+    Returns:
+        int (s_xx - s_zz) dy and int 2 s_xz dy [Pa m], positive in tension; both zero at z = 0.
+
+    Raises:
+        RangeError: a is not positive or some z is negative.
+    """
+    if not contact_radius_m > 0.0:
+        raise RangeError(f"contact radius {contact_radius_m} m has no field; give a positive radius in m")
+    if np.any(np.asarray(z_m) < 0):
+        raise RangeError("the skin lies at z >= 0 m; a negative z is in the air above it")
+    a = contact_radius_m
+    zeta = np.asarray((x_m + 1j * np.asarray(z_m)) / a)
+    P0 = np.pi / 2 * peak_pressure_pa * a
+    K = P0 / a * np.where(abs(zeta) > FAR, _kernel_far(zeta), _kernel_near(zeta))
+    return np.asarray(-2 / np.pi * z_m * K.real), np.asarray(2 / np.pi * z_m * K.imag)
+
+
+def _kernel_near(zeta: Complex[ndarray, "*n"]) -> Complex[ndarray, "*n"]:
+    on_edge = (zeta.imag == 0) & (abs(zeta.real) == 1)  # z K is zero there, K alone is not finite
+    zeta = np.where(on_edge, 0.0, zeta)
+    return np.asarray(-2 * zeta * np.log((zeta - 1) / (zeta + 1)) - 4)
+
+
+def _kernel_far(zeta: Complex[ndarray, "*n"]) -> Complex[ndarray, "*n"]:
+    u2 = 1 / np.where(abs(zeta) > FAR, zeta, FAR) ** 2
+    coefficients = 4 / (2 * np.arange(TERMS + 1) + 1)
+    coefficients[0] = 0.0
+    return np.asarray(np.polynomial.polynomial.polyval(u2, coefficients))

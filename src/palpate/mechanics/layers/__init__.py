@@ -1,0 +1,3 @@
+"""Any indenter on a stack of bonded linear layers, by Fourier transforms: contact, friction, stress."""
+
+__all__: list[str] = []

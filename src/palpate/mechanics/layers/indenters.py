@@ -1,0 +1,249 @@
+"""Indenters as height fields z(x, y): how far the rigid surface lies above the flat skin at first touch.
+
+Heights are 0 at the lowest point and grow away from it; where the indenter has no lower face (beyond a
+sphere's equator, beyond the rim of a punch) they are infinite. Pressed in by the depth d, the indenter asks
+for the sinking d - z where it touches. Combine shapes with ``together``, lean them with ``tilted``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy import ndarray
+
+from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Field, Float
+from palpate.mechanics.half_space.hertz import positive
+
+PROFILE_POINTS = 2001  # at which a profile is looked at before it is used
+STEEPEST_TILT = math.radians(30)  # beyond it a leaning height field is no longer a rigid turn, to 15 %
+
+Axis = Float[ndarray, " _"]
+Place = tuple[float, float]
+CENTRE: Place = (0.0, 0.0)
+
+
+def sphere(x_m: Axis, y_m: Axis, radius_m: float, centre_m: Place = CENTRE) -> Field:
+    """Exact sphere, z = R - sqrt(R^2 - r^2) [m].
+
+    Args:
+        x_m: columns of the grid [m].
+        y_m: rows of the grid [m].
+        radius_m: R, positive [m].
+        centre_m: the lowest point (x, y) [m].
+
+    Example:
+        >>> z = sphere(np.array([0.0, 3e-3, 6e-3]), np.zeros(1), 5e-3)[0]
+        >>> [round(float(height) * 1e3, 9) for height in z]
+        [0.0, 1.0, inf]
+    """
+    positive("the sphere's radius", radius_m, "m")
+    return _ball(_from_centre(x_m, y_m, centre_m), radius_m)
+
+
+def paraboloid(x_m: Axis, y_m: Axis, radius_m: float, centre_m: Place = CENTRE) -> Field:
+    """Hertz's z = r^2 / (2 R) [m], R the radius of curvature at the tip [m]."""
+    positive("the tip's radius", radius_m, "m")
+    return _from_centre(x_m, y_m, centre_m) ** 2 / (2 * radius_m)
+
+
+def cone(x_m: Axis, y_m: Axis, slope_rad: float, centre_m: Place = CENTRE) -> Field:
+    """Cone, z = r tan(slope) [m]; the slope is that of its side against the skin, 0 to 90 degrees [rad]."""
+    return _from_centre(x_m, y_m, centre_m) * _slope(slope_rad)
+
+
+def flat_punch(
+    x_m: Axis, y_m: Axis, radius_m: float, edge_radius_m: float = 0.0, centre_m: Place = CENTRE
+) -> Field:
+    """Upright cylinder of radius a; its edge is sharp, or rounded by a quarter circle inside a [m].
+
+    Raises:
+        RangeError: a is not positive, or the edge's radius lies outside 0 to a.
+    """
+    positive("the punch's radius", radius_m, "m")
+    if not 0.0 <= edge_radius_m <= radius_m:
+        raise RangeError(f"the edge's radius {edge_radius_m} m lies outside 0 to the punch's {radius_m} m")
+    r = _from_centre(x_m, y_m, centre_m)
+    past_flat = np.maximum(r - (radius_m - edge_radius_m), 0.0)
+    rounded = _ball(past_flat, edge_radius_m) if edge_radius_m else np.zeros_like(r)
+    return np.where(r <= radius_m, rounded, np.inf)
+
+
+def wedge(
+    x_m: Axis,
+    y_m: Axis,
+    slope_rad: float,
+    length_m: float,
+    turn_rad: float = 0.0,
+    centre_m: Place = CENTRE,
+) -> Field:
+    """Straight edge, z = (distance from its line) tan(slope) [m], cut off square at its ends.
+
+    Args:
+        x_m: columns of the grid [m].
+        y_m: rows of the grid [m].
+        slope_rad: of both sides against the skin, 0 to 90 degrees [rad].
+        length_m: of the edge [m].
+        turn_rad: of the edge from x towards y [rad].
+        centre_m: the middle of the edge (x, y) [m].
+    """
+    along, across = _turned(x_m, y_m, turn_rad, centre_m)
+    return _cut(np.abs(across) * _slope(slope_rad), along, length_m)
+
+
+def lying_cylinder(
+    x_m: Axis,
+    y_m: Axis,
+    radius_m: float,
+    length_m: float,
+    turn_rad: float = 0.0,
+    centre_m: Place = CENTRE,
+) -> Field:
+    """Cylinder of radius R on its side, its axis turned from x towards y, cut off square at its ends [m]."""
+    positive("the cylinder's radius", radius_m, "m")
+    along, across = _turned(x_m, y_m, turn_rad, centre_m)
+    return _cut(_ball(np.abs(across), radius_m), along, length_m)
+
+
+def two_points(
+    x_m: Axis,
+    y_m: Axis,
+    radius_m: float,
+    separation_m: float,
+    turn_rad: float = 0.0,
+    centre_m: Place = CENTRE,
+) -> Field:
+    """Two equal spheres whose lowest points are ``separation_m`` apart on a line turned from x towards y."""
+    positive("the separation of the two points", separation_m, "m")
+    step = separation_m / 2 * np.array([math.cos(turn_rad), math.sin(turn_rad)])
+    ends = (np.asarray(centre_m) - step, np.asarray(centre_m) + step)
+    return together(*(sphere(x_m, y_m, radius_m, (float(x), float(y))) for x, y in ends))
+
+
+def balls(x_m: Axis, y_m: Axis, radius_m: float, places_m: Sequence[tuple[float, float, float]]) -> Field:
+    """Equal spheres on one holder, each with its lowest point at (x, y) and so far above the skin [m].
+
+    Raises:
+        InputError: no sphere.
+        RangeError: a height that is negative, or none that is 0: the lowest sphere touches first.
+    """
+    heights = [up for _, _, up in places_m]
+    if not heights:
+        raise InputError("a holder without spheres; give one place (x, y, height) in m or more")
+    if min(heights) != 0.0:
+        raise RangeError(f"the spheres are {heights} m above the skin; the lowest is at 0 m, at first touch")
+    return together(*(sphere(x_m, y_m, radius_m, (x, y)) + up for x, y, up in places_m))
+
+
+def axisymmetric(
+    x_m: Axis,
+    y_m: Axis,
+    profile: Callable[[ndarray], ndarray] | tuple[Axis, Axis],
+    outer_radius_m: float,
+    centre_m: Place = CENTRE,
+) -> Field:
+    """Any round indenter from its profile z(r), which must not fall.
+
+    Args:
+        x_m: columns of the grid [m].
+        y_m: rows of the grid [m].
+        profile: a function of r [m] that gives z [m]; or the positions r and heights z of its points, joined
+            by straight lines.
+        outer_radius_m: where the indenter ends [m]; points must reach that far.
+        centre_m: its axis (x, y) [m].
+
+    Raises:
+        RangeError: the profile does not start at 0, falls somewhere, or is not finite up to its end.
+    """
+    positive("the indenter's outer radius", outer_radius_m, "m")
+    height = profile if callable(profile) else _joined(*profile, outer_radius_m)
+    looked_at = np.linspace(0.0, outer_radius_m, PROFILE_POINTS)
+    z = np.asarray(height(looked_at), float)
+    if not (z.shape == looked_at.shape and np.all(np.isfinite(z)) and z[0] == 0.0):
+        raise RangeError(
+            f"a profile is finite from r = 0, where it is 0 m, to its end at {outer_radius_m} m; this "
+            f"one starts at {np.ravel(z)[0]} m and has {np.count_nonzero(~np.isfinite(z))} values not finite"
+        )
+    if np.any(np.diff(z) < 0.0):
+        falls = looked_at[np.argmax(np.diff(z) < 0.0)]
+        raise RangeError(
+            f"the profile falls from r = {falls:g} m on; a height must not fall from the centre outwards. "
+            "Give an indenter with more than one tip as a height field made by together()"
+        )
+    r = _from_centre(x_m, y_m, centre_m)
+    return np.where(r <= outer_radius_m, height(np.minimum(r, outer_radius_m)), np.inf)
+
+
+def together(*gaps_m: Field) -> Field:
+    """Several indenters on one holder: the lowest of their heights."""
+    return np.minimum.reduce(gaps_m)
+
+
+def tilted(gap_m: Field, x_m: Axis, y_m: Axis, slope_x_rad: float = 0.0, slope_y_rad: float = 0.0) -> Field:
+    """The indenter leaning by an angle along x and along y, its lowest grid point at height 0 again.
+
+    Raises:
+        RangeError: an angle beyond 30 degrees, where adding a slope is no longer a turn.
+    """
+    for slope in (slope_x_rad, slope_y_rad):
+        if not abs(slope) <= STEEPEST_TILT:
+            raise RangeError(
+                f"a tilt of {slope} rad lies outside -{STEEPEST_TILT:.4f} to {STEEPEST_TILT:.4f} rad"
+            )
+    leaning = gap_m + math.tan(slope_x_rad) * x_m + math.tan(slope_y_rad) * y_m[:, None]
+    return np.asarray(leaning - leaning.min())
+
+
+def leaning(gap_m: Field, x_m: Axis, y_m: Axis, tilt_rad: float, turn_rad: float = 0.0) -> Field:
+    """The indenter leaning by one angle; the side that ``turn_rad``, from x towards y, points to is lower.
+
+    Raises:
+        RangeError: see `tilted`.
+    """
+    if not abs(tilt_rad) <= STEEPEST_TILT:
+        raise RangeError(
+            f"a tilt of {tilt_rad} rad lies outside -{STEEPEST_TILT:.4f} to {STEEPEST_TILT:.4f} rad"
+        )
+    slope = math.tan(tilt_rad)
+    return tilted(
+        gap_m, x_m, y_m, -math.atan(slope * math.cos(turn_rad)), -math.atan(slope * math.sin(turn_rad))
+    )
+
+
+def _ball(r: Field, R: float) -> Field:
+    inside = np.minimum(r, R)
+    return np.where(r <= R, inside**2 / (R + np.sqrt((R - inside) * (R + inside))), np.inf)
+
+
+def _cut(z: Field, along: Field, length_m: float) -> Field:
+    positive("the length", length_m, "m")
+    return np.where(np.abs(along) <= length_m / 2, z, np.inf)
+
+
+def _joined(r: Axis, z: Axis, outer_radius_m: float) -> Callable[[ndarray], ndarray]:
+    if not (len(r) == len(z) >= 2 and r[0] == 0.0 and np.all(np.diff(r) > 0.0) and r[-1] >= outer_radius_m):
+        raise InputError(
+            f"a profile's positions rise from 0 m to its outer radius {outer_radius_m} m or beyond, with one "
+            f"height each; got {len(r)} positions and {len(z)} heights"
+        )
+    if np.any(np.diff(z) < 0.0):
+        raise RangeError("the profile's heights fall; a height must not fall from the centre outwards")
+    return lambda at: np.interp(at, r, z)
+
+
+def _from_centre(x_m: Axis, y_m: Axis, centre_m: Place) -> Field:
+    return np.hypot(x_m[None, :] - centre_m[0], y_m[:, None] - centre_m[1])
+
+
+def _turned(x_m: Axis, y_m: Axis, turn_rad: float, centre_m: Place) -> tuple[Field, Field]:
+    x, y = x_m[None, :] - centre_m[0], y_m[:, None] - centre_m[1]
+    c, s = math.cos(turn_rad), math.sin(turn_rad)
+    return c * x + s * y, c * y - s * x
+
+
+def _slope(slope_rad: float) -> float:
+    if not 0.0 < slope_rad < math.pi / 2:
+        raise RangeError(f"a side's slope of {slope_rad} rad against the skin lies outside 0 to 1.5708 rad")
+    return math.tan(slope_rad)

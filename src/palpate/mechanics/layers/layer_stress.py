@@ -1,0 +1,323 @@
+"""Stress in one bonded layer under a load on its surface, fast: long waves and short ones apart.
+
+As in `stack_field`, a load is a sum of waves, each of which makes stresses on a plane that depend on its
+length alone. Long waves reach far but need few points: they are summed on a wide, coarse grid. Short ones die
+away within a few of their lengths: they are summed in a window about the load. They are told apart by
+
+    w(q) = (1 + q^2 + q^4 / 2) exp(-q^2),    q = k / K,
+
+by which the long part is multiplied and the short one by 1 - w, of the order q^6 at small q, so that its
+field ends with the window. On planes so deep that no short wave arrives, all is long.
+
+Under a given load the stress does not depend on the layer's modulus. Of the six stresses come five, which are
+all that a ray in the plane of the layer sees.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy import ndarray
+from scipy import fft
+
+from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Complex64, Field, Float, Float32
+from palpate.mechanics.layers.surface_grid import cells
+from palpate.mechanics.layers.transfer_table import of_mean, transfer_answers
+
+SEEN = ("xx-zz", "yy-zz", "xy", "xz", "yz")
+COARSE = 20  # cells of the wide grid to the layer's thickness
+REACH = 5.0  # thicknesses beyond the load at which the stress has died away; half of them to the next image
+FADED = 3.7  # q at which w has fallen to 1e-4
+USED = 0.8  # of the wide grid's shortest waves
+DYING = 5.0  # over K: how far beyond the load the short waves reach
+ARRIVING = 9.0  # k z at which the shortest of the long waves has fallen to 1e-3
+TAPS = 8  # of the wide grid to each side, from which its field is read in the window
+BLOCK = 32  # cells that the loaded part grows by, so that plans are shared
+
+Stresses = Float32[ndarray, "planes 5 _ _"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OnGrid:
+    """The five stresses of `SEEN` on planes over a regular grid.
+
+    Attributes:
+        first_m: the first column and row (x, y) [m].
+        cell_m: from column to column and from row to row [m].
+        stress_pa: positive in tension ``[nz 5 ny nx]`` [Pa].
+    """
+
+    first_m: tuple[float, float]
+    cell_m: tuple[float, float]
+    stress_pa: Stresses
+
+
+def stress_under(
+    thickness_m: float,
+    poisson_ratio: float,
+    depths_m: Float[ndarray, " nz"],
+    pressure_pa: Field,
+    x_m: Float[ndarray, " nx"],
+    y_m: Float[ndarray, " ny"],
+    shear_pa: Float[ndarray, "2 ny nx"] | None = None,
+) -> tuple[OnGrid, OnGrid]:
+    """Stress in a window about a load, and on a wide grid that holds outside the window.
+
+    Args:
+        thickness_m: of the layer, bonded to a rigid floor [m].
+        poisson_ratio: of the layer, below 1/2.
+        depths_m: of the planes, rising from 0 to the thickness [m].
+        pressure_pa: into the skin ``[ny nx]`` [Pa].
+        x_m: columns of a regular grid [m].
+        y_m: rows of a regular grid [m].
+        shear_pa: load along x and y, the force of the probe on the skin [Pa].
+
+    Returns:
+        Window and wide grid. Five thicknesses beyond the load the wide one ends, and the stress with it.
+
+    Raises:
+        InputError: a load that is not finite, or a grid that is not regular.
+        RangeError: planes that do not rise within the layer, or a material out of range.
+    """
+    grid = cells(x_m, y_m)
+    if not np.all(np.isfinite(pressure_pa)) or (shear_pa is not None and not np.all(np.isfinite(shear_pa))):
+        raise InputError("a load is not finite; look for NaN or infinity in the pressure and the shear")
+    if not (0.0 < thickness_m < math.inf and 0.0 <= poisson_ratio < 0.5):
+        raise RangeError(
+            f"a layer {thickness_m} m thick of Poisson's ratio {poisson_ratio}; give a positive thickness "
+            "in m and a ratio from 0 to below 0.5"
+        )
+    if not (np.all(np.diff(depths_m) > 0.0) and depths_m[0] >= 0.0 and depths_m[-1] <= thickness_m):
+        raise RangeError(f"planes {depths_m} m; give depths that rise within 0 to {thickness_m:g} m")
+    rows, columns = _loaded(pressure_pa)
+    key = tuple(float(z) for z in depths_m)
+    plan = _plan(
+        thickness_m,
+        poisson_ratio,
+        key,
+        (rows.stop - rows.start, columns.stop - columns.start),
+        (round(grid.dy, 12), round(grid.dx, 12)),
+    )
+    shear = np.zeros((2, 1, 1)) if shear_pa is None else shear_pa[:, rows, columns]
+    loads = [pressure_pa[rows, columns], *(shear if shear_pa is not None and shear.any() else ())]
+    near, far = plan.stresses(loads)
+    middle = (
+        (x_m[columns.start] + x_m[columns.stop - 1]) / 2,
+        (y_m[rows.start] + y_m[rows.stop - 1]) / 2,
+    )
+    return _laid(near, middle, plan.near), _laid(far, middle, plan.far)
+
+
+def _loaded(pressure_pa: Field) -> tuple[slice, slice]:
+    """The rows and columns that carry load, grown to whole blocks as far as the grid reaches."""
+    at = np.nonzero(pressure_pa)
+    if not len(at[0]):
+        at = tuple(np.array([n // 2]) for n in pressure_pa.shape)
+    parts = []
+    for where, count in zip(at, pressure_pa.shape, strict=True):
+        first, last = int(where.min()), int(where.max())
+        length = min(-(-(last - first + 1) // BLOCK) * BLOCK, count)
+        start = min(max((first + last + 1 - length) // 2, 0), count - length)
+        parts.append(slice(start, start + length))
+    return parts[0], parts[1]
+
+
+class _Grid(NamedTuple):
+    """Points about a load's middle: how many and how far apart, along y and x."""
+
+    counts: tuple[int, int]
+    cell: tuple[float, float]
+
+    def axis(self, which: int) -> Float[ndarray, " n"]:
+        """Positions from the middle [m]."""
+        return (np.arange(self.counts[which]) - (self.counts[which] - 1) / 2) * self.cell[which]
+
+
+def _laid(stress: Stresses, middle: tuple[float, float], grid: _Grid) -> OnGrid:
+    first = (middle[0] + grid.axis(1)[0], middle[1] + grid.axis(0)[0])
+    return OnGrid((float(first[0]), float(first[1])), (grid.cell[1], grid.cell[0]), stress)
+
+
+class _WavePart(NamedTuple):
+    """The waves of one grid: what each makes on each plane, and its direction."""
+
+    transfer_answers: Float32[ndarray, "nz 8 py half"]
+    cos: Float32[ndarray, "py half"]
+    sin: Float32[ndarray, "py half"]
+    weight: Float32[ndarray, "py half"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plan:
+    """All that no load changes.
+
+    Attributes:
+        near, far: the window's grid and the wide one.
+        short, long: their waves; the window's on the `shallow` planes alone.
+        shallow: how many planes short waves reach.
+        mean: what the wave without direction makes on each plane: of xx-zz and yy-zz, and of xz and yz.
+        into_far: the load's points to the wide grid's waves, along y and x.
+        onto_near: the wide grid's points `around` the window to the window's, along y and x.
+        loaded: shape of the load.
+    """
+
+    near: _Grid
+    far: _Grid
+    short: _WavePart
+    long: _WavePart
+    shallow: int
+    mean: Float[ndarray, "nz 2"]
+    into_far: tuple[Complex64[ndarray, "fy ly"], Complex64[ndarray, "lx half"]]
+    onto_near: tuple[Float32[ndarray, "ny ay"], Float32[ndarray, "ax nx"]]
+    around: tuple[slice, slice]
+    loaded: tuple[int, int]
+
+    def stresses(self, loads: list[Field]) -> tuple[Stresses, Stresses]:
+        """On the window and the wide grid."""
+        sent = [np.asarray(load, np.float32) for load in loads]
+        wide = [self.into_far[0] @ load @ self.into_far[1] for load in sent]
+        window = [np.asarray(fft.rfft2(self._padded(load))) for load in sent]
+        near = np.empty((len(self.mean), len(SEEN), *self.near.counts), np.float32)
+        far = np.empty((len(self.mean), len(SEEN), *self.far.counts), np.float32)
+        faded = [load * self.long.weight for load in wide]
+        rest = [load * self.short.weight for load in window]
+        rows, columns = self.around
+        for i, mean in enumerate(self.mean):
+            waves = _on_plane(self.long, i, faded if i < self.shallow else wide)
+            for which, part in ((0, 0), (1, 0), (3, 1), (4, 1)):
+                load = 0 if which < 2 else which - 2
+                waves[which, 0, 0] = mean[part] * wide[load][0, 0] if load < len(wide) else 0.0
+            far[i] = fft.irfft2(waves, self.far.counts)
+            near[i] = self.onto_near[0] @ far[i][:, rows, columns] @ self.onto_near[1]
+            if i < self.shallow:
+                near[i] += fft.irfft2(_on_plane(self.short, i, rest), self.near.counts)
+        return near, far
+
+    def _padded(self, load: Float32[ndarray, "ly lx"]) -> Float32[ndarray, "ny nx"]:
+        """In the middle of the window."""
+        whole = np.zeros(self.near.counts, np.float32)
+        top, left = ((n - m) // 2 for n, m in zip(self.near.counts, self.loaded, strict=True))
+        whole[top : top + load.shape[0], left : left + load.shape[1]] = load
+        return whole
+
+
+def _on_plane(part: _WavePart, plane: int, loads: list[ndarray]) -> Complex64[ndarray, "5 py half"]:
+    """Waves of the five stresses from those of pressure and, if there is any, shear."""
+    c, s = part.cos, part.sin
+    kk, tt, kz, *rest = part.answers[plane]
+    p = loads[0]
+    KK, TT, KZ = kk * p, tt * p, (-1j * kz) * p
+    made = np.empty((len(SEEN), *p.shape), np.complex64)
+    cc, cs = c * c, c * s
+    if len(loads) == 1:
+        turned = KK - TT
+        made[0] = TT + cc * turned
+        made[1] = KK - cc * turned
+        made[2] = cs * turned
+        made[3], made[4] = c * KZ, s * KZ
+        return made
+    q_kk, q_tt, q_kz, v, r = rest
+    q_k, q_t = c * loads[1] + s * loads[2], c * loads[2] - s * loads[1]
+    KK += 1j * (q_kk * q_k)
+    TT += 1j * (q_tt * q_k)
+    KZ -= q_kz * q_k
+    KT, TZ = 1j * (v * q_t), -r * q_t
+    turned = KK - TT
+    made[0] = TT + cc * turned - 2 * cs * KT
+    made[1] = KK - cc * turned + 2 * cs * KT
+    made[2] = cs * turned + (2 * cc - 1) * KT
+    made[3], made[4] = c * KZ - s * TZ, s * KZ + c * TZ
+    return made
+
+
+@lru_cache(maxsize=4)
+def _plan(
+    thickness: float,
+    nu: float,
+    depths: tuple[float, ...],
+    loaded: tuple[int, int],
+    cell: tuple[float, float],
+) -> _Plan:
+    z = np.array(depths)
+    coarse = max(thickness / COARSE, *cell)
+    K = USED * math.pi / coarse / FADED
+    near = _Grid(_counts([n + 2 * DYING / (K * d) for n, d in zip(loaded, cell, strict=True)], loaded), cell)
+    wide = [(n * d + 2 * REACH * thickness) / coarse for n, d in zip(loaded, cell, strict=True)]
+    far = _Grid(_counts(wide, (0, 0)), (coarse, coarse))
+    shallow = int(np.count_nonzero(z < ARRIVING * coarse / (USED * math.pi)))
+    k_near, k_far = (_wavenumbers(grid) for grid in (near, far))
+    short = _WavePart(
+        transfer_answers(z[: max(shallow, 1)], thickness, nu, np.hypot(*k_near)),
+        *_directions(k_near),
+        _short(np.hypot(*k_near) / K),
+    )
+    long = _WavePart(
+        transfer_answers(z, thickness, nu, np.hypot(*k_far)),
+        *_directions(k_far),
+        1 - _short(np.hypot(*k_far) / K),
+    )
+    into = [
+        np.exp(-1j * np.outer(k, (np.arange(n) - (n - 1) / 2) * d - far.axis(which)[0]))
+        for which, (k, n, d) in enumerate(zip((k_far[1][:, 0], k_far[0][0]), loaded, cell, strict=True))
+    ]
+    share = cell[0] * cell[1] / coarse**2
+    around, onto = zip(*(_read(far.axis(which), near.axis(which), coarse) for which in (0, 1)), strict=True)
+    return _Plan(
+        near=near,
+        far=far,
+        short=short,
+        long=long,
+        shallow=shallow,
+        mean=of_mean(z, thickness, nu),
+        into_far=((share * into[0]).astype(np.complex64), into[1].T.astype(np.complex64)),
+        onto_near=(onto[0].astype(np.float32), onto[1].T.astype(np.float32)),
+        around=(around[0], around[1]),
+        loaded=loaded,
+    )
+
+
+def _counts(least: list[float], like: tuple[int, int]) -> tuple[int, int]:
+    """Numbers that transform fast, as even or odd as those they surround."""
+    counts = []
+    for wanted, other in zip(least, like, strict=True):
+        count = fft.next_fast_len(math.ceil(wanted), real=True)
+        while (count - other) % 2:
+            count = fft.next_fast_len(count + 1, real=True)
+        counts.append(int(count))
+    return counts[0], counts[1]
+
+
+def _wavenumbers(grid: _Grid) -> tuple[Float[ndarray, "py half"], Float[ndarray, "py half"]]:
+    (ny, nx), (dy, dx) = grid.counts, grid.cell
+    k_x, k_y = np.meshgrid(2 * np.pi * fft.rfftfreq(nx, dx), 2 * np.pi * fft.fftfreq(ny, dy))
+    return k_x, k_y
+
+
+def _directions(
+    k: tuple[ndarray, ndarray],
+) -> tuple[Float32[ndarray, "py half"], Float32[ndarray, "py half"]]:
+    size = np.maximum(np.hypot(*k), 1e-300)
+    return (k[0] / size).astype(np.float32), (k[1] / size).astype(np.float32)
+
+
+def _short(q: Float[ndarray, "py half"]) -> Float32[ndarray, "py half"]:
+    """1 - w."""
+    square = np.minimum(q, 20.0) ** 2
+    return (1 - (1 + square + square**2 / 2) * np.exp(-square)).astype(np.float32)
+
+
+def _read(
+    far: Float[ndarray, " n"], near: Float[ndarray, " m"], cell: float
+) -> tuple[slice, Float[ndarray, "m a"]]:
+    """The part of an axis about another, and the windowed sinc that reads the one at the other's points."""
+    first = int(np.searchsorted(far, near[0] - TAPS * cell))
+    last = int(np.searchsorted(far, near[-1] + TAPS * cell))
+    away = (near[:, None] - far[first:last]) / cell
+    window = np.where(abs(away) < TAPS, np.i0(8.0 * np.sqrt(np.maximum(1 - (away / TAPS) ** 2, 0))), 0.0)
+    taken = np.sinc(away) * window
+    return slice(first, last), taken / taken.sum(axis=1, keepdims=True)

@@ -1,0 +1,318 @@
+"""How a wave of load passes through slabs, without any growing exponential.
+
+Of a wave exp(i k x) let u_k = i U and u_z = W be the motion, and q_k = i k F, q_z = k G the load on the upper
+face of what lies below a plane (minus the stress on it). With s = k z the equations of equilibrium are
+y' = A y for y = (U, W, F, G), in which (A^2 - 1)^2 = 0; across the wave likewise, with A^2 = 1. So with
+B = A^2 - 1
+
+    exp(-A s) = cosh s + (s/2) sinh s B - A (sinh s + (s cosh s - sinh s)/2 B).
+
+Let C be the compliance of what lies below a slab, (U, W) = C (F, G). Climbing the slab by exp(-A s) turns
+(C; 1) into (N; D): its upper face has the compliance N D^-1, and the load that arrives below is D^-1 times
+the load above. Both are bounded at any s once exp(s) is taken out of N and D.
+
+Reference: W. T. Thomson, J. Appl. Phys. 21, 89 (1950), doi:10.1063/1.1699629, for the transfer of a state;
+the compliance in place of the state is what keeps it from overflowing.
+
+A stack of elastic layers, bonded to one another, and what its surface answers to a wave of load.
+
+A load on the surface is a sum of waves exp(i (k_x x + k_y y)). Under one of them the motion along the wave
+and into the skin (k, z) is apart from the motion across it (t), and each is linear in a few numbers that
+depend on k = |k| alone: the surface compliance. For one bonded layer the normal part is the closed form of
+Burmister,
+
+    u_z / p = 2 (1 - nu^2) / (E k) M(k h),
+    M(s) = [(3 - 4 nu) sinh 2s - 2s] / [(3 - 4 nu) cosh 2s + 2 s^2 + 5 - 12 nu + 8 nu^2].
+
+Small strain, isotropic linear layers, laterally infinite.
+
+Reference: D. M. Burmister, J. Appl. Phys. 16, 89 (1945), doi:10.1063/1.1707558.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy import ndarray
+
+from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float
+
+DEEP = 22.0  # k h beyond which the far face is felt by less than s^2 exp(-2 s) = 4e-17
+
+Waves = Float[ndarray, " k"]
+Square = Float[ndarray, "d d"]
+Squares = Float[ndarray, "k d d"]
+
+
+class Material(NamedTuple):
+    """Shear modulus [Pa] and Poisson's ratio."""
+
+    mu: float
+    nu: float
+
+
+class Slab(NamedTuple):
+    """A thickness [m] of one material."""
+
+    material: Material
+    thickness_m: float
+
+
+class Level(NamedTuple):
+    """What a family of waves does at one plane between slabs.
+
+    Attributes:
+        compliance: motion per load there, times k [1/Pa].
+        arriving: load there per load on the surface.
+    """
+
+    compliance: Squares
+    arriving: Squares
+
+
+class Levels(NamedTuple):
+    """The same at every plane, from the surface to the base."""
+
+    compliance: list[Squares]
+    arriving: list[Squares]
+
+    def at(self, level: int) -> Level:
+        """At one of them."""
+        return Level(self.compliance[level], self.arriving[level])
+
+
+def climb(slabs: Sequence[Slab], below: Material | None, k: Waves) -> tuple[Levels, Levels]:
+    """The compliance at every plane, from the base up, and the load that arrives, from the surface down.
+
+    Args:
+        slabs: from the surface downwards.
+        below: the half-space under them; None for a rigid floor.
+        k: wavenumbers [1/m], positive.
+
+    Returns:
+        The motion along the wave and into the skin (U, W), 2 x 2, and that across the wave, 1 x 1.
+    """
+    in_plane = _climb(slabs, k, _in_plane, half_space, below)
+    return in_plane, _climb(slabs, k, _across, half_space_across, below)
+
+
+def half_space(material: Material) -> Float[ndarray, "2 2"]:
+    """Compliance of a half-space in (U, W), times k [1/Pa]: Boussinesq's and Cerruti's."""
+    mu, nu = material
+    return np.array([[1 - nu, 0.5 - nu], [0.5 - nu, 1 - nu]]) / mu
+
+
+def half_space_across(material: Material) -> Float[ndarray, "1 1"]:
+    """Compliance of a half-space across the wave, times k [1/Pa]."""
+    return np.array([[1 / material.mu]])
+
+
+def _in_plane(material: Material) -> Float[ndarray, "4 4"]:
+    mu, nu = material
+    n = nu / (1 - nu)
+    yielding = (1 - 2 * nu) / (2 * mu * (1 - nu))  # 1 / (lambda + 2 mu)
+    plate = 2 * mu / (1 - nu)  # E / (1 - nu^2)
+    return np.array(
+        [
+            [0.0, -1.0, -1 / mu, 0.0],
+            [n, 0.0, 0.0, -yielding],
+            [-plate, 0.0, 0.0, -n],
+            [0.0, 0.0, 1.0, 0.0],
+        ]
+    )
+
+
+def _across(material: Material) -> Float[ndarray, "2 2"]:
+    return np.array([[0.0, -1 / material.mu], [-material.mu, 0.0]])
+
+
+def _climb(
+    slabs: Sequence[Slab],
+    k: Waves,
+    generator: Callable[[Material], ndarray],
+    endless: Callable[[Material], ndarray],
+    below: Material | None,
+) -> Levels:
+    d = len(generator(Material(1.0, 0.0))) // 2
+    base = np.zeros((d, d)) if below is None else endless(below)
+    compliance: list[Squares] = [np.broadcast_to(base, (len(k), d, d))]
+    passing: list[Squares] = []
+    for material, thickness in reversed(slabs):
+        s = k * thickness
+        P = _upwards(generator(material), s)
+        C = compliance[0]
+        N = P[:, :d, :d] @ C + P[:, :d, d:]
+        D = np.linalg.inv(P[:, d:, :d] @ C + P[:, d:, d:])
+        deep = (s > DEEP)[:, None, None]
+        compliance.insert(0, np.where(deep, endless(material), N @ D))
+        passing.insert(0, np.exp(-s)[:, None, None] * D)
+    arriving = [np.broadcast_to(np.eye(d), (len(k), d, d))]
+    for down in passing:
+        arriving.append(down @ arriving[-1])
+    return Levels(compliance, arriving)
+
+
+def _upwards(A: Square, s: Waves) -> Squares:
+    """exp(-s) exp(-A s)."""
+    one = np.eye(len(A))
+    B = A @ A - one
+    fading = np.exp(-2 * s)
+    cosh, sinh = (1 + fading) / 2, -np.expm1(-2 * s) / 2
+    terms = ((cosh, one), (s * sinh / 2, B), (-sinh, A), (-(s * cosh - sinh) / 2, A @ B))
+    return np.asarray(sum(f[:, None, None] * matrix for f, matrix in terms))
+
+
+Base = Literal["bonded", "half-space"]
+LONG_WAVE = 1e-7  # k times the stack's thickness that stands for k = 0; what is left out is its square
+
+
+@dataclass(frozen=True, slots=True)
+class ElasticLayer:
+    """One layer of a stack.
+
+    Attributes:
+        thickness_m: positive [m]; ``math.inf`` only for the last layer of a stack on a half-space.
+        youngs_modulus_pa: positive [Pa].
+        poisson_ratio: 0 to below 0.5. At 0.5 a layer between rigid walls has no compliance at all.
+
+    Raises:
+        RangeError: one of them lies outside its range.
+    """
+
+    thickness_m: float
+    youngs_modulus_pa: float
+    poisson_ratio: float
+
+    def __post_init__(self) -> None:
+        if not self.thickness_m > 0.0:
+            raise RangeError(
+                f"a layer's thickness is {self.thickness_m} m; give a positive number of m, or math.inf for "
+                "the last layer of a stack on a half-space"
+            )
+        if not 0.0 < self.youngs_modulus_pa < math.inf:
+            raise RangeError(
+                f"Young's modulus of a layer is {self.youngs_modulus_pa} Pa; give a positive number of Pa"
+            )
+        if not 0.0 <= self.poisson_ratio < 0.5:
+            raise RangeError(
+                f"Poisson's ratio {self.poisson_ratio} of a layer lies outside 0 to below 0.5; a bonded "
+                "incompressible layer cannot be squeezed, so give a rubber 0.49 to 0.499"
+            )
+
+    @property
+    def endless(self) -> bool:
+        """Whether it reaches down without end."""
+        return self.thickness_m == math.inf
+
+    @property
+    def material(self) -> Material:
+        """The layer's shear modulus [Pa] and Poisson's ratio."""
+        return Material(self.youngs_modulus_pa / (2.0 * (1.0 + self.poisson_ratio)), self.poisson_ratio)
+
+    @property
+    def reduced_modulus_pa(self) -> float:
+        """E* = E / (1 - nu^2) [Pa]."""
+        return self.youngs_modulus_pa / (1.0 - self.poisson_ratio**2)
+
+
+@dataclass(frozen=True, slots=True)
+class Stack:
+    """Layers from the surface downwards, perfectly bonded to one another.
+
+    Attributes:
+        layers: one or more, the touched one first.
+        base: ``"bonded"``: the last layer sticks to a rigid floor. ``"half-space"``: the last layer reaches
+            down without end, and its thickness is ``math.inf``.
+
+    Raises:
+        InputError: no layer, a base of another name, or a thickness that does not fit the base.
+
+    Example:
+        >>> skin = Stack((Layer(1e-3, 0.8e6, 0.49), Layer(9e-3, 0.2e6, 0.49)))
+        >>> round(skin.thickness_m, 6)
+        0.01
+    """
+
+    layers: tuple[ElasticLayer, ...]
+    base: Base = "bonded"
+
+    def __post_init__(self) -> None:
+        if not self.layers:
+            raise InputError("a stack of no layers has no surface; give one Layer or more")
+        if self.base not in get_args(Base):
+            raise InputError(f"a stack's base is 'bonded' or 'half-space', not {self.base!r}")
+        endless = [layer.endless for layer in self.layers]
+        if any(endless[:-1]) or endless[-1] != (self.base == "half-space"):
+            raise InputError(
+                "thickness math.inf belongs to the last layer of a stack on a half-space, and to no other: "
+                f"base {self.base!r} has thicknesses {[layer.thickness_m for layer in self.layers]} m"
+            )
+
+    @property
+    def slabs(self) -> tuple[Slab, ...]:
+        """The layers of finite thickness, as what carries a load from face to face."""
+        return tuple(Slab(layer.material, layer.thickness_m) for layer in self.layers if not layer.endless)
+
+    @property
+    def below(self) -> Material | None:
+        """The half-space below; None on a rigid floor."""
+        return self.layers[-1].material if self.base == "half-space" else None
+
+    @property
+    def thickness_m(self) -> float:
+        """From the surface to the floor [m]; infinite on a half-space."""
+        return sum(layer.thickness_m for layer in self.layers)
+
+
+class Compliance(NamedTuple):
+    """What the surface does under a wave of load, per load [m/Pa]; each ``[k]``.
+
+    With loads q_k along the wave, q_t across it and p into the skin, and t = z x k:
+
+        u_k = along q_k + i coupled p,     u_t = across q_t,     u_z = -i coupled q_k + normal p.
+    """
+
+    along: Waves
+    coupled: Waves
+    across: Waves
+    normal: Waves
+
+
+def surface_compliance(stack: Stack, wavenumber_per_m: Waves) -> Compliance:
+    """What the surface of the stack answers to waves of load.
+
+    The load is carried from the bottom upwards as a compliance, which stays bounded for any k h. Relative
+    rounding is below 1e-12 for one layer.
+
+    Args:
+        stack: the layers.
+        wavenumber_per_m: k = 2 pi / wavelength [1/m]; positive, and 0 too on a rigid floor, where the answer
+            is that of uniaxial strain and of simple shear.
+
+    Returns:
+        The compliances [m/Pa] at each k; the 3 x 3 matrix they make is Hermitian and positive definite.
+
+    Raises:
+        RangeError: k is negative, not finite, or 0 on a half-space, which yields without end.
+
+    Example:
+        >>> layer = Stack((Layer(10e-3, 0.3e6, 0.49),))
+        >>> oedometric = 10e-3 * (1 + 0.49) * (1 - 2 * 0.49) / (0.3e6 * (1 - 0.49))
+        >>> bool(np.isclose(surface_compliance(layer, np.array([0.0])).normal[0], oedometric))
+        True
+    """
+    k = np.asarray(wavenumber_per_m, float)
+    if not np.all((k >= 0.0) & (k < math.inf)):
+        raise RangeError(f"wavenumbers reach from {k.min()} to {k.max()} 1/m; give finite numbers from 0 up")
+    if stack.base == "half-space" and not np.all(k > 0.0):
+        raise RangeError("a half-space yields without end to a uniform load; give wavenumbers above 0 1/m")
+    if stack.base == "bonded":
+        k = np.maximum(k, LONG_WAVE / stack.thickness_m)
+    in_plane, across = climb(stack.slabs, stack.below, k)
+    C, c = in_plane.compliance[0] / k[:, None, None], across.compliance[0] / k[:, None, None]
+    return Compliance(C[:, 0, 0], C[:, 0, 1], c[:, 0, 0], C[:, 1, 1])

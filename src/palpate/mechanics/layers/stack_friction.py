@@ -1,0 +1,282 @@
+"""Coulomb friction on a stack: an indenter that presses already is shifted and turned along the surface.
+
+With the pressure p held, tractions q = (q_x, q_y) of the probe on the skin minimise 1/2 q.G q - q.s over |q|
+<= mu p: where the skin sticks it moves by s, elsewhere it lags behind and q has its limit. The probe is
+rigid, so that s = shift + turn (-y, x) about its axis. The motion is made in one go from no shear. The
+sinking that q adds under the probe, nothing at nu = 1/2 on a half-space, is left out, as Cattaneo and Mindlin
+leave it out.
+
+References: K. L. Johnson, Contact Mechanics (1985), sec. 7.2, doi:10.1017/CBO9781139171731; for the turn
+J. L. Lubkin, J. Appl. Mech. 18, 183 (1951).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy import ndarray
+
+from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Field, Float, Int, Mask
+from palpate.mechanics.layers.contact_solver import StackContact
+from palpate.mechanics.layers.influence import tangential_influence, tangential_resistance
+from palpate.mechanics.layers.surface_grid import cells
+
+TOLERANCE = 1e-4  # of the greatest motion: how far sticking skin may lag behind the probe
+FORCE_TOLERANCE = 1e-4  # of the load asked for
+AT_LIMIT = 1 - 1e-9  # of the limit: a traction that rounding alone keeps from it
+STEPS = 1000
+SHIFTS = 50
+FIRST, CLOSER = 1e-2, 0.1  # tolerance of the first motion of a load; of the next ones, over what is missing
+NEARLY = 0.9  # of friction: up to there Mindlin's law of a shifted sphere gives the first guess
+BLOCK = 32  # cells that the part of the grid which is solved on grows by, so that influences are shared
+
+Pair = Float[ndarray, "2"]
+Motion = Float[ndarray, "3"]  # shift along x and y, and turn times the contact's radius [m]
+Load = Float[ndarray, "3"]  # force along x and y, and moment over the contact's radius [N]
+Fields = Float[ndarray, "2 ny nx"]
+
+
+@dataclass(frozen=True, slots=True)
+class StackShear:
+    """What a motion of the indenter does along the surface, on the grid of its contact, SI.
+
+    Attributes:
+        contact: the contact that was sheared.
+        friction: coefficient of friction.
+        shear_pa: traction of the probe on the skin along x and y ``[2 ny nx]`` [Pa].
+        sticking: the touching cells that go with the probe ``[ny nx]``; the others slip.
+        force_n: of the probe on the skin along x and y [N].
+        shift_m: of the probe along x and y [m].
+        moment_nm: of the probe on the skin about z through its axis, from x towards y [N m].
+        turn_rad: of the probe about that axis [rad].
+        axis_m: where the axis is (x, y) [m].
+    """
+
+    contact: StackContact
+    friction: float
+    shear_pa: Fields
+    sticking: Mask
+    force_n: Pair
+    shift_m: Pair
+    moment_nm: float
+    turn_rad: float
+    axis_m: tuple[float, float]
+
+    @property
+    def moved_m(self) -> Fields:
+        """Displacement of the surface along x and y, on the whole grid ``[2 ny nx]`` [m]."""
+        grid = cells(self.contact.x_m, self.contact.y_m)
+        return tangential_influence(self.contact.stack, grid).apply_pair(self.shear_pa)
+
+
+def shear_stack(
+    contact: StackContact,
+    friction: float,
+    *,
+    shift_m: tuple[float, float] | None = None,
+    turn_rad: float | None = None,
+    force_n: tuple[float, float] | None = None,
+    moment_nm: float | None = None,
+    axis_m: tuple[float, float] = (0.0, 0.0),
+) -> StackShear:
+    """Shift and turn the indenter of a contact along the surface, by a motion or by a load.
+
+    Args:
+        contact: of the indenter, with some force.
+        friction: Coulomb's coefficient, positive.
+        shift_m: of the probe along x and y [m]; where only a turn is given, none.
+        turn_rad: of the probe about its axis, from x towards y [rad]; where only a shift is given, none. Or
+        force_n: of the probe on the skin along x and y, below friction times the normal force [N]; where only
+            a moment is given, none.
+        moment_nm: about z through the axis [N m]. Where only a force is given, the probe does not turn, and
+            the moment is what that takes.
+        axis_m: of the probe (x, y) [m].
+
+    Raises:
+        InputError: neither a motion nor a load, or both, or one that is not finite.
+        RangeError: a contact without force, a friction that is not positive, or a load at which all slips.
+    """
+    if not contact.force_n > 0.0:
+        raise RangeError(f"a contact of {contact.force_n} N carries no shear; press with more than 0 N")
+    if not 0.0 < friction < math.inf:
+        raise RangeError(f"the coefficient of friction is {friction}; give a positive number")
+    by_motion = shift_m is not None or turn_rad is not None
+    by_load = force_n is not None or moment_nm is not None
+    if by_motion == by_load:
+        raise InputError(
+            "give exactly one of a motion and a load: shift_m and turn_rad, or force_n and moment_nm"
+        )
+    pair, about = (shift_m, turn_rad) if by_motion else (force_n, moment_nm)
+    given = (*(pair or (0.0, 0.0)), about or 0.0)
+    if not all(map(math.isfinite, (*given, *axis_m))):
+        raise InputError(
+            f"{given} about {axis_m} m; give finite numbers: two along x and y, one about z, a place in m"
+        )
+    problem = _Problem(contact, friction, axis_m)
+    if by_motion:
+        motion = np.array([*given[:2], given[2] * problem.radius])
+        return problem.result(motion, problem.solve(motion, problem.none, problem.limit))
+    load = np.array([*given[:2], given[2] / problem.radius])
+    problem.check(load)
+    return problem.result(*_motion_for(problem, load, turns=moment_nm is not None))
+
+
+class _Problem:
+    """One contact's influence and limits, on the part of the grid that touches."""
+
+    def __init__(self, contact: StackContact, friction: float, axis_m: tuple[float, float]) -> None:
+        self.contact, self.friction, self.axis_m = contact, friction, axis_m
+        rows, columns = np.nonzero(contact.touching)
+        shape = contact.touching.shape
+        self.part = (_around(rows, shape[0]), _around(columns, shape[1]))
+        y, x = contact.y_m[self.part[0]] - axis_m[1], contact.x_m[self.part[1]] - axis_m[0]
+        self.grid = cells(x, y)
+        self.touching = contact.touching[self.part]
+        self.limit = friction * contact.pressure_pa[self.part]
+        self.none = np.zeros((2, self.grid.ny, self.grid.nx))
+        self.radius = math.sqrt(contact.area_m2 / math.pi)
+        one, nothing = np.ones(self.limit.shape), np.zeros(self.limit.shape)
+        turned = np.stack([-y[:, None] * one, x * one]) / self.radius
+        self.modes = np.stack([[one, nothing], [nothing, one], turned]) * self.touching
+        self._influence = tangential_influence(contact.stack, self.grid)
+        self._resistance = tangential_resistance(contact.stack, self.grid)
+        self.stiffest = float(self._resistance.spectra[0].max())
+
+    def yielding(self, q: Fields) -> Fields:
+        """Displacement of the surface [m] under tractions [Pa]."""
+        return self._influence.apply_pair(q)
+
+    def resisting(self, u: Fields) -> Fields:
+        """About its inverse."""
+        return np.stack([self._resistance.apply(0, part) for part in u])
+
+    def load(self, q: Fields) -> Load:
+        """What the tractions amount to [N]: the work that they do in each motion of 1 m."""
+        return np.tensordot(self.modes, q, axes=3) * self.grid.area_m2
+
+    def check(self, load: Load) -> None:
+        """Refuse what no distribution of friction holds."""
+        force, moment = math.hypot(*load[:2]), abs(load[2]) * self.radius
+        greatest = self.friction * self.contact.force_n
+        if not force < greatest:
+            raise RangeError(
+                f"a force of {force:g} N makes the whole contact slip; give less than friction "
+                f"times the normal force, {greatest:g} N"
+            )
+        around = float((self.limit * np.hypot(*self.modes[2])).sum()) * self.grid.area_m2 * self.radius
+        if not moment < around:
+            raise RangeError(
+                f"a moment of {moment:g} N m makes the whole contact slip; give less than friction times "
+                f"the pressure's distance from the axis, {around:g} N m"
+            )
+
+    def solve(self, motion: Motion, q: Fields, limit: Field, tolerance: float = TOLERANCE) -> Fields:
+        """Tractions [Pa] at a motion, from a guess: conjugate gradients on what may still change.
+
+        A slipping traction turns on a circle. The smaller the circle, the more a turn costs: its bend stands
+        beside the stiffness of the skin.
+        """
+        wanted = np.tensordot(motion, self.modes, axes=1)
+        allowed = tolerance * float(np.hypot(*wanted).max())
+        q = _limited(q, limit)
+        u = self.yielding(q)
+        along, gradient, gain = self.none, self.none, np.inf
+        for _ in range(STEPS):
+            lag = np.where(self.touching, wanted - u, 0.0)
+            held = _held(lag, q, limit)
+            before, gradient = gradient, _without(held, lag)
+            if np.abs(gradient).max() <= allowed:
+                return q
+            rising = (lag * held).sum(axis=0)
+            bend = np.divide(rising, limit, out=np.zeros_like(limit), where=rising > 0.0)
+            firm = 1 / np.sqrt(1 + bend * self.stiffest)
+            turned = _without(held, firm * self.resisting(firm * gradient) * self.touching)
+            conjugate = max(0.0, float((turned * (gradient - before)).sum())) / gain
+            along = _without(held, turned + conjugate * along)
+            gain = float((turned * gradient).sum())
+            curved = self.yielding(along) + bend * along
+            length = float((gradient * along).sum() / (curved * along).sum())
+            q = _limited(q + length * along, limit)
+            u = self.yielding(q)
+        raise RangeError(f"the shear did not settle in {STEPS} steps; give a finer grid or another motion")
+
+    def result(self, motion: Motion, q: Fields) -> StackShear:
+        """The tractions and what they do."""
+        shear = np.zeros((2, *self.contact.touching.shape))
+        shear[(slice(None), *self.part)] = q
+        sticking = np.zeros(self.contact.touching.shape, bool)
+        sticking[self.part] = self.touching & (np.hypot(*q) < self.limit * AT_LIMIT)
+        load = self.load(q)
+        return StackShear(
+            contact=self.contact,
+            friction=self.friction,
+            shear_pa=shear,
+            sticking=sticking,
+            force_n=load[:2],
+            shift_m=motion[:2],
+            moment_nm=float(load[2]) * self.radius,
+            turn_rad=float(motion[2]) / self.radius,
+            axis_m=self.axis_m,
+        )
+
+
+def _around(touching: Int[ndarray, " n"], cells_there: int) -> slice:
+    """The touching part of an axis, grown to whole blocks as far as the axis reaches."""
+    first, last = int(touching.min()), int(touching.max())
+    length = min(-(-(last - first + 1) // BLOCK) * BLOCK, cells_there)
+    start = min(max((first + last + 1 - length) // 2, 0), cells_there - length)
+    return slice(start, start + length)
+
+
+def _held(lag: Fields, q: Fields, limit: Field) -> Fields:
+    """Unit vectors along the tractions that are at their limit and would rise; zero elsewhere."""
+    size = np.hypot(*q)
+    outward = np.divide(q, size, out=np.zeros_like(q), where=size > 0.0)
+    rising = (size >= limit * AT_LIMIT) & ((lag * outward).sum(axis=0) > 0.0)
+    return np.where(rising, outward, 0.0)
+
+
+def _without(held: Fields, direction: Fields) -> Fields:
+    return direction - (direction * held).sum(axis=0) * held
+
+
+def _limited(q: Fields, limit: Field) -> Fields:
+    size = np.hypot(*q)
+    return q * np.divide(limit, size, out=np.ones_like(size), where=size > limit)
+
+
+def _motion_for(problem: _Problem, load: Load, turns: bool) -> tuple[Motion, Fields]:
+    """The motion of a load, by Broyden's secants from the stiffness without slip."""
+    free = slice(3 if turns else 2)
+    scale = problem.contact.depth_m
+    endless = np.where(problem.touching, np.inf, 0.0)
+    stuck = [problem.solve(scale * unit, problem.none, endless, FIRST) for unit in np.eye(3)[free]]
+    yielding = scale * np.linalg.inv(np.stack([problem.load(q)[free] for q in stuck], axis=1))
+    motion, wanted = np.zeros(3), load[free]
+    size, tolerance, q = float(np.linalg.norm(wanted)), FIRST, problem.none
+    if size == 0.0:
+        return motion, q
+    part = min(size / (problem.friction * problem.contact.force_n), NEARLY)
+    step, missing = yielding @ wanted * (1.5 * (1 - (1 - part) ** (2 / 3)) / part), wanted
+    for _ in range(SHIFTS):
+        motion = motion + np.append(step, np.zeros(3 - len(step)))
+        try:
+            q = problem.solve(motion, q, problem.limit, tolerance)
+        except RangeError:  # a motion without bounds, as where all slips
+            break
+        before, missing = missing, wanted - problem.load(q)[free]
+        off = float(np.linalg.norm(missing)) / size
+        if off <= FORCE_TOLERANCE and tolerance <= TOLERANCE:
+            return motion, q
+        turned = yielding @ (before - missing)
+        if step @ turned != 0.0:  # else the skin, still within the tolerance, has not followed
+            yielding = yielding + np.outer(step - turned, step @ yielding) / (step @ turned)
+        step, tolerance = yielding @ missing, min(CLOSER * off, FIRST)
+    raise RangeError(
+        f"no shift and turn were found for a force of {math.hypot(*load[:2]):g} N and a moment of "
+        f"{load[2] * problem.radius:g} N m, within {FORCE_TOLERANCE:g}; together they may make the whole "
+        f"contact slip: give less of one, or of both, than what friction holds of each alone"
+    )

@@ -1,0 +1,144 @@
+"""The regular grid on the surface that the stack's fields and contacts are given on.
+
+Loads on a grid as waves, and waves back on the grid.
+
+The grid is padded with an unloaded margin and then repeats, so a sum over waves stands for an integral over
+them. It is a good one but for the mean wave, to which a thick stack yields much and a half-space without end.
+So the mean wave is given what makes sum and integral equal right under a round load of Gauss's shape, whose
+width is small beside the period: the images are taken away at the centre, and what is left of them grows as
+(r / period)^2.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy import ndarray
+from scipy import fft
+
+from palpate.core.errors import InputError
+from palpate.core.shapes import Complex, Field, Float, Int
+
+UNEVEN = 1e-6  # of a step: what may be left of rounding in a grid's positions
+
+
+class Cells(NamedTuple):
+    """How many cells along x and y, and how large [m]."""
+
+    nx: int
+    ny: int
+    dx: float
+    dy: float
+
+    @property
+    def area_m2(self) -> float:
+        """Of one cell [m^2]."""
+        return self.dx * self.dy
+
+    @property
+    def diagonal_m(self) -> float:
+        """Greatest distance between two cells' centres [m]."""
+        return float(np.hypot((self.nx - 1) * self.dx, (self.ny - 1) * self.dy))
+
+
+def cells(x_m: Float[ndarray, " nx"], y_m: Float[ndarray, " ny"]) -> Cells:
+    """The cells around the grid's points.
+
+    Args:
+        x_m: columns, rising in equal steps, 3 or more [m].
+        y_m: rows, likewise [m].
+
+    Raises:
+        InputError: the steps are not equal and positive, or there are too few.
+    """
+    return Cells(len(x_m), len(y_m), _step("x_m", x_m), _step("y_m", y_m))
+
+
+def _step(name: str, axis_m: Float[ndarray, " n"]) -> float:
+    steps = np.diff(axis_m)
+    mean = float(steps.mean()) if len(axis_m) >= 3 else np.nan
+    if not (mean > 0.0 and np.abs(steps - mean).max() <= UNEVEN * mean):
+        raise InputError(
+            f"{name} is not a regular grid: give 3 or more positions in m that rise in equal steps, as of "
+            "np.linspace"
+        )
+    return mean
+
+
+LONGEST = 1e-6  # of the least wavenumber: the one that stands for the mean
+ALIKE = 6  # decimals of (k/dk)^2 up to which waves count as equally long
+GAUSS_WIDTH = 6.0  # dk: where a Gaussian load's waves have fallen to 1/e
+GAUSS_END = 6.0  # of those widths, where they have fallen to 2e-16
+
+Wave = Complex[ndarray, "py half"]
+Waveform = Float[ndarray, " k"]
+
+
+class Waves(NamedTuple):
+    """The waves of a padded grid.
+
+    Attributes:
+        k: the wavenumbers there are, each once, and after them those of the integral [1/m]; the first stands
+            for the mean.
+        share: weights that turn a quantity at these k into that of the mean wave.
+        which: of the wavenumbers at each wave.
+        cos, sin: its direction; both 0 for the mean.
+        grid: rows and columns that are not margin.
+        shape: rows and columns with the margin.
+    """
+
+    k: Waveform
+    share: Waveform
+    which: Int[ndarray, "py half"]
+    cos: Float[ndarray, "py half"]
+    sin: Float[ndarray, "py half"]
+    grid: tuple[int, int]
+    shape: tuple[int, int]
+
+    def gather(self, values: Waveform) -> Float[ndarray, "py half"]:
+        """What depends on the wavenumber alone, at each wave."""
+        return values[self.which]
+
+    def of_mean(self, values: Waveform) -> float:
+        """What the mean wave must have for the sum over waves to be their integral."""
+        return float(self.share @ values)
+
+    def forward(self, load: Field) -> Wave:
+        """The waves of a load on the grid."""
+        return fft.rfft2(load, self.shape)
+
+    def back(self, wave: Wave) -> Field:
+        """Their sum on the grid; rows of the margin are left out before the columns are summed."""
+        rows, columns = self.grid
+        return fft.irfft(fft.ifft(wave, axis=0)[:rows], self.shape[1], axis=1)[:, :columns]
+
+
+def spread(grid: Cells, margin_m: float) -> Waves:
+    """The waves of a grid with a margin, over a period that is alike along x and y."""
+    period = max(grid.nx * grid.dx, grid.ny * grid.dy) + margin_m
+    py, px = (fft.next_fast_len(math.ceil(period / d - 1e-9), real=True) for d in (grid.dy, grid.dx))
+    k_x, k_y = 2 * np.pi * fft.rfftfreq(px, grid.dx), 2 * np.pi * fft.fftfreq(py, grid.dy)[:, None]
+    cell = k_x[1] * k_y[1, 0]
+    squares, which = np.unique(np.round((k_x**2 + k_y**2) / cell, ALIKE), return_inverse=True)
+    k = np.sqrt(squares * cell)
+    direction = np.maximum(k[which], k[1])
+    k[0] = LONGEST * k[1]
+    width = min(GAUSS_WIDTH * math.sqrt(cell), min(k_x.max(), k_y.max()) / GAUSS_END)
+    more, rings = _rings(GAUSS_END * width)
+    twice = np.where((k_x > 0.0) & (np.arange(len(k_x)) * 2 != px), 2.0, 1.0)  # of a pair, one is kept
+    times = np.bincount(which.ravel(), np.broadcast_to(twice, which.shape).ravel())
+    times[0] = 0.0
+    every = np.concatenate([k, more])
+    share = np.concatenate([-times, rings / cell]) * np.exp(-((every / width) ** 2))
+    return Waves(every, share, which, k_x / direction, k_y / direction, (grid.ny, grid.nx), (py, px))
+
+
+def _rings(end: float) -> tuple[Waveform, Waveform]:
+    """Wavenumbers from 0 to an end, crowded to 0, and the areas of the rings they stand for."""
+    edges = np.concatenate([[0.0], np.geomspace(1e-5 * end, end, 31)])
+    points, weights = np.polynomial.legendre.leggauss(8)
+    low, half = edges[:-1, None], np.diff(edges)[:, None] / 2
+    k = (low + half * (1 + points)).ravel()
+    return k, 2 * np.pi * k * (half * weights).ravel()
