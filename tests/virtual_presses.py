@@ -7,8 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from palpate.calibration.compliance import Reference, ReferenceTrial
-from palpate.estimators.casr.force import CONTACT_N, loading, moving_average, within, without_spikes
-from palpate.estimators.casr.pin_press import UNTOUCHED_N, PinPress, watched
+from palpate.estimators.compliance.pin_press import UNTOUCHED_N, PinPress, watched
+from palpate.estimators.compliance.press_force import (
+    CONTACT_N,
+    loading,
+    moving_average,
+    within,
+    without_spikes,
+)
 from palpate.sensors.tactip import Specimen, TacTipSpec, Trial, trial
 
 KAPPA_N_M = {"rigid": float("inf"), "S1": 7.6e3, "S2": 3.1e3, "S3": 1.1e3, "new": 5.3e3}

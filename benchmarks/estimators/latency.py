@@ -51,8 +51,8 @@ def main() -> None:
         print("torch is not installed, so there is no baseline: pip install 'palpate[train]'")
         return
     from palpate import CalibrationPlan, Estimator, Run, calibrate
-    from palpate.estimators.networks.base import Scaler
     from palpate.estimators.networks.compact_cnn import CompactCnn, Network
+    from palpate.estimators.networks.model_interface import Scaler
 
     with tempfile.TemporaryDirectory() as folder:
         run = Run.open(recorded(Path(folder)))

@@ -52,10 +52,10 @@ def ratio(name: str, above: np.ndarray, below: np.ndarray, asked: str = "") -> N
 
 def networks(side: int) -> dict[str, tuple[Any, tuple[int, int, int]]]:
     """The two, untrained, and the shape of their inputs."""
-    from palpate.estimators.networks.base import Scaler
-    from palpate.estimators.networks.palm_compact import CompactPalmNetwork
-    from palpate.estimators.networks.palm_two_stage import TwoStageNetwork
-    from palpate.estimators.networks.palm_views import Scales
+    from palpate.estimators.networks.model_interface import Scaler
+    from palpate.sensors.palm.networks.palm_compact import CompactPalmNetwork
+    from palpate.sensors.palm.networks.palm_report_networks import TwoStageNetwork
+    from palpate.sensors.palm.networks.palm_training import Scales
 
     def scales(targets: int) -> Scales:
         plain = Scaler(np.zeros(targets), np.ones(targets))
@@ -145,8 +145,8 @@ def calibrated(folder: Path, side: int) -> Path:
 def read(calibration: Path, frames: list[Any], threads: int) -> None:
     """Frames to Readings."""
     from palpate import Estimator
+    from palpate.estimators.preparation import Preparation
     from palpate.sensors import palm
-    from palpate.sensors.preparation import Preparation
 
     estimator = Estimator.open(calibration, threads=threads)
     zero = estimator.zero(frames[0].image)

@@ -101,13 +101,13 @@ def as_one_of_two() -> None:
     """All ways in turn, by both processes; the first tells."""
     import torch
 
-    from palpate.estimators.networks.base import Scaler
-    from palpate.estimators.networks.descent import Descent, Lesson
-    from palpate.estimators.networks.many_processes import Crew
-    from palpate.estimators.networks.palm_compact import CompactPalmNetwork, _loss
-    from palpate.estimators.networks.palm_views import Scales
+    from palpate.estimators.networks.distributed import ProcessGroup
+    from palpate.estimators.networks.model_interface import Scaler
+    from palpate.estimators.networks.training_loop import TrainingLoop, TrainingTask
+    from palpate.sensors.palm.networks.palm_compact import CompactPalmNetwork, _loss
+    from palpate.sensors.palm.networks.palm_training import Scales
 
-    crew, rng = Crew.of_environment(), np.random.default_rng(0)
+    crew, rng = ProcessGroup.of_environment(), np.random.default_rng(0)
     frames = rng.integers(0, 256, (ROWS, SIDE, 2 * SIDE, 3), np.uint8)
     wanted = rng.normal(0, 1, (ROWS, 4)).astype(np.float32)
     scales = Scales(SIDE, (128.0, 128.0), (74.0, 74.0), Scaler(np.zeros(4), np.ones(4)), (0, 1, 2, 3))
@@ -115,13 +115,13 @@ def as_one_of_two() -> None:
     def fetch(rows: np.ndarray) -> np.ndarray:
         return np.stack([frames[row].transpose(2, 0, 1).astype(np.float32) for row in rows])
 
-    lesson = Lesson(fetch, wanted, _loss, np.arange(ROWS), np.arange(0))
+    lesson = TrainingTask(fetch, wanted, _loss, np.arange(ROWS), np.arange(0))
     network = CompactPalmNetwork(3, SIDE, scales)
 
     def epoch(alone: bool, threads: int = 1) -> None:
         torch.set_num_threads(threads)
         os.environ["WORLD_SIZE"] = "1" if alone else str(crew.size)
-        Descent(1, BATCH, 2e-3).train(network, lesson, seed=0)
+        TrainingLoop(1, BATCH, 2e-3).train(network, lesson, seed=0)
 
     ways: dict[str, tuple[bool, Callable[[], None]]] = {
         ONE: (False, lambda: epoch(alone=True)),

@@ -50,9 +50,9 @@ class Task:
     """What both loops shall learn."""
 
     def __init__(self, images: np.ndarray, values: np.ndarray, learn: np.ndarray) -> None:
-        from palpate.estimators.networks.base import Scaler
-        from palpate.estimators.networks.palm_joint_raw import PalmJointRaw
-        from palpate.estimators.networks.palm_views import Scales
+        from palpate.estimators.networks.model_interface import Scaler
+        from palpate.sensors.palm.networks.palm_report_networks import PalmJointRaw
+        from palpate.sensors.palm.networks.palm_training import Scales
 
         half = images.shape[3] // 2
         views = images[learn][..., :half], images[learn][..., half:]
@@ -66,7 +66,7 @@ class Task:
     def network(self, seed: int) -> Any:
         import torch
 
-        from palpate.estimators.networks.palm_joint_raw import JointNetwork
+        from palpate.sensors.palm.networks.palm_report_networks import JointNetwork
 
         torch.manual_seed(seed)
         return JointNetwork(self.images.shape[1], self.scales)
@@ -112,10 +112,10 @@ class Plain:
 
 def ours(task: Task, plan: Any, seed: int) -> Any:
     """Palpate's loop: what `palpate calibrate` trains by."""
-    from palpate.estimators.networks.descent import Lesson, Run
+    from palpate.estimators.networks.training_loop import TrainingRun, TrainingTask
 
-    lesson = Lesson(task.images.__getitem__, task.wanted, task.loss, task.learn, task.learn[:0])
-    return Run(plan, task.network(seed), lesson, seed)
+    lesson = TrainingTask(task.images.__getitem__, task.wanted, task.loss, task.learn, task.learn[:0])
+    return TrainingRun(plan, task.network(seed), lesson, seed)
 
 
 def speed(task: Task, plan: Any) -> None:
@@ -176,7 +176,7 @@ def main() -> None:
         print("torch is not installed, so there is nothing to train with: pip install 'palpate[train]'")
         return
     from palpate.estimators.networks.compact_cnn import fast_bfloat16
-    from palpate.estimators.networks.descent import Descent
+    from palpate.estimators.networks.training_loop import TrainingLoop
 
     torch.set_num_threads(given.threads)
     print(
@@ -185,12 +185,12 @@ def main() -> None:
     )
     images, values = presses()
     one_batch = Task(enlarged(images), values[:BATCH], np.arange(BATCH))
-    speed(one_batch, Descent(1, BATCH, RATE))
+    speed(one_batch, TrainingLoop(1, BATCH, RATE))
     first_held = (PRESSES - HELD_OUT) * DEPTHS
     task = Task(images, values, np.arange(first_held))
     learnt(
         task,
-        Descent(given.epochs, SMALL_BATCH, RATE, cosine=True),
+        TrainingLoop(given.epochs, SMALL_BATCH, RATE, cosine=True),
         given.seeds,
         np.arange(first_held, len(images)),
     )

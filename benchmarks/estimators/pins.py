@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from palpate.estimators.pins import Pins, find_pins, follow
+from palpate.estimators.pins import PinTracks, find_pins, follow
 from palpate.sensors.tactip import HeadOn, tactip, trial
 
 ROUNDS = 7
@@ -68,7 +68,7 @@ def each(find: Callable[[np.ndarray], object], frames: np.ndarray) -> None:
         find(frame)
 
 
-def followed(frames: np.ndarray, first: Pins) -> None:
+def followed(frames: np.ndarray, first: PinTracks) -> None:
     for _ in follow(frames, first):
         pass
 

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from palpate.core import ManualClock
+from palpate.estimators.preparation import Preparation
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.pack import PackedSet, pack
 from palpate.recordings.reader import Run
 from palpate.recordings.writer import RunWriter
-from palpate.sensors.preparation import Preparation
 
 FRAMES, SIDE_PX, READS, BATCH, ROUNDS = 4000, 128, 4000, 32, 15
 

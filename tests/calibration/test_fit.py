@@ -11,9 +11,9 @@ from palpate.calibration.data import find_untouched
 from palpate.calibration.fit import most_like_the_rest
 from palpate.core import ExistsError, InputError, LabelError, SplitError
 from palpate.estimators import Estimator, read_card
+from palpate.estimators.preparation import Preparation
 from palpate.recordings import Split
 from palpate.recordings.pack import pack
-from palpate.sensors.preparation import Preparation
 
 PLAN = CalibrationPlan(targets=("x_mm", "height_mm"), split="group:press", size_px=(24, 32))
 

@@ -20,7 +20,7 @@ from palpate.cli.quantise import quantise as verb
 from palpate.core import CertificateError, ExistsError, InputError, ManualClock
 from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
-from palpate.estimators.card import sealed
+from palpate.estimators.model_card import sealed
 from palpate.recordings import Manifest, Run, RunWriter
 
 pytest.importorskip("torch", reason="networks with convolutions train with torch")

@@ -15,13 +15,13 @@ import pytest
 from palpate.calibration import leakage
 from palpate.calibration.leakage import LeakageAudit, audit
 from palpate.core import ManualClock
+from palpate.estimators.preparation import Preparation
 from palpate.recordings.labels import label_kinds
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.pack import PackedSet, pack
 from palpate.recordings.reader import Run
 from palpate.recordings.splits import split
 from palpate.recordings.writer import RunWriter
-from palpate.sensors.preparation import Preparation
 
 SIDE = 64
 

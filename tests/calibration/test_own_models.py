@@ -23,8 +23,8 @@ from palpate.cli import app
 from palpate.core import InputError, PluginError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.networks import Kind
-from palpate.estimators.networks.base import silent
-from palpate.estimators.networks.graph import image_to_value
+from palpate.estimators.networks.model_interface import silent
+from palpate.estimators.networks.onnx_graph import image_to_value
 from palpate.recordings import Split, split
 
 HERE = __name__
@@ -196,7 +196,7 @@ def test_an_instance_s_settings_are_the_plan_s_options() -> None:
 PLUGIN_FILE = """
 from dataclasses import dataclass
 import numpy as np
-from palpate.estimators.networks.mean import Mean
+from palpate.estimators.networks.baseline import Mean
 
 @dataclass(frozen=True)
 class Constant(Mean):

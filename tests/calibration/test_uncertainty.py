@@ -14,7 +14,7 @@ from palpate.calibration.uncertainty import (
     grouped_coverage_interval,
 )
 from palpate.core.errors import InputError
-from palpate.estimators.intervals import Spread
+from palpate.estimators.certified import ErrorSpread
 
 
 def world(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -119,7 +119,7 @@ def test_with_fewer_rows_only_the_linear_terms_are_fitted() -> None:
 def test_the_spread_is_held_between_a_fifth_and_five_times_the_typical_error() -> None:
     """A line of log spread, one per scale: 1 at the centre, e one scale up, held where it would run away."""
     line = np.array([[0.0, 1.0, 0.0]])
-    spread = Spread(np.array([10.0]), np.array([2.0]), np.array([0.3]), line)
+    spread = ErrorSpread(np.array([10.0]), np.array([2.0]), np.array([0.3]), line)
     places = np.array([[10.0], [12.0], [8.0], [16.0], [4.0]])
     expected = [0.3, 0.3 * np.e, 0.3 / np.e, 5 * 0.3, 0.3 / 5]
     np.testing.assert_allclose(spread.at(places)[:, 0], expected, rtol=1e-12)
@@ -127,7 +127,7 @@ def test_the_spread_is_held_between_a_fifth_and_five_times_the_typical_error() -
 
 def test_the_spread_beyond_three_scales_is_that_at_three() -> None:
     """Beyond what calibration saw: three scales of a slope of 0.4 is e^1.2, within the fifth and the five."""
-    spread = Spread(np.zeros(1), np.ones(1), np.ones(1), np.array([[0.0, 0.4, 0.0]]))
+    spread = ErrorSpread(np.zeros(1), np.ones(1), np.ones(1), np.array([[0.0, 0.4, 0.0]]))
     places = np.array([[3.0], [10.0], [-3.0], [-10.0]])
     expected = np.exp([1.2, 1.2, -1.2, -1.2])
     np.testing.assert_allclose(spread.at(places)[:, 0], expected, rtol=1e-12)

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError
-from palpate.estimators.casr.area import fit_area, fit_motions, ring_measures
+from palpate.estimators.compliance.contact_area import fit_area, fit_motions, ring_measures
 
 
 def log_area(x: np.ndarray) -> np.ndarray:

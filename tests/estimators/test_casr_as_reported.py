@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError
-from palpate.estimators.casr.as_reported import AsReported, as_reported, over_pins
+from palpate.estimators.compliance.literature_method import AsReported, as_reported, over_pins
 from palpate.estimators.pins import find_pins
 from palpate.sensors.tactip import HeadOn, tactip, trial
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError
-from palpate.estimators.casr.both_cues import Finger, Press, finger_of, touched
+from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, finger_of, touched
 from palpate.mechanics.half_space.hertz_pairs import Body, alike_to_the_arm, alike_to_the_skin
 
 FINGER = Body(1e5, 15e-3)
@@ -16,14 +16,14 @@ D = alike_to_the_skin(C, FINGER, 2e4)
 FORCE = np.linspace(0.5, 5, 60)
 
 
-def press(thing: Body, rng=None, area=0.01, place_m=20e-6, offset_m=1e-3) -> Press:
+def press(thing: Body, rng=None, area=0.01, place_m=20e-6, offset_m=1e-3) -> PressCurves:
     """As a sensor would have it: noise of a sixteenth of a newton's step, of area, and of place."""
     both = thing.against(FINGER)
     d, a = both.approach_m(FORCE), both.area_m2(FORCE)
     if rng is None:
-        return Press(FORCE, d + offset_m, a)
+        return PressCurves(FORCE, d + offset_m, a)
     n = len(FORCE)
-    return Press(
+    return PressCurves(
         FORCE + 0.018 * rng.standard_normal(n),
         d + offset_m + place_m * rng.standard_normal(n),
         a * (1 + area * rng.standard_normal(n)),
@@ -77,20 +77,24 @@ def test_what_is_no_press_is_refused(rng) -> None:
     with pytest.raises(InputError, match="no press"):
         touched([], Finger(FINGER), rng)
     with pytest.raises(InputError, match="5 or more"):
-        touched([Press(*(x[:3] for x in (good.force_n, good.approach_m, good.area_m2)))], Finger(FINGER), rng)
+        touched(
+            [PressCurves(*(x[:3] for x in (good.force_n, good.approach_m, good.area_m2)))],
+            Finger(FINGER),
+            rng,
+        )
     with pytest.raises(InputError, match="turn the sign"):
-        touched([Press(good.force_n, -good.approach_m, good.area_m2)], Finger(FINGER), rng)
+        touched([PressCurves(good.force_n, -good.approach_m, good.area_m2)], Finger(FINGER), rng)
     with pytest.raises(InputError, match="above 0"):
-        touched([Press(good.force_n - 1, good.approach_m, good.area_m2)], Finger(FINGER), rng)
+        touched([PressCurves(good.force_n - 1, good.approach_m, good.area_m2)], Finger(FINGER), rng)
     with pytest.raises(InputError, match="loading part"):
-        touched([Press(np.ones(9), np.ones(9), np.ones(9))], Finger(FINGER), rng)
+        touched([PressCurves(np.ones(9), np.ones(9), np.ones(9))], Finger(FINGER), rng)
 
 
-def rigid(finger: Body, rng=None) -> Press:
+def rigid(finger: Body, rng=None) -> PressCurves:
     """The finger alone: on a rigid plate the pair is the finger."""
     d, a = finger.approach_m(FORCE), finger.area_m2(FORCE)
     noise = np.zeros(len(FORCE)) if rng is None else rng.standard_normal(len(FORCE))
-    return Press(FORCE, d + 5e-6 * noise, a)
+    return PressCurves(FORCE, d + 5e-6 * noise, a)
 
 
 def test_a_hertz_finger_is_found_from_its_presses_on_a_rigid_plate(rng) -> None:
@@ -108,7 +112,7 @@ def test_a_hertz_finger_is_found_from_its_presses_on_a_rigid_plate(rng) -> None:
 def test_a_finger_that_stiffens_says_by_how_much(rng) -> None:
     """P^(2/3) over approach bends: the upper half of the forces has the stiffer line."""
     alone = rigid(FINGER)
-    bent = Press(alone.force_n, 6e-3 * (1 - np.exp(-alone.approach_m / 6e-3)), alone.area_m2)
+    bent = PressCurves(alone.force_n, 6e-3 * (1 - np.exp(-alone.approach_m / 6e-3)), alone.area_m2)
     found = finger_of([bent])
     assert 0.1 < found.misfit < 1
     assert_allclose(found.modulus_spread, found.misfit / 4, rtol=0.3)
@@ -120,7 +124,7 @@ def test_a_finger_that_stiffens_says_by_how_much(rng) -> None:
 
 def test_a_press_too_short_to_halve_has_no_misfit() -> None:
     alone = rigid(FINGER)
-    short = Press(*(x[::8] for x in (alone.force_n, alone.approach_m, alone.area_m2)))
+    short = PressCurves(*(x[::8] for x in (alone.force_n, alone.approach_m, alone.area_m2)))
     assert finger_of([short]).misfit == 0
 
 

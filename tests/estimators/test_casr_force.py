@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.casr import (
+from palpate.estimators.compliance import (
     loading,
     moving_average,
     moving_average_response,

@@ -5,10 +5,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import ImageError, InputError
-from palpate.estimators.casr import Lamps, Region, bulge
+from palpate.estimators.compliance import ImprintRegion, Lamps, bulge
 
 LAMPS = Lamps(((0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)))  # red from below, green from the left, blue from above
-MIDDLE = Region(40, 30, 41, 31)
+MIDDLE = ImprintRegion(40, 30, 41, 31)
 GAIN = 40.0  # grey levels a unit of slope
 ROUNDED = 2e-7  # white/px: half a grey level at random over 41 x 31 px moves a slope by a tenth of this
 
@@ -85,6 +85,6 @@ def test_images_that_tell_nothing_are_refused() -> None:
     with pytest.raises(ImageError, match="one size"):
         bulge(flat(), flat()[:-5], MIDDLE, LAMPS)
     with pytest.raises(InputError, match="region"):
-        bulge(flat(), flat(), Region(100, 30, 41, 31), LAMPS)
+        bulge(flat(), flat(), ImprintRegion(100, 30, 41, 31), LAMPS)
     with pytest.raises(InputError, match="region"):
-        bulge(flat(), flat(), Region(10, 10, 4, 4), LAMPS)
+        bulge(flat(), flat(), ImprintRegion(10, 10, 4, 4), LAMPS)

@@ -5,8 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.casr.over_force import at_forces, laid_on
-from palpate.estimators.casr.pin_press import PinPress
+from palpate.estimators.compliance.pin_press import PinPress, at_forces, laid_on
 
 LEVELS = np.arange(1.0, 4.51, 0.5)
 

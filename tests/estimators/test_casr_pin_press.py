@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate.core.errors import ImageError, InputError
-from palpate.estimators.casr.pin_press import watched
+from palpate.estimators.compliance.pin_press import watched
 from palpate.sensors.tactip import HeadOn, tactip, trial
 from palpate.sensors.tactip.camera import rendered
 

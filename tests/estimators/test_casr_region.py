@@ -5,8 +5,15 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.casr.region import Field, Rigid, cell_growth, outward, ring_ellipse, ring_px
-from palpate.estimators.pins import Pins
+from palpate.estimators.compliance.contact_region import (
+    Field,
+    Rigid,
+    cell_growth,
+    outward,
+    ring_ellipse,
+    ring_px,
+)
+from palpate.estimators.pins import PinTracks
 
 
 def lattice(rings=6, pitch=20.0, centre=(149.5, 149.5)) -> np.ndarray:
@@ -83,10 +90,10 @@ def test_the_ratio_to_a_rigid_plate_is_one_on_it_and_less_where_it_is_softer() -
 def test_lost_pins_are_left_out_and_too_few_are_refused() -> None:
     at = lattice()
     reach, weight = np.full(len(at), 9.0), np.ones(len(at))
-    first = Pins(at, 18, 200, reach, weight)
+    first = PinTracks(at, 18, 200, reach, weight)
     moved = at + 1.0
     moved[:100] = np.nan
-    assert len(Field.between(first, Pins(moved, 18, 200, reach, weight)).at_px) == 27
+    assert len(Field.between(first, PinTracks(moved, 18, 200, reach, weight)).at_px) == 27
     moved[:120] = np.nan
     with pytest.raises(InputError, match="7 pins are left of 127"):
-        Field.between(first, Pins(moved, 18, 200, reach, weight))
+        Field.between(first, PinTracks(moved, 18, 200, reach, weight))

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 from palpate.core.errors import InputError
-from palpate.estimators.casr.softness import fit_softness, softness
+from palpate.estimators.compliance.stiffness_curve import fit_softness, softness
 
 LENGTH = 400
 KAPPA = [np.inf, 7.6e3, 3.1e3, 1.1e3]
@@ -130,7 +130,7 @@ def test_pins_that_are_lost_are_left_out_and_change_little(world, rng) -> None:
     holes = whole.copy()
     holes[:, rng.random(LENGTH) < 0.15] = np.nan
     assert_allclose(curve.of(holes).kappa_n_m[0], curve.of(whole).kappa_n_m[0], rtol=0.02)
-    assert np.isfinite(curve.strangeness(holes[0]))
+    assert np.isfinite(curve.novelty_score(holes[0]))
 
 
 def test_pins_that_a_reference_lost_are_left_out_of_the_curve(world, rng) -> None:
@@ -143,8 +143,8 @@ def test_pins_that_a_reference_lost_are_left_out_of_the_curve(world, rng) -> Non
 def test_a_press_like_no_reference_is_strange(world, rng) -> None:
     curve = world.curve(rng)
     (usual,) = world.trials(2e3, 1, rng)
-    assert curve.strangeness(usual) < 1.5
-    assert curve.strangeness(usual + 2 * rng.standard_normal(LENGTH)) > 10
+    assert curve.novelty_score(usual) < 1.5
+    assert curve.novelty_score(usual + 2 * rng.standard_normal(LENGTH)) > 10
 
 
 def test_the_order_of_the_references_does_not_matter(world, rng) -> None:

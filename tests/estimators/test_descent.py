@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch", reason="the extra `train` is not installed"
 from torch import nn  # noqa: E402
 
 from palpate.estimators.networks.compact_cnn import fast_bfloat16  # noqa: E402
-from palpate.estimators.networks.descent import Descent, Lesson, Run  # noqa: E402
+from palpate.estimators.networks.training_loop import TrainingLoop, TrainingRun, TrainingTask  # noqa: E402
 
 
 class Interrupted(Exception):
@@ -27,7 +27,7 @@ def small_network() -> nn.Module:
     )
 
 
-def levels(rng: np.random.Generator, n: int = 48, noise: bool = False) -> Lesson:
+def levels(rng: np.random.Generator, n: int = 48, noise: bool = False) -> TrainingTask:
     """The mean and the tilt of an image; the last quarter of the rows is watched."""
     images = rng.normal(0, 1, (n, 3, 8, 8)).astype(np.float32) + rng.normal(0, 1, (n, 1, 1, 1)).astype("f4")
     wanted = np.stack([images.mean((1, 2, 3)), images[..., :4].mean((1, 2, 3))], axis=1)
@@ -35,7 +35,7 @@ def levels(rng: np.random.Generator, n: int = 48, noise: bool = False) -> Lesson
         wanted = rng.normal(0, 1, wanted.shape)
     learn, watch = np.arange(3 * n // 4), np.arange(3 * n // 4, n)
     fetch = images.__getitem__
-    return Lesson(fetch, wanted.astype(np.float32), nn.functional.mse_loss, learn, watch)
+    return TrainingTask(fetch, wanted.astype(np.float32), nn.functional.mse_loss, learn, watch)
 
 
 def same(first: nn.Module, second: nn.Module) -> bool:
@@ -54,7 +54,7 @@ def stop_after(epoch: int):
 @pytest.mark.parametrize("patience", [0, 3])
 @pytest.mark.parametrize("precision", ["auto", "float32"])
 def test_interrupted_and_resumed_it_reaches_the_same_weights(rng, tmp_path, patience, precision) -> None:
-    lesson, plan = levels(rng), Descent(6, 8, 1e-2, patience, precision)
+    lesson, plan = levels(rng), TrainingLoop(6, 8, 1e-2, patience, precision)
     whole = plan.train(small_network(), lesson, seed=5)
     kept = tmp_path / "kept.npz"
     for epoch in (2, 4):
@@ -67,7 +67,7 @@ def test_interrupted_and_resumed_it_reaches_the_same_weights(rng, tmp_path, pati
 
 
 def test_interrupted_at_the_very_end_it_does_not_go_past_it(rng, tmp_path) -> None:
-    lesson, plan, kept = levels(rng, noise=True), Descent(30, 8, 1e-2, 2), tmp_path / "kept.npz"
+    lesson, plan, kept = levels(rng, noise=True), TrainingLoop(30, 8, 1e-2, 2), tmp_path / "kept.npz"
     whole = plan.train(small_network(), lesson, seed=5, checkpoint=kept)
     before = kept.read_bytes()
     assert same(whole, plan.train(small_network(), lesson, seed=5, checkpoint=kept))
@@ -76,7 +76,7 @@ def test_interrupted_at_the_very_end_it_does_not_go_past_it(rng, tmp_path) -> No
 
 @pytest.mark.parametrize("damage", ["cut", "no archive", "another network", "another seed"])
 def test_a_damaged_checkpoint_is_set_aside_and_begun_anew(rng, tmp_path, damage: str) -> None:
-    lesson, plan, kept = levels(rng), Descent(3, 8, 1e-2, 2), tmp_path / "kept.npz"
+    lesson, plan, kept = levels(rng), TrainingLoop(3, 8, 1e-2, 2), tmp_path / "kept.npz"
     whole = plan.train(small_network(), lesson, seed=5)
     plan.train(small_network(), lesson, seed=5 + (damage == "another seed"), checkpoint=kept)
     held = dict(np.load(kept))
@@ -92,7 +92,7 @@ def test_a_damaged_checkpoint_is_set_aside_and_begun_anew(rng, tmp_path, damage:
 
 
 def test_a_full_disk_leaves_the_last_whole_checkpoint(rng, tmp_path, monkeypatch) -> None:
-    lesson, plan, kept = levels(rng), Descent(3, 8, 1e-2), tmp_path / "kept.npz"
+    lesson, plan, kept = levels(rng), TrainingLoop(3, 8, 1e-2), tmp_path / "kept.npz"
     with pytest.raises(Interrupted):
         plan.train(small_network(), lesson, seed=5, progress=stop_after(1), checkpoint=kept)
 
@@ -109,14 +109,14 @@ def test_a_full_disk_leaves_the_last_whole_checkpoint(rng, tmp_path, monkeypatch
 
 def test_it_stops_when_watched_rows_gain_no_more_and_keeps_the_best(rng, monkeypatch) -> None:
     lesson, seen, told = levels(rng, noise=True), [], []
-    watched = Run.watched_loss
+    watched = TrainingRun.watched_loss
 
-    def noted(self: Run) -> float:
+    def noted(self: TrainingRun) -> float:
         seen.append(watched(self))
         return seen[-1]
 
-    monkeypatch.setattr(Run, "watched_loss", noted)
-    plan = Descent(60, 8, 3e-2, patience=4)
+    monkeypatch.setattr(TrainingRun, "watched_loss", noted)
+    plan = TrainingLoop(60, 8, 3e-2, patience=4)
     kept = plan.train(small_network(), lesson, seed=1, progress=lambda what, done, total: told.append(done))
     # Labels that are noise: the watched loss soon stops falling.
     assert len(seen) < 40
@@ -131,14 +131,14 @@ def test_it_stops_when_watched_rows_gain_no_more_and_keeps_the_best(rng, monkeyp
 
 def test_with_nothing_to_watch_it_trains_to_the_end(rng) -> None:
     lesson, told = replace(levels(rng), watch=np.arange(0)), []
-    plan = Descent(5, 8, patience=1)
+    plan = TrainingLoop(5, 8, patience=1)
     plan.train(small_network(), lesson, seed=1, progress=lambda what, done, total: told.append(done))
     assert told == [1, 2, 3, 4, 5, 5]
 
 
 def test_it_learns_what_a_small_network_can_tell(rng) -> None:
     lesson = levels(rng, 160)
-    kept = Descent(40, 8, 3e-2).train(small_network(), lesson, seed=1)
+    kept = TrainingLoop(40, 8, 3e-2).train(small_network(), lesson, seed=1)
     with torch.no_grad():
         answer = kept(torch.from_numpy(lesson.fetch(lesson.watch))).numpy()
     wanted = lesson.wanted[lesson.watch]
@@ -150,7 +150,7 @@ def test_it_learns_what_a_small_network_can_tell(rng) -> None:
 def test_a_long_gradient_is_shortened_to_a_norm_of_five(rng) -> None:
     lesson = levels(rng)
     steep = replace(lesson, loss=lambda answer, wanted: 1e6 * nn.functional.mse_loss(answer, wanted))
-    run = Run(Descent(1, 36, precision="float32"), small_network(), steep, seed=0)
+    run = TrainingRun(TrainingLoop(1, 36, precision="float32"), small_network(), steep, seed=0)
     run.one_epoch()
     moments = [state["exp_avg"] for state in run.optimiser.state.values()]
     norm = torch.sqrt(sum((m**2).sum() for m in moments)).item()
@@ -162,7 +162,7 @@ def test_every_row_is_seen_once_an_epoch_but_a_last_one_alone(rng) -> None:
     lesson, seen = replace(levels(rng), learn=np.arange(25)), []
     fetch = lesson.fetch
     noted = replace(lesson, fetch=lambda rows: (seen.append(rows), fetch(rows))[1])
-    Descent(2, 8).train(small_network(), noted, seed=0)
+    TrainingLoop(2, 8).train(small_network(), noted, seed=0)
     assert [len(rows) for rows in seen] == [8, 8, 8] * 2
     assert len(set(np.concatenate(seen[:3]))) == 24
     assert list(np.concatenate(seen[:3])) != list(np.concatenate(seen[3:]))
@@ -172,7 +172,7 @@ def test_every_row_is_seen_once_an_epoch_but_a_last_one_alone(rng) -> None:
 def test_bfloat16_is_used_where_it_is_fast_and_not_forbidden(rng, precision) -> None:
     kinds, network = set(), small_network()
     network[0].register_forward_hook(lambda layer, inputs, made: kinds.add(made.dtype))
-    kept = Descent(1, 8, precision=precision).train(network, levels(rng), seed=0)
+    kept = TrainingLoop(1, 8, precision=precision).train(network, levels(rng), seed=0)
     fast = torch.cuda.is_bf16_supported() if torch.cuda.is_available() else fast_bfloat16()
     assert kinds == {torch.bfloat16 if fast and precision == "auto" else torch.float32}
     for value in kept.state_dict().values():
@@ -186,12 +186,12 @@ def test_labels_that_are_no_numbers_are_refused(rng) -> None:
     lesson = levels(rng)
     lesson.wanted[3] = np.nan
     with pytest.raises(InputError, match=r"the loss is nan in epoch 1.*labels"):
-        Descent(2, 8).train(small_network(), lesson, seed=0)
+        TrainingLoop(2, 8).train(small_network(), lesson, seed=0)
 
 
 def test_a_single_row_is_refused(rng) -> None:
     with pytest.raises(InputError, match="two or more"):
-        Descent(2, 8).train(small_network(), replace(levels(rng), learn=np.arange(1)), seed=0)
+        TrainingLoop(2, 8).train(small_network(), replace(levels(rng), learn=np.arange(1)), seed=0)
 
 
 @pytest.mark.parametrize(
@@ -207,4 +207,4 @@ def test_a_single_row_is_refused(rng) -> None:
 )
 def test_settings_that_train_nothing_are_refused(wrong: dict) -> None:
     with pytest.raises(InputError):
-        Descent(**{"epochs": 3} | wrong)
+        TrainingLoop(**{"epochs": 3} | wrong)

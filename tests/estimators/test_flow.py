@@ -19,7 +19,7 @@ from palpate.estimators.flow import (
     flow,
     horn_schunck,
 )
-from palpate.estimators.flow.brightness import brightness, derivatives
+from palpate.estimators.flow.horn_schunck import brightness, derivatives
 from palpate.estimators.flow.horn_schunck import divergence as plain_divergence
 from palpate.recordings.tiff import TiffFrames
 

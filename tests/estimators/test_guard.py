@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from palpate.core.errors import CertificateError, InputError
-from palpate.estimators.guard import Guard, fit_guard
-from palpate.estimators.seen import AlsoSeen, Seen, thumbnails
+from palpate.estimators.novelty import (
+    NeighbourModel,
+    NoveltyDetector,
+    RenderedImages,
+    fit_novelty_detector,
+    thumbnails,
+)
 
 ROWS, COLUMNS = np.mgrid[0:64, 0:64]
 GROUND = 60 + 50 * np.exp(-((ROWS - 20) ** 2 + (COLUMNS - 40) ** 2) / 300)
@@ -37,17 +42,17 @@ def folds_of(n: int, rng: np.random.Generator) -> list[np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def guard() -> Guard:
+def guard() -> NoveltyDetector:
     rng = np.random.default_rng(0)
     thumbs = thumbnails(scene(rng, 400))
-    return fit_guard(thumbs, folds_of(400, rng), thumbnails(scene(rng, 12) * 0 + 70))
+    return fit_novelty_detector(thumbs, folds_of(400, rng), thumbnails(scene(rng, 12) * 0 + 70))
 
 
-def rising(guard: Guard, images: np.ndarray) -> float:
+def rising(guard: NoveltyDetector, images: np.ndarray) -> float:
     return float(np.mean([guard.atypicality(image) > 1 for image in images]))
 
 
-def test_the_guard_stays_down_on_good_frames(guard: Guard) -> None:
+def test_the_guard_stays_down_on_good_frames(guard: NoveltyDetector) -> None:
     # Asked: down on 95 %. 3 % are let go, so 200 frames leave 6 on average.
     assert rising(guard, scene(np.random.default_rng(1), 200)) <= 0.05
 
@@ -56,7 +61,7 @@ def test_the_guard_stays_down_on_good_frames(guard: Guard) -> None:
     "fault",
     ["dark", "half as bright", "a tenth brighter", "saturated", "shifted", "shifted down", "veiled", "other"],
 )
-def test_the_guard_rises_on_bad_frames(guard: Guard, fault: str) -> None:
+def test_the_guard_rises_on_bad_frames(guard: NoveltyDetector, fault: str) -> None:
     rng = np.random.default_rng(2)
     good = scene(rng, 100)
     bad = {
@@ -72,7 +77,7 @@ def test_the_guard_rises_on_bad_frames(guard: Guard, fault: str) -> None:
     assert rising(guard, bad) >= 0.95
 
 
-def test_the_guard_rises_on_two_touches_at_once_and_on_none(guard: Guard) -> None:
+def test_the_guard_rises_on_two_touches_at_once_and_on_none(guard: NoveltyDetector) -> None:
     rng = np.random.default_rng(3)
     assert rising(guard, two_at_once(rng, 100)) >= 0.95
     none = rng.normal(GROUND, 3, (50, 64, 64)).astype(np.uint8)[..., None]
@@ -83,7 +88,7 @@ def test_the_guard_rises_on_another_colour_of_the_same_brightness() -> None:
     rng = np.random.default_rng(4)
     grey = np.repeat(scene(rng, 400), 3, axis=3)
     thumbs = thumbnails(grey)
-    guard = fit_guard(thumbs, folds_of(400, rng), thumbs[:0])
+    guard = fit_novelty_detector(thumbs, folds_of(400, rng), thumbs[:0])
     fresh = np.repeat(scene(rng, 200), 3, axis=3)
     assert rising(guard, fresh) <= 0.05
     assert rising(guard, np.clip(fresh * [1.08, 1.0, 0.92], 0, 255).astype(np.uint8)) >= 0.95
@@ -103,8 +108,8 @@ def sparse() -> tuple[np.ndarray, list[np.ndarray]]:
 def test_places_between_those_recorded_are_known_from_rendered_ones(sparse) -> None:
     thumbs, folds = sparse
     rng = np.random.default_rng(6)
-    also = AlsoSeen(np.round(thumbnails(scene(rng, 600))).astype(np.uint8), np.arange(600))
-    guard = fit_guard(thumbs, folds, thumbs[:0], also=also)
+    also = RenderedImages(np.round(thumbnails(scene(rng, 600))).astype(np.uint8), np.arange(600))
+    guard = fit_novelty_detector(thumbs, folds, thumbs[:0], also=also)
     assert len(guard.seen.thumbs) == len(thumbs) + 600
     assert rising(guard, scene(rng, 100)) <= 0.05
     assert rising(guard, two_at_once(rng, 50)) >= 0.95
@@ -113,14 +118,14 @@ def test_places_between_those_recorded_are_known_from_rendered_ones(sparse) -> N
 def test_rendered_frames_unlike_the_recorded_ones_are_left_out(sparse) -> None:
     thumbs, folds = sparse
     unlike = 0.7 * thumbnails(scene(np.random.default_rng(7), 300)) + 30
-    also = AlsoSeen(np.round(unlike).astype(np.uint8), np.arange(300))
-    guard = fit_guard(thumbs, folds, thumbs[:0], also=also)
+    also = RenderedImages(np.round(unlike).astype(np.uint8), np.arange(300))
+    guard = fit_novelty_detector(thumbs, folds, thumbs[:0], also=also)
     assert len(guard.seen.thumbs) == len(thumbs)
 
 
-def test_a_guard_comes_back_from_disk_as_it_was(guard: Guard, tmp_path) -> None:
+def test_a_guard_comes_back_from_disk_as_it_was(guard: NoveltyDetector, tmp_path) -> None:
     guard.save(tmp_path / "guard.npz")
-    again = Guard.load(tmp_path / "guard.npz")
+    again = NoveltyDetector.load(tmp_path / "guard.npz")
     image = scene(np.random.default_rng(3), 1)[0]
     assert again.atypicality(image) == pytest.approx(guard.atypicality(image), rel=1e-6)
     assert again.drift(image) == guard.drift(image)
@@ -131,17 +136,17 @@ def test_a_damaged_guard_is_refused(content: bytes, tmp_path) -> None:
     path = tmp_path / "guard.npz"
     path.write_bytes(content)
     with pytest.raises(CertificateError, match="not a guard"):
-        Guard.load(path)
+        NoveltyDetector.load(path)
 
 
 def test_arrays_that_hold_objects_are_refused(tmp_path) -> None:
     path = tmp_path / "guard.npz"
     np.savez(path, mean=np.array([{"an": "object"}], dtype=object))
     with pytest.raises(CertificateError):
-        Guard.load(path)
+        NoveltyDetector.load(path)
 
 
-def test_arrays_that_do_not_fit_each_other_are_refused(guard: Guard, tmp_path) -> None:
+def test_arrays_that_do_not_fit_each_other_are_refused(guard: NoveltyDetector, tmp_path) -> None:
     guard.save(tmp_path / "guard.npz")
     with np.load(tmp_path / "guard.npz") as held:
         parts = dict(held)
@@ -152,20 +157,20 @@ def test_arrays_that_do_not_fit_each_other_are_refused(guard: Guard, tmp_path) -
     }.items():
         np.savez(tmp_path / "other.npz", **(parts | {name: change}))
         with pytest.raises(CertificateError, match="calibrate again"):
-            Guard.load(tmp_path / "other.npz")
+            NoveltyDetector.load(tmp_path / "other.npz")
 
 
 def test_a_guard_of_an_earlier_kind_says_to_calibrate_again(tmp_path) -> None:
     np.savez(tmp_path / "guard.npz", thumbs=np.zeros((9, 8), np.uint8), stray=np.ones(8), own=np.ones(9))
     with pytest.raises(CertificateError, match=r"earlier palpate.* calibrate again"):
-        Guard.load(tmp_path / "guard.npz")
+        NoveltyDetector.load(tmp_path / "guard.npz")
 
 
 def test_drift_is_about_one_where_nothing_changed_and_large_when_the_lamp_does() -> None:
     rng = np.random.default_rng(4)
     still = np.clip(80 + rng.normal(0, 6, (30, 64, 64, 1)), 0, 255).astype(np.uint8)
     thumbs = thumbnails(still[:20])
-    guard = fit_guard(thumbs, np.array_split(np.arange(20), 4), thumbs)
+    guard = fit_novelty_detector(thumbs, np.array_split(np.arange(20), 4), thumbs)
     for image in still[20:]:
         drift = guard.drift(image)
         assert drift is not None
@@ -179,13 +184,13 @@ def test_drift_is_about_one_where_nothing_changed_and_large_when_the_lamp_does()
 
 def test_without_a_reference_there_is_no_drift() -> None:
     thumbs = thumbnails(scene(np.random.default_rng(5), 20))
-    guard = fit_guard(thumbs, np.array_split(np.arange(20), 4), thumbs[:0])
+    guard = fit_novelty_detector(thumbs, np.array_split(np.arange(20), 4), thumbs[:0])
     assert guard.drift(scene(np.random.default_rng(5), 1)[0]) is None
 
 
 def test_frames_all_alike_are_known_and_others_are_not() -> None:
     thumbs = np.full((10, 8, 8, 1), 80, np.float32)
-    guard = fit_guard(thumbs, [np.arange(5), np.arange(5, 10)], thumbs[:0])
+    guard = fit_novelty_detector(thumbs, [np.arange(5), np.arange(5, 10)], thumbs[:0])
     assert guard.atypicality(np.full((8, 8, 1), 80, np.uint8)) <= 1
     assert guard.atypicality(np.full((8, 8, 1), 81, np.uint8)) > 1
 
@@ -193,20 +198,22 @@ def test_frames_all_alike_are_known_and_others_are_not() -> None:
 def test_too_few_frames_or_groups_are_refused() -> None:
     thumbs = thumbnails(scene(np.random.default_rng(6), 8))
     with pytest.raises(InputError, match="record 6 or more"):
-        fit_guard(thumbs[:4], [np.array([0])], thumbs[:0])
+        fit_novelty_detector(thumbs[:4], [np.array([0])], thumbs[:0])
     with pytest.raises(InputError, match="one group"):
-        fit_guard(thumbs, [np.arange(8)], thumbs[:0])
+        fit_novelty_detector(thumbs, [np.arange(8)], thumbs[:0])
 
 
 def test_where_nothing_was_left_a_twentieth_of_a_grey_level_is_the_unit() -> None:
     """Even thumbnails that rebuilt each other exactly: what is left of a new one counts in units of 0.05."""
     thumbs = np.full((6, 6, 6, 1), 100, np.uint8)
     blocks_and_level = np.zeros((6, 5), np.float16)
-    known = Seen(thumbs, blocks_and_level, np.full(36, 100, np.float32), np.eye(36, dtype=np.float32)[:, :4])
+    known = NeighbourModel(
+        thumbs, blocks_and_level, np.full(36, 100, np.float32), np.eye(36, dtype=np.float32)[:, :4]
+    )
     for off in (0.05, 0.2):
         new = np.full((6, 6, 1), 100 + off, np.float32)
         # the thumbnail is in single precision, whose step at 100 is 8e-6
-        np.testing.assert_allclose(known.strangeness(new), off / 0.05, rtol=1e-3)
+        np.testing.assert_allclose(known.novelty_score(new), off / 0.05, rtol=1e-3)
 
 
 def test_a_neighbour_counts_by_its_distance_and_a_hundredth_of_the_mean_one() -> None:
@@ -218,7 +225,9 @@ def test_a_neighbour_counts_by_its_distance_and_a_hundredth_of_the_mean_one() ->
     thumbs = np.full((2, 2, 2, 1), 100, np.uint8)
     thumbs[0, 0, 0], thumbs[1, 1, 1] = 101, 103
     flat = thumbs.reshape(2, -1).astype(np.float32)
-    known = Seen(thumbs, np.zeros((2, 2), np.float16), flat.mean(axis=0), np.eye(4, dtype=np.float32))
+    known = NeighbourModel(
+        thumbs, np.zeros((2, 2), np.float16), flat.mean(axis=0), np.eye(4, dtype=np.float32)
+    )
     level = known.rebuilt(np.full((2, 2, 1), 100, np.float32)).left[-1]
     nearer = 9.05 / (1.05 + 9.05)
     assert level == pytest.approx(((nearer * 1 + (1 - nearer) * 3) / 4) ** 2, rel=1e-3)
@@ -228,7 +237,7 @@ def test_drift_counts_in_half_grey_levels_where_references_agree() -> None:
     """Two averages of one scene never agree better, whatever equal references suggest."""
     rng = np.random.default_rng(5)
     ground = np.full((8, 64, 64, 1), 70, np.uint8)
-    fitted = fit_guard(thumbnails(scene(rng, 60)), folds_of(60, rng), thumbnails(ground))
+    fitted = fit_novelty_detector(thumbnails(scene(rng, 60)), folds_of(60, rng), thumbnails(ground))
     assert fitted.reference_spread == 0.5
     drift = fitted.drift(ground[0] + np.uint8(2))
     assert drift.statistic == pytest.approx(2 / 0.5)
@@ -245,7 +254,9 @@ def test_the_spread_of_references_is_that_about_a_mean_they_had_no_part_in(count
     good = thumbnails(scene(rng, 60))
     folds = folds_of(60, rng)
     spreads = [
-        fit_guard(good, folds, rng.normal(70, 3, (count, 32, 32, 1)).astype(np.float32)).reference_spread
+        fit_novelty_detector(
+            good, folds, rng.normal(70, 3, (count, 32, 32, 1)).astype(np.float32)
+        ).reference_spread
         for _ in range(5)
     ]
     assert np.mean(spreads) == pytest.approx(3 * np.sqrt(count / (count - 1)), rel=0.03)

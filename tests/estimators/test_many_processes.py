@@ -22,8 +22,8 @@ torch = pytest.importorskip("torch", reason="the extra `train` is not installed"
 
 from torch import nn  # noqa: E402
 
-from palpate.estimators.networks.descent import Descent, Lesson, Run  # noqa: E402
-from palpate.estimators.networks.many_processes import Crew  # noqa: E402
+from palpate.estimators.networks.distributed import ProcessGroup  # noqa: E402
+from palpate.estimators.networks.training_loop import TrainingLoop, TrainingRun, TrainingTask  # noqa: E402
 
 TIMEOUT_S = 240  # for all that several processes do; alone on a core they take some 20 s
 # Batches of 9 are shared unevenly, and 30 rows leave a last one of 3: too few for two rows each, so both
@@ -41,7 +41,7 @@ def network(normalised: bool = False) -> nn.Module:
     return nn.Sequential(convolution, middle, nn.ReLU(), *pooled, *head)
 
 
-def lesson(noise: bool = False, seen: list | None = None) -> Lesson:
+def lesson(noise: bool = False, seen: list | None = None) -> TrainingTask:
     rng = np.random.default_rng(3)
     images = rng.normal(0, 1, (ROWS, 3, 8, 8)).astype(np.float32)
     wanted = np.stack([images.mean((1, 2, 3)), images[..., :4].mean((1, 2, 3))], axis=1)
@@ -53,11 +53,11 @@ def lesson(noise: bool = False, seen: list | None = None) -> Lesson:
         return images[rows]
 
     learn, watch = np.arange(LEARN), np.arange(LEARN, ROWS)
-    return Lesson(fetch, wanted.astype(np.float32), nn.functional.mse_loss, learn, watch)
+    return TrainingTask(fetch, wanted.astype(np.float32), nn.functional.mse_loss, learn, watch)
 
 
-def plan(patience: int = 0, epochs: int = EPOCHS, batch: int = BATCH) -> Descent:
-    return Descent(epochs, batch, 1e-2, patience, "float32")
+def plan(patience: int = 0, epochs: int = EPOCHS, batch: int = BATCH) -> TrainingLoop:
+    return TrainingLoop(epochs, batch, 1e-2, patience, "float32")
 
 
 def weights(trained: nn.Module) -> dict[str, np.ndarray]:
@@ -77,7 +77,7 @@ def trainings(folder: Path, seen: list) -> dict[str, nn.Module]:
 
 def resumed(checkpoint: Path, normalised: bool, batch: int = BATCH) -> nn.Module:
     """Trained to half, and then on by a run that knows nothing but the checkpoint."""
-    before = Run(plan(batch=batch), network(normalised), lesson(), 5)
+    before = TrainingRun(plan(batch=batch), network(normalised), lesson(), 5)
     for _ in range(EPOCHS // 2):
         before.one_epoch()
     if before.crew.first:
@@ -210,7 +210,7 @@ def test_a_process_that_does_not_see_the_checkpoint_refuses(tmp_path) -> None:
 @pytest.mark.parametrize("n", [2, 3, 5, 6, 9, 32])
 def test_the_mean_of_weighted_shares_is_the_mean_of_the_batch(size: int, n: int, rng) -> None:
     loss, rows = rng.normal(0, 1, n), np.arange(n)
-    shares = [Crew(rank, size).share(rows) for rank in range(size)]
+    shares = [ProcessGroup(rank, size).share(rows) for rank in range(size)]
     np.testing.assert_allclose(np.mean([w * loss[mine].mean() for mine, w in shares]), loss.mean())
     assert min(len(mine) for mine, _ in shares) >= min(2, n)
     assert set(np.concatenate([mine for mine, _ in shares])) == set(rows)
@@ -218,8 +218,8 @@ def test_the_mean_of_weighted_shares_is_the_mean_of_the_batch(size: int, n: int,
 
 def test_without_torchrun_there_is_one_process_that_waits_for_nobody(monkeypatch) -> None:
     monkeypatch.delenv("WORLD_SIZE", raising=False)
-    crew = Crew.of_environment()
-    assert crew == Crew(0, 1, 0)
+    crew = ProcessGroup.of_environment()
+    assert crew == ProcessGroup(0, 1, 0)
     crew.join()
     crew.wait()
     assert crew.first
@@ -235,7 +235,7 @@ def test_an_environment_that_does_not_say_which_process_this_is_is_refused(monke
     for name, value in ({"WORLD_SIZE": "2", "LOCAL_RANK": "0"} | wrong).items():
         monkeypatch.setenv(name, value)
     with pytest.raises(InputError, match="torchrun"):
-        Crew.of_environment()
+        ProcessGroup.of_environment()
 
 
 def test_a_batch_too_small_to_be_shared_is_refused_before_anyone_is_waited_for(monkeypatch) -> None:
@@ -248,15 +248,15 @@ def test_a_batch_too_small_to_be_shared_is_refused_before_anyone_is_waited_for(m
 def test_more_processes_than_gpus_are_refused_and_each_gets_its_own(monkeypatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
-    assert [str(Crew(rank, 2, rank).device()) for rank in range(2)] == ["cuda:0", "cuda:1"]
+    assert [str(ProcessGroup(rank, 2, rank).device()) for rank in range(2)] == ["cuda:0", "cuda:1"]
     with pytest.raises(InputError, match="has 2 GPUs"):
-        Crew(2, 3, 2).device()
+        ProcessGroup(2, 3, 2).device()
 
 
 def test_on_gpus_a_copy_shares_its_batch_statistics_and_the_network_stays_as_it_is(monkeypatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     given = network(normalised=True)
-    shared = Crew(0, 2).of_one_mind(given)
+    shared = ProcessGroup(0, 2).of_one_mind(given)
     assert isinstance(shared[1], nn.SyncBatchNorm)
     assert isinstance(given[1], nn.BatchNorm2d)
     assert shared.state_dict().keys() == given.state_dict().keys()
@@ -335,7 +335,7 @@ def test_a_model_that_trains_in_one_process_is_refused_under_torchrun(tmp_path) 
 
 def one_of_many(task: str, folder: Path) -> dict[str, nn.Module]:
     """What one of the processes does."""
-    rank, shared = Crew.of_environment().rank, folder / "shared"
+    rank, shared = ProcessGroup.of_environment().rank, folder / "shared"
     own = folder / f"rank-{rank}"
     if task == "unshared":
         return {"never": resumed(own / "plain.npz", False)}
@@ -353,13 +353,13 @@ def one_of_many(task: str, folder: Path) -> dict[str, nn.Module]:
 def train_from_damaged(shared: Path, own: Path, rank: int) -> None:
     """Train with a checkpoint that cannot be read, noting who writes."""
     saved: list[str] = []
-    save = Run.save
+    save = TrainingRun.save
 
-    def noted(self: Run, path: Path) -> None:
+    def noted(self: TrainingRun, path: Path) -> None:
         saved.append(path.name)
         save(self, path)
 
-    Run.save = noted
+    TrainingRun.save = noted
     plan().train(
         network(),
         lesson(),
@@ -377,7 +377,7 @@ def main(task: str, folder: Path) -> None:
     except InputError as e:
         print(e)
         sys.exit(3)
-    rank = Crew.of_environment().rank
+    rank = ProcessGroup.of_environment().rank
     for name, trained in made.items():
         np.savez(folder / f"rank-{rank}" / f"{name}.npz", **weights(trained))
 

@@ -6,7 +6,7 @@ import pytest
 
 from palpate.core.errors import InputError
 from palpate.estimators.networks import MODELS, make_model
-from palpate.estimators.networks.base import Scaler, TrainingData, inner_validation, predict_rows
+from palpate.estimators.networks.model_interface import Scaler, TrainingData, inner_validation, predict_rows
 
 SHAPE = (1, 32, 32)
 # Those of fixed targets are tested beside this file, with the images and names that they ask for.

@@ -7,15 +7,15 @@ import onnxruntime
 import pytest
 
 from palpate.core.errors import InputError
-from palpate.estimators.networks.base import TrainingData
-from palpate.estimators.seen import thumbnail
+from palpate.estimators.networks.model_interface import TrainingData
+from palpate.estimators.novelty import thumbnail
 from palpate.sensors import palm
 from palpate.sensors.palm.presses import TARGETS, draw_presses
 
 torch = pytest.importorskip("torch", reason="the network trains with torch")
 
-from palpate.estimators.networks.descent import Descent  # noqa: E402
-from palpate.estimators.networks.palm_compact import PalmCompact, _Union  # noqa: E402
+from palpate.estimators.networks.training_loop import TrainingLoop  # noqa: E402
+from palpate.sensors.palm.networks.palm_compact import PalmCompact, _Union  # noqa: E402
 
 SIDE = 32
 SPEC = palm.cropped(palm.palm(), SIDE, "test")
@@ -126,9 +126,9 @@ def test_an_input_that_is_not_two_fitting_squares_is_refused(data, shape):
 
 
 def test_a_falling_step_begins_small_is_greatest_early_and_ends_at_nothing():
-    plan = Descent(10, learning_rate=1.0, cosine=True)
+    plan = TrainingLoop(10, learning_rate=1.0, cosine=True)
     rates = [plan.rate(step, 50) for step in range(500)]
     assert rates[0] == pytest.approx(0.01)
     assert np.argmax(rates) in range(90, 110)
     assert rates[-1] < 1e-4
-    assert Descent(10, learning_rate=0.5).rate(123, 50) == 0.5
+    assert TrainingLoop(10, learning_rate=0.5).rate(123, 50) == 0.5

@@ -10,14 +10,17 @@ import pytest
 
 from palpate.core.errors import InputError
 from palpate.estimators.networks import MODELS, make_model
-from palpate.estimators.networks.base import Scaler, TrainingData, predict_rows
-from palpate.estimators.networks.palm_views import Scales, columns_of, half_width
+from palpate.estimators.networks.model_interface import Scaler, TrainingData, predict_rows
+from palpate.sensors.palm.networks.palm_training import Scales, columns_of, half_width
 
 torch = pytest.importorskip("torch", reason="the extra `train` is not installed")
 
-from palpate.estimators.networks.palm_force_conditioned import ConditionedNetwork  # noqa: E402
-from palpate.estimators.networks.palm_two_stage import PalmTwoStage, TwoStageNetwork  # noqa: E402
 from palpate.estimators.networks.resnet import ResNet18  # noqa: E402
+from palpate.sensors.palm.networks.palm_report_networks import (  # noqa: E402
+    ConditionedNetwork,  # noqa: E402
+    PalmTwoStage,
+    TwoStageNetwork,
+)
 
 OURS = "palm-compact"  # which has settings, and a file of tests, of its own
 PALM = [name for name in MODELS if name.startswith("palm-") and name != OURS]

@@ -6,8 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import ImageError, InputError, RangeError
-from palpate.estimators.pin_kernels import brighter
-from palpate.estimators.pins import FLOOR, Pins, find_pins, follow, largest_circle
+from palpate.estimators.pins import FLOOR, PinTracks, brighter, find_pins, follow, largest_circle
 
 
 def hexagon(rings: int, pitch: float) -> np.ndarray:
@@ -86,7 +85,9 @@ def test_patches_are_those_that_opencv_connects(rng) -> None:
 def test_a_centroid_is_the_mean_place_weighed_by_what_is_over_the_floor(rng) -> None:
     """Also at the border, where part of the window is outside the image."""
     image = drawn(np.array([[30.3, 40.2], [5.0, 4.0], [76.0, 75.2]]), rng, size=80)
-    pins = Pins(np.array([[30.0, 40.0], [6.0, 5.0], [75.0, 75.0]]), 18.0, 200.0, np.full(3, 14.0), np.ones(3))
+    pins = PinTracks(
+        np.array([[30.0, 40.0], [6.0, 5.0], [75.0, 75.0]]), 18.0, 200.0, np.full(3, 14.0), np.ones(3)
+    )
     now = next(follow([image], pins))
     y, x = np.indices(image.shape)
     over = np.clip(image - (18.0 + FLOOR * 182), 0, None)

@@ -12,7 +12,7 @@ from palpate.core.errors import InputError, MissingExtraError
 torch = pytest.importorskip("torch", reason="the extra `train` is not installed")
 
 from palpate.estimators.networks.resnet import ResNet18, read_weights  # noqa: E402
-from palpate.estimators.networks.torch_graph import TorchGraph  # noqa: E402
+from palpate.estimators.networks.torch_export import TorchGraph  # noqa: E402
 
 
 def normalisation(name: str) -> set[str]:

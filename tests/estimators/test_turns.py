@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from palpate.core import InputError
-from palpate.estimators.networks.turns import Turns, axis_of, in_plane
+from palpate.estimators.networks.symmetry import RotationalSymmetry, axis_of, in_plane
 
 NAMES = ("depth_mm", "shear_x_mm", "shear_y_mm", "twist_deg")
 
@@ -39,7 +39,7 @@ def test_a_sensor_without_the_symmetry_is_refused() -> None:
 def test_only_what_lies_in_the_plane_turns() -> None:
     assert in_plane(NAMES) == (((1, 2),), ())
     assert in_plane(("x_mm", "force_N")) == ((), (0,))
-    turns = Turns(4, (0.0, 0.0), ((1, 2),))
+    turns = RotationalSymmetry(4, (0.0, 0.0), ((1, 2),))
     values = np.array([[1.0, 2.0, 0.0, 3.0]] * 4)
     turned = turns.turned_values(values, np.arange(4))
     np.testing.assert_allclose(turned[:, 1:3], [[2, 0], [0, 2], [-2, 0], [0, -2]], atol=1e-12)
@@ -48,10 +48,10 @@ def test_only_what_lies_in_the_plane_turns() -> None:
 
 def test_a_component_alone_turns_only_by_half_turns() -> None:
     images = np.stack([lattice(6, (47.5, 47.5))[None]] * 2)
-    turns = Turns.find(2, images, ("x_mm",))
+    turns = RotationalSymmetry.find(2, images, ("x_mm",))
     np.testing.assert_array_equal(turns.turned_values(np.ones((2, 1)), np.array([0, 1])), [[1], [-1]])
     with pytest.raises(InputError, match="name both"):
-        Turns.find(6, images, ("x_mm",))
+        RotationalSymmetry.find(6, images, ("x_mm",))
 
 
 def test_images_and_vectors_turn_the_same_way() -> None:
@@ -64,7 +64,7 @@ def test_images_and_vectors_turn_the_same_way() -> None:
         cv2.circle(
             image[0], (round((axis[0] + x) * 16), round((axis[1] + y) * 16)), 48, 1.0, -1, cv2.LINE_AA, 4
         )
-    turned, values = Turns(5, axis, ((0, 1),)).turned(images, places, rng)
+    turned, values = RotationalSymmetry(5, axis, ((0, 1),)).turned(images, places, rng)
     v, u = np.mgrid[:side, :side]
     mass = turned[:, 0].sum(axis=(1, 2))
     seen = np.stack([(turned[:, 0] * w).sum(axis=(1, 2)) / mass for w in (u - axis[0], v - axis[1])], axis=1)

@@ -22,7 +22,7 @@ from palpate.cli import app
 from palpate.core.clock import ManualClock
 from palpate.core.units import split_column
 from palpate.estimators import Estimator
-from palpate.estimators.casr.pin_press import PinPress
+from palpate.estimators.compliance.pin_press import PinPress
 from palpate.recordings import Run
 from palpate.recordings.check import check
 from palpate.rig import State, record

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from palpate.calibration import Plan, calibrate
 from palpate.cli import ALIASES, HEADINGS, app
 from palpate.cli.shared import phases
-from palpate.estimators.card import ScoreCard
+from palpate.estimators.model_card import ScoreCard
 from palpate.reports import scores_table
 
 NEVER_TO_SENSE = {

@@ -10,8 +10,8 @@ import pytest
 
 import palpate
 from palpate import CalibrationPlan, Estimator, Manifest, Run, RunWriter
+from palpate.estimators.preparation import Preparation
 from palpate.recordings import PackedSet, check, export_folder, pack, read_labels, repair
-from palpate.sensors.preparation import Preparation
 from palpate.studies import Protocol, record
 
 PLAN = CalibrationPlan(("x_mm",), model="mean", split="group:press", size_px=(12, 16))

@@ -18,7 +18,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from palpate.estimators.casr import Lamps, Loading, Region, at_force, bulge, fresh, loading, loading_slope
+from palpate.estimators.compliance import (
+    ImprintRegion,
+    Lamps,
+    Loading,
+    at_force,
+    bulge,
+    fresh,
+    loading,
+    loading_slope,
+)
 from palpate.psychophysics import assign, nearest
 from palpate.recordings.press_table import read_press_table
 from palpate.recordings.video import VideoFrames
@@ -63,19 +72,21 @@ def _read(folder, ball: str, i: int) -> Grasp:
     return Grasp(name, ball, frames, force, width, loading(force, FROM_N))
 
 
-def middle(share: float = 1 / 3, off=(0, 0)) -> Region:
+def middle(share: float = 1 / 3, off=(0, 0)) -> ImprintRegion:
     """A square around the mean of the pad's corners, so many times as wide as the pad."""
     corners = np.array(PAD_PX)
     side = round(share * np.ptp(corners[:, 0]))
     x, y = np.round(corners.mean(axis=0) - side / 2 + off).astype(int)
-    return Region(int(x), int(y), side, side)
+    return ImprintRegion(int(x), int(y), side, side)
 
 
 def untouched(grasp: Grasp) -> np.ndarray:
     return grasp.frames[int(np.argmax(grasp.width_m))]
 
 
-def touch(grasp: Grasp, at_n: float = AT_N, region: Region | None = None, reference=untouched) -> float:
+def touch(
+    grasp: Grasp, at_n: float = AT_N, region: ImprintRegion | None = None, reference=untouched
+) -> float:
     """The gel's bulge at a force [white/px]; at the greatest, where the grasp does not reach it."""
     region = region or middle()
     curvature = np.zeros(len(grasp.frames))

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.estimators.casr import area_m2, loading, spread
+from palpate.estimators.compliance import area_m2, loading, spread
 from palpate.estimators.flow import CoarseToFine, HornSchunck, along, coarse_to_fine, dis, divergence, flow
 from palpate.recordings.press_table import read_press_table
 from palpate.recordings.sequences import open_sequence

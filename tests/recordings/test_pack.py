@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from palpate.core import ExistsError, InputError, ManualClock, RecordingError, StorageError
+from palpate.estimators.preparation import Preparation
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.pack import PackedSet, pack
 from palpate.recordings.reader import Run
 from palpate.recordings.writer import RunWriter
-from palpate.sensors.preparation import Preparation
 
 KINDS = {"depth_mm": "number", "image_file": "text", "row": "number"}
 SMALL = Preparation(crop_px=(2, 1, 12, 10), size_px=(5, 6), channels=1)
@@ -209,7 +209,7 @@ from pathlib import Path
 import numpy as np
 from palpate.recordings.pack import PackedSet, pack
 from palpate.recordings.reader import Run
-from palpate.sensors.preparation import Preparation
+from palpate.estimators.preparation import Preparation
 run = Run.open(Path(sys.argv[1]))
 preparation = Preparation(None, (512, 512), 3)
 # The libraries load before the limit is set.

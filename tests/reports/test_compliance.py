@@ -8,8 +8,8 @@ import pytest
 from palpate.calibration.compliance import ReferenceTrial
 from palpate.calibration.compliance_reading import AreaCourse, Touch
 from palpate.core.reading import Reading
-from palpate.estimators.casr.as_reported import AsReported
-from palpate.estimators.casr.pin_press import PinPress
+from palpate.estimators.compliance.literature_method import AsReported
+from palpate.estimators.compliance.pin_press import PinPress
 from palpate.reports.compliance import compare_figure, press_figure
 from palpate.reports.tactip_figures import Told, forest_figure, line_figure, plate_figure, trend_figure
 

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.casr.region import Field, ring_px
+from palpate.estimators.compliance.contact_region import Field, ring_px
 from palpate.estimators.pins import find_pins, follow
 from palpate.sensors.tactip import PINS_127, PINS_331, HeadOn, Pins, pictured, tactip, trial
 from palpate.sensors.tactip.camera import slopes

@@ -118,8 +118,8 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
     "guards": (
         14,
         {
-            "palpate.estimators.guard": ("tests/estimators/test_guard.py",),
-            "palpate.estimators.seen": ("tests/estimators/test_guard.py",),
+            "palpate.estimators.novelty": ("tests/estimators/test_guard.py",),
+            "palpate.estimators.novelty": ("tests/estimators/test_guard.py",),
             "palpate.devices.guard": ("tests/devices/test_motion_guard_laws.py",),
             "palpate.devices.limits": ("tests/devices/test_limits.py",),
             "palpate.devices.force_bias": ("tests/devices/test_force_bias.py",),
@@ -141,9 +141,9 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
                 "tests/calibration/test_fit.py",
             ),
             "palpate.calibration.uncertainty": ("tests/calibration/test_uncertainty.py",),
-            "palpate.estimators.casr.softness": ("tests/estimators/test_casr_softness.py",),
+            "palpate.estimators.compliance.stiffness_curve": ("tests/estimators/test_casr_softness.py",),
             "palpate.estimators.certified": ("tests/estimators/test_certified.py",),
-            "palpate.estimators.intervals": ("tests/calibration/test_uncertainty.py",),
+            "palpate.estimators.certified": ("tests/calibration/test_uncertainty.py",),
         },
     ),
 }
@@ -158,7 +158,7 @@ NAMED = (
         "dropped term",
     ),
     (
-        "palpate.estimators.casr.softness",
+        "palpate.estimators.compliance.stiffness_curve",
         "SoftnessCurve.of",
         "half = float(np.hypot(t * spread, self._bend(y, s)))",
         "half = float(np.hypot(spread, self._bend(y, s)))",

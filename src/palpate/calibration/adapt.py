@@ -30,11 +30,10 @@ from palpate.calibration.plan import CalibrationPlan, Reference
 from palpate.core.errors import ImageError, InputError, LabelError
 from palpate.core.files import PathText, refuse_existing, storage_errors
 from palpate.core.shapes import Indices, Tensor, Values
-from palpate.estimators.card import Card
 from palpate.estimators.certified import Estimator, checked_file, intervals_of
-from palpate.estimators.guard import Guard
-from palpate.estimators.networks.base import Progress, TrainingData, silent
-from palpate.estimators.seen import thumbnails
+from palpate.estimators.model_card import Card
+from palpate.estimators.networks.model_interface import Progress, TrainingData, silent
+from palpate.estimators.novelty import NoveltyDetector, thumbnails
 from palpate.recordings.labels import targets_from
 from palpate.recordings.pack import PackedSet, pack
 from palpate.recordings.reader import Run
@@ -222,7 +221,9 @@ def _all_folds(n: int, rows: Indices, parts: Split) -> list[Indices]:
     return [np.append(rows[held], others[k :: len(parts.folds)]) for k, held in enumerate(parts.folds)]
 
 
-def _guard(estimator: Estimator, whole: PackedSet, folds: Sequence[Indices], untouched: Indices) -> Guard:
+def _guard(
+    estimator: Estimator, whole: PackedSet, folds: Sequence[Indices], untouched: Indices
+) -> NoveltyDetector:
     thumbs = thumbnails(prepared_images(whole, np.arange(len(whole))))
-    former = Guard.load(checked_file(estimator.folder, estimator.card.guard))
+    former = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard))
     return guard_with(former, thumbs, folds, untouched)

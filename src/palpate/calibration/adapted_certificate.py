@@ -25,9 +25,8 @@ from palpate.calibration.made import Calibrated
 from palpate.calibration.uncertainty import GROUPS_FOR_SPREAD, conformal_quantile, fit_intervals
 from palpate.core.files import new_folder
 from palpate.core.shapes import Values
-from palpate.estimators.card import Card, SplitCard, sealed
-from palpate.estimators.certified import CARD_FILE
-from palpate.estimators.intervals import Intervals
+from palpate.estimators.certified import CARD_FILE, Intervals
+from palpate.estimators.model_card import Card, SplitCard, sealed
 from palpate.recordings import png
 
 MOST_COVERAGE = 1 - 1e-9

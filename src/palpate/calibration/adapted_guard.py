@@ -7,14 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from palpate.core.shapes import Indices
-from palpate.estimators.guard import Guard, fit_guard
-from palpate.estimators.seen import AlsoSeen, Thumbnails
+from palpate.estimators.novelty import NoveltyDetector, RenderedImages, Thumbnails, fit_novelty_detector
 
 TOGETHER = 12
 """Frames of the former calibration that are held out together: they lie in the order of its presses."""
 
 
-def guard_with(former: Guard, thumbs: Thumbnails, folds: Sequence[Indices], untouched: Indices) -> Guard:
+def guard_with(
+    former: NoveltyDetector, thumbs: Thumbnails, folds: Sequence[Indices], untouched: Indices
+) -> NoveltyDetector:
     """A guard with another copy's frames added; drift is judged by that copy's own untouched frames.
 
     Its limits let the copy's frames pass, each held against the former calibration and the copy's other
@@ -27,5 +28,5 @@ def guard_with(former: Guard, thumbs: Thumbnails, folds: Sequence[Indices], unto
         untouched: which rows show the untouched copy; may be none.
     """
     known = former.seen.thumbs
-    also = AlsoSeen(known, np.arange(len(known)) // TOGETHER)
-    return fit_guard(thumbs, folds, thumbs[untouched], also=also)
+    also = RenderedImages(known, np.arange(len(known)) // TOGETHER)
+    return fit_novelty_detector(thumbs, folds, thumbs[untouched], also=also)

@@ -22,9 +22,8 @@ from palpate.calibration.made import Calibrated
 from palpate.calibration.uncertainty import fit_intervals
 from palpate.core.files import new_folder
 from palpate.core.shapes import Values
-from palpate.estimators.card import FORMAT, Card, InputCard, SplitCard, sealed
-from palpate.estimators.certified import CARD_FILE
-from palpate.estimators.intervals import Intervals
+from palpate.estimators.certified import CARD_FILE, Intervals
+from palpate.estimators.model_card import FORMAT, Card, InputCard, SplitCard, sealed
 from palpate.estimators.networks import settings_of
 from palpate.recordings import png
 from palpate.recordings.labels import with_own

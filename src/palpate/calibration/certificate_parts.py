@@ -16,8 +16,8 @@ from palpate.core.errors import CertificateError
 from palpate.core.files import sha256_of
 from palpate.core.shapes import Indices, Values
 from palpate.core.units import split_column
-from palpate.estimators.card import FileCard, ReferenceCard, RunCard, TargetCard
-from palpate.estimators.intervals import Intervals
+from palpate.estimators.certified import Intervals
+from palpate.estimators.model_card import FileCard, ReferenceCard, RunCard, TargetCard
 from palpate.version import __version__
 
 AGREEMENT = 1e-4

@@ -20,11 +20,10 @@ from palpate.calibration.flat import built, flat
 from palpate.core.errors import CertificateError, InputError
 from palpate.core.files import new_file, storage_errors
 from palpate.core.shapes import Float
-from palpate.estimators.casr.area import AreaFit, Motions, fit_area, fit_motions, ring_measures
-from palpate.estimators.casr.both_cues import Finger, Press, finger_of
-from palpate.estimators.casr.over_force import at_forces, laid_on
-from palpate.estimators.casr.pin_press import PinPress
-from palpate.estimators.casr.softness import SoftnessCurve, fit_softness
+from palpate.estimators.compliance.contact_area import AreaFit, Motions, fit_area, fit_motions, ring_measures
+from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, finger_of
+from palpate.estimators.compliance.pin_press import PinPress, at_forces, laid_on
+from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, fit_softness
 from palpate.version import __version__
 
 FORMAT = 1
@@ -243,7 +242,7 @@ def _areas(
 
 def _finger(references: Sequence[Reference]) -> Finger | None:
     presses = [
-        Press(t.press.force_n[good], t.press.position_m[good], t.area_m2[good])
+        PressCurves(t.press.force_n[good], t.press.position_m[good], t.area_m2[good])
         for one in references
         if np.isinf(one.kappa_n_m)
         for t in one.trials

@@ -12,12 +12,11 @@ from palpate.calibration.compliance import ComplianceCalibration, approach_row, 
 from palpate.core.errors import InputError
 from palpate.core.reading import Drift, Reading
 from palpate.core.shapes import Float
-from palpate.estimators.casr.area import AreaFit, ring_measures
-from palpate.estimators.casr.both_cues import Press, touched
-from palpate.estimators.casr.over_force import at_forces, laid_on
-from palpate.estimators.casr.pin_press import PinPress
-from palpate.estimators.casr.softness import SoftnessCurve
-from palpate.estimators.casr.spread import spread
+from palpate.estimators.compliance.contact_area import AreaFit, ring_measures
+from palpate.estimators.compliance.hertz_inversion import PressCurves, touched
+from palpate.estimators.compliance.pin_press import PinPress, at_forces, laid_on
+from palpate.estimators.compliance.spread_rate import spread
+from palpate.estimators.compliance.stiffness_curve import SoftnessCurve
 
 COVERAGE = 0.9
 AREA_AT_N = 4.0
@@ -158,7 +157,7 @@ class _Said:
         finite = curve.kappa_n_m[np.isfinite(curve.kappa_n_m)]
         range_ = float(finite.min()), float(finite.max())
         why = [] if np.isfinite(curve.between) else [NO_BETWEEN]
-        strange = max(curve.strangeness(row) for row in rows)
+        strange = max(curve.novelty_score(row) for row in rows)
         if strange > STRANGE:
             why.append(UNLIKE.format(strange, STRANGE))
         if low > range_[1] * EDGE or high < range_[0] / EDGE:
@@ -194,7 +193,7 @@ class _Said:
         if finger is None:
             return None, None
         presses = [
-            Press(one.force_n[good], one.position_m[good], course.area_m2[good, 0])
+            PressCurves(one.force_n[good], one.position_m[good], course.area_m2[good, 0])
             for one, course in zip(self.presses, courses, strict=True)
             if one.position_m is not None
             for good in [one.force_n >= self.calibration.levels_n[0]]

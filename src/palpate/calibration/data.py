@@ -11,7 +11,7 @@ import pandas as pd
 from palpate.calibration.plan import CalibrationPlan, Reference
 from palpate.core.errors import LabelError
 from palpate.core.shapes import Bool, Float32, Indices, Int, Shaped, Tensor
-from palpate.estimators.networks.base import TrainingData
+from palpate.estimators.networks.model_interface import TrainingData
 from palpate.recordings.labels import targets_from
 from palpate.recordings.pack import PackedSet
 

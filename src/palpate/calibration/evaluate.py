@@ -13,9 +13,9 @@ from palpate.calibration.uncertainty import grouped_coverage_interval
 from palpate.core.errors import LabelError
 from palpate.core.reading import Readings
 from palpate.core.shapes import Shaped, Values
-from palpate.estimators.card import Card, ScoreCard
 from palpate.estimators.certified import Estimator, Zero
-from palpate.estimators.networks.base import Progress, silent
+from palpate.estimators.model_card import Card, ScoreCard
+from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.recordings.labels import own_column, targets_from, with_own
 from palpate.recordings.reader import Run
 

@@ -27,16 +27,22 @@ from palpate.calibration.plan import CalibrationPlan
 from palpate.core.errors import ExistsError, InputError
 from palpate.core.files import PathText, new_file, refuse_existing, storage_errors
 from palpate.core.shapes import Indices, Values
-from palpate.estimators.guard import Guard, fit_guard
 from palpate.estimators.networks import make_model, model_kind
-from palpate.estimators.networks.base import Fitted, Model, Progress, TrainingData, predict_rows, silent
-from palpate.estimators.networks.many_processes import Crew
-from palpate.estimators.seen import SawMore, thumbnails
+from palpate.estimators.networks.distributed import ProcessGroup
+from palpate.estimators.networks.model_interface import (
+    Fitted,
+    Model,
+    Progress,
+    TrainingData,
+    predict_rows,
+    silent,
+)
+from palpate.estimators.novelty import LearnsFromRendered, NoveltyDetector, fit_novelty_detector, thumbnails
+from palpate.estimators.preparation import Preparation
 from palpate.recordings.labels import refuse_reserved, targets_from
 from palpate.recordings.pack import PackedSet, pack
 from palpate.recordings.reader import Run
 from palpate.recordings.splits import Split, split
-from palpate.sensors.preparation import Preparation
 
 
 def calibrate(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress = silent) -> Path:
@@ -76,13 +82,13 @@ def calibrate(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress
     return out
 
 
-def _crew(plan: CalibrationPlan) -> Crew:
+def _crew(plan: CalibrationPlan) -> ProcessGroup:
     """The processes that shall train together.
 
     Raises:
         InputError: there are several, and the model is none that they can share.
     """
-    crew = Crew.of_environment()
+    crew = ProcessGroup.of_environment()
     if crew.size > 1 and not hasattr(make_model(plan.model, plan.options), "descent"):
         raise InputError(
             f"{crew.size} processes, and {plan.model} trains in one; run palpate without torchrun, or take "
@@ -91,7 +97,7 @@ def _crew(plan: CalibrationPlan) -> Crew:
     return crew
 
 
-def _help(run: Run, plan: CalibrationPlan, work: Path, crew: Crew) -> None:
+def _help(run: Run, plan: CalibrationPlan, work: Path, crew: ProcessGroup) -> None:
     """Train along with the first process, from the set that it packs, and write nothing."""
     ready = _ready(run, plan, work, silent, crew)
     _learnt(make_model(plan.model, plan.options), ready, plan, work, silent, crew)
@@ -110,7 +116,7 @@ class _Ready:
     data: TrainingData
 
 
-def _ready(run: Run, plan: CalibrationPlan, work: Path, progress: Progress, crew: Crew) -> _Ready:
+def _ready(run: Run, plan: CalibrationPlan, work: Path, progress: Progress, crew: ProcessGroup) -> _Ready:
     whole = _packed(run, plan, work, progress, crew)
     untouched = find_untouched(whole, plan)
     rows = rows_to_learn(whole.table, plan)
@@ -121,7 +127,7 @@ def _ready(run: Run, plan: CalibrationPlan, work: Path, progress: Progress, crew
     return _Ready(whole, rows, untouched, packed, parts, data)
 
 
-def _made(run: Run, plan: CalibrationPlan, work: Path, progress: Progress, crew: Crew) -> Calibrated:
+def _made(run: Run, plan: CalibrationPlan, work: Path, progress: Progress, crew: ProcessGroup) -> Calibrated:
     ready = _ready(run, plan, work, progress, crew)
     model = make_model(plan.model, plan.options)
     held_out, fitted = _learnt(model, ready, plan, work, progress, crew)
@@ -193,7 +199,7 @@ def _work_path(out: Path) -> Path:
     return out.with_name(f".{out.name}.work")
 
 
-def _packed(run: Run, plan: CalibrationPlan, work: Path, progress: Progress, crew: Crew) -> PackedSet:
+def _packed(run: Run, plan: CalibrationPlan, work: Path, progress: Progress, crew: ProcessGroup) -> PackedSet:
     folder = work / "packed"
     if crew.first and not folder.exists():
         made = preparation_of(run, plan)
@@ -203,7 +209,7 @@ def _packed(run: Run, plan: CalibrationPlan, work: Path, progress: Progress, cre
 
 
 def _learnt(
-    model: Model, ready: _Ready, plan: CalibrationPlan, work: Path, progress: Progress, crew: Crew
+    model: Model, ready: _Ready, plan: CalibrationPlan, work: Path, progress: Progress, crew: ProcessGroup
 ) -> tuple[Values, Fitted]:
     """Predictions of rows by a model that has not seen their fold (NaN where none was), and what is kept.
 
@@ -257,7 +263,13 @@ def folds_to_score(plan: CalibrationPlan, parts: Split) -> int:
 
 
 def _fold(
-    model: Model, ready: _Ready, plan: CalibrationPlan, k: int, work: Path, progress: Progress, crew: Crew
+    model: Model,
+    ready: _Ready,
+    plan: CalibrationPlan,
+    k: int,
+    work: Path,
+    progress: Progress,
+    crew: ProcessGroup,
 ) -> Values:
     # All processes see the same here: the first writes it only after they have trained this fold together.
     kept = work / f"fold-{k}.npy"
@@ -278,7 +290,7 @@ def _fold(
     return predicted
 
 
-def _guard(ready: _Ready, fitted: Fitted, plan: CalibrationPlan, progress: Progress) -> Guard:
+def _guard(ready: _Ready, fitted: Fitted, plan: CalibrationPlan, progress: Progress) -> NoveltyDetector:
     """A guard that knows every frame, those of the untouched sensor too; they are dealt out to all folds.
 
     What the model has learnt from besides, it knows as well.
@@ -288,8 +300,8 @@ def _guard(ready: _Ready, fitted: Fitted, plan: CalibrationPlan, progress: Progr
     thumbs = thumbnails(prepared_images(whole, np.arange(len(whole))))
     others = np.setdiff1d(np.arange(len(whole)), rows)
     folds = [np.append(rows[held], others[k :: len(held_out)]) for k, held in enumerate(held_out)]
-    also = fitted.also_seen if isinstance(fitted, SawMore) else None
-    guard = fit_guard(thumbs, folds, thumbs[ready.untouched.rows], also=also, seed=plan.seed)
+    also = fitted.also_seen if isinstance(fitted, LearnsFromRendered) else None
+    guard = fit_novelty_detector(thumbs, folds, thumbs[ready.untouched.rows], also=also, seed=plan.seed)
     progress("learning what frames look like", 1, 1)
     return guard
 

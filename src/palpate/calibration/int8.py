@@ -30,9 +30,9 @@ from palpate.calibration.uncertainty import fit_intervals
 from palpate.core.errors import CertificateError, InputError
 from palpate.core.files import PathText, new_folder, refuse_existing
 from palpate.core.shapes import Indices, Tensor, Values
-from palpate.estimators.card import Card, TargetCard, sealed
 from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
-from palpate.estimators.networks.base import Progress, TrainingData, silent
+from palpate.estimators.model_card import Card, TargetCard, sealed
+from palpate.estimators.networks.model_interface import Progress, TrainingData, silent
 from palpate.recordings import png
 from palpate.recordings.labels import own_column
 from palpate.recordings.pack import PackedSet, pack

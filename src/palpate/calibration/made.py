@@ -10,8 +10,8 @@ from palpate.calibration.data import Untouched
 from palpate.calibration.leakage import LeakageAudit
 from palpate.calibration.plan import CalibrationPlan
 from palpate.core.shapes import Indices, Values
-from palpate.estimators.guard import Guard
-from palpate.estimators.networks.base import Fitted, TrainingData
+from palpate.estimators.networks.model_interface import Fitted, TrainingData
+from palpate.estimators.novelty import NoveltyDetector
 from palpate.recordings.pack import PackedSet
 from palpate.recordings.reader import Run
 from palpate.recordings.splits import Split
@@ -40,7 +40,7 @@ class Calibrated:
     untouched: Untouched
     held_out: Values
     fitted: Fitted
-    guard: Guard
+    guard: NoveltyDetector
     seconds: float = 0.0
 
     @property

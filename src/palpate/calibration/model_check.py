@@ -15,7 +15,7 @@ from palpate.calibration.plan import CalibrationPlan
 from palpate.core.errors import PalpateError, PluginError
 from palpate.core.shapes import Indices, Tensor, Values
 from palpate.estimators.networks import MODELS, make_model, model_kind
-from palpate.estimators.networks.base import Fitted, TrainingData
+from palpate.estimators.networks.model_interface import Fitted, TrainingData
 
 GROUPS, ROWS_A_GROUP = 12, 3
 HELD_OUT_GROUPS = 2

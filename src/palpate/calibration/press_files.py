@@ -10,8 +10,8 @@ from numpy import ndarray
 from palpate.calibration.compliance import Reference, ReferenceTrial
 from palpate.core.errors import InputError
 from palpate.core.shapes import Shaped
-from palpate.estimators.casr.pin_press import watched
-from palpate.estimators.networks.base import Progress, silent
+from palpate.estimators.compliance.pin_press import watched
+from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.recordings.press_folder import PressFolder
 from palpate.recordings.press_table import PressTable, read_press_table
 from palpate.recordings.sequences import open_sequence

@@ -18,8 +18,8 @@ from sklearn.model_selection import GroupKFold
 
 from palpate.core.errors import InputError
 from palpate.core.shapes import Float, Values
-from palpate.estimators.intervals import Intervals, Spread, design
-from palpate.estimators.networks.base import Scaler
+from palpate.estimators.certified import ErrorSpread, Intervals, design
+from palpate.estimators.networks.model_interface import Scaler
 
 ROWS_PER_COEFFICIENT = 20
 GROUPS_FOR_SPREAD = 20
@@ -107,7 +107,7 @@ def _terms(errors: Values, groups: np.ndarray) -> int:
     return next(terms for terms in wanted if terms == 1 or n >= ROWS_PER_COEFFICIENT * terms)
 
 
-def _fit_spread(predicted: Values, errors: Values, count: int) -> Spread:
+def _fit_spread(predicted: Values, errors: Values, count: int) -> ErrorSpread:
     scaler = Scaler.of(predicted)
     typical = np.maximum(errors.mean(axis=0), np.finfo(np.float32).tiny)
     terms = design(scaler.scaled(predicted))
@@ -116,4 +116,4 @@ def _fit_spread(predicted: Values, errors: Values, count: int) -> Spread:
         for j, ratio in enumerate((errors / typical).T):
             fitted = GammaRegressor(alpha=1e-2, max_iter=1000).fit(terms[:, 1:count], np.maximum(ratio, 1e-6))
             coefficients[j, :count] = [fitted.intercept_, *fitted.coef_]
-    return Spread(scaler.mean, scaler.scale, typical, coefficients)
+    return ErrorSpread(scaler.mean, scaler.scale, typical, coefficients)

@@ -94,7 +94,7 @@ def calibrate(
     from palpate.calibration.plan import CalibrationPlan, Reference
     from palpate.calibration.views import regions_seen
     from palpate.estimators.networks import model_kind
-    from palpate.estimators.networks.many_processes import Crew
+    from palpate.estimators.networks.distributed import ProcessGroup
     from palpate.recordings.reader import Run
     from palpate.studies.certify import certify
 
@@ -120,7 +120,7 @@ def calibrate(
         learn_untouched=learn_untouched,
         options=options_of(option or []),
     )
-    if not Crew.of_environment().first:
+    if not ProcessGroup.of_environment().first:
         help_to_calibrate(recorded, plan, out)
         return
     with progress_bar(quiet) as progress:
@@ -234,7 +234,7 @@ def _card_text(card: Any, out: Path) -> str:
 
 
 def _scores_text(scores: dict[str, Any]) -> str:
-    from palpate.estimators.card import ScoreCard
+    from palpate.estimators.model_card import ScoreCard
     from palpate.reports.text import scores_table
 
     table = scores_table({name: ScoreCard(**score) for name, score in scores["targets"].items()})

@@ -1,7 +1,7 @@
 """Frames to readings: certified estimators, the guard around them, the networks inside."""
 
-from palpate.estimators.card import Card
 from palpate.estimators.certified import Estimator, Zero, read_card
-from palpate.estimators.guard import Guard
+from palpate.estimators.model_card import Card
+from palpate.estimators.novelty import NoveltyDetector
 
-__all__ = ["Card", "Estimator", "Guard", "Zero", "read_card"]
+__all__ = ["Card", "Estimator", "NoveltyDetector", "Zero", "read_card"]

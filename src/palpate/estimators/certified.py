@@ -1,4 +1,7 @@
-"""A calibration folder, opened: checked in every part, then Frame in, Readings out."""
+"""Half-widths of intervals, as a calibration has set them.
+
+A calibration folder, opened: checked in every part, then Frame in, Readings out.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,64 @@ from palpate.core.errors import CertificateError, ImageError, StorageError
 from palpate.core.files import PathText, sha256_of
 from palpate.core.frame import Frame
 from palpate.core.reading import Drift, Reading, Readings
-from palpate.core.shapes import Float32, Image, Tensor, Values
+from palpate.core.shapes import Float, Float32, Image, Tensor, Values
 from palpate.core.units import unit
-from palpate.estimators.card import Card, FileCard, TargetCard, card_id
-from palpate.estimators.guard import Guard
-from palpate.estimators.intervals import Intervals, Spread
+from palpate.estimators.model_card import Card, FileCard, TargetCard, card_id
 from palpate.estimators.model_parts import refuse_other_files
+from palpate.estimators.novelty import NoveltyDetector
+
+LEAST, MOST = 0.2, 5.0
+"""The spread is held between these multiples of the typical error: a quadratic fitted inside the
+calibrated range must not run away outside it."""
+
+
+def design(scaled: Values) -> Float[np.ndarray, "n k"]:
+    """Terms of a quadratic in the scaled values: 1, each value, each product of two."""
+    n, t = scaled.shape
+    first, second = np.triu_indices(t)
+    return np.concatenate([np.ones((n, 1)), scaled, scaled[:, first] * scaled[:, second]], axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorSpread:
+    """Expected size of an estimate's error: log spread is a quadratic in the estimated values.
+
+    Attributes:
+        centre, scale: of the estimates, ``[t]`` each.
+        typical: mean absolute held-out error ``[t]``.
+        coefficients: of the quadratic of log(spread / typical), ``[t k]``, see `design`.
+    """
+
+    centre: Float[np.ndarray, " t"]
+    scale: Float[np.ndarray, " t"]
+    typical: Float[np.ndarray, " t"]
+    coefficients: Float[np.ndarray, "t k"]
+
+    def at(self, values: Values) -> Values:
+        """The spread at these estimates ``[n t]``, in the targets' units."""
+        scaled = np.clip((values - self.centre) / self.scale, -3.0, 3.0)
+        ratio = np.exp(np.clip(design(scaled) @ self.coefficients.T, np.log(LEAST), np.log(MOST)))
+        return self.typical * ratio
+
+
+@dataclass(frozen=True, slots=True)
+class Intervals:
+    """half-width = quantile · spread.
+
+    Attributes:
+        spread: how the size of the error varies with the estimate.
+        quantile: conformal quantile of the scaled held-out errors ``[t]``.
+        coverage: how often the intervals hold the truth.
+    """
+
+    spread: ErrorSpread
+    quantile: Float[np.ndarray, " t"]
+    coverage: float
+
+    def half_widths(self, values: Values) -> Values:
+        """Half-width of the interval around each estimate ``[n t]``."""
+        return self.quantile * self.spread.at(values)
+
 
 CARD_FILE = "card.json"
 MOST_CARD_BYTES = 4_000_000
@@ -91,7 +146,9 @@ class Estimator:
         readings["depth_mm"].value              # in mm, as the key says
     """
 
-    def __init__(self, folder: Path, card: Card, session: onnxruntime.InferenceSession, guard: Guard) -> None:
+    def __init__(
+        self, folder: Path, card: Card, session: onnxruntime.InferenceSession, guard: NoveltyDetector
+    ) -> None:
         self.folder = folder
         self.card = card
         self._session = session
@@ -112,7 +169,7 @@ class Estimator:
         """
         folder = Path(folder)
         card = read_card(folder)
-        guard = Guard.load(checked_file(folder, card.guard))
+        guard = NoveltyDetector.load(checked_file(folder, card.guard))
         session = _session(checked_file(folder, card.model), card, threads)
         return cls(folder, card, session, guard)
 
@@ -232,7 +289,7 @@ class Estimator:
 def intervals_of(card: Card) -> Intervals:
     """The intervals that a card describes."""
     targets = card.targets
-    spread = Spread(
+    spread = ErrorSpread(
         np.array([t.centre for t in targets]),
         np.array([t.scale for t in targets]),
         np.array([t.typical for t in targets]),

@@ -25,8 +25,7 @@ from numpy import ndarray
 from palpate.core.errors import InputError, RangeError
 from palpate.core.shapes import Bool, Float
 from palpate.estimators.fringe_light import Polariscope
-from palpate.estimators.fringe_refine import Fit, refined
-from palpate.estimators.fringe_scan import LEAST_ORDER, Traces, candidates
+from palpate.estimators.fringe_search import LEAST_ORDER, Fit, Traces, candidates, refined
 
 LEAST_PHOTOGRAPHS = 5  # one more than the unknowns k, N0, a and b
 LEAST_LOADS = 4
@@ -37,7 +36,7 @@ Light = Float[ndarray, "n p c"]
 
 
 @dataclass(frozen=True, slots=True)
-class Rival:
+class OrderCandidate:
     """Another slope that the photographs allow.
 
     Attributes:
@@ -81,7 +80,7 @@ class OrderFit:
     leak: Float[ndarray, " c"]
     rms: float
     spread: float
-    rivals: tuple[Rival, ...] = field(default=())
+    rivals: tuple[OrderCandidate, ...] = field(default=())
 
     @property
     def ambiguous(self) -> bool:
@@ -171,10 +170,10 @@ def check_loads(load_n: Float[ndarray, " n"]) -> None:
         )
 
 
-def _rival(fit: Fit, best: Fit) -> Rival:
+def _rival(fit: Fit, best: Fit) -> OrderCandidate:
     # With an unknown noise the likelihood goes as the sum of squares to the power -freedom / 2.
     ratio = max(best.cost, 1e-12) / max(fit.cost, 1e-12)
-    return Rival(fit.slope, float(min(ratio ** (fit.freedom() / 2), 1.0)))
+    return OrderCandidate(fit.slope, float(min(ratio ** (fit.freedom() / 2), 1.0)))
 
 
 def _lively(light: ndarray) -> tuple[int, ...]:

@@ -12,8 +12,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from palpate.calibration.evaluate import groups_in
 from palpate.calibration.uncertainty import grouped_coverage_interval
 from palpate.core.files import PathText, new_file
-from palpate.estimators.card import Card, ScoreCard, TargetCard
 from palpate.estimators.certified import checked_file, read_card
+from palpate.estimators.model_card import Card, ScoreCard, TargetCard
 from palpate.recordings.labels import OWN, own_column
 from palpate.reports.figures import picture, surface_columns, surface_figure, target_figure
 

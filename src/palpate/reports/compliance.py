@@ -14,7 +14,7 @@ from numpy import ndarray
 from palpate.calibration.compliance import ReferenceTrial
 from palpate.calibration.compliance_reading import Touch
 from palpate.core.shapes import Float
-from palpate.estimators.casr.as_reported import AsReported
+from palpate.estimators.compliance.literature_method import AsReported
 from palpate.reports.figures import ACCENT, BAND, INK, STYLE
 
 COLOURS = ("#31688e", "#c0392b", "#35a36a", "#d8a013", "#7b4fa3", "#5b6b75")

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from palpate.calibration.uncertainty import coverage_interval
-from palpate.estimators.card import TargetCard
+from palpate.estimators.model_card import TargetCard
 
 INK, ACCENT, BAND, BAD = "#1b2a33", "#0b7a75", "#cfe8e6", "#c0392b"
 STYLE: dict[Any, Any] = {

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from palpate.estimators.card import ScoreCard
+from palpate.estimators.model_card import ScoreCard
 
 if TYPE_CHECKING:
     from palpate.recordings.check import CheckReport

@@ -7,9 +7,9 @@ from pathlib import Path
 from palpate.calibration.fit import calibrate
 from palpate.calibration.plan import CalibrationPlan
 from palpate.core.files import PathText
-from palpate.estimators.card import Card
 from palpate.estimators.certified import read_card
-from palpate.estimators.networks.base import Progress, silent
+from palpate.estimators.model_card import Card
+from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.recordings.reader import Run
 from palpate.reports.certificate import write_report
 

@@ -23,9 +23,9 @@ from palpate.core.clock import ManualClock
 from palpate.core.contact import Pose
 from palpate.core.files import PathText, new_file, new_folder
 from palpate.core.frame import Frame
-from palpate.estimators.card import ScoreCard
 from palpate.estimators.certified import Estimator
-from palpate.estimators.networks.base import Progress, silent
+from palpate.estimators.model_card import ScoreCard
+from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.live.sense import sense
 from palpate.live.sources import RunFrames
 from palpate.recordings.manifest import LabelKind, Manifest

@@ -18,7 +18,7 @@ import numpy as np
 from palpate.core.errors import InputError, RangeError
 from palpate.core.files import new_file, new_folder
 from palpate.core.units import UNITS
-from palpate.estimators.networks.base import Progress, silent
+from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.mechanics.axisymmetric.tip_table import TipTable
 from palpate.recordings.importers.press import import_press
 from palpate.recordings.press_folder import PressFolder, press_folder, write_press, write_specimens

@@ -19,9 +19,8 @@ from numpy import ndarray
 
 from palpate.core.errors import RangeError
 from palpate.core.shapes import Float32
-from palpate.estimators.flow.brightness import Grey, brightness, check_pair
-from palpate.estimators.flow.fast import FlowField, relaxed
-from palpate.estimators.flow.horn_schunck import HornSchunck
+from palpate.estimators.flow.compiled_flow import FlowField, relaxed
+from palpate.estimators.flow.horn_schunck import Grey, HornSchunck, brightness, check_pair
 
 WARPED = HornSchunck(alpha=0.03, iterations=40)  # smoothness for images that are nearly alike
 

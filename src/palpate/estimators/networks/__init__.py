@@ -8,7 +8,7 @@ from typing import Any
 
 from palpate.core.errors import InputError, MissingExtraError, PluginError
 from palpate.core.plugins import PluginRegistry, imported
-from palpate.estimators.networks.base import Fitted, Model, Progress, TrainingData, silent
+from palpate.estimators.networks.model_interface import Fitted, Model, Progress, TrainingData, silent
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,12 +39,12 @@ _PLACE = ("x_mm", "y_mm")
 _PALM = ("fringes", "mirror")
 
 MODELS: dict[str, Kind] = {
-    "mean": Kind("palpate.estimators.networks.mean:Mean", 32),
+    "mean": Kind("palpate.estimators.networks.baseline:MeanBaseline", 32),
     "pca-ridge": Kind("palpate.estimators.networks.pca_ridge:PcaRidge", 112),
     "pixel-mlp": Kind("palpate.estimators.networks.pixel_mlp:PixelMlp", 64),
     "compact-cnn": Kind("palpate.estimators.networks.compact_cnn:CompactCnn", 224, costly=True),
     "palm-joint-raw": Kind(
-        "palpate.estimators.networks.palm_joint_raw:PalmJointRaw",
+        "palpate.sensors.palm.networks.palm_report_networks:PalmJointRaw",
         128,
         costly=True,
         channels=3,
@@ -53,7 +53,7 @@ MODELS: dict[str, Kind] = {
         regions=_PALM,
     ),
     "palm-force-conditioned": Kind(
-        "palpate.estimators.networks.palm_force_conditioned:PalmForceConditioned",
+        "palpate.sensors.palm.networks.palm_report_networks:PalmForceConditioned",
         128,
         costly=True,
         channels=3,
@@ -62,7 +62,7 @@ MODELS: dict[str, Kind] = {
         regions=_PALM,
     ),
     "palm-mlp-delta": Kind(
-        "palpate.estimators.networks.palm_mlp_delta:PalmMlpDelta",
+        "palpate.sensors.palm.networks.palm_mlp_delta:PalmMlpDelta",
         128,
         channels=1,
         delta=True,
@@ -70,7 +70,7 @@ MODELS: dict[str, Kind] = {
         regions=_PALM,
     ),
     "palm-two-stage": Kind(
-        "palpate.estimators.networks.palm_two_stage:PalmTwoStage",
+        "palpate.sensors.palm.networks.palm_report_networks:PalmTwoStage",
         128,
         costly=True,
         channels=1,
@@ -79,7 +79,7 @@ MODELS: dict[str, Kind] = {
         regions=_PALM,
     ),
     "palm-compact": Kind(
-        "palpate.estimators.networks.palm_compact:PalmCompact",
+        "palpate.sensors.palm.networks.palm_compact:PalmCompact",
         96,
         costly=True,
         channels=3,

@@ -25,9 +25,15 @@ from torch.optim.swa_utils import AveragedModel
 
 from palpate.core.errors import InputError
 from palpate.core.shapes import Indices, Tensor, Values
-from palpate.estimators.networks.base import Progress, Scaler, TrainingData, inner_validation, silent
-from palpate.estimators.networks.torch_graph import TorchGraph
-from palpate.estimators.networks.turns import Turns
+from palpate.estimators.networks.model_interface import (
+    Progress,
+    Scaler,
+    TrainingData,
+    inner_validation,
+    silent,
+)
+from palpate.estimators.networks.symmetry import RotationalSymmetry
+from palpate.estimators.networks.torch_export import TorchGraph
 
 
 class Network(nn.Module):  # type: ignore[misc]  # torch is seen as Any, so that checking needs no torch
@@ -216,7 +222,7 @@ class _Training:
         first = data.sample(rows, 500, rng)
         self.network.level.fill_(float(first.mean()))
         self.network.contrast.fill_(float(first.std()) or 1.0)
-        self.turns = Turns.find(plan.turns, first, data.names) if plan.turns != 1 else None
+        self.turns = RotationalSymmetry.find(plan.turns, first, data.names) if plan.turns != 1 else None
         self.network = self.network.to(memory_format=torch.channels_last)
         self.average = AveragedModel(self.network, avg_fn=_running(plan.averaging), use_buffers=True)
         self.optimiser = torch.optim.AdamW(

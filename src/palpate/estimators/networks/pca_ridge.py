@@ -13,8 +13,8 @@ from sklearn.linear_model import Ridge
 from sklearn.model_selection import GroupKFold
 
 from palpate.core.shapes import Float, Float32, Indices, Tensor, Values
-from palpate.estimators.networks.base import Progress, Scaler, TrainingData, silent
-from palpate.estimators.networks.graph import image_to_value
+from palpate.estimators.networks.model_interface import Progress, Scaler, TrainingData, silent
+from palpate.estimators.networks.onnx_graph import image_to_value
 
 
 @dataclass(frozen=True, slots=True)

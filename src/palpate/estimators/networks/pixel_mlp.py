@@ -11,8 +11,14 @@ from onnx import helper
 from sklearn.neural_network import MLPRegressor
 
 from palpate.core.shapes import Float, Indices, Tensor, Values
-from palpate.estimators.networks.base import Progress, Scaler, TrainingData, inner_validation, silent
-from palpate.estimators.networks.graph import image_to_value
+from palpate.estimators.networks.model_interface import (
+    Progress,
+    Scaler,
+    TrainingData,
+    inner_validation,
+    silent,
+)
+from palpate.estimators.networks.onnx_graph import image_to_value
 
 Layers = list[tuple[Float[np.ndarray, "_ _"], Float[np.ndarray, " _"]]]
 

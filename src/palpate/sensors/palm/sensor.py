@@ -19,6 +19,7 @@ from palpate.core.frame import Frame
 from palpate.core.outline import Outline
 from palpate.core.sensor import SEATED, Box, ForceLaw, ImageAxes, Seating, is_rigid
 from palpate.core.shapes import Float32
+from palpate.estimators.preparation import Preparation
 from palpate.mechanics.half_space.tangential import tangential_stiffness
 from palpate.sensors.palm import presets
 from palpate.sensors.palm.field import table_of
@@ -27,7 +28,6 @@ from palpate.sensors.palm.presses import Presses, draw_presses
 from palpate.sensors.palm.render import expose, is_ball, render, render_clean
 from palpate.sensors.palm.shapes import parse_probe
 from palpate.sensors.palm.spec import PalmSpec
-from palpate.sensors.preparation import Preparation
 
 RATE_HZ = 30.0
 """R (see `spec`)."""

@@ -15,7 +15,7 @@ from palpate.calibration.compliance import ComplianceCalibration
 from palpate.calibration.compliance_reading import read_touch
 from palpate.core.errors import InputError
 from palpate.core.files import new_folder, refuse_existing, storage_errors
-from palpate.estimators.networks.base import Progress, silent
+from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.psychophysics.groups import Comparison, compare
 from palpate.recordings.press_folder import PressFolder, press_folder
 from palpate.recordings.press_table import read_press_table

@@ -11,8 +11,8 @@ from palpate.calibration.compliance import ComplianceCalibration, ReferenceTrial
 from palpate.calibration.compliance_reading import Touch, read_touch
 from palpate.calibration.press_files import followed
 from palpate.core.shapes import Shaped
-from palpate.estimators.casr.as_reported import AsReported, as_reported, over_pins
-from palpate.estimators.casr.force import (
+from palpate.estimators.compliance.literature_method import AsReported, as_reported, over_pins
+from palpate.estimators.compliance.press_force import (
     CONTACT_N,
     GREATEST_N,
     loading,

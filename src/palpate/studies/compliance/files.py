@@ -14,7 +14,7 @@ from palpate.calibration.press_files import load_references
 from palpate.core.errors import InputError
 from palpate.core.files import new_folder, refuse_existing
 from palpate.core.reading import Reading
-from palpate.estimators.networks.base import Progress, silent
+from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.recordings.press_folder import press_folder
 from palpate.recordings.press_table import read_press_table
 from palpate.recordings.sequences import open_sequence

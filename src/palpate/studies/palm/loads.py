@@ -22,7 +22,7 @@ from sklearn.preprocessing import StandardScaler
 
 from palpate.core.clock import ManualClock
 from palpate.estimators.certified import Estimator, Zero
-from palpate.estimators.networks.base import Progress
+from palpate.estimators.networks.model_interface import Progress
 from palpate.recordings.manifest import LabelKind, Manifest
 from palpate.recordings.reader import Run
 from palpate.recordings.writer import RunWriter

@@ -11,7 +11,7 @@ from typing import Any
 
 from palpate.core.errors import ExistsError, InputError
 from palpate.core.files import new_file, refuse_existing, storage_errors
-from palpate.estimators.networks.base import Progress, silent
+from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.studies.palm import conditions as cond
 from palpate.studies.palm import questions
 from palpate.studies.palm.copies import adaptation

@@ -21,7 +21,7 @@ from palpate.core.errors import DeviceError
 from palpate.core.files import new_file
 from palpate.estimators.certified import Estimator, read_card
 from palpate.estimators.networks import model_kind
-from palpate.estimators.networks.base import Progress, silent
+from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.recordings.reader import Run
 from palpate.reports.certificate import write_report
 from palpate.rig import State, record

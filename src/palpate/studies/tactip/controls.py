@@ -17,9 +17,9 @@ import numpy as np
 from numpy import ndarray
 
 from palpate.core.shapes import Float
-from palpate.estimators.casr import area_m2, paper_spread, spread
-from palpate.estimators.casr.over_force import at_forces
-from palpate.estimators.casr.spread import summed_slopes
+from palpate.estimators.compliance import area_m2, paper_spread, spread
+from palpate.estimators.compliance.pin_press import at_forces
+from palpate.estimators.compliance.spread_rate import summed_slopes
 from palpate.sensors.tactip import PINS_331, TacTipSpec
 from palpate.studies.tactip.courses import (
     HIGH_N,

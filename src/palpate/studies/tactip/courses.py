@@ -14,9 +14,9 @@ import numpy as np
 from numpy import ndarray
 
 from palpate.core.shapes import Float
-from palpate.estimators.casr import loading, moving_average, within
+from palpate.estimators.compliance import loading, moving_average, within
 from palpate.estimators.flow import divergence
-from palpate.estimators.flow.course import course
+from palpate.estimators.flow.flow_sequence import course
 from palpate.estimators.pins import find_pins, follow
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
 from palpate.sensors.tactip import HeadOn, TacTipSpec, Trial, trial

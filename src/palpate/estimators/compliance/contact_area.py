@@ -1,0 +1,161 @@
+"""The contact's area from what each frame shows of the pins, told by references whose area is known.
+
+log A is a smooth function of a few measures of a frame: of the ring's size and the middle's stretch
+(`region`), or, where the ring is cut by the field's edge as on an inclined specimen, of the motion of all
+pins along the directions in which the references' pins moved most. No force is needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy import ndarray
+from scipy import stats
+
+from palpate.core.errors import InputError
+from palpate.core.shapes import Float
+from palpate.estimators.compliance.contact_region import Field, ring_px
+
+MOTIONS = 8
+SQUARES = 3  # of the first measures
+RIDGE = 1e-4  # of the mean square of a measure
+LEAST_FRAMES, LEAST_REFERENCES = 30, 3
+
+Measures = Float[ndarray, "f k"]
+AnyMeasures = Float[ndarray, "_ k"]  # of trials, which differ in how many frames they have
+
+
+@dataclass(frozen=True)
+class AreaFit:
+    """log A of measures.
+
+    Attributes:
+        middle, scale: of the measures.
+        coefficients: of 1, the measures, and the products of the first of them.
+        spread: root mean square error of log A of trials that were left out, of the worst reference's; NaN
+            for fewer than three references, which cannot tell what is lost between them.
+        range_m2: least and greatest area of the references [m^2].
+    """
+
+    middle: Float[ndarray, " k"]
+    scale: Float[ndarray, " k"]
+    coefficients: Float[ndarray, " c"]
+    spread: float
+    range_m2: tuple[float, float]
+
+    def at(self, measures: Measures, coverage: float = 0.9) -> Float[ndarray, "f 3"]:
+        """Area, low and high of its interval of every frame; NaN where a measure is [m^2]."""
+        log_a = _terms((measures - self.middle) / self.scale) @ self.coefficients
+        half = stats.norm.ppf((1 + coverage) / 2) * self.spread
+        return np.exp(np.stack([log_a, log_a - half, log_a + half], axis=1))
+
+
+def fit_area(
+    measures: Sequence[AnyMeasures], area_m2: Sequence[Float[ndarray, " _"]], reference: Sequence[int]
+) -> AreaFit:
+    """Fit to references.
+
+    Args:
+        measures: of the frames of every trial.
+        area_m2: true ones of the same frames; NaN where not known [m^2].
+        reference: which reference each trial is of.
+
+    Raises:
+        InputError: too few frames with a known area.
+    """
+    kept = [
+        np.isfinite(one).all(axis=1) & np.isfinite(a) & (np.nan_to_num(a) > 0)
+        for one, a in zip(measures, area_m2, strict=True)
+    ]
+    if sum(int(one.sum()) for one in kept) < LEAST_FRAMES:
+        raise InputError(
+            f"{sum(int(one.sum()) for one in kept)} frames of the references have a known contact area; "
+            f"{LEAST_FRAMES} or more are needed, from a rigid plate and a soft reference"
+        )
+    x = [one[good] for one, good in zip(measures, kept, strict=True)]
+    y = [np.log(a[good]) for a, good in zip(area_m2, kept, strict=True)]
+    everything = np.concatenate(x)
+    middle, scale = everything.mean(axis=0), everything.std(axis=0) + 1e-12
+    z = [(one - middle) / scale for one in x]
+    errors = _left_out(z, y, np.asarray(reference))
+    areas = np.exp(np.concatenate(y))
+    return AreaFit(middle, scale, _solved(z, y), errors, (float(areas.min()), float(areas.max())))
+
+
+def _left_out(z: list[AnyMeasures], y: list[ndarray], reference: ndarray) -> float:
+    """Error of log A of trials of each reference, told by the others' trials of it: the worst reference's."""
+    squares: dict[int, list[float]] = {}
+    for i, (own, log_a) in enumerate(zip(z, y, strict=True)):
+        others = [j for j in range(len(z)) if j != i]
+        c = _solved([z[j] for j in others], [y[j] for j in others])
+        squares.setdefault(int(reference[i]), []).append(float(np.mean((_terms(own) @ c - log_a) ** 2)))
+    worst = float(np.sqrt(max(np.mean(one) for one in squares.values())))
+    return worst if len(squares) >= LEAST_REFERENCES else float("nan")
+
+
+def _solved(z: list[AnyMeasures], y: list[ndarray]) -> Float[ndarray, " c"]:
+    X = _terms(np.concatenate(z))
+    penalty = np.sqrt(RIDGE * len(X)) * np.eye(X.shape[1])
+    penalty[0, 0] = 0.0
+    fit, *_ = np.linalg.lstsq(
+        np.concatenate([X, penalty]), np.concatenate([*y, np.zeros(X.shape[1])]), rcond=None
+    )
+    return np.asarray(fit)
+
+
+def _terms(z: Measures) -> Float[ndarray, "f c"]:
+    first = range(min(SQUARES, z.shape[1]))
+    products = [z[:, i] * z[:, j] for i in first for j in first if i <= j]
+    return np.column_stack([np.ones(len(z)), z, *products])
+
+
+@dataclass(frozen=True)
+class Motions:
+    """The directions in which references' pins move most; a frame's place along them are its measures.
+
+    Attributes:
+        middle: mean motion [px].
+        directions: orthonormal, the widest first.
+    """
+
+    middle: Float[ndarray, "p 2"]
+    directions: Float[ndarray, "k p 2"]
+
+    def of(self, moved_px: Float[ndarray, "f p 2"]) -> Measures:
+        """Measures of frames; pins that are lost (NaN) are left out."""
+        seen = np.isfinite(moved_px).all(axis=(0, 2)) & np.isfinite(self.middle).all(axis=1)
+        off = (moved_px - self.middle)[:, seen].reshape(len(moved_px), -1)
+        found, *_ = np.linalg.lstsq(
+            self.directions[:, seen].reshape(len(self.directions), -1).T, off.T, rcond=None
+        )
+        return np.asarray(found.T)
+
+
+def fit_motions(moved_px: Sequence[Float[ndarray, "_ p 2"]], count: int = MOTIONS) -> Motions:
+    """Of the references' frames.
+
+    Raises:
+        InputError: too few frames.
+    """
+    frames = np.concatenate(moved_px)
+    if len(frames) < LEAST_FRAMES:
+        raise InputError(f"the references have {len(frames)} frames; {LEAST_FRAMES} or more are needed")
+    seen = np.isfinite(frames).all(axis=(0, 2))
+    middle = frames.mean(axis=0)
+    off = np.where(seen[:, None], frames - middle, 0.0).reshape(len(frames), -1)
+    directions = np.linalg.svd(off, full_matrices=False)[2][:count]
+    return Motions(np.where(seen[:, None], middle, np.nan), directions.reshape(-1, *middle.shape))
+
+
+def ring_measures(untouched_px: Float[ndarray, "p 2"], moved_px: Float[ndarray, "f p 2"]) -> Measures:
+    """Logarithms of the ring's radius and the middle's stretch of every frame; NaN where there is no ring."""
+    found = np.full((len(moved_px), 2), np.nan)
+    for i, moved in enumerate(moved_px):
+        seen = np.isfinite(moved).all(axis=1)
+        field = Field(untouched_px[seen], moved[seen])
+        ring, stretch = ring_px(field), float(np.trace(field.stretch()))
+        if np.isfinite(ring) and stretch > 0:
+            found[i] = np.log([ring, stretch])
+    return found

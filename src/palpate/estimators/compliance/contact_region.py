@@ -1,0 +1,259 @@
+"""The contact's region as the field of pins shows it: ring, flattening, cells, ellipse.
+
+Under the contact the skin lies flat, and pins that stood inwards stand upright: their markers move outwards,
+the more the nearer they are to the edge of the contact; beyond it they move less. So
+
+- the ring where markers move outwards most lies a little inside the edge (for pins with a lever: without one,
+  only magnification moves them, and the ring lies elsewhere);
+- the stretch of the middle, du_r/dr at the centre, says how far the dome is flattened there.
+
+A softer specimen makes the ring larger and, at equal force, the stretch smaller. The ratio of the stretch to
+that of a rigid plate with the same ring needs no force.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy import ndarray
+from scipy.optimize import minimize_scalar
+from scipy.spatial import Voronoi
+
+from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float
+from palpate.estimators.pins import PinTracks
+
+POWERS = (1, 3, 5, 7, 9, 11)  # of the radius: outward motion is odd in it
+WITHIN = 0.4  # of the field's radius: the middle whose stretch is taken
+LEAST_PINS = 12
+SURFACE_DEGREE = 6
+RAYS = 72
+
+Points = Float[ndarray, "p 2"]
+
+
+@dataclass(frozen=True)
+class Field:
+    """Where pins were untouched, and how far each has moved [px]; only pins that were found."""
+
+    at_px: Points
+    moved_px: Points
+
+    @classmethod
+    def between(cls, untouched: PinTracks, now: PinTracks) -> Field:
+        """The motion of the pins that are found in both.
+
+        Raises:
+            InputError: too few of them.
+        """
+        both = untouched.found & now.found
+        if both.sum() < LEAST_PINS:
+            raise InputError(
+                f"{int(both.sum())} pins are left of {len(both)}; {LEAST_PINS} are needed: pins were "
+                "lost, look at light, focus and speed"
+            )
+        return cls(untouched.xy_px[both], (now.xy_px - untouched.xy_px)[both])
+
+    @cached_property
+    def middle_px(self) -> Float[ndarray, 2]:
+        """Where the field stands still: the contact's centre, from a linear fit around the pins' middle."""
+        centre = self.at_px.mean(axis=0)
+        for _ in range(3):
+            gradient, shift = self._linear(centre)
+            if abs(np.linalg.det(gradient)) < 1e-12:
+                break
+            step = -np.linalg.solve(gradient, shift)
+            size = np.hypot(*step)
+            centre = centre + step * min(1.0, 0.3 * self.radius_px / max(size, 1e-12))
+        return centre
+
+    @property
+    def radius_px(self) -> float:
+        """Of the field of pins."""
+        return float(np.hypot(*(self.at_px - self.at_px.mean(axis=0)).T).max())
+
+    def stretch(self) -> Float[ndarray, "2 2"]:
+        """Gradient of the motion in the middle; half its trace is the mean stretch."""
+        return self._linear(self.middle_px)[0]
+
+    def _linear(self, centre: Float[ndarray, 2]) -> tuple[Float[ndarray, "2 2"], Float[ndarray, 2]]:
+        """Gradient, and motion at the centre, over the pins near it; a cubic term takes up the curvature."""
+        off = self.at_px - centre
+        near = np.hypot(*off.T) < WITHIN * self.radius_px
+        if near.sum() < LEAST_PINS // 2:
+            near = np.argsort(np.hypot(*off.T))[:LEAST_PINS]
+        x = off[near] / self.radius_px
+        columns = np.column_stack([np.ones(len(x)), x, x * (x**2).sum(axis=1, keepdims=True)])
+        fit, *_ = np.linalg.lstsq(columns, self.moved_px[near], rcond=None)
+        return fit[1:3].T / self.radius_px, fit[0]
+
+
+def outward(field: Field) -> tuple[Float[ndarray, " p"], Float[ndarray, " p"]]:
+    """Distance of every pin from the middle, and its motion away from it [px]."""
+    off = field.at_px - field.middle_px
+    r = np.hypot(*off.T)
+    away = np.divide((off * field.moved_px).sum(axis=1), r, out=np.zeros_like(r), where=r > 1e-9)
+    return r, away
+
+
+def ring_px(field: Field) -> float:
+    """Radius of the ring whose pins move outwards most [px]; NaN where none lies inside the field.
+
+    An odd polynomial of the radius is fitted to all pins, so that noise of single ones hardly matters.
+    """
+    r, away = outward(field)
+    far = r.max()
+    fit, *_ = np.linalg.lstsq((r[:, None] / far) ** np.array(POWERS), away, rcond=None)
+
+    def inward(x: float) -> float:
+        return -float(fit @ x ** np.array(POWERS))
+
+    grid = np.linspace(0.05, 1.0, 191)
+    values = np.array([inward(x) for x in grid])
+    best = int(np.argmin(values))
+    if best in (0, len(grid) - 1):
+        return float("nan")
+    found = minimize_scalar(inward, bounds=(grid[best - 1], grid[best + 1]), method="bounded")
+    return float(found.x * far)
+
+
+@dataclass(frozen=True)
+class Rigid:
+    """The ring and the stretch on a rigid plate: the stretch as a polynomial of the ring."""
+
+    coefficients: Float[ndarray, " k"]
+    ring_px: tuple[float, float]
+
+    @classmethod
+    def fitted(cls, rings: Float[ndarray, " n"], stretches: Float[ndarray, " n"]) -> Rigid:
+        """From presses on a rigid plate.
+
+        Raises:
+            InputError: too few states with a ring.
+        """
+        good = np.isfinite(rings) & np.isfinite(stretches)
+        if good.sum() < 6:
+            raise InputError(f"{int(good.sum())} states with a ring on the rigid plate; 6 or more are needed")
+        return cls(
+            np.polyfit(rings[good], stretches[good], 3), (float(rings[good].min()), float(rings[good].max()))
+        )
+
+    def ratio(self, ring: float, stretch: float) -> float:
+        """Stretch over that of a rigid plate with the same ring: 1 for rigid, less for soft; needs no force.
+
+        Raises:
+            RangeError: a ring beyond those on the rigid plate.
+        """
+        low, high = self.ring_px
+        if not 0.98 * low <= ring <= 1.02 * high:
+            raise RangeError(
+                f"a ring of {ring:.4g} px; on the rigid plate it went from {low:.4g} to {high:.4g} px"
+            )
+        return float(stretch / np.polyval(self.coefficients, ring))
+
+
+def cell_growth(field: Field) -> Float[ndarray, " p"]:
+    """Growth of every pin's own cell since it was untouched: log of the area ratio of its Voronoi cell.
+
+    Its mean over pins is the divergence accumulated along their paths; NaN for cells at the border.
+    """
+    before, after = (_cell_areas(xy) for xy in (field.at_px, field.at_px + field.moved_px))
+    return np.log(after / before)
+
+
+def _cell_areas(xy: Points) -> Float[ndarray, " p"]:
+    cells = Voronoi(xy)
+    areas = np.full(len(xy), np.nan)
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    for i, region in enumerate(cells.point_region):
+        corners = cells.regions[region]
+        if -1 in corners or not corners:
+            continue
+        x, y = cells.vertices[corners].T
+        if min(x.min() - low[0], y.min() - low[1], high[0] - x.max(), high[1] - y.max()) >= 0:
+            areas[i] = abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))) / 2
+    return areas
+
+
+@dataclass(frozen=True)
+class Ellipse:
+    """The ring of an inclined contact.
+
+    Attributes:
+        centre_px: of the ellipse [px].
+        axes_px: half axes, the larger first [px].
+        angle_rad: of the larger from x towards y [rad].
+        seen: share of directions in which the ring lies inside the field of pins.
+    """
+
+    centre_px: tuple[float, float]
+    axes_px: tuple[float, float]
+    angle_rad: float
+    seen: float
+
+    @property
+    def area_px2(self) -> float:
+        return float(np.pi * self.axes_px[0] * self.axes_px[1])
+
+
+def ring_ellipse(field: Field) -> Ellipse:
+    """An ellipse through the places where motion away from the middle is greatest, direction by direction.
+
+    Raises:
+        InputError: the ring is inside the field in too few directions.
+    """
+    centre = field.middle_px
+    x = (field.at_px - centre) / field.radius_px
+    fit, *_ = np.linalg.lstsq(_terms(x), field.moved_px, rcond=None)
+    reach = _reach(field, centre)
+    found = []
+    for angle, far in zip(np.arange(RAYS) * 2 * np.pi / RAYS, reach, strict=True):
+        direction = np.array([np.cos(angle), np.sin(angle)])
+        r = np.linspace(0.15, 1.0, 120) * far
+        away = _terms(r[:, None] * direction / field.radius_px) @ fit @ direction
+        best = int(np.argmax(away))
+        if 0 < best < len(r) - 1:
+            found.append(r[best] * direction)
+    if len(found) < RAYS // 3:
+        raise InputError(
+            f"the ring lies inside the field of pins in {len(found)} of {RAYS} directions; a third is needed"
+        )
+    return _through(np.array(found), centre, len(found) / RAYS)
+
+
+def _terms(x: Points) -> Float[ndarray, "p k"]:
+    """All products of powers of x and y up to the degree."""
+    powers = [(i, j) for i in range(SURFACE_DEGREE + 1) for j in range(SURFACE_DEGREE + 1 - i)]
+    return np.stack([x[:, 0] ** i * x[:, 1] ** j for i, j in powers], axis=1)
+
+
+def _reach(field: Field, centre: Float[ndarray, 2]) -> Float[ndarray, " rays"]:
+    """How far the pins go from the centre, in every direction."""
+    off = field.at_px - centre
+    angles = np.arange(RAYS) * 2 * np.pi / RAYS
+    along = off @ np.stack([np.cos(angles), np.sin(angles)])
+    return along.max(axis=0)
+
+
+def _through(points: Points, centre: Float[ndarray, 2], seen: float) -> Ellipse:
+    """The ellipse with the least algebraic distance to points around a centre."""
+    scale = np.hypot(*points.T).mean()
+    x, y = (points / scale).T
+    design = np.stack([x * x, x * y, y * y, x, y], axis=1)
+    (a, b, c, d, e), *_ = np.linalg.lstsq(design, np.ones(len(x)), rcond=None)
+    form = np.array([[a, b / 2], [b / 2, c]])
+    if not (np.linalg.eigvalsh(form) > 0).all():
+        raise InputError("the ring's points lie on no ellipse; too much of it is outside the field of pins")
+    middle = -0.5 * np.linalg.solve(form, [d, e])
+    level = 1 + middle @ form @ middle
+    values, vectors = np.linalg.eigh(form / level)
+    axes = scale / np.sqrt(values)
+    at = centre + scale * middle
+    return Ellipse(
+        (float(at[0]), float(at[1])),
+        (float(axes[0]), float(axes[1])),
+        float(np.arctan2(vectors[1, 0], vectors[0, 0])),
+        seen,
+    )

@@ -1,0 +1,197 @@
+"""Modulus and radius of a touched object from both cues: force over displacement, and over contact area.
+
+In Hertz's contact (`mechanics.pairs`) P^(2/3) = c (d - d0) and A = k P^(2/3), both straight lines. The first
+gives E sqrt(R), the second R / E, and together
+
+    R = c k / pi,    E = 3/4 c^(3/2) / sqrt(R)
+
+of finger and object in series, from which the finger's own are taken off. Where the object yields less than a
+fifth of the approach, that difference magnifies every error more than fivefold: such a result is marked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+
+from palpate.core.errors import InputError
+from palpate.core.shapes import Float
+from palpate.mechanics.half_space.hertz_pairs import Body
+
+LEAST_SHARE = 0.2
+DRAWS = 4000
+LEAST_SAMPLES = 5
+TOO_STIFF = (
+    "the object yields {:.0%} of the approach; below {:.0%} its own part cannot be told from the finger's"
+)
+
+Samples = Float[ndarray, " _"]
+
+
+@dataclass(frozen=True)
+class PressCurves:
+    """Loading samples of one press, SI: force [N], approach from any origin [m], contact area [m^2]."""
+
+    force_n: Samples
+    approach_m: Samples
+    area_m2: Samples
+
+
+@dataclass(frozen=True)
+class Finger:
+    """What touches, and how well it is known.
+
+    Attributes:
+        body: its modulus over 1 - nu^2 and its radius.
+        modulus_spread, radius_spread: relative standard deviations.
+        misfit: how far its modulus differs between the lower and the upper half of the forces, as a share; 0
+            for a Hertz body.
+    """
+
+    body: Body
+    modulus_spread: float = 0.0
+    radius_spread: float = 0.0
+    misfit: float = 0.0
+
+
+@dataclass(frozen=True)
+class TouchedObject:
+    """An object by both cues.
+
+    Attributes:
+        modulus_pa, radius_m: estimate, low and high; the radius is infinite for a flat.
+        share: of the approach that the object yields.
+        coverage: of the intervals.
+        valid, why: False, and the reason, where the object's own part is too small to be told.
+    """
+
+    modulus_pa: tuple[float, float, float]
+    radius_m: tuple[float, float, float]
+    share: float
+    coverage: float
+    valid: bool
+    why: str
+
+
+def finger_of(rigid: Sequence[PressCurves]) -> Finger:
+    """What touches, from its own presses on a rigid plate: the Hertz pair that acts as it does.
+
+    A tip whose skin is stiffer than its gel is no Hertz body, and the pair's radius is not the dome's; but
+    the modulus of an object in series with it is found to some 6 % (virtual tips on flat specimens). A
+    quarter of the misfit is counted as a standard deviation.
+
+    Raises:
+        InputError: as `touched`.
+    """
+    if not rigid:
+        raise InputError("no press on a rigid plate; give one or more")
+    c, k = np.array([_slopes(press) for press in rigid]).T
+    E, R = _both(c.mean(), k.mean())
+    of_c, of_k = _spread(rigid, c, k)
+    misfit = float(np.mean([_misfit(press) for press in rigid]))
+    return Finger(
+        Body(float(E), float(R)),
+        float(np.hypot(np.hypot(1.5 * of_c, 0.5 * of_k), misfit / 4)),
+        float(np.hypot(np.hypot(of_c, of_k), misfit / 4)),
+        misfit,
+    )
+
+
+def _misfit(press: PressCurves) -> float:
+    """How far the moduli of the lower and the upper half of the forces differ, as a share of the greater."""
+    low = press.force_n <= np.median(press.force_n)
+    if min(low.sum(), (~low).sum()) < LEAST_SAMPLES:
+        return 0.0
+    halves = [
+        _both(*_slopes(PressCurves(press.force_n[half], press.approach_m[half], press.area_m2[half])))[0]
+        for half in (low, ~low)
+    ]
+    return 1.0 - min(halves) / max(halves)
+
+
+def touched(
+    presses: Sequence[PressCurves], finger: Finger, rng: np.random.Generator, coverage: float = 0.9
+) -> TouchedObject:
+    """What was touched, from one press or several.
+
+    Intervals are of draws of the two lines' slopes and of the finger. With several presses the slopes' spread
+    is that between presses; with one it is that of its samples, as if these were independent.
+
+    Raises:
+        InputError: no press, or one with too few samples, with no rise of force, or with area or force that
+            is not positive.
+    """
+    if not presses:
+        raise InputError("no press; give one or more")
+    c, k = np.array([_slopes(press) for press in presses]).T
+    spread = _spread(presses, c, k)
+    draws = np.exp(np.log([c.mean(), k.mean()])[:, None] + spread[:, None] * rng.standard_normal((2, DRAWS)))
+    E_f = finger.body.modulus_pa * np.exp(finger.modulus_spread * rng.standard_normal(DRAWS))
+    R_f = finger.body.radius_m * np.exp(finger.radius_spread * rng.standard_normal(DRAWS))
+    E, R = _both(c.mean(), k.mean())
+    softness, curvature = 1 / E - 1 / finger.body.modulus_pa, 1 / R - 1 / finger.body.radius_m
+    drawn_E, drawn_R = _both(*draws)
+    tails = np.array([(1 - coverage) / 2, (1 + coverage) / 2])
+    share = softness * E
+    return TouchedObject(
+        _inverse(softness, np.quantile(1 / drawn_E - 1 / E_f, tails)),
+        _inverse(curvature, np.quantile(1 / drawn_R - 1 / R_f, tails)),
+        float(share),
+        coverage,
+        bool(share >= LEAST_SHARE),
+        "" if share >= LEAST_SHARE else TOO_STIFF.format(share, LEAST_SHARE),
+    )
+
+
+def _both(c: Any, k: Any) -> tuple[Any, Any]:
+    """Modulus and radius of the two in series."""
+    R = c * k / np.pi
+    return 0.75 * c**1.5 / np.sqrt(R), R
+
+
+def _slopes(press: PressCurves) -> tuple[float, float]:
+    """C and k of one press."""
+    force, approach, area = (
+        np.asarray(x, np.float64) for x in (press.force_n, press.approach_m, press.area_m2)
+    )
+    if not (force.shape == approach.shape == area.shape) or force.ndim != 1 or len(force) < LEAST_SAMPLES:
+        raise InputError(
+            f"{force.size} forces, {approach.size} approaches and {area.size} areas; a press has "
+            f"{LEAST_SAMPLES} or more of each"
+        )
+    if not (np.isfinite([force, approach, area]).all() and force.min() > 0 and area.min() > 0):
+        raise InputError(
+            "forces and areas of a press are finite and above 0; leave out what is before contact"
+        )
+    p = force ** (2 / 3)
+    if np.ptp(approach) == 0 or np.ptp(force) == 0:
+        raise InputError("neither force nor approach changes; give the loading part of a press")
+    c = float(_line(press)[0][0])
+    if not c > 0:
+        raise InputError("force falls as the approach grows; turn the sign of one of them")
+    return c, float(np.mean(area / p))
+
+
+def _line(press: PressCurves) -> tuple[Samples, Float[ndarray, "2 2"]]:
+    """P^(2/3) over the approach, and its covariance; weighted for even noise of the force."""
+    return np.polyfit(press.approach_m, press.force_n ** (2 / 3), 1, w=np.cbrt(press.force_n), cov=True)
+
+
+def _spread(presses: Sequence[PressCurves], c: Samples, k: Samples) -> Samples:
+    """Relative standard errors of the mean slopes."""
+    if len(presses) > 1:
+        return np.array([x.std(ddof=1) / x.mean() / np.sqrt(len(x)) for x in (c, k)])
+    (press,) = presses
+    _, cov = _line(press)
+    ratio = press.area_m2 / press.force_n ** (2 / 3)
+    return np.array([np.sqrt(cov[0, 0]) / c[0], ratio.std(ddof=1) / np.sqrt(len(ratio)) / k[0]])
+
+
+def _inverse(value: float, tails: Samples) -> tuple[float, float, float]:
+    """Estimate, low and high of the reciprocal; what is not positive is infinite."""
+    mid, high, low = (1 / x if x > 0 else np.inf for x in (value, *tails))
+    return float(mid), float(low), float(high)

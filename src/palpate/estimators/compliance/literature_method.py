@@ -1,0 +1,122 @@
+"""The report's route from frames and force to a spread rate: flow, divergence, accumulated area.
+
+A_0 is the circle through the pins, not a contact, so all areas are relative to it: only contrasts between
+presses of one sensor mean anything. `over_pins` gives that circle, over which the mean divergence is taken;
+over the whole image, as (8) has it, it is nothing but what flows through the image's border. Beside the
+report's own sum over frames stand the secant and the regression of A_i = A_0 exp(sum of D_j).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+from numpy import ndarray
+
+from palpate.core.errors import InputError, PalpateError
+from palpate.core.shapes import Bool, Float, Int, Shaped
+from palpate.estimators.compliance.press_force import (
+    CONTACT_N,
+    GREATEST_N,
+    loading,
+    moving_average,
+    within,
+    without_spikes,
+)
+from palpate.estimators.compliance.spread_rate import SpreadRate, Way, area_m2, paper_spread, spread
+from palpate.estimators.flow.flow_sequence import course
+
+WAYS: tuple[Way, ...] = ("regression", "secant", "paper")
+
+
+@dataclass(frozen=True)
+class AsReported:
+    """What the report's route gives.
+
+    Attributes:
+        force_n: at each frame of the loading part [N].
+        divergence: mean over the image, of the step to each frame [1/frame].
+        area: A_i over A_0.
+        spreads: "regression", "secant" and "paper" [1/N]; those that the press allows.
+    """
+
+    force_n: Float[ndarray, " f"]
+    divergence: Float[ndarray, " f"]
+    area: Float[ndarray, " f"]
+    spreads: dict[str, SpreadRate]
+
+    @property
+    def summed(self) -> Float[ndarray, " f"]:
+        """Equation (12) up to every frame, with F_0 = 0 and steps of equal force left out [1/N]."""
+        A = np.exp(np.cumsum(self.divergence) * self.force_n)
+        step = np.diff(self.force_n, prepend=0.0)
+        slopes = np.divide(np.diff(A, prepend=1.0), step, out=np.zeros_like(step), where=step != 0)
+        return np.cumsum(slopes)
+
+    def above(self, force_n: float) -> AsReported:
+        """The same of frames above a force; the report takes 2.5 N in its section V [N]."""
+        kept = self.force_n >= force_n
+        return AsReported(
+            self.force_n[kept],
+            self.divergence[kept],
+            self.area[kept],
+            _spreads(self.force_n[kept], self.divergence[kept], self.area[kept]),
+        )
+
+
+def over_pins(untouched_px: Float[ndarray, "p 2"], height: int, width: int) -> Bool[ndarray, "h w"]:
+    """The largest circle through the pins about the one in their middle: A_0 of the report's Algorithm 1."""
+    seen = untouched_px[np.isfinite(untouched_px).all(axis=1)]
+    middle = seen[np.argmin(np.hypot(*(seen - seen.mean(axis=0)).T))]
+    reach = np.hypot(*(seen - middle).T).max()
+    y, x = np.mgrid[:height, :width]
+    return np.asarray(np.hypot(x - middle[0], y - middle[1]) <= reach)
+
+
+def as_reported(
+    frames: Iterable[Shaped[ndarray, ...]],
+    force_n: Float[ndarray, " s"],
+    frame_sample: Int[ndarray, " f"],
+    *,
+    method: str = "horn-schunck",
+    region: Bool[ndarray, "h w"] | None = None,
+) -> AsReported:
+    """Run it on a press.
+
+    Args:
+        frames: grey images in time.
+        force_n: raw samples [N].
+        frame_sample: of every frame, which sample it belongs to.
+        method: of flow.
+        region: over which divergence is averaged; None for the whole image, as reported.
+
+    Raises:
+        InputError: no loading part, or too few frames.
+    """
+    smooth = moving_average(without_spikes(np.asarray(force_n, np.float64)))
+    at = np.asarray(frame_sample)
+    used = np.flatnonzero(np.isin(at, within(smooth, loading(smooth), CONTACT_N, GREATEST_N)))
+    first, last = int(max(used[0] - 1, 0)) if len(used) else 0, int(used[-1]) if len(used) else 0
+    steps = course(islice(iter(frames), first, last + 1), method, region=region)
+    divergence = np.array([step.divergence for step in steps])[-len(used) :]
+    if len(divergence) < len(used) or not len(used):
+        raise InputError(
+            f"{len(divergence)} steps between frames for {len(used)} frames under {CONTACT_N:g} to "
+            f"{GREATEST_N:g} N; give the frames and the table of one press, from a frame before contact on"
+        )
+    force, area = smooth[at[used]], area_m2(1.0, divergence)
+    return AsReported(force, divergence, area, _spreads(force, divergence, area))
+
+
+def _spreads(
+    force: Float[ndarray, " f"], divergence: Float[ndarray, " f"], area: Float[ndarray, " f"]
+) -> dict[str, SpreadRate]:
+    found: dict[str, SpreadRate] = {}
+    for way in WAYS if len(force) > 1 else ():
+        try:
+            found[way] = paper_spread(force, divergence, 1.0) if way == "paper" else spread(force, area, way)
+        except PalpateError:  # e.g. too few frames for a line; the others may still stand
+            continue
+    return found

@@ -1,0 +1,216 @@
+"""One press as its pins show it: how far each has moved at every force of the loading part.
+
+The motion of pins as a smooth function of force, whatever the frames' number and times were.
+
+Each pin's motion is fitted by a polynomial in the cube root of force, in which young contact is nearly
+straight, and read at fixed forces; so presses of any speed and frame rate can be compared pin by pin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+from numpy import ndarray
+from scipy.spatial import cKDTree
+
+from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float, Int, Shaped
+from palpate.estimators.compliance.press_force import (
+    CONTACT_N,
+    loading,
+    moving_average,
+    within,
+    without_spikes,
+)
+from palpate.estimators.pins import find_pins, follow
+
+UNTOUCHED_N = 0.06  # about one step of a 1/16 N sensor
+STILL_PX = 0.3  # how much pins may wander before contact
+LOST_SHARE = 0.2
+LEAST_FRAMES = 6
+SATURATED = "the force ends in a plateau of {:g} N: the sensor's range has ended, and what follows is unknown"
+LOST = "{} of {} pins were lost; look at light, focus and speed"
+WANDERS = (
+    "pins wander by {:.2g} px before contact (allowed: {:g} px): the camera, the sensor or the light moves; "
+    "fix it and press again"
+)
+
+Samples = Float[ndarray, " s"]
+
+
+@dataclass(frozen=True)
+class PinPress:
+    """The loading part of a press, one row a frame.
+
+    Attributes:
+        frame: numbers of the frames.
+        force_n: smoothed, at each frame [N].
+        untouched_px: where the pins were before contact, (x, y) [px].
+        moved_px: how far each has moved since; NaN where it is lost [px].
+        position_m: of the tip, from where contact was felt; None where the table has none [m].
+        speed_m_s: of the tip over these frames; NaN without a position [m/s].
+        flaws: what makes the press doubtful, in words; empty for a good one.
+    """
+
+    frame: Int[ndarray, " f"]
+    force_n: Float[ndarray, " f"]
+    untouched_px: Float[ndarray, "p 2"]
+    moved_px: Float[ndarray, "f p 2"]
+    position_m: Float[ndarray, " f"] | None
+    speed_m_s: float
+    flaws: tuple[str, ...]
+
+
+def watched(
+    frames: Iterable[Shaped[ndarray, ...]],
+    force_n: Samples,
+    frame_sample: Int[ndarray, " f"],
+    position_m: Samples | None = None,
+    time_s: Samples | None = None,
+    *,
+    contact_n: float = CONTACT_N,
+) -> PinPress:
+    """Follow the pins through the loading part of a press.
+
+    Args:
+        frames: 8-bit grey images in time, the first before contact; read once, up to the greatest force.
+        force_n: raw samples, positive in compression [N].
+        frame_sample: of every frame, which sample it belongs to.
+        position_m: of the tip, at every sample [m].
+        time_s: of the samples, which give the speed [s].
+        contact_n: force at which contact is felt [N].
+
+    Raises:
+        InputError: no loading part, too few frames in it, or pins lost.
+        ImageError: no pins in the first frame.
+    """
+    smooth = moving_average(without_spikes(np.asarray(force_n, np.float64)))
+    part = loading(smooth, contact_n)
+    samples = within(smooth, part, contact_n, np.inf)
+    at = np.asarray(frame_sample)
+    used = np.flatnonzero(np.isin(at, samples))
+    if len(used) < LEAST_FRAMES:
+        raise InputError(
+            f"{len(used)} frames of rising force above {contact_n:g} N; {LEAST_FRAMES} are needed: "
+            "press more slowly, or take more frames a second"
+        )
+    xy = _followed(frames, int(used[-1]) + 1)
+    if len(xy) <= used[-1]:
+        raise InputError(
+            f"{len(xy)} frames, and the table tells of {len(at)}; give the frames and the table of one press"
+        )
+    still = _still(smooth[at[: used[0] + 1]])
+    untouched = xy[:still].mean(axis=0)
+    lost = ~np.isfinite(xy[used]).all(axis=(0, 2))
+    flaws = []
+    if lost.mean() > LOST_SHARE:
+        raise InputError(LOST.format(int(lost.sum()), len(lost)))
+    if still > 1:
+        wander = float(np.nanmax(np.ptp(np.nanmean(xy[:still], axis=1), axis=0)))
+        if wander > STILL_PX:
+            flaws.append(WANDERS.format(wander, STILL_PX))
+    if part.saturated:
+        flaws.append(SATURATED.format(smooth[part.last]))
+    position = None if position_m is None else position_m[at[used]] - position_m[part.first]
+    return PinPress(
+        used, smooth[at[used]], untouched, xy[used] - untouched, position,
+        _speed(position, None if time_s is None else time_s[at[used]]), tuple(flaws),
+    )  # fmt: skip
+
+
+def _followed(frames: Iterable[Shaped[ndarray, ...]], count: int) -> Float[ndarray, "f p 2"]:
+    """Where the pins of the first frame are in every one."""
+    frames = iter(frames)
+    first = next(frames, None)
+    if first is None:
+        raise InputError("the sequence has no frame; a press has one before contact and several in it")
+    pins = find_pins(first)
+    return np.stack([pins.xy_px, *(now.xy_px for now in follow(islice(frames, count - 1), pins))])
+
+
+def _still(force_n: Samples) -> int:
+    """How many frames are before any touch, less the last of them, in which it may have begun."""
+    touched = force_n >= UNTOUCHED_N
+    before = int(np.argmax(touched)) if touched.any() else len(force_n)
+    if before == 0:
+        raise InputError(
+            f"the first frame is under {force_n[0]:.3g} N; it must be taken before contact (below "
+            f"{UNTOUCHED_N:g} N), since motion is counted from there: begin higher, or bias the force sensor"
+        )
+    return max(1, before - 1)
+
+
+def _speed(position_m: Samples | None, time_s: Samples | None) -> float:
+    if position_m is None or time_s is None:
+        return float("nan")
+    return float((position_m[-1] - position_m[0]) / (time_s[-1] - time_s[0]))
+
+
+DEGREE = 4
+SPARE = 2  # frames more than the polynomial has coefficients
+NEAR = 0.35  # of the pins' spacing: farther is another pin
+LEAST_MATCHED = 0.8
+BEYOND_N = 0.15  # how far a level may lie outside the frames' forces
+
+Levels = Float[ndarray, " l"]
+Layout = Float[ndarray, "p 2"]
+
+
+def at_forces(
+    force_n: Float[ndarray, " f"], values: Float[ndarray, k * n], levels_n: Levels
+) -> Float[ndarray, l * n]:
+    """Values that change smoothly with force, at fixed forces.
+
+    Args:
+        force_n: of each value [N].
+        values: e.g. motion of pins.
+        levels_n: where to read [N].
+
+    Raises:
+        RangeError: a level beyond the forces that there are.
+    """
+    low, high = float(force_n.min()), float(force_n.max())
+    if levels_n.min() < low - BEYOND_N or levels_n.max() > high + BEYOND_N:
+        raise RangeError(
+            f"frames from {low:.3g} to {high:.3g} N; values are wanted from {levels_n.min():g} to "
+            f"{levels_n.max():g} N: press as far as the references were pressed"
+        )
+    degree = min(DEGREE, len(force_n) - 1 - SPARE)
+    fit, *_ = np.linalg.lstsq(_powers(force_n, high, degree), values.reshape(len(values), -1), rcond=None)
+    return (_powers(levels_n, high, degree) @ fit).reshape(len(levels_n), *values.shape[1:])
+
+
+def _powers(force_n: Float[ndarray, " f"], scale: float, degree: int) -> Float[ndarray, "f d"]:
+    return np.vander(np.cbrt(force_n / scale), degree + 1, increasing=True)
+
+
+def laid_on(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 2"]:
+    """The motion of a press's pins in the order of a layout; NaN for pins it has not.
+
+    Raises:
+        InputError: its pins are not those of the layout.
+    """
+    spacing = float(np.median(cKDTree(layout_px).query(layout_px, k=2)[0][:, 1]))
+    found = np.isfinite(press.moved_px).all(axis=(0, 2))
+    at = press.untouched_px[found]
+    if not len(at):
+        raise InputError("every pin is lost; look at light, focus and speed")
+    shift = at.mean(axis=0) - layout_px.mean(axis=0)
+    for _ in range(3):
+        gap, which = cKDTree(at - shift).query(layout_px)
+        near = gap < NEAR * spacing
+        if near.any():
+            shift = shift + np.median(at[which[near]] - shift - layout_px[near], axis=0)
+    gap, which = cKDTree(at - shift).query(layout_px)
+    near = gap < NEAR * spacing
+    if near.mean() < LEAST_MATCHED or len(at) > len(layout_px) / LEAST_MATCHED:
+        raise InputError(
+            f"{int(near.sum())} of the {len(layout_px)} calibrated pins are where they should be, and "
+            f"{len(at)} pins are seen: another sensor, zoom or crop, or pins lost; calibrate for it"
+        )
+    moved = np.full((len(press.force_n), len(layout_px), 2), np.nan)
+    moved[:, near] = press.moved_px[:, found][:, which[near]]
+    return moved

@@ -1,0 +1,238 @@
+"""The force of a press: smoothed, cut to its contact, and laid beside the frames.
+
+The TacTip report smooths with a moving average of five samples at 200 Hz and says that it cuts off at about
+5 Hz and delays by 0.5 s. Five taps at 200 Hz pass 18 Hz (-3 dB) and delay by 10 ms, as
+`moving_average_response` tells; half a second would misplace force by newtons. Here the average is centred on
+its sample, so that it delays nothing; `trailing` is the report's.
+
+A grasp's loading part: how stiff it is, and what was seen at a force.
+
+Grippers are often asked for their width more slowly than the camera runs: the table then repeats a width for
+several frames and jumps. A repeated width is no measurement; `fresh` tells those that are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy import ndarray
+from scipy.ndimage import median_filter
+from scipy.optimize import brentq
+
+from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Bool, Float, Int
+
+TAPS = 5
+CONTACT_N, GREATEST_N = 0.5, 5.0
+SPIKE_WINDOW = 7  # samples
+SPIKE_SPREADS = 6.0  # robust standard deviations from the median of its window
+SPIKE_LEAST_N = 0.25  # four steps of a 1/16 N sensor: less is no spike
+STAYS = 3  # samples that must follow above the threshold, so that a spike is no contact
+PLATEAU = 8  # equal greatest samples in a row: the sensor's range has ended
+
+Samples = Float[ndarray, " s"]
+
+
+def moving_average(force_n: Samples, taps: int = TAPS, *, trailing: bool = False) -> Samples:
+    """Mean of each sample and its neighbours, of those that there are at the ends.
+
+    Args:
+        force_n: evenly sampled [N].
+        taps: odd number of samples.
+        trailing: of the sample and those before it, as a filter that runs along has to.
+
+    Raises:
+        RangeError: an even number of taps, or none.
+    """
+    if taps < 1 or taps % 2 == 0:
+        raise RangeError(f"{taps} taps; an odd number, {TAPS} if in doubt")
+    sums = np.concatenate([[0.0], np.cumsum(force_n)])
+    i = np.arange(len(force_n))
+    first = np.maximum(i - (taps - 1 if trailing else taps // 2), 0)
+    last = i if trailing else np.minimum(i + taps // 2, len(force_n) - 1)
+    return np.asarray((sums[last + 1] - sums[first]) / (last + 1 - first))
+
+
+def moving_average_response(taps: int, rate_hz: float) -> tuple[float, float]:
+    """Where a trailing moving average passes 1/sqrt 2 of an oscillation [Hz], and by how much it delays [s].
+
+    Raises:
+        RangeError: fewer than two taps, or no rate.
+    """
+    if taps < 2 or not rate_hz > 0:
+        raise RangeError(f"{taps} taps at {rate_hz} Hz; two or more, at a rate above 0")
+
+    def passed(turns: float) -> float:  # turns a sample
+        return float(np.sin(np.pi * taps * turns) / (taps * np.sin(np.pi * turns)) - np.sqrt(0.5))
+
+    return brentq(passed, 1e-9, 1 / taps) * rate_hz, (taps - 1) / 2 / rate_hz
+
+
+def spikes(force_n: Samples) -> Bool[ndarray, " s"]:
+    """Samples that stand far from the median of their neighbours (Hampel's rule)."""
+    middle = median_filter(force_n, SPIKE_WINDOW, mode="nearest")
+    off = np.abs(force_n - middle)
+    spread = 1.4826 * median_filter(off, SPIKE_WINDOW, mode="nearest")
+    return off > np.maximum(SPIKE_SPREADS * spread, SPIKE_LEAST_N)
+
+
+def without_spikes(force_n: Samples) -> Samples:
+    """The force with straight lines where it spikes.
+
+    Raises:
+        InputError: nothing but spikes.
+    """
+    good = ~spikes(force_n)
+    if not good.any():
+        raise InputError("the force is nothing but spikes; look at the sensor's cable and its bias")
+    i = np.arange(len(force_n))
+    return np.interp(i, i[good], force_n[good])
+
+
+@dataclass(frozen=True)
+class Loading:
+    """The part of a press in which force rises from contact to the greatest.
+
+    Attributes:
+        first, last: samples; `first` is contact-on.
+        saturated: the greatest force is a plateau, beyond which the sensor does not see.
+    """
+
+    first: int
+    last: int
+    saturated: bool
+
+
+def loading(force_n: Samples, contact_n: float = CONTACT_N) -> Loading:
+    """Find it in a smoothed force.
+
+    Raises:
+        InputError: too few samples, one that is not finite, no contact, or a force that only falls.
+    """
+    force = np.asarray(force_n, np.float64)
+    if force.ndim != 1 or len(force) <= STAYS:
+        raise InputError(f"{force.size} samples of force; a press has more than {STAYS}")
+    if not np.isfinite(force).all():
+        raise InputError(
+            f"sample {int(np.argmin(np.isfinite(force)))} of the force is not finite; repair the table"
+        )
+    above = force >= contact_n
+    stays = np.flatnonzero(np.lib.stride_tricks.sliding_window_view(above, STAYS).all(axis=1))
+    if not len(stays):
+        raise InputError(
+            f"the force never stays above {contact_n:g} N, its greatest is {force.max():g} N; press harder, "
+            "lower the contact threshold, or give the force's sign"
+        )
+    first, last = int(stays[0]), int(np.argmax(force))
+    if last - first < STAYS:
+        raise InputError(
+            f"the force rises to {force[last]:g} N within {last - first} samples of contact and then only "
+            "falls; the loading part is missing"
+        )
+    top = np.isclose(force, force[last], rtol=0, atol=1e-12)
+    run = int(np.sum(np.cumprod(top[last:])))
+    return Loading(first, last, run >= PLATEAU)
+
+
+def within(force_n: Samples, part: Loading, low_n: float, high_n: float) -> Int[ndarray, " k"]:
+    """Samples of the loading part whose force lies between two limits [N]."""
+    i = np.arange(part.first, part.last + 1)
+    return i[(force_n[i] >= low_n) & (force_n[i] <= high_n)]
+
+
+def rising(
+    force_n: Samples, values: Float[ndarray, k * n], width_n: float
+) -> tuple[Samples, Float[ndarray, b * n]]:
+    """Means over bins of force, which make force rise strictly whatever its noise did.
+
+    Args:
+        force_n: of each value [N].
+        values: e.g. areas.
+        width_n: of a bin [N].
+
+    Returns:
+        Mean force and mean value of every bin that holds any, by rising force.
+
+    Raises:
+        RangeError: no width.
+    """
+    if not width_n > 0:
+        raise RangeError(f"bins of {width_n} N; above 0, 0.1 N if in doubt")
+    bins = np.floor(force_n / width_n).astype(np.int64)
+    kinds, where = np.unique(bins, return_inverse=True)
+    count = np.bincount(where, minlength=len(kinds))
+    flat = np.reshape(values, (len(force_n), -1))
+    means = np.stack([np.bincount(where, column, len(kinds)) for column in flat.T], axis=1) / count[:, None]
+    return np.bincount(where, force_n, len(kinds)) / count, means.reshape(len(kinds), *values.shape[1:])
+
+
+LEAST_SAMPLES = 3
+
+GraspSamples = Float[ndarray, " _"]
+
+
+def fresh(held: GraspSamples) -> Int[ndarray, " k"]:
+    """Samples at which a held reading is new: the first, and every one that differs from that before it."""
+    return np.flatnonzero(np.concatenate([[True], np.diff(held) != 0]))
+
+
+def loading_slope(
+    force_n: GraspSamples, width_m: GraspSamples, part: Loading, *, held: bool = False
+) -> float:
+    """Force over closing, by a straight line through the loading part [N/m].
+
+    Args:
+        force_n: positive in compression [N].
+        width_m: between the fingers, falling as they close [m].
+        part: of the loading.
+        held: the width repeats; only new readings count, and the last sample, where the gripper rests.
+
+    Raises:
+        InputError: shapes that do not fit, too few samples, or force that does not rise as fingers close.
+    """
+    force, width = np.asarray(force_n, np.float64), np.asarray(width_m, np.float64)
+    if force.shape != width.shape or force.ndim != 1 or not part.last < force.size:
+        raise InputError(
+            f"{force.size} forces, {width.size} widths, loading to sample {part.last}; one of each"
+        )
+    i = np.arange(part.first, part.last + 1)
+    if held:
+        i = np.union1d(np.intersect1d(i, fresh(width)), [part.last])
+    if len(i) < LEAST_SAMPLES or np.ptp(width[i]) == 0:
+        raise InputError(f"{len(i)} readings of the width while loading, or all one; close more slowly")
+    slope = -float(np.polyfit(width[i], force[i], 1)[0])
+    if not slope > 0:
+        raise InputError(
+            "force does not rise as the fingers close; is the width an opening, and the force signed?"
+        )
+    return slope
+
+
+def at_force(force_n: GraspSamples, values: GraspSamples, part: Loading, level_n: float) -> float:
+    """The value at which force first reaches a level while loading, between samples by a straight line.
+
+    Args:
+        force_n: of every sample [N].
+        values: of every sample.
+        part: of the loading; the sample before it may be the lower one.
+        level_n: force [N].
+
+    Raises:
+        InputError: as many values as forces are needed.
+        RangeError: the loading part begins above the level or never reaches it.
+    """
+    if np.shape(force_n) != np.shape(values):
+        raise InputError(f"{np.size(force_n)} forces and {np.size(values)} values; one of each")
+    first = max(part.first - 1, 0)
+    force = np.asarray(force_n, np.float64)[first : part.last + 1]
+    if not force[0] <= level_n <= force.max():
+        raise RangeError(
+            f"{level_n:g} N is asked for, and loading goes from {force[0]:.3g} to {force.max():.3g} N"
+        )
+    after = int(np.argmax(force >= level_n))
+    if after == 0:
+        return float(values[first])
+    low, high = force[after - 1], force[after]
+    k = (level_n - low) / (high - low)
+    return float((1 - k) * values[first + after - 1] + k * values[first + after])

@@ -1,0 +1,147 @@
+"""Contact area from accumulated divergence, and its spread rate over force, resolved and as printed.
+
+With D_j the mean divergence over the contact in frame j [1/frame], dA/dt = A D gives A_i = A_0 exp(sum D_j).
+The spread rate dA/dF comes from areas and forces: as a secant, or as the slope of a regression, over bins of
+rising force.
+
+The report's equations (10) to (12) are kept as `paper`: they multiply the sum by the force, and (12) adds the
+slopes of all steps, so that it grows with their number: three specimens with the same A(F) that differ in
+stiffness alone get 20, 60 and 180 where the slope is 10.
+
+Reference: Pagnanelli et al., Model-Based Compliance Discrimination via Soft Tactile Optical Sensing and
+Optical Flow Computation, IEEE Robotics and Automation Letters; R. Cipolla, A. Blake, Image divergence and
+deformation from closed curves, Int. J. Robotics Research 16 (1997) 77, doi:10.1177/027836499701600106.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy import ndarray
+
+from palpate.core.errors import InputError, RangeError
+from palpate.core.shapes import Float
+from palpate.estimators.compliance.press_force import rising
+
+Way = Literal["regression", "secant", "paper"]
+
+BIN_N = 0.1
+LEAST_BINS = 3
+PAPER_COUNTS_FRAMES = (
+    "equation (12) adds one slope a frame: its value grows with the number of frames, so with the frame "
+    "rate, with slowness and with softness itself; compare presses of equal frames and speed only"
+)
+LITERAL = (
+    "equation (8) as printed adds divergence over all {pixels} pixels, which counts the area twice; its "
+    "exponential in (11) reaches e^{exponent:.0f}{beyond}; take 'paper', which has the mean divergence"
+)
+GREATEST_EXPONENT = 700.0  # of e in double precision
+
+Steps = Float[ndarray, " _"]  # one a frame
+
+
+@dataclass(frozen=True)
+class SpreadRate:
+    """A spread rate.
+
+    Attributes:
+        way: how it was made.
+        rate_m2_n: dA/dF [m^2/N]; in `paper`, the report's sum.
+        steps: bins, or frames, that it is made of.
+        warning: what a reader must know.
+    """
+
+    way: Way
+    rate_m2_n: float
+    steps: int
+    warning: str = ""
+
+
+def area_m2(first_m2: float, mean_divergence: Steps) -> Steps:
+    """A_i = A_0 exp(sum of D_j up to i) [m^2].
+
+    Args:
+        first_m2: area before the first step [m^2].
+        mean_divergence: over the contact, of every step [1/frame].
+
+    Raises:
+        RangeError: no area, or divergence beyond all bounds.
+    """
+    total = np.cumsum(mean_divergence)
+    if not first_m2 > 0:
+        raise RangeError(f"a first area of {first_m2} m2; above 0")
+    if total.size and not np.abs(total).max() < GREATEST_EXPONENT:
+        raise RangeError(f"accumulated divergence of {np.abs(total).max():g}; is it the mean over pixels?")
+    return np.asarray(first_m2 * np.exp(total))
+
+
+def spread(force_n: Steps, area: Steps, way: Way = "regression", bin_n: float = BIN_N) -> SpreadRate:
+    """dA/dF of areas over force.
+
+    Args:
+        force_n: of each area [N].
+        area: of the contact [m^2].
+        way: "regression" (a line through bins of force) or "secant" (between the first bin and the last).
+        bin_n: width of the bins [N].
+
+    Raises:
+        InputError: shapes that do not fit, values that are not finite, too little rise of force, or a way
+            that is `paper_spread`'s.
+    """
+    force_n, area = np.asarray(force_n, np.float64), np.asarray(area, np.float64)
+    if force_n.shape != area.shape or force_n.ndim != 1:
+        raise InputError(f"{force_n.size} forces and {area.size} areas; give one of each a frame")
+    if not (np.isfinite(force_n).all() and np.isfinite(area).all()):
+        raise InputError("forces and areas must be finite; leave out the frames where they are not known")
+    at, mean = rising(force_n, area, bin_n)
+    if len(at) < LEAST_BINS:
+        raise InputError(
+            f"the forces fill {len(at)} bins of {bin_n:g} N; a spread rate needs {LEAST_BINS}: press harder, "
+            "or take narrower bins"
+        )
+    if way == "regression":
+        return SpreadRate(way, float(np.polyfit(at, mean, 1)[0]), len(at))
+    if way == "secant":
+        return SpreadRate(way, float((mean[-1] - mean[0]) / (at[-1] - at[0])), len(at))
+    raise InputError(
+        f"no way {way!r} of areas; there are regression and secant, and `paper_spread` beside them"
+    )
+
+
+def paper_spread(force_n: Steps, mean_divergence: Steps, first_m2: float) -> SpreadRate:
+    """Equations (9), (11) and (12) with the mean divergence for the sum of (8), and F_0 = 0.
+
+    Steps in which the force does not change are left out, since (12) divides by them.
+
+    Raises:
+        InputError: shapes that do not fit.
+        RangeError: an exponent beyond double precision.
+    """
+    force_n, D = np.asarray(force_n, np.float64), np.asarray(mean_divergence, np.float64)
+    if force_n.shape != D.shape or force_n.ndim != 1 or not len(D):
+        raise InputError(f"{force_n.size} forces and {D.size} divergences; give one of each a frame")
+    exponent = np.cumsum(D) * force_n
+    if not np.abs(exponent).max() < GREATEST_EXPONENT:
+        raise RangeError(f"equation (11) would take e to {np.abs(exponent).max():.3g}")
+    A = np.concatenate([[first_m2], first_m2 * np.exp(exponent)])
+    rate = summed_slopes(np.concatenate([[0.0], force_n]), A)
+    return SpreadRate("paper", rate, len(D), PAPER_COUNTS_FRAMES)
+
+
+def summed_slopes(force_n: Steps, area: Steps) -> float:
+    """Equation (12): the sum of (A_j - A_j-1) / (F_j - F_j-1) over steps in which force changes [m^2/N]."""
+    moved = np.diff(force_n) != 0
+    return float((np.diff(area)[moved] / np.diff(force_n)[moved]).sum())
+
+
+def refuse_literal(force_n: Steps, mean_divergence: Steps, pixels: int) -> None:
+    """Equations (8) and (11) to the letter: never run, with what they would have come to.
+
+    Raises:
+        InputError: always.
+    """
+    exponent = float(np.abs(pixels * np.cumsum(mean_divergence) * force_n).max())
+    beyond = ", beyond double precision" if exponent > GREATEST_EXPONENT else ""
+    raise InputError(LITERAL.format(pixels=pixels, exponent=exponent, beyond=beyond))

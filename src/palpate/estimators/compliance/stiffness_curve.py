@@ -1,0 +1,237 @@
+"""Stiffness from what a press shows at fixed forces: a curve through known references, and a place on it.
+
+Whatever is measured of a press (motion of pins; with an encoder also the approach) is one long vector y.
+Softer references move y along a curve y(s), a polynomial through the means of their trials, over
+
+    s = 1 / (1 + kappa / kappa_0),    0 for a rigid plate, towards 1 for ever softer specimens.
+
+Between trials of one specimen y scatters along few directions (how tip and specimen were seated), and evenly
+by the noise of the images. A press is given the s at which it lies nearest to the curve, scatter being
+discounted (generalised least squares). All of this happens in the small space that the references' means and
+their widest scatter span.
+
+The interval holds the scatter between trials, and the error by which the other references tell each reference
+between them: what a specimen between the references may be wrong by if the curve bends there unseen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy import ndarray
+from scipy import stats
+from scipy.optimize import minimize_scalar
+
+from palpate.core.errors import InputError
+from palpate.core.shapes import Float
+
+SCATTER = 4  # directions in which trials differ: two of lean, and what else there is
+SOFTEST = 0.95  # greatest s that is looked at
+TURNINGS = 13  # of kappa_0 that are tried
+BENDS = (0.5, 2.0)  # of kappa_0: how else the curve might run between the references
+LEAST_TRIALS = 2
+STEP = 1e-3  # of s, for slopes
+
+Vectors = Float[ndarray, "t d"]
+Vector = Float[ndarray, " d"]
+
+
+@dataclass(frozen=True)
+class Softness:
+    """Where a press, or the mean of several, lies.
+
+    Attributes:
+        kappa_n_m: stiffness, low and high of its interval [N/m].
+        s: place on the curve.
+        distance: from the curve, in standard deviations of a reference's trial; about 1 for one like these.
+    """
+
+    kappa_n_m: tuple[float, float, float]
+    s: float
+    distance: float
+
+
+@dataclass(frozen=True)
+class SoftnessCurve:
+    """The curve, in its small space.
+
+    Attributes:
+        kappa_n_m: of the references, `inf` for a rigid plate [N/m].
+        turning_n_m: kappa_0 [N/m].
+        middle: mean of all trials.
+        basis: directions that count, orthonormal.
+        means: of the references, in the basis.
+        scatter: covariance of a trial about its reference's mean, in the basis.
+        outside: root mean square of what lies outside of the basis, of a trial of the references.
+        freedom: trials less references.
+        between: error of log kappa by which the others tell each reference between them; NaN for two.
+    """
+
+    kappa_n_m: Float[ndarray, " k"]
+    turning_n_m: float
+    middle: Vector
+    basis: Float[ndarray, "q d"]
+    means: Float[ndarray, "k q"]
+    scatter: Float[ndarray, "q q"]
+    outside: float
+    freedom: int
+    between: float = float("nan")
+
+    def at(self, s: Float[ndarray, " n"], turning_n_m: float | None = None) -> Float[ndarray, "n q"]:
+        """The curve at places s of its own kappa_0, perhaps bent as another kappa_0 would have it."""
+        turning = turning_n_m or self.turning_n_m
+        with np.errstate(divide="ignore"):
+            kappa = self.turning_n_m * (1 / np.maximum(s, 0.0) - 1)
+        fit = np.linalg.solve(_powers(softness(self.kappa_n_m, turning), len(self.means)), self.means)
+        return _powers(softness(kappa, turning), len(self.means)) @ fit
+
+    def of(self, presses: Vectors, coverage: float = 0.9) -> Softness:
+        """The stiffness of what was pressed.
+
+        Args:
+            presses: one row a trial on the same specimen; NaN for what was not seen.
+            coverage: of the interval.
+
+        Raises:
+            InputError: vectors of another length, or with nothing seen.
+        """
+        y = np.mean([self._in_basis(press) for press in np.atleast_2d(presses)], axis=0)
+        s = self.nearest(y)
+        weight = np.linalg.inv(self.scatter)
+        slope = self._slope(s)
+        trials = 1 / len(np.atleast_2d(presses)) + len(self.means) / (self.freedom + len(self.means))
+        spread = np.sqrt(trials / (slope @ weight @ slope))
+        t = stats.t.ppf((1 + coverage) / 2, self.freedom)
+        half = float(np.hypot(t * spread, self._bend(y, s)))
+        off = y - self.at(np.array([s]))[0]
+        kappa = (self._kappa(s), self._kappa(s + half), self._kappa(s - half))
+        return Softness(kappa, s, float(np.sqrt(off @ weight @ off / len(off))))
+
+    def _slope(self, s: float) -> Float[ndarray, " q"]:
+        low, high = max(s - STEP, 0.0), s + STEP
+        return np.diff(self.at(np.array([low, high])), axis=0)[0] / (high - low)
+
+    def _bend(self, y: Float[ndarray, " q"], s: float) -> float:
+        """How far s may be wrong because the curve runs otherwise between its references."""
+        if np.isfinite(self.between):
+            return self.between * s * (1 - s)
+        return max(abs(self.nearest(y, bend * self.turning_n_m) - s) for bend in BENDS)
+
+    def _kappa(self, s: float) -> float:
+        return self.turning_n_m * (1 / min(s, 1.0) - 1) if s > 0 else float("inf")
+
+    def novelty_score(self, press: Vector) -> float:
+        """What of a press no reference shows, in units of what their trials showed of it."""
+        off = press - self.middle
+        seen = np.isfinite(off)
+        left = off[seen] - self._in_basis(press) @ self.basis[:, seen]
+        return float(np.sqrt(np.mean(left**2)) / self.outside)
+
+    def _in_basis(self, press: Vector) -> Float[ndarray, " q"]:
+        if press.shape != self.middle.shape:
+            raise InputError(f"{press.size} values; the curve is of {self.middle.size}")
+        seen = np.isfinite(press - self.middle)
+        if seen.sum() < 4 * len(self.basis):
+            raise InputError(f"{int(seen.sum())} of {press.size} values are known; too many pins are lost")
+        found, *_ = np.linalg.lstsq(self.basis[:, seen].T, (press - self.middle)[seen], rcond=None)
+        return np.asarray(found)
+
+    def nearest(self, y: Float[ndarray, " q"], turning_n_m: float | None = None) -> float:
+        """S of a place in the basis."""
+        weight = np.linalg.inv(self.scatter)
+        grid = np.linspace(0.0, SOFTEST, 400)
+
+        def far(s: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
+            off = y - self.at(s, turning_n_m)
+            return np.einsum("ni,ij,nj->n", off, weight, off)
+
+        best = int(np.argmin(far(grid)))
+        bounds = (grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
+        return float(minimize_scalar(lambda s: far(np.array([s]))[0], bounds=bounds, method="bounded").x)
+
+
+def softness(kappa_n_m: Float[ndarray, " k"], turning_n_m: float) -> Float[ndarray, " k"]:
+    """S of stiffnesses."""
+    return 1.0 / (1.0 + np.asarray(kappa_n_m, np.float64) / turning_n_m)
+
+
+def fit_softness(kappa_n_m: Sequence[float], trials: Sequence[Float[ndarray, "_ d"]]) -> SoftnessCurve:
+    """The curve through references.
+
+    Args:
+        kappa_n_m: stiffness of each, `inf` for a rigid plate; two or more different ones [N/m].
+        trials: of each, one row a trial, two or more.
+
+    Raises:
+        InputError: too few references or trials, or stiffnesses that are not positive or not different.
+    """
+    kappa = np.asarray(kappa_n_m, np.float64)
+    if len(kappa) != len(trials) or len(kappa) < 2 or not (kappa > 0).all():
+        raise InputError(f"stiffnesses {list(kappa)}; two or more references, each above 0 N/m")
+    if len(np.unique(kappa)) < len(kappa):
+        raise InputError("two references have one stiffness; give their trials together")
+    if min(map(len, trials)) < LEAST_TRIALS:
+        raise InputError(
+            f"each reference needs {LEAST_TRIALS} trials or more, so that their scatter is known"
+        )
+    known = np.isfinite(np.concatenate(trials)).all(axis=0)
+    if known.mean() < 0.5:
+        raise InputError("fewer than half of the pins are seen in every trial; look at light and focus")
+    trials = [np.where(known, trial, 0.0) for trial in trials]
+    middle = np.concatenate(trials).mean(axis=0)
+    means = np.stack([trial.mean(axis=0) for trial in trials])
+    about = np.concatenate([trial - mean for trial, mean in zip(trials, means, strict=True)])
+    freedom = len(about) - len(kappa)
+    wide = np.linalg.svd(about, full_matrices=False)[2][: min(SCATTER, max(1, freedom // 3))]
+    basis = _orthonormal(np.concatenate([means - middle, wide]))
+    left = about - about @ basis.T @ basis
+    inside = about @ basis.T
+    noise = (left**2).sum() / freedom / known.sum()
+    return _turned(
+        SoftnessCurve(
+            kappa,
+            float(kappa[np.isfinite(kappa)].min()),
+            np.where(known, middle, np.nan),
+            np.where(known, basis, 0.0),
+            (means - middle) @ basis.T,
+            inside.T @ inside / freedom + noise * np.eye(len(basis)),
+            float(np.sqrt(noise)),
+            freedom,
+        )
+    )
+
+
+def _turned(curve: SoftnessCurve) -> SoftnessCurve:
+    """With the kappa_0 by which the others best tell the stiffness of each reference between them."""
+    finite = np.sort(curve.kappa_n_m[np.isfinite(curve.kappa_n_m)])
+    if len(curve.means) < 3:
+        return curve
+    tried = np.geomspace(finite[0] / 4, 4 * finite[-1], TURNINGS)
+    worst = [_between(replace(curve, turning_n_m=float(turning))) for turning in tried]
+    best = int(np.argmin(worst))
+    around = worst[max(best - 1, 0) : best + 2]  # the best of many is better than it will prove
+    return replace(curve, turning_n_m=float(tried[best]), between=max(around))
+
+
+def _between(curve: SoftnessCurve) -> float:
+    """The greatest error of log kappa of a reference between others, told by these."""
+    order = np.argsort(curve.kappa_n_m)
+    off = []
+    for left in order[1:-1]:
+        others = np.delete(np.arange(len(order)), left)
+        fewer = replace(curve, kappa_n_m=curve.kappa_n_m[others], means=curve.means[others])
+        s = max(fewer.nearest(curve.means[left]), 1e-6)
+        off.append(abs(np.log(curve.turning_n_m * (1 / s - 1) / curve.kappa_n_m[left])))
+    return float(max(off))
+
+
+def _orthonormal(rows: Float[ndarray, "n d"]) -> Float[ndarray, "q d"]:
+    """Rows that span the same, without those that add nothing."""
+    _, size, basis = np.linalg.svd(rows, full_matrices=False)
+    return np.asarray(basis[size > 1e-9 * size[0]])
+
+
+def _powers(s: Float[ndarray, " k"], count: int) -> Float[ndarray, "k n"]:
+    return np.vander(s, count, increasing=True)

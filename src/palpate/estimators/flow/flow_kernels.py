@@ -1,0 +1,166 @@
+"""The compiled loops of Horn and Schunck's flow; `fast` uses them, nobody else.
+
+One pair of images needs n sweeps over five arrays that do not fit the processor's second cache together. Here
+the sweeps run as a wavefront instead: as soon as sweep k has done row r + 1, sweep k + 1 does row r, so that
+only a few rows of each sweep are ever alive and all of them stay in cache. A front of `STEP` rows goes
+through all sweeps before the next one starts: each sweep then finds most of what it reads in the first cache,
+since the sweep before has just used it. The result is that of n whole sweeps, number for number.
+
+A row of w pixels lies in `row_length(w)` numbers: the pixels, the last one again, and what fills up whole
+vectors and means nothing. `lanes` says why vectors are written out. Rows are places in flat arrays, since a
+slice for each would cost as much as its arithmetic.
+
+Kernels release the interpreter's lock, so that plain threads share the pairs of a sequence.
+"""
+
+from __future__ import annotations
+
+from typing import no_type_check
+
+import numba
+import numpy as np
+
+from palpate.estimators.flow.simd import WIDTH, all_of, first_of, left_of, load, right_of, root, store
+
+f32 = np.float32
+ONE, TWO, TWELFTH = f32(1), f32(2), f32(1 / 12)
+STEP = 4  # rows of a front, the fastest of 1 to 8 with a first cache of 48 KiB
+RING = STEP + 2  # rows of a sweep that are alive: those of a front, one above and one below
+FAST = {"nogil": True, "fastmath": {"contract", "nsz"}, "error_model": "numpy", "cache": True}
+
+
+@numba.njit(**FAST)
+@no_type_check
+def row_length(w):
+    """Numbers in a row of w pixels."""
+    return (w // WIDTH + 2) * WIDTH
+
+
+@numba.njit(**FAST)
+@no_type_check
+def coefficients(a, b, w, quarter, alpha2, e):
+    """Fill e [h 3 row] with E_x, E_y, E_t over sqrt(alpha^2 + E_x^2 + E_y^2).
+
+    Args:
+        a, b: rows [h row] of the two images as they are: differences of whole grey levels are exact.
+        w: pixels in a row.
+        quarter: a quarter of the brightness of one grey level, since each derivative is a mean of four.
+        alpha2: alpha^2.
+        e: to be filled.
+    """
+    h, row = a.shape
+    a, b, e = a.reshape(a.size), b.reshape(b.size), e.reshape(e.size)
+    one, quarter, alpha2 = all_of(ONE), all_of(quarter), all_of(alpha2)
+    for r in range(h):
+        for c in range(0, w, WIDTH):
+            i, j, to = r * row + c, min(r + 1, h - 1) * row + c, 3 * r * row + c
+            a00, a01, a10, a11 = load(a, i), load(a, i + 1), load(a, j), load(a, j + 1)
+            b00, b01, b10, b11 = load(b, i), load(b, i + 1), load(b, j), load(b, j + 1)
+            x = (a01 - a00 + a11 - a10 + b01 - b00 + b11 - b10) * quarter
+            y = (a10 - a00 + a11 - a01 + b10 - b00 + b11 - b01) * quarter
+            t = (b00 - a00 + b01 - a01 + b10 - a10 + b11 - a11) * quarter
+            weight = one / root(alpha2 + x * x + y * y)
+            store(e, to, x * weight)
+            store(e, to + row, y * weight)
+            store(e, to + 2 * row, t * weight)
+
+
+@numba.njit(**FAST)
+@no_type_check
+def _sweep(flow, u0, u1, u2, to, e, at, w):
+    """One row of one sweep, from three rows of the last sweep; v lies a row after u.
+
+    Twelve times the neighbours' mean is s(c-1) + s(c+1) + 2 o(c), where o = u0 + u2 is what lies above and
+    below, and s = o + 2 u1.
+
+    Args:
+        flow: rows of every sweep.
+        u0, u1, u2: places of the rows above, here and below.
+        to: place of the row to be filled.
+        e, at: of `coefficients`, and the place of this row's.
+        w: pixels in a row.
+    """
+    row = row_length(w)
+    v0, v1, v2 = u0 + row, u1 + row, u2 + row
+    two, twelfth = all_of(TWO), all_of(TWELFTH)
+    ou, ov = load(flow, u0) + load(flow, u2), load(flow, v0) + load(flow, v2)
+    su, sv = ou + two * load(flow, u1), ov + two * load(flow, v1)
+    su_left, sv_left = first_of(su), first_of(sv)  # beyond the border the flow repeats
+    for c in range(0, w, WIDTH):
+        d = c + WIDTH
+        ou_right, ov_right = load(flow, u0 + d) + load(flow, u2 + d), load(flow, v0 + d) + load(flow, v2 + d)
+        su_right, sv_right = ou_right + two * load(flow, u1 + d), ov_right + two * load(flow, v1 + d)
+        p = (left_of(su_left, su) + right_of(su, su_right) + two * ou) * twelfth
+        q = (left_of(sv_left, sv) + right_of(sv, sv_right) + two * ov) * twelfth
+        x, y, t = load(e, at + c), load(e, at + row + c), load(e, at + 2 * row + c)
+        off = x * p + y * q + t
+        store(flow, to + c, p - x * off)
+        store(flow, to + row + c, q - y * off)
+        su_left, su, ou = su, su_right, ou_right
+        sv_left, sv, ov = sv, sv_right, ov_right
+    flow[to + w], flow[to + row + w] = flow[to + w - 1], flow[to + row + w - 1]
+
+
+@numba.njit(**FAST)
+@no_type_check
+def _copy(a, i, b, j, w):
+    """Copy w numbers from place i of a to place j of b."""
+    whole = w // WIDTH * WIDTH
+    for c in range(0, whole, WIDTH):
+        store(b, j + c, load(a, i + c))
+    for c in range(whole, w):
+        b[j + c] = a[i + c]
+
+
+@numba.njit(**FAST)
+@no_type_check
+def _row(k, r, w):
+    """Place of row r of sweep k."""
+    return (k * RING + r % RING) * 2 * row_length(w)
+
+
+@numba.njit(**FAST)
+@no_type_check
+def relax(e, n, rows, flow):
+    """N sweeps from the flow [2 h w], in place.
+
+    Args:
+        e: of `coefficients`.
+        n: sweeps.
+        rows: workspace [n+1 RING 2 row]: of the start and of every sweep the rows that are alive.
+        flow: where to start, and the result [px].
+    """
+    h, w = flow.shape[1:]
+    v, row = h * w, row_length(w)
+    e, rows, flow = e.reshape(e.size), rows.reshape(rows.size), flow.reshape(flow.size)
+    for front in range(0, h + n, STEP):
+        for r in range(front, min(front + STEP, h)):  # sweep 0 is where the flow starts
+            to = _row(0, r, w)
+            _copy(flow, r * w, rows, to, w)
+            _copy(flow, v + r * w, rows, to + row, w)
+            rows[to + w], rows[to + row + w] = rows[to + w - 1], rows[to + row + w - 1]
+        for k in range(1, n + 1):
+            for r in range(max(0, front - k), min(front - k + STEP, h)):
+                above, here, below = max(r - 1, 0), r, min(r + 1, h - 1)
+                u0, u1, u2 = _row(k - 1, above, w), _row(k - 1, here, w), _row(k - 1, below, w)
+                _sweep(rows, u0, u1, u2, _row(k, r, w), e, 3 * r * row, w)
+        for r in range(max(0, front - n), min(front - n + STEP, h)):
+            found = _row(n, r, w)
+            _copy(rows, found, flow, r * w, w)
+            _copy(rows, found + row, flow, v + r * w, w)
+
+
+@numba.njit(**FAST)
+@no_type_check
+def diverge(flow, out):
+    """Fill out [h w] with du/dx + dv/dy of the flow [2 h w]; central differences, one-sided on the border."""
+    u, v = flow[0], flow[1]
+    h, w = out.shape
+    half = f32(0.5)
+    for r in range(h):
+        up, down = max(r - 1, 0), min(r + 1, h - 1)
+        per_row = half if down - up == 2 else f32(1)
+        for c in range(1, w - 1):
+            out[r, c] = half * (u[r, c + 1] - u[r, c - 1]) + per_row * (v[down, c] - v[up, c])
+        out[r, 0] = u[r, 1] - u[r, 0] + per_row * (v[down, 0] - v[up, 0])
+        out[r, w - 1] = u[r, w - 1] - u[r, w - 2] + per_row * (v[down, w - 1] - v[up, w - 1])

@@ -1,0 +1,159 @@
+"""Flow along a sequence of frames: from each to the next, or from the first to each.
+
+Frames are taken as they come and few are held at a time, so a sequence may be as long as its file. Pairs are
+shared among threads; results come in the order of the frames.
+
+The course of flow along a sequence: how fast, how divergent, and the divergence so far.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+from numpy import ndarray
+
+from palpate.core.errors import InputError
+from palpate.core.shapes import Bool
+from palpate.estimators.flow.coarse_to_fine import coarse_to_fine
+from palpate.estimators.flow.compiled_flow import FlowField, divergence, flow
+from palpate.estimators.flow.horn_schunck import Grey
+from palpate.estimators.flow.opencv_flow import dis, farneback
+
+AHEAD = 4  # pairs a thread that wait, so that no thread waits for the reader
+
+T = TypeVar("T")
+
+
+def along(
+    frames: Iterable[Grey],
+    between: Callable[[Grey, Grey], T],
+    *,
+    from_first: bool = False,
+    threads: int | None = None,
+) -> Iterator[T]:
+    """What a function says of each pair of frames, in their order.
+
+    Args:
+        frames: grey images of one size, in time; read once.
+        between: of an earlier and a later frame, e.g. `flow`; it must not keep or change them.
+        from_first: pair each frame with the first of all, not with the one before it.
+        threads: to share the pairs; None for as many as there are processors.
+
+    Yields:
+        One result a frame, but for the first frame.
+
+    Raises:
+        InputError: fewer than two frames, or no thread.
+        PalpateError: what the function raises for a pair.
+    """
+    threads = threads or os.cpu_count() or 1
+    if threads < 1:
+        raise InputError(f"{threads} threads; 1 or more work")
+    return _results(_pairs(frames, from_first), between, threads)
+
+
+def _pairs(frames: Iterable[Grey], from_first: bool) -> Iterator[tuple[Grey, Grey]]:
+    """Each frame after the first, behind its partner."""
+    frames = iter(frames)
+    earlier = next(frames, None)
+    several = False
+    for frame in frames:
+        assert earlier is not None
+        yield earlier, frame
+        several = True
+        if not from_first:
+            earlier = frame
+    if not several:
+        raise InputError("flow needs two frames or more; the sequence has fewer")
+
+
+def _results(
+    pairs: Iterator[tuple[Grey, Grey]], between: Callable[[Grey, Grey], T], threads: int
+) -> Iterator[T]:
+    with ThreadPoolExecutor(threads, thread_name_prefix="flow") as pool:
+        begun: deque[Future[T]] = deque()
+        try:
+            for first, second in pairs:
+                begun.append(pool.submit(between, first, second))
+                if len(begun) >= threads * AHEAD:
+                    yield begun.popleft().result()
+            while begun:
+                yield begun.popleft().result()
+        finally:
+            for future in begun:
+                future.cancel()
+
+
+METHODS: dict[str, Callable[[Grey, Grey], FlowField]] = {
+    "horn-schunck": flow,
+    "coarse-to-fine": coarse_to_fine,
+    "dis": dis,
+    "farneback": farneback,
+}
+
+
+@dataclass(frozen=True)
+class Step:
+    """One pair of frames.
+
+    Attributes:
+        speed_px: mean length of the flow [px].
+        divergence: mean over the region [1/frame].
+        field: the flow itself [px].
+    """
+
+    speed_px: float
+    divergence: float
+    field: FlowField
+
+
+def course(
+    frames: Iterable[Grey],
+    method: str = "horn-schunck",
+    *,
+    from_first: bool = False,
+    region: Bool[ndarray, "h w"] | None = None,
+    threads: int | None = None,
+) -> Iterator[Step]:
+    """Each step of a sequence.
+
+    Args:
+        frames: grey or RGB images of one size, read once; colour is averaged.
+        method: one of `METHODS`.
+        from_first: from the first frame to each, not from each to the next.
+        region: of the image that counts for the means; None for all.
+        threads: to share the pairs; None for as many as there are processors.
+
+    Raises:
+        InputError: no such method, too few frames, or a region of another size or of no pixels.
+        ImageError: frames that are no pair of images.
+    """
+    if method not in METHODS:
+        raise InputError(f"no method {method!r}; there are {', '.join(METHODS)}")
+    if region is not None and not region.any():
+        raise InputError("the region has no pixels; divergence is averaged over one or more")
+    between = partial(_step, METHODS[method], region)
+    return along(map(grey, frames), between, from_first=from_first, threads=threads)
+
+
+def grey(image: ndarray) -> Grey:
+    """The image, its colours averaged where it has any."""
+    return np.rint(image.mean(axis=2)).astype(np.uint8) if image.ndim == 3 else image
+
+
+def _step(
+    method: Callable[[Grey, Grey], FlowField], region: Bool[ndarray, "h w"] | None, first: Grey, second: Grey
+) -> Step:
+    field = method(first, second)
+    if region is not None and region.shape != field.shape[1:]:
+        raise InputError(f"a region of {list(region.shape)} px on images of {list(field.shape[1:])} px")
+    inside = slice(None) if region is None else region
+    speed, spread = np.hypot(*field)[inside], divergence(field)[inside]
+    return Step(float(speed.mean(dtype=np.float64)), float(spread.mean(dtype=np.float64)), field)

@@ -1,0 +1,205 @@
+"""The card: everything a calibration says of itself, as JSON that is checked when it is read."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_serializer
+
+from palpate.estimators.preparation import Preparation
+
+FORMAT = "palpate-calibration/1"
+
+
+class _CardPart(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants")
+
+
+class ScoreCard(_CardPart):
+    """How one target fared on held-out rows, in its unit.
+
+    Attributes:
+        unit: of everything here that has one.
+        n: rows scored.
+        mae, rmse, bias: mean absolute, root mean square and mean signed error.
+        r2: share of the truth's variance explained; below 0 is worse than its mean.
+        mean_mae: mean absolute error of always saying the training rows' mean.
+        coverage_90: share of rows whose 90 % interval held the truth.
+        coverage_90_low, coverage_90_high: 95 % interval of that share, groups counted as groups.
+        half_width: mean half-width of the intervals.
+    """
+
+    unit: str
+    n: int
+    mae: float
+    rmse: float
+    bias: float
+    r2: float
+    mean_mae: float
+    coverage_90: float
+    coverage_90_low: float
+    coverage_90_high: float
+    half_width: float
+
+    @property
+    def says_nothing(self) -> bool:
+        """Whether the estimate is no better than always saying the mean (within 5 %)."""
+        return self.mae > 0.95 * self.mean_mae
+
+
+class TargetCard(_CardPart):
+    """One target: what it is, where it was calibrated, how its intervals are made, how it scored.
+
+    Attributes:
+        column: the label column, e.g. ``depth_mm``.
+        quantity, unit: its two halves.
+        least, greatest: the calibrated range, in `unit`.
+        training_mean: of the labels learnt from, in `unit`.
+        centre, scale, typical, coefficients, quantile: see `estimators.intervals`.
+        score: on held-out folds.
+    """
+
+    column: str
+    quantity: str
+    unit: str
+    least: float
+    greatest: float
+    training_mean: float
+    centre: float
+    scale: float = Field(gt=0)
+    typical: float = Field(gt=0)
+    coefficients: tuple[float, ...]
+    quantile: float = Field(ge=0)
+    score: ScoreCard
+
+
+class FileCard(_CardPart):
+    """A file that belongs to the calibration, and the hash of its bytes."""
+
+    file: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+
+class InputCard(_CardPart):
+    """What an image must be, and how it becomes the network's input.
+
+    Attributes:
+        frame_px: (height, width) of the frames calibrated on [px].
+        size_px, channels, crop_px, beside_px: see `sensors.preparation.Preparation`.
+        delta: whether the input is the difference from a no-contact reference.
+    """
+
+    frame_px: tuple[int, int]
+    size_px: tuple[int, int]
+    channels: Literal[1, 3]
+    crop_px: tuple[int, int, int, int] | None
+    delta: bool
+    beside_px: tuple[int, int, int, int] | None = None
+
+    @property
+    def preparation(self) -> Preparation:
+        """The preparation that makes it so."""
+        return Preparation(self.crop_px, self.size_px, self.channels, self.beside_px)
+
+
+class ReferenceCard(_CardPart):
+    """Which rows of a run show the untouched sensor.
+
+    Attributes:
+        column, value: rows where the label column holds this value; None where the run has none.
+        by: columns within whose groups a reference holds; empty for one reference for all.
+        frames: how many such frames the calibration had.
+        learnt: whether they were learnt from, and are scored, like any other.
+    """
+
+    column: str | None
+    value: str | None
+    by: tuple[str, ...]
+    frames: int
+    learnt: bool
+
+
+class SplitCard(_CardPart):
+    """How rows were held out, how many the kept model learnt from, how many were scored, the audit."""
+
+    kind: str
+    reason: str
+    columns: tuple[str, ...]
+    groups: int
+    folds: int
+    rows_learnt: int
+    rows_scored: int
+    clean: bool
+    audit: str
+    details: dict[str, Any]
+
+
+class RunCard(_CardPart):
+    """Which recording was learnt from."""
+
+    run_id: str
+    hash: str
+    frames: int
+    origin: str
+    licence: str
+
+
+class Card(_CardPart):
+    """All of it. `id` is a hash of everything else, so no word can change unnoticed.
+
+    Attributes:
+        agreement: largest difference between the exported and the trained model, as a share of range.
+        seconds: time the calibration took, since it was last taken up [s].
+        adapted_from: id of the calibration whose network this one corrects to another copy of its sensor;
+            None where it is a calibration of its own.
+    """
+
+    format: Literal["palpate-calibration/1"]
+    id: str
+    created_utc: str
+    software: dict[str, str]
+    seed: int
+    sensor: str
+    model_name: str
+    options: dict[str, Any]
+    coverage: float = Field(gt=0, lt=1)
+    input: InputCard
+    targets: tuple[TargetCard, ...] = Field(min_length=1)
+    model: FileCard
+    guard: FileCard
+    files: tuple[FileCard, ...]
+    reference: ReferenceCard
+    split: SplitCard
+    run: RunCard
+    agreement: float
+    seconds: float
+    adapted_from: str | None = None
+
+    @model_serializer(mode="wrap")
+    def _dumped(self, dump: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """Without `adapted_from` where there is none: older cards keep the text that gave their id."""
+        content = dump(self)
+        if content.get("adapted_from") is None:
+            content.pop("adapted_from", None)
+        return content
+
+    @property
+    def columns(self) -> list[str]:
+        """The targets' columns, in the model's order."""
+        return [target.column for target in self.targets]
+
+
+def card_id(content: Mapping[str, Any]) -> str:
+    """Twelve hexadecimal digits from the card's content without its `id`."""
+    rest = {key: value for key, value in content.items() if key != "id"}
+    text = json.dumps(rest, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def sealed(content: Mapping[str, Any]) -> Card:
+    """A card with its id set from its content (given as keyword values, without `id`)."""
+    unsealed = Card(id="", **content)
+    return unsealed.model_copy(update={"id": card_id(unsealed.model_dump(mode="json"))})

@@ -1,0 +1,150 @@
+"""A sensor that looks the same when turned: each image stands for several, and so do its labels.
+
+A skin of revolution whose markers repeat n times round its axis sees a touch and the same touch turned by
+360/n degrees as two images that are each other, turned. In-plane components (shear, tilt, location) turn with
+the image; those along the axis (depth, twist, normal force) stay.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from palpate.core.errors import InputError
+from palpate.core.shapes import Float, Tensor, Values
+from palpate.core.units import split_column
+
+LEAST_LIKENESS = 0.8
+"""Correlation of the mean image with itself turned, below which the sensor is not what it is said to be: a
+lattice that misses its own symmetry correlates at 0.2 to 0.5, one that has it at 0.9 and more."""
+
+
+@dataclass(frozen=True, slots=True)
+class RotationalSymmetry:
+    """How images and values turn together.
+
+    Attributes:
+        order: n, how often the sensor repeats in a full turn.
+        centre: (x, y) of the axis in the input [px].
+        pairs: columns of values that are x and y components of one vector; x to the right, y down.
+        lone: columns that are one component without the other; they only change sign, at a half turn.
+    """
+
+    order: int
+    centre: tuple[float, float]
+    pairs: tuple[tuple[int, int], ...]
+    lone: tuple[int, ...] = ()
+
+    @classmethod
+    def find(cls, order: int, images: Tensor, names: tuple[str, ...]) -> RotationalSymmetry:
+        """Find the axis from a sample of images, and what turns from the targets' names.
+
+        Raises:
+            InputError: the sensor does not look the same when turned so, or a target's other component is
+                not among the targets.
+        """
+        pairs, lone = in_plane(names)
+        if lone and order != 2:
+            raise InputError(
+                f"{', '.join(names[i] for i in lone)} has no other component among the targets to turn with; "
+                "name both, as in shear_x_mm,shear_y_mm, or leave turns out"
+            )
+        return cls(order, axis_of(images.mean(axis=(0, 1)), order), pairs, lone)
+
+    def matrix(self, count: int) -> Float[np.ndarray, "2 3"]:
+        """The affine map of an image turned clockwise (x towards y) by `count` steps."""
+        return np.asarray(cv2.getRotationMatrix2D(self.centre, -360.0 * count / self.order, 1.0))
+
+    def turned(self, images: Tensor, values: Values, rng: np.random.Generator) -> tuple[Tensor, Values]:
+        """Each image and its values turned by its own random number of steps."""
+        counts = rng.integers(0, self.order, len(images))
+        seen = np.stack(
+            [
+                _warped(image, self.matrix(int(n))) if n else image
+                for image, n in zip(images, counts, strict=True)
+            ]
+        )
+        return seen, self.turned_values(values, counts)
+
+    def turned_values(self, values: Values, counts: np.ndarray) -> Values:
+        """Values of touches turned clockwise by these numbers of steps."""
+        made = values.copy()
+        cos, sin = (f(2 * math.pi * counts / self.order) for f in (np.cos, np.sin))
+        for i, j in self.pairs:
+            made[:, i] = cos * values[:, i] - sin * values[:, j]
+            made[:, j] = sin * values[:, i] + cos * values[:, j]
+        made[:, list(self.lone)] *= np.rint(cos)[:, None]
+        return made
+
+
+def in_plane(names: tuple[str, ...]) -> tuple[tuple[tuple[int, int], ...], tuple[int, ...]]:
+    """Which target columns are in-plane vectors, by their names, and which are half of one.
+
+    Example:
+        >>> in_plane(("depth_mm", "shear_x_mm", "shear_y_mm", "tilt_x_deg"))
+        (((1, 2),), (3,))
+    """
+    words = [tuple(split_column(name)[0].split("_")) for name in names]
+    x = {i: tuple("y" if w == "x" else w for w in ws) for i, ws in enumerate(words) if "x" in ws}
+    pairs = tuple((i, words.index(other)) for i, other in x.items() if other in words)
+    paired = {i for pair in pairs for i in pair}
+    lone = tuple(i for i, ws in enumerate(words) if {"x", "y"} & set(ws) and i not in paired)
+    return pairs, lone
+
+
+def axis_of(mean: Float[np.ndarray, "h w"], order: int) -> tuple[float, float]:
+    """Where the axis stands in the mean image (x, y) [px], from how far off its turned copy lies.
+
+    Turned about the middle m, an image whose axis is m + e comes out displaced by R e - e.
+
+    Raises:
+        InputError: less than two turns, or the turned copy does not look the same.
+    """
+    if order < 2:
+        raise InputError(f"a sensor repeats 2 or more times in a full turn; turns={order}")
+    height, width = mean.shape
+    middle = ((width - 1) / 2, (height - 1) / 2)
+    angle = 2 * math.pi / order
+    turned = _warped(mean[None].astype(np.float32), RotationalSymmetry(order, middle, ()).matrix(1))[0]
+    away = _displacement(mean, turned)
+    R = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    ex, ey = np.linalg.solve(R - np.eye(2), away)
+    axis = (middle[0] + float(ex), middle[1] + float(ey))
+    likeness = _likeness(mean, RotationalSymmetry(order, axis, ()))
+    if not likeness >= LEAST_LIKENESS:
+        raise InputError(
+            f"turned by {360 / order:g} deg the sensor's mean image correlates at {likeness:.2f} with itself "
+            f"({LEAST_LIKENESS} is asked for); give the number of times that it does repeat, or leave it out"
+        )
+    return axis
+
+
+def _displacement(a: Float[np.ndarray, "h w"], b: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " 2"]:
+    """How far (x, y) the second image lies from the first, to a pixel: where they correlate most."""
+    height, width = a.shape
+    spectrum = np.conj(np.fft.rfft2(a - a.mean())) * np.fft.rfft2(b - b.mean())
+    y, x = np.unravel_index(int(np.argmax(np.fft.irfft2(spectrum, (height, width)))), (height, width))
+    x, y = (x + width // 2) % width - width // 2, (y + height // 2) % height - height // 2
+    return np.array([x, y], dtype=float)
+
+
+def _likeness(mean: Float[np.ndarray, "h w"], turns: RotationalSymmetry) -> float:
+    """Correlation of the image with itself turned, inside the largest circle about the axis."""
+    height, width = mean.shape
+    (cx, cy), (y, x) = turns.centre, np.mgrid[:height, :width]
+    reach = 0.95 * min(cx, cy, width - 1 - cx, height - 1 - cy)
+    inside = (x - cx) ** 2 + (y - cy) ** 2 < max(reach, 0.0) ** 2
+    if inside.sum() < 9 or not mean[inside].std():
+        return 0.0
+    other = _warped(mean[None].astype(np.float32), turns.matrix(1))[0]
+    return float(np.corrcoef(mean[inside], other[inside])[0, 1])
+
+
+def _warped(image: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    height, width = image.shape[1:]
+    return np.stack(
+        [cv2.warpAffine(c, matrix, (width, height), borderMode=cv2.BORDER_REPLICATE) for c in image]
+    )

@@ -1,0 +1,314 @@
+"""The training loop that the larger networks share: Adam on batches, clipped gradients, and where it was.
+
+Everything random in an epoch follows from the seed and the epoch's number, and what an epoch leaves behind
+is kept in a checkpoint of plain arrays. Training that was interrupted goes on to the same weights, on the
+same machine with the same number of threads.
+
+Begun by torchrun, several processes train one network, each on its share of every batch: the rows of a step
+and their order are those of one process, and so are the weights but for rounding, and, on the CPU, for batch
+normalisation, which there knows one share only. The first process alone writes and decides when to stop.
+
+Where bfloat16 is fast, forward and backward passes are computed in it; weights, their steps and the loss
+stay float32. Reference for Adam: Kingma & Ba, ICLR (2015), arXiv:1412.6980.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from palpate.core.errors import InputError
+from palpate.core.shapes import Float32, Indices, Tensor
+from palpate.estimators.networks.compact_cnn import fast_bfloat16
+from palpate.estimators.networks.distributed import ProcessGroup
+from palpate.estimators.networks.model_interface import Progress, silent
+
+Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+PRECISIONS = ("auto", "float32")
+WATCHED_AT_ONCE = 64
+RISING = 100  # steps
+
+
+@dataclass(frozen=True)
+class TrainingTask:
+    """What a network shall learn.
+
+    Attributes:
+        fetch: rows -> inputs ``[n c h w]``.
+        wanted: what the network shall answer, for every row that can be fetched.
+        loss: of answers ``[n t]`` and what was wanted; a mean over the rows.
+        learn: the rows learnt from.
+        watch: rows by which it is decided when to stop; none where training goes on to its last epoch.
+    """
+
+    fetch: Callable[[Indices], Tensor]
+    wanted: Float32[np.ndarray, "n t"]
+    loss: Loss
+    learn: Indices
+    watch: Indices
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingLoop:
+    """How a network is trained.
+
+    Attributes:
+        epochs: passes over the rows, at most.
+        batch: rows a step of all processes together, 2 or more for each; a last batch of one row is left out,
+            for batch normalisation knows no spread of one.
+        learning_rate: Adam's step.
+        patience: epochs without a smaller loss on the watched rows before it stops; the weights of the best
+            epoch are kept.
+        precision: "auto" multiplies in bfloat16 where the processor does that fast, "float32" never.
+        clip: greatest norm of the gradient; a longer one is shortened to it.
+        cosine: let the step rise over the first hundred steps, then fall along a cosine to nothing, instead
+            of staying as it is.
+    """
+
+    epochs: int
+    batch: int = 32
+    learning_rate: float = 1e-3
+    patience: int = 0
+    precision: str = "auto"
+    clip: float = 5.0
+    cosine: bool = False
+
+    def __post_init__(self) -> None:
+        if self.epochs < 1 or self.batch < 2 or self.patience < 0:
+            raise InputError(
+                f"epochs {self.epochs}, batch {self.batch}, patience {self.patience}: epochs are 1 or more, "
+                "a batch 2 rows or more, patience 0 (none) or more epochs"
+            )
+        if not (0 < self.learning_rate < math.inf and self.clip > 0):
+            raise InputError(f"learning_rate {self.learning_rate}, clip {self.clip}: both must be positive")
+        if self.precision not in PRECISIONS:
+            raise InputError(f"precision {self.precision!r} is not known; take auto or float32")
+
+    def rate(self, step: int, steps_an_epoch: int) -> float:
+        """Adam's step at one of the steps."""
+        if not self.cosine:
+            return self.learning_rate
+        total = self.epochs * steps_an_epoch
+        rise = min(1.0, (step + 1) / min(RISING, total))
+        return self.learning_rate * rise * 0.5 * (1 + math.cos(math.pi * step / total))
+
+    def train(
+        self,
+        network: nn.Module,
+        lesson: TrainingTask,
+        *,
+        seed: int,
+        progress: Progress = silent,
+        checkpoint: Path | None = None,
+    ) -> nn.Module:
+        """Train the network given, and return it on the CPU, ready to answer.
+
+        Args:
+            network: from inputs to answers; changed in place.
+            lesson: what it shall learn.
+            seed: of the order in which rows are seen.
+            progress: told how far the work is; of several processes, only the first's is.
+            checkpoint: where to keep what is needed to go on, in a folder that all processes see; a file
+                found there is gone on from. The same weights need the same number of processes.
+
+        Raises:
+            InputError: fewer than two rows, a batch of fewer than two rows a process, or the loss stops being
+                a number.
+        """
+        if len(lesson.learn) < 2:
+            raise InputError(f"{len(lesson.learn)} rows to learn from; two or more are needed")
+        run = TrainingRun(self, network, lesson, seed)
+        told = progress if run.crew.first else silent
+        if checkpoint is not None:
+            run.resume(checkpoint)
+        while not run.ended:
+            run.one_epoch()
+            if checkpoint is not None and run.crew.first:
+                run.save(checkpoint)
+            told("learning", run.epoch, self.epochs)
+        told("learning", self.epochs, self.epochs)
+        return run.kept()
+
+
+class TrainingRun:
+    """A network in training: its optimiser, the best it has been, and how long ago that was."""
+
+    def __init__(self, plan: TrainingLoop, network: nn.Module, lesson: TrainingTask, seed: int) -> None:
+        self.plan, self.lesson, self.seed, self.epoch = plan, lesson, seed, 0
+        self.crew = ProcessGroup.of_environment()
+        if plan.batch < 2 * self.crew.size:
+            raise InputError(
+                f"a batch of {plan.batch} rows for {self.crew.size} processes; 2 rows or more for each, so "
+                f"take a batch of {2 * self.crew.size} or more, or fewer processes"
+            )
+        self.crew.join()
+        self.device = self.crew.device()
+        self.given = network.to(self.device, memory_format=torch.channels_last)
+        self.network = self.crew.of_one_mind(self.given)
+        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=plan.learning_rate)
+        self.best: dict[str, torch.Tensor] = {}
+        self.best_loss, self.since = math.inf, 0
+
+    @property
+    def stops_early(self) -> bool:
+        return self.plan.patience > 0 and len(self.lesson.watch) > 0
+
+    @property
+    def ended(self) -> bool:
+        return self.epoch >= self.plan.epochs or (self.stops_early and self.since >= self.plan.patience)
+
+    def one_epoch(self) -> None:
+        """See every row once, then look at the watched rows."""
+        rng = np.random.default_rng([self.seed, self.epoch])
+        order = rng.permutation(self.lesson.learn)
+        self.network.train()
+        # Anew each epoch: how gradients are bundled, and so rounded, then follows from the epoch alone.
+        spread = self.crew.spread(self.network, self.device)
+        parts = [order[i : i + self.plan.batch] for i in range(0, len(order), self.plan.batch)]
+        parts = [part for part in parts if len(part) > 1]
+        before = self.epoch * len(parts)
+        losses = [self._step(spread, part, (before + i, len(parts))) for i, part in enumerate(parts)]
+        self.epoch += 1
+        self._require_a_number(self.crew.sum(torch.stack(losses).sum().item()))
+        if self.stops_early:
+            self._remember(self.crew.first_says(self.watched_loss() if self.crew.first else math.nan))
+
+    def _step(self, spread: nn.Module, part: Indices, at: tuple[int, int]) -> torch.Tensor:
+        """One step down, the `at[0]`-th of `at[1]` an epoch, by this process's share of the rows."""
+        mine, weight = self.crew.share(part)
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.plan.rate(*at)
+        with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self._in_bfloat16()):
+            answer = spread(self._inputs(mine))
+        loss = weight * self.lesson.loss(answer.float(), self._wanted(mine))
+        self.optimiser.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.network.parameters(), self.plan.clip)
+        self.optimiser.step()
+        return loss.detach()
+
+    def _inputs(self, part: Indices) -> torch.Tensor:
+        image = torch.from_numpy(self.lesson.fetch(part)).to(self.device)
+        return image.contiguous(memory_format=torch.channels_last)
+
+    def _wanted(self, part: Indices) -> torch.Tensor:
+        return torch.from_numpy(self.lesson.wanted[part]).to(self.device)
+
+    def _in_bfloat16(self) -> bool:
+        if self.plan.precision == "float32":
+            return False
+        return torch.cuda.is_bf16_supported() if self.device.type == "cuda" else fast_bfloat16()
+
+    def watched_loss(self) -> float:
+        """The loss of the watched rows, in float32 as the trained network will answer."""
+        watch = self.lesson.watch
+        self.network.eval()
+        with torch.no_grad():
+            parts = [watch[i : i + WATCHED_AT_ONCE] for i in range(0, len(watch), WATCHED_AT_ONCE)]
+            answers = torch.cat([self.network(self._inputs(part)).float() for part in parts])
+            return float(self.lesson.loss(answers, self._wanted(watch)))
+
+    def _remember(self, loss: float) -> None:
+        self._require_a_number(loss)
+        if loss < self.best_loss:
+            self.best = {k: v.detach().cpu().clone() for k, v in self.network.state_dict().items()}
+            self.best_loss, self.since = loss, 0
+        else:
+            self.since += 1
+
+    def _require_a_number(self, loss: float) -> None:
+        if not math.isfinite(loss):
+            raise InputError(
+                f"the loss is {loss} in epoch {self.epoch}: a label or an image is no number, or the steps "
+                f"are too long; check the labels, or take a learning_rate below {self.plan.learning_rate:g}"
+            )
+
+    def kept(self) -> nn.Module:
+        """The network at its best, or as it is where none was watched; on the CPU, in plain layout."""
+        self.given.load_state_dict(self.best or self.network.state_dict())
+        kept = self.given.to("cpu", memory_format=torch.contiguous_format).eval()
+        self.crew.align(kept)
+        return kept
+
+    def save(self, path: Path) -> None:
+        """Keep all of it as plain arrays, in one step."""
+        counts = {"seed": self.seed, "epoch": self.epoch, "best_loss": self.best_loss, "since": self.since}
+        arrays: dict[str, Any] = {k: np.array(v) for k, v in counts.items()}
+        arrays |= {f"network/{k}": v.numpy(force=True) for k, v in self.network.state_dict().items()}
+        arrays |= {f"best/{k}": v.numpy() for k, v in self.best.items()}
+        for i, state in self.optimiser.state_dict()["state"].items():
+            arrays |= {f"optimiser/{i}/{k}": v.numpy(force=True) for k, v in state.items()}
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
+            try:
+                np.savez(file, **arrays)
+            except BaseException:
+                Path(file.name).unlink()
+                raise
+        Path(file.name).replace(path)
+
+    def resume(self, path: Path) -> None:
+        """Go on from a checkpoint where there is one: all processes from the same."""
+        if self.crew.first and path.exists():
+            self.load(path)
+        self.crew.wait()
+        if not self.crew.first and path.exists():  # the first has set aside what is damaged
+            self._take(_read(path))
+        if self.epoch != self.crew.first_says(self.epoch):
+            raise InputError(f"process {self.crew.rank} does not see the first's {path}; share its folder")
+
+    def load(self, path: Path) -> None:
+        """Go on from what `save` kept; a file that is damaged or of another training is set aside."""
+        try:
+            self._take(_read(path))
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+            path.replace(path.with_suffix(".damaged"))
+
+    def _take(self, arrays: dict[str, torch.Tensor]) -> None:
+        """All of a checkpoint's arrays, or none of them."""
+        network, best = _part(arrays, "network"), _part(arrays, "best")
+        self._require_fit(network)
+        if best:
+            self._require_fit(best)
+        parameters = list(self.network.parameters())
+        states: dict[int, dict[str, torch.Tensor]] = {i: {} for i in range(len(parameters))}
+        for key, value in _part(arrays, "optimiser").items():
+            i, _, field = key.partition("/")
+            states[int(i)][field] = _laid_out(value)
+        if not all(set(state) == {"step", "exp_avg", "exp_avg_sq"} for state in states.values()):
+            raise ValueError("the optimiser's state is not whole")
+        if int(arrays["seed"]) != self.seed:
+            raise ValueError("the checkpoint is of another seed")
+        epoch, since = int(arrays["epoch"]), int(arrays["since"])
+        self.best_loss = float(arrays["best_loss"])
+        self.network.load_state_dict(network)
+        self.optimiser.load_state_dict(self.optimiser.state_dict() | {"state": states})
+        self.best, self.epoch, self.since = best, epoch, since
+
+    def _require_fit(self, weights: dict[str, torch.Tensor]) -> None:
+        shapes = {k: v.shape for k, v in self.network.state_dict().items()}
+        if {k: v.shape for k, v in weights.items()} != shapes:
+            raise ValueError("the weights are of another network")
+
+
+def _read(path: Path) -> dict[str, torch.Tensor]:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
+        return {k: torch.from_numpy(np.array(held[k])) for k in held.files}
+
+
+def _part(arrays: dict[str, torch.Tensor], name: str) -> dict[str, torch.Tensor]:
+    return {k[len(name) + 1 :]: v for k, v in arrays.items() if k.startswith(f"{name}/")}
+
+
+def _laid_out(state: torch.Tensor) -> torch.Tensor:
+    """In the layout of the weights it belongs to, so that a step is computed in the very same order."""
+    return state.contiguous(memory_format=torch.channels_last) if state.dim() == 4 else state

@@ -1,0 +1,415 @@
+"""What a calibration saw, and how far a new image lies from what is between those images.
+
+A thumbnail of the image is made again from the calibration's nearest ones, as their mean with weights that
+are not negative: so places between those recorded are known as well, and two touches at once are not, since a
+mean of one touch here and one there shows half of each. What is left over is held, block by block, against
+what was left of those nearest ones when their own groups were held out: little near the untouched skin, much
+under a deep press. That is the idea of the local outlier factor (Breunig et al., SIGMOD 2000,
+doi:10.1145/335191.335388); weights that rebuild a point from its neighbours are those of locally linear
+embedding (Roweis and Saul, Science 2000, doi:10.1126/science.290.5500.2323), here without negative ones.
+
+The guard: is this image of the kind the estimator was calibrated on, and has the sensor drifted?
+
+How strange an image is, `seen` says by two numbers. Each has a limit, and both limits together are such that
+a stated share of the calibration's frames, each held against other groups, would have been turned away.
+"""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import cv2
+import numpy as np
+from scipy.optimize import nnls
+
+from palpate.core.errors import CertificateError, InputError
+from palpate.core.reading import Drift
+from palpate.core.shapes import Float, Float16, Float32, Indices, Int, UInt8
+
+THUMBNAIL_VALUES = 1024
+"""A thumbnail holds about this many values, in one channel or in three."""
+
+BLOCK = 3  # cells of a thumbnail along each side of a block
+NEIGHBOURS = 24
+AXES = 48  # principal axes along which neighbours are searched for
+ROWS_FOR_AXES = 3000
+RIDGE = 0.01  # of the neighbours' mean squared distance, so that near twins share their weight
+FLOOR_GREY_LEVELS = 0.05
+"""Means over a block never agree better than this: thumbnails are kept in whole grey levels."""
+
+Prepared = UInt8[np.ndarray, "_ _ c"]
+Thumbnail = Float32[np.ndarray, "h w c"]
+Thumbnails = Float32[np.ndarray, "_ h w c"]
+Kept = UInt8[np.ndarray, "_ h w c"]
+
+
+def thumbnail(prepared: Prepared) -> Float32[np.ndarray, "h w c"]:
+    """Area means of a prepared image, about as many values whatever its size and channels, grey levels."""
+    height, width, channels = prepared.shape
+    shrink = min(1.0, math.sqrt(THUMBNAIL_VALUES / prepared.size))
+    size = (max(1, round(width * shrink)), max(1, round(height * shrink)))
+    small = cv2.resize(prepared, size, interpolation=cv2.INTER_AREA)
+    return small.reshape(size[1], size[0], channels).astype(np.float32)
+
+
+def thumbnails(images: Iterable[Prepared]) -> Thumbnails:
+    """Thumbnails of many prepared images of one size."""
+    return np.stack([thumbnail(image) for image in images])
+
+
+@dataclass(frozen=True)
+class NeighbourModel:
+    """The calibration's thumbnails, and what was left of each when it was rebuilt from other groups.
+
+    Attributes:
+        thumbs: in whole grey levels.
+        left: squared means of what was left, over blocks and then over all of each channel ``[n m]``.
+        centre, axes: of the space that neighbours are searched in ``[k]``, ``[k a]``.
+    """
+
+    thumbs: Kept
+    left: Float16[np.ndarray, "n m"]
+    centre: Float32[np.ndarray, " k"]
+    axes: Float32[np.ndarray, "k a"]
+
+    def novelty_score(self, thumb: Thumbnail) -> Float[np.ndarray, " 2"]:
+        """What is left of a thumbnail, over what was left of its neighbours: of its blocks, of its level.
+
+        The first is the root mean square over blocks of the mean of all channels. The second is the largest
+        over the channels, each as a whole: light that is brighter, darker or of another colour.
+        """
+        rebuilt = self.rebuilt(thumb)
+        return _ratios(rebuilt.left, _usual(self.left[rebuilt.rows]), thumb.shape[2])
+
+    def rebuilt(self, thumb: Thumbnail) -> Reconstruction:
+        """Make a thumbnail again from its nearest ones."""
+        flat = thumb.ravel()
+        # By einsum, in one thread: where other work has the cores, BLAS's threads wait for each other, which
+        # costs a frame many times what they save.
+        at = np.einsum("k,ka->a", flat - self.centre, self.axes)
+        away = self.squares - 2 * np.einsum("na,a->n", self.places, at)
+        count = min(NEIGHBOURS, len(away))
+        rows = np.argpartition(away, count - 1)[:count]
+        apart = self.thumbs[rows].reshape(count, -1) - flat
+        error = np.einsum("r,rk->k", _weights(apart), apart)
+        return Reconstruction(rows, np.einsum("k,km->m", error, _means(thumb.shape)) ** 2)
+
+    def among(self, rows: Indices) -> NeighbourModel:
+        """Some of the thumbnails alone."""
+        return replace(self, thumbs=self.thumbs[rows], left=self.left[rows])
+
+    @cached_property
+    def places(self) -> Float32[np.ndarray, "n a"]:
+        flat = self.thumbs.reshape(len(self.thumbs), -1)
+        parts = np.array_split(flat, math.ceil(len(flat) / ROWS_FOR_AXES))
+        return np.concatenate([(part - self.centre) @ self.axes for part in parts])
+
+    @cached_property
+    def squares(self) -> Float32[np.ndarray, " n"]:
+        return np.sum(self.places**2, axis=1)
+
+
+def belong_together(thumbs: np.ndarray, left: np.ndarray, centre: np.ndarray, axes: np.ndarray) -> bool:
+    """Whether arrays, read from a file, are those of one `Seen`."""
+    types = (np.uint8, np.float16, np.float32, np.float32)
+    if any(part.dtype != of for part, of in zip((thumbs, left, centre, axes), types, strict=True)):
+        return False
+    if thumbs.ndim != 4 or axes.ndim != 2 or not thumbs.size:
+        return False
+    k, m = _means(thumbs.shape[1:]).shape
+    return left.shape == (len(thumbs), m) and centre.shape == (k,) and len(axes) == k
+
+
+class Reconstruction(NamedTuple):
+    """A thumbnail made again from its neighbours.
+
+    Attributes:
+        rows: the neighbours'.
+        left: squared means of what is left, as in `Seen.left`.
+    """
+
+    rows: Int[np.ndarray, " r"]
+    left: Float[np.ndarray, " m"]
+
+
+@dataclass(frozen=True)
+class RenderedImages:
+    """Images that a model has learnt from besides the recorded ones, such as rendered ones.
+
+    Attributes:
+        thumbs: of them, prepared as the recorded ones are.
+        groups: those of one group, such as one press, are held out together.
+    """
+
+    thumbs: Kept
+    groups: Int[np.ndarray, " n"]
+
+
+@runtime_checkable
+class LearnsFromRendered(Protocol):
+    """A fitted model that tells of such images."""
+
+    @property
+    def also_seen(self) -> RenderedImages | None:
+        """None where there were none."""
+        ...
+
+
+class FittedNeighbours(NamedTuple):
+    """`Seen`, and how the same images look to it when their own fold is held out.
+
+    Attributes:
+        seen: of all of them.
+        strangeness: of each ``[n 2]``.
+        usual: what is usually left of a block about each of them [grey levels] ``[n]``.
+    """
+
+    seen: NeighbourModel
+    novelty_score: Float[np.ndarray, "n 2"]
+    usual: Float[np.ndarray, " n"]
+
+
+def fit_neighbours(thumbs: Kept, folds: Sequence[Indices], rng: np.random.Generator) -> FittedNeighbours:
+    """Rebuild each thumbnail from those of other folds, and keep what is left.
+
+    Args:
+        thumbs: in whole grey levels.
+        folds: rows of each, every row in one; whole groups together. Two or more.
+        rng: draws the rows that the axes are found from.
+    """
+    means, channels = _means(thumbs.shape[1:]).shape[1], thumbs.shape[3]
+    seen = NeighbourModel(thumbs, np.zeros((len(thumbs), means), np.float16), *_axes(thumbs, rng))
+    left, near = seen.left.copy(), [np.empty(0, np.int64)] * len(thumbs)
+    for held in folds:
+        others = np.setdiff1d(np.arange(len(thumbs)), held)
+        rest = seen.among(others)
+        for row in held:
+            rebuilt = rest.rebuilt(thumbs[row].astype(np.float32))
+            left[row], near[row] = rebuilt.left, others[rebuilt.rows]
+    usual = [_usual(left[rows]) for rows in near]
+    strange = [_ratios(*pair, channels) for pair in zip(left.astype(np.float32), usual, strict=True)]
+    blocks = np.sqrt([squares[:-channels].mean() for squares in usual])
+    return FittedNeighbours(replace(seen, left=left), np.stack(strange), blocks)
+
+
+def _usual(around: Float16[np.ndarray, "r m"]) -> Float[np.ndarray, " m"]:
+    """What is to be expected of a thumbnail, from what was left of its neighbours."""
+    return np.asarray(around.mean(axis=0, dtype=np.float32) + FLOOR_GREY_LEVELS**2)
+
+
+def _ratios(
+    left: Float[np.ndarray, " m"], usual: Float[np.ndarray, " m"], channels: int
+) -> Float[np.ndarray, " 2"]:
+    blocks, level = np.split(left / usual, [-channels])
+    return np.sqrt(np.array([blocks.mean(), level.max()], np.float64))
+
+
+def _weights(apart: Float32[np.ndarray, "r k"]) -> Float[np.ndarray, " r"]:
+    """Weights w of neighbours, none negative, together 1, that make w'Gw least, G their Gram matrix.
+
+    Least squares of [L' ; s 1'] w = [0 ; s] with w >= 0 and LL' = G gives that very w up to its length.
+    """
+    gram = np.einsum("rk,qk->rq", apart, apart).astype(np.float64)
+    size = np.trace(gram) / len(gram) + 1e-6
+    gram[np.diag_indices_from(gram)] += RIDGE * size
+    system = np.vstack([np.linalg.cholesky(gram).T, np.full(len(gram), math.sqrt(size))])
+    w, _ = nnls(system, np.append(np.zeros(len(gram)), math.sqrt(size)))
+    return np.asarray(w / w.sum(), dtype=np.float32)
+
+
+@lru_cache(maxsize=4)
+def _means(shape: tuple[int, int, int]) -> Float32[np.ndarray, "k m"]:
+    """Matrix from a flat thumbnail to the means over its blocks and, after them, over each channel."""
+    height, width, channels = shape
+    down, across, of = np.indices(shape).reshape(3, -1)
+    block = down // BLOCK * math.ceil(width / BLOCK) + across // BLOCK
+    blocks = np.eye(math.ceil(height / BLOCK) * math.ceil(width / BLOCK), dtype=np.float32)[block]
+    members = np.concatenate([blocks, np.eye(channels, dtype=np.float32)[of]], axis=1)
+    return members / members.sum(axis=0)
+
+
+def _axes(thumbs: Kept, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Their mean, and the principal axes of at most so many of them."""
+    few = len(thumbs) <= ROWS_FOR_AXES
+    drawn = thumbs if few else thumbs[rng.choice(len(thumbs), ROWS_FOR_AXES, replace=False)]
+    flat = drawn.reshape(len(drawn), -1).astype(np.float32)
+    centre = flat.mean(axis=0)
+    _, axes = np.linalg.eigh((flat - centre).T @ (flat - centre))
+    return centre, np.ascontiguousarray(axes[:, ::-1][:, :AXES])
+
+
+__all__ = ["NoveltyDetector", "fit_novelty_detector", "thumbnails"]
+
+DRIFT_FLOOR_GREY_LEVELS = 0.5
+"""Two averages of one scene never agree better than this, whatever a few references suggest."""
+
+FEW_REFERENCES = 5
+DRIFT_LIMIT_OF_FEW = 3.0
+"""Fewer no-contact frames than five say little of how far such frames wander: three times their spread."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoveltyDetector:
+    """Judges images against what a calibration saw.
+
+    Attributes:
+        seen: the calibration's thumbnails.
+        limits: of the two numbers of `Seen.novelty_score`.
+        reference: mean thumbnail of the untouched sensor ``[h w c]``; None where none was recorded.
+        reference_spread: how far its own no-contact thumbnails lie from their mean [grey levels, rms].
+        drift_limit: the drift statistic above which the calibration is stale.
+    """
+
+    seen: NeighbourModel
+    limits: Float[np.ndarray, " 2"]
+    reference: Thumbnail | None
+    reference_spread: float
+    drift_limit: float
+
+    def atypicality(self, prepared: Prepared) -> float:
+        """How far the image is from all that was calibrated on; beyond 1 it should not be trusted."""
+        return float(np.max(self.seen.novelty_score(thumbnail(prepared)) / self.limits))
+
+    def drift(self, untouched: Prepared) -> Drift | None:
+        """How far the untouched sensor has moved since calibration; None where that had no view of it."""
+        if self.reference is None:
+            return None
+        moved = np.sqrt(np.mean((thumbnail(untouched) - self.reference) ** 2))
+        return Drift(float(moved / self.reference_spread), self.drift_limit)
+
+    def save(self, path: Path) -> None:
+        """Write the guard as plain arrays."""
+        absent = np.empty(0, np.float32)
+        np.savez_compressed(
+            path,
+            thumbs=self.seen.thumbs,
+            left=self.seen.left,
+            centre=self.seen.centre,
+            axes=self.seen.axes,
+            limits=self.limits,
+            reference=absent if self.reference is None else self.reference,
+            drift=np.array([self.reference_spread, self.drift_limit]),
+        )
+
+    @classmethod
+    def load(cls, path: Path) -> NoveltyDetector:
+        """Read a guard that `save` wrote.
+
+        Raises:
+            CertificateError: the file is not one, or of the kind before decision 0010.
+        """
+        try:
+            # Opened here, since numpy leaves a file that is no archive to the garbage collector.
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
+                parts = {name: held[name] for name in held.files}
+            _check(path, parts)
+            seen = NeighbourModel(parts["thumbs"], parts["left"], parts["centre"], parts["axes"])
+            reference = parts["reference"] if parts["reference"].size else None
+            spread, limit = (float(v) for v in parts["drift"])
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as e:
+            raise CertificateError(f"{path} is not a guard that palpate wrote ({e}); calibrate again") from e
+        _ = seen.squares  # so that the first frame does not wait for them
+        return cls(seen, parts["limits"], reference, spread, limit)
+
+
+def _check(path: Path, parts: Mapping[str, np.ndarray]) -> None:
+    if "stray" in parts:
+        raise CertificateError(
+            f"{path} is of a calibration by an earlier palpate, whose guard let two touches at once pass; "
+            "calibrate again"
+        )
+    thumbs, reference = parts["thumbs"], parts["reference"]
+    fits = belong_together(thumbs, parts["left"], parts["centre"], parts["axes"])
+    untouched = reference.size == 0 or reference.shape == thumbs.shape[1:]
+    if not fits or not untouched or parts["limits"].shape != (2,):
+        raise CertificateError(f"{path}: the guard's arrays do not fit each other; calibrate again")
+
+
+def fit_novelty_detector(
+    thumbs: Thumbnails,
+    folds: Sequence[Indices],
+    untouched: Thumbnails,
+    *,
+    also: RenderedImages | None = None,
+    false_alarms: float = 0.03,
+    most: int = 2000,
+    seed: int = 0,
+) -> NoveltyDetector:
+    """Keep thumbnails, and set the limits from how strange frames look to those of other folds.
+
+    Args:
+        thumbs: of every calibration frame.
+        folds: held-out rows of each fold, whole groups together.
+        untouched: thumbnails of the no-contact frames; may be empty.
+        also: images known to be good besides. The limits are set by recorded frames alone, and where these
+            are too unlike the others, a guard without the others lets less pass, and is taken.
+        false_alarms: share of good frames that may be turned away.
+        most: recorded frames kept, at most.
+        seed: of the draw when there are more.
+
+    Raises:
+        InputError: fewer than six frames, or fewer than two folds.
+    """
+    if len(thumbs) < 6:
+        raise InputError(f"{len(thumbs)} frames are too few to learn what frames look like; record 6 or more")
+    fold = np.zeros(len(thumbs), np.int64)
+    for k, held in enumerate(folds):
+        fold[held] = k
+    rng = np.random.default_rng(seed)
+    if len(thumbs) > most:
+        drawn = np.sort(rng.choice(len(thumbs), most, replace=False))
+        thumbs, fold = thumbs[drawn], fold[drawn]
+    _, fold = np.unique(fold, return_inverse=True)
+    if fold.max() == 0:
+        raise InputError(
+            "all frames are of one group; what new ones look like shows in others: record two or more"
+        )
+    kept = np.round(thumbs).astype(np.uint8)
+    known = [(kept, fold)]
+    if also is not None:
+        known.append((np.concatenate([kept, also.thumbs]), _dealt(fold, also)))
+    learnt = [fit_neighbours(images, _rows_of(dealt), rng) for images, dealt in known]
+    limits = [_limits(one.novelty_score[: len(kept)], false_alarms) for one in learnt]
+    lets_pass = [one.usual[: len(kept)] * limit[0] for one, limit in zip(learnt, limits, strict=True)]
+    best = int(np.argmin([np.median(grey) for grey in lets_pass]))
+    return NoveltyDetector(learnt[best].seen, limits[best], *_untouched(untouched))
+
+
+def _rows_of(fold: Indices) -> list[Indices]:
+    return [np.flatnonzero(fold == k) for k in range(fold.max() + 1)]
+
+
+def _dealt(fold: Indices, also: RenderedImages) -> Indices:
+    """The recorded frames' folds, then those of the others, whose groups are dealt out to the same folds."""
+    _, group = np.unique(also.groups, return_inverse=True)
+    return np.concatenate([fold, group % (fold.max() + 1)])
+
+
+def _limits(novelty_score: Float[np.ndarray, "n 2"], false_alarms: float) -> Float[np.ndarray, " 2"]:
+    """Limits that so many are beyond, of one or the other, each by itself of half as many.
+
+    Never below 1: what leaves no more than its neighbours did is not strange.
+    """
+    each = np.quantile(novelty_score, 1 - false_alarms / 2, axis=0)
+    each = np.maximum(each, 1e-3)
+    both = np.quantile(np.max(novelty_score / each, axis=1), 1 - false_alarms, method="higher")
+    return np.asarray(np.maximum(each * both, 1.0))
+
+
+def _untouched(untouched: Thumbnails) -> tuple[np.ndarray | None, float, float]:
+    """Mean no-contact thumbnail, the spread around it, and the limit: half as far again as the widest."""
+    r = len(untouched)
+    if r == 0:
+        return None, DRIFT_FLOOR_GREY_LEVELS, DRIFT_LIMIT_OF_FEW
+    mean = untouched.mean(axis=0)
+    # With r frames the mean follows each of them; r / (r - 1) undoes that.
+    moved = np.sqrt(np.mean((untouched - mean) ** 2, axis=1)) * (r / (r - 1) if r > 1 else 1.0)
+    spread = max(float(np.median(moved)), DRIFT_FLOOR_GREY_LEVELS)
+    widest = 1.5 * max(float(moved.max()) / spread, 1.0)
+    return mean, spread, widest if r >= FEW_REFERENCES else max(widest, DRIFT_LIMIT_OF_FEW)

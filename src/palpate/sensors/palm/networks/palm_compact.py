@@ -1,0 +1,276 @@
+"""A small network for the photoelastic palm, which learns from the rendered membrane as well.
+
+A palm is calibrated at a few dozen places. Between them a network has to guess, and that is where larger ones
+fail. So this one also sees thousands of presses anywhere on the virtual membrane, with the frames of the rig
+it is calibrated on, and has two parts that suit the two views: the fringes' branch keeps the map's layout up
+to a dense layer, and the mirror's branch also tells where its maps weigh most (a soft maximum), which is
+where the probe is. On a virtual rig the rendered presses obey the very laws of the recorded ones; on a real
+palm they are a model of it, and how much they help there is not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar, Protocol, runtime_checkable
+
+import cv2
+import numpy as np
+import torch
+from torch import nn
+from torch.nn import functional
+
+from palpate.core.errors import InputError
+from palpate.core.sensor import DEFAULT_SENSOR, Sensor, sensor
+from palpate.core.shapes import Float32, Indices, Int, Tensor, UInt8
+from palpate.estimators.networks.compact_cnn import seeded
+from palpate.estimators.networks.model_interface import Progress, Scaler, TrainingData, silent
+from palpate.estimators.networks.torch_export import TorchGraph
+from palpate.estimators.networks.training_loop import TrainingLoop, TrainingTask
+from palpate.estimators.novelty import RenderedImages, thumbnails
+from palpate.sensors.palm.networks.palm_training import (
+    FittedPalm,
+    PalmNetwork,
+    Scales,
+    columns_of,
+    dense,
+    half_width,
+)
+
+WIDTHS = (24, 48, 64, 96)
+SEEN_AT = 2  # blocks after which the mirror's maps are asked where they weigh most
+MAPS = 16
+FEATURES = 128
+BEND = 0.05  # of the Huber loss, in spreads of the targets
+DEPTHS_EACH = 12  # frames of a rendered press
+OFTEN = 2  # times in an epoch that a recorded frame is seen
+
+
+TARGETS = ("depth_mm", "x_mm", "y_mm", "force_N")
+"""Labels of a rendered press."""
+
+
+@runtime_checkable
+class RenderedPresses(Protocol):
+    """Presses of a virtual sensor: images, those of the skin with the probe over it, and their labels."""
+
+    @property
+    def images(self) -> UInt8[np.ndarray, "n h w 3"]:
+        """Of all presses, at all their depths."""
+        ...
+
+    @property
+    def hanging(self) -> UInt8[np.ndarray, "p h w 3"]:
+        """Of each press before it touches."""
+        ...
+
+    @property
+    def press(self) -> Int[np.ndarray, " n"]:
+        """Of each image."""
+        ...
+
+    @property
+    def values(self) -> Float32[np.ndarray, "n 4"]:
+        """Of each image, in the order of `TARGETS`."""
+        ...
+
+
+class CompactPalmNetwork(PalmNetwork):
+    """Two small branches and a dense head."""
+
+    def __init__(self, channels: int, side: int, scales: Scales) -> None:
+        super().__init__(scales)
+        last = WIDTHS[-1] * (side // 2 ** len(WIDTHS)) ** 2
+        self.fringe = nn.ModuleList(_blocks(channels))
+        self.mirror = nn.ModuleList(_blocks(channels))
+        self.fringe_features = nn.Sequential(nn.Flatten(), nn.Linear(last, FEATURES), nn.ReLU())
+        self.mirror_features = nn.Sequential(nn.Flatten(), nn.Linear(last, FEATURES), nn.ReLU())
+        self.maps = nn.Conv2d(WIDTHS[SEEN_AT - 1], MAPS, 1)
+        self.head = dense((2 * FEATURES + 2 * MAPS, FEATURES, len(scales.order)))
+        self.grid: torch.Tensor
+        self.register_buffer("grid", _grid(side // 2**SEEN_AT))
+
+    def answer(self, fringe: torch.Tensor, mirror: torch.Tensor) -> torch.Tensor:
+        for block in self.fringe:
+            fringe = block(fringe)
+        for block in self.mirror[:SEEN_AT]:
+            mirror = block(mirror)
+        weights = torch.softmax(self.maps(mirror).float().flatten(2), dim=2)
+        where = (weights @ self.grid).flatten(1)
+        for block in self.mirror[SEEN_AT:]:
+            mirror = block(mirror)
+        features = self.fringe_features(fringe), self.mirror_features(mirror)
+        return self.head(torch.cat([*features, where.to(features[0].dtype)], dim=1))
+
+    def draw(self, graph: TorchGraph, fringe: str, mirror: str) -> str:
+        seen = graph.add_chain(self.mirror[:SEEN_AT], mirror)
+        where = graph.centres(self.maps, self.grid, seen)
+        features = (
+            graph.add_chain([*self.fringe, self.fringe_features], fringe),
+            graph.add_chain([*self.mirror[SEEN_AT:], self.mirror_features], seen),
+        )
+        return graph.add_layer(self.head, graph.joined(*features, where))
+
+
+def _blocks(channels: int) -> list[nn.Sequential]:
+    """Each halves the map's side; the first looks wider."""
+    made, before = [], channels
+    for i, width in enumerate(WIDTHS):
+        size = 5 if i == 0 else 3
+        convolution = nn.Conv2d(before, width, size, stride=2, padding=size // 2, bias=False)
+        made.append(nn.Sequential(convolution, nn.BatchNorm2d(width), nn.ReLU()))
+        before = width
+    return made
+
+
+def _grid(side: int) -> torch.Tensor:
+    """Places ``[side side, 2]`` across and down, -1 to 1."""
+    along = torch.linspace(-1, 1, side)
+    down, across = torch.meshgrid(along, along, indexing="ij")
+    return torch.stack([across.flatten(), down.flatten()], dim=1)
+
+
+@dataclass(frozen=True)
+class FittedCompact(FittedPalm):
+    """A trained network, and the rendered presses that it has learnt from, for the guard to know."""
+
+    also_seen: RenderedImages | None
+
+
+@dataclass(frozen=True)
+class PalmCompact:
+    """How the network is built and trained.
+
+    Attributes:
+        rendered: frames of rendered presses that are learnt from besides the recorded ones; 0 for none, and
+            then any targets may be asked for.
+        palm: the preset that they are rendered of.
+        epochs: passes over all of them.
+        batch: rows a step.
+        learning_rate: Adam's at its greatest; it falls along a cosine.
+        precision: see `Descent`.
+        processes: how many render, on this machine; what they render does not depend on it. 1 under torchrun.
+    """
+
+    rendered: int = 16_000
+    palm: str = "palm"
+    epochs: int = 16
+    batch: int = 64
+    learning_rate: float = 2e-3
+    precision: str = "auto"
+    processes: int = 1
+
+    targets: ClassVar[tuple[str, ...]] = TARGETS
+
+    def __post_init__(self) -> None:
+        if self.rendered < 0 or self.processes < 1:
+            raise InputError(
+                f"rendered is {self.rendered} and processes {self.processes}; give a number of frames, 0 for "
+                "none, and one of processes, 1 or more"
+            )
+        self._sensor()
+        self.descent()
+
+    def descent(self) -> TrainingLoop:
+        """The training loop these options ask for."""
+        return TrainingLoop(self.epochs, self.batch, self.learning_rate, 0, self.precision, cosine=True)
+
+    def fit(
+        self,
+        data: TrainingData,
+        rows: Indices,
+        *,
+        seed: int,
+        progress: Progress = silent,
+        checkpoint: Path | None = None,
+    ) -> FittedCompact:
+        columns = self._columns(data.names)
+        side = self._side(data.shape)
+        rng = np.random.default_rng(seed)
+        drawn = self._drawn(side, rng, progress)
+        scales = Scales.of(data, rows, columns, True, rng)
+        values = data.values[:, columns]
+        if drawn is not None:
+            values = np.concatenate([values, drawn.values.astype(np.float64)])
+            learnt = np.concatenate([data.values[np.ix_(rows, columns)], drawn.values])
+            scales = replace(scales, targets=Scaler.of(learnt))
+        union = _Union(data, drawn)
+        learn = np.concatenate([np.tile(rows, OFTEN if drawn else 1), union.drawn_rows])
+        wanted = scales.targets.scaled(values).astype(np.float32)
+        with seeded(seed):
+            network = CompactPalmNetwork(data.shape[0], side, scales)
+        lesson = TrainingTask(union.fetch, wanted, _loss, learn, rows[:0])
+        trained = self.descent().train(network, lesson, seed=seed, progress=progress, checkpoint=checkpoint)
+        also = None if drawn is None else _seen(drawn, data.shape[0])
+        return FittedCompact(trained, data.shape, also)
+
+    def _columns(self, asked: Sequence[str]) -> Indices:
+        """Rendered presses have labels of four kinds; without them anything may be asked."""
+        if self.rendered == 0:
+            return np.arange(len(asked))
+        return columns_of(self.targets, asked, type(self).__name__)
+
+    def _side(self, shape: tuple[int, int, int]) -> int:
+        side = half_width(shape)
+        if side != shape[1] or side % 2 ** len(WIDTHS):
+            raise InputError(
+                f"an input of {shape[1]} x {shape[2]} px is not two squares whose side is a multiple of "
+                f"{2 ** len(WIDTHS)} px; give --size 96x192, or 128x256"
+            )
+        return side
+
+    def _drawn(self, side: int, rng: np.random.Generator, progress: Progress) -> RenderedPresses | None:
+        if self.rendered == 0:
+            return None
+        count = max(1, round(self.rendered / DEPTHS_EACH))
+
+        def told(done: int, total: int) -> None:
+            progress("rendering presses", done, total)
+
+        draw: Callable[..., RenderedPresses] = self._sensor().draw_presses  # type: ignore[attr-defined]
+        return draw(side, count, DEPTHS_EACH, rng, told, processes=self.processes)
+
+    def _sensor(self) -> Sensor:
+        return sensor(DEFAULT_SENSOR if self.palm == DEFAULT_SENSOR else f"{DEFAULT_SENSOR}-{self.palm}")
+
+
+def _seen(drawn: RenderedPresses, channels: int) -> RenderedImages:
+    """Thumbnails of all that was drawn, the skin with the probe over it as well."""
+    images = (_in_channels(image, channels) for part in (drawn.images, drawn.hanging) for image in part)
+    groups = np.concatenate([drawn.press, np.arange(len(drawn.hanging))])
+    return RenderedImages(np.round(thumbnails(images)).astype(np.uint8), groups)
+
+
+def _in_channels(image: np.ndarray, channels: int) -> np.ndarray:
+    return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None] if channels == 1 else image
+
+
+def _loss(answer: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+    loss: torch.Tensor = functional.smooth_l1_loss(answer, wanted, beta=BEND)
+    return loss
+
+
+class _Union:
+    """Recorded rows and, numbered on after them, rendered ones."""
+
+    def __init__(self, data: TrainingData, drawn: RenderedPresses | None) -> None:
+        self._data, self._drawn, self._first = data, drawn, len(data.values)
+        self.drawn_rows = self._first + np.arange(len(drawn.values) if drawn else 0)
+
+    def fetch(self, rows: Indices) -> Tensor:
+        """Inputs ``[n c h w]``, in the order asked for."""
+        inputs = np.empty((len(rows), *self._data.shape), np.float32)
+        recorded = rows < self._first
+        if recorded.any():
+            inputs[recorded] = self._data.fetch(rows[recorded])
+        if self._drawn is not None and not recorded.all():
+            inputs[~recorded] = self._differences(self._drawn, rows[~recorded] - self._first)
+        return inputs
+
+    def _differences(self, drawn: RenderedPresses, rows: Indices) -> Tensor:
+        pairs = zip(drawn.images[rows], drawn.hanging[drawn.press[rows]], strict=True)
+        return np.stack([self._as_input(image) - self._as_input(hanging) for image, hanging in pairs])
+
+    def _as_input(self, image: np.ndarray) -> np.ndarray:
+        return _in_channels(image, self._data.shape[0]).transpose(2, 0, 1).astype(np.float32)

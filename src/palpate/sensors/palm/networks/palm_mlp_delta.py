@@ -1,0 +1,103 @@
+"""The photoelastic palm's network without an image: a perceptron on the fringe difference's pixels in a row.
+
+It estimates the three forces from the left half alone, and no place. It is the baseline that shows what
+convolution is worth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import onnx
+from onnx import helper, numpy_helper
+
+from palpate.core.errors import InputError
+from palpate.core.shapes import Indices, Tensor, Values
+from palpate.estimators.networks.model_interface import Progress, TrainingData, silent
+from palpate.estimators.networks.onnx_graph import image_to_value
+from palpate.estimators.networks.pixel_mlp import FittedPerceptron, PixelMlp
+from palpate.sensors.palm.networks.palm_training import FORCES, columns_of, half_width
+
+LARGEST_BATCH = 200
+
+
+@dataclass(frozen=True, slots=True)
+class FittedPalmMlp:
+    """A perceptron that sees the left half of the image."""
+
+    perceptron: FittedPerceptron
+    shape: tuple[int, int, int]
+
+    def predict(self, inputs: Tensor) -> Values:
+        return self.perceptron.predict(np.ascontiguousarray(inputs[..., : half_width(self.shape)]))
+
+    def to_onnx(self) -> onnx.ModelProto:
+        inner = self.perceptron.to_onnx().graph
+        nodes = list(inner.node)
+        nodes[0].input[0] = "fringe"
+        cut = helper.make_node("Slice", ["image", "first", "end", "axis"], ["fringe"])
+        bounds = {"first": 0, "end": half_width(self.shape), "axis": 3}
+        constants = {part.name: numpy_helper.to_array(part) for part in inner.initializer}
+        constants |= {name: np.array([at], np.int64) for name, at in bounds.items()}
+        return image_to_value([cut, *nodes], constants, self.shape, len(self.perceptron.scaler.mean))
+
+
+@dataclass(frozen=True, slots=True)
+class PalmMlpDelta:
+    """scikit-learn's MLPRegressor, for differential grey crops.
+
+    What the source does not name is scikit-learn's own default: one hidden layer of 100, a step of 1e-3, a
+    penalty of 1e-4. Two things are as in `PixelMlp`, and not as in scikit-learn's `fit`: it stops by whole
+    groups that are watched, not by rows drawn at random; and its targets are standardised.
+
+    Attributes:
+        hidden: width of each hidden layer.
+        epochs: passes over the rows, at most.
+        patience: passes without gain on the watched groups before it stops.
+        watched: share of the groups kept out of learning, to decide when to stop.
+        learning_rate: Adam's step.
+        penalty: L2 penalty on the weights.
+    """
+
+    hidden: tuple[int, ...] = (100,)
+    epochs: int = 2000
+    patience: int = 20
+    watched: float = 0.1
+    learning_rate: float = 1e-3
+    penalty: float = 1e-4
+
+    targets: ClassVar[tuple[str, ...]] = FORCES
+
+    def __post_init__(self) -> None:
+        if self.epochs < 1 or self.patience < 1:
+            raise InputError(f"epochs {self.epochs}, patience {self.patience}: both are 1 or more")
+
+    def fit(
+        self,
+        data: TrainingData,
+        rows: Indices,
+        *,
+        seed: int,
+        progress: Progress = silent,
+        checkpoint: Path | None = None,
+    ) -> FittedPalmMlp:
+        columns_of(self.targets, data.names, type(self).__name__)
+        half = half_width(data.shape)
+
+        def fringes(chosen: Indices) -> Tensor:
+            return np.ascontiguousarray(data.fetch(chosen)[..., :half])
+
+        seen = replace(data, shape=(*data.shape[:2], half), fetch=fringes)
+        perceptron = PixelMlp(
+            hidden=self.hidden,
+            epochs=self.epochs,
+            patience=self.patience,
+            watched=self.watched,
+            batch=min(LARGEST_BATCH, len(rows)),
+            learning_rate=self.learning_rate,
+            penalty=self.penalty,
+        )
+        return FittedPalmMlp(perceptron.fit(seen, rows, seed=seed, progress=progress), data.shape)

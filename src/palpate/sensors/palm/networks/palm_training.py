@@ -1,0 +1,295 @@
+"""What the palm's networks have in common: two views in one image, and targets found by name.
+
+The photoelastic palm is seen twice: edge-on, where its fringes are, and in an angled mirror, where the
+indenter's place is. One image holds both, side by side: its left half is the fringe crop, its right half the
+mirror crop. Whether they are raw or differences from the untouched sensor, and grey or coloured, is decided
+before a network sees them.
+
+What the palm's torch networks share: their scalings, how they are trained, and how they leave as ONNX.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import onnx
+import torch
+from torch import nn
+
+from palpate.core.errors import InputError
+from palpate.core.shapes import Indices, Tensor, Values
+from palpate.estimators.networks.compact_cnn import seeded
+from palpate.estimators.networks.model_interface import (
+    Progress,
+    Scaler,
+    TrainingData,
+    inner_validation,
+    silent,
+)
+from palpate.estimators.networks.resnet import ResNet18, check_weights
+from palpate.estimators.networks.torch_export import TorchGraph
+from palpate.estimators.networks.training_loop import TrainingLoop, TrainingTask
+
+FORCES = ("force_x_N", "force_y_N", "force_N")
+"""The force's components; the normal one is positive in compression."""
+PLACE = ("x_mm", "y_mm")
+MAGNITUDE = "force_magnitude_N"
+DEPTH = "depth_mm"
+
+SEEN_FOR_SCALE = 500
+
+
+def half_width(shape: tuple[int, int, int]) -> int:
+    """Columns of each view [px] in an image of (channels, height, width).
+
+    Raises:
+        InputError: the width is odd, so that the image is not two views of one size.
+    """
+    if shape[2] % 2:
+        raise InputError(
+            f"an image {shape[2]} px wide is not two views side by side, the fringes left and the mirror "
+            "right; give an even width, as in a size of 128 x 256 px"
+        )
+    return shape[2] // 2
+
+
+def columns_of(targets: Sequence[str], asked: Sequence[str], model: str) -> Indices:
+    """Where each of a model's targets stands among those asked for.
+
+    Raises:
+        InputError: they are not the same targets, in whatever order.
+    """
+    if sorted(targets) != sorted(asked):
+        raise InputError(
+            f"{model} estimates {', '.join(targets)}, no fewer and no others; asked for were "
+            f"{', '.join(asked) or 'targets without names'}; ask for all of those, in any order"
+        )
+    return np.array([list(asked).index(name) for name in targets])
+
+
+@dataclass(frozen=True)
+class Scales:
+    """How grey levels and targets become numbers of order one.
+
+    Attributes:
+        half: columns of each view [px].
+        level, contrast: mean and spread of the fringe view and of the mirror view, over the rows learnt from
+            [grey levels]. One for all channels, so that colours keep their proportions.
+        targets: the scaler of the model's targets, in the model's order.
+        order: where each target asked for stands in the model's order.
+    """
+
+    half: int
+    level: tuple[float, float]
+    contrast: tuple[float, float]
+    targets: Scaler
+    order: tuple[int, ...]
+
+    @classmethod
+    def of(
+        cls,
+        data: TrainingData,
+        rows: Indices,
+        columns: Indices,
+        standardised: bool,
+        rng: np.random.Generator,
+    ) -> Scales:
+        """Scales of these rows.
+
+        Args:
+            data: images and values.
+            rows: those learnt from.
+            columns: of `data.values`, in the model's order.
+            standardised: whether targets are brought to zero mean and unit spread, or left in their units.
+            rng: draws the images that are looked at.
+        """
+        half = half_width(data.shape)
+        seen = data.sample(rows, SEEN_FOR_SCALE, rng)
+        views = seen[..., :half], seen[..., half:]
+        values = data.values[np.ix_(rows, columns)]
+        plain = Scaler(np.zeros(len(columns)), np.ones(len(columns)))
+        return cls(
+            half,
+            (float(views[0].mean()), float(views[1].mean())),
+            (float(views[0].std()) or 1.0, float(views[1].std()) or 1.0),
+            Scaler.of(values) if standardised else plain,
+            tuple(int(i) for i in np.argsort(columns)),
+        )
+
+
+AT_ONCE = 64
+
+
+class PalmNetwork(nn.Module, ABC):  # type: ignore[misc]  # torch is seen as Any
+    """Grey levels of two views in, scaled values out; a kind says how by `answer`, and again by `draw`."""
+
+    def __init__(self, scales: Scales) -> None:
+        super().__init__()
+        self.half, self.order = scales.half, list(scales.order)
+        self.level: torch.Tensor
+        self.contrast: torch.Tensor
+        self.mean: torch.Tensor
+        self.scale: torch.Tensor
+        self.register_buffer("level", torch.tensor(scales.level))
+        self.register_buffer("contrast", torch.tensor(scales.contrast))
+        self.register_buffer("mean", torch.tensor(scales.targets.mean, dtype=torch.float32))
+        self.register_buffer("scale", torch.tensor(scales.targets.scale, dtype=torch.float32))
+
+    @abstractmethod
+    def answer(self, fringe: torch.Tensor, mirror: torch.Tensor) -> torch.Tensor:
+        """Scaled values ``[n t]``, in the model's order, of two scaled views ``[n c h w]``."""
+
+    @abstractmethod
+    def draw(self, graph: TorchGraph, fringe: str, mirror: str) -> str:
+        """The same as ONNX; returns the name of the node that holds the scaled values."""
+
+    def trunks(self) -> list[ResNet18]:
+        """Its residual networks."""
+        return [part for part in self.children() if isinstance(part, ResNet18)]
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        """Scaled values in the model's order: what the loss is taken of."""
+        fringe = (image[..., : self.half] - self.level[0]) / self.contrast[0]
+        mirror = (image[..., self.half :] - self.level[1]) / self.contrast[1]
+        return self.answer(fringe, mirror)
+
+    def values(self, image: torch.Tensor) -> torch.Tensor:
+        """Values in the targets' units, in the order asked for."""
+        return (self(image) * self.scale + self.mean)[:, self.order]
+
+    def to_onnx(self, shape: tuple[int, int, int]) -> onnx.ModelProto:
+        """`values` as ONNX, for images of this shape."""
+        graph = TorchGraph()
+        edges = (0, self.half, 2 * self.half)
+        views = [
+            graph.centred(graph.columns("image", edges[i], edges[i + 1]), self.level[i], self.contrast[i])
+            for i in range(2)
+        ]
+        own = self.draw(graph, *views)
+        asked = graph.picked(own, self.order)
+        graph.restored(asked, self.scale[self.order], self.mean[self.order], output="value")
+        return graph.model(shape, len(self.order))
+
+
+class TwoTrunks(PalmNetwork):
+    """A residual network for each view, whose features are joined: z = [phi_F, phi_L]."""
+
+    def __init__(self, channels: int, scales: Scales) -> None:
+        super().__init__(scales)
+        self.fringe, self.mirror = ResNet18(channels), ResNet18(channels)
+
+    def joint(self, fringe: torch.Tensor, mirror: torch.Tensor) -> torch.Tensor:
+        """Features ``[n 1024]`` of both views."""
+        return torch.cat([self.fringe(fringe), self.mirror(mirror)], dim=1)
+
+    def draw_joint(self, graph: TorchGraph, fringe: str, mirror: str) -> str:
+        """The same as ONNX."""
+        return graph.joined(graph.add_layer(self.fringe, fringe), graph.add_layer(self.mirror, mirror))
+
+
+def dense(widths: Sequence[int]) -> nn.Sequential:
+    """Dense layers of these widths, the input's first, with rectifiers between them."""
+    layers: list[nn.Module] = []
+    for before, after in pairwise(widths):
+        layers += [nn.Linear(before, after), nn.ReLU()]
+    return nn.Sequential(*layers[:-1])
+
+
+@dataclass(frozen=True)
+class FittedPalm:
+    """A trained network of the palm."""
+
+    network: PalmNetwork
+    shape: tuple[int, int, int]
+
+    def predict(self, inputs: Tensor) -> Values:
+        with torch.no_grad():
+            parts = [self.network.values(part) for part in torch.from_numpy(inputs).split(AT_ONCE)]
+        return torch.cat(parts).numpy().astype(np.float64)
+
+    def to_onnx(self) -> onnx.ModelProto:
+        return self.network.to_onnx(self.shape)
+
+
+@dataclass(frozen=True)
+class PalmModel(ABC):
+    """How a network of the palm is built and trained: Adam, gradients clipped at a norm of 5.
+
+    Attributes:
+        epochs: passes over the rows, at most.
+        batch: rows a step.
+        learning_rate: Adam's, unnamed in the source; None takes 1e-3 from scratch, 1e-4 from given weights.
+        weights: a `.safetensors` file of a ResNet-18 that every trunk begins with; empty begins from scratch.
+        standardised: whether the loss is of targets brought to zero mean and unit spread, so that their units
+            do not decide which counts most. The source does not say; False takes newtons and millimetres.
+        precision: "auto" multiplies in bfloat16 where that is fast, "float32" never.
+        patience: epochs without gain on watched groups before it stops; 0 trains to the end on all rows.
+        watched: share of the groups watched, where `patience` is not 0.
+    """
+
+    epochs: int = 30
+    batch: int = 32
+    learning_rate: float | None = None
+    weights: str = ""
+    standardised: bool = True
+    precision: str = "auto"
+    patience: int = 0
+    watched: float = 0.1
+
+    targets: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        if self.weights:
+            check_weights(Path(self.weights))
+        self.descent()
+
+    @abstractmethod
+    def network(self, channels: int, scales: Scales) -> PalmNetwork:
+        """The network before it has learnt."""
+
+    @abstractmethod
+    def loss(self, answer: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+        """What training makes small, of scaled values ``[n t]`` in the model's order."""
+
+    def descent(self) -> TrainingLoop:
+        """The training loop these options ask for."""
+        rate = self.learning_rate if self.learning_rate is not None else 1e-4 if self.weights else 1e-3
+        return TrainingLoop(self.epochs, self.batch, rate, self.patience, self.precision)
+
+    def fit(
+        self,
+        data: TrainingData,
+        rows: Indices,
+        *,
+        seed: int,
+        progress: Progress = silent,
+        checkpoint: Path | None = None,
+    ) -> FittedPalm:
+        columns = columns_of(self.targets, data.names, type(self).__name__)
+        half_width(data.shape)
+        rng = np.random.default_rng(seed)
+        learn, watch = inner_validation(data, rows, self.watched, rng) if self.patience else (rows, rows[:0])
+        scales = Scales.of(data, learn, columns, self.standardised, rng)
+        wanted = scales.targets.scaled(data.values[:, columns]).astype(np.float32)
+        lesson = TrainingTask(data.fetch, wanted, self.loss, learn, watch)
+        network = self._begun(data.shape[0], scales, seed)
+        begun = f"from {Path(self.weights).name}" if self.weights else "from scratch"
+
+        def told(what: str, done: int, total: int) -> None:
+            progress(f"{what} {begun}", done, total)
+
+        trained = self.descent().train(network, lesson, seed=seed, progress=told, checkpoint=checkpoint)
+        return FittedPalm(trained, data.shape)
+
+    def _begun(self, channels: int, scales: Scales, seed: int) -> PalmNetwork:
+        with seeded(seed):
+            network = self.network(channels, scales)
+        for trunk in network.trunks() if self.weights else []:
+            trunk.load_weights(Path(self.weights))
+        return network
