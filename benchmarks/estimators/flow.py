@@ -28,7 +28,7 @@ import tifffile
 from scipy import ndimage
 
 from palpate.estimators.flow import HornSchunck, along, dis, divergence, flow
-from palpate.recordings.tiff import TiffFrames
+from palpate.recordings.exchange.frame_sequences import TiffFrames
 
 ROUNDS, SLOW_PAIRS = 5, 3
 KERNEL = np.array([[1, 2, 1], [2, 0, 2], [1, 2, 1]]) / 12

@@ -19,8 +19,8 @@ import numpy as np
 
 from palpate.core import ManualClock
 from palpate.recordings.manifest import Manifest
-from palpate.recordings.reader import Run
-from palpate.recordings.writer import RunWriter
+from palpate.recordings.run_reader import Run
+from palpate.recordings.run_writer import RunWriter
 
 HEIGHT, WIDTH = 480, 640
 Reader = Callable[[int], np.ndarray]

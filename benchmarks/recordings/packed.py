@@ -16,9 +16,9 @@ import numpy as np
 from palpate.core import ManualClock
 from palpate.estimators.preparation import Preparation
 from palpate.recordings.manifest import Manifest
-from palpate.recordings.pack import PackedSet, pack
-from palpate.recordings.reader import Run
-from palpate.recordings.writer import RunWriter
+from palpate.recordings.packed_set import PackedSet, pack
+from palpate.recordings.run_reader import Run
+from palpate.recordings.run_writer import RunWriter
 
 FRAMES, SIDE_PX, READS, BATCH, ROUNDS = 4000, 128, 4000, 32, 15
 

@@ -13,7 +13,7 @@ from palpate.core import ExistsError, InputError, LabelError, SplitError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.preparation import Preparation
 from palpate.recordings import Split
-from palpate.recordings.pack import pack
+from palpate.recordings.packed_set import pack
 
 PLAN = CalibrationPlan(targets=("x_mm", "height_mm"), split="group:press", size_px=(24, 32))
 

@@ -18,10 +18,10 @@ from palpate.core import ManualClock
 from palpate.estimators.preparation import Preparation
 from palpate.recordings.labels import label_kinds
 from palpate.recordings.manifest import Manifest
-from palpate.recordings.pack import PackedSet, pack
-from palpate.recordings.reader import Run
+from palpate.recordings.packed_set import PackedSet, pack
+from palpate.recordings.run_reader import Run
+from palpate.recordings.run_writer import RunWriter
 from palpate.recordings.splits import split
-from palpate.recordings.writer import RunWriter
 
 SIDE = 64
 

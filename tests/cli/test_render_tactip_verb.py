@@ -5,7 +5,7 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.recordings import Run
-from palpate.recordings.press_folder import press_folder
+from palpate.recordings.exchange.press_folder import press_folder
 
 FAST = ("--speed-mm-s", "20", "--trials", "1")
 

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.core import Pose
-from palpate.recordings import png
+from palpate.recordings.exchange import image_files
 from palpate.sensors import palm
 from palpate.sensors.palm import volume
 from palpate.sensors.palm.wear import Wear, worn
@@ -31,7 +31,7 @@ def render(*words, out, status=0):
 
 
 def picture(path):
-    return png.decode(np.frombuffer(path.read_bytes(), np.uint8))
+    return image_files.decode(np.frombuffer(path.read_bytes(), np.uint8))
 
 
 @pytest.fixture

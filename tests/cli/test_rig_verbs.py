@@ -13,8 +13,8 @@ import pytest
 from typer.testing import CliRunner
 
 from palpate.cli import app
-from palpate.recordings.check import check
-from palpate.recordings.reader import Run
+from palpate.recordings.integrity import check
+from palpate.recordings.run_reader import Run
 
 TOML = """
 name = "tiny"

@@ -16,7 +16,7 @@ from palpate.devices.force_bias import ForceBias
 from palpate.devices.guard import MotionGuard, Subscribers
 from palpate.devices.limits import Limits, Reason, Tripped
 from palpate.devices.operator import OperatorControl
-from palpate.recordings.reader import Run
+from palpate.recordings.run_reader import Run
 from palpate.rig import State, Status, record
 from palpate.rig.plans import Listed, Swept
 from palpate.rig.rig import Rig

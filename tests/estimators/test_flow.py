@@ -21,7 +21,7 @@ from palpate.estimators.flow import (
 )
 from palpate.estimators.flow.horn_schunck import brightness, derivatives
 from palpate.estimators.flow.horn_schunck import divergence as plain_divergence
-from palpate.recordings.tiff import TiffFrames
+from palpate.recordings.exchange.frame_sequences import TiffFrames
 
 
 def waves(shape=(90, 120), shift=(0.0, 0.0), stretch=0.0) -> np.ndarray:

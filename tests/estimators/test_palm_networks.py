@@ -17,7 +17,7 @@ torch = pytest.importorskip("torch", reason="the extra `train` is not installed"
 
 from palpate.estimators.networks.resnet import ResNet18  # noqa: E402
 from palpate.sensors.palm.networks.palm_report_networks import (  # noqa: E402
-    ConditionedNetwork,  # noqa: E402
+    ConditionedNetwork,
     PalmTwoStage,
     TwoStageNetwork,
 )

@@ -24,7 +24,7 @@ from palpate.core.units import split_column
 from palpate.estimators import Estimator
 from palpate.estimators.compliance.pin_press import PinPress
 from palpate.recordings import Run
-from palpate.recordings.check import check
+from palpate.recordings.integrity import check
 from palpate.rig import State, record
 from palpate.rig.plans import Listed
 

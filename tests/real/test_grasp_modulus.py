@@ -29,8 +29,8 @@ from palpate.estimators.compliance import (
     loading_slope,
 )
 from palpate.psychophysics import assign, nearest
-from palpate.recordings.press_table import read_press_table
-from palpate.recordings.video import VideoFrames
+from palpate.recordings.exchange.frame_sequences import VideoFrames
+from palpate.recordings.exchange.press_table import read_press_table
 
 SPIKE_N = -1.0
 FROM_N, AT_N = 1.5, 5.0

@@ -24,8 +24,8 @@ import pytest
 
 from palpate.estimators.compliance import area_m2, loading, spread
 from palpate.estimators.flow import CoarseToFine, HornSchunck, along, coarse_to_fine, dis, divergence, flow
-from palpate.recordings.press_table import read_press_table
-from palpate.recordings.sequences import open_sequence
+from palpate.recordings.exchange.frame_sequences import open_sequence
+from palpate.recordings.exchange.press_table import read_press_table
 
 STILL = 10  # frames before the press that set force to zero
 SMOOTH_PX = 8.0

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.recordings.manifest import Manifest
-from palpate.recordings.writer import RunWriter
+from palpate.recordings.run_writer import RunWriter
 
 
 def picture(number: int) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from palpate.core import InputError, ManualClock, RangeError
-from palpate.recordings.align import Offset, offset_between
+from palpate.recordings.clock_offset import Offset, offset_between
 
 FORCE_HZ, FRAME_HZ = 200.0, 30.0
 EXPOSURE_S = 0.02

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from palpate.core import ManualClock, RecordingError
-from palpate.recordings.check import check
+from palpate.recordings.integrity import check
 from palpate.recordings.manifest import Manifest
-from palpate.recordings.writer import RunWriter
+from palpate.recordings.run_writer import RunWriter
 
 SECOND = 1_000_000_000
 LABELS = {"depth_mm": "number", "press": "number", "object": "text", "touching": "flag"}

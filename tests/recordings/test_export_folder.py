@@ -10,11 +10,11 @@ import pytest
 from PIL import Image
 
 from palpate.core import ExistsError, LabelError, ManualClock, RecordingError
-from palpate.recordings.exporters import export_folder
-from palpate.recordings.importers import import_images
+from palpate.recordings.exchange import import_images
+from palpate.recordings.exchange.folder_export import export_folder
 from palpate.recordings.manifest import Manifest
-from palpate.recordings.reader import Run
-from palpate.recordings.writer import RunWriter
+from palpate.recordings.run_reader import Run
+from palpate.recordings.run_writer import RunWriter
 
 KINDS = {"depth_mm": "number", "batch": "text", "contact": "flag"}
 

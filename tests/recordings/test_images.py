@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from palpate.core import ImageError
-from palpate.recordings.images import read_image
+from palpate.recordings.exchange.image_files import read_image
 
 LOSSLESS = {"PNG": {}, "BMP": {}, "TIFF": {"compression": "tiff_lzw"}, "WEBP": {"lossless": True}}
 ANY = LOSSLESS | {"JPEG": {"quality": 90}}

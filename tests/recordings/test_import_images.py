@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.core import ExistsError, ImageError, InputError, LabelError, PalpateError, UnitError
-from palpate.recordings.importers import ImportReport, import_images
-from palpate.recordings.reader import Run
+from palpate.recordings.exchange import ImportReport, import_images
+from palpate.recordings.run_reader import Run
 
 
 def folder_of(
@@ -195,7 +195,7 @@ def test_a_disk_that_fills_up_leaves_nothing(folder, monkeypatch):
     def full(*_: object, **__: object) -> bool:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("palpate.recordings.writer.RunWriter.frame", full)
+    monkeypatch.setattr("palpate.recordings.run_writer.RunWriter.frame", full)
     refused(folder, PalpateError, "no room left", "free some space")
 
 

@@ -14,9 +14,9 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from palpate.core import ExistsError, ImageError, InputError, LabelError, PalpateError
-from palpate.recordings.check import check
-from palpate.recordings.importers.palm import import_palm
-from palpate.recordings.reader import Run
+from palpate.recordings.integrity import check
+from palpate.recordings.run_reader import Run
+from palpate.sensors.palm.palm_import import import_palm
 
 HEADER = "t_s,indent_mm,phase,Fx,Fy,Fz,x_mm,y_mm,image_file\n"
 DEPTHS = (0.0, 0.1, 5.0)

@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 from palpate.cli import app
 from palpate.core.errors import ExistsError, ImageError, InputError, LabelError
 from palpate.recordings import Run
-from palpate.recordings.importers.press import import_press
-from palpate.recordings.sequences import open_sequence
+from palpate.recordings.exchange.frame_sequences import open_sequence
+from palpate.recordings.exchange.press_import import import_press
 
 
 @pytest.fixture

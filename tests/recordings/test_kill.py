@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.recordings.reader import Run
-from palpate.recordings.repair import repair
-from palpate.recordings.writer import RunWriter
+from palpate.recordings.integrity import repair
+from palpate.recordings.run_reader import Run
+from palpate.recordings.run_writer import RunWriter
 
 CHILD = Path(__file__).with_name("record_until_killed.py")
 SECOND = 1_000_000_000

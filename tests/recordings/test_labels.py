@@ -9,8 +9,7 @@ import pandas as pd
 import pytest
 
 from palpate.core import InputError, LabelError, UnitError
-from palpate.recordings.labels import label_kinds, read_labels, targets_from
-from palpate.recordings.values import finite, label_values
+from palpate.recordings.labels import finite, label_kinds, label_values, read_labels, targets_from
 
 
 def csv_file(folder: Path, text: str | bytes) -> Path:

@@ -15,9 +15,9 @@ import pytest
 from palpate.core import ExistsError, InputError, ManualClock, RecordingError, StorageError
 from palpate.estimators.preparation import Preparation
 from palpate.recordings.manifest import Manifest
-from palpate.recordings.pack import PackedSet, pack
-from palpate.recordings.reader import Run
-from palpate.recordings.writer import RunWriter
+from palpate.recordings.packed_set import PackedSet, pack
+from palpate.recordings.run_reader import Run
+from palpate.recordings.run_writer import RunWriter
 
 KINDS = {"depth_mm": "number", "image_file": "text", "row": "number"}
 SMALL = Preparation(crop_px=(2, 1, 12, 10), size_px=(5, 6), channels=1)
@@ -207,8 +207,8 @@ WITH_LITTLE_MEMORY = """
 import resource, sys
 from pathlib import Path
 import numpy as np
-from palpate.recordings.pack import PackedSet, pack
-from palpate.recordings.reader import Run
+from palpate.recordings.packed_set import PackedSet, pack
+from palpate.recordings.run_reader import Run
 from palpate.estimators.preparation import Preparation
 run = Run.open(Path(sys.argv[1]))
 preparation = Preparation(None, (512, 512), 3)

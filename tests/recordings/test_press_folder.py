@@ -8,9 +8,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate.core.errors import ExistsError, ImageError, InputError, LabelError
-from palpate.recordings.press_folder import press_folder, write_press, write_specimens
-from palpate.recordings.press_table import press_rows, read_press_table
-from palpate.recordings.tiff import TiffFrames, write_tiff
+from palpate.recordings.exchange.frame_sequences import TiffFrames, write_tiff
+from palpate.recordings.exchange.press_folder import press_folder, write_press, write_specimens
+from palpate.recordings.exchange.press_table import press_rows, read_press_table
 
 STIFFNESS = {"soft": 1.1e3, "007": math.nan, "rigid": math.inf}
 

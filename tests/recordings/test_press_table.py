@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate.core.errors import LabelError
-from palpate.recordings.press_table import press_rows, read_press_table
+from palpate.recordings.exchange.press_table import press_rows, read_press_table
 
 
 def written(tmp_path, columns, name="force.csv"):

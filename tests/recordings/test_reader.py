@@ -18,12 +18,13 @@ from hypothesis import strategies as st
 from mcap.writer import MCAP0_MAGIC
 
 from palpate.core import ImageError, ManualClock, PalpateError, RangeError, RecordingError
-from palpate.recordings import png, schema
-from palpate.recordings.check import check
+from palpate.recordings import message_schema
+from palpate.recordings.exchange import image_files
+from palpate.recordings.integrity import check
 from palpate.recordings.manifest import Manifest
-from palpate.recordings.reader import Run
-from palpate.recordings.scan import scan
-from palpate.recordings.writer import RunWriter
+from palpate.recordings.run_reader import Run
+from palpate.recordings.run_writer import RunWriter
+from palpate.recordings.segment_reader import scan
 
 SECOND = 1_000_000_000
 FRAMES = 3
@@ -39,7 +40,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("written") / "run"
     manifest = Manifest.new(sensor="s", labels={"depth_mm": "number"})
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("palpate.recordings.writer.SYNC_EVERY_S", 0.0)
+        patch.setattr("palpate.recordings.run_writer.SYNC_EVERY_S", 0.0)
         with RunWriter.create(path, manifest, clock=ManualClock()) as new:
             for k in range(FRAMES):
                 new.frame(picture(k), time_ns=k * SECOND, labels={"depth_mm": k + 0.5})
@@ -107,10 +108,13 @@ def test_signals_cut_at_any_byte_yield_all_before_the_cut(run: Path, step: int) 
         os.truncate(path, size)
         cut = Run.open(run)
         whole = [chunk for chunk in chunks if chunk.offset + chunk.length <= size]
-        ids = {name: schema.channel_id("signals", name) for name in (schema.LABELS, schema.FORCE)}
-        assert len(cut.force()) == sum(ids[schema.FORCE] in chunk.channels for chunk in whole)
+        ids = {
+            name: message_schema.channel_id("signals", name)
+            for name in (message_schema.LABELS, message_schema.FORCE)
+        }
+        assert len(cut.force()) == sum(ids[message_schema.FORCE] in chunk.channels for chunk in whole)
         known = cut.labels["depth_mm"].dropna()
-        assert len(known) == sum(ids[schema.LABELS] in chunk.channels for chunk in whole)
+        assert len(known) == sum(ids[message_schema.LABELS] in chunk.channels for chunk in whole)
         assert (known == known.index + 0.5).all()
         assert any(found.file == path.name for found in cut.damage)
         assert len(cut) == FRAMES
@@ -154,7 +158,11 @@ def test_a_flipped_frame_of_a_closed_segment_raises_and_moves_no_other(run: Path
 
 def test_a_flipped_chunk_of_signals_is_left_out_and_told(run: Path) -> None:
     path = run / "0000-signals.mcap"
-    force = [c for c in scan(path).chunks if schema.channel_id("signals", schema.FORCE) in c.channels]
+    force = [
+        c
+        for c in scan(path).chunks
+        if message_schema.channel_id("signals", message_schema.FORCE) in c.channels
+    ]
     with path.open("r+b") as file:
         file.seek(force[0].offset + force[0].length - 1)
         file.write(b"\xaa")
@@ -261,7 +269,7 @@ def test_a_png_is_judged_by_its_header_before_it_is_decoded(header: bytes, messa
 
     data = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", b"") + chunk(b"IEND", b"")
     with pytest.raises(ImageError, match=message):
-        png.decode(np.frombuffer(data, np.uint8))
+        image_files.decode(np.frombuffer(data, np.uint8))
 
 
 def test_png_loses_nothing_and_takes_hardly_more_bytes_than_opencv_s_own(rng) -> None:
@@ -272,8 +280,8 @@ def test_png_loses_nothing_and_takes_hardly_more_bytes_than_opencv_s_own(rng) ->
         ((x // 9 + y // 7) % 2 * 255).astype(np.uint8),
         rng.integers(0, 256, (40, 50, 3), np.uint8),
     ):
-        data = png.encode(image)
-        np.testing.assert_array_equal(png.decode(data), image)
+        data = image_files.encode(image)
+        np.testing.assert_array_equal(image_files.decode(data), image)
         # Which prediction suits an image better differs from image to image, for noise by half a percent.
         assert data.size <= 1.01 * cv2.imencode(".png", image)[1].size
 
@@ -335,7 +343,7 @@ def test_arbitrary_messages_with_good_checksums_raise_nothing_but_our_own_errors
 
 
 @given(
-    channel=st.sampled_from([schema.SEGMENT, schema.LABELS, schema.EVENTS]),
+    channel=st.sampled_from([message_schema.SEGMENT, message_schema.LABELS, message_schema.EVENTS]),
     value=st.recursive(
         st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
         lambda inner: (
@@ -351,10 +359,10 @@ def test_arbitrary_messages_with_good_checksums_raise_nothing_but_our_own_errors
     ),
 )
 def test_arbitrary_json_in_a_segment_raises_nothing_but_our_own_errors(
-    written: Path, scratch: Path, channel: schema.Channel, value: object
+    written: Path, scratch: Path, channel: message_schema.Channel, value: object
 ) -> None:
     text = json.dumps(value).encode() + b"\0"
-    inside = struct.pack("<HIQQ", schema.channel_id("signals", channel), 0, 5, 5)
+    inside = struct.pack("<HIQQ", message_schema.channel_id("signals", channel), 0, 5, 5)
     inside += b"\0\1\0\0" + struct.pack("<I", len(text)) + text
     body = struct.pack("<BQ", 5, len(inside)) + inside
     chunk = struct.pack("<QQQIIQ", 0, 0, len(body), zlib.crc32(body), 0, len(body)) + body
@@ -381,4 +389,4 @@ def test_a_segment_changed_in_several_places_raises_nothing_but_our_own_errors(
 @given(data=st.binary(max_size=200))
 def test_arbitrary_bytes_as_a_png_raise_nothing_but_our_own_errors(data: bytes) -> None:
     with pytest.raises(ImageError):
-        png.decode(np.frombuffer(data, np.uint8))
+        image_files.decode(np.frombuffer(data, np.uint8))

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from palpate.core import ExistsError, ManualClock, RecordingError
+from palpate.recordings.integrity import repair
 from palpate.recordings.manifest import Manifest
-from palpate.recordings.reader import Run
-from palpate.recordings.repair import repair
-from palpate.recordings.writer import RunWriter
+from palpate.recordings.run_reader import Run
+from palpate.recordings.run_writer import RunWriter
 
 SECOND = 1_000_000_000
 

@@ -7,7 +7,7 @@ import pytest
 import tifffile
 
 from palpate.core.errors import ImageError, RangeError
-from palpate.recordings.tiff import TiffFrames
+from palpate.recordings.exchange.frame_sequences import TiffFrames
 
 
 @pytest.fixture

@@ -26,11 +26,11 @@ from palpate.core import (
     RecordingError,
     StorageError,
 )
-from palpate.recordings import png
-from palpate.recordings.check import check
+from palpate.recordings.exchange import image_files
+from palpate.recordings.integrity import check
 from palpate.recordings.manifest import Manifest
-from palpate.recordings.reader import Run
-from palpate.recordings.writer import RunWriter
+from palpate.recordings.run_reader import Run
+from palpate.recordings.run_writer import RunWriter
 
 SECOND = 1_000_000_000
 
@@ -175,13 +175,13 @@ def test_of_many_who_resume_at_once_one_gets_the_run(tmp_path: Path, manifest: M
 def test_drops_are_counted_and_recorded_when_the_queue_is_full(
     tmp_path: Path, manifest: Manifest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    encode, gate = png.encode, threading.Event()
+    encode, gate = image_files.encode, threading.Event()
 
     def slow(image: np.ndarray) -> np.ndarray:
         gate.wait()
         return encode(image)
 
-    monkeypatch.setattr(png, "encode", slow)
+    monkeypatch.setattr(image_files, "encode", slow)
     with RunWriter.create(tmp_path / "run", manifest, queue_frames=4) as new:
         accepted = [new.frame(picture(k), labels={"depth_mm": k}) for k in range(20)]
         assert new.force(np.zeros(6)), "frames that wait must not push signals out"
@@ -199,8 +199,10 @@ def test_the_queue_is_bounded_in_bytes_and_takes_one_image_of_any_size(
     tmp_path: Path, manifest: Manifest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gate = threading.Event()
-    monkeypatch.setattr("palpate.recordings.buffer.MAX_FRAME_BYTES", 10)
-    monkeypatch.setattr(png, "encode", lambda image, real=png.encode: (gate.wait(), real(image))[1])
+    monkeypatch.setattr("palpate.recordings.run_writer.MAX_FRAME_BYTES", 10)
+    monkeypatch.setattr(
+        image_files, "encode", lambda image, real=image_files.encode: (gate.wait(), real(image))[1]
+    )
     with RunWriter.create(tmp_path / "run", manifest) as new:
         new.frame(picture(0))
         while new._buffer._items:
@@ -341,7 +343,7 @@ FULL_DISK = """
     import numpy as np
     from palpate.core import StorageError
     from palpate.recordings.manifest import Manifest
-    from palpate.recordings.writer import RunWriter
+    from palpate.recordings.run_writer import RunWriter
 
     rng = np.random.default_rng(0)
     writer = RunWriter.create(Path(sys.argv[1]), Manifest.new(sensor="s"), overflow="wait")
@@ -387,7 +389,7 @@ def test_an_error_of_the_disk_is_raised_by_close_at_the_latest(
     def refuse(*_: object) -> None:
         raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr("palpate.recordings.segment.os.fsync", refuse)
+    monkeypatch.setattr("palpate.recordings.segment_writer.os.fsync", refuse)
     new.frame(picture(0))
     with pytest.raises(StorageError, match="Input/output error"):
         new.close()
@@ -429,7 +431,7 @@ def test_other_readers_open_a_segment_and_decode_it(tmp_path: Path, manifest: Ma
                     stamp = message.header.stamp
                     assert stamp.sec * SECOND + stamp.nanosec == time_ns
     assert seen["/frames"].format == "png"
-    np.testing.assert_array_equal(png.decode(seen["/frames"].data), image)
+    np.testing.assert_array_equal(image_files.decode(seen["/frames"].data), image)
     assert seen["/force"].wrench.torque.z == 6
     assert seen["/stage"].point.x == 7
     assert json.loads(seen["/labels"].data) == {"frame": 0, "labels": {"depth_mm": 2.5}}

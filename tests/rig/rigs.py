@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from palpate.core.clock import NS_PER_S, ManualClock
-from palpate.recordings.reader import Run
+from palpate.recordings.run_reader import Run
 from palpate.rig.plans import Listed, Stepped
 from palpate.rig.rig import Rig
 from palpate.rig.virtual import Fault, virtual_rig

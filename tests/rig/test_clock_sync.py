@@ -13,8 +13,8 @@ from palpate.core.clock import ManualClock
 from palpate.core.frame import Frame
 from palpate.devices.limits import Reason
 from palpate.devices.operator import OperatorCommand, OperatorControl
-from palpate.recordings.align import offset_between
-from palpate.recordings.reader import Run
+from palpate.recordings.clock_offset import offset_between
+from palpate.recordings.run_reader import Run
 from palpate.rig import Outcome, State, Status, record
 from palpate.rig.clock_sync import CLOCKS, MAX_S, most_telling
 from palpate.rig.plans import Listed, Swept

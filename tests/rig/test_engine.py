@@ -14,8 +14,8 @@ from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, plan, rig, wanted
 from palpate.core.clock import ManualClock
 from palpate.core.errors import RecordingError
 from palpate.devices.operator import OperatorCommand, OperatorControl
-from palpate.recordings.check import check
-from palpate.recordings.reader import Run
+from palpate.recordings.integrity import check
+from palpate.recordings.run_reader import Run
 from palpate.rig import State, Status, done_in, record
 from palpate.rig.plans import Listed, Swept
 from palpate.rig.progress import fields_of

@@ -10,8 +10,8 @@ from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, plan, rig, wanted
 from palpate.core.clock import ManualClock
 from palpate.core.errors import StorageError
 from palpate.devices.limits import Limits, Reason, Tripped
-from palpate.recordings.check import check
-from palpate.recordings.reader import Run
+from palpate.recordings.integrity import check
+from palpate.recordings.run_reader import Run
 from palpate.rig import State, record
 from palpate.rig.plans import Grid, Listed, Swept
 from palpate.rig.virtual import Fault, Variation
@@ -130,16 +130,16 @@ def test_a_camera_that_gives_no_frames_stops_a_sweep(tmp_path: Path) -> None:
 def test_a_full_disk_stops_and_lifts_and_the_run_stays_readable(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from palpate.recordings import segment
+    from palpate.recordings import segment_writer
 
-    real, count = segment._Sink.write, iter(range(10_000_000))
+    real, count = segment_writer._Sink.write, iter(range(10_000_000))
 
     def filling(self: object, data: bytes) -> int:
         if next(count) > 60:
             raise OSError(28, "No space left on device")
         return real(self, data)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(segment._Sink, "write", filling)
+    monkeypatch.setattr(segment_writer._Sink, "write", filling)
     small, seen = rig(), []
     # The engine ends with a named state; closing the segment then says once more that the disk is full.
     with pytest.raises(StorageError, match=r"full|space"):

@@ -8,7 +8,7 @@ import pytest
 from tests.rig.rigs import SPEC, plan, rig
 
 from palpate.core.errors import InputError, RecordingError
-from palpate.recordings.reader import Run
+from palpate.recordings.run_reader import Run
 from palpate.rig import PLANS, State, record
 from palpate.rig.locate_specimen import SpecimenPlacement, locate_specimen
 from palpate.rig.plans import Around

@@ -11,7 +11,7 @@ from tests.rig.rigs import SPEC, plan, rig
 from palpate.core import Pose
 from palpate.core.errors import InputError
 from palpate.devices.limits import Reason, Tripped
-from palpate.recordings.reader import Run
+from palpate.recordings.run_reader import Run
 from palpate.rig import State, record
 from palpate.rig.plans import Lateral, Listed, Stepped, plan_from
 from palpate.sensors import palm

@@ -12,11 +12,11 @@ from palpate.calibration.compliance import Reference, calibrate_compliance
 from palpate.calibration.compliance_reading import read_touch
 from palpate.core.errors import ExistsError
 from palpate.core.sensor import sensor
-from palpate.recordings.exporters.presses import export_presses, latency_s
-from palpate.recordings.press_folder import PressFolder, press_folder
-from palpate.recordings.press_table import read_press_table
-from palpate.recordings.reader import Run
-from palpate.recordings.tiff import TiffFrames
+from palpate.recordings.exchange.frame_sequences import TiffFrames
+from palpate.recordings.exchange.press_export import export_presses, latency_s
+from palpate.recordings.exchange.press_folder import PressFolder, press_folder
+from palpate.recordings.exchange.press_table import read_press_table
+from palpate.recordings.run_reader import Run
 from palpate.rig import PLANS, State, record
 from palpate.rig.virtual import virtual_rig
 from palpate.rig.virtual.camera import TRANSPORT_S

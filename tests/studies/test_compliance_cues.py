@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
-from palpate.recordings.press_table import PressTable
+from palpate.recordings.exchange.press_table import PressTable
 from palpate.sensors.tactip import HeadOn, tactip, trial
 from palpate.studies.compliance.compare import bootstrap, trials_table
 from palpate.studies.compliance.compare import tests_of as told_apart  # pytest takes its own name for a test

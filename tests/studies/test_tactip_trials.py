@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate.core.errors import ExistsError, InputError, RangeError
 from palpate.recordings import Run
-from palpate.recordings.press_folder import press_folder
-from palpate.recordings.press_table import read_press_table
-from palpate.recordings.tiff import TiffFrames
+from palpate.recordings.exchange.frame_sequences import TiffFrames
+from palpate.recordings.exchange.press_folder import press_folder
+from palpate.recordings.exchange.press_table import read_press_table
 from palpate.sensors.tactip import HeadOn, tactip, trial
 from palpate.sensors.tactip.inclined import Inclined
 from palpate.sensors.tactip.press import modulus_pa

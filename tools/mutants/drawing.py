@@ -97,16 +97,19 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
         20,
         {
             "palpate.core.units": ("tests/core/test_units.py",),
-            "palpate.recordings.align": ("tests/recordings/test_align.py",),
-            "palpate.recordings.importers.images": ("tests/recordings/test_import_images.py",),
-            "palpate.recordings.importers.palm_tables": ("tests/recordings/test_import_palm.py",),
-            "palpate.recordings.importers.press": ("tests/recordings/test_import_press.py",),
+            "palpate.recordings.clock_offset": ("tests/recordings/test_align.py",),
+            "palpate.recordings.exchange.image_import": ("tests/recordings/test_import_images.py",),
+            "palpate.sensors.palm.palm_import": ("tests/recordings/test_import_palm.py",),
+            "palpate.recordings.exchange.press_import": ("tests/recordings/test_import_press.py",),
             "palpate.recordings.labels": ("tests/recordings/test_labels.py",),
-            "palpate.recordings.press_folder": ("tests/recordings/test_press_folder.py",),
-            "palpate.recordings.press_table": ("tests/recordings/test_press_table.py",),
-            "palpate.recordings.scan": ("tests/recordings/test_reader.py", "tests/recordings/test_repair.py"),
-            "palpate.recordings.tiff": ("tests/recordings/test_tiff.py",),
-            "palpate.recordings.values": (
+            "palpate.recordings.exchange.press_folder": ("tests/recordings/test_press_folder.py",),
+            "palpate.recordings.exchange.press_table": ("tests/recordings/test_press_table.py",),
+            "palpate.recordings.segment_reader": (
+                "tests/recordings/test_reader.py",
+                "tests/recordings/test_repair.py",
+            ),
+            "palpate.recordings.exchange.frame_sequences": ("tests/recordings/test_tiff.py",),
+            "palpate.recordings.labels": (
                 "tests/recordings/test_labels.py",
                 "tests/recordings/test_reader.py",
             ),

@@ -35,8 +35,8 @@ from palpate.estimators.model_card import Card
 from palpate.estimators.networks.model_interface import Progress, TrainingData, silent
 from palpate.estimators.novelty import NoveltyDetector, thumbnails
 from palpate.recordings.labels import targets_from
-from palpate.recordings.pack import PackedSet, pack
-from palpate.recordings.reader import Run
+from palpate.recordings.packed_set import PackedSet, pack
+from palpate.recordings.run_reader import Run
 from palpate.recordings.splits import Split, group_names, split
 
 GROUPS = ("press", "location")

@@ -27,7 +27,7 @@ from palpate.core.files import new_folder
 from palpate.core.shapes import Values
 from palpate.estimators.certified import CARD_FILE, Intervals
 from palpate.estimators.model_card import Card, SplitCard, sealed
-from palpate.recordings import png
+from palpate.recordings.exchange import image_files
 
 MOST_COVERAGE = 1 - 1e-9
 
@@ -53,7 +53,7 @@ def write_adapted(made: Calibrated, adapted: Adapted, former: Card, out: Path) -
         halves = intervals.half_widths(made.held_out)
         predictions_table(made, halves).to_parquet(folder / PREDICTIONS_FILE, index=False)
         for name, image in pictures(made):
-            (folder / name).write_bytes(png.encode(image).tobytes())
+            (folder / name).write_bytes(image_files.encode(image).tobytes())
         card = _card(made, adapted, former, folder, intervals, halves, agrees)
         (folder / CARD_FILE).write_text(card.model_dump_json(indent=1))
     return card

@@ -25,7 +25,7 @@ from palpate.core.shapes import Values
 from palpate.estimators.certified import CARD_FILE, Intervals
 from palpate.estimators.model_card import FORMAT, Card, InputCard, SplitCard, sealed
 from palpate.estimators.networks import settings_of
-from palpate.recordings import png
+from palpate.recordings.exchange import image_files
 from palpate.recordings.labels import with_own
 
 PREDICTIONS_FILE = "predictions.parquet"
@@ -49,7 +49,7 @@ def write_certificate(made: Calibrated, out: Path) -> Card:
         halves = intervals.half_widths(made.held_out[scored])
         predictions_table(made, halves).to_parquet(folder / PREDICTIONS_FILE, index=False)
         for name, image in pictures(made):
-            (folder / name).write_bytes(png.encode(image).tobytes())
+            (folder / name).write_bytes(image_files.encode(image).tobytes())
         card = _card(made, folder, intervals, halves, agrees)
         (folder / CARD_FILE).write_text(card.model_dump_json(indent=1))
     return card

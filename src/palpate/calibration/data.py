@@ -13,7 +13,7 @@ from palpate.core.errors import LabelError
 from palpate.core.shapes import Bool, Float32, Indices, Int, Shaped, Tensor
 from palpate.estimators.networks.model_interface import TrainingData
 from palpate.recordings.labels import targets_from
-from palpate.recordings.pack import PackedSet
+from palpate.recordings.packed_set import PackedSet
 
 FLAG_COLUMNS = ("reference", "no_contact", "untouched")
 """Label columns of yes and no that mark frames of the untouched sensor without being asked for."""

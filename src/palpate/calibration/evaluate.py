@@ -17,7 +17,7 @@ from palpate.estimators.certified import Estimator, Zero
 from palpate.estimators.model_card import Card, ScoreCard
 from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.recordings.labels import own_column, targets_from, with_own
-from palpate.recordings.reader import Run
+from palpate.recordings.run_reader import Run
 
 
 def score(

@@ -40,8 +40,8 @@ from palpate.estimators.networks.model_interface import (
 from palpate.estimators.novelty import LearnsFromRendered, NoveltyDetector, fit_novelty_detector, thumbnails
 from palpate.estimators.preparation import Preparation
 from palpate.recordings.labels import refuse_reserved, targets_from
-from palpate.recordings.pack import PackedSet, pack
-from palpate.recordings.reader import Run
+from palpate.recordings.packed_set import PackedSet, pack
+from palpate.recordings.run_reader import Run
 from palpate.recordings.splits import Split, split
 
 

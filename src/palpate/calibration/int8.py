@@ -33,10 +33,10 @@ from palpate.core.shapes import Indices, Tensor, Values
 from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
 from palpate.estimators.model_card import Card, TargetCard, sealed
 from palpate.estimators.networks.model_interface import Progress, TrainingData, silent
-from palpate.recordings import png
+from palpate.recordings.exchange import image_files
 from palpate.recordings.labels import own_column
-from palpate.recordings.pack import PackedSet, pack
-from palpate.recordings.reader import Run
+from palpate.recordings.packed_set import PackedSet, pack
+from palpate.recordings.run_reader import Run
 
 SEEN_FOR_SCALES = 512  # rows, at most
 AT_ONCE = 32
@@ -237,7 +237,7 @@ def _pictures(folder: Path, card: Card, made: Path, material: _Material, answere
     for row in material.held[np.argsort(error.max(axis=1))[::-1][:WORST]].tolist():
         image = material.packed.read([row])[0]
         shown = image if image.shape[2] == 3 else image[..., 0]
-        (made / f"worst-{row}.png").write_bytes(png.encode(shown).tobytes())
+        (made / f"worst-{row}.png").write_bytes(image_files.encode(shown).tobytes())
 
 
 def _card(card: Card, made: Path, targets: tuple[TargetCard, ...], change: float) -> Card:

@@ -13,7 +13,7 @@ from sklearn.neighbors import NearestNeighbors
 
 from palpate.core.units import has_unit, split_column
 from palpate.recordings.labels import label_kinds
-from palpate.recordings.pack import PackedSet
+from palpate.recordings.packed_set import PackedSet
 from palpate.recordings.splits import Split, conventional_groups, group_names
 
 _THUMB_PX = 16

@@ -16,7 +16,7 @@ from palpate.core.errors import ImageError, InputError, LabelError, UnitError
 from palpate.core.shapes import Bool, Float, Image, UInt8
 from palpate.core.units import Unit, has_unit, split_column, unit
 from palpate.estimators.fringe_order import check_loads
-from palpate.recordings.images import read_image
+from palpate.recordings.exchange.image_files import read_image
 from palpate.recordings.labels import FIRST_ROW, read_labels, rows_text
 
 Tone = Literal["srgb", "linear"]

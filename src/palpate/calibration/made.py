@@ -12,8 +12,8 @@ from palpate.calibration.plan import CalibrationPlan
 from palpate.core.shapes import Indices, Values
 from palpate.estimators.networks.model_interface import Fitted, TrainingData
 from palpate.estimators.novelty import NoveltyDetector
-from palpate.recordings.pack import PackedSet
-from palpate.recordings.reader import Run
+from palpate.recordings.packed_set import PackedSet
+from palpate.recordings.run_reader import Run
 from palpate.recordings.splits import Split
 
 

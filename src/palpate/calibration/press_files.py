@@ -12,9 +12,9 @@ from palpate.core.errors import InputError
 from palpate.core.shapes import Shaped
 from palpate.estimators.compliance.pin_press import watched
 from palpate.estimators.networks.model_interface import Progress, silent
-from palpate.recordings.press_folder import PressFolder
-from palpate.recordings.press_table import PressTable, read_press_table
-from palpate.recordings.sequences import open_sequence
+from palpate.recordings.exchange.frame_sequences import open_sequence
+from palpate.recordings.exchange.press_folder import PressFolder
+from palpate.recordings.exchange.press_table import PressTable, read_press_table
 
 
 def followed(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -> ReferenceTrial:

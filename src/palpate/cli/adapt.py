@@ -27,7 +27,7 @@ def adapt(
     Example: palpate adapt cal run-of-my-copy --out cal-my-copy
     """
     from palpate.calibration.adapt import adapt as take_over
-    from palpate.recordings.reader import Run
+    from palpate.recordings.run_reader import Run
     from palpate.reports.certificate import write_report
     from palpate.studies.certify import REPORT_FILE
 

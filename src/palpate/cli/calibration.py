@@ -95,7 +95,7 @@ def calibrate(
     from palpate.calibration.views import regions_seen
     from palpate.estimators.networks import model_kind
     from palpate.estimators.networks.distributed import ProcessGroup
-    from palpate.recordings.reader import Run
+    from palpate.recordings.run_reader import Run
     from palpate.studies.certify import certify
 
     if ":" in model + split:
@@ -153,7 +153,7 @@ def evaluate(
     from palpate.calibration.evaluate import evaluate as score
     from palpate.core.files import new_file, refuse_existing
     from palpate.estimators.certified import Estimator
-    from palpate.recordings.reader import Run
+    from palpate.recordings.run_reader import Run
 
     if out is not None:
         refuse_existing(out)
@@ -220,7 +220,7 @@ def report(
 
 
 def _zero(estimator: Any, reference: Path | None) -> Any:
-    from palpate.recordings.images import read_image
+    from palpate.recordings.exchange.image_files import read_image
 
     return None if reference is None else estimator.zero(read_image(reference))
 

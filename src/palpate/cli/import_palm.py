@@ -27,7 +27,7 @@ def palm(
 
     Example: palpate import palm dataset run --licence CC-BY-4.0
     """
-    from palpate.recordings.importers.palm import import_palm
+    from palpate.sensors.palm.palm_import import import_palm
 
     with progress_bar(quiet) as progress:
         report = import_palm(

@@ -45,7 +45,7 @@ def press(
     quiet: Quiet = False,
 ) -> None:
     """Import a press; the two kinds of frames differ only in what their help says."""
-    from palpate.recordings.importers.press import import_press
+    from palpate.recordings.exchange.press_import import import_press
 
     with progress_bar(quiet) as progress:
         report = import_press(

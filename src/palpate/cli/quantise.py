@@ -27,7 +27,7 @@ def quantise(
     """
     from palpate.calibration.int8 import quantise as written
     from palpate.calibration.int8_cost import cost
-    from palpate.recordings.reader import Run
+    from palpate.recordings.run_reader import Run
     from palpate.reports.certificate import write_report
     from palpate.studies.certify import REPORT_FILE
 

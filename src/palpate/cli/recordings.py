@@ -41,7 +41,7 @@ def import_images(
 
     Example: palpate import images taps run --labels labels.csv --image-column image_file
     """
-    from palpate.recordings.importers.images import import_images as importer
+    from palpate.recordings.exchange.image_import import import_images as importer
 
     with progress_bar(quiet) as progress:
         report = importer(
@@ -82,7 +82,7 @@ def check(run: Annotated[Path, typer.Argument(help="Run to look through.")], jso
 
     Example: palpate check run
     """
-    from palpate.recordings.check import check as look_through
+    from palpate.recordings.integrity import check as look_through
     from palpate.reports.text import check_text
 
     report = look_through(run)
@@ -101,7 +101,7 @@ def repair(
 
     Example: palpate repair run run-repaired
     """
-    from palpate.recordings.repair import repair as copy_readable
+    from palpate.recordings.integrity import repair as copy_readable
 
     report = copy_readable(run, new)
     lost = [f"{d.file} at byte {d.at_byte}: {d.what}" for d in report.lost]
@@ -124,8 +124,8 @@ def export(
 
     Example: palpate export run folder
     """
-    from palpate.recordings.exporters.folder import export_folder
-    from palpate.recordings.reader import Run
+    from palpate.recordings.exchange.folder_export import export_folder
+    from palpate.recordings.run_reader import Run
 
     with progress_bar(quiet) as progress:
         count = export_folder(Run.open(run), folder, lambda done, total: progress("exporting", done, total))

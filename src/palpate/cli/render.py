@@ -13,7 +13,7 @@ import typer
 from palpate.cli.shared import Group, Json, Quiet, print_found, progress_bar, reports_errors
 
 if TYPE_CHECKING:
-    from palpate.recordings.press_folder import PressFolder
+    from palpate.recordings.exchange.press_folder import PressFolder
     from palpate.sensors.palm.wear import Wear
 
 app = typer.Typer(
@@ -85,7 +85,7 @@ def palm(
     from palpate.core.contact import Pose
     from palpate.core.errors import InputError
     from palpate.core.files import new_file
-    from palpate.recordings import png
+    from palpate.recordings.exchange import image_files
     from palpate.sensors import palm as palms
 
     spec = palms.preset(preset)
@@ -112,7 +112,7 @@ def palm(
     frame = palms.render(contact, spec, np.random.default_rng(seed), exact=exact)
     found: dict[str, Any] = palms.facts(contact, spec) | {"out": str(out)}
     with new_file(out) as path:
-        path.write_bytes(png.encode(frame.image).tobytes())
+        path.write_bytes(image_files.encode(frame.image).tobytes())
     print_found(found, "\n".join(f"{name}: {_shown(value)}" for name, value in found.items()), json_)
 
 

@@ -16,7 +16,7 @@ from palpate.cli.shared import Group, Json, Quiet, print_found, progress_bar, re
 if TYPE_CHECKING:
     from palpate.devices.check.result import CheckResult
     from palpate.devices.operator import OperatorControl
-    from palpate.recordings.align import Offset
+    from palpate.recordings.clock_offset import Offset
     from palpate.rig import Status
 
 plan_app = typer.Typer(
@@ -99,9 +99,9 @@ def record(
 
 def _presses_written(out: Path, found: dict[str, Any]) -> str:
     """Presses on specimens, as `palpate compliance` reads them, into the run's folder."""
-    from palpate.recordings.exporters.presses import export_presses
-    from palpate.recordings.press_folder import PRESSES
-    from palpate.recordings.reader import Run
+    from palpate.recordings.exchange.press_export import export_presses
+    from palpate.recordings.exchange.press_folder import PRESSES
+    from palpate.recordings.run_reader import Run
 
     if (out / PRESSES).exists():
         return ""
@@ -148,7 +148,7 @@ def layer(run: Annotated[Path, typer.Argument(help="A run of the plan layer.")],
 
     Example: palpate rig layer layer-run
     """
-    from palpate.recordings.reader import Run
+    from palpate.recordings.run_reader import Run
     from palpate.rig.locate_specimen import locate_specimen
 
     found = locate_specimen(Run.open(run))
@@ -180,7 +180,7 @@ def documents(
     import json
 
     from palpate.core.files import new_file
-    from palpate.recordings.reader import Run
+    from palpate.recordings.run_reader import Run
     from palpate.rig.event_model import documents as documents_of
 
     count = 0

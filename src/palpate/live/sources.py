@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from palpate.core.errors import ImageError, InputError
 from palpate.core.files import PathText
 from palpate.core.frame import Frame
-from palpate.recordings.images import read_image
+from palpate.recordings.exchange.image_files import read_image
 from palpate.recordings.manifest import MANIFEST
 
 if TYPE_CHECKING:
-    from palpate.recordings.reader import Run
+    from palpate.recordings.run_reader import Run
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 
@@ -80,7 +80,7 @@ def open_source(path: PathText) -> Source:
     """
     path = Path(path)
     if (path / MANIFEST).is_file():
-        from palpate.recordings.reader import Run  # loads tables, which no image needs
+        from palpate.recordings.run_reader import Run  # loads tables, which no image needs
 
         return RunFrames(Run.open(path))
     if path.is_dir():

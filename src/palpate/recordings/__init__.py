@@ -1,43 +1,40 @@
 """What is on disk: runs written and read, repaired and checked, packed, split, imported and exported.
 
 The names here load when they are first used, so that reading one image loads no table. A function named
-as its module is imported from there: `from palpate.recordings.check import check`.
+as its module is imported from there: `from palpate.recordings.integrity import check`.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from palpate.recordings.align import Offset, offset_between
-    from palpate.recordings.check import CheckReport
-    from palpate.recordings.exporters.folder import export_folder
-    from palpate.recordings.images import read_image
-    from palpate.recordings.importers.images import ImportReport, import_images
-    from palpate.recordings.importers.palm import import_palm
+    from palpate.recordings.clock_offset import Offset, offset_between
+    from palpate.recordings.exchange.folder_export import export_folder
+    from palpate.recordings.exchange.image_files import read_image
+    from palpate.recordings.exchange.image_import import ImportReport, import_images
+    from palpate.recordings.integrity import CheckReport, RepairReport
     from palpate.recordings.labels import read_labels
     from palpate.recordings.manifest import Manifest
-    from palpate.recordings.pack import PackedSet
-    from palpate.recordings.reader import Run
-    from palpate.recordings.repair import RepairReport
+    from palpate.recordings.packed_set import PackedSet
+    from palpate.recordings.run_reader import Run
+    from palpate.recordings.run_writer import RunWriter
     from palpate.recordings.splits import Split, split
-    from palpate.recordings.writer import RunWriter
 
 _MODULES = {
-    "export_folder": "exporters.folder",
-    "import_images": "importers.images",
-    "import_palm": "importers.palm",
-    "offset_between": "align",
-    "read_image": "images",
+    "export_folder": "exchange.folder_export",
+    "import_images": "exchange.image_import",
+    "offset_between": "clock_offset",
+    "read_image": "exchange.image_files",
     "read_labels": "labels",
     "split": "splits",
-    "CheckReport": "check",
-    "ImportReport": "importers.images",
+    "CheckReport": "integrity",
+    "ImportReport": "exchange.image_import",
     "Manifest": "manifest",
-    "Offset": "align",
-    "PackedSet": "pack",
-    "RepairReport": "repair",
-    "Run": "reader",
-    "RunWriter": "writer",
+    "Offset": "clock_offset",
+    "PackedSet": "packed_set",
+    "RepairReport": "integrity",
+    "Run": "run_reader",
+    "RunWriter": "run_writer",
     "Split": "splits",
 }
 
@@ -53,7 +50,6 @@ __all__ = [
     "Split",
     "export_folder",
     "import_images",
-    "import_palm",
     "offset_between",
     "read_image",
     "read_labels",

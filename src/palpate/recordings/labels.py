@@ -1,11 +1,16 @@
-"""Tables of labels: CSV or Parquet in, kinds of columns, and targets as numbers with units."""
+"""Whether a value may stand in a run: finite, of its label's kind.
+
+Tables of labels: CSV or Parquet in, kinds of columns, and targets as numbers with units.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,10 +20,63 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
-from palpate.core.errors import LabelError
+from palpate.core.errors import InputError, LabelError
 from palpate.core.files import PathText, storage_errors
 from palpate.core.shapes import Values
 from palpate.core.units import split_column
+from palpate.recordings.manifest import LabelKind
+
+Label = float | str | bool
+
+
+def finite(values: Sequence[float] | np.ndarray, count: int, what: str) -> list[float]:
+    """So many finite numbers, as plain floats.
+
+    Raises:
+        InputError: they are not.
+    """
+    try:
+        array = np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != (count,) or not np.isfinite(array).all():
+        raise InputError(f"{what} takes {count} finite numbers, got {values!r:.200}")
+    return [float(value) for value in array]
+
+
+def label_values(labels: Mapping[str, object], kinds: Mapping[str, LabelKind]) -> dict[str, Label]:
+    """Labels as plain numbers, texts and flags.
+
+    Raises:
+        LabelError: a column that the manifest does not list, or a value of another kind than its column.
+    """
+    return {name: _value(name, value, kinds) for name, value in labels.items()}
+
+
+def _value(name: str, value: object, kinds: Mapping[str, LabelKind]) -> Label:
+    if name not in kinds:
+        raise LabelError(
+            f"label column {name!r} is not in the run's manifest, which lists {', '.join(kinds) or 'none'}; "
+            "name every column when the manifest is made"
+        )
+    match kinds[name]:
+        case "flag" if isinstance(value, bool | np.bool_):
+            return bool(value)
+        case "text" if isinstance(value, str):
+            return str(value)
+        case "number" if _is_finite_number(value):
+            return float(value)  # type: ignore[arg-type]
+    raise LabelError(
+        f"label {name!r} is a {kinds[name]} by the manifest, got {value!r:.80}; numbers are finite, and a "
+        "label that is not known is left out"
+    )
+
+
+def _is_finite_number(value: object) -> bool:
+    if isinstance(value, Integral):
+        return not isinstance(value, bool)
+    return isinstance(value, Real) and math.isfinite(value)
+
 
 Kind = Literal["number", "text", "flag"]
 FIRST_ROW = 2  # as a person counts in a spreadsheet: the header is row 1

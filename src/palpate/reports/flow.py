@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from palpate.core.files import new_folder, storage_errors
 from palpate.estimators.flow import FlowField
 from palpate.estimators.flow.flow_sequence import Step, course
-from palpate.recordings.sequences import open_sequence
+from palpate.recordings.exchange.frame_sequences import open_sequence
 from palpate.reports.figures import ACCENT, INK, STYLE
 
 ARROWS = 24  # along the image's longer side

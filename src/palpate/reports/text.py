@@ -10,7 +10,7 @@ import numpy as np
 from palpate.estimators.model_card import ScoreCard
 
 if TYPE_CHECKING:
-    from palpate.recordings.check import CheckReport
+    from palpate.recordings.integrity import CheckReport
 
 COLUMNS = 80  # of a terminal
 HEAD = (

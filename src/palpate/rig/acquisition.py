@@ -15,8 +15,8 @@ from palpate.core.protocols import FrameSource, Wrench
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.guard import MotionGuard
 from palpate.devices.limits import Reason, Tripped
+from palpate.recordings.labels import Label
 from palpate.recordings.manifest import LabelKind
-from palpate.recordings.values import Label
 from palpate.rig.motion import PressMotion
 from palpate.rig.plans.plan import Press
 from palpate.rig.plans.steps import Burst, Shot, Sweep

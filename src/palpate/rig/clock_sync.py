@@ -23,7 +23,7 @@ from palpate.core.shapes import Float, UInt8
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.guard import MotionGuard
 from palpate.devices.limits import Reason, Tripped
-from palpate.recordings.align import Offset, offset_between
+from palpate.recordings.clock_offset import Offset, offset_between
 from palpate.rig.acquisition import STARVED_S, check_size, drained
 from palpate.rig.plans.plan import Plan
 from palpate.rig.recorder import Recorder

@@ -23,10 +23,10 @@ from palpate.devices.force_bias import ForceBias
 from palpate.devices.guard import MotionGuard
 from palpate.devices.limits import Reason, Tripped
 from palpate.devices.operator import OperatorCommand, OperatorControl, OperatorInterrupt
-from palpate.recordings.align import Offset
+from palpate.recordings.clock_offset import Offset
 from palpate.recordings.manifest import Manifest
-from palpate.recordings.reader import Run
-from palpate.recordings.writer import RunWriter
+from palpate.recordings.run_reader import Run
+from palpate.recordings.run_writer import RunWriter
 from palpate.rig.acquisition import LABELS, Acquisition
 from palpate.rig.clock_sync import ClockSync
 from palpate.rig.motion import PressMotion, check_plan

@@ -28,9 +28,9 @@ from typing import Any
 from palpate.core.clock import NS_PER_S
 from palpate.core.errors import RecordingError
 from palpate.core.units import has_unit, split_column
-from palpate.recordings.reader import Run
-from palpate.recordings.schema import EVENTS, decode_json
-from palpate.recordings.stored import StoredSegment
+from palpate.recordings.message_schema import EVENTS, decode_json
+from palpate.recordings.run_reader import Run
+from palpate.recordings.segment_reader import StoredSegment
 from palpate.rig.progress import PLAN, State
 
 Document = tuple[str, dict[str, Any]]

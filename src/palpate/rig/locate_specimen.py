@@ -15,7 +15,7 @@ import numpy as np
 
 from palpate.core.errors import RecordingError
 from palpate.core.protocols import Position
-from palpate.recordings.reader import Run
+from palpate.recordings.run_reader import Run
 from palpate.rig.plans.load import plan_from
 from palpate.rig.plans.places import WAYS, Around
 from palpate.rig.progress import PLAN, ZERO, fields_of

@@ -11,8 +11,8 @@ import pandas as pd
 
 from palpate.core.errors import RecordingError
 from palpate.devices.limits import Reason
-from palpate.recordings.align import Offset
-from palpate.recordings.reader import Run
+from palpate.recordings.clock_offset import Offset
+from palpate.recordings.run_reader import Run
 from palpate.rig.plans.plan import Plan
 from palpate.rig.plans.steps import Done
 

@@ -8,8 +8,8 @@ from typing import Any
 from palpate.core.frame import Frame
 from palpate.core.protocols import Position, Wrench
 from palpate.devices.force_bias import ForceBias
-from palpate.recordings.values import Label
-from palpate.recordings.writer import RunWriter
+from palpate.recordings.labels import Label
+from palpate.recordings.run_writer import RunWriter
 
 
 class Recorder:

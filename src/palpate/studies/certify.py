@@ -10,7 +10,7 @@ from palpate.core.files import PathText
 from palpate.estimators.certified import read_card
 from palpate.estimators.model_card import Card
 from palpate.estimators.networks.model_interface import Progress, silent
-from palpate.recordings.reader import Run
+from palpate.recordings.run_reader import Run
 from palpate.reports.certificate import write_report
 
 REPORT_FILE = "report.html"

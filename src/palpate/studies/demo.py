@@ -29,8 +29,8 @@ from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.live.sense import sense
 from palpate.live.sources import RunFrames
 from palpate.recordings.manifest import LabelKind, Manifest
-from palpate.recordings.reader import Run
-from palpate.recordings.writer import RunWriter
+from palpate.recordings.run_reader import Run
+from palpate.recordings.run_writer import RunWriter
 from palpate.reports.text import scores_table
 from palpate.sensors import palm
 from palpate.sensors.palm import PalmSpec

@@ -20,9 +20,9 @@ from palpate.core.files import new_file, new_folder
 from palpate.core.units import UNITS
 from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.mechanics.axisymmetric.tip_table import TipTable
-from palpate.recordings.importers.press import import_press
-from palpate.recordings.press_folder import PressFolder, press_folder, write_press, write_specimens
-from palpate.recordings.press_table import press_rows
+from palpate.recordings.exchange.press_folder import PressFolder, press_folder, write_press, write_specimens
+from palpate.recordings.exchange.press_import import import_press
+from palpate.recordings.exchange.press_table import press_rows
 from palpate.sensors.tactip import HeadOn, Specimen, TacTipSpec, Trial, trial
 from palpate.sensors.tactip.inclined import Inclined, inclined
 from palpate.sensors.tactip.press import modulus_pa

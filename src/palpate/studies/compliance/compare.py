@@ -17,9 +17,9 @@ from palpate.core.errors import InputError
 from palpate.core.files import new_folder, refuse_existing, storage_errors
 from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.psychophysics.groups import Comparison, compare
-from palpate.recordings.press_folder import PressFolder, press_folder
-from palpate.recordings.press_table import read_press_table
-from palpate.recordings.sequences import open_sequence
+from palpate.recordings.exchange.frame_sequences import open_sequence
+from palpate.recordings.exchange.press_folder import PressFolder, press_folder
+from palpate.recordings.exchange.press_table import read_press_table
 from palpate.reports.compliance import compare_figure
 from palpate.studies.compliance.cues import LATE_N, Cues, cues_of
 

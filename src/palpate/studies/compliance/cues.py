@@ -21,7 +21,7 @@ from palpate.estimators.compliance.press_force import (
     without_spikes,
 )
 from palpate.psychophysics.lines import Line, fit_line
-from palpate.recordings.press_table import PressTable
+from palpate.recordings.exchange.press_table import PressTable
 
 LATE_N = 2.5  # the report's section V takes forces above it
 UNITS = {

@@ -15,9 +15,9 @@ from palpate.core.errors import InputError
 from palpate.core.files import new_folder, refuse_existing
 from palpate.core.reading import Reading
 from palpate.estimators.networks.model_interface import Progress, silent
-from palpate.recordings.press_folder import press_folder
-from palpate.recordings.press_table import read_press_table
-from palpate.recordings.sequences import open_sequence
+from palpate.recordings.exchange.frame_sequences import open_sequence
+from palpate.recordings.exchange.press_folder import press_folder
+from palpate.recordings.exchange.press_table import read_press_table
 from palpate.reports.compliance import press_figure
 from palpate.studies.compliance.cues import UNITS, Cues, cues_of
 

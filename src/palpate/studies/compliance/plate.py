@@ -10,7 +10,7 @@ import numpy as np
 
 from palpate.core.errors import InputError, LabelError
 from palpate.psychophysics.lines import Line
-from palpate.recordings.press_table import read_press_table
+from palpate.recordings.exchange.press_table import read_press_table
 from palpate.studies.compliance.compare import bootstrap
 from palpate.studies.compliance.cues import series
 

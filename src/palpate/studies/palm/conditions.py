@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from palpate.recordings.reader import Run
+from palpate.recordings.run_reader import Run
 from palpate.rig.plans import Dwell, Listed, Stepped
 from palpate.rig.virtual.variation import Variation
 from palpate.sensors.palm import PalmSpec

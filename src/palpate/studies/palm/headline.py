@@ -9,7 +9,7 @@ import pandas as pd
 
 from palpate.estimators.certified import read_card
 from palpate.estimators.networks import model_kind
-from palpate.recordings.reader import Run
+from palpate.recordings.run_reader import Run
 from palpate.studies.palm.scale import MODELS
 from palpate.studies.palm.scores import scores_of
 from palpate.studies.palm.workshop import Way, Workshop, ways

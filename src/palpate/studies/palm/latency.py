@@ -11,7 +11,7 @@ import numpy as np
 
 from palpate.core.frame import Frame
 from palpate.estimators.certified import Estimator
-from palpate.recordings.reader import Run
+from palpate.recordings.run_reader import Run
 from palpate.studies.palm.scale import MODELS
 from palpate.studies.palm.workshop import Workshop, ways
 

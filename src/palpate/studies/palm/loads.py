@@ -24,8 +24,8 @@ from palpate.core.clock import ManualClock
 from palpate.estimators.certified import Estimator, Zero
 from palpate.estimators.networks.model_interface import Progress
 from palpate.recordings.manifest import LabelKind, Manifest
-from palpate.recordings.reader import Run
-from palpate.recordings.writer import RunWriter
+from palpate.recordings.run_reader import Run
+from palpate.recordings.run_writer import RunWriter
 from palpate.sensors.palm.loads import SHAPES, Loads, draw_loads
 from palpate.sensors.palm.spec import PalmSpec
 from palpate.studies.palm.headline import small_way

@@ -7,7 +7,7 @@ from typing import Any
 
 from palpate.estimators.certified import read_card
 from palpate.estimators.networks import model_kind
-from palpate.recordings.reader import Run
+from palpate.recordings.run_reader import Run
 from palpate.studies.palm.headline import CAMPAIGN, small_way
 from palpate.studies.palm.scores import scores_of
 from palpate.studies.palm.workshop import LOCATIONS, Way, Workshop, ways

@@ -10,7 +10,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from palpate.core.files import new_file
-from palpate.recordings.reader import Run
+from palpate.recordings.run_reader import Run
 from palpate.reports import study_figures as draw
 from palpate.studies.palm.copies import DIMMER, STIFFER, WARMER_MIRED
 from palpate.studies.palm.published import DEPTH, FORCE, MAE, NAMES, PEERS, PLACE, R2, TABLE_2

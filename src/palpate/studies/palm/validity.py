@@ -9,7 +9,7 @@ import numpy as np
 from palpate.calibration.uncertainty import coverage_interval
 from palpate.estimators.certified import Estimator
 from palpate.recordings.labels import own_column
-from palpate.recordings.reader import Run
+from palpate.recordings.run_reader import Run
 from palpate.studies.palm.conditions import Condition, only, recorded
 from palpate.studies.palm.loads import record_loads
 from palpate.studies.palm.scale import MODELS

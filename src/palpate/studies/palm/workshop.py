@@ -22,7 +22,7 @@ from palpate.core.files import new_file
 from palpate.estimators.certified import Estimator, read_card
 from palpate.estimators.networks import model_kind
 from palpate.estimators.networks.model_interface import Progress, silent
-from palpate.recordings.reader import Run
+from palpate.recordings.run_reader import Run
 from palpate.reports.certificate import write_report
 from palpate.rig import State, record
 from palpate.rig.plans import Stepped

@@ -13,7 +13,7 @@ from palpate.calibration.compliance import ComplianceCalibration, Reference, cal
 from palpate.calibration.compliance_reading import Touch, read_touch
 from palpate.core.shapes import Float
 from palpate.psychophysics.lines import Line, fit_line
-from palpate.recordings.press_table import PressTable
+from palpate.recordings.exchange.press_table import PressTable
 from palpate.sensors.tactip import TacTipSpec, Trial, trial
 from palpate.studies.compliance.compare import trials_table
 from palpate.studies.compliance.cues import Cues, cues_of, series

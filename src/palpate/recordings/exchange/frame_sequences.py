@@ -5,24 +5,36 @@ file or is longer than any recording is refused. The file stays open, since open
 takes far longer than reading one.
 
 Written page by page, uncompressed, so that whatever reads a TIFF reads it.
+
+A video file as a sequence of frames, decoded one after the other.
+
+How many frames a video holds is known for certain only after the last: what its header says is checked then.
+Decoding loses what the codec has lost; touch is better recorded as TIFF or as a run.
+
+Frames one after the other, whatever they are stored as: a multi-page TIFF, a video, a folder, a run.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO
+from typing import BinaryIO, Protocol, runtime_checkable
 
+import cv2
 import numpy as np
 import tifffile
 
-from palpate.core.errors import ImageError, RangeError
+from palpate.core.errors import ImageError, InputError, RangeError
 from palpate.core.files import new_file, storage_errors
 from palpate.core.frame import Frame
 from palpate.core.shapes import Image
-from palpate.recordings.png import MAX_PIXELS
+from palpate.recordings.exchange.image_files import MAX_PIXELS, read_image
+from palpate.recordings.manifest import MANIFEST
+from palpate.recordings.run_reader import Run
 
 MAX_PAGES = 100_000  # 83 minutes at 20 frames a second
 _ORDERS = {b"II": "<", b"MM": ">"}
@@ -184,3 +196,152 @@ def _number(file: BinaryIO, kind: str, path: Path) -> int:
 
 def _kind(page: tifffile.TiffPage) -> str:
     return f"{' x '.join(map(str, page.shape))} of {page.dtype}"
+
+
+MAX_FRAMES = 1_000_000  # nine hours at 30 frames a second
+SUFFIXES = frozenset({".avi", ".mp4", ".mov", ".mkv", ".webm"})
+
+
+class VideoFrames:
+    """The frames of a video, grey where all three channels are one.
+
+    Attributes:
+        path: the file.
+        rate_hz: frames a second, as the header says; 0 where it says nothing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open a file, and close it again: every iteration decodes anew.
+
+        Raises:
+            ImageError: it is missing, no video that can be decoded, or claims what no camera makes.
+        """
+        self.path = Path(path)
+        if not self.path.is_file():
+            raise ImageError(f"{path} is not there (or no plain file); check the name and the folder")
+        capture = cv2.VideoCapture(str(self.path))
+        try:
+            if not capture.isOpened():
+                raise ImageError(f"{path} cannot be decoded as a video; convert it, e.g. to MJPEG in AVI")
+            w, h, n = (
+                capture.get(what)
+                for what in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_COUNT)
+            )
+            if not (0 < w * h <= MAX_PIXELS and 0 < n <= MAX_FRAMES):
+                raise ImageError(
+                    f"{path} claims {n:g} frames of {w:g} x {h:g} px; up to {MAX_FRAMES} frames of up to "
+                    f"{MAX_PIXELS} px are read"
+                )
+            self._count, rate = int(n), capture.get(cv2.CAP_PROP_FPS)
+            self.rate_hz = float(rate) if np.isfinite(rate) and rate > 0 else 0.0
+        finally:
+            capture.release()
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[Image]:
+        """The frames in order.
+
+        Raises:
+            ImageError: fewer or more of them than the header says.
+        """
+        capture = cv2.VideoCapture(str(self.path))
+        done = 0
+        try:
+            while True:
+                read, frame = capture.read()
+                if not read:
+                    break
+                done += 1
+                if done > self._count:
+                    break
+                yield _plain(frame)
+        finally:
+            capture.release()
+        if done != self._count:
+            found = "more" if done > self._count else str(done)
+            raise ImageError(
+                f"{self.path}: its header says {self._count} frames, and {found} can be decoded; it is cut "
+                "off or damaged: convert it anew"
+            )
+
+
+def _plain(frame: np.ndarray) -> Image:
+    """Grey if it is, else RGB."""
+    b, g, r = (frame[..., k] for k in range(3)) if frame.ndim == 3 else (frame, frame, frame)
+    if np.array_equal(b, g) and np.array_equal(g, r):
+        return np.ascontiguousarray(g)
+    return np.ascontiguousarray(frame[..., ::-1])
+
+
+TIFFS = frozenset({".tif", ".tiff"})
+IMAGES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp", *TIFFS})
+
+
+@runtime_checkable
+class FrameSequence(Protocol):
+    """Images in time, which may be gone through more than once."""
+
+    def __len__(self) -> int:
+        """How many there are."""
+        ...
+
+    def __iter__(self) -> Iterator[Image]:
+        """Each in turn."""
+        ...
+
+
+@dataclass(frozen=True)
+class ImageFolder:
+    """The images of a folder, in the order of their names."""
+
+    paths: tuple[Path, ...]
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def __iter__(self) -> Iterator[Image]:
+        return (read_image(path) for path in self.paths)
+
+
+@dataclass(frozen=True)
+class RunImages:
+    """The images of a run."""
+
+    run: Run
+
+    def __len__(self) -> int:
+        return len(self.run)
+
+    def __iter__(self) -> Iterator[Image]:
+        return (frame.image for frame in self.run.frames())
+
+
+@contextmanager
+def open_sequence(path: Path) -> Iterator[FrameSequence]:
+    """Open whatever holds frames.
+
+    Raises:
+        InputError: nothing that does.
+        ImageError: it cannot be read.
+        RecordingError: a damaged run.
+    """
+    path = Path(path)
+    if (path / MANIFEST).is_file():
+        yield RunImages(Run.open(path))
+    elif path.is_dir():
+        found = tuple(sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGES))
+        if not found:
+            raise InputError(f"{path} holds no images ({', '.join(sorted(IMAGES))}) and is not a run")
+        yield ImageFolder(found)
+    elif path.suffix.lower() in SUFFIXES:
+        yield VideoFrames(path)
+    elif path.suffix.lower() in TIFFS:
+        with TiffFrames(path) as pages:
+            yield pages
+    else:
+        raise InputError(
+            f"{path} holds no sequence of frames; give a multi-page TIFF, a folder of images, a run, or a "
+            f"video ({', '.join(sorted(SUFFIXES))})"
+        )

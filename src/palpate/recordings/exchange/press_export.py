@@ -20,9 +20,15 @@ from palpate.core.contact import UNTOLD, Specimen
 from palpate.core.errors import InputError, RecordingError
 from palpate.core.files import new_folder
 from palpate.core.shapes import Float, Image, Int
-from palpate.recordings.press_folder import PRESSES, PressFolder, press_folder, write_press, write_specimens
-from palpate.recordings.press_table import press_rows
-from palpate.recordings.reader import Run
+from palpate.recordings.exchange.press_folder import (
+    PRESSES,
+    PressFolder,
+    press_folder,
+    write_press,
+    write_specimens,
+)
+from palpate.recordings.exchange.press_table import press_rows
+from palpate.recordings.run_reader import Run
 
 SWEEP, CLOCKS = "sweep", "clocks"
 AREA = "true_area_mm2"

@@ -28,10 +28,9 @@ from palpate.core.errors import InputError, LabelError
 from palpate.core.files import new_file, storage_errors
 from palpate.core.shapes import Image
 from palpate.core.units import UNITS, has_unit, split_column
+from palpate.recordings.exchange.frame_sequences import TIFFS, write_tiff
 from palpate.recordings.labels import FIRST_ROW, label_kinds, read_labels
 from palpate.recordings.manifest import MANIFEST
-from palpate.recordings.sequences import TIFFS
-from palpate.recordings.tiff import write_tiff
 
 SPECIMENS = "specimens.csv"
 PRESSES = "presses"  # within a run, where its presses lie as such a folder

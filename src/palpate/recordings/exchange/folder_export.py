@@ -11,7 +11,7 @@ from PIL import Image
 from palpate.core.files import PathText, new_folder
 from palpate.recordings.labels import refuse_formulas
 from palpate.recordings.manifest import MANIFEST
-from palpate.recordings.reader import Run
+from palpate.recordings.run_reader import Run
 
 FILE_COLUMN = "frame_file"
 TIME_COLUMN = "frame_time_s"

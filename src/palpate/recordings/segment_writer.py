@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 
 from palpate.core.errors import ExistsError, StorageError
 from palpate.core.files import storage_errors, sync
-from palpate.recordings.schema import (
+from palpate.recordings.message_schema import (
     CHANNELS,
     SEGMENT,
     Channel,

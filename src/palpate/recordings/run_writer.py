@@ -1,27 +1,181 @@
-"""Record a run: frames, force, stage and events on one clock, on disk at least once a second."""
+"""A bounded queue between those who record and the one thread that writes.
+
+Lock a run, claim its next segment and say when that begins.
+
+Record a run: frames, force, stage and events on one clock, on disk at least once a second.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
 from numbers import Integral
 from pathlib import Path
-from threading import Lock, Thread
+from threading import Condition, Lock, Thread
 from types import MappingProxyType, TracebackType
-from typing import Any
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 
 from palpate.core.clock import NS_PER_S, Clock, MonotonicClock
 from palpate.core.errors import ImageError, InputError, PalpateError, RecordingError
-from palpate.core.files import PathText, new_folder
+from palpate.core.files import PathText, lock, new_folder, sha256_of
 from palpate.core.frame import Frame
 from palpate.core.shapes import Image
-from palpate.recordings import png, schema
-from palpate.recordings.buffer import Buffer, Item, Overflow
-from palpate.recordings.manifest import Manifest
-from palpate.recordings.opening import Opened, open_segment
-from palpate.recordings.schema import EVENTS, FORCE, FRAMES, LABELS, RAW, STAGE, Channel
-from palpate.recordings.values import Label, finite, label_values
+from palpate.recordings import message_schema
+from palpate.recordings.exchange import image_files
+from palpate.recordings.labels import Label, finite, label_values
+from palpate.recordings.manifest import MANIFEST, Manifest
+from palpate.recordings.message_schema import EVENTS, FORCE, FRAMES, LABELS, RAW, RECORDED, STAGE, Channel
+from palpate.recordings.run_reader import Run
+from palpate.recordings.segment_writer import Segment, segment_numbers
+
+Overflow = Literal["drop", "wait"]
+
+MAX_FRAME_BYTES = 32 << 20  # about half a second of encoding, so that what was accepted is soon on disk
+MAX_SIGNALS = 1 << 16  # nine seconds of a 7 kHz force sensor
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """What was recorded, and when [ns since 1970].
+
+    Attributes:
+        data: a message's bytes, or a frame's image.
+        about: a frame's exposure and labels; None where it has neither.
+    """
+
+    channel: Channel
+    time_ns: int
+    data: bytes | Image
+    about: dict[str, object] | None = None
+
+
+class Buffer:
+    """A first-in, first-out queue with room for so many frames, so many bytes of them, and so many signals.
+
+    Signals have room of their own, so that a thousand force samples do not push out an image.
+    """
+
+    def __init__(self, frames: int, overflow: Overflow) -> None:
+        self._items: deque[Item] = deque()
+        self._changed = Condition()
+        self._max_frames = frames
+        self._overflow = overflow
+        self._frames = 0
+        self._frame_bytes = 0
+        self._closed = False
+        self.dropped: dict[str, int] = {channel.name: 0 for channel in RECORDED}
+
+    def put(self, item: Item) -> bool:
+        """Queue an item; False when there was no room and it was counted as dropped, or after closing."""
+        with self._changed:
+            if self._overflow == "wait":
+                self._changed.wait_for(lambda: self._closed or self._has_room(item))
+            if self._closed:
+                return False
+            if not self._has_room(item):
+                self.dropped[item.channel.name] += 1
+                return False
+            self._items.append(item)
+            self._count(item, 1)
+            self._changed.notify_all()
+            return True
+
+    def take(self, timeout_s: float) -> Item | None:
+        """The oldest item; None when none came in time [s] or none can come."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._closed or self._items, timeout_s)
+            if not self._items:
+                return None
+            item = self._items.popleft()
+            self._count(item, -1)
+            self._changed.notify_all()
+            return item
+
+    def close(self) -> None:
+        """Let nothing in any more; what is inside can still be taken."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    @property
+    def drained(self) -> bool:
+        """Whether nothing is inside and nothing can come."""
+        with self._changed:
+            return self._closed and not self._items
+
+    def _has_room(self, item: Item) -> bool:
+        if isinstance(item.data, bytes):
+            return len(self._items) - self._frames < MAX_SIGNALS
+        fits = self._frame_bytes + item.data.nbytes <= MAX_FRAME_BYTES
+        return self._frames < self._max_frames and (fits or self._frames == 0)
+
+    def _count(self, item: Item, step: int) -> None:
+        if not isinstance(item.data, bytes):
+            self._frames += step
+            self._frame_bytes += step * item.data.nbytes
+
+
+@dataclass(frozen=True)
+class OpenedSegment:
+    """A claimed segment of a locked run.
+
+    Attributes:
+        manifest: of the run.
+        segment: open for appending.
+        held: the lock, until it is closed.
+        start_ns: the segment's first instant [ns since 1970].
+        zero_ns: what the clock's reading is added to, to count from 1970.
+    """
+
+    manifest: Manifest
+    segment: Segment
+    held: BinaryIO
+    start_ns: int
+    zero_ns: int
+
+
+def open_segment(path: Path, now_ns: int) -> OpenedSegment:
+    """Claim the next segment of a run; it begins when the clock reads `now_ns`.
+
+    Raises:
+        RecordingError: not a run, or another writer has it.
+        ExistsError: another writer claimed the segment.
+        StorageError: the disk refused.
+    """
+    Manifest.read(path)
+    with ExitStack() as undo:
+        held = undo.enter_context(lock(path / MANIFEST))
+        run = Run.open(path)
+        number = max(segment_numbers(path), default=-1) + 1
+        start_ns = _start(run, now_ns)
+        about = {
+            "run_id": run.manifest.run_id,
+            "segment": number,
+            "manifest_sha256": sha256_of(path / MANIFEST),
+            "clock_ns": now_ns,
+        }
+        segment = Segment.claim(path, number, about, start_ns)
+        undo.pop_all()
+    return OpenedSegment(run.manifest, segment, held, start_ns, start_ns - now_ns)
+
+
+def _start(run: Run, now_ns: int) -> int:
+    """When the next segment begins [ns since 1970]: as the clock says, and after all that is there."""
+    if not run.segments:
+        return run.manifest.created_ns
+    start_ns = run.end_ns + 1
+    last = run.segments[-1]
+    clock_ns = last.about.get("clock_ns")
+    if last.begin_ns is not None and isinstance(clock_ns, int):
+        start_ns = max(start_ns, last.begin_ns + now_ns - clock_ns)
+    if start_ns > message_schema.MAX_TIME_NS:
+        raise RecordingError(f"{run.path} ends in 2038, beyond which no stamp can tell; record a new run")
+    return start_ns
+
 
 SYNC_EVERY_S = 0.5  # half of the second that is promised; the disk may take the rest
 DROPPED = "dropped"  # the kind of event that the writer itself records
@@ -40,7 +194,7 @@ class RunWriter:
 
     Example:
         >>> import tempfile
-        >>> from palpate.recordings.reader import Run
+        >>> from palpate.recordings.run_reader import Run
         >>> manifest = Manifest.new(sensor="tactip-3", labels={"depth_mm": "number"})
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     with RunWriter.create(Path(folder, "run"), manifest) as writer:
@@ -50,14 +204,14 @@ class RunWriter:
         [1.5]
     """
 
-    def __init__(self, opened: Opened, clock: Clock, buffer: Buffer) -> None:
+    def __init__(self, opened: OpenedSegment, clock: Clock, buffer: Buffer) -> None:
         """Not for callers: `create` and `resume` make writers."""
         self._opened = opened
         self._segment = opened.segment
         self._labels = opened.manifest.labels
         self._clock = clock
-        self._latest = dict.fromkeys(schema.RECORDED, opened.start_ns)
-        self._locks = {channel: Lock() for channel in schema.RECORDED}
+        self._latest = dict.fromkeys(message_schema.RECORDED, opened.start_ns)
+        self._locks = {channel: Lock() for channel in message_schema.RECORDED}
         self._buffer = buffer
         self._reported = dict(buffer.dropped)
         self._stored = 0
@@ -141,8 +295,10 @@ class RunWriter:
             InputError: a time before the previous frame's.
         """
         Frame(image)
-        if image.shape[0] * image.shape[1] > png.MAX_PIXELS:
-            raise ImageError(f"an image {list(image.shape)} is too large; at most {png.MAX_PIXELS} pixels")
+        if image.shape[0] * image.shape[1] > image_files.MAX_PIXELS:
+            raise ImageError(
+                f"an image {list(image.shape)} is too large; at most {image_files.MAX_PIXELS} pixels"
+            )
         about: dict[str, object] = {}
         if exposure_s is not None:
             about["exposure_s"] = finite([exposure_s], 1, "exposure [s]")[0]
@@ -164,7 +320,9 @@ class RunWriter:
             InputError: not six finite numbers, or a time before the previous one's.
         """
         values = finite(wrench, 6, "force and torque [N, Nm]")
-        return self._put(RAW if raw else FORCE, time_ns, lambda at_ns: schema.encode_wrench(values, at_ns))
+        return self._put(
+            RAW if raw else FORCE, time_ns, lambda at_ns: message_schema.encode_wrench(values, at_ns)
+        )
 
     def stage(self, position_m: Sequence[float] | np.ndarray, *, time_ns: int | None = None) -> bool:
         """Record where the stage is [m]; False when dropped.
@@ -173,7 +331,7 @@ class RunWriter:
             InputError: not three finite numbers, or a time before the previous one's.
         """
         values = finite(position_m, 3, "stage position [m]")
-        return self._put(STAGE, time_ns, lambda at_ns: schema.encode_point(values, at_ns))
+        return self._put(STAGE, time_ns, lambda at_ns: message_schema.encode_point(values, at_ns))
 
     def event(self, kind: str, **fields: Any) -> bool:
         """Record that something happened; False when dropped.
@@ -183,7 +341,7 @@ class RunWriter:
         """
         if kind == DROPPED:
             raise InputError(f"events of kind {DROPPED!r} are the writer's own; choose another kind")
-        data = schema.encode_json({"kind": kind, "fields": fields})
+        data = message_schema.encode_json({"kind": kind, "fields": fields})
         return self._put(EVENTS, None, lambda _: data)
 
     @property
@@ -246,7 +404,7 @@ class RunWriter:
         elif not isinstance(time_ns, Integral):
             raise InputError(f"time_ns is a whole number of ns on the writer's clock, got {time_ns!r}")
         at_ns = int(time_ns) + self._opened.zero_ns
-        if not self._latest[channel] <= at_ns <= schema.MAX_TIME_NS:
+        if not self._latest[channel] <= at_ns <= message_schema.MAX_TIME_NS:
             least = self._latest[channel] - self._opened.zero_ns
             raise InputError(
                 f"{channel.name} at {time_ns} ns, but time only goes forwards, to 2038 at most: give "
@@ -289,10 +447,10 @@ class RunWriter:
         if isinstance(item.data, bytes):
             self._segment.signals.write(item.channel, item.time_ns, 0, item.data)
             return
-        image = schema.encode_image(png.encode(item.data), item.time_ns)
+        image = message_schema.encode_image(image_files.encode(item.data), item.time_ns)
         self._segment.frames.write(FRAMES, item.time_ns, self._stored, image)
         if item.about:
-            about = schema.encode_json({"frame": self._stored, **item.about})
+            about = message_schema.encode_json({"frame": self._stored, **item.about})
             self._segment.signals.write(LABELS, item.time_ns, 0, about)
         self._stored += 1
 
@@ -302,7 +460,7 @@ class RunWriter:
             if count != self._reported[name]:
                 at_ns = max(self._latest[EVENTS], self._clock.now_ns() + self._opened.zero_ns)
                 fields = {"channel": name, "count": count}
-                data = schema.encode_json({"kind": DROPPED, "fields": fields})
+                data = message_schema.encode_json({"kind": DROPPED, "fields": fields})
                 self._segment.signals.write(EVENTS, at_ns, 0, data)
                 self._reported[name] = count
 

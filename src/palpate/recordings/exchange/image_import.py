@@ -14,13 +14,13 @@ from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.core.errors import ImageError, InputError, LabelError, UnitError
 from palpate.core.files import PathText, new_folder, refuse_existing
 from palpate.core.units import has_unit, split_column
-from palpate.recordings.exporters.folder import FILE_COLUMN, TIME_COLUMN
-from palpate.recordings.images import read_image
+from palpate.recordings.exchange.folder_export import FILE_COLUMN, TIME_COLUMN
+from palpate.recordings.exchange.image_files import read_image
 from palpate.recordings.labels import FIRST_ROW, label_kinds, read_labels, rows_text
 from palpate.recordings.manifest import MANIFEST, Manifest
-from palpate.recordings.reader import NAME_COLUMN
+from palpate.recordings.run_reader import NAME_COLUMN
+from palpate.recordings.run_writer import RunWriter
 from palpate.recordings.splits import CONVENTIONAL_GROUPS
-from palpate.recordings.writer import RunWriter
 
 Progress = Callable[[int, int], None]
 _SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})

@@ -17,13 +17,12 @@ from palpate.core.clock import NS_PER_S
 from palpate.core.errors import InputError, RangeError, RecordingError
 from palpate.core.files import PathText, sha256_of, sha256_of_all
 from palpate.core.frame import Frame
-from palpate.recordings import schema
+from palpate.recordings import message_schema
+from palpate.recordings.labels import Label, finite, label_values
 from palpate.recordings.manifest import MANIFEST, LabelKind, Manifest
-from palpate.recordings.scan import Damage
-from palpate.recordings.schema import EVENTS, FORCE, LABELS, RAW, STAGE, Channel
-from palpate.recordings.segment import KINDS, file_name, segment_numbers
-from palpate.recordings.stored import StoredFrame, StoredSegment
-from palpate.recordings.values import Label, finite, label_values
+from palpate.recordings.message_schema import EVENTS, FORCE, LABELS, RAW, STAGE, Channel
+from palpate.recordings.segment_reader import Damage, StoredFrame, StoredSegment
+from palpate.recordings.segment_writer import KINDS, file_name, segment_numbers
 
 __all__ = ["Damage", "Run"]
 
@@ -168,7 +167,7 @@ class Run:
             (self._seconds(message.time_ns), str(event.get("kind")), json.dumps(event.get("fields")))
             for segment in self.segments
             for message in segment.messages(EVENTS)
-            for event in [schema.decode_json(message.data, EVENTS)]
+            for event in [message_schema.decode_json(message.data, EVENTS)]
         ]
         return pd.DataFrame(rows, columns=["time_s", "kind", "fields"]).astype({"time_s": np.float64})
 
@@ -217,7 +216,7 @@ class Run:
         """Exposure and labels in one segment, by the sequence of the frame they belong to."""
         found = {}
         for message in segment.messages(LABELS):
-            about = schema.decode_json(message.data, LABELS)
+            about = message_schema.decode_json(message.data, LABELS)
             exposure, labels = about.get("exposure_s"), about.get("labels", {})
             try:
                 exposure_s = None if exposure is None else finite([exposure], 1, "exposure [s]")[0]
@@ -236,7 +235,7 @@ class Run:
         for segment in self.segments:
             for message in segment.messages(channel):
                 rows.append(self._seconds(message.time_ns))
-                rows.extend(values(schema.decode(message.data, channel)))
+                rows.extend(values(message_schema.decode(message.data, channel)))
         table = np.frombuffer(rows, np.float64) if rows else np.empty(0)
         return pd.DataFrame(table.reshape(-1, 1 + len(columns)), columns=["time_s", *columns])
 

@@ -1,14 +1,17 @@
-"""The read side of one segment file: find its chunks, cut or whole, and trust none unchecked."""
+"""The read side of one segment file: find its chunks, cut or whole, and trust none unchecked.
+
+One segment as found on disk: which frames and signals can be read, and what is damaged.
+"""
 
 from __future__ import annotations
 
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -16,8 +19,21 @@ from mcap.opcode import Opcode
 from mcap.records import ChunkIndex
 from mcap.writer import MCAP0_MAGIC
 
-from palpate.core.errors import RecordingError
+from palpate.core.errors import ImageError, RecordingError
 from palpate.core.files import storage_errors
+from palpate.core.shapes import Image
+from palpate.recordings.exchange import image_files
+from palpate.recordings.manifest import MANIFEST
+from palpate.recordings.message_schema import (
+    FRAMES,
+    SEGMENT,
+    Channel,
+    FileKind,
+    channel_id,
+    decode,
+    decode_json,
+)
+from palpate.recordings.segment_writer import KINDS, file_name
 
 MAX_CHUNK_BYTES = 512 << 20  # the largest image that is read, stored without gain, and room to spare
 MAX_INDEX_BYTES = 1 << 30  # some ten million frames
@@ -68,7 +84,7 @@ class Chunk:
 
 
 @dataclass(frozen=True, slots=True)
-class Message:
+class StoredMessage:
     """One message as stored; `data` is CDR."""
 
     channel: int
@@ -78,7 +94,7 @@ class Message:
 
 
 @dataclass(frozen=True, slots=True)
-class Scan:
+class SegmentScan:
     """What a file holds.
 
     Attributes:
@@ -95,7 +111,7 @@ class Scan:
     damage: tuple[Damage, ...]
 
 
-def scan(path: Path) -> Scan:
+def scan(path: Path) -> SegmentScan:
     """Find the chunks of a segment file, up to where it was cut.
 
     Raises:
@@ -108,9 +124,9 @@ def scan(path: Path) -> Scan:
             damage.append(Damage(path.name, 0, "does not begin as an MCAP file"))
         indexed = _from_index(file, size)
         if indexed is not None:
-            return Scan(path, *indexed, tuple(damage))
+            return SegmentScan(path, *indexed, tuple(damage))
         chunks, found = _by_walking(file, size, path.name)
-        return Scan(path, chunks, None, (*damage, *found))
+        return SegmentScan(path, chunks, None, (*damage, *found))
 
 
 def _from_index(file: BinaryIO, size: int) -> tuple[tuple[Chunk, ...], int] | None:
@@ -188,7 +204,7 @@ def _examined(file: BinaryIO, offset: int, length: int) -> Chunk:
     return Chunk(offset, length, channels, end_ns, found[0].sequence)
 
 
-def read_chunk(path: Path, chunk: Chunk, *, check: bool = True) -> list[Message]:
+def read_chunk(path: Path, chunk: Chunk, *, check: bool = True) -> list[StoredMessage]:
     """The messages in a chunk, compared with their CRC unless that was done before.
 
     The file is opened anew, which costs 0.02 ms and leaves a reader free to be copied between processes.
@@ -227,7 +243,7 @@ def _chunk_records(data: bytes, *, check: bool) -> memoryview:
     return records
 
 
-def messages(records: memoryview) -> Iterator[Message]:
+def messages(records: memoryview) -> Iterator[StoredMessage]:
     """The messages among a chunk's records.
 
     Raises:
@@ -238,7 +254,7 @@ def messages(records: memoryview) -> Iterator[Message]:
             if len(body) < _MESSAGE.size:
                 raise RecordingError("a message is cut")
             channel, sequence, time_ns, _ = _MESSAGE.unpack_from(body)
-            yield Message(channel, sequence, time_ns, body[_MESSAGE.size :])
+            yield StoredMessage(channel, sequence, time_ns, body[_MESSAGE.size :])
 
 
 def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
@@ -254,7 +270,7 @@ def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
         at += length
 
 
-def verify(found: Scan) -> tuple[Damage, ...]:
+def verify(found: SegmentScan) -> tuple[Damage, ...]:
     """Compare every byte of a file with its checksums; what was found on the way, known damage included.
 
     Raises:
@@ -282,3 +298,167 @@ def _data_sound(path: Path, end: int) -> bool:
             at += len(data)
         last = file.read(_DATA_END.size)
     return last == _DATA_END.pack(Opcode.DATA_END, 4, crc)
+
+
+@dataclass(frozen=True, slots=True)
+class StoredFrame:
+    """Where one frame lies.
+
+    Attributes:
+        sequence: its number in its segment, which its labels name.
+        time_ns: when it was taken [ns since 1970].
+    """
+
+    path: Path
+    chunk: Chunk
+    sequence: int
+    time_ns: int
+
+    def message(self, *, check: bool = True) -> StoredMessage:
+        """The frame's message, compared with its checksum unless that was done before.
+
+        Raises:
+            RecordingError: it is damaged; the text names the file, the place and the remedy.
+        """
+        try:
+            found = read_chunk(self.path, self.chunk, check=check)
+            if [(m.channel, m.sequence, m.time_ns) for m in found] != [self._key]:
+                raise RecordingError("the chunk is not the frame that the index promises")  # noqa: TRY301
+        except RecordingError as e:
+            raise self.error(e) from e
+        return found[0]
+
+    def image(self, *, check: bool = True) -> Image:
+        """The frame's image.
+
+        Raises:
+            RecordingError: it is damaged; the text names the file, the place and the remedy.
+        """
+        try:
+            return image_files.decode(decode(self.message(check=check).data, FRAMES).data)
+        except ImageError as e:
+            raise self.error(e) from e
+
+    def error(self, reason: Exception) -> RecordingError:
+        """What to tell about a frame that cannot be read."""
+        return RecordingError(
+            f"{self.path} at byte {self.chunk.offset}: {reason}; `palpate repair` copies what is readable "
+            "into a new run"
+        )
+
+    @property
+    def _key(self) -> tuple[int, int, int]:
+        return channel_id("frames", FRAMES), self.sequence, self.time_ns
+
+
+@dataclass(frozen=True)
+class StoredSegment:
+    """What can be read of a segment.
+
+    Attributes:
+        number: of the segment in its run.
+        frames: its frames, in order.
+        signals: the file of its signals, all of whose chunks have been checked.
+        about: what the writer noted at its beginning; empty where that is lost.
+        begin_ns: when it began [ns since 1970]; None where that is lost.
+        damage: what is wrong as far as was looked.
+    """
+
+    number: int
+    frames: tuple[StoredFrame, ...]
+    frames_file: SegmentScan
+    signals_file: SegmentScan
+    about: dict[str, Any]
+    begin_ns: int | None
+    damage: tuple[Damage, ...]
+
+    @classmethod
+    def open(cls, run: Path, number: int, run_id: str, manifest_sha256: str) -> StoredSegment:
+        """Look through a segment of the run that has this id and manifest."""
+        frames, signals = (_scanned(run, number, kind) for kind in KINDS)
+        signals = _checked(signals)
+        begun = [message for file in (frames, signals) for message in _beginning(file)]
+        abouts = [decode_json(message.data, SEGMENT) for message in begun]
+        damage = (*frames.damage, *signals.damage)
+        if any(about.get("run_id") != run_id for about in abouts):
+            what = "belongs to another run, so it is left out; move both files of the segment away"
+            stranger = Damage(frames.path.name, 0, what)
+            frames, signals = replace(frames, chunks=()), replace(signals, chunks=())
+            damage = (stranger,)
+        elif any(about.get("manifest_sha256") != manifest_sha256 for about in abouts):
+            damage = (*damage, Damage(MANIFEST, 0, f"has changed since segment {number} was recorded"))
+        return cls(
+            number,
+            tuple(_frames(frames)),
+            frames,
+            signals,
+            abouts[0] if abouts else {},
+            begun[0].time_ns if begun else None,
+            damage,
+        )
+
+    def messages(self, channel: Channel) -> Iterator[StoredMessage]:
+        """The messages on one channel of the signals, in order."""
+        wanted = channel_id("signals", channel)
+        for chunk in self.signals_file.chunks:
+            if wanted in chunk.channels:
+                found = read_chunk(self.signals_file.path, chunk)
+                yield from (message for message in found if message.channel == wanted)
+
+    def verify(self) -> tuple[Damage, ...]:
+        """Compare every byte with its checksums; all that is wrong."""
+        known = set(self.damage)
+        late = [
+            found
+            for file in (self.frames_file, self.signals_file)
+            for found in verify(file)
+            if found not in known
+        ]
+        return (*self.damage, *late)
+
+    @property
+    def end_ns(self) -> int:
+        """The last message's time [ns since 1970]; 0 where none can be read."""
+        chunks = (*self.frames_file.chunks, *self.signals_file.chunks)
+        return max((chunk.end_ns for chunk in chunks), default=0)
+
+
+def _scanned(run: Path, number: int, kind: FileKind) -> SegmentScan:
+    path = run / file_name(number, kind)
+    if not path.is_file():
+        return SegmentScan(path, (), None, (Damage(path.name, 0, "is missing"),))
+    return scan(path)
+
+
+def _checked(file: SegmentScan) -> SegmentScan:
+    """Leave the chunks out that fail their checksum, so that no table can change once it was read."""
+    if file.data_end is None:
+        return file
+    sound, damage = [], list(file.damage)
+    for chunk in file.chunks:
+        try:
+            read_chunk(file.path, chunk)
+            sound.append(chunk)
+        except RecordingError as e:
+            damage.append(Damage(file.path.name, chunk.offset, str(e)))
+    return replace(file, chunks=tuple(sound), damage=tuple(damage))
+
+
+def _beginning(file: SegmentScan) -> list[StoredMessage]:
+    """The message that opens a file, where it can be read."""
+    if not file.chunks or 1 not in file.chunks[0].channels:
+        return []
+    try:
+        found = read_chunk(file.path, file.chunks[0])[:1]
+        for message in found:
+            decode_json(message.data, SEGMENT)
+    except RecordingError:
+        return []  # told as damage when the chunk's bytes are verified
+    return found
+
+
+def _frames(file: SegmentScan) -> Iterator[StoredFrame]:
+    wanted = {channel_id("frames", FRAMES)}
+    chunks = [chunk for chunk in file.chunks if chunk.channels == wanted]
+    for k, chunk in enumerate(chunks):
+        yield StoredFrame(file.path, chunk, k if chunk.sequence is None else chunk.sequence, chunk.end_ns)

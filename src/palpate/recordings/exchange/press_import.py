@@ -13,11 +13,11 @@ import numpy as np
 
 from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.core.files import new_folder, refuse_existing
-from palpate.recordings.importers.images import ImportReport, Progress
+from palpate.recordings.exchange.frame_sequences import FrameSequence, open_sequence
+from palpate.recordings.exchange.image_import import ImportReport, Progress
+from palpate.recordings.exchange.press_table import PressTable, read_press_table
 from palpate.recordings.manifest import Manifest
-from palpate.recordings.press_table import PressTable, read_press_table
-from palpate.recordings.sequences import Sequence, open_sequence
-from palpate.recordings.writer import RunWriter
+from palpate.recordings.run_writer import RunWriter
 
 
 def import_press(
@@ -89,7 +89,7 @@ def _samples(writer: RunWriter, table: PressTable) -> None:
             writer.stage((0.0, 0.0, float(table.position_m[i])), time_ns=time_ns)
 
 
-def _frames(writer: RunWriter, table: PressTable, sequence: Sequence, progress: Progress | None) -> None:
+def _frames(writer: RunWriter, table: PressTable, sequence: FrameSequence, progress: Progress | None) -> None:
     for k, (image, sample) in enumerate(zip(sequence, table.frame_sample, strict=True)):
         labels = {"force_N": float(table.force_n[sample])}
         if table.position_m is not None:

@@ -19,7 +19,7 @@ from palpate.core.errors import InputError, RecordingError
 from palpate.core.files import PathText, new_folder, sha256_of, storage_errors
 from palpate.core.shapes import Images, Indices
 from palpate.estimators.preparation import Preparation
-from palpate.recordings.reader import Run
+from palpate.recordings.run_reader import Run
 from palpate.version import __version__
 
 FRAMES_NAME = "frames.npy"

@@ -1,0 +1,414 @@
+"""The photoelastic palm's tables: one a press, named by its place and cycle, force samples in its rows.
+
+The photoelastic palm's shots: the dwells of a press, and the photographs taken during each.
+
+The photoelastic palm's own recordings: a table a press, a folder of photographs a shot, turned into a run.
+
+A press is one table `Cycle_Indent5mm_r{row}c{col}_{cycle}.csv` of force samples. While the probe dwells at a
+depth, some five samples are taken and some 25 photographs; the column `image_file` of all of them names the
+folder of these photographs, or one photograph. So all frames of a shot share one force, the mean of its
+samples, and belong on the same side of a split: by `location`, `press` or `shot`.
+
+The layout is taken from the source's published code: no recording of it has been read yet.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+import numpy as np
+import pandas as pd
+
+from palpate.core.errors import InputError, LabelError
+from palpate.core.files import refuse_existing, storage_errors
+from palpate.recordings.exchange.image_import import ImportReport, Progress, import_images
+from palpate.recordings.labels import FIRST_ROW, label_kinds, read_labels
+
+NEAR_MM = 0.05  # within which two notes of one depth or place agree: half a step
+_TABLE = re.compile(r"Cycle_Indent(\d+(?:\.\d+)?)mm_r(\d{1,3})c(\d{1,3})_(\d{1,4})\.csv", re.ASCII)
+_NUMBERS = ("t_s", "indent_mm", "Fx", "Fy", "Fz", "x_mm", "y_mm")
+_PHASES = ("down", "up")
+_MOST_TABLE_BYTES = 1 << 24  # a press has some 260 rows of 100 bytes
+
+
+@dataclass(frozen=True, slots=True)
+class PalmPressTable:
+    """One table's name, taken apart."""
+
+    path: Path
+    deepest_mm: float
+    row: int
+    column: int
+    cycle: int
+
+    @property
+    def location(self) -> str:
+        return f"r{self.row}c{self.column}"
+
+    @property
+    def name(self) -> str:
+        return f"{self.location}/{self.cycle}"
+
+
+def presses_in(folder: Path) -> list[PalmPressTable]:
+    """The presses that a folder has tables of, by place and cycle.
+
+    Raises:
+        InputError: no folder, or it has no tables.
+        LabelError: a table with another name, or two of one press.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder} is not a folder of tables; check the name")
+    with storage_errors(folder):
+        tables = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".csv")
+    if not tables:
+        raise InputError(
+            f"{folder} holds no table Cycle_Indent5mm_r4c6_1.csv or alike; name the tables' folder"
+        )
+    presses = sorted((_press(path) for path in tables), key=lambda one: (one.row, one.column, one.cycle))
+    for one, next_ in itertools.pairwise(presses):
+        if one.name == next_.name:
+            raise LabelError(
+                f"{one.path} and {next_.path} are of the same press, {one.name}; keep one of them"
+            )
+    return presses
+
+
+def _press(path: Path) -> PalmPressTable:
+    found = _TABLE.fullmatch(path.name)
+    if found is None:
+        raise LabelError(
+            f"{path} is not named as Cycle_Indent5mm_r4c6_1.csv is, which tells depth, row, column and "
+            "cycle; rename it, or move it away"
+        )
+    deepest, row, column, cycle = found.groups()
+    return PalmPressTable(path, float(deepest), int(row), int(column), int(cycle))
+
+
+def table_of(press: PalmPressTable) -> pd.DataFrame:
+    """A press's samples, in the table's order, every number finite.
+
+    Raises:
+        LabelError: the table is damaged, lacks a column, or holds what it must not; says in which row.
+    """
+    path = press.path
+    with storage_errors(path):
+        size = path.stat().st_size
+    if size > _MOST_TABLE_BYTES:
+        raise LabelError(f"{path} has {size} bytes; a press has {_MOST_TABLE_BYTES} at most")
+    table = read_labels(path, kinds={})
+    missing = [name for name in (*_NUMBERS, "phase", "image_file") if name not in table.columns]
+    if missing:
+        raise LabelError(
+            f"{path}, row 1 has no column {', '.join(map(repr, missing))}; its columns are "
+            f"{', '.join(map(str, table.columns))}"
+        )
+    for name in _NUMBERS:
+        _check_numbers(table[name], name, path, is_number=label_kinds(table)[name] == "number")
+    for i, phase in enumerate(table["phase"]):
+        if phase not in _PHASES:
+            raise LabelError(f"{path}, row {i + FIRST_ROW}: phase is {phase!r}; it is down or up")
+    for i, depth in enumerate(table["indent_mm"]):
+        if not -NEAR_MM <= depth <= press.deepest_mm + NEAR_MM:
+            raise LabelError(
+                f"{path}, row {i + FIRST_ROW}: indent_mm is {depth:g}, and the file's name says 0 to "
+                f"{press.deepest_mm:g} mm"
+            )
+    return table
+
+
+def _check_numbers(column: pd.Series, name: str, path: Path, *, is_number: bool) -> None:
+    for i, cell in enumerate(column):
+        if not is_number and isinstance(cell, str) and _is_finite(cell):
+            continue
+        if not is_number or not np.isfinite(cell):
+            raise LabelError(
+                f"{path}, row {i + FIRST_ROW}: {name} is {str(cell)[:40]!r}, no finite number; fill it "
+                "in, or remove the press"
+            )
+
+
+def _is_finite(cell: str) -> bool:
+    try:
+        return "_" not in cell and bool(np.isfinite(float(cell)))  # Python reads 1_000, a table does not
+    except ValueError:
+        return False
+
+
+_SHOT = re.compile(r"Cycle_r(\d{1,3})c(\d{1,3})_(\d{1,4})_(\w+?)_(\d+(?:\.\d+)?)mm", re.ASCII)
+_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp"})
+_SHOWN = 5
+
+
+@dataclass(frozen=True, slots=True)
+class PalmShot:
+    """One dwell: which rows of its press's table, and which photographs."""
+
+    press: PalmPressTable
+    phase: str
+    depth_mm: float
+    rows: list[int] = field(default_factory=list)
+    photos: list[Path] = field(default_factory=list)
+
+    @property
+    def label(self) -> str:
+        """The phase, as the rig's own plans name it."""
+        return "reference" if self.depth_mm == 0.0 and self.phase == "down" else self.phase
+
+    @property
+    def key(self) -> str:
+        """As the rig's own plans name their shots."""
+        return f"{self.press.name}/{self.label}/{round(self.depth_mm * 1000)}/0"
+
+
+def shots_of(press: PalmPressTable, table: pd.DataFrame, folder: Path) -> list[PalmShot]:
+    """A press's dwells, in the order in which they begin in its table."""
+    found: dict[tuple[str, float], PalmShot] = {}
+    seen: dict[str, list[Path]] = {}
+    for i in range(len(table)):
+        cell, phase = str(table["image_file"].iloc[i]), str(table["phase"].iloc[i])
+        depth = _depth_mm(press, i, cell, phase, float(table["indent_mm"].iloc[i]))
+        shot = found.setdefault((phase, depth), PalmShot(press, phase, depth))
+        shot.rows.append(i)
+        if cell not in seen:
+            seen[cell] = _photos(press, i, cell, folder)
+            shot.photos.extend(seen[cell])
+        elif not set(seen[cell]) <= set(shot.photos):
+            raise LabelError(
+                f"{press.path}, row {i + FIRST_ROW}: {cell!r} belongs to another shot than {phase} at "
+                f"{depth:g} mm; one photograph shows one dwell"
+            )
+    for shot in found.values():
+        _check_stands(shot, table)
+    return list(found.values())
+
+
+def _depth_mm(press: PalmPressTable, i: int, cell: str, phase: str, indent_mm: float) -> float:
+    """The shot's depth: of its folder's name, which must not gainsay the row, else of the row."""
+    named = _SHOT.search(PureWindowsPath(cell).name)
+    if named is None:
+        return round(indent_mm, 3)
+    row, column, cycle, phase_named, depth = named.groups()
+    told = (int(row), int(column), int(cycle), phase_named)
+    if told != (press.row, press.column, press.cycle, phase) or abs(float(depth) - indent_mm) > NEAR_MM:
+        raise LabelError(
+            f"{press.path}, row {i + FIRST_ROW}: image_file is {cell!r}, but the row is of {press.name}, "
+            f"{phase}, {indent_mm:g} mm; one of the two is misfiled"
+        )
+    return float(depth)
+
+
+def _photos(press: PalmPressTable, i: int, cell: str, folder: Path) -> list[Path]:
+    """The photographs that a cell names: one, or those of a folder, in the order of their numbers."""
+    where = f"{press.path}, row {i + FIRST_ROW}"
+    if not cell:
+        raise LabelError(f"{where} names no image_file; name one, or remove the row")
+    windows = PureWindowsPath(cell)
+    if PurePosixPath(cell).is_absolute() or windows.drive or windows.root or ".." in windows.parts:
+        raise LabelError(
+            f"{where}: image_file {cell!r} does not stay inside {folder}; name it relative to "
+            "that, without '..'"
+        )
+    inner = PurePosixPath(*windows.parts)  # the source was written on Windows
+    at = next((path for path in (folder / inner, folder / "images" / inner) if path.exists()), None)
+    if at is None:
+        raise LabelError(
+            f"{where}: image_file {cell!r} is neither in {folder} nor in {folder / 'images'}; copy it there"
+        )
+    with storage_errors(at):
+        photos = sorted(_images_in(at), key=_by_number) if at.is_dir() else [at]
+    if not photos:
+        raise LabelError(f"{where}: {at} holds no photograph; copy them there, or remove the shot's rows")
+    for photo in photos:
+        if not photo.resolve().is_relative_to(folder.resolve()):
+            raise LabelError(
+                f"{where}: {photo} is a link that leads out of {folder}; copy the photograph there"
+            )
+    return photos
+
+
+def _images_in(folder: Path) -> Iterator[Path]:
+    return (
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in _SUFFIXES and not path.name.startswith(".")
+    )
+
+
+def _by_number(path: Path) -> list[tuple[int, str]]:
+    """Sorts photo_2 before photo_10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", path.name)]
+
+
+def _check_stands(shot: PalmShot, table: pd.DataFrame) -> None:
+    for name in ("x_mm", "y_mm", "indent_mm"):
+        values = table[name].to_numpy(dtype=np.float64)[shot.rows]
+        off = np.flatnonzero(np.abs(values - values[0]) > NEAR_MM)
+        if off.size:
+            raise LabelError(
+                f"{shot.press.path}, row {shot.rows[off[0]] + FIRST_ROW}: {name} is {values[off[0]]:g}, and "
+                f"{values[0]:g} in row {shot.rows[0] + FIRST_ROW} of the same dwell"
+            )
+
+
+def check_once(shots: Sequence[PalmShot]) -> None:
+    """Refuse a photograph that two shots name.
+
+    Raises:
+        LabelError: there is one.
+    """
+    first: dict[Path, PalmShot] = {}
+    for shot in shots:
+        for photo in shot.photos:
+            other = first.setdefault(photo.resolve(), shot)
+            if other is not shot:
+                raise LabelError(
+                    f"{photo} belongs to two shots, {other.key} of {other.press.path} and {shot.key} of "
+                    f"{shot.press.path}; one photograph shows one dwell"
+                )
+
+
+def check_no_strays(shots: Sequence[PalmShot], folder: Path) -> None:
+    """Refuse photographs that no shot names.
+
+    Raises:
+        LabelError: there are some; names the first.
+    """
+    named = {photo.resolve() for shot in shots for photo in shot.photos}
+    strays = sorted(
+        path.relative_to(folder).as_posix()
+        for path in folder.rglob("*")
+        if path.suffix.lower() in _SUFFIXES and not path.name.startswith(".") and path.resolve() not in named
+    )
+    if strays:
+        raise LabelError(
+            f"{len(strays)} photographs in {folder} are named by no table: {', '.join(strays[:_SHOWN])}; "
+            "move them away, or allow unlabelled images to leave them out"
+        )
+
+
+def import_palm(
+    folder: Path,
+    run: Path,
+    *,
+    sensor: str = "palm",
+    licence: str = "",
+    origin: str = "",
+    allow_unlabelled: bool = False,
+    progress: Progress | None = None,
+) -> ImportReport:
+    """Turn a folder of the palm's tables and photographs into a run.
+
+    Frames come by place, cycle and the table's order of shots, with the labels of `rig.acquisition` as far as
+    the source has them, and `row`, `column` and, where each shot has several samples, their spread
+    `force_sd_N`. When photographs were taken is not known: the run's times are ordinal, and `t_s` is the
+    middle of the dwell by the table.
+
+    `force_N` is the normal force, positive in compression, whichever way the source's Fz points: its sign is
+    that of the deepest shots. So noise about zero keeps its sign, and its mean is not pushed up. `depth_mm`
+    is the source's own, from its own zero. Shots at depth 0 are references; x and y are the source's own.
+
+    Args:
+        folder: where the tables are, the photographs beside them or in a folder ``images``.
+        run: the run to make; must not exist.
+        sensor: which sensor was recorded.
+        licence: of the data.
+        origin: who recorded it, and where it was had from.
+        allow_unlabelled: leave out photographs that no table names, rather than refuse the folder.
+        progress: told how many steps are done of how many.
+
+    Raises:
+        ExistsError: `run` exists.
+        InputError: no folder, or it has no tables.
+        LabelError: a table with another name, a missing column, a cell that is no finite number, a photograph
+            or folder that is missing, outside `folder` or named by two shots; the message names file and row.
+        ImageError: a photograph cannot be read, or is not of the first one's size and kind.
+        StorageError: the disk is full, or refused.
+    """
+    refuse_existing(run)
+    presses = presses_in(folder)
+    tables = {press: table_of(press) for press in presses}
+    shots = [shot for press, table in tables.items() for shot in shots_of(press, table, folder)]
+    check_once(shots)
+    if not allow_unlabelled:
+        check_no_strays(shots, folder)
+    labels = _labels(shots, tables, folder)
+    with tempfile.TemporaryDirectory() as scratch, storage_errors(Path(scratch)):
+        table_file = Path(scratch, "labels.parquet")
+        labels.to_parquet(table_file)
+        return import_images(
+            folder,
+            run,
+            labels=table_file,
+            image_column="image_file",
+            sensor=sensor,
+            licence=licence,
+            origin=origin,
+            rig="imported from the palm's own tables",
+            allow_unlabelled=True,
+            progress=progress,
+        )
+
+
+def _labels(
+    shots: Sequence[PalmShot], tables: dict[PalmPressTable, pd.DataFrame], folder: Path
+) -> pd.DataFrame:
+    """A row a photograph."""
+    sign = _normal_sign(tables)
+    rows: list[dict[str, object]] = []
+    for shot in shots:
+        samples = tables[shot.press].iloc[shot.rows]
+        about = _about(shot, samples, sign)
+        for k, photo in enumerate(shot.photos):
+            name = photo.relative_to(folder).as_posix()
+            rows.append({"image_file": name, "frame_in_shot": float(k), **about})
+    return pd.DataFrame(rows).dropna(axis=1)  # the spread, where there is none
+
+
+def _about(shot: PalmShot, samples: pd.DataFrame, sign: float) -> dict[str, object]:
+    press, force = shot.press, samples[["Fx", "Fy", "Fz"]].to_numpy(dtype=np.float64)
+    fx, fy, fz = force.mean(axis=0).tolist()
+    return {
+        "shot": shot.key,
+        "location": press.location,
+        "row": float(press.row),
+        "column": float(press.column),
+        "press": press.name,
+        "cycle": float(press.cycle),
+        "phase": shot.label,
+        "reference": shot.depth_mm == 0.0,
+        "x_mm": float(samples["x_mm"].mean()),
+        "y_mm": float(samples["y_mm"].mean()),
+        "depth_mm": shot.depth_mm,
+        "force_N": sign * fz,
+        "force_x_N": fx,
+        "force_y_N": fy,
+        "force_sd_N": float(force[:, 2].std(ddof=1)) if len(force) > 1 else np.nan,
+        "t_s": float(samples["t_s"].mean()),
+    }
+
+
+def _normal_sign(tables: dict[PalmPressTable, pd.DataFrame]) -> float:
+    """Which way Fz points: at a press's deepest shot the skin is compressed, whatever its sign.
+
+    Raises:
+        LabelError: presses say otherwise of one another.
+    """
+    signs: dict[float, PalmPressTable] = {}
+    for press, table in tables.items():
+        depth, fz = table["indent_mm"].to_numpy(), table["Fz"].to_numpy()
+        deepest = float(np.mean(fz[depth >= depth.max() - NEAR_MM]))
+        if depth.max() > NEAR_MM and deepest != 0.0:
+            signs.setdefault(float(np.sign(deepest)), press)
+    if len(signs) > 1:
+        one, other = signs[1.0].path, signs[-1.0].path
+        raise LabelError(
+            f"at the deepest indentation Fz is positive in {one} and negative in {other}; import "
+            "presses of one sign convention at a time"
+        )
+    return next(iter(signs), 1.0)
