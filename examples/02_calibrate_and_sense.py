@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from palpate import CalibrationPlan, Estimator, certify, open_source, sense
-from palpate.studies import Protocol, record
+from palpate.workflows import DemoProtocol, record_demo
 
 with tempfile.TemporaryDirectory() as folder:
     here = Path(folder)
-    run = record(here / "run", Protocol(), locations=60, seed=0)
+    run = record_demo(here / "run", DemoProtocol(), locations=60, seed=0)
     plan = CalibrationPlan(("x_mm", "depth_mm"), split="group:location", size_px=(60, 107), channels=3)
     certify(run, plan, here / "cal")
-    new = record(here / "new", Protocol(), locations=20, seed=1)
+    new = record_demo(here / "new", DemoProtocol(), locations=20, seed=1)
     touched = ~new.labels["reference"].to_numpy(bool)
     readings = [s.readings["depth_mm"] for s in sense(Estimator.open(here / "cal"), open_source(new.path))]
     frames = [new.frame(row).image for row in (1, 4, 7)]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from palpate.calibration.compliance import Reference, ReferenceTrial
+from palpate.calibration.compliance.compliance_calibration import ReferenceSpecimen, ReferenceTrial
 from palpate.estimators.compliance.pin_press import UNTOUCHED_N, PinPress, watched
 from palpate.estimators.compliance.press_force import (
     CONTACT_N,
@@ -72,10 +72,10 @@ def references(
     *,
     rendered: bool = True,
     names: tuple[str, ...] = REFERENCES,
-) -> list[Reference]:
+) -> list[ReferenceSpecimen]:
     """Trials of the references, each with seeds of its own."""
     return [
-        Reference(
+        ReferenceSpecimen(
             name,
             specimens[name][0],
             pressed(spec, specimens[name][1], trials, seed + 100 * i, rendered=rendered),
@@ -84,6 +84,6 @@ def references(
     ]
 
 
-def without_area(given: list[Reference]) -> list[Reference]:
+def without_area(given: list[ReferenceSpecimen]) -> list[ReferenceSpecimen]:
     """The same where nobody knows the contact's area."""
     return [replace(r, trials=tuple(replace(t, area_m2=None) for t in r.trials)) for r in given]

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from drawn import DPI, pictures, plots
 
-from palpate.reports.figures import STYLE
+from palpate.reports.calibration_figures import STYLE
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 STEP = 3  # grey levels of 255

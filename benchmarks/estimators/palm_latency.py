@@ -110,7 +110,7 @@ def compared(side: int, threads: int) -> None:
 def calibrated(folder: Path, side: int) -> Path:
     """A palm-compact of rendered presses, trained for one epoch: as fast as one that knows its task."""
     from palpate import CalibrationPlan, Manifest, Run, RunWriter, calibrate
-    from palpate.calibration import Reference
+    from palpate.calibration import ReferenceRule
     from palpate.sensors import palm
     from palpate.sensors.palm.presses import TARGETS, draw_presses
 
@@ -136,7 +136,7 @@ def calibrated(folder: Path, side: int) -> Path:
         crop_px=(0, 0, side, side),
         beside_px=(side, 0, side, side),
         delta=True,
-        reference=Reference("reference", "true", ("press",)),
+        reference=ReferenceRule("reference", "true", ("press",)),
         options={"rendered": 0, "epochs": 1},
     )
     return calibrate(Run.open(folder / "run"), plan, folder / "cal")

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from palpate.live import open_source, sense
     from palpate.recordings import Manifest, Run, RunWriter, import_images, read_image
     from palpate.reports import write_report
-    from palpate.studies import certify, run_demo
+    from palpate.workflows import certify, run_demo
 
 _ROOMS = {
     "CalibrationPlan": "calibration",

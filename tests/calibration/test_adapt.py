@@ -11,15 +11,14 @@ import pytest
 from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
-from palpate.calibration.adapt import adapt
-from palpate.calibration.adapted_certificate import intervals_of_presses
+from palpate.calibration.adaptation import adapt, intervals_of_presses
 from palpate.calibration.correction import AS_IT_WAS, Correction, correct
 from palpate.core import ExistsError, ImageError, InputError, LabelError
 from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.certified import Zero, intervals_of
 from palpate.recordings import Run, RunWriter
-from palpate.reports.certificate import write_report
+from palpate.reports.certificate_page import write_report
 
 TARGETS = ("x_mm", "height_mm")
 FROM_ZERO = np.zeros(2), np.ones(2)
@@ -300,7 +299,7 @@ def test_a_press_left_out_has_no_part_in_what_is_said_of_it() -> None:
 def test_the_verb_prints_errors_before_and_after(original, record_spots, tmp_path) -> None:
     import typer
 
-    from palpate.cli.adapt import adapt as verb
+    from palpate.cli.calibrate_verbs import adapt as verb
 
     app = typer.Typer()
     app.command()(verb)

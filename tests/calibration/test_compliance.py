@@ -7,18 +7,18 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from tests.virtual_presses import KAPPA_N_M, pressed, references, without_area
 
-from palpate.calibration.compliance import (
+from palpate.calibration.compliance.compliance_calibration import (
     LEVELS_N,
     ComplianceCalibration,
-    Reference,
+    ReferenceSpecimen,
     calibrate_compliance,
     touch_row,
 )
-from palpate.calibration.compliance_reading import read_touch
+from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.core.errors import CertificateError, ExistsError, InputError, RangeError, StorageError
 from palpate.sensors.tactip import tactip
 from palpate.sensors.tactip.press import modulus_pa
-from palpate.studies.tactip_trials import specimens_at
+from palpate.workflows.tactip_trials import specimens_at
 
 TRIALS = 3
 
@@ -34,7 +34,7 @@ def specimens(spec):
 
 
 @pytest.fixture(scope="module")
-def given(spec, specimens) -> list[Reference]:
+def given(spec, specimens) -> list[ReferenceSpecimen]:
     """Three trials of each reference, rendered and followed."""
     return references(spec, specimens, TRIALS, 7000)
 
@@ -320,7 +320,7 @@ def test_what_cannot_calibrate_is_refused(spec, specimens, given) -> None:
         calibrate_compliance(given[:1])
     with pytest.raises(InputError, match="2 trials or more"):
         calibrate_compliance([given[0], replace(given[1], trials=given[1].trials[:1])])
-    other = Reference("other", 2e3, pressed(tactip(331), specimens["S2"][1], 2, 1))
+    other = ReferenceSpecimen("other", 2e3, pressed(tactip(331), specimens["S2"][1], 2, 1))
     with pytest.raises(InputError, match="calibrate for it"):
         calibrate_compliance([*given, other])
 

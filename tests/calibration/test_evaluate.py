@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from sklearn import metrics
 
-from palpate.calibration.evaluate import score
-from palpate.calibration.uncertainty import coverage_interval
+from palpate.calibration.conformal import coverage_interval
+from palpate.calibration.evaluation import score
 
 
 def test_each_number_of_a_score_is_that_of_its_name() -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from palpate.calibration import CalibrationPlan, Reference, calibrate, evaluate
-from palpate.calibration.data import find_untouched
-from palpate.calibration.fit import most_like_the_rest
+from palpate.calibration import CalibrationPlan, ReferenceRule, calibrate, evaluate
+from palpate.calibration.fitting import most_like_the_rest
+from palpate.calibration.training_data import find_untouched
 from palpate.core import ExistsError, InputError, LabelError, SplitError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.preparation import Preparation
@@ -107,8 +107,8 @@ def test_what_exists_is_never_overwritten(record_spots, tmp_path) -> None:
         (CalibrationPlan(("flat_mm",)), LabelError, "flat_mm"),
         (CalibrationPlan(("x_mm",), split="group:nothing"), SplitError, "press"),
         (CalibrationPlan(("x_mm",), split="group:press", folds=50), SplitError, "at most 10 folds"),
-        (CalibrationPlan(("x_mm",), reference=Reference("weight_g", "0")), LabelError, "weight_g"),
-        (CalibrationPlan(("x_mm",), reference=Reference("press", "none")), LabelError, "press=none"),
+        (CalibrationPlan(("x_mm",), reference=ReferenceRule("weight_g", "0")), LabelError, "weight_g"),
+        (CalibrationPlan(("x_mm",), reference=ReferenceRule("press", "none")), LabelError, "press=none"),
     ],
 )
 def test_a_plan_that_does_not_fit_is_refused_and_leaves_nothing(
@@ -159,7 +159,7 @@ def test_the_difference_from_a_reference_does_not_see_the_lamp(record_spots, tmp
 def test_each_group_may_have_its_own_reference(record_spots, tmp_path) -> None:
     run = record_spots("run", 6)
     packed = pack(run, tmp_path / "packed", Preparation(None, (24, 32), 1))
-    own = CalibrationPlan(("x_mm",), delta=True, reference=Reference("reference", "true", ("press",)))
+    own = CalibrationPlan(("x_mm",), delta=True, reference=ReferenceRule("reference", "true", ("press",)))
     untouched = find_untouched(packed, own)
     assert len(untouched.images) == 6
     for row in (0, 6, 17):

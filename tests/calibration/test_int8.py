@@ -11,12 +11,10 @@ import typer
 from onnx import TensorProto, helper
 from typer.testing import CliRunner
 
-from palpate.calibration import CalibrationPlan, Reference, calibrate
-from palpate.calibration.int8 import quantise
-from palpate.calibration.int8_cost import cost
-from palpate.calibration.int8_model import nodes_to_round
-from palpate.cli.quantise import _text
-from palpate.cli.quantise import quantise as verb
+from palpate.calibration import CalibrationPlan, ReferenceRule, calibrate
+from palpate.calibration.quantisation import cost, nodes_to_round, quantise
+from palpate.cli.calibrate_verbs import _quantised_text
+from palpate.cli.calibrate_verbs import quantise as verb
 from palpate.core import CertificateError, ExistsError, InputError, ManualClock
 from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
@@ -208,7 +206,7 @@ def test_the_palms_network_of_two_views_in_differences_goes_the_same_way(tmp_pat
         crop_px=(0, 0, 32, 32),
         beside_px=(32, 0, 32, 32),
         delta=True,
-        reference=Reference("reference", "true", ("press",)),
+        reference=ReferenceRule("reference", "true", ("press",)),
         options={"rendered": 0, "epochs": 4, "batch": 8},
     )
     calibrate(run, plan, tmp_path / "cal")
@@ -247,6 +245,6 @@ def test_the_verb_prints_what_int8_costs(calibration, run, tmp_path) -> None:
         assert found["targets"][target.column]["int8_mae"] == target.score.mae
     assert set(found["network_ms"]) == {"fp32", "int8"}
     assert (out / "report.html").is_file()
-    text = _text(now.id, out, found["targets"], {"fp32": 1.0, "int8": 2.0})
+    text = _quantised_text(now.id, out, found["targets"], {"fp32": 1.0, "int8": 2.0})
     assert "MAE fp32" in text
     assert "gains nothing on this machine" in text

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
-from palpate.calibration.evaluate import predictions
+from palpate.calibration.evaluation import predictions
 from palpate.core import LabelError, ManualClock
 from palpate.estimators import Estimator
 from palpate.recordings import Manifest, Run, RunWriter

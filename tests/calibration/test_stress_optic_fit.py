@@ -8,8 +8,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from palpate.calibration.specimens import Disc, Strip
-from palpate.calibration.stress_optic_fit import fit_stress_optic
+from palpate.calibration.stress_optic_fit import Disc, Strip, fit_stress_optic
 from palpate.core.errors import ExistsError, ImageError, InputError, LabelError, RangeError, UnitError
 from palpate.estimators.fringe_light import one_line, white_led
 from palpate.optics import StressOpticLaw, encode_srgb, spectral_to_linear
@@ -144,7 +143,7 @@ def test_a_series_that_cannot_decide_says_so_with_both_answers(folder) -> None:
 
 
 def test_the_figure_is_drawn_once_and_never_over_another(folder, tmp_path) -> None:
-    from palpate.reports.fringe_fit import headline, write_figure
+    from palpate.reports.fringe_fit_figure import headline, write_figure
 
     found = fit(folder())
     write_figure(found, tmp_path / "fit.png")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from palpate.calibration.uncertainty import (
+from palpate.calibration.conformal import (
     conformal_quantile,
     coverage_interval,
     fit_intervals,

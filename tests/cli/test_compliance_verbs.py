@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.sensors.tactip import tactip
-from palpate.studies.tactip_trials import record_trials, specimens_at
+from palpate.workflows.tactip_trials import record_trials, specimens_at
 
 
 def compliance(*words, status=0):

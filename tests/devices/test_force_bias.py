@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from palpate.core.device_protocols import Wrench
 from palpate.core.errors import RangeError
-from palpate.core.protocols import Wrench
 from palpate.devices.force_bias import SAMPLES, ForceBias, Mounting
 from palpate.devices.limits import Reason, Tripped
 

@@ -10,8 +10,8 @@ import pytest
 from tests.rig.rigs import rig
 
 from palpate.core.clock import NS_PER_S, ManualClock
+from palpate.core.device_protocols import ForceSensor, Position, Stage, Travel, Wrench
 from palpate.core.errors import StorageError
-from palpate.core.protocols import ForceSensor, Position, Stage, Travel, Wrench
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.guard import MotionGuard, Subscribers
 from palpate.devices.limits import Limits, Reason, Tripped

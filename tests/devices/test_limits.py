@@ -4,8 +4,8 @@ import math
 
 import pytest
 
+from palpate.core.device_protocols import Travel
 from palpate.core.errors import RangeError
-from palpate.core.protocols import Travel
 from palpate.devices.limits import Limits, Reason, Tripped
 
 LOW, HIGH = (-10e-3, -8e-3, -5e-3), (10e-3, 8e-3, 6e-3)

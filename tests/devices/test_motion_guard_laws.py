@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from palpate.core import ManualClock
-from palpate.core.protocols import Position, Travel, Wrench
+from palpate.core.device_protocols import Position, Travel, Wrench
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.guard import RISE_N, MotionGuard
 from palpate.devices.limits import Limits, Reason, Tripped

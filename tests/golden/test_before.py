@@ -16,8 +16,8 @@ from tests.rig.rigs import CLOCK_NS, keys, plan, rig, wanted
 from typer.testing import CliRunner
 
 from palpate.calibration import evaluate
-from palpate.calibration.compliance import ComplianceCalibration
-from palpate.calibration.compliance_reading import read_touch
+from palpate.calibration.compliance.compliance_calibration import ComplianceCalibration
+from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.cli import app
 from palpate.core.clock import ManualClock
 from palpate.core.units import split_column

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from palpate.calibration import Plan, calibrate
 from palpate.cli import ALIASES, HEADINGS, app
-from palpate.cli.shared import phases
+from palpate.cli.verb_support import phases
 from palpate.estimators.model_card import ScoreCard
 from palpate.reports import scores_table
 
@@ -58,8 +58,8 @@ def test_the_version_is_said_before_numpy_is_loaded(tmp_path: Path) -> None:
 
 def test_one_verb_loads_no_other(tmp_path: Path) -> None:
     loaded = {name for name in loaded_by(tmp_path, "check", "--help") if name.startswith("palpate.cli.")}
-    assert "palpate.cli.recordings" in loaded
-    assert not {"palpate.cli.rig", "palpate.cli.calibration", "palpate.cli.render"} & loaded
+    assert "palpate.cli.recording_verbs" in loaded
+    assert not {"palpate.cli.rig_verbs", "palpate.cli.calibrate_verbs", "palpate.cli.render_verbs"} & loaded
 
 
 def groups() -> list[tuple[str, ...]]:

@@ -13,7 +13,7 @@ from palpate import CalibrationPlan, Estimator, Manifest, Run, RunWriter
 from palpate.estimators.preparation import Preparation
 from palpate.recordings import PackedSet, export_folder, integrity, packed_set, read_labels
 from palpate.recordings import integrity as repair
-from palpate.studies import Protocol, record
+from palpate.workflows import DemoProtocol, record_demo
 
 PLAN = CalibrationPlan(("x_mm",), model="mean", split="group:press", size_px=(12, 16))
 
@@ -61,7 +61,7 @@ def test_runs_are_written_resumed_checked_repaired_and_packed(at) -> None:
 
 
 def test_a_demo_s_recording_is_made(at) -> None:
-    assert len(record(at("run"), Protocol(presses=1), 1, seed=0)) == 2
+    assert len(record_demo(at("run"), DemoProtocol(presses=1), 1, seed=0)) == 2
 
 
 def test_what_is_no_source_is_refused_alike(at) -> None:

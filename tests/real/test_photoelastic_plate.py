@@ -10,8 +10,7 @@ photograph alone, matched to a finite-element stress field of the plate with its
 
 import pytest
 
-from palpate.calibration.specimens import Strip
-from palpate.calibration.stress_optic_fit import fit_stress_optic
+from palpate.calibration.stress_optic_fit import Strip, fit_stress_optic
 from palpate.estimators.fringe_light import one_line
 
 PLATE = Strip(52e-3, 5.7e-3)

@@ -301,7 +301,7 @@ def test_a_run_that_exists_is_never_overwritten(folder: Path) -> None:
 
 
 def test_the_verb_imports_and_tells_what_it_found(folder: Path) -> None:
-    from palpate.cli.import_palm import palm
+    from palpate.cli.recording_verbs import palm
 
     app = typer.Typer()
     app.command()(palm)

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from tests.virtual_presses import KAPPA_N_M, pressed, references
 
-from palpate.calibration.compliance import calibrate_compliance
-from palpate.calibration.compliance_reading import read_touch
+from palpate.calibration.compliance.compliance_calibration import calibrate_compliance
+from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.sensors.tactip import tactip
-from palpate.studies.tactip_trials import specimens_at
+from palpate.workflows.tactip_trials import specimens_at
 
 SEEDS, TRIALS = 20, 5
 STIFFEST_FIRST = ("S1", "new", "S2", "S3")

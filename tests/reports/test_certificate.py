@@ -7,12 +7,12 @@ import pandas as pd
 import pytest
 
 from palpate.calibration import CalibrationPlan, calibrate
-from palpate.calibration.evaluate import score
+from palpate.calibration.evaluation import score
 from palpate.core import CertificateError
 from palpate.estimators import read_card
 from palpate.reports import scores_table, verdict, write_report
-from palpate.reports.certificate import outer_ranges
-from palpate.reports.text import latency_line
+from palpate.reports.certificate_page import outer_ranges
+from palpate.reports.terminal_text import latency_line
 
 
 @pytest.fixture

@@ -5,13 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from palpate.calibration.compliance import ReferenceTrial
-from palpate.calibration.compliance_reading import AreaCourse, Touch
+from palpate.calibration.compliance.compliance_calibration import ReferenceTrial
+from palpate.calibration.compliance.compliance_reading import AreaCourse, PressReading
 from palpate.core.reading import Reading
 from palpate.estimators.compliance.literature_method import AsReported
 from palpate.estimators.compliance.pin_press import PinPress
-from palpate.reports.compliance import compare_figure, press_figure
-from palpate.reports.tactip_figures import Told, forest_figure, line_figure, plate_figure, trend_figure
+from palpate.reports.compliance_figures import compare_figure, press_figure
+from palpate.reports.study_figures import (
+    ComparedValue,
+    forest_figure,
+    line_figure,
+    plate_figure,
+    trend_figure,
+)
 
 FORCE = np.linspace(0.5, 5, 12)
 NAMES = ("S1", "new", "S2", "S3")
@@ -34,10 +40,10 @@ def reading(quantity: str, value: float, low: float, high: float, why: str = "")
     return Reading(quantity, value, low, high, "N_per_m", 0.9, range_, not why, why, None, "c", "f", 0.0)
 
 
-def touch(value: float, low: float, high: float, why: str = "", area: bool = True) -> Touch:
+def touch(value: float, low: float, high: float, why: str = "", area: bool = True) -> PressReading:
     course = AreaCourse(FORCE, 1e-4 * FORCE[:, None] * [1.0, 0.9, 1.1], np.full(12, np.nan))
     one = reading("stiffness", value, low, high, why)
-    return Touch(
+    return PressReading(
         one, replace(one, quantity="stiffness_both_cues"), None, None, None, None, course if area else None
     )
 
@@ -94,7 +100,7 @@ def test_a_comparison_draws_every_trial_of_every_specimen() -> None:
 def test_the_reports_figures_are_pictures_that_a_page_can_hold() -> None:
     courses = {name: [(FORCE, FORCE), (FORCE, 2 * FORCE)] for name in NAMES}
     groups = {name: [1.0 + i, 1.1 + i] for i, name in enumerate(NAMES)}
-    told = Told(
+    told = ComparedValue(
         "cue", {n: [1.0, 1.1] for n in ("S1", "S2", "S3")}, {"S1": 7.6, "S2": 3.1, "S3": 1.1},
         -2.0, 9.0, 1.05, (5.0, -np.inf, np.inf), 5.3,
     )  # fmt: skip

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from palpate.core.clock import MonotonicClock
+from palpate.core.device_protocols import Stage
 from palpate.core.errors import DeviceError, InputError, MissingExtraError, RangeError
-from palpate.core.protocols import Stage
 from palpate.rig.fakes.grbl_model import GrblModel
 from palpate.rig.real.grbl import link as grbl_link
 from palpate.rig.real.grbl import stage as grbl_stage

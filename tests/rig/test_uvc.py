@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from palpate.core import Camera
+from palpate.core.device_protocols import FrameSource
 from palpate.core.errors import DeviceError, RangeError
-from palpate.core.protocols import FrameSource
 from palpate.rig.fakes.video_capture import BLUE, FakeVideoCapture, frame_number
 from palpate.rig.real.uvc import FrameWatch, UvcCamera, UvcSettings, device
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.calibration.compliance import Reference, calibrate_compliance
-from palpate.calibration.compliance_reading import read_touch
+from palpate.calibration.compliance.compliance_calibration import ReferenceSpecimen, calibrate_compliance
+from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.core.errors import ExistsError
 from palpate.core.sensor import sensor
 from palpate.recordings.exchange.frame_sequences import TiffFrames
@@ -21,7 +21,7 @@ from palpate.rig import PLANS, State, record
 from palpate.rig.virtual import virtual_rig
 from palpate.rig.virtual.camera import TRANSPORT_S
 from palpate.rig.virtual.force import LATENCY_S
-from palpate.studies.compliance.cues import cues_of
+from palpate.workflows.compliance.press_cues import cues_of
 
 TACTIP = sensor("tactip")
 FEW = PLANS["tactip"].model_copy(update={"indenters": ("rigid", "S3=1.1?"), "cycles": 1, "wait_s": 0.0})
@@ -89,7 +89,7 @@ def test_the_stiffness_of_a_specimen_is_read_from_a_recorded_run(tmp_path: Path)
     assert folder is not None
     trials = _trials(folder)
     references = [
-        Reference(one.name, one.stiffness_n_m, trials[one.name])
+        ReferenceSpecimen(one.name, one.stiffness_n_m, trials[one.name])
         for one in folder.specimens
         if one.stiffness_n_m is not None
     ]

@@ -6,11 +6,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.recordings.exchange.press_table import PressTable
+from palpate.reproductions.tactip.tactip_experiment import table_of
 from palpate.sensors.tactip import HeadOn, tactip, trial
-from palpate.studies.compliance.compare import bootstrap, trials_table
-from palpate.studies.compliance.compare import tests_of as told_apart  # pytest takes its own name for a test
-from palpate.studies.compliance.cues import cues_of, series
-from palpate.studies.tactip.experiment import table_of
+from palpate.workflows.compliance.press_cues import cues_of, series
+from palpate.workflows.compliance.specimen_comparison import bootstrap, trials_table
+from palpate.workflows.compliance.specimen_comparison import (
+    tests_of as told_apart,  # pytest takes its own name for a test
+)
 
 
 @pytest.fixture(scope="module")

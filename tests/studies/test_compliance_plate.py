@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.core.errors import InputError, LabelError
-from palpate.studies.compliance import by_plate
+from palpate.workflows.compliance import by_plate
 
 
 def written(folder, name: str, force_of, **more):

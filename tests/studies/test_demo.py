@@ -7,7 +7,7 @@ import pytest
 
 from palpate.estimators import read_card
 from palpate.recordings import Run
-from palpate.studies import run_demo
+from palpate.workflows import run_demo
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def test_a_dark_frame_is_not_believed(result) -> None:
 
 def test_the_demo_loads_no_torch(tmp_path) -> None:
     code = (
-        "import sys; from pathlib import Path; from palpate.studies import demo; "
+        "import sys; from pathlib import Path; from palpate.workflows import demo; "
         "demo.record(Path(sys.argv[1]) / 'run', demo.Protocol(), 6, seed=0); "
         "from palpate.calibration import CalibrationPlan; from palpate.recordings import Run; "
         "plan = CalibrationPlan(('x_mm',)); "

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from palpate.core.errors import InputError
-from palpate.studies.palm.scores import interval_of_mean, scores_of
+from palpate.reproductions.palm.palm_published import interval_of_mean, scores_of
 
 COLUMNS = ("x_mm", "y_mm", "force_N")
 

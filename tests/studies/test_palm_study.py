@@ -6,14 +6,12 @@ import pytest
 
 from palpate.core.errors import ExistsError, InputError
 from palpate.estimators.networks import model_kind
-from palpate.studies.palm import Scale, reproduce_palm, scale_of
-from palpate.studies.palm.loads import record_loads
-from palpate.studies.palm.published import MAE, NAMES, R2, TABLE_2
-from palpate.studies.palm.report import write_up
-from palpate.studies.palm.reproduce import workshop
-from palpate.studies.palm.scale import MODELS
-from palpate.studies.palm.summary import summary_of
-from palpate.studies.palm.workshop import noisier
+from palpate.reproductions.palm import Scale, reproduce_palm, scale_of
+from palpate.reproductions.palm.palm_conditions import record_loads
+from palpate.reproductions.palm.palm_published import MAE, NAMES, R2, TABLE_2
+from palpate.reproductions.palm.palm_reproduction import workshop, write_up
+from palpate.reproductions.palm.palm_study_setup import MODELS, noisier
+from palpate.reproductions.palm.palm_summary import summary_of
 
 SHORT = {"epochs": 1}
 TINY = Scale(

@@ -16,7 +16,7 @@ import pytest
 
 from palpate.core.errors import DeviceError, InputError, MissingExtraError, RangeError
 from palpate.core.parallel import in_parallel
-from palpate.studies.sweep import sweep
+from palpate.workflows.parameter_sweep import sweep
 
 HAS_DASK = importlib.util.find_spec("distributed") is not None
 PATIENCE_S = 120  # for processes that begin on a busy machine
@@ -112,7 +112,7 @@ def test_a_scheduler_without_dask_names_the_extra_to_install() -> None:
 SLEEPER = """
 import sys, time
 from pathlib import Path
-from palpate.studies.sweep import sweep
+from palpate.workflows.parameter_sweep import sweep
 
 def slow(item, rng):
     Path(sys.argv[1], f"begun-{item}").touch()

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from palpate.sensors.tactip import PINS_331, TacTipSpec
-from palpate.sensors.tactip.press import modulus_pa
-from palpate.studies.tactip.controls import (
+from palpate.reproductions.tactip.energy_contour import STEP_N, contour, contour_rad, told
+from palpate.reproductions.tactip.model_errors import areas_by_friction, linear_error, shares, truth
+from palpate.reproductions.tactip.tactip_controls import (
     CONDITIONS,
     FROM_N,
     KAPPA_N_M,
@@ -18,12 +18,14 @@ from palpate.studies.tactip.controls import (
     concordance,
     counted,
     cues,
+    head_on,
     order,
+    recorded,
     sensitivity,
+    true_course,
 )
-from palpate.studies.tactip.costs import areas_by_friction, linear_error, shares, truth
-from palpate.studies.tactip.courses import head_on, recorded, true_course
-from palpate.studies.tactip.energy import STEP_N, contour, contour_rad, told
+from palpate.sensors.tactip import PINS_331, TacTipSpec
+from palpate.sensors.tactip.press import modulus_pa
 
 S1, S3 = KAPPA_N_M["S1"], KAPPA_N_M["S3"]
 

@@ -11,14 +11,22 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.core.errors import ExistsError, InputError
-from palpate.psychophysics.lines import fit_line
+from palpate.psychophysics.line_fit import fit_line
+from palpate.reproductions.tactip import tactip_reproduction as study
+from palpate.reproductions.tactip.tactip_controls import order
+from palpate.reproductions.tactip.tactip_experiment import (
+    KAPPA,
+    KAPPA_NEW,
+    NAMES,
+    Experiment,
+    kappa_n_m,
+    stiffness_line,
+    table_of,
+    under_plate,
+)
+from palpate.reproductions.tactip.tactip_reproduction import CUES, entry, reproduce_tactip
 from palpate.sensors.tactip import tactip, trial
-from palpate.studies.tactip import reproduce as study
-from palpate.studies.tactip.controls import order
-from palpate.studies.tactip.experiment import Experiment, kappa_n_m, stiffness_line, table_of, under_plate
-from palpate.studies.tactip.published import KAPPA, KAPPA_NEW, NAMES
-from palpate.studies.tactip.reproduce import CUES, entry, reproduce_tactip
-from palpate.studies.tactip_trials import specimens_at
+from palpate.workflows.tactip_trials import specimens_at
 
 FIELDS = {"name", "value", "unit", "published", "source", "why"}
 

@@ -16,8 +16,8 @@ from palpate.recordings.exchange.press_table import read_press_table
 from palpate.sensors.tactip import HeadOn, tactip, trial
 from palpate.sensors.tactip.inclined import Inclined
 from palpate.sensors.tactip.press import modulus_pa
-from palpate.studies import tactip_trials
-from palpate.studies.tactip_trials import REPORT_N_M, record_trials, specimens_at
+from palpate.workflows import tactip_trials
+from palpate.workflows.tactip_trials import REPORT_N_M, record_trials, specimens_at
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 import pytest
 
 from palpate.rig.plans import PLANS, plan_from
-from palpate.studio import drawing, palette, words
+from palpate.studio import palette, status_text, svg_drawing
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -18,7 +18,7 @@ def parsed(text):
 def test_each_place_is_a_circle_as_wide_as_the_probe_and_none_leaves_the_layer():
     plan = PLANS["palm"]
     places = plan.places.places()
-    circles = list(parsed(drawing.grid_svg(places, 57.0, 10.0)).iter(f"{SVG}circle"))
+    circles = list(parsed(svg_drawing.grid_svg(places, 57.0, 10.0)).iter(f"{SVG}circle"))
     probes = [c for c in circles if c.get("r") == "5.000" and c.find(f"{SVG}title") is not None]
     assert len(probes) == 37
     for circle in probes:
@@ -27,28 +27,28 @@ def test_each_place_is_a_circle_as_wide_as_the_probe_and_none_leaves_the_layer()
 
 def test_the_clearance_is_what_is_left_between_the_probe_and_the_rim():
     # The outermost places of the palm's grid lie 3 pitches of 7 mm across and 1 along: 22.136 mm out.
-    assert words.clearance_mm(PLANS["palm"]) == pytest.approx(23.5 - 7 * 10**0.5)
+    assert status_text.clearance_mm(PLANS["palm"]) == pytest.approx(23.5 - 7 * 10**0.5)
     plan = plan_from({"places": {"kind": "listed", "at_mm": [[23.5, 0.0]]}})
-    assert words.clearance_mm(plan) == pytest.approx(0.0)
+    assert status_text.clearance_mm(plan) == pytest.approx(0.0)
 
 
 def test_places_beyond_the_rim_are_drawn_whole_and_said_to_be_there():
     plan = PLANS["layer"]
-    svg = parsed(drawing.grid_svg(plan.places.places(), 57.0, 10.0))
+    svg = parsed(svg_drawing.grid_svg(plan.places.places(), 57.0, 10.0))
     x, _, width, _ = (float(word) for word in svg.get("viewBox").split())
     assert x <= -(28.5 + 2 + 5)
     assert x + width >= 28.5 + 2 + 5
-    assert words.clearance(plan) == "its edge reaches 7.00 mm over the rim"
-    assert words.clearance(PLANS["palm"]) == "its edge stays 1.36 mm or more from the rim"
+    assert status_text.clearance(plan) == "its edge reaches 7.00 mm over the rim"
+    assert status_text.clearance(PLANS["palm"]) == "its edge stays 1.36 mm or more from the rim"
 
 
 def test_a_name_cannot_become_markup():
     from palpate.rig.plans import Place
 
-    text = drawing.grid_svg([Place("<script>&", 0, 0)], 57.0, 10.0, now="<script>&")
+    text = svg_drawing.grid_svg([Place("<script>&", 0, 0)], 57.0, 10.0, now="<script>&")
     assert "<script>" not in text
     assert parsed(text) is not None
-    boxes = drawing.regions_svg([{"name": "<b>", "box_px": [0, 0, 8, 8]}], (16, 8))
+    boxes = svg_drawing.regions_svg([{"name": "<b>", "box_px": [0, 0, 8, 8]}], (16, 8))
     assert "<b>" not in boxes
 
 
@@ -60,16 +60,16 @@ def test_the_force_stays_inside_its_axes_whatever_its_size(scale):
         "y": [0.0] * 3,
         "z": [0.0, 2 * scale, scale],
     }
-    lines = list(parsed(drawing.force_svg(series)).iter(f"{SVG}polyline"))
+    lines = list(parsed(svg_drawing.force_svg(series)).iter(f"{SVG}polyline"))
     assert len(lines) == 3
     for line in lines:
         for x, y in (map(float, point.split(",")) for point in line.get("points").split()):
-            assert drawing.LEFT - 0.1 <= x <= drawing.WIDTH - drawing.RIGHT + 0.1
-            assert drawing.TOP - 0.1 <= y <= drawing.HEIGHT - drawing.BOTTOM + 0.1
+            assert svg_drawing.LEFT - 0.1 <= x <= svg_drawing.WIDTH - svg_drawing.RIGHT + 0.1
+            assert svg_drawing.TOP - 0.1 <= y <= svg_drawing.HEIGHT - svg_drawing.BOTTOM + 0.1
 
 
 def test_no_force_yet_is_drawn_as_empty_axes():
-    text = drawing.force_svg({"age_s": [], "x": [], "y": [], "z": []})
+    text = svg_drawing.force_svg({"age_s": [], "x": [], "y": [], "z": []})
     assert parsed(text) is not None
 
 
@@ -78,34 +78,39 @@ def test_places_are_done_in_the_plans_own_order():
         {"cycles": 2, "order": "rounds", "places": {"kind": "listed", "at_mm": [[0, 0], [9, 0]]}}
     )
     a_press = len(plan.shots(next(plan.presses())))
-    assert words.done_by_place(plan, 0) == {"l0": 0.0, "l1": 0.0}
-    assert words.done_by_place(plan, a_press) == {"l0": 0.5, "l1": 0.0}
-    assert words.done_by_place(plan, 2 * a_press - 1) == {"l0": 0.5, "l1": 0.0}
-    assert words.done_by_place(plan, 4 * a_press) == {"l0": 1.0, "l1": 1.0}
+    assert status_text.done_by_place(plan, 0) == {"l0": 0.0, "l1": 0.0}
+    assert status_text.done_by_place(plan, a_press) == {"l0": 0.5, "l1": 0.0}
+    assert status_text.done_by_place(plan, 2 * a_press - 1) == {"l0": 0.5, "l1": 0.0}
+    assert status_text.done_by_place(plan, 4 * a_press) == {"l0": 1.0, "l1": 1.0}
 
 
 def test_durations_and_numbers_are_said_as_people_do():
-    assert [words.duration(s) for s in (None, 7.4, 200, 7325)] == ["–", "7 s", "3 min 20 s", "2 h 02 min"]
-    assert [words.number(v, 2) for v in (-0.001, 0.0, -1.236)] == ["0.00", "0.00", "−1.24"]
+    assert [status_text.duration(s) for s in (None, 7.4, 200, 7325)] == [
+        "–",
+        "7 s",
+        "3 min 20 s",
+        "2 h 02 min",
+    ]
+    assert [status_text.number(v, 2) for v in (-0.001, 0.0, -1.236)] == ["0.00", "0.00", "−1.24"]
 
 
 def test_the_pages_wear_the_reports_colours():
-    from palpate.reports import figures
+    from palpate.reports import calibration_figures
 
     for name in ("INK", "ACCENT", "BAND", "BAD"):
-        assert getattr(palette, name) == getattr(figures, name)
+        assert getattr(palette, name) == getattr(calibration_figures, name)
 
 
 def test_nothing_on_the_page_comes_from_elsewhere():
-    from palpate.studio import look
+    from palpate.studio import page_style
 
-    for text in (look.style(), look.text_of("estop.html")):
+    for text in (page_style.style(), page_style.text_of("estop.html")):
         assert not re.search(r"https?:|//[a-z]|@import|url\(", text)
 
 
 def test_the_page_stops_over_the_path_and_with_the_header_that_are_answered():
     pytest.importorskip("fastapi", reason="NiceGUI is not installed")
-    from palpate.studio import estop, look
+    from palpate.studio import page_server
 
-    assert f'fetch("{estop.PATH}"' in look.text_of("estop.html")
-    assert f'"{estop.HEADER}": "estop"' in look.text_of("estop.html")
+    assert f'fetch("{page_server.PATH}"' in page_style.text_of("estop.html")
+    assert f'"{page_server.HEADER}": "estop"' in page_style.text_of("estop.html")

@@ -13,7 +13,7 @@ from matplotlib.patches import Circle, Rectangle
 from drawn import AS_SEEN, DPI, SPEC, H, R, light, outer_labels, sheet, show
 from palpate.core import Pose
 from palpate.optics.colour import encode_srgb
-from palpate.reports.figures import ACCENT, BAND, INK
+from palpate.reports.calibration_figures import ACCENT, BAND, INK
 from palpate.sensors import palm
 from palpate.sensors.palm import View, prototype
 from palpate.sensors.palm import mirror as mirrors

@@ -17,7 +17,7 @@ from drawn import RIM, SPEC, H, R, outer_labels, sheet
 from palpate.mechanics.axisymmetric.sphere_table import SphereTable, edge_correction
 from palpate.mechanics.layers.bonded_layer import dimitriadis_factor, sphere_force
 from palpate.optics import round_rim
-from palpate.reports.figures import ACCENT, BAD, BAND, INK
+from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK
 from palpate.sensors.palm.field import field_of, pressed
 from palpate.sensors.palm.orders import edge_on
 

@@ -139,11 +139,11 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
         16,
         {
             "palpate.calibration.certificate": ("tests/calibration/test_fit.py",),
-            "palpate.calibration.evaluate": (
+            "palpate.calibration.evaluation": (
                 "tests/calibration/test_evaluate.py",
                 "tests/calibration/test_fit.py",
             ),
-            "palpate.calibration.uncertainty": ("tests/calibration/test_uncertainty.py",),
+            "palpate.calibration.conformal": ("tests/calibration/test_uncertainty.py",),
             "palpate.estimators.compliance.stiffness_curve": ("tests/estimators/test_casr_softness.py",),
             "palpate.estimators.certified": ("tests/estimators/test_certified.py",),
             "palpate.estimators.certified": ("tests/calibration/test_uncertainty.py",),
@@ -154,7 +154,7 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
 # Found by hand in a review of the tests before the list was drawn.
 NAMED = (
     (
-        "palpate.calibration.uncertainty",
+        "palpate.calibration.conformal",
         "conformal_quantile",
         "rank = min(int(np.ceil((n + 1) * coverage)), n)",
         "rank = min(int(np.ceil(n * coverage)), n)",

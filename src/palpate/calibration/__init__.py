@@ -3,17 +3,17 @@
 from typing import Any
 from warnings import warn
 
-from palpate.calibration.adapt import adapt
-from palpate.calibration.evaluate import evaluate
-from palpate.calibration.fit import calibrate
+from palpate.calibration.adaptation import adapt
+from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
+from palpate.calibration.evaluation import evaluate
+from palpate.calibration.fitting import calibrate
 from palpate.calibration.leakage import LeakageAudit, audit
 from palpate.calibration.model_check import check_model
-from palpate.calibration.plan import CalibrationPlan, Reference
 
 __all__ = [
     "CalibrationPlan",
     "LeakageAudit",
-    "Reference",
+    "ReferenceRule",
     "adapt",
     "audit",
     "calibrate",

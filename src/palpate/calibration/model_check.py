@@ -10,8 +10,8 @@ import numpy as np
 import onnx
 import onnxruntime
 
-from palpate.calibration.certificate_parts import AGREEMENT
-from palpate.calibration.plan import CalibrationPlan
+from palpate.calibration.calibration_plan import CalibrationPlan
+from palpate.calibration.certificate import AGREEMENT
 from palpate.core.errors import PalpateError, PluginError
 from palpate.core.shapes import Indices, Tensor, Values
 from palpate.estimators.networks import MODELS, make_model, model_kind

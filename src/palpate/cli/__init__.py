@@ -10,40 +10,40 @@ from typing import Annotated, Any
 import typer
 from typer.main import get_command
 
-from palpate.cli.shared import Group
+from palpate.cli.verb_support import Group
 from palpate.version import __version__
 
 __all__ = ["app", "main"]
 
 HEADINGS: dict[str, dict[str, str]] = {
     "Record": {
-        "plan": "rig:plan_app",
-        "record": "rig:record",
-        "rig": "rig:rig_app",
-        "studio": "studio:studio",
-        "import": "recordings:import_app",
-        "check": "recordings:check",
-        "repair": "recordings:repair",
-        "export": "recordings:export",
+        "plan": "rig_verbs:plan_app",
+        "record": "rig_verbs:record",
+        "rig": "rig_verbs:rig_app",
+        "studio": "study_verbs:studio",
+        "import": "recording_verbs:import_app",
+        "check": "recording_verbs:check",
+        "repair": "recording_verbs:repair",
+        "export": "recording_verbs:export",
     },
     "Calibrate": {
-        "calibrate": "calibration:calibrate",
-        "evaluate": "calibration:evaluate",
-        "report": "calibration:report",
-        "adapt": "adapt:adapt",
-        "quantise": "quantise:quantise",
+        "calibrate": "calibrate_verbs:calibrate",
+        "evaluate": "calibrate_verbs:evaluate",
+        "report": "calibrate_verbs:report",
+        "adapt": "calibrate_verbs:adapt",
+        "quantise": "calibrate_verbs:quantise",
     },
     "Sense": {
-        "sense": "calibration:sense",
-        "compliance": "compliance:app",
-        "flow": "flow:flow",
+        "sense": "calibrate_verbs:sense",
+        "compliance": "compliance_verbs:app",
+        "flow": "optics_verbs:flow",
     },
     "Study": {
-        "demo": "demo:demo",
-        "render": "render:app",
-        "reproduce": "reproduce:app",
-        "mechanics": "mechanics:app",
-        "optics": "optics:app",
+        "demo": "study_verbs:demo",
+        "render": "render_verbs:app",
+        "reproduce": "study_verbs:app",
+        "mechanics": "mechanics_verbs:app",
+        "optics": "optics_verbs:app",
     },
 }
 """Module and name of each verb or group of verbs, under the headings that `palpate --help` shows."""

@@ -2,6 +2,7 @@
 
 from palpate.core.clock import Clock, ManualClock, MonotonicClock
 from palpate.core.contact import Contact, Pose, PressHistory, Probe, Specimen
+from palpate.core.device_protocols import Camera, ForceSensor, FrameSource, Position, Stage, Travel, Wrench
 from palpate.core.errors import (
     CertificateError,
     ColumnError,
@@ -23,7 +24,6 @@ from palpate.core.errors import (
 )
 from palpate.core.frame import Frame
 from palpate.core.outline import Outline
-from palpate.core.protocols import Camera, ForceSensor, FrameSource, Position, Stage, Travel, Wrench
 from palpate.core.reading import (
     AlignedBox,
     CircularReading,

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from palpate.core.device_protocols import Wrench
 from palpate.core.errors import RangeError
-from palpate.core.protocols import Wrench
 from palpate.devices.limits import Reason, Tripped
 
 SAMPLES = 20  # fewest for a mean that is worth taking off

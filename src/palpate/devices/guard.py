@@ -16,8 +16,8 @@ from contextlib import contextmanager
 from typing import Generic, ParamSpec, Protocol, runtime_checkable
 
 from palpate.core.clock import NS_PER_S, Clock
+from palpate.core.device_protocols import Position, Travel, Wrench
 from palpate.core.errors import DeviceError
-from palpate.core.protocols import Position, Travel, Wrench
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.limits import Limits, Reason, Tripped
 from palpate.devices.operator import AT_ONCE, OperatorCommand, OperatorControl

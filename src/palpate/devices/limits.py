@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
+from palpate.core.device_protocols import Position, Travel
 from palpate.core.errors import RangeError, SafetyError
-from palpate.core.protocols import Position, Travel
 
 AXES = "xyz"
 

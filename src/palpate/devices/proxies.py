@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from palpate.core.clock import NS_PER_S, Clock
+from palpate.core.device_protocols import ForceSensor, FrameSource, Position, Stage, Travel, Wrench
 from palpate.core.errors import DeviceError
 from palpate.core.frame import Frame
-from palpate.core.protocols import ForceSensor, FrameSource, Position, Stage, Travel, Wrench
 from palpate.devices.operator import OperatorCommand, OperatorInterrupt
 
 KEPT_S = 20.0  # of force, for the plot

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from palpate.core.clock import NS_PER_S
-from palpate.core.protocols import Position
+from palpate.core.device_protocols import Position
 from palpate.core.shapes import Image
 from palpate.devices.force_bias import Force, Mounting
 from palpate.devices.proxies import KEPT_S, RATE_S, CameraProxy, ForceProxy, StageProxy

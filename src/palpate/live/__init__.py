@@ -1,6 +1,6 @@
 """The loop in real time: a source of frames, an estimator, readings."""
 
-from palpate.live.sense import Sensed, sense
-from palpate.live.sources import ImageFiles, RunFrames, Source, open_source
+from palpate.live.frame_sources import FrameStream, ImageFiles, RunFrames, open_source
+from palpate.live.sensing_loop import Sensed, sense
 
-__all__ = ["ImageFiles", "RunFrames", "Sensed", "Source", "open_source", "sense"]
+__all__ = ["FrameStream", "ImageFiles", "RunFrames", "Sensed", "open_source", "sense"]

@@ -1,7 +1,7 @@
 """Statistics of specimens, stimuli and people."""
 
-from palpate.psychophysics.assignment import Assignment, assign, nearest
-from palpate.psychophysics.groups import Comparison, compare
-from palpate.psychophysics.lines import Line, fit_line
+from palpate.psychophysics.line_fit import Line, fit_line
+from palpate.psychophysics.rank_tests import Comparison, compare
+from palpate.psychophysics.trial_assignment import Assignment, assign, nearest
 
 __all__ = ["Assignment", "Comparison", "Line", "assign", "compare", "fit_line", "nearest"]

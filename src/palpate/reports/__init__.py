@@ -7,16 +7,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from palpate.reports.certificate import render_report, verdict, write_report
-    from palpate.reports.text import check_text, latency_line, scores_table
+    from palpate.reports.certificate_page import render_report, verdict, write_report
+    from palpate.reports.terminal_text import check_text, latency_line, scores_table
 
 _MODULES = {
-    "check_text": "text",
-    "latency_line": "text",
-    "render_report": "certificate",
-    "scores_table": "text",
-    "verdict": "certificate",
-    "write_report": "certificate",
+    "check_text": "terminal_text",
+    "latency_line": "terminal_text",
+    "render_report": "certificate_page",
+    "scores_table": "terminal_text",
+    "verdict": "certificate_page",
+    "write_report": "certificate_page",
 }
 
 __all__ = ["check_text", "latency_line", "render_report", "scores_table", "verdict", "write_report"]

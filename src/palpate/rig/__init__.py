@@ -1,6 +1,6 @@
 """Moves, measures and records: plans, guards, drivers of real devices and their virtual twin."""
 
-from palpate.core.protocols import FrameSource
+from palpate.core.device_protocols import FrameSource
 from palpate.devices.force_bias import Mounting
 from palpate.devices.limits import Limits, Reason, Tripped
 from palpate.devices.operator import OperatorCommand, OperatorControl

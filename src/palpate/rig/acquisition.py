@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from palpate.core.clock import NS_PER_S
+from palpate.core.device_protocols import FrameSource, Wrench
 from palpate.core.errors import DeviceError
 from palpate.core.frame import Frame
-from palpate.core.protocols import FrameSource, Wrench
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.guard import MotionGuard
 from palpate.devices.limits import Reason, Tripped

@@ -16,9 +16,9 @@ import numpy as np
 from numpy import ndarray
 
 from palpate.core.clock import NS_PER_S
+from palpate.core.device_protocols import Wrench
 from palpate.core.errors import InputError, RangeError
 from palpate.core.frame import Frame
-from palpate.core.protocols import Wrench
 from palpate.core.shapes import Float, UInt8
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.guard import MotionGuard

@@ -16,9 +16,9 @@ from typing import assert_never
 
 import numpy as np
 
+from palpate.core.device_protocols import Position
 from palpate.core.errors import DeviceError, PalpateError, StorageError
 from palpate.core.files import PathText
-from palpate.core.protocols import Position
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.guard import MotionGuard
 from palpate.devices.limits import Reason, Tripped

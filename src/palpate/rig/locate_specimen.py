@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from palpate.core.device_protocols import Position
 from palpate.core.errors import RecordingError
-from palpate.core.protocols import Position
 from palpate.recordings.run_reader import Run
 from palpate.rig.plans.load import plan_from
 from palpate.rig.plans.places import WAYS, Around

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from palpate.core.protocols import Position
+from palpate.core.device_protocols import Position
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.guard import MotionGuard
 from palpate.devices.limits import Reason, Tripped

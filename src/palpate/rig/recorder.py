@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from palpate.core.device_protocols import Position, Wrench
 from palpate.core.frame import Frame
-from palpate.core.protocols import Position, Wrench
 from palpate.devices.force_bias import ForceBias
 from palpate.recordings.labels import Label
 from palpate.recordings.run_writer import RunWriter

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from palpate.core.clock import Clock
-from palpate.core.protocols import ForceSensor, FrameSource, Position, Stage
+from palpate.core.device_protocols import ForceSensor, FrameSource, Position, Stage
 from palpate.core.sensor import Sensor
 from palpate.devices.force_bias import Mounting
 from palpate.devices.limits import Limits

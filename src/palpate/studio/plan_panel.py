@@ -11,7 +11,7 @@ from nicegui import run, ui
 from palpate.core.errors import PalpateError
 from palpate.rig.plans import PLANS, Plan, size_of
 from palpate.rig.service.rig_service import checked_plan
-from palpate.studio import drawing, words
+from palpate.studio import status_text, svg_drawing
 
 FIELDS: tuple[tuple[str, str, str, bool], ...] = (
     ("places.layer_mm", "layer diameter", "mm", False),
@@ -152,10 +152,10 @@ class PlanPanel:
             return
         self._shown = shown
         self._drawing.set_content(
-            drawing.grid_svg(
+            svg_drawing.grid_svg(
                 self._plan.places.places(),
                 *self._plan.places.sizes_mm(),
-                done=words.done_by_place(self._plan, shots),
+                done=status_text.done_by_place(self._plan, shots),
                 now=place,
                 at_mm=at,
             )
@@ -166,8 +166,8 @@ def _laid_out(fields: Mapping[str, Any]) -> tuple[Plan, str]:
     plan = checked_plan(fields)
     layer, probe = plan.places.sizes_mm()
     facts = (
-        f"<b>{escape(words.plan_facts(plan, size_of(plan)))}</b><br>indenter of {probe:g} mm on a layer of "
-        f"{layer:g} mm: {words.clearance(plan)}"
+        f"<b>{escape(status_text.plan_facts(plan, size_of(plan)))}</b><br>indenter of {probe:g} mm on a layer of "
+        f"{layer:g} mm: {status_text.clearance(plan)}"
     )
     return plan, facts
 

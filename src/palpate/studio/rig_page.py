@@ -14,7 +14,7 @@ from nicegui import run, ui
 
 from palpate.core.errors import PalpateError
 from palpate.rig.service.rig_client import RigClient
-from palpate.studio import drawing, look, words
+from palpate.studio import page_style, status_text, svg_drawing
 from palpate.studio.palette import ACCENT, AXES, BAD, INK, SOFT
 from palpate.studio.plan_panel import PlanPanel
 
@@ -38,9 +38,9 @@ class RigPage:
         self._seen_picture = -1
         self._seen = -1
         self._last_run = ""
-        ui.add_css(look.style())
+        ui.add_css(page_style.style())
         ui.colors(primary=ACCENT, negative=BAD, dark=INK)
-        ui.add_body_html(look.text_of("estop.html"))
+        ui.add_body_html(page_style.text_of("estop.html"))
         self._top()
         self._held_banner()
         with ui.element("main").classes("board"):
@@ -150,7 +150,7 @@ class RigPage:
 
     async def _show(self) -> None:
         status = self._client.status
-        text, kind = words.state_of(status)
+        text, kind = status_text.state_of(status)
         self._state.set_text(text)
         self._state.classes(replace=f"state {kind}")
         if status is None:
@@ -179,7 +179,7 @@ class RigPage:
         share = 100 * shots / planned if planned else 0
         self._progress.set_content(
             f'<div class="said"><span><b>{shots:,}</b> of {planned:,} shots</span>'
-            f"<span>{escape(words.time_left(status))}</span></div>"
+            f"<span>{escape(status_text.time_left(status))}</span></div>"
             f'<div class="bar"><i style="width:{share:.2f}%"></i></div>'
         )
         self._held.set_visibility(bool(status["held"]))
@@ -194,7 +194,7 @@ class RigPage:
             self._last_run = run_name
             self._name.set_value(run_name)
         self._start.set_text("Go on" if self._left_over(status) else "Start")
-        message = escape(words.doing(status))
+        message = escape(status_text.doing(status))
         colour = BAD if status["state"] == "failed" and not recording else INK if recording else SOFT
         self._doing.set_content(f'<span style="color:{colour}">{message}</span>')
         if status["log_count"] != self._seen_log:
@@ -223,11 +223,11 @@ class RigPage:
         force = status["force_n"]
         said = [
             f'<span><i style="background:{colour}"></i>{AXIS_NAMES[axis]} '
-            f"<b>{'–' if force is None else words.number(force[i], 2)}</b> N</span>"
+            f"<b>{'–' if force is None else status_text.number(force[i], 2)}</b> N</span>"
             for i, (axis, colour) in enumerate(AXES.items())
         ]
         self._force_now.set_content("".join(said))
-        self._force.set_content(drawing.force_svg(status["series"]))
+        self._force.set_content(svg_drawing.force_svg(status["series"]))
         zero = "less its zero in the air" if status["tared"] else "as measured: its zero is not taken off yet"
         self._force_said.set_text(
             f"{zero}; positive into the skin; the rig stops at {status['limits']['force_n']:g} N"
@@ -240,7 +240,7 @@ class RigPage:
         number, _, size_px = picture
         first, self._seen_picture = self._seen_picture < 0, number
         if first:
-            self._picture.set_content(drawing.regions_svg(status["regions"], size_px))
+            self._picture.set_content(svg_drawing.regions_svg(status["regions"], size_px))
             names = ", ".join(region["name"] for region in status["regions"])
             self._picture_said.set_text(f"{size_px[0]} × {size_px[1]} px; boxes: {names or 'none'}")
         self._picture.set_source(f"/picture?{number}")

@@ -10,9 +10,9 @@ import numpy as np
 from numpy import ndarray
 
 from palpate.core.clock import NS_PER_S, Clock
+from palpate.core.device_protocols import Camera
 from palpate.core.errors import DeviceError, RangeError
 from palpate.core.frame import Frame
-from palpate.core.protocols import Camera
 from palpate.core.shapes import Float
 from palpate.devices.check.interface_check import camera_interface
 from palpate.devices.check.result import (

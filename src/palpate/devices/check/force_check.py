@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from palpate.core.clock import NS_PER_S, Clock
+from palpate.core.device_protocols import ForceSensor, Wrench
 from palpate.core.errors import RangeError
-from palpate.core.protocols import ForceSensor, Wrench
 from palpate.devices.check.interface_check import force_interface
 from palpate.devices.check.result import (
     CheckResult,

@@ -13,9 +13,9 @@ from numbers import Integral, Real
 from typing import Any, Literal
 
 from palpate.core.clock import NS_PER_S, Clock
+from palpate.core.device_protocols import Camera, ForceSensor, Stage, Travel, Wrench
 from palpate.core.errors import DeviceError
 from palpate.core.frame import Frame
-from palpate.core.protocols import Camera, ForceSensor, Stage, Travel, Wrench
 from palpate.devices.check.result import CheckResult, Part, gathered, held
 
 Role = Literal["stage", "force", "camera"]

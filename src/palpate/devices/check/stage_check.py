@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 from palpate.core.clock import Clock
+from palpate.core.device_protocols import Position, Stage
 from palpate.core.errors import DeviceError, RangeError
-from palpate.core.protocols import Position, Stage
 from palpate.devices.check.interface_check import stage_interface
 from palpate.devices.check.result import (
     CheckResult,

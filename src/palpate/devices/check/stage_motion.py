@@ -10,8 +10,8 @@ import numpy as np
 from numpy import ndarray
 
 from palpate.core.clock import Clock
+from palpate.core.device_protocols import Position, Stage
 from palpate.core.errors import RangeError
-from palpate.core.protocols import Position, Stage
 from palpate.core.shapes import Float
 from palpate.devices.check.result import seconds
 

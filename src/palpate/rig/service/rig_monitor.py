@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from palpate.core.device_protocols import Position
 from palpate.core.errors import PalpateError
-from palpate.core.protocols import Position
 from palpate.devices import status as device_status
 from palpate.devices.force_bias import Force
 from palpate.devices.proxies import CameraProxy, ForceProxy, StageProxy

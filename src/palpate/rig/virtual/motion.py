@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy import ndarray
 
-from palpate.core.protocols import Position
+from palpate.core.device_protocols import Position
 from palpate.core.shapes import Float
 
 Times = Float[ndarray, " n"]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from palpate.core.device_protocols import Position, Travel
 from palpate.core.errors import DeviceError, RangeError
-from palpate.core.protocols import Position, Travel
 from palpate.rig.virtual.motion import Motion, standing
 from palpate.rig.virtual.world import World, halted
 

@@ -19,7 +19,7 @@ from numpy import ndarray
 
 from palpate.core.clock import NS_PER_S, Clock
 from palpate.core.contact import EarlierPress, Pose, Probe, Specimen
-from palpate.core.protocols import Position, Travel
+from palpate.core.device_protocols import Position, Travel
 from palpate.core.sensor import Sensor, force_law
 from palpate.core.shapes import Float
 from palpate.rig.virtual.faults import Fault, Faults

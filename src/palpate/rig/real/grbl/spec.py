@@ -6,8 +6,8 @@ import math
 import re
 from dataclasses import dataclass
 
+from palpate.core.device_protocols import Position, Travel
 from palpate.core.errors import InputError, RangeError
-from palpate.core.protocols import Position, Travel
 
 MM_PER_M = 1e3
 S_PER_MIN = 60.0

@@ -17,8 +17,8 @@ from collections.abc import Iterable
 from types import TracebackType
 
 from palpate.core.clock import NS_PER_S, Clock, MonotonicClock
+from palpate.core.device_protocols import Position, Travel
 from palpate.core.errors import DeviceError, RangeError
-from palpate.core.protocols import Position, Travel
 from palpate.rig.real.grbl.link import CutOffError, RefusedError, SerialPort, SilenceError, open_port
 from palpate.rig.real.grbl.parser import Alarm, GrblState, GrblStatus, Line, ProbeReport, alarm_name
 from palpate.rig.real.grbl.session import Session

@@ -17,8 +17,8 @@ from types import TracebackType
 from typing import Literal
 
 from palpate.core.clock import NS_PER_S, Clock, MonotonicClock
+from palpate.core.device_protocols import Wrench
 from palpate.core.errors import DeviceError, ProtocolError, RangeError
-from palpate.core.protocols import Wrench
 from palpate.rig.real.netft.calibration import Calibration, Triple, fetch
 from palpate.rig.real.netft.stream import (
     MONITOR_WARNING,

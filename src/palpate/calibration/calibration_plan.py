@@ -1,0 +1,156 @@
+"""What a calibration is asked to do: one frozen page, checked when it is made and saved with the result."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Literal
+
+from palpate.core.errors import InputError
+from palpate.core.plugins import named
+from palpate.core.units import split_column
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceRule:
+    """Which rows show the untouched sensor.
+
+    Attributes:
+        column, value: rows where a label column holds this value (compared as a number where both are).
+        by: a reference holds within the groups of these columns; empty for one reference for all.
+    """
+
+    column: str
+    value: str
+    by: tuple[str, ...] = ()
+
+    @classmethod
+    def parse(cls, text: str, by: tuple[str, ...] = ()) -> ReferenceRule:
+        """Read ``column=value``, e.g. ``mass_g=0``.
+
+        Raises:
+            InputError: it is not of that form.
+        """
+        column, equals, value = text.partition("=")
+        if not (column and equals and value):
+            raise InputError(f"reference {text!r} is not COLUMN=VALUE, as in mass_g=0 or touched=false")
+        return cls(column.strip(), value.strip(), by)
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationPlan:
+    """One calibration.
+
+    Attributes:
+        targets: label columns to estimate, named quantity_unit.
+        model: a name from `estimators.networks.MODELS`, ``module:Class`` or an entry point's name; a class or
+            an instance of a user's own is kept as ``module:Class`` and `options`.
+        split: how rows are held out, see `recordings.splits.split`; a function of a user's own is kept as
+            ``module:function``.
+        folds: how many parts, where the split does not fix it; None takes five, or eight where the model is
+            costly to train.
+        scored_folds: how many of them are held out in turn; None takes all, or one where the model is costly
+            to train and one fold gives scores enough. With one, the model that was scored is the one kept.
+        seed: of everything random.
+        size_px: (height, width) of the network's input [px]; None takes the model's own.
+        channels: 1 for grey, 3 for RGB.
+        crop_px: (x, y, width, height) cut from each frame first [px].
+        beside_px: a second such crop, laid to the right of the first [px].
+        delta: learn from the difference to a no-contact reference.
+        reference: which rows are that reference.
+        learn_untouched: learn from (and score) those rows too, as from any other.
+        coverage: how often intervals shall hold the truth.
+        options: the model's own fields, by name.
+
+    Raises:
+        InputError: a field is not of its kind or out of its range; the message says what is allowed.
+        UnitError: a target carries no unit.
+        SplitError: the split is none that is known.
+        PluginError: the model or the split is a plug-in that does not import or breaks a law.
+
+    Example:
+        >>> CalibrationPlan(("depth_mm", "force_N"), split="group:press").model
+        'pca-ridge'
+    """
+
+    targets: Sequence[str]
+    model: Any = "pca-ridge"
+    split: Any = "auto"
+    folds: int | None = None
+    scored_folds: int | None = None
+    seed: int = 0
+    size_px: tuple[int, int] | None = None
+    channels: Literal[1, 3] = 1
+    crop_px: tuple[int, int, int, int] | None = None
+    beside_px: tuple[int, int, int, int] | None = None
+    delta: bool = False
+    reference: ReferenceRule | None = None
+    learn_untouched: bool = False
+    coverage: float = 0.9
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        # Here, since whoever senses reads a `Reference`, and needs neither models nor tables.
+        from palpate.estimators.networks import model_kind
+        from palpate.recordings.splits import check_split_text
+
+        object.__setattr__(self, "targets", _targets(self.targets))
+        if not isinstance(self.model, str):
+            name, options = _own_model(self.model, self.options)
+            object.__setattr__(self, "model", name)
+            object.__setattr__(self, "options", options)
+        model_kind(self.model)
+        if not isinstance(self.split, str):
+            object.__setattr__(self, "split", named(self.split, "split"))
+        check_split_text(self.split)
+        self._check_numbers()
+
+    def _check_numbers(self) -> None:
+        if self.folds is not None and self.folds < 2:
+            raise InputError(f"{self.folds} folds; a split needs 2 or more, to train on one and hold one out")
+        if self.scored_folds is not None and self.scored_folds < 1:
+            raise InputError(f"{self.scored_folds} folds to score; at least 1 must be held out")
+        if self.seed < 0:
+            raise InputError(f"seed {self.seed}; a seed is 0 or more")
+        if self.channels not in (1, 3):
+            raise InputError(f"{self.channels} channels; 1 for grey or 3 for RGB")
+        if not 0.5 <= self.coverage < 1:
+            raise InputError(f"coverage is {self.coverage}; it is a rate from 0.5 up to, not including, 1")
+        if self.size_px is not None and min(self.size_px) < 1:
+            raise InputError(f"an input of {self.size_px} px; its height and width are 1 px or more")
+        for box in (self.crop_px, self.beside_px):
+            if box is not None and (min(box[:2]) < 0 or min(box[2:]) < 1):
+                raise InputError(f"crop {box} px; x and y are 0 or more, width and height 1 or more")
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain values for JSON."""
+        return asdict(self)
+
+
+def _targets(given: Sequence[str]) -> tuple[str, ...]:
+    """The targets' names, each once and with a unit."""
+    if isinstance(given, str):
+        hint = ", ".join(repr(name.strip()) for name in given.split(","))
+        raise InputError(f"targets are a tuple of names, not the text {given!r}; give ({hint},)")
+    targets = tuple(given)
+    if not targets:
+        raise InputError("no target to calibrate; name label columns, as in --targets depth_mm,force_N")
+    repeated = sorted({t for t in targets if targets.count(t) > 1})
+    if repeated:
+        raise InputError(f"targets named twice: {', '.join(repeated)}; name each once")
+    for name in targets:
+        split_column(name)
+    return targets
+
+
+def _own_model(model: Any, options: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """The ``module:Class`` of a class or an instance, and the settings that an instance carries."""
+    if isinstance(model, type):
+        return named(model, "model"), options
+    from palpate.estimators.networks import model_class
+
+    path = named(type(model), "model")
+    model_class(path)
+    if options:
+        raise InputError(f"model {path} is an instance with its settings; set {', '.join(options)} there")
+    return path, {f.name: getattr(model, f.name) for f in fields(model)}

@@ -1,0 +1,352 @@
+"""Nested dataclasses of arrays, numbers and words as one flat set of arrays, and back; no pickles.
+
+A TacTip calibrated on specimens of known stiffness, and what it then says of another.
+
+Trials of a rigid plate and of soft references give the curve of `estimators.casr.softness`, by touch alone
+and with the approach beside it, and where the references' contact areas are known also the area fit. All is
+held in one file of plain arrays, whose contents name it.
+
+Presses from files: frames and table of one press, or the presses of an experiment's folder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from types import UnionType
+from typing import Any, get_args, get_type_hints
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy import ndarray
+
+from palpate.core.errors import CertificateError, InputError
+from palpate.core.files import new_file, storage_errors
+from palpate.core.shapes import Float, Shaped
+from palpate.estimators.compliance.contact_area import AreaFit, Motions, fit_area, fit_motions, ring_measures
+from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, finger_of
+from palpate.estimators.compliance.pin_press import PinPress, at_forces, laid_on, watched
+from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, fit_softness
+from palpate.estimators.networks.model_interface import Progress, silent
+from palpate.recordings.exchange.frame_sequences import open_sequence
+from palpate.recordings.exchange.press_folder import PressFolder
+from palpate.recordings.exchange.press_table import PressTable, read_press_table
+from palpate.version import __version__
+
+
+def flat(held: Any, prefix: str = "") -> dict[str, ndarray]:
+    """Every field under its dotted name; what is None is left out."""
+    found: dict[str, ndarray] = {}
+    for field in fields(held):
+        value, name = getattr(held, field.name), prefix + field.name
+        if is_dataclass(value):
+            found |= flat(value, f"{name}.")
+        elif value is not None:
+            found[name] = np.asarray(value)
+    return found
+
+
+def built(kind: type, data: Mapping[str, ndarray], prefix: str = "") -> Any:
+    """The dataclass that `flat` took apart.
+
+    Raises:
+        KeyError: a field is missing that may not be None.
+    """
+    made: dict[str, Any] = {}
+    for name, hint in get_type_hints(kind).items():
+        full, (inner, optional) = prefix + name, _plain(hint)
+        if optional and not any(key == full or key.startswith(f"{full}.") for key in data):
+            made[name] = None
+        elif is_dataclass(inner):
+            made[name] = built(inner, data, f"{full}.")  # type: ignore[arg-type]
+        else:
+            made[name] = _value(data[full], inner)
+    return kind(**made)
+
+
+def _plain(hint: Any) -> tuple[Any, bool]:
+    """A type without its None, and whether it had one."""
+    if isinstance(hint, UnionType):
+        rest = [one for one in get_args(hint) if one is not type(None)]
+        return rest[0], len(rest) < len(get_args(hint))
+    return hint, False
+
+
+def _value(value: ndarray, kind: Any) -> Any:
+    if kind in (int, float, str):
+        return kind(value.item())
+    return tuple(value.tolist()) if getattr(kind, "__origin__", None) is tuple else value
+
+
+FORMAT = 1
+RINGS_SEEN = 0.5  # of a trial's frames; on an inclined specimen the field's edge cuts the ring
+LEVELS_N = np.arange(1.0, 4.51, 0.5)
+APPROACH_PX = 2e5  # px/m: what a metre of approach weighs beside pins' motion; scatter is discounted anyway
+
+
+@dataclass(frozen=True)
+class ReferenceTrial:
+    """A trial of a reference: its pins, and the contact area at its frames where that is known [m^2]."""
+
+    press: PinPress
+    area_m2: Float[ndarray, " f"] | None = None
+
+
+@dataclass(frozen=True)
+class ReferenceSpecimen:
+    """A specimen of known stiffness, `inf` for a rigid plate [N/m], and its trials."""
+
+    name: str
+    kappa_n_m: float
+    trials: tuple[ReferenceTrial, ...]
+
+
+@dataclass(frozen=True)
+class ComplianceCalibration:
+    """A calibrated tip.
+
+    Attributes:
+        names: of the references.
+        layout_px: the untouched pins.
+        levels_n: forces at which presses are compared [N].
+        touch: curve of the pins' motion alone.
+        both: curve of motion and approach; None where references had no position.
+        motions, area: of the contact's area; None where no area was known.
+        ring: area by ring and stretch; None where no area was known, or rings are cut.
+        finger: the Hertz pair that acts as the tip does; None without a rigid plate, its areas or position.
+        wobble_px: how far untouched pins stand from the layout in the references' trials.
+        speed_m_s: least and greatest of the references.
+        tilt_rad: of the specimens' tops, for which alone it holds [rad].
+        note: free words, e.g. which tip.
+        version: of palpate.
+    """
+
+    names: tuple[str, ...]
+    layout_px: Float[ndarray, "p 2"]
+    levels_n: Float[ndarray, " l"]
+    touch: SoftnessCurve
+    both: SoftnessCurve | None
+    motions: Motions | None
+    area: AreaFit | None
+    ring: AreaFit | None
+    finger: Finger | None
+    wobble_px: float
+    speed_m_s: tuple[float, float]
+    tilt_rad: float = 0.0
+    note: str = ""
+    version: str = __version__
+
+    @property
+    def id(self) -> str:
+        """Of the contents."""
+        told = hashlib.sha256()
+        for name, value in sorted(flat(self).items()):
+            told.update(name.encode() + np.ascontiguousarray(value).tobytes())
+        return f"compliance-{told.hexdigest()[:12]}"
+
+    def save(self, path: Path) -> None:
+        """Write one ``.npz``, whole or not at all.
+
+        Raises:
+            ExistsError: `path` exists.
+            StorageError: the disk refused.
+        """
+        with new_file(path) as building, building.open("wb") as file:
+            np.savez_compressed(file, **flat(self), format=np.array(FORMAT))  # type: ignore[arg-type]
+
+    @classmethod
+    def load(cls, path: Path) -> ComplianceCalibration:
+        """Read what `save` wrote; nothing in it is run.
+
+        Raises:
+            CertificateError: it is no such file, or a damaged one.
+            StorageError: it cannot be read.
+        """
+        try:
+            # opened here, since numpy leaves a damaged file open
+            with storage_errors(path), path.open("rb") as file, np.load(file, allow_pickle=False) as held:
+                data = {name: held[name] for name in held.files}
+            if int(data.pop("format")) != FORMAT:
+                raise CertificateError(f"{path} is of another format; calibrate anew with this version")
+            made = built(cls, data)
+        except (KeyError, ValueError, TypeError, BadZipFile, EOFError) as e:
+            raise CertificateError(
+                f"{path} is no calibration of compliance, or a damaged one; "
+                "`palpate compliance calibrate` makes them"
+            ) from e
+        assert isinstance(made, cls)
+        return made
+
+
+def calibrate_compliance(
+    references: Sequence[ReferenceSpecimen], *, tilt_rad: float = 0.0, note: str = ""
+) -> ComplianceCalibration:
+    """Fit to references.
+
+    Args:
+        references: two or more, pressed alike.
+        tilt_rad: of their tops [rad].
+        note: kept with it.
+
+    Raises:
+        InputError: too few references or trials, presses that do not reach far enough, or of another sensor.
+    """
+    trials = [(i, trial) for i, one in enumerate(references) for trial in one.trials]
+    if not trials:
+        raise InputError("no reference has a trial; press a rigid plate and a soft specimen, five times each")
+    layout = _layout([trial.press for _, trial in trials])
+    moved = [laid_on(trial.press, layout) for _, trial in trials]
+    positions = [trial.press.position_m for _, trial in trials]
+    touch_rows = [touch_row(trial.press, layout, LEVELS_N) for _, trial in trials]
+    kappa = [one.kappa_n_m for one in references]
+    which = np.array([i for i, _ in trials])
+
+    def curve(rows: list[ndarray]) -> SoftnessCurve:
+        stacked = np.stack(rows)
+        return fit_softness(kappa, [stacked[which == i] for i in range(len(references))])
+
+    both = None
+    if all(position is not None for position in positions):
+        both = curve(
+            [
+                np.concatenate([row, approach_row(trial.press, LEVELS_N)])
+                for row, (_, trial) in zip(touch_rows, trials, strict=True)
+            ]
+        )
+    motions, area, ring = _areas(trials, moved, layout)
+    speeds = [trial.press.speed_m_s for _, trial in trials]
+    return ComplianceCalibration(
+        tuple(one.name for one in references),
+        layout,
+        LEVELS_N,
+        curve(touch_rows),
+        both,
+        motions,
+        area,
+        ring,
+        _finger(references),
+        float(np.sqrt(np.mean([wobble_px(trial.press, layout) ** 2 for _, trial in trials]))),
+        (float(np.min(speeds)), float(np.max(speeds))),
+        tilt_rad,
+        note,
+    )
+
+
+def _layout(presses: Sequence[PinPress]) -> Float[ndarray, "p 2"]:
+    """The untouched pins: mean over presses, about where the first has them."""
+    first = presses[0].untouched_px
+    first = first[np.isfinite(first).all(axis=1)]
+    seen = [_untouched(press, first) for press in presses]
+    return np.asarray(np.nanmean([at - np.nanmean(at, axis=0) for at in seen], axis=0) + first.mean(axis=0))
+
+
+def _untouched(press: PinPress, layout: Float[ndarray, "p 2"]) -> Float[ndarray, "p 2"]:
+    """A press's untouched pins in the order of the layout."""
+    still = replace(
+        press,
+        frame=press.frame[:1],
+        force_n=press.force_n[:1],
+        moved_px=press.untouched_px[None],
+        position_m=None,
+    )
+    return laid_on(still, layout)[0]
+
+
+def wobble_px(press: PinPress, layout: Float[ndarray, "p 2"]) -> float:
+    """Root mean square distance of untouched pins from the layout, less the shift of all [px]."""
+    off = _untouched(press, layout) - layout
+    off = off[np.isfinite(off).all(axis=1)]
+    return float(np.sqrt(np.mean(np.sum((off - off.mean(axis=0)) ** 2, axis=1))))
+
+
+def touch_row(press: PinPress, layout: Float[ndarray, "p 2"], levels_n: Float[ndarray, " l"]) -> ndarray:
+    """The motion of the pins at every level, in one row; NaN for pins that are lost."""
+    moved = laid_on(press, layout)
+    seen = np.isfinite(moved).all(axis=(0, 2))
+    row = np.full((len(levels_n), *moved.shape[1:]), np.nan)
+    row[:, seen] = at_forces(press.force_n, moved[:, seen], levels_n)
+    return row.ravel()
+
+
+def approach_row(press: PinPress, levels_n: Float[ndarray, " l"]) -> Float[ndarray, " l-1"]:
+    """Approach from the first level to the others, weighed as pins' motion."""
+    assert press.position_m is not None
+    d = at_forces(press.force_n, press.position_m, levels_n)
+    return np.asarray(APPROACH_PX * (d - d[0])[1:])
+
+
+def _areas(
+    trials: Sequence[tuple[int, ReferenceTrial]],
+    moved: Sequence[Float[ndarray, "_ p 2"]],
+    layout: Float[ndarray, "p 2"],
+) -> tuple[Motions | None, AreaFit | None, AreaFit | None]:
+    known = [(i, m, t.area_m2) for (i, t), m in zip(trials, moved, strict=True) if t.area_m2 is not None]
+    if len({i for i, _, _ in known}) < 2:
+        return None, None, None
+    which = [i for i, _, _ in known]
+    areas = [a for _, _, a in known]
+    motions = fit_motions([m for _, m, _ in known])
+    area = fit_area([motions.of(m) for _, m, _ in known], areas, which)
+    rings = [ring_measures(layout, m) for _, m, _ in known]
+    seen = all(np.isfinite(one).all(axis=1).mean() > RINGS_SEEN for one in rings)
+    return motions, area, fit_area(rings, areas, which) if seen else None
+
+
+def _finger(references: Sequence[ReferenceSpecimen]) -> Finger | None:
+    presses = [
+        PressCurves(t.press.force_n[good], t.press.position_m[good], t.area_m2[good])
+        for one in references
+        if np.isinf(one.kappa_n_m)
+        for t in one.trials
+        if t.area_m2 is not None and t.press.position_m is not None
+        for good in [np.isfinite(t.area_m2) & (t.press.force_n >= LEVELS_N[0])]
+    ]
+    return finger_of(presses) if presses else None
+
+
+def followed(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -> ReferenceTrial:
+    """One press: its pins followed, and its contact area at their frames where the table has it.
+
+    Raises:
+        InputError, ImageError: they cannot be read as a press.
+    """
+    press = watched(frames, table.force_n, table.frame_sample, table.position_m, table.time_s)
+    area = None if table.area_m2 is None else table.area_m2[table.frame_sample[press.frame]]
+    return ReferenceTrial(press, area)
+
+
+def load_press(frames: Path, table: Path) -> ReferenceTrial:
+    """The same from files.
+
+    Raises:
+        InputError, ImageError, LabelError: what cannot be read as a press.
+    """
+    with open_sequence(frames) as sequence:
+        return followed(sequence, read_press_table(table, len(sequence)))
+
+
+def load_references(folder: PressFolder, progress: Progress = silent) -> list[ReferenceSpecimen]:
+    """The specimens of known stiffness, in the folder's order.
+
+    Raises:
+        InputError: fewer than two have a known stiffness; and as `load_press`.
+    """
+    known = [one for one in folder.specimens if one.stiffness_n_m is not None]
+    if len(known) < 2:
+        raise InputError(
+            f"{len(known)} of {len(folder.specimens)} specimens in {folder.path} have a known stiffness; "
+            "write two or more into specimens.csv: stiffness_N_per_mm, inf for a rigid plate"
+        )
+    total, done = sum(len(one.presses) for one in known), 0
+    references = []
+    for one in known:
+        trials = []
+        for frames, table in one.presses:
+            trials.append(load_press(frames, table))
+            done += 1
+            progress("presses", done, total)
+        assert one.stiffness_n_m is not None
+        references.append(ReferenceSpecimen(one.name, one.stiffness_n_m, tuple(trials)))
+    return references

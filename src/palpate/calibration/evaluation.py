@@ -1,0 +1,188 @@
+"""Scores of estimates against labels, with the intervals' coverage and its own interval."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from palpate.calibration.calibration_plan import ReferenceRule
+from palpate.calibration.conformal import grouped_coverage_interval
+from palpate.calibration.training_data import marked
+from palpate.core.errors import LabelError
+from palpate.core.reading import Readings
+from palpate.core.shapes import Shaped, Values
+from palpate.estimators.certified import Estimator, Zero
+from palpate.estimators.model_card import Card, ScoreCard
+from palpate.estimators.networks.model_interface import Progress, silent
+from palpate.recordings.labels import own_column, targets_from, with_own
+from palpate.recordings.run_reader import Run
+
+
+def score(
+    unit_: str,
+    true: Shaped[np.ndarray, " n"],
+    predicted: Shaped[np.ndarray, " n"],
+    half: Shaped[np.ndarray, " n"],
+    mean: float | Shaped[np.ndarray, " n"],
+    groups: Shaped[np.ndarray, " n"],
+) -> ScoreCard:
+    """Score one target.
+
+    Args:
+        unit_: unit of everything given.
+        true, predicted, half: labels, estimates and half-widths of their intervals.
+        mean: what always saying the training mean would have said.
+        groups: label of each row's group; rows of one group are not independent.
+    """
+    error = predicted - true
+    inside = np.abs(error) <= half
+    low, high = grouped_coverage_interval(inside, groups)
+    variance = float(np.var(true))
+    return ScoreCard(
+        unit=unit_,
+        n=len(true),
+        mae=float(np.abs(error).mean()),
+        rmse=float(np.sqrt(np.mean(error**2))),
+        bias=float(error.mean()),
+        r2=1 - float(np.mean(error**2)) / variance if variance > 0 else 0.0,
+        mean_mae=float(np.abs(true - mean).mean()),
+        coverage_90=float(inside.mean()),
+        coverage_90_low=low,
+        coverage_90_high=high,
+        half_width=float(half.mean()),
+    )
+
+
+def zeros_of(estimator: Estimator, run: Run) -> dict[int, Zero]:
+    """No-contact references found in a run by the calibration's own rule: row -> reference.
+
+    Empty where the calibration knows none or the run has none.
+    """
+    table, by = run.labels, list(estimator.card.reference.by)
+    rows = _untouched_rows(estimator.card, table)
+    groups = table.groupby(by, sort=False).ngroup().to_numpy() if by else np.zeros(len(table))
+    zeros: dict[int, Zero] = {}
+    for group in np.unique(groups[rows]):
+        images = [run.frame(int(row)).image for row in rows[groups[rows] == group]]
+        mean = np.mean(images, axis=0).round().astype(np.uint8)
+        zero = estimator.zero(mean)
+        zeros |= {int(row): zero for row in np.flatnonzero(groups == group)}
+    return zeros
+
+
+def evaluate(
+    estimator: Estimator, run: Run, *, zero: Zero | None = None, progress: Progress = silent
+) -> dict[str, Any]:
+    """Score a calibration on a run, one frame in memory at a time.
+
+    Args:
+        estimator: the calibration.
+        run: frames with labels in the calibration's target columns.
+        zero: one reference for the whole run; None finds the run's own by the calibration's rule.
+        progress: told how far it is.
+
+    Returns:
+        ``{"targets": {column: {"unit", "n", "mae", "rmse", "r2", "coverage_90", …}}, …}``.
+
+    Raises:
+        LabelError: a target column is missing or unfit.
+        ImageError: the calibration is differential and the run has no reference.
+    """
+    card = estimator.card
+    rows = _rows_to_score(card, run.labels)
+    true = targets_from(run.labels.iloc[rows].reset_index(drop=True), card.columns, str(run.path))
+    return _scores(card, run, true, predictions(estimator, run, zero=zero, progress=progress))
+
+
+def predictions(
+    estimator: Estimator, run: Run, *, zero: Zero | None = None, progress: Progress = silent
+) -> pd.DataFrame:
+    """What a calibration says of each frame of a run, one frame in memory at a time.
+
+    Args: as of `evaluate`.
+
+    Returns:
+        The labels of the frames that would be scored, which need not have the targets; of each target
+        ``estimate:COLUMN`` and ``half_width:COLUMN`` in the column's unit, NaN where a frame could not be
+        read; ``own:valid``, and ``own:why`` it is not, also without ``own:`` where no label is called so.
+
+    Raises:
+        ImageError: the calibration is differential and the run has no reference.
+    """
+    card = estimator.card
+    rows = _rows_to_score(card, run.labels)
+    table = run.labels.iloc[rows].reset_index(drop=True)
+    zeros = {} if zero is not None else zeros_of(estimator, run)
+    predicted, half = np.full((2, len(rows), len(card.columns)), np.nan)
+    whys: list[str] = []
+    for i, row in enumerate(rows):
+        readings = estimator.read(run.frame(int(row)), zero or zeros.get(int(row)))
+        predicted[i], half[i] = _in_units(card, readings)
+        whys.append("; ".join(sorted({reading.why for reading in readings.values() if reading.why})))
+        progress("evaluating", i + 1, len(rows))
+    for j, column in enumerate(card.columns):
+        table[f"estimate:{column}"], table[f"half_width:{column}"] = predicted[:, j], half[:, j]
+    return with_own(table, {"valid": [not why for why in whys], "why": whys})
+
+
+def _rows_to_score(card: Card, table: pd.DataFrame) -> np.ndarray:
+    """All rows but those of the untouched sensor, where the calibration did not learn from such."""
+    untouched = _untouched_rows(card, table)
+    return np.arange(len(table)) if card.reference.learnt else np.setdiff1d(np.arange(len(table)), untouched)
+
+
+def _untouched_rows(card: Card, table: pd.DataFrame) -> np.ndarray:
+    """Rows that the calibration's own rule says show the untouched sensor; none where it has no rule."""
+    rule = card.reference
+    if rule.column is None or rule.value is None or not {rule.column, *rule.by} <= set(table):
+        return np.empty(0, np.int64)
+    try:
+        return np.flatnonzero(marked(table, ReferenceRule(rule.column, rule.value, rule.by)))
+    except LabelError:
+        return np.empty(0, np.int64)
+
+
+def _in_units(card: Card, readings: Readings) -> tuple[np.ndarray, np.ndarray]:
+    values, halves = [], []
+    for target in card.targets:
+        reading = readings[target.column]
+        values.append(reading.value)
+        halves.append((reading.high - reading.low) / 2)
+    return np.array(values), np.array(halves)
+
+
+def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str, Any]:
+    predicted, half = (
+        table[[f"{kind}:{column}" for column in card.columns]].to_numpy(float)
+        for kind in ("estimate", "half_width")
+    )
+    read = ~np.isnan(predicted).any(axis=1)
+    if not read.any():
+        raise LabelError(f"{run.path}: no frame could be read, every one is of another size than calibrated")
+    groups = groups_in(table, card.split.columns)[read]
+    targets = {
+        t.column: score(
+            t.unit, true[read, j], predicted[read, j], half[read, j], t.training_mean, groups
+        ).model_dump()
+        for j, t in enumerate(card.targets)
+    }
+    return {
+        "targets": targets,
+        "calibration": card.id,
+        "run": {"run_id": run.manifest.run_id, "hash": run.hash, "frames": len(run)},
+        "frames_scored": len(table),
+        "frames_read": int(read.sum()),
+        "frames_valid": int(own_column(table, "valid").sum()),
+        "groups": len(np.unique(groups)),
+        "group_columns": list(card.split.columns),
+        "learnt_from_this_run": run.hash == card.run.hash,
+    }
+
+
+def groups_in(table: pd.DataFrame, columns: tuple[str, ...]) -> np.ndarray:
+    """A label for each row's group; each row its own where the columns are not all there."""
+    if not columns or not set(columns) <= set(table):
+        return np.arange(len(table))
+    return table.groupby(list(columns), sort=False, dropna=False).ngroup().to_numpy()

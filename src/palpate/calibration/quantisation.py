@@ -1,0 +1,395 @@
+"""A network's convolutions in whole numbers of eight bits.
+
+Activations and weights are rounded to 8 bits with a scale for each tensor, for weights one for each output
+channel (Jacob et al., CVPR 2018, doi:10.1109/CVPR.2018.00286). The scales of activations are set by images.
+
+Only convolutions are rounded, with their rectifiers and the sums of residual blocks. Those that see the image
+itself, and the dense layers, stay in float32: they take little time, and rounding them costs the most.
+
+What a calibration's int8 copy costs in accuracy, and what it saves in time.
+
+A calibration with its network in int8: faster, and never without what that costs.
+
+The scales that the network rounds by are set by images that it has learnt from. What the rounding costs is
+measured on the rows that the calibration held out, by the calibration's own measures, and its intervals are
+set anew from what the rounded network says of them.
+"""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime
+import pandas as pd
+from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
+from onnxruntime.quantization.shape_inference import quant_pre_process
+
+from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
+from palpate.calibration.certificate import PREDICTIONS_FILE, WORST, file_card, software
+from palpate.calibration.conformal import fit_intervals
+from palpate.calibration.evaluation import groups_in, score
+from palpate.calibration.training_data import find_untouched, rows_to_learn, training_data
+from palpate.core.errors import CertificateError, InputError
+from palpate.core.files import PathText, new_folder, refuse_existing
+from palpate.core.shapes import Indices, Tensor, Values
+from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
+from palpate.estimators.model_card import Card, TargetCard, sealed
+from palpate.estimators.networks.model_interface import Progress, TrainingData, silent
+from palpate.recordings.exchange import image_files
+from palpate.recordings.labels import own_column
+from palpate.recordings.packed_set import PackedSet, pack
+from palpate.recordings.run_reader import Run
+
+ROUNDED = ("Conv", "Relu", "Add")
+
+
+def int8_model(model: Path, seen: Iterator[Tensor], work: Path) -> onnx.ModelProto:
+    """A model in int8, self-contained and of standard operators alone.
+
+    Args:
+        model: one from `image` to `value`, in float32.
+        seen: inputs to set the scales of activations by.
+        work: a folder for passing files.
+
+    Raises:
+        InputError: it has no convolution to round.
+    """
+    fused, rounded = work / "fused.onnx", work / "int8.onnx"
+    # Normalisation goes into the convolutions before them. Shapes are told apart without symbols, which would
+    # need another package.
+    quant_pre_process(str(model), str(fused), skip_symbolic_shape=True)
+    plain = onnx.load(str(fused))
+    for i, node in enumerate(plain.graph.node):
+        node.name = f"{node.op_type}{i}"
+    chosen = nodes_to_round(plain.graph)
+    if not any(name.startswith("Conv") for name in chosen):
+        raise InputError(
+            f"{model} has no convolution behind those that see the image, so that int8 would gain nothing; "
+            "keep it as it is"
+        )
+    onnx.save(plain, str(fused))
+    quantize_static(
+        str(fused),
+        str(rounded),
+        _Images(seen),
+        quant_format=QuantFormat.QDQ,
+        op_types_to_quantize=list(ROUNDED),
+        nodes_to_quantize=chosen,
+        per_channel=True,
+        # With weights of 7 bits a sum of two products fits 16: the numbers are the same without VNNI.
+        reduce_range=True,
+        activation_type=QuantType.QUInt8,
+        weight_type=QuantType.QInt8,
+    )
+    return _tidied(onnx.load(str(rounded)))
+
+
+def nodes_to_round(graph: onnx.GraphProto) -> list[str]:
+    """Names of the convolutions behind the first ones, their rectifiers, and the sums of residual blocks."""
+    constants = {tensor.name for tensor in graph.initializer}
+    behind: set[str] = set()  # what a convolution has made, or something that had it from one
+    chosen = []
+    for node in graph.node:
+        deep = not behind.isdisjoint(node.input)
+        # A sum with a constant is the last step, into the targets' units: it must not be rounded.
+        shift = node.op_type == "Add" and not constants.isdisjoint(node.input)
+        if deep and node.op_type in ROUNDED and not shift:
+            chosen.append(node.name)
+        if deep or node.op_type == "Conv":
+            behind.update(node.output)
+    return chosen
+
+
+def _tidied(model: onnx.ModelProto) -> onnx.ModelProto:
+    """Without the families of operators that the runtime declares and no node uses."""
+    used = {node.domain for node in model.graph.node}
+    kept = [family for family in model.opset_import if family.domain in used]
+    del model.opset_import[:]
+    model.opset_import.extend(kept)
+    onnx.checker.check_model(model, full_check=True)
+    return model
+
+
+class _Images(CalibrationDataReader):  # type: ignore[misc]  # onnxruntime is seen as Any
+    """Inputs as the runtime asks for them."""
+
+    def __init__(self, seen: Iterator[Tensor]) -> None:
+        self.seen = seen
+
+    def get_next(self) -> dict[str, Tensor] | None:
+        inputs = next(self.seen, None)
+        return None if inputs is None else {"image": inputs}
+
+
+ROUNDS, FRAMES, WARM = 8, 25, 3
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What int8 costs, and what it gives.
+
+    Attributes:
+        mae: of each target, in its unit: with the network in float32 and in int8, on the same held-out rows.
+        seconds: median time of the network alone for one image, in float32 and in int8, on this machine [s].
+    """
+
+    mae: dict[str, tuple[float, float]]
+    seconds: tuple[float, float]
+
+
+def cost(folder: Path, quantised: Path) -> Cost:
+    """What a calibration's int8 copy costs, by both cards, and how fast both are here, taken in turn.
+
+    Raises:
+        InputError: the second does not come from the first.
+    """
+    both = Estimator.open(folder), Estimator.open(quantised)
+    cards = [estimator.card for estimator in both]
+    if cards[1].options.get("quantised_from") != cards[0].id:
+        raise InputError(f"{quantised} was not made from {folder}; name a calibration and its own int8 copy")
+    image = np.zeros((1, cards[0].input.channels, *cards[0].input.size_px), np.float32)
+    seconds = _taken_in_turn([lambda e=estimator: e.values(image) for estimator in both])  # type: ignore[misc]
+    mae = {
+        a.column: (a.score.mae, b.score.mae) for a, b in zip(cards[0].targets, cards[1].targets, strict=True)
+    }
+    return Cost(mae, (seconds[0], seconds[1]))
+
+
+def _taken_in_turn(calls: list[Callable[[], object]]) -> list[float]:
+    """Median seconds of each, in rounds, so that all see the machine's other work."""
+    taken: list[list[float]] = [[] for _ in calls]
+    for _ in range(ROUNDS):
+        for call, times in zip(calls, taken, strict=True):
+            for i in range(-WARM, FRAMES):
+                started = time.perf_counter()
+                call()
+                if i >= 0:
+                    times.append(time.perf_counter() - started)
+    return [float(np.median(times)) for times in taken]
+
+
+SEEN_FOR_SCALES = 512  # rows, at most
+AT_ONCE = 32
+REPEATS = 1e-3  # share of a target's range within which the model must repeat its held-out estimates
+
+
+@dataclass(frozen=True)
+class _Material:
+    """A calibration's rows as it learnt from them: `held` are those by which it was scored."""
+
+    packed: PackedSet
+    data: TrainingData
+    predictions: pd.DataFrame
+    held: Indices
+    learnt: Indices
+
+    @property
+    def before(self) -> Values:
+        """What the network in float32 said of the held-out rows."""
+        return self.predictions[[f"estimate:{name}" for name in self.data.names]].to_numpy(np.float64)
+
+    def largest_change(self, answered: Values) -> float:
+        """Of any estimate of a held-out row, as a share of its target's range."""
+        return float((np.abs(answered - self.before) / np.ptp(self.data.values, axis=0)).max())
+
+
+def quantise(folder: PathText, run: Run, out: PathText, progress: Progress = silent) -> Card:
+    """Write a calibration anew with its network in int8, scored on the rows that it held out.
+
+    The card's options say ``int8``, ``quantised_from`` (the id of the calibration it comes from) and
+    ``fp32_mae``; its `agreement` is the largest change by the rounding.
+
+    Args:
+        folder: the calibration; left as it is.
+        run: what it was calibrated on.
+        out: the calibration folder to make; must not exist.
+        progress: told what is being done and how far it is.
+
+    Raises:
+        InputError: another run, a network without convolutions to round, one that is in int8 already or
+            adapted to another copy, or one that has learnt from every row, so that none is left to tell what
+            int8 costs.
+        CertificateError: the folder is damaged, or its model is not the one that was scored.
+        ExistsError: `out` exists.
+    """
+    folder, out = Path(folder), Path(out)
+    refuse_existing(out)
+    estimator = Estimator.open(folder)
+    card = estimator.card
+    _check_asked(card, run)
+    with new_folder(out) as made, TemporaryDirectory(dir=made) as work:
+        material = _material(folder, card, run, Path(work), progress)
+        _check_repeats(estimator, material, folder)
+        model = folder / card.model.file
+        seen = _inputs_learnt_from(material, card.seed, progress)
+        onnx.save(int8_model(model, seen, Path(work)), str(made / "model.onnx"))
+        shutil.copyfile(checked_file(folder, card.guard), made / "guard.npz")
+        answered = _answers(_running(made / "model.onnx"), material, progress)
+        targets, halves = _rescored(card, material, answered)
+        _predictions(card, material, answered, halves).to_parquet(made / PREDICTIONS_FILE, index=False)
+        _pictures(folder, card, made, material, answered)
+        quantised = _card(card, made, targets, material.largest_change(answered))
+        (made / CARD_FILE).write_text(quantised.model_dump_json(indent=1))
+        Estimator.open(made)
+    return quantised
+
+
+def _check_asked(card: Card, run: Run) -> None:
+    if run.hash != card.run.hash:
+        raise InputError(
+            f"{run.path} is not the run that calibration {card.id} learnt from (run {card.run.run_id}, hash "
+            f"{card.run.hash[:12]}; this one's is {run.hash[:12]}); give that run, unaltered"
+        )
+    if card.options.get("int8"):
+        raise InputError(f"calibration {card.id} is in int8 already")
+    if card.adapted_from is not None:
+        raise InputError(
+            f"calibration {card.id} is adapted from {card.adapted_from}, and its rows were held out from "
+            "other corrections than its own, so that what int8 costs cannot be told of it; keep it as it is"
+        )
+
+
+def _material(folder: Path, card: Card, run: Run, work: Path, progress: Progress) -> _Material:
+    def told(done: int, total: int) -> None:
+        progress("packing", done, total)
+
+    plan = _plan(card)
+    whole = pack(run, work / "packed", card.input.preparation, told)
+    rows, untouched = rows_to_learn(whole.table, plan), find_untouched(whole, plan)
+    if card.split.rows_learnt + card.split.rows_scored != len(rows):
+        raise InputError(
+            f"the network of calibration {card.id} has learnt from {card.split.rows_learnt} of {len(rows)} "
+            "rows, and none that it has not seen can tell what int8 costs; calibrate with one fold held out "
+            "(--scored-folds 1)"
+        )
+    packed = whole.only(rows)
+    table = pd.read_parquet(_part(folder, card, PREDICTIONS_FILE))
+    groups = groups_in(packed.table, card.split.columns)
+    data = training_data(packed, plan, groups, untouched.of(rows), str(run.path))
+    held = own_column(table, "row").to_numpy(np.int64)
+    return _Material(packed, data, table, held, np.setdiff1d(np.arange(len(packed)), held))
+
+
+def _plan(card: Card) -> CalibrationPlan:
+    """The plan by which images and references are found as they were for this card."""
+    rule, made = card.reference, card.input
+    known = rule.column is not None and rule.value is not None
+    return CalibrationPlan(
+        targets=tuple(card.columns),
+        size_px=made.size_px,
+        channels=made.channels,
+        crop_px=made.crop_px,
+        beside_px=made.beside_px,
+        delta=made.delta,
+        reference=ReferenceRule(str(rule.column), str(rule.value), rule.by) if known else None,
+        learn_untouched=rule.learnt,
+    )
+
+
+def _part(folder: Path, card: Card, name: str) -> Path:
+    for part in card.files:
+        if part.file == name:
+            return checked_file(folder, part)
+    raise CertificateError(f"the card of {folder} names no {name}; restore it or calibrate again")
+
+
+def _check_repeats(estimator: Estimator, material: _Material, folder: Path) -> None:
+    """The network must be the very one whose estimates of held-out rows were kept."""
+    worst = material.largest_change(_answers(estimator.values, material, silent))
+    if not worst <= REPEATS:
+        raise CertificateError(
+            f"the model in {folder} differs by {worst:.1e} of the range from the estimates it was scored by, "
+            f"more than {REPEATS:.0e}, so that its cost in int8 cannot be told; calibrate again"
+        )
+
+
+def _answers(run: Callable[[Tensor], Values], material: _Material, progress: Progress) -> Values:
+    """What a network says of the held-out rows."""
+    answers = np.empty((len(material.held), len(material.data.names)))
+    done = 0
+    for rows, inputs in material.data.batches(material.held, AT_ONCE):
+        answers[done : done + len(rows)] = run(inputs)
+        done += len(rows)
+        progress("scoring int8", done, len(answers))
+    return answers
+
+
+def _inputs_learnt_from(material: _Material, seed: int, progress: Progress) -> Iterator[Tensor]:
+    """Inputs of some of the rows that the network has learnt from, a few at a time."""
+    count, done = min(SEEN_FOR_SCALES, len(material.learnt)), 0
+    rows = np.sort(np.random.default_rng(seed).choice(material.learnt, count, replace=False))
+    for part, inputs in material.data.batches(rows, AT_ONCE):
+        yield inputs
+        done += len(part)
+        progress("finding scales", done, count)
+
+
+def _running(model: Path) -> Callable[[Tensor], Values]:
+    session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
+    return lambda inputs: np.asarray(session.run(["value"], {"image": inputs})[0], np.float64)
+
+
+def _rescored(card: Card, material: _Material, answered: Values) -> tuple[tuple[TargetCard, ...], Values]:
+    """Targets with intervals and scores from what int8 said, and the intervals' half-widths."""
+    held, values = material.held, material.data.values
+    groups, true, others = material.data.groups[held], values[held], values[material.learnt]
+    intervals = fit_intervals(answered, true, groups, card.coverage)
+    halves, spread = intervals.half_widths(answered), intervals.spread
+
+    def rescored(j: int, target: TargetCard) -> TargetCard:
+        mean = float(others[:, j].mean())
+        changed = {
+            "centre": float(spread.centre[j]),
+            "scale": float(spread.scale[j]),
+            "typical": float(spread.typical[j]),
+            "coefficients": tuple(map(float, spread.coefficients[j])),
+            "quantile": float(intervals.quantile[j]),
+            "score": score(target.unit, true[:, j], answered[:, j], halves[:, j], mean, groups),
+        }
+        return target.model_copy(update=changed)
+
+    return tuple(rescored(j, target) for j, target in enumerate(card.targets)), halves
+
+
+def _predictions(card: Card, material: _Material, answered: Values, halves: Values) -> pd.DataFrame:
+    """The held-out rows as before, with what int8 said of them."""
+    said = {f"estimate:{c}": answered[:, j] for j, c in enumerate(card.columns)}
+    said |= {f"half_width:{c}": halves[:, j] for j, c in enumerate(card.columns)}
+    return material.predictions.assign(**said)
+
+
+def _pictures(folder: Path, card: Card, made: Path, material: _Material, answered: Values) -> None:
+    """The report's pictures: the usual ones as they were, and the rows that int8 misses most."""
+    for part in card.files:
+        if part.file in ("example.png", "reference.png"):
+            shutil.copyfile(checked_file(folder, part), made / part.file)
+    error = np.abs(answered - material.data.values[material.held]) / np.ptp(material.data.values, axis=0)
+    for row in material.held[np.argsort(error.max(axis=1))[::-1][:WORST]].tolist():
+        image = material.packed.read([row])[0]
+        shown = image if image.shape[2] == 3 else image[..., 0]
+        (made / f"worst-{row}.png").write_bytes(image_files.encode(shown).tobytes())
+
+
+def _card(card: Card, made: Path, targets: tuple[TargetCard, ...], change: float) -> Card:
+    others = sorted(p for p in made.iterdir() if p.is_file() and p.name not in ("model.onnx", "guard.npz"))
+    before = {target.column: float(f"{target.score.mae:.4g}") for target in card.targets}
+    now: dict[str, Any] = {
+        "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "software": software(),
+        "options": card.options | {"int8": True, "quantised_from": card.id, "fp32_mae": before},
+        "targets": targets,
+        "model": file_card(made / "model.onnx"),
+        "guard": file_card(made / "guard.npz"),
+        "files": tuple(file_card(path) for path in others),
+        "agreement": change,
+    }
+    return sealed(card.model_dump(exclude={"id"}) | now)

@@ -1,0 +1,378 @@
+"""Verbs on calibrations: calibrate, evaluate, sense, report.
+
+The verb that takes a calibration over to another copy of its sensor.
+
+The verb that makes a calibration's network faster, and says what that costs.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from palpate.cli.verb_support import (
+    Json,
+    Quiet,
+    columns_of,
+    numbers_of,
+    options_of,
+    print_found,
+    progress_bar,
+    reports_errors,
+)
+
+Box = tuple[int, int, int, int]
+
+
+@reports_errors
+def calibrate(
+    run: Annotated[Path, typer.Argument(help="Run to learn from.")],
+    out: Annotated[Path, typer.Option(help="Calibration folder to make; must not exist.")],
+    targets: Annotated[
+        str,
+        typer.Option(
+            help="Label columns to estimate, e.g. depth_mm,force_N; by default those the run names."
+        ),
+    ] = "",
+    model: Annotated[
+        str,
+        typer.Option(help="mean, pca-ridge, pixel-mlp, compact-cnn, a palm's own, or yours, module:Class."),
+    ] = "pca-ridge",
+    split: Annotated[
+        str, typer.Option(help="auto, random, group:COLUMN, leave-one-out:COLUMN, or module:function.")
+    ] = "auto",
+    folds: Annotated[
+        int | None, typer.Option(help="Parts the rows are split in; default 5, for a network 8.")
+    ] = None,
+    scored_folds: Annotated[
+        int | None,
+        typer.Option(help="How many folds to hold out; by default all, or one for a network."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    size: Annotated[str | None, typer.Option(help="HEIGHTxWIDTH of the model's input [px].")] = None,
+    crop: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="X,Y,WIDTH,HEIGHT cut from each frame [px]; given twice, two are laid side by side."
+        ),
+    ] = None,
+    rgb: Annotated[
+        bool | None,
+        typer.Option(
+            "--rgb/--grey", help="Learn from three colour channels or one; by default the model's own."
+        ),
+    ] = None,
+    delta: Annotated[
+        bool | None,
+        typer.Option(
+            "--delta/--raw",
+            help="Learn from the difference to the untouched sensor, or from the frame itself.",
+        ),
+    ] = None,
+    reference: Annotated[
+        str | None, typer.Option(help="COLUMN=VALUE of rows that show the untouched sensor.")
+    ] = None,
+    reference_by: Annotated[
+        str, typer.Option(help="Columns within whose groups a reference holds, e.g. press.")
+    ] = "",
+    learn_untouched: Annotated[
+        bool, typer.Option("--learn-untouched", help="Learn from the untouched sensor's frames too.")
+    ] = False,
+    option: Annotated[
+        list[str] | None, typer.Option(help="A model's own setting, NAME=VALUE, as in epochs=30.")
+    ] = None,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate an estimator and certify it.
+
+    Makes a folder of model, card, held-out predictions and report. Interrupted, the same command goes on
+    from where it was. Under torchrun, several processes train a network of the palm.
+
+    Example: palpate calibrate run --targets depth_mm,force_N --model compact-cnn --out cal
+    """
+    from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
+    from palpate.calibration.fitting import calibrate as help_to_calibrate
+    from palpate.calibration.training_data import regions_seen
+    from palpate.estimators.networks import model_kind
+    from palpate.estimators.networks.distributed import ProcessGroup
+    from palpate.recordings.run_reader import Run
+    from palpate.workflows.certification import certify
+
+    if ":" in model + split:
+        sys.path.append(str(Path.cwd()))  # a module of one's own lies where one works
+    recorded, kind = Run.open(run), model_kind(model)
+    crops = _crops(crop or [])
+    if kind.regions and crops[0] is None:
+        crops = regions_seen(recorded.manifest, kind.regions)  # type: ignore[assignment]
+    plan = CalibrationPlan(
+        targets=columns_of(targets) or kind.targets or recorded.manifest.targets,
+        model=model,
+        split=split,
+        folds=folds,
+        scored_folds=scored_folds,
+        seed=seed,
+        size_px=numbers_of(size, 2, "--size"),  # type: ignore[arg-type]
+        channels=3 if (kind.channels == 3 if rgb is None else rgb) else 1,
+        crop_px=crops[0],
+        beside_px=crops[1],
+        delta=bool(kind.delta) if delta is None else delta,
+        reference=ReferenceRule.parse(reference, columns_of(reference_by)) if reference else None,
+        learn_untouched=learn_untouched,
+        options=options_of(option or []),
+    )
+    if not ProcessGroup.of_environment().first:
+        help_to_calibrate(recorded, plan, out)
+        return
+    with progress_bar(quiet) as progress:
+        card = certify(recorded, plan, out, progress)
+    print_found(card.model_dump(mode="json"), _card_text(card, out), json_)
+
+
+def _crops(words: list[str]) -> tuple[Box | None, Box | None]:
+    from palpate.core.errors import InputError
+
+    if len(words) > 2:
+        raise InputError(f"--crop is given {len(words)} times; one crop, or two side by side")
+    boxes = [numbers_of(word, 4, "--crop") for word in words] + [None, None]
+    return boxes[0], boxes[1]  # type: ignore[return-value]
+
+
+@reports_errors
+def evaluate(
+    calibration: Annotated[Path, typer.Argument(help="Calibration folder.")],
+    run: Annotated[Path, typer.Argument(help="Labelled run to score it on.")],
+    out: Annotated[Path | None, typer.Option(help="JSON file to write the scores to.")] = None,
+    reference: Annotated[Path | None, typer.Option(help="Image of the untouched sensor.")] = None,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Score a calibration on a labelled run.
+
+    Example: palpate evaluate cal run-val --out scores.json
+    """
+    from palpate.calibration.evaluation import evaluate as score
+    from palpate.core.files import new_file, refuse_existing
+    from palpate.estimators.certified import Estimator
+    from palpate.recordings.run_reader import Run
+
+    if out is not None:
+        refuse_existing(out)
+    estimator = Estimator.open(calibration)
+    zero = _zero(estimator, reference)
+    with progress_bar(quiet) as progress:
+        scores = score(estimator, Run.open(run), zero=zero, progress=progress)
+    if out is not None:
+        with new_file(out) as path:
+            path.write_text(json.dumps(scores, indent=1, allow_nan=False) + "\n")
+    print_found(scores, _scores_text(scores), json_)
+
+
+@reports_errors
+def sense(
+    calibration: Annotated[Path, typer.Argument(help="Calibration folder.")],
+    source: Annotated[Path, typer.Argument(help="An image, a folder of images, or a run.")],
+    reference: Annotated[Path | None, typer.Option(help="Image of the untouched sensor.")] = None,
+    timing: Annotated[
+        bool, typer.Option("--timing", help="Print the latency at the end, to stderr.")
+    ] = False,
+    threads: Annotated[int, typer.Option(help="Threads of the inference engine; 0 lets it choose.")] = 0,
+    json_: Json = False,
+) -> None:
+    """Read images: a value, an interval and a verdict for each target. With --json, one object a line.
+
+    Example: palpate sense cal images --json
+    """
+    from palpate.estimators.certified import Estimator
+    from palpate.live.frame_sources import open_source
+    from palpate.live.sensing_loop import sense as read
+
+    estimator = Estimator.open(calibration, threads=threads)
+    zero = _zero(estimator, reference)
+    latencies = []
+    for sensed in read(estimator, open_source(source), zero):
+        latencies.append(sensed.latency_s)
+        if json_:
+            typer.echo(json.dumps(sensed.to_dict(), allow_nan=False))
+        else:
+            typer.echo("\n".join(f"{sensed.frame}: {reading}" for reading in sensed.readings.values()))
+    if timing:
+        typer.echo(_latency_text(latencies), err=True)
+
+
+@reports_errors
+def report(
+    calibration: Annotated[Path, typer.Argument(help="Calibration folder.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="HTML file to make; must not exist. By default beside the folder, of its name."),
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Write a calibration's report as one self-contained HTML page.
+
+    Example: palpate report cal --out cal.html
+    """
+    from palpate.reports.certificate_page import write_report
+
+    page = out or calibration.parent / f"{calibration.resolve().name}.html"
+    write_report(calibration, page)
+    print_found({"report": str(page)}, str(page), json_)
+
+
+def _zero(estimator: Any, reference: Path | None) -> Any:
+    from palpate.recordings.exchange.image_files import read_image
+
+    return None if reference is None else estimator.zero(read_image(reference))
+
+
+def _card_text(card: Any, out: Path) -> str:
+    from palpate.reports.terminal_text import scores_table
+
+    lines = [f"calibration {card.id}: {out}", scores_table({t.column: t.score for t in card.targets})]
+    lines += [f"audit: {card.split.audit}", f"report: {out / 'report.html'}"]
+    return "\n".join(lines)
+
+
+def _scores_text(scores: dict[str, Any]) -> str:
+    from palpate.estimators.model_card import ScoreCard
+    from palpate.reports.terminal_text import scores_table
+
+    table = scores_table({name: ScoreCard(**score) for name, score in scores["targets"].items()})
+    valid = f"{scores['frames_valid']} of {scores['frames_scored']} frames gave valid readings throughout"
+    learnt = "\nthis is the run it learnt from: these scores say nothing about new presses"
+    return f"{table}\n{valid}" + (learnt if scores["learnt_from_this_run"] else "")
+
+
+def _latency_text(latencies: list[float]) -> str:
+    from palpate.reports.terminal_text import latency_line
+
+    return latency_line(latencies)
+
+
+HEAD = ("target", "unit", "MAE before", "MAE after", "correction", "90 % interval", "covered")
+
+
+@reports_errors
+def adapt(
+    calibration: Annotated[Path, typer.Argument(help="Calibration folder; it is left as it is.")],
+    run: Annotated[Path, typer.Argument(help="Labelled run of your own copy, ten presses or more.")],
+    out: Annotated[Path, typer.Option(help="Calibration folder to make; must not exist.")],
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Adapt a calibration to your own copy of its sensor.
+
+    Ten to 50 presses are enough.
+
+    Example: palpate adapt cal run-of-my-copy --out cal-my-copy
+    """
+    from palpate.calibration.adaptation import adapt as take_over
+    from palpate.recordings.run_reader import Run
+    from palpate.reports.certificate_page import write_report
+    from palpate.workflows.certification import REPORT_FILE
+
+    with progress_bar(quiet) as progress:
+        card = take_over(calibration, Run.open(run), out, progress)
+        progress("writing the report", 0, 1)
+        write_report(out, out / REPORT_FILE)
+    print_found(card.model_dump(mode="json"), _adapted_text(card, out, REPORT_FILE), json_)
+
+
+def _adapted_text(card: Any, out: Path, report: str) -> str:
+    lines = [HEAD, *(_cells(target, card.split.details["correction"]) for target in card.targets)]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(HEAD))]
+    table = [
+        "  ".join(
+            cell.ljust(w) if i in (0, 1, 4) else cell.rjust(w)
+            for i, (cell, w) in enumerate(zip(line, widths, strict=True))
+        )
+        for line in lines
+    ]
+    scored = (
+        f"scored on {card.split.groups} groups, each read by a correction fitted without it "
+        f"(split {card.split.kind}); before: the network alone, with the copy's own zero"
+    )
+    return "\n".join(
+        [
+            f"calibration {card.id}: {out}, adapted from {card.adapted_from}",
+            *table,
+            scored,
+            f"audit: {card.split.audit}",
+            f"report: {out / report}",
+        ]
+    )
+
+
+def _cells(target: Any, corrections: dict[str, Any]) -> tuple[str, ...]:
+    said, score = corrections[target.column], target.score
+    return (
+        target.column,
+        target.unit,
+        f"{said['mae_before']:.3g}",
+        f"{said['mae_after']:.3g}",
+        said["terms"],
+        f"±{score.half_width:.3g}",
+        f"{100 * score.coverage_90:.1f} %",
+    )
+
+
+@reports_errors
+def quantise(
+    calibration: Annotated[Path, typer.Argument(help="Calibration folder; left as it is.")],
+    run: Annotated[Path, typer.Argument(help="The run that it was calibrated on.")],
+    out: Annotated[Path, typer.Option(help="Calibration folder to make; must not exist.")],
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a calibration's network int8, and say what that costs.
+
+    Also spelt quantize. The calibration is written anew; both networks are scored on the rows that it
+    held out.
+
+    Example: palpate quantise cal run --out cal-int8
+    """
+    from palpate.calibration.quantisation import cost
+    from palpate.calibration.quantisation import quantise as written
+    from palpate.recordings.run_reader import Run
+    from palpate.reports.certificate_page import write_report
+    from palpate.workflows.certification import REPORT_FILE
+
+    with progress_bar(quiet) as progress:
+        card = written(calibration, Run.open(run), out, progress)
+    write_report(out, out / REPORT_FILE)
+    found = cost(calibration, out)
+    table = {
+        target.column: {
+            "unit": target.unit,
+            "fp32_mae": found.mae[target.column][0],
+            "int8_mae": found.mae[target.column][1],
+            "int8_half_width": target.score.half_width,
+        }
+        for target in card.targets
+    }
+    ms = {name: 1e3 * seconds for name, seconds in zip(("fp32", "int8"), found.seconds, strict=True)}
+    said = {"calibration": card.id, "quantised_from": card.options["quantised_from"]}
+    print_found(said | {"targets": table, "network_ms": ms}, _quantised_text(card.id, out, table, ms), json_)
+
+
+def _quantised_text(name: str, out: Path, table: dict[str, dict[str, Any]], ms: dict[str, float]) -> str:
+    lines = [
+        f"calibration {name}: {out}",
+        f"{'target':20}{'unit':6}{'MAE fp32':>10}{'int8':>10}{'change':>9}",
+    ]
+    for column, row in table.items():
+        before, now = row["fp32_mae"], row["int8_mae"]
+        change = f"{100 * (now / before - 1):+.1f} %" if before > 0 else ""
+        lines.append(f"{column:20}{row['unit']:6}{before:10.3g}{now:10.3g}{change:>9}")
+    lines.append(
+        f"network alone, this machine: fp32 {ms['fp32']:.2f} ms, int8 {ms['int8']:.2f} ms an image, "
+        f"{ms['fp32'] / ms['int8']:.2f} times as fast"
+    )
+    if ms["int8"] > 0.9 * ms["fp32"]:
+        lines.append("int8 gains nothing on this machine: keep the calibration as it is")
+    return "\n".join(lines)

@@ -1,0 +1,249 @@
+"""The verbs of compliance by touch: read a press, calibrate on references, compare, and the plate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from palpate.cli.verb_support import Group, Json, Quiet, print_found, progress_bar, reports_errors
+
+READ = "read"
+
+
+class ReadsByDefault(Group):
+    """A group whose first word may be a file: then it is read."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """As written, or after `read`."""
+        if args and args[0] not in self.commands and not args[0].startswith("-"):
+            args = [READ, *args]
+        return super().parse_args(ctx, args)
+
+
+app = typer.Typer(
+    cls=ReadsByDefault,
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+Calibration = Annotated[
+    Path | None, typer.Option(help="Calibration (.npz) of this sensor; without, only relative numbers.")
+]
+
+
+@app.callback()
+def start() -> None:
+    """Measure softness in N/mm from presses of a camera-based tip.
+
+    PRESS --force TABLE reads one press; calibrate and compare take folders.
+
+    Example: palpate compliance PRESS.tif --force force.csv --calibration tip.npz
+    """
+
+
+@app.command(READ)
+@reports_errors
+def read(
+    press: Annotated[
+        Path, typer.Argument(help="Frames of one press: multi-page TIFF, video, folder or run.")
+    ],
+    force: Annotated[Path, typer.Option(help="CSV or Parquet: samples of force and the frame each is of.")],
+    calibration: Calibration = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to make: press.png, readings.json.")] = None,
+    force_column: Annotated[
+        str | None, typer.Option(help="Its column of force, if not a usual name.")
+    ] = None,
+    position_column: Annotated[
+        str | None, typer.Option(help="Its column of position, if not a usual name.")
+    ] = None,
+    rate_hz: Annotated[float | None, typer.Option(help="Rate of its rows [Hz], if it has no time_s.")] = None,
+    json_: Json = False,
+) -> None:
+    """Read one press: stiffness, contact area, spread rate and E*.
+
+    Each comes with its interval and its flags.
+
+    Example: palpate compliance PRESS.tif --force force.csv --calibration tip.npz --out press
+    """
+    from palpate.workflows.compliance import read_files
+
+    found = read_files(
+        press, force, calibration=calibration, out=out,
+        force_column=force_column, position_column=position_column, rate_hz=rate_hz,
+    )  # fmt: skip
+    print_found(found, _text(found), json_)
+
+
+@app.command()
+@reports_errors
+def calibrate(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of references: specimens.csv, SPECIMEN/01.tif, 01.csv.")
+    ],
+    out: Annotated[Path, typer.Option(help="Calibration to make, an .npz; must not exist.")],
+    tilt_deg: Annotated[float, typer.Option(help="Tilt of the specimens' tops [deg].")] = 0.0,
+    note: Annotated[str, typer.Option(help="Free words to keep with it.")] = "",
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate a tip on a rigid plate and known specimens.
+
+    Example: palpate compliance calibrate references --out tip.npz
+    """
+    from palpate.workflows.compliance import calibrate_folder
+
+    with progress_bar(quiet) as progress:
+        found = calibrate_folder(folder, out, tilt_deg=tilt_deg, note=note, progress=progress)
+    names = ", ".join(
+        f"{one['specimen']} ({_stiff(one['stiffness_N_per_mm'])}, {one['trials']} trials)"
+        for one in found["references"]
+    )
+    between = found["error_between_references"]
+    lines = [
+        f"{out}: {found['calibration']}, {found['pins']} pins, on {names}",
+        "each inner reference, read from the others: "
+        + ("none is between two references" if between is None else f"off by up to {100 * between:.1f} %"),
+        _area_said(found["area_known"], found["area_error"]),
+    ]
+    print_found(found, "\n".join(lines), json_)
+
+
+@app.command()
+@reports_errors
+def plate(
+    tables: Annotated[list[Path], typer.Argument(help="Tables of force and position, one a trial.")],
+    force_column: Annotated[str | None, typer.Option(help="Column of force, if not a usual name.")] = None,
+    position_column: Annotated[
+        str | None, typer.Option(help="Column of position, if not a usual name.")
+    ] = None,
+    rate_hz: Annotated[float | None, typer.Option(help="Rate of the rows [Hz], if without time_s.")] = None,
+    json_: Json = False,
+) -> None:
+    """Measure a specimen's own stiffness by a rigid plate.
+
+    It is what specimens.csv asks for.
+
+    Example: palpate compliance plate S1-plate-1.csv S1-plate-2.csv S1-plate-3.csv
+    """
+    from palpate.workflows.compliance import by_plate
+
+    found = by_plate(tables, force_column=force_column, position_column=position_column, rate_hz=rate_hz)
+    low, high = found["low_N_per_mm"], found["high_N_per_mm"]
+    ends = ", of one trial" if low is None else f" ({low:.3g} to {high:.3g}, bootstrap over trials)"
+    lines = [
+        f"{one['table']}: {one['stiffness_N_per_mm']:.3g} N/mm, adjusted R2 {one['adjusted_r2']:.3g}"
+        for one in found["trials"]
+    ]
+    lines += [f"flag: {flag}" for flag in found["flags"]]
+    lines.append(f"stiffness {found['stiffness_N_per_mm']:.3g} N/mm{ends}")
+    print_found(found, "\n".join(lines), json_)
+
+
+@app.command()
+@reports_errors
+def compare(
+    folder: Annotated[Path, typer.Argument(help="Folder of an experiment: SPECIMEN/01.tif with 01.csv.")],
+    out: Annotated[Path, typer.Option(help="Folder to make: trials.csv, comparison.json, comparison.png.")],
+    calibration: Calibration = None,
+    pooled: Annotated[
+        bool, typer.Option(help="Also test pooled samples as the report did; warns of it.")
+    ] = False,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare several specimens, a value a trial.
+
+    Gives means, rank tests and box plots.
+
+    Example: palpate compliance compare experiment --calibration tip.npz --out compared
+    """
+    from palpate.workflows.compliance import compare_specimens
+
+    with progress_bar(quiet) as progress:
+        found = compare_specimens(folder, out, calibration=calibration, pooled=pooled, progress=progress)
+    print_found(found, _compared(found), json_)
+
+
+def _area_said(known: bool, error: float | None) -> str:
+    if not known:
+        return "contact area: fewer than two references have a known one"
+    if error is None:
+        return "contact area: calibrated; two references cannot tell how well"
+    return f"contact area: to {100 * error:.1f} %, of trials left out"
+
+
+def _stiff(stiffness_n_per_mm: float | None) -> str:
+    return "rigid" if stiffness_n_per_mm is None else f"{stiffness_n_per_mm:.3g} N/mm"
+
+
+NAMES = {
+    "stiffness": "stiffness, by touch",
+    "stiffness_both_cues": "stiffness, both cues",
+    "area_at_4_N": "contact area at 4 N",
+    "spread_rate": "spread rate dA/dF",
+    "modulus": "modulus E*",
+    "radius": "radius R",
+}
+SYMBOLS = {"N_per_mm": "N/mm", "mm2": "mm²", "mm2_per_N": "mm²/N"}
+
+
+def _text(found: dict[str, Any]) -> str:
+    readings = found["readings"]
+    common = _common([one["why"].split("; ") for one in readings])
+    lines = [_reading(one, common) for one in readings]
+    series = found.get("series_stiffness")
+    if series:
+        lines.append(
+            f"{'tip and specimen':22}{series['value_N_per_mm']:9.3g} N/mm    in series, by force and position"
+        )
+    lines += [f"flag: {flag}" for flag in dict.fromkeys([*common, *found["flags"]])]
+    if readings:
+        drift = readings[0]["drift"]
+        lines.append(f"drift {drift['statistic']:.2g} (stale above {drift['limit']:g})")
+        lines.append(f"calibration {readings[0]['calibration']}")
+    if "out" in found:
+        lines.append(f"picture and readings: {found['out']}")
+    return "\n".join(lines)
+
+
+def _common(reasons: list[list[str]]) -> list[str]:
+    """Those that every reading has: said once."""
+    return [why for why in reasons[0] if why and all(why in each for each in reasons)] if reasons else []
+
+
+def _reading(one: dict[str, Any], common: list[str]) -> str:
+    ends = " to ".join("inf" if x is None else f"{x:.3g}" for x in (one["low"], one["high"]))
+    value = "inf" if one["value"] is None else f"{one['value']:.3g}"
+    own = "; ".join(why for why in one["why"].split("; ") if why not in common)
+    verdict = "valid" if one["valid"] else f"NOT VALID: {own}" if own else "NOT VALID, see flag"
+    unit = SYMBOLS.get(one["unit"], one["unit"])
+    return f"{NAMES[one['quantity']]:22}{value:>9} {unit:7} ({ends}, 90 %)  {verdict}"
+
+
+def _compared(found: dict[str, Any]) -> str:
+    lines = []
+    for cue, one in found["cues"].items():
+        told = ", ".join(
+            f"{name} {mean:.3g} ({one['interval_95'][name][0]:.3g} to {one['interval_95'][name][1]:.3g})"
+            for name, mean in one["mean"].items()
+        )
+        worst = max(one["pairs"], key=lambda pair: pair["rank_sum_p"])
+        missing = [name for name in found["trials"] if name not in one["mean"]]
+        lines.append(f"{cue}: {told}" + (f"; no two valid readings: {', '.join(missing)}" if missing else ""))
+        lines.append(
+            f"    Kruskal-Wallis p {one['kruskal_p']:.2g}; least apart {worst['first']}, {worst['second']}: "
+            f"rank-sum p {worst['rank_sum_p']:.2g} (at least {worst['least_p']:.2g} for so many trials)"
+        )
+    if found["references"]:
+        lines.append(f"{', '.join(found['references'])}: references of this calibration, read by it")
+    if "pooled_sums" in found:
+        pooled = found["pooled_sums"]
+        lines.append(
+            f"equation (12) at all frames above 2.5 N, pooled: Kruskal-Wallis p {pooled['kruskal_p']:.2g}"
+        )
+        lines += [f"warning: {warning}" for warning in pooled["warnings"]]
+    lines.append(f"means with bootstrap intervals over trials; trials, tests and picture: {found['out']}")
+    return "\n".join(lines)

@@ -1,0 +1,320 @@
+"""The laws of contact, typed: one verb a law, each the scalars of one press."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+from collections.abc import Callable
+from typing import Annotated, ParamSpec, TypeVar
+
+import typer
+
+from palpate.cli.verb_support import Group, Json, reports_errors
+from palpate.core.errors import InputError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+app = typer.Typer(
+    cls=Group,
+    add_completion=False,
+    help="Work out force, depth, radius and pressure by a contact law.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+Radius = Annotated[float, typer.Option("--radius-mm", help="Radius of the sphere or punch [mm].")]
+Modulus = Annotated[float, typer.Option("--modulus-kpa", help="Young's modulus of the skin [kPa].")]
+Poisson = Annotated[float, typer.Option("--poisson", help="Poisson's ratio of the skin, 0 to 0.5.")]
+Depth = Annotated[float | None, typer.Option("--depth-mm", help="Depth past first touch [mm].")]
+Force = Annotated[float | None, typer.Option("--force-n", help="Normal force, instead of a depth [N].")]
+Lies = Annotated[str, typer.Option(help="How the layer lies on its base: bonded or sliding.")]
+
+
+def verb(law: Callable[P, dict[str, object]]) -> Callable[P, None]:
+    """Report errors as every verb of palpate does, and print what the law gave: in JSON, or a line a "
+    "number.
+    """
+
+    @functools.wraps(law)
+    def run(*args: P.args, **kwargs: P.kwargs) -> None:
+        found = reports_errors(law)(*args, **kwargs)
+        if kwargs.get("json_"):
+            typer.echo(json.dumps(found, indent=1, allow_nan=False))
+        else:
+            typer.echo("\n".join(f"{name} = {_text(value)}" for name, value in found.items()))
+
+    run.__annotations__ = {**law.__annotations__, "return": "None"}
+    return run
+
+
+@app.command()
+@verb
+def hertz(
+    radius_mm: Radius,
+    modulus_kpa: Modulus,
+    poisson: Poisson = 0.5,
+    depth_mm: Depth = None,
+    force_n: Force = None,
+    json_: Json = False,
+) -> dict[str, object]:
+    """Sphere on a half-space, as a paraboloid: to a/R = 0.5.
+
+    Example: palpate mechanics hertz --radius-mm 5 --modulus-kpa 300 --poisson 0.49 --depth-mm 1
+    """
+    from palpate.mechanics.half_space import hertz as law
+    from palpate.mechanics.half_space.subsurface import greatest_shear
+
+    R, skin = radius_mm / 1e3, (modulus_kpa * 1e3, poisson)
+    d = _depth(depth_mm, force_n, lambda F: law.depth_from_force(F, R, *skin))
+    a, p0 = law.contact_radius(d, R), law.peak_pressure(d, R, *skin)
+    shear, z = greatest_shear(poisson)
+    return _found(law.force_from_depth(d, R, *skin), d, a) | {
+        "peak_pressure_kPa": p0 / 1e3,
+        "greatest_shear_kPa": shear * p0 / 1e3,
+        "greatest_shear_depth_mm": z * a * 1e3,
+        "law": law.MODEL,
+    }
+
+
+@app.command()
+@verb
+def sphere(
+    radius_mm: Radius,
+    modulus_kpa: Modulus,
+    poisson: Poisson = 0.5,
+    depth_mm: Depth = None,
+    force_n: Force = None,
+    json_: Json = False,
+) -> dict[str, object]:
+    """Exact sphere on a half-space (Sneddon): to a/R = 0.99.
+
+    Example: palpate mechanics sphere --radius-mm 5 --modulus-kpa 300 --poisson 0.49 --force-n 2
+    """
+    import numpy as np
+
+    from palpate.mechanics.half_space import sneddon as law
+
+    R, skin = radius_mm / 1e3, (modulus_kpa * 1e3, poisson)
+    d = _depth(depth_mm, force_n, lambda F: law.sphere_depth_from_force(F, R, *skin))
+    a = law.sphere_radius_from_depth(d, R)
+    p0 = float(law.sphere_pressure(np.zeros(1), a, R, *skin)[0])
+    return _found(law.sphere_force_from_radius(a, R, *skin), d, a) | {
+        "peak_pressure_kPa": p0 / 1e3,
+        "law": law.MODEL.format(shape="sphere"),
+    }
+
+
+@app.command()
+@verb
+def punch(
+    radius_mm: Radius,
+    modulus_kpa: Modulus,
+    poisson: Poisson = 0.5,
+    depth_mm: Depth = None,
+    force_n: Force = None,
+    json_: Json = False,
+) -> dict[str, object]:
+    """Flat-ended cylinder on a half-space (Sneddon): to d/a = 0.5.
+
+    Example: palpate mechanics punch --radius-mm 3 --modulus-kpa 300 --depth-mm 0.5
+    """
+    from palpate.mechanics.half_space import sneddon as law
+
+    R, skin = radius_mm / 1e3, (modulus_kpa * 1e3, poisson)
+    d = _depth(depth_mm, force_n, lambda F: law.punch_depth(F, R, *skin))
+    F = law.punch_force(d, R, *skin)
+    return _found(F, d, R) | {
+        "mean_pressure_kPa": F / (math.pi * R**2) / 1e3,
+        "law": law.MODEL.format(shape="flat punch"),
+    }
+
+
+@app.command()
+@verb
+def cone(
+    half_angle_deg: Annotated[
+        float, typer.Option("--half-angle-deg", help="From the cone's axis to its side [deg].")
+    ],
+    modulus_kpa: Modulus,
+    poisson: Poisson = 0.5,
+    depth_mm: Depth = None,
+    force_n: Force = None,
+    json_: Json = False,
+) -> dict[str, object]:
+    """Cone on a half-space (Sneddon): small strain, so a blunt one.
+
+    Example: palpate mechanics cone --half-angle-deg 70 --modulus-kpa 300 --depth-mm 1
+    """
+    from palpate.mechanics.half_space import sneddon as law
+
+    alpha, skin = math.radians(half_angle_deg), (modulus_kpa * 1e3, poisson)
+    d = _depth(depth_mm, force_n, lambda F: law.cone_depth(F, alpha, *skin))
+    a, F = law.cone_radius(d, alpha), law.cone_force(d, alpha, *skin)
+    mean = F / (math.pi * a**2) if a else 0.0
+    return _found(F, d, a) | {"mean_pressure_kPa": mean / 1e3, "law": law.MODEL.format(shape="cone")}
+
+
+@app.command()
+@verb
+def layer(
+    radius_mm: Radius,
+    thickness_mm: Annotated[float, typer.Option("--thickness-mm", help="Of the layer [mm].")],
+    depth_mm: Annotated[float, typer.Option("--depth-mm", help="Depth past first touch [mm].")],
+    modulus_kpa: Modulus,
+    poisson: Poisson = 0.5,
+    base: Lies = "bonded",
+    json_: Json = False,
+) -> dict[str, object]:
+    """Sphere on a layer over a rigid base: to d/h = 0.2.
+
+    Beside the exact force stand Dimitriadis's series and a half-space.
+
+    Example: palpate mechanics layer --radius-mm 5 --thickness-mm 10 --depth-mm 1 --modulus-kpa 300
+    """
+    from palpate.core.errors import RangeError
+    from palpate.mechanics.half_space.sneddon import sphere_force_from_depth
+    from palpate.mechanics.layers import bonded_layer as law
+
+    d, R, h, skin = depth_mm / 1e3, radius_mm / 1e3, thickness_mm / 1e3, (modulus_kpa * 1e3, poisson)
+    if base not in ("bonded", "sliding"):
+        raise InputError(f"base {base!r} is not known; the layer's base is 'bonded' or 'sliding'")
+    on: law.Base = "bonded" if base == "bonded" else "sliding"
+    exact = law.sphere_force(d, R, h, *skin, on)
+    found: dict[str, object] = {
+        "force_N": exact,
+        "depth_mm": depth_mm,
+        "sqrt_Rd_over_h_ratio": math.sqrt(R * d) / h,
+    }
+    try:
+        found["dimitriadis_force_N"] = law.dimitriadis_force(d, R, h, *skin, on)
+    except RangeError as e:
+        found |= {"dimitriadis_force_N": None, "dimitriadis_refused": str(e)}
+    return found | {
+        "half_space_force_N": sphere_force_from_depth(d, R, *skin),
+        "law": f"rigid sphere, {base} layer, small strain, no friction, a/R <= 0.99, d/h <= 0.2",
+    }
+
+
+@app.command()
+@verb
+def jkr(
+    radius_mm: Radius,
+    modulus_kpa: Modulus,
+    adhesion_j_per_m2: Annotated[
+        float, typer.Option("--adhesion-j-per-m2", help="Work of adhesion [J/m^2].")
+    ],
+    poisson: Poisson = 0.5,
+    depth_mm: Depth = None,
+    force_n: Annotated[
+        float | None, typer.Option("--force-n", help="Force, a pull negative, instead of a depth [N].")
+    ] = None,
+    range_nm: Annotated[
+        float, typer.Option("--range-nm", help="Range of the surface forces, for Tabor's parameter [nm].")
+    ] = 0.3,
+    json_: Json = False,
+) -> dict[str, object]:
+    """Sphere that sticks to a half-space (Johnson, Kendall, Roberts).
+
+    Says whether that law applies.
+
+    Example: palpate mechanics jkr --radius-mm 5 --modulus-kpa 300 --adhesion-j-per-m2 0.05 --force-n 0.01
+    """
+    from palpate.mechanics.half_space import adhesion as law
+
+    w, R = adhesion_j_per_m2, radius_mm / 1e3
+    skin = (w, R, modulus_kpa * 1e3, poisson)
+    one_of(depth_mm, force_n)
+    F = law.force_from_depth(depth_mm / 1e3, *skin) if depth_mm is not None else force_n or 0.0
+    a = law.radius_from_force(F, *skin) if depth_mm is None else law.radius_from_depth(depth_mm / 1e3, *skin)
+    tabor = law.tabor_parameter(*skin, range_nm * 1e-9)
+    return _found(F, law.depth_from_radius(a, *skin), a) | {
+        "pull_off_force_N": law.pull_off_force(w, R),
+        "pull_off_depth_mm": law.pull_off_depth(*skin) * 1e3,
+        "tabor_ratio": tabor,
+        "applies": tabor > law.JKR_ABOVE,
+        "law": "JKR: rigid sphere, elastic half-space, small strain, a/R <= 0.5",
+    }
+
+
+@app.command()
+@verb
+def ting(
+    radius_mm: Radius,
+    depth_mm: Annotated[float, typer.Option("--depth-mm", help="Greatest depth [mm].")],
+    equilibrium_kpa: Annotated[
+        float, typer.Option("--equilibrium-kpa", help="Modulus after a long time [kPa].")
+    ],
+    branch: Annotated[
+        list[str], typer.Option("--branch", help="MODULUS_KPA:TIME_S of a branch; give one or more.")
+    ],
+    rise_s: Annotated[float, typer.Option("--rise-s", help="Time to the greatest depth [s].")],
+    fall_s: Annotated[float, typer.Option("--fall-s", help="Time back [s].")],
+    hold_s: Annotated[float, typer.Option("--hold-s", help="Time at the greatest depth [s].")] = 0.0,
+    poisson: Poisson = 0.5,
+    samples: Annotated[int, typer.Option("--samples", help="Samples of the press, 10 to 100000.")] = 401,
+    json_: Json = False,
+) -> dict[str, object]:
+    """Sphere pressed into a viscoelastic half-space and back (Ting).
+
+    Both at constant speed.
+
+    Example: palpate mechanics ting --radius-mm 5 --depth-mm 1 --equilibrium-kpa 200 --branch 100:0.5
+    --rise-s 1 --fall-s 1
+    """
+    import numpy as np
+
+    from palpate.mechanics.viscoelastic import Prony
+    from palpate.mechanics.viscoelastic import ting as law
+
+    for name, value in (("--rise-s", rise_s), ("--fall-s", fall_s)):
+        if not (value > 0 and math.isfinite(value)):
+            raise InputError(f"{name} is {value} s; give a positive time")
+    if not (hold_s >= 0 and math.isfinite(hold_s)):
+        raise InputError(f"--hold-s is {hold_s} s; give 0 s or more")
+    if not 10 <= samples <= 100_000:
+        raise InputError(f"--samples is {samples}; give 10 to 100000")
+    pairs = [branch_of(text) for text in branch]
+    skin = Prony(equilibrium_kpa * 1e3, tuple(E for E, _ in pairs), tuple(tau for _, tau in pairs))
+    turns = np.array([0.0, rise_s, rise_s + hold_s, rise_s + hold_s + fall_s])
+    t = np.unique(np.append(np.linspace(0, turns[-1], samples), turns))
+    d = np.interp(t, turns, depth_mm / 1e3 * np.array([0.0, 1.0, 1.0, 0.0]))
+    done = law(t, d, radius_mm / 1e3, skin, poisson)
+    lost = int(np.flatnonzero(done.radius_m)[-1]) + 1 if done.radius_m.any() else 0
+    return {
+        "greatest_force_N": float(done.force_n.max()),
+        "force_before_return_N": float(np.interp(turns[2], t, done.force_n)),
+        "contact_lost_at_s": float(t[min(lost, len(t) - 1)]),
+        "contact_lost_at_depth_mm": float(d[min(lost, len(t) - 1)] * 1e3),
+        "loss_mJ": done.loss_j * 1e3,
+        "law": "Ting: rigid sphere, viscoelastic half-space, small strain, no friction, a/R <= 0.5",
+    }
+
+
+def branch_of(text: str) -> tuple[float, float]:
+    """Modulus [Pa] and relaxation time [s] from ``KPA:SECONDS``."""
+    modulus, _, time = text.partition(":")
+    try:
+        return float(modulus) * 1e3, float(time)
+    except ValueError:
+        raise InputError(f"branch {text!r} is not MODULUS_KPA:TIME_S, as in 100:0.5") from None
+
+
+def one_of(depth_mm: float | None, force_n: float | None) -> None:
+    """Refuse neither, and both."""
+    if (depth_mm is None) == (force_n is None):
+        raise InputError("give either --depth-mm or --force-n, and not both")
+
+
+def _depth(depth_mm: float | None, force_n: float | None, of_force: Callable[[float], float]) -> float:
+    one_of(depth_mm, force_n)
+    return depth_mm / 1e3 if depth_mm is not None else of_force(force_n or 0.0)
+
+
+def _found(force_n: float, depth_m: float, radius_m: float) -> dict[str, object]:
+    return {"force_N": force_n, "depth_mm": depth_m * 1e3, "contact_radius_mm": radius_m * 1e3}
+
+
+def _text(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,198 @@
+"""The verb that computes optical flow along a sequence of frames.
+
+The verbs of optics: fit a material's stress-optic coefficient from photographs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, cast
+
+import typer
+
+from palpate.cli.verb_support import Group, Json, Quiet, numbers_of, print_found, progress_bar, reports_errors
+from palpate.core.errors import InputError
+
+
+@reports_errors
+def flow(
+    frames: Annotated[Path, typer.Argument(help="Multi-page TIFF, video, folder of images or run.")],
+    out: Annotated[Path, typer.Option(help="Folder to make; must not exist.")],
+    method: Annotated[
+        str, typer.Option(help="horn-schunck, coarse-to-fine, dis or farneback.")
+    ] = "horn-schunck",
+    from_first: Annotated[bool, typer.Option(help="From the first frame, not the one before.")] = False,
+    fields: Annotated[bool, typer.Option(help="Also keep every flow: fields.npy, 4 bytes a number.")] = False,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compute optical flow and its divergence along a sequence.
+
+    Makes flow.csv and flow.png.
+
+    Example: palpate flow press.tif --out flow
+    """
+    from palpate.reports.flow_figures import write_flow
+
+    with progress_bar(quiet) as progress:
+        found = write_flow(
+            frames,
+            out,
+            method=method,
+            from_first=from_first,
+            fields=fields,
+            progress=lambda done, total: progress("flow", done, total),
+        )
+    text = (
+        f"{out}: {found['steps']} steps by {method}, mean speed {found['mean_speed_px']:.3g} px, accumulated "
+        f"mean divergence {found['accumulated_divergence']:.3g}"
+    )
+    print_found(found, text, json_)
+
+
+if TYPE_CHECKING:
+    from palpate.calibration.stress_optic_fit import Disc, FringeFit, Strip
+    from palpate.estimators.fringe_light import Polariscope
+
+app = typer.Typer(
+    cls=Group,
+    add_completion=False,
+    help="Light, stress and what a material makes of them.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+@app.callback()
+def optics() -> None:
+    """Light, stress and what a material makes of them."""
+
+
+@app.command("fit-c")
+@reports_errors
+def fit_c(
+    folder: Annotated[Path, typer.Argument(help="Folder of photographs, one for each load.")],
+    labels: Annotated[
+        Path, typer.Option(help="CSV or Parquet, one row a photograph; here or in the folder.")
+    ],
+    roi_px: Annotated[str, typer.Option(help="X,Y,WIDTH,HEIGHT where the stress is uniform [px].")],
+    strip_mm: Annotated[
+        str | None, typer.Option(help="WIDTHxTHICKNESS of a strip in tension [mm], e.g. 20x6.")
+    ] = None,
+    disc_mm: Annotated[
+        float | None, typer.Option(help="Diameter of a disc pressed across; the region is its centre [mm].")
+    ] = None,
+    lamp: Annotated[
+        str, typer.Option(help="line, led or tungsten; the white two are assumed curves.")
+    ] = "line",
+    wavelength_nm: Annotated[float, typer.Option(help="Of the line [nm]; sodium is 589.3.")] = 589.3,
+    bandwidth_nm: Annotated[float, typer.Option(help="Standard deviation of the line [nm].")] = 0.0,
+    dispersion_nm2: Annotated[
+        float, typer.Option(help="D in C(l) = C (1 + D (1/l^2 - 1/l0^2)) [nm^2].")
+    ] = 0.0,
+    bright_field: Annotated[
+        bool, typer.Option("--bright-field", help="The polarisers are parallel, not crossed.")
+    ] = False,
+    parallel: Annotated[
+        Path | None,
+        typer.Option(help="Photograph of the unloaded specimen between parallel polarisers."),
+    ] = None,
+    load_column: Annotated[
+        str | None, typer.Option(help="Column of the load, e.g. load_N, load_kgf or mass_g.")
+    ] = None,
+    image_column: Annotated[str, typer.Option(help="Column that names the photograph.")] = "image_file",
+    max_order: Annotated[float, typer.Option(help="Greatest order that the greatest load may turn.")] = 6.0,
+    residual_order: Annotated[
+        float, typer.Option(help="Order that may be there without load, one standard deviation.")
+    ] = 0.05,
+    tone: Annotated[str, typer.Option(help="srgb, or linear where the numbers are light.")] = "srgb",
+    out: Annotated[Path | None, typer.Option(help="PNG of the fit to make; must not exist.")] = None,
+    json_: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress bar.")] = False,
+) -> None:
+    """Fit the stress-optic coefficient C from photographs.
+
+    They are taken under known loads. Writes nothing without --out.
+
+    Example: palpate optics fit-c photos --labels labels.csv --roi-px 200,300,240,120 --strip-mm 20x6
+    """
+    from palpate.calibration.stress_optic_fit import fit_stress_optic
+    from palpate.core.files import refuse_existing
+
+    if out is not None:
+        refuse_existing(out)
+    if tone not in ("srgb", "linear"):
+        raise InputError(f"--tone {tone!r} is not srgb or linear")
+    light = replace(
+        _light(lamp, wavelength_nm, bandwidth_nm),
+        dispersion_m2=dispersion_nm2 * 1e-18,
+        bright_field=bright_field,
+    )
+    with progress_bar(quiet) as progress:
+        fit = fit_stress_optic(
+            folder,
+            labels,
+            _specimen(strip_mm, disc_mm),
+            light,
+            cast("tuple[int, int, int, int]", numbers_of(roi_px, 4, "--roi-px")),
+            image_column=image_column,
+            load_column=load_column,
+            parallel=parallel,
+            tone=cast("Literal['srgb', 'linear']", tone),
+            greatest_order=max_order,
+            residual_order=residual_order,
+            progress=progress,
+        )
+    if out is not None:
+        from palpate.reports.fringe_fit_figure import write_figure
+
+        write_figure(fit, out)
+    print_found(fit.to_dict(), _text(fit), json_)
+
+
+def _specimen(strip_mm: str | None, disc_mm: float | None) -> Strip | Disc:
+    from palpate.calibration.stress_optic_fit import Disc, Strip
+
+    if (strip_mm is None) == (disc_mm is None):
+        raise InputError("say what the specimen is: either --strip-mm WIDTHxTHICKNESS or --disc-mm DIAMETER")
+    if disc_mm is not None:
+        return Disc(disc_mm * 1e-3)
+    try:
+        width, thickness = (float(part) * 1e-3 for part in str(strip_mm).split("x"))
+    except ValueError:
+        raise InputError(f"--strip-mm {strip_mm!r} is not WIDTHxTHICKNESS in mm, as in 20x6") from None
+    return Strip(width, thickness)
+
+
+def _light(lamp: str, wavelength_nm: float, bandwidth_nm: float) -> Polariscope:
+    from palpate.estimators.fringe_light import one_line, tungsten, white_led
+
+    if lamp == "line":
+        return one_line(wavelength_nm * 1e-9, bandwidth_nm * 1e-9)
+    if lamp not in ("led", "tungsten"):
+        raise InputError(f"--lamp {lamp!r} is not line, led or tungsten")
+    return white_led() if lamp == "led" else tungsten()
+
+
+def _text(fit: FringeFit) -> str:
+    from palpate.estimators.fringe_order import RIVAL
+
+    C, half = fit.coefficient_per_pa, (fit.high_per_pa - fit.low_per_pa) / 2
+    lines = [
+        f"C = {C:.4g} 1/Pa ± {half:.2g} 1/Pa (95 %) at {fit.wavelength_m * 1e9:g} nm",
+        f"{fit.orders_per_n:.4g} orders per N; residual order {fit.residual_order:.3f}",
+        f"R2 of order against load {fit.r_squared:.3f}; residual brightness {fit.rms:.1%} of its range",
+    ]
+    lines += [
+        f"also allowed: C = {r.coefficient_per_pa:.3g} 1/Pa, likelihood {r.likelihood:.2g} of the first"
+        for r in fit.rivals
+        if r.likelihood > RIVAL
+    ]
+    lines += [
+        f"{name}: {load:.4g} N, order {order:.2f}, seen {seen:.2f} ({low:.2f} to {high:.2f})"
+        for name, load, order, seen, low, high in zip(
+            fit.images, fit.load_n, fit.order, fit.seen, fit.seen_low, fit.seen_high, strict=True
+        )
+    ]
+    return "\n".join([*lines, *(f"note: {remark}" for remark in fit.remarks)])

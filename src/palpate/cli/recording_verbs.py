@@ -1,0 +1,227 @@
+"""The verb that imports the photoelastic palm's own recordings.
+
+The verb that imports one press: frames in a TIFF or a video, force in a table.
+
+Verbs on recordings: import, check, repair, export.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from palpate.cli.verb_support import Group, Json, Quiet, print_found, progress_bar, reports_errors
+
+
+@reports_errors
+def palm(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of Cycle_Indent5mm_r{row}c{col}_{cycle}.csv tables.")
+    ],
+    run: Annotated[Path, typer.Argument(help="Run to make; must not exist.")],
+    sensor: Annotated[str, typer.Option(help="What was recorded.")] = "palm",
+    licence: Annotated[str, typer.Option(help="Licence of the data.")] = "",
+    origin: Annotated[str, typer.Option(help="Where the data come from.")] = "",
+    allow_unlabelled: Annotated[bool, typer.Option(help="Skip photographs that no table names.")] = False,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Import the photoelastic palm's own tables and photographs as a run.
+
+    Example: palpate import palm dataset run --licence CC-BY-4.0
+    """
+    from palpate.sensors.palm.palm_import import import_palm
+
+    with progress_bar(quiet) as progress:
+        report = import_palm(
+            folder,
+            run,
+            sensor=sensor,
+            licence=licence,
+            origin=origin,
+            allow_unlabelled=allow_unlabelled,
+            progress=lambda done, total: progress("importing", done, total),
+        )
+    units = ", ".join(f"{column} [{symbol}]" for column, symbol in report.units.items())
+    text = f"{run}: {report.frames} frames; columns with a unit: {units}"
+    found = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
+    print_found(found | {"unitless": list(report.unitless)}, text, json_)
+
+
+Frames = Annotated[Path, typer.Argument(help="The frames of one press.")]
+Made = Annotated[Path, typer.Argument(help="Run to make; must not exist.")]
+Force = Annotated[Path, typer.Option(help="CSV or Parquet: samples of force and the frame each is of.")]
+ForceColumn = Annotated[str | None, typer.Option(help="Its column of force, if not a usual name.")]
+PositionColumn = Annotated[str | None, typer.Option(help="Its column of position, if not a usual name.")]
+Rate = Annotated[float | None, typer.Option(help="Rate of its rows [Hz], if it has no time_s.")]
+Sensor = Annotated[str, typer.Option(help="What was recorded.")]
+Licence = Annotated[str, typer.Option(help="Licence of the data.")]
+Origin = Annotated[str, typer.Option(help="Where the data come from.")]
+
+
+TIFF = """Import a press from a multi-page TIFF and its table of force.
+
+Example: palpate import tiff PRESS.tif RUN --force force.csv
+"""
+VIDEO = """Import a press from a video and its table of force.
+
+Example: palpate import video press.avi RUN --force force.csv --rate-hz 30
+"""
+
+
+@reports_errors
+def press(
+    frames: Frames,
+    run: Made,
+    force: Force,
+    force_column: ForceColumn = None,
+    position_column: PositionColumn = None,
+    rate_hz: Rate = None,
+    sensor: Sensor = "",
+    licence: Licence = "",
+    origin: Origin = "",
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Import a press; the two kinds of frames differ only in what their help says."""
+    from palpate.recordings.exchange.press_import import import_press
+
+    with progress_bar(quiet) as progress:
+        report = import_press(
+            frames,
+            run,
+            force=force,
+            force_column=force_column,
+            position_column=position_column,
+            rate_hz=rate_hz,
+            sensor=sensor,
+            licence=licence,
+            origin=origin,
+            progress=lambda done, total: progress("importing", done, total),
+        )
+    found = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
+    print_found(found, f"{run}: {report.frames} frames with {', '.join(report.columns)}", json_)
+
+
+import_app = typer.Typer(
+    cls=Group,
+    help="Bring recordings from elsewhere into a run.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+
+@import_app.command("images")
+@reports_errors
+def import_images(
+    folder: Annotated[Path, typer.Argument(help="Folder of images.")],
+    run: Annotated[Path, typer.Argument(help="Run to make; must not exist.")],
+    labels: Annotated[Path, typer.Option(help="CSV or Parquet, one row an image; here or in the folder.")],
+    image_column: Annotated[str, typer.Option(help="Label column that names the image file.")] = "image_file",
+    sensor: Annotated[str, typer.Option(help="What the images are of.")] = "",
+    licence: Annotated[str, typer.Option(help="Licence of the data.")] = "",
+    origin: Annotated[str, typer.Option(help="Where the data come from.")] = "",
+    rate_hz: Annotated[float | None, typer.Option(help="Frame rate, if the images are a sequence.")] = None,
+    allow_unlabelled: Annotated[bool, typer.Option(help="Skip images without a row.")] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Refuse columns of numbers that carry no unit.")
+    ] = False,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Import a folder of labelled images as a run.
+
+    Example: palpate import images taps run --labels labels.csv --image-column image_file
+    """
+    from palpate.recordings.exchange.image_import import import_images as importer
+
+    with progress_bar(quiet) as progress:
+        report = importer(
+            folder,
+            run,
+            labels=labels,
+            image_column=image_column,
+            sensor=sensor,
+            licence=licence,
+            origin=origin,
+            rate_hz=rate_hz,
+            allow_unlabelled=allow_unlabelled,
+            strict=strict,
+            progress=lambda done, total: progress("importing", done, total),
+        )
+    units = ", ".join(f"{column} [{symbol}]" for column, symbol in report.units.items())
+    text = f"{run}: {report.frames} frames; columns with a unit: {units or 'none'}"
+    if report.unitless:
+        text += f"; without: {', '.join(report.unitless)}"
+    if report.no_targets:
+        typer.echo(
+            f"palpate: no unit in {', '.join(report.no_targets)}: these cannot be targets; rename such as "
+            "depth to depth_mm and import again if one shall be",
+            err=True,
+        )
+    found = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
+    print_found(found | {"unitless": list(report.unitless)}, text, json_)
+
+
+import_app.command("palm")(palm)
+import_app.command("tiff", help=TIFF)(press)
+import_app.command("video", help=VIDEO)(press)
+
+
+@reports_errors
+def check(run: Annotated[Path, typer.Argument(help="Run to look through.")], json_: Json = False) -> None:
+    """Look through a run: counts, rates, gaps, drops, damage. Ends with status 1 if it is damaged.
+
+    Example: palpate check run
+    """
+    from palpate.recordings.integrity import check as look_through
+    from palpate.reports.terminal_text import check_text
+
+    report = look_through(run)
+    print_found(report.to_dict(), check_text(report), json_)
+    if not report.sound:
+        raise typer.Exit(1)
+
+
+@reports_errors
+def repair(
+    run: Annotated[Path, typer.Argument(help="Damaged run; it is only read.")],
+    new: Annotated[Path, typer.Argument(help="Run to make of what can be read; must not exist.")],
+    json_: Json = False,
+) -> None:
+    """Copy all that can be read of a damaged run into a new one.
+
+    Example: palpate repair run run-repaired
+    """
+    from palpate.recordings.integrity import repair as copy_readable
+
+    report = copy_readable(run, new)
+    lost = [f"{d.file} at byte {d.at_byte}: {d.what}" for d in report.lost]
+    text = f"{new}: {report.frames} frames, {report.messages} messages kept; " + (
+        "; ".join(lost) or "nothing lost"
+    )
+    print_found(
+        {"run": str(new), "frames": report.frames, "messages": report.messages, "lost": lost}, text, json_
+    )
+
+
+@reports_errors
+def export(
+    run: Annotated[Path, typer.Argument(help="Run to export.")],
+    folder: Annotated[Path, typer.Argument(help="Folder to make; must not exist.")],
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Export a run as PNG images and CSV tables.
+
+    Example: palpate export run folder
+    """
+    from palpate.recordings.exchange.folder_export import export_folder
+    from palpate.recordings.run_reader import Run
+
+    with progress_bar(quiet) as progress:
+        count = export_folder(Run.open(run), folder, lambda done, total: progress("exporting", done, total))
+    print_found({"folder": str(folder), "frames": count}, f"{folder}: {count} frames", json_)

@@ -1,0 +1,225 @@
+"""Verbs that draw what a virtual sensor would see."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from palpate.cli.verb_support import Group, Json, Quiet, print_found, progress_bar, reports_errors
+
+if TYPE_CHECKING:
+    from palpate.recordings.exchange.press_folder import PressFolder
+    from palpate.sensors.palm.wear import Wear
+
+app = typer.Typer(
+    cls=Group,
+    add_completion=False,
+    help="Draw what a virtual sensor would see.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+@app.callback()
+def start() -> None:
+    """Draw what a virtual sensor would see."""
+
+
+@app.command()
+@reports_errors
+def palm(
+    depth_mm: Annotated[
+        float, typer.Option(help="How deep the probe is pressed [mm]; negative: how far it hangs above.")
+    ],
+    out: Annotated[Path, typer.Option(help="PNG to write; must not exist.")],
+    x_mm: Annotated[float, typer.Option(help="Across the view, to the right [mm].")] = 0.0,
+    y_mm: Annotated[float, typer.Option(help="Towards the camera [mm].")] = 0.0,
+    indenter: Annotated[
+        str,
+        typer.Option(
+            help="sphere:DIAMETER, punch:DIAMETER, edge:LENGTH, cylinder:DIAMETER:LENGTH or "
+            "two-points:DIAMETER:APART [mm]; the last three may end in :TURN [deg]."
+        ),
+    ] = "sphere:10",
+    lateral_n: Annotated[str, typer.Option(help="Lateral load along x and y, X,Y [N].")] = "0,0",
+    preset: Annotated[
+        str, typer.Option(help="palm, small, demo, debug, crops, solaris, sylgard-184 or casting-resin.")
+    ] = "palm",
+    exact: Annotated[bool, typer.Option("--exact", help="March every ray anew: slower.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of the camera's noise.")] = 0,
+    presses: Annotated[
+        float, typer.Option(help="How many presses the membrane has had: an assumed law of its wear.")
+    ] = 0.0,
+    haze: Annotated[
+        float | None, typer.Option(help="Share of light a clouded surface scatters, 0 to 1.")
+    ] = None,
+    scratches: Annotated[int | None, typer.Option(help="Fine scratches in each view.")] = None,
+    yellowing: Annotated[
+        float, typer.Option(help="Absorbance of the yellowed membrane at 450 nm, along its diameter.")
+    ] = 0.0,
+    ambient: Annotated[
+        float, typer.Option(help="Room light in the camera over the lamp's brightest, such as 0.02.")
+    ] = 0.0,
+    lamp_mired: Annotated[
+        float, typer.Option(help="Lamp's colour: warmer by so many mired (1e6 K over its temperature).")
+    ] = 0.0,
+    probe_in_mirror: Annotated[
+        bool, typer.Option(help="Show the probe's body in the mirror, or the membrane's dent alone.")
+    ] = True,
+    opaque_underside: Annotated[
+        bool, typer.Option("--opaque-underside", help="A dark layer under the membrane: a blind mirror.")
+    ] = False,
+    json_: Json = False,
+) -> None:
+    """Press a probe into the virtual palm and write the frame.
+
+    Example: palpate render palm --depth-mm 3 --x-mm 5 --y-mm -2 --out frame.png
+    """
+    import numpy as np
+
+    from palpate.core.contact import Pose
+    from palpate.core.errors import InputError
+    from palpate.core.files import new_file
+    from palpate.recordings.exchange import image_files
+    from palpate.sensors import palm as palms
+
+    spec = palms.preset(preset)
+    probe = palms.parse_probe(indenter)
+    try:
+        lateral = tuple(float(part) for part in lateral_n.split(","))
+    except ValueError:
+        lateral = ()
+    if len(lateral) != 2:
+        raise InputError(f"--lateral-n {lateral_n!r} is not two numbers of newtons, X,Y")
+    if probe.shape == "sphere" and not any(lateral):
+        fitted = replace(spec, indenter_radius_m=probe.radius_m)
+        spec = fitted if palms.has_table(fitted) else spec  # otherwise linear layers press it
+    spec = replace(
+        spec,
+        wear=_wear(presses, haze, scratches, yellowing),
+        ambient=ambient,
+        lamp_mired=lamp_mired,
+        probe_in_mirror=probe_in_mirror,
+        opaque_underside=opaque_underside,
+    )
+    pose = Pose(x_mm * 1e-3, y_mm * 1e-3, depth_mm * 1e-3)
+    contact = palms.press(spec, pose, probe, lateral)
+    frame = palms.render(contact, spec, np.random.default_rng(seed), exact=exact)
+    found: dict[str, Any] = palms.facts(contact, spec) | {"out": str(out)}
+    with new_file(out) as path:
+        path.write_bytes(image_files.encode(frame.image).tobytes())
+    print_found(found, "\n".join(f"{name}: {_shown(value)}" for name, value in found.items()), json_)
+
+
+@app.command()
+@reports_errors
+def tactip(
+    out: Annotated[Path, typer.Argument(help="Folder to make; must not exist.")],
+    specimen: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=STIFFNESS [N/mm] of a cylinder 40 mm high and wide; again for more."),
+    ] = None,
+    rigid: Annotated[bool, typer.Option("--rigid", help="Press a rigid plate as well.")] = False,
+    unknown: Annotated[
+        list[str] | None,
+        typer.Option(help="Name whose stiffness specimens.csv shall not tell; again for more."),
+    ] = None,
+    tilt_deg: Annotated[
+        float,
+        typer.Option(
+            help="Of the specimens' tops, 0 to 50 [deg]. 0 is solved at finite strain without friction, all "
+            "others by linear bodies with friction: compare them with 0.001."
+        ),
+    ] = 0.0,
+    trials: Annotated[int, typer.Option(min=1, max=999, help="Of each specimen.")] = 5,
+    pins: Annotated[int, typer.Option(help="127 or 331.")] = 127,
+    tip: Annotated[str, typer.Option(help="base, even, soft-skin or stiff-skin.")] = "base",
+    speed_mm_s: Annotated[float, typer.Option(min=0.1, max=20, help="Of the tip's way down [mm/s].")] = 5.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of seating and noise.")] = 0,
+    runs: Annotated[bool, typer.Option("--runs", help="Also write each press as a run.")] = False,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Press the virtual TacTip on soft specimens, as a rig records it.
+
+    Without --specimen and --rigid the compliance report's five are pressed: rigid, S1 of 7.6 N/mm, S2 of 3.1,
+    S3 of 1.1 and new of 5.3, which specimens.csv does not tell. Each press is a TIFF of frames and a table of
+    force beside it.
+
+    Example: palpate render tactip presses --specimen S1=7.6 --specimen S2=3.1 --trials 3
+    """
+    from palpate.core.files import refuse_existing
+    from palpate.sensors.tactip import tactip as tactip_of
+    from palpate.workflows.tactip_trials import REPORT_N_M, UNKNOWN, record_trials, specimens_at
+
+    refuse_existing(out)  # before solving for minutes
+    own = _stiffnesses(specimen or [], rigid)
+    stiffness, hidden = own or REPORT_N_M, unknown or ([] if own else list(UNKNOWN))
+    spec = replace(tactip_of(pins), tip=tip, speed_m_s=1e-3 * speed_mm_s)
+    with progress_bar(quiet) as progress:
+        pressed = specimens_at(spec, stiffness, math.radians(tilt_deg), progress=progress)
+        made = record_trials(
+            out, spec, pressed, trials, seed=seed, unknown=hidden, runs=runs, progress=progress
+        )
+    found, text = _trials_said(made, stiffness, tilt_deg, runs)
+    print_found(found, text, json_)
+
+
+def _stiffnesses(pairs: list[str], rigid: bool) -> dict[str, float]:
+    """Specimens from ``NAME=STIFFNESS`` [N/m]."""
+    from palpate.core.errors import InputError
+
+    found = {"rigid": float("inf")} if rigid else {}
+    for pair in pairs:
+        name, _, value = pair.partition("=")
+        try:
+            stiffness = 1e3 * float(value)
+        except ValueError:
+            raise InputError(f"--specimen {pair!r} is not NAME=STIFFNESS in N/mm, as in S1=7.6") from None
+        if name in found:
+            raise InputError(f"specimen {name!r} is given twice; a name stands for one specimen")
+        found[name] = stiffness
+    return found
+
+
+def _trials_said(
+    made: PressFolder, stiffness_n_m: Mapping[str, float], tilt_deg: float, runs: bool
+) -> tuple[dict[str, Any], str]:
+    """What was made, as values and as text."""
+    from palpate.workflows.tactip_trials import TRUTH, stiffness_shown
+
+    presses = sum(len(one.presses) for one in made.specimens)
+    shown = {name: stiffness_shown(k) for name, k in stiffness_n_m.items()}
+    found = {
+        "out": str(made.path),
+        "virtual": True,
+        "presses": presses,
+        "runs": presses if runs else 0,
+        "tilt_deg": tilt_deg,
+        "stiffness_N_per_mm": shown,
+    }
+    what = "press" if presses == 1 else "presses"
+    lines = [
+        f"{made.path}: {presses} virtual {what} at {tilt_deg:g} degrees, not measured",
+        *(f"  {name}: {'a rigid plate' if k == 'inf' else f'{k:.4g} N/mm'}" for name, k in shown.items()),
+        f"  a press is a TIFF and a table{' and a run' if runs else ''}; the truth behind them: {TRUTH}",
+    ]
+    return found, "\n".join(lines)
+
+
+def _wear(presses: float, haze: float | None, scratches: int | None, yellowing: float) -> Wear:
+    """Of so many presses, save for what is asked for itself."""
+    from palpate.sensors.palm.wear import worn
+
+    wear = replace(worn(presses), yellowing=yellowing)
+    wear = wear if haze is None else replace(wear, haze=haze)
+    return wear if scratches is None else replace(wear, scratches=scratches)
+
+
+def _shown(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

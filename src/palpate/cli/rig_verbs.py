@@ -1,0 +1,260 @@
+"""Verbs on the rig: record a plan, look at a plan before it is run."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from palpate.cli.verb_support import Group, Json, Quiet, print_found, progress_bar, reports_errors
+
+if TYPE_CHECKING:
+    from palpate.devices.check.result import CheckResult
+    from palpate.devices.operator import OperatorControl
+    from palpate.recordings.clock_offset import Offset
+    from palpate.rig import Status
+
+plan_app = typer.Typer(
+    cls=Group, add_completion=False, help="Plans of recordings.", no_args_is_help=True, rich_markup_mode=None
+)
+
+
+rig_app = typer.Typer(
+    cls=Group,
+    add_completion=False,
+    help="Rigs: stage, force sensor, camera.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+SHOWN_IN = {"s": (1e3, "ms"), "m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
+
+
+@plan_app.callback()
+def start() -> None:
+    """Plans of recordings."""
+
+
+@rig_app.callback()
+def start_rig() -> None:
+    """Rigs: stage, force sensor, camera."""
+
+
+@reports_errors
+def record(
+    out: Annotated[Path, typer.Option(help="Run to make, or to go on with.")],
+    plan: Annotated[
+        str, typer.Option(help="Plan: a TOML file, or a name such as palm, palm-reduced or tactip.")
+    ] = "palm",
+    rig: Annotated[
+        str, typer.Option(help="Rig: a TOML file, virtual:palm, virtual:tactip or another sensor's.")
+    ] = "virtual:palm",
+    seed: Annotated[int, typer.Option(min=0, help="Of all that varies on a virtual rig.")] = 0,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Record a plan on a rig, or go on with an interrupted run.
+
+    Ctrl-C stops the motion, lifts the probe and ends; a second one is the emergency stop: nothing moves.
+    Ends with status 1 where shots are still missing. Presses on specimens are also written as the folder
+    `presses` within the run, for `palpate compliance`.
+
+    Example: palpate record --rig virtual:palm --plan palm-reduced --out run
+    """
+    from palpate.devices.operator import OperatorControl
+    from palpate.rig import State, plan_of
+    from palpate.rig import record as record_plan
+    from palpate.rig.rig_file import open_rig
+
+    control, opened = OperatorControl(), open_rig(rig, seed=seed)
+    try:
+        chosen = plan_of(plan, opened.design)
+        with progress_bar(quiet) as progress, _signals_ask(control):
+
+            def watch(status: Status) -> None:
+                progress("recording", status.shots, status.planned)
+
+            outcome = record_plan(opened, chosen, out, control=control, watch=watch)
+    finally:
+        opened.close()
+    found: dict[str, Any] = {"run": str(out), **asdict(outcome)}
+    text = f"{out}: {outcome.state.value}, {outcome.shots} of {outcome.planned} shots"
+    if outcome.clocks is not None:
+        text += f"\n{_late(outcome.clocks)}"
+    if outcome.state is not State.DONE:
+        reason = f" ({outcome.reason.value})" if outcome.reason else ""
+        text += f"{reason}: {outcome.message}\nthe same command goes on at the first missing shot"
+    else:
+        text += _presses_written(out, found)
+    print_found(found, text, json_)
+    if outcome.state is not State.DONE:
+        raise typer.Exit(1)
+
+
+def _presses_written(out: Path, found: dict[str, Any]) -> str:
+    """Presses on specimens, as `palpate compliance` reads them, into the run's folder."""
+    from palpate.recordings.exchange.press_export import export_presses
+    from palpate.recordings.exchange.press_folder import PRESSES
+    from palpate.recordings.run_reader import Run
+
+    if (out / PRESSES).exists():
+        return ""
+    written = export_presses(Run.open(out))
+    if written is None:
+        return ""
+    found[PRESSES] = str(written.path)
+    return f"\n{written.path}: presses on {len(written.specimens)} specimens, as compliance reads them"
+
+
+@rig_app.command()
+@reports_errors
+def check(
+    rig: Annotated[str, typer.Argument(help="A TOML file, or virtual:palm.")], json_: Json = False
+) -> None:
+    """Check a rig with its probe in free air; the stage moves by 2 mm.
+
+    Measures rates, noise, stamps and limits. Prints what was measured, and in brackets what was stated or
+    is allowed; then what is wrong.
+    It never goes nearer to the expected surface than 2 mm, and does not move where the force sensor fails.
+    Ends with status 1 where something is wrong.
+
+    Example: palpate rig check bench.toml
+    """
+    from palpate.rig.check import check_rig
+    from palpate.rig.rig_file import open_rig
+
+    findings = check_rig(open_rig(rig))
+    wrong = [one for one in findings if not one.ok]
+    lines = [_measured(one) for one in findings if one.ok and one.unit]
+    lines += [f"wrong: {one.name}: {one.message}" for one in wrong]
+    text = "\n".join([*lines, f"{rig}: {len(findings) - len(wrong)} of {len(findings)} checks passed"])
+    print_found([asdict(one) for one in findings], text, json_)
+    if wrong:
+        raise typer.Exit(1)
+
+
+@rig_app.command()
+@reports_errors
+def layer(run: Annotated[Path, typer.Argument(help="A run of the plan layer.")], json_: Json = False) -> None:
+    """Say where the layer lies, from a run of the plan layer.
+
+    Prints what to write into the rig's file.
+
+    Example: palpate rig layer layer-run
+    """
+    from palpate.recordings.run_reader import Run
+    from palpate.rig.locate_specimen import locate_specimen
+
+    found = locate_specimen(Run.open(run))
+    at, moved = (", ".join(f"{d:.3f}" for d in three) for three in (found.origin_mm, found.moved_mm))
+    text = (
+        f"origin_mm = [{at}]\n"
+        f"that is ({moved}) mm from where it was taken to be, and each is known to about the search's step, "
+        f"{found.step_mm:g} mm\n"
+        f"tilt {found.tilt_mrad[0]:.2f} and {found.tilt_mrad[1]:.2f} mrad along x and y; "
+        f"diameter {found.diameter_mm[0]:.2f} and {found.diameter_mm[1]:.2f} mm; "
+        f"{found.off_plane_mm:.3f} mm off a plane at most"
+    )
+    print_found(asdict(found), text, json_)
+
+
+@rig_app.command()
+@reports_errors
+def documents(
+    run: Annotated[Path, typer.Argument(help="A run that was recorded by a plan.")],
+    out: Annotated[Path, typer.Option(help="JSON-lines file to make; must not exist.")],
+    json_: Json = False,
+) -> None:
+    """Write what the engine did as event-model documents.
+
+    One document a line, as Bluesky's tools take them in.
+
+    Example: palpate rig documents run --out run.jsonl
+    """
+    import json
+
+    from palpate.core.files import new_file
+    from palpate.recordings.run_reader import Run
+    from palpate.rig.event_model import documents as documents_of
+
+    count = 0
+    with new_file(out) as path, path.open("w", encoding="utf-8") as file:
+        for name, fields in documents_of(Run.open(run)):
+            file.write(json.dumps([name, fields], allow_nan=False) + "\n")
+            count += 1
+    print_found({"documents": count, "file": str(out)}, f"{out}: {count} documents", json_)
+
+
+@plan_app.command()
+@reports_errors
+def preview(
+    plan: Annotated[str, typer.Argument(help="A TOML file, or a name such as palm.")],
+    png: Annotated[Path | None, typer.Option(help="Draw the places into this PNG; must not exist.")] = None,
+    rate_hz: Annotated[float, typer.Option(min=0.1, help="Frame rate of the camera.")] = 30.0,
+    frame_kb: Annotated[float, typer.Option(min=0.1, help="Size of a frame on disk [kB].")] = 90.0,
+    json_: Json = False,
+) -> None:
+    """Count a plan's points, shots, frames and minutes, and draw it.
+
+    Example: palpate plan preview palm --png places.png
+    """
+    from palpate.rig import plan_of, size_of
+
+    chosen = plan_of(plan)
+    size = size_of(chosen, rate_hz)
+    found: dict[str, Any] = size._asdict()
+    found["bytes"] = round((size.frames + size.reference_frames) * frame_kb * 1e3)
+    found["plan"] = chosen.name
+    found["hash"] = chosen.hash
+    if png is not None:
+        from palpate.reports.plan_figure import draw_places
+
+        draw_places(chosen, png)
+        found["png"] = str(png)
+    text = (
+        f"{chosen.name}: {size.points} points, {size.presses} presses, {size.shots} shots, {size.frames} "
+        f"frames and {size.reference_frames} of the untouched skin; about {size.seconds / 60:.0f} min at "
+        f"{rate_hz:g} frames/s, {found['bytes'] / 1e9:.1f} GB at {frame_kb:g} kB a frame"
+    )
+    print_found(found, text, json_)
+
+
+def _measured(finding: CheckResult) -> str:
+    scale, unit = SHOWN_IN.get(finding.unit, (1.0, finding.unit))
+    values = (finding.measured or 0.0, finding.allowed or 0.0)
+    measured, allowed = (f"{round(scale * value, 6):.4g}" for value in values)
+    return f"{finding.name}: {measured} {unit} ({allowed})"
+
+
+def _late(clocks: Offset) -> str:
+    late, low, high, jitter = (
+        f"{1e3 * s:.1f}" for s in (clocks.seconds, clocks.low_s, clocks.high_s, clocks.jitter_s)
+    )
+    return (
+        f"frames are stamped {late} ms after the force they show (95 %: {low} to {high} ms), and jitter by "
+        f"{jitter} ms at most"
+    )
+
+
+@contextmanager
+def _signals_ask(control: OperatorControl) -> Iterator[None]:
+    """Ctrl-C and a request to end abort the recording; the second time they are the emergency stop."""
+    from palpate.devices.operator import OperatorCommand
+
+    def ask(number: int, frame: object) -> None:
+        control.ask(
+            OperatorCommand.ESTOP if control.asked is OperatorCommand.ABORT else OperatorCommand.ABORT
+        )
+
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

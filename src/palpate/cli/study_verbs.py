@@ -1,0 +1,181 @@
+"""The demo.
+
+Verbs that reproduce a published study.
+
+The studio.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from palpate.cli.verb_support import Group, Json, Quiet, phases, print_found, progress_bar, reports_errors
+
+
+@reports_errors
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder to make; must not exist.")],
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Show the whole loop on a virtual photoelastic skin.
+
+    Records it, calibrates it, certifies it and senses with it; needs no hardware.
+
+    Example: palpate demo --out demo-out
+    """
+    from palpate.workflows.palm_demo import run_demo
+
+    with progress_bar(quiet) as bar:
+        progress = bar if sys.stderr.isatty() else phases(quiet)
+        result = run_demo(out, seed=seed, progress=progress)
+    print_found(result.to_dict(), result.text(), json_)
+
+
+app = typer.Typer(
+    cls=Group,
+    add_completion=False,
+    help="Reproduce published studies on virtual sensors.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+@app.callback()
+def start() -> None:
+    """Reproduce published studies on virtual sensors."""
+
+
+@app.command()
+@reports_errors
+def palm(
+    out: Annotated[Path, typer.Option(help="Folder to make; must not exist.")],
+    scale: Annotated[str, typer.Option(help="small: for two cores. full: for a GPU.")] = "small",
+    part: Annotated[
+        str, typer.Option(help="all, or headline for the comparison of the models alone.")
+    ] = "all",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare the palm's four published networks with ours.
+
+    Records the virtual palm, trains the networks and writes it up: report.html and summary.json.
+    Interrupted, the same command goes on from where it was.
+
+    Example: palpate reproduce palm --scale small --out palm-study
+    """
+    from palpate.reproductions.palm import reproduce_palm, scale_of
+
+    with progress_bar(quiet) as progress:
+        entries = reproduce_palm(out, scale_of(scale), seed=seed, part=part, progress=progress)
+    beside = [one for one in entries if one["published"] is not None]
+    width = max((len(one["name"]) for one in beside), default=0)
+    lines = [
+        "Virtual sensor, and models trained with unequal budgets: neither a sensor's accuracy nor a ranking."
+    ]
+    lines += [
+        f"{one['name']:{width}}  {one['value']:.3g} {one['unit']}  (printed: {one['published']:g})"
+        for one in beside
+    ]
+    lines += [f"all {len(entries)} numbers: {out / 'summary.json'}", f"report: {out / 'report.html'}"]
+    print_found(entries, "\n".join(lines), json_)
+
+
+@app.command()
+@reports_errors
+def tactip(
+    out: Annotated[Path, typer.Option(help="Folder to make; must not exist.")],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    trials: Annotated[int, typer.Option(help="Trials of each specimen at each tilt; the report has 5.")] = 5,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Set the report on compliance by touch beside our numbers.
+
+    Its figures 5 to 9, p-values and new specimen. Makes report.html and summary.json; some two minutes.
+
+    Example: palpate reproduce tactip --out tactip-study
+    """
+    from palpate.reproductions.tactip.tactip_reproduction import reproduce_tactip
+
+    with progress_bar(quiet) as progress:
+        entries = reproduce_tactip(out, seed=seed, trials=trials, progress=progress)
+    beside = [one for one in entries if one["published"] is not None]
+    width = max(len(one["name"]) for one in beside)
+    lines = ["Virtual sensor: what the estimators recover of a model, not how good a sensor is."]
+    lines += [
+        f"{one['name']:{width}}  {one['value']:.3g} {one['unit'] if one['unit'] != '1' else '':4}  "
+        f"(printed: {one['published']:g})"
+        for one in beside
+        if one["value"] is not None
+    ]
+    lines += [f"all {len(entries)} numbers: {out / 'summary.json'}", f"report: {out / 'report.html'}"]
+    print_found(entries, "\n".join(lines), json_)
+
+
+if TYPE_CHECKING:
+    from palpate.rig.service import RigClient
+
+
+@reports_errors
+def studio(
+    port: Annotated[int, typer.Option(min=1, max=65535, help="On 127.0.0.1.")] = 8080,
+    rig: Annotated[str, typer.Option(help="A TOML file, or virtual:palm.")] = "virtual:palm",
+    runs: Annotated[Path, typer.Option(help="Folder that recordings go into.")] = Path("runs"),
+    accelerated: Annotated[
+        bool, typer.Option("--accelerated", help="Let virtual:palm run as fast as the machine can.")
+    ] = False,
+) -> None:
+    """Open the operator's page of the rig in the browser.
+
+    The page is open to this machine only. The rig itself is held by a process of its own, which is started
+    where none runs: closing the page or losing this command moves nothing and loses nothing. Ctrl-C pauses a
+    recording with the probe lifted; run the same command again to go on.
+
+    Example: palpate studio --port 8080
+    """
+    from palpate.rig.service import RigClient, launch, rig_name
+    from palpate.studio.page_server import check_needed, check_port, serve
+
+    rig = rig_name(rig)
+    check_needed()
+    check_port(port)
+    with RigClient(rig) as client:
+        if not client.reached(within_s=1.0):
+            typer.echo(f"starting the rig {rig} …")
+            launch(rig, runs, accelerated=accelerated)
+            client.reached(within_s=10.0)
+        typer.echo(f"http://127.0.0.1:{port}  (Ctrl-C ends the page, and pauses a recording)")
+        try:
+            with contextlib.suppress(KeyboardInterrupt):
+                serve(client, port, runs.absolute())
+        finally:
+            typer.echo(_leave(client, rig))
+
+
+def _leave(client: RigClient, rig: str) -> str:
+    """Leave the rig safe; what was done."""
+    from palpate.core.errors import PalpateError
+
+    try:
+        status = client.ask_status()
+        if not status["recording"]:
+            client.shutdown()
+            return f"the rig {rig} stands and nothing is recorded; its process ends"
+        if status["asked"] is None:
+            client.pause()
+        return (
+            f"the recording {status['run']} is paused with the probe lifted, and its process waits; run "
+            "palpate studio again to go on or to end it"
+        )
+    except PalpateError as e:
+        return (
+            f"the rig {rig} does not answer ({e}); look at it, and use its own emergency switch if it moves"
+        )

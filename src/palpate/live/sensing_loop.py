@@ -1,0 +1,81 @@
+"""The loop: frames in, readings out, with the time each took."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from palpate.core.reading import Drift, Readings, plain_number
+from palpate.estimators.certified import Estimator, Zero
+from palpate.live.frame_sources import FrameStream, RunFrames, Unreadable
+
+
+@dataclass(frozen=True, slots=True)
+class Sensed:
+    """What one frame told.
+
+    Attributes:
+        frame: its name.
+        time_s: its capture time [s].
+        readings: each in the unit that its key asks for, ``readings["depth_mm"]`` in mm.
+        latency_s: from the image in memory to the readings [s].
+    """
+
+    frame: str
+    time_s: float
+    readings: Readings
+    latency_s: float
+
+    def shown(self) -> Readings:
+        """Deprecated: the readings, which are in the units of their columns themselves."""
+        warnings.warn("shown() is deprecated: readings are in their keys' units", DeprecationWarning, 2)
+        return self.readings
+
+    def to_dict(self) -> dict[str, Any]:
+        """As one JSON object; a value that could not be read is null."""
+        first = next(iter(self.readings.values()))
+        return {
+            "frame": self.frame,
+            "time_s": round(self.time_s, 6),
+            "readings": {name: reading.to_dict() for name, reading in self.readings.items()},
+            "drift": _drift(first.drift),
+            "calibration": first.calibration,
+        }
+
+
+def sense(estimator: Estimator, source: FrameStream, zero: Zero | None = None) -> Iterator[Sensed]:
+    """Read every frame of a source.
+
+    Args:
+        estimator: the calibration.
+        source: where frames come from.
+        zero: the untouched sensor; a run that recorded it by the calibration's rule needs none.
+
+    Raises:
+        ImageError: the calibration is differential, and there is no image of the untouched sensor.
+    """
+    zeros = _zeros(estimator, source) if zero is None and isinstance(source, RunFrames) else {}
+    for i, frame in enumerate(source):
+        started = time.perf_counter()
+        if isinstance(frame, Unreadable):
+            readings = estimator.unread(frame.name, frame.time_s, frame.why)
+        else:
+            readings = estimator.read(frame, zero or zeros.get(i))
+        yield Sensed(frame.name, frame.time_s, readings, time.perf_counter() - started)
+
+
+def _zeros(estimator: Estimator, source: RunFrames) -> dict[int, Zero]:
+    """The untouched sensor at each row, by the run's labels."""
+    from palpate.calibration.evaluation import zeros_of  # loads tables, which no image needs
+
+    return zeros_of(estimator, source.run)
+
+
+def _drift(drift: Drift | None) -> dict[str, Any] | None:
+    if drift is None:
+        return None
+    numbers = {"statistic": plain_number(drift.statistic), "limit": plain_number(drift.limit)}
+    return {**numbers, "drifted": drift.drifted}

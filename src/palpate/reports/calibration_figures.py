@@ -1,0 +1,164 @@
+"""The pictures of a calibration, each as a PNG in a data address."""
+
+from __future__ import annotations
+
+import base64
+import io
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from palpate.calibration.conformal import coverage_interval
+from palpate.estimators.model_card import TargetCard
+
+INK, ACCENT, BAND, BAD = "#1b2a33", "#0b7a75", "#cfe8e6", "#c0392b"
+STYLE: dict[Any, Any] = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "figure.dpi": 130,
+}
+
+SURFACES = (("x_mm", "y_mm"), ("contact_x_mm", "contact_y_mm"), ("tilt_x_deg", "tilt_y_deg"))
+"""Pairs of label columns that say where on the skin a press was; a tilt says where on a dome."""
+
+
+def picture(path: Path) -> str:
+    """A PNG file as a data address."""
+    return _address(path.read_bytes())
+
+
+def target_figure(target: TargetCard, table: pd.DataFrame) -> str:
+    """Predicted against true, error against the truth, coverage along the truth."""
+    true, guess, half = _columns(target, table)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(10.2, 3.1), layout="constrained")
+        left, middle, right = figure.subplots(1, 3)
+        _predicted(left, target, true, guess, half)
+        _errors(middle, target, true, guess, half)
+        _coverage(right, target, true, guess, half)
+        return drawn(figure)
+
+
+def surface_columns(table: pd.DataFrame) -> tuple[str, str] | None:
+    """The pair of columns that says where on the skin each frame was pressed."""
+    for x, y in SURFACES:
+        if x in table and y in table and table[x].nunique() > 2 and table[y].nunique() > 2:
+            return x, y
+    return None
+
+
+def surface_figure(targets: tuple[TargetCard, ...], table: pd.DataFrame, where: tuple[str, str]) -> str:
+    """Mean absolute error over the skin, a map for each target."""
+    x, y = (table[c].to_numpy(float) for c in where)
+    columns = min(len(targets), 3)
+    rows = -(-len(targets) // columns)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(3.4 * columns, 2.9 * rows), layout="constrained")
+        grid = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
+        for axes in grid[len(targets) :]:
+            axes.set_axis_off()
+        for axes, target in zip(grid, targets, strict=False):
+            true, guess, _ = _columns(target, table)
+            _map(figure, axes, target, (x, y), np.abs(guess - true), where)
+        return drawn(figure)
+
+
+def _columns(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    names = (target.column, f"estimate:{target.column}", f"half_width:{target.column}")
+    true, guess, half = (table[name].to_numpy(float) for name in names)
+    return true, guess, half
+
+
+def _predicted(axes: Axes, target: TargetCard, true: np.ndarray, guess: np.ndarray, half: np.ndarray) -> None:
+    inside = np.abs(guess - true) <= half
+    ends = [target.least, target.greatest]
+    axes.plot(ends, ends, color=INK, lw=0.8)
+    for rows, colour in ((inside, ACCENT), (~inside, BAD)):
+        axes.scatter(true[rows], guess[rows], s=7, color=colour, alpha=0.55, linewidths=0)
+    axes.set(title="held-out estimate against truth", xlabel=_label(target, "true"))
+    axes.set_ylabel(_label(target, "estimated"))
+
+
+def _errors(axes: Axes, target: TargetCard, true: np.ndarray, guess: np.ndarray, half: np.ndarray) -> None:
+    centres, (typical, width) = _binned(true, np.abs(guess - true), half)
+    axes.scatter(true, guess - true, s=7, color=ACCENT, alpha=0.4, linewidths=0)
+    axes.fill_between(centres, -width, width, color=BAND, zorder=0, label="90 % interval")
+    axes.plot(centres, typical, color=INK, lw=1.4, label="mean |error|")
+    axes.axhline(0, color=INK, lw=0.6)
+    axes.set(title="error against truth", xlabel=_label(target, "true"), ylabel=f"error [{target.unit}]")
+    axes.legend(frameon=False, fontsize=7, loc="upper right", ncols=2)
+
+
+def _coverage(axes: Axes, target: TargetCard, true: np.ndarray, guess: np.ndarray, half: np.ndarray) -> None:
+    inside = np.abs(guess - true) <= half
+    order = np.argsort(true, kind="stable")
+    for rows in np.array_split(order, _bins(len(true))):
+        low, high = coverage_interval(int(inside[rows].sum()), len(rows))
+        centre = float(true[rows].mean())
+        axes.plot([centre, centre], [100 * low, 100 * high], color=ACCENT, lw=1.4)
+        axes.plot(centre, 100 * inside[rows].mean(), "o", color=ACCENT, ms=4)
+    axes.axhline(90, color=INK, lw=0.8, ls="--")
+    axes.set(title="rows whose interval covers the truth", ylabel="[%], bars: 95 % interval", ylim=(40, 102))
+    axes.set_xlabel(_label(target, "true"))
+
+
+def _map(
+    figure: Figure,
+    axes: Axes,
+    target: TargetCard,
+    at: tuple[np.ndarray, np.ndarray],
+    error: np.ndarray,
+    where: tuple[str, str],
+) -> None:
+    drawn: Any
+    places = pd.DataFrame({"x": at[0], "y": at[1], "error": error})
+    if len(places.drop_duplicates(["x", "y"])) <= 300:
+        means = places.groupby(["x", "y"], as_index=False)["error"].mean()
+        drawn = axes.scatter(means["x"], means["y"], c=means["error"], s=70, cmap="viridis", vmin=0)
+    else:
+        drawn = axes.hexbin(*at, C=error, gridsize=14, mincnt=1, cmap="viridis", vmin=0, linewidths=0.1)
+    figure.colorbar(drawn, ax=axes, label=f"mean |error| [{target.unit}]")
+    axes.set(title=target.quantity, xlabel=_axis(where[0]), ylabel=_axis(where[1]))
+
+
+def _binned(true: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """Means of equal parts of the rows, ordered by the truth."""
+    parts = np.array_split(np.argsort(true, kind="stable"), _bins(len(true)))
+    centres = np.array([true[rows].mean() for rows in parts])
+    return centres, tuple(np.array([value[rows].mean() for rows in parts]) for value in values)
+
+
+def _bins(n: int) -> int:
+    return int(np.clip(n // 25, 1, 12))
+
+
+def _label(target: TargetCard, what: str) -> str:
+    return f"{what} {target.quantity.replace('_', ' ')} [{target.unit}]"
+
+
+def _axis(column: str) -> str:
+    quantity, _, unit = column.rpartition("_")
+    return f"{quantity.replace('_', ' ')} [{unit}]"
+
+
+def drawn(figure: Figure) -> str:
+    """A figure as a PNG in a data address."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png")
+    return _address(buffer.getvalue())
+
+
+def _address(png: bytes) -> str:
+    return "data:image/png;base64," + base64.b64encode(png).decode()

@@ -1,0 +1,187 @@
+"""A calibration as one page to send to a colleague: text, table and pictures in a single HTML file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from palpate.calibration.conformal import grouped_coverage_interval
+from palpate.calibration.evaluation import groups_in
+from palpate.core.files import PathText, new_file
+from palpate.estimators.certified import checked_file, read_card
+from palpate.estimators.model_card import Card, ScoreCard, TargetCard
+from palpate.recordings.labels import OWN, own_column
+from palpate.reports.calibration_figures import picture, surface_columns, surface_figure, target_figure
+
+PREDICTIONS_FILE = "predictions.parquet"
+OUTER_SHARE = 0.1
+"""Share of the scored rows, by their truth, that an outer range holds."""
+MIN_OUTER_ROWS = 20
+"""Rows that an outer range holds at least; with fewer, a rate of 90 % cannot be told from one of 70 %."""
+
+
+@dataclass(frozen=True, slots=True)
+class OuterRange:
+    """Held-out rows at one end of a target's range, and how often their intervals covered the truth.
+
+    Attributes:
+        where: the range in words with its unit, e.g. "above 5.5 mm".
+        n: rows.
+        covered: rows whose interval covered the truth.
+        low, high: 95 % interval of the covered share, groups counted as groups.
+        bias: mean signed error [the target's unit].
+    """
+
+    where: str
+    n: int
+    covered: int
+    low: float
+    high: float
+    bias: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Worst:
+    picture: str
+    frame: str
+    said: str
+
+
+def write_report(calibration: PathText, out: PathText) -> Path:
+    """Write a calibration's report.
+
+    Args:
+        calibration: the calibration folder.
+        out: the HTML file to make; must not exist.
+
+    Raises:
+        CertificateError: the folder is damaged.
+        ExistsError: `out` exists.
+    """
+    calibration, out = Path(calibration), Path(out)
+    card = read_card(calibration)
+    for part in card.files:
+        checked_file(calibration, part)
+    text = render_report(calibration, card)
+    with new_file(out) as path:
+        path.write_text(text, encoding="utf-8")
+    return out
+
+
+def render_report(calibration: Path, card: Card) -> str:
+    """The report's HTML."""
+    table = pd.read_parquet(calibration / PREDICTIONS_FILE)
+    where, groups = surface_columns(table), groups_in(table, card.split.columns)
+    environment = Environment(
+        loader=PackageLoader("palpate.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.filters["g"] = lambda value: f"{value:.3g}"
+    example, reference = calibration / "example.png", calibration / "reference.png"
+    return environment.get_template("certificate.html").render(
+        card=card,
+        figures={target.column: target_figure(target, table) for target in card.targets},
+        verdicts={t.column: verdict(t, outer_ranges(t, table, groups)) for t in card.targets},
+        surface=surface_figure(card.targets, table, where) if where else "",
+        where=where,
+        worst=_worst(calibration, card, table),
+        example=picture(example) if example.exists() else "",
+        reference=picture(reference) if reference.exists() else "",
+    )
+
+
+def outer_ranges(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) -> tuple[OuterRange, ...]:
+    """The lowest and the highest tenth of a target's scored rows, by the truth; none where rows are few.
+
+    Args:
+        target: whose range it is.
+        table: the held-out predictions, a row a frame.
+        groups: ``[n]`` label of each row's group.
+    """
+    true = table[target.column].to_numpy(float)
+    error = table[f"estimate:{target.column}"].to_numpy(float) - true
+    inside = np.abs(error) <= table[f"half_width:{target.column}"].to_numpy(float)
+    count = max(int(OUTER_SHARE * len(true)), MIN_OUTER_ROWS)
+    if 2 * count > len(true):
+        return ()
+    lowest, highest = np.sort(true)[[count - 1, -count]]
+    ranges = []
+    # Rows that share the limit's truth belong to the range too, as with a few dead weights.
+    for word, limit, rows in (("below", lowest, true <= lowest), ("above", highest, true >= highest)):
+        low, high = grouped_coverage_interval(inside[rows], groups[rows])
+        where, covered = f"{word} {limit:.3g} {target.unit}", int(inside[rows].sum())
+        ranges.append(OuterRange(where, int(rows.sum()), covered, low, high, float(error[rows].mean())))
+    return tuple(ranges)
+
+
+def verdict(target: TargetCard, ends: tuple[OuterRange, ...] = ()) -> str:
+    """What a target's scores mean, in a sentence.
+
+    Args:
+        target: its card.
+        ends: its outer ranges; none where the rows are too few to judge them.
+    """
+    s = target.score
+    if s.says_nothing:
+        return (
+            f"This model does not read {target.quantity.replace('_', ' ')} from these images: the error, "
+            f"{s.mae:.3g} {s.unit}, is no better than always saying the mean ({s.mean_mae:.3g} {s.unit}). "
+            "Do not use this reading; another model may read it."
+        )
+    return (
+        f"Off by {s.mae:.3g} {s.unit} on average, {s.mean_mae / s.mae:.1f} times less than always saying the "
+        f"mean. The 90 % intervals are ±{s.half_width:.3g} {s.unit} wide on average and covered the truth in "
+        f"{100 * s.coverage_90:.1f} % of rows (95 % interval {100 * s.coverage_90_low:.1f} to "
+        f"{100 * s.coverage_90_high:.1f} %), {_kept(s, ends)}."
+    )
+
+
+def _kept(s: ScoreCard, ends: tuple[OuterRange, ...]) -> str:
+    """Whether the intervals keep their promise, over all rows and at both ends of the range."""
+    failed = [end for end in ends if end.high < 0.9]
+    named = "; ".join(
+        f"{end.where} only {end.covered} of {end.n} (95 % interval {100 * end.low:.1f} to "
+        f"{100 * end.high:.1f} %), with a mean error of {end.bias:+.3g} {s.unit}"
+        for end in failed
+    )
+    if s.coverage_90_high < 0.9:
+        return f"less often than they promise{'; ' if named else ''}{named}"
+    if failed:
+        return f"but not over the whole range: {named}"
+    if s.coverage_90_low > 0.9:
+        return "more often than they promise: they are wide"
+    return (
+        "as promised, at both ends of the range too"
+        if ends
+        else ("as promised over all rows; these are too few to judge the ends of the range")
+    )
+
+
+def _worst(calibration: Path, card: Card, table: pd.DataFrame) -> list[_Worst]:
+    found = []
+    for path in sorted(calibration.glob("worst-*.png"), key=lambda p: int(p.stem.split("-")[1])):
+        row = table[own_column(table, "row") == int(path.stem.split("-")[1])].iloc[0]
+        target = max(card.targets, key=lambda t: _error(row, t) / (t.greatest - t.least))
+        found.append(
+            _Worst(
+                picture(path),
+                str(row[f"{OWN}frame" if f"{OWN}frame" in row else "frame"]),
+                _said(row, target),
+            )
+        )
+    return found
+
+
+def _error(row: pd.Series, target: TargetCard) -> float:
+    return abs(float(row[f"estimate:{target.column}"]) - float(row[target.column]))
+
+
+def _said(row: pd.Series, target: TargetCard) -> str:
+    guess, half = row[f"estimate:{target.column}"], row[f"half_width:{target.column}"]
+    return (
+        f"{target.quantity.replace('_', ' ')} {guess:.3g} ± {half:.2g} {target.unit}, "
+        f"truth {row[target.column]:.3g} {target.unit}"
+    )

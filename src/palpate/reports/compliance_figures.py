@@ -1,0 +1,167 @@
+"""Pictures of compliance by touch: one press, and several specimens beside each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+from numpy import ndarray
+
+from palpate.calibration.compliance.compliance_calibration import ReferenceTrial
+from palpate.calibration.compliance.compliance_reading import PressReading
+from palpate.core.shapes import Float
+from palpate.estimators.compliance.literature_method import AsReported
+from palpate.reports.calibration_figures import ACCENT, BAND, INK, STYLE
+
+COLOURS = ("#31688e", "#c0392b", "#35a36a", "#d8a013", "#7b4fa3", "#5b6b75")
+"""For specimens in their order; the report's own are blue, (new: red,) green and yellow."""
+
+
+def press_figure(trial: ReferenceTrial, touch: PressReading | None, reported: AsReported) -> Figure:
+    """The pins at the greatest force, contact area over force, and the stiffness with its interval."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(11.5, 3.7), layout="constrained")
+        left, middle, right = figure.subplots(1, 3, width_ratios=[1, 1.25, 1.25])
+        _pins(left, trial)
+        if touch is not None and touch.course is not None:
+            _area(middle, trial, touch)
+        else:
+            middle.plot(reported.force_n, reported.area, color=ACCENT, marker=".")
+            middle.set(xlabel="force [N]", ylabel="A / A0 [-]", title="relative area, by divergence")
+        if touch is None:
+            _approach(right, trial)
+        else:
+            _stiffness(right, touch)
+        return figure
+
+
+def _pins(axes: Axes, trial: ReferenceTrial) -> None:
+    press = trial.press
+    x, y = press.untouched_px.T
+    u, v = press.moved_px[-1].T
+    axes.quiver(
+        x, y, u, v, np.hypot(u, v), angles="xy", scale_units="xy", scale=1, cmap="viridis", width=6e-3
+    )
+    axes.set(
+        aspect="equal", xlabel="x [px]", ylabel="y [px]", title=f"motion of pins at {press.force_n[-1]:.2g} N"
+    )
+    axes.invert_yaxis()
+    axes.margins(0.12)
+
+
+def _area(axes: Axes, trial: ReferenceTrial, touch: PressReading) -> None:
+    assert touch.course is not None
+    force, area = touch.course.force_n, 1e6 * touch.course.area_m2
+    axes.fill_between(force, area[:, 1], area[:, 2], color=BAND, label="90 % interval")
+    axes.plot(force, area[:, 0], color=ACCENT, marker=".", label="all pins")
+    if np.isfinite(touch.course.ring_m2).any():
+        axes.plot(force, 1e6 * touch.course.ring_m2, color=INK, lw=0.8, ls=":", label="ring and stretch")
+    if trial.area_m2 is not None and np.isfinite(trial.area_m2).any():
+        axes.plot(force, 1e6 * trial.area_m2, color="#c0392b", lw=0.8, ls="--", label="known")
+    axes.set(xlabel="force [N]", ylabel="contact area [mm²]", title="contact area")
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _stiffness(axes: Axes, touch: PressReading) -> None:
+    """Each estimate with its interval, over the calibrated range."""
+    rows = [("touch", touch.stiffness)]
+    if touch.stiffness_both is not None:
+        rows.append(("touch and\nposition", touch.stiffness_both))
+    low, high = (x / 1e3 for x in touch.stiffness.calibrated_range)
+    axes.axvspan(low, high, color=BAND, zorder=0)
+    axes.annotate(
+        "calibrated",
+        ((low * high) ** 0.5, 1.0),
+        xycoords=("data", "axes fraction"),
+        ha="center",
+        va="top",
+        fontsize=8,
+    )
+    for i, (_, one) in enumerate(rows):
+        value, least, most = (x / 1e3 for x in (one.value, one.low, one.high))
+        ends = np.clip([least, most], low / 5, high * 5)
+        axes.plot(ends, [i, i], color=ACCENT if one.valid else "#c0392b", lw=2)
+        axes.plot(np.clip(value, low / 5, high * 5), i, "o", color=ACCENT if one.valid else "#c0392b")
+        text = f"{value:.3g} N/mm" if np.isfinite(value) else "rigid"
+        axes.annotate(
+            text if one.valid else f"{text} (not valid)", (np.clip(value, low / 5, high * 5), i),
+            textcoords="offset points", xytext=(0, 8), ha="center", fontsize=9,
+        )  # fmt: skip
+    axes.set(
+        xscale="log",
+        ylim=(-0.6, len(rows) - 0.2),
+        xlabel="stiffness [N/mm]",
+        title="stiffness of the specimen",
+    )
+    axes.set_yticks(range(len(rows)), [name for name, _ in rows])
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter(ScalarFormatter())
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _approach(axes: Axes, trial: ReferenceTrial) -> None:
+    press = trial.press
+    if press.position_m is None:
+        axes.plot(press.frame, press.force_n, color=ACCENT, marker=".")
+        axes.set(xlabel="frame", ylabel="force [N]", title="force")
+        return
+    axes.plot(1e3 * press.position_m, press.force_n, color=ACCENT, marker=".")
+    axes.set(xlabel="approach [mm]", ylabel="force [N]", title="sensor and specimen in series")
+
+
+def boxes(
+    groups: Mapping[str, Sequence[float]], label: str, axes: Axes, colours: Mapping[str, str] | None = None
+) -> None:
+    """A box a specimen with every trial as a point on it; colours by name, or in order."""
+    names = list(groups)
+    drawn = axes.boxplot(
+        [list(groups[name]) for name in names], widths=0.5, patch_artist=True, showfliers=False
+    )
+    for i, name in enumerate(names):
+        colour = COLOURS[i % len(COLOURS)] if colours is None else colours[name]
+        drawn["boxes"][i].set(facecolor=colour, alpha=0.35, edgecolor=INK, lw=0.8)
+        drawn["medians"][i].set(color=INK, lw=1.2)
+        at = i + 1 + np.linspace(-0.12, 0.12, len(groups[name]))
+        axes.plot(at, groups[name], ".", color=colour, ms=6)
+    axes.set_xticks(range(1, len(names) + 1), names)
+    axes.set_ylabel(label)
+
+
+def curves(
+    groups: Mapping[str, Sequence[tuple[Float[ndarray, " _"], Float[ndarray, " _"]]]],
+    across: str,
+    label: str,
+    axes: Axes,
+) -> None:
+    """A line a trial, a colour a specimen."""
+    for i, (name, lines) in enumerate(groups.items()):
+        for k, (x, y) in enumerate(lines):
+            axes.plot(
+                x, y, color=COLOURS[i % len(COLOURS)], lw=0.9, alpha=0.8, label=name if k == 0 else None
+            )
+    axes.set(xlabel=across, ylabel=label)
+    axes.legend(frameon=False, fontsize=8)
+
+
+def compare_figure(
+    courses: Mapping[str, Sequence[tuple[Float[ndarray, " _"], Float[ndarray, " _"]]]],
+    course_label: str,
+    cues: Mapping[str, Mapping[str, Sequence[float]]],
+) -> Figure:
+    """Area over force of all trials, and a panel of boxes for every cue."""
+    with mpl.rc_context(STYLE):
+        panels = 1 + len(cues)
+        wide = min(panels, 4)
+        high = -(-panels // wide)
+        figure = Figure(figsize=(3.3 * wide, 3.1 * high), layout="constrained")
+        axes = np.atleast_1d(figure.subplots(high, wide)).ravel()
+        curves(courses, "force [N]", course_label, axes[0])
+        for one, (label, groups) in zip(axes[1:], cues.items(), strict=False):
+            boxes(groups, label, one)
+        for one in axes[panels:]:
+            one.set_axis_off()
+        return figure

@@ -1,0 +1,139 @@
+"""The flow of a sequence as a table and a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from palpate.core.files import new_folder, storage_errors
+from palpate.estimators.flow import FlowField
+from palpate.estimators.flow.flow_sequence import Step, course
+from palpate.recordings.exchange.frame_sequences import open_sequence
+from palpate.reports.calibration_figures import ACCENT, INK, STYLE
+
+ARROWS = 24  # along the image's longer side
+SPEEDS = "GnBu"  # light where little moves
+
+
+def write_flow(
+    frames: Path,
+    out: Path,
+    *,
+    method: str = "horn-schunck",
+    from_first: bool = False,
+    fields: bool = False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Any]:
+    """Compute flow along a sequence and write ``flow.csv``, ``flow.png`` and perhaps ``fields.npy``.
+
+    Memory does not grow with the sequence.
+
+    Args:
+        frames: a multi-page TIFF, a video, a folder of images or a run.
+        out: folder to make; must not exist. It appears when all is done.
+        method, from_first: see `course`.
+        fields: also write every flow ``[steps 2 h w]``, float32.
+        progress: told how many steps are done of how many.
+
+    Returns:
+        What was found, as the verb prints it.
+
+    Raises:
+        ExistsError: `out` exists.
+        InputError, ImageError, RecordingError: nothing that flows.
+    """
+    with open_sequence(frames) as sequence, new_folder(out) as building:
+        rows: list[tuple[int, float, float]] = []
+        fastest: Step | None = None
+        kept: np.ndarray | None = None
+        for i, step in enumerate(course(sequence, method, from_first=from_first)):
+            rows.append((i + 1, step.speed_px, step.divergence))
+            if fastest is None or step.speed_px > fastest.speed_px:
+                fastest = step
+            if fields:
+                kept = kept if kept is not None else _kept(building, len(sequence) - 1, step)
+                kept[i] = step.field
+            progress(i + 1, len(sequence) - 1)
+        assert fastest is not None
+        table = pd.DataFrame(rows, columns=["frame", "speed_px", "divergence_per_frame"])
+        total = table["divergence_per_frame"]
+        table["accumulated_divergence"] = total if from_first else total.cumsum()
+        with storage_errors(building):
+            table.to_csv(building / "flow.csv", index=False)
+            _draw(
+                table, fastest, f"{method}, from {'the first frame' if from_first else 'frame to frame'}"
+            ).savefig(building / "flow.png")
+    return {
+        "out": str(out),
+        "method": method,
+        "from_first": from_first,
+        "steps": len(table),
+        "fastest_frame": _fastest(table),
+        "mean_speed_px": float(table["speed_px"].mean()),
+        "accumulated_divergence": float(table["accumulated_divergence"].iloc[-1]),
+    }
+
+
+def _kept(folder: Path, steps: int, step: Step) -> np.ndarray:
+    with storage_errors(folder):
+        return np.lib.format.open_memmap(
+            folder / "fields.npy", "w+", np.float32, shape=(steps, *step.field.shape)
+        )
+
+
+def _fastest(table: pd.DataFrame) -> int:
+    return int(table["frame"].iloc[int(table["speed_px"].argmax())])
+
+
+def _draw(table: pd.DataFrame, fastest: Step, how: str) -> Figure:
+    """The fastest flow, as colours and arrows, beside speed and divergence over the frames."""
+    frame = _fastest(table)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(11, 4.6), layout="constrained")
+        panels = figure.subplot_mosaic("fs;fd", width_ratios=[1.2, 1])
+        above, below = panels["s"], panels["d"]
+        figure.suptitle(f"Optical flow: {how}", color=INK)
+        _field(panels["f"], fastest.field, f"fastest flow, to frame {frame}")
+        above.plot(table["frame"], table["speed_px"], color=ACCENT)
+        above.set(title="mean speed", ylabel="speed [px]", ylim=(0, None))
+        below.plot(table["frame"], table["accumulated_divergence"], color=ACCENT)
+        below.axhline(0, color=INK, lw=0.6)
+        below.set(title="mean divergence so far", xlabel="frame", ylabel="divergence [1]")
+        below.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3), useMathText=True)
+        above.sharex(below)
+        above.tick_params(labelbottom=False)
+        for axes in (above, below):
+            axes.axvline(frame, color=INK, lw=0.8, ls=":")
+        return figure
+
+
+def _field(axes: Axes, field: FlowField, title: str) -> None:
+    """Speed of every pixel as a colour, and the mean flow of squares as arrows with a key."""
+    h, w = field.shape[1:]
+    speed = np.hypot(*field)
+    most = float(np.quantile(speed, 0.999)) or 1.0  # a few pixels at edges claim far more
+    image = axes.imshow(speed, cmap=SPEEDS, vmin=0, vmax=most, extent=(-0.5, w - 0.5, h - 0.5, -0.5))
+    axes.figure.colorbar(image, ax=axes, label="speed [px]", shrink=0.85, extend="max")
+    side = min(-(-max(h, w) // ARROWS), h, w)
+    y, x = (np.arange(n // side) * side + (side - 1) / 2 for n in (h, w))
+    u, v = (
+        part[: len(y) * side, : len(x) * side].reshape(len(y), side, len(x), side).mean(axis=(1, 3))
+        for part in field
+    )
+    longest = float(np.hypot(u, v).max()) or 1.0
+    arrows = axes.quiver(
+        x, y, u, v, color=INK, angles="xy", scale_units="xy", scale=longest / (1.5 * side), width=0.0025
+    )
+    key = float(f"{longest:.1g}")
+    axes.quiverkey(
+        arrows, 0.93, -0.12, key, f"mean of {side} x {side} px: {key:g} px", labelpos="W", coordinates="axes"
+    )
+    axes.set_title(title, loc="left")
+    axes.set(xlabel="x [px]", ylabel="y [px]", xlim=(-0.5, w - 0.5), ylim=(h - 0.5, -0.5))

@@ -1,0 +1,225 @@
+"""The five models on places that they have not learnt from: the source's tables 2 and 3, and its figures.
+
+What the source leaves open: leakage by grouping, representation against architecture, the mirror.
+
+How long a frame takes, on this machine, all models in turns so that they share its moods.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from palpate.core.frame import Frame
+from palpate.estimators.certified import Estimator, read_card
+from palpate.estimators.networks import model_kind
+from palpate.recordings.run_reader import Run
+from palpate.reproductions.palm.palm_published import scores_of
+from palpate.reproductions.palm.palm_study_setup import LOCATIONS, MODELS, CalibrationSetup, StudyFolder, ways
+
+POINTS = 400  # of a figure, at most
+CAMPAIGN = 1000  # added to the seed for the places off the grid
+
+
+def record_both(shop: StudyFolder) -> dict[str, Any]:
+    """The protocol at the grid's places, and a campaign of its own at places off the grid."""
+    protocol = shop.recorded("protocol", shop.scale.protocol())
+    new = shop.recorded("new-places", shop.scale.new_places(shop.seed), seed=shop.seed + CAMPAIGN)
+    return {name: _comparison_text(run) for name, run in (("protocol", protocol), ("new-places", new))}
+
+
+def _comparison_text(run: Run) -> dict[str, Any]:
+    table = run.labels
+    pressed = table[~table["reference"].astype(bool)]
+    return {
+        "frames": len(pressed),
+        "places": int(pressed["location"].nunique()),
+        "presses": int(pressed["press"].nunique()),
+        "depth_mm": [float(pressed["depth_mm"].min()), float(pressed["depth_mm"].max())],
+        "force_N": [float(pressed["force_N"].min()), float(pressed["force_N"].max())],
+        "force_sd_N": float(pressed["force_N"].std()),
+        "lateral_sd_N": [float(pressed[c].std()) for c in ("force_x_N", "force_y_N")],
+        "hash": run.hash,
+    }
+
+
+def headline(shop: StudyFolder, model: str) -> dict[str, Any]:
+    """One model: its scores on held-out places of the grid and on the campaign off it, and its points."""
+    way = ways(MODELS, shop.scale)[model]
+    table, card = shop.held_out(way), read_card(shop.calibrated(way))
+    new = shop.estimated(way, Run.open(shop.folder / "runs" / "new-places"), "new places")
+    columns = model_kind(model).targets
+    return {
+        "calibration": card.id,
+        "seconds": card.seconds,
+        "rows_learnt": card.split.rows_learnt,
+        "options": card.options,
+        "grid": scores_of(table, columns),
+        "new": scores_of(new, columns),
+        "new_valid": float(new["valid"].mean()),
+        "points": _points(table, columns),
+    }
+
+
+def _points(table: pd.DataFrame, columns: tuple[str, ...]) -> dict[str, list[float]]:
+    """Truth and estimate of some frames, spread evenly."""
+    rows = np.unique(np.linspace(0, len(table) - 1, min(POINTS, len(table))).astype(int))
+    names = [name for c in columns for name in (c, f"estimate:{c}", f"half_width:{c}")]
+    names += [c for c in ("x_mm", "y_mm") if c not in columns]
+    return {name: [round(float(v), 5) for v in table[name].iloc[rows]] for name in names}
+
+
+def one_frame(shop: StudyFolder) -> dict[str, Any]:
+    """The two-stage network on one held-out frame: what it is told, and what it says (figure 14)."""
+    way = ways(MODELS, shop.scale)["palm-two-stage"]
+    table = shop.held_out(way)
+    errors = (table["estimate:depth_mm"] - table["depth_mm"]).abs()
+    typical = int((errors - errors.median()).abs().argmin())
+    row = table.iloc[typical]
+    columns = ("depth_mm", "x_mm", "y_mm", "force_N")
+    run = Run.open(shop.folder / "runs" / "protocol")
+    pressed = np.flatnonzero(~run.labels["reference"].astype(bool).to_numpy())
+    return {
+        "frame": int(pressed[int(row["row"])]),
+        "shot": str(row["shot"]),
+        "true": {c: float(row[c]) for c in columns},
+        "estimated": {c: float(row[f"estimate:{c}"]) for c in columns},
+        "half_width": {c: float(row[f"half_width:{c}"]) for c in columns},
+    }
+
+
+def small_way(shop: StudyFolder, name: str, **changes: Any) -> CalibrationSetup:
+    """The architecture that is trained many times over, on recorded presses alone."""
+    return CalibrationSetup(name, "palm-compact", **{"options": dict(shop.scale.small), **changes})
+
+
+SMALL = "small-network"
+GROUPINGS = {
+    "(row, column)": "group:location",
+    "(row, column, cycle)": "group:location,cycle",
+    "row of the table": "random",
+}
+
+SEEINGS: dict[str, dict[str, Any]] = {
+    "visible": {},
+    "occluded": {"probe_in_mirror": False},
+    "opaque underside": {"opaque_underside": True},
+}
+"""How the mirror sees the probe: through the membrane, not at all with the skin's dimple left, or nothing."""
+
+
+def leakage(shop: StudyFolder) -> list[dict[str, Any]]:
+    """The same models on the same frames, held out by place, by place and cycle, and by row of the table."""
+    found = []
+    for grouping, split in GROUPINGS.items():
+        tag = "" if split == LOCATIONS else f"-by-{split.partition(':')[2].replace(',', '-') or split}"
+        small = small_way(shop, f"{SMALL}{tag}", split=split)
+        mlp = replace(ways(("palm-mlp-delta",), shop.scale)["palm-mlp-delta"], split=split)
+        for model, way in (("small network", small), ("MLP", replace(mlp, name=f"{mlp.name}{tag}"))):
+            found.append({"grouping": grouping, "model": model, **_on_both(shop, way)})
+    return found
+
+
+def factorial(shop: StudyFolder) -> list[dict[str, Any]]:
+    """Colour and difference, each with and without, in one architecture."""
+    found = []
+    for colour, channels in (("RGB", 3), ("grey", 1)):
+        for seen, delta in (("raw", False), ("delta", True)):
+            tag = "" if (colour, seen) == ("RGB", "delta") else f"-{colour.lower()}-{seen}"
+            way = small_way(shop, f"{SMALL}{tag}", channels=channels, delta=delta)
+            found.append({"colour": colour, "seen": seen, **_on_both(shop, way)})
+    return found
+
+
+def mirror(shop: StudyFolder) -> list[dict[str, Any]]:
+    """One architecture, learning and tested with the probe in sight, out of sight, and nothing in sight.
+
+    Each way of seeing is learnt from and tested on all of them: a model that was taught with the probe in
+    sight, and is tested without, tells what it had relied on; one taught without tells what is left.
+    """
+    runs = {}
+    for name, fields in SEEINGS.items():
+        spec, tag = replace(shop.spec, **fields), name.replace(" ", "-")
+        if fields:
+            shop.recorded(f"protocol-{tag}", shop.scale.protocol(), spec=spec)
+            plan = shop.scale.new_places(shop.seed)
+            shop.recorded(f"new-places-{tag}", plan, spec=spec, seed=shop.seed + CAMPAIGN)
+        runs[name] = f"-{tag}" if fields else ""
+    found = []
+    for taught, tag in runs.items():
+        way = small_way(shop, f"{SMALL}{tag}", run=f"protocol{tag}")
+        for tested, other in runs.items():
+            run = Run.open(shop.folder / "runs" / f"new-places{other}")
+            found.append({"taught": taught, "tested": tested, **shop.scored(way, run, tested)})
+    return found
+
+
+def _on_both(shop: StudyFolder, way: CalibrationSetup) -> dict[str, Any]:
+    """Scores on held-out rows, and on places off the grid, which no split has touched."""
+    table, columns = shop.held_out(way), model_kind(way.model).targets
+    card = read_card(shop.calibrated(way))
+    new = shop.scored(way, Run.open(shop.folder / "runs" / "new-places"), "new places")
+    return {
+        "held_out": scores_of(table, columns),
+        "new": new["targets"],
+        "clean": card.split.clean,
+        "audit": card.split.audit,
+    }
+
+
+ROUNDS, EACH, WARM = 20, 10, 3
+THREADS = 2
+
+
+def latency(shop: StudyFolder) -> dict[str, Any]:
+    """Of each model: onnxruntime alone on one frame, and from camera frame to readings."""
+    run = Run.open(shop.folder / "runs" / "new-places")
+    table = run.labels
+    untouched = run.frame(int(np.flatnonzero(table["reference"].astype(bool))[0])).image
+    frame = run.frame(int(np.flatnonzero(~table["reference"].astype(bool))[-1]))
+    jobs: dict[tuple[str, str], Callable[[], Any]] = {}
+    for model, way in ways(MODELS, shop.scale).items():
+        estimator = Estimator.open(shop.calibrated(way), threads=THREADS)
+        jobs[model, "network"] = _network(estimator)
+        jobs[model, "reading"] = _reading(estimator, frame, untouched)
+    taken: dict[tuple[str, str], list[float]] = {job: [] for job in jobs}
+    for i in range(ROUNDS):
+        for job, run_it in jobs.items():
+            taken[job] += _timed(run_it)
+        shop.progress("timing", i + 1, ROUNDS)
+    return {
+        model: {part: _latency_text(taken[model, part]) for part in ("network", "reading")}
+        for model in ways(MODELS, shop.scale)
+    }
+
+
+def _network(estimator: Estimator) -> Callable[[], Any]:
+    card = estimator.card.input
+    image = np.zeros((1, card.channels, *card.size_px), np.float32)
+    return lambda: estimator.values(image)
+
+
+def _reading(estimator: Estimator, frame: Frame, untouched: np.ndarray) -> Callable[[], Any]:
+    zero = estimator.zero(untouched) if estimator.card.input.delta else None
+    return lambda: estimator.read(frame, zero)
+
+
+def _timed(job: Callable[[], Any]) -> list[float]:
+    for _ in range(WARM):
+        job()
+    marks = [time.perf_counter()]
+    for _ in range(EACH):
+        job()
+        marks.append(time.perf_counter())
+    return [1e3 * (b - a) for a, b in pairwise(marks)]
+
+
+def _latency_text(ms: list[float]) -> dict[str, float]:
+    p50, p95 = np.percentile(ms, [50, 95])
+    return {"median_ms": round(float(p50), 3), "p95_ms": round(float(p95), 3)}

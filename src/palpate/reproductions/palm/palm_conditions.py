@@ -1,0 +1,432 @@
+"""Conditions that no model has learnt from, recorded on the virtual rig, and what becomes of the scores.
+
+A user's own copy of the palm: what a calibration is worth on it as it is, and after a few presses.
+
+Contacts that the source has none of: pulled, twisted, leaning, of other shapes, several at once.
+
+Each kind is drawn for itself. The five models, calibrated on one upright ball, read it as it comes: what they
+say of the force, and whether they stand by it. Then the study's small network learns from the kind's own
+pictures what the source could not: forces and moments that were put in on purpose.
+
+Whether a calibration stands by the frames that it should, and by no others.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from sklearn.decomposition import PCA
+from sklearn.linear_model import LogisticRegression
+from sklearn.model_selection import StratifiedKFold, cross_val_predict
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from palpate.calibration.adaptation import adapt
+from palpate.calibration.conformal import coverage_interval
+from palpate.core.clock import ManualClock
+from palpate.estimators.certified import Estimator, Zero
+from palpate.estimators.networks.model_interface import Progress
+from palpate.recordings.labels import own_column
+from palpate.recordings.manifest import LabelKind, Manifest
+from palpate.recordings.run_reader import Run
+from palpate.recordings.run_writer import RunWriter
+from palpate.reproductions.palm.palm_comparison import CAMPAIGN, small_way
+from palpate.reproductions.palm.palm_published import scores_of
+from palpate.reproductions.palm.palm_study_setup import (
+    MODELS,
+    CalibrationSetup,
+    Scale,
+    StudyFolder,
+    noisier,
+    ways,
+)
+from palpate.rig.plans import Dwell, Listed, Stepped
+from palpate.rig.virtual.variation import Variation
+from palpate.sensors.palm import PalmSpec
+from palpate.sensors.palm.loads import SHAPES, Loads, draw_loads
+from palpate.sensors.palm.wear import Wear, worn
+from palpate.workflows.parameter_sweep import sweep
+
+RING_MM = 23.0
+NOISES = (0.5, 1.0, 2.0, 4.0)
+PRESSES = (100.0, 1000.0, 3000.0, 10_000.0, 30_000.0)
+
+Change = Callable[[PalmSpec], tuple[PalmSpec, Variation]]
+
+
+def only(**fields: Any) -> Change:
+    """The palm with some fields changed, and the rig's usual variation."""
+    return lambda spec: (replace(spec, **fields), Variation())
+
+
+def _scaled(name: str, by: float) -> Change:
+    return lambda spec: (replace(spec, **{name: getattr(spec, name) * by}), Variation())
+
+
+def _noise(times: float) -> Change:
+    return lambda spec: noisier(spec, times)
+
+
+@dataclass(frozen=True, slots=True)
+class PalmCondition:
+    """Something that differs from the calibration.
+
+    Attributes:
+        name: of its recording.
+        said: in words.
+        change: of the palm and of what varies.
+        campaign: added to the seed.
+        where: "off" the grid, at the grid's "own" places, or "beyond" them.
+    """
+
+    name: str
+    said: str
+    change: Change = field(default_factory=only)
+    campaign: int = CAMPAIGN
+    where: Literal["off", "own", "beyond"] = "off"
+
+
+CONDITIONS: tuple[PalmCondition, ...] = (
+    PalmCondition("unchanged", "as calibrated"),
+    PalmCondition("again", "the grid's own places, in cycles not seen", campaign=2000, where="own"),
+    PalmCondition("beyond", "places beyond the grid, 23 mm from the middle", where="beyond"),
+    PalmCondition("stiffer", "a membrane 10 % stiffer", _scaled("youngs_modulus_pa", 1.1)),
+    PalmCondition("softer", "a membrane 10 % softer", _scaled("youngs_modulus_pa", 0.9)),
+    PalmCondition("brighter", "the lamp 5 % brighter", only(lamp_gain=1.05)),
+    PalmCondition("dimmer", "the lamp 20 % dimmer", only(lamp_gain=0.8)),
+    PalmCondition("warmer", "the lamp warmer by 30 mired", only(lamp_mired=30.0)),
+    PalmCondition("room-light", "room light of 5 % of the lamp's", only(ambient=0.05)),
+    PalmCondition("hazy", "a membrane with 10 % haze", only(wear=Wear(haze=0.1))),
+    PalmCondition("scratched", "a membrane with 8 scratches", only(wear=Wear(scratches=8))),
+    PalmCondition(
+        "yellowed", "a yellowed membrane (absorbance 0.1 at 450 nm)", only(wear=Wear(yellowing=0.1))
+    ),
+    PalmCondition("occluded", "the probe out of the mirror's sight", only(probe_in_mirror=False)),
+    PalmCondition("opaque", "an opaque underside", only(opaque_underside=True)),
+)
+
+
+def conditions(shop: StudyFolder) -> dict[str, Any]:
+    """Every model's scores under each condition."""
+    return {one.name: {"said": one.said, "models": _models(shop, one)} for one in CONDITIONS}
+
+
+def noise(shop: StudyFolder) -> list[dict[str, Any]]:
+    """Every model, taught at the rig's own noise, on places off the grid at so many times that noise."""
+    every = (
+        PalmCondition(f"noise-{times:g}", f"{times:g} times the noise", _noise(times)) for times in NOISES
+    )
+    return [{"times": times, "models": _models(shop, one)} for times, one in zip(NOISES, every, strict=True)]
+
+
+def durability(shop: StudyFolder) -> list[dict[str, Any]]:
+    """Every model on a membrane that has been pressed so often, by the law of wear that is assumed."""
+    every = (
+        PalmCondition(f"pressed-{presses:g}", f"after {presses:g} presses", only(wear=worn(presses)))
+        for presses in PRESSES
+    )
+    return [
+        {"presses": presses, "models": _models(shop, one)}
+        for presses, one in zip(PRESSES, every, strict=True)
+    ]
+
+
+def recorded(shop: StudyFolder, one: PalmCondition) -> Run:
+    """A condition's recording."""
+    spec, variation = one.change(shop.spec)
+    plan = _plan(shop.scale, shop.seed, one)
+    return shop.recorded(one.name, plan, spec, variation, shop.seed + one.campaign)
+
+
+def _models(shop: StudyFolder, one: PalmCondition) -> dict[str, Any]:
+    run = recorded(shop, one)
+    return {model: shop.scored(way, run, one.said) for model, way in ways(MODELS, shop.scale).items()}
+
+
+def _plan(scale: Scale, seed: int, one: PalmCondition) -> Stepped:
+    plan = scale.new_places(seed, coarse=True)
+    if one.where == "own":
+        return plan.model_copy(update={"places": scale.protocol().places})
+    if one.where == "beyond":
+        return plan.model_copy(update={"places": Listed(kind="listed", at_mm=_ring(scale.places // 2))})
+    return plan
+
+
+def _ring(count: int) -> tuple[tuple[float, float], ...]:
+    angles = [math.tau * (i + 0.5) / count for i in range(count)]
+    return tuple((round(RING_MM * math.cos(a), 3), round(RING_MM * math.sin(a), 3)) for a in angles)
+
+
+def sustained(shop: StudyFolder, seconds: float = 60.0) -> dict[str, Any]:
+    """One press held: what every model says of depth and force while the skin relaxes."""
+    plan = Stepped(
+        name="palm-sustained",
+        places=Listed(kind="listed", at_mm=((3.0, -4.0),)),
+        cycles=1,
+        frames=1,
+        reference_frames=1,
+        depth_mm=4.0,
+        step_mm=1.0,
+        dwell=Dwell(depths_mm=(4.0,), seconds=seconds, frames=60),
+    )
+    run = shop.recorded("sustained", plan, seed=shop.seed + 3000)
+    return {"seconds": seconds, "models": _held(shop, run)}
+
+
+def _held(shop: StudyFolder, run: Run) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for model, way in ways(MODELS, shop.scale).items():
+        table = shop.estimated(way, run, "a press held")
+        held = table[table["phase"] == "hold"]
+        names = [c for c in ("depth_mm", "force_N") if f"estimate:{c}" in held]
+        found[model] = {
+            name: [round(float(v), 5) for v in held[name]] for c in names for name in (c, f"estimate:{c}")
+        }
+    return found
+
+
+COPIED = ("palm-two-stage", "palm-compact")
+ADAPTATION_PRESSES = (10, 20, 50)  # presses
+COPY = 4000  # added to the seed for all that is recorded of the copy
+
+STIFFER, DIMMER, WARMER_MIRED = 1.15, 0.9, 15.0
+"""How the copy differs: silicone of another batch, and a lamp of another."""
+
+
+def copy_of(spec: PalmSpec) -> PalmSpec:
+    """Another palm of the same make."""
+    return replace(
+        spec,
+        youngs_modulus_pa=STIFFER * spec.youngs_modulus_pa,
+        lamp_gain=DIMMER * spec.lamp_gain,
+        lamp_mired=WARMER_MIRED,
+    )
+
+
+def adaptation(shop: StudyFolder) -> list[dict[str, Any]]:
+    """Scores on the copy after no, 10, 20 and 50 presses of it; "0" has the copy's own untouched frame."""
+    spec = copy_of(shop.spec)
+    test = shop.recorded("copy", shop.scale.new_places(shop.seed, coarse=True), spec, seed=shop.seed + COPY)
+    found = []
+    for model in COPIED:
+        way = ways(MODELS, shop.scale)[model]
+        found.append({"model": model, "presses": 0, **shop.scored(way, test, "a copy")})
+        for presses in ADAPTATION_PRESSES:
+            run = shop.recorded(f"copy-{presses}", _lesson(shop.scale, presses), spec, seed=shop.seed + COPY)
+            out = shop.folder / "calibrations" / f"{model}-copy-{presses}"
+            if not out.exists():
+                adapt(shop.calibrated(way), run, out, shop.progress)
+            found.append({"model": model, "presses": presses, **shop.scored_by(out, test, "a copy")})
+    return found
+
+
+def _lesson(scale: Scale, presses: int) -> Stepped:
+    """Presses at places of their own."""
+    plan = scale.new_places(1000 + presses, coarse=True)
+    places = plan.places.model_copy(update={"count": presses})
+    return plan.model_copy(update={"name": f"palm-lesson-{presses}", "places": places})
+
+
+BLOCK = 15  # pictures that one process draws at a time
+LOAD_PRESSES: dict[str, tuple[str, ...]] = {
+    "lateral": ("force_N", "force_x_N", "force_y_N", "moment_z_Nmm"),
+    "inclined": ("force_N", "moment_x_Nmm", "moment_y_Nmm"),
+    "grasp": ("force_N", "moment_x_Nmm", "moment_y_Nmm"),
+}
+"""What is learnt from a kind's own pictures."""
+KINDS = ("lateral", "inclined", "shapes", "two-contacts", "grasp")
+COMPONENTS = 40
+
+
+@dataclass(frozen=True, slots=True)
+class LoadBlock:
+    """Some pictures of a kind."""
+
+    spec: PalmSpec
+    kind: str
+    count: int
+
+
+def drawn(block: LoadBlock, rng: np.random.Generator) -> Loads:
+    """One block's pictures."""
+    return draw_loads(block.spec, block.kind, block.count, rng)
+
+
+def record_loads(shop: StudyFolder, kind: str) -> Run:
+    """A kind's pictures as a run: of each contact the untouched skin, and the contact."""
+    path = shop.folder / "runs" / f"loads-{kind}"
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        counts = np.diff(np.append(np.arange(0, shop.scale.loads, BLOCK), shop.scale.loads)).tolist()
+        blocks = [LoadBlock(shop.spec, kind, count) for count in counts]
+        told = partial(_told, shop.progress, f"drawing {kind}")
+        parts = sweep(
+            drawn, blocks, seed=shop.seed + KINDS.index(kind), processes=shop.processes, progress=told
+        )
+        half = path.with_name(f".{path.name}.part")
+        shutil.rmtree(half, ignore_errors=True)  # what a try that was stopped has left
+        _write(shop, half, kind, parts)
+        half.rename(path)
+    return Run.open(path)
+
+
+def _told(progress: Progress, what: str, done: int, total: int) -> None:
+    progress(what, done, total)
+
+
+def _write(shop: StudyFolder, path: Path, kind: str, parts: list[Loads]) -> None:
+    names = parts[0].names
+    # A grasp of three has no fourth ball: what not all contacts have is left out.
+    kept = [i for i in range(len(names)) if all(np.isfinite(part.values[:, i]).all() for part in parts)]
+    labels: dict[str, LabelKind] = {"location": "text", "press": "text", "reference": "flag"}
+    labels |= dict.fromkeys([names[i] for i in kept], "number")
+    manifest = Manifest.new(
+        sensor=f"virtual {shop.spec.name}",
+        rig=f"drawn: {kind}",
+        licence="CC0-1.0",
+        origin="rendered by palpate; virtual, not measured",
+        labels=labels,
+        regions={"fringes": shop.spec.fringes.box_px, "mirror": shop.spec.mirror.box_px},
+        seed=shop.seed,
+    )
+    clock, count = ManualClock(), 0
+    with RunWriter.create(path, manifest, clock=clock, overflow="wait") as writer:
+        for part in parts:
+            for image, untouched, values in zip(part.images, part.hanging, part.values, strict=True):
+                told = {names[i]: float(values[i]) for i in kept}
+                who = {"location": f"c{count}", "press": f"c{count}"}
+                for picture, reference in ((untouched, True), (image, False)):
+                    clock.sleep(1 / 30)
+                    writer.frame(picture, labels={**who, "reference": reference, **told})
+                count += 1
+
+
+def loads(shop: StudyFolder) -> dict[str, Any]:
+    """Of each kind: what the five models make of it, and what a network can learn of it."""
+    found: dict[str, Any] = {}
+    for kind in KINDS:
+        run = record_loads(shop, kind)
+        found[kind] = {
+            "models": {m: _as_it_comes(shop, way, run, kind) for m, way in ways(MODELS, shop.scale).items()},
+            "learnt": _learnt(shop, kind),
+        }
+    found["shapes"]["told apart"] = told_apart(Run.open(shop.folder / "runs" / "loads-shapes"))
+    return found
+
+
+def _as_it_comes(shop: StudyFolder, way: CalibrationSetup, run: Run, kind: str) -> dict[str, Any]:
+    """The whole force as a model reads it, with the untouched skin beside it as the reference."""
+    estimator, table = Estimator.open(shop.calibrated(way)), run.labels
+    zero: Zero | None = None
+    errors, stood = [], []
+    for row in range(len(table)):
+        if table["reference"].iloc[row]:
+            zero = estimator.zero(run.frame(row).image)
+            continue
+        readings = estimator.read(run.frame(row), zero)
+        errors.append(readings["force_N"].value - float(table["force_N"].iloc[row]))
+        stood.append(all(reading.valid for reading in readings.values()))
+        shop.progress(f"{way.name} on {kind}", row + 1, len(table))
+    held = np.abs(np.array(errors)[np.array(stood)])
+    return {
+        "force_mae_N": float(np.abs(errors).mean()),
+        "stood_by": float(np.mean(stood)),
+        "force_mae_stood_by_N": float(held.mean()) if len(held) else None,
+    }
+
+
+def _learnt(shop: StudyFolder, kind: str) -> dict[str, Any]:
+    if kind not in LOAD_PRESSES:
+        return {}
+    way = small_way(shop, f"small-network-{kind}", run=f"loads-{kind}", targets=LOAD_PRESSES[kind])
+    table = shop.held_out(way)
+    spread = {c: float(np.abs(table[c] - table[c].mean()).mean()) for c in LOAD_PRESSES[kind]}
+    return {"targets": scores_of(table, LOAD_PRESSES[kind]), "spread": spread}
+
+
+def told_apart(run: Run, seed: int = 0) -> dict[str, Any]:
+    """Which of five shapes it was, by a linear classifier of the differences' main components.
+
+    Five folds of contacts; no contact is in two.
+    """
+    table = run.labels
+    pressed = np.flatnonzero(~table["reference"].astype(bool).to_numpy())
+    images = np.stack(
+        [
+            (run.frame(int(i)).image.astype(np.float32) - run.frame(int(i) - 1).image)[::2, ::2].ravel()
+            for i in pressed
+        ]
+    )
+    shape = table["shape"].iloc[pressed].to_numpy(int)
+    folds = StratifiedKFold(5, shuffle=True, random_state=seed)
+    parts = min(COMPONENTS, len(images) // 2)
+    model = make_pipeline(PCA(parts, random_state=seed), StandardScaler(), LogisticRegression(max_iter=2000))
+    said = cross_val_predict(model, images, shape, cv=folds)
+    right = {
+        name: float((said[shape == k] == k).mean()) for k, name in enumerate(SHAPES) if (shape == k).any()
+    }
+    often = float(max((shape == k).mean() for k in range(len(SHAPES))))
+    return {"right": float((said == shape).mean()), "of each": right, "commonest": often, "n": len(shape)}
+
+
+FOREIGN: tuple[PalmCondition, ...] = (
+    PalmCondition("lamp-dim", "the lamp 30 % dimmer", only(lamp_gain=0.7)),
+    PalmCondition("lamp-bright", "the lamp 30 % brighter", only(lamp_gain=1.3)),
+    PalmCondition("lamp-warm", "the lamp warmer by 60 mired", only(lamp_mired=60.0)),
+    PalmCondition("lamp-cold", "the lamp colder by 60 mired", only(lamp_mired=-60.0)),
+    PalmCondition("room-bright", "room light of 20 % of the lamp's", only(ambient=0.2)),
+    PalmCondition("no-membrane", "no membrane", only(membrane=False)),
+)
+
+
+def validity(shop: StudyFolder) -> list[dict[str, Any]]:
+    """Shares of frames that each calibration says are not of its kind, or out of its range."""
+    every = ways(MODELS, shop.scale)
+    new = Run.open(shop.folder / "runs" / "new-places")
+    found = [
+        _row("held-out places of the grid", True, {m: _held_out(shop, way) for m, way in every.items()}),
+        _row("places off the grid", True, {m: _flags(shop, w, new) for m, w in every.items()}),
+    ]
+    for kind, said in (("two-contacts", "two contacts at once"), ("grasp", "three or four contacts at once")):
+        run = record_loads(shop, kind)
+        found.append(_row(said, False, {m: _flags(shop, way, run) for m, way in every.items()}))
+    for one in FOREIGN:
+        run = recorded(shop, one)
+        found.append(_row(one.said, False, {m: _flags(shop, way, run) for m, way in every.items()}))
+    return found
+
+
+def _row(said: str, good: bool, flags: dict[str, np.ndarray]) -> dict[str, Any]:
+    return {"said": said, "good": good, "models": {m: _rate(flagged) for m, flagged in flags.items()}}
+
+
+def _rate(flagged: np.ndarray) -> dict[str, float]:
+    low, high = coverage_interval(int(flagged.sum()), len(flagged))
+    return {"flagged": float(flagged.mean()), "low": low, "high": high, "n": len(flagged)}
+
+
+def _flags(shop: StudyFolder, way: CalibrationSetup, run: Run) -> np.ndarray:
+    return ~shop.estimated(way, run, run.path.name)["valid"].to_numpy(bool)
+
+
+def _held_out(shop: StudyFolder, way: CalibrationSetup) -> np.ndarray:
+    """Of the rows that the calibration was scored by, each with its own press's untouched frame."""
+    estimator = Estimator.open(shop.calibrated(way))
+    run = Run.open(shop.folder / "runs" / way.run)
+    table = run.labels
+    reference = table["reference"].astype(bool).to_numpy()
+    pressed, untouched = np.flatnonzero(~reference), np.flatnonzero(reference)
+    zero_of = dict(zip(table["press"].iloc[untouched], untouched.tolist(), strict=True))
+    flagged = []
+    for row in pressed[own_column(shop.held_out(way), "row").to_numpy(int)]:
+        zero = estimator.zero(run.frame(zero_of[table["press"].iloc[row]]).image)
+        readings = estimator.read(run.frame(int(row)), zero)
+        flagged.append(not all(reading.valid for reading in readings.values()))
+    return np.array(flagged)

@@ -1,0 +1,302 @@
+"""The study as one page that reads like the results section of a paper.
+
+The palm's report made again on the virtual rig, and gone beyond: record, train, score, write it up.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from palpate.core.errors import ExistsError, InputError
+from palpate.core.files import new_file, refuse_existing, storage_errors
+from palpate.estimators.networks.model_interface import Progress, silent
+from palpate.recordings.run_reader import Run
+from palpate.reports import study_figures as draw
+from palpate.reproductions.palm import palm_comparison
+from palpate.reproductions.palm import palm_conditions as cond
+from palpate.reproductions.palm.palm_comparison import headline, latency, one_frame, record_both
+from palpate.reproductions.palm.palm_conditions import (
+    DIMMER,
+    STIFFER,
+    WARMER_MIRED,
+    adaptation,
+    loads,
+    validity,
+)
+from palpate.reproductions.palm.palm_published import DEPTH, FORCE, MAE, NAMES, PEERS, PLACE, R2, TABLE_2
+from palpate.reproductions.palm.palm_study_setup import MODELS, Scale, StudyFolder
+from palpate.reproductions.palm.palm_summary import PalmStudyEntry, summary_of, targets_of
+from palpate.version import __version__
+
+REPORT_FILE, SUMMARY_FILE = "report.html", "summary.json"
+SHORT = {name: said.split(" (")[0] for name, said in NAMES.items()}
+SAID = {
+    "force_N": "F_z",
+    "force_x_N": "F_x",
+    "force_y_N": "F_y",
+    "force_magnitude_N": "|F|",
+    "depth_mm": "depth",
+    "x_mm": "x",
+    "y_mm": "y",
+    "place_mm": "place (distance)",
+}
+INITIALS = dict(zip(MODELS, ("joint", "cond.", "MLP", "2-st.", "ours"), strict=True))
+HEADLINE = (FORCE, PLACE, DEPTH)
+Panels = dict[str, dict[str, tuple[list[float], list[float]]]]
+LIGHT, DARK = "#35c46a", "#3d7bff"
+
+
+def write_up(shop: StudyFolder, found: Mapping[str, Any]) -> None:
+    """Write `summary.json` and `report.html` into the study's folder; one that was stopped begins anew."""
+    for name in (SUMMARY_FILE, REPORT_FILE):
+        (shop.folder / name).unlink(missing_ok=True)
+    with new_file(shop.folder / SUMMARY_FILE) as path:
+        path.write_text(json.dumps(summary_of(found), indent=1, allow_nan=False) + "\n")
+    with new_file(shop.folder / REPORT_FILE) as path:
+        path.write_text(page(shop, found), encoding="utf-8")
+
+
+def page(shop: StudyFolder, found: Mapping[str, Any]) -> str:
+    """The report's HTML."""
+    environment = Environment(
+        loader=PackageLoader("palpate.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.filters["g"] = lambda value: "–" if value is None else f"{value:.3g}"
+    environment.filters["pc"] = lambda share: f"{100 * share:.1f} %"
+    scores = {m: found[f"headline-{m}"] for m in MODELS if f"headline-{m}" in found}
+    return environment.get_template("palm_study.html").render(
+        scale=shop.scale,
+        seed=shop.seed,
+        version=__version__,
+        seconds=shop.seconds(),
+        found=found,
+        scores=scores,
+        models=MODELS,
+        names=NAMES,
+        said=SAID,
+        targets={m: targets_of(m) for m in MODELS},
+        headline=HEADLINE,
+        by_target={t: [m for m in MODELS if t in targets_of(m)] for t in HEADLINE},
+        short=INITIALS,
+        printed=MAE,
+        printed_r2=R2,
+        training=TABLE_2,
+        peers=PEERS,
+        verdicts=verdicts(scores),
+        figures=_figures(shop, found, scores),
+        copy={"stiffer": STIFFER - 1, "dimmer": 1 - DIMMER, "warmer_mired": WARMER_MIRED},
+    )
+
+
+def verdicts(scores: Mapping[str, Any]) -> list[str]:
+    """What the headline's numbers say, in sentences that are made from them."""
+    ours = scores.get("palm-compact")
+    others = {m: s for m, s in scores.items() if m != "palm-compact"}
+    if not ours or not others:
+        return []
+    lines = []
+    for target in HEADLINE:
+        known = {m: s["new"][target] for m, s in others.items() if target in s["new"]}
+        best = min(known, key=lambda m: known[m]["mae"])
+        mine, theirs = ours["new"][target], known[best]
+        overlap = mine["mae_low"] <= theirs["mae_high"] and theirs["mae_low"] <= mine["mae_high"]
+        lines.append(
+            f"{SAID[target]}, off the grid: the best of the four is {SHORT[best]} with {theirs['mae']:.3g} "
+            f"{theirs['unit']}; palm-compact is off by {mine['mae']:.3g} {mine['unit']}"
+            f"{' (their intervals over places overlap)' if overlap else ''}."
+        )
+    return lines
+
+
+def _figures(shop: StudyFolder, found: Mapping[str, Any], scores: Mapping[str, Any]) -> dict[str, str]:
+    if len(scores) < len(MODELS):
+        return {}
+    made = {
+        "force_bars": draw.bars(_bars(scores, FORCE), "F_z mean absolute error [N]"),
+        "place_bars": draw.bars(_bars(scores, PLACE), "mean distance of places [mm]"),
+        "forces": draw.clouds(_clouds(scores, FORCE), "F_z [N]"),
+        "depths": draw.clouds(_clouds(scores, DEPTH), "depth [mm]"),
+        "places": _places(scores),
+    }
+    if "one-frame" in found:
+        made["frame"] = _frame(shop, found["one-frame"]["frame"])
+    if "noise" in found:
+        made["noise"] = draw.curves(_against(found["noise"], "times"), "noise, over the rig's own")
+    if "durability" in found:
+        panels = _against(found["durability"], "presses")
+        made["durability"] = draw.curves(panels | _stood_by(found["durability"]), "presses", log_across=True)
+    if "sustained" in found:
+        made["sustained"] = _sustained(found["sustained"])
+    return made
+
+
+def _bars(scores: Mapping[str, Any], target: str) -> list[draw.Bar]:
+    rows = []
+    for model, found in scores.items():
+        printed, one = MAE.get((model, target)), found["grid"].get(target)
+        if one is not None:
+            rows.append(
+                draw.Bar(
+                    NAMES[model],
+                    printed.value if printed else None,
+                    one["mae"],
+                    one["mae_low"],
+                    one["mae_high"],
+                )
+            )
+    return rows
+
+
+def _clouds(scores: Mapping[str, Any], target: str) -> list[draw.Cloud]:
+    points = {m: s["points"] for m, s in scores.items() if f"estimate:{target}" in s["points"]}
+    return [draw.Cloud(SHORT[m], p[target], p[f"estimate:{target}"]) for m, p in points.items()]
+
+
+def _places(scores: Mapping[str, Any]) -> str:
+    names = ("x_mm", "y_mm", "estimate:x_mm", "estimate:y_mm")
+    points = {m: s["points"] for m, s in scores.items() if names[2] in s["points"]}
+    return draw.places([SHORT[m] for m in points], [[p[n] for n in names] for p in points.values()])
+
+
+def _frame(shop: StudyFolder, frame: int) -> str:
+    run = Run.open(shop.folder / "runs" / "protocol")
+    boxes = [(run.manifest.regions[name], c) for name, c in (("fringes", LIGHT), ("mirror", DARK))]
+    return draw.annotated(run.frame(frame).image, boxes)
+
+
+def _against(rows: list[dict[str, Any]], across: str) -> Panels:
+    """Errors of every model, a panel a target."""
+    panels: Panels = {}
+    for target in HEADLINE:
+        lines = {}
+        for model in MODELS:
+            known = [row for row in rows if target in row["models"][model]["targets"]]
+            if known:
+                y = [row["models"][model]["targets"][target]["mae"] for row in known]
+                lines[SHORT[model]] = ([row[across] for row in known], y)
+        panels[f"{SAID[target]}: MAE [{'N' if target == FORCE else 'mm'}]"] = lines
+    return panels
+
+
+def _stood_by(rows: list[dict[str, Any]]) -> Panels:
+    across = [row["presses"] for row in rows]
+    lines = {SHORT[m]: (across, [100 * row["models"][m]["valid"] for row in rows]) for m in MODELS}
+    return {"frames accepted [%]": lines}
+
+
+def _sustained(found: Mapping[str, Any]) -> str:
+    panels: Panels = {}
+    for target, unit in ((FORCE, "N"), (DEPTH, "mm")):
+        lines = {}
+        for model, held in found["models"].items():
+            if f"estimate:{target}" in held:
+                truth, seen = np.array(held[target]), np.array(held[f"estimate:{target}"])
+                time_s = np.linspace(0, found["seconds"], len(truth))
+                lines[SHORT[model]] = (time_s.tolist(), (seen - truth).tolist())
+        panels[f"{SAID[target]}: error [{unit}]"] = lines
+    return draw.curves(panels, "time held [s]", log=False)
+
+
+PLAN_FILE = "study.json"
+PARTS = ("all", "headline")
+
+
+@dataclass(frozen=True, slots=True)
+class StudyPart:
+    """A part of the study: its name, and what makes its result."""
+
+    name: str
+    make: Callable[[StudyFolder], Any]
+
+
+def stages(part: str = "all") -> tuple[StudyPart, ...]:
+    """The parts, in the order in which they are made."""
+
+    def one(model: str) -> Callable[[StudyFolder], Any]:
+        return lambda shop: headline(shop, model)
+
+    first = (
+        StudyPart("recorded", record_both),
+        *(StudyPart(f"headline-{model}", one(model)) for model in MODELS),
+        StudyPart("one-frame", one_frame),
+    )
+    if part == "headline":
+        return first
+    return (
+        *first,
+        StudyPart("leakage", palm_comparison.leakage),
+        StudyPart("factorial", palm_comparison.factorial),
+        StudyPart("mirror", palm_comparison.mirror),
+        StudyPart("noise", cond.noise),
+        StudyPart("conditions", cond.conditions),
+        StudyPart("durability", cond.durability),
+        StudyPart("sustained", cond.sustained),
+        StudyPart("adaptation", adaptation),
+        StudyPart("loads", loads),
+        StudyPart("validity", validity),
+        StudyPart("latency", latency),
+    )
+
+
+def reproduce_palm(
+    out: Path, scale: Scale, *, seed: int = 0, part: str = "all", progress: Progress = silent
+) -> list[PalmStudyEntry]:
+    """Record, train, score and write up the study into a new folder.
+
+    Interrupted, the same call goes on from the first part that is missing.
+
+    Args:
+        out: folder to make; must not exist. It appears when everything is done.
+        scale: how large.
+        seed: of everything random: the rig's noise, which places are held out, the networks' beginnings.
+        part: "all", or "headline" for the comparison of the five models alone.
+        progress: told what is being done.
+
+    Returns:
+        The numbers, as `summary.json` holds them.
+
+    Raises:
+        ExistsError: `out` exists, or unfinished work of another scale, seed or part lies beside it.
+        InputError: there is no such part.
+    """
+    if part not in PARTS:
+        raise InputError(f"there is no part {part!r}; there are {', '.join(PARTS)}")
+    shop = workshop(out, scale, seed, part, progress)
+    found = {stage.name: shop.kept(stage.name, partial(stage.make, shop)) for stage in stages(part)}
+    write_up(shop, found)
+    entries = summary_of(found)
+    shop.folder.rename(out)
+    return entries
+
+
+def workshop(
+    out: Path, scale: Scale, seed: int, part: str = "all", progress: Progress = silent
+) -> StudyFolder:
+    """The folder of unfinished work towards `out`, made or found again.
+
+    Raises:
+        ExistsError: `out` exists, or work of another scale, seed or part lies beside it.
+    """
+    refuse_existing(out)
+    work = out.with_name(f".{out.name}.work")
+    wanted = json.dumps({"study": "palm", "scale": scale.name, "seed": seed, "part": part})
+    note = work / PLAN_FILE
+    if note.is_file() and note.read_text() != wanted:
+        raise ExistsError(
+            f"{work} holds unfinished work of another scale, seed or part ({note.read_text()}); run that one "
+            "again to finish it, remove the folder, or choose another --out"
+        )
+    if not note.is_file():
+        with storage_errors(work):
+            work.mkdir(parents=True, exist_ok=True)
+        with new_file(note) as path:
+            path.write_text(wanted)
+    return StudyFolder(work, scale, seed, progress)

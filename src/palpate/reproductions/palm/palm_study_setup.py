@@ -1,0 +1,327 @@
+"""How large the study is: what is recorded, at which size it is seen, and how long models learn.
+
+The study's folder: every recording, calibration and result is made once and found again.
+
+Whatever is interrupted is gone on with by the same command, from the first thing that is missing.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import pandas as pd
+
+from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
+from palpate.calibration.evaluation import predictions
+from palpate.calibration.training_data import regions_seen
+from palpate.core.errors import DeviceError, InputError
+from palpate.core.files import new_file
+from palpate.estimators.certified import Estimator, read_card
+from palpate.estimators.networks import model_kind
+from palpate.estimators.networks.model_interface import Progress, silent
+from palpate.recordings.run_reader import Run
+from palpate.reports.certificate_page import write_report
+from palpate.reproductions.palm.palm_published import scores_of
+from palpate.rig import State, record
+from palpate.rig.plans import Scattered, Stepped
+from palpate.rig.virtual.bench import virtual_rig
+from palpate.rig.virtual.variation import Variation
+from palpate.sensors import palm
+from palpate.sensors.palm import PalmSpec
+from palpate.sensors.palm.sensor import Palm
+from palpate.workflows.certification import REPORT_FILE, certify
+
+MODELS = ("palm-joint-raw", "palm-force-conditioned", "palm-mlp-delta", "palm-two-stage", "palm-compact")
+"""The source's four, in its order, and ours."""
+
+WITHIN_MM, PROBE_MM = 20.5, 10.0
+"""How far from the middle the places off the grid lie. The grid ends at 21 mm: farther out a reading
+is beyond the calibrated range, and marked so."""
+
+SMALL_NETWORK: Mapping[str, Any] = MappingProxyType({"rendered": 0, "epochs": 60, "batch": 32})
+"""palm-compact on recorded presses alone: where one architecture is trained many times over."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """One size of the study.
+
+    Attributes:
+        name: as it is asked for.
+        side_px: of each view, as models see it [px].
+        frame_px: of each view, as the camera takes it [px].
+        cycles, step_mm, depth_mm, frames: of the protocol at the grid's 37 places; see `Stepped`.
+        places: off the grid, pressed once each in a campaign of their own, every `new_step_mm`; for the many
+            conditions that are only tested under, every `coarse_step_mm`.
+        options: model -> settings that are not its defaults.
+        small: settings of the architecture that is trained many times over.
+        loads: pictures of each kind of contact that is not one upright ball.
+        folds: parts that the grid's places are dealt into; one is held out.
+    """
+
+    name: str
+    side_px: int
+    frame_px: int
+    cycles: int
+    step_mm: float
+    depth_mm: float
+    frames: int
+    places: int
+    new_step_mm: float
+    coarse_step_mm: float
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    small: Mapping[str, Any] = field(default_factory=lambda: SMALL_NETWORK)
+    loads: int = 60
+    folds: int = 5
+
+    def protocol(self) -> Stepped:
+        """The palm's, at its 37 places."""
+        return Stepped(
+            name="palm-protocol",
+            cycles=self.cycles,
+            step_mm=self.step_mm,
+            depth_mm=self.depth_mm,
+            frames=self.frames,
+            reference_frames=1,
+        )
+
+    def new_places(self, seed: int, *, coarse: bool = False) -> Stepped:
+        """Places off the grid, in one cycle."""
+        return Stepped(
+            name="palm-new-places",
+            places=Scattered(
+                kind="scattered",
+                count=self.places,
+                apart_mm=2.0,
+                seed=seed,
+                layer_mm=2 * WITHIN_MM + PROBE_MM,
+            ),
+            cycles=1,
+            step_mm=self.coarse_step_mm if coarse else self.new_step_mm,
+            # Taps set the clocks by what the camera sees of them: without a membrane it sees nothing.
+            **({"taps": 0} if coarse else {}),
+            depth_mm=self.depth_mm,
+            frames=1,
+            reference_frames=1,
+        )
+
+
+SMALL = Scale(
+    name="small",
+    side_px=96,
+    frame_px=96,
+    cycles=2,
+    step_mm=0.4,
+    depth_mm=4.8,
+    frames=1,
+    places=24,
+    new_step_mm=0.4,
+    coarse_step_mm=1.2,
+    options={"palm-compact": {"processes": 2}},
+    loads=240,
+)
+FULL = Scale(
+    name="full",
+    side_px=128,
+    frame_px=128,
+    cycles=5,
+    step_mm=0.1,
+    depth_mm=5.0,
+    frames=5,
+    places=60,
+    new_step_mm=0.2,
+    coarse_step_mm=0.5,
+    options={"palm-compact": {"rendered": 60_000, "epochs": 30, "processes": 8}},
+    loads=1000,
+)
+SCALES: Mapping[str, Scale] = MappingProxyType({scale.name: scale for scale in (SMALL, FULL)})
+"""`small` is for two cores, `full` for a GPU. The source records 25 frames at each depth; they
+differ by the camera's noise alone, and `full` takes five."""
+
+
+def scale_of(name: str) -> Scale:
+    """A scale by name.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    if name not in SCALES:
+        raise InputError(f"there is no scale {name!r}; there are {', '.join(SCALES)}")
+    return SCALES[name]
+
+
+PREDICTIONS_FILE = "predictions.parquet"
+LOCATIONS = "group:location"
+
+
+@dataclass(frozen=True)
+class CalibrationSetup:
+    """One way to calibrate.
+
+    Attributes:
+        name: of its calibration in the folder.
+        model: see `estimators.networks.MODELS`.
+        run: which recording it learns from.
+        split: how rows are held out.
+        channels, delta: what it sees; None for what the model was made for.
+        options: the model's own settings.
+        targets: what it shall estimate; empty for what the model was made for.
+    """
+
+    name: str
+    model: str
+    run: str = "protocol"
+    split: str = LOCATIONS
+    channels: int | None = None
+    delta: bool | None = None
+    options: dict[str, Any] = field(default_factory=dict)
+    targets: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class StudyFolder:
+    """Where the study is made.
+
+    Attributes:
+        folder: of everything.
+        scale: how large it is.
+        seed: of everything random.
+        progress: told what is being done.
+        processes: how many draw pictures.
+    """
+
+    folder: Path
+    scale: Scale
+    seed: int
+    progress: Progress = silent
+    processes: int = 2
+
+    @property
+    def spec(self) -> PalmSpec:
+        """The palm that is calibrated."""
+        return palm.cropped(palm.palm(), self.scale.frame_px, "palm-rig")
+
+    def recorded(
+        self,
+        name: str,
+        plan: Stepped,
+        spec: PalmSpec | None = None,
+        variation: Variation | None = None,
+        seed: int | None = None,
+    ) -> Run:
+        """A run of the virtual rig; another seed is another campaign."""
+        path = self.folder / "runs" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        seed = self.seed if seed is None else seed
+        rig = virtual_rig(Palm(spec or self.spec), variation=variation, seed=seed)
+        try:
+            outcome = record(
+                rig, plan, path, watch=lambda s: self.progress(f"recording {name}", s.shots, s.planned)
+            )
+        finally:
+            rig.close()
+        if outcome.state is not State.DONE:
+            raise DeviceError(f"recording {name} ended {outcome.state.value}: {outcome.message}")
+        return Run.open(path)
+
+    def calibrated(self, way: CalibrationSetup) -> Path:
+        """A calibration's folder."""
+        out = self.folder / "calibrations" / way.name
+        if out.exists():
+            if not (out / REPORT_FILE).exists():  # stopped between the two
+                write_report(out, out / REPORT_FILE)
+            return out
+        out.parent.mkdir(parents=True, exist_ok=True)
+        run, kind = Run.open(self.folder / "runs" / way.run), model_kind(way.model)
+        first, beside = regions_seen(run.manifest, ("fringes", "mirror"))
+        plan = CalibrationPlan(
+            targets=way.targets or kind.targets,
+            model=way.model,
+            split=way.split,
+            folds=self.scale.folds,
+            scored_folds=1,
+            seed=self.seed,
+            size_px=(self.scale.side_px, 2 * self.scale.side_px),
+            channels=way.channels or kind.channels or 1,  # type: ignore[arg-type]
+            crop_px=first,
+            beside_px=beside,
+            delta=bool(kind.delta) if way.delta is None else way.delta,
+            reference=ReferenceRule("reference", "true", ("press",)),
+            options=dict(way.options),
+        )
+        certify(run, plan, out, lambda what, *at: self.progress(f"{way.name}: {what}", *at))
+        return out
+
+    def held_out(self, way: CalibrationSetup) -> pd.DataFrame:
+        """What a calibration said of the rows that it had not learnt from."""
+        return pd.read_parquet(self.calibrated(way) / PREDICTIONS_FILE)
+
+    def estimated(self, way: CalibrationSetup, run: Run, what: str) -> pd.DataFrame:
+        """What it says of another run."""
+        return self.estimated_by(self.calibrated(way), run, what)
+
+    def estimated_by(self, calibration: Path, run: Run, what: str) -> pd.DataFrame:
+        """What the calibration in a folder says of a run."""
+        estimator, name = Estimator.open(calibration), calibration.name
+        return predictions(estimator, run, progress=lambda _, *at: self.progress(f"{name} on {what}", *at))
+
+    def scored(self, way: CalibrationSetup, run: Run, what: str) -> dict[str, Any]:
+        """Its scores there, and the share of frames that it stands by."""
+        return self.scored_by(self.calibrated(way), run, what)
+
+    def scored_by(self, calibration: Path, run: Run, what: str) -> dict[str, Any]:
+        """The same of a folder's."""
+        table = self.estimated_by(calibration, run, what)
+        columns = read_card(calibration).columns
+        return {"targets": scores_of(table, columns), "valid": float(table["valid"].mean())}
+
+    def kept(self, name: str, make: Callable[[], Any]) -> Any:
+        """A result as plain values, made once; beside it the time that took."""
+        path = self.folder / "results" / f"{name}.json"
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            begun = time.monotonic()
+            found = make()
+            held = {"seconds": round(time.monotonic() - begun, 1), "found": found}
+            with new_file(path) as temporary:
+                temporary.write_text(json.dumps(held, indent=1, allow_nan=False) + "\n")
+        return json.loads(path.read_text())["found"]
+
+    def seconds(self) -> dict[str, float]:
+        """How long each result took to make [s]."""
+        files = sorted((self.folder / "results").glob("*.json"))
+        return {path.stem: float(json.loads(path.read_text())["seconds"]) for path in files}
+
+
+def noisier(spec: PalmSpec, times: float) -> tuple[PalmSpec, Variation]:
+    """The rig with its noise so many times as large: camera, seating, place, leaning, lamp, backlash.
+
+    Not the load cell's: by it the rig chooses the force at which it says contact, and depth is counted from
+    there; and beside the models' errors it is nothing.
+    """
+    v = Variation()
+    camera = replace(
+        spec.camera,
+        full_well_e=spec.camera.full_well_e / times**2,
+        read_noise_e=spec.camera.read_noise_e / times,
+    )
+    varied = replace(
+        v,
+        seating_m=v.seating_m * times,
+        place_m=v.place_m * times,
+        lean_spread=(v.lean_spread[0] * times, v.lean_spread[1] * times),
+        lamp=v.lamp * times,
+        backlash_m=v.backlash_m * times,
+    )
+    return replace(spec, camera=camera), varied
+
+
+def ways(models: Sequence[str], scale: Scale) -> dict[str, CalibrationSetup]:
+    """A way for each model, as the scale trains it."""
+    return {name: CalibrationSetup(name, name, options=dict(scale.options.get(name, {}))) for name in models}

@@ -1,0 +1,145 @@
+"""What flow sees of the true motion, and what the models of contact cost: linearity and friction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palpate.reproductions.tactip.tactip_controls import (
+    FINE_STEPS,
+    HIGH_N,
+    KAPPA_N_M,
+    LOW_N,
+    Steps,
+    circles_px,
+    flow_course,
+    head_on,
+    recorded,
+    tracked_course,
+    true_course,
+)
+from palpate.sensors.tactip import TacTipSpec, pictured
+from palpate.sensors.tactip.inclined import inclined
+from palpate.sensors.tactip.press import modulus_pa
+
+METHODS = ("horn-schunck", "coarse-to-fine", "dis", "tracked")
+
+
+@dataclass(frozen=True)
+class Share:
+    """Accumulated divergence by a method over that of the true markers.
+
+    Attributes:
+        pins: how many there are.
+        mean, spread: over trials.
+    """
+
+    pins: int
+    kappa_n_m: float
+    method: str
+    region: str
+    mean: float
+    spread: float
+
+
+def shares(
+    spec: TacTipSpec, kappa_n_m: float, seeds: Sequence[int] = range(3), methods: Sequence[str] = METHODS
+) -> tuple[Share, ...]:
+    """Of every method over disc and contact, from 0.5 to 5 N."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for seed in seeds:
+        made, _ = recorded(spec, kappa_n_m, seed)
+        press, force = head_on(spec, kappa_n_m).press, made.true_force_n[made.frame_sample]
+        circles = {name: circles_px(spec, press, force)[name] for name in ("disc", "contact")}
+        true = true_course(spec, press, force)
+        for method in methods:
+            tracked = method == "tracked"
+            told = tracked_course(made, circles) if tracked else flow_course(made, circles, method)
+            for region, D in told.items():
+                found.setdefault((method, region), []).append(float(D.sum() / true[region].sum()))
+    return tuple(
+        Share(spec.pins.count, kappa_n_m, *key, float(np.mean(v)), float(np.std(v, ddof=len(v) > 1)))
+        for key, v in found.items()
+    )
+
+
+@dataclass(frozen=True)
+class Truth:
+    """One specimen at forces, by finite strain; SI.
+
+    Attributes:
+        casr_m2_n: dA/dF.
+        divergence: of the true markers over the region, accumulated from 0.5 N to each force.
+    """
+
+    kappa_n_m: float
+    force_n: Steps
+    area_m2: Steps
+    casr_m2_n: Steps
+    flattening_m: Steps
+    approach_m: Steps
+    divergence: dict[str, Steps]
+
+
+def truth(spec: TacTipSpec, kappa_n_m: float, force_n: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0)) -> Truth:
+    """What is true of a press, and of its pins."""
+    press, at = head_on(spec, kappa_n_m).press, np.array(force_n)
+    fine = np.linspace(LOW_N, HIGH_N, FINE_STEPS)
+    area, above, below = (press.at("area_m2", at + step) for step in (0.0, 0.05, -0.05))
+    so_far = {
+        name: np.interp(at, fine[1:], np.cumsum(D)) for name, D in true_course(spec, press, fine).items()
+    }
+    flattening, approach = press.at("flattening_m", at), press.at("approach_m", at)
+    return Truth(kappa_n_m, at, area, (above - below) / 0.1, flattening, approach, so_far)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """The linear model head-on without friction, over finite strain, less 1.
+
+    Attributes:
+        motion: of the markers: the difference's root mean square over the true motion's.
+    """
+
+    tip: str
+    kappa_n_m: float
+    force_n: Steps
+    approach: Steps
+    area: Steps
+    motion: Steps
+
+
+def linear_error(tip: str, kappa_n_m: float, force_n: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0)) -> Linear:
+    """At forces; half a minute for a new tip."""
+    spec, at = TacTipSpec(tip, friction=0.0), np.array(force_n)
+    true = head_on(spec, kappa_n_m)
+    linear = inclined(spec, modulus_pa(spec.table, kappa_n_m), 0.0)
+    deep = np.linspace(0.0, linear.deepest_m, 2000)
+    approach = np.interp(at, linear.force_n(deep), deep)
+    true_approach = true.press.at("approach_m", at)
+    rest = pictured(spec, true.skin(0.0, (0.0, 0.0)))[0]
+    motion = []
+    for theirs, ours in zip(approach, true_approach, strict=True):
+        a, b = (
+            pictured(spec, s.skin(float(d), (0.0, 0.0)))[0] - rest
+            for s, d in ((linear, theirs), (true, ours))
+        )
+        motion.append(float(np.sqrt(((a - b) ** 2).sum() / (b**2).sum())))
+    return Linear(
+        tip, kappa_n_m, at, approach / true_approach - 1,
+        linear.area_m2(at) / true.press.at("area_m2", at) - 1, np.array(motion),
+    )  # fmt: skip
+
+
+def areas_by_friction(
+    tilt_rad: float, frictions: Sequence[float] = (0.0, 0.5, 1.0), force_n: float = HIGH_N
+) -> dict[float, tuple[float, ...]]:
+    """Contact area on every specimen, stiffest first, by Coulomb's coefficient [m^2]; ten seconds a press."""
+    found = {}
+    for friction in frictions:
+        spec = replace(TacTipSpec(), friction=friction)
+        specimens = (inclined(spec, modulus_pa(spec.table, k), tilt_rad) for k in KAPPA_N_M.values())
+        found[friction] = tuple(float(s.area_m2(np.array([force_n]))[0]) for s in specimens)
+    return found

@@ -1,0 +1,343 @@
+"""The mean divergence of every step of a press over regions of the image: true, by flow, by tracked pins.
+
+Regions are discs around the tip's axis: the `whole` image, the `disc` that untouched pins fill, the true
+`contact` as the camera would see pins at its edge, and the `middle`, inside the pins 6 mm from the axis.
+
+Controls on the virtual TacTip: does the divergence of its pin image tell softness, or do the frames' count
+and the region?
+
+The report's four specimens are pressed head-on from 0.5 to 5 N. Every step from frame to frame has a mean
+divergence over a region of the image (`courses`), from flow of rendered frames or from the markers' true
+motion; of these come the report's equation (12), the secant, and the regression. What a region says is set
+beside specimens' known order. All is of one model: verified, not validated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any, Literal
+
+import numpy as np
+from numpy import ndarray
+
+from palpate.core.shapes import Float
+from palpate.estimators.compliance import area_m2, loading, moving_average, paper_spread, spread, within
+from palpate.estimators.compliance.pin_press import at_forces
+from palpate.estimators.compliance.spread_rate import summed_slopes
+from palpate.estimators.flow import divergence
+from palpate.estimators.flow.flow_sequence import course
+from palpate.estimators.pins import find_pins, follow
+from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
+from palpate.sensors.tactip import PINS_331, HeadOn, TacTipSpec, Trial, trial
+from palpate.sensors.tactip.camera import projected
+from palpate.sensors.tactip.pins import HeadOnSkin
+from palpate.sensors.tactip.press import modulus_pa, pixels_per_tangent
+
+LOW_N, HIGH_N = 0.5, 5.0
+MIDDLE_M = 6e-3
+POLAR = np.linspace(1e-3, np.deg2rad(70.0), 141)  # of imagined pins, all along a meridian
+NEAR = 0.8  # of the pins' pitch: those by which a circle's motion is told
+
+Region = Literal["whole", "disc", "contact", "middle"]
+REGIONS: tuple[Region, ...] = ("whole", "disc", "contact", "middle")
+Steps = Float[ndarray, " _"]  # one a step, a frame or a force
+Courses = dict[str, Steps]  # of every step, by region
+
+
+def head_on(spec: TacTipSpec, kappa_n_m: float) -> HeadOn:
+    """The tip on a specimen by finite strain."""
+    return HeadOn(spec.table.press(modulus_pa(spec.table, kappa_n_m)), spec.table.radius_m)
+
+
+def seen_px(spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray, " f"]) -> Float[ndarray, "f n"]:
+    """Distance from the axis in the image of the markers of pins at `POLAR`, at every force [px]."""
+    scale, base = pixels_per_tangent(spec), spec.table.radius_m
+    rows = []
+    for inside in press.at("inside_m", force_n):
+        places, normals = HeadOnSkin(press.polar_rad, inside).at(POLAR, np.zeros_like(POLAR))
+        tangent, _ = projected(places + spec.pins.length_m * normals, spec.camera, base)
+        rows.append(scale * tangent[:, 0])
+    return np.stack(rows)
+
+
+def circles_px(spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray, " f"]) -> Courses:
+    """Radius of every region's circle halfway through every step from one force to the next [px].
+
+    Halfway, since the contact grows during a step: a circle from its beginning would make divergence depend
+    on how long steps are.
+    """
+    inner, even = spec.table.radius_m - spec.table.skin_m, np.ones(len(force_n) - 1)
+    seen, edge = seen_px(spec, press, force_n), press.at("angle_rad", force_n)
+    untouched = seen_px(spec, press, np.zeros(1))[0]
+    contact = np.array([np.interp(a, POLAR, r) for a, r in zip(edge, seen, strict=True)])
+    return {
+        "whole": np.inf * even,
+        "disc": spec.camera.disc_px * even,
+        "contact": (contact[1:] + contact[:-1]) / 2,
+        "middle": np.interp(np.arcsin(MIDDLE_M / inner), POLAR, untouched) * even,
+    }
+
+
+def true_course(spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray, " f"]) -> Courses:
+    """Mean divergence of the markers' true motion: 2 u_r(r) / r on a circle of radius r, for every step.
+
+    Of the whole image there is none: beyond the pins nothing moves that could be true.
+    """
+    seen, circles = seen_px(spec, press, force_n), circles_px(spec, press, force_n)
+
+    def of(circle: Steps) -> Steps:
+        pairs = zip(circle, pairwise(seen), strict=True)
+        return np.array([2 * np.interp(c, (now + later) / 2, later - now) / c for c, (now, later) in pairs])
+
+    return {name: of(circle) for name, circle in circles.items() if name != "whole"}
+
+
+def recorded(spec: TacTipSpec, kappa_n_m: float, seed: int, steps: int | None = None) -> tuple[Trial, Steps]:
+    """A trial with only its frames from 0.5 to 5 N, and their smoothed forces [N].
+
+    Args:
+        spec: the sensor; its speed counts.
+        kappa_n_m: of the specimen [N/m].
+        seed: of seating and noise.
+        steps: None for the frames that there are; else that many even steps of approach for any specimen.
+    """
+    made = trial(spec, head_on(spec, kappa_n_m), seed)
+    force = moving_average(made.raw_n)
+    samples = within(force, loading(force, LOW_N), LOW_N, HIGH_N)
+    if steps is None:
+        at = made.frame_sample[np.isin(made.frame_sample, samples)]
+    else:
+        at = np.rint(np.linspace(samples[0], samples[-1], steps + 1)).astype(np.int64)
+    return replace(made, frame_sample=at), force[at]
+
+
+def flow_course(made: Trial, circles: Courses, method: str = "horn-schunck") -> Courses:
+    """Mean divergence by a method of `flow.course`, for every step and region."""
+    far = _from_axis(made)
+    found: dict[str, list[float]] = {name: [] for name in circles}
+    for j, step in enumerate(course(made.frames(), method)):
+        spreading = divergence(step.field)
+        for name, circle in circles.items():
+            found[name].append(float(spreading[far < circle[j]].mean(dtype=np.float64)))
+    return {name: np.array(values) for name, values in found.items()}
+
+
+def tracked_course(made: Trial, circles: Courses) -> Courses:
+    """The same from pins that are followed: a line through the outward motion of those near the circle."""
+    frames = made.frames()
+    first = find_pins(next(frames))
+    near = NEAR * made.spec.camera.disc_px / made.spec.pins.rings
+    places = [first.xy_px, *(pins.xy_px for pins in follow(frames, first))]
+    found: dict[str, list[float]] = {name: [] for name in circles if name != "whole"}
+    for j, (now, later) in enumerate(pairwise(places)):
+        off = now - _middle(made)
+        r = np.hypot(*off.T)
+        away = ((later - now) * off).sum(axis=1) / np.maximum(r, 1.0)
+        for name in found:
+            c = circles[name][j]
+            here = (np.abs(r - c) < near) & np.isfinite(away)
+            found[name].append(float(2 * np.polyfit(r[here] - c, away[here], 1)[1] / c))
+    return {name: np.array(values) for name, values in found.items()}
+
+
+def _middle(made: Trial) -> Float[ndarray, 2]:
+    return (made.spec.camera.size_px - 1) / 2 + np.array(made.shift_px)
+
+
+def _from_axis(made: Trial) -> Float[ndarray, "h w"]:
+    y, x = np.mgrid[: made.spec.camera.size_px, : made.spec.camera.size_px]
+    at = _middle(made)
+    return np.hypot(x - at[0], y - at[1])
+
+
+KAPPA_N_M = {"S1": 7600.0, "Snew": 5300.0, "S2": 3100.0, "S3": 1100.0}
+"""The report's specimens, stiffest first."""
+
+FROM_N, TO_N = 1.0, 4.0  # between these divergence is read: frames seldom fall on the ends of a press
+FINE_STEPS = 200  # of the markers' true motion where no frames are counted
+WAYS = ("divergence", "paper", "secant", "regression")
+
+
+@dataclass(frozen=True)
+class FlowCues:
+    """One trial.
+
+    Attributes:
+        kappa_n_m: of the specimen.
+        steps: from frame to frame.
+        values: by source ("flow", "true"), region, and way of `WAYS`; the first is accumulated from 1 to
+            4 N, the others are in m^2/N, of all steps, with the report's first area, that of all pins.
+        casr_m2_n: secant of the true contact area.
+    """
+
+    kappa_n_m: float
+    steps: int
+    values: dict[tuple[str, str, str], float]
+    casr_m2_n: float
+
+
+def cues(spec: TacTipSpec, kappa_n_m: float, seed: int, steps: int | None = None) -> FlowCues:
+    """What Horn and Schunck's flow, and the true markers, say of one trial."""
+    made, force = recorded(spec, kappa_n_m, seed, steps)
+    press, true_n = head_on(spec, kappa_n_m).press, made.true_force_n[made.frame_sample]
+    circles = circles_px(spec, press, true_n)
+    values = {
+        (source, region, way): value
+        for source, courses in (
+            ("flow", flow_course(made, circles)),
+            ("true", true_course(spec, press, true_n)),
+        )
+        for region, D in courses.items()
+        for way, value in zip(WAYS, _ways(spec, force, D), strict=True)
+    }
+    area = made.true_area_m2[made.frame_sample]
+    return FlowCues(kappa_n_m, len(force) - 1, values, spread(force, area, "secant").rate_m2_n)
+
+
+def _ways(spec: TacTipSpec, force_n: Steps, D: Steps) -> tuple[float, float, float, float]:
+    first = float(np.pi * (spec.pins.rings * spec.pins.pitch_m) ** 2)
+    from_to = at_forces(force_n, np.concatenate([[0.0], np.cumsum(D)]), np.array([FROM_N, TO_N]))
+    area = np.concatenate([[first], area_m2(first, D)])
+    rates = [spread(force_n, area, way).rate_m2_n for way in ("secant", "regression")]
+    paper = paper_spread(force_n[1:], D, first).rate_m2_n
+    return float(np.diff(from_to)[0]), paper, rates[0], rates[1]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One cue on all specimens, stiffest first.
+
+    Attributes:
+        condition, source, region, way: which; see `Cues`.
+        mean, spread: over trials, of every specimen.
+        concordance: over pairs of trials on two specimens, the share in which the softer has the greater
+            value less the share in which it has the smaller: 1 is right always, -1 reversed always.
+    """
+
+    condition: str
+    source: str
+    region: str
+    way: str
+    mean: tuple[float, ...]
+    spread: tuple[float, ...]
+    concordance: float
+
+    @property
+    def order(self) -> str:
+        return order(self.mean)
+
+
+def order(values: Sequence[float]) -> str:
+    """How values of ever softer specimens are ordered: "right" where they grow, "reversed", or "mixed"."""
+    steps = np.diff(values)
+    return "right" if (steps > 0).all() else "reversed" if (steps < 0).all() else "mixed"
+
+
+def concordance(by_specimen: Sequence[Float[ndarray, " t"]]) -> float:
+    """See `Row`."""
+    signs = [
+        np.sign(softer[:, None] - stiffer).ravel()
+        for i, stiffer in enumerate(by_specimen)
+        for softer in by_specimen[i + 1 :]
+    ]
+    return float(np.concatenate(signs).mean())
+
+
+@dataclass(frozen=True)
+class TacTipCondition:
+    """What is changed from the assumed sensor.
+
+    Attributes:
+        change: of the spec.
+        steps: equal for all specimens; None for the camera's frames.
+    """
+
+    change: Callable[[TacTipSpec], TacTipSpec] = field(default=lambda spec: spec)
+    steps: int | None = None
+
+
+def _pins(**fields: Any) -> TacTipCondition:
+    return TacTipCondition(lambda spec: replace(spec, pins=replace(spec.pins, **fields)))
+
+
+def _camera(**fields: Any) -> TacTipCondition:
+    return TacTipCondition(lambda spec: replace(spec, camera=replace(spec.camera, **fields)))
+
+
+def _with(steps: int | None = None, **fields: Any) -> TacTipCondition:
+    return TacTipCondition(lambda spec: replace(spec, **fields), steps)
+
+
+CONDITIONS: dict[str, TacTipCondition] = {
+    "as assumed": TacTipCondition(),
+    "half the speed": _with(speed_m_s=2.5e-3),
+    "twice the speed": _with(speed_m_s=10e-3),
+    "20 frames each": _with(20),
+    "wider pins": _camera(disc_px=130.0),
+    "tight crop": _camera(disc_px=165.0),
+    "tight crop, 20 frames each": TacTipCondition(_camera(disc_px=165.0).change, 20),
+    "no pin length": _pins(length_m=0.0),
+    "pins of 1 mm": _pins(length_m=1e-3),
+    "331 pins": _with(pins=PINS_331),
+    "no refraction": _camera(gel_index=1.0),
+    "soft-skin tip": _with(tip="soft-skin"),
+    "stiff-skin tip": _with(tip="stiff-skin"),
+    "even tip": _with(tip="even"),
+}
+
+
+def compared(names: Sequence[str] = tuple(CONDITIONS), seeds: Sequence[int] = range(5)) -> tuple[Row, ...]:
+    """Every cue under every condition; about a second a trial."""
+    return tuple(row for name in names for row in _rows(name, CONDITIONS[name], seeds))
+
+
+def _rows(name: str, condition: TacTipCondition, seeds: Sequence[int]) -> Iterator[Row]:
+    spec = condition.change(TacTipSpec())
+    trials = [[cues(spec, kappa, seed, condition.steps) for seed in seeds] for kappa in KAPPA_N_M.values()]
+    for key in trials[0][0].values:
+        yield _row((name, *key), [np.array([t.values[key] for t in some]) for some in trials])
+    steps = [np.array([float(t.steps) for t in some]) for some in trials]
+    yield _row((name, "camera", "", "steps"), steps)
+    yield _row(
+        (name, "truth", "contact", "secant"), [np.array([t.casr_m2_n for t in some]) for some in trials]
+    )
+
+
+def _row(names: tuple[str, str, str, str], values: Sequence[Float[ndarray, " t"]]) -> Row:
+    several = len(values[0]) > 1
+    sd = tuple(float(v.std(ddof=1)) if several else float("nan") for v in values)
+    return Row(*names, tuple(float(v.mean()) for v in values), sd, concordance(values))
+
+
+def sensitivity() -> tuple[Row, ...]:
+    """True markers' divergence from 1 to 4 N: four tips, three lengths of pins, refraction or none."""
+    force = np.linspace(FROM_N, TO_N, FINE_STEPS)
+    rows = []
+    for tip in ("base", "soft-skin", "stiff-skin", "even"):
+        for mm in (0.0, 1.0, 2.5):
+            for index in (1.0, 1.41):
+                spec = TacTipSpec(tip)
+                spec = replace(
+                    spec,
+                    pins=replace(spec.pins, length_m=1e-3 * mm),
+                    camera=replace(spec.camera, gel_index=index),
+                )
+                found = [true_course(spec, head_on(spec, k).press, force) for k in KAPPA_N_M.values()]
+                name = f"{tip}, pins of {mm:g} mm, index {index:g}"
+                rows += [
+                    _row((name, "true", region, "divergence"), [D[region].sum(keepdims=True) for D in found])
+                    for region in found[0]
+                ]
+    return tuple(rows)
+
+
+def counted(kappa_n_m: float, slope: float = 10.0, stride_m: float = 0.25e-3) -> float:
+    """Equation (12) where the area is the same function of force on every specimen, a straight line.
+
+    A rigid plate presses at 5 mm/s before 20 frames a second, up to 5 N; what comes out is the slope times
+    the number of steps.
+    """
+    force = np.arange(0.0, HIGH_N, kappa_n_m * stride_m)
+    return summed_slopes(force, 100.0 + slope * force)

@@ -1,0 +1,201 @@
+"""What the compliance report prints.
+
+Source: Pagnanelli et al., Model-Based Compliance Discrimination via Soft Tactile Optical Sensing and Optical
+Flow Computation: A Biomimetic Approach, IEEE Robotics and Automation Letters.
+
+The report's experiments on the virtual TacTip: specimens under a rigid plate, and under the tip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy import ndarray
+
+from palpate.calibration.compliance.compliance_calibration import (
+    ComplianceCalibration,
+    ReferenceSpecimen,
+    calibrate_compliance,
+)
+from palpate.calibration.compliance.compliance_reading import PressReading, read_touch
+from palpate.core.shapes import Float
+from palpate.psychophysics.line_fit import Line, fit_line
+from palpate.recordings.exchange.press_table import PressTable
+from palpate.sensors.tactip import TacTipSpec, Trial, trial
+from palpate.workflows.compliance.press_cues import PressCues, cues_of, series
+from palpate.workflows.compliance.specimen_comparison import trials_table
+from palpate.workflows.tactip_trials import specimens_at
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedTacTip:
+    """A number, and where it is printed."""
+
+    value: float
+    where: str
+
+
+NAMES = ("S1", "new", "S2", "S3")
+"""Stiffest first."""
+
+KAPPA = {
+    "S1": PublishedTacTip(7.6, "section V"),
+    "new": PublishedTacTip(5.3, "section V"),
+    "S2": PublishedTacTip(3.1, "section V"),
+    "S3": PublishedTacTip(1.1, "section V"),
+}
+"""By a rigid plate [N/mm]."""
+
+KAPPA_NEW = {
+    0: PublishedTacTip(4.99, "section V, Fig. 7"),
+    30: PublishedTacTip(3.95, "section V, Fig. 9"),
+    45: PublishedTacTip(6.8, "section V, Fig. 9"),
+}
+"""Of the new specimen by touch, at each tilt in degrees [N/mm]."""
+
+ADJUSTED_R2 = PublishedTacTip(0.882, "section V, the worst of Fig. 5(a)")
+RANK_SUM_P = PublishedTacTip(9.91e-55, "section V, the worst pair of Fig. 5(b), pooled samples")
+KRUSKAL_P = PublishedTacTip(6.3e-5, "section V, Fig. 6(b)")
+DUNN_P = {
+    0: PublishedTacTip(0.01, "section V, Fig. 6(b), worst pair, 'LSD'"),
+    30: PublishedTacTip(0.01, "section V, Fig. 9(b), worst pair, 'LSD'"),
+    45: PublishedTacTip(0.005, "section V, Fig. 9(d), worst pair, 'LSD'"),
+}
+
+
+RIGID = "rigid"
+REFERENCES = (RIGID, "S1", "S2", "S3")
+NEW = "new"
+Progress = Callable[[str, int, int], None]
+
+
+def kappa_n_m(name: str) -> float:
+    """Of a specimen [N/m]."""
+    return float("inf") if name == RIGID else 1e3 * KAPPA[name].value
+
+
+def table_of(made: Trial) -> PressTable:
+    """A trial's table, as if read from a file."""
+    return PressTable(
+        made.time_s, made.raw_n, made.actual_m, made.true_area_m2, made.frame_sample,
+        "force_raw_N", "actual_mm", "true_area_mm2", False,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Specimens at one tilt.
+
+    Attributes:
+        tilt_deg: of their tops [deg].
+        cues: of every specimen its trials.
+        calibration: on the first five trials of the references.
+        touch: readings of the new specimen, its trials together.
+        table: a row a trial that the calibration has not seen, with every cue.
+    """
+
+    tilt_deg: int
+    cues: Mapping[str, tuple[PressCues, ...]]
+    calibration: ComplianceCalibration
+    touch: PressReading
+    table: pd.DataFrame
+
+    def unseen(self) -> dict[str, tuple[PressCues, ...]]:
+        """Trials of the specimens, stiffest first, that the calibration has not seen."""
+        counts = self.table["specimen"].value_counts()
+        return {name: self.cues[name][-counts[name] :] for name in NAMES}
+
+
+def press_all(
+    spec: TacTipSpec, tilt_deg: int, seed: int, *, calibrating: int, testing: int, progress: Progress
+) -> Experiment:
+    """Press, calibrate on the references, read the rest.
+
+    Args:
+        spec: the virtual sensor.
+        tilt_deg: of the specimens' tops [deg].
+        seed: of everything random.
+        calibrating, testing: trials of each reference; the new specimen has `testing` alone.
+        progress: told of every press.
+    """
+    counts = {RIGID: calibrating} | dict.fromkeys(("S1", "S2", "S3"), calibrating + testing) | {NEW: testing}
+    kappas = {name: kappa_n_m(name) for name in counts}
+    specimens = specimens_at(spec, kappas, float(np.deg2rad(tilt_deg)), progress=progress)
+    done, total, cues = 0, sum(counts.values()), {}
+    for i, (name, count) in enumerate(counts.items()):
+        found = []
+        for k in range(count):
+            made = trial(spec, specimens[name][1], seed=100_000 * seed + 1000 * tilt_deg + 100 * i + k)
+            found.append(cues_of(list(made.frames()), table_of(made)))
+            done += 1
+            progress(f"presses at {tilt_deg} degrees", done, total)
+        cues[name] = tuple(found)
+    calibration = calibrate_compliance(
+        [
+            ReferenceSpecimen(name, kappa_n_m(name), tuple(c.trial for c in cues[name][:calibrating]))
+            for name in REFERENCES
+        ],
+        tilt_rad=float(np.deg2rad(tilt_deg)),
+        note=f"virtual {spec.tip} tip",
+    )
+    unseen = {name: cues[name][-testing:] for name in NAMES}
+    return Experiment(
+        tilt_deg,
+        cues,
+        calibration,
+        read_touch(calibration, [c.trial.press for c in cues[NEW]], NEW),
+        trials_table(unseen, calibration),
+    )
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A specimen under a rigid plate: lines of its trials, and the samples of the first."""
+
+    lines: tuple[Line, ...]
+    position_m: Float[ndarray, " s"]
+    force_n: Float[ndarray, " s"]
+
+
+def under_plate(spec: TacTipSpec, name: str, trials: int, seed: int) -> Plate:
+    """Force over deformation between 0.5 and 5 N at the rig's speed, rates and noise; F = kappa d."""
+    lines, tables = [], []
+    for k in range(trials):
+        tables.append(_plate_table(spec, kappa_n_m(name), np.random.default_rng([seed, k])))
+        lines.append(series(tables[-1]))
+    position = tables[0].position_m
+    assert position is not None
+    return Plate(tuple(lines), position, tables[0].force_n)
+
+
+def _plate_table(spec: TacTipSpec, kappa: float, rng: np.random.Generator) -> PressTable:
+    sensor, step = spec.force, spec.force.resolution_n
+    start = -1e-3 - rng.uniform(0, spec.speed_m_s / spec.camera.rate_hz)
+    n = int((5.5 / kappa - start) / spec.speed_m_s * sensor.rate_hz)
+    time = np.arange(n) / sensor.rate_hz
+    depth = start + spec.speed_m_s * time
+    force = kappa * np.maximum(depth, 0) + sensor.noise_n * rng.standard_normal(n)
+    encoder = depth + spec.seating.position_m * rng.standard_normal()
+    return PressTable(
+        time,
+        step * np.rint(force / step),
+        encoder,
+        None,
+        np.arange(n),
+        "force_raw_N",
+        "actual_mm",
+        None,
+        False,
+    )
+
+
+def stiffness_line(experiment: Experiment, cue: str) -> tuple[Line, float]:
+    """The report's route: a line of kappa [N/mm] over a cue of S1 to S3, and the new specimen's mean cue."""
+    rows = experiment.table[["specimen", cue]].dropna()
+    known = rows[rows["specimen"] != NEW]
+    kappa = known["specimen"].map(lambda name: KAPPA[name].value).to_numpy(np.float64)
+    new = rows.loc[rows["specimen"] == NEW, cue].mean()
+    return fit_line(known[cue].to_numpy(np.float64), kappa), float(new)

@@ -1,0 +1,348 @@
+"""The compliance report made again: its figures 5 to 9, its p-values, the new specimen's stiffness."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypedDict
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from palpate.core.errors import InputError
+from palpate.core.files import new_folder, refuse_existing, storage_errors
+from palpate.core.reading import Reading
+from palpate.psychophysics.line_fit import Line
+from palpate.psychophysics.rank_tests import Comparison, compare
+from palpate.reports import study_figures as draw
+from palpate.reproductions.tactip.tactip_controls import Row, compared, order
+from palpate.reproductions.tactip.tactip_experiment import (
+    ADJUSTED_R2,
+    DUNN_P,
+    KAPPA,
+    KAPPA_NEW,
+    KRUSKAL_P,
+    NAMES,
+    NEW,
+    RANK_SUM_P,
+    Experiment,
+    Plate,
+    Progress,
+    PublishedTacTip,
+    press_all,
+    stiffness_line,
+    under_plate,
+)
+from palpate.sensors.tactip import tactip
+from palpate.version import __version__
+
+TILTS = (0, 30, 45)
+TRIALS = 5
+SOURCE = "tactip-compliance-casr"
+CUES = {
+    "spread_rate_mm2_per_N": "spread rate dA/dF [mm²/N]",
+    "area_at_4_N_mm2": "area at 4 N [mm²]",
+    "divergence_paper_per_N": "divergence, eq. (12) [1/N]",
+    "divergence_regression_per_N": "divergence, regression [1/N]",
+}
+
+
+CONTROLS = ("as assumed", "half the speed", "twice the speed", "20 frames each", "tight crop")
+"""Of `controls`: what equation (12) says when frames, and not specimens, change."""
+
+SHOWN = (("disc", "paper"), ("contact", "paper"), ("disc", "secant"), ("contact", "secant"))
+
+
+class TacTipStudyEntry(TypedDict):
+    """A number: what it is, what was found, its unit, what is printed and where, and why the two differ."""
+
+    name: str
+    value: float | None
+    unit: str
+    published: float | None
+    source: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Study:
+    """All that was made."""
+
+    plates: Mapping[str, Plate]
+    experiments: Mapping[int, Experiment]
+    controls: tuple[Row, ...]
+    seed: int
+    trials: int
+    seconds: float
+
+
+def reproduce_tactip(
+    out: Path, *, seed: int = 0, trials: int = TRIALS, progress: Progress = lambda what, done, total: None
+) -> list[TacTipStudyEntry]:
+    """Make ``report.html`` and ``summary.json``.
+
+    Args:
+        out: folder to make; it appears when all is done.
+        seed: of everything random.
+        trials: of each specimen at each tilt, beside as many that calibrate; 2 or more.
+        progress: told of every press.
+
+    Returns:
+        What ``summary.json`` holds.
+
+    Raises:
+        ExistsError: `out` exists.
+        InputError: too few trials.
+    """
+    if trials < 2:
+        raise InputError(f"{trials} trials; 2 or more, the report has 5")
+    refuse_existing(out)
+    began, spec = time.perf_counter(), tactip()
+    plates = {name: under_plate(spec, name, trials, seed) for name in NAMES}
+    experiments = {
+        tilt: press_all(spec, tilt, seed, calibrating=trials, testing=trials, progress=progress)
+        for tilt in TILTS
+    }
+    controls: list[Row] = []
+    for i, name in enumerate(CONTROLS):
+        controls += compared((name,), range(trials))
+        progress("controls of divergence", i + 1, len(CONTROLS))
+    study = Study(plates, experiments, tuple(controls), seed, trials, time.perf_counter() - began)
+    entries = list(entries_of(study))
+    with new_folder(out) as building, storage_errors(out):
+        (building / "summary.json").write_text(json.dumps(entries, indent=1, allow_nan=False) + "\n")
+        (building / "report.html").write_text(page(study, entries), encoding="utf-8")
+    return entries
+
+
+def entries_of(study: Study) -> Iterator[TacTipStudyEntry]:
+    """Every number."""
+    yield from _plate_entries(study.plates)
+    for experiment in study.experiments.values():
+        yield from _tilt_entries(experiment)
+    for row in shown_controls(study):
+        name = f"0 degrees, {row.condition}: {row.way} over the {row.region}, softest over stiffest"
+        yield entry(name, row.mean[-1] / row.mean[0], "1")
+        yield entry(f"{name}, concordance", row.concordance, "1")
+
+
+def shown_controls(study: Study) -> list[Row]:
+    """By flow, over the pins' disc and the true contact, equation (12) and the secant."""
+    return [
+        row
+        for region, way in SHOWN
+        for row in study.controls
+        if (row.source, row.region, row.way) == ("flow", region, way)
+    ]
+
+
+def _plate_entries(plates: Mapping[str, Plate]) -> Iterator[TacTipStudyEntry]:
+    for name, plate in plates.items():
+        slopes = [1e-3 * line.slope for line in plate.lines]
+        yield entry(f"stiffness of {name} by a rigid plate", np.mean(slopes), "N/mm", KAPPA[name], PLATE_WHY)
+    worst = min(line.adjusted_r2 for plate in plates.values() for line in plate.lines)
+    yield entry("adjusted R2 of these lines, the worst", worst, "1", ADJUSTED_R2, R2_WHY)
+    by_trial = compare({n: [1e-3 * line.slope for line in p.lines] for n, p in plates.items() if n != NEW})
+    p = max(pair.rank_sum_p for pair in by_trial.pairs)
+    yield entry("rank-sum p of these, one value a trial, worst pair", p, "1", RANK_SUM_P, RANK_WHY)
+
+
+def _tilt_entries(one: Experiment) -> Iterator[TacTipStudyEntry]:
+    at = f"{one.tilt_deg} degrees"
+    for reading in (one.touch.stiffness, one.touch.stiffness_both):
+        if reading is not None:
+            how = "touch alone" if reading is one.touch.stiffness else "both cues"
+            for part, value in (("", reading.value), (", low", reading.low), (", high", reading.high)):
+                printed = KAPPA_NEW[one.tilt_deg] if not part and how == "touch alone" else None
+                yield entry(f"{at}: new specimen by {how}{part}", 1e-3 * value, "N/mm", printed, NEW_WHY)
+    for cue in CUES:
+        line, new = stiffness_line(one, cue)
+        printed = KAPPA_NEW[one.tilt_deg] if cue == "divergence_paper_per_N" else None
+        yield entry(
+            f"{at}: new specimen by a line over {CUES[cue]}", line.at(new)[0], "N/mm", printed, LINE_WHY
+        )
+        tests = cue_tests(one, cue)
+        kruskal = KRUSKAL_P if one.tilt_deg == 0 and cue == "divergence_paper_per_N" else None
+        dunn = DUNN_P[one.tilt_deg] if cue == "divergence_paper_per_N" else None
+        yield entry(f"{at}: {CUES[cue]}, Kruskal-Wallis p", tests.kruskal_p, "1", kruskal, KRUSKAL_WHY)
+        worst = max(pair.dunn_p for pair in tests.pairs)
+        yield entry(f"{at}: {CUES[cue]}, Dunn p, worst pair", worst, "1", dunn, DUNN_WHY)
+        for name, mean in means(one, cue).items():
+            yield entry(f"{at}: {CUES[cue]} of {name}", mean, CUES[cue].split("[")[1].rstrip("]"))
+    for name, (error, spread) in area_errors(one).items():
+        yield entry(f"{at}: contact area of {name}, median error over 1 to 5 N", 100 * error, "%")
+        yield entry(f"{at}: contact area of {name} at 4 N, spread between trials", 100 * spread, "%")
+
+
+PLATE_WHY = "virtual specimens were given the printed values; what differs is noise and where contact begins"
+R2_WHY = "virtual specimens are linear, with the sensor's noise; real silicone and first contact are not"
+RANK_WHY = (
+    "the printed p needs some 160 independent samples a group, and samples of one trial are not independent; "
+    "with so few trials complete separation gives the value found here, and no test can give less"
+)
+NEW_WHY = "another route: the motion of all pins, calibrated on a rigid plate and S1 to S3; virtual"
+LINE_WHY = "the printed route, with the sum over frames of equation (12), on a virtual tip"
+KRUSKAL_WHY = (
+    "the printed p and the printed post-hoc p exclude each other: a worst pair at 0.01 forces p below 7e-6"
+)
+DUNN_WHY = "'LSD' after Kruskal-Wallis is Dunn's test uncorrected: 3 x 10 trials cannot give less than 0.011"
+
+
+def entry(
+    name: str,
+    value: float | np.floating[Any],
+    unit: str,
+    printed: PublishedTacTip | None = None,
+    why: str = "",
+) -> TacTipStudyEntry:
+    """One number, beside what the report prints of it."""
+    return TacTipStudyEntry(
+        name=name,
+        value=float(value) if np.isfinite(value) else None,
+        unit=unit,
+        published=printed.value if printed else None,
+        source=f"{SOURCE}, {printed.where}" if printed else "",
+        why=why if printed else "",
+    )
+
+
+def groups_of(one: Experiment, cue: str, names: Sequence[str] = NAMES) -> dict[str, list[float]]:
+    """Of every specimen a value a trial."""
+    rows = one.table[["specimen", cue]].dropna()
+    return {name: rows.loc[rows["specimen"] == name, cue].tolist() for name in names}
+
+
+def means(one: Experiment, cue: str) -> dict[str, float]:
+    """Of every specimen."""
+    return {name: float(np.mean(values)) for name, values in groups_of(one, cue).items()}
+
+
+def cue_tests(one: Experiment, cue: str) -> Comparison:
+    """Between S1, S2 and S3."""
+    return compare(groups_of(one, cue, ("S1", "S2", "S3")))
+
+
+def area_errors(one: Experiment) -> dict[str, tuple[float, float]]:
+    """Of every specimen: median error of the area over 1 to 5 N, and its spread between trials at 4 N."""
+    found = {}
+    for name, cues in one.unseen().items():
+        off, level = [], []
+        for cue in cues:
+            course = _course(one, cue)
+            assert cue.trial.area_m2 is not None
+            inside = (course.force_n >= 1) & (course.force_n <= 5)
+            off.append(np.abs(course.area_m2[inside, 0] / cue.trial.area_m2[inside] - 1))
+            level.append(np.interp(4.0, course.force_n, course.area_m2[:, 0]))
+        found[name] = (float(np.median(np.concatenate(off))), float(np.std(level, ddof=1) / np.mean(level)))
+    return found
+
+
+def _course(one: Experiment, cue: Any) -> Any:
+    from palpate.calibration.compliance.compliance_reading import read_touch
+
+    course = read_touch(one.calibration, [cue.trial.press]).course
+    assert course is not None
+    return course
+
+
+def page(study: Study, entries: Sequence[TacTipStudyEntry]) -> str:
+    """The report's HTML."""
+    environment = Environment(
+        loader=PackageLoader("palpate.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.filters["g"] = lambda value: "–" if value is None else f"{value:.3g}"
+    return environment.get_template("tactip_study.html").render(
+        version=__version__,
+        seed=study.seed,
+        trials=study.trials,
+        seconds=study.seconds,
+        beside=[one for one in entries if one["published"] is not None],
+        tilts=TILTS,
+        names=NAMES,
+        cues=CUES,
+        kappa={name: printed.value for name, printed in KAPPA.items()},
+        means={t: {cue: means(one, cue) for cue in CUES} for t, one in study.experiments.items()},
+        orders={
+            t: {cue: order(list(means(one, cue).values())) for cue in CUES}
+            for t, one in study.experiments.items()
+        },
+        tests={t: {cue: cue_tests(one, cue) for cue in CUES} for t, one in study.experiments.items()},
+        areas={t: area_errors(one) for t, one in study.experiments.items()},
+        controls=shown_controls(study),
+        calibration={t: one.calibration for t, one in study.experiments.items()},
+        figures=_figures(study),
+    )
+
+
+def _figures(study: Study) -> dict[str, Any]:
+    made: dict[str, Any] = {
+        "plate": draw.plate_figure(
+            {n: _plate_samples(p) for n, p in study.plates.items()},
+            {n: [1e-3 * line.slope for line in p.lines] for n, p in study.plates.items()},
+            {n: _in_mm(p.lines[0]) for n, p in study.plates.items()},
+        ),
+        "trend": {t: draw.trend_figure(_panels(one)) for t, one in study.experiments.items()},
+        "line": {
+            t: draw.line_figure([_told(one, cue) for cue in CUES]) for t, one in study.experiments.items()
+        },
+    }
+    rows, printed = {}, {}
+    for t, one in study.experiments.items():
+        for how, reading in (("touch", one.touch.stiffness), ("both cues", one.touch.stiffness_both)):
+            if reading is not None:
+                rows[f"{t}°, {how}"] = _per_mm(reading)
+        for cue in ("spread_rate_mm2_per_N", "divergence_paper_per_N"):
+            rows[f"{t}°, line over {CUES[cue].split(' [')[0]}"] = _told(one, cue).new
+        printed[f"{t}°, line over {CUES['divergence_paper_per_N'].split(' [')[0]}"] = KAPPA_NEW[t].value
+    made["new"] = draw.forest_figure(rows, KAPPA[NEW].value, printed)
+    return made
+
+
+def _per_mm(reading: Reading) -> tuple[float, float, float]:
+    return 1e-3 * reading.value, 1e-3 * reading.low, 1e-3 * reading.high
+
+
+def _in_mm(line: Line) -> tuple[float, float]:
+    return 1e-3 * line.slope, line.start
+
+
+def _plate_samples(plate: Plate) -> tuple[Any, Any]:
+    """The first trial's samples between 0.5 and 5 N."""
+    inside = (plate.force_n >= 0.5) & (plate.force_n <= 5)
+    return 1e3 * plate.position_m[inside], plate.force_n[inside]
+
+
+def _panels(one: Experiment) -> dict[str, tuple[draw.Courses, draw.Groups]]:
+    """Contact area and the report's own sum, over force."""
+    unseen = one.unseen()
+    area = {
+        name: [(c.force_n, 1e6 * c.area_m2[:, 0]) for c in (_course(one, cue) for cue in cues)]
+        for name, cues in unseen.items()
+    }
+    summed = {
+        name: [(cue.reported.force_n, cue.reported.summed) for cue in cues] for name, cues in unseen.items()
+    }
+    return {
+        "contact area [mm²]|spread rate dA/dF [mm²/N]": (area, groups_of(one, "spread_rate_mm2_per_N")),
+        "eq. (12) up to this force, over A0 [1/N]|eq. (12) above 2.5 N, over A0 [1/N]": (
+            summed,
+            groups_of(one, "divergence_paper_per_N"),
+        ),
+    }
+
+
+def _told(one: Experiment, cue: str) -> draw.ComparedValue:
+    line, new = stiffness_line(one, cue)
+    return draw.ComparedValue(
+        CUES[cue],
+        groups_of(one, cue, ("S1", "S2", "S3")),
+        {name: printed.value for name, printed in KAPPA.items()},
+        line.slope,
+        line.start,
+        new,
+        line.at(new),
+        KAPPA[NEW].value,
+    )

@@ -1,6 +1,0 @@
-"""The photoelastic palm's study: the source's comparison made again on the virtual rig, and gone beyond."""
-
-from palpate.studies.palm.reproduce import PARTS, reproduce_palm
-from palpate.studies.palm.scale import SCALES, Scale, scale_of
-
-__all__ = ["PARTS", "SCALES", "Scale", "reproduce_palm", "scale_of"]

@@ -1,0 +1,129 @@
+"""The emergency stop on the page, which needs nothing of the page but the browser itself.
+
+`estop.html` is plain HTML beside the page's own elements and asks over a request of its own, so that it works
+while the page loads, after a reload and when the page's own connection hangs. It acts when pressed, not when
+let go. What goes wrong is said loudly, for then the operator must use the switch on the rig.
+
+The studio's server: loopback only, for pages of its own address only, with nothing of its own to lose.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from fastapi import FastAPI, Request
+from fastapi.responses import JSONResponse
+
+from palpate.core.errors import DeviceError, MissingExtraError, PalpateError
+from palpate.rig.service.rig_client import RigClient
+
+PATH = "/estop"
+HEADER = "x-palpate"  # which a page from elsewhere cannot send without being allowed to
+
+
+def add_route(app: FastAPI, client: RigClient) -> None:
+    """Answer to the page's emergency stop, in threads that nothing else can keep busy."""
+    threads = ThreadPoolExecutor(8, thread_name_prefix="palpate-estop")
+
+    @app.post(PATH)
+    async def estop(request: Request) -> JSONResponse:
+        if request.headers.get(HEADER) != "estop":
+            return JSONResponse({"error": "not asked from the rig's own page"}, 403)
+        try:
+            answer = client.send_estop()  # here and now; only its answer is waited for elsewhere
+            found = await asyncio.get_running_loop().run_in_executor(threads, answer)
+        except PalpateError as e:
+            return JSONResponse({"error": str(e)}, 503)
+        return JSONResponse(found)
+
+
+HOST = "127.0.0.1"
+NAMES = ["127.0.0.1", "localhost"]
+"""Under which a browser may ask: a page from elsewhere whose name is made to point here is turned away."""
+KEPT = 30  # messages for a tab that loses its connection for a moment
+ENDS_S = 2
+ALIVE_S = 300  # a connection, so that an emergency stop need not open one
+SWITCH_S = 0.001  # between threads, for the same reason
+
+
+def serve(client: RigClient, port: int, runs: Path) -> None:
+    """Serve the pages until the process is told to end (Ctrl-C).
+
+    Args:
+        client: of the rig's process.
+        port: on 127.0.0.1.
+        runs: the folder that recordings go into, to be named on the page.
+
+    Raises:
+        MissingExtraError: NiceGUI is not installed.
+    """
+    check_needed()
+    import uvicorn
+
+    sys.setswitchinterval(SWITCH_S)
+    config = uvicorn.Config(
+        make_app(client, runs),
+        HOST,
+        port,
+        log_level="warning",
+        timeout_graceful_shutdown=ENDS_S,
+        timeout_keep_alive=ALIVE_S,
+    )
+    uvicorn.Server(config).run()
+
+
+def make_app(client: RigClient, runs: Path):  # type: ignore[no-untyped-def]
+    """The pages, the emergency stop's own address, and the newest picture."""
+    from fastapi import FastAPI, Response
+    from nicegui import ui
+    from starlette.middleware.trustedhost import TrustedHostMiddleware
+
+    from palpate.studio.rig_page import RigPage
+
+    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    app.add_middleware(TrustedHostMiddleware, allowed_hosts=NAMES)
+    add_route(app, client)
+
+    @app.get("/picture")
+    async def picture() -> Response:
+        newest = client.picture
+        if newest is None:
+            return Response(status_code=404)
+        return Response(newest[1], media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+
+    @ui.page("/", title="Indentation rig · palpate")
+    def rig_page() -> None:
+        RigPage(client, str(runs))
+
+    ui.run_with(app, show_welcome_message=False, message_history_length=KEPT, reconnect_timeout=5.0)
+    return app
+
+
+def check_needed() -> None:
+    """Refuse to begin without what the pages are made with.
+
+    Raises:
+        MissingExtraError: NiceGUI is not installed.
+    """
+    try:
+        import nicegui  # noqa: F401
+    except ImportError as e:
+        raise MissingExtraError("the studio needs NiceGUI: pip install 'palpate[studio]'") from e
+
+
+def check_port(port: int) -> None:
+    """Refuse a port that is taken before anything is started.
+
+    Raises:
+        DeviceError: it is.
+    """
+    import socket
+
+    try:
+        with socket.create_server((HOST, port)):
+            pass
+    except OSError as e:
+        raise DeviceError(f"port {port} on {HOST} cannot be used ({e.strerror}); give another --port") from e

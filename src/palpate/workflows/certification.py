@@ -1,0 +1,33 @@
+"""Calibrate and report in one go: the folder holds its own page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from palpate.calibration.calibration_plan import CalibrationPlan
+from palpate.calibration.fitting import calibrate
+from palpate.core.files import PathText
+from palpate.estimators.certified import read_card
+from palpate.estimators.model_card import Card
+from palpate.estimators.networks.model_interface import Progress, silent
+from palpate.recordings.run_reader import Run
+from palpate.reports.certificate_page import write_report
+
+REPORT_FILE = "report.html"
+
+
+def certify(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress = silent) -> Card:
+    """Calibrate, and write the report into the calibration's folder.
+
+    Args:
+        run: frames and labels to learn from.
+        plan: what to estimate and how.
+        out: calibration folder to make; must not exist.
+        progress: told what is being done and how far it is.
+    """
+    out = Path(out)
+    calibrate(run, plan, out, progress)
+    progress("writing the report", 0, 1)
+    write_report(out, out / REPORT_FILE)
+    progress("writing the report", 1, 1)
+    return read_card(out)
