@@ -15,7 +15,7 @@ from palpate.estimators.compliance.press_force import (
     within,
     without_spikes,
 )
-from palpate.sensors.tactip import Specimen, TacTipSpec, Trial, trial
+from palpate.sensors.tactip import TacTipSpec, TipOnSpecimen, Trial, trial
 
 KAPPA_N_M = {"rigid": float("inf"), "S1": 7.6e3, "S2": 3.1e3, "S3": 1.1e3, "new": 5.3e3}
 REFERENCES = ("rigid", "S1", "S2", "S3")
@@ -57,7 +57,7 @@ def ideal(made: Trial, noise_px: float = NOISE_PX) -> ReferenceTrial:
 
 
 def pressed(
-    spec: TacTipSpec, specimen: Specimen, count: int, seed: int, *, rendered: bool = True
+    spec: TacTipSpec, specimen: TipOnSpecimen, count: int, seed: int, *, rendered: bool = True
 ) -> tuple[ReferenceTrial, ...]:
     """Some trials on one specimen."""
     make = seen if rendered else ideal
@@ -66,7 +66,7 @@ def pressed(
 
 def references(
     spec: TacTipSpec,
-    specimens: dict[str, tuple[float, Specimen]],
+    specimens: dict[str, tuple[float, TipOnSpecimen]],
     trials: int,
     seed: int,
     *,

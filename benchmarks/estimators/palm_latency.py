@@ -112,7 +112,7 @@ def calibrated(folder: Path, side: int) -> Path:
     from palpate import CalibrationPlan, Manifest, Run, RunWriter, calibrate
     from palpate.calibration import ReferenceRule
     from palpate.sensors import palm
-    from palpate.sensors.palm.presses import TARGETS, draw_presses
+    from palpate.sensors.palm.random_presses import TARGETS, draw_presses
 
     spec = palm.cropped(palm.preset("palm"), side, "palm-rendered")
     drawn = draw_presses(spec, PRESSES, DEPTHS, np.random.default_rng(0))

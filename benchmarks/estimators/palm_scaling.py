@@ -62,14 +62,14 @@ def told(name: str, taken: Taken) -> None:
 
 def render() -> None:
     from palpate.sensors import palm
-    from palpate.sensors.palm import presses
+    from palpate.sensors.palm import random_presses
 
-    presses.DEPTHS = DEPTHS
+    random_presses.DEPTHS = DEPTHS
     spec, seeds = palm.cropped(palm.palm(), SIDE, "scaling"), iter(range(10**6))
 
     def drawn(processes: int, count: int = PRESSES) -> None:
         rng = np.random.default_rng(next(seeds))  # other stiffness, and so other pictures
-        presses.draw_presses(spec, count, FRAMES_EACH, rng, processes=processes)
+        random_presses.draw_presses(spec, count, FRAMES_EACH, rng, processes=processes)
 
     drawn(1, 1)
     begun, _ = clocked(lambda: drawn(2, 4))

@@ -31,7 +31,7 @@ ASKED = 1.6
 def presses() -> tuple[np.ndarray, np.ndarray]:
     """Images ``[n c h w]``, grey levels, and values in the model's order; nothing pulls sideways."""
     from palpate.sensors import palm
-    from palpate.sensors.palm.presses import draw_presses
+    from palpate.sensors.palm.random_presses import draw_presses
 
     spec = palm.cropped(palm.preset("palm"), SMALL, "palm-rendered")
     drawn = draw_presses(spec, PRESSES, DEPTHS, np.random.default_rng(0))

@@ -17,7 +17,7 @@ from palpate.calibration.compliance.compliance_calibration import (
 from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.core.errors import CertificateError, ExistsError, InputError, RangeError, StorageError
 from palpate.sensors.tactip import tactip
-from palpate.sensors.tactip.press import modulus_pa
+from palpate.sensors.tactip.tactip_press import modulus_pa
 from palpate.workflows.tactip_trials import specimens_at
 
 TRIALS = 3

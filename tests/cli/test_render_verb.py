@@ -10,7 +10,7 @@ from palpate.cli import app
 from palpate.core import Pose
 from palpate.recordings.exchange import image_files
 from palpate.sensors import palm
-from palpate.sensors.palm import volume
+from palpate.sensors.palm import fringe_rays
 from palpate.sensors.palm.wear import Wear, worn
 
 FACTS = {
@@ -86,8 +86,8 @@ def test_nothing_is_overwritten(frame):
 
 
 def test_a_ball_that_no_table_holds_is_pressed_into_layers(frame, monkeypatch):
-    monkeypatch.setattr(volume, "PLANES", 12)  # with the next line, three times as fast
-    monkeypatch.setattr(import_module("palpate.sensors.palm.press"), "CELLS", 80)
+    monkeypatch.setattr(fringe_rays, "PLANES", 12)  # with the next line, three times as fast
+    monkeypatch.setattr(import_module("palpate.sensors.palm.palm_press"), "CELLS", 80)
     said = json.loads(render("--depth-mm", "0.5", "--indenter", "sphere:8", "--json", out=frame).stdout)
     assert "linear elastic layers" in said["model"]
     assert said["fringe_order_max"] > 0.1

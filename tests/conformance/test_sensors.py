@@ -17,7 +17,7 @@ from palpate.core.outline import Outline
 from palpate.core.sensor import SENSORS, ImageAxes, Sensor, contract_faults, for_rig, sensor
 from palpate.rig.virtual import virtual_rig
 from palpate.sensors import palm
-from palpate.sensors.palm.sensor import Palm
+from palpate.sensors.palm.palm_sensor import Palm
 
 SMALL = {"palm": "palm-debug"}  # a tenth of the pixels each way is the same design
 

@@ -21,7 +21,7 @@ from palpate.rig.check import check_rig
 from palpate.rig.rig import Rig
 from palpate.rig.virtual import Fault, virtual_rig
 from palpate.sensors import palm
-from palpate.sensors.palm.sensor import Palm
+from palpate.sensors.palm.palm_sensor import Palm
 
 SPEC = palm.cropped(palm.palm(), 16, "tiny")
 BOX: Box = ((-2e-3, -2e-3, -7e-3), (2e-3, 2e-3, -3e-3))

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from palpate.core.errors import ImageError, InputError
 from palpate.estimators.compliance.pin_press import watched
 from palpate.sensors.tactip import HeadOn, tactip, trial
-from palpate.sensors.tactip.camera import rendered
+from palpate.sensors.tactip.tactip_camera import rendered
 
 RATE, EVERY = 200, 10
 

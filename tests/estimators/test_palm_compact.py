@@ -10,7 +10,7 @@ from palpate.core.errors import InputError
 from palpate.estimators.networks.model_interface import TrainingData
 from palpate.estimators.novelty import thumbnail
 from palpate.sensors import palm
-from palpate.sensors.palm.presses import TARGETS, draw_presses
+from palpate.sensors.palm.random_presses import TARGETS, draw_presses
 
 torch = pytest.importorskip("torch", reason="the network trains with torch")
 

@@ -120,7 +120,7 @@ def test_what_the_virtual_rig_delays_is_found_in_its_own_frames() -> None:
     from palpate.rig.virtual.force import LATENCY_S
     from palpate.rig.virtual.variation import Variation
     from palpate.sensors import palm
-    from palpate.sensors.palm.sensor import Palm
+    from palpate.sensors.palm.palm_sensor import Palm
 
     spec = palm.cropped(palm.palm(), 16, "tiny")
     made = virtual_rig(Palm(spec), clock=ManualClock(10**11), variation=Variation(frame_jitter_s=0.0))

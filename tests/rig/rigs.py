@@ -11,7 +11,7 @@ from palpate.rig.rig import Rig
 from palpate.rig.virtual import Fault, virtual_rig
 from palpate.rig.virtual.variation import IDEAL
 from palpate.sensors import palm
-from palpate.sensors.palm.sensor import Palm
+from palpate.sensors.palm.palm_sensor import Palm
 
 SPEC = palm.cropped(palm.palm(), 16, "tiny")
 CLOCK_NS = 100 * NS_PER_S

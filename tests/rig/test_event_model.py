@@ -266,7 +266,7 @@ def test_what_the_engine_itself_records_becomes_documents(tmp_path: Path) -> Non
     from palpate.rig.plans import Listed, Stepped
     from palpate.rig.virtual import virtual_rig
     from palpate.sensors import palm
-    from palpate.sensors.palm.sensor import Palm
+    from palpate.sensors.palm.palm_sensor import Palm
 
     plan = Stepped(
         taps=0,

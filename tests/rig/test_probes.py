@@ -15,8 +15,8 @@ from palpate.recordings.run_reader import Run
 from palpate.rig import State, record
 from palpate.rig.plans import Lateral, Listed, Stepped, plan_from
 from palpate.sensors import palm
-from palpate.sensors.palm.press import LINEAR_DEPTH_M
-from palpate.sensors.palm.sensor import force_law_of
+from palpate.sensors.palm.palm_press import LINEAR_DEPTH_M
+from palpate.sensors.palm.palm_sensor import force_law_of
 
 CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
 

@@ -18,7 +18,7 @@ from palpate.rig.virtual.motion import Motion
 from palpate.rig.virtual.skin import Skin
 from palpate.rig.virtual.variation import IDEAL
 from palpate.sensors import palm
-from palpate.sensors.palm.sensor import Palm
+from palpate.sensors.palm.palm_sensor import Palm
 
 SPEC = palm.cropped(palm.palm(), 16, "tiny")
 LAW = Palm(SPEC).force_law(palm.parse_probe("sphere:10"))

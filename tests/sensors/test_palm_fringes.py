@@ -8,8 +8,8 @@ import pytest
 from palpate.core import Pose
 from palpate.optics import encode_srgb
 from palpate.sensors import palm
-from palpate.sensors.palm import fringes, orders
-from palpate.sensors.palm.render import lamp
+from palpate.sensors.palm import fringe_orders, fringe_view
+from palpate.sensors.palm.palm_render import lamp
 
 SPEC = palm.debug()
 GREEN_M = 550e-9
@@ -41,7 +41,7 @@ def test_light_is_between_none_and_the_lamps():
 
 
 def test_orders_rise_with_depth():
-    greatest = [orders.edge_on(SPEC, d, points=41).greatest for d in 1e-3 * np.arange(7)]
+    greatest = [fringe_orders.edge_on(SPEC, d, points=41).greatest for d in 1e-3 * np.arange(7)]
     assert greatest[0] == 0
     assert (np.diff(greatest) > 0).all()
 
@@ -78,7 +78,7 @@ FIRST_ORDER = ["dark", "grey", "yellow", "red", "blue", "green"]
 
 
 def test_a_rising_order_runs_through_newton_s_colours():
-    seen = fringes.spectrum(31)
+    seen = fringe_view.spectrum(31)
     order = np.linspace(0, 1.5, 61)
     phase = SPEC.stress_optic.half_phase(seen.wavelength_m)
     at_green = SPEC.stress_optic.half_phase(np.array([GREEN_M]))[0]
@@ -98,12 +98,12 @@ def test_where_the_axes_of_stress_lie_along_the_polarisers_it_is_dark(polariser,
     # a column in which the contact's axis lies: there the stress is along x and z whatever the depth
     view = replace(SPEC.fringes, middle_px=(70.5, 11.0))
     spec = replace(SPEC, polariser_rad=polariser, fringes=view, rays_per_pixel=(1, 1))
-    rays = fringes.columns(spec, view)
+    rays = fringe_view.columns(spec, view)
     x = float(rays.impact_m[column] / np.cos(rays.turn_rad[column]))
-    seen = below(fringes.exact(spec, 2e-3, x, 0.0), 2e-3)
+    seen = below(fringe_view.exact(spec, 2e-3, x, 0.0), 2e-3)
     np.testing.assert_allclose(seen[:, column], spec.extinction, atol=1e-6)
     assert seen[:, column + 8].max() > 0.1
-    turned = fringes.exact(replace(spec, polariser_rad=np.pi / 4), 2e-3, x, 0.0)
+    turned = fringe_view.exact(replace(spec, polariser_rad=np.pi / 4), 2e-3, x, 0.0)
     assert below(turned, 2e-3)[:, column].max() > 0.5
 
 
@@ -116,7 +116,9 @@ def test_a_contact_to_the_right_is_that_to_the_left_mirrored(exact):
 def test_frozen_birefringence_lights_the_membrane_at_rest():
     frozen = replace(SPEC, frozen_birefringence=2e-6)
     # the light of a plate 57 mm thick at the middle column: 2e-6 * 57 mm is 0.2 orders
-    seen = fringes.spectrum(31)
+    seen = fringe_view.spectrum(31)
     wanted = np.sin(np.pi * 2e-6 * 57e-3 / seen.wavelength_m) ** 2 @ seen.weight
-    light = fringes.exact(frozen, 0.0, 0.0, 0.0)[SPEC.fringes.down_m > 0.5e-3, SPEC.fringes.size_px[0] // 2]
+    light = fringe_view.exact(frozen, 0.0, 0.0, 0.0)[
+        SPEC.fringes.down_m > 0.5e-3, SPEC.fringes.size_px[0] // 2
+    ]
     np.testing.assert_allclose(light[3], SPEC.extinction + (1 - SPEC.extinction) * wanted, atol=1e-3)

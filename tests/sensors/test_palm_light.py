@@ -5,9 +5,9 @@ import pytest
 
 from palpate.core import Pose
 from palpate.sensors import palm
-from palpate.sensors.palm import fringes
-from palpate.sensors.palm.light import SECOND_RADIATION_M_K, in_box, lamp_tint, room_light
-from palpate.sensors.palm.render import BACKGROUND
+from palpate.sensors.palm import fringe_view
+from palpate.sensors.palm.palm_render import BACKGROUND
+from palpate.sensors.palm.wear import SECOND_RADIATION_M_K, in_box, lamp_tint, room_light
 
 SPEC = palm.debug()
 
@@ -22,7 +22,7 @@ def planck(wavelength_m, kelvin):
 
 
 def test_a_warmer_lamp_is_redder_and_a_colder_one_bluer():
-    spectrum = fringes.spectrum(31)
+    spectrum = fringe_view.spectrum(31)
     for mired, order in ((40.0, (2, 1, 0)), (-40.0, (0, 1, 2))):
         tint = lamp_tint(mired, spectrum)
         assert tuple(np.argsort(tint)) == order
@@ -32,7 +32,7 @@ def test_a_warmer_lamp_is_redder_and_a_colder_one_bluer():
 
 @pytest.mark.parametrize(("before", "after"), [(6500, 4000), (4000, 3000), (5000, 6500)])
 def test_a_shift_in_mired_turns_one_black_body_into_the_other(before, after):
-    spectrum = fringes.spectrum(31)
+    spectrum = fringe_view.spectrum(31)
     ratio = planck(spectrum.wavelength_m, after) / planck(spectrum.wavelength_m, before)
     wanted = ratio @ spectrum.weight
     # Wien's law for Planck's: 2 % at 700 nm and 6500 K
@@ -41,7 +41,7 @@ def test_a_shift_in_mired_turns_one_black_body_into_the_other(before, after):
 
 
 def test_another_lamp_tints_both_regions_alike():
-    tint = lamp_tint(50.0, fringes.spectrum(SPEC.bands))
+    tint = lamp_tint(50.0, fringe_view.spectrum(SPEC.bands))
     for one, other in zip(seen(), seen(lamp_mired=50.0), strict=True):
         np.testing.assert_allclose(other, one * tint, rtol=1e-6)
 
@@ -79,7 +79,7 @@ def test_room_light_fills_the_frame_between_the_regions():
         x, y, w, h = view.box_px
         outside[y : y + h, x : x + w] = False
     top = codes[..., 1][outside] / (2**16 - 1) / quiet.camera.exposure
-    sensitivity = fringes.spectrum(31).sensitivity[1]
+    sensitivity = fringe_view.spectrum(31).sensitivity[1]
     wanted = (BACKGROUND + 0.05 * room_light(SPEC.frame_px)[..., 0][outside]) * sensitivity
     np.testing.assert_allclose(top, wanted, rtol=2e-3)  # 16-bit steps
 

@@ -6,26 +6,26 @@ import pytest
 from palpate.core import InputError, Pose, Probe, RangeError
 from palpate.mechanics.resultant import resultant_of
 from palpate.sensors import palm
-from palpate.sensors.palm import loads
-from palpate.sensors.palm.press import FRICTION, greatest_aside, press_layers
+from palpate.sensors.palm import random_presses
+from palpate.sensors.palm.palm_press import FRICTION, greatest_aside, press_layers
 
 SPEC = palm.cropped(palm.palm(), 16, "tiny")
 
 
 def drawn(kind, count=3, seed=3):
-    return loads.draw_loads(SPEC, kind, count, np.random.default_rng(seed))
+    return random_presses.draw_loads(SPEC, kind, count, np.random.default_rng(seed))
 
 
 @pytest.fixture(scope="module")
 def every():
-    return {kind: drawn(kind) for kind in loads.NAMES}
+    return {kind: drawn(kind) for kind in random_presses.NAMES}
 
 
 def column(found, name):
     return found.values[:, found.names.index(name)]
 
 
-@pytest.mark.parametrize("kind", loads.NAMES)
+@pytest.mark.parametrize("kind", random_presses.NAMES)
 def test_each_picture_has_its_untouched_one_and_its_values(every, kind):
     found = every[kind]
     assert found.images.shape == found.hanging.shape == (3, 16, 32, 3)
@@ -35,7 +35,7 @@ def test_each_picture_has_its_untouched_one_and_its_values(every, kind):
     assert (column(found, "force_N") > 0).all()
 
 
-@pytest.mark.parametrize("kind", loads.NAMES)
+@pytest.mark.parametrize("kind", random_presses.NAMES)
 def test_all_is_inside_the_rim(every, kind):
     found, R = every[kind], SPEC.radius_m * 1e3
     for x in [name for name in found.names if name.startswith("x")]:
@@ -54,7 +54,7 @@ def test_one_seed_draws_one_set(every, kind):
 def test_no_lateral_load_is_more_than_friction_holds(every):
     found = every["lateral"]
     aside = np.hypot(column(found, "force_x_N"), column(found, "force_y_N"))
-    assert (aside < loads.HELD * FRICTION * column(found, "force_N")).all()
+    assert (aside < random_presses.HELD * FRICTION * column(found, "force_N")).all()
     assert (aside > 0).all()
     assert (column(found, "moment_z_Nmm") != 0).all()
 

@@ -7,7 +7,7 @@ import pytest
 from palpate.core import InputError, Pose, Probe, RangeError
 from palpate.mechanics.layers.bonded_layer import punch_force, sphere_force
 from palpate.sensors import palm
-from palpate.sensors.palm.press import FRICTION, LINEAR_DEPTH_M
+from palpate.sensors.palm.palm_press import FRICTION, LINEAR_DEPTH_M
 
 SPEC = palm.palm()
 E, NU, H = SPEC.youngs_modulus_pa, SPEC.poisson_ratio, SPEC.thickness_m

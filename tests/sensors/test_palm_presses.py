@@ -10,7 +10,7 @@ import pytest
 from palpate.core import Pose
 from palpate.core.errors import InputError
 from palpate.sensors import palm
-from palpate.sensors.palm.presses import STIFFEST, draw_presses
+from palpate.sensors.palm.random_presses import STIFFEST, draw_presses
 
 SPEC = palm.cropped(palm.palm(), 32, "test")
 

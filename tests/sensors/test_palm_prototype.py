@@ -6,7 +6,7 @@ import pytest
 
 from palpate.core import InputError, Pose
 from palpate.sensors import palm
-from palpate.sensors.palm import orders, prototype
+from palpate.sensors.palm import first_prototype, fringe_orders
 
 SPEC = palm.debug()
 GREEN_M = 550e-9
@@ -20,7 +20,7 @@ def pressed(depth_m, x_m=0.0, y_m=0.0):
 @pytest.fixture(scope="module")
 def qualities():
     return {
-        depth: (prototype.quality_below(c, SPEC), prototype.quality_edge_on(c, SPEC))
+        depth: (first_prototype.quality_below(c, SPEC), first_prototype.quality_edge_on(c, SPEC))
         for depth, c in ((d, pressed(d, 2e-3, -1e-3)) for d in (1e-3, 3e-3))
     }
 
@@ -34,7 +34,7 @@ def test_qualities_are_finite_and_in_their_ranges(qualities):
 
 
 def test_without_load_there_are_no_orders():
-    at_rest = prototype.quality_below(pressed(0.0), SPEC)
+    at_rest = first_prototype.quality_below(pressed(0.0), SPEC)
     assert (at_rest.greatest_order, at_rest.density_per_mm) == (0, 0)
     assert at_rest.contrast < 0.25, "what is left is the lamp's unevenness"
 
@@ -54,7 +54,7 @@ def test_more_depth_is_more_orders_in_both(qualities):
 
 
 def test_from_below_the_order_is_round_about_the_contact_and_zero_at_its_middle():
-    seen = prototype.from_below(pressed(3e-3), SPEC, pixels=101)
+    seen = first_prototype.from_below(pressed(3e-3), SPEC, pixels=101)
     middle = 50
     assert seen.x_m[middle] == pytest.approx(0, abs=1e-12)
     assert seen.order[middle, middle] == pytest.approx(0, abs=1e-3)
@@ -64,9 +64,12 @@ def test_from_below_the_order_is_round_about_the_contact_and_zero_at_its_middle(
 
 def test_from_below_a_dark_cross_lies_along_the_polarisers():
     along = replace(SPEC, polariser_rad=0.0)
-    seen = prototype.from_below(pressed(3e-3), along, pixels=101)
-    leak = (1 - prototype.POLARISED) / 2 + prototype.POLARISED * SPEC.extinction
-    rim = prototype.MIDDLE_OVER_RIM + (1 - prototype.MIDDLE_OVER_RIM) * (seen.x_m / SPEC.radius_m) ** 2
+    seen = first_prototype.from_below(pressed(3e-3), along, pixels=101)
+    leak = (1 - first_prototype.POLARISED) / 2 + first_prototype.POLARISED * SPEC.extinction
+    rim = (
+        first_prototype.MIDDLE_OVER_RIM
+        + (1 - first_prototype.MIDDLE_OVER_RIM) * (seen.x_m / SPEC.radius_m) ** 2
+    )
     np.testing.assert_allclose(seen.light[50], rim[:, None] * leak * np.ones(3), atol=1e-6)
     np.testing.assert_allclose(seen.light[:, 50], rim[:, None] * leak * np.ones(3), atol=1e-6)
     diagonal = seen.light[np.arange(101), np.arange(101), 1]
@@ -77,7 +80,11 @@ def test_only_the_palms_own_ball_pressed_straight_is_compared():
     punch = palm.press(SPEC, Pose(0.0, 0.0, 1e-3), palm.parse_probe("punch:6"))
     pushed = palm.press(SPEC, Pose(0.0, 0.0, 1e-3), palm.parse_probe("sphere:10"), (0.2, 0.0))
     for contact in (punch, pushed):
-        for law in (prototype.from_below, prototype.quality_below, prototype.quality_edge_on):
+        for law in (
+            first_prototype.from_below,
+            first_prototype.quality_below,
+            first_prototype.quality_edge_on,
+        ):
             with pytest.raises(InputError, match="radius 5 mm"):
                 law(contact, SPEC)
 
@@ -89,7 +96,7 @@ def test_a_light_touch_has_the_orders_of_a_hertzian_contact(force_n):
     contact = palm.press_to_force(resin, force_n)
     C = float(resin.stress_optic.at(np.array([GREEN_M]))[0])
     wanted = HERTZ * C * force_n / (contact.radius_m * GREEN_M)
-    found = orders.edge_on(resin, contact.pose.depth_m, points=61).greatest
+    found = fringe_orders.edge_on(resin, contact.pose.depth_m, points=61).greatest
     assert found == pytest.approx(wanted, rel=0.03)  # the table's knots, and a percentile for the greatest
 
 
@@ -97,7 +104,9 @@ def test_a_light_touch_has_the_orders_of_a_hertzian_contact(force_n):
 def test_at_equal_load_the_reports_choice_shows_most_orders(force_n):
     def greatest(name):
         spec = palm.preset(name)
-        return orders.edge_on(spec, palm.press_to_force(spec, force_n).pose.depth_m, points=61).greatest
+        return fringe_orders.edge_on(
+            spec, palm.press_to_force(spec, force_n).pose.depth_m, points=61
+        ).greatest
 
     solaris, resin, sylgard = map(greatest, ("solaris", "casting-resin", "sylgard-184"))
     assert solaris > resin > 2 * sylgard  # solaris leads the resin by 8 % at 2 N and by 41 % at 15 N
@@ -109,7 +118,7 @@ def test_facts_name_a_contact_s_numbers_with_their_units():
     assert found["force_N"] == contact.force_n
     assert found["contact_radius_mm"] == contact.radius_m * 1e3
     assert found["peak_pressure_Pa"] == pytest.approx(contact.pressure_pa.max(), rel=0.02)
-    assert found["fringe_order_max"] == orders.edge_on(SPEC, 0.5e-3).greatest
+    assert found["fringe_order_max"] == fringe_orders.edge_on(SPEC, 0.5e-3).greatest
     assert (found["youngs_modulus_Pa"], found["thickness_mm"]) == (0.32e6, 10.0)
     assert found["seen_edge_on"] is False, "behind the rays that graze the rim"
     assert "finite-strain" in found["model"]

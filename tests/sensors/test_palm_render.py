@@ -7,8 +7,8 @@ from palpate.core import InputError, Pose, RangeError
 from palpate.optics import encode_srgb
 from palpate.optics.illumination import strip_light
 from palpate.sensors import palm
-from palpate.sensors.palm import fringes
-from palpate.sensors.palm.render import BACKGROUND, lamp
+from palpate.sensors.palm import fringe_view
+from palpate.sensors.palm.palm_render import BACKGROUND, lamp
 
 SPEC = palm.debug()
 QUIET = replace(SPEC, camera=replace(SPEC.camera, full_well_e=1e12, read_noise_e=0.0, bits=16))
@@ -129,7 +129,7 @@ def test_the_probe_s_body_edge_on_is_left_out_and_the_dimple_stays_dark(exact):
 def test_what_the_mirror_shows_of_the_probe_is_not_marched_anew(monkeypatch):
     contact = pressed(2e-3, 3e-3)
     wanted = palm.render_clean(contact, SPEC)[0]
-    monkeypatch.setattr(fringes, "_marched", None)
+    monkeypatch.setattr(fringe_view, "_marched", None)
     for changed in ({"probe_in_mirror": False}, {"opaque_underside": True}):
         np.testing.assert_array_equal(palm.render_clean(contact, replace(SPEC, **changed))[0], wanted)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.sensors import palm
-from palpate.sensors.palm import fringes
+from palpate.sensors.palm import fringe_view
 
 SPEC = palm.debug()
 
@@ -13,7 +13,7 @@ def outermost(spec):
     wide = replace(
         spec.fringes, box_px=(0, 0, 8001, 8), pitch_m=spec.diameter_m / 8001, middle_px=(4000.5, 1)
     )
-    return fringes.columns(spec, wide)
+    return fringe_view.columns(spec, wide)
 
 
 def test_no_ray_runs_further_from_the_axis_than_the_radius_over_the_index():
@@ -30,7 +30,7 @@ def test_behind_the_rays_that_graze_the_rim_no_column_looks():
         if y < -15:
             continue  # near the far wall other rays cross the grazing ones, and see past them
         inside = abs(x) < 28.5 + y * np.sqrt(1.41**2 - 1)
-        assert fringes.sees(SPEC, x * 1e-3, y * 1e-3) == inside, (x, y)
+        assert fringe_view.sees(SPEC, x * 1e-3, y * 1e-3) == inside, (x, y)
 
 
 def test_what_is_seen_is_what_some_column_looks_at():
@@ -38,16 +38,16 @@ def test_what_is_seen_is_what_some_column_looks_at():
     for x, y in PLACES:
         offset, _, _ = rays.about(x * 1e-3, y * 1e-3)
         crosses = offset.min() < 0 < offset.max()
-        assert fringes.sees(SPEC, x * 1e-3, y * 1e-3) == crosses, (x, y)
+        assert fringe_view.sees(SPEC, x * 1e-3, y * 1e-3) == crosses, (x, y)
 
 
 def test_without_refraction_all_of_the_membrane_is_seen():
     straight = replace(SPEC, rim_refracts=False)
-    assert all(fringes.sees(straight, x * 1e-3, y * 1e-3) for x, y in PLACES)
+    assert all(fringe_view.sees(straight, x * 1e-3, y * 1e-3) for x, y in PLACES)
 
 
 def test_a_place_not_seen_is_so_within_its_distance_from_the_grazing_ray():
     # the ray through (R, 0), turned by acos(1/n): (18, -14) mm lies 2.42 mm beyond it
     beyond = (18 + 14 * np.sqrt(1.41**2 - 1) - 28.5) / 1.41 * 1e-3
-    assert not fringes.sees(SPEC, 18e-3, -14e-3, 0.98 * beyond)
-    assert fringes.sees(SPEC, 18e-3, -14e-3, 1.02 * beyond)
+    assert not fringe_view.sees(SPEC, 18e-3, -14e-3, 0.98 * beyond)
+    assert fringe_view.sees(SPEC, 18e-3, -14e-3, 1.02 * beyond)

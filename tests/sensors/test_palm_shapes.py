@@ -5,8 +5,8 @@ import pytest
 
 from palpate.core import InputError, Pose, Probe, RangeError
 from palpate.sensors import palm
-from palpate.sensors.palm.press import CELL_M
-from palpate.sensors.palm.shapes import gap_of, parts_of, points_probe, reaches_of, silhouette
+from palpate.sensors.palm.palm_press import CELL_M
+from palpate.sensors.palm.probe_shapes import gap_of, parts_of, points_probe, reaches_of, silhouette
 
 SPEC = palm.palm()
 X = np.linspace(-10e-3, 10e-3, 81)

@@ -7,8 +7,8 @@ import pytest
 from palpate.core import InputError, Pose, RangeError
 from palpate.optics.colour import Spectrum
 from palpate.sensors import palm
-from palpate.sensors.palm import fringes, mirror
-from palpate.sensors.palm.render import lamp
+from palpate.sensors.palm import fringe_view, mirror_view
+from palpate.sensors.palm.palm_render import lamp
 from palpate.sensors.palm.wear import MOST_SCRATCHES, Wear, film, passed_by, scratches_over, spread, worn
 
 SPEC, FULL = palm.debug(), palm.palm()
@@ -22,7 +22,7 @@ def seen(wear, depth_m=3e-3, x_m=0.0, y_m=0.0, exact=False, **changed):
 
 
 def behind_membrane(light):
-    z, rays = SPEC.fringes.down_m, fringes.columns_kept(SPEC)
+    z, rays = SPEC.fringes.down_m, fringe_view.columns_kept(SPEC)
     return light[((z >= 0) & (z <= SPEC.thickness_m))[:, None] & rays.visible]
 
 
@@ -54,7 +54,7 @@ def test_haze_takes_a_share_of_the_picture_and_adds_one_veil_whatever_is_pressed
         for depth in (0.5e-3, 4e-3)
     ]
     # outside the membrane nothing is hazy, and this difference no veil
-    part = behind_membrane if region == 0 else lambda light: light[mirror.inside_rim(SPEC)]
+    part = behind_membrane if region == 0 else lambda light: light[mirror_view.inside_rim(SPEC)]
     for other in veils[1:]:
         np.testing.assert_allclose(part(other), part(veils[0]), atol=1e-5)  # float32
     assert part(veils[0]).min() > 0
@@ -90,7 +90,7 @@ def test_a_surface_that_scatters_all_light_shows_nothing_of_a_press():
     for one, other, part in zip(
         seen(Wear(haze=1.0), 1e-3, 4e-3),
         seen(Wear(haze=1.0), 4e-3, -4e-3),
-        (behind_membrane, lambda light: light[mirror.inside_rim(SPEC)]),
+        (behind_membrane, lambda light: light[mirror_view.inside_rim(SPEC)]),
         strict=True,
     ):
         np.testing.assert_array_equal(part(one), part(other))
@@ -99,10 +99,10 @@ def test_a_surface_that_scatters_all_light_shows_nothing_of_a_press():
 @pytest.mark.parametrize("wear", [Wear(haze=0.3), Wear(scratches=30), Wear(yellowing=0.5)])
 def test_only_what_is_seen_through_the_membrane_is_worn(wear):
     (light, below), (new, under) = seen(wear), seen(Wear())
-    z, rays = SPEC.fringes.down_m, fringes.columns_kept(SPEC)
+    z, rays = SPEC.fringes.down_m, fringe_view.columns_kept(SPEC)
     beside = (z < 0)[:, None] | (z > SPEC.thickness_m)[:, None] | ~rays.visible
     np.testing.assert_array_equal(light[beside], new[beside])
-    outside = ~mirror.inside_rim(SPEC)
+    outside = ~mirror_view.inside_rim(SPEC)
     np.testing.assert_array_equal(below[outside], under[outside])
     assert (light != new).any()
     assert (below != under).any()
@@ -120,7 +120,7 @@ def test_in_the_mirror_scratches_dim_the_bright_ball_and_light_up_the_dark_housi
     coarse = Wear(scratches=300, scratch_width_m=500e-6, scratch_strength=1.0)  # of pixels of 1 mm
     clean, scratched = (seen(wear, 3e-3)[1][..., 0] for wear in (Wear(), coarse))
     ball = clean > 0.8 * clean.max()
-    flat = mirror.inside_rim(SPEC) & (clean < 1.02 * np.median(clean[mirror.inside_rim(SPEC)]))
+    flat = mirror_view.inside_rim(SPEC) & (clean < 1.02 * np.median(clean[mirror_view.inside_rim(SPEC)]))
     assert (clean - scratched)[ball].mean() > 0.01
     assert (scratched - clean)[flat].mean() > 0.002
 
@@ -164,21 +164,21 @@ def test_yellowed_silicone_follows_beers_law_and_passes_blue_least():
     path = np.array([0.0, 0.5, 1.0])
     passed = passed_by(0.3, path, one_band)
     np.testing.assert_allclose(passed, 10 ** (-0.3 * path[:, None]) * np.ones(3))
-    red, green, blue = passed_by(0.3, np.array([1.0]), fringes.spectrum(31))[0]
+    red, green, blue = passed_by(0.3, np.array([1.0]), fringe_view.spectrum(31))[0]
     assert 10**-0.3 < blue < green < red < 1
     assert red > 0.9
 
 
 def test_channels_yellow_as_marching_every_band_through_the_absorption_does(monkeypatch):
     absorbance, spec = 0.3, replace(SPEC, extinction=0.0)  # the leak is added after the march
-    seen_by = fringes.spectrum(spec.bands)
+    seen_by = fringe_view.spectrum(spec.bands)
     passed = 10 ** (-absorbance * np.exp((450e-9 - seen_by.wavelength_m) / 60e-9))
-    middle = np.flatnonzero(fringes.columns_kept(SPEC).half_chord_m > 0.98 * SPEC.radius_m)
-    by_channel = fringes.exact(spec, 4e-3, 0.0, 0.0)[:, middle]
+    middle = np.flatnonzero(fringe_view.columns_kept(SPEC).half_chord_m > 0.98 * SPEC.radius_m)
+    by_channel = fringe_view.exact(spec, 4e-3, 0.0, 0.0)[:, middle]
     by_channel *= passed_by(absorbance, np.ones(len(middle)), seen_by)
     filtered = replace(seen_by, weight=seen_by.weight * passed[:, None])
-    monkeypatch.setattr(fringes, "spectrum", lambda bands: filtered)
-    by_band = fringes.exact(spec, 4e-3, 0.0, 0.0)[:, middle]
+    monkeypatch.setattr(fringe_view, "spectrum", lambda bands: filtered)
+    by_band = fringe_view.exact(spec, 4e-3, 0.0, 0.0)[:, middle]
     assert abs(by_channel - by_band).max() < 0.035  # 0.028 is measured
     assert np.sqrt(np.mean((by_channel - by_band) ** 2)) < 8e-3  # 5e-3
 

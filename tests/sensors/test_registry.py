@@ -58,7 +58,7 @@ def test_a_name_that_is_none_is_refused(name: str, says: str) -> None:
 
 
 def test_a_sensor_of_another_package_is_found_and_one_without_a_name_by_its_path(install: Install) -> None:
-    code = "from palpate.sensors.palm.sensor import palm\ndef make(): return palm('debug')\n"
+    code = "from palpate.sensors.palm.palm_sensor import palm\ndef make(): return palm('debug')\n"
     install("strange", "stranger:make", code)
     assert "strange" in SENSORS.names()
     assert sensor("strange").name == "palm-debug"

@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose
 from palpate.core.errors import InputError, RangeError
 from palpate.estimators.compliance.contact_region import Field, ring_px
 from palpate.estimators.pins import find_pins, follow
-from palpate.sensors.tactip import PINS_127, PINS_331, HeadOn, Pins, pictured, tactip, trial
-from palpate.sensors.tactip.camera import slopes
-from palpate.sensors.tactip.pins import Turned, head_on, lattice, markers
+from palpate.sensors.tactip import PINS_127, PINS_331, HeadOn, PinLayout, pictured, tactip, trial
+from palpate.sensors.tactip.pin_markers import Turned, head_on, lattice, markers
+from palpate.sensors.tactip.tactip_camera import slopes
 
 S1, S3 = 0.2419e6, 0.035e6
 
@@ -120,7 +120,7 @@ def test_what_cannot_be_built_is_refused(spec) -> None:
     with pytest.raises(InputError, match="127 and 331"):
         tactip(200)
     with pytest.raises(RangeError, match="radius"):
-        replace(spec, pins=Pins(9, 2.6e-3, 1e-3, 0.5e-3))
+        replace(spec, pins=PinLayout(9, 2.6e-3, 1e-3, 0.5e-3))
     with pytest.raises(RangeError, match="camera"):
         replace(spec, camera=replace(spec.camera, height_m=0.015))
     with pytest.raises(RangeError, match="speed"):

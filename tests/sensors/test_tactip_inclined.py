@@ -7,10 +7,10 @@ from numpy.testing import assert_allclose
 from palpate.core.errors import RangeError
 from palpate.mechanics.axisymmetric.tilted_tip import tip_modes, top_modes
 from palpate.mechanics.axisymmetric.tip_table import tip_table
-from palpate.sensors.tactip import inclined as module
+from palpate.sensors.tactip import inclined_press as module
 from palpate.sensors.tactip import pictured, tactip
-from palpate.sensors.tactip.inclined import Inclined, inclined
-from palpate.sensors.tactip.pins import Turned, lattice
+from palpate.sensors.tactip.inclined_press import Inclined, inclined
+from palpate.sensors.tactip.pin_markers import Turned, lattice
 
 TILT = float(np.deg2rad(30))
 FORCES = np.array([0.5, 1.0, 2.0, 4.0])

@@ -10,9 +10,7 @@ from palpate.reproductions.tactip.tactip_experiment import table_of
 from palpate.sensors.tactip import HeadOn, tactip, trial
 from palpate.workflows.compliance.press_cues import cues_of, series
 from palpate.workflows.compliance.specimen_comparison import bootstrap, trials_table
-from palpate.workflows.compliance.specimen_comparison import (
-    tests_of as told_apart,  # pytest takes its own name for a test
-)
+from palpate.workflows.compliance.specimen_comparison import tests_of as told_apart
 
 
 @pytest.fixture(scope="module")

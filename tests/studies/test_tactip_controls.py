@@ -25,7 +25,7 @@ from palpate.reproductions.tactip.tactip_controls import (
     true_course,
 )
 from palpate.sensors.tactip import PINS_331, TacTipSpec
-from palpate.sensors.tactip.press import modulus_pa
+from palpate.sensors.tactip.tactip_press import modulus_pa
 
 S1, S3 = KAPPA_N_M["S1"], KAPPA_N_M["S3"]
 

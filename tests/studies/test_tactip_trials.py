@@ -14,8 +14,8 @@ from palpate.recordings.exchange.frame_sequences import TiffFrames
 from palpate.recordings.exchange.press_folder import press_folder
 from palpate.recordings.exchange.press_table import read_press_table
 from palpate.sensors.tactip import HeadOn, tactip, trial
-from palpate.sensors.tactip.inclined import Inclined
-from palpate.sensors.tactip.press import modulus_pa
+from palpate.sensors.tactip.inclined_press import Inclined
+from palpate.sensors.tactip.tactip_press import modulus_pa
 from palpate.workflows import tactip_trials
 from palpate.workflows.tactip_trials import REPORT_N_M, record_trials, specimens_at
 

@@ -15,10 +15,10 @@ from palpate.core import Pose
 from palpate.optics.colour import encode_srgb
 from palpate.reports.calibration_figures import ACCENT, BAND, INK
 from palpate.sensors import palm
-from palpate.sensors.palm import View, prototype
-from palpate.sensors.palm import mirror as mirrors
-from palpate.sensors.palm.field import depth_of_force, pressed
-from palpate.sensors.palm.render import BACKGROUND
+from palpate.sensors.palm import View, first_prototype
+from palpate.sensors.palm import mirror_view as mirrors
+from palpate.sensors.palm.palm_press import depth_of_force, pressed
+from palpate.sensors.palm.palm_render import BACKGROUND
 from palpate.sensors.palm.wear import Wear, worn
 
 
@@ -114,7 +114,7 @@ def paths() -> Figure:
     figure, grid = sheet(2, 2, (9.4, 4.4))
     for [left, right], depth in zip(grid, (3, 5), strict=True):
         contact = palm.press(SPEC, Pose(0.0, 0.0, depth * 1e-3))
-        seen = prototype.from_below(contact, SPEC)
+        seen = first_prototype.from_below(contact, SPEC)
         half = seen.x_m[-1] * 1e3
         left.imshow(encode_srgb(seen.light), extent=(-half, half, half, -half))
         left.set(title=f"from below, {depth} mm", ylabel="y [mm]", xlim=(-20, 20), ylim=(8, -8))

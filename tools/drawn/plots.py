@@ -18,8 +18,8 @@ from palpate.mechanics.axisymmetric.sphere_table import SphereTable, edge_correc
 from palpate.mechanics.layers.bonded_layer import dimitriadis_factor, sphere_force
 from palpate.optics import round_rim
 from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK
-from palpate.sensors.palm.field import field_of, pressed
-from palpate.sensors.palm.orders import edge_on
+from palpate.sensors.palm.fringe_orders import edge_on
+from palpate.sensors.palm.palm_press import field_of, pressed
 
 N = SPEC.refractive_index
 DEPTHS = (1, 2, 3, 4, 5)

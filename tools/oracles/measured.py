@@ -14,7 +14,7 @@ from oracles.tables import exponent
 from palpate.core import Pose
 from palpate.optics import round_rim
 from palpate.sensors import palm
-from palpate.sensors.palm import prototype
+from palpate.sensors.palm import first_prototype
 
 
 def presses() -> str:
@@ -117,7 +117,10 @@ def paths() -> str:
     spec, rows = palm.palm(), []
     for depth_mm in (1, 3, 5):
         contact = palm.press(spec, Pose(0.0, 0.0, depth_mm * 1e-3))
-        for name, law in (("from below", prototype.quality_below), ("edge-on", prototype.quality_edge_on)):
+        for name, law in (
+            ("from below", first_prototype.quality_below),
+            ("edge-on", first_prototype.quality_edge_on),
+        ):
             q = law(contact, spec)
             rows.append(
                 (

@@ -11,7 +11,7 @@ from numpy import ndarray
 from oracles import Oracle
 from palpate.core import Pose, Probe
 from palpate.sensors import palm
-from palpate.sensors.palm import PalmSpec, fringes, mirror
+from palpate.sensors.palm import PalmSpec, fringe_view, mirror_view
 
 SMALL = palm.small()
 GRID_MM = tuple((x, y) for x in range(-21, 22, 7) for y in range(-21, 22, 7) if x**2 + y**2 <= 23.5**2)
@@ -27,13 +27,15 @@ def inside(light: ndarray, spec: PalmSpec, depth_m: float) -> ndarray:
 
 def slices(depth_m: float) -> float:
     """Light with twice the slices, 999 of 1000 pixels below the dimple."""
-    one, two = (fringes.exact(SMALL, depth_m, 0.0, 0.0, n) for n in (fringes.SLICES, 2 * fringes.SLICES))
+    one, two = (
+        fringe_view.exact(SMALL, depth_m, 0.0, 0.0, n) for n in (fringe_view.SLICES, 2 * fringe_view.SLICES)
+    )
     return float(np.quantile(np.abs(inside(one - two, SMALL, depth_m)), 0.999))
 
 
 def bands() -> float:
     """Light with twice the bands, 999 of 1000 pixels, at 5 mm."""
-    one, two = (fringes.exact(replace(SMALL, bands=n), 5e-3, 0.0, 0.0) for n in (31, 62))
+    one, two = (fringe_view.exact(replace(SMALL, bands=n), 5e-3, 0.0, 0.0) for n in (31, 62))
     return float(np.quantile(np.abs(inside(one - two, SMALL, 5e-3)), 0.999))
 
 
@@ -57,14 +59,14 @@ def two_mechanics() -> float:
 
 def mirrored() -> float:
     """A contact on the right is that on the left, mirrored, at a polariser of 45 degrees."""
-    left, right = (fringes.exact(SMALL, 3e-3, x, 2e-3) for x in (-6e-3, 6e-3))
+    left, right = (fringe_view.exact(SMALL, 3e-3, x, 2e-3) for x in (-6e-3, 6e-3))
     return float(np.abs(inside(left - right[:, ::-1], SMALL, 3e-3)).max())
 
 
 def under_the_ball() -> float:
     """Pixels between where the mirror shows the ball's lowest point and where Snell's law puts it."""
     spec, depth, at = palm.palm(), 3e-3, (4e-3, -3e-3)
-    grey = mirror.exact(spec, depth, *at)
+    grey = mirror_view.exact(spec, depth, *at)
     lean = math.asin(math.cos(spec.mirror_elevation_rad) / spec.refractive_index)
     enters = at[1] + (spec.thickness_m - depth) * math.tan(lean)
     wanted = np.array([at[0], enters * math.sin(spec.mirror_elevation_rad)]) / spec.mirror.pitch_m

@@ -34,9 +34,9 @@ from palpate.optics import (
 )
 from palpate.optics.polariscope import with_leak
 from palpate.sensors import palm
-from palpate.sensors.palm import PalmSpec, View, fringes
-from palpate.sensors.palm.field import depth_of_force, field_of, pressed
-from palpate.sensors.palm.orders import integrated
+from palpate.sensors.palm import PalmSpec, View, fringe_view
+from palpate.sensors.palm.fringe_orders import integrated
+from palpate.sensors.palm.palm_press import depth_of_force, field_of, pressed
 
 GREEN_M = 550e-9
 FARTHEST = 4.427  # R from the axis that a press was solved at; the grid's outermost places are at 4.4272 R
@@ -150,7 +150,7 @@ def below_the_table() -> float:
     u, v = (part * dy for part in secondary_stress(x, y, z, a, p0))
     optics = seen.weight, plane_amplitude(spec.polariser_rad, spec.bands)
     light = march_colour(u, v, spec.stress_optic.half_phase(seen.wavelength_m), *optics, even=True)
-    off = fringes.exact(spec, depth, 0.0, 0.0) - with_leak(light, spec.extinction)
+    off = fringe_view.exact(spec, depth, 0.0, 0.0) - with_leak(light, spec.extinction)
     return float(np.sqrt(np.mean(off[spec.fringes.down_m > 2 * depth] ** 2)))
 
 

@@ -334,7 +334,10 @@ DEFAULT_SENSOR = "palm"
 SENSORS: Registry[Sensor] = Registry(
     "sensor",
     "palpate.sensors",
-    {"palm": "palpate.sensors.palm.sensor:palm", "tactip": "palpate.sensors.tactip.sensor:tactip"},
+    {
+        "palm": "palpate.sensors.palm.palm_sensor:palm",
+        "tactip": "palpate.sensors.tactip.tactip_sensor:tactip",
+    },
     contract_faults,
 )
 

@@ -23,9 +23,9 @@ from palpate.mechanics.axisymmetric.tip_table import TipTable
 from palpate.recordings.exchange.press_folder import PressFolder, press_folder, write_press, write_specimens
 from palpate.recordings.exchange.press_import import import_press
 from palpate.recordings.exchange.press_table import press_rows
-from palpate.sensors.tactip import HeadOn, Specimen, TacTipSpec, Trial, trial
-from palpate.sensors.tactip.inclined import Inclined, inclined
-from palpate.sensors.tactip.press import modulus_pa
+from palpate.sensors.tactip import HeadOn, TacTipSpec, TipOnSpecimen, Trial, trial
+from palpate.sensors.tactip.inclined_press import Inclined, inclined
+from palpate.sensors.tactip.tactip_press import modulus_pa
 from palpate.version import __version__
 
 REPORT_N_M = {"rigid": math.inf, "S1": 7.6e3, "S2": 3.1e3, "S3": 1.1e3, "new": 5.3e3}
@@ -39,7 +39,7 @@ LICENCE = "CC0-1.0"
 ORIGIN = "rendered by palpate; virtual, not measured"
 MODELS = {HeadOn: "finite strain, without friction", Inclined: "linear bodies, with friction"}
 
-Specimens = Mapping[str, tuple[float, Specimen]]
+Specimens = Mapping[str, tuple[float, TipOnSpecimen]]
 
 
 def least_stiffness_n_m(table: TipTable) -> float:
@@ -53,7 +53,7 @@ def specimens_at(
     tilt_rad: float = 0.0,
     *,
     progress: Progress = silent,
-) -> dict[str, tuple[float, Specimen]]:
+) -> dict[str, tuple[float, TipOnSpecimen]]:
     """The tip on specimens: head-on from tables at finite strain, inclined by linear bodies with friction.
 
     The two models are not the same. At 0 degrees and 5.2 N, on specimens from 1.1 N/mm to rigid, the area by
@@ -76,7 +76,7 @@ def specimens_at(
                 f"specimen {name} of {1e-3 * stiffness:g} N/mm; tip {spec.tip!r} has tables down to "
                 f"{1e-3 * least:.3g} N/mm, up to inf for a rigid plate"
             )
-    made: dict[str, tuple[float, Specimen]] = {}
+    made: dict[str, tuple[float, TipOnSpecimen]] = {}
     for name, stiffness in stiffness_n_m.items():
         made[name] = stiffness, _specimen(spec, modulus_pa(spec.table, stiffness), tilt_rad)
         progress("solving contacts", len(made), len(stiffness_n_m))
@@ -137,13 +137,13 @@ def record_trials(
     return press_folder(out)
 
 
-def tilt_and_model(specimen: Specimen) -> tuple[float, str]:
+def tilt_and_model(specimen: TipOnSpecimen) -> tuple[float, str]:
     """Tilt of a specimen's top [rad], and what its contact is solved by."""
     tilt_rad = specimen.contact.tilt_rad if isinstance(specimen, Inclined) else 0.0
     return tilt_rad, MODELS.get(type(specimen), type(specimen).__name__)
 
 
-def _specimen(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> Specimen:
+def _specimen(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> TipOnSpecimen:
     if tilt_rad == 0:
         return HeadOn(spec.table.press(specimen_pa), spec.table.radius_m)
     return inclined(spec, specimen_pa, tilt_rad)

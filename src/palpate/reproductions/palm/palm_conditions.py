@@ -50,7 +50,7 @@ from palpate.reproductions.palm.palm_study_setup import (
 from palpate.rig.plans import Dwell, Listed, Stepped
 from palpate.rig.virtual.variation import Variation
 from palpate.sensors.palm import PalmSpec
-from palpate.sensors.palm.loads import SHAPES, Loads, draw_loads
+from palpate.sensors.palm.random_presses import SHAPES, Loads, draw_loads
 from palpate.sensors.palm.wear import Wear, worn
 from palpate.workflows.parameter_sweep import sweep
 

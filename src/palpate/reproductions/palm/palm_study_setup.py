@@ -34,7 +34,7 @@ from palpate.rig.virtual.bench import virtual_rig
 from palpate.rig.virtual.variation import Variation
 from palpate.sensors import palm
 from palpate.sensors.palm import PalmSpec
-from palpate.sensors.palm.sensor import Palm
+from palpate.sensors.palm.palm_sensor import Palm
 from palpate.workflows.certification import REPORT_FILE, certify
 
 MODELS = ("palm-joint-raw", "palm-force-conditioned", "palm-mlp-delta", "palm-two-stage", "palm-compact")

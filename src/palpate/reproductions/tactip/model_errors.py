@@ -21,8 +21,8 @@ from palpate.reproductions.tactip.tactip_controls import (
     true_course,
 )
 from palpate.sensors.tactip import TacTipSpec, pictured
-from palpate.sensors.tactip.inclined import inclined
-from palpate.sensors.tactip.press import modulus_pa
+from palpate.sensors.tactip.inclined_press import inclined
+from palpate.sensors.tactip.tactip_press import modulus_pa
 
 METHODS = ("horn-schunck", "coarse-to-fine", "dis", "tracked")
 

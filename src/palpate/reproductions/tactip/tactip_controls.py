@@ -31,9 +31,9 @@ from palpate.estimators.flow.flow_sequence import course
 from palpate.estimators.pins import find_pins, follow
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
 from palpate.sensors.tactip import PINS_331, HeadOn, TacTipSpec, Trial, trial
-from palpate.sensors.tactip.camera import projected
-from palpate.sensors.tactip.pins import HeadOnSkin
-from palpate.sensors.tactip.press import modulus_pa, pixels_per_tangent
+from palpate.sensors.tactip.pin_markers import HeadOnSkin
+from palpate.sensors.tactip.tactip_camera import projected
+from palpate.sensors.tactip.tactip_press import modulus_pa, pixels_per_tangent
 
 LOW_N, HIGH_N = 0.5, 5.0
 MIDDLE_M = 6e-3

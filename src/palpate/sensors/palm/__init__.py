@@ -1,9 +1,12 @@
 """The photoelastic palm: a clear disc between crossed polarisers, seen edge-on and through a mirror."""
 
-from palpate.sensors.palm.facts import facts
-from palpate.sensors.palm.field import has_table
-from palpate.sensors.palm.presets import (
+from palpate.sensors.palm.fringe_orders import facts
+from palpate.sensors.palm.palm_press import has_table, press, press_to_force
+from palpate.sensors.palm.palm_render import Views, expose, render, render_clean, render_raw, render_views
+from palpate.sensors.palm.palm_spec import (
     PRESETS,
+    PalmSpec,
+    View,
     casting_resin,
     cropped,
     crops,
@@ -15,10 +18,7 @@ from palpate.sensors.palm.presets import (
     solaris,
     sylgard_184,
 )
-from palpate.sensors.palm.press import press, press_to_force
-from palpate.sensors.palm.render import Views, expose, render, render_clean, render_raw, render_views
-from palpate.sensors.palm.shapes import parse_probe
-from palpate.sensors.palm.spec import PalmSpec, View
+from palpate.sensors.palm.probe_shapes import parse_probe
 from palpate.sensors.palm.wear import Wear, worn
 
 __all__ = [

@@ -1,12 +1,12 @@
 """The TacTip: a gel-filled dome whose skin carries pins, seen from inside."""
 
-from palpate.sensors.tactip.press import HeadOn, Specimen, Trial, pictured, trial
-from palpate.sensors.tactip.spec import (
+from palpate.sensors.tactip.tactip_press import HeadOn, TipOnSpecimen, Trial, pictured, trial
+from palpate.sensors.tactip.tactip_spec import (
     PINS_127,
     PINS_331,
-    ForceSensor,
-    Pins,
-    Seating,
+    ForceSensorSpec,
+    PinLayout,
+    SeatingSpread,
     TacTipCamera,
     TacTipSpec,
     tactip,
@@ -15,13 +15,13 @@ from palpate.sensors.tactip.spec import (
 __all__ = [
     "PINS_127",
     "PINS_331",
-    "ForceSensor",
+    "ForceSensorSpec",
     "HeadOn",
-    "Pins",
-    "Seating",
-    "Specimen",
+    "PinLayout",
+    "SeatingSpread",
     "TacTipCamera",
     "TacTipSpec",
+    "TipOnSpecimen",
     "Trial",
     "pictured",
     "tactip",

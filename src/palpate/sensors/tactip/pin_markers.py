@@ -15,14 +15,14 @@ from scipy.interpolate import CubicSpline
 
 from palpate.core.shapes import Float
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
-from palpate.sensors.tactip.spec import Pins
+from palpate.sensors.tactip.tactip_spec import PinLayout
 
 Places = Float[ndarray, "p 3"]
 Angles = Float[ndarray, " p"]
 
 
 @runtime_checkable
-class Skin(Protocol):
+class SkinShape(Protocol):
     """The inside of a deformed skin; x, y, z from the untouched apex, z towards the camera [m]."""
 
     def at(self, polar: Angles, azimuth: Angles) -> tuple[Places, Places]:
@@ -67,7 +67,7 @@ class Turned:
         lean_rad: of the contact's middle, towards +x and -y.
     """
 
-    skin: Skin
+    skin: SkinShape
     radius_m: float
     lean_rad: tuple[float, float]
 
@@ -97,7 +97,7 @@ def _lean(about_y: float, about_x: float) -> Float[ndarray, "3 3"]:
     return around_y @ around_x
 
 
-def lattice(pins: Pins, inner_radius_m: float) -> tuple[Angles, Angles]:
+def lattice(pins: PinLayout, inner_radius_m: float) -> tuple[Angles, Angles]:
     """Polar angle and azimuth of the pins' roots on the skin's inside; the middle pin first."""
     n = pins.rings
     steps = [(i, j) for i in range(-n, n + 1) for j in range(-n, n + 1) if abs(i + j) <= n]
@@ -106,7 +106,7 @@ def lattice(pins: Pins, inner_radius_m: float) -> tuple[Angles, Angles]:
     return np.arcsin(np.hypot(x, y) / inner_radius_m), np.arctan2(y, x)
 
 
-def markers(skin: Skin, pins: Pins, inner_radius_m: float) -> Places:
+def markers(skin: SkinShape, pins: PinLayout, inner_radius_m: float) -> Places:
     """Where the markers on the pins' ends are [m]."""
     places, normals = skin.at(*lattice(pins, inner_radius_m))
     return places + pins.length_m * normals

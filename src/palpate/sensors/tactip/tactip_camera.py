@@ -10,7 +10,7 @@ import numpy as np
 from numpy import ndarray
 
 from palpate.core.shapes import Float, UInt8
-from palpate.sensors.tactip.spec import TacTipCamera
+from palpate.sensors.tactip.tactip_spec import TacTipCamera
 
 ITERATIONS = 30
 

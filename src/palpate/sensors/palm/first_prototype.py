@@ -18,11 +18,11 @@ from numpy import ndarray
 from palpate.core.contact import Contact
 from palpate.core.errors import InputError
 from palpate.core.shapes import Float
-from palpate.sensors.palm import fringes
-from palpate.sensors.palm.field import field_of, pressed
-from palpate.sensors.palm.orders import WAVELENGTH_M, edge_on
-from palpate.sensors.palm.render import is_ball, lamp, render_clean
-from palpate.sensors.palm.spec import PalmSpec
+from palpate.sensors.palm import fringe_view
+from palpate.sensors.palm.fringe_orders import WAVELENGTH_M, edge_on
+from palpate.sensors.palm.palm_press import field_of, pressed
+from palpate.sensors.palm.palm_render import is_ball, lamp, render_clean
+from palpate.sensors.palm.palm_spec import PalmSpec
 
 POLARISED = 0.4
 """Share of the scattered light that is still polarised. Assumed: one wall's diffuse scattering."""
@@ -80,7 +80,7 @@ def from_below(contact: Contact, spec: PalmSpec, pixels: int = 300) -> FromBelow
     x, y = np.meshgrid(axis - contact.pose.x_m, axis - contact.pose.y_m)
     radius, summed = through_thickness(spec, contact.pose.depth_m)
     retardation = np.interp(np.hypot(x, y), radius, summed, right=0.0)
-    seen = fringes.spectrum(spec.bands)
+    seen = fringe_view.spectrum(spec.bands)
     C = spec.stress_optic.at(seen.wavelength_m)
     turn = np.sin(2 * (np.arctan2(y, x) - spec.polariser_rad)) ** 2
     phases = np.pi * C[:, None, None] / seen.wavelength_m[:, None, None] * retardation
@@ -130,7 +130,7 @@ def quality_edge_on(contact: Contact, spec: PalmSpec) -> Quality:
     index = spec.refractive_index if spec.rim_refracts else 1.0
     near = np.abs(x - contact.pose.x_m * index) < spec.diameter_m / 4
     grey = light[np.ix_(rows, near)].mean(axis=-1)
-    lit = lamp(spec)[np.ix_(rows, near & fringes.columns_kept(spec).visible)]
+    lit = lamp(spec)[np.ix_(rows, near & fringe_view.columns_kept(spec).visible)]
     return Quality(
         orders.greatest, orders.steepest_per_m * 1e-3, _contrast(grey.ravel()), float(lit.min() / lit.max())
     )

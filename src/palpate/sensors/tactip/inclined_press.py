@@ -24,8 +24,8 @@ from palpate.mechanics.axisymmetric.tilted_tip import (
     top_modes,
 )
 from palpate.mechanics.axisymmetric.tip_table import TipTable, tip_table
-from palpate.sensors.tactip.pins import Skin, Turned
-from palpate.sensors.tactip.spec import TacTipSpec
+from palpate.sensors.tactip.pin_markers import SkinShape, Turned
+from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
 STATES = 22
 BEYOND_N = 5.5  # a little more than a trial's greatest force
@@ -68,7 +68,7 @@ class Inclined:
         """Of the contact [m^2]; smooth, where the states count whole cells."""
         return np.polyval(self._area, np.cbrt(force_n)) * np.cbrt(force_n) ** 2
 
-    def skin(self, approach_m: float, lean_rad: tuple[float, float]) -> Skin:
+    def skin(self, approach_m: float, lean_rad: tuple[float, float]) -> SkinShape:
         points = np.asarray(self._moved(np.clip(approach_m, 0.0, self.deepest_m)))
         moved = NdBSpline((self.knots_rad, self.knots_rad), points, 3)
         radius = self.contact.tip.radius_m

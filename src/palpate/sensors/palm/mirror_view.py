@@ -25,9 +25,9 @@ from scipy.interpolate import RegularGridInterpolator
 from palpate.core.contact import Contact
 from palpate.core.shapes import Bool, Float32
 from palpate.mechanics.axisymmetric.sphere_table import TabulatedPress
-from palpate.sensors.palm.field import pressed
-from palpate.sensors.palm.kept import kept
-from palpate.sensors.palm.spec import PalmSpec
+from palpate.sensors.palm.fringe_view import kept
+from palpate.sensors.palm.palm_press import pressed
+from palpate.sensors.palm.palm_spec import PalmSpec
 
 LID, WALL = 0.06, 0.4
 """How bright the dark lid and the lit walls below it are, over a white body's brightness. Assumed."""

@@ -20,9 +20,9 @@ from palpate.optics.compiled_march import march_colour
 from palpate.optics.polariscope import plane_amplitude, with_leak
 from palpate.optics.stress_optic import frozen_stress
 from palpate.optics.wall_refraction import ColumnRays
-from palpate.sensors.palm import fringes
-from palpate.sensors.palm.shapes import parts_of, silhouette
-from palpate.sensors.palm.spec import PalmSpec
+from palpate.sensors.palm import fringe_view
+from palpate.sensors.palm.palm_spec import PalmSpec
+from palpate.sensors.palm.probe_shapes import parts_of, silhouette
 
 PLANES = (
     20  # of stress, finest at the surface; with all else below, light is off by 0.1 of 255 rms, 1 at most
@@ -38,11 +38,11 @@ Rays = Float[ndarray, "w s"]
 Planes = Float[ndarray, " z"]
 
 
-def exact(spec: PalmSpec, contact: Contact) -> fringes.Light:
+def exact(spec: PalmSpec, contact: Contact) -> fringe_view.Light:
     """What each ray sees; dark where the probe or the sunken surface stops it."""
     view = spec.fringes.sampled(*spec.rays_per_pixel)
     light = np.full((*view.size_px[::-1], 3), spec.extinction, np.float32)
-    rays, z = fringes.columns(spec, view), view.down_m
+    rays, z = fringe_view.columns(spec, view), view.down_m
     rows = np.flatnonzero((z >= 0) & (z <= spec.thickness_m))
     seen = np.flatnonzero(rays.visible)
     chosen = _chosen(rays, seen)
@@ -54,7 +54,7 @@ def exact(spec: PalmSpec, contact: Contact) -> fringes.Light:
     sunk[seen] = np.interp(seen, chosen, _lowest(contact, places))
     stopped = _stopped(spec, contact, rays, z)
     light[(z[:, None] > 0) & (stopped | (z[:, None] < sunk))] = 0
-    return fringes.mean_of(light, *spec.rays_per_pixel)
+    return fringe_view.mean_of(light, *spec.rays_per_pixel)
 
 
 class Places:
@@ -150,7 +150,7 @@ def _marched(
         contact.shear_pa,
     )
     onto = CubicSpline(np.sqrt(planes), np.eye(PLANES))(np.sqrt(z)).astype(np.float32)
-    seen = fringes.spectrum(spec.bands)
+    seen = fringe_view.spectrum(spec.bands)
     light = np.empty((len(z), len(chosen), 3), np.float32)
     for first in range(0, len(chosen), COLUMNS):
         part = slice(first, first + COLUMNS)

@@ -21,11 +21,20 @@ from palpate.core.frame import Frame
 from palpate.core.shapes import Float32, UInt8, UInt16
 from palpate.optics.camera_response import CameraResponse, develop, raw_codes, uneven_light
 from palpate.optics.illumination import LedStrip, backlight
-from palpate.sensors.palm import fringes, mirror, volume
-from palpate.sensors.palm.light import in_box, lamp_tint, room_light
-from palpate.sensors.palm.shapes import parts_of, reach_of, silhouette
-from palpate.sensors.palm.spec import PalmSpec
-from palpate.sensors.palm.wear import Film, Wear, film, passed_by, scratches_over, spread
+from palpate.sensors.palm import fringe_rays, fringe_view, mirror_view
+from palpate.sensors.palm.palm_spec import PalmSpec
+from palpate.sensors.palm.probe_shapes import parts_of, reach_of, silhouette
+from palpate.sensors.palm.wear import (
+    Film,
+    Wear,
+    film,
+    in_box,
+    lamp_tint,
+    passed_by,
+    room_light,
+    scratches_over,
+    spread,
+)
 
 BACKGROUND = 0.004
 """Of the housing outside both regions, over the lamp at its brightest. Assumed."""
@@ -46,8 +55,8 @@ Whole = Float32[ndarray, "height width 3"]
 class Views(NamedTuple):
     """Both regions of one frame, 8-bit sRGB."""
 
-    fringes: UInt8[ndarray, "h w 3"]
-    mirror: UInt8[ndarray, "u v 3"]
+    fringe_view: UInt8[ndarray, "h w 3"]
+    mirror_view: UInt8[ndarray, "u v 3"]
 
 
 def render(contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact: bool = False) -> Frame:
@@ -120,7 +129,7 @@ def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool = False) -> tu
             one.over(seen, spec.lamp_gain)
     if spec.lamp_mired:
         for seen in (light, below):
-            seen *= lamp_tint(spec.lamp_mired, fringes.spectrum(spec.bands))
+            seen *= lamp_tint(spec.lamp_mired, fringe_view.spectrum(spec.bands))
     if spec.ambient:
         for view, seen in ((spec.fringes, light), (spec.mirror, below)):
             seen += np.float32(spec.ambient) * in_box(room_light(spec.frame_px), view.box_px)
@@ -139,8 +148,10 @@ def _behind_analyser(contact: Contact, spec: PalmSpec, exact: bool) -> tuple[Lin
     usual = spec.probe_in_mirror and not spec.opaque_underside
     marched = spec if usual else replace(spec, probe_in_mirror=True, opaque_underside=False)
     if not is_ball(contact, spec):
-        return volume.exact(marched, contact), mirror.of_contact(spec, contact)
-    edge_on, below = (fringes.exact, mirror.exact) if exact else (fringes.shifted, mirror.shifted)
+        return fringe_rays.exact(marched, contact), mirror_view.of_contact(spec, contact)
+    edge_on, below = (
+        (fringe_view.exact, mirror_view.exact) if exact else (fringe_view.shifted, mirror_view.shifted)
+    )
     if air:
         light = np.full((*spec.fringes.size_px[::-1], 3), spec.extinction, np.float32)
     else:
@@ -168,18 +179,18 @@ def developed(codes: UInt16[ndarray, "h w 3"], spec: PalmSpec) -> UInt8[ndarray,
 
 
 def _codes(light: Linear, spec: PalmSpec, rng: np.random.Generator) -> UInt16[ndarray, "h w 3"]:
-    return raw_codes(light, fringes.spectrum(spec.bands).sensitivity, spec.camera, rng)
+    return raw_codes(light, fringe_view.spectrum(spec.bands).sensitivity, spec.camera, rng)
 
 
 @lru_cache(maxsize=4)
 def _developed(camera: CameraResponse, bands: int) -> UInt8[ndarray, "n 3"]:
     every = np.repeat(np.arange(2**camera.bits, dtype=np.uint16)[:, None, None], 3, axis=2)
-    return np.ascontiguousarray(develop(every, fringes.spectrum(bands).sensitivity, camera)[:, 0])
+    return np.ascontiguousarray(develop(every, fringe_view.spectrum(bands).sensitivity, camera)[:, 0])
 
 
 @lru_cache(maxsize=8)
 def _lamp(strip: LedStrip, corner_loss: float, transmission: float, spec: PalmSpec) -> Linear:
-    view, rim = spec.fringes, fringes.columns_kept(spec)
+    view, rim = spec.fringes, fringe_view.columns_kept(spec)
     through = np.where(rim.visible & spec.membrane, rim.transmission * transmission, 1.0)
     light = backlight(strip, view.x_m, view.down_m, corner_loss) * through.astype(np.float32)
     return np.repeat(light[..., None], 3, axis=-1)
@@ -193,8 +204,8 @@ def _films(
 
     The same surface scatters the lamp's light before the analyser and the housing's on its way to the mirror.
     """
-    view, rim, R, h = spec.fringes, fringes.columns_kept(spec), spec.radius_m, spec.thickness_m
-    seen = fringes.spectrum(spec.bands)
+    view, rim, R, h = spec.fringes, fringe_view.columns_kept(spec), spec.radius_m, spec.thickness_m
+    seen = fringe_view.spectrum(spec.bands)
     x, z = view.x_m, view.down_m
     lens = uneven_light(len(z), len(x), corner_loss)
     veil = BEHIND_ANALYSER * lens * spread(_lamp(strip, 0.0, transmission, spec)[..., 0], view.pitches_m)
@@ -207,13 +218,13 @@ def _films(
     )
     wear = Wear() if spec.opaque_underside else wear  # which the mirror then does not look through
     x, y = spec.mirror.x_m, spec.mirror.down_m / math.sin(spec.mirror_elevation_rad)
-    path = np.full(len(x), mirror.path_m(spec) / spec.diameter_m)
+    path = np.full(len(x), mirror_view.path_m(spec) / spec.diameter_m)
     below = film(
         wear,
         scratches_over(wear, 1, x, y, ((-WITHIN * R, WITHIN * R),) * 2),
-        np.full((len(y), len(x)), BEHIND_ANALYSER * mirror.veil(spec)),
+        np.full((len(y), len(x)), BEHIND_ANALYSER * mirror_view.veil(spec)),
         passed_by(wear.yellowing, path, seen),
-        mirror.inside_rim(spec),
+        mirror_view.inside_rim(spec),
         glow=1.0,
     )
     return edge_on, below
@@ -232,7 +243,7 @@ def _draw_part(light: Linear, probe: Probe, pose: Pose, spec: PalmSpec) -> None:
     """One body: past the rim above the rest surface, through it below."""
     glow = np.float32(BEHIND_ANALYSER * PROBE_LIGHT * spec.inside_light * spec.ball_albedo)
     x, z = spec.fringes.x_m, spec.fringes.down_m
-    rays, reach = fringes.columns_kept(spec.unlit), reach_of(probe)
+    rays, reach = fringe_view.columns_kept(spec.unlit), reach_of(probe)
     through = np.where(rays.visible, rays.about(pose.x_m, pose.y_m)[0], np.inf)
     rest = int(np.searchsorted(z, 0.0, side="right"))
     regions = ((slice(rest), x - pose.x_m), (slice(rest, None), through))

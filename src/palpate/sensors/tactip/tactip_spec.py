@@ -15,7 +15,7 @@ from palpate.mechanics.axisymmetric.tip_table import TipTable, tip_table
 
 
 @dataclass(frozen=True, slots=True)
-class Pins:
+class PinLayout:
     """A hexagonal lattice of pins, rings of it around one on the axis.
 
     Attributes:
@@ -35,10 +35,10 @@ class Pins:
         return 3 * self.rings * (self.rings + 1) + 1
 
 
-PINS_127 = Pins(6, 2.6e-3, 2.5e-3, 0.6e-3)
+PINS_127 = PinLayout(6, 2.6e-3, 2.5e-3, 0.6e-3)
 """W: 127 pins; pitch, length and radius assumed, so that they fill a dome of 40 mm."""
 
-PINS_331 = Pins(10, 1.6e-3, 2.5e-3, 0.4e-3)
+PINS_331 = PinLayout(10, 1.6e-3, 2.5e-3, 0.4e-3)
 """W: 331 pins; the rest assumed."""
 
 
@@ -72,7 +72,7 @@ class TacTipCamera:
 
 
 @dataclass(frozen=True, slots=True)
-class ForceSensor:
+class ForceSensorSpec:
     """Under the specimen.
 
     Attributes:
@@ -87,7 +87,7 @@ class ForceSensor:
 
 
 @dataclass(frozen=True, slots=True)
-class Seating:
+class SeatingSpread:
     """What differs from trial to trial; standard deviations, all assumed.
 
     Attributes:
@@ -117,10 +117,10 @@ class TacTipSpec:
     """
 
     tip: str = "base"
-    pins: Pins = PINS_127
+    pins: PinLayout = PINS_127
     camera: TacTipCamera = field(default_factory=TacTipCamera)
-    force: ForceSensor = field(default_factory=ForceSensor)
-    seating: Seating = field(default_factory=Seating)
+    force: ForceSensorSpec = field(default_factory=ForceSensorSpec)
+    seating: SeatingSpread = field(default_factory=SeatingSpread)
     speed_m_s: float = 5e-3
     friction: float = 0.5
     name: str = "virtual-tactip"

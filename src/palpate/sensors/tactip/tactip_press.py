@@ -18,16 +18,16 @@ from numpy import ndarray
 from palpate.core.errors import RangeError
 from palpate.core.shapes import Float, Int, UInt8
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress, TipTable
-from palpate.sensors.tactip.camera import projected, rendered
-from palpate.sensors.tactip.pins import Skin, head_on, markers
-from palpate.sensors.tactip.spec import TacTipSpec
+from palpate.sensors.tactip.pin_markers import SkinShape, head_on, markers
+from palpate.sensors.tactip.tactip_camera import projected, rendered
+from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
 LEAD_M = 1e-3  # above the specimen, where a trial starts
 GREATEST_N = 5.2
 
 
 @runtime_checkable
-class Specimen(Protocol):
+class TipOnSpecimen(Protocol):
     """A tip on a specimen, whatever its tilt."""
 
     @property
@@ -40,7 +40,7 @@ class Specimen(Protocol):
     def area_m2(self, force_n: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
         """Of the contact [m^2]."""
 
-    def skin(self, approach_m: float, lean_rad: tuple[float, float]) -> Skin:
+    def skin(self, approach_m: float, lean_rad: tuple[float, float]) -> SkinShape:
         """The skin's inside, the specimen's top leaning a little from where it should be."""
 
 
@@ -61,7 +61,7 @@ class HeadOn:
     def area_m2(self, force_n: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
         return self.press.at("area_m2", force_n)
 
-    def skin(self, approach_m: float, lean_rad: tuple[float, float]) -> Skin:
+    def skin(self, approach_m: float, lean_rad: tuple[float, float]) -> SkinShape:
         force = float(self.press.force_at(np.array([approach_m]))[0])
         return head_on(self.press, self.radius_m, force, lean_rad)
 
@@ -80,7 +80,7 @@ class Trial:
     """
 
     spec: TacTipSpec
-    specimen: Specimen
+    specimen: TipOnSpecimen
     time_s: Float[ndarray, " s"]
     raw_n: Float[ndarray, " s"]
     desired_m: Float[ndarray, " s"]
@@ -117,7 +117,7 @@ class Trial:
         return (self.frame(i) for i in range(len(self.frame_sample)))
 
 
-def trial(spec: TacTipSpec, specimen: Specimen, seed: int) -> Trial:
+def trial(spec: TacTipSpec, specimen: TipOnSpecimen, seed: int) -> Trial:
     """One press of random seating.
 
     Args:
@@ -159,7 +159,7 @@ def trial(spec: TacTipSpec, specimen: Specimen, seed: int) -> Trial:
 
 
 def pictured(
-    spec: TacTipSpec, skin: Skin, shift_px: tuple[float, float] = (0.0, 0.0)
+    spec: TacTipSpec, skin: SkinShape, shift_px: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[Float[ndarray, "p 2"], Float[ndarray, " p"]]:
     """Centres (x, y) and radii of the markers in the image [px]."""
     table, camera = spec.table, spec.camera

@@ -1,4 +1,6 @@
-"""The edge-on view: crossed polarisers, the pressed membrane between them, its round rim a lens.
+"""Pictures that are marched once: a cache bound by bytes, for presets differ a hundredfold in size.
+
+The edge-on view: crossed polarisers, the pressed membrane between them, its round rim a lens.
 
 Through the rim a column of the image looks along a straight ray inside the membrane that passes the
 contact's axis at some offset s. An axisymmetric field depends on nothing else, so one picture of (s, z)
@@ -11,10 +13,14 @@ the ball stops.
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import ParamSpec, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
+from cachetools import LRUCache, cached
 from numpy import ndarray
 
 from palpate.core.contact import Probe
@@ -24,10 +30,36 @@ from palpate.optics.colour import Spectrum, assumed_camera
 from palpate.optics.polariscope import plane_amplitude, with_leak
 from palpate.optics.stress_optic import frozen_stress
 from palpate.optics.wall_refraction import ColumnRays, round_rim, straight
-from palpate.sensors.palm.field import field_of, pressed
-from palpate.sensors.palm.kept import kept
-from palpate.sensors.palm.shapes import silhouette
-from palpate.sensors.palm.spec import PalmSpec, View
+from palpate.sensors.palm.palm_press import field_of, pressed
+from palpate.sensors.palm.palm_spec import PalmSpec, View
+from palpate.sensors.palm.probe_shapes import silhouette
+
+
+@runtime_checkable
+class Sized(Protocol):
+    """What says how much memory it takes."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes."""
+        ...
+
+
+P = ParamSpec("P")
+T = TypeVar("T", bound=Sized)
+
+
+def kept(most_bytes: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Keep what a function returned, the least recently used going first; arguments must be hashable.
+
+    What takes more than the bound by itself displaces all others and is kept alone.
+    """
+
+    def size(made: Sized) -> int:
+        return min(made.nbytes, most_bytes)
+
+    return cached(LRUCache(most_bytes, getsizeof=size), lock=threading.Lock())
+
 
 SLICES = 96  # twice as many change 999 of 1000 pixels by less than a grey level of 255
 FINE_PITCHES = 0.5  # step of s near the contact, in pixels inside the membrane

@@ -20,12 +20,12 @@ from palpate.core.errors import InputError, RangeError
 from palpate.core.frame import Frame
 from palpate.core.outline import Outline
 from palpate.core.sensor import SEATED, Box, ForceLaw, ImageAxes, Seating, is_rigid
-from palpate.sensors.tactip import spec as specs
-from palpate.sensors.tactip.camera import projected, rendered
-from palpate.sensors.tactip.inclined import GREATEST_TILT, inclined
-from palpate.sensors.tactip.press import HeadOn, modulus_pa, pictured, pixels_per_tangent
-from palpate.sensors.tactip.press import Specimen as Pressed
-from palpate.sensors.tactip.spec import TacTipSpec
+from palpate.sensors.tactip import tactip_spec as specs
+from palpate.sensors.tactip.inclined_press import GREATEST_TILT, inclined
+from palpate.sensors.tactip.tactip_camera import projected, rendered
+from palpate.sensors.tactip.tactip_press import HeadOn, modulus_pa, pictured, pixels_per_tangent
+from palpate.sensors.tactip.tactip_press import TipOnSpecimen as Pressed
+from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
 REGION = "pins"
 PLATE = "plate"

@@ -21,13 +21,12 @@ from palpate.core.sensor import SEATED, Box, ForceLaw, ImageAxes, Seating, is_ri
 from palpate.core.shapes import Float32
 from palpate.estimators.preparation import Preparation
 from palpate.mechanics.half_space.tangential import tangential_stiffness
-from palpate.sensors.palm import presets
-from palpate.sensors.palm.field import table_of
-from palpate.sensors.palm.press import FRICTION, LINEAR_DEPTH_M, press
-from palpate.sensors.palm.presses import Presses, draw_presses
-from palpate.sensors.palm.render import expose, is_ball, render, render_clean
-from palpate.sensors.palm.shapes import parse_probe
-from palpate.sensors.palm.spec import PalmSpec
+from palpate.sensors.palm import palm_spec
+from palpate.sensors.palm.palm_press import FRICTION, LINEAR_DEPTH_M, press, table_of
+from palpate.sensors.palm.palm_render import expose, is_ball, render, render_clean
+from palpate.sensors.palm.palm_spec import PalmSpec
+from palpate.sensors.palm.probe_shapes import parse_probe
+from palpate.sensors.palm.random_presses import Presses, draw_presses
 
 RATE_HZ = 30.0
 """R (see `spec`)."""
@@ -179,13 +178,13 @@ class Palm:
         self, side_px: int, count: int, depths_each: int, rng: np.random.Generator, *told: Any, processes: int
     ) -> Presses:
         """Rendered presses to learn from, both regions as squares; see `presses.draw_presses`."""
-        spec = presets.cropped(self.spec, side_px, "palm-rendered")
+        spec = palm_spec.cropped(self.spec, side_px, "palm-rendered")
         return draw_presses(spec, count, depths_each, rng, *told, processes=processes)
 
     def for_rig(self) -> Palm:
         """Both regions as squares of 128 px; a palm that is smaller already stays as it is."""
         small = max(self.frame_px) <= 2 * RIG_PX
-        return self if small else Palm(presets.cropped(self.spec, RIG_PX, f"{self.spec.name}-rig"))
+        return self if small else Palm(palm_spec.cropped(self.spec, RIG_PX, f"{self.spec.name}-rig"))
 
     @property
     def _ball(self) -> Probe:
@@ -232,7 +231,7 @@ def palm(preset: str = "palm") -> Palm:
     Raises:
         InputError: there is none of that name.
     """
-    return Palm(presets.preset(preset))
+    return Palm(palm_spec.preset(preset))
 
 
 @lru_cache(maxsize=16)

@@ -1,0 +1,152 @@
+"""Fringe orders of the edge-on view: how many wavelengths a ray is retarded by, to first order.
+
+N = C / lambda |integral of (s_xx - s_zz, 2 s_xz) dy|. Where the axes turn along the ray it is not the order
+of the light that comes out, but counts the fringes from the outside in to a few per cent.
+
+The numbers of a contact that one would read beside its picture.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy import ndarray
+from scipy.interpolate import RegularGridInterpolator
+
+from palpate.core.contact import Contact
+from palpate.core.errors import RangeError
+from palpate.core.shapes import Float
+from palpate.mechanics.axisymmetric.sphere_table import edge_correction
+from palpate.mechanics.layers.stack_field import field_below
+from palpate.optics.axisymmetric import AxisymmetricField
+from palpate.optics.stress_optic import fringe_order
+from palpate.sensors.palm.fringe_view import sees
+from palpate.sensors.palm.palm_press import field_of, pressed, stack_of, table_of
+from palpate.sensors.palm.palm_render import is_ball
+from palpate.sensors.palm.palm_spec import PalmSpec
+
+WAVELENGTH_M = 550e-9
+NEAR = 6.0  # contact radii
+HALF_RAY = 96  # points on the half ray, equal steps of its angle from the axis
+
+
+class Orders(NamedTuple):
+    """Fringe order at 550 nm over the cross-section through the contact's axis."""
+
+    offset_m: Float[ndarray, " s"]
+    depth_m: Float[ndarray, " z"]
+    order: Float[ndarray, "z s"]
+
+    @property
+    def greatest(self) -> float:
+        """The 99.9th percentile: a table's sharpest corner is not a fringe."""
+        return float(np.quantile(self.order, 0.999))
+
+    @property
+    def steepest_per_m(self) -> float:
+        """The 99.9th percentile of its slope: fringes a metre where they are densest."""
+        return float(np.quantile(np.hypot(*np.gradient(self.order, self.depth_m, self.offset_m)), 0.999))
+
+
+def edge_on(spec: PalmSpec, depth_m: float, points: int = 121) -> Orders:
+    """Orders near the axis, down from the rest surface.
+
+    Within two ball radii to the side, and down to the underside; under a light touch within six contact
+    radii both ways, where its fringes are.
+    """
+    press = pressed(spec, depth_m)
+    field, R = field_of(press, spec), spec.indenter_radius_m
+    reach = NEAR * press.contact_radius * R or np.inf
+    s = np.linspace(0, min(2 * R, reach), points)
+    z = np.linspace(0, min(spec.thickness_m, reach), points)
+    difference, shear = integrated(field, s, z)
+    C = spec.stress_optic.at(np.array([WAVELENGTH_M]))[0]
+    return Orders(s, z, fringe_order(difference, shear, float(C), WAVELENGTH_M))
+
+
+def integrated(
+    field: AxisymmetricField, offset_m: Float[ndarray, " s"], depth_m: Float[ndarray, " z"]
+) -> tuple[Float[ndarray, "z s"], Float[ndarray, "z s"]]:
+    """The integrals of s_xx - s_zz and of 2 s_xz along whole rays [Pa m]."""
+    s, z = np.meshgrid(offset_m, depth_m)
+    scale = np.hypot(s, z) + 0.05 * field.thickness_m
+    step = np.pi / 2 / HALF_RAY
+    angle = ((np.arange(HALF_RAY) + 0.5) * step)[:, None, None]
+    y, dy = scale * np.tan(angle), scale / np.cos(angle) ** 2 * step
+    r = np.hypot(s, y)
+    top = np.interp(r, field.r_m, field.surface_m)
+    inside = (z >= top) & (r <= field.r_m[-1])
+    zeta = np.clip((z - top) / (field.thickness_m - top), 0, 1)
+    read = RegularGridInterpolator((field.zeta, field.r_m), np.moveaxis(field.stress_pa, 0, -1))
+    stress = read(np.stack([zeta, np.minimum(r, field.r_m[-1])], axis=-1)) * inside[..., None]
+    rr, tt, zz, rz = np.moveaxis(stress, -1, 0)
+    cosine = s / np.maximum(r, 1e-12)
+    along = rr * cosine**2 + tt * (1 - cosine**2) - zz
+    return 2 * (along * dy).sum(axis=0), 2 * (2 * rz * cosine * dy).sum(axis=0)
+
+
+def facts(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
+    """Force, contact, pressure and fringes, each named with its unit.
+
+    `rim_force_percent` is by how much the force would differ had the press been solved where it is, and not
+    in the middle; None where that is not known.
+    """
+    return {
+        "force_N": contact.force_n,
+        "lateral_x_N": contact.lateral_n[0],
+        "lateral_y_N": contact.lateral_n[1],
+        "moment_z_Nmm": contact.moment_nm * 1e3,
+        "contact_radius_mm": contact.radius_m * 1e3,
+        "peak_pressure_Pa": _peak_pressure(contact, spec),
+        "fringe_order_max": greatest_order(contact, spec),
+        "youngs_modulus_Pa": spec.youngs_modulus_pa,
+        "thickness_mm": spec.thickness_m * 1e3,
+        "rim_force_percent": _rim_percent(contact, spec),
+        "seen_edge_on": sees(spec, contact.pose.x_m, contact.pose.y_m, contact.radius_m),
+        "model": contact.model,
+    }
+
+
+def greatest_order(contact: Contact, spec: PalmSpec) -> float:
+    """The most fringe orders on a ray edge-on, at 550 nm, to first order (its 99.9th percentile)."""
+    if contact.force_n <= 0:
+        return 0.0
+    if is_ball(contact, spec):
+        return edge_on(spec, contact.pose.depth_m).greatest
+    z = spec.thickness_m * np.linspace(0.02, 1, 40)
+    shear = (None, None) if contact.shear_pa is None else tuple(contact.shear_pa)
+    field = field_below(
+        stack_of(spec),
+        contact.pressure_pa,
+        contact.x_m,
+        contact.y_m,
+        z,
+        shear_x_pa=shear[0],
+        shear_y_pa=shear[1],
+    )
+    dy = float(contact.y_m[1] - contact.y_m[0])
+    difference = (field.stress("xx") - field.stress("zz")).sum(axis=1) * dy
+    C = float(spec.stress_optic.at(np.array([WAVELENGTH_M]))[0])
+    order = fringe_order(difference, 2 * field.stress("xz").sum(axis=1) * dy, C, WAVELENGTH_M)
+    return float(np.quantile(order, 0.999))
+
+
+def _rim_percent(contact: Contact, spec: PalmSpec) -> float | None:
+    R, pose = spec.indenter_radius_m, contact.pose
+    if pose.depth_m < 0 or not is_ball(contact, spec):
+        return None
+    if not math.isclose(spec.radius_m, table_of(spec).disc_radius * R):
+        return None
+    try:
+        effect = edge_correction(math.hypot(pose.x_m, pose.y_m) / R, pose.depth_m / R, spec.thickness_m / R)
+    except RangeError:
+        return None
+    return 100 * (effect.force_ratio - 1)
+
+
+def _peak_pressure(contact: Contact, spec: PalmSpec) -> float:
+    if is_ball(contact, spec) and contact.force_n > 0:
+        return float(pressed(spec, contact.pose.depth_m).peak_pressure * spec.youngs_modulus_pa)
+    return float(contact.pressure_pa.max())
