@@ -27,7 +27,7 @@ from palpate.reports.calibration_figures import STYLE
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 STEP = 3  # grey levels of 255
-MOST_BYTES = 250_000
+MAX_BYTES = 250_000
 FIGURES: dict[str, Callable[[], Figure]] = {
     "frame": pictures.frame,
     "depths": pictures.depths,
@@ -67,7 +67,7 @@ def main() -> int:
         path = IMAGES / f"palm-{name}.png"
         path.write_bytes(png)
         print(f"{path.name}: {len(png) / 1e3:.0f} kB", flush=True)
-        failed |= len(png) > MOST_BYTES
+        failed |= len(png) > MAX_BYTES
     return int(failed)
 
 

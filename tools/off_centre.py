@@ -35,7 +35,7 @@ NORMAL = 2000.0  # E/R, springs of the contact; they give by less than 1e-3 R
 RESIDUAL = 1e-7  # E R^2, the greatest force left out of balance at any unknown
 ROUNDING = 1e-12  # E R^3
 ITERATIONS = 30
-LONGEST_MOVE = 0.2  # R, of one Newton step
+MAX_MOVE = 0.2  # R, of one Newton step
 SHORTEST_STEP = 5e-3  # R of depth
 DENSE_TO = 1.05  # R from the sphere's axis, before loading
 OFFSETS = (0.0, 1.4, 2.8, 3.96, 4.2, 4.427)  # 0, 7, 14, 19.8, 21 and 22.14 mm under a sphere of 5 mm
@@ -252,7 +252,7 @@ class OffCentre:
                 move = self._solved(K, -out)
             except LinAlgError:  # a poor guess is pressed too hard to be stable
                 move = self._solved(self._assemble(state, depth, stress=0.0)[1], -out)
-            length, now = min(1.0, LONGEST_MOVE / np.abs(move).max()), self.energy(state, depth)
+            length, now = min(1.0, MAX_MOVE / np.abs(move).max()), self.energy(state, depth)
             while self.energy(state + length * move, depth) > now + 1e-4 * length * (move @ out) + ROUNDING:
                 length /= 2
                 if length < 1e-4:

@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from finite_strain.tip import Balanced, Specimen, Tip, TipPress
 
 CELLS, STUDY_CELLS = 60, (40, 60, 90)
-STEP, GREATEST_N = 0.25, 5.6  # mm of approach; N
+STEP, MAX_N = 0.25, 5.6  # mm of approach; N
 FORCES_N = 5.5 * (np.arange(1, 41) / 40) ** 2  # of a table: dense where contact is young
 EVERY = 2  # of the skin's nodes is kept
 EDGE_TERMS = 5
@@ -68,7 +68,7 @@ def pressed(press: TipPress) -> Iterator[State]:
             balanced.approach, force, _edges(press, balanced), float(u[apex, 1]),
             (press.places + u)[inside], _energy(press, balanced, inside),
         )  # fmt: skip
-        if force > GREATEST_N:
+        if force > MAX_N:
             return
 
 

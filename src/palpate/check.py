@@ -23,7 +23,7 @@ HALF = 0.5
 INTEGRAL = 0.03  # by which the pressure's integral may miss the force: a coarse grid's
 SAME_LAW = 0.03  # by which a force law may miss a press, read between its knots
 BEYOND_NOISE = 2.0  # times as different as two frames of one skin
-GREATEST_M, GREATEST_N, GREATEST_PA = 0.5, 1e4, 1e10  # of anything that a sensor for touch may say
+MAX_M, MAX_N, MAX_PA = 0.5, 1e4, 1e10  # of anything that a sensor for touch may say
 ASIDE = 0.25  # of the outline's reach, by which a contact is moved to see it move
 ALIGNED = 0.7  # cosine of the angle between where it moves and where the axes say, at least
 FRAMES = 4  # whose mean is looked at, so that noise counts less
@@ -121,9 +121,9 @@ def plausible(sensor: Sensor) -> Part:
     ]
     lengths = [contact.x_m, contact.y_m, contact.displacement_m, contact.radius_m]
     for what, values, most in (
-        ("lengths [m]", lengths, GREATEST_M),
-        ("forces [N]", [contact.force_n, *contact.lateral_n], GREATEST_N),
-        ("pressures [Pa]", [contact.pressure_pa], GREATEST_PA),
+        ("lengths [m]", lengths, MAX_M),
+        ("forces [N]", [contact.force_n, *contact.lateral_n], MAX_N),
+        ("pressures [Pa]", [contact.pressure_pa], MAX_PA),
     ):
         greatest = max(float(np.abs(np.asarray(value)).max()) for value in values)
         if not greatest <= most:

@@ -176,7 +176,7 @@ def test_beyond_so_many_pairs_every_so_many_frames_stand_for_all(tmp_path, rng, 
     packed = pressed(tmp_path, rng, 1.0, presses=10, each=4)
     whole = audited(packed, "group:press")
     assert whole.checked_pairs == 40 * 32
-    monkeypatch.setattr(leakage, "_MOST_PAIRS", 500)
+    monkeypatch.setattr(leakage, "_MAX_PAIRS", 500)
     assert audited(packed, "group:press").checked_pairs == 5 * 2 * 32
 
 

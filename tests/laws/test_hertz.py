@@ -95,9 +95,9 @@ def test_the_neglected_roundness_costs_less_than_three_percent_of_force_at_the_l
     def depth(s):
         return s / 2 * math.log((1 + s) / (1 - s))
 
-    s = brentq(lambda s: depth(s) - hertz.GREATEST_SLOPE**2, 0.1, 0.9)
+    s = brentq(lambda s: depth(s) - hertz.MAX_SLOPE**2, 0.1, 0.9)
     exact = (1 + s**2) / 2 * math.log((1 + s) / (1 - s)) - s
-    hertzian = hertz.force_from_depth(hertz.GREATEST_SLOPE**2, 1.0, 1.0, 0.0)
+    hertzian = hertz.force_from_depth(hertz.MAX_SLOPE**2, 1.0, 1.0, 0.0)
     assert 0.02 < hertzian / exact - 1 < 0.03
 
 

@@ -18,7 +18,7 @@ PAGES = [DOCS / "explanations" / "palm.md", DOCS / "explanations" / "verificatio
 QUICK_ROOMS = ("contact", "tables", "creep")
 QUICK_TABLES = ("spread", "assumptions", "off-centre")
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?")
-MOST_A_PICTURE, MOST_ALL = 250_000, 1_800_000  # bytes
+MAX_A_PICTURE, MAX_ALL = 250_000, 1_800_000  # bytes
 
 sys.path.insert(0, str(REPOSITORY / "tools"))
 
@@ -89,8 +89,8 @@ def test_the_palm_s_pages_show_every_picture_and_all_are_small() -> None:
         name for page in DOCS.rglob("*.md") for name in re.findall(r"palm-[\w-]+\.png", page.read_text())
     }
     assert shown == set(drawn)
-    assert max(drawn.values()) <= MOST_A_PICTURE
-    assert sum(drawn.values()) <= MOST_ALL
+    assert max(drawn.values()) <= MAX_A_PICTURE
+    assert sum(drawn.values()) <= MAX_ALL
 
 
 def run_anew(room: str) -> None:

@@ -128,7 +128,7 @@ def test_at_one_half_dimitriadis_formula_has_the_short_forms_coefficients():
     [(0.3, "bonded", 0.016), (0.5, "bonded", 0.03), (0.3, "sliding", 0.006), (0.5, "sliding", 0.045)],
 )
 def test_dimitriadis_holds_to_its_stated_error_up_to_chi_0_3(nu, base, error):
-    for chi in (0.05, 0.1, 0.2, layer.GREATEST_CHI):
+    for chi in (0.05, 0.1, 0.2, layer.MAX_CHI):
         exact = exact_factor(chi, nu, base)
         assert layer.dimitriadis_factor(chi, nu, base) == pytest.approx(exact, rel=error)
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from palpate.core.errors import DeviceError, ProtocolError
 from palpate.rig.real.grbl.parser import (
-    LONGEST_LINE,
+    MAX_LINE,
     Alarm,
     Banner,
     Failed,
@@ -76,7 +76,7 @@ def test_what_firmware_says_is_what_is_read(said, meant):
         b"[PRB:,,:1]",
         b"[MSG:cut",
         b"Gr\xffbl 1.1h",
-        b"x" * (LONGEST_LINE + 1),
+        b"x" * (MAX_LINE + 1),
     ],
 )
 def test_what_is_damaged_is_refused(line):
@@ -84,7 +84,7 @@ def test_what_is_damaged_is_refused(line):
         parse_line(line)
 
 
-@given(st.binary(max_size=2 * LONGEST_LINE))
+@given(st.binary(max_size=2 * MAX_LINE))
 def test_any_bytes_are_a_line_or_a_protocol_error(data):
     with suppress(ProtocolError):
         parse_line(data)
@@ -115,8 +115,8 @@ def test_the_splitter_never_keeps_more_than_a_line(pieces):
     splitter = Splitter()
     for piece in pieces:
         for line in splitter.feed(piece.replace(b"\n", b"<").replace(b"\r", b"[")):
-            assert len(line) <= LONGEST_LINE + 1
-        assert len(splitter._line) <= LONGEST_LINE + 1
+            assert len(line) <= MAX_LINE + 1
+        assert len(splitter._line) <= MAX_LINE + 1
         assert len(splitter._around) <= len(b"error:123")
 
 

@@ -9,7 +9,7 @@ from palpate.optics.colour import Spectrum
 from palpate.sensors import palm
 from palpate.sensors.palm import fringe_view, mirror_view
 from palpate.sensors.palm.palm_render import lamp
-from palpate.sensors.palm.wear import MOST_SCRATCHES, Wear, film, passed_by, scratches_over, spread, worn
+from palpate.sensors.palm.wear import MAX_SCRATCHES, Wear, film, passed_by, scratches_over, spread, worn
 
 SPEC, FULL = palm.debug(), palm.palm()
 USED = Wear(haze=0.2, scratches=20, yellowing=0.2)
@@ -238,7 +238,7 @@ def test_presses_that_cannot_be_counted_are_refused(presses):
         ("haze", -0.1, "0 to 1"),
         ("haze", 1.1, "0 to 1"),
         ("haze", math.nan, "0 to 1"),
-        ("scratches", -1, f"0 to {MOST_SCRATCHES}"),
+        ("scratches", -1, f"0 to {MAX_SCRATCHES}"),
         ("scratch_seed", -1, "whole number"),
         ("scratch_width_m", 0.0, "1e-06 to 0.001 m"),
         ("scratch_strength", 1.5, "0 to 1"),

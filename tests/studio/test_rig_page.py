@@ -30,7 +30,7 @@ pytestmark = [
 ]
 RIG = "virtual:palm"
 HALT_MS = 50.0  # from the press on the page until the stage stands, of a press into the skin
-MOST_S = 60.0
+MAX_S = 60.0
 STUDIO = "import typer; from palpate.cli.study_verbs import studio; typer.run(studio)"
 
 
@@ -61,7 +61,7 @@ class Studio:
         self.process = None
         self.open()
         self.rig = RigClient(RIG, self.folder / "palpate")
-        self.rig.wait_for(lambda status: True, MOST_S)
+        self.rig.wait_for(lambda status: True, MAX_S)
 
     def open(self):
         self.process = subprocess.Popen(
@@ -70,7 +70,7 @@ class Studio:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
         )
-        end_s = time.monotonic() + MOST_S
+        end_s = time.monotonic() + MAX_S
         while time.monotonic() < end_s and self.process.poll() is None:
             try:
                 return urllib.request.urlopen(self.url, timeout=10).close()
@@ -81,7 +81,7 @@ class Studio:
     def ctrl_c(self):
         """What it says as it leaves."""
         self.process.send_signal(signal.SIGINT)
-        said, _ = self.process.communicate(timeout=MOST_S)
+        said, _ = self.process.communicate(timeout=MAX_S)
         return said.decode()
 
     def close(self):
@@ -92,7 +92,7 @@ class Studio:
         address = find(RIG, self.folder / "palpate")
         if address is not None:
             os.kill(address.pid, signal.SIGTERM)
-            end_s = time.monotonic() + MOST_S
+            end_s = time.monotonic() + MAX_S
             while find(RIG, self.folder / "palpate") and time.monotonic() < end_s:
                 time.sleep(0.1)
 
@@ -110,7 +110,7 @@ def state_is(*states):
 
 def opened(browser, studio, **options):
     tab = browser.open(studio.url, **options)
-    tab.wait(f"document.querySelector('#state') && !{state_is('…', 'no connection')}", MOST_S)
+    tab.wait(f"document.querySelector('#state') && !{state_is('…', 'no connection')}", MAX_S)
     return tab
 
 
@@ -125,7 +125,7 @@ def use_small_plan(tab):
 def until_it_presses(studio):
     """Until the probe is in the skin and on its way down."""
     studio.rig.wait_for(
-        lambda status: status["position_mm"][2] > 0.5 and status["message"].endswith("depth"), MOST_S
+        lambda status: status["position_mm"][2] > 0.5 and status["message"].endswith("depth"), MAX_S
     )
 
 
@@ -146,14 +146,14 @@ def test_a_whole_run_is_set_up_driven_and_watched_from_the_page(browser, studio)
     tab.press("#start")
     tab.wait(state_is("running"))
     tab.reload()
-    tab.wait(state_is("running"), MOST_S)  # and all is there again
+    tab.wait(state_is("running"), MAX_S)  # and all is there again
     tab.press("#pause")
-    tab.wait(state_is("paused"), MOST_S)
+    tab.wait(state_is("paused"), MAX_S)
     other = opened(browser, studio)
     other.wait(state_is("paused"))
     other.press("#resume")
-    tab.wait(state_is("done"), MOST_S)
-    other.wait(state_is("done"), MOST_S)
+    tab.wait(state_is("done"), MAX_S)
+    other.wait(state_is("done"), MAX_S)
     tab.wait("document.querySelector('#progress').innerText.includes('5 of 5 shots')")
     assert tab.run("document.querySelectorAll('#force polyline').length") == 3
     assert tab.run("document.querySelector('#camera img').naturalWidth") == 256
@@ -204,7 +204,7 @@ def halted_ms(studio, tab, where, press):
     until_it_presses(studio)
     asked_ns = time.monotonic_ns()
     press()
-    status = studio.rig.wait_for(lambda status: status["estop"] and not status["recording"], MOST_S)
+    status = studio.rig.wait_for(lambda status: status["estop"] and not status["recording"], MAX_S)
     took_ms = (status["estop"]["stood_ns"] - asked_ns) / 1e6
     where.wait(state_is("emergency stop"))
     tab.wait("document.querySelector('#held').checkVisibility() && document.querySelector('#start').disabled")
@@ -214,7 +214,7 @@ def halted_ms(studio, tab, where, press):
     assert at[2] > 0.3  # it was not lifted either
     tab.press("#release")
     tab.press("#release-yes")
-    studio.rig.wait_for(lambda status: not status["held"], MOST_S)
+    studio.rig.wait_for(lambda status: not status["held"], MAX_S)
     tab.wait("!document.querySelector('.q-dialog__backdrop')")
     return took_ms
 
@@ -224,7 +224,7 @@ def test_killing_the_pages_server_moves_and_loses_nothing(browser, studio):
     use_small_plan(tab)
     tab.type(".run-name input", "unattended")
     tab.press("#start")
-    studio.rig.wait_for(lambda status: status["shots"] >= 1, MOST_S)
+    studio.rig.wait_for(lambda status: status["shots"] >= 1, MAX_S)
     studio.process.kill()
     studio.process.communicate()
     tab.press("#estop")  # which cannot reach the rig, and says so
@@ -232,7 +232,7 @@ def test_killing_the_pages_server_moves_and_loses_nothing(browser, studio):
     assert "emergency switch on the rig" in tab.text()
     studio.open()
     again = opened(browser, studio)
-    again.wait(state_is("done"), MOST_S)
+    again.wait(state_is("done"), MAX_S)
     again.wait("document.querySelector('#progress').innerText.includes('5 of 5 shots')")
     assert len(done_in(Run.open(studio.runs / "unattended"))) == 5
 
@@ -243,7 +243,7 @@ def test_ctrl_c_leaves_a_recording_paused_with_the_probe_lifted(studio):
     until_it_presses(studio)
     said = studio.ctrl_c()
     assert "left is paused with the probe lifted" in said
-    status = studio.rig.wait_for(lambda status: status["state"] == "paused", MOST_S)
+    status = studio.rig.wait_for(lambda status: status["state"] == "paused", MAX_S)
     assert status["position_mm"][2] == pytest.approx(-1.0, abs=0.01)
     studio.rig.abort()
 

@@ -18,7 +18,7 @@ from .sphere import NORMAL, Touch, touch
 RESIDUAL = 1e-9  # the greatest force left out of balance at any unknown, in E R^2 / 2 pi
 ITERATIONS = 30
 CAUTIOUS_FROM = 6  # iterations: from then on friction takes its cautious stiffness
-LONGEST_MOVE = 0.15  # R, of one Newton step
+MAX_MOVE = 0.15  # R, of one Newton step
 SHORTEST_STEP = 2e-4  # R of depth
 GROWTH = 30.0  # a changed contact may raise the residual for an iteration or two, but not by more
 
@@ -106,7 +106,7 @@ class Press:
             self.iterations += 1
             move = np.zeros_like(state)
             move[free] = _solve(K, -out)
-            length = min(1.0, LONGEST_MOVE / np.abs(move[: 2 * self.disc.nodes]).max())
+            length = min(1.0, MAX_MOVE / np.abs(move[: 2 * self.disc.nodes]).max())
             state = state + length * move
             before = np.abs(out).max()
             out, K, now = self._assemble(state, depth, anchor, normal, iteration + 1 >= CAUTIOUS_FROM)

@@ -23,7 +23,7 @@ from .revolved import Displacement, InsideOutError, Revolved, tensor_mesh
 RESIDUAL = 2e-7  # N over 2 pi, the greatest force left out of balance
 ITERATIONS = 25
 PATIENT, SETTLED = 12, 4e-4  # after so many, single points that come and go at the edge may remain
-LONGEST_MOVE = 1.0  # mm, of one Newton step
+MAX_MOVE = 1.0  # mm, of one Newton step
 SHORTEST_STEP = 2e-3  # mm of approach
 GROWTH = 100.0  # a changed contact may raise the residual for an iteration or two, but not by more
 CORE = 1.0  # mm
@@ -192,7 +192,7 @@ class TipPress:
             self.iterations += 1
             step = spl.splu(K[free][:, free], permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
             move.ravel()[free] = step.solve(-(out + pull)[free])
-            u = u + (1.0 if iteration == 0 else min(1.0, LONGEST_MOVE / np.abs(move).max())) * move
+            u = u + (1.0 if iteration == 0 else min(1.0, MAX_MOVE / np.abs(move).max())) * move
             out, K, touch = self._assemble(u, last.ties)
             move, pull = np.zeros_like(u), np.zeros(u.size)
             worst = float(np.abs(out[free]).max())

@@ -206,8 +206,8 @@ _COMPARISONS = {
     ast.NotEq: (ast.Eq,),
 }
 _TWO_ALIKE = {"arctan2", "atan2", "cross", "outer", "divide", "subtract", "linspace", "geomspace", "dist"}
-_LEAST_CONSTANT = 1e-5  # a smaller one guards against rounding
-_GREATEST_COUNT = 10  # a greater one, outside of parsers, counts points or steps: one more changes nothing
+_MIN_CONSTANT = 1e-5  # a smaller one guards against rounding
+_MAX_COUNT = 10  # a greater one, outside of parsers, counts points or steps: one more changes nothing
 
 
 def changes(node: ast.AST, alike: set[str]) -> Iterator[tuple[str, ast.AST]]:
@@ -229,7 +229,7 @@ def changes(node: ast.AST, alike: set[str]) -> Iterator[tuple[str, ast.AST]]:
             pass
         case ast.Constant(int() as value):
             yield "constant", ast.Constant(value + 1)
-        case ast.Constant(float() as value) if value == 0.0 or abs(value) >= _LEAST_CONSTANT:
+        case ast.Constant(float() as value) if value == 0.0 or abs(value) >= _MIN_CONSTANT:
             yield "constant", ast.Constant(2 * value if value else 1.0)
         case ast.Compare(left, operators, others):
             for i, operator in enumerate(operators):
@@ -321,7 +321,7 @@ def _candidates(module: str, area: str) -> list[Mutant]:
             number, line = node.lineno - 1, text[node.lineno - 1].strip()
             occurrence = [n for n in own if text[n].strip() == line].index(number)
             for kind, other in changes(node, alike):
-                counts = kind == "constant" and isinstance(other.value, int) and other.value > _GREATEST_COUNT
+                counts = kind == "constant" and isinstance(other.value, int) and other.value > _MAX_COUNT
                 if (function == TOP and kind != "constant") or (counts and area != "parsers"):
                     continue
                 mutated = _rewritten(source, tree, node, other)

@@ -17,7 +17,7 @@ from queue import SimpleQueue
 
 from mutants.frozen import REPOSITORY, SOURCE, Mutant
 
-LEAST_KILLED = 0.95
+MIN_KILLED = 0.95
 LIMIT_S, LIMIT_FACTOR = 60.0, 5.0  # a mutant has this and so many times its tests' own time
 
 
@@ -128,7 +128,7 @@ def verdict(mutants: Sequence[Mutant], results: Sequence[dict[str, object]]) -> 
             some = [m for m in mutants if getattr(m, title) == name]
             lines.append(f"{name:18}{sum(m in killed for m in some):8}{len(some):6}")
     share = len(killed) / len(mutants)
-    lines.append(f"{'all':18}{len(killed):8}{len(mutants):6}   {share:.1%}; {LEAST_KILLED:.0%} are asked")
+    lines.append(f"{'all':18}{len(killed):8}{len(mutants):6}   {share:.1%}; {MIN_KILLED:.0%} are asked")
     unexplained = False
     for m in mutants:
         if m not in killed:
@@ -142,4 +142,4 @@ def verdict(mutants: Sequence[Mutant], results: Sequence[dict[str, object]]) -> 
                 f"    + {m.mutated}",
             ]
             lines += [f"    {why or 'not explained'}"]
-    return "\n".join(lines), share >= LEAST_KILLED and not unexplained
+    return "\n".join(lines), share >= MIN_KILLED and not unexplained

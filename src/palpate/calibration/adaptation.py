@@ -91,7 +91,7 @@ def guard_with(
     return fit_novelty_detector(thumbs, folds, thumbs[untouched], also=also)
 
 
-MOST_COVERAGE = 1 - 1e-9
+MAX_COVERAGE = 1 - 1e-9
 
 
 def write_adapted(made: Calibrated, adapted: Adapted, former: Card, out: Path) -> Card:
@@ -133,7 +133,7 @@ def intervals_of_presses(predicted: Values, true: Values, groups: np.ndarray, co
     quantile: scaling each by what the others' typical error is would only add their scatter.
     """
     presses = len(np.unique(groups))
-    raised = min(coverage * (presses + 1) / presses, MOST_COVERAGE)
+    raised = min(coverage * (presses + 1) / presses, MAX_COVERAGE)
     found = replace(fit_intervals(predicted, true, groups, raised), coverage=coverage)
     if presses >= GROUPS_FOR_SPREAD:
         return found

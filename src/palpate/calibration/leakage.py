@@ -33,7 +33,7 @@ _BLOCK = 4
 _EVEN = 0.2
 # Black and white are clipped, and noise does not show there [grey levels].
 _BLACK, _WHITE = 4, 251
-_MOST_PAIRS = 400_000_000
+_MAX_PAIRS = 400_000_000
 # Second differences along both axes; the six keeps white noise at its standard deviation.
 # Immerkaer 1996, https://doi.org/10.1006/cviu.1996.0060
 _SECOND_DIFFERENCES = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32) / 6
@@ -181,7 +181,7 @@ def _nearest_across(
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """For each held-out row the trained-on row that looks most like it, and how many pairs were compared."""
     # Beyond this many pairs every so many held-out frames stand for all.
-    step = 1 + len(thumbs) ** 2 // _MOST_PAIRS
+    step = 1 + len(thumbs) ** 2 // _MAX_PAIRS
     held, twin, pairs = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], 0
     for k, fold in enumerate(split.folds):
         asked, trained = fold[~resting[fold]][::step], split.training_rows(k)

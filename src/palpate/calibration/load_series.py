@@ -24,7 +24,7 @@ Region = tuple[int, int, int, int]
 LOADS = ("load", "force", "normal_force", "mass", "weight")
 STANDARD_GRAVITY = unit("kgf").factor  # [m/s^2]
 PATCHES = 12
-LEAST_SIDE = 4  # of a patch [px]
+MIN_SIDE = 4  # of a patch [px]
 SATURATED = 254  # code from which a channel may hold more light than it says
 CLIPPED_SHARE = 0.1  # of a patch's pixels
 _EXIF, _SECONDS, _F_NUMBER, _ISO = 0x8769, 33434, 33437, 34855
@@ -160,8 +160,8 @@ def _read(path: Path, source: Path, i: int, rows: int) -> Image:
 def _region(image: Image, path: Path, region_px: Region) -> UInt8[ndarray, "high wide *c"]:
     x, y, w, h = region_px
     high, wide = image.shape[:2]
-    if min(w, h) < LEAST_SIDE:
-        raise InputError(f"region of {w} × {h} px is too small; give {LEAST_SIDE} × {LEAST_SIDE} px or more")
+    if min(w, h) < MIN_SIDE:
+        raise InputError(f"region of {w} × {h} px is too small; give {MIN_SIDE} × {MIN_SIDE} px or more")
     if x < 0 or y < 0 or x + w > wide or y + h > high:
         raise InputError(
             f"region x {x} to {x + w}, y {y} to {y + h} px leaves {path.name}, which is {wide} × {high} px; "
@@ -173,8 +173,8 @@ def _region(image: Image, path: Path, region_px: Region) -> UInt8[ndarray, "high
 def _patches(pixels: UInt8[ndarray, "h w *c"]) -> list[UInt8[ndarray, "_ _ 3"]]:
     """About twelve patches, near square, of equal size."""
     h, w = pixels.shape[:2]
-    columns = int(np.clip(round(np.sqrt(PATCHES * w / h)), 1, min(PATCHES, w // LEAST_SIDE)))
-    rows = int(np.clip(PATCHES // columns, 1, h // LEAST_SIDE))
+    columns = int(np.clip(round(np.sqrt(PATCHES * w / h)), 1, min(PATCHES, w // MIN_SIDE)))
+    rows = int(np.clip(PATCHES // columns, 1, h // MIN_SIDE))
     colour = np.dstack([pixels] * 3) if pixels.ndim == 2 else pixels
     high, wide = h // rows, w // columns
     return [

@@ -77,8 +77,8 @@ class Intervals:
 
 
 CARD_FILE = "card.json"
-MOST_CARD_BYTES = 4_000_000
-MOST_MODEL_BYTES = 1_000_000_000
+MAX_CARD_BYTES = 4_000_000
+MAX_MODEL_BYTES = 1_000_000_000
 
 PreparedFloat = Float32[np.ndarray, "h w c"]
 
@@ -95,8 +95,8 @@ def read_card(folder: PathText) -> Card:
             f"{folder} is not a calibration: it has no {CARD_FILE}; name a folder that "
             "`palpate calibrate` made"
         )
-    if path.stat().st_size > MOST_CARD_BYTES:
-        raise CertificateError(f"{path} is larger than {MOST_CARD_BYTES} bytes; a card never is")
+    if path.stat().st_size > MAX_CARD_BYTES:
+        raise CertificateError(f"{path} is larger than {MAX_CARD_BYTES} bytes; a card never is")
     try:
         card = Card.model_validate_json(path.read_bytes())
     except ValidationError as e:
@@ -121,7 +121,7 @@ def checked_file(folder: Path, part: FileCard) -> Path:
     path = folder / part.file
     if path.is_symlink() or not path.is_file():
         raise CertificateError(f"{path} is missing or a link; restore the folder or calibrate again")
-    if path.stat().st_size > MOST_MODEL_BYTES or sha256_of(path) != part.sha256:
+    if path.stat().st_size > MAX_MODEL_BYTES or sha256_of(path) != part.sha256:
         raise CertificateError(
             f"{path} is not the file this card was made with (its SHA-256 differs); "
             "restore it or calibrate again"

@@ -25,10 +25,10 @@ from numpy import ndarray
 from palpate.core.errors import InputError, RangeError
 from palpate.core.shapes import Bool, Float
 from palpate.estimators.fringe_light import Polariscope
-from palpate.estimators.fringe_search import LEAST_ORDER, Fit, Traces, candidates, refined
+from palpate.estimators.fringe_search import MIN_ORDER, Fit, Traces, candidates, refined
 
-LEAST_PHOTOGRAPHS = 5  # one more than the unknowns k, N0, a and b
-LEAST_LOADS = 4
+MIN_PHOTOGRAPHS = 5  # one more than the unknowns k, N0, a and b
+MIN_LOADS = 4
 RIVAL = 0.05  # share of the best fit's likelihood from which another slope is called as good
 _DULL = 0.1  # a channel that changes less than this share of the liveliest one is left out
 
@@ -163,10 +163,10 @@ def check_loads(load_n: Float[ndarray, " n"]) -> None:
     if not (np.isfinite(load_n).all() and (load_n >= 0).all()):
         raise RangeError("a load is negative or no number; give loads of 0 N or more")
     photographs, loads = len(load_n), len(np.unique(load_n))
-    if photographs < LEAST_PHOTOGRAPHS or loads < LEAST_LOADS:
+    if photographs < MIN_PHOTOGRAPHS or loads < MIN_LOADS:
         raise InputError(
             f"{photographs} photograph(s) at {loads} load(s) cannot tell slope, residual order, gain and "
-            f"leak apart; take {LEAST_PHOTOGRAPHS} or more at {LEAST_LOADS} or more different loads"
+            f"leak apart; take {MIN_PHOTOGRAPHS} or more at {MIN_LOADS} or more different loads"
         )
 
 
@@ -198,7 +198,7 @@ def _check(
     check_loads(load_n)
     if not (np.isfinite(light).all() and (light >= 0).all()):
         raise InputError("some light is negative or no number; give linear light of 0 or more")
-    if not (np.isfinite(greatest_order) and greatest_order > 2 * LEAST_ORDER):
-        raise RangeError(f"greatest order {greatest_order} is not above {2 * LEAST_ORDER}; 6 is usual")
+    if not (np.isfinite(greatest_order) and greatest_order > 2 * MIN_ORDER):
+        raise RangeError(f"greatest order {greatest_order} is not above {2 * MIN_ORDER}; 6 is usual")
     if not 0.0 < residual_order <= 0.5:
         raise RangeError(f"residual order {residual_order} is outside 0 (excluded) to 0.5; 0.05 is usual")

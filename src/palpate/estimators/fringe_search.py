@@ -20,8 +20,8 @@ from palpate.core.shapes import Bool, Float
 from palpate.estimators.fringe_light import Polariscope
 
 UNKNOWNS = 4  # k, N0, a and b
-LEAST_ORDER = 0.1  # at the greatest load; where the scan begins if the gain is not known
-LEAST_WITH_GAIN = 0.02
+MIN_ORDER = 0.1  # at the greatest load; where the scan begins if the gain is not known
+MIN_WITH_GAIN = 0.02
 STEP = 0.02  # of the scan, in orders at the greatest load
 CANDIDATES = 5
 HOPELESS = 20.0  # times the best one's misfit: likelihood below 1e-3 with five photographs to spare
@@ -73,7 +73,7 @@ class Traces:
     @property
     def least_order(self) -> float:
         """Order at the greatest load where the scan begins."""
-        return LEAST_WITH_GAIN if self.open_row else LEAST_ORDER
+        return MIN_WITH_GAIN if self.open_row else MIN_ORDER
 
     def model(self, order: ndarray) -> tuple[ndarray, ndarray]:
         """S of every row and its derivative by N ``[... rows c]``, at the photographs' orders."""

@@ -147,7 +147,7 @@ FLOOR = 0.25  # of the way from ground to pin: what is darker has no weight
 LOST = 0.35  # of a pin's first weight: with less it is lost
 CLEAR = 5.0  # spreads of the ground that pins are brighter by
 REACH = 0.45  # of the way to the nearest neighbour
-LEAST_PX, LEAST_PINS = 4, 7
+MIN_PX, MIN_PINS = 4, 7
 
 SPAN = 16  # pixels; a window is as wide as some spans
 Grey = UInt8[ndarray, "h w"]
@@ -176,7 +176,7 @@ class PinTracks:
         return np.isfinite(self.xy_px).all(axis=1)
 
 
-def find_pins(image: Shaped[ndarray, ...], least: int = LEAST_PINS) -> PinTracks:
+def find_pins(image: Shaped[ndarray, ...], least: int = MIN_PINS) -> PinTracks:
     """The pins of an image, the one nearest to their middle first and outwards from it.
 
     Args:
@@ -213,7 +213,7 @@ def _patches(image: Grey, level: int) -> Points:
     """Middles of the patches brighter than a level that are of a pin's size and inside the image."""
     patches = brighter(image, level)
     size = patches[:, 0]
-    large = size >= LEAST_PX
+    large = size >= MIN_PX
     typical = np.median(size[large]) if large.any() else 0
     whole = patches[:, 3] > 0
     kept = whole & large & (size > 0.3 * typical) & (size < 3 * typical)

@@ -16,7 +16,7 @@ from palpate.core.shapes import Float, UInt8
 
 Banded = Float[ndarray, "k *n"]
 
-LEAST_BANDS = 31  # fewer cost more than 0.006 in intensity at four fringe orders
+MIN_BANDS = 31  # fewer cost more than 0.006 in intensity at four fringe orders
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Spectrum:
 
 
 def assumed_camera(
-    bands: int = LEAST_BANDS,
+    bands: int = MIN_BANDS,
     led_peaks_nm: tuple[float, float] = (450.0, 560.0),
     led_widths_nm: tuple[float, float] = (10.0, 55.0),
     phosphor_share: float = 0.6,
@@ -60,8 +60,8 @@ def assumed_camera(
     Raises:
         InputError: too few bands for colour.
     """
-    if bands < LEAST_BANDS:
-        raise InputError(f"{bands} bands are too few for interference colours; use {LEAST_BANDS} or more")
+    if bands < MIN_BANDS:
+        raise InputError(f"{bands} bands are too few for interference colours; use {MIN_BANDS} or more")
     edges = np.linspace(400.0, 700.0, bands + 1)
     nm = (edges[1:] + edges[:-1]) / 2
     die, phosphor = (_bell(nm, p, w) for p, w in zip(led_peaks_nm, led_widths_nm, strict=True))

@@ -22,7 +22,7 @@ from palpate.optics.polariscope import through
 
 PIECES = 4  # of the rays a thread, so that one late thread holds up little
 TILE = 64  # rays that the kernels march together; 31 bands x 4 float32 of them are 32 kB
-LEAST_RAYS = 2048  # in a piece: fewer cost more to hand out than to march
+MIN_RAYS = 2048  # in a piece: fewer cost more to hand out than to march
 
 Slices = Float[ndarray, "s *n"]
 Spectral = Float32[ndarray, "k *n"]
@@ -137,7 +137,7 @@ def shared(piece: Callable[[int, int], None], rays: int, threads: int | None) ->
     count = _threads() if threads is None else threads
     if count < 1:
         raise InputError(f"{count} threads cannot work; give 1 or more")
-    pieces = min(count * PIECES, rays // LEAST_RAYS) if count > 1 else 1
+    pieces = min(count * PIECES, rays // MIN_RAYS) if count > 1 else 1
     if pieces < 2:
         piece(0, rays)
         return

@@ -25,7 +25,7 @@ from scipy import stats
 from palpate.core.errors import InputError
 from palpate.core.shapes import Float
 
-LEAST_FOR_LILLIEFORS = 4
+MIN_FOR_LILLIEFORS = 4
 LILLIEFORS_DRAWS, LILLIEFORS_SEED = 9_999, 1967
 LILLIEFORS_VALUES = 10_000_000  # drawn at a time
 POOLED = (
@@ -168,7 +168,7 @@ def _lilliefors(values: Values) -> float:
     By drawing as Lilliefors did, who drew 1000 samples; the same ones at every call. Of many values fewer
     samples are drawn, for memory's sake.
     """
-    if len(values) < LEAST_FOR_LILLIEFORS or np.ptp(values) == 0:
+    if len(values) < MIN_FOR_LILLIEFORS or np.ptp(values) == 0:
         return float("nan")
     rng = np.random.default_rng(LILLIEFORS_SEED)
     draws = min(LILLIEFORS_DRAWS, max(999, LILLIEFORS_VALUES // len(values)))

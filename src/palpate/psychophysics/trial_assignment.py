@@ -32,7 +32,7 @@ from palpate.core.shapes import Float, Int
 EXACT_UP_TO = 20_000  # labellings
 DRAWS = 9_999
 CHUNK = 2_000  # labellings at a time, for memory's sake
-LEAST_A_CLASS = 2
+MIN_A_CLASS = 2
 STILL = 1e-12  # of a feature's variance: a spread within objects below it counts as this
 
 Features = Float[ndarray, "n k"]
@@ -131,11 +131,11 @@ def _checked(features: Any, labels: Sequence[str]) -> tuple[Features, list[str],
     if not (np.ptp(x, axis=0) > 0).all():
         raise InputError("a feature is the same for all trials; leave it out")
     names, codes = np.unique(np.asarray(labels, dtype=str), return_inverse=True)
-    few = [str(name) for name, n in zip(names, np.bincount(codes), strict=True) if n < LEAST_A_CLASS]
+    few = [str(name) for name, n in zip(names, np.bincount(codes), strict=True) if n < MIN_A_CLASS]
     if len(names) < 2 or few:
         alone = f", with one trial of {', '.join(few)}" if few else ""
         raise InputError(
-            f"{len(names)} objects{alone}; two objects or more, {LEAST_A_CLASS} trials or more of each, so "
+            f"{len(names)} objects{alone}; two objects or more, {MIN_A_CLASS} trials or more of each, so "
             "that one can be left out"
         )
     if len(x) - 1 <= len(names):

@@ -10,9 +10,9 @@ from typing import Any
 from palpate.rig.plans.places import Place
 from palpate.studio.palette import ACCENT, AXES, BAD, BAND, INK, LINE, SOFT
 
-MOST_PLACES = 3000  # that are drawn
+MAX_PLACES = 3000  # that are drawn
 SPAN_S = 20.0  # of the force's time axis
-LEAST_SPAN_N = 0.4
+MIN_SPAN_N = 0.4
 WIDTH, HEIGHT = 640, 250
 BOX = "#ffd75e"  # seen on dark pictures and bright ones, with a black edge
 LEFT, RIGHT, TOP, BOTTOM = 52, 10, 12, 26
@@ -38,14 +38,14 @@ def grid_svg(
     """
     done = done or {}
     half, reach = layer_mm / 2, (layer_mm - probe_mm) / 2
-    outermost = max((max(abs(p.x_mm), abs(p.y_mm)) for p in places[:MOST_PLACES]), default=0.0)
+    outermost = max((max(abs(p.x_mm), abs(p.y_mm)) for p in places[:MAX_PLACES]), default=0.0)
     edge = max(half, outermost + probe_mm / 2) * 1.06
     dot = max(0.012 * layer_mm, 0.3)
     parts = [
         f'<svg viewBox="{-edge:.2f} {-edge:.2f} {2 * edge:.2f} {2 * edge:.2f}" role="img">',
         f'<circle r="{half:.3f}" fill="#fff" stroke="{INK}" stroke-width="{layer_mm / 160:.3f}"/>',
     ]
-    for place in places[:MOST_PLACES]:
+    for place in places[:MAX_PLACES]:
         share = done.get(place.name, 0.0)
         fill, opacity = (ACCENT, 0.13 + 0.25 * share) if share else (BAND, 0.45)
         parts.append(
@@ -58,7 +58,7 @@ def grid_svg(
         f'<circle r="{reach:.3f}" fill="none" stroke="{SOFT}" stroke-width="{layer_mm / 250:.3f}" '
         f'stroke-dasharray="{layer_mm / 60:.2f} {layer_mm / 60:.2f}"/>'
     )
-    for place in places[:MOST_PLACES]:
+    for place in places[:MAX_PLACES]:
         colour = BAD if place.name == now else ACCENT if done.get(place.name, 0.0) >= 1 else SOFT
         size = dot * (1.7 if place.name == now else 1)
         parts.append(f'<circle cx="{place.x_mm:.3f}" cy="{place.y_mm:.3f}" r="{size:.3f}" fill="{colour}"/>')
@@ -137,9 +137,9 @@ def regions_svg(regions: Sequence[Mapping[str, Any]], size_px: tuple[int, int]) 
 
 def _range(values: Sequence[float]) -> tuple[float, float]:
     low, high = min((*values, 0.0)), max((*values, 0.0))
-    if high - low < LEAST_SPAN_N:
+    if high - low < MIN_SPAN_N:
         middle = (high + low) / 2
-        low, high = middle - LEAST_SPAN_N / 2, middle + LEAST_SPAN_N / 2
+        low, high = middle - MIN_SPAN_N / 2, middle + MIN_SPAN_N / 2
     room = 0.06 * (high - low)
     return low - room, high + room
 

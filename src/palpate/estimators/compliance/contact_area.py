@@ -21,7 +21,7 @@ from palpate.estimators.compliance.contact_region import Field, ring_px
 MOTIONS = 8
 SQUARES = 3  # of the first measures
 RIDGE = 1e-4  # of the mean square of a measure
-LEAST_FRAMES, LEAST_REFERENCES = 30, 3
+MIN_FRAMES, MIN_REFERENCES = 30, 3
 
 Measures = Float[ndarray, "f k"]
 AnyMeasures = Float[ndarray, "_ k"]  # of trials, which differ in how many frames they have
@@ -69,10 +69,10 @@ def fit_area(
         np.isfinite(one).all(axis=1) & np.isfinite(a) & (np.nan_to_num(a) > 0)
         for one, a in zip(measures, area_m2, strict=True)
     ]
-    if sum(int(one.sum()) for one in kept) < LEAST_FRAMES:
+    if sum(int(one.sum()) for one in kept) < MIN_FRAMES:
         raise InputError(
             f"{sum(int(one.sum()) for one in kept)} frames of the references have a known contact area; "
-            f"{LEAST_FRAMES} or more are needed, from a rigid plate and a soft reference"
+            f"{MIN_FRAMES} or more are needed, from a rigid plate and a soft reference"
         )
     x = [one[good] for one, good in zip(measures, kept, strict=True)]
     y = [np.log(a[good]) for a, good in zip(area_m2, kept, strict=True)]
@@ -92,7 +92,7 @@ def _left_out(z: list[AnyMeasures], y: list[ndarray], reference: ndarray) -> flo
         c = _solved([z[j] for j in others], [y[j] for j in others])
         squares.setdefault(int(reference[i]), []).append(float(np.mean((_terms(own) @ c - log_a) ** 2)))
     worst = float(np.sqrt(max(np.mean(one) for one in squares.values())))
-    return worst if len(squares) >= LEAST_REFERENCES else float("nan")
+    return worst if len(squares) >= MIN_REFERENCES else float("nan")
 
 
 def _solved(z: list[AnyMeasures], y: list[ndarray]) -> Float[ndarray, " c"]:
@@ -140,8 +140,8 @@ def fit_motions(moved_px: Sequence[Float[ndarray, "_ p 2"]], count: int = MOTION
         InputError: too few frames.
     """
     frames = np.concatenate(moved_px)
-    if len(frames) < LEAST_FRAMES:
-        raise InputError(f"the references have {len(frames)} frames; {LEAST_FRAMES} or more are needed")
+    if len(frames) < MIN_FRAMES:
+        raise InputError(f"the references have {len(frames)} frames; {MIN_FRAMES} or more are needed")
     seen = np.isfinite(frames).all(axis=(0, 2))
     middle = frames.mean(axis=0)
     off = np.where(seen[:, None], frames - middle, 0.0).reshape(len(frames), -1)

@@ -27,7 +27,7 @@ from palpate.estimators.pins import PinTracks
 
 POWERS = (1, 3, 5, 7, 9, 11)  # of the radius: outward motion is odd in it
 WITHIN = 0.4  # of the field's radius: the middle whose stretch is taken
-LEAST_PINS = 12
+MIN_PINS = 12
 SURFACE_DEGREE = 6
 RAYS = 72
 
@@ -49,9 +49,9 @@ class Field:
             InputError: too few of them.
         """
         both = untouched.found & now.found
-        if both.sum() < LEAST_PINS:
+        if both.sum() < MIN_PINS:
             raise InputError(
-                f"{int(both.sum())} pins are left of {len(both)}; {LEAST_PINS} are needed: pins were "
+                f"{int(both.sum())} pins are left of {len(both)}; {MIN_PINS} are needed: pins were "
                 "lost, look at light, focus and speed"
             )
         return cls(untouched.xy_px[both], (now.xy_px - untouched.xy_px)[both])
@@ -82,8 +82,8 @@ class Field:
         """Gradient, and motion at the centre, over the pins near it; a cubic term takes up the curvature."""
         off = self.at_px - centre
         near = np.hypot(*off.T) < WITHIN * self.radius_px
-        if near.sum() < LEAST_PINS // 2:
-            near = np.argsort(np.hypot(*off.T))[:LEAST_PINS]
+        if near.sum() < MIN_PINS // 2:
+            near = np.argsort(np.hypot(*off.T))[:MIN_PINS]
         x = off[near] / self.radius_px
         columns = np.column_stack([np.ones(len(x)), x, x * (x**2).sum(axis=1, keepdims=True)])
         fit, *_ = np.linalg.lstsq(columns, self.moved_px[near], rcond=None)

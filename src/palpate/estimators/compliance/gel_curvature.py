@@ -32,9 +32,9 @@ from palpate.core.errors import ImageError, InputError
 from palpate.core.shapes import Float, Shaped
 
 WHITE = 255
-MOST_CLIPPED = 0.01  # of the region's pixels, in one colour
-LEAST_PX = 8  # a side of the region
-LEAST_APART = 1e-3  # of lamps, below which no slope is told from even light
+MAX_CLIPPED = 0.01  # of the region's pixels, in one colour
+MIN_PX = 8  # a side of the region
+MIN_APART = 1e-3  # of lamps, below which no slope is told from even light
 
 Image = Shaped[ndarray, "..."]  # [h w c], which `bulge` checks
 
@@ -52,7 +52,7 @@ class Lamps:
     def __post_init__(self) -> None:
         if not np.allclose(np.hypot(*np.transpose(self.towards)), 1.0, atol=1e-6):
             raise InputError(f"directions to lamps are unit vectors (x, y), got {self.towards}")
-        if self.apart < LEAST_APART:
+        if self.apart < MIN_APART:
             raise InputError("all lamps stand on one side; slopes are told by colours from different sides")
 
     @property
@@ -103,14 +103,14 @@ def _cut(image: Image, region: ImprintRegion, lamps: Lamps) -> Float[ndarray, "h
             "channel a lamp"
         )
     x, y, w, h = region.x, region.y, region.w, region.h
-    if min(w, h) < LEAST_PX or min(x, y) < 0 or x + w > image.shape[1] or y + h > image.shape[0]:
+    if min(w, h) < MIN_PX or min(x, y) < 0 or x + w > image.shape[1] or y + h > image.shape[0]:
         raise InputError(
             f"a region of {w} x {h} px at ({x}, {y}) in an image of {image.shape[1]} x {image.shape[0]} px; "
-            f"inside it, {LEAST_PX} px or more a side"
+            f"inside it, {MIN_PX} px or more a side"
         )
     cut = image[y : y + h, x : x + w]
     clipped = ((cut == 0) | (cut == WHITE)).mean(axis=(0, 1)).max()
-    if clipped > MOST_CLIPPED:
+    if clipped > MAX_CLIPPED:
         raise ImageError(
             f"{clipped:.0%} of the region is black or white in one colour; slopes are lost there: set the "
             "exposure anew, or take a smaller region"

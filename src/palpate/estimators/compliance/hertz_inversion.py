@@ -22,9 +22,9 @@ from palpate.core.errors import InputError
 from palpate.core.shapes import Float
 from palpate.mechanics.half_space.hertz_pairs import Body
 
-LEAST_SHARE = 0.2
+MIN_SHARE = 0.2
 DRAWS = 4000
-LEAST_SAMPLES = 5
+MIN_SAMPLES = 5
 TOO_STIFF = (
     "the object yields {:.0%} of the approach; below {:.0%} its own part cannot be told from the finger's"
 )
@@ -104,7 +104,7 @@ def finger_of(rigid: Sequence[PressCurves]) -> Finger:
 def _misfit(press: PressCurves) -> float:
     """How far the moduli of the lower and the upper half of the forces differ, as a share of the greater."""
     low = press.force_n <= np.median(press.force_n)
-    if min(low.sum(), (~low).sum()) < LEAST_SAMPLES:
+    if min(low.sum(), (~low).sum()) < MIN_SAMPLES:
         return 0.0
     halves = [
         _both(*_slopes(PressCurves(press.force_n[half], press.approach_m[half], press.area_m2[half])))[0]
@@ -142,8 +142,8 @@ def touched(
         _inverse(curvature, np.quantile(1 / drawn_R - 1 / R_f, tails)),
         float(share),
         coverage,
-        bool(share >= LEAST_SHARE),
-        "" if share >= LEAST_SHARE else TOO_STIFF.format(share, LEAST_SHARE),
+        bool(share >= MIN_SHARE),
+        "" if share >= MIN_SHARE else TOO_STIFF.format(share, MIN_SHARE),
     )
 
 
@@ -158,10 +158,10 @@ def _slopes(press: PressCurves) -> tuple[float, float]:
     force, approach, area = (
         np.asarray(x, np.float64) for x in (press.force_n, press.approach_m, press.area_m2)
     )
-    if not (force.shape == approach.shape == area.shape) or force.ndim != 1 or len(force) < LEAST_SAMPLES:
+    if not (force.shape == approach.shape == area.shape) or force.ndim != 1 or len(force) < MIN_SAMPLES:
         raise InputError(
             f"{force.size} forces, {approach.size} approaches and {area.size} areas; a press has "
-            f"{LEAST_SAMPLES} or more of each"
+            f"{MIN_SAMPLES} or more of each"
         )
     if not (np.isfinite([force, approach, area]).all() and force.min() > 0 and area.min() > 0):
         raise InputError(

@@ -19,7 +19,7 @@ from palpate.core.errors import InputError, PalpateError
 from palpate.core.shapes import Bool, Float, Int, Shaped
 from palpate.estimators.compliance.press_force import (
     CONTACT_N,
-    GREATEST_N,
+    MAX_N,
     loading,
     moving_average,
     within,
@@ -97,14 +97,14 @@ def as_reported(
     """
     smooth = moving_average(without_spikes(np.asarray(force_n, np.float64)))
     at = np.asarray(frame_sample)
-    used = np.flatnonzero(np.isin(at, within(smooth, loading(smooth), CONTACT_N, GREATEST_N)))
+    used = np.flatnonzero(np.isin(at, within(smooth, loading(smooth), CONTACT_N, MAX_N)))
     first, last = int(max(used[0] - 1, 0)) if len(used) else 0, int(used[-1]) if len(used) else 0
     steps = course(islice(iter(frames), first, last + 1), method, region=region)
     divergence = np.array([step.divergence for step in steps])[-len(used) :]
     if len(divergence) < len(used) or not len(used):
         raise InputError(
             f"{len(divergence)} steps between frames for {len(used)} frames under {CONTACT_N:g} to "
-            f"{GREATEST_N:g} N; give the frames and the table of one press, from a frame before contact on"
+            f"{MAX_N:g} N; give the frames and the table of one press, from a frame before contact on"
         )
     force, area = smooth[at[used]], area_m2(1.0, divergence)
     return AsReported(force, divergence, area, _spreads(force, divergence, area))

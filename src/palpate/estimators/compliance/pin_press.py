@@ -30,7 +30,7 @@ from palpate.estimators.pins import find_pins, follow
 UNTOUCHED_N = 0.06  # about one step of a 1/16 N sensor
 STILL_PX = 0.3  # how much pins may wander before contact
 LOST_SHARE = 0.2
-LEAST_FRAMES = 6
+MIN_FRAMES = 6
 SATURATED = "the force ends in a plateau of {:g} N: the sensor's range has ended, and what follows is unknown"
 LOST = "{} of {} pins were lost; look at light, focus and speed"
 WANDERS = (
@@ -92,9 +92,9 @@ def watched(
     samples = within(smooth, part, contact_n, np.inf)
     at = np.asarray(frame_sample)
     used = np.flatnonzero(np.isin(at, samples))
-    if len(used) < LEAST_FRAMES:
+    if len(used) < MIN_FRAMES:
         raise InputError(
-            f"{len(used)} frames of rising force above {contact_n:g} N; {LEAST_FRAMES} are needed: "
+            f"{len(used)} frames of rising force above {contact_n:g} N; {MIN_FRAMES} are needed: "
             "press more slowly, or take more frames a second"
         )
     xy = _followed(frames, int(used[-1]) + 1)
@@ -152,7 +152,7 @@ def _speed(position_m: Samples | None, time_s: Samples | None) -> float:
 DEGREE = 4
 SPARE = 2  # frames more than the polynomial has coefficients
 NEAR = 0.35  # of the pins' spacing: farther is another pin
-LEAST_MATCHED = 0.8
+MIN_MATCHED = 0.8
 BEYOND_N = 0.15  # how far a level may lie outside the frames' forces
 
 Levels = Float[ndarray, " l"]
@@ -206,7 +206,7 @@ def laid_on(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 2"]:
             shift = shift + np.median(at[which[near]] - shift - layout_px[near], axis=0)
     gap, which = cKDTree(at - shift).query(layout_px)
     near = gap < NEAR * spacing
-    if near.mean() < LEAST_MATCHED or len(at) > len(layout_px) / LEAST_MATCHED:
+    if near.mean() < MIN_MATCHED or len(at) > len(layout_px) / MIN_MATCHED:
         raise InputError(
             f"{int(near.sum())} of the {len(layout_px)} calibrated pins are where they should be, and "
             f"{len(at)} pins are seen: another sensor, zoom or crop, or pins lost; calibrate for it"

@@ -24,7 +24,7 @@ from palpate.core.errors import InputError, RangeError
 from palpate.core.shapes import Bool, Float, Int
 
 TAPS = 5
-CONTACT_N, GREATEST_N = 0.5, 5.0
+CONTACT_N, MAX_N = 0.5, 5.0
 SPIKE_WINDOW = 7  # samples
 SPIKE_SPREADS = 6.0  # robust standard deviations from the median of its window
 SPIKE_LEAST_N = 0.25  # four steps of a 1/16 N sensor: less is no spike
@@ -167,7 +167,7 @@ def rising(
     return np.bincount(where, force_n, len(kinds)) / count, means.reshape(len(kinds), *values.shape[1:])
 
 
-LEAST_SAMPLES = 3
+MIN_SAMPLES = 3
 
 GraspSamples = Float[ndarray, " _"]
 
@@ -199,7 +199,7 @@ def loading_slope(
     i = np.arange(part.first, part.last + 1)
     if held:
         i = np.union1d(np.intersect1d(i, fresh(width)), [part.last])
-    if len(i) < LEAST_SAMPLES or np.ptp(width[i]) == 0:
+    if len(i) < MIN_SAMPLES or np.ptp(width[i]) == 0:
         raise InputError(f"{len(i)} readings of the width while loading, or all one; close more slowly")
     slope = -float(np.polyfit(width[i], force[i], 1)[0])
     if not slope > 0:

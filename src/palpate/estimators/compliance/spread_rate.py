@@ -28,7 +28,7 @@ from palpate.estimators.compliance.press_force import rising
 Way = Literal["regression", "secant", "paper"]
 
 BIN_N = 0.1
-LEAST_BINS = 3
+MIN_BINS = 3
 PAPER_COUNTS_FRAMES = (
     "equation (12) adds one slope a frame: its value grows with the number of frames, so with the frame "
     "rate, with slowness and with softness itself; compare presses of equal frames and speed only"
@@ -37,7 +37,7 @@ LITERAL = (
     "equation (8) as printed adds divergence over all {pixels} pixels, which counts the area twice; its "
     "exponential in (11) reaches e^{exponent:.0f}{beyond}; take 'paper', which has the mean divergence"
 )
-GREATEST_EXPONENT = 700.0  # of e in double precision
+MAX_EXPONENT = 700.0  # of e in double precision
 
 Steps = Float[ndarray, " _"]  # one a frame
 
@@ -72,7 +72,7 @@ def area_m2(first_m2: float, mean_divergence: Steps) -> Steps:
     total = np.cumsum(mean_divergence)
     if not first_m2 > 0:
         raise RangeError(f"a first area of {first_m2} m2; above 0")
-    if total.size and not np.abs(total).max() < GREATEST_EXPONENT:
+    if total.size and not np.abs(total).max() < MAX_EXPONENT:
         raise RangeError(f"accumulated divergence of {np.abs(total).max():g}; is it the mean over pixels?")
     return np.asarray(first_m2 * np.exp(total))
 
@@ -96,9 +96,9 @@ def spread(force_n: Steps, area: Steps, way: Way = "regression", bin_n: float = 
     if not (np.isfinite(force_n).all() and np.isfinite(area).all()):
         raise InputError("forces and areas must be finite; leave out the frames where they are not known")
     at, mean = rising(force_n, area, bin_n)
-    if len(at) < LEAST_BINS:
+    if len(at) < MIN_BINS:
         raise InputError(
-            f"the forces fill {len(at)} bins of {bin_n:g} N; a spread rate needs {LEAST_BINS}: press harder, "
+            f"the forces fill {len(at)} bins of {bin_n:g} N; a spread rate needs {MIN_BINS}: press harder, "
             "or take narrower bins"
         )
     if way == "regression":
@@ -123,7 +123,7 @@ def paper_spread(force_n: Steps, mean_divergence: Steps, first_m2: float) -> Spr
     if force_n.shape != D.shape or force_n.ndim != 1 or not len(D):
         raise InputError(f"{force_n.size} forces and {D.size} divergences; give one of each a frame")
     exponent = np.cumsum(D) * force_n
-    if not np.abs(exponent).max() < GREATEST_EXPONENT:
+    if not np.abs(exponent).max() < MAX_EXPONENT:
         raise RangeError(f"equation (11) would take e to {np.abs(exponent).max():.3g}")
     A = np.concatenate([[first_m2], first_m2 * np.exp(exponent)])
     rate = summed_slopes(np.concatenate([[0.0], force_n]), A)
@@ -143,5 +143,5 @@ def refuse_literal(force_n: Steps, mean_divergence: Steps, pixels: int) -> None:
         InputError: always.
     """
     exponent = float(np.abs(pixels * np.cumsum(mean_divergence) * force_n).max())
-    beyond = ", beyond double precision" if exponent > GREATEST_EXPONENT else ""
+    beyond = ", beyond double precision" if exponent > MAX_EXPONENT else ""
     raise InputError(LITERAL.format(pixels=pixels, exponent=exponent, beyond=beyond))

@@ -31,7 +31,7 @@ SCATTER = 4  # directions in which trials differ: two of lean, and what else the
 SOFTEST = 0.95  # greatest s that is looked at
 TURNINGS = 13  # of kappa_0 that are tried
 BENDS = (0.5, 2.0)  # of kappa_0: how else the curve might run between the references
-LEAST_TRIALS = 2
+MIN_TRIALS = 2
 STEP = 1e-3  # of s, for slopes
 
 Vectors = Float[ndarray, "t d"]
@@ -172,10 +172,8 @@ def fit_softness(kappa_n_m: Sequence[float], trials: Sequence[Float[ndarray, "_ 
         raise InputError(f"stiffnesses {list(kappa)}; two or more references, each above 0 N/m")
     if len(np.unique(kappa)) < len(kappa):
         raise InputError("two references have one stiffness; give their trials together")
-    if min(map(len, trials)) < LEAST_TRIALS:
-        raise InputError(
-            f"each reference needs {LEAST_TRIALS} trials or more, so that their scatter is known"
-        )
+    if min(map(len, trials)) < MIN_TRIALS:
+        raise InputError(f"each reference needs {MIN_TRIALS} trials or more, so that their scatter is known")
     known = np.isfinite(np.concatenate(trials)).all(axis=0)
     if known.mean() < 0.5:
         raise InputError("fewer than half of the pins are seen in every trial; look at light and focus")

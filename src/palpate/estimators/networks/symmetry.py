@@ -17,7 +17,7 @@ from palpate.core.errors import InputError
 from palpate.core.shapes import Float, Tensor, Values
 from palpate.core.units import split_column
 
-LEAST_LIKENESS = 0.8
+MIN_LIKENESS = 0.8
 """Correlation of the mean image with itself turned, below which the sensor is not what it is said to be: a
 lattice that misses its own symmetry correlates at 0.2 to 0.5, one that has it at 0.9 and more."""
 
@@ -114,10 +114,10 @@ def axis_of(mean: Float[np.ndarray, "h w"], order: int) -> tuple[float, float]:
     ex, ey = np.linalg.solve(R - np.eye(2), away)
     axis = (middle[0] + float(ex), middle[1] + float(ey))
     likeness = _likeness(mean, RotationalSymmetry(order, axis, ()))
-    if not likeness >= LEAST_LIKENESS:
+    if not likeness >= MIN_LIKENESS:
         raise InputError(
             f"turned by {360 / order:g} deg the sensor's mean image correlates at {likeness:.2f} with itself "
-            f"({LEAST_LIKENESS} is asked for); give the number of times that it does repeat, or leave it out"
+            f"({MIN_LIKENESS} is asked for); give the number of times that it does repeat, or leave it out"
         )
     return axis
 

@@ -21,7 +21,7 @@ import math
 from scipy.optimize import brentq
 
 from palpate.core.errors import RangeError
-from palpate.mechanics.half_space.hertz import GREATEST_SLOPE, positive, reduced_modulus
+from palpate.mechanics.half_space.hertz import MAX_SLOPE, positive, reduced_modulus
 
 JKR_ABOVE = 5.0  # Tabor's parameter; below, surface forces act outside the contact too
 
@@ -119,14 +119,14 @@ def radius_from_depth(
     """
     w, R = _adhesion(work_of_adhesion_j_m2), _radius(radius_m)
     material = (w, R, youngs_modulus_pa, poisson_ratio)
-    a_least, a_greatest = _least_radius(*material), GREATEST_SLOPE * R
+    a_least, a_greatest = _least_radius(*material), MAX_SLOPE * R
     least = depth_from_radius(a_least, *material)
     greatest = depth_from_radius(a_greatest, *material)
     if not least - 1e-12 * abs(least) <= depth_m <= greatest * (1 + 1e-12):
         raise RangeError(
             f"depth {depth_m:g} m lies outside {least:g} m, where the sphere comes off, to {greatest:g} m, "
             "where "
-            f"a/R is {GREATEST_SLOPE}"
+            f"a/R is {MAX_SLOPE}"
         )
     if depth_m <= least:
         return a_least
@@ -209,9 +209,9 @@ def _radius(radius_m: float) -> float:
 
 def _contact(a: float, R: float) -> float:
     positive("the sphere's radius", R, "m")
-    if not 0.0 <= a <= GREATEST_SLOPE * R * (1 + 1e-12):
+    if not 0.0 <= a <= MAX_SLOPE * R * (1 + 1e-12):
         raise RangeError(
-            f"contact radius {a:g} m lies outside 0 to {GREATEST_SLOPE * R:g} m, where JKR's law holds "
-            f"(a/R <= {GREATEST_SLOPE}); use a larger sphere or a smaller load"
+            f"contact radius {a:g} m lies outside 0 to {MAX_SLOPE * R:g} m, where JKR's law holds "
+            f"(a/R <= {MAX_SLOPE}); use a larger sphere or a smaller load"
         )
     return a

@@ -32,7 +32,7 @@ from palpate.core.contact import Contact, Pose, Probe
 from palpate.core.errors import InputError, RangeError
 from palpate.core.shapes import Float
 
-GREATEST_SLOPE = 0.5  # a/R; beyond it the paraboloid is no longer the sphere
+MAX_SLOPE = 0.5  # a/R; beyond it the paraboloid is no longer the sphere
 GRID_POINTS = 81
 MODEL = "Hertz: rigid sphere, elastic half-space, small strain, no friction, no adhesion, a/R <= 0.5"
 
@@ -61,7 +61,7 @@ def greatest_depth(radius_m: float) -> float:
         0.00125
     """
     positive("the sphere's radius", radius_m, "m")
-    return GREATEST_SLOPE**2 * radius_m
+    return MAX_SLOPE**2 * radius_m
 
 
 def contact_radius(depth_m: float, radius_m: float) -> float:
@@ -82,7 +82,7 @@ def contact_radius(depth_m: float, radius_m: float) -> float:
     if not 0.0 <= depth_m <= limit * (1 + 1e-12):  # a rounding above the limit is the limit
         raise RangeError(
             f"depth {depth_m:g} m of a sphere of radius {radius_m:g} m lies outside 0 to {limit:g} m, where "
-            f"Hertz's law holds (a/R <= {GREATEST_SLOPE}); press less deeply or use a larger sphere"
+            f"Hertz's law holds (a/R <= {MAX_SLOPE}); press less deeply or use a larger sphere"
         )
     return math.sqrt(radius_m * depth_m)
 
@@ -127,10 +127,10 @@ def depth_from_radius(contact_radius_m: float, radius_m: float) -> float:
         RangeError: the contact radius is negative or beyond R/2.
     """
     positive("the sphere's radius", radius_m, "m")
-    if not 0.0 <= contact_radius_m <= GREATEST_SLOPE * radius_m * (1 + 1e-12):
+    if not 0.0 <= contact_radius_m <= MAX_SLOPE * radius_m * (1 + 1e-12):
         raise RangeError(
-            f"contact radius {contact_radius_m:g} m is outside 0 to {GREATEST_SLOPE * radius_m:g} m, where "
-            f"Hertz's law holds (a/R <= {GREATEST_SLOPE}); use a larger sphere"
+            f"contact radius {contact_radius_m:g} m is outside 0 to {MAX_SLOPE * radius_m:g} m, where "
+            f"Hertz's law holds (a/R <= {MAX_SLOPE}); use a larger sphere"
         )
     return contact_radius_m**2 / radius_m
 

@@ -28,8 +28,8 @@ from palpate.core.errors import InputError, RangeError
 from palpate.core.shapes import Float
 from palpate.mechanics.half_space.hertz import GRID_POINTS, positive, reduced_modulus
 
-GREATEST_RADIUS = 0.99  # a/R of the sphere; at 1 the depth is infinite
-GREATEST_PUNCH_DEPTH = 0.5  # d/a of the flat punch; its strain is of this order
+MAX_RADIUS = 0.99  # a/R of the sphere; at 1 the depth is infinite
+MAX_PUNCH_DEPTH = 0.5  # d/a of the flat punch; its strain is of this order
 SERIES_BELOW = 0.1  # a/R below which (1 + s^2) atanh(s) - s would lose digits
 TERMS = np.arange(1, 9)  # of that series; the first left out is below 1e-16 of the sum
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(64)  # on -1 to 1
@@ -74,8 +74,8 @@ def sphere_radius_from_depth(depth_m: float, radius_m: float) -> float:
         2.1613
     """
     positive("the sphere's radius", radius_m, "m")
-    limit = sphere_depth_from_radius(GREATEST_RADIUS * radius_m, radius_m)
-    _within("depth", depth_m, limit, "m", f"a/R <= {GREATEST_RADIUS}")
+    limit = sphere_depth_from_radius(MAX_RADIUS * radius_m, radius_m)
+    _within("depth", depth_m, limit, "m", f"a/R <= {MAX_RADIUS}")
     return radius_m * _root(lambda s: s * math.atanh(s) - depth_m / radius_m, math.sqrt(depth_m / radius_m))
 
 
@@ -89,8 +89,8 @@ def sphere_radius_from_force(
     """
     positive("the sphere's radius", radius_m, "m")
     E = reduced_modulus(youngs_modulus_pa, poisson_ratio)
-    limit = sphere_force_from_radius(GREATEST_RADIUS * radius_m, radius_m, youngs_modulus_pa, poisson_ratio)
-    _within("force", force_n, limit, "N", f"a/R <= {GREATEST_RADIUS}")
+    limit = sphere_force_from_radius(MAX_RADIUS * radius_m, radius_m, youngs_modulus_pa, poisson_ratio)
+    _within("force", force_n, limit, "N", f"a/R <= {MAX_RADIUS}")
 
     def excess(s: float) -> float:
         force = sphere_force_from_radius(s * radius_m, radius_m, youngs_modulus_pa, poisson_ratio)
@@ -162,7 +162,7 @@ def punch_force(
         2.3687
     """
     positive("the punch's radius", punch_radius_m, "m")
-    _within("depth", depth_m, GREATEST_PUNCH_DEPTH * punch_radius_m, "m", "a flat punch d/a <= 0.5")
+    _within("depth", depth_m, MAX_PUNCH_DEPTH * punch_radius_m, "m", "a flat punch d/a <= 0.5")
     return 2.0 * punch_radius_m * reduced_modulus(youngs_modulus_pa, poisson_ratio) * depth_m
 
 
@@ -176,7 +176,7 @@ def punch_depth(
     """
     positive("the punch's radius", punch_radius_m, "m")
     stiffness = 2.0 * punch_radius_m * reduced_modulus(youngs_modulus_pa, poisson_ratio)
-    limit = stiffness * GREATEST_PUNCH_DEPTH * punch_radius_m
+    limit = stiffness * MAX_PUNCH_DEPTH * punch_radius_m
     _within("force", force_n, limit, "N", "a flat punch d/a <= 0.5")
     return force_n / stiffness
 
@@ -327,7 +327,7 @@ def _surface_displacement(r: Points, a: float, inside: Points, g: Callable[[Poin
 
 def _slope(contact_radius_m: float, radius_m: float) -> float:
     positive("the sphere's radius", radius_m, "m")
-    _within("contact radius", contact_radius_m, GREATEST_RADIUS * radius_m, "m", f"a/R <= {GREATEST_RADIUS}")
+    _within("contact radius", contact_radius_m, MAX_RADIUS * radius_m, "m", f"a/R <= {MAX_RADIUS}")
     return contact_radius_m / radius_m
 
 
@@ -348,5 +348,5 @@ def _root(excess: Callable[[float], float], upper: float) -> float:
     """Slope a/R; the paraboloid's is always too large, so it brackets the root."""
     if upper == 0.0:
         return 0.0
-    top = min(upper * (1 + 1e-9), GREATEST_RADIUS * (1 + 1e-12))
+    top = min(upper * (1 + 1e-9), MAX_RADIUS * (1 + 1e-12))
     return brentq(excess, 0.0, top, xtol=1e-300, rtol=1e-15) if excess(top) > 0 else top

@@ -180,7 +180,7 @@ def _share(pull_n: float, force_n: float, friction: float) -> float:
     return min(pull_n / limit, 1.0)
 
 
-LEAST_STICK = 1e-9  # over the contact's radius: below it the moment is that of slip to rounding
+MIN_STICK = 1e-9  # over the contact's radius: below it the moment is that of slip to rounding
 
 
 def twisting_stiffness(contact_radius_m: float, youngs_modulus_pa: float, poisson_ratio: float) -> float:
@@ -235,9 +235,9 @@ def twisted(
         raise RangeError(f"a turn of {turn_rad} rad; give a number of rad from 0 up")
     peak = 1.5 * friction * force_n / (math.pi * contact_radius_m**2)  # mu p0
     wanted = 2 * _shear_modulus(youngs_modulus_pa, poisson_ratio) * turn_rad / peak
-    if wanted >= _difference(LEAST_STICK):
+    if wanted >= _difference(MIN_STICK):
         return greatest, 0.0
-    stick = float(brentq(lambda c: _difference(c) - wanted, LEAST_STICK, 1.0, xtol=1e-15))
+    stick = float(brentq(lambda c: _difference(c) - wanted, MIN_STICK, 1.0, xtol=1e-15))
     ring = quad(lambda s: s**2 * _difference(s), stick, 1.0, epsabs=1e-14, epsrel=1e-12)[0]
     moment = 8 / 3 * peak * contact_radius_m**3 * (stick**3 * _difference(stick) + 3 * ring)
     return float(moment), stick * contact_radius_m

@@ -34,11 +34,11 @@ from scipy.optimize import brentq
 from palpate.core.errors import InputError, RangeError
 from palpate.core.shapes import Float
 from palpate.mechanics.half_space.hertz import force_from_depth, positive, reduced_modulus
-from palpate.mechanics.half_space.sneddon import GREATEST_RADIUS
+from palpate.mechanics.half_space.sneddon import MAX_RADIUS
 
-GREATEST_RATIO = 10.0  # a/h; there 48 nodes give nine digits
-GREATEST_STRAIN = 0.2  # d/h; at that depth finite strain lowers the force by some percent
-GREATEST_CHI = 0.3  # of the series; at nu from 0.3 to 0.5 it errs there by at most 3 % bonded, 5 % sliding
+MAX_RATIO = 10.0  # a/h; there 48 nodes give nine digits
+MAX_STRAIN = 0.2  # d/h; at that depth finite strain lowers the force by some percent
+MAX_CHI = 0.3  # of the series; at nu from 0.3 to 0.5 it errs there by at most 3 % bonded, 5 % sliding
 NODES = 48  # of the contact
 LONGEST = 25.0  # s beyond which 1 - M is below 1e-18
 
@@ -119,9 +119,9 @@ def sphere_from_radius(
     positive("the sphere's radius", radius_m, "m")
     positive("the layer's thickness", thickness_m, "m")
     E, a, R = reduced_modulus(youngs_modulus_pa, poisson_ratio), contact_radius_m, radius_m
-    if not 0.0 <= a <= GREATEST_RADIUS * R * (1 + 1e-12):
+    if not 0.0 <= a <= MAX_RADIUS * R * (1 + 1e-12):
         raise RangeError(
-            f"contact radius {a:g} m lies outside 0 to {GREATEST_RADIUS * R:g} m (a/R <= {GREATEST_RADIUS}); "
+            f"contact radius {a:g} m lies outside 0 to {MAX_RADIUS * R:g} m (a/R <= {MAX_RADIUS}); "
             "use a "
             f"larger sphere"
         )
@@ -157,12 +157,12 @@ def sphere_force(
     positive("the sphere's radius", radius_m, "m")
     _strain(depth_m, thickness_m)
     rest = (radius_m, thickness_m, youngs_modulus_pa, poisson_ratio, base)
-    widest = min(GREATEST_RADIUS * radius_m, GREATEST_RATIO * thickness_m)
+    widest = min(MAX_RADIUS * radius_m, MAX_RATIO * thickness_m)
     limit = sphere_from_radius(widest, *rest)[0]
     if depth_m > limit * (1 + 1e-12):
         raise RangeError(
-            f"depth {depth_m:g} m lies outside 0 to {limit:g} m, where a/R <= {GREATEST_RADIUS} and "
-            f"a/h <= {GREATEST_RATIO:g}; press less deeply or use a larger sphere"
+            f"depth {depth_m:g} m lies outside 0 to {limit:g} m, where a/R <= {MAX_RADIUS} and "
+            f"a/h <= {MAX_RATIO:g}; press less deeply or use a larger sphere"
         )
     if depth_m == 0.0:
         return 0.0
@@ -192,9 +192,9 @@ def dimitriadis_force(
     _strain(depth_m, thickness_m)
     hertz = force_from_depth(depth_m, radius_m, youngs_modulus_pa, poisson_ratio)
     chi = math.sqrt(radius_m * depth_m) / thickness_m
-    if chi > GREATEST_CHI * (1 + 1e-12):
+    if chi > MAX_CHI * (1 + 1e-12):
         raise RangeError(
-            f"sqrt(R d)/h = {chi:.3g} lies outside 0 to {GREATEST_CHI}, where Dimitriadis's series holds to "
+            f"sqrt(R d)/h = {chi:.3g} lies outside 0 to {MAX_CHI}, where Dimitriadis's series holds to "
             "5 %; "
             f"use the exact law, sphere_force, or press less deeply"
         )
@@ -246,9 +246,9 @@ def _system(ratio: float, nu: float, base: Base) -> tuple[Function, Function, Fl
 
 
 def _ratio(ratio: float) -> float:
-    if not 0.0 < ratio <= GREATEST_RATIO * (1 + 1e-12):
+    if not 0.0 < ratio <= MAX_RATIO * (1 + 1e-12):
         raise RangeError(
-            f"contact radius over thickness, {ratio:g}, lies outside 0 to {GREATEST_RATIO:g}, where this was "
+            f"contact radius over thickness, {ratio:g}, lies outside 0 to {MAX_RATIO:g}, where this was "
             "verified; "
             f"a still thinner layer is no longer a contact problem"
         )
@@ -257,7 +257,7 @@ def _ratio(ratio: float) -> float:
 
 def _strain(depth_m: float, thickness_m: float) -> None:
     positive("the layer's thickness", thickness_m, "m")
-    limit = GREATEST_STRAIN * thickness_m
+    limit = MAX_STRAIN * thickness_m
     if not 0.0 <= depth_m <= limit * (1 + 1e-12):
         raise RangeError(
             f"depth {depth_m:g} m lies outside 0 to {limit:g} m, a fifth of the layer's thickness of "

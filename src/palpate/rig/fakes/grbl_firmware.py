@@ -10,7 +10,7 @@ import math
 from collections.abc import Generator
 
 from palpate.rig.fakes.grbl_model import (
-    LONGEST_LINE,
+    MAX_LINE,
     NOWHERE,
     SETTINGS,
     Axes,
@@ -313,7 +313,7 @@ class GrblFirmware(GrblController):
     """The controller with the lines that it reads. See `GrblController` for what can be looked at."""
 
     def _do(self, line: str) -> Work:
-        if len(line) > LONGEST_LINE:
+        if len(line) > MAX_LINE:
             raise RefusalError(11)
         if line.startswith("$J="):
             return (yield from self._jog(line[3:]))

@@ -149,7 +149,7 @@ def in_words(place_mm: Millimetres) -> str:
     return "{:.3f},{:.3f},{:.3f}".format(*place_mm)
 
 
-LONGEST_LINE = 80
+MAX_LINE = 80
 _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))?")
 _CODES = {"G0", "G1", "G4", "G17", "G20", "G21", "G38.2", "G38.3", "G53", "G54", "G90", "G91", "G94"}
 _LETTERS = "GXYZFPM"

@@ -22,7 +22,7 @@ from palpate.rig.plans.touched import Touched
 Known = Stepped | Swept | Touched
 AnyPlan = Annotated[Known, Field(discriminator="kind")]
 _ADAPTER: TypeAdapter[Known] = TypeAdapter(AnyPlan)
-_MOST_BYTES = 1 << 20
+_MAX_BYTES = 1 << 20
 
 _CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
 _ROUND = ((0.3, 0.0), (0.0, 0.3), (-0.3, 0.0), (0.0, -0.3))
@@ -137,7 +137,7 @@ def plan_of(text: str | Path, sensor: Sensor | None = None) -> Known:
     if not path.exists():
         raise InputError(f"{text} is no file, and none of the plans {', '.join(PLANS)}")
     with storage_errors(path):
-        data = path.read_bytes()[:_MOST_BYTES]
+        data = path.read_bytes()[:_MAX_BYTES]
     try:
         return plan_from(tomllib.loads(data.decode()), sensor)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:

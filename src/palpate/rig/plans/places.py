@@ -21,7 +21,7 @@ from palpate.core.sensor import sensor as sensor_of
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 ROUNDING_MM = 1e-9
 WAYS = {"+x": (1, 0), "-x": (-1, 0), "+y": (0, 1), "-y": (0, -1)}
-MOST_TRIES = 1000  # for each random place
+MAX_TRIES = 1000  # for each random place
 
 
 class Place(NamedTuple):
@@ -156,7 +156,7 @@ class Scattered(OnSkin):
         """
         reach, rng = self.reach_mm, np.random.default_rng(self.seed)
         found: list[Place] = []
-        for _ in range(MOST_TRIES * self.count):
+        for _ in range(MAX_TRIES * self.count):
             if len(found) == self.count:
                 break
             away, angle = reach * math.sqrt(rng.uniform()), rng.uniform(0, math.tau)

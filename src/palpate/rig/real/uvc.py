@@ -58,7 +58,7 @@ def _cameras(by_id: Path) -> list[Path]:
 
 _RATE_OVER = 100  # frames
 _MAX_BROKEN = 10  # frames in a row
-_FEWEST_EQUAL = 3  # frames in a row; one pair a long time apart is a busy computer
+_MIN_EQUAL = 3  # frames in a row; one pair a long time apart is a busy computer
 Picture = UInt8[ndarray, "h w 3"]
 
 
@@ -142,7 +142,7 @@ class FrameWatch:
         if self._before is not None and np.array_equal(picture, self._before):
             self._duplicate += 1
             self._equal_in_a_row += 1
-            if self._equal_in_a_row >= _FEWEST_EQUAL and time_ns - self._new_ns > self._freeze_ns:
+            if self._equal_in_a_row >= _MIN_EQUAL and time_ns - self._new_ns > self._freeze_ns:
                 raise DeviceError(
                     f"all frames for {self._freeze_ns / NS_PER_S:g} s were equal in every pixel: it froze, "
                     "or sees perfect darkness; plug it in anew, or take off its cap"

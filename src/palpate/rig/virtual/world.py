@@ -30,12 +30,12 @@ from palpate.rig.virtual.variation import Approach, Variation, approach_of, shif
 KEPT_S = 3.0  # of what was, for frames that are asked for late
 FRICTION = 0.5  # between probe and skin, of a lateral load
 LIFTED_M = 0.2e-3  # above the skin, from where the next touch is another approach
-MOST_FRESH = 1_000_000  # samples that wait for the force sensor
+MAX_FRESH = 1_000_000  # samples that wait for the force sensor
 HALF = 0.5  # way between two samples
 FAR_M = 1.0  # to where the layer goes that is not there
 
 NEAR_M = 1e-3  # at least, to which a dent reaches
-MOST_DENTS = 32  # that are remembered
+MAX_DENTS = 32  # that are remembered
 
 Series = Float[ndarray, " n"]
 
@@ -117,10 +117,10 @@ class World:
         self._presses = 0
         self._hook()
         self._lifted = True
-        self._dents: deque[Dent] = deque(maxlen=MOST_DENTS)
+        self._dents: deque[Dent] = deque(maxlen=MAX_DENTS)
         self._stuck_at: tuple[float, float] | None = None
         self.touches: deque[Touch] = deque()
-        self._fresh: deque[Touch] = deque(maxlen=MOST_FRESH)
+        self._fresh: deque[Touch] = deque(maxlen=MAX_FRESH)
 
     def fit(self, indenter: str) -> None:
         """Change what touches the skin, in the air.

@@ -33,7 +33,7 @@ NEAR_MM = 0.05  # within which two notes of one depth or place agree: half a ste
 _TABLE = re.compile(r"Cycle_Indent(\d+(?:\.\d+)?)mm_r(\d{1,3})c(\d{1,3})_(\d{1,4})\.csv", re.ASCII)
 _NUMBERS = ("t_s", "indent_mm", "Fx", "Fy", "Fz", "x_mm", "y_mm")
 _PHASES = ("down", "up")
-_MOST_TABLE_BYTES = 1 << 24  # a press has some 260 rows of 100 bytes
+_MAX_TABLE_BYTES = 1 << 24  # a press has some 260 rows of 100 bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +99,8 @@ def table_of(press: PalmPressTable) -> pd.DataFrame:
     path = press.path
     with storage_errors(path):
         size = path.stat().st_size
-    if size > _MOST_TABLE_BYTES:
-        raise LabelError(f"{path} has {size} bytes; a press has {_MOST_TABLE_BYTES} at most")
+    if size > _MAX_TABLE_BYTES:
+        raise LabelError(f"{path} has {size} bytes; a press has {_MAX_TABLE_BYTES} at most")
     table = read_labels(path, kinds={})
     missing = [name for name in (*_NUMBERS, "phase", "image_file") if name not in table.columns]
     if missing:

@@ -18,7 +18,7 @@ from numpy import ndarray
 from palpate.core.errors import InputError, RangeError
 from palpate.core.shapes import Float
 from palpate.optics.camera_response import CameraResponse
-from palpate.optics.colour import LEAST_BANDS
+from palpate.optics.colour import MIN_BANDS
 from palpate.optics.illumination import LedStrip
 from palpate.optics.stress_optic import StressOpticLaw
 from palpate.sensors.palm.wear import Wear
@@ -151,7 +151,7 @@ class PalmSpec:
     probe_edge_on: bool = True
     membrane: bool = True
     wear: Wear = field(default_factory=Wear)
-    bands: int = LEAST_BANDS
+    bands: int = MIN_BANDS
     rays_per_pixel: tuple[int, int] = (1, 1)
     camera: CameraResponse = field(default_factory=CameraResponse)
     exposure_s: float = 0.02
@@ -216,7 +216,7 @@ _RANGES = {
     "corner_loss": (0.0, 1.0, "(a share)"),
     "inside_light": (0.0, 100.0, "(over the lamp's)"),
     "ball_albedo": (0.0, 1.0, "(a share)"),
-    "bands": (LEAST_BANDS, 1000, "bands"),
+    "bands": (MIN_BANDS, 1000, "bands"),
     "exposure_s": (1e-6, 100.0, "s"),
 }
 _LATER = (

@@ -58,7 +58,7 @@ def in_box(shade: Float[ndarray, "h w 1"], box_px: tuple[int, int, int, int]) ->
     return shade[y : y + h, x : x + w]
 
 
-MOST_SCRATCHES = 1000
+MAX_SCRATCHES = 1000
 
 VEIL_M = 10e-3
 """Half the width of the tent over which scattered light is spread, on the membrane. Assumed."""
@@ -120,7 +120,7 @@ class Wear:
 
 _RANGES = {
     "haze": (0.0, 1.0, "(a share of light)"),
-    "scratches": (0, MOST_SCRATCHES, "scratches"),
+    "scratches": (0, MAX_SCRATCHES, "scratches"),
     "scratch_seed": (0, 2**63, "(a whole number)"),
     "scratch_width_m": (1e-6, 1e-3, "m"),
     "scratch_strength": (0.0, 1.0, "(a share of light)"),

@@ -31,7 +31,7 @@ STATES = 22
 BEYOND_N = 5.5  # a little more than a trial's greatest force
 FIRST_M, STRIDE = 1e-3, 1.4  # of the search for the approach that is deep enough
 GRID = 61  # places across the skin, along x and y
-GREATEST_TILT = np.deg2rad(50.0)
+MAX_TILT = np.deg2rad(50.0)
 
 
 @dataclass(frozen=True)
@@ -136,10 +136,10 @@ def inclined(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> Inclined:
     Raises:
         RangeError: a tilt or modulus outside of what is modelled.
     """
-    if not (0 <= tilt_rad <= GREATEST_TILT and specimen_pa > 0):
+    if not (0 <= tilt_rad <= MAX_TILT and specimen_pa > 0):
         raise RangeError(
             f"a specimen of {specimen_pa:g} Pa at {np.rad2deg(tilt_rad):.3g} degrees; above 0 Pa, and 0 to "
-            f"{np.rad2deg(GREATEST_TILT):.0f} degrees"
+            f"{np.rad2deg(MAX_TILT):.0f} degrees"
         )
     return _inclined(spec.tip, spec.friction, specimen_pa, tilt_rad)
 

@@ -23,7 +23,7 @@ from palpate.sensors.tactip.tactip_camera import projected, rendered
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
 LEAD_M = 1e-3  # above the specimen, where a trial starts
-GREATEST_N = 5.2
+MAX_N = 5.2
 
 
 @runtime_checkable
@@ -136,9 +136,9 @@ def trial(spec: TacTipSpec, specimen: TipOnSpecimen, seed: int) -> Trial:
     approach = start + spec.speed_m_s * time
     approach = approach[approach <= specimen.deepest_m]
     force = specimen.force_n(approach)
-    if force[-1] < GREATEST_N:
-        raise RangeError(f"the table ends at {force[-1]:.3g} N; a trial goes to {GREATEST_N} N")
-    n = int(np.searchsorted(force, GREATEST_N)) + 1
+    if force[-1] < MAX_N:
+        raise RangeError(f"the table ends at {force[-1]:.3g} N; a trial goes to {MAX_N} N")
+    n = int(np.searchsorted(force, MAX_N)) + 1
     time, approach, force = time[:n], approach[:n], force[:n]
     step = spec.force.resolution_n
     return Trial(

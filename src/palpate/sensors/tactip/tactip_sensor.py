@@ -21,7 +21,7 @@ from palpate.core.frame import Frame
 from palpate.core.outline import Outline
 from palpate.core.sensor import SEATED, Box, ForceLaw, ImageAxes, Seating, is_rigid
 from palpate.sensors.tactip import tactip_spec as specs
-from palpate.sensors.tactip.inclined_press import GREATEST_TILT, inclined
+from palpate.sensors.tactip.inclined_press import MAX_TILT, inclined
 from palpate.sensors.tactip.tactip_camera import projected, rendered
 from palpate.sensors.tactip.tactip_press import HeadOn, modulus_pa, pictured, pixels_per_tangent
 from palpate.sensors.tactip.tactip_press import TipOnSpecimen as Pressed
@@ -29,7 +29,7 @@ from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
 REGION = "pins"
 PLATE = "plate"
-GREATEST_LEAN = math.radians(2.0)
+MAX_LEAN = math.radians(2.0)
 """Of a face besides its own tilt: to there the whole field of pins turns with it, see `pins.Turned`."""
 
 REACH = 1.5  # contact radii of the grid about a contact
@@ -77,7 +77,7 @@ class TacTip:
     @property
     def outline(self) -> Outline:
         """Places about the apex at which a face touches that leans no more than its law allows."""
-        return Outline.disc(2 * self.spec.table.radius_m * math.sin(GREATEST_LEAN))
+        return Outline.disc(2 * self.spec.table.radius_m * math.sin(MAX_LEAN))
 
     @property
     def axes(self) -> ImageAxes:
@@ -125,7 +125,7 @@ class TacTip:
         if not self.outline.contains(pose.x_m, pose.y_m):
             raise RangeError(
                 f"at ({1e3 * pose.x_m:.3g}, {1e3 * pose.y_m:.3g}) mm the face leans more than "
-                f"{math.degrees(GREATEST_LEAN):g} degrees; touch within "
+                f"{math.degrees(MAX_LEAN):g} degrees; touch within "
                 f"{1e3 * self.outline.radius_m:.3g} mm of the apex, or incline the specimen"
             )
         body = self.body(probe, specimen)
@@ -283,8 +283,8 @@ def _read(words: str) -> tuple[Specimen, float]:
         specimen, tilt = Specimen.parse(what), float(leaning) if at else 0.0
     except (InputError, ValueError):
         raise InputError(f"{words!r} is no specimen of the TacTip; give {WORDS}") from None
-    if not 0 <= math.radians(tilt) <= GREATEST_TILT:
+    if not 0 <= math.radians(tilt) <= MAX_TILT:
         raise InputError(
-            f"{words!r} is inclined by {tilt:g} degrees; 0 to {math.degrees(GREATEST_TILT):g} are modelled"
+            f"{words!r} is inclined by {tilt:g} degrees; 0 to {math.degrees(MAX_TILT):g} are modelled"
         )
     return specimen, tilt

@@ -17,7 +17,7 @@ from palpate.core.shapes import Shaped
 from palpate.estimators.compliance.literature_method import AsReported, as_reported, over_pins
 from palpate.estimators.compliance.press_force import (
     CONTACT_N,
-    GREATEST_N,
+    MAX_N,
     loading,
     moving_average,
     within,
@@ -91,5 +91,5 @@ def series(table: PressTable) -> Line:
     """Force over position between 0.5 and 5 N: the stiffness of all that yields [N/m]."""
     assert table.position_m is not None
     smooth = moving_average(without_spikes(table.force_n))
-    part = within(smooth, loading(smooth), CONTACT_N, GREATEST_N)
+    part = within(smooth, loading(smooth), CONTACT_N, MAX_N)
     return fit_line(table.position_m[part], smooth[part])

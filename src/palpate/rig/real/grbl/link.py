@@ -126,7 +126,7 @@ def _serial() -> Any:
 
 
 HOLD, RESET, ASK = b"!", b"\x18", b"?"
-LONGEST_SENT = 80  # bytes; the controller refuses longer lines
+MAX_SENT = 80  # bytes; the controller refuses longer lines
 KEPT = 512  # push messages between a line and its answer; the longest list of settings has below 300
 READ_AT_MOST = 4096
 
@@ -201,8 +201,8 @@ class GrblLink:
             CutOffError: `halt` was called, or the controller started anew.
             DeviceError: the link is gone, or the line is too long.
         """
-        if len(line) > LONGEST_SENT or not line.isascii():
-            raise DeviceError(f"{line[:40]!r} has more than {LONGEST_SENT} characters and would not be read")
+        if len(line) > MAX_SENT or not line.isascii():
+            raise DeviceError(f"{line[:40]!r} has more than {MAX_SENT} characters and would not be read")
         with self._turn:
             halts = self.halts if halts is None else halts
             with self._writing:

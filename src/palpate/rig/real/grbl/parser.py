@@ -65,7 +65,7 @@ def error_name(code: int) -> str:
     return f"error:{code} ({ERRORS.get(code, 'see the firmware’s list of errors')})"
 
 
-LONGEST_LINE = 512  # bytes; the longest that firmware prints, a full status or a message, is below 200
+MAX_LINE = 512  # bytes; the longest that firmware prints, a full status or a message, is below 200
 MAX_AXES = 8
 
 
@@ -180,14 +180,14 @@ def parse_line(line: bytes) -> Line:
         line: without its end; blanks around it do not matter.
 
     Raises:
-        ProtocolError: it is not a line of GRBL's, or longer than `LONGEST_LINE`.
+        ProtocolError: it is not a line of GRBL's, or longer than `MAX_LINE`.
 
     Example:
         >>> parse_line(b"error:9")
         Failed(code=9)
     """
-    if len(line) > LONGEST_LINE:
-        raise ProtocolError(f"a line of more than {LONGEST_LINE} bytes is not GRBL's; check the port")
+    if len(line) > MAX_LINE:
+        raise ProtocolError(f"a line of more than {MAX_LINE} bytes is not GRBL's; check the port")
     try:
         text = line.decode("ascii").strip()
     except UnicodeDecodeError as error:
@@ -278,7 +278,7 @@ class Splitter:
                 yield from self._end()
             elif byte == ord("<") and self._line:
                 yield from self._interrupt()
-            elif len(self._line) <= LONGEST_LINE:
+            elif len(self._line) <= MAX_LINE:
                 self._line.append(byte)
             if byte == ord(">") and self._around and self._line[:1] == b"<":
                 yield bytes(self._line)
@@ -297,7 +297,7 @@ class Splitter:
         elif begun == b"ok":
             yield begun
         elif begun.startswith(b"["):  # an angle within a message
-            if len(self._line) <= LONGEST_LINE:
+            if len(self._line) <= MAX_LINE:
                 self._line.append(ord("<"))
             return
         else:  # noise before a report costs the noise, not the report

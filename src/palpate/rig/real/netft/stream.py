@@ -27,7 +27,7 @@ from palpate.core.errors import DeviceError, ProtocolError, RangeError
 PORT = 49152
 HEADER = 0x1234
 MAX_RECORDS = 40  # that the box puts in one datagram, in buffered mode
-GREATEST_JUMP = 2**20  # measurements; 150 s at 7 kHz, far longer than any silence that is borne
+MAX_JUMP = 2**20  # measurements; 150 s at 7 kHz, far longer than any silence that is borne
 
 _REQUEST = struct.Struct(">HHI")
 _RECORD = struct.Struct(">III6i")
@@ -208,7 +208,7 @@ class Measurement:
         step = 1 if self.last is None else ahead(current, self.last)
         if step == 0:
             return Progress.STALLED
-        if not 0 < step <= GREATEST_JUMP:  # a counter past 2^31 that restarts seems to go far ahead
+        if not 0 < step <= MAX_JUMP:  # a counter past 2^31 that restarts seems to go far ahead
             confirmed, self.jumped = self.jumped, True
             return Progress.RESTARTED if confirmed else Progress.BACK
         self.last, self.jumped = current, False
