@@ -1,6 +1,6 @@
 """The laws that every sensor design keeps, so that the rig, calibration and pages need to know none of them.
 
-Run `check_sensor` over one that you write. Device drivers have laws of their own: `palpate.rig.check`.
+Run `check_sensor` over one that you write. Device drivers have laws of their own: `palpate.rig.rig_check`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from palpate.core.contact import Contact, Pose, Probe, Specimen
 from palpate.core.errors import InputError, PalpateError, RangeError
 from palpate.core.sensor import Sensor, contract_faults, force_law, frame_faults, untouched
 from palpate.core.shapes import Float
-from palpate.devices.check.result import CheckResult, at_most, held, judged, refusal, told
-from palpate.rig.plans.load import plan_from
+from palpate.devices.check.check_result import CheckResult, at_most, held, judged, refusal, told
+from palpate.rig.plans.plan_files import plan_from
 
 DEPTHS = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)  # of the known depth
 HALF = 0.5

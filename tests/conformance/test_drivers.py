@@ -9,18 +9,18 @@ import pytest
 
 from palpate.core import MonotonicClock
 from palpate.devices.check.camera_check import check_camera
+from palpate.devices.check.check_result import CheckResult
 from palpate.devices.check.force_check import check_force_sensor
-from palpate.devices.check.result import CheckResult
 from palpate.devices.check.stage_check import check_stage
 from palpate.rig.fakes.grbl_firmware import GrblFirmware
 from palpate.rig.fakes.grbl_model import GrblFaults, GrblModel
 from palpate.rig.fakes.netft_box import FakeNetFT
 from palpate.rig.fakes.serial_terminal import FakeTerminal
 from palpate.rig.fakes.video_capture import FakeVideoCapture
-from palpate.rig.real.grbl.spec import GrblSpec
-from palpate.rig.real.grbl.stage import GrblStage
-from palpate.rig.real.netft.sensor import NetFT, NetFTSettings
-from palpate.rig.real.uvc import UvcCamera, UvcSettings
+from palpate.rig.real.grbl.grbl_stage import GrblStage
+from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
+from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
+from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
 
 # What a loaded machine may break although the driver keeps it.
 TIMING = ("latest is never old", "leaves no gap", "stamps frames evenly", "calls return at once")

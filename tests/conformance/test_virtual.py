@@ -13,12 +13,12 @@ import pytest
 from palpate.core import DeviceError, ManualClock, Position, RangeError, Travel, Wrench
 from palpate.core.frame import Frame
 from palpate.devices.check.camera_check import check_camera
+from palpate.devices.check.check_result import CheckResult
 from palpate.devices.check.force_check import check_force_sensor
-from palpate.devices.check.result import CheckResult
 from palpate.devices.check.stage_check import check_stage
 from palpate.devices.check.stage_motion import Box
-from palpate.rig.check import check_rig
 from palpate.rig.rig import Rig
+from palpate.rig.rig_check import check_rig
 from palpate.rig.virtual import Fault, virtual_rig
 from palpate.sensors import palm
 from palpate.sensors.palm.palm_sensor import Palm

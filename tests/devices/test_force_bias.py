@@ -6,7 +6,7 @@ import pytest
 from palpate.core.device_protocols import Wrench
 from palpate.core.errors import RangeError
 from palpate.devices.force_bias import SAMPLES, ForceBias, Mounting
-from palpate.devices.limits import Reason, Tripped
+from palpate.devices.motion_limits import Reason, Tripped
 
 FORCE, TORQUE = np.array([0.3, -0.2, 1.5]), np.array([0.01, -0.02, 0.04])
 

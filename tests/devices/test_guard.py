@@ -13,12 +13,12 @@ from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.core.device_protocols import ForceSensor, Position, Stage, Travel, Wrench
 from palpate.core.errors import StorageError
 from palpate.devices.force_bias import ForceBias
-from palpate.devices.guard import MotionGuard, Subscribers
-from palpate.devices.limits import Limits, Reason, Tripped
-from palpate.devices.operator import OperatorControl
+from palpate.devices.motion_guard import MotionGuard, Subscribers
+from palpate.devices.motion_limits import Limits, Reason, Tripped
+from palpate.devices.operator_control import OperatorControl
 from palpate.recordings.run_reader import Run
 from palpate.rig import State, Status, record
-from palpate.rig.plans import Listed, Swept
+from palpate.rig.plans import Listed, Ramp
 from palpate.rig.rig import Rig
 
 
@@ -112,7 +112,7 @@ def test_who_watches_hears_during_a_sweep_as_well_as_the_sweep_itself(
             depths.append(status.position_mm[2])
 
     centre = Listed(kind="listed", at_mm=((0.0, 0.0),))
-    slow = Swept(name="s", kind="swept", places=centre, cycles=1, speed_mm_s=2.0, depth_mm=1.0, taps=0)
+    slow = Ramp(name="s", kind="swept", places=centre, cycles=1, speed_mm_s=2.0, depth_mm=1.0, taps=0)
     outcome = record(rig(), slow, tmp_path / "run", watch=watch)
     assert outcome.state is State.DONE
     assert (Run.open(tmp_path / "run").labels["phase"] == "sweep").any()

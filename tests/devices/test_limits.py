@@ -6,7 +6,7 @@ import pytest
 
 from palpate.core.device_protocols import Travel
 from palpate.core.errors import RangeError
-from palpate.devices.limits import Limits, Reason, Tripped
+from palpate.devices.motion_limits import Limits, Reason, Tripped
 
 LOW, HIGH = (-10e-3, -8e-3, -5e-3), (10e-3, 8e-3, 6e-3)
 LIMITS = Limits(LOW, HIGH, overshoot_m=0.1e-3)

@@ -14,7 +14,7 @@ import pytest
 from palpate.core.clock import MonotonicClock
 from palpate.core.errors import DeviceError, InputError
 from palpate.devices import open_device
-from palpate.devices.plugins import check_kind
+from palpate.devices.device_plugins import check_kind
 from palpate.rig import open_rig
 from palpate.rig.rig_file import RigFile, rig_from
 

@@ -116,9 +116,9 @@ def test_one_tap_does_if_it_is_slow() -> None:
 
 def test_what_the_virtual_rig_delays_is_found_in_its_own_frames() -> None:
     from palpate.rig.virtual import virtual_rig
-    from palpate.rig.virtual.camera import TRANSPORT_S
-    from palpate.rig.virtual.force import LATENCY_S
-    from palpate.rig.virtual.variation import Variation
+    from palpate.rig.virtual.disturbances import Variation
+    from palpate.rig.virtual.virtual_camera import TRANSPORT_S
+    from palpate.rig.virtual.virtual_force import LATENCY_S
     from palpate.sensors import palm
     from palpate.sensors.palm.palm_sensor import Palm
 

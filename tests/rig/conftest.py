@@ -12,8 +12,8 @@ from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.rig.fakes.grbl_firmware import GrblFirmware
 from palpate.rig.fakes.grbl_model import GrblFaults, GrblModel
 from palpate.rig.fakes.serial_terminal import FakeTerminal
-from palpate.rig.real.grbl.spec import GrblSpec
-from palpate.rig.real.grbl.stage import GrblStage
+from palpate.rig.real.grbl.grbl_stage import GrblStage
+from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
 
 PATIENCE_S = 60.0  # for what must happen; a loaded machine may take long, a broken one takes for ever
 

@@ -6,10 +6,10 @@ from typing import Any
 
 from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.recordings.run_reader import Run
-from palpate.rig.plans import Listed, Stepped
+from palpate.rig.plans import Listed, StepHold
 from palpate.rig.rig import Rig
 from palpate.rig.virtual import Fault, virtual_rig
-from palpate.rig.virtual.variation import IDEAL
+from palpate.rig.virtual.disturbances import IDEAL
 from palpate.sensors import palm
 from palpate.sensors.palm.palm_sensor import Palm
 
@@ -24,7 +24,7 @@ def rig(*faults: Fault, **kwargs: Any) -> Rig:
     return virtual_rig(**{**settings, **kwargs})
 
 
-def plan(**kwargs: Any) -> Stepped:
+def plan(**kwargs: Any) -> StepHold:
     """Two places, two cycles, three depths, two frames: 16 shots with the references."""
     settings: dict[str, Any] = {
         "name": "small",
@@ -38,7 +38,7 @@ def plan(**kwargs: Any) -> Stepped:
         "travel_mm_s": 50.0,
         "taps": 0,
     }
-    return Stepped(**{**settings, **kwargs})
+    return StepHold(**{**settings, **kwargs})
 
 
 def keys(run: Run) -> list[tuple[str, int]]:
@@ -47,5 +47,5 @@ def keys(run: Run) -> list[tuple[str, int]]:
     return list(zip(labels["shot"], labels["frame_in_shot"].astype(int), strict=True))
 
 
-def wanted(of: Stepped) -> set[tuple[str, int]]:
+def wanted(of: StepHold) -> set[tuple[str, int]]:
     return {(s.key, k) for press in of.presses() for s, n in of.shots(press) for k in range(n)}

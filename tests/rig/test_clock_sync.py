@@ -11,17 +11,17 @@ from tests.rig.rigs import CLOCK_NS, plan, rig
 
 from palpate.core.clock import ManualClock
 from palpate.core.frame import Frame
-from palpate.devices.limits import Reason
-from palpate.devices.operator import OperatorCommand, OperatorControl
+from palpate.devices.motion_limits import Reason
+from palpate.devices.operator_control import OperatorCommand, OperatorControl
 from palpate.recordings.clock_offset import offset_between
 from palpate.recordings.run_reader import Run
 from palpate.rig import Outcome, State, Status, record
 from palpate.rig.clock_sync import CLOCKS, MAX_S, most_telling
-from palpate.rig.plans import Listed, Swept
-from palpate.rig.progress import fields_of
+from palpate.rig.plans import Listed, Ramp
+from palpate.rig.run_progress import fields_of
 from palpate.rig.virtual import Fault, Variation
-from palpate.rig.virtual.camera import TRANSPORT_S
-from palpate.rig.virtual.force import LATENCY_S
+from palpate.rig.virtual.virtual_camera import TRANSPORT_S
+from palpate.rig.virtual.virtual_force import LATENCY_S
 
 TRUE_S = TRANSPORT_S - LATENCY_S
 CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
@@ -89,7 +89,7 @@ def test_a_recording_that_goes_on_taps_again(tmp_path: Path) -> None:
 
 def test_the_force_in_a_sweeps_labels_is_that_of_the_frames_own_instant(tmp_path: Path) -> None:
     def worst(taps: int) -> float:
-        sweep = Swept(
+        sweep = Ramp(
             name="sweep", kind="swept", places=CENTRE, cycles=1, speed_mm_s=5.0, depth_mm=3.0, taps=taps
         )
         out = tmp_path / f"run{taps}"

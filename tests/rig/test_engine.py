@@ -13,12 +13,12 @@ from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, plan, rig, wanted
 
 from palpate.core.clock import ManualClock
 from palpate.core.errors import RecordingError
-from palpate.devices.operator import OperatorCommand, OperatorControl
+from palpate.devices.operator_control import OperatorCommand, OperatorControl
 from palpate.recordings.integrity import check
 from palpate.recordings.run_reader import Run
 from palpate.rig import State, Status, done_in, record
-from palpate.rig.plans import Listed, Swept
-from palpate.rig.progress import fields_of
+from palpate.rig.plans import Listed, Ramp
+from palpate.rig.run_progress import fields_of
 from palpate.rig.virtual import Fault, Variation
 
 
@@ -176,7 +176,7 @@ def test_a_pause_lifts_the_probe_and_a_resumed_press_finds_contact_anew(tmp_path
 
 
 def test_a_sweep_turns_round_at_its_force_and_records_all_the_while(tmp_path: Path) -> None:
-    sweep = Swept(
+    sweep = Ramp(
         name="sweep",
         kind="swept",
         taps=0,
@@ -203,7 +203,7 @@ def test_a_sweep_turns_round_at_its_force_and_records_all_the_while(tmp_path: Pa
 
 
 def test_a_sweep_that_was_cut_is_done_again_and_the_cut_one_does_not_count(tmp_path: Path) -> None:
-    sweep = Swept(
+    sweep = Ramp(
         name="s",
         kind="swept",
         taps=0,

@@ -9,13 +9,13 @@ from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, plan, rig, wanted
 
 from palpate.core.clock import ManualClock
 from palpate.core.errors import StorageError
-from palpate.devices.limits import Limits, Reason, Tripped
+from palpate.devices.motion_limits import Limits, Reason, Tripped
 from palpate.recordings.integrity import check
 from palpate.recordings.run_reader import Run
 from palpate.rig import State, record
-from palpate.rig.plans import Grid, Listed, Swept
+from palpate.rig.plans import Grid, Listed, Ramp
 from palpate.rig.virtual import Fault, Variation
-from palpate.rig.virtual.bench import TRAVEL
+from palpate.rig.virtual.virtual_bench import TRAVEL
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_a_threshold_under_the_noise_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_camera_that_gives_no_frames_stops_a_sweep(tmp_path: Path) -> None:
-    slow = Swept(
+    slow = Ramp(
         name="slow",
         kind="swept",
         taps=0,

@@ -15,7 +15,7 @@ import pytest
 from palpate.core import ManualClock, RecordingError
 from palpate.recordings import Manifest, Run, RunWriter
 from palpate.rig.event_model import Document, documents
-from palpate.rig.progress import State
+from palpate.rig.run_progress import State
 
 # The keys that event-model's published schemas require, and all that they allow where others are refused.
 REQUIRED = {
@@ -263,12 +263,12 @@ def test_a_run_that_no_plan_recorded_is_refused(tmp_path: Path) -> None:
 
 def test_what_the_engine_itself_records_becomes_documents(tmp_path: Path) -> None:
     from palpate.rig.engine import record
-    from palpate.rig.plans import Listed, Stepped
+    from palpate.rig.plans import Listed, StepHold
     from palpate.rig.virtual import virtual_rig
     from palpate.sensors import palm
     from palpate.sensors.palm.palm_sensor import Palm
 
-    plan = Stepped(
+    plan = StepHold(
         taps=0,
         name="small",
         places=Listed(kind="listed", at_mm=((0.0, 0.0),)),

@@ -15,7 +15,7 @@ import pytest
 from palpate.core.clock import MonotonicClock
 from palpate.core.errors import DeviceError
 from palpate.rig.fakes.grbl_model import GrblFaults, GrblModel
-from palpate.rig.real.grbl.link import GrblLink, RefusedError
+from palpate.rig.real.grbl.grbl_link import GrblLink, RefusedError
 
 START = (-0.050, 0.050, 0.050)
 AWAY = (-0.030, 0.050, 0.050)
@@ -572,8 +572,8 @@ class TestS20TheEndOfTheProgramme:
             "import signal, sys, time\n"
             # A shell starts what runs in the background deaf to Ctrl-C; a person's terminal does not.
             "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-            "from palpate.rig.real.grbl.stage import GrblStage\n"
-            "from palpate.rig.real.grbl.spec import GrblSpec\n"
+            "from palpate.rig.real.grbl.grbl_stage import GrblStage\n"
+            "from palpate.rig.real.grbl.grbl_supervisor import GrblSpec\n"
             "spec = GrblSpec(sys.argv[1], boot_s=0.02, reply_s=30.0, still_s=60.0, stop_s=60.0)\n"
             "with GrblStage.open(spec) as stage:\n"
             "    stage.reference()\n"

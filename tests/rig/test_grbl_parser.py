@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from palpate.core.errors import DeviceError, ProtocolError
-from palpate.rig.real.grbl.parser import (
+from palpate.rig.real.grbl.grbl_parser import (
     MAX_LINE,
     Alarm,
     Banner,
@@ -24,7 +24,7 @@ from palpate.rig.real.grbl.parser import (
     Splitter,
     parse_line,
 )
-from palpate.rig.real.grbl.stage import probed
+from palpate.rig.real.grbl.grbl_stage import probed
 
 SAID = {
     b"ok": Ok(),

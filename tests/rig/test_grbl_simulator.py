@@ -21,8 +21,8 @@ from palpate.core.clock import NS_PER_S, MonotonicClock
 from palpate.rig.fakes.grbl_firmware import GrblFirmware
 from palpate.rig.fakes.grbl_model import GrblFaults, GrblModel
 from palpate.rig.fakes.serial_terminal import FakeTerminal
-from palpate.rig.real.grbl.spec import GrblSpec
-from palpate.rig.real.grbl.stage import GrblStage
+from palpate.rig.real.grbl.grbl_stage import GrblStage
+from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
 
 serial = pytest.importorskip("serial", reason="the stage's driver needs pyserial")
 SIMULATOR = os.environ.get("PALPATE_GRBL_SIM", "")

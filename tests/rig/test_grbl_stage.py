@@ -15,10 +15,9 @@ from palpate.core.clock import MonotonicClock
 from palpate.core.device_protocols import Stage
 from palpate.core.errors import DeviceError, InputError, MissingExtraError, RangeError
 from palpate.rig.fakes.grbl_model import GrblModel
-from palpate.rig.real.grbl import link as grbl_link
-from palpate.rig.real.grbl import stage as grbl_stage
-from palpate.rig.real.grbl.spec import GrblSpec, Mount, fixed
-from palpate.rig.real.grbl.stage import GrblStage
+from palpate.rig.real.grbl import grbl_link, grbl_stage
+from palpate.rig.real.grbl.grbl_stage import GrblStage
+from palpate.rig.real.grbl.grbl_supervisor import GrblSpec, Mount, fixed
 
 # The default mount: x = X, y = -Y, z = -Z; the fake starts at machine -50, -50, -50 mm.
 START = (-0.050, 0.050, 0.050)

@@ -15,7 +15,7 @@ from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.recordings.integrity import check
 from palpate.recordings.run_reader import Run
 from palpate.rig import State, record
-from palpate.rig.plans import Grid, Stepped
+from palpate.rig.plans import Grid, StepHold
 
 CHILD = """
 import sys, time
@@ -35,8 +35,8 @@ print(record(made, plan, Path(sys.argv[2])).state.value, flush=True)
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
-def small(pitch_mm: float, cycles: int) -> Stepped:
-    return Stepped(
+def small(pitch_mm: float, cycles: int) -> StepHold:
+    return StepHold(
         taps=0,
         name="killed",
         places=Grid(pitch_mm=pitch_mm),
@@ -50,7 +50,7 @@ def small(pitch_mm: float, cycles: int) -> Stepped:
     )
 
 
-def killed(out: Path, plan: Stepped, after_s: float) -> bool:
+def killed(out: Path, plan: StepHold, after_s: float) -> bool:
     """Whether it was cut; False where it ended before."""
     words = [sys.executable, "-c", CHILD, str(REPOSITORY), str(out), plan.model_dump_json()]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=REPOSITORY) as child:
@@ -62,7 +62,7 @@ def killed(out: Path, plan: Stepped, after_s: float) -> bool:
     return cut
 
 
-def holds_its_plan_exactly(out: Path, plan: Stepped) -> None:
+def holds_its_plan_exactly(out: Path, plan: StepHold) -> None:
     run = Run.open(out)
     labels = run.labels.dropna(subset=["shot"])
     held = list(zip(labels["shot"], labels["frame_in_shot"].astype(int), strict=True))
@@ -75,7 +75,7 @@ def holds_its_plan_exactly(out: Path, plan: Stepped) -> None:
     assert segments >= 2
 
 
-def cut_and_resumed(out: Path, plan: Stepped, kills: int, longest_s: float) -> int:
+def cut_and_resumed(out: Path, plan: StepHold, kills: int, longest_s: float) -> int:
     rng = np.random.default_rng(kills)
     cuts = sum(killed(out, plan, float(rng.uniform(0.0, longest_s))) for _ in range(kills))
     clock = ManualClock(time.monotonic_ns() + 3600 * NS_PER_S)

@@ -15,8 +15,8 @@ import pytest
 from palpate.core import ForceSensor, MonotonicClock, Wrench
 from palpate.core.errors import DeviceError, RangeError
 from palpate.rig.fakes.netft_box import START, STOP, FakeNetFT, FakePage
-from palpate.rig.real.netft.sensor import NetFT, NetFTSettings
-from palpate.rig.real.netft.stream import Stream
+from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
+from palpate.rig.real.netft.netft_stream import RdtStream
 
 PATIENCE_S = 30.0  # only a test that fails waits so long
 FORCE, TORQUE = (1.0, -2.0, -12.5), (0.25, 0.0, -0.125)  # whole counts, so equal and not only close
@@ -118,7 +118,7 @@ def test_a_sample_carries_the_time_at_which_it_came(sensor: NetFT) -> None:
 def test_a_program_that_is_late_does_not_take_an_old_sample_for_a_fresh_one() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device:
         device.bind(("127.0.0.1", 0))
-        stream = Stream("127.0.0.1", device.getsockname()[1], MonotonicClock())
+        stream = RdtStream("127.0.0.1", device.getsockname()[1], MonotonicClock())
         try:
             stream.start()
             _, client = device.recvfrom(64)

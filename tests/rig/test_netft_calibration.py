@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from palpate.core import ProtocolError
-from palpate.rig.real.netft.calibration import calibration
+from palpate.rig.real.netft.netft_calibration import calibration
 
 
 def page(**fields: str) -> bytes:

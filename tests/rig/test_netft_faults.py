@@ -14,9 +14,9 @@ import pytest
 
 from palpate.core.errors import DeviceError, ProtocolError
 from palpate.rig.fakes.netft_box import START, STOP, FakeNetFT, FakePage
-from palpate.rig.real.netft.calibration import MAX_PAGE_BYTES
-from palpate.rig.real.netft.sensor import NetFT, NetFTSettings
-from palpate.rig.real.netft.stream import RdtCommand, request
+from palpate.rig.real.netft.netft_calibration import MAX_PAGE_BYTES
+from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
+from palpate.rig.real.netft.netft_stream import RdtCommand, request
 
 PATIENCE_S = 30.0  # only a test that fails waits so long
 FORCE = (1.0, -2.0, -12.5)

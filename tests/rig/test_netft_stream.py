@@ -9,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from palpate.core import ProtocolError, RangeError
-from palpate.rig.real.netft.stream import (
+from palpate.rig.real.netft.netft_stream import (
     MONITOR_WARNING,
-    Measurement,
     Progress,
     RdtCommand,
+    RdtMeasurement,
+    RdtRecord,
     RdtSequence,
-    Record,
     ahead,
     is_healthy,
     is_only_saturated,
@@ -26,7 +26,7 @@ from palpate.rig.real.netft.stream import (
 
 U32 = st.integers(0, 2**32 - 1)
 I32 = st.integers(-(2**31), 2**31 - 1)
-RECORDS = st.builds(Record, U32, U32, U32, st.tuples(I32, I32, I32, I32, I32, I32))
+RECORDS = st.builds(RdtRecord, U32, U32, U32, st.tuples(I32, I32, I32, I32, I32, I32))
 
 # Typed anew from the protocol's description, not imported.
 BITS = {
@@ -62,7 +62,7 @@ BITS = {
 }
 
 
-def packed(record: Record) -> bytes:
+def packed(record: RdtRecord) -> bytes:
     numbers = (record.rdt_sequence, record.ft_sequence, record.status, *record.counts)
     return b"".join(
         n.to_bytes(4, "big", signed=i >= 3) for i, n in enumerate(numbers)
@@ -95,11 +95,11 @@ def test_a_record_is_thirty_six_known_bytes() -> None:
         "00000001 00000047 80010000 000f4240 fff0bdc0 7fffffff 80000000 00000000 ffffffff"
     )
     counts = (1_000_000, -1_000_000, 2**31 - 1, -(2**31), 0, -1)  # the rails too come through unharmed
-    assert records(datagram) == [Record(1, 71, MONITOR_WARNING, counts)]
+    assert records(datagram) == [RdtRecord(1, 71, MONITOR_WARNING, counts)]
 
 
 @given(st.lists(RECORDS, min_size=1, max_size=40))
-def test_what_was_packed_is_what_is_read(sent: list[Record]) -> None:
+def test_what_was_packed_is_what_is_read(sent: list[RdtRecord]) -> None:
     assert records(b"".join(map(packed, sent))) == sent
 
 
@@ -183,14 +183,14 @@ def test_every_record_is_accepted_duplicate_or_out_of_order_and_the_rest_of_the_
 
 
 def test_a_measurement_that_does_not_count_on_stands_still() -> None:
-    measurement = Measurement()
+    measurement = RdtMeasurement()
     came = [measurement.progress(n) for n in (0xFFFFFFFF, 0, 0, 0, 70)]
     assert came == [Progress.NEW, Progress.NEW, Progress.STALLED, Progress.STALLED, Progress.NEW]
 
 
 @pytest.mark.parametrize("last", [10_000, 3_000_000_000])  # the second restarts by a step that seems forward
 def test_a_second_record_confirms_a_restart_and_a_single_one_does_not(last: int) -> None:
-    measurement = Measurement(last=last)
+    measurement = RdtMeasurement(last=last)
     assert measurement.progress(1) is Progress.BACK
     assert measurement.progress(last + 1) is Progress.NEW
     assert measurement.progress(1) is Progress.BACK

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from palpate.core.errors import InputError
 from palpate.core.sensor import sensor
-from palpate.rig.plans import PLANS, Grid, Listed, Scattered, Stepped, plan_from, plan_of, size_of
-from palpate.rig.plans.stepped import Dwell, Lateral
-from palpate.rig.plans.steps import Aside, Burst, Depth, Over, Seek, Step, Tare
+from palpate.rig.plans import PLANS, Grid, Listed, Scattered, StepHold, plan_from, plan_of, size_of
+from palpate.rig.plans.plan_kinds import Dwell, Lateral
+from palpate.rig.plans.recording_plan import Aside, Burst, Depth, Over, Seek, Step, TareStep
 
 
 @pytest.mark.parametrize(("pitch_mm", "points"), [(7.0, 37), (6.5, 45), (7.5, 29)])
@@ -39,18 +39,18 @@ def test_every_shot_of_a_plan_has_a_key_of_its_own(name: str) -> None:
 
 @pytest.mark.parametrize("order", ["cycles", "rounds", "shuffled"])
 def test_an_order_changes_when_a_press_is_done_and_not_which(order: str) -> None:
-    plain, other = Stepped(), Stepped(order=order, seed=3)
+    plain, other = StepHold(), StepHold(order=order, seed=3)
     assert sorted(map(str, plain.presses())) == sorted(map(str, other.presses()))
-    assert list(other.presses()) == list(Stepped(order=order, seed=3).presses())
+    assert list(other.presses()) == list(StepHold(order=order, seed=3).presses())
     if order == "shuffled":
-        assert list(other.presses()) != list(Stepped(order=order, seed=4).presses())
+        assert list(other.presses()) != list(StepHold(order=order, seed=4).presses())
 
 
 def test_a_press_tares_in_the_air_finds_contact_and_then_goes_down_step_by_step() -> None:
-    plan = Stepped(depth_mm=0.3, cycles=1, frames=2, reference_frames=1)
+    plan = StepHold(depth_mm=0.3, cycles=1, frames=2, reference_frames=1)
     steps = list(plan.steps(next(plan.presses()), {}))
     kinds: list[type[Step]] = [type(step) for step in steps]
-    assert kinds == [Over, Tare, Burst, Seek, *[Depth, Burst] * 3]
+    assert kinds == [Over, TareStep, Burst, Seek, *[Depth, Burst] * 3]
     assert [step.depth_m for step in steps if isinstance(step, Depth)] == pytest.approx([1e-4, 2e-4, 3e-4])
 
 
@@ -61,7 +61,7 @@ def test_a_press_tares_in_the_air_finds_contact_and_then_goes_down_step_by_step(
 def test_a_resumed_press_records_what_is_missing_and_nothing_else(
     done: list[tuple[int, int]], unloading: bool
 ) -> None:
-    plan = Stepped(depth_mm=0.3, cycles=1, frames=3, reference_frames=2, unloading=unloading)
+    plan = StepHold(depth_mm=0.3, cycles=1, frames=3, reference_frames=2, unloading=unloading)
     press = next(plan.presses())
     shots = plan.shots(press)
     held: dict[str, frozenset[int]] = {}
@@ -80,7 +80,7 @@ def test_a_resumed_press_records_what_is_missing_and_nothing_else(
 
 
 def test_a_press_of_which_nothing_is_missing_moves_nothing() -> None:
-    plan = Stepped(depth_mm=0.2, cycles=1, frames=1, reference_frames=0)
+    plan = StepHold(depth_mm=0.2, cycles=1, frames=1, reference_frames=0)
     press = next(plan.presses())
     done = {shot.key: frozenset(range(frames)) for shot, frames in plan.shots(press)}
     assert list(plan.steps(press, done)) == []
@@ -88,7 +88,7 @@ def test_a_press_of_which_nothing_is_missing_moves_nothing() -> None:
 
 def test_a_lateral_load_returns_to_the_middle_before_each_direction_and_at_the_end() -> None:
     lateral = Lateral(depths_mm=(0.2,), to_mm=((0.1, 0.0), (0.0, 0.1)), steps=2)
-    plan = Stepped(depth_mm=0.2, cycles=1, frames=1, reference_frames=0, lateral=lateral)
+    plan = StepHold(depth_mm=0.2, cycles=1, frames=1, reference_frames=0, lateral=lateral)
     shifts = [
         (step.x_m * 1e3, step.y_m * 1e3)
         for step in plan.steps(next(plan.presses()), {})
@@ -99,7 +99,7 @@ def test_a_lateral_load_returns_to_the_middle_before_each_direction_and_at_the_e
 
 
 def test_a_dwell_spreads_its_frames_over_its_time() -> None:
-    plan = Stepped(
+    plan = StepHold(
         depth_mm=0.2,
         cycles=1,
         frames=1,
@@ -116,9 +116,9 @@ def test_a_dwell_spreads_its_frames_over_its_time() -> None:
 
 
 def test_the_hash_names_what_is_recorded() -> None:
-    assert Stepped().hash == Stepped().hash
-    assert Stepped().hash != Stepped(frames=24).hash
-    assert Stepped().hash != Stepped(order="rounds").hash
+    assert StepHold().hash == StepHold().hash
+    assert StepHold().hash != StepHold(frames=24).hash
+    assert StepHold().hash != StepHold(order="rounds").hash
 
 
 def test_scattered_places_repeat_with_their_seed_and_keep_apart() -> None:

@@ -10,10 +10,10 @@ from tests.rig.rigs import SPEC, plan, rig
 
 from palpate.core import Pose
 from palpate.core.errors import InputError
-from palpate.devices.limits import Reason, Tripped
+from palpate.devices.motion_limits import Reason, Tripped
 from palpate.recordings.run_reader import Run
 from palpate.rig import State, record
-from palpate.rig.plans import Lateral, Listed, Stepped, plan_from
+from palpate.rig.plans import Lateral, Listed, StepHold, plan_from
 from palpate.sensors import palm
 from palpate.sensors.palm.palm_press import LINEAR_DEPTH_M
 from palpate.sensors.palm.palm_sensor import force_law_of
@@ -21,7 +21,7 @@ from palpate.sensors.palm.palm_sensor import force_law_of
 CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
 
 
-def small(**kwargs: object) -> Stepped:
+def small(**kwargs: object) -> StepHold:
     return plan(**{"places": CENTRE, "cycles": 1, "depth_mm": 0.8, "step_mm": 0.4, "frames": 1} | kwargs)
 
 
@@ -83,7 +83,7 @@ def test_a_lateral_load_is_felt_along_its_way_and_seen(tmp_path: Path) -> None:
         small(depth_mm=5.9, step_mm=5.9),
     ],
 )
-def test_deeper_than_a_law_reaches_is_refused_before_anything_moves(tmp_path: Path, deep: Stepped) -> None:
+def test_deeper_than_a_law_reaches_is_refused_before_anything_moves(tmp_path: Path, deep: StepHold) -> None:
     bench = rig()
     before = bench.stage.position_m()
     with pytest.raises(Tripped, match="below first touch") as e:

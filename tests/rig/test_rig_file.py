@@ -8,12 +8,12 @@ import pytest
 from tests.rig.rigs import plan
 
 from palpate.core.errors import DeviceError, InputError
-from palpate.devices.limits import Reason
+from palpate.devices.motion_limits import Reason
 from palpate.devices.rpc import path_of
 from palpate.rig import State, open_rig, record
 from palpate.rig.fakes.netft_box import FakeNetFT
-from palpate.rig.service import opening, rig_name
-from palpate.rig.virtual.bench import REAL_TIME_AGE_S
+from palpate.rig.service import rig_name, served_rig
+from palpate.rig.virtual.virtual_bench import REAL_TIME_AGE_S
 
 REAL = """
 name = "bench"
@@ -93,12 +93,12 @@ def test_the_operators_page_opens_a_rig_by_its_file(tmp_path: Path) -> None:
         'name = "b"\n[virtual]\nreal_time = true\n[[regions]]\nname = "rim"\nbox_px = [1, 2, 30, 40]',
     )
     assert rig_name(path) == str(Path(path).resolve())
-    opened = opening.open_served_rig(path)
+    opened = served_rig.open_served_rig(path)
     assert opened.real_time
     assert opened.rig.regions == (("rim", (1, 2, 30, 40)),)
     assert opened.rig.limits.age_s == REAL_TIME_AGE_S
     opened.rig.close()
-    plain = opening.open_served_rig(written(tmp_path, 'name = "b"\n[virtual]'))
+    plain = served_rig.open_served_rig(written(tmp_path, 'name = "b"\n[virtual]'))
     assert [region.name for region in plain.rig.regions] == ["fringes", "mirror"]
     assert not plain.real_time
     plain.rig.close()

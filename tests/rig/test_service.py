@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 
 from palpate.core import InputError, RecordingError
 from palpate.core.errors import DeviceError, ProtocolError, SafetyError
-from palpate.devices.operator import OperatorInterrupt
-from palpate.devices.proxies import StageProxy
+from palpate.devices.device_proxies import StageProxy
+from palpate.devices.operator_control import OperatorInterrupt
 from palpate.devices.rpc import ASKED_BYTES, Address, Lines, decode, find, hold, publish
 from palpate.recordings import Run
 from palpate.rig.plans import plan_from
-from palpate.rig.progress import done_in
+from palpate.rig.run_progress import done_in
 from palpate.rig.service import RigClient, RigServer, RigService, launch, open_served_rig
 
 RIG = "virtual:palm"

@@ -17,7 +17,7 @@ from palpate.core import Camera
 from palpate.core.device_protocols import FrameSource
 from palpate.core.errors import DeviceError, RangeError
 from palpate.rig.fakes.video_capture import BLUE, FakeVideoCapture, frame_number
-from palpate.rig.real.uvc import FrameWatch, UvcCamera, UvcSettings, device
+from palpate.rig.real.uvc_camera import FrameWatch, UvcCamera, UvcSettings, device
 
 PATIENCE_S = 30.0  # only a test that fails waits so long
 SETTINGS = UvcSettings(size_px=(64, 48), rate_hz=100.0, exposure_s=5e-3, freeze_s=0.2)
@@ -295,7 +295,7 @@ def test_an_error_of_opencv_while_opening_is_told(source: FakeVideoCapture) -> N
 def test_a_camera_that_hangs_is_told_in_time_and_let_go_of_when_it_ends(
     source: FakeVideoCapture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("palpate.rig.real.uvc._CLOSE_S", 0.1)
+    monkeypatch.setattr("palpate.rig.real.uvc_camera._CLOSE_S", 0.1)
     camera = opened(source)
     source.resume.clear()
     assert source.hangs.wait(PATIENCE_S)

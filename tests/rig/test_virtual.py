@@ -14,9 +14,9 @@ from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.core.errors import DeviceError, RangeError
 from palpate.rig.rig import Rig
 from palpate.rig.virtual import Variation, virtual_rig
-from palpate.rig.virtual.motion import Motion
-from palpate.rig.virtual.skin import Skin
-from palpate.rig.virtual.variation import IDEAL
+from palpate.rig.virtual.disturbances import IDEAL
+from palpate.rig.virtual.straight_motion import Motion
+from palpate.rig.virtual.virtual_world import ViscoelasticSkin
 from palpate.sensors import palm
 from palpate.sensors.palm.palm_sensor import Palm
 
@@ -52,7 +52,7 @@ def test_a_move_is_never_faster_than_asked_nor_accelerates_harder(length: float,
 
 def test_a_skin_without_memory_carries_what_the_table_says() -> None:
     depth = np.array([0.0, 1e-3, 3e-3])
-    force, elastic = Skin(LAW, ()).force(depth, 0.01)
+    force, elastic = ViscoelasticSkin(LAW, ()).force(depth, 0.01)
     wanted = [palm.press(SPEC, palm_pose(d)).force_n for d in depth]
     assert force == pytest.approx(wanted, rel=1e-4, abs=1e-9)
     assert (force == elastic).all()
@@ -69,7 +69,7 @@ def test_a_held_press_relaxes_by_its_shares_whatever_the_step(step_s: float) -> 
     branches = ((0.1, 0.2), (0.05, 5.0))
     times = np.arange(0, 4, step_s)
     depth = np.minimum(times / 0.01, 1.0) * 2e-3
-    force, elastic = Skin(LAW, branches).force(depth, step_s)
+    force, elastic = ViscoelasticSkin(LAW, branches).force(depth, step_s)
     held = times > 0.02
     law = elastic[-1] * (1 + sum(g * np.exp(-(times[held] - 0.006) / tau) for g, tau in branches))
     # The ramp of 10 ms weighs the early part of a 3/2 power less: a quarter of a percent.
@@ -78,7 +78,7 @@ def test_a_held_press_relaxes_by_its_shares_whatever_the_step(step_s: float) -> 
 
 def test_a_ball_is_never_pulled() -> None:
     depth = np.concatenate([np.linspace(0, 3e-3, 300), np.linspace(3e-3, -1e-3, 50)])
-    force, _ = Skin(LAW, ((0.3, 0.5),)).force(depth, 0.005)
+    force, _ = ViscoelasticSkin(LAW, ((0.3, 0.5),)).force(depth, 0.005)
     assert force.min() == 0.0
     assert force[-1] == 0.0
 
@@ -139,11 +139,11 @@ def test_a_frame_is_exposed_after_it_was_asked_for_and_shows_the_depth_there_was
 
 def test_a_press_leaves_a_dent_that_fades_and_is_nowhere_else() -> None:
     law = LAW
-    skin = Skin(law, ((0.1, 2.0),))
+    skin = ViscoelasticSkin(law, ((0.1, 2.0),))
     skin.force(np.full(10_000, 4e-3), 0.005)  # 50 s: the branch has come to all of the depth
     assert skin.leave() == pytest.approx((0.1 / 1.1 * 4e-3,))
     assert skin.leave() == (0.0,)
-    again, depth = Skin(law, ((0.1, 2.0),)), np.array([0.0, 1e-4, 2e-4])
+    again, depth = ViscoelasticSkin(law, ((0.1, 2.0),)), np.array([0.0, 1e-4, 2e-4])
     np.testing.assert_array_equal(skin.force(depth, 0.005)[0], again.force(depth, 0.005)[0])
 
 
@@ -206,7 +206,7 @@ def test_the_same_seed_makes_the_same_rig_and_another_does_not() -> None:
 
 def test_incidental_lateral_forces_are_of_the_size_of_the_reports() -> None:
     """Standard deviation of 0.07 and 0.29 N over presses at all depths, without any lateral load."""
-    from palpate.rig.virtual.variation import approach_of
+    from palpate.rig.virtual.disturbances import approach_of
 
     depths = np.arange(1, 51) * 1e-4
     force = np.array([palm.press(SPEC, palm_pose(d)).force_n for d in depths])

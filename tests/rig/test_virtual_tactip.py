@@ -19,8 +19,8 @@ from palpate.recordings.exchange.press_table import read_press_table
 from palpate.recordings.run_reader import Run
 from palpate.rig import PLANS, State, record
 from palpate.rig.virtual import virtual_rig
-from palpate.rig.virtual.camera import TRANSPORT_S
-from palpate.rig.virtual.force import LATENCY_S
+from palpate.rig.virtual.virtual_camera import TRANSPORT_S
+from palpate.rig.virtual.virtual_force import LATENCY_S
 from palpate.workflows.compliance.press_cues import cues_of
 
 TACTIP = sensor("tactip")

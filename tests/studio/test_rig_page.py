@@ -16,7 +16,7 @@ import pytest
 from palpate.devices.rpc import find
 from palpate.recordings import Run
 from palpate.rig.plans import plan_from
-from palpate.rig.progress import done_in
+from palpate.rig.run_progress import done_in
 from palpate.rig.service import RigClient
 
 devtools_spec = importlib.util.spec_from_file_location(

@@ -113,9 +113,9 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
                 "tests/recordings/test_labels.py",
                 "tests/recordings/test_reader.py",
             ),
-            "palpate.rig.real.grbl.parser": ("tests/rig/test_grbl_parser.py",),
-            "palpate.rig.real.netft.calibration": ("tests/rig/test_netft_calibration.py",),
-            "palpate.rig.real.netft.stream": ("tests/rig/test_netft_stream.py",),
+            "palpate.rig.real.grbl.grbl_parser": ("tests/rig/test_grbl_parser.py",),
+            "palpate.rig.real.netft.netft_calibration": ("tests/rig/test_netft_calibration.py",),
+            "palpate.rig.real.netft.netft_stream": ("tests/rig/test_netft_stream.py",),
         },
     ),
     "guards": (
@@ -123,8 +123,8 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
         {
             "palpate.estimators.novelty": ("tests/estimators/test_guard.py",),
             "palpate.estimators.novelty": ("tests/estimators/test_guard.py",),
-            "palpate.devices.guard": ("tests/devices/test_motion_guard_laws.py",),
-            "palpate.devices.limits": ("tests/devices/test_limits.py",),
+            "palpate.devices.motion_guard": ("tests/devices/test_motion_guard_laws.py",),
+            "palpate.devices.motion_limits": ("tests/devices/test_limits.py",),
             "palpate.devices.force_bias": ("tests/devices/test_force_bias.py",),
         },
     ),

@@ -14,8 +14,8 @@ import typer
 from palpate.cli.verb_support import Group, Json, Quiet, print_found, progress_bar, reports_errors
 
 if TYPE_CHECKING:
-    from palpate.devices.check.result import CheckResult
-    from palpate.devices.operator import OperatorControl
+    from palpate.devices.check.check_result import CheckResult
+    from palpate.devices.operator_control import OperatorControl
     from palpate.recordings.clock_offset import Offset
     from palpate.rig import Status
 
@@ -67,7 +67,7 @@ def record(
 
     Example: palpate record --rig virtual:palm --plan palm-reduced --out run
     """
-    from palpate.devices.operator import OperatorControl
+    from palpate.devices.operator_control import OperatorControl
     from palpate.rig import State, plan_of
     from palpate.rig import record as record_plan
     from palpate.rig.rig_file import open_rig
@@ -126,7 +126,7 @@ def check(
 
     Example: palpate rig check bench.toml
     """
-    from palpate.rig.check import check_rig
+    from palpate.rig.rig_check import check_rig
     from palpate.rig.rig_file import open_rig
 
     findings = check_rig(open_rig(rig))
@@ -245,7 +245,7 @@ def _late(clocks: Offset) -> str:
 @contextmanager
 def _signals_ask(control: OperatorControl) -> Iterator[None]:
     """Ctrl-C and a request to end abort the recording; the second time they are the emergency stop."""
-    from palpate.devices.operator import OperatorCommand
+    from palpate.devices.operator_control import OperatorCommand
 
     def ask(number: int, frame: object) -> None:
         control.ask(

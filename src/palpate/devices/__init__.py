@@ -3,11 +3,11 @@
 Nothing here knows a rig, a plan or a recording: an actuator that moves and a force that is measured do.
 """
 
+from palpate.devices.device_plugins import open_device
 from palpate.devices.force_bias import ForceBias, Mounting
-from palpate.devices.guard import MotionGuard, Subscribers
-from palpate.devices.limits import Limits, Reason, Tripped
-from palpate.devices.operator import OperatorCommand, OperatorControl, OperatorInterrupt
-from palpate.devices.plugins import open_device
+from palpate.devices.motion_guard import MotionGuard, Subscribers
+from palpate.devices.motion_limits import Limits, Reason, Tripped
+from palpate.devices.operator_control import OperatorCommand, OperatorControl, OperatorInterrupt
 
 __all__ = [
     "ForceBias",

@@ -14,7 +14,7 @@ import numpy as np
 
 from palpate.core.device_protocols import Wrench
 from palpate.core.errors import RangeError
-from palpate.devices.limits import Reason, Tripped
+from palpate.devices.motion_limits import Reason, Tripped
 
 SAMPLES = 20  # fewest for a mean that is worth taking off
 

@@ -8,13 +8,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from palpate.core.files import new_file
-from palpate.rig.plans.plan import Plan
+from palpate.rig.plans.recording_plan import RecordingPlan
 
 LAYER, PROBE, INK = "#cfe8e6", "#0b7a75", "#1b2a33"
 MARGIN_MM = 3.0
 
 
-def draw_places(plan: Plan, path: Path) -> None:
+def draw_places(plan: RecordingPlan, path: Path) -> None:
     """Write a PNG of where the probe will press.
 
     Raises:

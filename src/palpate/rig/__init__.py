@@ -2,13 +2,13 @@
 
 from palpate.core.device_protocols import FrameSource
 from palpate.devices.force_bias import Mounting
-from palpate.devices.limits import Limits, Reason, Tripped
-from palpate.devices.operator import OperatorCommand, OperatorControl
+from palpate.devices.motion_limits import Limits, Reason, Tripped
+from palpate.devices.operator_control import OperatorCommand, OperatorControl
 from palpate.rig.engine import record
 from palpate.rig.plans import PLANS, plan_of, size_of
-from palpate.rig.progress import Outcome, State, Status, done_in
 from palpate.rig.rig import Rig
 from palpate.rig.rig_file import open_rig
+from palpate.rig.run_progress import Outcome, State, Status, done_in
 
 __all__ = [
     "PLANS",

@@ -13,16 +13,14 @@ from palpate.core.device_protocols import FrameSource, Wrench
 from palpate.core.errors import DeviceError
 from palpate.core.frame import Frame
 from palpate.devices.force_bias import Force, ForceBias
-from palpate.devices.guard import MotionGuard
-from palpate.devices.limits import Reason, Tripped
+from palpate.devices.motion_guard import MotionGuard
+from palpate.devices.motion_limits import Reason, Tripped
 from palpate.recordings.labels import Label
 from palpate.recordings.manifest import LabelKind
-from palpate.rig.motion import PressMotion
-from palpate.rig.plans.plan import Press
-from palpate.rig.plans.steps import Burst, Shot, Sweep
-from palpate.rig.progress import SHOT
-from palpate.rig.recorder import Recorder
+from palpate.rig.plans.recording_plan import Burst, PlannedPress, Shot, Sweep
+from palpate.rig.press_motion import PressMotion
 from palpate.rig.rig import Rig
+from palpate.rig.run_progress import SHOT, Recorder
 
 LABELS: dict[str, LabelKind] = {
     "shot": "text",
@@ -83,7 +81,7 @@ class Acquisition:
         self._last: np.ndarray | None = None
         guard.samples.subscribe(self._remember)
 
-    def begin(self, press: Press) -> None:
+    def begin(self, press: PlannedPress) -> None:
         """Label the next frames with this press."""
         self._press = press
 

@@ -21,13 +21,13 @@ from palpate.core.errors import InputError, RangeError
 from palpate.core.frame import Frame
 from palpate.core.shapes import Float, UInt8
 from palpate.devices.force_bias import ForceBias
-from palpate.devices.guard import MotionGuard
-from palpate.devices.limits import Reason, Tripped
+from palpate.devices.motion_guard import MotionGuard
+from palpate.devices.motion_limits import Reason, Tripped
 from palpate.recordings.clock_offset import Offset, offset_between
 from palpate.rig.acquisition import STARVED_S, check_size, drained
-from palpate.rig.plans.plan import Plan
-from palpate.rig.recorder import Recorder
+from palpate.rig.plans.recording_plan import RecordingPlan
 from palpate.rig.rig import Rig
+from palpate.rig.run_progress import Recorder
 
 CLOCKS = "clocks"
 MM = 1e-3
@@ -43,7 +43,9 @@ Signal = Float[ndarray, " _"]
 class ClockSync:
     """A few taps at the place where the probe hangs."""
 
-    def __init__(self, rig: Rig, plan: Plan, guard: MotionGuard, recorder: Recorder, bias: ForceBias) -> None:
+    def __init__(
+        self, rig: Rig, plan: RecordingPlan, guard: MotionGuard, recorder: Recorder, bias: ForceBias
+    ) -> None:
         self._rig = rig
         self._plan = plan
         self._guard = guard

@@ -20,21 +20,32 @@ from palpate.core.device_protocols import Position
 from palpate.core.errors import DeviceError, PalpateError, StorageError
 from palpate.core.files import PathText
 from palpate.devices.force_bias import ForceBias
-from palpate.devices.guard import MotionGuard
-from palpate.devices.limits import Reason, Tripped
-from palpate.devices.operator import OperatorCommand, OperatorControl, OperatorInterrupt
+from palpate.devices.motion_guard import MotionGuard
+from palpate.devices.motion_limits import Reason, Tripped
+from palpate.devices.operator_control import OperatorCommand, OperatorControl, OperatorInterrupt
 from palpate.recordings.clock_offset import Offset
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.run_reader import Run
 from palpate.recordings.run_writer import RunWriter
 from palpate.rig.acquisition import LABELS, Acquisition
 from palpate.rig.clock_sync import ClockSync
-from palpate.rig.motion import PressMotion, check_plan
-from palpate.rig.plans.plan import Plan, Press
-from palpate.rig.plans.steps import Aside, Burst, Depth, Done, Over, Pause, Seek, Step, Sweep, Tare
-from palpate.rig.progress import PLAN, Outcome, State, Status, check_same_plan, done_in
-from palpate.rig.recorder import Recorder
+from palpate.rig.plans.recording_plan import (
+    Aside,
+    Burst,
+    Depth,
+    Done,
+    Over,
+    Pause,
+    PlannedPress,
+    RecordingPlan,
+    Seek,
+    Step,
+    Sweep,
+    TareStep,
+)
+from palpate.rig.press_motion import PressMotion, check_plan
 from palpate.rig.rig import Rig
+from palpate.rig.run_progress import PLAN, Outcome, Recorder, State, Status, check_same_plan, done_in
 
 UNMOVED = (Reason.STAGE, Reason.STAGE_LATE, Reason.SOFT_LIMIT)
 """After these nothing is lifted: the stage is not to be trusted."""
@@ -63,7 +74,7 @@ class Engine:
     def __init__(
         self,
         rig: Rig,
-        plan: Plan,
+        plan: RecordingPlan,
         writer: RunWriter,
         done: Done,
         control: OperatorControl,
@@ -122,7 +133,7 @@ class Engine:
             raise
         return self._over(State.DONE, "all shots are recorded")
 
-    def _finish(self, press: Press) -> None:
+    def _finish(self, press: PlannedPress) -> None:
         """A press until nothing of it is missing, however often it is paused."""
         while self._plan.missing(press, self._done):
             try:
@@ -135,7 +146,7 @@ class Engine:
                     raise
                 self._paused()
 
-    def _approached(self, press: Press) -> None:
+    def _approached(self, press: PlannedPress) -> None:
         self._motion.begin(press)
         self._acquisition.begin(press)
         for step in self._plan.steps(press, self._done):
@@ -148,7 +159,7 @@ class Engine:
         match step:
             case Over(x, y):
                 self._motion.over(x, y)
-            case Tare():
+            case TareStep():
                 self._motion.measure_zero()
             case Seek():
                 self._motion.seek()
@@ -165,7 +176,7 @@ class Engine:
             case _:
                 assert_never(step)
 
-    def _set_clocks(self, press: Press) -> None:
+    def _set_clocks(self, press: PlannedPress) -> None:
         """Tap where the first press will be."""
         self._message = f"{press.place.name}: {self._plan.taps} taps, to set the clocks"
         self._motion.begin(press)
@@ -200,7 +211,7 @@ class Engine:
         self._shots += whole
         self._tell()
 
-    def _whole(self, press: Press) -> int:
+    def _whole(self, press: PlannedPress) -> int:
         shots = self._plan.shots(press)
         return sum(len(self._done.get(shot.key, frozenset())) >= frames for shot, frames in shots)
 
@@ -265,7 +276,12 @@ def _quietly() -> Iterator[None]:
 
 
 def record(
-    rig: Rig, plan: Plan, out: PathText, *, control: OperatorControl | None = None, watch: Watch = nobody
+    rig: Rig,
+    plan: RecordingPlan,
+    out: PathText,
+    *,
+    control: OperatorControl | None = None,
+    watch: Watch = nobody,
 ) -> Outcome:
     """Record all of a plan that a run does not hold yet.
 
@@ -299,7 +315,7 @@ def record(
         return Engine(rig, plan, writer, done, control or OperatorControl(), watch).run()
 
 
-def manifest_of(rig: Rig, plan: Plan) -> Manifest:
+def manifest_of(rig: Rig, plan: RecordingPlan) -> Manifest:
     """What a run of this rig and plan says of itself."""
     truths = dict.fromkeys(rig.truths, "number")
     return Manifest.new(
@@ -314,7 +330,7 @@ def manifest_of(rig: Rig, plan: Plan) -> Manifest:
     )
 
 
-def targets_of(plan: Plan) -> tuple[str, ...]:
+def targets_of(plan: RecordingPlan) -> tuple[str, ...]:
     """The labels that differ between a plan's presses, and so can be learnt from them."""
     if plan.deepest_mm == 0:
         return ()

@@ -31,7 +31,7 @@ from palpate.core.units import has_unit, split_column
 from palpate.recordings.message_schema import EVENTS, decode_json
 from palpate.recordings.run_reader import Run
 from palpate.recordings.segment_reader import StoredSegment
-from palpate.rig.progress import PLAN, State
+from palpate.rig.run_progress import PLAN, State
 
 Document = tuple[str, dict[str, Any]]
 """Its name, and its fields."""

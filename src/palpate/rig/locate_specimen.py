@@ -16,9 +16,9 @@ import numpy as np
 from palpate.core.device_protocols import Position
 from palpate.core.errors import RecordingError
 from palpate.recordings.run_reader import Run
-from palpate.rig.plans.load import plan_from
-from palpate.rig.plans.places import WAYS, Around
-from palpate.rig.progress import PLAN, ZERO, fields_of
+from palpate.rig.plans.plan_files import plan_from
+from palpate.rig.plans.press_places import WAYS, Around
+from palpate.rig.run_progress import PLAN, ZERO, fields_of
 
 MM = 1e-3
 

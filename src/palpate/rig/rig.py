@@ -11,7 +11,7 @@ from palpate.core.clock import Clock
 from palpate.core.device_protocols import ForceSensor, FrameSource, Position, Stage
 from palpate.core.sensor import Sensor
 from palpate.devices.force_bias import Mounting
-from palpate.devices.limits import Limits
+from palpate.devices.motion_limits import Limits
 
 
 class Region(NamedTuple):

@@ -21,13 +21,13 @@ from palpate.core.files import storage_errors
 from palpate.core.sensor import DEFAULT_SENSOR, SENSORS
 from palpate.core.sensor import sensor as sensor_of
 from palpate.devices.check.interface_check import Role
+from palpate.devices.device_plugins import check_kind, open_device
 from palpate.devices.force_bias import Mounting
-from palpate.devices.limits import Limits
-from palpate.devices.plugins import check_kind, open_device
+from palpate.devices.motion_limits import Limits
 from palpate.rig.rig import Region, Rig
 from palpate.rig.virtual import Fault, virtual_rig
-from palpate.rig.virtual.bench import PREFIX, REAL_TIME_AGE_S
-from palpate.rig.virtual.faults import Kind
+from palpate.rig.virtual.disturbances import Kind
+from palpate.rig.virtual.virtual_bench import PREFIX, REAL_TIME_AGE_S
 
 MM = 1e-3
 _MAX_BYTES = 1 << 20
@@ -332,8 +332,8 @@ def _plugin(role: Role, part: PluginPart, clock: Clock) -> Any:
 def _stage(part: GrblPart | PluginPart, clock: Clock) -> Stage:
     if isinstance(part, PluginPart):
         return _plugin("stage", part, clock)
-    from palpate.rig.real.grbl.spec import GrblSpec
-    from palpate.rig.real.grbl.stage import GrblStage
+    from palpate.rig.real.grbl.grbl_stage import GrblStage
+    from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
 
     stage = GrblStage.open(GrblSpec(part.port, axes=part.axes, latency_s=part.latency_s), clock)
     if part.home:
@@ -348,7 +348,7 @@ def _stage(part: GrblPart | PluginPart, clock: Clock) -> Stage:
 def _force(part: NetFTPart | ForcePluginPart, clock: Clock) -> ForceSensor:
     if isinstance(part, PluginPart):
         return _plugin("force", part, clock)
-    from palpate.rig.real.netft.sensor import NetFT, NetFTSettings
+    from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
 
     return NetFT(part.host, NetFTSettings(rdt_port=part.rdt_port, http_port=part.http_port), clock)
 
@@ -356,7 +356,7 @@ def _force(part: NetFTPart | ForcePluginPart, clock: Clock) -> ForceSensor:
 def _camera(part: UvcPart | PluginPart, clock: Clock) -> FrameSource:
     if isinstance(part, PluginPart):
         return _plugin("camera", part, clock)
-    from palpate.rig.real.uvc import UvcCamera, UvcSettings
+    from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
 
     settings = UvcSettings(
         size_px=part.size_px,

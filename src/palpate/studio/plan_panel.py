@@ -9,7 +9,7 @@ from typing import Any
 from nicegui import run, ui
 
 from palpate.core.errors import PalpateError
-from palpate.rig.plans import PLANS, Plan, size_of
+from palpate.rig.plans import PLANS, RecordingPlan, size_of
 from palpate.rig.service.rig_service import checked_plan
 from palpate.studio import status_text, svg_drawing
 
@@ -49,7 +49,7 @@ class PlanPanel:
         self._rigs: dict[str, Any] = {}
         self._draft: dict[str, Any] | None = None
         self._shown: tuple[Any, ...] = ()
-        self._plan: Plan | None = None
+        self._plan: RecordingPlan | None = None
         with ui.element("section").classes("card"):
             with ui.row().classes("w-full items-center justify-between no-wrap"):
                 ui.html("<h2>Plan</h2>", sanitize=False)
@@ -162,7 +162,7 @@ class PlanPanel:
         )
 
 
-def _laid_out(fields: Mapping[str, Any]) -> tuple[Plan, str]:
+def _laid_out(fields: Mapping[str, Any]) -> tuple[RecordingPlan, str]:
     plan = checked_plan(fields)
     layer, probe = plan.places.sizes_mm()
     facts = (

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from palpate.rig.plans import Plan, Size
-from palpate.rig.plans.places import ROUNDING_MM
+from palpate.rig.plans import RecordingPlan, Size
+from palpate.rig.plans.press_places import ROUNDING_MM
 
 WISHES = {"pause": "pausing", "stop": "stops after this press", "abort": "aborting", "estop": "stopping"}
 CALM = {"running", "done", "paused", "ready", "stopped"}
@@ -60,7 +60,7 @@ def doing(status: Mapping[str, Any]) -> str:
     return message
 
 
-def done_by_place(plan: Plan, shots: int) -> dict[str, float]:
+def done_by_place(plan: RecordingPlan, shots: int) -> dict[str, float]:
     """Of each place, the share of its presses whose shots are all recorded.
 
     Shots are recorded in the plan's order, and a resumed recording begins at the first that is missing; so
@@ -73,7 +73,7 @@ def done_by_place(plan: Plan, shots: int) -> dict[str, float]:
     return {name: sum(whole) / len(whole) for name, whole in found.items()}
 
 
-def clearance_mm(plan: Plan) -> float:
+def clearance_mm(plan: RecordingPlan) -> float:
     """Between the probe and the layer's rim, at the place where it is least."""
     places = plan.places
     layer_mm, probe_mm = places.sizes_mm()
@@ -81,7 +81,7 @@ def clearance_mm(plan: Plan) -> float:
     return min(reach - (p.x_mm**2 + p.y_mm**2) ** 0.5 for p in places.places())
 
 
-def clearance(plan: Plan) -> str:
+def clearance(plan: RecordingPlan) -> str:
     """The same in words."""
     clear = clearance_mm(plan)
     if clear < -ROUNDING_MM:
@@ -89,7 +89,7 @@ def clearance(plan: Plan) -> str:
     return f"its edge stays {max(clear, 0.0):.2f} mm or more from the rim"
 
 
-def plan_facts(plan: Plan, size: Size) -> str:
+def plan_facts(plan: RecordingPlan, size: Size) -> str:
     """What a plan asks for, in a line."""
     shots = sum(len(plan.shots(press)) for press in plan.presses())
     return (

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from palpate.rig.plans.places import Place
+from palpate.rig.plans.press_places import Place
 from palpate.studio.palette import ACCENT, AXES, BAD, BAND, INK, LINE, SOFT
 
 MAX_PLACES = 3000  # that are drawn

@@ -5,9 +5,9 @@ choose it in free air. No check pushes.
 """
 
 from palpate.devices.check.camera_check import check_camera
+from palpate.devices.check.check_result import CheckResult
 from palpate.devices.check.force_check import check_force_sensor
 from palpate.devices.check.interface_check import check_interface
-from palpate.devices.check.result import CheckResult
 from palpate.devices.check.stage_check import check_stage
 
 __all__ = ["CheckResult", "check_camera", "check_force_sensor", "check_interface", "check_stage"]

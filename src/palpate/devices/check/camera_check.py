@@ -14,8 +14,7 @@ from palpate.core.device_protocols import Camera
 from palpate.core.errors import DeviceError, RangeError
 from palpate.core.frame import Frame
 from palpate.core.shapes import Float
-from palpate.devices.check.interface_check import camera_interface
-from palpate.devices.check.result import (
+from palpate.devices.check.check_result import (
     CheckResult,
     Part,
     at_most,
@@ -27,6 +26,7 @@ from palpate.devices.check.result import (
     seconds,
     told,
 )
+from palpate.devices.check.interface_check import camera_interface
 
 FROZEN = 5  # frames in a row that are the same to the last bit, as in the rig
 LAG_S = 0.5  # from the end of an exposure until its frame is here

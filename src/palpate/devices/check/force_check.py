@@ -12,8 +12,7 @@ import numpy as np
 from palpate.core.clock import NS_PER_S, Clock
 from palpate.core.device_protocols import ForceSensor, Wrench
 from palpate.core.errors import RangeError
-from palpate.devices.check.interface_check import force_interface
-from palpate.devices.check.result import (
+from palpate.devices.check.check_result import (
     CheckResult,
     Part,
     at_most,
@@ -24,6 +23,7 @@ from palpate.devices.check.result import (
     measured_only,
     seconds,
 )
+from palpate.devices.check.interface_check import force_interface
 
 AGE_S = 0.1  # oldest sample on which the rig moves
 RATE_WITHIN = 0.05  # of what is stated

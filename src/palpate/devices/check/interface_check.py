@@ -16,7 +16,7 @@ from palpate.core.clock import NS_PER_S, Clock
 from palpate.core.device_protocols import Camera, ForceSensor, Stage, Travel, Wrench
 from palpate.core.errors import DeviceError
 from palpate.core.frame import Frame
-from palpate.devices.check.result import CheckResult, Part, gathered, held
+from palpate.devices.check.check_result import CheckResult, Part, gathered, held
 
 Role = Literal["stage", "force", "camera"]
 

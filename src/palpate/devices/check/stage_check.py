@@ -11,8 +11,7 @@ from contextlib import suppress
 from palpate.core.clock import Clock
 from palpate.core.device_protocols import Position, Stage
 from palpate.core.errors import DeviceError, RangeError
-from palpate.devices.check.interface_check import stage_interface
-from palpate.devices.check.result import (
+from palpate.devices.check.check_result import (
     CheckResult,
     Part,
     at_most,
@@ -23,6 +22,7 @@ from palpate.devices.check.result import (
     seconds,
     told,
 )
+from palpate.devices.check.interface_check import stage_interface
 from palpate.devices.check.stage_motion import Box, UnsafeError, Walker, spread_m
 
 WITHIN_M = 0.02e-3  # how exactly a stage must stand where it was sent, as everywhere in the rig

@@ -13,7 +13,7 @@ from palpate.core.clock import Clock
 from palpate.core.device_protocols import Position, Stage
 from palpate.core.errors import RangeError
 from palpate.core.shapes import Float
-from palpate.devices.check.result import seconds
+from palpate.devices.check.check_result import seconds
 
 Box = tuple[Position, Position]
 """Least and greatest corner [m]."""

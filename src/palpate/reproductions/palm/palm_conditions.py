@@ -47,8 +47,8 @@ from palpate.reproductions.palm.palm_study_setup import (
     noisier,
     ways,
 )
-from palpate.rig.plans import Dwell, Listed, Stepped
-from palpate.rig.virtual.variation import Variation
+from palpate.rig.plans import Dwell, Listed, StepHold
+from palpate.rig.virtual.disturbances import Variation
 from palpate.sensors.palm import PalmSpec
 from palpate.sensors.palm.random_presses import SHAPES, Loads, draw_loads
 from palpate.sensors.palm.wear import Wear, worn
@@ -150,7 +150,7 @@ def _models(shop: StudyFolder, one: PalmCondition) -> dict[str, Any]:
     return {model: shop.scored(way, run, one.said) for model, way in ways(MODELS, shop.scale).items()}
 
 
-def _plan(scale: Scale, seed: int, one: PalmCondition) -> Stepped:
+def _plan(scale: Scale, seed: int, one: PalmCondition) -> StepHold:
     plan = scale.new_places(seed, coarse=True)
     if one.where == "own":
         return plan.model_copy(update={"places": scale.protocol().places})
@@ -166,7 +166,7 @@ def _ring(count: int) -> tuple[tuple[float, float], ...]:
 
 def sustained(shop: StudyFolder, seconds: float = 60.0) -> dict[str, Any]:
     """One press held: what every model says of depth and force while the skin relaxes."""
-    plan = Stepped(
+    plan = StepHold(
         name="palm-sustained",
         places=Listed(kind="listed", at_mm=((3.0, -4.0),)),
         cycles=1,
@@ -227,7 +227,7 @@ def adaptation(shop: StudyFolder) -> list[dict[str, Any]]:
     return found
 
 
-def _lesson(scale: Scale, presses: int) -> Stepped:
+def _lesson(scale: Scale, presses: int) -> StepHold:
     """Presses at places of their own."""
     plan = scale.new_places(1000 + presses, coarse=True)
     places = plan.places.model_copy(update={"count": presses})

@@ -29,9 +29,9 @@ from palpate.recordings.run_reader import Run
 from palpate.reports.certificate_page import write_report
 from palpate.reproductions.palm.palm_published import scores_of
 from palpate.rig import State, record
-from palpate.rig.plans import Scattered, Stepped
-from palpate.rig.virtual.bench import virtual_rig
-from palpate.rig.virtual.variation import Variation
+from palpate.rig.plans import Scattered, StepHold
+from palpate.rig.virtual.disturbances import Variation
+from palpate.rig.virtual.virtual_bench import virtual_rig
 from palpate.sensors import palm
 from palpate.sensors.palm import PalmSpec
 from palpate.sensors.palm.palm_sensor import Palm
@@ -80,9 +80,9 @@ class Scale:
     loads: int = 60
     folds: int = 5
 
-    def protocol(self) -> Stepped:
+    def protocol(self) -> StepHold:
         """The palm's, at its 37 places."""
-        return Stepped(
+        return StepHold(
             name="palm-protocol",
             cycles=self.cycles,
             step_mm=self.step_mm,
@@ -91,9 +91,9 @@ class Scale:
             reference_frames=1,
         )
 
-    def new_places(self, seed: int, *, coarse: bool = False) -> Stepped:
+    def new_places(self, seed: int, *, coarse: bool = False) -> StepHold:
         """Places off the grid, in one cycle."""
-        return Stepped(
+        return StepHold(
             name="palm-new-places",
             places=Scattered(
                 kind="scattered",
@@ -210,7 +210,7 @@ class StudyFolder:
     def recorded(
         self,
         name: str,
-        plan: Stepped,
+        plan: StepHold,
         spec: PalmSpec | None = None,
         variation: Variation | None = None,
         seed: int | None = None,

@@ -1,12 +1,9 @@
 """What is recorded, where and in which order, as presses, keyed shots and steps."""
 
-from palpate.rig.plans.load import PLANS, Known, Size, plan_from, plan_of, size_of
-from palpate.rig.plans.places import Around, Grid, Listed, Place, Scattered
-from palpate.rig.plans.plan import Plan, Press
-from palpate.rig.plans.stepped import Dwell, Lateral, Stepped
-from palpate.rig.plans.steps import Shot
-from palpate.rig.plans.swept import Swept
-from palpate.rig.plans.touched import Touched
+from palpate.rig.plans.plan_files import PLANS, Known, Size, plan_from, plan_of, size_of
+from palpate.rig.plans.plan_kinds import Dwell, Lateral, Ramp, StepHold, SurfaceProbe
+from palpate.rig.plans.press_places import Around, Grid, Listed, Place, Scattered
+from palpate.rig.plans.recording_plan import PlannedPress, RecordingPlan, Shot
 
 __all__ = [
     "PLANS",
@@ -17,14 +14,14 @@ __all__ = [
     "Lateral",
     "Listed",
     "Place",
-    "Plan",
-    "Press",
+    "PlannedPress",
+    "Ramp",
+    "RecordingPlan",
     "Scattered",
     "Shot",
     "Size",
-    "Stepped",
-    "Swept",
-    "Touched",
+    "StepHold",
+    "SurfaceProbe",
     "plan_from",
     "plan_of",
     "size_of",

@@ -2,6 +2,6 @@
 
 from palpate.rig.real.grbl import GrblSpec, GrblStage
 from palpate.rig.real.netft import NetFT, NetFTSettings
-from palpate.rig.real.uvc import UvcCamera, UvcSettings
+from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
 
 __all__ = ["GrblSpec", "GrblStage", "NetFT", "NetFTSettings", "UvcCamera", "UvcSettings"]

@@ -12,8 +12,8 @@ from types import FrameType
 
 from palpate.core.errors import PalpateError
 from palpate.devices.rpc import Address, hold, publish
-from palpate.rig.service.opening import open_served_rig
 from palpate.rig.service.rig_service import RigServer, RigService
+from palpate.rig.service.served_rig import open_served_rig
 
 LOOK_S = 0.2
 SWITCH_S = 0.001  # between threads, so that an emergency stop does not wait for what others compute

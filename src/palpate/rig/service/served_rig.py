@@ -8,7 +8,7 @@ from pathlib import Path
 from palpate.core.clock import Clock, ManualClock, MonotonicClock
 from palpate.rig.rig import Rig
 from palpate.rig.rig_file import is_virtual, read_rig, rig_from, sensor_named
-from palpate.rig.virtual.bench import REAL_TIME_AGE_S, virtual_rig
+from palpate.rig.virtual.virtual_bench import REAL_TIME_AGE_S, virtual_rig
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,15 +19,15 @@ from typing import Literal
 from palpate.core.clock import NS_PER_S, Clock, MonotonicClock
 from palpate.core.device_protocols import Wrench
 from palpate.core.errors import DeviceError, ProtocolError, RangeError
-from palpate.rig.real.netft.calibration import Calibration, Triple, fetch
-from palpate.rig.real.netft.stream import (
+from palpate.rig.real.netft.netft_calibration import NetFTCalibration, Triple, fetch
+from palpate.rig.real.netft.netft_stream import (
     MONITOR_WARNING,
     PORT,
-    Measurement,
     Progress,
+    RdtMeasurement,
+    RdtRecord,
     RdtSequence,
-    Record,
-    Stream,
+    RdtStream,
     is_healthy,
     is_only_saturated,
     records,
@@ -65,7 +65,7 @@ class NetFTSettings:
     keep: int = 65536
     rate_hz: float | None = None
     range_n: Triple | None = None
-    calibration: Calibration | None = None
+    calibration: NetFTCalibration | None = None
 
     def __post_init__(self) -> None:
         seconds = (self.silence_s, *self.retry_s, self.start_wait_s, self.http_timeout_s)
@@ -118,7 +118,9 @@ class SilentError(DeviceError):
 class Samples:
     """Follows one stream: which records are new, what they measure, and when the stream has failed."""
 
-    def __init__(self, calibration: Calibration, range_n: Triple, silence_s: float, start_ns: int) -> None:
+    def __init__(
+        self, calibration: NetFTCalibration, range_n: Triple, silence_s: float, start_ns: int
+    ) -> None:
         """Follow a stream.
 
         Args:
@@ -130,7 +132,7 @@ class Samples:
         self.calibration, self.range_n, self.silence_s = calibration, range_n, silence_s
         self.counts = NetFTCounts()
         self.failure: DeviceError | None = None
-        self._sequence, self._measurement = RdtSequence(), Measurement()
+        self._sequence, self._measurement = RdtSequence(), RdtMeasurement()
         self._progress_ns = start_ns
         self._stalled = self._stale = self._malformed = 0  # since the last new measurement
 
@@ -169,7 +171,7 @@ class Samples:
             "serves only one; close other clients, then open it anew"
         )
 
-    def _is_new(self, record: Record) -> bool:
+    def _is_new(self, record: RdtRecord) -> bool:
         sequence = self._sequence
         new = sequence.accept(record.rdt_sequence)
         self.counts.lost, self.counts.duplicate = sequence.lost, sequence.duplicate
@@ -177,7 +179,7 @@ class Samples:
         self._stale += not new
         return new
 
-    def _sample(self, record: Record, time_ns: int) -> Wrench:
+    def _sample(self, record: RdtRecord, time_ns: int) -> Wrench:
         progress = self._measurement.progress(record.ft_sequence)
         if progress is Progress.NEW:
             self._progress_ns, self._stalled, self._stale = time_ns, 0, 0
@@ -197,7 +199,7 @@ class Samples:
             return Wrench(time_ns, _NOTHING, _NOTHING, fault)
         return Wrench(time_ns, force_n, self.calibration.torque_nm(record.counts))
 
-    def _fault(self, record: Record, progress: Progress, force_n: Triple) -> str:
+    def _fault(self, record: RdtRecord, progress: Progress, force_n: Triple) -> str:
         """What is wrong with a sample; empty where its numbers hold."""
         if not is_healthy(record.status):
             return status_text(record.status)
@@ -329,7 +331,7 @@ class NetFT:
             raise DeviceError(f"the Net F/T box at {self._host}: {self._failure}")
         return self._latest
 
-    def _page(self, expected: Calibration | None) -> Calibration:
+    def _page(self, expected: NetFTCalibration | None) -> NetFTCalibration:
         found = fetch(self._host, self._settings.http_port, self._settings.http_timeout_s)
         if expected is not None and found != expected:
             raise _ChangedError(
@@ -358,14 +360,14 @@ class NetFT:
     def _new_samples(self) -> Samples:
         return Samples(self.calibration, self._range_n, self._settings.silence_s, self._clock.now_ns())
 
-    def _start(self) -> Stream:
+    def _start(self) -> RdtStream:
         """Ask for records until the first one comes. Every try has a socket of its own.
 
         So an answer to an earlier try, whose numbers begin anew, never mixes with a later one's.
         """
         s = self._settings
         for _ in range(s.start_tries):
-            stream = Stream(self._host, s.rdt_port, self._clock)
+            stream = RdtStream(self._host, s.rdt_port, self._clock)
             try:
                 stream.start()
                 with self._lock:
@@ -385,9 +387,9 @@ class NetFT:
             f"enabled on its page and that UDP port {s.rdt_port} is open"
         )
 
-    def _run(self, begun: Stream) -> None:
+    def _run(self, begun: RdtStream) -> None:
         """What the thread does: follow the stream to its end, and the next one where that is wanted."""
-        stream: Stream | None = begun
+        stream: RdtStream | None = begun
         try:
             while stream is not None:
                 self._follow(stream)
@@ -396,7 +398,7 @@ class NetFT:
             if not self._closing.is_set() and not self._failure:
                 self._fail("its receiving thread ended; open it anew")
 
-    def _follow(self, stream: Stream) -> None:
+    def _follow(self, stream: RdtStream) -> None:
         """Receive until closed or failed, then end the stream unless it may be another client's."""
         stop = True
         try:
@@ -410,7 +412,7 @@ class NetFT:
                 stream.stop(quiet_s=min(max(0.02, 2 / self._rate_hz), 0.5))
             stream.close()
 
-    def _reconnect(self) -> Stream | None:
+    def _reconnect(self) -> RdtStream | None:
         """A new stream of the same instrument; None where that cannot be, or it was closed meanwhile."""
         wait_s, most_s = self._settings.retry_s
         while not self._closing.wait(wait_s):
@@ -434,7 +436,7 @@ class NetFT:
         with self._lock:
             self._failure, self._latest = why, None
 
-    def _step(self, stream: Stream) -> None:
+    def _step(self, stream: RdtStream) -> None:
         """Receive once, or find that nothing new comes."""
         got = stream.receive(min(self._settings.silence_s / 2, _POLL_S))
         now_ns = self._clock.now_ns() if got is None else got[1]

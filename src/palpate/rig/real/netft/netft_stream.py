@@ -86,7 +86,7 @@ Counts = tuple[int, int, int, int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class RdtRecord:
     """One measurement as sent: sequences, status, and Fx Fy Fz Tx Ty Tz in counts."""
 
     rdt_sequence: int
@@ -114,7 +114,7 @@ def request(command: RdtCommand, count: int = 0) -> bytes:
     return _REQUEST.pack(HEADER, command, count)
 
 
-def records(datagram: bytes) -> list[Record]:
+def records(datagram: bytes) -> list[RdtRecord]:
     """The records of one datagram, oldest first.
 
     Raises:
@@ -126,7 +126,7 @@ def records(datagram: bytes) -> list[Record]:
             f"a datagram of {size} bytes is not RDT: it holds 1 to {MAX_RECORDS} records of {RECORD_BYTES} "
             "bytes each; does another program send to this port?"
         )
-    return [Record(r, f, s, tuple(c)) for r, f, s, *c in _RECORD.iter_unpack(datagram)]
+    return [RdtRecord(r, f, s, tuple(c)) for r, f, s, *c in _RECORD.iter_unpack(datagram)]
 
 
 def is_healthy(status: int) -> bool:
@@ -197,7 +197,7 @@ class Progress(Enum):
 
 
 @dataclass(slots=True)
-class Measurement:
+class RdtMeasurement:
     """Follows the F/T sequence. A jump, back or far ahead, is a restart once a second record confirms it."""
 
     last: int | None = None
@@ -222,7 +222,7 @@ _STAMP = struct.Struct("@ll")  # the kernel's struct timespec
 _STAMP_OPTION = 35 if sys.platform == "linux" else None  # SO_TIMESTAMPNS, which Python does not name
 
 
-class Stream:
+class RdtStream:
     """A connected UDP socket: the kernel drops what other addresses and other ports send to it."""
 
     def __init__(self, host: str, port: int, clock: Clock) -> None:

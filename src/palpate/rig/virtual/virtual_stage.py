@@ -6,8 +6,8 @@ import math
 
 from palpate.core.device_protocols import Position, Travel
 from palpate.core.errors import DeviceError, RangeError
-from palpate.rig.virtual.motion import Motion, standing
-from palpate.rig.virtual.world import World, halted
+from palpate.rig.virtual.straight_motion import Motion, standing
+from palpate.rig.virtual.virtual_world import World, halted
 
 SLIP_M = 0.1e-3  # that a slipping stage loses of every move along z
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from palpate.core.errors import DeviceError, MissingExtraError, ProtocolError
-from palpate.rig.real.grbl.parser import (
+from palpate.rig.real.grbl.grbl_parser import (
     Alarm,
     Banner,
     Failed,

@@ -19,11 +19,19 @@ from types import TracebackType
 from palpate.core.clock import NS_PER_S, Clock, MonotonicClock
 from palpate.core.device_protocols import Position, Travel
 from palpate.core.errors import DeviceError, RangeError
-from palpate.rig.real.grbl.link import CutOffError, RefusedError, SerialPort, SilenceError, open_port
-from palpate.rig.real.grbl.parser import Alarm, GrblState, GrblStatus, Line, ProbeReport, alarm_name
-from palpate.rig.real.grbl.session import Session
-from palpate.rig.real.grbl.spec import MM_PER_M, S_PER_MIN, GrblSpec, check_range, feed_mm_min, fixed
-from palpate.rig.real.grbl.supervisor import Millimetres, MoveSupervisor
+from palpate.rig.real.grbl.grbl_link import CutOffError, RefusedError, SerialPort, SilenceError, open_port
+from palpate.rig.real.grbl.grbl_parser import Alarm, GrblState, GrblStatus, Line, ProbeReport, alarm_name
+from palpate.rig.real.grbl.grbl_session import GrblSession
+from palpate.rig.real.grbl.grbl_supervisor import (
+    MM_PER_M,
+    S_PER_MIN,
+    GrblSpec,
+    Millimetres,
+    MoveSupervisor,
+    check_range,
+    feed_mm_min,
+    fixed,
+)
 
 
 class GrblStage:
@@ -45,7 +53,7 @@ class GrblStage:
         self._spec, self._clock = spec, clock or MonotonicClock()
         self._lock = threading.RLock()
         self._closed = False
-        self._session = Session(spec, port, self._clock)
+        self._session = GrblSession(spec, port, self._clock)
         self._link = self._session.link
 
     @classmethod
@@ -251,7 +259,7 @@ def _words(axes_mm: Iterable[float]) -> str:
     return "".join(f"{axis}{fixed(value)}" for axis, value in zip("XYZ", axes_mm, strict=True))
 
 
-def home(session: Session, halts: int) -> None:
+def home(session: GrblSession, halts: int) -> None:
     """Drive to the switches and take the machine's own coordinates from there.
 
     Args:
@@ -286,7 +294,7 @@ def home(session: Session, halts: int) -> None:
     session.found(session.mount.at_origin())
 
 
-def unlock(session: Session) -> None:
+def unlock(session: GrblSession) -> None:
     """Reset it and lift the lock of an alarm; its place stays unknown.
 
     Raises:
@@ -298,7 +306,7 @@ def unlock(session: Session) -> None:
     session.link.command("$X")
 
 
-def _clear(session: Session) -> str:
+def _clear(session: GrblSession) -> str:
     """Make it take `$H` or `$X`: standing, in step, and past the alarm, which is named."""
     link = session.link
     if session.move:
@@ -314,7 +322,7 @@ def _clear(session: Session) -> str:
     return "" if alarm is None else alarm_name(alarm)
 
 
-def _await_homed(session: Session, halts: int) -> GrblStatus | None:
+def _await_homed(session: GrblSession, halts: int) -> GrblStatus | None:
     """The first report past homing: an `ok` may have been to another line, so it proves nothing."""
     link, spec, clock = session.link, session.spec, session.clock
     began_ns = clock.now_ns()
@@ -341,7 +349,7 @@ def probed(pushed: Iterable[Line]) -> Millimetres | None:
         DeviceError: there was an alarm, or no report.
 
     Example:
-        >>> from palpate.rig.real.grbl.parser import parse_line
+        >>> from palpate.rig.real.grbl.grbl_parser import parse_line
         >>> probed([parse_line(b"[PRB:0.000,0.000,-0.872:1]")])
         (0.0, 0.0, -0.872)
     """

@@ -13,13 +13,11 @@ from palpate.core.errors import InputError
 from palpate.core.files import storage_errors
 from palpate.core.sensor import DEFAULT_SENSOR, SENSORS, Sensor
 from palpate.core.sensor import sensor as sensor_of
-from palpate.rig.plans.places import Around, Grid, Listed, Scattered
-from palpate.rig.plans.plan import Plan
-from palpate.rig.plans.stepped import Dwell, Lateral, Stepped
-from palpate.rig.plans.swept import Swept
-from palpate.rig.plans.touched import Touched
+from palpate.rig.plans.plan_kinds import Dwell, Lateral, Ramp, StepHold, SurfaceProbe
+from palpate.rig.plans.press_places import Around, Grid, Listed, Scattered
+from palpate.rig.plans.recording_plan import RecordingPlan
 
-Known = Stepped | Swept | Touched
+Known = StepHold | Ramp | SurfaceProbe
 AnyPlan = Annotated[Known, Field(discriminator="kind")]
 _ADAPTER: TypeAdapter[Known] = TypeAdapter(AnyPlan)
 _MAX_BYTES = 1 << 20
@@ -28,15 +26,15 @@ _CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
 _ROUND = ((0.3, 0.0), (0.0, 0.3), (-0.3, 0.0), (0.0, -0.3))
 _SMALL = {"cycles": 1, "frames": 5, "reference_frames": 5}
 _PLANS: tuple[Known, ...] = (
-    Touched(name="layer", kind="touched", places=Around(kind="around"), taps=0),
-    Stepped(name="palm-reduced", cycles=1, depth_mm=4.0, step_mm=1.0, frames=2, reference_frames=1),
-    Stepped(
+    SurfaceProbe(name="layer", kind="touched", places=Around(kind="around"), taps=0),
+    StepHold(name="palm-reduced", cycles=1, depth_mm=4.0, step_mm=1.0, frames=2, reference_frames=1),
+    StepHold(
         name="palm-validation",
         places=Scattered(kind="scattered", count=20, apart_mm=3.0, seed=1),
         step_mm=0.5,
         **_SMALL,
     ),
-    Stepped(
+    StepHold(
         name="palm-lateral",
         places=Grid(pitch_mm=12.0),
         depth_mm=1.5,
@@ -44,7 +42,7 @@ _PLANS: tuple[Known, ...] = (
         lateral=Lateral(depths_mm=(1.0,), to_mm=_ROUND),
         **_SMALL,
     ),
-    Stepped(
+    StepHold(
         name="palm-creep",
         places=_CENTRE,
         depth_mm=4.0,
@@ -53,7 +51,7 @@ _PLANS: tuple[Known, ...] = (
         dwell=Dwell(depths_mm=(4.0,), seconds=60.0, frames=60),
         **_SMALL,
     ),
-    Swept(
+    Ramp(
         name="tactip-press",
         kind="swept",
         places=_CENTRE,
@@ -63,8 +61,8 @@ _PLANS: tuple[Known, ...] = (
         wait_s=5.0,
         threshold_N=0.5,
     ),
-    Swept(name="repeated", kind="swept", places=_CENTRE, cycles=70, speed_mm_s=5.0, depth_mm=2.0),
-    Swept(name="slow", kind="swept", places=_CENTRE, cycles=3, speed_mm_s=0.5, depth_mm=2.0),
+    Ramp(name="repeated", kind="swept", places=_CENTRE, cycles=70, speed_mm_s=5.0, depth_mm=2.0),
+    Ramp(name="slow", kind="swept", places=_CENTRE, cycles=3, speed_mm_s=0.5, depth_mm=2.0),
 )
 _OWN = {plan.name: plan for plan in _PLANS}
 
@@ -161,7 +159,7 @@ def plan_from(fields: Mapping[str, Any], sensor: Sensor | None = None) -> Known:
     return plan
 
 
-def size_of(plan: Plan, rate_hz: float = 30.0) -> Size:
+def size_of(plan: RecordingPlan, rate_hz: float = 30.0) -> Size:
     """Count a plan's shots and frames, and say about how long they take at a frame rate."""
     presses = list(plan.presses())
     shots = frames = references = 0

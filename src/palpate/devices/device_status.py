@@ -14,8 +14,8 @@ import numpy as np
 from palpate.core.clock import NS_PER_S
 from palpate.core.device_protocols import Position
 from palpate.core.shapes import Image
+from palpate.devices.device_proxies import KEPT_S, RATE_S, CameraProxy, ForceProxy, StageProxy
 from palpate.devices.force_bias import Force, Mounting
-from palpate.devices.proxies import KEPT_S, RATE_S, CameraProxy, ForceProxy, StageProxy
 
 BIN_S = 0.1  # of the plotted force; of each bin its least and its greatest are told, so that no peak is lost
 OLD_S = 3.0  # from when a device that says nothing is said to be silent

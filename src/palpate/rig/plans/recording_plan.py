@@ -1,4 +1,7 @@
-"""What every plan is: presses in an order, each a few keyed shots and the steps that record them."""
+"""What a plan asks of the engine, one step after the other.
+
+What every plan is: presses in an order, each a few keyed shots and the steps that record them.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -14,15 +18,117 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from palpate.core.errors import InputError
 from palpate.core.sensor import Sensor
 from palpate.core.sensor import sensor as sensor_of
-from palpate.rig.plans.places import Grid, Place, Places, Positive
-from palpate.rig.plans.steps import Done, Shot, Steps
+from palpate.rig.plans.press_places import Grid, Place, Places, Positive
+
+
+class Shot(NamedTuple):
+    """One keyed group of frames: what a resumed recording is told by.
+
+    Attributes:
+        place: its name.
+        cycle: which press at this place, from 1.
+        phase: such as "reference", "down", "up", "hold", "lateral" or "sweep".
+        depth_um: below the local zero, as commanded [um]: whole, so that keys compare.
+        turn: which step of the phase at this depth, from 0.
+    """
+
+    place: str
+    cycle: int
+    phase: str
+    depth_um: int
+    turn: int = 0
+
+    @property
+    def key(self) -> str:
+        """As text, unique in its plan."""
+        return f"{self.place}/{self.cycle}/{self.phase}/{self.depth_um}/{self.turn}"
+
+
+@dataclass(frozen=True, slots=True)
+class Over:
+    """Lift to the clearance, and go over a place."""
+
+    x_m: float
+    y_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class TareStep:
+    """Measure the force sensor's zero, in the air."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seek:
+    """Step down until the normal force passes the threshold: the local zero."""
+
+
+@dataclass(frozen=True, slots=True)
+class Depth:
+    """Go to a depth below the local zero, guarded where it leads into the skin."""
+
+    depth_m: float
+    speed_m_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Aside:
+    """Shift by so much from the place's own x and y, at the depth there is."""
+
+    x_m: float
+    y_m: float
+    speed_m_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """Let time pass."""
+
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Burst:
+    """Record frames of one shot; those in `missing` alone.
+
+    Attributes:
+        missing: which of its frames, counted from 0.
+        every_s: between frames; 0 for as fast as the camera gives them.
+    """
+
+    shot: Shot
+    missing: tuple[int, ...]
+    every_s: float = 0.0
+    labels: dict[str, float | str | bool] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """Move down at one speed to a force or a depth, recording all the while; then back up alike.
+
+    Attributes:
+        until_n: force at which it turns round; None for at the depth alone.
+        depth_m: at which it turns round at the latest, below where it started.
+    """
+
+    shot: Shot
+    speed_m_s: float
+    depth_m: float
+    until_n: float | None = None
+    labels: dict[str, float | str | bool] = field(default_factory=dict)
+
+
+Step = Over | TareStep | Seek | Depth | Aside | Pause | Burst | Sweep
+Steps = Iterator[Step]
+Done = dict[str, frozenset[int]]
+"""Shot's key -> which of its frames are recorded."""
+
 
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
 ROUND_ONE = re.compile(r"(?:sphere|punch|flat):(\d+(?:\.\d+)?)")
 LESS = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
-class Press(NamedTuple):
+class PlannedPress(NamedTuple):
     """One approach of one place."""
 
     place: Place
@@ -43,7 +149,7 @@ def _check_width(indenters: tuple[str, ...], probe_mm: float) -> None:
 AnyPlan = TypeVar("AnyPlan", bound="Plan")
 
 
-class Plan(BaseModel):
+class RecordingPlan(BaseModel):
     """Places, cycles, and how contact is found; what is done there is its kind's.
 
     Attributes:
@@ -85,7 +191,7 @@ class Plan(BaseModel):
     tap_N: Positive = 0.5  # noqa: N815
 
     @model_validator(mode="after")
-    def _check_indenters(self) -> Plan:
+    def _check_indenters(self) -> RecordingPlan:
         if self.places.probe_mm is not None:
             _check_width(self.indenters, self.places.probe_mm)
         return self
@@ -121,28 +227,32 @@ class Plan(BaseModel):
         """The depth that it goes to whatever the force: 0 where a force turns it round."""
         return self.deepest_mm
 
-    def presses(self) -> Iterator[Press]:
+    def presses(self) -> Iterator[PlannedPress]:
         """All of them, in order."""
         places = self.places.places()
         for indenter in self.indenters:
-            found = [Press(place, cycle, indenter) for place in places for cycle in range(1, self.cycles + 1)]
+            found = [
+                PlannedPress(place, cycle, indenter)
+                for place in places
+                for cycle in range(1, self.cycles + 1)
+            ]
             if self.order == "rounds":
                 found.sort(key=lambda press: press.cycle)
             if self.order == "shuffled":
                 np.random.default_rng(self.seed).shuffle(found)
             yield from found
 
-    def shots(self, press: Press) -> tuple[tuple[Shot, int], ...]:
+    def shots(self, press: PlannedPress) -> tuple[tuple[Shot, int], ...]:
         """The shots of a press, each with how many frames it has, in order."""
         reference = Shot(self._named(press), press.cycle, "reference", 0)
         own = self._shots(press)
         return ((reference, self.reference_frames), *own) if self.reference_frames else own
 
-    def steps(self, press: Press, done: Done) -> Steps:
+    def steps(self, press: PlannedPress, done: Done) -> Steps:
         """What records the frames of a press that are missing; nothing where none is."""
         raise NotImplementedError
 
-    def missing(self, press: Press, done: Done) -> dict[Shot, tuple[int, ...]]:
+    def missing(self, press: PlannedPress, done: Done) -> dict[Shot, tuple[int, ...]]:
         """The frames that are not recorded yet, by shot."""
         return {
             shot: left
@@ -150,9 +260,9 @@ class Plan(BaseModel):
             if (left := tuple(sorted(set(range(frames)) - done.get(shot.key, frozenset()))))
         }
 
-    def _shots(self, press: Press) -> tuple[tuple[Shot, int], ...]:
+    def _shots(self, press: PlannedPress) -> tuple[tuple[Shot, int], ...]:
         raise NotImplementedError
 
-    def _named(self, press: Press) -> str:
+    def _named(self, press: PlannedPress) -> str:
         """The place's name, and the indenter's where there are several."""
         return press.place.name if len(self.indenters) == 1 else f"{press.place.name}@{press.indenter}"

@@ -12,14 +12,13 @@ from palpate.core.device_protocols import Position, Travel
 from palpate.core.errors import InputError
 from palpate.core.sensor import DEFAULT_SENSOR, Sensor, for_rig, frame_faults, variation_of
 from palpate.core.sensor import sensor as sensor_of
-from palpate.devices.limits import Limits
+from palpate.devices.motion_limits import Limits
 from palpate.rig.rig import Region, Rig
-from palpate.rig.virtual.camera import TRANSPORT_S, VirtualCamera
-from palpate.rig.virtual.faults import Fault
-from palpate.rig.virtual.force import VirtualForce
-from palpate.rig.virtual.stage import VirtualStage
-from palpate.rig.virtual.variation import Variation
-from palpate.rig.virtual.world import World
+from palpate.rig.virtual.disturbances import Fault, Variation
+from palpate.rig.virtual.virtual_camera import TRANSPORT_S, VirtualCamera
+from palpate.rig.virtual.virtual_force import VirtualForce
+from palpate.rig.virtual.virtual_stage import VirtualStage
+from palpate.rig.virtual.virtual_world import World
 
 PREFIX = "virtual:"
 ORIGIN_M: Position = (0.0, 0.0, 0.0)

@@ -14,7 +14,7 @@ from palpate.core.clock import NS_PER_S, Clock
 from palpate.core.device_protocols import ForceSensor, FrameSource, Position, Stage, Travel, Wrench
 from palpate.core.errors import DeviceError
 from palpate.core.frame import Frame
-from palpate.devices.operator import OperatorCommand, OperatorInterrupt
+from palpate.devices.operator_control import OperatorCommand, OperatorInterrupt
 
 KEPT_S = 20.0  # of force, for the plot
 MAX_SAMPLES = 50_000  # samples, however fast they come

@@ -55,7 +55,7 @@ Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class NetFTCalibration:
     """All of a box's page that the meaning of its counts hangs on. Two that differ are two instruments.
 
     Attributes:
@@ -87,7 +87,7 @@ class Calibration:
         return counts[3] / k, counts[4] / k, counts[5] / k
 
 
-def calibration(page: bytes) -> Calibration:
+def calibration(page: bytes) -> NetFTCalibration:
     """Read a box's page.
 
     Raises:
@@ -99,7 +99,7 @@ def calibration(page: bytes) -> Calibration:
             raise ProtocolError(f"the box's page has no {name}; is there a Net F/T box at this address?")
     force_n, torque_nm = _unit(told, "scfgfu", FORCE_N), _unit(told, "scfgtu", TORQUE_NM)
     rate, ranges = told.get("comrdtrate"), told.get("cfgmr")
-    return Calibration(
+    return NetFTCalibration(
         product=told["prodname"],
         serial=told.get("cfgcalsn", ""),
         counts_per_n=_per_si("cfgcpf", told, force_n),
@@ -189,7 +189,7 @@ def _range(text: str, force_n: float) -> Triple | None:
     return (x, y, z) if min(x, y, z) > 0 else None
 
 
-def fetch(host: str, port: int = 80, timeout_s: float = 2.0) -> Calibration:
+def fetch(host: str, port: int = 80, timeout_s: float = 2.0) -> NetFTCalibration:
     """What the box at an address says of itself.
 
     Args:

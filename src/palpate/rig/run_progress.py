@@ -1,20 +1,66 @@
-"""How far a recording is, how it ended, and what a run holds already: read from the recording itself."""
+"""From the devices to the run: force at its own rate, raw and in the skin's axes, stage, frames, events.
+
+How far a recording is, how it ended, and what a run holds already: read from the recording itself.
+"""
 
 from __future__ import annotations
 
 import json
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import pandas as pd
 
+from palpate.core.device_protocols import Position, Wrench
 from palpate.core.errors import RecordingError
-from palpate.devices.limits import Reason
+from palpate.core.frame import Frame
+from palpate.devices.force_bias import ForceBias
+from palpate.devices.motion_limits import Reason
 from palpate.recordings.clock_offset import Offset
+from palpate.recordings.labels import Label
 from palpate.recordings.run_reader import Run
-from palpate.rig.plans.plan import Plan
-from palpate.rig.plans.steps import Done
+from palpate.recordings.run_writer import RunWriter
+from palpate.rig.plans.recording_plan import Done, RecordingPlan
+
+
+class Recorder:
+    """Writes what the rig sees; what the disk refuses is raised where the next thing is recorded."""
+
+    def __init__(self, writer: RunWriter, bias: ForceBias, begun_ns: int) -> None:
+        """Args: of what was before `begun_ns` nothing is recorded."""
+        self._begun_ns = begun_ns
+        self._writer = writer
+        self._bias = bias
+        self._muted = False
+
+    def mute(self) -> None:
+        """Record nothing more: the disk has refused, and the probe is still to be lifted."""
+        self._muted = True
+
+    def force(self, samples: Sequence[Wrench]) -> None:
+        """Every good sample; faulty ones hold no numbers."""
+        for one in samples:
+            if not one.fault and not self._muted and one.time_ns >= self._begun_ns:
+                force, torque = self._bias.force(one), self._bias.torque(one)
+                self._writer.force((*force, *torque), time_ns=one.time_ns)
+                self._writer.force((*one.force_n, *one.torque_nm), time_ns=one.time_ns, raw=True)
+
+    def stage(self, position_m: Position, time_ns: int) -> None:
+        """Where the stage is."""
+        if not self._muted:
+            self._writer.stage(position_m, time_ns=time_ns)
+
+    def frame(self, frame: Frame, time_ns: int, labels: Mapping[str, Label]) -> bool:
+        """A frame and what is known of it; False where it was dropped."""
+        return self._writer.frame(frame.image, time_ns=time_ns, exposure_s=frame.exposure_s, labels=labels)
+
+    def event(self, kind: str, **fields: Any) -> None:
+        """That something happened."""
+        if not self._muted:
+            self._writer.event(kind, **fields)
 
 
 class State(StrEnum):
@@ -95,7 +141,7 @@ def done_in(run: Run) -> Done:
     return {key: frozenset(frames) for key, frames in found.items()}
 
 
-def check_same_plan(run: Run, plan: Plan) -> None:
+def check_same_plan(run: Run, plan: RecordingPlan) -> None:
     """Refuse to go on with another plan than the one that a run was begun with.
 
     Raises:

@@ -9,7 +9,7 @@ import numpy as np
 from palpate.core.clock import NS_PER_S
 from palpate.core.device_protocols import Wrench
 from palpate.core.errors import DeviceError
-from palpate.rig.virtual.world import Touch, World
+from palpate.rig.virtual.virtual_world import Touch, World
 
 RANGE_N = (40.0, 40.0, 120.0)
 LATENCY_S = 0.002

@@ -1,4 +1,11 @@
-"""Press in steps, and stand at each while frames are taken: the palm's own protocol, and its relatives."""
+"""Press in steps, and stand at each while frames are taken: the palm's own protocol, and its relatives.
+
+Press at one speed to a force or a depth and back, recording all the while.
+
+A sweep is one shot: frames of one that was interrupted belong to no shot, and it is done again from the air.
+
+Find contact at each place and go no deeper: where the skin lies.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +13,24 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from palpate.rig.plans.places import Positive
-from palpate.rig.plans.plan import LESS, Count, Plan, Press
-from palpate.rig.plans.steps import Aside, Burst, Depth, Done, Over, Pause, Seek, Shot, Steps, Tare
+from palpate.rig.plans.press_places import Positive
+from palpate.rig.plans.recording_plan import (
+    LESS,
+    Aside,
+    Burst,
+    Count,
+    Depth,
+    Done,
+    Over,
+    Pause,
+    PlannedPress,
+    RecordingPlan,
+    Seek,
+    Shot,
+    Steps,
+    Sweep,
+    TareStep,
+)
 
 UM = 1000  # micrometres in a millimetre
 MM = 1e-3
@@ -54,7 +76,7 @@ class Dwell(BaseModel):
     frames: Annotated[int, Field(ge=2, le=1_000_000)] = 50
 
 
-class Stepped(Plan):
+class StepHold(RecordingPlan):
     """Find contact, go down step by step, and record a burst at each depth.
 
     Attributes:
@@ -86,14 +108,14 @@ class Stepped(Plan):
         count = round(self.depth_mm / self.step_mm)
         return tuple(round(self.step_mm * i * UM) for i in range(1, max(1, count) + 1))
 
-    def steps(self, press: Press, done: Done) -> Steps:
+    def steps(self, press: PlannedPress, done: Done) -> Steps:
         """Approach, find contact, descend to the deepest shot that is missing, and record those that are."""
         missing = self.missing(press, done)
         if not missing:
             return
         place = press.place
         yield Over(place.x_mm * MM, place.y_mm * MM)
-        yield Tare()
+        yield TareStep()
         left = dict(missing)
         for shot in [one for one in left if one.phase == "reference"]:
             yield Burst(shot, left.pop(shot))
@@ -130,7 +152,7 @@ class Stepped(Plan):
         if shifted and self.lateral:
             yield Aside(0.0, 0.0, self.lateral.speed_mm_s * MM)
 
-    def _shots(self, press: Press) -> tuple[tuple[Shot, int], ...]:
+    def _shots(self, press: PlannedPress) -> tuple[tuple[Shot, int], ...]:
         place, depths = self._named(press), self.depths_um()
         found: list[tuple[Shot, int]] = []
         for depth in depths:
@@ -143,3 +165,84 @@ class Stepped(Plan):
         if self.unloading:
             found += [(Shot(place, press.cycle, "up", depth), self.frames) for depth in reversed(depths[:-1])]
         return tuple(found)
+
+
+class Ramp(RecordingPlan):
+    """At each place and cycle one sweep from the clearance.
+
+    Attributes:
+        speed_mm_s: down and up.
+        until_N: force at which it turns round; None for at the depth alone.
+        depth_mm: below the expected surface, at which it turns round at the latest.
+        wait_s: after each sweep.
+    """
+
+    kind: Literal["swept"]
+    speed_mm_s: Positive = 5.0
+    until_N: Positive | None = None  # noqa: N815 - the unit is part of the name
+    depth_mm: Positive = 5.0
+    wait_s: LESS = 0.0
+    reference_frames: int = 0
+
+    @property
+    def deepest_mm(self) -> float:
+        """The greatest depth below the expected surface."""
+        return self.depth_mm
+
+    @property
+    def pressed_mm(self) -> float:
+        """None of it, where a force turns it round."""
+        return self.depth_mm if self.until_N is None else 0.0
+
+    def steps(self, press: PlannedPress, done: Done) -> Steps:
+        """Over the place, the zero, the sweep, the wait."""
+        missing = self.missing(press, done)
+        if not missing:
+            return
+        yield Over(press.place.x_mm * MM, press.place.y_mm * MM)
+        yield TareStep()
+        for shot, frames in missing.items():
+            if shot.phase == "reference":
+                yield Burst(shot, frames)
+            else:
+                yield Sweep(shot, self.speed_mm_s * MM, self.depth_mm * MM, self.until_N)
+                yield Pause(self.wait_s)
+
+    def _shots(self, press: PlannedPress) -> tuple[tuple[Shot, int], ...]:
+        return ((Shot(self._named(press), press.cycle, "sweep", round(self.depth_mm * 1000)), 1),)
+
+
+class SurfaceProbe(RecordingPlan):
+    """At each place and cycle one search for contact, and a frame or more where it was found.
+
+    Attributes:
+        frames: at contact.
+    """
+
+    kind: Literal["touched"]
+    cycles: Count = 1
+    seek_mm: Positive = 3.0
+    reference_frames: int = 0
+    frames: Count = 1
+
+    @property
+    def deepest_mm(self) -> float:
+        """It goes no deeper than contact."""
+        return 0.0
+
+    def steps(self, press: PlannedPress, done: Done) -> Steps:
+        """Over the place, the zero, contact, frames."""
+        missing = self.missing(press, done)
+        if not missing:
+            return
+        yield Over(press.place.x_mm * MM, press.place.y_mm * MM)
+        yield TareStep()
+        for shot in [one for one in missing if one.phase == "reference"]:
+            yield Burst(shot, missing.pop(shot))
+        if missing:
+            yield Seek()
+        for shot, frames in missing.items():
+            yield Burst(shot, frames)
+
+    def _shots(self, press: PlannedPress) -> tuple[tuple[Shot, int], ...]:
+        return ((Shot(self._named(press), press.cycle, "touch", 0), self.frames),)

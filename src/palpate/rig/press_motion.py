@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from palpate.core.device_protocols import Position
 from palpate.devices.force_bias import ForceBias
-from palpate.devices.guard import MotionGuard
-from palpate.devices.limits import Reason, Tripped
-from palpate.rig.plans.plan import Plan, Press
-from palpate.rig.progress import ZERO
-from palpate.rig.recorder import Recorder
+from palpate.devices.motion_guard import MotionGuard
+from palpate.devices.motion_limits import Reason, Tripped
+from palpate.rig.plans.recording_plan import PlannedPress, RecordingPlan
 from palpate.rig.rig import Rig
+from palpate.rig.run_progress import ZERO, Recorder
 
 MM = 1e-3
 BELOW_TOUCH_MM = 0.2  # of a contact that is said by a force
@@ -21,7 +20,9 @@ SIGMAS = 5.0  # of the force's noise that a threshold must lie above
 class PressMotion:
     """Moves over a place, onto the skin, into it, aside and away, each within the guard."""
 
-    def __init__(self, rig: Rig, plan: Plan, guard: MotionGuard, bias: ForceBias, recorder: Recorder) -> None:
+    def __init__(
+        self, rig: Rig, plan: RecordingPlan, guard: MotionGuard, bias: ForceBias, recorder: Recorder
+    ) -> None:
         self._rig = rig
         self._plan = plan
         self._guard = guard
@@ -35,7 +36,7 @@ class PressMotion:
         """Where contact was found in this press, along the stage's z; None before [m]."""
         return self._zero_m
 
-    def begin(self, press: Press) -> None:
+    def begin(self, press: PlannedPress) -> None:
         """A new approach: whatever was known of the contact is forgotten."""
         self._zero_m = None
         self._place = press.place
@@ -133,7 +134,7 @@ class PressMotion:
         self._guard.towards((x, y, z), speed_m_s)
 
 
-def check_plan(rig: Rig, plan: Plan) -> None:
+def check_plan(rig: Rig, plan: RecordingPlan) -> None:
     """Refuse a plan that leaves the soft limits, or is too fast, before anything moves.
 
     Raises:
@@ -151,7 +152,7 @@ def check_plan(rig: Rig, plan: Plan) -> None:
         rig.limits.check_speed(speed * MM, rig.stage.travel)
 
 
-def _check_known(rig: Rig, plan: Plan) -> None:
+def _check_known(rig: Rig, plan: RecordingPlan) -> None:
     """Depths count from where a force says contact; the little that lies below first touch is added."""
     for indenter in plan.indenters:
         for lateral, deepest_mm in ((False, plan.pressed_mm), (True, _deepest_aside_mm(plan))):
@@ -165,7 +166,7 @@ def _check_known(rig: Rig, plan: Plan) -> None:
                 )
 
 
-def _deepest_aside_mm(plan: Plan) -> float:
+def _deepest_aside_mm(plan: RecordingPlan) -> float:
     lateral = getattr(plan, "lateral", None)
     return max(lateral.depths_mm) if lateral else 0.0
 
@@ -175,6 +176,6 @@ def _at(rig: Rig, x_m: float, y_m: float, z_m: float) -> Position:
     return x0 + x_m, y0 + y_m, z0 + z_m
 
 
-def _aside_mm(plan: Plan) -> list[tuple[float, float]]:
+def _aside_mm(plan: RecordingPlan) -> list[tuple[float, float]]:
     lateral = getattr(plan, "lateral", None)
     return [(0.0, 0.0), *(lateral.to_mm if lateral else ())]

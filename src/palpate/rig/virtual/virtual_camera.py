@@ -12,7 +12,7 @@ from palpate.core.contact import Contact, Pose, PressHistory
 from palpate.core.errors import DeviceError, RangeError
 from palpate.core.frame import Frame
 from palpate.core.sensor import Seating, untouched
-from palpate.rig.virtual.world import KEPT_S, Touch, World
+from palpate.rig.virtual.virtual_world import KEPT_S, Touch, World
 
 TRANSPORT_S = 0.008  # from the end of an exposure to the frame's arrival, which is what stamps it
 STEP_M = 1e-6  # to which depth is rounded, so that the frames of a burst share one picture

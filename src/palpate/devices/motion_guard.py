@@ -19,8 +19,8 @@ from palpate.core.clock import NS_PER_S, Clock
 from palpate.core.device_protocols import Position, Travel, Wrench
 from palpate.core.errors import DeviceError
 from palpate.devices.force_bias import Force, ForceBias
-from palpate.devices.limits import Limits, Reason, Tripped
-from palpate.devices.operator import AT_ONCE, OperatorCommand, OperatorControl
+from palpate.devices.motion_limits import Limits, Reason, Tripped
+from palpate.devices.operator_control import AT_ONCE, OperatorCommand, OperatorControl
 
 POLL_S = 0.002  # between two looks at the force while something moves
 WAIT_S = 0.02  # and while nothing does

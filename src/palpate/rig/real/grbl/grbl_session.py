@@ -10,12 +10,13 @@ import math
 
 from palpate.core.clock import NS_PER_S, Clock
 from palpate.core.errors import DeviceError
-from palpate.rig.real.grbl.link import GrblLink, SerialPort
-from palpate.rig.real.grbl.parser import GrblState, GrblStatus, alarm_name
-from palpate.rig.real.grbl.spec import GrblSpec, Mount
-from palpate.rig.real.grbl.supervisor import (
-    Machine,
+from palpate.rig.real.grbl.grbl_link import GrblLink, SerialPort
+from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, alarm_name
+from palpate.rig.real.grbl.grbl_supervisor import (
+    GrblMachine,
+    GrblSpec,
     Millimetres,
+    Mount,
     MoveSupervisor,
     check_limits,
     read_machine,
@@ -29,7 +30,7 @@ _HOLD_AGAIN_S = 0.25  # a second hold too soon would meet a jog that just ended,
 _OFFSET_WITHIN = 40  # status reports; the work offset comes in one of 10 to 30
 
 
-class Session:
+class GrblSession:
     """The state behind a `GrblStage`, which holds its lock around every call here.
 
     Raises:
@@ -238,7 +239,7 @@ class Session:
             )
         self._boots, self._offset_mm = self.link.banners, None
 
-    def _greet(self) -> Machine:
+    def _greet(self) -> GrblMachine:
         """Get into step with a controller that may be booting, moving, held, locked or not there."""
         self.link.listen(self.spec.boot_s)
         status = self.link.ask()

@@ -1,0 +1,358 @@
+"""One GRBL stage: its port, how it is mounted, and where it may go.
+
+The machine's own settings, and one straight move under watch: on its path, arrived, or stopped short.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from palpate.core.clock import NS_PER_S
+from palpate.core.device_protocols import Position, Travel
+from palpate.core.errors import DeviceError, InputError, RangeError
+from palpate.rig.real.grbl.grbl_link import GrblLink
+from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, Setting
+
+MM_PER_M = 1e3
+S_PER_MIN = 60.0
+MIN_FEED_MM_MIN = 1.0  # below it the planner runs at 1 mm/min whatever was asked (its stock build)
+_ROUNDING_M = 1e-9  # of a limit that was calculated; a thousandth of what the stage resolves
+_AXIS = re.compile(r"([+-])([XYZ])")
+_DECIMALS = 4  # of a target [mm]; a tenth of what the controller reports
+
+
+@dataclass(frozen=True, slots=True)
+class GrblSpec:
+    """How a stage is reached, mounted and limited.
+
+    Attributes:
+        port: a path such as /dev/ttyACM0, or the USB serial number of its adapter.
+        baud: of the port.
+        axes: which machine axis, and which way, is x, y and z of the sensor's frame (x right, y towards the
+            viewer, z into the skin). The default fits a machine whose Z points up and Y away from the viewer.
+        least_m, greatest_m: where it may be sent, in the sensor's frame [m]. Left out, it is all of the
+            machine's own travel, which spans -$130 to 0 and so on in machine coordinates once homed.
+        top_speed_m_s: fastest that is allowed; left out, the slowest axis' own limit, $110 to $112.
+        latency_s: from asking for a stop to the start of slowing down: port, USB and firmware [s].
+        boot_s: how long to listen for its banner after opening the port [s].
+        reply_s: how long it may take to answer a line or a `?` [s].
+        stop_s: how long a stop may take beyond the slowing down itself [s].
+        home_s: how long homing, or one probing move, may take [s].
+        still_s: how long it may stand away from its target, or not come on, before that is a fault [s].
+        poll_s: between questions while it waits for the stage [s].
+        require_homed: refuse to move unless homing is on and was not bypassed. Without it the place is on
+            the word of who calls `reference`.
+        dtr: raise the port's DTR line. Off, an AVR board is kept from being reset where the system allows it;
+            some boards with USB of their own talk only with it on.
+    """
+
+    port: str
+    baud: int = 115200
+    axes: tuple[str, str, str] = ("+X", "-Y", "-Z")
+    least_m: Position | None = None
+    greatest_m: Position | None = None
+    top_speed_m_s: float | None = None
+    latency_s: float = 0.05
+    boot_s: float = 2.5
+    reply_s: float = 2.0
+    stop_s: float = 5.0
+    home_s: float = 120.0
+    still_s: float = 1.0
+    poll_s: float = 0.02
+    require_homed: bool = True
+    dtr: bool = False
+
+    def __post_init__(self) -> None:
+        letters = [axis[1:] for axis in self.axes if _AXIS.fullmatch(axis)]
+        if sorted(letters) != ["X", "Y", "Z"]:
+            raise InputError(
+                f"axes {self.axes} must name X, Y and Z once each with a sign, as ('+X', '-Y', '-Z')"
+            )
+        if (self.least_m is None) != (self.greatest_m is None):
+            raise InputError("give both least_m and greatest_m [m], or neither")
+        if self.least_m is not None and self.greatest_m is not None:
+            for low, high in zip(self.least_m, self.greatest_m, strict=True):
+                if not (math.isfinite(low) and math.isfinite(high) and low < high):
+                    raise RangeError(f"limits {low} to {high} m: both must be finite, the first the lower")
+        times = ("latency_s", "reply_s", "stop_s", "home_s", "still_s", "poll_s")
+        for name in ("baud", "top_speed_m_s", *times):
+            value = getattr(self, name)
+            if value is not None and not (value > 0 and math.isfinite(value)):
+                raise RangeError(f"{name} is {value}; it must be positive and finite")
+        if not (self.boot_s >= 0 and math.isfinite(self.boot_s)):
+            raise RangeError(f"boot_s is {self.boot_s} s; it must be 0 s or more")
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """Sensor frame to machine coordinates and back: sensor = sign (machine - origin), axis by axis.
+
+    Attributes:
+        axes: as in the spec.
+        origin_mm: machine coordinates of the sensor frame's zero [mm].
+    """
+
+    axes: tuple[str, str, str]
+    origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def sensor_m(self, machine_mm: tuple[float, ...]) -> Position:
+        """Place in the sensor's frame [m]."""
+        from_origin = [there - zero for there, zero in zip(machine_mm, self.origin_mm, strict=False)]
+        x, y, z = (_sign(axis) * from_origin[_index(axis)] / MM_PER_M for axis in self.axes)
+        return x, y, z
+
+    def machine_mm(self, sensor_m: Position) -> tuple[float, float, float]:
+        """Place in machine coordinates, rounded to what is sent [mm]."""
+        machine = list(self.origin_mm)
+        for axis, value in zip(self.axes, sensor_m, strict=True):
+            machine[_index(axis)] += _sign(axis) * value * MM_PER_M
+        x, y, z = (round(value, _DECIMALS) for value in machine)
+        return x, y, z
+
+    def at_origin(self) -> Mount:
+        """The mount whose zero is the machine's."""
+        return Mount(self.axes)
+
+    def placed(self, machine_mm: tuple[float, ...], sensor_m: Position) -> Mount:
+        """The mount for which the machine, standing there, is at `sensor_m`."""
+        at_zero = Mount(self.axes).machine_mm(sensor_m)
+        x, y, z = (machine_mm[i] - at_zero[i] for i in range(3))
+        return Mount(self.axes, (x, y, z))
+
+    def box_m(self, travel_mm: tuple[float, float, float]) -> tuple[Position, Position]:
+        """The machine's own travel, -travel to 0, in the sensor's frame [m]."""
+        low = self.sensor_m(tuple(-length for length in travel_mm))
+        high = self.sensor_m((0.0, 0.0, 0.0))
+        x, y, z = (sorted(pair) for pair in zip(low, high, strict=True))
+        return (x[0], y[0], z[0]), (x[1], y[1], z[1])
+
+
+def fixed(value: float, decimals: int = _DECIMALS) -> str:
+    """A number as GRBL reads it: fixed point, no exponent, no minus before zero.
+
+    Raises:
+        RangeError: it is not finite, or too large to be a length in mm or a speed in mm/min.
+
+    Example:
+        >>> fixed(-0.00001), fixed(1e-2)
+        ('0.0000', '0.0100')
+    """
+    if not (math.isfinite(value) and abs(value) < 1e6):
+        raise RangeError(f"{value} cannot be sent to the stage: it must be finite and below 1e6 mm or mm/min")
+    text = f"{value:.{decimals}f}"
+    return text[1:] if float(text) == 0.0 and text.startswith("-") else text
+
+
+def feed_mm_min(speed_m_s: float) -> float:
+    """A speed in the controller's unit [mm/min]."""
+    return speed_m_s * MM_PER_M * S_PER_MIN
+
+
+def check_range(travel: Travel, position_m: Position, speed_m_s: float) -> None:
+    """Refuse what a stage cannot do.
+
+    Raises:
+        RangeError: the position lies outside the travel, or the speed is none that it can run at.
+    """
+    for name, value, low, high in zip("xyz", position_m, travel.least_m, travel.greatest_m, strict=True):
+        if not low - _ROUNDING_M <= value <= high + _ROUNDING_M:
+            raise RangeError(
+                f"{name} = {value} m lies outside the stage's travel, {low:g} to {high:g} m; not moved"
+            )
+    least, greatest = MIN_FEED_MM_MIN / MM_PER_M / S_PER_MIN, travel.top_speed_m_s
+    if not least <= speed_m_s <= greatest * (1 + 1e-9):  # a rounding above the limit is the limit
+        raise RangeError(f"speed {speed_m_s} m/s lies outside {least:.3g} to {greatest:g} m/s; not moved")
+
+
+def _index(axis: str) -> int:
+    return "XYZ".index(axis[1])
+
+
+def _sign(axis: str) -> int:
+    return -1 if axis[0] == "-" else 1
+
+
+@dataclass(frozen=True, slots=True)
+class GrblMachine:
+    """The settings that bear on motion.
+
+    Attributes:
+        steps_per_mm: $100 to $102.
+        top_mm_min: $110 to $112.
+        acceleration_mm_s2: $120 to $122.
+        travel_mm: $130 to $132.
+        homing: $22.
+    """
+
+    steps_per_mm: tuple[float, float, float]
+    top_mm_min: tuple[float, float, float]
+    acceleration_mm_s2: tuple[float, float, float]
+    travel_mm: tuple[float, float, float]
+    homing: bool
+
+    @classmethod
+    def read(cls, settings: Mapping[int, str]) -> GrblMachine:
+        """From setting numbers and texts.
+
+        Raises:
+            DeviceError: one is missing, not a positive number, or it reports in inches.
+        """
+        if _number(settings, 13) != 0:
+            raise DeviceError("the controller reports in inches ($13=1); set $13=0 on it")
+        return cls(
+            steps_per_mm=_three(settings, 100),
+            top_mm_min=_three(settings, 110),
+            acceleration_mm_s2=_three(settings, 120),
+            travel_mm=_three(settings, 130),
+            homing=int(_number(settings, 22)) % 2 == 1,  # grblHAL keeps options in its higher bits
+        )
+
+    @property
+    def tolerance_mm(self) -> float:
+        """How near counts as there: two steps of the coarsest axis, 0.01 mm at least [mm]."""
+        return max(2.0 / min(self.steps_per_mm), 0.01)
+
+    @property
+    def slowing_s(self) -> float:
+        """How long slowing down takes at worst [s]."""
+        return max(self.top_mm_min) / S_PER_MIN / min(self.acceleration_mm_s2)
+
+
+def read_machine(link: GrblLink) -> GrblMachine:
+    """Ask for the settings.
+
+    Raises:
+        DeviceError: they do not come, or one that is needed cannot be read.
+    """
+    for _ in range(3):  # an answer to somebody else's line can come before the list
+        settings = {line.number: line.text for line in link.command("$$") if isinstance(line, Setting)}
+        if settings:
+            return GrblMachine.read(settings)
+    raise DeviceError("the stage's controller does not list its settings on $$")
+
+
+def check_limits(spec: GrblSpec, machine: GrblMachine) -> None:
+    """Refuse limits that the machine cannot have.
+
+    Raises:
+        InputError: there are none, and homing is off: the counts begin anywhere, and so would -$130 to 0.
+        RangeError: they span more than the machine does.
+    """
+    if spec.least_m is None or spec.greatest_m is None:
+        if not machine.homing:
+            raise InputError("homing is off on the stage ($22=0), so give least_m and greatest_m [m]")
+        return
+    if not machine.homing:
+        return
+    low, high = Mount(spec.axes).box_m(machine.travel_mm)
+    for name, least, greatest, a, b in zip("xyz", spec.least_m, spec.greatest_m, low, high, strict=True):
+        if greatest - least > (b - a) * (1 + 1e-9):  # a rounding above the travel is the travel
+            raise RangeError(
+                f"limits {least} to {greatest} m of {name} span more than the machine's {b - a:g} m "
+                "($130 to $132); narrow them"
+            )
+
+
+def _number(settings: Mapping[int, str], number: int) -> float:
+    try:
+        return float(settings[number].split()[0])
+    except (KeyError, ValueError, IndexError) as error:
+        raise DeviceError(f"the controller's list of settings has no readable ${number}") from error
+
+
+def _three(settings: Mapping[int, str], first: int) -> tuple[float, float, float]:
+    x, y, z = (_number(settings, first + i) for i in range(3))
+    if not all(math.isfinite(value) and value > 0 for value in (x, y, z)):
+        raise DeviceError(
+            f"the controller's settings ${first} to ${first + 2} must be above 0; set them on it"
+        )
+    return x, y, z
+
+
+Millimetres = tuple[float, float, float]
+_REPORTED_MM = 0.001  # resolution of a status report
+_UNDER_WAY = {GrblState.IDLE, GrblState.RUN, GrblState.JOG}
+
+
+class MoveSupervisor:
+    """A move from `start_mm` to `target_mm` in machine coordinates.
+
+    Arrived means: its line was answered, the controller is Idle, and the place is the target. Idle alone is
+    not: it shows during a dwell and before a line was read.
+
+    Args:
+        start_mm, target_mm: [mm].
+        feed_mm_min: its speed [mm/min].
+        machine: for tolerance and steps.
+        still_s: how long it may stay where it is, short of the target, before that is a fault [s].
+        now_ns: when it began.
+        beyond_mm: how far past the target it may slow down, where what ends it is not its target [mm].
+    """
+
+    def __init__(
+        self,
+        start_mm: Millimetres,
+        target_mm: Millimetres,
+        feed_mm_min: float,
+        machine: GrblMachine,
+        still_s: float,
+        now_ns: int,
+        beyond_mm: float = 0.0,
+    ) -> None:
+        self.start_mm, self.target_mm, self.feed_mm_min = start_mm, target_mm, feed_mm_min
+        self.tolerance_mm = machine.tolerance_mm
+        grain_mm = max(_REPORTED_MM, 1.0 / min(machine.steps_per_mm))
+        # A creeping axis shows no change from one grain to the next: five grains' time is not yet standing.
+        self._patience_ns = max(still_s, 5.0 * grain_mm * S_PER_MIN / feed_mm_min) * NS_PER_S
+        self._last_mm, self._last_ns = start_mm, now_ns
+        length = math.dist(start_mm, target_mm)
+        further = 1.0 + (beyond_mm / length if length > 0.0 else 0.0)
+        x, y, z = (a + further * (b - a) for a, b in zip(start_mm, target_mm, strict=True))
+        self._end_mm = (x, y, z)
+
+    def stray(self, place_mm: Millimetres) -> str:
+        """What is wrong with a place that is off the way by more than the tolerance; empty for one on it."""
+        off = distance_to_segment(place_mm, self.start_mm, self._end_mm)
+        if off <= self.tolerance_mm:
+            return ""
+        way = f"from {shown(self.start_mm)} to {shown(self.target_mm)}"
+        return f"the stage reports {shown(place_mm)}, {off:.3f} mm off its way {way} (machine coordinates)"
+
+    def arrived(self, status: GrblStatus, place_mm: Millimetres, now_ns: int) -> bool:
+        """Whether it is at its end; for a place on the way.
+
+        Raises:
+            DeviceError: it is held, stands elsewhere, or says that it moves and does not.
+        """
+        if status.state is GrblState.IDLE and math.dist(place_mm, self.target_mm) <= self.tolerance_mm:
+            return True
+        where = f"at {shown(place_mm)}, on its way to {shown(self.target_mm)} (machine coordinates)"
+        if status.state not in _UNDER_WAY:
+            raise DeviceError(f"the stage is in {status.state} {where}; stop() it, then see to the cause")
+        if place_mm != self._last_mm:
+            self._last_mm, self._last_ns = place_mm, now_ns
+        elif now_ns - self._last_ns > self._patience_ns:
+            kind = (
+                "has stopped" if status.state is GrblState.IDLE else f"says {status.state} and does not move"
+            )
+            raise DeviceError(f"the stage {kind} {where}; stop() it, then see what blocks it")
+        return False
+
+
+def distance_to_segment(place: Millimetres, start: Millimetres, end: Millimetres) -> float:
+    """Distance of a point from a straight piece [as its arguments]."""
+    length = math.dist(start, end)
+    if length == 0.0:
+        return math.dist(place, start)
+    along = sum((p - s) * (e - s) for p, s, e in zip(place, start, end, strict=True)) / length
+    part = min(max(along / length, 0.0), 1.0)
+    nearest = [s + part * (e - s) for s, e in zip(start, end, strict=True)]
+    return math.dist(place, nearest)
+
+
+def shown(place_mm: Millimetres) -> str:
+    """A place in words."""
+    return "X{:.3f} Y{:.3f} Z{:.3f} mm".format(*place_mm)
