@@ -145,7 +145,7 @@ def calibrated(folder: Path, side: int) -> Path:
 def read(calibration: Path, frames: list[Any], threads: int) -> None:
     """Frames to Readings."""
     from palpate import Estimator
-    from palpate.estimators.preparation import Preparation
+    from palpate.recordings.preparation import Preparation
     from palpate.sensors import palm
 
     estimator = Estimator.open(calibration, threads=threads)

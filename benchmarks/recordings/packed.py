@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.core import ManualClock
-from palpate.estimators.preparation import Preparation
+from palpate.recordings.preparation import Preparation
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.run_reader import Run

@@ -9,12 +9,20 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.contact import Contact, Pose, Probe, Specimen
-from palpate.core.errors import InputError, PalpateError, RangeError
-from palpate.core.sensor import Sensor, contract_faults, force_law, frame_faults, untouched
-from palpate.core.shapes import Float
+from palpate.core import (
+    Contact,
+    Float,
+    InputError,
+    PalpateError,
+    Pose,
+    Probe,
+    RangeError,
+    Sensor,
+    Specimen,
+    ndarray,
+)
+from palpate.core.sensor import contract_faults, force_law, frame_faults, untouched
 from palpate.devices.check.check_result import CheckResult, at_most, held, judged, refusal, told
 from palpate.rig.plans.plan_files import plan_from
 

@@ -10,7 +10,7 @@ import pytest
 
 import palpate
 from palpate import CalibrationPlan, Estimator, Manifest, Run, RunWriter
-from palpate.estimators.preparation import Preparation
+from palpate.recordings.preparation import Preparation
 from palpate.recordings import PackedSet, export_folder, integrity, packed_set, read_labels
 from palpate.recordings import integrity as repair
 from palpate.workflows import DemoProtocol, record_demo

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from palpate.core import ExistsError, InputError, ManualClock, RecordingError, StorageError
-from palpate.estimators.preparation import Preparation
+from palpate.recordings.preparation import Preparation
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.run_reader import Run
@@ -209,7 +209,7 @@ from pathlib import Path
 import numpy as np
 from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.run_reader import Run
-from palpate.estimators.preparation import Preparation
+from palpate.recordings.preparation import Preparation
 run = Run.open(Path(sys.argv[1]))
 preparation = Preparation(None, (512, 512), 3)
 # The libraries load before the limit is set.

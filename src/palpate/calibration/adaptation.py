@@ -49,9 +49,18 @@ from palpate.calibration.training_data import (
     rows_to_learn,
     training_data,
 )
-from palpate.core.errors import ImageError, InputError, LabelError
-from palpate.core.files import PathText, new_folder, refuse_existing, storage_errors
-from palpate.core.shapes import Indices, Tensor, Values
+from palpate.core import (
+    ImageError,
+    Indices,
+    InputError,
+    LabelError,
+    PathText,
+    Tensor,
+    Values,
+    new_folder,
+    refuse_existing,
+    storage_errors,
+)
 from palpate.estimators.certified import CARD_FILE, Estimator, Intervals, checked_file, intervals_of
 from palpate.estimators.model_card import Card, SplitCard, sealed
 from palpate.estimators.networks.model_interface import Progress, TrainingData, silent

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Literal
 
-from palpate.core.errors import InputError
+from palpate.core import InputError, split_column
 from palpate.core.plugins import named
-from palpate.core.units import split_column
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,10 +24,7 @@ from palpate.calibration.conformal import fit_intervals
 from palpate.calibration.evaluation import score
 from palpate.calibration.leakage import LeakageAudit
 from palpate.calibration.training_data import Untouched
-from palpate.core.errors import CertificateError
-from palpate.core.files import new_folder, sha256_of
-from palpate.core.shapes import Indices, Values
-from palpate.core.units import split_column
+from palpate.core import CertificateError, Indices, Values, new_folder, sha256_of, split_column
 from palpate.estimators.certified import CARD_FILE, Intervals
 from palpate.estimators.model_card import (
     FORMAT,

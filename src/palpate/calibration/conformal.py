@@ -16,8 +16,7 @@ from scipy.stats import binomtest
 from sklearn.linear_model import GammaRegressor
 from sklearn.model_selection import GroupKFold
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Float, Values
+from palpate.core import Float, InputError, Values
 from palpate.estimators.certified import ErrorSpread, Intervals, design
 from palpate.estimators.networks.model_interface import Scaler
 

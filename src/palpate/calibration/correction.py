@@ -17,7 +17,7 @@ import numpy as np
 import onnx
 from onnx import helper, numpy_helper
 
-from palpate.core.shapes import Float, Indices, Values
+from palpate.core import Float, Indices, Values
 from palpate.estimators.certified import design
 
 STRENGTHS = tuple(10.0**power for power in range(-6, 2))

@@ -10,9 +10,7 @@ import pandas as pd
 from palpate.calibration.calibration_plan import ReferenceRule
 from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.calibration.training_data import marked
-from palpate.core.errors import LabelError
-from palpate.core.reading import Readings
-from palpate.core.shapes import Shaped, Values
+from palpate.core import LabelError, Readings, Shaped, Values
 from palpate.estimators.certified import Estimator, Zero
 from palpate.estimators.model_card import Card, ScoreCard
 from palpate.estimators.networks.model_interface import Progress, silent

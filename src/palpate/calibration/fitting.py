@@ -29,9 +29,16 @@ from palpate.calibration.training_data import (
     rows_to_learn,
     training_data,
 )
-from palpate.core.errors import ExistsError, InputError
-from palpate.core.files import PathText, new_file, refuse_existing, storage_errors
-from palpate.core.shapes import Indices, Values
+from palpate.core import (
+    ExistsError,
+    Indices,
+    InputError,
+    PathText,
+    Values,
+    new_file,
+    refuse_existing,
+    storage_errors,
+)
 from palpate.estimators.networks import make_model, model_kind
 from palpate.estimators.networks.distributed import ProcessGroup
 from palpate.estimators.networks.model_interface import (
@@ -43,7 +50,7 @@ from palpate.estimators.networks.model_interface import (
     silent,
 )
 from palpate.estimators.novelty import LearnsFromRendered, NoveltyDetector, fit_novelty_detector, thumbnails
-from palpate.estimators.preparation import Preparation
+from palpate.recordings.preparation import Preparation
 from palpate.recordings.labels import refuse_reserved, targets_from
 from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.run_reader import Run

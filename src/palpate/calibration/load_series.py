@@ -9,12 +9,23 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
-from numpy import ndarray
 from PIL.JpegImagePlugin import JpegImageFile
 
-from palpate.core.errors import ImageError, InputError, LabelError, UnitError
-from palpate.core.shapes import Bool, Float, Image, UInt8
-from palpate.core.units import Unit, has_unit, split_column, unit
+from palpate.core import (
+    Bool,
+    Float,
+    Image,
+    ImageError,
+    InputError,
+    LabelError,
+    UInt8,
+    Unit,
+    UnitError,
+    has_unit,
+    ndarray,
+    split_column,
+    unit,
+)
 from palpate.estimators.fringe_order import check_loads
 from palpate.recordings.exchange.image_files import read_image
 from palpate.recordings.labels import FIRST_ROW, read_labels, rows_text

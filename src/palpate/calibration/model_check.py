@@ -12,8 +12,7 @@ import onnxruntime
 
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.certificate import AGREEMENT
-from palpate.core.errors import PalpateError, PluginError
-from palpate.core.shapes import Indices, Tensor, Values
+from palpate.core import Indices, PalpateError, PluginError, Tensor, Values
 from palpate.estimators.networks import MODELS, make_model, model_kind
 from palpate.estimators.networks.model_interface import Fitted, TrainingData
 

@@ -38,9 +38,16 @@ from palpate.calibration.certificate import PREDICTIONS_FILE, WORST, file_card, 
 from palpate.calibration.conformal import fit_intervals
 from palpate.calibration.evaluation import groups_in, score
 from palpate.calibration.training_data import find_untouched, rows_to_learn, training_data
-from palpate.core.errors import CertificateError, InputError
-from palpate.core.files import PathText, new_folder, refuse_existing
-from palpate.core.shapes import Indices, Tensor, Values
+from palpate.core import (
+    CertificateError,
+    Indices,
+    InputError,
+    PathText,
+    Tensor,
+    Values,
+    new_folder,
+    refuse_existing,
+)
 from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
 from palpate.estimators.model_card import Card, TargetCard, sealed
 from palpate.estimators.networks.model_interface import Progress, TrainingData, silent

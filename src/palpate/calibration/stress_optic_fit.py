@@ -21,12 +21,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy import ndarray
 
 from palpate.calibration.load_series import Series, Tone, read_series
-from palpate.core.errors import RangeError
+from palpate.core import Float, RangeError, ndarray
 from palpate.core.files import sha256_of_all
-from palpate.core.shapes import Float
 from palpate.estimators.fringe_light import Polariscope
 from palpate.estimators.fringe_order import OrderFit, fit_orders
 from palpate.version import __version__

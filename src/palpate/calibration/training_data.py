@@ -12,8 +12,7 @@ import numpy as np
 import pandas as pd
 
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
-from palpate.core.errors import InputError, LabelError
-from palpate.core.shapes import Bool, Float32, Indices, Int, Shaped, Tensor
+from palpate.core import Bool, Float32, Indices, InputError, Int, LabelError, Shaped, Tensor
 from palpate.estimators.networks.model_interface import TrainingData
 from palpate.recordings.labels import targets_from
 from palpate.recordings.manifest import Manifest

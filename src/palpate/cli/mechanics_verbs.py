@@ -11,7 +11,7 @@ from typing import Annotated, ParamSpec, TypeVar
 import typer
 
 from palpate.cli.verb_support import Group, Json, reports_errors
-from palpate.core.errors import InputError
+from palpate.core import InputError
 
 P = ParamSpec("P")
 T = TypeVar("T")

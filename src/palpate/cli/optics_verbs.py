@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 import typer
 
 from palpate.cli.verb_support import Group, Json, Quiet, numbers_of, print_found, progress_bar, reports_errors
-from palpate.core.errors import InputError
+from palpate.core import InputError
 
 
 @reports_errors

@@ -1,6 +1,6 @@
-"""The nouns that every room speaks in, their units, their errors and the clock."""
+"""The nouns that every room speaks in: shapes, units, errors, the clock, files."""
 
-from palpate.core.clock import Clock, ManualClock, MonotonicClock
+from palpate.core.clock import NS_PER_S, Clock, ManualClock, MonotonicClock
 from palpate.core.contact import Contact, Pose, PressHistory, Probe, Specimen
 from palpate.core.device_protocols import Camera, ForceSensor, FrameSource, Position, Stage, Travel, Wrench
 from palpate.core.errors import (
@@ -22,6 +22,7 @@ from palpate.core.errors import (
     StorageError,
     UnitError,
 )
+from palpate.core.files import PathText, new_file, new_folder, refuse_existing, sha256_of, storage_errors
 from palpate.core.frame import Frame
 from palpate.core.outline import Outline
 from palpate.core.reading import (
@@ -38,34 +39,68 @@ from palpate.core.reading import (
     VectorReading,
 )
 from palpate.core.sensor import Sensor
+from palpate.core.shapes import (
+    Bool,
+    Complex,
+    Complex64,
+    Field,
+    Float,
+    Float16,
+    Float32,
+    Image,
+    Images,
+    Indices,
+    Int,
+    Mask,
+    Shaped,
+    Tensor,
+    UInt8,
+    UInt16,
+    Values,
+    ndarray,
+)
 from palpate.core.units import Unit, has_unit, split_column, unit
 
 __all__ = [
+    "NS_PER_S",
     "AlignedBox",
+    "Bool",
     "Camera",
     "CertificateError",
     "CircularReading",
     "Clock",
     "ColumnError",
+    "Complex",
+    "Complex64",
     "Contact",
     "DeviceError",
     "Drift",
     "Ellipsoid",
     "ExistsError",
+    "Field",
     "FieldReading",
+    "Float",
+    "Float16",
+    "Float32",
     "ForceSensor",
     "Frame",
     "FrameSource",
     "GridAxis",
+    "Image",
     "ImageError",
+    "Images",
+    "Indices",
     "InputError",
+    "Int",
     "LabelError",
     "ManualClock",
+    "Mask",
     "MeasurementResult",
     "MissingExtraError",
     "MonotonicClock",
     "Outline",
     "PalpateError",
+    "PathText",
     "PluginError",
     "Pose",
     "Position",
@@ -79,16 +114,27 @@ __all__ = [
     "SafetyError",
     "Sensor",
     "SetReading",
+    "Shaped",
     "Specimen",
     "SplitError",
     "Stage",
     "StorageError",
+    "Tensor",
     "Travel",
+    "UInt8",
+    "UInt16",
     "Unit",
     "UnitError",
+    "Values",
     "VectorReading",
     "Wrench",
     "has_unit",
+    "ndarray",
+    "new_file",
+    "new_folder",
+    "refuse_existing",
+    "sha256_of",
     "split_column",
+    "storage_errors",
     "unit",
 ]

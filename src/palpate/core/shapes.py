@@ -22,18 +22,27 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy import ndarray
 
 __all__ = [
     "Bool",
     "Complex",
     "Complex64",
+    "Field",
     "Float",
     "Float16",
     "Float32",
+    "Image",
+    "Images",
+    "Indices",
     "Int",
+    "Mask",
     "Shaped",
+    "Tensor",
     "UInt8",
     "UInt16",
+    "Values",
+    "ndarray",
 ]
 
 if TYPE_CHECKING or "jaxtyping" in sys.modules:

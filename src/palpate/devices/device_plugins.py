@@ -14,8 +14,7 @@ from contextlib import suppress
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from palpate.core.clock import Clock
-from palpate.core.errors import InputError, PalpateError
+from palpate.core import Clock, InputError, PalpateError
 from palpate.devices.check.interface_check import Role, check_interface
 
 GROUPS: dict[Role, str] = {

@@ -10,10 +10,18 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from palpate.core.clock import NS_PER_S, Clock
-from palpate.core.device_protocols import ForceSensor, FrameSource, Position, Stage, Travel, Wrench
-from palpate.core.errors import DeviceError
-from palpate.core.frame import Frame
+from palpate.core import (
+    NS_PER_S,
+    Clock,
+    DeviceError,
+    ForceSensor,
+    Frame,
+    FrameSource,
+    Position,
+    Stage,
+    Travel,
+    Wrench,
+)
 from palpate.devices.operator_control import OperatorCommand, OperatorInterrupt
 
 KEPT_S = 20.0  # of force, for the plot

@@ -11,9 +11,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from palpate.core.clock import NS_PER_S
-from palpate.core.device_protocols import Position
-from palpate.core.shapes import Image
+from palpate.core import NS_PER_S, Image, Position
 from palpate.devices.device_proxies import KEPT_S, RATE_S, CameraProxy, ForceProxy, StageProxy
 from palpate.devices.force_bias import Force, Mounting
 

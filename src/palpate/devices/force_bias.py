@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from palpate.core.device_protocols import Wrench
-from palpate.core.errors import RangeError
+from palpate.core import RangeError, Wrench
 from palpate.devices.motion_limits import Reason, Tripped
 
 SAMPLES = 20  # fewest for a mean that is worth taking off

@@ -15,9 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Generic, ParamSpec, Protocol, runtime_checkable
 
-from palpate.core.clock import NS_PER_S, Clock
-from palpate.core.device_protocols import Position, Travel, Wrench
-from palpate.core.errors import DeviceError
+from palpate.core import NS_PER_S, Clock, DeviceError, Position, Travel, Wrench
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.motion_limits import Limits, Reason, Tripped
 from palpate.devices.operator_control import AT_ONCE, OperatorCommand, OperatorControl

@@ -6,8 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
-from palpate.core.device_protocols import Position, Travel
-from palpate.core.errors import RangeError, SafetyError
+from palpate.core import Position, RangeError, SafetyError, Travel
 
 AXES = "xyz"
 

@@ -21,8 +21,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from palpate.core.errors import DeviceError, PalpateError, ProtocolError, RecordingError
-from palpate.core.files import lock, storage_errors
+from palpate.core import DeviceError, PalpateError, ProtocolError, RecordingError, storage_errors
+from palpate.core.files import lock
 
 _MAX_BYTES = 4096
 MAX_NAME = 80  # characters of a file's name

@@ -16,9 +16,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from palpate.core import errors
-from palpate.core.errors import DeviceError, PalpateError, ProtocolError
-from palpate.core.files import storage_errors
+from palpate.core import DeviceError, PalpateError, ProtocolError, errors, storage_errors
 from palpate.devices.rpc import SAID_BYTES, Address, Lines, decode, encode, find, path_of
 
 HOST = "127.0.0.1"

@@ -18,7 +18,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from palpate.core.errors import InputError, PalpateError, ProtocolError
+from palpate.core import InputError, PalpateError, ProtocolError
 from palpate.devices.rpc import ASKED_BYTES, Lines, decode, encode
 
 MAX_REPLIES = 1000  # that a client may leave unread

@@ -13,12 +13,23 @@ import numpy as np
 import onnxruntime
 from pydantic import ValidationError
 
-from palpate.core.errors import CertificateError, ImageError, StorageError
-from palpate.core.files import PathText, sha256_of
-from palpate.core.frame import Frame
-from palpate.core.reading import Drift, Reading, Readings
-from palpate.core.shapes import Float, Float32, Image, Tensor, Values
-from palpate.core.units import unit
+from palpate.core import (
+    CertificateError,
+    Drift,
+    Float,
+    Float32,
+    Frame,
+    Image,
+    ImageError,
+    PathText,
+    Reading,
+    Readings,
+    StorageError,
+    Tensor,
+    Values,
+    sha256_of,
+    unit,
+)
 from palpate.estimators.model_card import Card, FileCard, TargetCard, card_id
 from palpate.estimators.model_parts import refuse_other_files
 from palpate.estimators.novelty import NoveltyDetector

@@ -20,10 +20,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Bool, Float
+from palpate.core import Bool, Float, InputError, RangeError, ndarray
 from palpate.estimators.fringe_light import Polariscope
 from palpate.estimators.fringe_search import MIN_ORDER, Fit, Traces, candidates, refined
 

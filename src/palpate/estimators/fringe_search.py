@@ -11,12 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import t as student
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Bool, Float
+from palpate.core import Bool, Float, InputError, RangeError, ndarray
 from palpate.estimators.fringe_light import Polariscope
 
 UNKNOWNS = 4  # k, N0, a and b

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_serializer
 
-from palpate.estimators.preparation import Preparation
+from palpate.recordings.preparation import Preparation
 
 FORMAT = "palpate-calibration/1"
 

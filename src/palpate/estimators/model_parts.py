@@ -14,7 +14,7 @@ from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
-from palpate.core.errors import CertificateError
+from palpate.core import CertificateError
 
 EXTERNAL = 1  # of TensorProto.DataLocation
 

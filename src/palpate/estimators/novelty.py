@@ -28,9 +28,7 @@ import cv2
 import numpy as np
 from scipy.optimize import nnls
 
-from palpate.core.errors import CertificateError, InputError
-from palpate.core.reading import Drift
-from palpate.core.shapes import Float, Float16, Float32, Indices, Int, UInt8
+from palpate.core import CertificateError, Drift, Float, Float16, Float32, Indices, InputError, Int, UInt8
 
 THUMBNAIL_VALUES = 1024
 """A thumbnail holds about this many values, in one channel or in three."""

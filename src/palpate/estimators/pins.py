@@ -17,11 +17,9 @@ from typing import no_type_check
 import cv2
 import numba
 import numpy as np
-from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from palpate.core.errors import ImageError, InputError, RangeError
-from palpate.core.shapes import Bool, Float, Shaped, UInt8
+from palpate.core import Bool, Float, ImageError, InputError, RangeError, Shaped, UInt8, ndarray
 
 ROUNDS = 6  # of looking around where it was found
 STILL_PX = 0.005

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from palpate.core.errors import ImageError, InputError
-from palpate.core.files import PathText
-from palpate.core.frame import Frame
+from palpate.core import Frame, ImageError, InputError, PathText
 from palpate.recordings.exchange.image_files import read_image
 from palpate.recordings.manifest import MANIFEST
 

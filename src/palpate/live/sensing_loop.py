@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from palpate.core.reading import Drift, Readings, plain_number
+from palpate.core import Drift, Readings
+from palpate.core.reading import plain_number
 from palpate.estimators.certified import Estimator, Zero
 from palpate.live.frame_sources import FrameStream, RunFrames, Unreadable
 

@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpate.core.contact import Contact
-from palpate.core.errors import InputError
+from palpate.core import Contact, InputError
 from palpate.mechanics.layers.surface_grid import cells
 
 

@@ -45,10 +45,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import RangeError
-from palpate.core.shapes import Float
+from palpate.core import Float, RangeError, ndarray
 from palpate.mechanics.half_space.hertz import contact_radius, positive, reduced_modulus
 
 History = Float[ndarray, " n"]

@@ -19,11 +19,9 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
-from numpy import ndarray
 from scipy.interpolate import RegularGridInterpolator
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Bool, Complex, Float, Float32
+from palpate.core import Bool, Complex, Float, Float32, InputError, RangeError, ndarray
 from palpate.optics.compiled_march import check_bands, march_colour_plain, packed, shared
 
 Along = Float[ndarray, "*_"]

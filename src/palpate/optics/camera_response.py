@@ -11,10 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float, Float32, UInt8, UInt16
+from palpate.core import Float, Float32, InputError, RangeError, UInt8, UInt16, ndarray
 from palpate.optics.colour import encode_srgb
 
 LinearImage = Float[ndarray, "h w 3"]

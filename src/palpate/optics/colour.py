@@ -9,10 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Float, UInt8
+from palpate.core import Float, InputError, UInt8, ndarray
 
 Banded = Float[ndarray, "k *n"]
 

@@ -13,10 +13,8 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Complex, Float, Float32
+from palpate.core import Complex, Float, Float32, InputError, ndarray
 from palpate.optics.march import Retarder, march, march_even
 from palpate.optics.polariscope import through
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import RangeError
-from palpate.core.shapes import Float, Float32
+from palpate.core import Float, Float32, RangeError, ndarray
 from palpate.optics.camera_response import uneven_light
 
 Places = Float[ndarray, " n"]

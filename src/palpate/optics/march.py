@@ -13,10 +13,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Float
+from palpate.core import Float, InputError, ndarray
 
 Summed = Float[ndarray, "*n"]
 Slices = Float[ndarray, "s *n"]

@@ -8,10 +8,8 @@ is the squared modulus, so a march needs no more than these numbers of any polar
 from __future__ import annotations
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Complex, Float
+from palpate.core import Complex, Float, InputError, RangeError, ndarray
 from palpate.optics.march import Retarder
 
 Light = Float[ndarray, "*n"]

@@ -11,10 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float
+from palpate.core import Float, InputError, RangeError, ndarray
 from palpate.optics.polariscope import single_retarder
 from palpate.optics.stress_optic import fringe_order, stress_axis
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import RangeError
-from palpate.core.shapes import Float
+from palpate.core import Float, RangeError, ndarray
 
 ASSUMED_DISPERSION_M2 = 1e-14  # C 3 % larger at 400 nm and 1 % smaller at 700 nm than at 550 nm; not measured
 

@@ -12,10 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Bool, Float
+from palpate.core import Bool, Float, InputError, RangeError, ndarray
 
 Columns = Float[ndarray, " w"]
 

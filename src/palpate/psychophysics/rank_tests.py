@@ -19,11 +19,9 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy import ndarray
 from scipy import stats
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Float
+from palpate.core import Float, InputError, ndarray
 
 MIN_FOR_LILLIEFORS = 4
 LILLIEFORS_DRAWS, LILLIEFORS_SEED = 9_999, 1967

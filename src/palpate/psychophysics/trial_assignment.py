@@ -24,10 +24,8 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Float, Int
+from palpate.core import Float, InputError, Int, ndarray
 
 EXACT_UP_TO = 20_000  # labellings
 DRAWS = 9_999

@@ -12,12 +12,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 from scipy.optimize import minimize_scalar
 from scipy.stats import t as student
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float
+from palpate.core import Float, InputError, RangeError, ndarray
 
 Series = Float[ndarray, " _"]
 """Of any length; that two belong together is checked, and told."""

@@ -14,9 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.core.clock import NS_PER_S
-from palpate.core.errors import RecordingError
-from palpate.core.files import PathText, new_folder, sha256_of
+from palpate.core import NS_PER_S, PathText, RecordingError, new_folder, sha256_of
 from palpate.recordings import message_schema
 from palpate.recordings.manifest import MANIFEST, Manifest
 from palpate.recordings.message_schema import (

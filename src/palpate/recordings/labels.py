@@ -20,10 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
-from palpate.core.errors import InputError, LabelError
-from palpate.core.files import PathText, storage_errors
-from palpate.core.shapes import Values
-from palpate.core.units import split_column
+from palpate.core import InputError, LabelError, PathText, Values, split_column, storage_errors
 from palpate.recordings.manifest import LabelKind
 
 Label = float | str | bool

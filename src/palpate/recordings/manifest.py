@@ -10,10 +10,17 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from palpate.core.clock import NS_PER_S
-from palpate.core.errors import InputError, RecordingError
-from palpate.core.files import PathText, new_file, storage_errors
-from palpate.core.units import has_unit, split_column, unit
+from palpate.core import (
+    NS_PER_S,
+    InputError,
+    PathText,
+    RecordingError,
+    has_unit,
+    new_file,
+    split_column,
+    storage_errors,
+    unit,
+)
 from palpate.version import __version__
 
 MANIFEST = "manifest.json"

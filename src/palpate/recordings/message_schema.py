@@ -27,8 +27,7 @@ import numpy as np
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
-from palpate.core.clock import NS_PER_S
-from palpate.core.errors import InputError, RecordingError
+from palpate.core import NS_PER_S, InputError, RecordingError
 
 FileKind = Literal["frames", "signals"]
 MAX_TIME_NS = (2**31 - 1) * NS_PER_S  # a ROS stamp's seconds are 32-bit: until 19 January 2038

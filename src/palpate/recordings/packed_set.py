@@ -15,10 +15,17 @@ from typing import Any, BinaryIO
 import numpy as np
 import pandas as pd
 
-from palpate.core.errors import InputError, RecordingError
-from palpate.core.files import PathText, new_folder, sha256_of, storage_errors
-from palpate.core.shapes import Images, Indices
-from palpate.estimators.preparation import Preparation
+from palpate.core import (
+    Images,
+    Indices,
+    InputError,
+    PathText,
+    RecordingError,
+    new_folder,
+    sha256_of,
+    storage_errors,
+)
+from palpate.recordings.preparation import Preparation
 from palpate.recordings.run_reader import Run
 from palpate.version import __version__
 

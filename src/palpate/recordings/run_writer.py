@@ -19,11 +19,21 @@ from typing import Any, BinaryIO, Literal
 
 import numpy as np
 
-from palpate.core.clock import NS_PER_S, Clock, MonotonicClock
-from palpate.core.errors import ImageError, InputError, PalpateError, RecordingError
-from palpate.core.files import PathText, lock, new_folder, sha256_of
-from palpate.core.frame import Frame
-from palpate.core.shapes import Image
+from palpate.core import (
+    NS_PER_S,
+    Clock,
+    Frame,
+    Image,
+    ImageError,
+    InputError,
+    MonotonicClock,
+    PalpateError,
+    PathText,
+    RecordingError,
+    new_folder,
+    sha256_of,
+)
+from palpate.core.files import lock
 from palpate.recordings import message_schema
 from palpate.recordings.exchange import image_files
 from palpate.recordings.labels import Label, finite, label_values

@@ -19,9 +19,7 @@ from mcap.opcode import Opcode
 from mcap.records import ChunkIndex
 from mcap.writer import MCAP0_MAGIC
 
-from palpate.core.errors import ImageError, RecordingError
-from palpate.core.files import storage_errors
-from palpate.core.shapes import Image
+from palpate.core import Image, ImageError, RecordingError, storage_errors
 from palpate.recordings.exchange import image_files
 from palpate.recordings.manifest import MANIFEST
 from palpate.recordings.message_schema import (

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
-from palpate.core.errors import PluginError, SplitError
+from palpate.core import PluginError, SplitError
 from palpate.core.plugins import PLUGIN, PluginRegistry, imported
 from palpate.recordings.labels import rows_text
 

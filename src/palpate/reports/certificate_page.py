@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.calibration.evaluation import groups_in
-from palpate.core.files import PathText, new_file
+from palpate.core import PathText, new_file
 from palpate.estimators.certified import checked_file, read_card
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard
 from palpate.recordings.labels import OWN, own_column

@@ -9,11 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
-from numpy import ndarray
 
 from palpate.calibration.compliance.compliance_calibration import ReferenceTrial
 from palpate.calibration.compliance.compliance_reading import PressReading
-from palpate.core.shapes import Float
+from palpate.core import Float, ndarray
 from palpate.estimators.compliance.literature_method import AsReported
 from palpate.reports.calibration_figures import ACCENT, BAND, INK, STYLE
 

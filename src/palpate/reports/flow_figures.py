@@ -12,7 +12,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from palpate.core.files import new_folder, storage_errors
+from palpate.core import new_folder, storage_errors
 from palpate.estimators.flow import FlowField
 from palpate.estimators.flow.flow_sequence import Step, course
 from palpate.recordings.exchange.frame_sequences import open_sequence

@@ -10,8 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from palpate.calibration.stress_optic_fit import CoefficientCandidate, FringeFit
-from palpate.core.files import new_file
-from palpate.core.shapes import Values
+from palpate.core import Values, new_file
 from palpate.estimators.fringe_order import RIVAL
 from palpate.optics.colour import encode_srgb
 from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, STYLE

@@ -7,7 +7,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from palpate.core.files import new_file
+from palpate.core import new_file
 from palpate.rig.plans.recording_plan import RecordingPlan
 
 LAYER, PROBE, INK = "#cfe8e6", "#0b7a75", "#1b2a33"

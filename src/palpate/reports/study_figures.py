@@ -15,9 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator
-from numpy import ndarray
 
-from palpate.core.shapes import Float, UInt8
+from palpate.core import Float, UInt8, ndarray
 from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, STYLE, drawn
 from palpate.reports.compliance_figures import boxes
 

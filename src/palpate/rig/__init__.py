@@ -1,6 +1,6 @@
 """Moves, measures and records: plans, guards, drivers of real devices and their virtual twin."""
 
-from palpate.core.device_protocols import FrameSource
+from palpate.core import FrameSource
 from palpate.devices.force_bias import Mounting
 from palpate.devices.motion_limits import Limits, Reason, Tripped
 from palpate.devices.operator_control import OperatorCommand, OperatorControl

@@ -8,10 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from palpate.core.clock import NS_PER_S
-from palpate.core.device_protocols import FrameSource, Wrench
-from palpate.core.errors import DeviceError
-from palpate.core.frame import Frame
+from palpate.core import NS_PER_S, DeviceError, Frame, FrameSource, Wrench
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.motion_guard import MotionGuard
 from palpate.devices.motion_limits import Reason, Tripped

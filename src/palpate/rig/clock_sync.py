@@ -13,13 +13,8 @@ from dataclasses import asdict
 from itertools import islice
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.clock import NS_PER_S
-from palpate.core.device_protocols import Wrench
-from palpate.core.errors import InputError, RangeError
-from palpate.core.frame import Frame
-from palpate.core.shapes import Float, UInt8
+from palpate.core import NS_PER_S, Float, Frame, InputError, RangeError, UInt8, Wrench, ndarray
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.motion_guard import MotionGuard
 from palpate.devices.motion_limits import Reason, Tripped

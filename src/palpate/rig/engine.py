@@ -16,9 +16,7 @@ from typing import assert_never
 
 import numpy as np
 
-from palpate.core.device_protocols import Position
-from palpate.core.errors import DeviceError, PalpateError, StorageError
-from palpate.core.files import PathText
+from palpate.core import DeviceError, PalpateError, PathText, Position, StorageError
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.motion_guard import MotionGuard
 from palpate.devices.motion_limits import Reason, Tripped

@@ -25,9 +25,7 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
-from palpate.core.clock import NS_PER_S
-from palpate.core.errors import RecordingError
-from palpate.core.units import has_unit, split_column
+from palpate.core import NS_PER_S, RecordingError, has_unit, split_column
 from palpate.recordings.message_schema import EVENTS, decode_json
 from palpate.recordings.run_reader import Run
 from palpate.recordings.segment_reader import StoredSegment

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.core.device_protocols import Position
-from palpate.core.errors import RecordingError
+from palpate.core import Position, RecordingError
 from palpate.recordings.run_reader import Run
 from palpate.rig.plans.plan_files import plan_from
 from palpate.rig.plans.press_places import WAYS, Around

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from palpate.core.device_protocols import Position
+from palpate.core import Position
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.motion_guard import MotionGuard
 from palpate.devices.motion_limits import Reason, Tripped

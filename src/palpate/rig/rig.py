@@ -7,9 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from palpate.core.clock import Clock
-from palpate.core.device_protocols import ForceSensor, FrameSource, Position, Stage
-from palpate.core.sensor import Sensor
+from palpate.core import Clock, ForceSensor, FrameSource, Position, Sensor, Stage
 from palpate.devices.force_bias import Mounting
 from palpate.devices.motion_limits import Limits
 

@@ -9,9 +9,7 @@ import math
 
 import numpy as np
 
-from palpate.core.clock import NS_PER_S
-from palpate.core.device_protocols import FrameSource, Wrench
-from palpate.core.errors import PalpateError
+from palpate.core import NS_PER_S, FrameSource, PalpateError, Wrench
 from palpate.devices.check import check_camera, check_force_sensor, check_stage
 from palpate.devices.check.check_result import CheckResult, Part, at_most, closing, gathered, held, prefixed
 from palpate.devices.check.stage_motion import Box, UnsafeError

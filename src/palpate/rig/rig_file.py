@@ -14,10 +14,17 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
-from palpate.core.clock import Clock, ManualClock, MonotonicClock
-from palpate.core.device_protocols import ForceSensor, FrameSource, Position, Stage
-from palpate.core.errors import InputError
-from palpate.core.files import storage_errors
+from palpate.core import (
+    Clock,
+    ForceSensor,
+    FrameSource,
+    InputError,
+    ManualClock,
+    MonotonicClock,
+    Position,
+    Stage,
+    storage_errors,
+)
 from palpate.core.sensor import DEFAULT_SENSOR, SENSORS
 from palpate.core.sensor import sensor as sensor_of
 from palpate.devices.check.interface_check import Role

@@ -14,9 +14,7 @@ from typing import Any
 
 import pandas as pd
 
-from palpate.core.device_protocols import Position, Wrench
-from palpate.core.errors import RecordingError
-from palpate.core.frame import Frame
+from palpate.core import Frame, Position, RecordingError, Wrench
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.motion_limits import Reason
 from palpate.recordings.clock_offset import Offset

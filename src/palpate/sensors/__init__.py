@@ -3,6 +3,6 @@
 `from palpate.sensors import palm, tactip` loads the designs; they are not loaded by those who only sense.
 """
 
-from palpate.estimators.preparation import Preparation
+from palpate.recordings.preparation import Preparation
 
 __all__ = ["Preparation"]

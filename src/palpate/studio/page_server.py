@@ -17,7 +17,7 @@ from pathlib import Path
 from fastapi import FastAPI, Request
 from fastapi.responses import JSONResponse
 
-from palpate.core.errors import DeviceError, MissingExtraError, PalpateError
+from palpate.core import DeviceError, MissingExtraError, PalpateError
 from palpate.rig.service.rig_client import RigClient
 
 PATH = "/estop"

@@ -8,7 +8,7 @@ from typing import Any
 
 from nicegui import run, ui
 
-from palpate.core.errors import PalpateError
+from palpate.core import PalpateError
 from palpate.rig.plans import PLANS, RecordingPlan, size_of
 from palpate.rig.service.rig_service import checked_plan
 from palpate.studio import status_text, svg_drawing
@@ -166,7 +166,8 @@ def _laid_out(fields: Mapping[str, Any]) -> tuple[RecordingPlan, str]:
     plan = checked_plan(fields)
     layer, probe = plan.places.sizes_mm()
     facts = (
-        f"<b>{escape(status_text.plan_facts(plan, size_of(plan)))}</b><br>indenter of {probe:g} mm on a layer of "
+        f"<b>{escape(status_text.plan_facts(plan, size_of(plan)))}</b><br>"
+        f"indenter of {probe:g} mm on a layer of "
         f"{layer:g} mm: {status_text.clearance(plan)}"
     )
     return plan, facts

@@ -12,7 +12,7 @@ from typing import Any
 
 from nicegui import run, ui
 
-from palpate.core.errors import PalpateError
+from palpate.core import PalpateError
 from palpate.rig.service.rig_client import RigClient
 from palpate.studio import page_style, status_text, svg_drawing
 from palpate.studio.palette import ACCENT, AXES, BAD, INK, SOFT

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.fitting import calibrate
-from palpate.core.files import PathText
+from palpate.core import PathText
 from palpate.estimators.certified import read_card
 from palpate.estimators.model_card import Card
 from palpate.estimators.networks.model_interface import Progress, silent

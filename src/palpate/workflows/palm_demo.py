@@ -19,10 +19,7 @@ import numpy as np
 
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.evaluation import evaluate
-from palpate.core.clock import ManualClock
-from palpate.core.contact import Pose
-from palpate.core.files import PathText, new_file, new_folder
-from palpate.core.frame import Frame
+from palpate.core import Frame, ManualClock, PathText, Pose, new_file, new_folder
 from palpate.estimators.certified import Estimator
 from palpate.estimators.model_card import ScoreCard
 from palpate.estimators.networks.model_interface import Progress, silent

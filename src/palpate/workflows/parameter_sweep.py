@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from palpate.core.errors import InputError
+from palpate.core import InputError
 from palpate.core.parallel import Told, in_parallel
 
 T = TypeVar("T")

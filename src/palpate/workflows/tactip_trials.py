@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.files import new_file, new_folder
+from palpate.core import InputError, RangeError, new_file, new_folder
 from palpate.core.units import UNITS
 from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.mechanics.axisymmetric.tip_table import TipTable

@@ -20,11 +20,8 @@ from typing import Any, get_args, get_type_hints
 from zipfile import BadZipFile
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import CertificateError, InputError
-from palpate.core.files import new_file, storage_errors
-from palpate.core.shapes import Float, Shaped
+from palpate.core import CertificateError, Float, InputError, Shaped, ndarray, new_file, storage_errors
 from palpate.estimators.compliance.contact_area import AreaFit, Motions, fit_area, fit_motions, ring_measures
 from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, finger_of
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, laid_on, watched

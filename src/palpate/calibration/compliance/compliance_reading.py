@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 
 from palpate.calibration.compliance.compliance_calibration import (
     ComplianceCalibration,
@@ -14,9 +13,7 @@ from palpate.calibration.compliance.compliance_calibration import (
     touch_row,
     wobble_px,
 )
-from palpate.core.errors import InputError
-from palpate.core.reading import Drift, Reading
-from palpate.core.shapes import Float
+from palpate.core import Drift, Float, InputError, Reading, ndarray
 from palpate.estimators.compliance.contact_area import AreaFit, ring_measures
 from palpate.estimators.compliance.hertz_inversion import PressCurves, touched
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, laid_on

@@ -7,13 +7,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.clock import NS_PER_S, Clock
-from palpate.core.device_protocols import Camera
-from palpate.core.errors import DeviceError, RangeError
-from palpate.core.frame import Frame
-from palpate.core.shapes import Float
+from palpate.core import NS_PER_S, Camera, Clock, DeviceError, Float, Frame, RangeError, ndarray
 from palpate.devices.check.check_result import (
     CheckResult,
     Part,

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palpate.core.clock import NS_PER_S, Clock
-from palpate.core.errors import DeviceError
+from palpate.core import NS_PER_S, Clock, DeviceError
 
 
 @dataclass(frozen=True, slots=True)

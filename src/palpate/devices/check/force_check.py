@@ -9,9 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from palpate.core.clock import NS_PER_S, Clock
-from palpate.core.device_protocols import ForceSensor, Wrench
-from palpate.core.errors import RangeError
+from palpate.core import NS_PER_S, Clock, ForceSensor, RangeError, Wrench
 from palpate.devices.check.check_result import (
     CheckResult,
     Part,

@@ -12,10 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from numbers import Integral, Real
 from typing import Any, Literal
 
-from palpate.core.clock import NS_PER_S, Clock
-from palpate.core.device_protocols import Camera, ForceSensor, Stage, Travel, Wrench
-from palpate.core.errors import DeviceError
-from palpate.core.frame import Frame
+from palpate.core import NS_PER_S, Camera, Clock, DeviceError, ForceSensor, Frame, Stage, Travel, Wrench
 from palpate.devices.check.check_result import CheckResult, Part, gathered, held
 
 Role = Literal["stage", "force", "camera"]

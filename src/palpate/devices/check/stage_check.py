@@ -8,9 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 
-from palpate.core.clock import Clock
-from palpate.core.device_protocols import Position, Stage
-from palpate.core.errors import DeviceError, RangeError
+from palpate.core import Clock, DeviceError, Position, RangeError, Stage
 from palpate.devices.check.check_result import (
     CheckResult,
     Part,

@@ -7,12 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.clock import Clock
-from palpate.core.device_protocols import Position, Stage
-from palpate.core.errors import RangeError
-from palpate.core.shapes import Float
+from palpate.core import Clock, Float, Position, RangeError, Stage, ndarray
 from palpate.devices.check.check_result import seconds
 
 Box = tuple[Position, Position]

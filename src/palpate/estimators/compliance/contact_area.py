@@ -11,11 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 from scipy import stats
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Float
+from palpate.core import Float, InputError, ndarray
 from palpate.estimators.compliance.contact_region import Field, ring_px
 
 MOTIONS = 8

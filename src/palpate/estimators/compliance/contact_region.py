@@ -17,12 +17,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy import ndarray
 from scipy.optimize import minimize_scalar
 from scipy.spatial import Voronoi
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float
+from palpate.core import Float, InputError, RangeError, ndarray
 from palpate.estimators.pins import PinTracks
 
 POWERS = (1, 3, 5, 7, 9, 11)  # of the radius: outward motion is odd in it

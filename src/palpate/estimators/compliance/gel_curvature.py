@@ -26,10 +26,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import ImageError, InputError
-from palpate.core.shapes import Float, Shaped
+from palpate.core import Float, ImageError, InputError, Shaped, ndarray
 
 WHITE = 255
 MAX_CLIPPED = 0.01  # of the region's pixels, in one colour

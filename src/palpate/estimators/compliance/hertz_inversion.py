@@ -16,10 +16,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Float
+from palpate.core import Float, InputError, ndarray
 from palpate.mechanics.half_space.hertz_pairs import Body
 
 MIN_SHARE = 0.2

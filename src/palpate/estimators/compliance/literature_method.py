@@ -13,10 +13,8 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError, PalpateError
-from palpate.core.shapes import Bool, Float, Int, Shaped
+from palpate.core import Bool, Float, InputError, Int, PalpateError, Shaped, ndarray
 from palpate.estimators.compliance.press_force import (
     CONTACT_N,
     MAX_N,

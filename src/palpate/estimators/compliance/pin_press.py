@@ -13,11 +13,9 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float, Int, Shaped
+from palpate.core import Float, InputError, Int, RangeError, Shaped, ndarray
 from palpate.estimators.compliance.press_force import (
     CONTACT_N,
     loading,

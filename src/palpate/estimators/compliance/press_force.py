@@ -16,12 +16,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 from scipy.ndimage import median_filter
 from scipy.optimize import brentq
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Bool, Float, Int
+from palpate.core import Bool, Float, InputError, Int, RangeError, ndarray
 
 TAPS = 5
 CONTACT_N, MAX_N = 0.5, 5.0

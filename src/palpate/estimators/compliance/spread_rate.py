@@ -19,10 +19,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float
+from palpate.core import Float, InputError, RangeError, ndarray
 from palpate.estimators.compliance.press_force import rising
 
 Way = Literal["regression", "secant", "paper"]

@@ -20,12 +20,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy import ndarray
 from scipy import stats
 from scipy.optimize import minimize_scalar
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Float
+from palpate.core import Float, InputError, ndarray
 
 SCATTER = 4  # directions in which trials differ: two of lean, and what else there is
 SOFTEST = 0.95  # greatest s that is looked at

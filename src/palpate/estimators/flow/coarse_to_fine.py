@@ -15,10 +15,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import RangeError
-from palpate.core.shapes import Float32
+from palpate.core import Float32, RangeError, ndarray
 from palpate.estimators.flow.compiled_flow import FlowField, relaxed
 from palpate.estimators.flow.horn_schunck import Grey, HornSchunck, brightness, check_pair
 

@@ -10,9 +10,8 @@ import math
 from threading import local
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.shapes import Bool, Float32
+from palpate.core import Bool, Float32, ndarray
 from palpate.estimators.flow.horn_schunck import AS_REPORTED, WHITE, Grey, HornSchunck, brightness, check_pair
 
 FlowField = Float32[ndarray, "2 h w"]

@@ -17,10 +17,8 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Bool
+from palpate.core import Bool, InputError, ndarray
 from palpate.estimators.flow.coarse_to_fine import coarse_to_fine
 from palpate.estimators.flow.compiled_flow import FlowField, divergence, flow
 from palpate.estimators.flow.horn_schunck import Grey

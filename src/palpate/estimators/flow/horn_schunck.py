@@ -28,11 +28,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 from scipy import ndimage
 
-from palpate.core.errors import ImageError, InputError, RangeError
-from palpate.core.shapes import Float, Shaped
+from palpate.core import Float, ImageError, InputError, RangeError, Shaped, ndarray
 
 WHITE = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}
 

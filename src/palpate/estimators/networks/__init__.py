@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
-from palpate.core.errors import InputError, MissingExtraError, PluginError
+from palpate.core import InputError, MissingExtraError, PluginError
 from palpate.core.plugins import PluginRegistry, imported
 from palpate.estimators.networks.model_interface import Fitted, Model, Progress, TrainingData, silent
 

@@ -9,7 +9,7 @@ import numpy as np
 import onnx
 from onnx import helper
 
-from palpate.core.shapes import Float, Indices, Tensor, Values
+from palpate.core import Float, Indices, Tensor, Values
 from palpate.estimators.networks.model_interface import Progress, TrainingData, silent
 from palpate.estimators.networks.onnx_graph import image_to_value
 

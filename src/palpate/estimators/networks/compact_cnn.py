@@ -23,8 +23,7 @@ from torch import nn
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Indices, Tensor, Values
+from palpate.core import Indices, InputError, Tensor, Values
 from palpate.estimators.networks.model_interface import (
     Progress,
     Scaler,

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import TYPE_CHECKING
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Indices
+from palpate.core import Indices, InputError
 
 if TYPE_CHECKING:
     import torch

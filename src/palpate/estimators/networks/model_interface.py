@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import onnx
 
-from palpate.core.shapes import Float, Indices, Shaped, Tensor, Values
+from palpate.core import Float, Indices, Shaped, Tensor, Values
 
 Progress = Callable[[str, int, int], None]
 """Called with (what is being done, how much is done, how much there is)."""

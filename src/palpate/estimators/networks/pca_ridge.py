@@ -12,7 +12,7 @@ from scipy.linalg import eigh
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GroupKFold
 
-from palpate.core.shapes import Float, Float32, Indices, Tensor, Values
+from palpate.core import Float, Float32, Indices, Tensor, Values
 from palpate.estimators.networks.model_interface import Progress, Scaler, TrainingData, silent
 from palpate.estimators.networks.onnx_graph import image_to_value
 

@@ -10,7 +10,7 @@ import onnx
 from onnx import helper
 from sklearn.neural_network import MLPRegressor
 
-from palpate.core.shapes import Float, Indices, Tensor, Values
+from palpate.core import Float, Indices, Tensor, Values
 from palpate.estimators.networks.model_interface import (
     Progress,
     Scaler,

@@ -15,7 +15,7 @@ from pathlib import Path
 import torch
 from torch import nn
 
-from palpate.core.errors import InputError, MissingExtraError
+from palpate.core import InputError, MissingExtraError
 
 FEATURES = 512
 

@@ -13,9 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Float, Tensor, Values
-from palpate.core.units import split_column
+from palpate.core import Float, InputError, Tensor, Values, split_column
 
 MIN_LIKENESS = 0.8
 """Correlation of the mean image with itself turned, below which the sensor is not what it is said to be: a

@@ -27,8 +27,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Float32, Indices, Tensor
+from palpate.core import Float32, Indices, InputError, Tensor
 from palpate.estimators.networks.compact_cnn import fast_bfloat16
 from palpate.estimators.networks.distributed import ProcessGroup
 from palpate.estimators.networks.model_interface import Progress, silent

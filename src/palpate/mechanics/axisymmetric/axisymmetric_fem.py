@@ -18,11 +18,9 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
-from numpy import ndarray
 from skfem import CellBasis, ElementQuad2, MeshQuad, MeshQuad2
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Float, Int
+from palpate.core import Float, InputError, Int, ndarray
 
 GAUSS_ORDER = 5  # three points a direction
 

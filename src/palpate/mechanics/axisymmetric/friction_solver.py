@@ -18,10 +18,8 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import RangeError
-from palpate.core.shapes import Float
+from palpate.core import Float, RangeError, ndarray
 
 SWEEPS = 4000
 CHANGE = 1e-6  # of the greatest force on a cell: less is rest

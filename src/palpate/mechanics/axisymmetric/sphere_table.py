@@ -28,12 +28,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy import ndarray
 from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 
-from palpate.core.contact import Contact, Pose, Probe
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float, Float32
+from palpate.core import Contact, Float, Float32, InputError, Pose, Probe, RangeError, ndarray
 from palpate.mechanics.half_space.hertz import GRID_POINTS, positive
 
 DRAWN_TO = 2.0  # contact radii from the centre within which a field follows the contact's edge

@@ -16,10 +16,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import RangeError
-from palpate.core.shapes import Float, Int
+from palpate.core import Float, Int, RangeError, ndarray
 from palpate.mechanics.axisymmetric.axisymmetric_fem import RevolvedBody, tensor_mesh
 from palpate.mechanics.axisymmetric.friction_solver import solve_friction
 

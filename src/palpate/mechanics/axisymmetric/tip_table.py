@@ -17,11 +17,9 @@ from functools import cache, cached_property
 from importlib import resources
 
 import numpy as np
-from numpy import ndarray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float
+from palpate.core import Float, InputError, RangeError, ndarray
 
 TURNING_PA = 6e4  # E0: about the tip's own stiffness, so that the curve bends evenly
 FOLDER = "tip_tables"

@@ -20,7 +20,7 @@ import math
 
 from scipy.optimize import brentq
 
-from palpate.core.errors import RangeError
+from palpate.core import RangeError
 from palpate.mechanics.half_space.hertz import MAX_SLOPE, positive, reduced_modulus
 
 JKR_ABOVE = 5.0  # Tabor's parameter; below, surface forces act outside the contact too

@@ -26,11 +26,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.contact import Contact, Pose, Probe
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float
+from palpate.core import Contact, Float, InputError, Pose, Probe, RangeError, ndarray
 
 MAX_SLOPE = 0.5  # a/R; beyond it the paraboloid is no longer the sphere
 GRID_POINTS = 81

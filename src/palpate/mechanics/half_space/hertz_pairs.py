@@ -20,10 +20,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import RangeError
-from palpate.core.shapes import Float
+from palpate.core import Float, RangeError, ndarray
 
 Values = float | Float[ndarray, "*n"]
 

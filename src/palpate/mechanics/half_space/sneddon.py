@@ -20,12 +20,9 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy import ndarray
 from scipy.optimize import brentq
 
-from palpate.core.contact import Contact, Pose, Probe
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float
+from palpate.core import Contact, Float, InputError, Pose, Probe, RangeError, ndarray
 from palpate.mechanics.half_space.hertz import GRID_POINTS, positive, reduced_modulus
 
 MAX_RADIUS = 0.99  # a/R of the sphere; at 1 the depth is infinite

@@ -34,11 +34,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy import ndarray
 from scipy.optimize import minimize_scalar
 
-from palpate.core.errors import RangeError
-from palpate.core.shapes import Complex, Float
+from palpate.core import Complex, Float, RangeError, ndarray
 from palpate.mechanics.half_space.hertz import SURFACE, positive, reduced_modulus
 from palpate.mechanics.half_space.point_loads import Potentials, stress_of_load_along_x, stress_of_normal_load
 

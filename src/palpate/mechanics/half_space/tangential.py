@@ -33,13 +33,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy import ndarray
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipkm1
 
-from palpate.core.errors import RangeError
-from palpate.core.shapes import Float
+from palpate.core import Float, RangeError, ndarray
 from palpate.mechanics.half_space.hertz import positive, reduced_modulus
 
 Points = Float[ndarray, "..."]

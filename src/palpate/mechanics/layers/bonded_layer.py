@@ -28,11 +28,9 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy import ndarray
 from scipy.optimize import brentq
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float
+from palpate.core import Float, InputError, RangeError, ndarray
 from palpate.mechanics.half_space.hertz import force_from_depth, positive, reduced_modulus
 from palpate.mechanics.half_space.sneddon import MAX_RADIUS
 

@@ -30,11 +30,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.contact import Contact, Pose, Probe
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Field, Float, Mask
+from palpate.core import Contact, Field, Float, InputError, Mask, Pose, Probe, RangeError, ndarray
 from palpate.mechanics.layers.influence import normal_influence, normal_resistance
 from palpate.mechanics.layers.stack import Stack
 from palpate.mechanics.layers.surface_grid import Cells, cells

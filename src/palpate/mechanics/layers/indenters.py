@@ -11,10 +11,8 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Field, Float
+from palpate.core import Field, Float, InputError, RangeError, ndarray
 from palpate.mechanics.half_space.hertz import positive
 
 PROFILE_POINTS = 2001  # at which a profile is looked at before it is used

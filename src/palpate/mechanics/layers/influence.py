@@ -22,11 +22,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy import ndarray
 from scipy import fft, interpolate, special
 
-from palpate.core.errors import RangeError
-from palpate.core.shapes import Field, Float
+from palpate.core import Field, Float, RangeError, ndarray
 from palpate.mechanics.layers.stack import Compliance, Stack, surface_compliance
 from palpate.mechanics.layers.surface_grid import Cells
 

@@ -21,11 +21,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy import ndarray
 from scipy import fft
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Complex64, Field, Float, Float32
+from palpate.core import Complex64, Field, Float, Float32, InputError, RangeError, ndarray
 from palpate.mechanics.layers.surface_grid import cells
 from palpate.mechanics.layers.transfer_table import of_mean, transfer_answers
 

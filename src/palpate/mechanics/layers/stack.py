@@ -37,10 +37,8 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float
+from palpate.core import Float, InputError, RangeError, ndarray
 
 DEEP = 22.0  # k h beyond which the far face is felt by less than s^2 exp(-2 s) = 4e-17
 

@@ -17,10 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Field, Float
+from palpate.core import Field, Float, InputError, RangeError, ndarray
 from palpate.mechanics.layers.stack import Level, Material, Slab, Stack, climb
 from palpate.mechanics.layers.surface_grid import Cells, Wave, Waves, cells, spread
 

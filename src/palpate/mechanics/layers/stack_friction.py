@@ -16,10 +16,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Field, Float, Int, Mask
+from palpate.core import Field, Float, InputError, Int, Mask, RangeError, ndarray
 from palpate.mechanics.layers.contact_solver import StackContact
 from palpate.mechanics.layers.influence import tangential_influence, tangential_resistance
 from palpate.mechanics.layers.surface_grid import cells

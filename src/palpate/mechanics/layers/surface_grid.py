@@ -15,11 +15,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy import ndarray
 from scipy import fft
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Complex, Field, Float, Int
+from palpate.core import Complex, Field, Float, InputError, Int, ndarray
 
 UNEVEN = 1e-6  # of a step: what may be left of rounding in a grid's positions
 

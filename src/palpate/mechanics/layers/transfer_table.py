@@ -9,9 +9,8 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.shapes import Float, Float32, Int
+from palpate.core import Float, Float32, Int, ndarray
 from palpate.mechanics.layers.stack import LONG_WAVE, Material, Slab, climb
 
 STEP = 0.0155  # k z from one entry of a table to the next: 3e-5 off

@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 from PIL import Image
 
-from palpate.core.files import PathText, new_folder
+from palpate.core import PathText, new_folder
 from palpate.recordings.labels import refuse_formulas
 from palpate.recordings.manifest import MANIFEST
 from palpate.recordings.run_reader import Run

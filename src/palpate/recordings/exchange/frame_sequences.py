@@ -28,10 +28,7 @@ import cv2
 import numpy as np
 import tifffile
 
-from palpate.core.errors import ImageError, InputError, RangeError
-from palpate.core.files import new_file, storage_errors
-from palpate.core.frame import Frame
-from palpate.core.shapes import Image
+from palpate.core import Frame, Image, ImageError, InputError, RangeError, new_file, storage_errors
 from palpate.recordings.exchange.image_files import MAX_PIXELS, read_image
 from palpate.recordings.manifest import MANIFEST
 from palpate.recordings.run_reader import Run

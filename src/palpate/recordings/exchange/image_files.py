@@ -22,9 +22,7 @@ from PIL.PngImagePlugin import PngImageFile
 from PIL.TiffImagePlugin import BITSPERSAMPLE, SAMPLEFORMAT, TiffImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
-from palpate.core.errors import ImageError
-from palpate.core.files import PathText, storage_errors
-from palpate.core.shapes import Image
+from palpate.core import Image, ImageError, PathText, storage_errors
 
 MAX_PIXELS = 100_000_000  # beyond any touch camera; a header that claims more is an attack or damage
 

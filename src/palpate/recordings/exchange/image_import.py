@@ -10,10 +10,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from palpate.core.clock import NS_PER_S, ManualClock
-from palpate.core.errors import ImageError, InputError, LabelError, UnitError
-from palpate.core.files import PathText, new_folder, refuse_existing
-from palpate.core.units import has_unit, split_column
+from palpate.core import (
+    NS_PER_S,
+    ImageError,
+    InputError,
+    LabelError,
+    ManualClock,
+    PathText,
+    UnitError,
+    has_unit,
+    new_folder,
+    refuse_existing,
+    split_column,
+)
 from palpate.recordings.exchange.folder_export import FILE_COLUMN, TIME_COLUMN
 from palpate.recordings.exchange.image_files import read_image
 from palpate.recordings.labels import FIRST_ROW, label_kinds, read_labels, rows_text

@@ -14,12 +14,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy import ndarray
 
-from palpate.core.contact import UNTOLD, Specimen
-from palpate.core.errors import InputError, RecordingError
-from palpate.core.files import new_folder
-from palpate.core.shapes import Float, Image, Int
+from palpate.core import Float, Image, InputError, Int, RecordingError, Specimen, ndarray, new_folder
+from palpate.core.contact import UNTOLD
 from palpate.recordings.exchange.press_folder import (
     PRESSES,
     PressFolder,

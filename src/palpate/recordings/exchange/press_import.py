@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.core.clock import NS_PER_S, ManualClock
-from palpate.core.files import new_folder, refuse_existing
+from palpate.core import NS_PER_S, ManualClock, new_folder, refuse_existing
 from palpate.recordings.exchange.frame_sequences import FrameSequence, open_sequence
 from palpate.recordings.exchange.image_import import ImportReport, Progress
 from palpate.recordings.exchange.press_table import PressTable, read_press_table

@@ -15,11 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy import ndarray
 
-from palpate.core.errors import LabelError
-from palpate.core.shapes import Float, Int
-from palpate.core.units import has_unit, split_column, unit
+from palpate.core import Float, Int, LabelError, has_unit, ndarray, split_column, unit
 from palpate.recordings.labels import label_kinds, read_labels, rows_text
 
 FORCES = ("force_raw_N", "force_N", "Fz_N", "fz_N")

@@ -30,7 +30,7 @@ from sklearn.preprocessing import StandardScaler
 
 from palpate.calibration.adaptation import adapt
 from palpate.calibration.conformal import coverage_interval
-from palpate.core.clock import ManualClock
+from palpate.core import ManualClock
 from palpate.estimators.certified import Estimator, Zero
 from palpate.estimators.networks.model_interface import Progress
 from palpate.recordings.labels import own_column

@@ -14,12 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy import ndarray
 
 from palpate.calibration.conformal import grouped_coverage_interval
-from palpate.core.errors import InputError
-from palpate.core.shapes import Float, Shaped
-from palpate.core.units import split_column
+from palpate.core import Float, InputError, Shaped, ndarray, split_column
 
 
 class PublishedPalm(NamedTuple):

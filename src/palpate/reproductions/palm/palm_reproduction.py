@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from palpate.core.errors import ExistsError, InputError
-from palpate.core.files import new_file, refuse_existing, storage_errors
+from palpate.core import ExistsError, InputError, new_file, refuse_existing, storage_errors
 from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.recordings.run_reader import Run
 from palpate.reports import study_figures as draw

@@ -20,8 +20,7 @@ import pandas as pd
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.evaluation import predictions
 from palpate.calibration.training_data import regions_seen
-from palpate.core.errors import DeviceError, InputError
-from palpate.core.files import new_file
+from palpate.core import DeviceError, InputError, new_file
 from palpate.estimators.certified import Estimator, read_card
 from palpate.estimators.networks import model_kind
 from palpate.estimators.networks.model_interface import Progress, silent

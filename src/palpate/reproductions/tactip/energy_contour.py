@@ -24,10 +24,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy import ndarray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from palpate.core.shapes import Float
+from palpate.core import Float, ndarray
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
 from palpate.reproductions.tactip.tactip_controls import KAPPA_N_M, POLAR, head_on, order, seen_px
 from palpate.sensors.tactip import TacTipSpec

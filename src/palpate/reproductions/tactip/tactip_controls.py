@@ -20,9 +20,8 @@ from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.shapes import Float
+from palpate.core import Float, ndarray
 from palpate.estimators.compliance import area_m2, loading, moving_average, paper_spread, spread, within
 from palpate.estimators.compliance.pin_press import at_forces
 from palpate.estimators.compliance.spread_rate import summed_slopes

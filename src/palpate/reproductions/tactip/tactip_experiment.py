@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy import ndarray
 
 from palpate.calibration.compliance.compliance_calibration import (
     ComplianceCalibration,
@@ -21,7 +20,7 @@ from palpate.calibration.compliance.compliance_calibration import (
     calibrate_compliance,
 )
 from palpate.calibration.compliance.compliance_reading import PressReading, read_touch
-from palpate.core.shapes import Float
+from palpate.core import Float, ndarray
 from palpate.psychophysics.line_fit import Line, fit_line
 from palpate.recordings.exchange.press_table import PressTable
 from palpate.sensors.tactip import TacTipSpec, Trial, trial

@@ -12,9 +12,7 @@ from typing import Any, TypedDict
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from palpate.core.errors import InputError
-from palpate.core.files import new_folder, refuse_existing, storage_errors
-from palpate.core.reading import Reading
+from palpate.core import InputError, Reading, new_folder, refuse_existing, storage_errors
 from palpate.psychophysics.line_fit import Line
 from palpate.psychophysics.rank_tests import Comparison, compare
 from palpate.reports import study_figures as draw

@@ -19,7 +19,7 @@ from threading import Event, Thread
 from types import TracebackType
 from typing import NamedTuple
 
-from palpate.core.errors import InputError
+from palpate.core import InputError
 
 Triple = tuple[float, float, float]
 STOP, START, BIAS = 0x0000, 0x0002, 0x0042

@@ -13,7 +13,7 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Protocol, runtime_checkable
 
-from palpate.core.clock import NS_PER_S, Clock, MonotonicClock
+from palpate.core import NS_PER_S, Clock, MonotonicClock
 
 _TURN_S = 0.002
 _MAX_BYTES = 4096

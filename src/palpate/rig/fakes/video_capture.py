@@ -8,9 +8,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.shapes import UInt8
+from palpate.core import UInt8, ndarray
 
 BLUE = 7  # of every pixel: tells a picture in BGR from one in RGB
 

@@ -9,9 +9,8 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from palpate.core.errors import InputError
-from palpate.core.files import storage_errors
-from palpate.core.sensor import DEFAULT_SENSOR, SENSORS, Sensor
+from palpate.core import InputError, Sensor, storage_errors
+from palpate.core.sensor import DEFAULT_SENSOR, SENSORS
 from palpate.core.sensor import sensor as sensor_of
 from palpate.rig.plans.plan_kinds import Dwell, Lateral, Ramp, StepHold, SurfaceProbe
 from palpate.rig.plans.press_places import Around, Grid, Listed, Scattered

@@ -13,9 +13,8 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_serializer
 
-from palpate.core.errors import InputError
-from palpate.core.outline import Outline
-from palpate.core.sensor import DEFAULT_SENSOR, Sensor
+from palpate.core import InputError, Outline, Sensor
+from palpate.core.sensor import DEFAULT_SENSOR
 from palpate.core.sensor import sensor as sensor_of
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]

@@ -15,8 +15,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from palpate.core.errors import InputError
-from palpate.core.sensor import Sensor
+from palpate.core import InputError, Sensor
 from palpate.core.sensor import sensor as sensor_of
 from palpate.rig.plans.press_places import Grid, Place, Places, Positive
 

@@ -19,12 +19,8 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.clock import NS_PER_S, Clock, MonotonicClock
-from palpate.core.errors import DeviceError, RangeError
-from palpate.core.frame import Frame
-from palpate.core.shapes import UInt8
+from palpate.core import NS_PER_S, Clock, DeviceError, Frame, MonotonicClock, RangeError, UInt8, ndarray
 
 BY_ID = Path("/dev/v4l/by-id")
 

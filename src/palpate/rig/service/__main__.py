@@ -10,7 +10,7 @@ import threading
 from pathlib import Path
 from types import FrameType
 
-from palpate.core.errors import PalpateError
+from palpate.core import PalpateError
 from palpate.devices.rpc import Address, hold, publish
 from palpate.rig.service.rig_service import RigServer, RigService
 from palpate.rig.service.served_rig import open_served_rig

@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.core.device_protocols import Position
-from palpate.core.errors import DeviceError, InputError, PalpateError, SafetyError
-from palpate.core.sensor import DEFAULT_SENSOR, Sensor
+from palpate.core import DeviceError, InputError, PalpateError, Position, SafetyError, Sensor
+from palpate.core.sensor import DEFAULT_SENSOR
 from palpate.devices import device_status
 from palpate.devices.device_proxies import CameraProxy, ForceProxy, StageProxy
 from palpate.devices.device_status import Kind, Log

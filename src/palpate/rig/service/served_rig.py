@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from palpate.core.clock import Clock, ManualClock, MonotonicClock
+from palpate.core import Clock, ManualClock, MonotonicClock
 from palpate.rig.rig import Rig
 from palpate.rig.rig_file import is_virtual, read_rig, rig_from, sensor_named
 from palpate.rig.virtual.virtual_bench import REAL_TIME_AGE_S, virtual_rig

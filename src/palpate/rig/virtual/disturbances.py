@@ -15,8 +15,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from palpate.core.clock import NS_PER_S
-from palpate.core.errors import InputError
+from palpate.core import NS_PER_S, InputError
 
 Kind = Literal[
     "force-stalls",  # no sample comes any more

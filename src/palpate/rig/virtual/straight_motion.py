@@ -6,10 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.device_protocols import Position
-from palpate.core.shapes import Float
+from palpate.core import Float, Position, ndarray
 
 Times = Float[ndarray, " n"]
 Places = Float[ndarray, "n 3"]

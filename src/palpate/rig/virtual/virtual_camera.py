@@ -7,10 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from palpate.core.clock import NS_PER_S
-from palpate.core.contact import Contact, Pose, PressHistory
-from palpate.core.errors import DeviceError, RangeError
-from palpate.core.frame import Frame
+from palpate.core import NS_PER_S, Contact, DeviceError, Frame, Pose, PressHistory, RangeError
 from palpate.core.sensor import Seating, untouched
 from palpate.rig.virtual.virtual_world import KEPT_S, Touch, World
 

@@ -6,9 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from palpate.core.clock import NS_PER_S
-from palpate.core.device_protocols import Wrench
-from palpate.core.errors import DeviceError
+from palpate.core import NS_PER_S, DeviceError, Wrench
 from palpate.rig.virtual.virtual_world import Touch, World
 
 RANGE_N = (40.0, 40.0, 120.0)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from palpate.core.device_protocols import Position, Travel
-from palpate.core.errors import DeviceError, RangeError
+from palpate.core import DeviceError, Position, RangeError, Travel
 from palpate.rig.virtual.straight_motion import Motion, standing
 from palpate.rig.virtual.virtual_world import World, halted
 

@@ -25,14 +25,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy import ndarray
 from scipy.signal import lfilter
 
-from palpate.core.clock import NS_PER_S, Clock
-from palpate.core.contact import EarlierPress, Pose, Probe, Specimen
-from palpate.core.device_protocols import Position, Travel
-from palpate.core.sensor import ForceLaw, Sensor, force_law
-from palpate.core.shapes import Float
+from palpate.core import NS_PER_S, Clock, Float, Pose, Position, Probe, Sensor, Specimen, Travel, ndarray
+from palpate.core.contact import EarlierPress
+from palpate.core.sensor import ForceLaw, force_law
 from palpate.rig.virtual.disturbances import Approach, Fault, Faults, Variation, approach_of, shift_of
 from palpate.rig.virtual.straight_motion import Motion, standing
 

@@ -13,11 +13,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.contact import Contact
-from palpate.core.errors import InputError
-from palpate.core.shapes import Float
+from palpate.core import Contact, Float, InputError, ndarray
 from palpate.sensors.palm import fringe_view
 from palpate.sensors.palm.fringe_orders import WAVELENGTH_M, edge_on
 from palpate.sensors.palm.palm_press import field_of, pressed

@@ -12,12 +12,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy import ndarray
 from scipy.interpolate import RegularGridInterpolator
 
-from palpate.core.contact import Contact
-from palpate.core.errors import RangeError
-from palpate.core.shapes import Float
+from palpate.core import Contact, Float, RangeError, ndarray
 from palpate.mechanics.axisymmetric.sphere_table import edge_correction
 from palpate.mechanics.layers.stack_field import field_below
 from palpate.optics.axisymmetric import AxisymmetricField

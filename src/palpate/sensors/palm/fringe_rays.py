@@ -9,12 +9,10 @@ all marched: between two that are, light runs straight.
 from __future__ import annotations
 
 import numpy as np
-from numpy import ndarray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
-from palpate.core.contact import Contact
-from palpate.core.shapes import Float, Float32
+from palpate.core import Contact, Float, Float32, ndarray
 from palpate.mechanics.layers.layer_stress import OnGrid, stress_under
 from palpate.optics.compiled_march import march_colour
 from palpate.optics.polariscope import plane_amplitude, with_leak

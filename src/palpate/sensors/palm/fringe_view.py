@@ -21,10 +21,8 @@ from typing import ParamSpec, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from cachetools import LRUCache, cached
-from numpy import ndarray
 
-from palpate.core.contact import Probe
-from palpate.core.shapes import Float, Float32
+from palpate.core import Float, Float32, Probe, ndarray
 from palpate.optics.axisymmetric import Rays, march_axisymmetric
 from palpate.optics.colour import Spectrum, assumed_camera
 from palpate.optics.polariscope import plane_amplitude, with_leak

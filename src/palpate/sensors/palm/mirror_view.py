@@ -19,11 +19,9 @@ from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
-from numpy import ndarray
 from scipy.interpolate import RegularGridInterpolator
 
-from palpate.core.contact import Contact
-from palpate.core.shapes import Bool, Float32
+from palpate.core import Bool, Contact, Float32, ndarray
 from palpate.mechanics.axisymmetric.sphere_table import TabulatedPress
 from palpate.sensors.palm.fringe_view import kept
 from palpate.sensors.palm.palm_press import pressed

@@ -24,8 +24,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import numpy as np
 import pandas as pd
 
-from palpate.core.errors import InputError, LabelError
-from palpate.core.files import refuse_existing, storage_errors
+from palpate.core import InputError, LabelError, refuse_existing, storage_errors
 from palpate.recordings.exchange.image_import import ImportReport, Progress, import_images
 from palpate.recordings.labels import FIRST_ROW, label_kinds, read_labels
 

@@ -14,13 +14,10 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy import ndarray
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
-from palpate.core.contact import Contact, Pose, Probe
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float
+from palpate.core import Contact, Float, InputError, Pose, Probe, RangeError, ndarray
 from palpate.mechanics.axisymmetric.sphere_table import (
     SAME,
     SphereTable,

@@ -13,12 +13,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.contact import Contact, Pose, Probe
-from palpate.core.errors import InputError
-from palpate.core.frame import Frame
-from palpate.core.shapes import Float32, UInt8, UInt16
+from palpate.core import Contact, Float32, Frame, InputError, Pose, Probe, UInt8, UInt16, ndarray
 from palpate.optics.camera_response import CameraResponse, develop, raw_codes, uneven_light
 from palpate.optics.illumination import LedStrip, backlight
 from palpate.sensors.palm import fringe_rays, fringe_view, mirror_view

@@ -10,16 +10,23 @@ from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
-from numpy import ndarray
 from scipy.interpolate import PchipInterpolator
 
-from palpate.core.contact import FRESH, Contact, Pose, PressHistory, Probe, Specimen
-from palpate.core.errors import RangeError
-from palpate.core.frame import Frame
-from palpate.core.outline import Outline
+from palpate.core import (
+    Contact,
+    Float32,
+    Frame,
+    Outline,
+    Pose,
+    PressHistory,
+    Probe,
+    RangeError,
+    Specimen,
+    ndarray,
+)
+from palpate.core.contact import FRESH
 from palpate.core.sensor import SEATED, Box, ForceLaw, ImageAxes, Seating, is_rigid
-from palpate.core.shapes import Float32
-from palpate.estimators.preparation import Preparation
+from palpate.recordings.preparation import Preparation
 from palpate.mechanics.half_space.tangential import tangential_stiffness
 from palpate.sensors.palm import palm_spec
 from palpate.sensors.palm.palm_press import FRICTION, LINEAR_DEPTH_M, press, table_of

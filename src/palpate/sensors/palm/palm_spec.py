@@ -13,10 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Float
+from palpate.core import Float, InputError, RangeError, ndarray
 from palpate.optics.camera_response import CameraResponse
 from palpate.optics.colour import MIN_BANDS
 from palpate.optics.illumination import LedStrip

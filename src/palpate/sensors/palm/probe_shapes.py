@@ -8,11 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.contact import Probe
-from palpate.core.errors import InputError
-from palpate.core.shapes import Field, Float, Float32
+from palpate.core import Field, Float, Float32, InputError, Probe, ndarray
 from palpate.mechanics.layers import indenters
 
 EDGE_SLOPE_RAD = math.radians(30)

@@ -19,12 +19,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.contact import Contact, Pose, Probe
-from palpate.core.errors import InputError, RangeError
+from palpate.core import Contact, Float, Float32, InputError, Int, Pose, Probe, RangeError, UInt8, ndarray
 from palpate.core.parallel import in_parallel
-from palpate.core.shapes import Float, Float32, Int, UInt8
 from palpate.mechanics.resultant import resultant_of
 from palpate.sensors.palm.palm_press import (
     greatest_aside,

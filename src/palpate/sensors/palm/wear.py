@@ -17,11 +17,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy import ndarray
 from scipy.ndimage import uniform_filter
 
-from palpate.core.errors import InputError, RangeError
-from palpate.core.shapes import Bool, Float, Float32
+from palpate.core import Bool, Float, Float32, InputError, RangeError, ndarray
 from palpate.optics.colour import Spectrum
 
 SECOND_RADIATION_M_K = 1.438777e-2

@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy import ndarray
 from scipy.interpolate import CubicSpline, NdBSpline, PchipInterpolator, RectBivariateSpline
 
-from palpate.core.errors import RangeError
-from palpate.core.shapes import Float
+from palpate.core import Float, RangeError, ndarray
 from palpate.mechanics.axisymmetric.tilted_tip import (
     TiltedContact,
     TiltedPress,

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy import ndarray
 from scipy.interpolate import CubicSpline
 
-from palpate.core.shapes import Float
+from palpate.core import Float, ndarray
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
 from palpate.sensors.tactip.tactip_spec import PinLayout
 

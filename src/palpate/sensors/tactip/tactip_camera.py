@@ -7,9 +7,8 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.shapes import Float, UInt8
+from palpate.core import Float, UInt8, ndarray
 from palpate.sensors.tactip.tactip_spec import TacTipCamera
 
 ITERATIONS = 30

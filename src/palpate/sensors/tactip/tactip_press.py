@@ -13,10 +13,8 @@ from functools import cached_property, lru_cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy import ndarray
 
-from palpate.core.errors import RangeError
-from palpate.core.shapes import Float, Int, UInt8
+from palpate.core import Float, Int, RangeError, UInt8, ndarray
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress, TipTable
 from palpate.sensors.tactip.pin_markers import SkinShape, head_on, markers
 from palpate.sensors.tactip.tactip_camera import projected, rendered

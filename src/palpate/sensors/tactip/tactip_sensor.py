@@ -15,10 +15,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from palpate.core.contact import FRESH, RIGID, Contact, Pose, PressHistory, Probe, Specimen
-from palpate.core.errors import InputError, RangeError
-from palpate.core.frame import Frame
-from palpate.core.outline import Outline
+from palpate.core import Contact, Frame, InputError, Outline, Pose, PressHistory, Probe, RangeError, Specimen
+from palpate.core.contact import FRESH, RIGID
 from palpate.core.sensor import SEATED, Box, ForceLaw, ImageAxes, Seating, is_rigid
 from palpate.sensors.tactip import tactip_spec as specs
 from palpate.sensors.tactip.inclined_press import MAX_TILT, inclined

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from palpate.core.errors import InputError, RangeError
+from palpate.core import InputError, RangeError
 from palpate.mechanics.axisymmetric.tip_table import TipTable, tip_table
 
 

@@ -14,9 +14,7 @@ from palpate.calibration.compliance.compliance_calibration import (
     load_references,
 )
 from palpate.calibration.compliance.compliance_reading import PressReading, read_touch
-from palpate.core.errors import InputError
-from palpate.core.files import new_folder, refuse_existing
-from palpate.core.reading import Reading
+from palpate.core import InputError, Reading, new_folder, refuse_existing
 from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.recordings.exchange.frame_sequences import open_sequence
 from palpate.recordings.exchange.press_folder import press_folder

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from numpy import ndarray
-
 from palpate.calibration.compliance.compliance_calibration import (
     ComplianceCalibration,
     ReferenceTrial,
     followed,
 )
 from palpate.calibration.compliance.compliance_reading import PressReading, read_touch
-from palpate.core.shapes import Shaped
+from palpate.core import Shaped, ndarray
 from palpate.estimators.compliance.literature_method import AsReported, as_reported, over_pins
 from palpate.estimators.compliance.press_force import (
     CONTACT_N,

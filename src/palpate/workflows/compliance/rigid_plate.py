@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.core.errors import InputError, LabelError
+from palpate.core import InputError, LabelError
 from palpate.psychophysics.line_fit import Line
 from palpate.recordings.exchange.press_table import read_press_table
 from palpate.workflows.compliance.press_cues import series

@@ -13,8 +13,7 @@ import pandas as pd
 
 from palpate.calibration.compliance.compliance_calibration import ComplianceCalibration
 from palpate.calibration.compliance.compliance_reading import read_touch
-from palpate.core.errors import InputError
-from palpate.core.files import new_folder, refuse_existing, storage_errors
+from palpate.core import InputError, new_folder, refuse_existing, storage_errors
 from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.psychophysics.rank_tests import Comparison, compare
 from palpate.recordings.exchange.frame_sequences import open_sequence

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from palpate.core.errors import DeviceError, MissingExtraError, ProtocolError
+from palpate.core import DeviceError, MissingExtraError, ProtocolError
 from palpate.rig.real.grbl.grbl_parser import (
     Alarm,
     Banner,

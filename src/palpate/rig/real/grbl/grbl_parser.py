@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
-from palpate.core.errors import ProtocolError
+from palpate.core import ProtocolError
 
 ALARMS = {
     1: "a limit switch was hit; the position is lost",

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 
-from palpate.core.clock import NS_PER_S, Clock
-from palpate.core.errors import DeviceError
+from palpate.core import NS_PER_S, Clock, DeviceError
 from palpate.rig.real.grbl.grbl_link import GrblLink, SerialPort
 from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, alarm_name
 from palpate.rig.real.grbl.grbl_supervisor import (

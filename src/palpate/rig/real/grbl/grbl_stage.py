@@ -16,9 +16,7 @@ import threading
 from collections.abc import Iterable
 from types import TracebackType
 
-from palpate.core.clock import NS_PER_S, Clock, MonotonicClock
-from palpate.core.device_protocols import Position, Travel
-from palpate.core.errors import DeviceError, RangeError
+from palpate.core import NS_PER_S, Clock, DeviceError, MonotonicClock, Position, RangeError, Travel
 from palpate.rig.real.grbl.grbl_link import CutOffError, RefusedError, SerialPort, SilenceError, open_port
 from palpate.rig.real.grbl.grbl_parser import Alarm, GrblState, GrblStatus, Line, ProbeReport, alarm_name
 from palpate.rig.real.grbl.grbl_session import GrblSession

@@ -10,9 +10,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from palpate.core.clock import NS_PER_S
-from palpate.core.device_protocols import Position, Travel
-from palpate.core.errors import DeviceError, InputError, RangeError
+from palpate.core import NS_PER_S, DeviceError, InputError, Position, RangeError, Travel
 from palpate.rig.real.grbl.grbl_link import GrblLink
 from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, Setting
 

@@ -15,7 +15,7 @@ from http.client import HTTPConnection, HTTPException
 from threading import Event, Timer
 from xml.parsers import expat
 
-from palpate.core.errors import DeviceError, ProtocolError
+from palpate.core import DeviceError, ProtocolError
 
 PATH = "/netftapi2.xml"
 MAX_PAGE_BYTES = 65536

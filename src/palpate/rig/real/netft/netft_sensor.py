@@ -16,9 +16,7 @@ from threading import Event, Lock, Thread
 from types import TracebackType
 from typing import Literal
 
-from palpate.core.clock import NS_PER_S, Clock, MonotonicClock
-from palpate.core.device_protocols import Wrench
-from palpate.core.errors import DeviceError, ProtocolError, RangeError
+from palpate.core import NS_PER_S, Clock, DeviceError, MonotonicClock, ProtocolError, RangeError, Wrench
 from palpate.rig.real.netft.netft_calibration import NetFTCalibration, Triple, fetch
 from palpate.rig.real.netft.netft_stream import (
     MONITOR_WARNING,

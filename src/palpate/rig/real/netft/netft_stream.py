@@ -21,8 +21,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
-from palpate.core.clock import NS_PER_S, Clock
-from palpate.core.errors import DeviceError, ProtocolError, RangeError
+from palpate.core import NS_PER_S, Clock, DeviceError, ProtocolError, RangeError
 
 PORT = 49152
 HEADER = 0x1234

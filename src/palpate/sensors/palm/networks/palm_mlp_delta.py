@@ -14,8 +14,7 @@ import numpy as np
 import onnx
 from onnx import helper, numpy_helper
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Indices, Tensor, Values
+from palpate.core import Indices, InputError, Tensor, Values
 from palpate.estimators.networks.model_interface import Progress, TrainingData, silent
 from palpate.estimators.networks.onnx_graph import image_to_value
 from palpate.estimators.networks.pixel_mlp import FittedPerceptron, PixelMlp

@@ -30,7 +30,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from palpate.core.errors import InputError
+from palpate.core import InputError
 from palpate.estimators.networks.resnet import FEATURES, ResNet18
 from palpate.estimators.networks.torch_export import TorchGraph
 from palpate.sensors.palm.networks.palm_training import (

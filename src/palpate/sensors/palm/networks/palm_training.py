@@ -22,8 +22,7 @@ import onnx
 import torch
 from torch import nn
 
-from palpate.core.errors import InputError
-from palpate.core.shapes import Indices, Tensor, Values
+from palpate.core import Indices, InputError, Tensor, Values
 from palpate.estimators.networks.compact_cnn import seeded
 from palpate.estimators.networks.model_interface import (
     Progress,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palpate.core.errors import ImageError, InputError
-from palpate.estimators.preparation import Preparation
+from palpate.recordings.preparation import Preparation
 
 FRAME = np.random.default_rng(0).integers(0, 256, (40, 90, 3), np.uint8)
 LEFT, RIGHT = (2, 3, 20, 20), (50, 11, 24, 16)

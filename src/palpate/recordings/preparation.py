@@ -8,8 +8,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from palpate.core.errors import ImageError, InputError
-from palpate.core.shapes import Image, UInt8
+from palpate.core import Image, ImageError, InputError, UInt8
 
 Box = tuple[int, int, int, int]
 
