@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from palpate.core import ManualClock
-from palpate.recordings.preparation import Preparation
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.packed_set import PackedSet, pack
+from palpate.recordings.preparation import Preparation
 from palpate.recordings.run_reader import Run
 from palpate.recordings.run_writer import RunWriter
 

@@ -11,9 +11,9 @@ from palpate.calibration.fitting import most_like_the_rest
 from palpate.calibration.training_data import find_untouched
 from palpate.core import ExistsError, InputError, LabelError, SplitError
 from palpate.estimators import Estimator, read_card
-from palpate.recordings.preparation import Preparation
 from palpate.recordings import Split
 from palpate.recordings.packed_set import pack
+from palpate.recordings.preparation import Preparation
 
 PLAN = CalibrationPlan(targets=("x_mm", "height_mm"), split="group:press", size_px=(24, 32))
 

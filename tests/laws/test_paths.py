@@ -10,9 +10,9 @@ import pytest
 
 import palpate
 from palpate import CalibrationPlan, Estimator, Manifest, Run, RunWriter
-from palpate.recordings.preparation import Preparation
 from palpate.recordings import PackedSet, export_folder, integrity, packed_set, read_labels
 from palpate.recordings import integrity as repair
+from palpate.recordings.preparation import Preparation
 from palpate.workflows import DemoProtocol, record_demo
 
 PLAN = CalibrationPlan(("x_mm",), model="mean", split="group:press", size_px=(12, 16))

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from palpate.core import ExistsError, InputError, ManualClock, RecordingError, StorageError
-from palpate.recordings.preparation import Preparation
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.packed_set import PackedSet, pack
+from palpate.recordings.preparation import Preparation
 from palpate.recordings.run_reader import Run
 from palpate.recordings.run_writer import RunWriter
 

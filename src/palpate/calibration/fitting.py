@@ -50,9 +50,9 @@ from palpate.estimators.networks.model_interface import (
     silent,
 )
 from palpate.estimators.novelty import LearnsFromRendered, NoveltyDetector, fit_novelty_detector, thumbnails
-from palpate.recordings.preparation import Preparation
 from palpate.recordings.labels import refuse_reserved, targets_from
 from palpate.recordings.packed_set import PackedSet, pack
+from palpate.recordings.preparation import Preparation
 from palpate.recordings.run_reader import Run
 from palpate.recordings.splits import Split, split
 

@@ -26,8 +26,8 @@ from palpate.core import (
 )
 from palpate.core.contact import FRESH
 from palpate.core.sensor import SEATED, Box, ForceLaw, ImageAxes, Seating, is_rigid
-from palpate.recordings.preparation import Preparation
 from palpate.mechanics.half_space.tangential import tangential_stiffness
+from palpate.recordings.preparation import Preparation
 from palpate.sensors.palm import palm_spec
 from palpate.sensors.palm.palm_press import FRICTION, LINEAR_DEPTH_M, press, table_of
 from palpate.sensors.palm.palm_render import expose, is_ball, render, render_clean
