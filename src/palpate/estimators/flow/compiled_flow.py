@@ -105,6 +105,8 @@ def _white(image: Grey) -> float | None:
 
 def divergence(field: FlowField) -> Float32[ndarray, "h w"]:
     """du/dx + dv/dy [1/frame] by three-point differences, one-sided on the border."""
+    from palpate.estimators.flow import flow_kernels
+
     out = np.empty(field.shape[1:], np.float32)
     flow_kernels.diverge(np.ascontiguousarray(field, np.float32), out)
     return out

@@ -144,7 +144,7 @@ def _laid(stress: Stresses, middle: tuple[float, float], grid: _Grid) -> OnGrid:
 class _WavePart(NamedTuple):
     """The waves of one grid: what each makes on each plane, and its direction."""
 
-    transfer_answers: Float32[ndarray, "nz 8 py half"]
+    answers: Float32[ndarray, "nz 8 py half"]
     cos: Float32[ndarray, "py half"]
     sin: Float32[ndarray, "py half"]
     weight: Float32[ndarray, "py half"]

@@ -145,7 +145,7 @@ def _check_width(indenters: tuple[str, ...], probe_mm: float) -> None:
             )
 
 
-AnyPlan = TypeVar("AnyPlan", bound="Plan")
+AnyPlan = TypeVar("AnyPlan", bound="RecordingPlan")
 
 
 class RecordingPlan(BaseModel):
