@@ -1,0 +1,80 @@
+"""The page on where code lives is short, names every room, draws the layers of the imports, and is right."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+PAGE = (REPOSITORY / "docs" / "explanations" / "where-code-lives.md").read_text(encoding="utf-8")
+PYPROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
+PACKAGE = REPOSITORY / "src" / "palpate"
+MAX_WORDS = 600
+
+Layers = list[set[str]]
+
+
+def layers_in(lines: list[str]) -> Layers:
+    """Rooms of each layer, the highest first."""
+    return [{room.strip() for room in line.split("|")} for line in lines]
+
+
+def drawn(page: str) -> Layers:
+    """Layers of the first block without a language on a page."""
+    block = re.search(r"^```\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    assert block, "the page draws the layers in a block of its own"
+    return layers_in(block[1].splitlines())
+
+
+def kept() -> Layers:
+    """Layers of the contract that the imports are checked against."""
+    contracts = PYPROJECT["tool"]["importlinter"]["contracts"]
+    (layers,) = [contract["layers"] for contract in contracts if contract["type"] == "layers"]
+    return layers_in(layers)
+
+
+def rooms() -> set[str]:
+    """Packages and modules that lie directly in palpate, but what holds its version."""
+    folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    return folders | {path.stem for path in PACKAGE.glob("*.py")} - {"__init__", "version"}
+
+
+def words(text: str) -> int:
+    """Words of a page, those in its tables and its diagram too; marks of punctuation alone are none."""
+    return sum(any(character.isalnum() for character in word) for word in text.split())
+
+
+def test_the_diagram_is_that_of_the_import_contract() -> None:
+    assert drawn(PAGE) == kept()
+
+
+@pytest.mark.parametrize("change", [("cli\n", ""), ("sensors\nestimators", "estimators\nsensors")])
+def test_a_diagram_with_a_room_left_out_or_moved_is_another(change: tuple[str, str]) -> None:
+    assert drawn(PAGE.replace(*change, 1)) != kept()
+
+
+def test_every_room_stands_once_in_the_diagram_and_once_in_the_table() -> None:
+    table = re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE)
+    assert sorted(room for layer in drawn(PAGE) for room in layer) == sorted(rooms())
+    assert sorted(table) == sorted(rooms())
+
+
+def test_the_page_has_at_most_600_words() -> None:
+    assert words(PAGE) <= MAX_WORDS
+
+
+def repeated(names: list[str]) -> set[str]:
+    return {name for name, count in Counter(names).items() if count > 1}
+
+
+def test_names_suffice_since_no_module_and_no_class_has_the_name_of_another() -> None:
+    files = sorted(PACKAGE.rglob("*.py"))
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in files]
+    classes = [node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+    assert not repeated([path.stem for path in files]) - {"__init__", "__main__"}
+    assert not repeated(classes)
