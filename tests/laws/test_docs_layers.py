@@ -1,11 +1,9 @@
-"""The page on where code lives is short, names every room, draws the layers of the imports, and is right."""
+"""The page on where code lives is short, names every room, and draws the layers that imports keep."""
 
 from __future__ import annotations
 
-import ast
 import re
 import tomllib
-from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -66,15 +64,3 @@ def test_every_room_stands_once_in_the_diagram_and_once_in_the_table() -> None:
 
 def test_the_page_has_at_most_600_words() -> None:
     assert words(PAGE) <= MAX_WORDS
-
-
-def repeated(names: list[str]) -> set[str]:
-    return {name for name, count in Counter(names).items() if count > 1}
-
-
-def test_names_suffice_since_no_module_and_no_class_has_the_name_of_another() -> None:
-    files = sorted(PACKAGE.rglob("*.py"))
-    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in files]
-    classes = [node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
-    assert not repeated([path.stem for path in files]) - {"__init__", "__main__"}
-    assert not repeated(classes)
