@@ -196,10 +196,10 @@ def test_an_instance_s_settings_are_the_plan_s_options() -> None:
 PLUGIN_FILE = """
 from dataclasses import dataclass
 import numpy as np
-from palpate.estimators.networks.baseline import Mean
+from palpate.estimators.networks.baseline import MeanBaseline
 
 @dataclass(frozen=True)
-class Constant(Mean):
+class Constant(MeanBaseline):
     pass
 
 def by_press(table, *, folds, seed):

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.core import ExistsError, ImageError, InputError, LabelError, PalpateError, UnitError
-from palpate.recordings.exchange import ImportReport, import_images
+from palpate.recordings import ImportReport, import_images
 from palpate.recordings.run_reader import Run
 
 
