@@ -173,7 +173,7 @@ class NoFit:
 @pytest.mark.parametrize(
     ("model", "law"),
     [
-        ("no_such_package:Model", "no_such_package:Model does not import"),
+        ("no_such_package:Model", "no_such_package:Model' does not import"),
         (f"{HERE}:NoSuchModel", "does not import"),
         (f"{HERE}:NoDataclass", "is not a dataclass"),
         (f"{HERE}:NoFit", "has no method fit"),
@@ -245,7 +245,7 @@ def test_a_broken_model_is_refused_before_anything_is_packed(record_spots, tmp_p
 
 def added(monkeypatch, group: str, **names: str) -> None:
     points = [EntryPoint(name.replace("_", "-"), value, group) for name, value in names.items()]
-    monkeypatch.setattr(core.plugins, "entry_points", lambda group: [p for p in points if p.group == group])
+    monkeypatch.setattr(core.plugins, "installed", lambda group: [p for p in points if p.group == group])
 
 
 def test_an_installed_package_adds_models_and_splits_by_entry_points(monkeypatch) -> None:
@@ -322,7 +322,7 @@ def test_a_split_of_one_s_own_gives_groups_or_the_folds_themselves() -> None:
         ("one", "1 folds; there are two or more"),
         ("chance", "give other folds"),
         ("fails", "KeyError: 'place'"),
-        ("not_a_function", "cannot be called"),
+        ("not_a_function", "no class and no function"),
         ("missing", "does not import"),
     ],
 )
@@ -356,5 +356,5 @@ def test_a_module_beside_the_run_is_found_from_the_command_line(record_spots, tm
     assert told.exit_code == 0, told.output
     refused = CliRunner().invoke(app, [*words[:-1], "--model", "beside_the_run:Missing", "--out", "other"])
     assert refused.exit_code == 2
-    assert "model beside_the_run:Missing does not import" in refused.output
+    assert "model 'beside_the_run:Missing' does not import" in refused.output
     sys.modules.pop("beside_the_run")

@@ -180,9 +180,9 @@ def test_what_breaks_the_interface_is_refused_by_its_law_and_closed(
 @pytest.mark.parametrize(
     ("kind", "said"),
     [
-        ("bench_nowhere:Stage", "does not import: No module named 'bench_nowhere'"),
+        ("bench_nowhere:Stage", "does not import: .*No module named 'bench_nowhere'"),
         ("bench_devices:Gantry", "does not import: .*no attribute 'Gantry'"),
-        ("bench_raises:Stage", "does not import: this machine has no driver"),
+        ("bench_raises:Stage", "does not import: OSError: this machine has no driver"),
         ("bench_devices:np.pi", "is no class and no function"),
     ],
 )
@@ -215,17 +215,19 @@ def test_an_installed_package_registers_a_device_by_a_name(bench: Path) -> None:
     registered(bench, "bench_gantry", "palpate.stages", "gantry", "bench_devices:Stage")
     check_kind("stage", "gantry", ("grbl",))
     assert open_device("stage", "gantry", {"port": "COM9"}, MonotonicClock()).port == "COM9"
-    with pytest.raises(InputError, match="there is no camera 'gantry'; palpate has uvc"):
+    with pytest.raises(InputError, match="there is no camera 'gantry'; there are uvc"):
         check_kind("camera", "gantry", ("uvc",))
 
 
 def test_a_package_that_takes_an_existing_name_is_refused_by_name(bench: Path) -> None:
     registered(bench, "bench_one", "palpate.stages", "grbl", "bench_devices:Stage")
-    with pytest.raises(InputError, match="bench_devices:Stage is registered as 'grbl', a name of palpate's"):
+    with pytest.raises(InputError, match="'grbl' of bench_devices:Stage takes the name of palpate"):
         check_kind("stage", "grbl", ("grbl",))
     registered(bench, "bench_two", "palpate.stages", "gantry", "bench_devices:Stage")
     registered(bench, "bench_three", "palpate.stages", "gantry", "bench_other:Stage")
-    with pytest.raises(InputError, match="are all registered as 'gantry'"):
+    with pytest.raises(
+        InputError, match="'gantry' of bench_other:Stage takes the name of bench_devices:Stage"
+    ):
         check_kind("stage", "gantry", ("grbl",))
 
 
@@ -276,7 +278,7 @@ def test_the_same_devices_are_named_from_python(bench: Path) -> None:
     ("before", "after", "said"),
     [
         ("bench_devices:Camera", "bench_broken:Camera", "camera 'bench_broken:Camera' does not import"),
-        ("bench_devices:Camera", "webcam", "camera.kind: there is no camera 'webcam'; palpate has uvc"),
+        ("bench_devices:Camera", "webcam", "camera.kind: there is no camera 'webcam'; there are uvc"),
         ('port = "COM7"', "prot = 1", "stage 'bench_devices:Stage' cannot be opened .*'prot'"),
         ('axes = ["x", "-y", "-z"]', 'axes = ["x", "-y"]', "force.axes"),
         ('kind = "bench_devices:Stage"', 'kind = "grbl"\nspeed = 3', "stage.speed"),

@@ -49,7 +49,7 @@ def test_built_in_sensors_are_found_by_name_and_preset() -> None:
         ("tactip-soft", "no TacTip 'soft'"),
         ("nowhere.at.all:make", "does not import"),
         ("palpate.core:VERSION", "does not import"),
-        ("palpate.core.sensor:SEATED", "no function or class"),
+        ("palpate.core.sensor:SEATED", "no class and no function"),
     ],
 )
 def test_a_name_that_is_none_is_refused(name: str, says: str) -> None:
@@ -83,7 +83,9 @@ def test_a_sensor_that_cannot_be_one_is_refused_by_name_and_law(
 
 def test_a_name_that_is_taken_is_refused_and_both_are_named(install: Install) -> None:
     install("palm", "stranger:make", "def make(): return None")
-    with pytest.raises(InputError, match=r"stranger:make of stranger, palpate\.sensors.*one sensor"):
+    with pytest.raises(
+        InputError, match=r"'palm' of stranger:make takes the name of palpate\.sensors.*one sensor"
+    ):
         sensor("palm")
 
 

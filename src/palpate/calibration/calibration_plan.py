@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Literal
 
 from palpate.core import InputError, split_column
-from palpate.core.plugins import named
+from palpate.core.plugins import import_path_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class CalibrationPlan:
             object.__setattr__(self, "options", options)
         model_kind(self.model)
         if not isinstance(self.split, str):
-            object.__setattr__(self, "split", named(self.split, "split"))
+            object.__setattr__(self, "split", import_path_of(self.split, "split"))
         check_split_text(self.split)
         self._check_numbers()
 
@@ -145,10 +145,10 @@ def _targets(given: Sequence[str]) -> tuple[str, ...]:
 def _own_model(model: Any, options: dict[str, Any]) -> tuple[str, dict[str, Any]]:
     """The ``module:Class`` of a class or an instance, and the settings that an instance carries."""
     if isinstance(model, type):
-        return named(model, "model"), options
+        return import_path_of(model, "model"), options
     from palpate.estimators.networks import model_class
 
-    path = named(type(model), "model")
+    path = import_path_of(type(model), "model")
     model_class(path)
     if options:
         raise InputError(f"model {path} is an instance with its settings; set {', '.join(options)} there")

@@ -1,9 +1,8 @@
 """What a device must do to be used: a stage, a force sensor, a camera.
 
-Small on purpose: whoever has another device writes one of these and checks it with
-`palpate.devices.check`. All times are on the host's monotonic clock [ns], all positions in the stage's own frame: x right, y towards the
-viewer, z into the skin [m]. A device that cannot do what it is asked raises `DeviceError`; none waits
-for ever.
+Whoever has another device writes one of these and checks it with `palpate.check`. All times are on the
+host's monotonic clock [ns], all positions in the stage's own frame: x right, y towards the viewer, z into the
+skin [m]. A device that cannot do what it is asked raises `DeviceError`; none waits for ever.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from numpy import ndarray
 from palpate.core.contact import FRESH, Contact, Pose, PressHistory, Probe, Specimen
 from palpate.core.frame import Frame
 from palpate.core.outline import Outline
-from palpate.core.plugins import Registry
+from palpate.core.plugins import PluginRegistry
 from palpate.core.shapes import Float
 
 Box = tuple[int, int, int, int]
@@ -331,7 +331,7 @@ def frame_faults(made: Sensor) -> list[str]:
 DEFAULT_SENSOR = "palm"
 """The sensor of rigs and plans that name none: until there was a second, all were of it."""
 
-SENSORS: Registry[Sensor] = Registry(
+SENSORS = PluginRegistry(
     "sensor",
     "palpate.sensors",
     {
@@ -348,4 +348,5 @@ def sensor(name: str = DEFAULT_SENSOR) -> Sensor:
     Raises:
         InputError: there is none of the name, or it breaks the contract; the message says which law.
     """
-    return SENSORS.make(name)
+    made: Sensor = SENSORS.make(name)
+    return made

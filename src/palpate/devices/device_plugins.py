@@ -7,14 +7,13 @@ law that it breaks.
 
 from __future__ import annotations
 
-import importlib
 import inspect
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
-from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from palpate.core import Clock, InputError, PalpateError
+from palpate.core import Clock, InputError, PalpateError, PluginError
+from palpate.core.plugins import OWN, PluginRegistry
 from palpate.devices.check.interface_check import Role, check_interface
 
 GROUPS: dict[Role, str] = {
@@ -34,22 +33,10 @@ def check_kind(role: Role, kind: str, built_in: Collection[str]) -> None:
         built_in: palpate's own names.
 
     Raises:
-        InputError: there is no such name; or an installed package takes one that exists already.
+        InputError: there is no such name.
+        PluginError: an installed package takes one that exists already.
     """
-    if ":" in kind:
-        return
-    registered = [one for one in entry_points(group=GROUPS[role]) if one.name == kind]
-    packages = ", ".join(one.value for one in registered)
-    if kind in built_in:
-        if registered:
-            raise InputError(f"{packages} is registered as {kind!r}, a name of palpate's own; rename it")
-    elif not registered:
-        raise InputError(
-            f"there is no {role} {kind!r}; palpate has {', '.join(sorted(built_in))}, installed packages "
-            f"register {_names(role) or 'none'}, and your own class is given as 'package.module:Class'"
-        )
-    elif len(registered) > 1:
-        raise InputError(f"{packages} are all registered as {kind!r}; rename or uninstall all but one")
+    PluginRegistry(role, GROUPS[role], dict.fromkeys(sorted(built_in), OWN)).path_of(kind)
 
 
 def open_device(role: Role, kind: str, options: Mapping[str, Any], clock: Clock) -> Any:
@@ -62,8 +49,9 @@ def open_device(role: Role, kind: str, options: Mapping[str, Any], clock: Clock)
         clock: that it must stamp on.
 
     Raises:
-        InputError: it does not import, does not take these options, or breaks a law of the interface, which
-            the message names; it has been closed again.
+        InputError: it does not take these options.
+        PluginError: it does not import, or breaks a law of the interface, which the message names; it has
+            been closed again.
         DeviceError: the device is missing, busy or refuses.
 
     Example:
@@ -71,46 +59,27 @@ def open_device(role: Role, kind: str, options: Mapping[str, Any], clock: Clock)
         >>> open_device("stage", "bench.axes:Gantry", {"port": "COM3"}, MonotonicClock())
         Traceback (most recent call last):
         ...
-        palpate.core.errors.InputError: stage 'bench.axes:Gantry' does not import: No module named 'bench'
+        palpate.core.errors.PluginError: stage 'bench.axes:Gantry' does not import: ModuleNotFoundError: ...
     """
-    factory = _factory(role, kind)
-    device = _called(role, kind, factory, options, clock)
-    broken = next((one for one in check_interface(role, device, clock) if not one.ok), None)
-    if broken is not None:
+    factory = PluginRegistry(role, GROUPS[role], {}).find(kind)
+    device = _call(role, kind, factory, options, clock)
+    fault = next((law for law in check_interface(role, device, clock) if not law.ok), None)
+    if fault is not None:
         with suppress(Exception):  # what lacks a method may well fail to close
             device.close()
-        raise InputError(f"{role} {kind!r} breaks the law {broken.name!r}: {broken.message}")
+        raise PluginError(f"{role} {kind!r} breaks the law {fault.name!r}: {fault.message}")
     return device
 
 
-def _factory(role: Role, kind: str) -> Callable[..., Any]:
-    try:
-        if ":" in kind:
-            found = EntryPoint(name=kind, value=kind, group=GROUPS[role])
-        else:
-            (found,) = entry_points(group=GROUPS[role], name=kind)
-        module, _, name = found.value.partition(":")
-        factory: Any = importlib.import_module(module.strip())
-        for part in name.strip().split("."):
-            factory = getattr(factory, part)
-    except PalpateError:
-        raise
-    except Exception as e:  # whatever a module of somebody else's raises on import
-        raise InputError(f"{role} {kind!r} does not import: {e}") from e
-    if not callable(factory):
-        raise InputError(f"{role} {kind!r} is no class and no function; name what makes the device")
-    return factory
-
-
-def _called(
+def _call(
     role: Role, kind: str, factory: Callable[..., Any], options: Mapping[str, Any], clock: Clock
 ) -> Any:
-    given = dict(options)
+    arguments = dict(options)
     try:
         signature = inspect.signature(factory)
         if "clock" in signature.parameters:
-            given["clock"] = clock
-        signature.bind(**given)
+            arguments["clock"] = clock
+        signature.bind(**arguments)
     except ValueError:  # of a compiled class that does not tell
         pass
     except TypeError as e:
@@ -118,14 +87,10 @@ def _called(
             f"{role} {kind!r} cannot be opened with these options: {e}; it takes {signature}"
         ) from e
     try:
-        return factory(**given)
+        return factory(**arguments)
     except PalpateError:
         raise
     except Exception as e:  # a driver is to raise DeviceError; this one is somebody else's
-        raise InputError(
+        raise PluginError(
             f"{role} {kind!r} breaks the law 'opens, or raises DeviceError': {type(e).__name__}: {e}"
         ) from e
-
-
-def _names(role: Role) -> str:
-    return ", ".join(sorted({one.name for one in entry_points(group=GROUPS[role])}))

@@ -15,7 +15,7 @@ import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
 from palpate.core import PluginError, SplitError
-from palpate.core.plugins import PLUGIN, PluginRegistry, imported
+from palpate.core.plugins import OWN, PATH, PluginRegistry
 from palpate.recordings.labels import rows_text
 
 # Coarsest first: a split by an earlier one also holds apart everything that a later one would.
@@ -31,7 +31,7 @@ CONVENTIONAL_GROUPS: tuple[tuple[str, ...], ...] = (
     ("cycle",),
     ("trial",),
 )
-REGISTRY = PluginRegistry("split", "palpate.splits", dict.fromkeys(("auto", "random"), "palpate itself"))
+REGISTRY = PluginRegistry("split", "palpate.splits", dict.fromkeys(("auto", "random"), OWN))
 _BY_COLUMNS = ("group", "leave-one-out")
 _KINDS = (
     "'auto', 'random', 'group:COLUMN[,COLUMN...]', 'leave-one-out:COLUMN[,COLUMN...]', or a function of "
@@ -130,23 +130,20 @@ def check_split_text(spec: str) -> None:
         PluginError: it is a plug-in that does not import, or cannot be called.
     """
     kind, colon, names = spec.partition(":")
-    added = REGISTRY.added  # which refuses a package that takes a name
     if kind in _BY_COLUMNS and any(name.strip() for name in names.split(",")):
         return
-    if spec not in REGISTRY.built_in:
-        if (not colon and spec not in added) or kind in _BY_COLUMNS:
-            raise SplitError(f"split {spec!r} is not known; give {_KINDS}")
-        _function(spec)
+    if spec in REGISTRY.built_in:
+        REGISTRY.path_of(spec)  # refuses a package that takes the name
+        return
+    if (not colon and spec not in REGISTRY.names()) or kind in _BY_COLUMNS:
+        raise SplitError(f"split {spec!r} is not known; give {_KINDS}")
+    _function(spec)
 
 
 def _function(spec: str) -> Any:
-    if ":" in spec and not PLUGIN.fullmatch(spec):
+    if ":" in spec and not PATH.fullmatch(spec):
         raise SplitError(f"split {spec!r} is not known; give {_KINDS}")
-    path = REGISTRY.text(spec)
-    function = imported(path, "split")
-    if not callable(function):
-        raise PluginError(f"split {path} cannot be called; it is a function of (table, *, folds, seed)")
-    return function
+    return REGISTRY.find(spec)
 
 
 def _plugged_in(table: pd.DataFrame, spec: str, folds: int, seed: int) -> Split:

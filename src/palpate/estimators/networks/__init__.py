@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 from palpate.core import InputError, MissingExtraError, PluginError
-from palpate.core.plugins import PluginRegistry, imported
+from palpate.core.plugins import PluginRegistry, import_path
 from palpate.estimators.networks.model_interface import Fitted, Model, Progress, TrainingData, silent
 
 
@@ -100,7 +100,7 @@ def model_kind(name: str) -> Kind:
         InputError: there is no such model; the message lists those there are.
         PluginError: it is a plug-in, and breaks a law that a class can be seen to break.
     """
-    path = REGISTRY.text(name)
+    path = REGISTRY.path_of(name)
     if name in MODELS:
         return MODELS[name]
     kind = getattr(model_class(path), "kind", Kind())
@@ -115,7 +115,7 @@ def model_class(path: str) -> type:
     Raises:
         PluginError: it does not import, or is no such class.
     """
-    found = imported(path, "model")
+    found = import_path(path, "model")
     if not (isinstance(found, type) and is_dataclass(found)):
         raise PluginError(
             f"model {path} is not a dataclass; its settings are its fields, which the certificate tells"
@@ -133,7 +133,7 @@ def make_model(name: str, options: Mapping[str, Any]) -> Model:
         PluginError: it is a plug-in that does not import, or is no model.
         MissingExtraError: the model needs a package that is not installed.
     """
-    path = REGISTRY.text(name)
+    path = REGISTRY.path_of(name)
     try:
         make = model_class(path)
     except PluginError as e:
