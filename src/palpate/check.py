@@ -1,12 +1,15 @@
-"""The laws that every sensor design keeps, so that the rig, calibration and pages need to know none of them.
+"""Conformance checks of what a user brings: a sensor, a model, a device's driver, a whole rig.
 
-Run `check_sensor` over one that you write. Device drivers have laws of their own: `palpate.rig.rig_check`.
+`check_sensor` and its laws are here; the checks of the other kinds stand with what they check and load when
+they are first used.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +28,30 @@ from palpate.core import (
 from palpate.core.sensor import contract_faults, force_law, frame_faults, untouched
 from palpate.devices.check.check_result import CheckResult, at_most, held, judged, refusal, told
 from palpate.rig.plans.plan_files import plan_from
+
+if TYPE_CHECKING:
+    from palpate.calibration.model_check import check_model
+    from palpate.devices.check import check_camera, check_force_sensor, check_stage
+    from palpate.rig.rig_check import check_rig
+
+_MODULES = {
+    "check_camera": "palpate.devices.check",
+    "check_force_sensor": "palpate.devices.check",
+    "check_model": "palpate.calibration.model_check",
+    "check_rig": "palpate.rig.rig_check",
+    "check_stage": "palpate.devices.check",
+}
+
+__all__ = [
+    "LAWS",
+    "CheckResult",
+    "check_camera",
+    "check_force_sensor",
+    "check_model",
+    "check_rig",
+    "check_sensor",
+    "check_stage",
+]
 
 DEPTHS = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)  # of the known depth
 HALF = 0.5
@@ -292,4 +319,7 @@ def _reach_m(sensor: Sensor) -> float:
     return ASIDE * room
 
 
-__all__ = ["LAWS", "check_sensor"]
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return getattr(import_module(_MODULES[name]), name)
+    raise AttributeError(f"palpate.check has no {name!r}; it has {', '.join(__all__)}")
