@@ -26,7 +26,7 @@ from palpate.core import (
     ndarray,
 )
 from palpate.core.sensor import contract_faults, force_law, frame_faults, untouched
-from palpate.devices.check.check_result import CheckResult, at_most, held, judged, refusal, told
+from palpate.devices.check.check_result import CheckResult, at_most, describe, judge, refusal, verdict
 from palpate.rig.plans.plan_files import plan_from
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ MAX_M, MAX_N, MAX_PA = 0.5, 1e4, 1e10  # of anything that a sensor for touch may
 ASIDE = 0.25  # of the outline's reach, by which a contact is moved to see it move
 ALIGNED = 0.7  # cosine of the angle between where it moves and where the axes say, at least
 FRAMES = 4  # whose mean is looked at, so that noise counts less
-STRANGE = 1e-3  # of a depth, beyond which a refused depth is asked for
+BEYOND = 1e-3  # of the known depth, by which a press asked for is deeper
 
 Part = Iterator[CheckResult]
 
@@ -82,22 +82,22 @@ def check_sensor(sensor: Sensor) -> list[CheckResult]:
         True
     """
     faults = contract_faults(sensor)
-    contract = held("keeps the contract", not faults, "; ".join(faults))
+    contract = verdict("keeps the contract", not faults, "; ".join(faults))
     if faults:
         return [contract]
-    return [contract, *(one for law in LAWS for one in _asked(law, sensor))]
+    return [contract, *(one for law in LAWS for one in _run(law, sensor))]
 
 
-def _asked(law: Callable[[Sensor], Part], sensor: Sensor) -> Part:
-    """A law's findings; what it raises is one more that does not hold."""
+def _run(law: Callable[[Sensor], Part], sensor: Sensor) -> Part:
+    """Run a law; what it raises is one more finding that does not hold."""
     try:
         yield from law(sensor)
-    except Exception as e:  # whatever a stranger's sensor raises is what is to be told
+    except Exception as e:  # whatever a stranger's sensor raises is reported
         name = (law.__doc__ or law.__name__).strip().rstrip(".")
-        yield held(name, False, f"{type(e).__name__}: {e}")
+        yield verdict(name, False, f"{type(e).__name__}: {e}")
 
 
-def _pressed(sensor: Sensor, share: float, x_m: float = 0.0, y_m: float = 0.0) -> Contact:
+def _press(sensor: Sensor, share: float, x_m: float = 0.0, y_m: float = 0.0) -> Contact:
     """The sensor under its own probe, at a share of the depth that it knows."""
     probe, specimen = _own(sensor)
     depth_m = share * sensor.known_depth_m(probe, specimen)
@@ -108,7 +108,7 @@ def _own(sensor: Sensor) -> tuple[Probe, Specimen | None]:
     return sensor.probe(sensor.default_probe), sensor.specimen(sensor.default_probe)
 
 
-def _seen(sensor: Sensor, contact: Contact, seed: int = 0) -> Float[ndarray, "h w"]:
+def _mean_image(sensor: Sensor, contact: Contact, seed: int = 0) -> Float[ndarray, "h w"]:
     """Mean of some frames, grey."""
     rng = np.random.default_rng(seed)
     frames = [sensor.render(contact, rng).image.astype(float) for _ in range(FRAMES)]
@@ -117,16 +117,16 @@ def _seen(sensor: Sensor, contact: Contact, seed: int = 0) -> Float[ndarray, "h 
 
 
 def at_rest(sensor: Sensor) -> Part:
-    """At rest there is no force, and the frame is as stated."""
+    """A sensor at rest feels no force, and its frame is as stated."""
     faults = frame_faults(sensor)
-    yield held("at rest there is no force, and the frame is as stated", not faults, "; ".join(faults))
+    yield verdict("at rest there is no force, and the frame is as stated", not faults, "; ".join(faults))
 
 
 def grows(sensor: Sensor) -> Part:
     """Force grows with depth as far as it is known."""
-    force = [0.0, *(_pressed(sensor, share).force_n for share in DEPTHS)]
+    force = [0.0, *(_press(sensor, share).force_n for share in DEPTHS)]
     least = float(np.diff(force).min())
-    yield judged(
+    yield judge(
         "force grows with depth as far as it is known", least > 0, least, 0.0, "N",
         f"forces {force} N at {[0.0, *DEPTHS]} of the known depth; each is greater than the one before",
     )  # fmt: skip
@@ -134,7 +134,7 @@ def grows(sensor: Sensor) -> Part:
 
 def integrates(sensor: Sensor) -> Part:
     """Pressure integrates to the force."""
-    contact = _pressed(sensor, HALF)
+    contact = _press(sensor, HALF)
     cell = (contact.x_m[1] - contact.x_m[0]) * (contact.y_m[1] - contact.y_m[0])
     whole = float(contact.pressure_pa.sum() * cell)
     off = abs(whole / contact.force_n - 1)
@@ -145,8 +145,8 @@ def integrates(sensor: Sensor) -> Part:
 
 
 def plausible(sensor: Sensor) -> Part:
-    """What a press returns is finite, shaped and in SI."""
-    contact = _pressed(sensor, HALF)
+    """A press returns what is finite, shaped and in SI."""
+    contact = _press(sensor, HALF)
     grid = (len(contact.y_m), len(contact.x_m))
     fields = {
         name: np.asarray(getattr(contact, name)) for name in ("pressure_pa", "displacement_m", "touching")
@@ -165,26 +165,28 @@ def plausible(sensor: Sensor) -> Part:
             wrong.append(f"{what} up to {greatest:g}; no touch goes beyond {most:g}")
     if not (contact.radius_m > 0 and np.asarray(contact.touching).any()):
         wrong.append("a press at half the known depth touches nothing")
-    yield held("what a press returns is finite, shaped and in SI", not wrong, "; ".join(wrong))
+    yield verdict("what a press returns is finite, shaped and in SI", not wrong, "; ".join(wrong))
 
 
 def says_what_made_it(sensor: Sensor) -> Part:
     """A contact says what made it."""
     probe, specimen = _own(sensor)
-    contact = _pressed(sensor, HALF)
+    contact = _press(sensor, HALF)
     pose = Pose(0.0, 0.0, HALF * sensor.known_depth_m(probe, specimen))
     same = (contact.probe, contact.pose, contact.specimen) == (probe, pose, specimen)
-    yield held(
-        "a contact says what made it", same, f"asked {probe} at {pose}, told {contact.probe}, {contact.pose}"
+    yield verdict(
+        "a contact says what made it",
+        same,
+        f"asked {probe} at {pose}, answered {contact.probe}, {contact.pose}",
     )
 
 
 def obeys_its_force_law(sensor: Sensor) -> Part:
     """The force law is that of its presses."""
     law = force_law(sensor, *_own(sensor))
-    pressed = [_pressed(sensor, share) for share in DEPTHS]
-    read = np.interp([one.pose.depth_m for one in pressed], law.depth_m, law.force_n)
-    off = float(np.abs(read / [one.force_n for one in pressed] - 1).max())
+    presses = [_press(sensor, share) for share in DEPTHS]
+    read = np.interp([one.pose.depth_m for one in presses], law.depth_m, law.force_n)
+    off = float(np.abs(read / [one.force_n for one in presses] - 1).max())
     yield at_most(
         "the force law is that of its presses", off, SAME_LAW, "",
         f"between them lie {100 * off:.1f} %; let force_law() read what press() gives, or leave it out",
@@ -193,18 +195,18 @@ def obeys_its_force_law(sensor: Sensor) -> Part:
 
 def refuses_the_unknown(sensor: Sensor) -> Part:
     """Beyond the known depth a press is refused."""
-    error = refusal(partial(_pressed, sensor, 1 + STRANGE))
-    yield held(
+    error = refusal(partial(_press, sensor, 1 + BEYOND))
+    yield verdict(
         "beyond the known depth a press is refused", isinstance(error, RangeError),
-        f"a press a thousandth deeper than known {told(error)}; raise RangeError",
+        f"a press a thousandth deeper than known {describe(error)}; raise RangeError",
     )  # fmt: skip
 
 
 def draws_by_its_rng(sensor: Sensor) -> Part:
     """The same rng draws the same frame."""
-    contact = _pressed(sensor, HALF)
+    contact = _press(sensor, HALF)
     one, other = (sensor.render(contact, np.random.default_rng(3)).image for _ in range(2))
-    yield held(
+    yield verdict(
         "the same rng draws the same frame", np.array_equal(one, other),
         "two frames of one contact and one seed differ; draw all chance from the rng that is given",
     )  # fmt: skip
@@ -212,10 +214,10 @@ def draws_by_its_rng(sensor: Sensor) -> Part:
 
 def shows_a_press(sensor: Sensor) -> Part:
     """A press is seen beyond the noise."""
-    rest, pressed = untouched(sensor), _pressed(sensor, HALF)
-    noise = _rms(_seen(sensor, rest, 1) - _seen(sensor, rest, 2))
-    change = _rms(_seen(sensor, pressed, 3) - _seen(sensor, rest, 1))
-    yield judged(
+    rest, contact = untouched(sensor), _press(sensor, HALF)
+    noise = _rms(_mean_image(sensor, rest, 1) - _mean_image(sensor, rest, 2))
+    change = _rms(_mean_image(sensor, contact, 3) - _mean_image(sensor, rest, 1))
+    yield judge(
         "a press is seen beyond the noise", change > BEYOND_NOISE * noise, change, BEYOND_NOISE * noise, "",
         f"a press changes the frame by {change:.3g} grey levels, noise by {noise:.3g}",
     )  # fmt: skip
@@ -226,18 +228,18 @@ def moves_along_its_axes(sensor: Sensor) -> Part:
     reach_m, axes = _reach_m(sensor), sensor.axes
     rest, worst, message = _region(sensor, untouched(sensor)), 1.0, ""
     for x_m, y_m in ((reach_m, 0.0), (0.0, reach_m)):
-        told_px = np.array(axes.moved_px(2 * x_m, 2 * y_m))
-        if not told_px.any():
+        stated_px = np.array(axes.moved_px(2 * x_m, 2 * y_m))
+        if not stated_px.any():
             continue
         before, after = (
-            _middle(_region(sensor, _pressed(sensor, HALF, side * x_m, side * y_m)), rest) for side in (-1, 1)
+            _centroid(_region(sensor, _press(sensor, HALF, side * x_m, side * y_m)), rest) for side in (-1, 1)
         )
-        seen_px = after - before
-        cosine = float(seen_px @ told_px / max(np.hypot(*seen_px) * np.hypot(*told_px), 1e-12))
+        motion_px = after - before
+        cosine = float(motion_px @ stated_px / max(np.hypot(*motion_px) * np.hypot(*stated_px), 1e-12))
         if cosine < worst:
             worst = cosine
-            message = f"moved by ({2e3 * x_m:.3g}, {2e3 * y_m:.3g}) mm it is seen to move by {seen_px} px"
-    yield judged(
+            message = f"moved by ({2e3 * x_m:.3g}, {2e3 * y_m:.3g}) mm it moves by {motion_px} px"
+    yield judge(
         "a contact moves in the image as the axes say", worst >= ALIGNED, worst, ALIGNED, "",
         f"{message}; the axes of {axes.region!r} say {axes.across} and {axes.down} px/m",
     )  # fmt: skip
@@ -258,14 +260,14 @@ def keeps_its_plan_inside(sensor: Sensor) -> Part:
             sensor.probe(words)
     except PalpateError as e:
         message = f"its plan is refused: {e}"
-    yield held("its outline holds its own plan's places", not message, message)
+    yield verdict("its outline holds its own plan's places", not message, message)
 
 
 def rectifies_to_its_size(sensor: Sensor) -> Part:
     """A rectified frame has the size it states."""
     frame = sensor.render(untouched(sensor), np.random.default_rng(0))
     height, width = sensor.rectify(frame).image.shape[:2]
-    yield held(
+    yield verdict(
         "a rectified frame has the size it states", (width, height) == sensor.rectified_px,
         f"{width} x {height} px, and it states {sensor.rectified_px[0]} x {sensor.rectified_px[1]} px",
     )  # fmt: skip
@@ -274,9 +276,9 @@ def rectifies_to_its_size(sensor: Sensor) -> Part:
 def refuses_nonsense(sensor: Sensor) -> Part:
     """Words that are no probe are refused."""
     error = refusal(partial(sensor.probe, "no such probe"))
-    yield held(
+    yield verdict(
         "words that are no probe are refused", isinstance(error, InputError),
-        f"probe('no such probe') {told(error)}; raise InputError and say what there is",
+        f"probe('no such probe') {describe(error)}; raise InputError and say what there is",
     )  # fmt: skip
 
 
@@ -303,18 +305,18 @@ def _rms(difference: ndarray) -> float:
 
 def _region(sensor: Sensor, contact: Contact) -> Float[ndarray, "h w"]:
     x, y, w, h = sensor.regions()[sensor.axes.region]
-    return _seen(sensor, contact)[y : y + h, x : x + w]
+    return _mean_image(sensor, contact)[y : y + h, x : x + w]
 
 
-def _middle(seen: ndarray, rest: ndarray) -> Float[ndarray, 2]:
-    """Of what has changed: column and row, weighed by the square of the change."""
-    weight = (seen - rest) ** 2
+def _centroid(image: ndarray, rest: ndarray) -> Float[ndarray, 2]:
+    """Centroid of what has changed: column and row, weighed by the square of the change."""
+    weight = (image - rest) ** 2
     y, x = np.mgrid[: weight.shape[0], : weight.shape[1]]
     return np.array([(weight * x).sum(), (weight * y).sum()]) / weight.sum()
 
 
 def _reach_m(sensor: Sensor) -> float:
-    """How far a contact is moved to either side of the middle."""
+    """Distance by which a contact is moved to either side of the middle [m]."""
     room = sensor.outline.radius_m - _own(sensor)[0].radius_m
     return ASIDE * room
 

@@ -86,7 +86,7 @@ def test_a_contact_that_sticks_twists_as_reissner_and_sagoci_say(nu):
 def test_a_twisted_sphere_slips_as_lubkin_says(nu, turn):
     contact = on_half_space(nu)
     found = shear_stack(contact, MU, turn_rad=turn)
-    moment, stick = tangential.twisted(turn, contact.force_n, MU, A, E, nu)
+    moment, stick = tangential.twisting_moment(turn, contact.force_n, MU, A, E, nu)
     assert found.moment_nm == pytest.approx(moment, rel=1e-3)  # 4e-4 is measured
     sticking = math.sqrt(found.sticking.sum() / contact.touching.sum())
     assert sticking == pytest.approx(stick / A, abs=0.01)  # counted in cells of A/27

@@ -12,7 +12,7 @@ G = E / (2 * (1 + NU))
 
 
 def moment(turn_rad):
-    return tangential.twisted(turn_rad, P, MU, A, E, NU)[0]
+    return tangential.twisting_moment(turn_rad, P, MU, A, E, NU)[0]
 
 
 def test_a_small_turn_meets_the_stiffness_of_reissner_and_sagoci():
@@ -26,7 +26,7 @@ def test_a_great_turn_meets_friction_everywhere():
     pressed = quad(lambda r: MU * p0 * math.sqrt(1 - (r / A) ** 2) * r * 2 * math.pi * r, 0, A)[0]
     assert tangential.greatest_moment(P, MU, A) == pytest.approx(pressed, rel=1e-9)
     assert moment(50.0) == pytest.approx(pressed, rel=1e-9)
-    assert tangential.twisted(50.0, P, MU, A, E, NU)[1] == 0.0
+    assert tangential.twisting_moment(50.0, P, MU, A, E, NU)[1] == 0.0
 
 
 def test_the_traction_of_turned_discs_adds_up_to_friction_where_it_slips():
@@ -47,7 +47,7 @@ def test_the_traction_of_turned_discs_adds_up_to_friction_where_it_slips():
 
 
 def test_the_more_it_turns_the_less_sticks_and_the_more_it_carries():
-    found = np.array([tangential.twisted(turn, P, MU, A, E, NU) for turn in np.geomspace(1e-4, 1.0, 20)])
+    found = np.array([tangential.twisting_moment(turn, P, MU, A, E, NU) for turn in np.geomspace(1e-4, 1.0, 20)])
     assert np.all(np.diff(found[:, 0]) > 0)
     assert np.all(np.diff(found[:, 1]) < 0)
 
@@ -56,7 +56,7 @@ def test_the_work_of_a_turn_is_the_area_under_its_curve_of_moments():
     # dM/dturn = 16/3 G c^3: what is added turns the stick circle as a bonded disc
     turn = 0.05
     slope = (moment(turn * 1.0005) - moment(turn * 0.9995)) / (turn * 1e-3)
-    stick = tangential.twisted(turn, P, MU, A, E, NU)[1]
+    stick = tangential.twisting_moment(turn, P, MU, A, E, NU)[1]
     assert slope == pytest.approx(16 / 3 * G * stick**3, rel=1e-5)
 
 
@@ -66,4 +66,4 @@ def test_the_work_of_a_turn_is_the_area_under_its_curve_of_moments():
 def test_a_twist_that_cannot_be_is_refused(given):
     asked = {"turn_rad": 0.1, "force_n": P, "friction": MU} | given
     with pytest.raises(RangeError):
-        tangential.twisted(**asked, contact_radius_m=A, youngs_modulus_pa=E, poisson_ratio=NU)
+        tangential.twisting_moment(**asked, contact_radius_m=A, youngs_modulus_pa=E, poisson_ratio=NU)

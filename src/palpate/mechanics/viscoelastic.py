@@ -1,4 +1,6 @@
-"""A viscoelastic skin as a Prony series, and the Kelvin-Voigt skin as a named baseline.
+"""Viscoelastic skins, and a rigid sphere pressed into one and drawn out again (Ting's law).
+
+A skin is a Prony series, with the Kelvin-Voigt skin as a named baseline:
 
     E(t) = E_inf + sum_i E_i exp(-t / tau_i),
 
@@ -8,11 +10,7 @@ linear and with a constant Poisson's ratio. A history is straight between its sa
 
 steps on exactly, P <- exp(-dt/tau) P + E (tau/dt) (1 - exp(-dt/tau)) dx, for steps of any length.
 
-Reference: R. M. Christensen, Theory of Viscoelasticity (1982), ch. 1, Academic Press.
-
-A rigid sphere on a viscoelastic half-space, in and out: Ting's law.
-
-With E(t) a Prony series and K = 4 sqrt(R) / (3 (1 - nu^2)), a depth d(t) that rises and then falls gives
+Under a sphere, with K = 4 sqrt(R) / (3 (1 - nu^2)), a depth d(t) that rises and then falls gives
 
     F = K int_0^{t1} E(t - s) d(d^{3/2})/ds ds,      a = sqrt(R d(t1)),
 
@@ -33,9 +31,10 @@ This is the method of dimensionality reduction; for one press it is Ting's law, 
 contact is a disc.
 
 A history of depth is taken as straight between its samples. Valid to a/R = 0.5, for small strain, without
-friction or adhesion.
+friction or adhesion; what lies outside raises RangeError.
 
-References: T. C. T. Ting, J. Appl. Mech. 33 (1966) 845, doi:10.1115/1.3625192;
+References: R. M. Christensen, Theory of Viscoelasticity (1982), ch. 1, Academic Press;
+T. C. T. Ting, J. Appl. Mech. 33 (1966) 845, doi:10.1115/1.3625192;
 V. L. Popov, E. Willert, M. Heß, Facta Univ. Mech. Eng. 16 (2018) 99, doi:10.22190/FUME180327013P.
 """
 
@@ -80,8 +79,7 @@ class Prony:
         if len(self.moduli_pa) != len(self.times_s):
             raise RangeError(
                 f"{len(self.moduli_pa)} moduli and {len(self.times_s)} relaxation times do not pair up; give "
-                "one time "
-                f"in s for each modulus in Pa"
+                "one time in s for each modulus in Pa"
             )
         for modulus, time in zip(self.moduli_pa, self.times_s, strict=True):
             positive("a branch's modulus", modulus, "Pa")
@@ -110,8 +108,8 @@ class Prony:
         values, vectors = np.linalg.eigh(rates)
         start = vectors.T @ (np.sqrt(E / self._times) / E0)  # v = q / sqrt(E tau), q(0) = E / E0
         weights = vectors.T @ np.sqrt(E * self._times)
-        held = np.exp(-t[..., None] * values) @ (weights * start)
-        return np.asarray((1 - held) / self.equilibrium_pa)
+        memory = np.exp(-t[..., None] * values) @ (weights * start)
+        return np.asarray((1 - memory) / self.equilibrium_pa)
 
     def storage(self, angular_frequency: float) -> float:
         """E'(omega) [Pa] under a sinusoidal strain at omega [rad/s]."""
@@ -129,26 +127,18 @@ class Prony:
         return math.pi * self.loss(angular_frequency) * strain_amplitude**2
 
     def branches(self, time_s: History, signal: History) -> Branches:
-        """P_i(t_n) [Pa times the signal] of a signal that rests before its first sample.
-
-        Raises:
-            RangeError: the times do not increase, or something is not finite.
-        """
+        """P_i(t_n) [Pa times the signal] of a signal that rests before its first sample."""
         steps = _steps(time_s, signal)
         x = steps[:, None] / self._times
         fall = np.exp(-x)
         gain = self._moduli * -np.expm1(-x) / x * np.diff(signal)[:, None]
-        held = np.zeros((len(time_s), len(self.times_s)))
+        stress = np.zeros((len(time_s), len(self.times_s)))
         for n in range(len(steps)):
-            held[n + 1] = fall[n] * held[n] + gain[n]
-        return held
+            stress[n + 1] = fall[n] * stress[n] + gain[n]
+        return stress
 
     def stress(self, time_s: History, strain: History) -> History:
-        """Stress [Pa] under a history of strain that starts from rest at 0 strain.
-
-        Raises:
-            RangeError: the times do not increase, something is not finite, or the first strain is not 0.
-        """
+        """Stress [Pa] under a history of strain that starts from rest at 0 strain."""
         if strain[0] != 0.0:
             raise RangeError(f"the first strain is {strain[0]:g}, not 0; start the history at rest")
         return np.asarray(self.equilibrium_pa * strain + self.branches(time_s, strain).sum(axis=1))
@@ -172,9 +162,6 @@ class KelvinVoigt:
     Attributes:
         modulus_pa: E, positive [Pa].
         viscosity_pa_s: eta, positive [Pa s].
-
-    Raises:
-        RangeError: a constant is not positive.
     """
 
     modulus_pa: float
@@ -196,8 +183,7 @@ class KelvinVoigt:
         if strain[0] != 0.0 or np.any(np.diff(strain) == 0.0):
             raise RangeError(
                 "the history starts with a step or holds the strain; a Kelvin-Voigt skin has infinite stress "
-                "at a step "
-                "and does not relax in a hold: use a Prony series"
+                "at a step and does not relax in a hold: use a Prony series"
             )
         rate = np.gradient(strain, time_s, edge_order=2)
         return np.asarray(self.modulus_pa * strain + self.viscosity_pa_s * rate)
@@ -212,8 +198,7 @@ def _steps(time_s: History, signal: History) -> Float[ndarray, " steps"]:
     if not (np.isfinite(time_s).all() and np.isfinite(signal).all() and (steps > 0).all()):
         raise RangeError(
             "the history holds a time that does not increase, or a value that is not finite; a jump in no "
-            "time "
-            "is no history: give it a duration in s"
+            "time is no history: give it a duration in s"
         )
     return steps
 
@@ -239,7 +224,7 @@ Times = Float[ndarray, " k"]
 
 @dataclass(frozen=True, slots=True)
 class Indentation:
-    """What a history of depth gave.
+    """Force and contact radius over a history of depth.
 
     Attributes:
         time_s: samples [s].
@@ -255,9 +240,7 @@ class Indentation:
 
     @property
     def loss_j(self) -> float:
-        """Work done by the probe over the history less what came back [J]: the area of the loop if it "
-        "closes.
-        """
+        """Work done by the probe less what came back [J]: the area of the loop if it closes."""
         return float(np.trapezoid(self.force_n, self.depth_m))
 
 
@@ -288,10 +271,9 @@ def ting(
     top = int(np.argmax(depth_m))
     if np.any(np.diff(depth_m[: top + 1]) < 0) or np.any(np.diff(depth_m[top:]) > 0):
         raise RangeError(
-            "the depth does not rise once and then fall, which Ting's law asks for; use press for another "
-            "history"
+            "the depth does not rise once and then fall, as in Ting's law; use press for another history"
         )
-    t, d = _refined(time_s, np.maximum(depth_m, 0.0))
+    t, d = _subdivide(time_s, np.maximum(depth_m, 0.0))
     D = d**1.5
     top *= SUBSTEPS
     while top + 1 < len(d) and d[top + 1] == d[top]:
@@ -300,41 +282,40 @@ def ting(
     taus = np.array(skin.times_s)
     equilibrium = skin.equilibrium_pa
 
-    def remembered(memory: Float[ndarray, "n m"], signal: History, t1: Times) -> Float[ndarray, "k m"]:
+    def memory_at(memory: Float[ndarray, "n m"], signal: History, t1: Times) -> Float[ndarray, "k m"]:
         """P_i at times between the samples."""
         j = np.minimum(np.searchsorted(t, t1, side="right") - 1, len(t) - 2)
         part = (t1 - t[j])[:, None] / taus
         slope = ((signal[j + 1] - signal[j]) / (t[j + 1] - t[j]))[:, None]
-        gained = np.array(skin.moduli_pa) * taus * -np.expm1(-part) * slope
-        return np.exp(-part) * memory[j] + gained
+        gain = np.array(skin.moduli_pa) * taus * -np.expm1(-part) * slope
+        return np.exp(-part) * memory[j] + gain
 
     back = np.arange(top + 1, len(t))
 
     def pull(t1: Times) -> Times:
         """The integral that vanishes at t1; it falls with t1, so there is one root."""
         fall = np.exp(-(t[back] - t1)[:, None] / taus)
-        later = (memory_d[back] - fall * remembered(memory_d, d, t1)).sum(axis=1)
+        later = (memory_d[back] - fall * memory_at(memory_d, d, t1)).sum(axis=1)
         return equilibrium * (d[back] - np.interp(t1, t, d)) + later
 
     low, high = np.full(len(back), t[0]), np.full(len(back), t[top])
-    lost = pull(low) <= 0.0
+    apart = pull(low) <= 0.0
     for _ in range(HALVINGS):
         middle = (low + high) / 2
         wider = pull(middle) > 0.0
         low, high = np.where(wider, middle, low), np.where(wider, high, middle)
-    t1 = np.concatenate([t[: top + 1], np.where(lost, t[0], low)])
+    t1 = np.concatenate([t[: top + 1], np.where(apart, t[0], low)])
     wide = np.sqrt(radius_m * np.maximum(np.interp(t1, t, d), 0.0))
     if np.any(np.diff(wide[top:]) > 1e-9 * wide[top]):
         raise RangeError(
             "the skin catches up with the sphere on its way back, and the contact would grow again, which "
-            "Ting's "
-            "law does not cover; use press"
+            "Ting's law does not cover; use press"
         )
     fall = np.exp(-(t - t1)[:, None] / taus)
-    held = equilibrium * np.interp(t1, t, D) + (fall * remembered(memory_D, D, t1)).sum(axis=1)
-    held[back[lost]] = 0.0
+    total = equilibrium * np.interp(t1, t, D) + (fall * memory_at(memory_D, D, t1)).sum(axis=1)
+    total[back[apart]] = 0.0
     K = 4.0 * math.sqrt(radius_m) / (3.0 * (1.0 - poisson_ratio**2))
-    return Indentation(time_s, depth_m, K * np.maximum(held, 0.0)[::SUBSTEPS], wide[::SUBSTEPS])
+    return Indentation(time_s, depth_m, K * np.maximum(total, 0.0)[::SUBSTEPS], wide[::SUBSTEPS])
 
 
 def press(
@@ -349,7 +330,7 @@ def press(
     """
     _check(time_s, depth_m, radius_m)
     reduced_modulus(1.0, poisson_ratio)
-    t, d = _refined(time_s, depth_m)
+    t, d = _subdivide(time_s, depth_m)
     widest = math.sqrt(radius_m * max(float(depth_m.max()), 0.0))
     dx = widest / ELEMENTS
     x = dx * (np.arange(ELEMENTS) + 0.5)
@@ -362,8 +343,8 @@ def press(
         gain = -E * taus / dt * np.expm1(-dt / taus)
         rigid = d[n + 1] - height
         faded, stiff = fall * q, gain.sum()
-        left = faded.sum(axis=0) - stiff * u
-        free = -left / (skin.equilibrium_pa + stiff)  # where it comes to, unloaded
+        rest = faded.sum(axis=0) - stiff * u
+        free = -rest / (skin.equilibrium_pa + stiff)  # where it comes to, unloaded
         touching = rigid > free
         after = np.where(touching, rigid, free)
         q, u = faded + gain * (after - u), after
@@ -371,22 +352,17 @@ def press(
         if count and not touching[:count].all():
             raise RangeError(
                 f"at {t[n + 1]:g} s the sphere meets its own dent in a ring, which this law does not cover; "
-                "wait longer "
-                f"between presses, or press as deep as before"
+                "wait longer between presses, or press as deep as before"
             )
         force[n + 1] = 2.0 * dx * float((skin.equilibrium_pa + stiff) * (rigid - free)[:count].sum())
         width[n + 1] = count * dx
     return Indentation(time_s, depth_m, force[::SUBSTEPS] / (1.0 - poisson_ratio**2), width[::SUBSTEPS])
 
 
-def held_force(
+def hold_force(
     time_s: History, depth_m: float, radius_m: float, skin: Prony, poisson_ratio: float
 ) -> History:
-    """Force K E(t) d^(3/2) [N] at times t >= 0 after a sudden press to a held depth.
-
-    Raises:
-        RangeError: the depth is beyond a/R = 0.5, or an argument is out of range.
-    """
+    """Force K E(t) d^(3/2) [N] at times t >= 0 after a sudden press to a held depth."""
     a = contact_radius(depth_m, radius_m)
     return 4.0 / 3.0 * a * depth_m * skin.relaxation(time_s) * reduced_modulus(1.0, poisson_ratio)
 
@@ -394,12 +370,7 @@ def held_force(
 def creep_depth(
     time_s: History, force_n: float, radius_m: float, skin: Prony, poisson_ratio: float
 ) -> History:
-    """Depth (F J(t) / K)^(2/3) [m] at times t >= 0 after a force was put on and held.
-
-    Raises:
-        RangeError: the force is negative, the contact comes to exceed a/R = 0.5, or an argument is out of
-            range.
-    """
+    """Depth (F J(t) / K)^(2/3) [m] at times t >= 0 after a force was put on and held."""
     if not (force_n >= 0.0 and math.isfinite(force_n)):
         raise RangeError(f"force {force_n} N is not 0 or more; without adhesion a contact only pushes")
     contact_radius(0.0, radius_m)
@@ -426,22 +397,13 @@ def kelvin_voigt_force(
 
 
 def _check(time_s: History, depth_m: History, radius_m: float) -> None:
-    if len(time_s) != len(depth_m) or len(time_s) < 2:
-        raise RangeError(
-            f"{len(time_s)} times and {len(depth_m)} depths are no history; give at least 2, one time a depth"
-        )
-    if not (np.isfinite(time_s).all() and np.isfinite(depth_m).all() and np.all(np.diff(time_s) > 0)):
-        raise RangeError(
-            "the history holds a time that does not increase, or a value that is not finite; a jump in no "
-            "time "
-            "is no history: give it a duration in s"
-        )
+    _steps(time_s, depth_m)
     if depth_m[0] > 0.0:
         raise RangeError(f"the first depth is {depth_m[0]:g} m; start at first touch, 0 m, or above the skin")
     contact_radius(max(float(depth_m.max()), 0.0), radius_m)
 
 
-def _refined(time_s: History, depth_m: History) -> tuple[Times, Times]:
+def _subdivide(time_s: History, depth_m: History) -> tuple[Times, Times]:
     """The same straight pieces, each in equal parts."""
     n = len(time_s)
     fine = np.interp(np.arange((n - 1) * SUBSTEPS + 1) / SUBSTEPS, np.arange(n), time_s)

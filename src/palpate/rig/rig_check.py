@@ -11,7 +11,15 @@ import numpy as np
 
 from palpate.core import NS_PER_S, FrameSource, PalpateError, Wrench
 from palpate.devices.check import check_camera, check_force_sensor, check_stage
-from palpate.devices.check.check_result import CheckResult, Part, at_most, closing, gathered, held, prefixed
+from palpate.devices.check.check_result import (
+    CheckResult,
+    Part,
+    at_most,
+    check_closing,
+    gather,
+    verdict,
+    with_prefix,
+)
 from palpate.devices.check.stage_motion import Box, UnsafeError
 from palpate.rig.rig import Rig
 
@@ -45,19 +53,25 @@ def check_rig(
     """
     noise_n = threshold_n / SIGMAS
     force = check_force_sensor(rig.force, clock=rig.clock, noise_n=noise_n, close=False)
-    found = prefixed("force", force)
-    found += prefixed("camera", check_camera(rig.camera, clock=rig.clock, close=False))
-    found += prefixed("rig", [*gathered("fitting", _fits(rig))])
-    found += prefixed("stage", [*gathered("the checks", _stage(rig, clear_m, all(one.ok for one in force)))])
+    findings = with_prefix("force", force)
+    findings += with_prefix("camera", check_camera(rig.camera, clock=rig.clock, close=False))
+    findings += with_prefix("rig", [*gather("fitting", _fits(rig))])
+    findings += with_prefix(
+        "stage", [*gather("the checks", _stage(rig, clear_m, all(one.ok for one in force)))]
+    )
     if close:
         near = rig.origin_m
-        found += prefixed(
+        findings += with_prefix(
             "stage",
-            [*gathered("close", closing(rig.stage, lambda: rig.stage.move_to(near, 1e-4), "move_to"))],
+            [*gather("close", check_closing(rig.stage, lambda: rig.stage.move_to(near, 1e-4), "move_to"))],
         )
-        found += prefixed("force", [*gathered("close", closing(rig.force, rig.force.latest, "latest()"))])
-        found += prefixed("camera", [*gathered("close", closing(rig.camera, rig.camera.grab, "grab()"))])
-    return found
+        findings += with_prefix(
+            "force", [*gather("close", check_closing(rig.force, rig.force.latest, "latest()"))]
+        )
+        findings += with_prefix(
+            "camera", [*gather("close", check_closing(rig.camera, rig.camera.grab, "grab()"))]
+        )
+    return findings
 
 
 def _fits(rig: Rig) -> Part:
@@ -67,12 +81,12 @@ def _fits(rig: Rig) -> Part:
         wrong = ""
     except PalpateError as e:
         wrong = str(e)
-    yield held("soft limits lie inside the travel", not wrong, wrong)
+    yield verdict("soft limits lie inside the travel", not wrong, wrong)
     x, y, z = rig.origin_m
     inside = all(
         low <= at <= high for at, low, high in zip((x, y, z), limits.least_m, limits.greatest_m, strict=True)
     )
-    yield held(
+    yield verdict(
         "the layer's centre lies inside the soft limits",
         inside,
         f"origin_m is {rig.origin_m}, the limits are {limits.least_m} to {limits.greatest_m} m",
@@ -85,7 +99,7 @@ def _fits(rig: Rig) -> Part:
         "N",
         "the sensor would saturate before the rig stops; lower the limit",
     )
-    yield held(
+    yield verdict(
         "the camera hands out what it took meanwhile",
         isinstance(rig.camera, FrameSource),
         "sweeps need drain(), see palpate.rig.rig.FrameSource",
@@ -94,11 +108,11 @@ def _fits(rig: Rig) -> Part:
 
 def _stage(rig: Rig, clear_m: float, sensed: bool) -> Part:
     if not sensed:
-        yield held("was moved", False, "it was not: the force sensor, which guards its motion, has failed")
+        yield verdict("was moved", False, "it was not: the force sensor, which guards its motion, has failed")
         return
     at = rig.stage.position_m()
     highest_z = rig.origin_m[2] - clear_m
-    yield held(
+    yield verdict(
         "stands clear of the skin",
         at[2] < highest_z,
         f"it stands {(rig.origin_m[2] - at[2]) * 1e3:.3f} mm above the expected surface; lift it to more "

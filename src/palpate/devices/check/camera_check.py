@@ -1,4 +1,4 @@
-"""Does a camera keep what `core.Camera` promises?"""
+"""Checks of a camera against `core.Camera`: size, stamps, rate, exposure, refusals."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from palpate.devices.check.check_result import (
     CheckResult,
     Part,
     at_most,
-    closing,
-    gathered,
-    held,
-    judged,
+    check_closing,
+    describe,
+    gather,
+    judge,
     refusal,
     seconds,
-    told,
+    verdict,
 )
 from palpate.devices.check.interface_check import camera_interface
 
@@ -37,12 +37,12 @@ AS_HIGH = 0.9  # as the highest peak, for a lower rate to be the true one
 
 
 @dataclass(frozen=True, slots=True)
-class Grabbed:
+class GrabbedFrame:
     """One frame, when it was asked for, when it came and when its exposure ended [s]."""
 
-    asked_s: float
-    came_s: float
-    ended_s: float
+    call_s: float
+    arrival_s: float
+    end_s: float
     frame: Frame
 
 
@@ -66,102 +66,83 @@ def check_camera(camera: object, *, clock: Clock, frames: int = 40, close: bool 
     """
     if frames < FEWEST:
         raise RangeError(f"{frames} frames say too little about a rate; grab {FEWEST} or more")
-    found = [*gathered("the protocol", camera_interface(camera))]
-    if isinstance(camera, Camera) and all(one.ok for one in found):
-        found += gathered("grabbing", _grabbing(camera, clock, frames))
+    findings = [*gather("the protocol", camera_interface(camera))]
+    if isinstance(camera, Camera) and all(one.ok for one in findings):
+        findings += gather("grabbing", _grabbing(camera, clock, frames))
     if close and isinstance(camera, Camera):
-        found += gathered("close", closing(camera, camera.grab, "grab()"))
-    return found
+        findings += gather("close", check_closing(camera, camera.grab, "grab()"))
+    return findings
 
 
 def _grabbing(camera: Camera, clock: Clock, count: int) -> Part:
     wait_s = 1.0 + GRAB_PERIODS / camera.rate_hz
-    grabbed: list[Grabbed] = []
+    grabs: list[GrabbedFrame] = []
     rng = np.random.default_rng(0)
     for _ in range(count):
-        asked_s = seconds(clock)
+        call_s = seconds(clock)
         ended_ns, frame = camera.grab(wait_s)
-        grabbed.append(Grabbed(asked_s, seconds(clock), ended_ns / NS_PER_S, frame))
+        grabs.append(GrabbedFrame(call_s, seconds(clock), ended_ns / NS_PER_S, frame))
         clock.sleep(float(rng.uniform(0, PAUSE_PERIODS)) / camera.rate_hz)
-    yield from _pictures(camera, grabbed)
-    yield from _times(grabbed)
-    yield from _rate(camera, np.array([one.ended_s for one in grabbed]))
+    yield from _pictures(camera, grabs)
+    yield from _times(grabs)
+    yield from _rate(camera, np.array([one.end_s for one in grabs]))
     short_s = 1e-3 / camera.rate_hz
     error = refusal(lambda: camera.grab(short_s))
-    yield held(
-        "says so when no frame comes in time",
-        isinstance(error, DeviceError),
-        f"grab({short_s:.1g}), which no frame can keep, {told(error)}; raise DeviceError",
-    )
+    yield verdict(
+        "says so when no frame comes in time", isinstance(error, DeviceError),
+        f"grab({short_s:.1g}), which no frame can keep, {describe(error)}; raise DeviceError",
+    )  # fmt: skip
 
 
-def _pictures(camera: Camera, grabbed: list[Grabbed]) -> Part:
+def _pictures(camera: Camera, grabs: list[GrabbedFrame]) -> Part:
     width, height = camera.size_px
-    shapes = {one.frame.image.shape for one in grabbed}
-    yield held(
-        "keeps the stated size",
-        len(shapes) == 1 and next(iter(shapes))[:2] == (height, width),
+    shapes = {one.frame.image.shape for one in grabs}
+    yield verdict(
+        "keeps the stated size", len(shapes) == 1 and next(iter(shapes))[:2] == (height, width),
         f"{width} x {height} px are stated, and rows, columns and colours of {sorted(shapes)} came",
-    )
+    )  # fmt: skip
     same = [
         np.array_equal(a.frame.image, b.frame.image)
-        for a, b in itertools.pairwise(grabbed)
+        for a, b in itertools.pairwise(grabs)
     ]  # fmt: skip
     longest = max((len(list(run)) for alike, run in itertools.groupby(same) if alike), default=0)
     yield at_most(
-        "is not frozen",
-        longest,
-        FROZEN - 1,
-        "",
+        "is not frozen", longest, FROZEN - 1, "",
         f"{longest + 1} frames in a row are the same to the last bit; is the camera running?",
-    )
-    exposures = [one.frame.exposure_s for one in grabbed]
-    known = [one for one in exposures if one is not None and 0 < one < math.inf]
-    yield held(
-        "tells its exposure",
-        len(known) == len(exposures),
+    )  # fmt: skip
+    exposures = [one.frame.exposure_s for one in grabs]
+    finite = [one for one in exposures if one is not None and 0 < one < math.inf]
+    yield verdict(
+        "tells its exposure", len(finite) == len(exposures),
         "frame.exposure_s is missing; force is averaged over it, so give it in s",
-    )
-    if known:
+    )  # fmt: skip
+    if finite:
         yield at_most(
-            "exposes for no longer than a frame",
-            max(known),
-            1 / camera.rate_hz,
-            "s",
+            "exposes for no longer than a frame", max(finite), 1 / camera.rate_hz, "s",
             "the exposure is longer than the stated rate leaves room for; is it in seconds?",
-        )
+        )  # fmt: skip
 
 
-def _times(grabbed: list[Grabbed]) -> Part:
-    ends = np.array([one.ended_s for one in grabbed])
+def _times(grabs: list[GrabbedFrame]) -> Part:
+    ends = np.array([one.end_s for one in grabs])
     back = int(np.count_nonzero(np.diff(ends) <= 0))
     yield at_most(
-        "timestamps increase",
-        back,
-        0,
-        "",
+        "timestamps increase", back, 0, "",
         f"{back} frames were not later than the one before; grab() returns the next frame, not the last",
-    )
-    early = max(one.asked_s - (one.ended_s - (one.frame.exposure_s or 0.0)) for one in grabbed)
+    )  # fmt: skip
+    early = max(one.call_s - (one.end_s - (one.frame.exposure_s or 0.0)) for one in grabs)
     yield at_most(
-        "frames are exposed after the call",
-        early,
-        EARLY_S,
-        "s",
+        "frames are exposed after the call", early, EARLY_S, "s",
         "a frame was begun before it was asked for: an old one from a queue; throw those away",
-    )
-    lags = [one.came_s - one.ended_s for one in grabbed]
+    )  # fmt: skip
+    lags = [one.arrival_s - one.end_s for one in grabs]
     lag = min(lags)
     ok = lag >= -EARLY_S and max(lags) <= LAG_S
-    yield judged(
-        "timestamps are on the host's clock",
-        ok,
-        lag,
-        LAG_S,
-        "s",
+    yield judge(
+        "timestamps are on the host's clock", ok, lag, LAG_S, "s",
         f"frames came {lag:g} to {max(lags):g} s after their stamps; stamp the end of the exposure, with the "
         "clock that was given, in ns",
-    )
+    )  # fmt: skip
 
 
 def _rate(camera: Camera, ends_s: Float[ndarray, " n"]) -> Part:
@@ -169,28 +150,21 @@ def _rate(camera: Camera, ends_s: Float[ndarray, " n"]) -> Part:
     stated = camera.rate_hz
     span_s = float(ends_s[-1] - ends_s[0])
     if not span_s > 0:
-        yield held("takes frames at the stated rate", False, "all frames have one time")
+        yield verdict("takes frames at the stated rate", False, "all frames have one time")
         return
     rates = np.arange(stated / SIDE, 2 * stated, FINE / span_s)
     beat = np.abs(np.exp(2j * np.pi * np.outer(rates, ends_s - ends_s[0])).mean(axis=1))
     rate = float(rates[np.flatnonzero(beat >= AS_HIGH * beat.max())[0]])
-    near = np.abs(rates - rate) < 1 / span_s
-    best = int(np.argmax(np.where(near, beat, 0.0)))
+    peak = np.abs(rates - rate) < 1 / span_s
+    best = int(np.argmax(np.where(peak, beat, 0.0)))
     rate = float(rates[best])
-    yield judged(
-        "takes frames at the stated rate",
-        abs(rate / stated - 1) <= RATE_WITHIN,
-        rate,
-        stated,
-        "Hz",
+    yield judge(
+        "takes frames at the stated rate", abs(rate / stated - 1) <= RATE_WITHIN, rate, stated, "Hz",
         f"stamps keep the beat of {rate:.4g} Hz, and {stated:g} Hz are stated: are frames lost?",
-    )
+    )  # fmt: skip
     # Of a normal jitter, the mean of exp(i phase) is exp(-variance / 2).
     jitter_s = math.sqrt(max(0.0, -2 * math.log(max(float(beat[best]), 1e-12)))) / (2 * math.pi * rate)
     yield at_most(
-        "stamps frames evenly",
-        jitter_s,
-        JITTER / stated,
-        "s",
+        "stamps frames evenly", jitter_s, JITTER / stated, "s",
         "stamps jitter too much to tell when a frame was exposed; use the driver's stamps, or stamp sooner",
-    )
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""One finding of a check, and the ways to come to one."""
+"""The result of a check for one law, and the ways to come to one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from palpate.core import NS_PER_S, Clock, DeviceError
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """Whether one law holds.
+    """The verdict on one law.
 
     Attributes:
         name: the law, as a short sentence; the same in every run.
@@ -36,39 +36,39 @@ Part = Iterator[CheckResult]
 
 
 def at_most(name: str, measured: float, allowed: float, unit: str, message: str) -> CheckResult:
-    """That something does not pass a bound; not-a-number passes every bound."""
-    return judged(name, measured <= allowed, measured, allowed, unit, message)
+    """Judge a number by an upper bound; not-a-number passes every bound."""
+    return judge(name, measured <= allowed, measured, allowed, unit, message)
 
 
-def judged(
+def judge(
     name: str, ok: bool | np.bool_, measured: float, allowed: float, unit: str, message: str
 ) -> CheckResult:
-    """That a number is as it should be, where that is more than a bound."""
+    """Report a number that is judged by more than a bound."""
     return CheckResult(name, bool(ok), float(measured), float(allowed), unit, "" if ok else message)
 
 
-def held(name: str, ok: bool | np.bool_, message: str) -> CheckResult:
-    """That something is so."""
+def verdict(name: str, ok: bool | np.bool_, message: str) -> CheckResult:
+    """Report whether something is so."""
     return CheckResult(name, bool(ok), message="" if ok else message)
 
 
-def measured_only(name: str, measured: float, unit: str) -> CheckResult:
-    """A number that has no bound here, but must be one."""
+def measurement(name: str, measured: float, unit: str) -> CheckResult:
+    """Report a number that has no bound here, but must be finite."""
     ok = math.isfinite(measured)
     return CheckResult(name, ok, float(measured), None, unit, "" if ok else f"{name}: not a finite number")
 
 
-def prefixed(device: str, findings: list[CheckResult]) -> list[CheckResult]:
-    """The same findings, of a device that is named."""
+def with_prefix(device: str, findings: list[CheckResult]) -> list[CheckResult]:
+    """Name the device in each of its findings."""
     return [replace(one, name=f"{device}: {one.name}") for one in findings]
 
 
-def gathered(what: str, part: Part) -> Part:
-    """The part's findings; an exception that leaves it becomes one more finding."""
+def gather(what: str, part: Part) -> Part:
+    """Pass on a part's findings; an exception that leaves it becomes one more."""
     try:
         yield from part
-    except Exception as e:  # whatever a driver raises is what is to be told
-        yield held(
+    except Exception as e:  # whatever a driver raises is reported
+        yield verdict(
             f"{what} raises nothing unexpected",
             False,
             f"{type(e).__name__}: {e}; where a device cannot do what it is asked it raises DeviceError, and "
@@ -76,22 +76,22 @@ def gathered(what: str, part: Part) -> Part:
         )
 
 
-def closing(device: object, use: Callable[[], object], called: str) -> Part:
-    """That a device is closed once and for all."""
+def check_closing(device: object, use: Callable[[], object], name: str) -> Part:
+    """Check that a device is closed once and for all."""
     close: Callable[[], None] = device.close  # type: ignore[attr-defined]
     close()
-    again = refusal(close)
-    yield held("closes twice", again is None, f"the second close() {told(again)}; let it do nothing")
+    second = refusal(close)
+    yield verdict("closes twice", second is None, f"the second close() {describe(second)}; let it do nothing")
     after = refusal(use)
-    yield held(
+    yield verdict(
         "refuses once closed",
         isinstance(after, DeviceError),
-        f"{called} on a closed device {told(after)}; raise DeviceError",
+        f"{name} on a closed device {describe(after)}; raise DeviceError",
     )
 
 
 def refusal(call: Callable[[], object]) -> Exception | None:
-    """What a call raises; None where it goes through."""
+    """Call, and return what is raised; None where it goes through."""
     try:
         call()
     except Exception as e:
@@ -99,8 +99,8 @@ def refusal(call: Callable[[], object]) -> Exception | None:
     return None
 
 
-def told(error: Exception | None) -> str:
-    """What `refusal` found, in words."""
+def describe(error: Exception | None) -> str:
+    """Put what `refusal` returned into words."""
     return "went through" if error is None else f"raised {type(error).__name__}: {error}"
 
 

@@ -1,4 +1,4 @@
-"""Does a force sensor keep what `core.ForceSensor` promises? Nothing touches it meanwhile."""
+"""Checks of a force sensor against `core.ForceSensor`, while nothing touches it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from palpate.devices.check.check_result import (
     CheckResult,
     Part,
     at_most,
-    closing,
-    gathered,
-    held,
-    judged,
-    measured_only,
+    check_closing,
+    gather,
+    judge,
+    measurement,
     seconds,
+    verdict,
 )
 from palpate.devices.check.interface_check import force_interface
 
@@ -44,7 +44,7 @@ def check_force_sensor(
         sensor: the driver's, a `core.ForceSensor`.
         clock: that it stamps on: `MonotonicClock` for a real one.
         seconds: for how long to listen; long enough for 20 samples [s].
-        noise_n: greatest standard deviation along each axis [N]; it is only told where left out. A contact
+        noise_n: greatest standard deviation along each axis [N]; only reported where left out. A contact
             threshold needs a fifth of itself.
         close: close it at the end, and check that.
 
@@ -62,108 +62,84 @@ def check_force_sensor(
             raise RangeError(
                 f"{name} is {value}; give a number above 0, in {'s' if name != 'noise_n' else 'N'}"
             )
-    found = [*gathered("the protocol", _described(sensor, seconds))]
-    if isinstance(sensor, ForceSensor) and all(one.ok for one in found):
-        found += gathered("listening", _listened(sensor, clock, seconds, noise_n))
+    findings = [*gather("the protocol", _description(sensor, seconds))]
+    if isinstance(sensor, ForceSensor) and all(one.ok for one in findings):
+        findings += gather("listening", _listening(sensor, clock, seconds, noise_n))
     if close and isinstance(sensor, ForceSensor):
-        found += gathered("close", closing(sensor, sensor.latest, "latest()"))
-    return found
+        findings += gather("close", check_closing(sensor, sensor.latest, "latest()"))
+    return findings
 
 
-def _described(sensor: object, time_s: float) -> Part:
+def _description(sensor: object, time_s: float) -> Part:
     yield from force_interface(sensor)
     if isinstance(sensor, ForceSensor):
         rate = sensor.rate_hz
-        yield held(
-            "is listened to for long enough",
-            rate * time_s >= SAMPLES,
+        yield verdict(
+            "is listened to for long enough", rate * time_s >= SAMPLES,
             f"{rate:g} samples a second give fewer than {SAMPLES} in {time_s:g} s; listen for longer",
-        )
+        )  # fmt: skip
 
 
-def _listened(sensor: ForceSensor, clock: Clock, time_s: float, noise_n: float | None) -> Part:
-    seen = watched(sensor, clock, time_s)
-    enough = len(seen.samples) >= SAMPLES
-    yield held(
-        "measures all the time",
-        enough,
-        f"{len(seen.samples)} samples in {time_s:g} s; is it streaming?",
+def _listening(sensor: ForceSensor, clock: Clock, time_s: float, noise_n: float | None) -> Part:
+    stream = listen(sensor, clock, time_s)
+    enough = len(stream.samples) >= SAMPLES
+    yield verdict(
+        "measures all the time", enough, f"{len(stream.samples)} samples in {time_s:g} s; is it streaming?"
     )
     if not enough:
         return
-    yield from _handed_out(seen)
-    yield from _timed(sensor, seen)
-    yield from _measured(sensor, seen.samples, noise_n)
+    yield from _samples(stream)
+    yield from _times(sensor, stream)
+    yield from _forces(sensor, stream.samples, noise_n)
 
 
-def _handed_out(seen: Watched) -> Part:
+def _samples(stream: ForceStream) -> Part:
     yield at_most(
-        "drain returns each sample once",
-        seen.again,
-        0,
-        "",
-        f"{seen.again} samples came a second time; drain() must forget what it returned",
-    )
+        "drain returns each sample once", stream.repeats, 0, "",
+        f"{stream.repeats} samples came a second time; drain() must forget what it returned",
+    )  # fmt: skip
     yield at_most(
         "drain returns the oldest first",
-        seen.unordered,
+        stream.unordered,
         0,
         "",
-        f"{seen.unordered} drains were out of order",
+        f"{stream.unordered} drains were out of order",
     )
     yield at_most(
-        "latest is the newest sample",
-        seen.latest_old,
-        0,
-        "",
-        f"latest() was older than what was drained before, {seen.latest_old} times",
-    )
+        "latest is the newest sample", stream.latest_old, 0, "",
+        f"latest() was older than what was drained before, {stream.latest_old} times",
+    )  # fmt: skip
     yield at_most(
-        "drain returns what latest showed",
-        seen.latest_lost,
-        0,
-        "",
-        f"{seen.latest_lost} samples that latest() showed were in no drain; latest() must not take them away",
-    )
+        "drain returns what latest showed", stream.latest_lost, 0, "",
+        f"{stream.latest_lost} samples that latest() showed were in no drain; latest() must leave them there",
+    )  # fmt: skip
     yield at_most(
         "calls return at once",
-        float(max(np.median(seen.latest_s), np.median(seen.drain_s))),
-        AT_ONCE_S,
-        "s",
+        float(max(np.median(stream.latest_s), np.median(stream.drain_s))), AT_ONCE_S, "s",
         "latest() and drain() must hand out what is there, and not wait for the device",
-    )
+    )  # fmt: skip
 
 
-def _timed(sensor: ForceSensor, seen: Watched) -> Part:
-    times_s = np.array([one.time_ns / NS_PER_S for one in seen.samples])
+def _times(sensor: ForceSensor, stream: ForceStream) -> Part:
+    times_s = np.array([one.time_ns / NS_PER_S for one in stream.samples])
     steps = np.diff(times_s)
     yield at_most(
-        "timestamps increase",
-        float(np.count_nonzero(steps < 0)),
-        0,
-        "",
+        "timestamps increase", float(np.count_nonzero(steps < 0)), 0, "",
         "stamps go back in time; stamp samples on a monotonic clock",
-    )
-    lag_s = min(seen.lags_s)
-    yield judged(
-        "timestamps are on the host's clock",
-        -EARLY_S <= lag_s <= AGE_S,
-        lag_s,
-        AGE_S,
-        "s",
+    )  # fmt: skip
+    lag_s = min(stream.lags_s)
+    yield judge(
+        "timestamps are on the host's clock", -EARLY_S <= lag_s <= AGE_S, lag_s, AGE_S, "s",
         f"the newest samples are {lag_s:g} s old at best; stamp them when they arrive, with the clock "
         "that was given, in ns",
-    )
+    )  # fmt: skip
     yield at_most(
-        "latest is never old",
-        max(seen.ages_s),
-        AGE_S,
-        "s",
+        "latest is never old", max(stream.ages_s), AGE_S, "s",
         "nothing moves on a force that is older than this",
-    )
+    )  # fmt: skip
     # Between stamps, so that the first and last look do not count.
     rate = (len(times_s) - 1) / max(times_s[-1] - times_s[0], 1e-9)
-    yield judged(
+    yield judge(
         "measures at the stated rate",
         abs(rate / sensor.rate_hz - 1) <= RATE_WITHIN,
         rate,
@@ -172,42 +148,34 @@ def _timed(sensor: ForceSensor, seen: Watched) -> Part:
         f"{rate:.4g} Hz were measured, {sensor.rate_hz:g} Hz are stated: are samples lost or doubled?",
     )
     yield at_most(
-        "leaves no gap",
-        float(steps.max()),
-        AGE_S,
-        "s",
+        "leaves no gap", float(steps.max()), AGE_S, "s",
         "between two samples more time passed than anything may move for",
-    )
+    )  # fmt: skip
 
 
-def _measured(sensor: ForceSensor, samples: list[Wrench], noise_n: float | None) -> Part:
+def _forces(sensor: ForceSensor, samples: list[Wrench], noise_n: float | None) -> Part:
     faulty = [one for one in samples if one.fault]
     yield at_most(
-        "tells of no fault",
-        len(faulty),
-        0,
-        "",
+        "tells of no fault", len(faulty), 0, "",
         f"{len(faulty)} samples are faulty, such as {faulty[0].fault if faulty else ''!r}; see to the device",
-    )
+    )  # fmt: skip
     good = np.array([one.force_n for one in samples if not one.fault])
     if len(good) < SAMPLES:
         return
     beyond = np.abs(good) / np.array(sensor.range_n)
-    yield held(
-        "reads finite forces inside its range",
-        bool(np.isfinite(good).all() and (beyond <= 1).all()),
+    yield verdict(
+        "reads finite forces inside its range", bool(np.isfinite(good).all() and (beyond <= 1).all()),
         f"of a stated range of {sensor.range_n} N it reads {np.abs(good).max(axis=0)} N; a sample "
         "beyond it is a fault, not a force",
-    )
-    yield held(
-        "is not frozen",
-        bool(np.ptp(good, axis=0).any()),
+    )  # fmt: skip
+    yield verdict(
+        "is not frozen", bool(np.ptp(good, axis=0).any()),
         "every sample is the same to the last bit; is the device measuring?",
-    )
+    )  # fmt: skip
     for axis, noise in zip("xyz", good.std(axis=0, ddof=1).tolist(), strict=True):
         name = f"noise along its {axis}"
         if noise_n is None:
-            yield measured_only(name, noise, "N")
+            yield measurement(name, noise, "N")
         else:
             yield at_most(
                 name, noise, noise_n, "N", "too noisy: filter in the device, or ask for a higher threshold"
@@ -218,13 +186,13 @@ POLL_S = 0.01
 
 
 @dataclass
-class Watched:
-    """What a sensor gave while it was watched.
+class ForceStream:
+    """Samples that a sensor gave over a time, and how it gave them.
 
     Attributes:
-        begun_s, ended_s: from when to when [s].
+        start_s, end_s: from when to when [s].
         samples: of all drains, in order.
-        again: how many came a second time.
+        repeats: how many came a second time.
         unordered: drains that were not oldest first, or began before the last one's end.
         lags_s: at each drain that gave any, how old its newest sample was.
         ages_s: of `latest`, at each look.
@@ -233,10 +201,10 @@ class Watched:
         latest_lost: how often `latest` was in no drain.
     """
 
-    begun_s: float = 0.0
-    ended_s: float = 0.0
+    start_s: float = 0.0
+    end_s: float = 0.0
     samples: list[Wrench] = field(default_factory=list)
-    again: int = 0
+    repeats: int = 0
     unordered: int = 0
     lags_s: list[float] = field(default_factory=list)
     ages_s: list[float] = field(default_factory=list)
@@ -246,39 +214,39 @@ class Watched:
     latest_lost: int = 0
 
 
-def watched(sensor: ForceSensor, clock: Clock, time_s: float) -> Watched:
+def listen(sensor: ForceSensor, clock: Clock, time_s: float) -> ForceStream:
     """Listen for a time, asking for the newest sample and for all that are new."""
     sensor.drain()  # what came before is of no interest, and may be too much
     clock.sleep(POLL_S)
-    seen = Watched(begun_s=seconds(clock))
-    known: Counter[Wrench] = Counter()
-    while (now_s := seconds(clock)) - seen.begun_s < time_s:
+    stream = ForceStream(start_s=seconds(clock))
+    counts: Counter[Wrench] = Counter()
+    while (now_s := seconds(clock)) - stream.start_s < time_s:
         newest = sensor.latest()
-        called_s = seconds(clock)
+        call_s = seconds(clock)
         drained = sensor.drain()
-        seen.latest_s.append(called_s - now_s)
-        seen.drain_s.append(seconds(clock) - called_s)
-        seen.ages_s.append(called_s - newest.time_ns / NS_PER_S)
-        _take(seen, known, newest, drained, called_s)
+        stream.latest_s.append(call_s - now_s)
+        stream.drain_s.append(seconds(clock) - call_s)
+        stream.ages_s.append(call_s - newest.time_ns / NS_PER_S)
+        _take(stream, counts, newest, drained, call_s)
         clock.sleep(POLL_S)
-    seen.ended_s = seconds(clock)
-    return seen
+    stream.end_s = seconds(clock)
+    return stream
 
 
 def _take(
-    seen: Watched, known: Counter[Wrench], newest: Wrench, drained: Sequence[Wrench], now_s: float
+    stream: ForceStream, counts: Counter[Wrench], newest: Wrench, drained: Sequence[Wrench], now_s: float
 ) -> None:
-    last = seen.samples[-1].time_ns if seen.samples else None
+    last = stream.samples[-1].time_ns if stream.samples else None
     times = [one.time_ns for one in drained]
-    fresh = [one for one in drained if _key(one) not in known]
-    seen.again += len(drained) - len(fresh)
-    seen.unordered += times != sorted(times) or (last is not None and bool(times) and times[0] < last)
-    seen.latest_old += last is not None and newest.time_ns < last
-    known.update(_key(one) for one in fresh)
-    seen.latest_lost += last is not None and _key(newest) not in known
-    seen.samples += fresh
+    first_time = [one for one in drained if _key(one) not in counts]
+    stream.repeats += len(drained) - len(first_time)
+    stream.unordered += times != sorted(times) or (last is not None and bool(times) and times[0] < last)
+    stream.latest_old += last is not None and newest.time_ns < last
+    counts.update(_key(one) for one in first_time)
+    stream.latest_lost += last is not None and _key(newest) not in counts
+    stream.samples += first_time
     if drained:
-        seen.lags_s.append(now_s - max(times) / NS_PER_S)
+        stream.lags_s.append(now_s - max(times) / NS_PER_S)
 
 
 def _key(sample: Wrench) -> Wrench:

@@ -1,4 +1,4 @@
-"""Does an object offer what a device's protocol asks for, in its shapes and units? Nothing is moved.
+"""Checks of what an object offers against a device's protocol, its shapes and units; nothing is moved.
 
 The first part of every conformance check, and all of it that a device goes through each time it is opened by
 the name of its class.
@@ -13,7 +13,7 @@ from numbers import Integral, Real
 from typing import Any, Literal
 
 from palpate.core import NS_PER_S, Camera, Clock, DeviceError, ForceSensor, Frame, Stage, Travel, Wrench
-from palpate.devices.check.check_result import CheckResult, Part, gathered, held
+from palpate.devices.check.check_result import CheckResult, Part, gather, verdict
 
 Role = Literal["stage", "force", "camera"]
 
@@ -39,7 +39,7 @@ ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "drain": (),
     "grab": (1.0,),
 }
-"""What the rig calls each method with."""
+"""Arguments that the rig calls each method with."""
 
 
 def check_interface(role: Role, device: object, clock: Clock) -> list[CheckResult]:
@@ -51,10 +51,10 @@ def check_interface(role: Role, device: object, clock: Clock) -> list[CheckResul
             for a frame.
         clock: that it stamps on.
     """
-    described, asked = ROLES[role]
-    results = [*gathered("the protocol", described(device))]
+    description, use = ROLES[role]
+    results = [*gather("the protocol", description(device))]
     if all(one.ok for one in results):
-        results += gathered("being asked", asked(device, clock))
+        results += gather("being asked", use(device, clock))
     return results
 
 
@@ -64,7 +64,7 @@ def stage_interface(stage: object) -> Part:
     if isinstance(stage, Stage):
         travel = stage.travel
         wrong = list(_wrong(travel)) if isinstance(travel, Travel) else ["it is no palpate.core.Travel"]
-        yield held("has a sane travel", not wrong, f"{'; '.join(wrong)}: {travel}")
+        yield verdict("has a sane travel", not wrong, f"{'; '.join(wrong)}: {travel}")
 
 
 def force_interface(sensor: object) -> Part:
@@ -74,7 +74,7 @@ def force_interface(sensor: object) -> Part:
         yield _stated_rate(sensor.rate_hz)
         most = sensor.range_n
         sane = _is_vector(most) and all(one > 0 for one in most)
-        yield held(
+        yield verdict(
             "states a range", sane, f"range_n is {most}; give the greatest force of each axis, above 0 N"
         )
 
@@ -86,24 +86,24 @@ def camera_interface(camera: object) -> Part:
         yield _stated_rate(camera.rate_hz)
         size = camera.size_px
         sane = len(size) == 2 and all(isinstance(side, int) and side > 0 for side in size)
-        yield held("states a size", sane, f"size_px is {size}; give (width, height), whole numbers above 0")
+        yield verdict(
+            "states a size", sane, f"size_px is {size}; give (width, height), whole numbers above 0"
+        )
 
 
 def _members(device: object, protocol: type) -> Part:
     missing = [name for name in MEMBERS[protocol] if not hasattr(device, name)]
-    yield held(
-        "has the protocol's methods",
-        not missing,
+    yield verdict(
+        "has the protocol's methods", not missing,
         f"it lacks {', '.join(missing)}; see palpate.core.{protocol.__name__} for what it must have",
-    )
+    )  # fmt: skip
     if not missing:
-        called = [name for name in MEMBERS[protocol] if name in ARGUMENTS]
-        wrong = [name for name in called if not _takes(getattr(device, name), ARGUMENTS[name])]
-        yield held(
-            "takes the protocol's arguments",
-            not wrong,
+        methods = [name for name in MEMBERS[protocol] if name in ARGUMENTS]
+        wrong = [name for name in methods if not _takes(getattr(device, name), ARGUMENTS[name])]
+        yield verdict(
+            "takes the protocol's arguments", not wrong,
             f"{', '.join(wrong)} cannot be called as palpate.core.{protocol.__name__} says",
-        )
+        )  # fmt: skip
 
 
 def _takes(method: Callable[..., object], arguments: tuple[Any, ...]) -> bool:
@@ -132,18 +132,18 @@ def _wrong(travel: Travel) -> Iterator[str]:
 
 def _stated_rate(rate_hz: float) -> CheckResult:
     sane = isinstance(rate_hz, Real) and math.isfinite(rate_hz) and rate_hz > 0
-    return held("states a rate", sane, f"rate_hz is {rate_hz}; it must be above 0 Hz")
+    return verdict("states a rate", sane, f"rate_hz is {rate_hz}; it must be above 0 Hz")
 
 
 def _standing(stage: Any, clock: Clock) -> Part:
     moving = stage.moving()
-    yield held("says whether it moves", isinstance(moving, bool), f"moving() is {moving!r}; give a bool")
+    yield verdict("says whether it moves", isinstance(moving, bool), f"moving() is {moving!r}; give a bool")
     try:
         place = stage.position_m()
     except DeviceError:
         return  # before it is homed a stage need not know where it is
     shaped = _is_vector(place)
-    yield held(
+    yield verdict(
         "tells its position as x, y, z", shaped, f"position_m() is {place!r}; give three numbers, in m"
     )
     if shaped:
@@ -152,30 +152,26 @@ def _standing(stage: Any, clock: Clock) -> Part:
             low - MARGIN_M <= at <= high + MARGIN_M
             for low, at, high in zip(travel.least_m, place, travel.greatest_m, strict=True)
         )
-        yield held(
-            "stands inside its travel",
-            inside,
+        yield verdict(
+            "stands inside its travel", inside,
             f"position_m() is {place}, the travel {travel.least_m} to {travel.greatest_m} m; is it in m?",
-        )
+        )  # fmt: skip
 
 
 def _measuring(sensor: Any, clock: Clock) -> Part:
     sample = _first_sample(sensor, clock)
-    yield held(
-        "measures within a second",
-        sample is not None,
-        "latest() raises DeviceError; is it streaming?",
+    yield verdict(
+        "measures within a second", sample is not None, "latest() raises DeviceError; is it streaming?"
     )
     if sample is None:
         return
     drained = sensor.drain()
     shaped = isinstance(sample, Wrench) and isinstance(drained, list)
     shaped = shaped and all(isinstance(one, Wrench) for one in drained)
-    yield held(
-        "hands out samples",
-        shaped,
+    yield verdict(
+        "hands out samples", shaped,
         f"latest() is {sample!r} and drain() {type(drained).__name__}; give a palpate.core.Wrench and a list",
-    )
+    )  # fmt: skip
     if not shaped:
         return
     yield _on_clock(sample.time_ns, clock)
@@ -183,11 +179,10 @@ def _measuring(sensor: Any, clock: Clock) -> Part:
         within = _is_vector(sample.force_n) and all(
             abs(force) <= most for force, most in zip(sample.force_n, sensor.range_n, strict=True)
         )
-        yield held(
-            "reads forces inside its range",
-            within,
+        yield verdict(
+            "reads forces inside its range", within,
             f"force_n is {sample.force_n!r} of a stated {sensor.range_n} N; give three numbers, in newtons",
-        )
+        )  # fmt: skip
 
 
 def _first_sample(sensor: Any, clock: Clock) -> Any:
@@ -202,35 +197,32 @@ def _first_sample(sensor: Any, clock: Clock) -> Any:
 
 
 def _filming(camera: Any, clock: Clock) -> Part:
-    taken = camera.grab(FIRST_SAMPLE_S + 2.0 / camera.rate_hz)
-    shaped = isinstance(taken, tuple) and len(taken) == 2 and isinstance(taken[1], Frame)
-    yield held(
-        "hands out a time and a frame",
-        shaped,
-        f"grab() gave {type(taken).__name__}; give (when the exposure ended [ns], palpate.core.Frame)",
-    )
+    pair = camera.grab(FIRST_SAMPLE_S + 2.0 / camera.rate_hz)
+    shaped = isinstance(pair, tuple) and len(pair) == 2 and isinstance(pair[1], Frame)
+    yield verdict(
+        "hands out a time and a frame", shaped,
+        f"grab() gave {type(pair).__name__}; give (when the exposure ended [ns], palpate.core.Frame)",
+    )  # fmt: skip
     if shaped:
-        time_ns, frame = taken
+        time_ns, frame = pair
         width, height = camera.size_px
-        yield held(
-            "keeps the stated size",
-            frame.image.shape[:2] == (height, width),
+        yield verdict(
+            "keeps the stated size", frame.image.shape[:2] == (height, width),
             f"{width} x {height} px are stated, and rows, columns and colours of {frame.image.shape} came",
-        )
+        )  # fmt: skip
         yield _on_clock(time_ns, clock)
 
 
 def _on_clock(time_ns: object, clock: Clock) -> CheckResult:
     age_s = (clock.now_ns() - int(time_ns)) / NS_PER_S if isinstance(time_ns, Integral) else math.nan
-    return held(
-        "timestamps are on the host's clock",
-        -EARLY_S <= age_s <= MAX_AGE_S,
+    return verdict(
+        "timestamps are on the host's clock", -EARLY_S <= age_s <= MAX_AGE_S,
         f"a stamp of {time_ns!r} at {clock.now_ns()} ns; stamp with the clock that was given, in whole ns",
-    )
+    )  # fmt: skip
 
 
 def _is_vector(value: object) -> bool:
-    """Whether these are three finite numbers."""
+    """Tell whether a value is three finite numbers."""
     return (
         isinstance(value, tuple | list)
         and len(value) == 3

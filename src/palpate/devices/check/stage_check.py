@@ -1,4 +1,4 @@
-"""Does a stage keep what `core.Stage` promises? Small moves inside a box in free air say so."""
+"""Checks of a stage against `core.Stage`, by small moves inside a box in free air."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from palpate.devices.check.check_result import (
     CheckResult,
     Part,
     at_most,
-    closing,
-    gathered,
-    held,
+    check_closing,
+    describe,
+    gather,
     refusal,
     seconds,
-    told,
+    verdict,
 )
 from palpate.devices.check.interface_check import stage_interface
 from palpate.devices.check.stage_motion import Box, UnsafeError, Walker, spread_m
@@ -67,17 +67,19 @@ def check_stage(
         >>> all(one.ok for one in check_stage(rig.stage, clock=rig.clock, region_m=box))
         True
     """
-    found = [*gathered("the protocol", stage_interface(stage))]
-    if not (isinstance(stage, Stage) and all(one.ok for one in found)):
-        return found
+    findings = [*gather("the protocol", stage_interface(stage))]
+    if not (isinstance(stage, Stage) and all(one.ok for one in findings)):
+        return findings
     walker = Walker(stage, clock, region_m, speed_m_s, within_m, watch)
-    found += _moved(walker)
+    findings += _all_moves(walker)
     if close:
-        found += gathered("close", closing(stage, lambda: stage.move_to(walker.centre, speed_m_s), "move_to"))
-    return found
+        findings += gather(
+            "close", check_closing(stage, lambda: stage.move_to(walker.centre, speed_m_s), "move_to")
+        )
+    return findings
 
 
-def _moved(walker: Walker) -> Iterator[CheckResult]:
+def _all_moves(walker: Walker) -> Iterator[CheckResult]:
     """All parts that may move, ended by the first that leaves the stage unsafe."""
     parts = (
         ("standing", _standing),
@@ -90,22 +92,22 @@ def _moved(walker: Walker) -> Iterator[CheckResult]:
     )
     try:
         for what, part in parts:
-            yield from _kept_safe(what, part(walker), walker)
+            yield from _safely(what, part(walker), walker)
     except UnsafeError as e:
-        yield held("stays safe", False, f"{e}; nothing was moved after that")
+        yield verdict("stays safe", False, f"{e}; nothing was moved after that")
 
 
-def _kept_safe(what: str, part: Part, walker: Walker) -> Part:
+def _safely(what: str, part: Part, walker: Walker) -> Part:
     """Gather a part's results; whatever goes wrong the stage stands at the end, or `UnsafeError` leaves."""
     unsafe: list[UnsafeError] = []
 
-    def watched() -> Part:
+    def guarded() -> Part:
         try:
             yield from part
         except UnsafeError as e:
             unsafe.append(e)
 
-    yield from gathered(what, watched())
+    yield from gather(what, guarded())
     walker.halt()
     if unsafe:
         raise unsafe[0]
@@ -114,31 +116,26 @@ def _kept_safe(what: str, part: Part, walker: Walker) -> Part:
 def _standing(walker: Walker) -> Part:
     first = walker.stage.position_m()
     inside = walker.inside(first)
-    yield held(
-        "stands in the box at the start",
-        inside,
+    yield verdict(
+        "stands in the box at the start", inside,
         f"it is at {first} m; move it into the box by hand before the check, nothing was moved",
-    )
+    )  # fmt: skip
     if not inside:
         raise UnsafeError("it does not stand in the box")
     yield at_most(
-        "holds its position at a stand",
-        spread_m(walker.rest(0.1)),
-        walker.within_m,
-        "m",
+        "holds its position at a stand", spread_m(walker.rest(0.1)), walker.within_m, "m",
         "its position changes while it stands",
-    )
-    yield held("says that it stands", not walker.stage.moving(), "moving() is True before any move")
+    )  # fmt: skip
+    yield verdict("says that it stands", not walker.stage.moving(), "moving() is True before any move")
 
 
 def _moving(walker: Walker) -> Part:
     walker.go(walker.centre)
     first = walker.go(walker.low(2))
-    yield held(
-        "says that it moves",
-        first.moved,
+    yield verdict(
+        "says that it moves", first.moved,
         "moving() was False right after move_to, which would be taken for having arrived",
-    )
+    )  # fmt: skip
     if not first.moved and first.missed_m > walker.within_m:
         raise UnsafeError("it cannot be told when it moves")
     sideways = [place for axis in (0, 1) for place in (walker.low(axis), walker.high(axis), walker.centre)]
@@ -157,39 +154,26 @@ def _moving(walker: Walker) -> Part:
         "says when it stands", late, 0, "", f"{late} moves never ended; moving() must become False at the end"
     )
     yield at_most(
-        "goes where it is sent",
-        max(trace.missed_m for trace in traces),
-        walker.within_m,
-        "m",
+        "goes where it is sent", max(trace.missed_m for trace in traces), walker.within_m, "m",
         "it stands elsewhere: are steps lost, or are signs, units or scale wrong?",
-    )
+    )  # fmt: skip
     yield at_most(
-        "goes on, never back, on its way",
-        max(trace.backwards_m for trace in traces),
-        walker.within_m,
-        "m",
+        "goes on, never back, on its way", max(trace.backwards_m for trace in traces), walker.within_m, "m",
         "its position steps back while it moves on",
-    )
-    yield held(
-        "tells its position on its way",
-        min(trace.seen_between for trace in traces) >= 3,
+    )  # fmt: skip
+    yield verdict(
+        "tells its position on its way", min(trace.places_between for trace in traces) >= 3,
         "position_m() must be where it is now, also while it moves",
-    )
+    )  # fmt: skip
     yield at_most(
-        "goes straight",
-        max(trace.aside_m for trace in traces),
-        walker.within_m,
-        "m",
+        "goes straight", max(trace.aside_m for trace in traces), walker.within_m, "m",
         "it leaves the straight line between start and target",
-    )
+    )  # fmt: skip
     fastest = max(math.dist(trace.start_m, trace.target_m) / max(trace.took_s, 1e-9) for trace in traces)
     yield at_most(
-        "is no faster than asked",
-        fastest,
-        FASTER * walker.speed_m_s,
-        "m/s",
+        "is no faster than asked", fastest, FASTER * walker.speed_m_s, "m/s",
         "its overshoot after a stop is calculated from the speed that was asked for",
-    )
+    )  # fmt: skip
 
 
 PATIENCE_S = 1.0  # beyond the slowing down: a few answers of a controller
@@ -198,30 +182,29 @@ HUNG_S = 30.0  # of the machine's time, after which a call in another thread cou
 
 
 def stopping(walker: Walker) -> Part:
-    """From full speed, along each axis."""
+    """Stop from full speed, along each axis."""
     for axis in range(3):
         walker.go(walker.low(axis))
         target = walker.high(axis)
         walker.go(target, share=0.5)
-        begun = seconds(walker.clock)
+        start_s = seconds(walker.clock)
         at = walker.here()
-        looked_s = seconds(walker.clock) - begun
+        looked_s = seconds(walker.clock) - start_s
         walker.stage.stop()
-        took_s = seconds(walker.clock) - begun
-        yield from _stopped(walker, "xyz"[axis], at, target, looked_s, took_s)
+        took_s = seconds(walker.clock) - start_s
+        yield from _after_stop(walker, "xyz"[axis], at, target, looked_s, took_s)
 
 
-def _stopped(
+def _after_stop(
     walker: Walker, axis: str, at: Position, target: Position, looked_s: float, took_s: float
 ) -> Part:
     travel, speed = walker.travel, walker.speed_m_s
     stands = not walker.stage.moving()
     places = walker.rest(STAND_S)
-    yield held(
-        f"stands when stop returns, along {axis}",
-        stands and spread_m(places) <= walker.within_m,
+    yield verdict(
+        f"stands when stop returns, along {axis}", stands and spread_m(places) <= walker.within_m,
         "stop() must return only once the stage stands, and moving() is False then",
-    )
+    )  # fmt: skip
     yield at_most(
         f"runs on by its stated overshoot at most, along {axis}",
         math.dist(at, places[-1]),
@@ -238,51 +221,47 @@ def _stopped(
         "s",
         "stop() takes too long to return; an operator's emergency stop waits for it",
     )
-    yield held(
-        f"stops short of the target, along {axis}",
-        math.dist(places[-1], target) > walker.margin_m,
+    yield verdict(
+        f"stops short of the target, along {axis}", math.dist(places[-1], target) > walker.margin_m,
         "it went on to its target: stop() did not end the move",
-    )
+    )  # fmt: skip
 
 
 def stopping_elsewhere(walker: Walker) -> Part:
-    """By another thread, while this one goes on asking for the position."""
+    """Stop from another thread, while this one goes on asking for the position."""
     walker.go(walker.low(0))
     target = walker.high(0)
     walker.go(target, share=0.5)
     at = walker.here()
-    returned, raised = _called_elsewhere(walker.stage.stop, walker.stage.position_m)
+    returned, error = _call_elsewhere(walker.stage.stop, walker.stage.position_m)
     places = walker.rest(STAND_S)
-    yield held(
+    yield verdict(
         "stops from another thread",
         returned
-        and raised is None
+        and error is None
         and not walker.stage.moving()
         and spread_m(places) <= walker.within_m
         and math.dist(places[-1], target) > walker.margin_m,
-        f"stop() in another thread at {at} m {'raised ' + repr(raised) if raised else 'did not stop it'}; "
+        f"stop() in another thread at {at} m {'raised ' + repr(error) if error else 'did not stop it'}; "
         "stop() must be safe from any thread, also while others ask for the position",
     )
     after = walker.go(walker.centre)
     yield at_most(
-        "moves again after a stop",
-        after.missed_m,
-        walker.within_m,
-        "m",
+        "moves again after a stop", after.missed_m, walker.within_m, "m",
         "after a stop its position is known, the old move is forgotten, and a new one goes where it is sent",
-    )
+    )  # fmt: skip
 
 
-def _called_elsewhere(
+def _call_elsewhere(
     call: Callable[[], object], meanwhile: Callable[[], object]
 ) -> tuple[bool, Exception | None]:
-    """Whether a call in another thread returned, and what it raised."""
-    raised: list[Exception] = []
+    """Call in another thread; returns whether it came back, and what it raised."""
+    errors: list[Exception] = []
 
     def run() -> None:
         error = refusal(call)
         if error is not None:
-            raised.append(error)
+            errors.append(error)
 
     thread = threading.Thread(target=run, name="conformance check", daemon=True)
     thread.start()
@@ -291,20 +270,19 @@ def _called_elsewhere(
         with suppress(DeviceError):  # a call that a stop cuts off may say so
             meanwhile()
         thread.join(0.002)
-    return not thread.is_alive(), raised[0] if raised else None
+    return not thread.is_alive(), errors[0] if errors else None
 
 
 def stopping_still(walker: Walker) -> Part:
-    """Twice at a stand: nothing happens."""
+    """Stop twice at a stand: nothing happens."""
     walker.go(walker.centre)
     before = walker.here()
     errors = [refusal(walker.stage.stop) for _ in range(2)]
-    raised = next((error for error in errors if error is not None), None)
-    yield held(
-        "may be stopped at a stand",
-        raised is None,
-        f"stop() at a stand raised {type(raised).__name__}: {raised}; let it do nothing",
-    )
+    first = next((error for error in errors if error is not None), None)
+    yield verdict(
+        "may be stopped at a stand", first is None,
+        f"stop() at a stand raised {type(first).__name__}: {first}; let it do nothing",
+    )  # fmt: skip
     yield at_most(
         "stays where it is when stopped at a stand",
         spread_m([before, *walker.rest(STAND_S)]),
@@ -313,12 +291,9 @@ def stopping_still(walker: Walker) -> Part:
         "stop() at a stand moved it",
     )
     yield at_most(
-        "moves again after a stop at a stand",
-        walker.go(walker.low(1)).missed_m,
-        walker.within_m,
-        "m",
+        "moves again after a stop at a stand", walker.go(walker.low(1)).missed_m, walker.within_m, "m",
         "a stop at a stand must not spoil the next move",
-    )
+    )  # fmt: skip
 
 
 BEYOND_M = 1e-3  # the travel
@@ -327,57 +302,49 @@ NEAR_M = 0.1e-3
 
 
 def refusing_second(walker: Walker) -> Part:
-    """A move while another is under way is refused, and the first goes on."""
+    """Ask for a second move while one is under way: it is refused, and the first goes on."""
     walker.go(walker.low(0))
     target = walker.high(0)
     walker.go(target, share=0.3)
     error = refusal(lambda: walker.stage.move_to(walker.centre, walker.speed_m_s))
-    yield held(
-        "refuses a second move with DeviceError",
-        isinstance(error, DeviceError),
-        f"move_to while it moves {told(error)}; one move at a time: raise DeviceError",
-    )
+    yield verdict(
+        "refuses a second move with DeviceError", isinstance(error, DeviceError),
+        f"move_to while it moves {describe(error)}; one move at a time: raise DeviceError",
+    )  # fmt: skip
     yield at_most(
-        "goes on with the first move after refusing a second",
-        walker.finish(target),
-        walker.within_m,
-        "m",
+        "goes on with the first move after refusing a second", walker.finish(target), walker.within_m, "m",
         "the refused move changed the one under way",
-    )
+    )  # fmt: skip
 
 
 def refusing(walker: Walker) -> Part:
-    """Places and speeds that are not allowed; whatever is taken nevertheless is stopped at once."""
+    """Ask for places and speeds that are not allowed; whatever is accepted is stopped at once."""
     walker.go(walker.centre)
     before = walker.here()
     slow = min(SLOW_M_S, walker.speed_m_s)
-    asked = {
+    refusals = {
         "refuses places outside its travel": [(place, slow) for place in _outside(walker, before)],
         "refuses places that are no numbers": [(place, slow) for place in _no_places(before)],
-        "refuses speeds it cannot run at": [(_near(before), speed) for speed in _no_speeds(walker)],
+        "refuses speeds it cannot run at": [(_beside(before), speed) for speed in _no_speeds(walker)],
     }
-    for name, moves in asked.items():
+    for name, moves in refusals.items():
         errors = []
         for place, speed in moves:
             errors.append(refusal(lambda place=place, speed=speed: walker.stage.move_to(place, speed)))  # type: ignore[misc]
             walker.halt()
-        taken = [move for move, error in zip(moves, errors, strict=True) if not isinstance(error, RangeError)]
+        accepted = [
+            move for move, error in zip(moves, errors, strict=True) if not isinstance(error, RangeError)
+        ]
         first = next((e for e in errors if not isinstance(e, RangeError)), None)
         yield at_most(
-            name,
-            len(taken),
-            0,
-            "",
-            f"{len(taken)} of {len(moves)} were not refused with RangeError, such as move_to{taken[:1]}, "
-            f"which {told(first)}; raise RangeError before anything moves",
-        )
+            name, len(accepted), 0, "",
+            f"{len(accepted)} of {len(moves)} were not refused with RangeError, such as "
+            f"move_to{accepted[:1]}, which {describe(first)}; raise RangeError before anything moves",
+        )  # fmt: skip
     yield at_most(
-        "stands still when it refuses",
-        spread_m([before, walker.here()]),
-        walker.within_m,
-        "m",
+        "stands still when it refuses", spread_m([before, walker.here()]), walker.within_m, "m",
         "it moved although it was asked for what is not allowed",
-    )
+    )  # fmt: skip
 
 
 def _outside(walker: Walker, at: Position) -> Iterator[Position]:
@@ -404,7 +371,7 @@ def _no_speeds(walker: Walker) -> tuple[float, ...]:
     )
 
 
-def _near(at: Position) -> Position:
+def _beside(at: Position) -> Position:
     """Inside the box, away from the skin."""
     return at[0], at[1], at[2] - NEAR_M
 

@@ -1,4 +1,4 @@
-"""Small moves inside a box in free air, watched all the while: what the checks of a stage are made of."""
+"""Small moves inside a box in free air, watched all the while, of which the checks of a stage are made."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ class Trace:
 
     @property
     def took_s(self) -> float:
-        """From the call until it said that it stands [s]."""
+        """Time from the call until it said that it stands [s]."""
         return float(self.times_s[-1] - self.times_s[0])
 
     @property
     def missed_m(self) -> float:
-        """How far from the target it stands [m]."""
+        """Distance from the target at which it stands [m]."""
         return math.dist(self.places_m[-1], self.target_m)
 
     @property
@@ -66,8 +66,8 @@ class Trace:
         return float(np.linalg.norm(from_start - along, axis=1).max())
 
     @property
-    def seen_between(self) -> int:
-        """At how many places between start and target it was seen."""
+    def places_between(self) -> int:
+        """Number of places between start and target at which it was."""
         along, length = self._along(), math.dist(self.start_m, self.target_m)
         inside = along[(along > 0.02 * length) & (along < 0.98 * length)]
         return len(np.unique(inside))
@@ -137,7 +137,7 @@ class Walker:
         return x, y, z
 
     def here(self) -> Position:
-        """Where it is; the stage is stopped where that is outside the box.
+        """Position now [m]; the stage is stopped where that is outside the box.
 
         Raises:
             UnsafeError: it is.
@@ -152,7 +152,7 @@ class Walker:
         return place
 
     def inside(self, place: Position) -> bool:
-        """Whether a place is in the box, but for what the stage resolves."""
+        """Tell whether a place is in the box, but for what the stage resolves."""
         return all(
             low - self.within_m <= at <= high + self.within_m
             for at, low, high in zip(place, *self._box, strict=True)
@@ -162,12 +162,12 @@ class Walker:
         """Send it, and follow it to its end; or, with a share below 1, through that part of the way."""
         start = self.here()
         length = math.dist(start, target)
-        begun = seconds(self.clock)
+        start_s = seconds(self.clock)
         self.stage.move_to(target, self.speed_m_s)
-        called = seconds(self.clock)
-        times, places = [begun], [start]
-        moved = still = self.stage.moving()
-        while still and times[-1] - begun < self._due_s(length):
+        return_s = seconds(self.clock)
+        times, places = [start_s], [start]
+        at_once = still = self.stage.moving()
+        while still and times[-1] - start_s < self._due_s(length):
             self.clock.sleep(POLL_S)
             self.look()
             still = self.stage.moving()
@@ -175,15 +175,15 @@ class Walker:
             times.append(seconds(self.clock))
             if share < 1.0 and math.dist(start, places[-1]) >= share * length:
                 break
-        if not moved:
+        if not at_once:
             places.append(self.here())
             times.append(seconds(self.clock))
         if share >= 1.0 and still:
             self.stage.stop()
-        return Trace(start, target, called - begun, moved, np.array(times), np.array(places), not still)
+        return Trace(start, target, return_s - start_s, at_once, np.array(times), np.array(places), not still)
 
     def finish(self, target: Position) -> float:
-        """Let the move that is under way come to its end; how far from the target that is [m]."""
+        """Let the move under way come to its end; returns its distance from the target [m]."""
         end_s = seconds(self.clock) + self._due_s(math.dist(self.here(), target))
         while self.stage.moving() and seconds(self.clock) < end_s:
             self.clock.sleep(POLL_S)
@@ -203,7 +203,7 @@ class Walker:
             raise UnsafeError(str(e)) from e
 
     def rest(self, seconds_: float) -> list[Position]:
-        """Where it says it is, at some looks over a time."""
+        """Positions that it states at some looks over a time [m]."""
         looks = max(2, math.ceil(seconds_ / (4 * POLL_S)))
         places = []
         for _ in range(looks):

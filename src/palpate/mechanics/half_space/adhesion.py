@@ -8,6 +8,7 @@ and under a held load the sphere comes off at F = -(3/2) pi w R.
 
 Valid for soft, large spheres: Tabor's parameter (R w^2 / (E*^2 z0^3))^(1/3), the stretch at pull-off over the
 range z0 of the surface forces, above 5. Small strain, and a paraboloid for the sphere: a/R up to 0.5.
+Every law here refuses, by a RangeError that names the range, what lies outside it.
 
 Reference: K. L. Johnson, K. Kendall, A. D. Roberts, Proc. R. Soc. A 324 (1971) 301,
 doi:10.1098/rspa.1971.0141; on the range, K. L. Johnson, J. A. Greenwood, J. Colloid Interface Sci. 192 (1997)
@@ -29,9 +30,6 @@ JKR_ABOVE = 5.0  # Tabor's parameter; below, surface forces act outside the cont
 def pull_off_force(work_of_adhesion_j_m2: float, radius_m: float) -> float:
     """The force -(3/2) pi w R [N] at which a sphere comes off under a held load; negative, for it is a pull.
 
-    Raises:
-        RangeError: w is negative or R is not positive.
-
     Example:
         >>> round(pull_off_force(0.05, 5e-3) * 1e3, 3)
         -1.178
@@ -46,11 +44,7 @@ def force_from_radius(
     youngs_modulus_pa: float,
     poisson_ratio: float,
 ) -> float:
-    """Force [N] on a contact of radius a, positive in compression.
-
-    Raises:
-        RangeError: a lies outside 0 to R/2, or another argument is out of range.
-    """
+    """Force [N] on a contact of radius a, positive in compression."""
     a, R = _contact(contact_radius_m, radius_m), radius_m
     E, w = reduced_modulus(youngs_modulus_pa, poisson_ratio), _adhesion(work_of_adhesion_j_m2)
     return 4.0 * E * a**3 / (3.0 * R) - math.sqrt(8.0 * math.pi * w * E * a**3)
@@ -63,11 +57,7 @@ def depth_from_radius(
     youngs_modulus_pa: float,
     poisson_ratio: float,
 ) -> float:
-    """Depth [m] of a contact of radius a; negative where the skin is drawn up.
-
-    Raises:
-        RangeError: a lies outside 0 to R/2, or another argument is out of range.
-    """
+    """Depth [m] of a contact of radius a; negative where the skin is drawn up."""
     a, R = _contact(contact_radius_m, radius_m), radius_m
     E, w = reduced_modulus(youngs_modulus_pa, poisson_ratio), _adhesion(work_of_adhesion_j_m2)
     return a**2 / R - math.sqrt(2.0 * math.pi * w * a / E)
@@ -90,9 +80,6 @@ def radius_from_force(
         radius_m: of the sphere [m].
         youngs_modulus_pa: of the skin [Pa].
         poisson_ratio: of the skin, 0 to 0.5.
-
-    Raises:
-        RangeError: the pull exceeds pull-off, the contact would exceed R/2, or an argument is out of range.
     """
     w, R = _adhesion(work_of_adhesion_j_m2), _radius(radius_m)
     E, least = reduced_modulus(youngs_modulus_pa, poisson_ratio), pull_off_force(w, R)
@@ -125,8 +112,7 @@ def radius_from_depth(
     if not least - 1e-12 * abs(least) <= depth_m <= greatest * (1 + 1e-12):
         raise RangeError(
             f"depth {depth_m:g} m lies outside {least:g} m, where the sphere comes off, to {greatest:g} m, "
-            "where "
-            f"a/R is {MAX_SLOPE}"
+            f"where a/R is {MAX_SLOPE}"
         )
     if depth_m <= least:
         return a_least
@@ -144,7 +130,7 @@ def force_from_depth(
     youngs_modulus_pa: float,
     poisson_ratio: float,
 ) -> float:
-    """Force [N] at a held depth; as ``radius_from_depth``.
+    """Force [N] at a held depth, on the branch of ``radius_from_depth``.
 
     Raises:
         RangeError: the depth is below ``pull_off_depth`` or beyond a/R = 0.5, or an argument is out of range.
@@ -156,11 +142,7 @@ def force_from_depth(
 def pull_off_depth(
     work_of_adhesion_j_m2: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Depth [m] at which a sphere held by a stiff stage comes off; negative, for the skin is drawn up.
-
-    Raises:
-        RangeError: an argument is out of its range.
-    """
+    """Depth [m] at which a sphere held by a stiff stage comes off; negative, for the skin is drawn up."""
     material = (work_of_adhesion_j_m2, radius_m, youngs_modulus_pa, poisson_ratio)
     return depth_from_radius(_least_radius(*material), *material)
 
@@ -180,9 +162,6 @@ def tabor_parameter(
         youngs_modulus_pa: of the skin [Pa].
         poisson_ratio: of the skin, 0 to 0.5.
         range_m: z0, over which the surface forces act, some tenths of a nanometre for molecular contact [m].
-
-    Raises:
-        RangeError: an argument is out of its range.
     """
     w, R = _adhesion(work_of_adhesion_j_m2), _radius(radius_m)
     positive("the range of the surface forces", range_m, "m")
@@ -191,7 +170,7 @@ def tabor_parameter(
 
 
 def _least_radius(w: float, R: float, youngs_modulus_pa: float, poisson_ratio: float) -> float:
-    """Where d(a) is least: 2 a / R = sqrt(pi w / (2 E* a))."""
+    """Contact radius [m] at which d(a) is least: 2 a / R = sqrt(pi w / (2 E* a))."""
     E = reduced_modulus(youngs_modulus_pa, poisson_ratio)
     return _contact(math.cbrt(math.pi * _adhesion(w) * _radius(R) ** 2 / (8.0 * E)), R)
 

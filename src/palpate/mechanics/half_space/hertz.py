@@ -1,11 +1,7 @@
-"""A rigid sphere on an elastic half-space, small strain, no friction, no adhesion.
+"""Hertz's contact of a rigid sphere on an elastic half-space, and at nu = 1/2 the stress below it.
 
-Valid to a/R = 0.5, which every conversion enforces; the sphere is taken as a paraboloid.
-At the limit the exact sphere's force at the same depth is 2.5 % lower.
-
-Reference: K. L. Johnson, Contact Mechanics (1985), ch. 3 and 4, doi:10.1017/CBO9781139171731.
-
-Stress below a Hertz contact on an incompressible half-space, in closed form.
+Small strain, no friction, no adhesion; valid to a/R = 0.5, which every conversion enforces by a RangeError.
+The sphere is taken as a paraboloid: at the limit the exact sphere's force at the same depth is 2.5 % lower.
 
 At nu = 1/2 the stress that birefringence sees is z times the Hessian of one Newtonian potential V, that of a
 disc whose surface density is the pressure (Johnson 3.11 with 1 - 2 nu = 0):
@@ -18,7 +14,7 @@ For Hertz's pressure V is a segment of point charges at complex depths z + i t w
 
 whose derivatives are elementary in w = z + i a, S = sqrt(r^2 + w^2), q = w + S.
 
-Reference: K. L. Johnson, Contact Mechanics (1985), sec. 3.2, doi:10.1017/CBO9781139171731.
+Reference: K. L. Johnson, Contact Mechanics (1985), ch. 3 and 4, doi:10.1017/CBO9781139171731.
 """
 
 from __future__ import annotations
@@ -37,11 +33,7 @@ Points = Float[ndarray, "..."]
 
 
 def reduced_modulus(youngs_modulus_pa: float, poisson_ratio: float) -> float:
-    """E* = E / (1 - nu^2) of a half-space under a rigid body [Pa].
-
-    Raises:
-        RangeError: E is not positive, or nu lies outside 0 to 0.5.
-    """
+    """E* = E / (1 - nu^2) of a half-space under a rigid body [Pa]."""
     positive("Young's modulus", youngs_modulus_pa, "Pa")
     if not 0.0 <= poisson_ratio <= 0.5:
         raise RangeError(
@@ -68,9 +60,6 @@ def contact_radius(depth_m: float, radius_m: float) -> float:
         depth_m: approach past first touch, 0 to R/4 [m].
         radius_m: radius of the sphere [m].
 
-    Raises:
-        RangeError: the depth is negative, not finite or beyond a/R = 0.5.
-
     Example:
         >>> round(contact_radius(1e-3, 5e-3) * 1e3, 7)
         2.236068
@@ -89,9 +78,6 @@ def force_from_depth(
 ) -> float:
     """Normal force F = 4/3 E* sqrt(R) d^(3/2) [N], positive in compression.
 
-    Raises:
-        RangeError: depth or material lies outside the law's range.
-
     Example:
         >>> round(force_from_depth(1e-3, 5e-3, 0.3e6, 0.49), 7)
         1.1770328
@@ -103,11 +89,7 @@ def force_from_depth(
 def depth_from_force(
     force_n: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Depth d = (3F / (4 E* sqrt(R)))^(2/3) [m].
-
-    Raises:
-        RangeError: the force is negative, or presses beyond a/R = 0.5.
-    """
+    """Depth d = (3F / (4 E* sqrt(R)))^(2/3) [m]."""
     if not (force_n >= 0.0 and math.isfinite(force_n)):
         raise RangeError(f"force {force_n} N is not 0 or more; Hertz's contact only pushes")
     positive("the sphere's radius", radius_m, "m")
@@ -118,11 +100,7 @@ def depth_from_force(
 
 
 def depth_from_radius(contact_radius_m: float, radius_m: float) -> float:
-    """Depth d = a^2 / R [m] of a contact of radius a.
-
-    Raises:
-        RangeError: the contact radius is negative or beyond R/2.
-    """
+    """Depth d = a^2 / R [m] of a contact of radius a."""
     positive("the sphere's radius", radius_m, "m")
     if not 0.0 <= contact_radius_m <= MAX_SLOPE * radius_m * (1 + 1e-12):
         raise RangeError(
@@ -133,11 +111,7 @@ def depth_from_radius(contact_radius_m: float, radius_m: float) -> float:
 
 
 def peak_pressure(depth_m: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float) -> float:
-    """Pressure at the centre p0 = (2 E* / pi) sqrt(d / R) [Pa].
-
-    Raises:
-        RangeError: depth or material lies outside the law's range.
-    """
+    """Pressure at the centre p0 = (2 E* / pi) sqrt(d / R) [Pa]."""
     a = contact_radius(depth_m, radius_m)
     return 2.0 * reduced_modulus(youngs_modulus_pa, poisson_ratio) / math.pi * a / radius_m
 
@@ -159,7 +133,7 @@ def press(
         poisson_ratio: of the skin, 0 to 0.5.
         x_m: columns of the surface grid in the sensor's frame [m]; by default 81 points over one sphere's
             radius to each side of the pose.
-        y_m: its rows [m]; by default likewise.
+        y_m: its rows [m]; by default as many.
 
     Returns:
         The contact: exact pressure and surface displacement, inside the contact and around it.
@@ -170,17 +144,10 @@ def press(
     """
     if probe.shape != "sphere":
         raise InputError(f"Hertz's law is for a sphere, got probe shape {probe.shape!r}; use shape 'sphere'")
-    if not (math.isfinite(pose.x_m) and math.isfinite(pose.y_m)):
-        raise InputError(
-            f"the pose ({pose.x_m}, {pose.y_m}) m is not a finite position; give numbers in metres"
-        )
     R, d = probe.radius_m, pose.depth_m
     a = contact_radius(d, R)
     p0 = peak_pressure(d, R, youngs_modulus_pa, poisson_ratio)
-    around = np.linspace(-R, R, GRID_POINTS)
-    x = pose.x_m + around if x_m is None else x_m
-    y = pose.y_m + around if y_m is None else y_m
-    r = np.hypot(x[None, :] - pose.x_m, y[:, None] - pose.y_m)
+    x, y, r = grid_around(pose, np.linspace(-R, R, GRID_POINTS), x_m, y_m)
     return Contact(
         x_m=x,
         y_m=y,
@@ -193,6 +160,26 @@ def press(
         pose=pose,
         model=MODEL,
     )
+
+
+def grid_around(
+    pose: Pose,
+    around_m: Float[ndarray, " n"],
+    x_m: Float[ndarray, " nx"] | None,
+    y_m: Float[ndarray, " ny"] | None,
+) -> tuple[Float[ndarray, " nx"], Float[ndarray, " ny"], Float[ndarray, "ny nx"]]:
+    """Columns, rows and distances from the pose [m]; around the pose where no columns or rows are given.
+
+    Raises:
+        InputError: the pose is not a finite position.
+    """
+    if not (math.isfinite(pose.x_m) and math.isfinite(pose.y_m)):
+        raise InputError(
+            f"the pose ({pose.x_m}, {pose.y_m}) m is not a finite position; give numbers in metres"
+        )
+    x = pose.x_m + around_m if x_m is None else x_m
+    y = pose.y_m + around_m if y_m is None else y_m
+    return x, y, np.hypot(x[None, :] - pose.x_m, y[:, None] - pose.y_m)
 
 
 def pressure(r: Points, a: float, p0: float) -> Points:
@@ -222,9 +209,17 @@ def positive(name: str, value: float, unit: str) -> None:
         raise RangeError(f"{name} is {value} {unit}; give a positive number of {unit}")
 
 
-SURFACE = (
-    1e-12  # depth in contact radii that stands for z -> 0, where the edge circle's 1/S would be infinite
-)
+def in_skin(*places_m: RayPoints) -> None:
+    """Refuse places that are not finite, and a depth, the last of them, above the surface.
+
+    Raises:
+        RangeError: some are.
+    """
+    if not (all(np.isfinite(place).all() for place in places_m) and np.all(np.asarray(places_m[-1]) >= 0)):
+        raise RangeError("the skin lies at finite places with z >= 0 m; a negative z is in the air above it")
+
+
+SURFACE = 1e-12  # contact radii that stand for z -> 0, where the edge circle's 1/S would be infinite
 
 RayPoints = Float[ndarray, "..."] | float
 Stress = Float[ndarray, "..."]
@@ -245,14 +240,9 @@ def secondary_stress(
     Returns:
         s_xx - s_zz and 2 s_xz [Pa], positive in tension. The relative rounding error is about 1e-16 (rho/a)^2
         at a distance rho from the contact.
-
-    Raises:
-        RangeError: a is not positive or some z is negative.
     """
-    if not contact_radius_m > 0.0:
-        raise RangeError(f"contact radius {contact_radius_m} m has no field; give a positive radius in m")
-    if np.any(np.asarray(z_m) < 0):
-        raise RangeError("the skin lies at z >= 0 m; a negative z is in the air above it")
+    positive("contact radius", contact_radius_m, "m")
+    in_skin(z_m)
     a = contact_radius_m
     z = np.maximum(z_m, SURFACE * a)
     w = z + 1j * a

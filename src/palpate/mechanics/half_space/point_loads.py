@@ -16,7 +16,8 @@ Force at depth c (Mindlin). With k = 1/R1 from the force, b = 1/R2 and L = ln(R2
 
 with m = 4 (1-nu)(1-2nu) and M_z = L. 2 (1-2nu) divides its divergence, so the stress is finite at nu = 1/2.
 
-Stress is positive in tension, force and displacement along the sensor's axes (z into the skin).
+Stress is positive in tension, force and displacement along the sensor's axes (z into the skin). A point on
+the force or above the skin, or a material out of range, raises RangeError.
 
 References: K. L. Johnson, Contact Mechanics (1985), sec. 3.2 and 3.6, doi:10.1017/CBO9781139171731;
 R. D. Mindlin, Physics 7 (1936) 195, doi:10.1063/1.1745385.
@@ -30,7 +31,7 @@ from typing import Literal
 import numpy as np
 
 from palpate.core import Float, InputError, RangeError, ndarray
-from palpate.mechanics.half_space.hertz import reduced_modulus
+from palpate.mechanics.half_space.hertz import in_skin, reduced_modulus
 
 Points = Float[ndarray, "..."] | float
 Vectors = Float[ndarray, "... 3"]
@@ -114,9 +115,6 @@ def boussinesq_stress(x_m: Points, y_m: Points, z_m: Points, force_n: float, poi
 
     Returns:
         The symmetric tensor ``[... 3 3]``, positive in tension.
-
-    Raises:
-        RangeError: nu is out of range, some z is negative, or a point lies on the force.
     """
     reduced_modulus(1.0, poisson_ratio)
     _below(x_m, y_m, z_m, 0.0)
@@ -125,7 +123,7 @@ def boussinesq_stress(x_m: Points, y_m: Points, z_m: Points, force_n: float, poi
 
 
 def cerruti_stress(x_m: Points, y_m: Points, z_m: Points, force_n: float, poisson_ratio: float) -> Tensors:
-    """Stress under a force along x on the surface at the origin [Pa]; as ``boussinesq_stress``."""
+    """Stress under a force along x on the surface at the origin [Pa]; see ``boussinesq_stress``."""
     reduced_modulus(1.0, poisson_ratio)
     _below(x_m, y_m, z_m, 0.0)
     K = point_potentials(x_m, y_m, z_m)
@@ -135,22 +133,14 @@ def cerruti_stress(x_m: Points, y_m: Points, z_m: Points, force_n: float, poisso
 def boussinesq_displacement(
     x_m: Points, y_m: Points, z_m: Points, force_n: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> Vectors:
-    """Displacement by a force along z on the surface at the origin [m]; u_z = (1 - nu^2) F / (pi E r) on it.
-
-    Raises:
-        RangeError: the material is out of range, some z is negative, or a point lies on the force.
-    """
+    """Displacement by a force along z on the surface at the origin [m]; on it u_z = (1-nu^2) F / (pi E r)."""
     return mindlin_displacement(x_m, y_m, z_m, 0.0, force_n, "z", youngs_modulus_pa, poisson_ratio)
 
 
 def cerruti_displacement(
     x_m: Points, y_m: Points, z_m: Points, force_n: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> Vectors:
-    """Displacement by a force along x on the surface at the origin [m].
-
-    Raises:
-        RangeError: the material is out of range, some z is negative, or a point lies on the force.
-    """
+    """Displacement by a force along x on the surface at the origin [m]."""
     return mindlin_displacement(x_m, y_m, z_m, 0.0, force_n, "x", youngs_modulus_pa, poisson_ratio)
 
 
@@ -193,9 +183,7 @@ def mindlin_stress(
     along: Along,
     poisson_ratio: float,
 ) -> Tensors:
-    """Stress by a force inside the half-space, below the origin [Pa]; arguments as "
-    "``mindlin_displacement``.
-    """
+    """Stress by a force inside the half-space, below the origin [Pa]; see ``mindlin_displacement``."""
     reduced_modulus(1.0, poisson_ratio)
     _, gradient, volume = _mindlin(x_m, y_m, z_m, depth_m, along, poisson_ratio)
     twice_strain = gradient + np.swapaxes(gradient, -1, -2)
@@ -214,8 +202,8 @@ def _mindlin(
     _below(x, y, z, c)
     if along == "y":  # turn the picture: x' = y, y' = x is a reflection, which the half-space does not see
         u, grad, div = _mindlin(y, x, z, c, "x", nu)
-        turned = [1, 0, 2]
-        return u[..., turned], grad[..., turned, :][..., turned], div
+        swap = [1, 0, 2]
+        return u[..., swap], grad[..., swap, :][..., swap], div
     x, y, z = np.broadcast_arrays(*(np.asarray(v, float) for v in (x, y, z)))
     beta, m = 3 - 4 * nu, 4 * (1 - nu) * (1 - 2 * nu)
     k, k1, k2, _ = _inverse_distance(np.stack([x, y, z - c], -1))
@@ -282,8 +270,7 @@ def _symmetric(xx: Points, yy: Points, zz: Points, xy: Points, yz: Points, xz: P
 
 
 def _below(x: Points, y: Points, z: Points, c: float) -> None:
-    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(y)) and np.all(np.isfinite(z)) and np.all(z >= 0)):
-        raise RangeError("the skin lies at finite places with z >= 0 m; a negative z is in the air above it")
+    in_skin(x, y, z)
     if np.any((np.asarray(x) == 0) & (np.asarray(y) == 0) & (np.asarray(z) == c)):
         raise RangeError(
             f"a point lies on the force, at depth {c} m, where the field is infinite; move it away"

@@ -9,7 +9,8 @@ With f(r) the punch's height over its tip, every law here follows from one funct
 
 The sphere is exact, not a paraboloid, so it needs no limit on a/R but the equator. The material stays linear:
 the strain is small only while the slope of the punch is (a/R or cot(alpha) below about 0.3), and beyond that
-these laws are the exact solution of a linear problem, not of rubber.
+these laws are the exact solution of a linear problem, not of rubber. Outside its range a law
+raises RangeError.
 
 Reference: I. N. Sneddon, Int. J. Eng. Sci. 3 (1965) 47, doi:10.1016/0020-7225(65)90019-4.
 """
@@ -23,7 +24,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from palpate.core import Contact, Float, InputError, Pose, Probe, RangeError, ndarray
-from palpate.mechanics.half_space.hertz import GRID_POINTS, positive, reduced_modulus
+from palpate.mechanics.half_space.hertz import GRID_POINTS, grid_around, positive, reduced_modulus
 
 MAX_RADIUS = 0.99  # a/R of the sphere; at 1 the depth is infinite
 MAX_PUNCH_DEPTH = 0.5  # d/a of the flat punch; its strain is of this order
@@ -36,22 +37,14 @@ Points = Float[ndarray, "..."]
 
 
 def sphere_depth_from_radius(contact_radius_m: float, radius_m: float) -> float:
-    """Depth d = a atanh(a/R) [m] of a sphere of radius R whose contact has radius a.
-
-    Raises:
-        RangeError: a/R lies outside 0 to 0.99.
-    """
+    """Depth d = a atanh(a/R) [m] of a sphere of radius R whose contact has radius a."""
     return contact_radius_m * math.atanh(_slope(contact_radius_m, radius_m))
 
 
 def sphere_force_from_radius(
     contact_radius_m: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Force F = E* [(a^2 + R^2) atanh(a/R) - a R] [N], positive in compression.
-
-    Raises:
-        RangeError: a/R lies outside 0 to 0.99, or the material is out of range.
-    """
+    """Force F = E* [(a^2 + R^2) atanh(a/R) - a R] [N], positive in compression."""
     s = _slope(contact_radius_m, radius_m)
     if s < SERIES_BELOW:
         shape = float(np.sum(4 * TERMS / (4 * TERMS**2 - 1) * s ** (2 * TERMS + 1)))
@@ -62,9 +55,6 @@ def sphere_force_from_radius(
 
 def sphere_radius_from_depth(depth_m: float, radius_m: float) -> float:
     """Contact radius a [m], from a atanh(a/R) = d.
-
-    Raises:
-        RangeError: the depth is negative or beyond a/R = 0.99, which is d = 2.62 R.
 
     Example:
         >>> round(sphere_radius_from_depth(1e-3, 5e-3) * 1e3, 4)
@@ -79,11 +69,7 @@ def sphere_radius_from_depth(depth_m: float, radius_m: float) -> float:
 def sphere_radius_from_force(
     force_n: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Contact radius a [m] under a force [N].
-
-    Raises:
-        RangeError: the force is negative or beyond a/R = 0.99, or the material is out of range.
-    """
+    """Contact radius a [m] under a force [N]."""
     positive("the sphere's radius", radius_m, "m")
     E = reduced_modulus(youngs_modulus_pa, poisson_ratio)
     limit = sphere_force_from_radius(MAX_RADIUS * radius_m, radius_m, youngs_modulus_pa, poisson_ratio)
@@ -101,9 +87,6 @@ def sphere_force_from_depth(
 ) -> float:
     """Force [N] of a sphere pressed to a depth [m].
 
-    Raises:
-        RangeError: the depth is negative or beyond a/R = 0.99, or the material is out of range.
-
     Example:
         >>> round(sphere_force_from_depth(1e-3, 5e-3, 0.3e6, 0.49), 4)
         1.1534
@@ -115,11 +98,7 @@ def sphere_force_from_depth(
 def sphere_depth_from_force(
     force_n: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Depth [m] of a sphere under a force [N].
-
-    Raises:
-        RangeError: the force is negative or beyond a/R = 0.99, or the material is out of range.
-    """
+    """Depth [m] of a sphere under a force [N]."""
     a = sphere_radius_from_force(force_n, radius_m, youngs_modulus_pa, poisson_ratio)
     return sphere_depth_from_radius(a, radius_m)
 
@@ -127,32 +106,25 @@ def sphere_depth_from_force(
 def sphere_pressure(
     r_m: Points, contact_radius_m: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> Points:
-    """Pressure p = -(E*/pi) int_r^a g'(t) / sqrt(t^2 - r^2) dt [Pa] at distance r [m]; zero outside.
-
-    Raises:
-        RangeError: a/R lies outside 0 to 0.99, or the material is out of range.
-    """
+    """Pressure p = -(E*/pi) int_r^a g'(t) / sqrt(t^2 - r^2) dt [Pa] at distance r [m]; zero outside."""
     E, R = reduced_modulus(youngs_modulus_pa, poisson_ratio), radius_m
     if _slope(contact_radius_m, R) == 0.0:
         return np.zeros_like(r_m)
     r2 = np.minimum(r_m, contact_radius_m) ** 2
     v = np.sqrt(contact_radius_m**2 - r2)  # of t; with v = sqrt(t^2 - r^2), dt / v is dv / t
     rest = np.sqrt(R**2 - r2)
-    closed = R / rest * np.arctanh(v / rest)
-    open_ = np.zeros_like(r2)
+    edge = R / rest * np.arctanh(v / rest)
+    rise = np.zeros_like(r2)
     for node, weight in zip((1 + NODES) / 2, WEIGHTS / 2, strict=True):
         t = np.sqrt(r2 + (node * v) ** 2)
-        open_ += weight * v * np.arctanh(t / R) / t
-    return np.asarray(E / np.pi * (closed + open_))
+        rise += weight * v * np.arctanh(t / R) / t
+    return np.asarray(E / np.pi * (edge + rise))
 
 
 def punch_force(
     depth_m: float, punch_radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
     """Force F = 2 a E* d [N] of a flat-ended cylinder of radius a pressed to a depth of at most a/2.
-
-    Raises:
-        RangeError: depth, radius or material is out of range.
 
     Example:
         >>> round(punch_force(1e-3, 3e-3, 0.3e6, 0.49), 4)
@@ -166,11 +138,7 @@ def punch_force(
 def punch_depth(
     force_n: float, punch_radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Depth d = F / (2 a E*) [m] of a flat-ended cylinder of radius a.
-
-    Raises:
-        RangeError: the force is negative, presses beyond d/a = 0.5, or the material is out of range.
-    """
+    """Depth d = F / (2 a E*) [m] of a flat-ended cylinder of radius a."""
     positive("the punch's radius", punch_radius_m, "m")
     stiffness = 2.0 * punch_radius_m * reduced_modulus(youngs_modulus_pa, poisson_ratio)
     limit = stiffness * MAX_PUNCH_DEPTH * punch_radius_m
@@ -179,11 +147,7 @@ def punch_depth(
 
 
 def punch_pressure(r_m: Points, punch_radius_m: float, force_n: float) -> Points:
-    """Pressure F / (2 pi a sqrt(a^2 - r^2)) [Pa] at distance r [m]; infinite at the edge, zero outside it.
-
-    Raises:
-        RangeError: the radius is not positive or the force is negative.
-    """
+    """Pressure F / (2 pi a sqrt(a^2 - r^2)) [Pa] at distance r [m]; infinite at the edge, zero outside it."""
     positive("the punch's radius", punch_radius_m, "m")
     _within("force", force_n, math.inf, "N", "a contact without adhesion")
     a, r = punch_radius_m, np.abs(r_m)
@@ -193,11 +157,7 @@ def punch_pressure(r_m: Points, punch_radius_m: float, force_n: float) -> Points
 
 
 def cone_radius(depth_m: float, half_angle_rad: float) -> float:
-    """Contact radius a = (2/pi) d tan(alpha) [m]; alpha from the cone's axis to its side.
-
-    Raises:
-        RangeError: the depth is negative, or alpha lies outside 0 to pi/2 rad.
-    """
+    """Contact radius a = (2/pi) d tan(alpha) [m]; alpha from the cone's axis to its side."""
     _within("depth", depth_m, math.inf, "m", "a contact")
     return 2.0 / math.pi * depth_m * _tangent(half_angle_rad)
 
@@ -205,11 +165,7 @@ def cone_radius(depth_m: float, half_angle_rad: float) -> float:
 def cone_force(
     depth_m: float, half_angle_rad: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Force F = (2/pi) E* d^2 tan(alpha) [N].
-
-    Raises:
-        RangeError: the depth is negative, alpha outside 0 to pi/2 rad, or the material out of range.
-    """
+    """Force F = (2/pi) E* d^2 tan(alpha) [N]."""
     a = cone_radius(depth_m, half_angle_rad)
     return reduced_modulus(youngs_modulus_pa, poisson_ratio) * a * depth_m
 
@@ -217,11 +173,7 @@ def cone_force(
 def cone_depth(
     force_n: float, half_angle_rad: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Depth [m] of a cone under a force [N].
-
-    Raises:
-        RangeError: the force is negative, alpha outside 0 to pi/2 rad, or the material out of range.
-    """
+    """Depth [m] of a cone under a force [N]."""
     _within("force", force_n, math.inf, "N", "a contact without adhesion")
     stiffness = 2 / math.pi * reduced_modulus(youngs_modulus_pa, poisson_ratio) * _tangent(half_angle_rad)
     return math.sqrt(force_n / stiffness)
@@ -234,11 +186,7 @@ def cone_pressure(
     youngs_modulus_pa: float,
     poisson_ratio: float,
 ) -> Points:
-    """Pressure (E*/2) cot(alpha) arcosh(a/r) [Pa] at distance r [m]; infinite at the tip, zero outside.
-
-    Raises:
-        RangeError: a is not positive, alpha outside 0 to pi/2 rad, or the material out of range.
-    """
+    """Pressure (E*/2) cot(alpha) arcosh(a/r) [Pa] at distance r [m]; infinite at the tip, zero outside."""
     positive("contact radius", contact_radius_m, "m")
     E = reduced_modulus(youngs_modulus_pa, poisson_ratio)
     with np.errstate(divide="ignore"):
@@ -263,7 +211,7 @@ def press(
         poisson_ratio: of the skin, 0 to 0.5.
         x_m: columns of the surface grid in the sensor's frame [m], evenly spaced; by default 81 points over
             two contact or punch radii to each side of the pose.
-        y_m: its rows [m]; by default likewise.
+        y_m: its rows [m]; by default as many.
 
     Returns:
         The contact; the pressure is that at the grid's points. A punch's is infinite at its edge, so within a
@@ -276,32 +224,26 @@ def press(
     """
     if probe.shape not in ("sphere", "punch"):
         raise InputError(f"Sneddon's press is for 'sphere' or 'punch', got probe shape {probe.shape!r}")
-    if not (math.isfinite(pose.x_m) and math.isfinite(pose.y_m)):
-        raise InputError(
-            f"the pose ({pose.x_m}, {pose.y_m}) m is not a finite position; give numbers in metres"
-        )
     R, d, E, nu = probe.radius_m, pose.depth_m, youngs_modulus_pa, poisson_ratio
     sphere = probe.shape == "sphere"
     force = sphere_force_from_depth(d, R, E, nu) if sphere else punch_force(d, R, E, nu)
     a = sphere_radius_from_depth(d, R) if sphere else R if d > 0 else 0.0
     around = 2.0 * (a or R) * np.linspace(-1, 1, GRID_POINTS)
-    x = pose.x_m + around if x_m is None else x_m
-    y = pose.y_m + around if y_m is None else y_m
-    r = np.hypot(x[None, :] - pose.x_m, y[:, None] - pose.y_m)
+    x, y, r = grid_around(pose, around, x_m, y_m)
     if sphere:
         pressure = sphere_pressure(r, a, R, E, nu)
         profile = R - np.sqrt(R**2 - np.minimum(r, a) ** 2)
-        sinking = _surface_displacement(r, a, d - profile, lambda t: d - t * np.arctanh(t / R))
+        displacement = _surface_displacement(r, a, d - profile, lambda t: d - t * np.arctanh(t / R))
     else:
         cell = abs(x[1] - x[0]) if len(x) > 1 else 0.0
         short = np.where(r < a, np.minimum(r, a - cell / 4), r)
         pressure = punch_pressure(short, R, force)
-        sinking = _surface_displacement(r, a, np.full_like(r, d), lambda t: np.full_like(t, d))
+        displacement = _surface_displacement(r, a, np.full_like(r, d), lambda t: np.full_like(t, d))
     return Contact(
         x_m=x,
         y_m=y,
         pressure_pa=np.where(r < a, pressure, 0.0),
-        displacement_m=sinking,
+        displacement_m=displacement,
         touching=r < a,
         force_n=force,
         radius_m=a,
@@ -342,7 +284,7 @@ def _within(name: str, value: float, limit: float, unit: str, law: str) -> None:
 
 
 def _root(excess: Callable[[float], float], upper: float) -> float:
-    """Slope a/R; the paraboloid's is always too large, so it brackets the root."""
+    """Slope a/R at which the excess vanishes; the paraboloid's is always too large and brackets it."""
     if upper == 0.0:
         return 0.0
     top = min(upper * (1 + 1e-9), MAX_RADIUS * (1 + 1e-12))

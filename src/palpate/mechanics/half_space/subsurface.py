@@ -1,7 +1,7 @@
-"""All of the stress below a Hertz contact, with or without sliding; small strain, any Poisson's ratio.
+"""Stress below a Hertz contact, sliding or at rest, at points and summed along rays; any Poisson's ratio.
 
-Hertz's pressure p0 sqrt(1 - r^2/a^2) is a segment of point forces at complex depths z + i t with the density
-c (a^2 - t^2), c = pi p0 / (2 a). Where a point force has a derivative g of its potential, the contact has
+Small strain. Hertz's pressure p0 sqrt(1 - r^2/a^2) is a segment of point forces at complex depths z + i t
+with the density c (a^2 - t^2), c = pi p0 / (2 a). Where a point force has a derivative g of its potential, the contact has
 
     c int_{-a}^{a} (a^2 - t^2) g(z + i t) dt = 4 c Im W - 4 c a Re W_z,      W_zzz = g, at w = z + i a.
 
@@ -12,11 +12,6 @@ the first to fourth, each the z-derivative of the next, and a prime is the deriv
 Sliding is a traction q_x = mu p over the whole contact (Hamilton's problem). The pressure stays Hertz's: what
 the traction does to it for nu < 1/2 is left out.
 
-References: K. L. Johnson, Contact Mechanics (1985), sec. 3.2 and 3.4, doi:10.1017/CBO9781139171731;
-G. M. Hamilton, Proc. IMechE 197C (1983) 53, doi:10.1243/PIME_PROC_1983_197_076_02.
-
-Hertz's stress summed along a ray, in closed form.
-
 Summed over y, the equations of a laterally infinite half-space become those of plane strain under the summed
 load. So for any Poisson's ratio, int (s_xx, s_zz, s_xz) dy under a Hertz contact is the plane field of the
 parabola  int p dy = P0 (1 - x^2/a^2),  P0 = (pi/2) p0 a.
@@ -25,8 +20,11 @@ With zeta = x + i z, Flamant's line loads under it add up to
     int (s_xx - s_zz) dy = -(2/pi) z Re K,     int 2 s_xz dy = (2/pi) z Im K,
     K = int (int p dy)(s) / (zeta - s)^2 ds = P0 [ -(2 zeta/a^2) ln((zeta - a)/(zeta + a)) - 4/a ].
 
-Reference for Flamant's line load: K. L. Johnson, Contact Mechanics (1985), sec. 2.2,
-doi:10.1017/CBO9781139171731.
+Outside its range a law raises RangeError.
+
+References: K. L. Johnson, Contact Mechanics (1985), sec. 2.2 (Flamant), 3.2 and 3.4,
+doi:10.1017/CBO9781139171731; G. M. Hamilton, Proc. IMechE 197C (1983) 53,
+doi:10.1243/PIME_PROC_1983_197_076_02.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from palpate.core import Complex, Float, RangeError, ndarray
-from palpate.mechanics.half_space.hertz import SURFACE, positive, reduced_modulus
+from palpate.mechanics.half_space.hertz import SURFACE, in_skin, positive, reduced_modulus
 from palpate.mechanics.half_space.point_loads import Potentials, stress_of_load_along_x, stress_of_normal_load
 
 Points = Float[ndarray, "..."] | float
@@ -66,9 +64,6 @@ def hertz_stress(
     Returns:
         The symmetric tensor ``[... 3 3]``, positive in tension. The relative rounding error is about
         1e-14 (rho/a)^2 at a distance rho from the contact, and 1e-6 at its edge.
-
-    Raises:
-        RangeError: an argument is out of its range.
 
     Example:
         >>> s = hertz_stress(0.0, 0.0, 0.48, 1.0, 1.0, 0.3)
@@ -121,16 +116,11 @@ def hertz_potentials(r: Points, z: Points) -> Potentials:
 def centreline_stress(
     z_m: Points, contact_radius_m: float, peak_pressure_pa: float, poisson_ratio: float
 ) -> tuple[Points, Points]:
-    """s_rr and s_zz on the axis of a Hertz contact [Pa], positive in tension: Johnson (3.45).
-
-    Raises:
-        RangeError: an argument is out of its range, or some z is negative.
-    """
+    """s_rr and s_zz on the axis of a Hertz contact [Pa], positive in tension: Johnson (3.45)."""
     reduced_modulus(1.0, poisson_ratio)
     positive("contact radius", contact_radius_m, "m")
     positive("peak pressure", peak_pressure_pa, "Pa")
-    if not np.all(np.asarray(z_m) >= 0):
-        raise RangeError("the skin lies at z >= 0 m; a negative z is in the air above it")
+    in_skin(z_m)
     z = np.asarray(z_m) / contact_radius_m
     s_zz = -1 / (1 + z**2)
     s_rr = -(1 + poisson_ratio) * (1 - z * np.arctan2(1.0, z)) - s_zz / 2
@@ -139,9 +129,6 @@ def centreline_stress(
 
 def greatest_shear(poisson_ratio: float) -> tuple[float, float]:
     """The greatest shear stress under a Hertz contact, over p0, and its depth, over a.
-
-    Raises:
-        RangeError: nu lies outside 0 to 0.5.
 
     Example:
         >>> [round(v, 3) for v in greatest_shear(0.5)]
@@ -160,9 +147,7 @@ def _contact(W: Any, W_z: Any) -> Any:
     return 2 * np.pi * (W.imag - W_z.real)  # 4 c = 2 pi p0 / a
 
 
-FAR = (
-    8.0  # contact radii beyond which the series is used: the closed form loses (r/a)^2 digits by cancellation
-)
+FAR = 8.0  # contact radii beyond which the closed form loses (r/a)^2 digits, and the series is used
 TERMS = 9  # of the series in (a/zeta)^2; the first left out is below 1e-17 of the sum at FAR
 
 Summed = Float[ndarray, "..."]
@@ -181,14 +166,9 @@ def line_integrated_stress(
 
     Returns:
         int (s_xx - s_zz) dy and int 2 s_xz dy [Pa m], positive in tension; both zero at z = 0.
-
-    Raises:
-        RangeError: a is not positive or some z is negative.
     """
-    if not contact_radius_m > 0.0:
-        raise RangeError(f"contact radius {contact_radius_m} m has no field; give a positive radius in m")
-    if np.any(np.asarray(z_m) < 0):
-        raise RangeError("the skin lies at z >= 0 m; a negative z is in the air above it")
+    positive("contact radius", contact_radius_m, "m")
+    in_skin(z_m)
     a = contact_radius_m
     zeta = np.asarray((x_m + 1j * np.asarray(z_m)) / a)
     P0 = np.pi / 2 * peak_pressure_pa * a

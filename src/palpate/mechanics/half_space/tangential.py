@@ -1,6 +1,7 @@
-"""A pressed sphere pulled sideways: stick inside, slip around it (Cattaneo and Mindlin); small strain.
+"""A pressed sphere pulled sideways or twisted: it sticks inside a circle and slips around it; small strain.
 
-Under a constant normal force P, Coulomb's friction and a tangential force Q below mu P,
+Pulled (Cattaneo and Mindlin), under a constant normal force P, Coulomb's friction and a tangential force Q
+below mu P,
 
     c = a (1 - Q/(mu P))^(1/3),    q(r) = mu p0 [ sqrt(1 - r^2/a^2) - (c/a) sqrt(1 - r^2/c^2) ],
     delta = D [ 1 - (1 - Q/(mu P))^(2/3) ],    D = 3 mu P (2 - nu) / (16 a G),
@@ -11,11 +12,8 @@ Valid for a Hertz contact (a/R up to 0.5). The stick circle moves as one, exactl
 traction is taken along the pull, from which the slip turns a little where nu > 0; and for nu < 1/2 what the
 traction does to the pressure is left out.
 
-Reference: K. L. Johnson, Contact Mechanics (1985), sec. 7.2 and 7.4, doi:10.1017/CBO9781139171731.
-
-A pressed sphere twisted about its axis: stick inside, slip around it (Lubkin); small strain.
-
-A disc of radius s that sticks to a half-space and turns by B carries 16/3 G s^3 B (Reissner and Sagoci).
+Twisted about its axis (Lubkin): a disc of radius s
+that sticks to a half-space and turns by B carries 16/3 G s^3 B (Reissner and Sagoci).
 Discs of all radii from c to a, turned on top of one another, leave a stick circle of radius c and around it
 the traction mu p of Hertz's pressure. With D = K - E, the complete elliptic integrals of m = 1 - s^2 / a^2,
 
@@ -24,8 +22,10 @@ the traction mu p of Hertz's pressure. With D = K - E, the complete elliptic int
 No turn makes all of it slip; the moment tends to 3 pi / 16 mu P a. What holds for any nu: twisting moves
 nothing into the skin.
 
-Reference: J. L. Lubkin, J. Appl. Mech. 18, 183 (1951); E. Reissner and H. F. Sagoci, J. Appl. Phys. 15, 652
-(1944); K. L. Johnson, Contact Mechanics (1985), sec. 3.9, doi:10.1017/CBO9781139171731.
+Outside its range a law raises RangeError.
+
+References: K. L. Johnson, Contact Mechanics (1985), sec. 3.9, 7.2 and 7.4, doi:10.1017/CBO9781139171731;
+J. L. Lubkin, J. Appl. Mech. 18, 183 (1951); E. Reissner and H. F. Sagoci, J. Appl. Phys. 15, 652 (1944).
 """
 
 from __future__ import annotations
@@ -64,11 +64,7 @@ def stick_radius(pull_n: float, force_n: float, friction: float, contact_radius_
 
 
 def tangential_stiffness(contact_radius_m: float, youngs_modulus_pa: float, poisson_ratio: float) -> float:
-    """dQ/d(delta) = 8 a G / (2 - nu) at the first pull, while all sticks [N/m].
-
-    Raises:
-        RangeError: radius or material is out of range.
-    """
+    """dQ/d(delta) = 8 a G / (2 - nu) at the first pull, while all sticks [N/m]."""
     positive("contact radius", contact_radius_m, "m")
     G = reduced_modulus(youngs_modulus_pa, poisson_ratio) * (1.0 - poisson_ratio) / 2.0
     return 8.0 * contact_radius_m * G / (2.0 - poisson_ratio)
@@ -82,11 +78,7 @@ def tangential_displacement(
     youngs_modulus_pa: float,
     poisson_ratio: float,
 ) -> float:
-    """How far the stick circle, and the sphere with it, is pulled sideways [m]; the pull only grew.
-
-    Raises:
-        RangeError: an argument is out of its range.
-    """
+    """Displacement of the stick circle, and of the sphere with it, along a pull that only grew [m]."""
     share = _share(pull_n, force_n, friction)
     k = tangential_stiffness(contact_radius_m, youngs_modulus_pa, poisson_ratio)
     return _greatest(force_n, friction, k) * -math.expm1(2.0 / 3.0 * _log_rest(share))
@@ -106,10 +98,7 @@ def returning_displacement(
     Args:
         pull_n: tangential force Q now, -Q* to Q* [N].
         turned_at_n: the pull Q* from which it returns, 0 to mu P [N].
-        force_n, friction, contact_radius_m, youngs_modulus_pa, poisson_ratio: as elsewhere here.
-
-    Raises:
-        RangeError: an argument is out of its range.
+        force_n, friction, contact_radius_m, youngs_modulus_pa, poisson_ratio: see `tangential_displacement`.
     """
     _share(turned_at_n, force_n, friction)
     if not -turned_at_n <= pull_n <= turned_at_n:
@@ -129,11 +118,7 @@ def energy_lost_per_cycle(
     youngs_modulus_pa: float,
     poisson_ratio: float,
 ) -> float:
-    """Work lost to friction while the pull goes from Q* to -Q* and back [J].
-
-    Raises:
-        RangeError: an argument is out of its range.
-    """
+    """Work lost to friction while the pull goes from Q* to -Q* and back [J]."""
     s = _share(turned_at_n, force_n, friction)
     k = tangential_stiffness(contact_radius_m, youngs_modulus_pa, poisson_ratio)
     if s < 0.01:  # the closed form cancels to s^3; the first term left out is 3e-9 of the sum
@@ -144,15 +129,11 @@ def energy_lost_per_cycle(
 
 
 def traction(r_m: Points, pull_n: float, force_n: float, friction: float, contact_radius_m: float) -> Points:
-    """Tangential traction q [Pa] on the skin along the pull, at distance r [m]; zero outside the contact.
-
-    Raises:
-        RangeError: an argument is out of its range.
-    """
+    """Tangential traction q [Pa] on the skin along the pull, at distance r [m]; zero outside the contact."""
     a, c = contact_radius_m, stick_radius(pull_n, force_n, friction, contact_radius_m)
     p0 = 1.5 * force_n / (math.pi * a**2)
-    stuck = np.sqrt(np.maximum(c**2 - np.square(r_m), 0.0)) / a  # (c/a) sqrt(1 - r^2/c^2)
-    return np.asarray(friction * p0 * (np.sqrt(np.maximum(1.0 - np.square(r_m / a), 0.0)) - stuck))
+    stick = np.sqrt(np.maximum(c**2 - np.square(r_m), 0.0)) / a  # (c/a) sqrt(1 - r^2/c^2)
+    return np.asarray(friction * p0 * (np.sqrt(np.maximum(1.0 - np.square(r_m / a), 0.0)) - stick))
 
 
 def _greatest(force_n: float, friction: float, stiffness: float) -> float:
@@ -172,8 +153,7 @@ def _share(pull_n: float, force_n: float, friction: float) -> float:
     if not 0.0 <= pull_n <= limit * (1 + 1e-12):
         raise RangeError(
             f"pull {pull_n:g} N lies outside 0 to {limit:g} N, the friction that holds it; beyond it the "
-            "whole "
-            f"contact slides"
+            "whole contact slides"
         )
     return min(pull_n / limit, 1.0)
 
@@ -184,9 +164,6 @@ MIN_STICK = 1e-9  # over the contact's radius: below it the moment is that of sl
 def twisting_stiffness(contact_radius_m: float, youngs_modulus_pa: float, poisson_ratio: float) -> float:
     """dM/d(turn) = 16/3 G a^3 while all sticks [N m/rad].
 
-    Raises:
-        RangeError: radius or material is out of range.
-
     Example:
         >>> round(twisting_stiffness(3e-3, 0.3e6, 0.5), 9)
         0.0144
@@ -196,18 +173,14 @@ def twisting_stiffness(contact_radius_m: float, youngs_modulus_pa: float, poisso
 
 
 def greatest_moment(force_n: float, friction: float, contact_radius_m: float) -> float:
-    """Moment at which all of Hertz's contact slips, 3 pi / 16 mu P a [N m].
-
-    Raises:
-        RangeError: an argument is not positive.
-    """
+    """Moment at which all of Hertz's contact slips, 3 pi / 16 mu P a [N m]."""
     positive("normal force", force_n, "N")
     positive("the coefficient of friction", friction, "(a ratio)")
     positive("contact radius", contact_radius_m, "m")
     return 3 * math.pi / 16 * friction * force_n * contact_radius_m
 
 
-def twisted(
+def twisting_moment(
     turn_rad: float,
     force_n: float,
     friction: float,
@@ -224,18 +197,15 @@ def twisted(
         contact_radius_m: a, positive [m].
         youngs_modulus_pa: of the half-space [Pa].
         poisson_ratio: of the half-space.
-
-    Raises:
-        RangeError: an argument is out of its range.
     """
     greatest = greatest_moment(force_n, friction, contact_radius_m)
     if not 0.0 <= turn_rad < math.inf:
         raise RangeError(f"a turn of {turn_rad} rad; give a number of rad from 0 up")
     peak = 1.5 * friction * force_n / (math.pi * contact_radius_m**2)  # mu p0
-    wanted = 2 * _shear_modulus(youngs_modulus_pa, poisson_ratio) * turn_rad / peak
-    if wanted >= _difference(MIN_STICK):
+    level = 2 * _shear_modulus(youngs_modulus_pa, poisson_ratio) * turn_rad / peak
+    if level >= _difference(MIN_STICK):
         return greatest, 0.0
-    stick = float(brentq(lambda c: _difference(c) - wanted, MIN_STICK, 1.0, xtol=1e-15))
+    stick = float(brentq(lambda c: _difference(c) - level, MIN_STICK, 1.0, xtol=1e-15))
     ring = quad(lambda s: s**2 * _difference(s), stick, 1.0, epsabs=1e-14, epsrel=1e-12)[0]
     moment = 8 / 3 * peak * contact_radius_m**3 * (stick**3 * _difference(stick) + 3 * ring)
     return float(moment), stick * contact_radius_m

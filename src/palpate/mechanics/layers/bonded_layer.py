@@ -15,7 +15,7 @@ Hayes et al., exact for small strain, no friction on the surface and a layer muc
 Dimitriadis's law is a series in chi = sqrt(R d)/h, as far as chi^4, with coefficients fitted over nu. Its
 first coefficient is that of the exact law to 0.6 % bonded (0.3 <= nu <= 0.5; 6 % at nu = 0); its second
 leaves out that the contact widens. For the sliding base its first coefficient depends on nu, which the exact
-one does not: at nu = 1/2 it is 19 % too large.
+one does not: at nu = 1/2 it is 19 % too large. Outside its range a law raises RangeError.
 
 References: W. C. Hayes et al., J. Biomech. 5 (1972) 541, doi:10.1016/0021-9290(72)90010-3;
 E. K. Dimitriadis et al., Biophys. J. 82 (2002) 2798, doi:10.1016/S0006-3495(02)75620-8.
@@ -38,14 +38,14 @@ MAX_RATIO = 10.0  # a/h; there 48 nodes give nine digits
 MAX_STRAIN = 0.2  # d/h; at that depth finite strain lowers the force by some percent
 MAX_CHI = 0.3  # of the series; at nu from 0.3 to 0.5 it errs there by at most 3 % bonded, 5 % sliding
 NODES = 48  # of the contact
-LONGEST = 25.0  # s beyond which 1 - M is below 1e-18
+LAST_WAVE = 25.0  # s beyond which 1 - M is below 1e-18
 
 Base = Literal["bonded", "sliding"]
 Function = Float[ndarray, " n"]
 
 
 def layer_transfer(s: Function, poisson_ratio: float, base: Base = "bonded") -> Function:
-    """M(s): how a layer sinks, over how a half-space would, under a pressure of wavenumber s/h.
+    """Displacement of a layer over a half-space's, M(s), under a pressure of wavenumber s/h.
 
     Raises:
         InputError: the base is neither bonded nor sliding.
@@ -70,9 +70,6 @@ def punch_factor(ratio: float, poisson_ratio: float, base: Base = "bonded") -> f
         poisson_ratio: of the layer, 0 to 0.5.
         base: ``"bonded"`` or ``"sliding"``.
 
-    Raises:
-        RangeError: a/h or nu is out of range.
-
     Example:
         >>> round(punch_factor(1e-9, 0.5), 6)
         1.0
@@ -89,11 +86,7 @@ def punch_force(
     poisson_ratio: float,
     base: Base = "bonded",
 ) -> float:
-    """Force 2 a E* kappa d [N] of a flat-ended cylinder on a layer.
-
-    Raises:
-        RangeError: d/h exceeds 0.2, a/h exceeds 10, or an argument is out of range.
-    """
+    """Force 2 a E* kappa d [N] of a flat-ended cylinder on a layer."""
     positive("the punch's radius", punch_radius_m, "m")
     _strain(depth_m, thickness_m)
     E = reduced_modulus(youngs_modulus_pa, poisson_ratio)
@@ -109,19 +102,14 @@ def sphere_from_radius(
     poisson_ratio: float,
     base: Base = "bonded",
 ) -> tuple[float, float]:
-    """Depth [m] and force [N] of a sphere whose contact on a layer has radius a.
-
-    Raises:
-        RangeError: a/R exceeds 0.99, a/h exceeds 10, or an argument is out of range.
-    """
+    """Depth [m] and force [N] of a sphere whose contact on a layer has radius a."""
     positive("the sphere's radius", radius_m, "m")
     positive("the layer's thickness", thickness_m, "m")
     E, a, R = reduced_modulus(youngs_modulus_pa, poisson_ratio), contact_radius_m, radius_m
     if not 0.0 <= a <= MAX_RADIUS * R * (1 + 1e-12):
         raise RangeError(
             f"contact radius {a:g} m lies outside 0 to {MAX_RADIUS * R:g} m (a/R <= {MAX_RADIUS}); "
-            "use a "
-            f"larger sphere"
+            "use a larger sphere"
         )
     if a == 0.0:
         return 0.0, 0.0
@@ -148,9 +136,6 @@ def sphere_force(
         youngs_modulus_pa: of the layer [Pa].
         poisson_ratio: of the layer, 0 to 0.5.
         base: ``"bonded"`` or ``"sliding"``.
-
-    Raises:
-        RangeError: d/h exceeds 0.2, a/R exceeds 0.99, a/h exceeds 10, or an argument is out of range.
     """
     positive("the sphere's radius", radius_m, "m")
     _strain(depth_m, thickness_m)
@@ -183,9 +168,6 @@ def dimitriadis_force(
 
     Kept to be compared with what others publish; ``sphere_force`` is exact where this is a series. At chi =
     0.3 and nu = 1/2 it is 3 % low bonded and 4 % high sliding.
-
-    Raises:
-        RangeError: sqrt(R d)/h exceeds 0.3, d/h exceeds 0.2, a/R exceeds 0.5, or an argument is out of range.
     """
     _strain(depth_m, thickness_m)
     hertz = force_from_depth(depth_m, radius_m, youngs_modulus_pa, poisson_ratio)
@@ -193,8 +175,7 @@ def dimitriadis_force(
     if chi > MAX_CHI * (1 + 1e-12):
         raise RangeError(
             f"sqrt(R d)/h = {chi:.3g} lies outside 0 to {MAX_CHI}, where Dimitriadis's series holds to "
-            "5 %; "
-            f"use the exact law, sphere_force, or press less deeply"
+            "5 %; use the exact law, sphere_force, or press less deeply"
         )
     return hertz * dimitriadis_factor(chi, poisson_ratio, base)
 
@@ -231,13 +212,11 @@ def dimitriadis_factor(chi: float, poisson_ratio: float, base: Base = "bonded") 
 
 @lru_cache(maxsize=256)
 def _system(ratio: float, nu: float, base: Base) -> tuple[Function, Function, Float[ndarray, "n n"]]:
-    """Nodes and weights on 0 to 1, ended by t = 1 with weight 0, and the inverse of the equation there (a = "
-    "1).
-    """
+    """Nodes and weights on 0 to 1, then t = 1 with weight 0, and the equation's inverse there (a = 1)."""
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     t, weights = np.append((1 + nodes) / 2, 1.0), np.append(weights / 2, 0.0)
     s, ds = np.polynomial.legendre.leggauss(64 + int(16 * ratio))
-    s, ds = LONGEST / 2 * (1 + s), LONGEST / 2 * ds
+    s, ds = LAST_WAVE / 2 * (1 + s), LAST_WAVE / 2 * ds
     waves = np.cos(ratio * np.outer(t, s))
     kernel = 2 / np.pi * ratio * (waves * (1 - layer_transfer(s, nu, base)) * ds) @ waves.T
     return t, weights, np.linalg.inv(np.eye(len(t)) - kernel * weights)
@@ -247,8 +226,7 @@ def _ratio(ratio: float) -> float:
     if not 0.0 < ratio <= MAX_RATIO * (1 + 1e-12):
         raise RangeError(
             f"contact radius over thickness, {ratio:g}, lies outside 0 to {MAX_RATIO:g}, where this was "
-            "verified; "
-            f"a still thinner layer is no longer a contact problem"
+            "verified; a still thinner layer is no longer a contact problem"
         )
     return ratio
 
@@ -259,6 +237,5 @@ def _strain(depth_m: float, thickness_m: float) -> None:
     if not 0.0 <= depth_m <= limit * (1 + 1e-12):
         raise RangeError(
             f"depth {depth_m:g} m lies outside 0 to {limit:g} m, a fifth of the layer's thickness of "
-            f"{thickness_m:g} m, "
-            f"where small strain holds; press less deeply or use a finite-strain model"
+            f"{thickness_m:g} m, where small strain holds; press less deeply or use a finite-strain model"
         )
