@@ -20,7 +20,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from palpate.mechanics.layers import indenters
 from palpate.mechanics.layers.contact_solver import press_stack
-from palpate.mechanics.layers.influence import normal_influence, normal_resistance
+from palpate.mechanics.layers.influence import normal_influence, normal_preconditioner
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 from palpate.mechanics.layers.surface_grid import cells
 
@@ -105,10 +105,10 @@ def build_ms(problem: Problem) -> float:
     """Building what the solver needs of one stack and grid [ms]; later presses find it ready."""
     grid = cells(problem.x_m, problem.x_m)
     normal_influence.cache_clear()
-    normal_resistance.cache_clear()
+    normal_preconditioner.cache_clear()
     begin = time.perf_counter()
     normal_influence(LAYER, grid)
-    normal_resistance(LAYER, grid)
+    normal_preconditioner(LAYER, grid)
     return (time.perf_counter() - begin) * 1e3
 
 

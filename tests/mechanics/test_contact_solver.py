@@ -170,7 +170,7 @@ def test_near_contacts_share_the_load():
 
 def test_a_leaning_punch_presses_on_its_lower_side():
     x = square(2.5e-3, 96)
-    leaning = indenters.tilted(indenters.flat_punch(x, x, 1.5e-3, 3e-4), x, x, math.radians(3))
+    leaning = indenters.tilt(indenters.flat_punch(x, x, 1.5e-3, 3e-4), x, x, math.radians(3))
     found = press_stack(Stack((ElasticLayer(6e-3, E, NU),)), leaning, x, x, force_n=0.1)
     assert (found.pressure_pa.sum(axis=0) * x).sum() < 0.0  # the side with x < 0 lies lower
 

@@ -108,7 +108,7 @@ def test_a_profile_gives_its_own_shape():
 
 
 def test_leaning_adds_the_slope_and_keeps_the_lowest_point_at_zero():
-    z = indenters.tilted(indenters.flat_punch(X, Y, 3e-3), X, Y, math.radians(5), math.radians(-2))
+    z = indenters.tilt(indenters.flat_punch(X, Y, 3e-3), X, Y, math.radians(5), math.radians(-2))
     assert z.min() == 0.0
     assert z[25, 40] - z[25, 30] == pytest.approx(2e-3 * math.tan(math.radians(5)))
     assert z[30, 30] - z[25, 30] == pytest.approx(-1e-3 * math.tan(math.radians(2)))
@@ -127,14 +127,14 @@ def test_balls_on_a_holder_are_spheres_lifted():
 @pytest.mark.parametrize("turn_deg", [0, 90, 200])
 def test_the_side_that_an_indenter_leans_to_is_the_lower_one(turn_deg):
     turn = math.radians(turn_deg)
-    z = indenters.leaning(indenters.flat_punch(X, Y, 3e-3), X, Y, math.radians(5), turn)
+    z = indenters.lean(indenters.flat_punch(X, Y, 3e-3), X, Y, math.radians(5), turn)
     lowest = np.unravel_index(z.argmin(), z.shape)
     x, y = X[lowest[1]], Y[lowest[0]]
     # the lowest point of the grid lies at the rim, within a cell of 0.2 mm of that direction
     assert (x * math.cos(turn) + y * math.sin(turn)) == pytest.approx(3e-3, abs=2e-4)
     assert np.ptp(z[np.isfinite(z)]) == pytest.approx(6e-3 * math.tan(math.radians(5)), rel=0.05)
     with pytest.raises(RangeError, match="tilt"):
-        indenters.leaning(z, X, Y, math.nan)
+        indenters.lean(z, X, Y, math.nan)
 
 
 def test_a_profile_that_falls_or_starts_elsewhere_is_refused():
@@ -164,7 +164,7 @@ def test_a_profile_that_falls_or_starts_elsewhere_is_refused():
         lambda: indenters.wedge(X, Y, 0.1, 0.0),
         lambda: indenters.lying_cylinder(X, Y, -R, 1e-3),
         lambda: indenters.two_points(X, Y, 1e-3, 0.0),
-        lambda: indenters.tilted(indenters.sphere(X, Y, R), X, Y, 0.6),
+        lambda: indenters.tilt(indenters.sphere(X, Y, R), X, Y, 0.6),
     ],
 )
 def test_a_shape_that_cannot_be_is_refused(shape):

@@ -137,7 +137,7 @@ def test_a_layer_that_cannot_be_is_refused(layer):
 
 
 def test_a_stack_whose_thicknesses_do_not_fit_its_base_is_refused():
-    with pytest.raises(InputError, match="one Layer or more"):
+    with pytest.raises(InputError, match="one ElasticLayer or more"):
         Stack(())
     with pytest.raises(InputError, match="belongs to the last layer"):
         Stack((ElasticLayer(ENDLESS, E, 0.3),))

@@ -42,7 +42,7 @@ def test_no_traction_exceeds_friction_and_sticking_skin_goes_with_the_probe():
     found = shear_stack(contact, MU, shift_m=(4e-5, -2e-5))
     limit = MU * contact.pressure_pa
     assert np.all(np.hypot(*found.shear_pa) <= limit * (1 + 1e-12))
-    lag = np.array([4e-5, -2e-5])[:, None, None] - found.moved_m
+    lag = np.array([4e-5, -2e-5])[:, None, None] - found.displacement_m
     assert found.sticking.any()
     assert np.hypot(*lag)[found.sticking].max() < 2e-4 * np.hypot(4e-5, 2e-5)
     slipping = contact.touching & ~found.sticking

@@ -185,7 +185,7 @@ NAMED = (
     ),
     (
         "palpate.mechanics.layers.transfer_table",
-        "of_mean",
+        "mean_transfer",
         "made.append((trace / 2 + R[0, 1, 1], -(R[0, 0, 0] + r[0]) / 2))",
         "made.append((trace / 2 + R[0, 1, 1], 0.0 * R[0, 0, 0]))",
         "dropped term",

@@ -1,21 +1,22 @@
 """Stress below a Hertz contact, sliding or at rest, at points and summed along rays; any Poisson's ratio.
 
 Small strain. Hertz's pressure p0 sqrt(1 - r^2/a^2) is a segment of point forces at complex depths z + i t
-with the density c (a^2 - t^2), c = pi p0 / (2 a). Where a point force has a derivative g of its potential, the contact has
+with the density c (a^2 - t^2), c = pi p0 / (2 a). Where a point force has a derivative g of its potential,
+the contact has
 
     c int_{-a}^{a} (a^2 - t^2) g(z + i t) dt = 4 c Im W - 4 c a Re W_z,      W_zzz = g, at w = z + i a.
 
-All antiderivatives along z of ln(rho + z) are elementary in q = w + S, S = sqrt(r^2 + w^2): at constant r,
-dw = (1 + r^2/q^2) dq / 2, so a power of q or its logarithm integrates to the like. Below, K1, K2, K3, K4 are
-the first to fourth, each the z-derivative of the next, and a prime is the derivative by r divided by r.
+All antiderivatives along z of ln(rho + z) are elementary in q = w + S, S = sqrt(r^2 + w^2): at constant r, dw
+= (1 + r^2/q^2) dq / 2, so a power of q or its logarithm integrates to the like. Below, K1, K2, K3, K4 are the
+first to fourth, each the z-derivative of the next, and a prime is the derivative by r divided by r.
 
 Sliding is a traction q_x = mu p over the whole contact (Hamilton's problem). The pressure stays Hertz's: what
 the traction does to it for nu < 1/2 is left out.
 
 Summed over y, the equations of a laterally infinite half-space become those of plane strain under the summed
 load. So for any Poisson's ratio, int (s_xx, s_zz, s_xz) dy under a Hertz contact is the plane field of the
-parabola  int p dy = P0 (1 - x^2/a^2),  P0 = (pi/2) p0 a.
-With zeta = x + i z, Flamant's line loads under it add up to
+parabola int p dy = P0 (1 - x^2/a^2), P0 = (pi/2) p0 a. With zeta = x + i z, Flamant's line loads under it add
+up to
 
     int (s_xx - s_zz) dy = -(2/pi) z Re K,     int 2 s_xz dy = (2/pi) z Im K,
     K = int (int p dy)(s) / (zeta - s)^2 ds = P0 [ -(2 zeta/a^2) ln((zeta - a)/(zeta + a)) - 4/a ].

@@ -1,22 +1,17 @@
-"""Pressures that are never negative: conjugate gradients on the cells that press or are about to.
+"""Contact of a rigid indenter of any shape with a stack of layers, without friction or adhesion.
 
-Wanted is the least of 1/2 p.Gp - p.(d - z) over p >= 0. A step goes along the residual of the working cells
-(those that press, and those the indenter is inside of), turned by an approximate inverse of G and made
-conjugate to the step before (Polak and Ribiere's factor, never negative, which restarts by itself where cells
-come and go); then what became negative is cut off. Under a given load every direction has zero sum, and the
-depth is the mean over what presses.
+On a grid of cells with pressures p and rigid heights z, the contact at depth d minimises 1/2 p.Gp - p.(d - z)
+over p >= 0: where the indenter presses, the skin takes its shape; elsewhere it lies below. Contacts that are
+apart are solved together.
 
-Reference: I. A. Polonsky and L. M. Keer, Wear 231, 206 (1999), doi:10.1016/S0043-1648(99)00113-1, for
-gradients on changing cells. An inverse by Fourier transform as the turn is E. A. H. Vollebregt's (2014).
+Constrained conjugate gradients: a step goes along the residual of the active cells (those that press, and
+those the indenter is inside of), preconditioned by an approximate inverse of G and made conjugate to the step
+before (Polak and Ribiere's factor, never negative, which restarts by itself where cells come and go); then
+what became negative is cut off. Under a given load every direction has zero sum, and the depth is the mean
+over what presses.
 
-A rigid indenter of any shape pressed into a stack of layers, without friction or adhesion.
-
-On a grid of cells with pressures p and rigid heights z, the contact at depth d minimises
-1/2 p.G p - p.(d - z) over p >= 0: where it presses, the skin takes its shape, and elsewhere it lies
-below. Conjugate gradients on the cells that press, which change on the way. Contacts that are apart are found
-together.
-
-References: I. A. Polonsky and L. M. Keer, Wear 231, 206 (1999), doi:10.1016/S0043-1648(99)00113-1; for the
+References: I. A. Polonsky and L. M. Keer, Wear 231, 206 (1999), doi:10.1016/S0043-1648(99)00113-1, for
+gradients on changing cells; E. A. H. Vollebregt (2014) for the preconditioner by Fourier transform; for the
 area within the rim's cells V. A. Yastrebov, G. Anciaux and J.-F. Molinari, Tribology International 114, 161
 (2017), doi:10.1016/j.triboint.2017.02.023.
 """
@@ -30,45 +25,46 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import binary_erosion
 
 from palpate.core import Contact, Field, Float, InputError, Mask, Pose, Probe, RangeError, ndarray
-from palpate.mechanics.layers.influence import normal_influence, normal_resistance
+from palpate.mechanics.layers.influence import normal_influence, normal_preconditioner
 from palpate.mechanics.layers.stack import Stack
 from palpate.mechanics.layers.surface_grid import Cells, cells
 
 STEPS = 1000
-REFRESHED = 10  # steps after which the sinking is summed anew, so that rounding does not gather in it
+REFRESHED = 10  # steps after which the displacement is summed anew, so that rounding does not gather in it
 LOWEST = 0.1  # of the indenter, on which a load first rests
 
 Linear = Callable[[Field], Field]
 
 
 class SolvedPressure(NamedTuple):
-    """Pressures [Pa], sinking [m], depth [m], steps taken, and the greatest misfit where it presses [m]."""
+    """Pressures [Pa], displacement [m], depth [m], steps taken, greatest misfit where it presses [m]."""
 
     pressure: Field
-    sinking: Field
+    displacement: Field
     depth: float
     steps: int
     misfit: float
 
 
 def solve_pressure(
-    yielding: Linear,
-    resisting: Linear,
+    compliance: Linear,
+    preconditioner: Linear,
     gap: Field,
     tolerance: float,
     *,
     depth: float | None = None,
     load: float | None = None,
 ) -> SolvedPressure:
-    """Find p >= 0 with yielding(p) = depth - gap where p > 0, and no less elsewhere.
+    """Find p >= 0 with compliance(p) = depth - gap where p > 0, and no less elsewhere.
 
     Args:
-        yielding: sinking [m] under pressures [Pa]; linear, symmetric, positive definite.
-        resisting: about its inverse; symmetric, positive definite.
+        compliance: displacement [m] under pressures [Pa]; linear, symmetric, positive definite.
+        preconditioner: an approximate inverse of it; symmetric, positive definite.
         gap: heights [m]; infinite where nothing can touch.
-        tolerance: misfit allowed, as a part of the greatest sinking.
+        tolerance: misfit allowed, as a part of the greatest displacement.
         depth: of the indenter, above the least of the gap [m]; or
         load: the sum of the pressures, positive [Pa].
 
@@ -77,8 +73,8 @@ def solve_pressure(
     """
     possible = np.isfinite(gap)
     heights = np.where(possible, gap, 0.0)
-    p = _first(yielding, gap, possible, depth, load)
-    u = yielding(p)
+    p = _initial_pressure(compliance, gap, possible, depth, load)
+    u = compliance(p)
     along, gradient, gain = np.zeros_like(p), np.zeros_like(p), np.inf
     for step in range(STEPS):
         pressing = p > 0.0
@@ -88,43 +84,47 @@ def solve_pressure(
         misfit = float(np.abs(room[pressing]).max(initial=0.0))
         if misfit <= allowed and not np.any(possible & ~pressing & (room < -allowed)):
             return SolvedPressure(p, u, d, step, misfit)
-        working = pressing | (possible & (room < 0.0))
+        active = pressing | (possible & (room < 0.0))
         fixed_sum = depth is None
-        before, gradient = gradient, _within(room, working, fixed_sum)
-        turned = _within(resisting(gradient), working, fixed_sum)
-        conjugate = max(0.0, float((turned * (gradient - before)).sum())) / gain
-        along = np.where(working, turned + conjugate * along, 0.0)
-        gain = float((turned * gradient).sum())
-        yielded = yielding(along)
-        length = float((gradient * along).sum() / (yielded * along).sum())
-        moved = p - length * along
-        p = np.maximum(moved, 0.0)
-        summed_anew = np.any(moved < 0.0) or step % REFRESHED == 0
-        u = yielding(p) if summed_anew else u - length * yielded
+        before, gradient = gradient, _within(room, active, fixed_sum)
+        preconditioned = _within(preconditioner(gradient), active, fixed_sum)
+        conjugate = max(0.0, float((preconditioned * (gradient - before)).sum())) / gain
+        along = np.where(active, preconditioned + conjugate * along, 0.0)
+        gain = float((preconditioned * gradient).sum())
+        response = compliance(along)
+        length = float((gradient * along).sum() / (response * along).sum())
+        trial = p - length * along
+        p = np.maximum(trial, 0.0)
+        refresh = np.any(trial < 0.0) or step % REFRESHED == 0
+        u = compliance(p) if refresh else u - length * response
         if load is not None:
             u, p = u * (load / p.sum()), p * (load / p.sum())
     raise RangeError(
-        f"the contact did not settle to {tolerance:g} of its sinking in {STEPS} steps; allow a larger "
+        f"the contact did not settle to {tolerance:g} of its displacement in {STEPS} steps; allow a larger "
         "tolerance, or give a grid that resolves the indenter"
     )
 
 
-def _within(values: Field, working: Mask, fixed_sum: bool) -> Field:
-    mean = values[working].mean() if fixed_sum else 0.0
-    return np.where(working, values - mean, 0.0)
+def _within(values: Field, active: Mask, fixed_sum: bool) -> Field:
+    mean = values[active].mean() if fixed_sum else 0.0
+    return np.where(active, values - mean, 0.0)
 
 
-def _first(yielding: Linear, gap: Field, possible: Mask, depth: float | None, load: float | None) -> Field:
-    """A plain guess: pressures like the overlap, of the best height; or the load on the lowest part."""
+def _initial_pressure(
+    compliance: Linear, gap: Field, possible: Mask, depth: float | None, load: float | None
+) -> Field:
+    """A plain guess: pressures like the overlap, at the best scale; or the load on the lowest part."""
     if load is not None:
         resting = gap <= np.quantile(gap[possible], LOWEST)
         return np.where(resting, load / np.count_nonzero(resting), 0.0)
     overlap = np.maximum(depth - gap, 0.0)
-    return overlap * float((overlap**2).sum() / (overlap * yielding(overlap)).sum())
+    return overlap * float((overlap**2).sum() / (overlap * compliance(overlap)).sum())
 
 
 MODEL = "rigid indenter, bonded linear elastic layers, small strain, no friction, no adhesion"
-TOLERANCE = 1e-5  # of the greatest sinking asked for: how far the skin may be from the indenter it touches
+TOLERANCE = (
+    1e-5  # of the greatest displacement asked for: how far the skin may be from the indenter it touches
+)
 INNER = 0.5  # least part of the touching cells with four touching neighbours: four cells a radius
 RIM = (math.pi - 1 + math.log(2)) / 24  # of a cell that each face of the rim counts too much (Yastrebov)
 
@@ -136,7 +136,7 @@ class StackContact:
     Attributes:
         x_m, y_m: grid columns and rows [m].
         pressure_pa: positive in compression ``[ny nx]`` [Pa].
-        sinking_m: surface displacement along z ``[ny nx]`` [m].
+        displacement_m: surface displacement along z ``[ny nx]`` [m].
         touching: the cells that press ``[ny nx]``.
         force_n: sum of pressure times cell [N].
         area_m2: of the contact [m^2]: the touching cells, less what the rim's cells have outside it.
@@ -159,7 +159,7 @@ class StackContact:
     misfit_m: float
 
     def as_contact(self, probe: Probe, pose: Pose) -> Contact:
-        """The same as core's Contact; its radius is that of the circle of equal area."""
+        """The contact as core's Contact; its radius is that of the circle of equal area."""
         return Contact(
             x_m=self.x_m,
             y_m=self.y_m,
@@ -194,7 +194,7 @@ def press_stack(
         y_m: rows of a regular grid [m].
         depth_m: approach past first touch, 0 or more [m]; or
         force_n: normal force, 0 or more [N].
-        tolerance: allowed misfit of skin and indenter, as a part of the greatest sinking.
+        tolerance: allowed misfit of skin and indenter, as a part of the greatest displacement.
 
     Returns:
         The contact. The force of a sphere is right to 1e-3, and its area to 1 %, from 10 cells a contact
@@ -216,29 +216,29 @@ def press_stack(
     if not (depth_m or force_n):
         return _untouched(stack, x_m, y_m)
     _check_depth(depth_m, stack, gap_m)
-    found = solve_pressure(
+    solution = solve_pressure(
         partial(normal_influence(stack, grid).apply, 0),
-        partial(normal_resistance(stack, grid).apply, 0),
+        partial(normal_preconditioner(stack, grid).apply, 0),
         gap_m,
         tolerance,
         depth=depth_m,
         load=None if force_n is None else force_n / grid.area_m2,
     )
-    _check_depth(found.depth, stack, gap_m)
-    touching = found.pressure > 0.0
+    _check_depth(solution.depth, stack, gap_m)
+    touching = solution.pressure > 0.0
     _check_touching(touching, x_m, y_m)
     return StackContact(
         x_m=x_m,
         y_m=y_m,
-        pressure_pa=found.pressure,
-        displacement_m=found.sinking,
+        pressure_pa=solution.pressure,
+        displacement_m=solution.displacement,
         touching=touching,
-        force_n=float(found.pressure.sum()) * grid.area_m2,
-        area_m2=_area(found.pressure, grid),
-        depth_m=found.depth,
+        force_n=float(solution.pressure.sum()) * grid.area_m2,
+        area_m2=_area(solution.pressure, grid),
+        depth_m=solution.depth,
         stack=stack,
-        steps=found.steps,
-        misfit_m=found.misfit,
+        steps=solution.steps,
+        misfit_m=solution.misfit,
     )
 
 
@@ -287,13 +287,7 @@ def _check_touching(touching: Mask, x_m: Float[ndarray, " nx"], y_m: Float[ndarr
             f"the contact reaches the border of the grid, {x_m[0]:g} to {x_m[-1]:g} m along x and "
             f"{y_m[0]:g} to {y_m[-1]:g} m along y; give a larger grid, a smaller indenter, or press less"
         )
-    inner = (
-        touching[1:-1, 1:-1]
-        & touching[2:, 1:-1]
-        & touching[:-2, 1:-1]
-        & touching[1:-1, 2:]
-        & touching[1:-1, :-2]
-    )
+    inner = binary_erosion(touching)  # cells with four touching neighbours
     if np.count_nonzero(inner) < INNER * np.count_nonzero(touching):
         raise RangeError(
             f"the contact covers {np.count_nonzero(touching)} cells, of which {np.count_nonzero(inner)} are "

@@ -2,7 +2,7 @@
 
 Heights are 0 at the lowest point and grow away from it; where the indenter has no lower face (beyond a
 sphere's equator, beyond the rim of a punch) they are infinite. Pressed in by the depth d, the indenter asks
-for the sinking d - z where it touches. Combine shapes with ``together``, lean them with ``tilted``.
+for the displacement d - z where it touches. Combine shapes with ``together``, lean them with ``tilt``.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 from palpate.core import Field, Float, InputError, RangeError, ndarray
 from palpate.mechanics.half_space.hertz import positive
 
-PROFILE_POINTS = 2001  # at which a profile is looked at before it is used
-STEEPEST_TILT = math.radians(30)  # beyond it a leaning height field is no longer a rigid turn, to 15 %
+PROFILE_POINTS = 2001  # at which a profile is checked before it is used
+MAX_TILT = math.radians(30)  # beyond it a leaning height field is no longer a rigid turn, to 15 %
 
 Axis = Float[ndarray, " _"]
 Place = tuple[float, float]
@@ -87,7 +87,7 @@ def wedge(
         turn_rad: of the edge from x towards y [rad].
         centre_m: the middle of the edge (x, y) [m].
     """
-    along, across = _turned(x_m, y_m, turn_rad, centre_m)
+    along, across = _along_and_across(x_m, y_m, turn_rad, centre_m)
     return _cut(np.abs(across) * _slope(slope_rad), along, length_m)
 
 
@@ -101,7 +101,7 @@ def lying_cylinder(
 ) -> Field:
     """Cylinder of radius R on its side, its axis turned from x towards y, cut off square at its ends [m]."""
     positive("the cylinder's radius", radius_m, "m")
-    along, across = _turned(x_m, y_m, turn_rad, centre_m)
+    along, across = _along_and_across(x_m, y_m, turn_rad, centre_m)
     return _cut(_ball(np.abs(across), radius_m), along, length_m)
 
 
@@ -156,16 +156,16 @@ def axisymmetric(
         RangeError: the profile does not start at 0, falls somewhere, or is not finite up to its end.
     """
     positive("the indenter's outer radius", outer_radius_m, "m")
-    height = profile if callable(profile) else _joined(*profile, outer_radius_m)
-    looked_at = np.linspace(0.0, outer_radius_m, PROFILE_POINTS)
-    z = np.asarray(height(looked_at), float)
-    if not (z.shape == looked_at.shape and np.all(np.isfinite(z)) and z[0] == 0.0):
+    height = profile if callable(profile) else _interpolator(*profile, outer_radius_m)
+    samples = np.linspace(0.0, outer_radius_m, PROFILE_POINTS)
+    z = np.asarray(height(samples), float)
+    if not (z.shape == samples.shape and np.all(np.isfinite(z)) and z[0] == 0.0):
         raise RangeError(
             f"a profile is finite from r = 0, where it is 0 m, to its end at {outer_radius_m} m; this "
             f"one starts at {np.ravel(z)[0]} m and has {np.count_nonzero(~np.isfinite(z))} values not finite"
         )
     if np.any(np.diff(z) < 0.0):
-        falls = looked_at[np.argmax(np.diff(z) < 0.0)]
+        falls = samples[np.argmax(np.diff(z) < 0.0)]
         raise RangeError(
             f"the profile falls from r = {falls:g} m on; a height must not fall from the centre outwards. "
             "Give an indenter with more than one tip as a height field made by together()"
@@ -179,35 +179,34 @@ def together(*gaps_m: Field) -> Field:
     return np.minimum.reduce(gaps_m)
 
 
-def tilted(gap_m: Field, x_m: Axis, y_m: Axis, slope_x_rad: float = 0.0, slope_y_rad: float = 0.0) -> Field:
-    """The indenter leaning by an angle along x and along y, its lowest grid point at height 0 again.
+def tilt(gap_m: Field, x_m: Axis, y_m: Axis, slope_x_rad: float = 0.0, slope_y_rad: float = 0.0) -> Field:
+    """Lean an indenter by an angle along x and along y; its lowest grid point is at height 0 again.
 
     Raises:
         RangeError: an angle beyond 30 degrees, where adding a slope is no longer a turn.
     """
-    for slope in (slope_x_rad, slope_y_rad):
-        if not abs(slope) <= STEEPEST_TILT:
-            raise RangeError(
-                f"a tilt of {slope} rad lies outside -{STEEPEST_TILT:.4f} to {STEEPEST_TILT:.4f} rad"
-            )
-    leaning = gap_m + math.tan(slope_x_rad) * x_m + math.tan(slope_y_rad) * y_m[:, None]
-    return np.asarray(leaning - leaning.min())
+    _check_tilt(slope_x_rad)
+    _check_tilt(slope_y_rad)
+    sloped = gap_m + math.tan(slope_x_rad) * x_m + math.tan(slope_y_rad) * y_m[:, None]
+    return np.asarray(sloped - sloped.min())
 
 
-def leaning(gap_m: Field, x_m: Axis, y_m: Axis, tilt_rad: float, turn_rad: float = 0.0) -> Field:
-    """The indenter leaning by one angle; the side that ``turn_rad``, from x towards y, points to is lower.
+def lean(gap_m: Field, x_m: Axis, y_m: Axis, tilt_rad: float, turn_rad: float = 0.0) -> Field:
+    """Lean an indenter by one angle; the side that ``turn_rad``, from x towards y, points to is lower.
 
     Raises:
-        RangeError: see `tilted`.
+        RangeError: see `tilt`.
     """
-    if not abs(tilt_rad) <= STEEPEST_TILT:
-        raise RangeError(
-            f"a tilt of {tilt_rad} rad lies outside -{STEEPEST_TILT:.4f} to {STEEPEST_TILT:.4f} rad"
-        )
+    _check_tilt(tilt_rad)
     slope = math.tan(tilt_rad)
-    return tilted(
+    return tilt(
         gap_m, x_m, y_m, -math.atan(slope * math.cos(turn_rad)), -math.atan(slope * math.sin(turn_rad))
     )
+
+
+def _check_tilt(tilt_rad: float) -> None:
+    if not abs(tilt_rad) <= MAX_TILT:
+        raise RangeError(f"a tilt of {tilt_rad} rad lies outside -{MAX_TILT:.4f} to {MAX_TILT:.4f} rad")
 
 
 def _ball(r: Field, R: float) -> Field:
@@ -220,7 +219,7 @@ def _cut(z: Field, along: Field, length_m: float) -> Field:
     return np.where(np.abs(along) <= length_m / 2, z, np.inf)
 
 
-def _joined(r: Axis, z: Axis, outer_radius_m: float) -> Callable[[ndarray], ndarray]:
+def _interpolator(r: Axis, z: Axis, outer_radius_m: float) -> Callable[[ndarray], ndarray]:
     if not (len(r) == len(z) >= 2 and r[0] == 0.0 and np.all(np.diff(r) > 0.0) and r[-1] >= outer_radius_m):
         raise InputError(
             f"a profile's positions rise from 0 m to its outer radius {outer_radius_m} m or beyond, with one "
@@ -235,7 +234,7 @@ def _from_centre(x_m: Axis, y_m: Axis, centre_m: Place) -> Field:
     return np.hypot(x_m[None, :] - centre_m[0], y_m[:, None] - centre_m[1])
 
 
-def _turned(x_m: Axis, y_m: Axis, turn_rad: float, centre_m: Place) -> tuple[Field, Field]:
+def _along_and_across(x_m: Axis, y_m: Axis, turn_rad: float, centre_m: Place) -> tuple[Field, Field]:
     x, y = x_m[None, :] - centre_m[0], y_m[:, None] - centre_m[1]
     c, s = math.cos(turn_rad), math.sin(turn_rad)
     return c * x + s * y, c * y - s * x

@@ -1,4 +1,4 @@
-"""How far the surface of a stack moves at one grid point when one cell of the grid is loaded.
+"""Displacement of a stack's surface at one grid point under a load on one cell of the grid.
 
 A load without images of itself: the grid is padded with zeros to twice its size, so that a product of Fourier
 transforms is the plain sum over cells. The influence of a cell is that of a half-space of the top layer's
@@ -48,15 +48,15 @@ class Influence(NamedTuple):
     def apply(self, spectrum: int, load: Field) -> Field:
         """Displacement [m] on the grid under a load [Pa] on it."""
         ny, nx = load.shape
-        loaded = fft.rfft2(load, self.shape)
-        return fft.irfft2(loaded * self.spectra[spectrum], self.shape)[:ny, :nx]
+        wave = fft.rfft2(load, self.shape)
+        return fft.irfft2(wave * self.spectra[spectrum], self.shape)[:ny, :nx]
 
     def apply_pair(self, load: Float[ndarray, "2 ny nx"]) -> Float[ndarray, "2 ny nx"]:
         """Displacements along x and y under loads along both, of the spectra xx, yy and xy."""
         xx, yy, xy = self.spectra
         x, y = fft.rfft2(load, self.shape)
-        moved = fft.irfft2(np.stack([xx * x + xy * y, xy * x + yy * y]), self.shape)
-        return moved[:, : load.shape[1], : load.shape[2]]
+        pair = fft.irfft2(np.stack([xx * x + xy * y, xy * x + yy * y]), self.shape)
+        return pair[:, : load.shape[1], : load.shape[2]]
 
 
 @lru_cache(maxsize=8)
@@ -68,7 +68,7 @@ def normal_influence(stack: Stack, grid: Cells) -> Influence:
     """
     (changes,) = _changes(stack, grid, lambda c: (c.normal,), (0,))
     (over_r,) = _rectangles(grid, lambda x, y, r: (x * np.log(y + r) + y * np.log(x + r),))
-    return _transformed(grid, over_r / (np.pi * stack.layers[0].reduced_modulus_pa) + changes)
+    return _transform(grid, over_r / (np.pi * stack.layers[0].reduced_modulus_pa) + changes)
 
 
 @lru_cache(maxsize=4)
@@ -88,7 +88,7 @@ def tangential_influence(stack: Stack, grid: Cells) -> Influence:
         grid, lambda x, y, r: (y * np.log(x + r), x * np.log(y + r), -r)
     )
     over_r = (1 - nu) * (xx_over_r3 + yy_over_r3)
-    return _transformed(
+    return _transform(
         grid,
         (over_r + nu * xx_over_r3) / (2 * np.pi * mu) + round_part + lobes * np.cos(turn),
         (over_r + nu * yy_over_r3) / (2 * np.pi * mu) + round_part - lobes * np.cos(turn),
@@ -98,21 +98,21 @@ def tangential_influence(stack: Stack, grid: Cells) -> Influence:
 
 
 @lru_cache(maxsize=8)
-def normal_resistance(stack: Stack, grid: Cells) -> Influence:
-    """About the inverse of the normal influence: 1 / C(k) on the grid itself, as if it repeated for ever.
+def normal_preconditioner(stack: Stack, grid: Cells) -> Influence:
+    """Approximate inverse of the normal influence: 1 / C(k) on the grid itself, as if it repeated for ever.
 
     It steers an iteration and enters no result, so it is read off a table.
     """
-    return _resistance(stack, grid, lambda c: c.normal)
+    return _preconditioner(stack, grid, lambda c: c.normal)
 
 
 @lru_cache(maxsize=4)
-def tangential_resistance(stack: Stack, grid: Cells) -> Influence:
-    """The same for each of the two loads along the surface."""
-    return _resistance(stack, grid, lambda c: (c.along + c.across) / 2)
+def tangential_preconditioner(stack: Stack, grid: Cells) -> Influence:
+    """Approximate inverse of the tangential influence, for each of the two loads along the surface."""
+    return _preconditioner(stack, grid, lambda c: (c.along + c.across) / 2)
 
 
-def _resistance(stack: Stack, grid: Cells, part: Callable[[Compliance], Waves]) -> Influence:
+def _preconditioner(stack: Stack, grid: Cells, part: Callable[[Compliance], Waves]) -> Influence:
     k_x, k_y = 2 * np.pi * fft.rfftfreq(grid.nx, grid.dx), 2 * np.pi * fft.fftfreq(grid.ny, grid.dy)
     k = np.hypot(k_x, k_y[:, None])
     k[0, 0] = min(k_x[1], k_y[1]) / 2
@@ -132,7 +132,7 @@ def _rectangles(grid: Cells, corner: Callable[[Field, Field, Field], tuple[Field
 
 
 def _changes(stack: Stack, grid: Cells, parts: Parts, orders: tuple[int, ...]) -> list[Field]:
-    """What the layers below change in the influence of one cell, at each offset."""
+    """Change that the layers below make in the influence of one cell, at each offset."""
     h = stack.layers[0].thickness_m
     if len(stack.layers) == 1 and stack.below:
         return [np.zeros((grid.ny, grid.nx)) for _ in orders]
@@ -147,11 +147,11 @@ def _changes(stack: Stack, grid: Cells, parts: Parts, orders: tuple[int, ...]) -
     cell = grid.area_m2 * np.exp(-(k**2) * (grid.dx**2 + grid.dy**2) / 48)
     r = _radii(stack, grid.diagonal_m)
     at = np.hypot(*_offsets(grid))
-    summed = [
+    profiles = [
         _hankel(order, (layered - endless) * cell * k * weights / (2 * np.pi), k, r)
         for order, layered, endless in zip(orders, whole, alone, strict=True)
     ]
-    return [interpolate.CubicSpline(r, values)(at) for values in summed]
+    return [interpolate.CubicSpline(r, values)(at) for values in profiles]
 
 
 def _hankel(order: int, weighted: Waves, k: Waves, r: Radii) -> Radii:
@@ -185,18 +185,18 @@ def _radii(stack: Stack, reach_m: float) -> Radii:
     return np.array(r)
 
 
-def _transformed(grid: Cells, *quadrants: Field, odd: tuple[bool, ...] = (False,)) -> Influence:
+def _transform(grid: Cells, *quadrants: Field, odd: tuple[bool, ...] = (False,)) -> Influence:
     shape = (fft.next_fast_len(2 * grid.ny - 1, real=True), fft.next_fast_len(2 * grid.nx - 1, real=True))
     spectra = []
     for quadrant, changes_sign in zip(quadrants, odd, strict=True):
-        half = _mirrored(quadrant, shape[1], changes_sign)
-        whole = _mirrored(half.T, shape[0], changes_sign).T
+        half = _mirror(quadrant, shape[1], changes_sign)
+        whole = _mirror(half.T, shape[0], changes_sign).T
         spectra.append(np.ascontiguousarray(fft.rfft2(whole).real))  # even, or odd along both axes: real
         spectra[-1].flags.writeable = False
     return Influence(tuple(spectra), shape)
 
 
-def _mirrored(
+def _mirror(
     values: Float[ndarray, "rows half"], length: int, changes_sign: bool
 ) -> Float[ndarray, "rows whole"]:
     n = values.shape[1]

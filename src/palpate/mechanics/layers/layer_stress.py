@@ -24,25 +24,24 @@ import numpy as np
 from scipy import fft
 
 from palpate.core import Complex64, Field, Float, Float32, InputError, RangeError, ndarray
-from palpate.mechanics.layers.surface_grid import cells
-from palpate.mechanics.layers.transfer_table import of_mean, transfer_answers
+from palpate.mechanics.layers.surface_grid import block_span, cells
+from palpate.mechanics.layers.transfer_table import mean_transfer, transfer
 
-SEEN = ("xx-zz", "yy-zz", "xy", "xz", "yz")
+STRESSES_OF_RAYS = ("xx-zz", "yy-zz", "xy", "xz", "yz")
 COARSE = 20  # cells of the wide grid to the layer's thickness
 REACH = 5.0  # thicknesses beyond the load at which the stress has died away; half of them to the next image
 FADED = 3.7  # q at which w has fallen to 1e-4
 USED = 0.8  # of the wide grid's shortest waves
 DYING = 5.0  # over K: how far beyond the load the short waves reach
-ARRIVING = 9.0  # k z at which the shortest of the long waves has fallen to 1e-3
+SHALLOW = 9.0  # k z at which the shortest of the long waves has fallen to 1e-3
 TAPS = 8  # of the wide grid to each side, from which its field is read in the window
-BLOCK = 32  # cells that the loaded part grows by, so that plans are shared
 
 Stresses = Float32[ndarray, "planes 5 _ _"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnGrid:
-    """The five stresses of `SEEN` on planes over a regular grid.
+    """The five stresses of `STRESSES_OF_RAYS` on planes over a regular grid.
 
     Attributes:
         first_m: the first column and row (x, y) [m].
@@ -108,7 +107,7 @@ def stress_under(
         (x_m[columns.start] + x_m[columns.stop - 1]) / 2,
         (y_m[rows.start] + y_m[rows.stop - 1]) / 2,
     )
-    return _laid(near, middle, plan.near), _laid(far, middle, plan.far)
+    return _on_grid(near, middle, plan.near), _on_grid(far, middle, plan.far)
 
 
 def _loaded(pressure_pa: Field) -> tuple[slice, slice]:
@@ -116,13 +115,8 @@ def _loaded(pressure_pa: Field) -> tuple[slice, slice]:
     at = np.nonzero(pressure_pa)
     if not len(at[0]):
         at = tuple(np.array([n // 2]) for n in pressure_pa.shape)
-    parts = []
-    for where, count in zip(at, pressure_pa.shape, strict=True):
-        first, last = int(where.min()), int(where.max())
-        length = min(-(-(last - first + 1) // BLOCK) * BLOCK, count)
-        start = min(max((first + last + 1 - length) // 2, 0), count - length)
-        parts.append(slice(start, start + length))
-    return parts[0], parts[1]
+    rows, columns = (block_span(where, count) for where, count in zip(at, pressure_pa.shape, strict=True))
+    return rows, columns
 
 
 class _Grid(NamedTuple):
@@ -136,15 +130,15 @@ class _Grid(NamedTuple):
         return (np.arange(self.counts[which]) - (self.counts[which] - 1) / 2) * self.cell[which]
 
 
-def _laid(stress: Stresses, middle: tuple[float, float], grid: _Grid) -> OnGrid:
+def _on_grid(stress: Stresses, middle: tuple[float, float], grid: _Grid) -> OnGrid:
     first = (middle[0] + grid.axis(1)[0], middle[1] + grid.axis(0)[0])
     return OnGrid((float(first[0]), float(first[1])), (grid.cell[1], grid.cell[0]), stress)
 
 
 class _WavePart(NamedTuple):
-    """The waves of one grid: what each makes on each plane, and its direction."""
+    """The waves of one grid: their transfer to each plane, direction and weight."""
 
-    answers: Float32[ndarray, "nz 8 py half"]
+    transfer: Float32[ndarray, "nz 8 py half"]
     cos: Float32[ndarray, "py half"]
     sin: Float32[ndarray, "py half"]
     weight: Float32[ndarray, "py half"]
@@ -158,7 +152,7 @@ class _Plan:
         near, far: the window's grid and the wide one.
         short, long: their waves; the window's on the `shallow` planes alone.
         shallow: how many planes short waves reach.
-        mean: what the wave without direction makes on each plane: of xx-zz and yy-zz, and of xz and yz.
+        mean: transfer of the wave without direction to each plane: xx-zz and yy-zz, and xz and yz.
         into_far: the load's points to the wide grid's waves, along y and x.
         onto_near: the wide grid's points `around` the window to the window's, along y and x.
         loaded: shape of the load.
@@ -176,12 +170,12 @@ class _Plan:
     loaded: tuple[int, int]
 
     def stresses(self, loads: list[Field]) -> tuple[Stresses, Stresses]:
-        """On the window and the wide grid."""
-        sent = [np.asarray(load, np.float32) for load in loads]
-        wide = [self.into_far[0] @ load @ self.into_far[1] for load in sent]
-        window = [np.asarray(fft.rfft2(self._padded(load))) for load in sent]
-        near = np.empty((len(self.mean), len(SEEN), *self.near.counts), np.float32)
-        far = np.empty((len(self.mean), len(SEEN), *self.far.counts), np.float32)
+        """Stress on the window and on the wide grid."""
+        singles = [np.asarray(load, np.float32) for load in loads]
+        wide = [self.into_far[0] @ load @ self.into_far[1] for load in singles]
+        window = [np.asarray(fft.rfft2(self._pad(load))) for load in singles]
+        near = np.empty((len(self.mean), len(STRESSES_OF_RAYS), *self.near.counts), np.float32)
+        far = np.empty((len(self.mean), len(STRESSES_OF_RAYS), *self.far.counts), np.float32)
         faded = [load * self.long.weight for load in wide]
         rest = [load * self.short.weight for load in window]
         rows, columns = self.around
@@ -196,41 +190,41 @@ class _Plan:
                 near[i] += fft.irfft2(_on_plane(self.short, i, rest), self.near.counts)
         return near, far
 
-    def _padded(self, load: Float32[ndarray, "ly lx"]) -> Float32[ndarray, "ny nx"]:
-        """In the middle of the window."""
+    def _pad(self, load: Float32[ndarray, "ly lx"]) -> Float32[ndarray, "ny nx"]:
+        """Put a load in the middle of the window."""
         whole = np.zeros(self.near.counts, np.float32)
-        top, left = ((n - m) // 2 for n, m in zip(self.near.counts, self.loaded, strict=True))
-        whole[top : top + load.shape[0], left : left + load.shape[1]] = load
+        top, first = ((n - m) // 2 for n, m in zip(self.near.counts, self.loaded, strict=True))
+        whole[top : top + load.shape[0], first : first + load.shape[1]] = load
         return whole
 
 
 def _on_plane(part: _WavePart, plane: int, loads: list[ndarray]) -> Complex64[ndarray, "5 py half"]:
     """Waves of the five stresses from those of pressure and, if there is any, shear."""
     c, s = part.cos, part.sin
-    kk, tt, kz, *rest = part.answers[plane]
+    kk, tt, kz, *rest = part.transfer[plane]
     p = loads[0]
     KK, TT, KZ = kk * p, tt * p, (-1j * kz) * p
-    made = np.empty((len(SEEN), *p.shape), np.complex64)
+    stress = np.empty((len(STRESSES_OF_RAYS), *p.shape), np.complex64)
     cc, cs = c * c, c * s
     if len(loads) == 1:
-        turned = KK - TT
-        made[0] = TT + cc * turned
-        made[1] = KK - cc * turned
-        made[2] = cs * turned
-        made[3], made[4] = c * KZ, s * KZ
-        return made
+        difference = KK - TT
+        stress[0] = TT + cc * difference
+        stress[1] = KK - cc * difference
+        stress[2] = cs * difference
+        stress[3], stress[4] = c * KZ, s * KZ
+        return stress
     q_kk, q_tt, q_kz, v, r = rest
     q_k, q_t = c * loads[1] + s * loads[2], c * loads[2] - s * loads[1]
     KK += 1j * (q_kk * q_k)
     TT += 1j * (q_tt * q_k)
     KZ -= q_kz * q_k
     KT, TZ = 1j * (v * q_t), -r * q_t
-    turned = KK - TT
-    made[0] = TT + cc * turned - 2 * cs * KT
-    made[1] = KK - cc * turned + 2 * cs * KT
-    made[2] = cs * turned + (2 * cc - 1) * KT
-    made[3], made[4] = c * KZ - s * TZ, s * KZ + c * TZ
-    return made
+    difference = KK - TT
+    stress[0] = TT + cc * difference - 2 * cs * KT
+    stress[1] = KK - cc * difference + 2 * cs * KT
+    stress[2] = cs * difference + (2 * cc - 1) * KT
+    stress[3], stress[4] = c * KZ - s * TZ, s * KZ + c * TZ
+    return stress
 
 
 @lru_cache(maxsize=4)
@@ -247,15 +241,15 @@ def _plan(
     near = _Grid(_counts([n + 2 * DYING / (K * d) for n, d in zip(loaded, cell, strict=True)], loaded), cell)
     wide = [(n * d + 2 * REACH * thickness) / coarse for n, d in zip(loaded, cell, strict=True)]
     far = _Grid(_counts(wide, (0, 0)), (coarse, coarse))
-    shallow = int(np.count_nonzero(z < ARRIVING * coarse / (USED * math.pi)))
+    shallow = int(np.count_nonzero(z < SHALLOW * coarse / (USED * math.pi)))
     k_near, k_far = (_wavenumbers(grid) for grid in (near, far))
     short = _WavePart(
-        transfer_answers(z[: max(shallow, 1)], thickness, nu, np.hypot(*k_near)),
+        transfer(z[: max(shallow, 1)], thickness, nu, np.hypot(*k_near)),
         *_directions(k_near),
         _short(np.hypot(*k_near) / K),
     )
     long = _WavePart(
-        transfer_answers(z, thickness, nu, np.hypot(*k_far)),
+        transfer(z, thickness, nu, np.hypot(*k_far)),
         *_directions(k_far),
         1 - _short(np.hypot(*k_far) / K),
     )
@@ -271,7 +265,7 @@ def _plan(
         short=short,
         long=long,
         shallow=shallow,
-        mean=of_mean(z, thickness, nu),
+        mean=mean_transfer(z, thickness, nu),
         into_far=((share * into[0]).astype(np.complex64), into[1].T.astype(np.complex64)),
         onto_near=(onto[0].astype(np.float32), onto[1].T.astype(np.float32)),
         around=(around[0], around[1]),
@@ -282,8 +276,8 @@ def _plan(
 def _counts(least: list[float], like: tuple[int, int]) -> tuple[int, int]:
     """Numbers that transform fast, as even or odd as those they surround."""
     counts = []
-    for wanted, other in zip(least, like, strict=True):
-        count = fft.next_fast_len(math.ceil(wanted), real=True)
+    for size, other in zip(least, like, strict=True):
+        count = fft.next_fast_len(math.ceil(size), real=True)
         while (count - other) % 2:
             count = fft.next_fast_len(count + 1, real=True)
         counts.append(int(count))
@@ -317,5 +311,5 @@ def _read(
     last = int(np.searchsorted(far, near[-1] + TAPS * cell))
     away = (near[:, None] - far[first:last]) / cell
     window = np.where(abs(away) < TAPS, np.i0(8.0 * np.sqrt(np.maximum(1 - (away / TAPS) ** 2, 0))), 0.0)
-    taken = np.sinc(away) * window
-    return slice(first, last), taken / taken.sum(axis=1, keepdims=True)
+    weights = np.sinc(away) * window
+    return slice(first, last), weights / weights.sum(axis=1, keepdims=True)

@@ -1,9 +1,13 @@
-"""How a wave of load passes through slabs, without any growing exponential.
+"""A stack of bonded elastic layers, and how a wave of load on its surface moves and crosses it.
 
-Of a wave exp(i k x) let u_k = i U and u_z = W be the motion, and q_k = i k F, q_z = k G the load on the upper
-face of what lies below a plane (minus the stress on it). With s = k z the equations of equilibrium are
-y' = A y for y = (U, W, F, G), in which (A^2 - 1)^2 = 0; across the wave likewise, with A^2 = 1. So with
-B = A^2 - 1
+Small strain, isotropic linear layers, laterally infinite. A load is a sum of waves exp(i (k_x x + k_y y)).
+Under one of them the motion along the wave and into the skin (k, z) is apart from the motion across it (t),
+and each is linear in a few numbers that depend on k = |k| alone: the surface compliance.
+
+For a wave exp(i k x) let u_k = i U and u_z = W be the motion, and q_k = i k F, q_z = k G the load on the
+upper face of what lies below a plane (minus the stress on it). With s = k z the equations of equilibrium are
+y' = A y for y = (U, W, F, G), in which (A^2 - 1)^2 = 0; across the wave likewise, with A^2 = 1. So with B =
+A^2 - 1
 
     exp(-A s) = cosh s + (s/2) sinh s B - A (sinh s + (s cosh s - sinh s)/2 B).
 
@@ -11,22 +15,14 @@ Let C be the compliance of what lies below a slab, (U, W) = C (F, G). Climbing t
 (C; 1) into (N; D): its upper face has the compliance N D^-1, and the load that arrives below is D^-1 times
 the load above. Both are bounded at any s once exp(s) is taken out of N and D.
 
-Reference: W. T. Thomson, J. Appl. Phys. 21, 89 (1950), doi:10.1063/1.1699629, for the transfer of a state;
-the compliance in place of the state is what keeps it from overflowing.
-
-A stack of elastic layers, bonded to one another, and what its surface answers to a wave of load.
-
-A load on the surface is a sum of waves exp(i (k_x x + k_y y)). Under one of them the motion along the wave
-and into the skin (k, z) is apart from the motion across it (t), and each is linear in a few numbers that
-depend on k = |k| alone: the surface compliance. For one bonded layer the normal part is the closed form of
-Burmister,
+For one bonded layer the normal part is the closed form of Burmister,
 
     u_z / p = 2 (1 - nu^2) / (E k) M(k h),
     M(s) = [(3 - 4 nu) sinh 2s - 2s] / [(3 - 4 nu) cosh 2s + 2 s^2 + 5 - 12 nu + 8 nu^2].
 
-Small strain, isotropic linear layers, laterally infinite.
-
-Reference: D. M. Burmister, J. Appl. Phys. 16, 89 (1945), doi:10.1063/1.1707558.
+References: D. M. Burmister, J. Appl. Phys. 16, 89 (1945), doi:10.1063/1.1707558; W. T. Thomson, J. Appl.
+Phys. 21, 89 (1950), doi:10.1063/1.1699629, for the transfer of a state; the compliance in place of the state
+is what keeps it from overflowing.
 """
 
 from __future__ import annotations
@@ -62,26 +58,26 @@ class Slab(NamedTuple):
 
 
 class Level(NamedTuple):
-    """What a family of waves does at one plane between slabs.
+    """Compliance and transmission of a family of waves at one plane between slabs.
 
     Attributes:
         compliance: motion per load there, times k [1/Pa].
-        arriving: load there per load on the surface.
+        transmission: load there per load on the surface.
     """
 
     compliance: Squares
-    arriving: Squares
+    transmission: Squares
 
 
 class Levels(NamedTuple):
-    """The same at every plane, from the surface to the base."""
+    """Compliance and transmission at every plane, from the surface to the base."""
 
     compliance: list[Squares]
-    arriving: list[Squares]
+    transmission: list[Squares]
 
     def at(self, level: int) -> Level:
-        """At one of them."""
-        return Level(self.compliance[level], self.arriving[level])
+        """Compliance and transmission at one plane."""
+        return Level(self.compliance[level], self.transmission[level])
 
 
 def climb(slabs: Sequence[Slab], below: Material | None, k: Waves) -> tuple[Levels, Levels]:
@@ -113,12 +109,12 @@ def half_space_across(material: Material) -> Float[ndarray, "1 1"]:
 def _in_plane(material: Material) -> Float[ndarray, "4 4"]:
     mu, nu = material
     n = nu / (1 - nu)
-    yielding = (1 - 2 * nu) / (2 * mu * (1 - nu))  # 1 / (lambda + 2 mu)
+    uniaxial = (1 - 2 * nu) / (2 * mu * (1 - nu))  # 1 / (lambda + 2 mu)
     plate = 2 * mu / (1 - nu)  # E / (1 - nu^2)
     return np.array(
         [
             [0.0, -1.0, -1 / mu, 0.0],
-            [n, 0.0, 0.0, -yielding],
+            [n, 0.0, 0.0, -uniaxial],
             [-plate, 0.0, 0.0, -n],
             [0.0, 0.0, 1.0, 0.0],
         ]
@@ -149,10 +145,10 @@ def _climb(
         deep = (s > DEEP)[:, None, None]
         compliance.insert(0, np.where(deep, endless(material), N @ D))
         passing.insert(0, np.exp(-s)[:, None, None] * D)
-    arriving = [np.broadcast_to(np.eye(d), (len(k), d, d))]
+    transmission = [np.broadcast_to(np.eye(d), (len(k), d, d))]
     for down in passing:
-        arriving.append(down @ arriving[-1])
-    return Levels(compliance, arriving)
+        transmission.append(down @ transmission[-1])
+    return Levels(compliance, transmission)
 
 
 def _upwards(A: Square, s: Waves) -> Squares:
@@ -204,7 +200,7 @@ class ElasticLayer:
 
     @property
     def endless(self) -> bool:
-        """Whether it reaches down without end."""
+        """True where it reaches down without end."""
         return self.thickness_m == math.inf
 
     @property
@@ -231,7 +227,7 @@ class Stack:
         InputError: no layer, a base of another name, or a thickness that does not fit the base.
 
     Example:
-        >>> skin = Stack((Layer(1e-3, 0.8e6, 0.49), Layer(9e-3, 0.2e6, 0.49)))
+        >>> skin = Stack((ElasticLayer(1e-3, 0.8e6, 0.49), ElasticLayer(9e-3, 0.2e6, 0.49)))
         >>> round(skin.thickness_m, 6)
         0.01
     """
@@ -241,7 +237,7 @@ class Stack:
 
     def __post_init__(self) -> None:
         if not self.layers:
-            raise InputError("a stack of no layers has no surface; give one Layer or more")
+            raise InputError("a stack of no layers has no surface; give one ElasticLayer or more")
         if self.base not in get_args(Base):
             raise InputError(f"a stack's base is 'bonded' or 'half-space', not {self.base!r}")
         endless = [layer.endless for layer in self.layers]
@@ -263,12 +259,12 @@ class Stack:
 
     @property
     def thickness_m(self) -> float:
-        """From the surface to the floor [m]; infinite on a half-space."""
+        """Distance from the surface to the floor [m]; infinite on a half-space."""
         return sum(layer.thickness_m for layer in self.layers)
 
 
 class Compliance(NamedTuple):
-    """What the surface does under a wave of load, per load [m/Pa]; each ``[k]``.
+    """Motion of the surface under a wave of load, per load [m/Pa]; each ``[k]``.
 
     With loads q_k along the wave, q_t across it and p into the skin, and t = z x k:
 
@@ -282,7 +278,7 @@ class Compliance(NamedTuple):
 
 
 def surface_compliance(stack: Stack, wavenumber_per_m: Waves) -> Compliance:
-    """What the surface of the stack answers to waves of load.
+    """Compliance of the surface of a stack under waves of load.
 
     The load is carried from the bottom upwards as a compliance, which stays bounded for any k h. Relative
     rounding is below 1e-12 for one layer.
@@ -299,7 +295,7 @@ def surface_compliance(stack: Stack, wavenumber_per_m: Waves) -> Compliance:
         RangeError: k is negative, not finite, or 0 on a half-space, which yields without end.
 
     Example:
-        >>> layer = Stack((Layer(10e-3, 0.3e6, 0.49),))
+        >>> layer = Stack((ElasticLayer(10e-3, 0.3e6, 0.49),))
         >>> oedometric = 10e-3 * (1 + 0.49) * (1 - 2 * 0.49) / (0.3e6 * (1 - 0.49))
         >>> bool(np.isclose(surface_compliance(layer, np.array([0.0])).normal[0], oedometric))
         True

@@ -105,16 +105,18 @@ def field_below(
             f"depths from 0 to {stack.thickness_m:g} m"
         )
     waves = spread(grid, _margin(stack, grid, margin_m))
-    sent = [waves.forward(load) for load in loads]
+    spectra = [waves.forward(load) for load in loads]
     slabs, levels = _cut_at(stack, depths)
     in_plane, across = climb(slabs, stack.below, waves.k)
     moves = np.empty((len(depths), len(MOVES), grid.ny, grid.nx))
     stresses = np.empty((len(depths), len(STRESSES), grid.ny, grid.nx))
     for i, level in enumerate(levels):
         material = slabs[level - 1].material if level else stack.layers[0].material
-        moved, stressed = _on_plane(material, in_plane.at(level), across.at(level), waves, sent)
-        moves[i] = [waves.back(wave) for wave in moved]
-        stresses[i] = [waves.back(wave) for wave in stressed]
+        moves_there, stresses_there = _on_plane(
+            material, in_plane.at(level), across.at(level), waves, spectra
+        )
+        moves[i] = [waves.back(wave) for wave in moves_there]
+        stresses[i] = [waves.back(wave) for wave in stresses_there]
     return StackField(x_m, y_m, depths, moves, stresses)
 
 
@@ -142,16 +144,16 @@ def _cut_at(stack: Stack, depths: Float[ndarray, " nz"]) -> tuple[list[Slab], li
 
 
 def _on_plane(
-    material: Material, in_plane: Level, across: Level, waves: Waves, sent: list[Wave]
+    material: Material, in_plane: Level, across: Level, waves: Waves, spectra: list[Wave]
 ) -> tuple[list[Wave], list[Wave]]:
     """The waves of displacement x, y, z and of the six stresses on a plane, from those of the load."""
     mu, nu = material
     n = nu / (1 - nu)
-    R, CR = in_plane.arriving, in_plane.compliance @ in_plane.arriving
-    r, cr = across.arriving[:, 0, 0], (across.compliance @ across.arriving)[:, 0, 0]
+    R, CR = in_plane.transmission, in_plane.compliance @ in_plane.transmission
+    r, cr = across.transmission[:, 0, 0], (across.compliance @ across.transmission)[:, 0, 0]
     on = waves.gather
     c, s, k = waves.cos, waves.sin, on(waves.k)
-    q_x, q_y, p = sent
+    q_x, q_y, p = spectra
     q_k, q_t = c * q_x + s * q_y, c * q_y - s * q_x
     kU = on(CR[:, 0, 0]) * (-1j * q_k) + on(CR[:, 0, 1]) * p
     kW = on(CR[:, 1, 0]) * (-1j * q_k) + on(CR[:, 1, 1]) * p
@@ -169,10 +171,10 @@ def _on_plane(
     u_z = kW / k
     # The mean wave has no direction: it takes the mean over all of them, in which what is odd is gone.
     trace = -2 * n * R[:, 1, 1] - 2 * mu * (1 / (1 - nu) + n) * CR[:, 0, 1]
-    s_xx[0, 0] = s_yy[0, 0] = waves.of_mean(trace / 2) * p[0, 0]
-    s_zz[0, 0] = waves.of_mean(-R[:, 1, 1]) * p[0, 0]
-    u_z[0, 0] = waves.of_mean(CR[:, 1, 1] / waves.k) * p[0, 0]
+    s_xx[0, 0] = s_yy[0, 0] = waves.mean_wave(trace / 2) * p[0, 0]
+    s_zz[0, 0] = waves.mean_wave(-R[:, 1, 1]) * p[0, 0]
+    u_z[0, 0] = waves.mean_wave(CR[:, 1, 1] / waves.k) * p[0, 0]
     for u, s_z, q in ((u_x, s_xz, q_x), (u_y, s_yz, q_y)):
-        u[0, 0] = waves.of_mean((CR[:, 0, 0] + cr) / (2 * waves.k)) * q[0, 0]
-        s_z[0, 0] = waves.of_mean(-(R[:, 0, 0] + r) / 2) * q[0, 0]
+        u[0, 0] = waves.mean_wave((CR[:, 0, 0] + cr) / (2 * waves.k)) * q[0, 0]
+        s_z[0, 0] = waves.mean_wave(-(R[:, 0, 0] + r) / 2) * q[0, 0]
     return [u_x, u_y, u_z], [s_xx, s_yy, s_zz, s_yz, s_xz, s_xy]

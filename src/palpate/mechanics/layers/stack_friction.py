@@ -3,8 +3,8 @@
 With the pressure p held, tractions q = (q_x, q_y) of the probe on the skin minimise 1/2 q.G q - q.s over |q|
 <= mu p: where the skin sticks it moves by s, elsewhere it lags behind and q has its limit. The probe is
 rigid, so that s = shift + turn (-y, x) about its axis. The motion is made in one go from no shear. The
-sinking that q adds under the probe, nothing at nu = 1/2 on a half-space, is left out, as Cattaneo and Mindlin
-leave it out.
+displacement that q adds into the skin under the probe, nothing at nu = 1/2 on a half-space, is left out, as
+Cattaneo and Mindlin leave it out.
 
 References: K. L. Johnson, Contact Mechanics (1985), sec. 7.2, doi:10.1017/CBO9781139171731; for the turn
 J. L. Lubkin, J. Appl. Mech. 18, 183 (1951).
@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.core import Field, Float, InputError, Int, Mask, RangeError, ndarray
+from palpate.core import Field, Float, InputError, Mask, RangeError, ndarray
 from palpate.mechanics.layers.contact_solver import StackContact
-from palpate.mechanics.layers.influence import tangential_influence, tangential_resistance
-from palpate.mechanics.layers.surface_grid import cells
+from palpate.mechanics.layers.influence import tangential_influence, tangential_preconditioner
+from palpate.mechanics.layers.surface_grid import block_span, cells
 
 TOLERANCE = 1e-4  # of the greatest motion: how far sticking skin may lag behind the probe
 FORCE_TOLERANCE = 1e-4  # of the load asked for
@@ -29,7 +29,6 @@ STEPS = 1000
 SHIFTS = 50
 FIRST, CLOSER = 1e-2, 0.1  # tolerance of the first motion of a load; of the next ones, over what is missing
 NEARLY = 0.9  # of friction: up to there Mindlin's law of a shifted sphere gives the first guess
-BLOCK = 32  # cells that the part of the grid which is solved on grows by, so that influences are shared
 
 Pair = Float[ndarray, "2"]
 Motion = Float[ndarray, "3"]  # shift along x and y, and turn times the contact's radius [m]
@@ -39,7 +38,7 @@ Fields = Float[ndarray, "2 ny nx"]
 
 @dataclass(frozen=True, slots=True)
 class StackShear:
-    """What a motion of the indenter does along the surface, on the grid of its contact, SI.
+    """Shear that a motion of the indenter makes along the surface, on the grid of its contact, SI.
 
     Attributes:
         contact: the contact that was sheared.
@@ -64,7 +63,7 @@ class StackShear:
     axis_m: tuple[float, float]
 
     @property
-    def moved_m(self) -> Fields:
+    def displacement_m(self) -> Fields:
         """Displacement of the surface along x and y, on the whole grid ``[2 ny nx]`` [m]."""
         grid = cells(self.contact.x_m, self.contact.y_m)
         return tangential_influence(self.contact.stack, grid).apply_pair(self.shear_pa)
@@ -108,16 +107,16 @@ def shear_stack(
             "give exactly one of a motion and a load: shift_m and turn_rad, or force_n and moment_nm"
         )
     pair, about = (shift_m, turn_rad) if by_motion else (force_n, moment_nm)
-    given = (*(pair or (0.0, 0.0)), about or 0.0)
-    if not all(map(math.isfinite, (*given, *axis_m))):
+    values = (*(pair or (0.0, 0.0)), about or 0.0)
+    if not all(map(math.isfinite, (*values, *axis_m))):
         raise InputError(
-            f"{given} about {axis_m} m; give finite numbers: two along x and y, one about z, a place in m"
+            f"{values} about {axis_m} m; give finite numbers: two along x and y, one about z, a place in m"
         )
     problem = _Problem(contact, friction, axis_m)
     if by_motion:
-        motion = np.array([*given[:2], given[2] * problem.radius])
+        motion = np.array([*values[:2], values[2] * problem.radius])
         return problem.result(motion, problem.solve(motion, problem.none, problem.limit))
-    load = np.array([*given[:2], given[2] / problem.radius])
+    load = np.array([*values[:2], values[2] / problem.radius])
     problem.check(load)
     return problem.result(*_motion_for(problem, load, turns=moment_nm is not None))
 
@@ -129,7 +128,7 @@ class _Problem:
         self.contact, self.friction, self.axis_m = contact, friction, axis_m
         rows, columns = np.nonzero(contact.touching)
         shape = contact.touching.shape
-        self.part = (_around(rows, shape[0]), _around(columns, shape[1]))
+        self.part = (block_span(rows, shape[0]), block_span(columns, shape[1]))
         y, x = contact.y_m[self.part[0]] - axis_m[1], contact.x_m[self.part[1]] - axis_m[0]
         self.grid = cells(x, y)
         self.touching = contact.touching[self.part]
@@ -137,22 +136,22 @@ class _Problem:
         self.none = np.zeros((2, self.grid.ny, self.grid.nx))
         self.radius = math.sqrt(contact.area_m2 / math.pi)
         one, nothing = np.ones(self.limit.shape), np.zeros(self.limit.shape)
-        turned = np.stack([-y[:, None] * one, x * one]) / self.radius
-        self.modes = np.stack([[one, nothing], [nothing, one], turned]) * self.touching
+        rotation = np.stack([-y[:, None] * one, x * one]) / self.radius
+        self.modes = np.stack([[one, nothing], [nothing, one], rotation]) * self.touching
         self._influence = tangential_influence(contact.stack, self.grid)
-        self._resistance = tangential_resistance(contact.stack, self.grid)
-        self.stiffest = float(self._resistance.spectra[0].max())
+        self._preconditioner = tangential_preconditioner(contact.stack, self.grid)
+        self.stiffest = float(self._preconditioner.spectra[0].max())
 
-    def yielding(self, q: Fields) -> Fields:
+    def displacement(self, q: Fields) -> Fields:
         """Displacement of the surface [m] under tractions [Pa]."""
         return self._influence.apply_pair(q)
 
-    def resisting(self, u: Fields) -> Fields:
-        """About its inverse."""
-        return np.stack([self._resistance.apply(0, part) for part in u])
+    def precondition(self, u: Fields) -> Fields:
+        """Approximate inverse of `displacement`."""
+        return np.stack([self._preconditioner.apply(0, part) for part in u])
 
     def load(self, q: Fields) -> Load:
-        """What the tractions amount to [N]: the work that they do in each motion of 1 m."""
+        """Load of the tractions [N]: the work that they do in each motion of 1 m."""
         return np.tensordot(self.modes, q, axes=3) * self.grid.area_m2
 
     def check(self, load: Load) -> None:
@@ -177,28 +176,28 @@ class _Problem:
         A slipping traction turns on a circle. The smaller the circle, the more a turn costs: its bend stands
         beside the stiffness of the skin.
         """
-        wanted = np.tensordot(motion, self.modes, axes=1)
-        allowed = tolerance * float(np.hypot(*wanted).max())
+        target = np.tensordot(motion, self.modes, axes=1)
+        allowed = tolerance * float(np.hypot(*target).max())
         q = _limited(q, limit)
-        u = self.yielding(q)
+        u = self.displacement(q)
         along, gradient, gain = self.none, self.none, np.inf
         for _ in range(STEPS):
-            lag = np.where(self.touching, wanted - u, 0.0)
-            held = _held(lag, q, limit)
-            before, gradient = gradient, _without(held, lag)
+            lag = np.where(self.touching, target - u, 0.0)
+            limits = _limit_directions(lag, q, limit)
+            before, gradient = gradient, _without(limits, lag)
             if np.abs(gradient).max() <= allowed:
                 return q
-            rising = (lag * held).sum(axis=0)
+            rising = (lag * limits).sum(axis=0)
             bend = np.divide(rising, limit, out=np.zeros_like(limit), where=rising > 0.0)
             firm = 1 / np.sqrt(1 + bend * self.stiffest)
-            turned = _without(held, firm * self.resisting(firm * gradient) * self.touching)
-            conjugate = max(0.0, float((turned * (gradient - before)).sum())) / gain
-            along = _without(held, turned + conjugate * along)
-            gain = float((turned * gradient).sum())
-            curved = self.yielding(along) + bend * along
-            length = float((gradient * along).sum() / (curved * along).sum())
+            preconditioned = _without(limits, firm * self.precondition(firm * gradient) * self.touching)
+            conjugate = max(0.0, float((preconditioned * (gradient - before)).sum())) / gain
+            along = _without(limits, preconditioned + conjugate * along)
+            gain = float((preconditioned * gradient).sum())
+            curvature = self.displacement(along) + bend * along
+            length = float((gradient * along).sum() / (curvature * along).sum())
             q = _limited(q + length * along, limit)
-            u = self.yielding(q)
+            u = self.displacement(q)
         raise RangeError(f"the shear did not settle in {STEPS} steps; give a finer grid or another motion")
 
     def result(self, motion: Motion, q: Fields) -> StackShear:
@@ -221,15 +220,7 @@ class _Problem:
         )
 
 
-def _around(touching: Int[ndarray, " n"], cells_there: int) -> slice:
-    """The touching part of an axis, grown to whole blocks as far as the axis reaches."""
-    first, last = int(touching.min()), int(touching.max())
-    length = min(-(-(last - first + 1) // BLOCK) * BLOCK, cells_there)
-    start = min(max((first + last + 1 - length) // 2, 0), cells_there - length)
-    return slice(start, start + length)
-
-
-def _held(lag: Fields, q: Fields, limit: Field) -> Fields:
+def _limit_directions(lag: Fields, q: Fields, limit: Field) -> Fields:
     """Unit vectors along the tractions that are at their limit and would rise; zero elsewhere."""
     size = np.hypot(*q)
     outward = np.divide(q, size, out=np.zeros_like(q), where=size > 0.0)
@@ -237,8 +228,8 @@ def _held(lag: Fields, q: Fields, limit: Field) -> Fields:
     return np.where(rising, outward, 0.0)
 
 
-def _without(held: Fields, direction: Fields) -> Fields:
-    return direction - (direction * held).sum(axis=0) * held
+def _without(limits: Fields, direction: Fields) -> Fields:
+    return direction - (direction * limits).sum(axis=0) * limits
 
 
 def _limited(q: Fields, limit: Field) -> Fields:
@@ -251,28 +242,28 @@ def _motion_for(problem: _Problem, load: Load, turns: bool) -> tuple[Motion, Fie
     free = slice(3 if turns else 2)
     scale = problem.contact.depth_m
     endless = np.where(problem.touching, np.inf, 0.0)
-    stuck = [problem.solve(scale * unit, problem.none, endless, FIRST) for unit in np.eye(3)[free]]
-    yielding = scale * np.linalg.inv(np.stack([problem.load(q)[free] for q in stuck], axis=1))
-    motion, wanted = np.zeros(3), load[free]
-    size, tolerance, q = float(np.linalg.norm(wanted)), FIRST, problem.none
+    unit_tractions = [problem.solve(scale * unit, problem.none, endless, FIRST) for unit in np.eye(3)[free]]
+    compliance = scale * np.linalg.inv(np.stack([problem.load(q)[free] for q in unit_tractions], axis=1))
+    motion, target = np.zeros(3), load[free]
+    size, tolerance, q = float(np.linalg.norm(target)), FIRST, problem.none
     if size == 0.0:
         return motion, q
     part = min(size / (problem.friction * problem.contact.force_n), NEARLY)
-    step, missing = yielding @ wanted * (1.5 * (1 - (1 - part) ** (2 / 3)) / part), wanted
+    step, missing = compliance @ target * (1.5 * (1 - (1 - part) ** (2 / 3)) / part), target
     for _ in range(SHIFTS):
         motion = motion + np.append(step, np.zeros(3 - len(step)))
         try:
             q = problem.solve(motion, q, problem.limit, tolerance)
         except RangeError:  # a motion without bounds, as where all slips
             break
-        before, missing = missing, wanted - problem.load(q)[free]
+        before, missing = missing, target - problem.load(q)[free]
         off = float(np.linalg.norm(missing)) / size
         if off <= FORCE_TOLERANCE and tolerance <= TOLERANCE:
             return motion, q
-        turned = yielding @ (before - missing)
-        if step @ turned != 0.0:  # else the skin, still within the tolerance, has not followed
-            yielding = yielding + np.outer(step - turned, step @ yielding) / (step @ turned)
-        step, tolerance = yielding @ missing, min(CLOSER * off, FIRST)
+        response = compliance @ (before - missing)
+        if step @ response != 0.0:  # else the skin, still within the tolerance, has not followed
+            compliance = compliance + np.outer(step - response, step @ compliance) / (step @ response)
+        step, tolerance = compliance @ missing, min(CLOSER * off, FIRST)
     raise RangeError(
         f"no shift and turn were found for a force of {math.hypot(*load[:2]):g} N and a moment of "
         f"{load[2] * problem.radius:g} N m, within {FORCE_TOLERANCE:g}; together they may make the whole "

@@ -1,12 +1,10 @@
-"""The regular grid on the surface that the stack's fields and contacts are given on.
+"""The regular grid on a stack's surface, and loads on it as waves.
 
-Loads on a grid as waves, and waves back on the grid.
-
-The grid is padded with an unloaded margin and then repeats, so a sum over waves stands for an integral over
-them. It is a good one but for the mean wave, to which a thick stack yields much and a half-space without end.
-So the mean wave is given what makes sum and integral equal right under a round load of Gauss's shape, whose
-width is small beside the period: the images are taken away at the centre, and what is left of them grows as
-(r / period)^2.
+For its waves the grid is padded with an unloaded margin and then repeats, so a sum over waves stands for an
+integral over them. It is a good one but for the mean wave, to which a thick stack yields much and a half-
+space without end. So the mean wave is given what makes sum and integral equal right under a round load of
+Gauss's shape, whose width is small beside the period: the images are taken away at the centre, and what is
+left of them grows as (r / period)^2.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ UNEVEN = 1e-6  # of a step: what may be left of rounding in a grid's positions
 
 
 class Cells(NamedTuple):
-    """How many cells along x and y, and how large [m]."""
+    """Number of cells along x and y, and their size [m]."""
 
     nx: int
     ny: int
@@ -32,7 +30,7 @@ class Cells(NamedTuple):
 
     @property
     def area_m2(self) -> float:
-        """Of one cell [m^2]."""
+        """Area of one cell [m^2]."""
         return self.dx * self.dy
 
     @property
@@ -46,7 +44,7 @@ def cells(x_m: Float[ndarray, " nx"], y_m: Float[ndarray, " ny"]) -> Cells:
 
     Args:
         x_m: columns, rising in equal steps, 3 or more [m].
-        y_m: rows, likewise [m].
+        y_m: rows, rising in equal steps, 3 or more [m].
 
     Raises:
         InputError: the steps are not equal and positive, or there are too few.
@@ -65,7 +63,18 @@ def _step(name: str, axis_m: Float[ndarray, " n"]) -> float:
     return mean
 
 
-LONGEST = 1e-6  # of the least wavenumber: the one that stands for the mean
+BLOCK = 32  # cells that a part of the grid grows by, so that what is computed for it is shared
+
+
+def block_span(indices: Int[ndarray, " n"], count: int) -> slice:
+    """The part of an axis that holds some of its cells, grown to whole blocks as far as the axis reaches."""
+    first, last = int(indices.min()), int(indices.max())
+    length = min(-(-(last - first + 1) // BLOCK) * BLOCK, count)
+    start = min(max((first + last + 1 - length) // 2, 0), count - length)
+    return slice(start, start + length)
+
+
+MEAN_WAVE = 1e-6  # of the least wavenumber: the one that stands for the mean
 ALIKE = 6  # decimals of (k/dk)^2 up to which waves count as equally long
 GAUSS_WIDTH = 6.0  # dk: where a Gaussian load's waves have fallen to 1/e
 GAUSS_END = 6.0  # of those widths, where they have fallen to 2e-16
@@ -96,11 +105,11 @@ class Waves(NamedTuple):
     shape: tuple[int, int]
 
     def gather(self, values: Waveform) -> Float[ndarray, "py half"]:
-        """What depends on the wavenumber alone, at each wave."""
+        """Spread what depends on the wavenumber alone to each wave."""
         return values[self.which]
 
-    def of_mean(self, values: Waveform) -> float:
-        """What the mean wave must have for the sum over waves to be their integral."""
+    def mean_wave(self, values: Waveform) -> float:
+        """Value of the mean wave for which the sum over waves is their integral."""
         return float(self.share @ values)
 
     def forward(self, load: Field) -> Wave:
@@ -108,7 +117,7 @@ class Waves(NamedTuple):
         return fft.rfft2(load, self.shape)
 
     def back(self, wave: Wave) -> Field:
-        """Their sum on the grid; rows of the margin are left out before the columns are summed."""
+        """The sum of waves on the grid; rows of the margin are left out before the columns are summed."""
         rows, columns = self.grid
         return fft.irfft(fft.ifft(wave, axis=0)[:rows], self.shape[1], axis=1)[:, :columns]
 
@@ -122,7 +131,7 @@ def spread(grid: Cells, margin_m: float) -> Waves:
     squares, which = np.unique(np.round((k_x**2 + k_y**2) / cell, ALIKE), return_inverse=True)
     k = np.sqrt(squares * cell)
     direction = np.maximum(k[which], k[1])
-    k[0] = LONGEST * k[1]
+    k[0] = MEAN_WAVE * k[1]
     width = min(GAUSS_WIDTH * math.sqrt(cell), min(k_x.max(), k_y.max()) / GAUSS_END)
     more, rings = _rings(GAUSS_END * width)
     twice = np.where((k_x > 0.0) & (np.arange(len(k_x)) * 2 != px), 2.0, 1.0)  # of a pair, one is kept

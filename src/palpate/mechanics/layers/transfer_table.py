@@ -1,4 +1,4 @@
-"""What a wave of load on one bonded layer makes of stress at a depth, tabled over its length.
+"""Table of the stress that a wave of load on one bonded layer makes at a depth, over its wavenumber.
 
 The stresses are those in the wave's own axes: k along it, t across it, z into the skin. Under a given load
 they do not depend on the layer's modulus.
@@ -19,10 +19,10 @@ ENTRIES = 1024  # by which tables grow, so that they are shared
 Table = Float32[ndarray, "nz 8 k"]
 
 
-def transfer_answers(
+def transfer(
     z: Float[ndarray, " nz"], thickness: float, nu: float, k: Float[ndarray, "py half"]
 ) -> Float32[ndarray, "nz 8 py half"]:
-    """What waves of each length make on planes, per unit of load, read off a table between entries.
+    """Stresses that waves of each length make on planes per unit of load, read off a table between entries.
 
     Args:
         z: of the planes [m].
@@ -31,8 +31,8 @@ def transfer_answers(
         k: wavenumbers [1/m].
 
     Returns:
-        Of pressure: kk - zz, tt - zz, and i kz. Of shear along the wave: kk - zz and tt - zz, both over i,
-        and minus kz. Of shear across it: kt over i, and minus tz.
+        By pressure: kk - zz, tt - zz, and i kz. By shear along the wave: kk - zz and tt - zz, both over i,
+        and minus kz. By shear across it: kt over i, and minus tz.
     """
     step = STEP / max(float(z[-1]), 1e-3 * thickness)
     count = -(-(int(k.max() / step) + 2) // ENTRIES) * ENTRIES
@@ -40,52 +40,54 @@ def transfer_answers(
     at = k / step
     below: Int[ndarray, "py half"] = at.astype(np.int64)
     share = (at - below).astype(np.float32)
-    made = np.empty((*table.shape[:2], *k.shape), np.float32)
+    stress = np.empty((*table.shape[:2], *k.shape), np.float32)
     for i, plane in enumerate(table):
         for j, entry in enumerate(plane):
-            made[i, j] = entry[below] + share * (entry[below + 1] - entry[below])
-    return made
+            stress[i, j] = entry[below] + share * (entry[below + 1] - entry[below])
+    return stress
 
 
 def _levels(
     z: Float[ndarray, " nz"], thickness: float, nu: float, k: ndarray
 ) -> list[tuple[ndarray, ndarray, ndarray, ndarray]]:
-    """Of each plane: what arrives there and what that moves, in the plane of the wave and across it."""
+    """Transmission to each plane and its motion there, in the plane of the wave and across it."""
     cuts = np.unique([0.0, *z, thickness])
     material = Material(1.0, nu)
     slabs = [Slab(material, float(slab)) for slab in np.diff(cuts)]
     in_plane, across = climb(slabs, None, np.maximum(k, LONG_WAVE / thickness))
-    found = []
-    for level in np.searchsorted(cuts, z):
-        one, other = in_plane.at(int(level)), across.at(int(level))
-        moved = (other.compliance @ other.arriving)[:, 0, 0]
-        found.append((one.arriving, one.compliance @ one.arriving, other.arriving[:, 0, 0], moved))
-    return found
+    levels = []
+    for at in np.searchsorted(cuts, z):
+        one, other = in_plane.at(int(at)), across.at(int(at))
+        motion = (other.compliance @ other.transmission)[:, 0, 0]
+        levels.append(
+            (one.transmission, one.compliance @ one.transmission, other.transmission[:, 0, 0], motion)
+        )
+    return levels
 
 
 @lru_cache(maxsize=8)
 def _table(z: tuple[float, ...], thickness: float, nu: float, step: float, count: int) -> Table:
-    """The same at evenly spaced wavenumbers, as `stack_field` has it."""
+    """Stresses at evenly spaced wavenumbers, by the formulas of `stack_field`."""
     k = np.arange(count) * step
     n = nu / (1 - nu)
-    made = []
+    rows = []
     for R, CR, r, cr in _levels(np.array(z), thickness, nu, k):
         plate, bar = 2 / (1 - nu), 2 * n
         zz, q_zz = -R[:, 1, 1], R[:, 1, 0]
-        pressed = ((n - 1) * zz - plate * CR[:, 0, 1], (n - 1) * zz - bar * CR[:, 0, 1], R[:, 0, 1])
-        sheared = ((n - 1) * q_zz + plate * CR[:, 0, 0], (n - 1) * q_zz + bar * CR[:, 0, 0], R[:, 0, 0])
-        made.append(np.stack([*pressed, *sheared, cr, r]))
-    return np.stack(made).astype(np.float32)
+        by_pressure = ((n - 1) * zz - plate * CR[:, 0, 1], (n - 1) * zz - bar * CR[:, 0, 1], R[:, 0, 1])
+        by_shear = ((n - 1) * q_zz + plate * CR[:, 0, 0], (n - 1) * q_zz + bar * CR[:, 0, 0], R[:, 0, 0])
+        rows.append(np.stack([*by_pressure, *by_shear, cr, r]))
+    return np.stack(rows).astype(np.float32)
 
 
-def of_mean(z: Float[ndarray, " nz"], thickness: float, nu: float) -> Float[ndarray, "nz 2"]:
-    """What the wave without direction makes: xx - zz of pressure, and xz of shear along x.
+def mean_transfer(z: Float[ndarray, " nz"], thickness: float, nu: float) -> Float[ndarray, "nz 2"]:
+    """Stress by the wave without direction: xx - zz by pressure, and xz by shear along x.
 
     It takes the mean over all directions, in which what is odd is gone.
     """
     n = nu / (1 - nu)
-    made = []
+    rows = []
     for R, CR, r, _ in _levels(z, thickness, nu, np.zeros(1)):
         trace = -2 * n * R[0, 1, 1] - 2 * (1 / (1 - nu) + n) * CR[0, 0, 1]
-        made.append((trace / 2 + R[0, 1, 1], -(R[0, 0, 0] + r[0]) / 2))
-    return np.array(made)
+        rows.append((trace / 2 + R[0, 1, 1], -(R[0, 0, 0] + r[0]) / 2))
+    return np.array(rows)

@@ -31,7 +31,7 @@ SIZES = {
 LEAST = {"sphere": 1, "punch": 1, "edge": 1, "cylinder": 2, "two-points": 2}
 POINTS = "points:DIAMETER_MM:X_MM,Y_MM[,HEIGHT_MM];..."
 LEANING = "@TILT_DEG[:TOWARDS_DEG]"
-STEEPEST_DEG = math.degrees(indenters.STEEPEST_TILT)
+STEEPEST_DEG = math.degrees(indenters.MAX_TILT)
 
 Place = tuple[float, float, float]
 
@@ -183,7 +183,7 @@ def gap_of(
             upright = indenters.lying_cylinder(x_m, y_m, R, L, turn, centre_m)
         case _:
             raise InputError(f"no palm knows a {probe.shape!r}; there are {', '.join(SIZES)}, points")
-    return upright if probe.tilt_rad == 0 else indenters.leaning(upright, x_m, y_m, probe.tilt_rad, turn)
+    return upright if probe.tilt_rad == 0 else indenters.lean(upright, x_m, y_m, probe.tilt_rad, turn)
 
 
 def silhouette(
