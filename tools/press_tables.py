@@ -1,7 +1,7 @@
 """Make the press tables that palpate ships: a rigid sphere in a bonded elastomer disc, at finite strain.
 
     python tools/press_tables.py --out src/palpate/mechanics/tables
-    python tools/press_tables.py --out /tmp/tables --variant sphere-h2-mu0
+    python tools/press_tables.py --out tables --variant sphere-h2-mu0
     python tools/press_tables.py --check mesh          # the mesh study, to tools/mesh_study.json
 
 Needs scikit-fem. A table takes one to three minutes of one core, the study some ten. With `--between` the

@@ -1,7 +1,7 @@
 """Make the tip tables that palpate ships: a hemispherical tip pressed head-on on cylinders, at finite strain.
 
     python tools/tip_tables.py --out src/palpate/mechanics/tip_tables
-    python tools/tip_tables.py --out /tmp/tables --tip base
+    python tools/tip_tables.py --out tables --tip base
     python tools/tip_tables.py --check mesh          # the mesh study, to tools/tip_mesh_study.json
 
 Needs scikit-fem. A press takes half a minute of one core.

@@ -28,7 +28,7 @@ MODULES = {
 ROOMS = [name for name, path in MODULES.items() if path.name == "__init__.py"]
 
 # Only what trains may need torch; everything else runs where it is not installed.
-NEEDS_TORCH = ("palpate.estimators.networks", "palpate.calibration.train")
+NEEDS_TORCH = ("palpate.estimators.networks", "palpate.sensors.palm.networks")
 
 
 def run_python(code: str, folder: Path) -> str:
@@ -148,7 +148,9 @@ MACHINE_PATH = re.compile(
 
 def text_files() -> list[Path]:
     """Everything a person wrote, in the folders that hold such files and beside them."""
-    folders = [REPOSITORY / name for name in ("src", "tests", "docs", "examples", "benchmarks", ".ci")]
+    folders = [
+        REPOSITORY / name for name in ("src", "tests", "docs", "examples", "benchmarks", "tools", ".ci")
+    ]
     kinds = {".py", ".md", ".toml", ".yml", ".txt", ".html", ".css", ".cff", ".csv", ".json", ""}
     inside = [path for folder in folders for path in folder.rglob("*")]
     return sorted(
@@ -157,7 +159,7 @@ def text_files() -> list[Path]:
         if path.is_file()
         and path.suffix in kinds
         and "egg-info" not in str(path)
-        and path.name != ".coverage"
+        and path.name not in (".coverage", ".git")  # a worktree's .git is a file
     )
 
 
@@ -173,6 +175,10 @@ def test_no_file_names_a_folder_of_one_machine() -> None:
 def test_a_folder_of_one_machine_is_seen() -> None:
     assert MACHINE_PATH.search("open('" + "/home" + "/ada/run')")
     assert not MACHINE_PATH.search("https://example.org" + "/home" + "/ada")
+
+
+def test_the_rooms_that_may_need_torch_are_there() -> None:
+    assert set(NEEDS_TORCH) <= set(MODULES)
 
 
 def test_the_readme_s_python_runs(tmp_path: Path) -> None:
@@ -196,5 +202,5 @@ def test_the_conventions_name_every_unit_and_axis() -> None:
     page = (REPOSITORY / "docs" / "explanations" / "conventions.md").read_text(encoding="utf-8")
     rows = [line.split("|") for line in page.splitlines() if line.startswith("|")]
     named = {symbol for row in rows for cell in row[1:3] for symbol in re.findall(r"`(\w+)`", cell)}
-    axes = set(re.findall(r"`(\w+)`", palpate.core.axes.__doc__ or ""))
+    axes = set(re.findall(r"`(\w+)`", palpate.core.shapes.__doc__ or ""))
     assert set(UNITS) | axes <= named
