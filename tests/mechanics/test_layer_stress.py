@@ -27,7 +27,7 @@ def loads():
 
 @pytest.fixture(scope="module")
 def reference(loads):
-    """The stresses of `STRESSES_OF_RAYS`, on the load's own grid and with a margin wide enough for no image to matter."""
+    """The stresses of `RAY_STRESSES`, on the load's own grid, with a margin wide enough."""
     p, (qx, qy) = loads
     field = field_below(STACK, p, X, X, Z, shear_x_pa=qx, shear_y_pa=qy, margin_m=90e-3)
     s = {name: field.stress(name) for name in ("xx", "yy", "zz", "yz", "xz", "xy")}

@@ -47,7 +47,9 @@ def test_the_traction_of_turned_discs_adds_up_to_friction_where_it_slips():
 
 
 def test_the_more_it_turns_the_less_sticks_and_the_more_it_carries():
-    found = np.array([tangential.twisting_moment(turn, P, MU, A, E, NU) for turn in np.geomspace(1e-4, 1.0, 20)])
+    found = np.array(
+        [tangential.twisting_moment(turn, P, MU, A, E, NU) for turn in np.geomspace(1e-4, 1.0, 20)]
+    )
     assert np.all(np.diff(found[:, 0]) > 0)
     assert np.all(np.diff(found[:, 1]) < 0)
 

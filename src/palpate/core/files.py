@@ -1,6 +1,6 @@
-"""One writer at a time: a lock that the operating system drops when its holder dies.
+"""Files and folders that appear whole or not at all, never over what exists; locks for one writer at a time.
 
-Files and folders that appear whole or not at all, and never over something that exists.
+The operating system drops a lock when its holder dies.
 """
 
 from __future__ import annotations
@@ -117,11 +117,7 @@ def new_file(path: Path) -> Iterator[Path]:
     """Write a file under a passing name, and give it its own only when the block ends well.
 
     Yields:
-        The path to write to.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
+        The path to write to; errors as of `new_folder`.
     """
     refuse_existing(path)
     with storage_errors(path):

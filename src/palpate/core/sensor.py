@@ -254,16 +254,7 @@ VALUES = (
     "axes",
     "default_probe",
 )
-METHODS = (
-    "regions",
-    "probe",
-    "specimen",
-    "press",
-    "known_depth_m",
-    "render",
-    "rectify",
-    "default_plan",
-)
+METHODS = ("regions", "probe", "specimen", "press", "known_depth_m", "render", "rectify", "default_plan")
 
 
 def contract_faults(made: Any) -> list[str]:

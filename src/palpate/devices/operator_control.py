@@ -1,4 +1,4 @@
-"""What the operator asks for, from any thread: pause, go on, stop after this press, abort, emergency stop."""
+"""Commands of the operator, from any thread: pause, go on, stop after this press, abort, emergency stop."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class OperatorCommand(StrEnum):
-    """A command that interrupts."""
+    """A command that interrupts; a later one is stronger."""
 
     PAUSE = "pause"  # lift the probe, and wait to be resumed
     STOP = "stop"  # end after this press
@@ -16,12 +16,7 @@ class OperatorCommand(StrEnum):
 
 
 AT_ONCE = (OperatorCommand.PAUSE, OperatorCommand.ABORT, OperatorCommand.ESTOP)
-_RANK = {
-    OperatorCommand.PAUSE: 0,
-    OperatorCommand.STOP: 1,
-    OperatorCommand.ABORT: 2,
-    OperatorCommand.ESTOP: 3,
-}
+_RANK = {command: rank for rank, command in enumerate(OperatorCommand)}  # the strongest last
 
 
 class OperatorInterrupt(Exception):  # noqa: N818 - a command, not an error; it never leaves the engine

@@ -1,4 +1,4 @@
-"""All that a contact's tractions amount to: three forces and three moments about one point."""
+"""The resultant of a contact's tractions: three forces and three moments about one point."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from palpate.mechanics.layers.surface_grid import cells
 
 
 class Resultant(NamedTuple):
-    """Of the probe on the skin, in the sensor's frame.
+    """Force and moment of the probe on the skin, in the sensor's frame.
 
     Attributes:
         force_x_n, force_y_n, force_z_n: z into the skin [N].

@@ -1,6 +1,4 @@
-"""What an axisymmetric march works on: a table of stress around an axis, and the rays past it.
-
-Light through an axisymmetric stress table: the exact path of a round contact, ray by ray.
+"""Light through a table of stress around an axis: the exact path past a round contact, ray by ray.
 
 A ray runs along y past the axis of symmetry at the signed offset s, at one depth z. Where it is at distance
 r = sqrt(s^2 + y^2), with cos = s / r, it sees
@@ -22,7 +20,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from palpate.core import Bool, Complex, Float, Float32, InputError, RangeError, ndarray
-from palpate.optics.compiled_march import check_bands, march_colour_plain, packed, shared
+from palpate.optics.compiled_march import check_bands, in_threads, kernel_bands, march_colour_plain
 
 Along = Float[ndarray, "*_"]
 Numbers = Float[ndarray, "5 *n"]
@@ -101,7 +99,7 @@ class Rays:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of the rays together."""
+        """Shape of the rays together."""
         return np.broadcast_shapes(*(getattr(self, part.name).shape for part in fields(self)))
 
     def broadcast(self) -> Numbers:
@@ -122,16 +120,13 @@ def _check_indenter(indenter_m: ndarray | None, n: int) -> None:
 
 NOWHERE = -1e9  # stands for an indenter's underside where there is none, in units of the table's radius
 FINEST = 4096  # equal steps that look up graded knots
-
-__all__ = ["AxisymmetricField", "MarchedRays", "Rays", "march_axisymmetric", "march_axisymmetric_plain"]
-
 Bands = Float[ndarray, " k"]
 Weights = Float[ndarray, "k c"]
 Amplitudes = Complex[ndarray, "k 4"]
 
 
 class MarchedRays(NamedTuple):
-    """What came of the rays.
+    """Light of rays that were marched, and what stood in their way.
 
     Attributes:
         light: transmitted fraction in each channel, between ideal polarisers.
@@ -183,12 +178,12 @@ def march_axisymmetric(
     light = np.zeros((weight.shape[1], paths.shape[1]), np.float32)
     inside = np.zeros((2, paths.shape[1]), np.float32)
     table, frozen = _table(field), np.array(frozen_pa, np.float32)
-    optics = packed(half_phase * unit, weight, amplitude)
+    optics = kernel_bands(half_phase * unit, weight, amplitude)
 
     def piece(first: int, last: int) -> None:
         axisymmetric_kernels.march_rays(first, last, paths, slices, table, frozen, *optics, light, inside)
 
-    shared(piece, paths.shape[1], threads)
+    in_threads(piece, paths.shape[1], threads)
     return _result(light.T, inside * np.float32(unit), field, rays)
 
 
@@ -223,16 +218,16 @@ def march_axisymmetric_plain(
     top = np.interp(r, field.r_m, field.surface_m)
     zeta = np.clip((z - top) / (field.thickness_m - top), 0, 1)
     read = RegularGridInterpolator((field.zeta, field.r_m), np.moveaxis(field.stress_pa, 0, -1))
-    known = r <= field.r_m[-1]
+    inside_table = r <= field.r_m[-1]
     rr, tt, zz, rz = np.moveaxis(
-        read(np.stack([zeta, np.minimum(r, field.r_m[-1])], -1)) * known[..., None], -1, 0
+        read(np.stack([zeta, np.minimum(r, field.r_m[-1])], -1)) * inside_table[..., None], -1, 0
     )
     cosine = s / np.maximum(r, np.finfo(float).tiny)
     difference = ((rr - tt) * cosine**2 + tt - zz) * dy * share + frozen_pa[0] * length * share
     shear = 2 * rz * cosine * dy * share + frozen_pa[1] * length * share
     light = march_colour_plain(difference, shear, half_phase, weight, amplitude)
     skin = length * share
-    inside = np.stack([skin.sum(0), (skin * ~known).sum(0)])
+    inside = np.stack([skin.sum(0), (skin * ~inside_table).sum(0)])
     return _result(light, inside, field, rays)
 
 
@@ -244,10 +239,10 @@ def _middles(scale: Along, edge: Along, step: Along) -> tuple[ndarray, ndarray, 
 
 def _result(light: ndarray, inside: ndarray, field: AxisymmetricField, rays: Rays) -> MarchedRays:
     occluded = _occluded(field, rays)
-    seen = np.array(light, np.float32, order="C").reshape(*rays.shape, -1)
-    seen[occluded] = 0
+    transmitted = np.array(light, np.float32, order="C").reshape(*rays.shape, -1)
+    transmitted[occluded] = 0
     skin, outside = inside.astype(np.float32).reshape(2, *rays.shape)
-    return MarchedRays(seen, occluded, skin, outside)
+    return MarchedRays(transmitted, occluded, skin, outside)
 
 
 def _occluded(field: AxisymmetricField, rays: Rays) -> Bool[ndarray, "*n"]:
@@ -260,7 +255,7 @@ def _occluded(field: AxisymmetricField, rays: Rays) -> Bool[ndarray, "*n"]:
 
 
 def _table(field: AxisymmetricField) -> tuple[ndarray | np.float32, ...]:
-    """What the kernel reads, single precision, lengths in units of the last radius, radius first."""
+    """The kernel's table: single precision, lengths in units of the last radius, radius first."""
     unit = field.r_m[-1]
     rr, tt, zz, rz = field.stress_pa
     stress = np.stack([rr - tt, tt - zz, 2 * rz, 0 * rz], axis=-1).swapaxes(0, 1)

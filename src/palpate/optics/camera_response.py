@@ -1,9 +1,7 @@
-"""Balanced linear light to a colour camera's raw codes, and raw codes to an 8-bit picture.
+"""A colour camera's response: uneven light, photons that come one by one, read-out, raw codes, 8-bit picture.
 
 Every pixel has all three channels: no mosaic of colour filters is modelled, nor a matrix from the camera's
 colours to sRGB's. Both are what a real camera adds to this.
-
-What a camera adds: uneven light, photons that come one by one, read-out and steps.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ LinearImage = Float[ndarray, "h w 3"]
 
 @dataclass(frozen=True, slots=True)
 class CameraResponse:
-    """What turns light into codes; the numbers are assumed, of the order of industrial cameras.
+    """Numbers by which light becomes codes; they are assumed, of the order of industrial cameras.
 
     Attributes:
         full_well_e: electrons of the greatest code [electrons].

@@ -19,7 +19,7 @@ MIN_BANDS = 31  # fewer cost more than 0.006 in intensity at four fringe orders
 
 @dataclass(frozen=True, slots=True)
 class Spectrum:
-    """What light there is and what the camera makes of it, in bands of equal width.
+    """Spectrum of the light as the camera weighs it, in bands of equal width.
 
     Attributes:
         wavelength_m: centres of the bands ``[k]`` [m].

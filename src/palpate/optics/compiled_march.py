@@ -42,7 +42,7 @@ def march_colour(
         shear: 2 s_xz dy of each slice [Pa m].
         half_phase: pi C / lambda of each band [1/(Pa m)]; see `StressOpticLaw.half_phase`.
         weight: of each band in each channel, as in `Spectrum.weight`.
-        amplitude: what the polariscope makes of a ray in each band; see `plane_amplitude`.
+        amplitude: of the polariscope in each band; see `plane_amplitude`.
         even: the slices are the half of a ray that is even about its midpoint, as in `march_even`.
         threads: to share the rays; None for as many as there are processors, or as NUMBA_NUM_THREADS says.
 
@@ -62,12 +62,12 @@ def march_colour(
     shape = difference.shape[1:]
     u, v = (_rows(part) for part in (difference, shear))
     light = np.zeros((weight.shape[1], u.shape[1]), np.float32)
-    optics = packed(half_phase, weight, amplitude)
+    optics = kernel_bands(half_phase, weight, amplitude)
 
     def piece(first: int, last: int) -> None:
         march_kernels.march_stack(first, last, u, v, even, *optics, light)
 
-    shared(piece, u.shape[1], threads)
+    in_threads(piece, u.shape[1], threads)
     # the sum over a ray's slices carries any NaN or infinity through to its light
     if not np.isfinite(light).all():
         raise InputError("some slice is not a finite number of Pa m; look for NaN or infinity in the stress")
@@ -120,13 +120,13 @@ def check_bands(
         raise InputError("half phases, weights and amplitudes must be finite; look for NaN")
 
 
-def packed(half_phase: ndarray, weight: ndarray, amplitude: ndarray) -> tuple[ndarray, ...]:
+def kernel_bands(half_phase: ndarray, weight: ndarray, amplitude: ndarray) -> tuple[ndarray, ...]:
     """The bands as the kernels take them: half phases, amplitudes' two parts, weights."""
     parts = (half_phase, amplitude.real, amplitude.imag, weight)
     return tuple(np.ascontiguousarray(part, dtype=np.float32) for part in parts)
 
 
-def shared(piece: Callable[[int, int], None], rays: int, threads: int | None) -> None:
+def in_threads(piece: Callable[[int, int], None], rays: int, threads: int | None) -> None:
     """Run `piece(first, last)` over all rays, in threads.
 
     Raises:
@@ -142,13 +142,13 @@ def shared(piece: Callable[[int, int], None], rays: int, threads: int | None) ->
     # whole tiles, so that every ray is computed alike whatever the threads
     ends = np.minimum(np.linspace(0, -(-rays // TILE), pieces + 1).astype(int) * TILE, rays).tolist()
     with ThreadPoolExecutor(count) as pool:
-        for done in [pool.submit(piece, a, b) for a, b in pairwise(ends)]:
-            done.result()
+        for task in [pool.submit(piece, a, b) for a, b in pairwise(ends)]:
+            task.result()
 
 
 def _threads() -> int:
-    if named := os.environ.get("NUMBA_NUM_THREADS"):
-        return int(named)
+    if count := os.environ.get("NUMBA_NUM_THREADS"):
+        return int(count)
     allowed = getattr(os, "sched_getaffinity", None)  # Linux only
     return len(allowed(0)) if allowed else os.cpu_count() or 1
 

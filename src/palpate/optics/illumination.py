@@ -48,7 +48,7 @@ class LedStrip:
 
     @property
     def places_m(self) -> Places:
-        """Where each LED stands along x [m]."""
+        """Places of the LEDs along x [m]."""
         return (np.arange(self.count) - (self.count - 1) / 2) * self.pitch_m
 
     @property

@@ -1,4 +1,4 @@
-"""The compiled inner loops of the fast marches; `fast_march` and `sampling` use them, nobody else.
+"""Compiled inner loops of `compiled_march` and `axisymmetric`, which alone call them.
 
 Rays go in tiles whose quaternions stay in the processor's first cache; the innermost loop runs over the
 contiguous rays of a tile, so that the compiler turns it into vector instructions. With h the half phase of a

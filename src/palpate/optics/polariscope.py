@@ -134,12 +134,12 @@ def mueller(ray: Retarder) -> Float[ndarray, "*k 4 4"]:
     """
     pauli = np.array([np.eye(2), np.diag([1, -1]), [[0, 1], [1, 0]], [[0, -1j], [1j, 0]]])
     J = jones(ray)
-    turned = np.einsum("...ab,jbc,...dc->...jad", J, pauli, J.conj())
-    return np.asarray(np.einsum("iab,...jba->...ij", pauli, turned).real / 2)
+    rotated = np.einsum("...ab,jbc,...dc->...jad", J, pauli, J.conj())
+    return np.asarray(np.einsum("iab,...jba->...ij", pauli, rotated).real / 2)
 
 
 def with_leak(light: Light, extinction: float) -> Light:
-    """What passes when the polarisers are not perfect: e + (1 - e) I.
+    """Transmitted fraction when the polarisers are not perfect: e + (1 - e) I.
 
     Args:
         light: transmitted fraction between ideal polarisers.

@@ -1,4 +1,4 @@
-"""The literature's formula, I = sin^2(2 theta) sin^2(pi d (s1 - s2) C / lambda). Wrong here.
+"""The literature's baseline, I = sin^2(2 theta) sin^2(pi d (s1 - s2) C / lambda), which is wrong here.
 
 It takes one stress difference, that of the mid-plane, for the whole path d, and one direction theta for its
 axes. Under a contact the stress lives within about two contact radii of it, not along the whole skin, and its
@@ -21,7 +21,7 @@ Stress = Float[ndarray, "*n"]
 
 @dataclass(frozen=True, slots=True)
 class SingleSliceError:
-    """How far the one-slice image is from the marched one, in transmitted fraction (0 to 1).
+    """Error of the one-slice image against the marched one, in transmitted fraction (0 to 1).
 
     Attributes:
         rms: root of the mean square.

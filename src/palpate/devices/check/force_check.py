@@ -31,12 +31,7 @@ EARLY_S = 1e-3  # by which a stamp may lie ahead of the clock: rounding
 
 
 def check_force_sensor(
-    sensor: object,
-    *,
-    clock: Clock,
-    seconds: float = 2.0,
-    noise_n: float | None = None,
-    close: bool = True,
+    sensor: object, *, clock: Clock, seconds: float = 2.0, noise_n: float | None = None, close: bool = True
 ) -> list[CheckResult]:
     """Check a driver of a force sensor that nothing touches.
 

@@ -361,14 +361,7 @@ def _no_places(at: Position) -> Iterator[Position]:
 
 
 def _no_speeds(walker: Walker) -> tuple[float, ...]:
-    return (
-        math.nan,
-        math.inf,
-        -math.inf,
-        0.0,
-        -walker.speed_m_s,
-        2 * walker.travel.top_speed_m_s,
-    )
+    return (math.nan, math.inf, -math.inf, 0.0, -walker.speed_m_s, 2 * walker.travel.top_speed_m_s)
 
 
 def _beside(at: Position) -> Position:

@@ -29,9 +29,7 @@ Nodes = Int[ndarray, " _"]
 
 
 def tensor_mesh(
-    first: Knots,
-    second: Knots,
-    place: Callable[[Float[ndarray, "2 k"]], Float[ndarray, "2 k"]] = lambda x: x,
+    first: Knots, second: Knots, place: Callable[[Float[ndarray, "2 k"]], Float[ndarray, "2 k"]] = lambda x: x
 ) -> MeshQuad2:
     """Cells between knots along two coordinates, whose nodes a function then puts where they belong."""
     flat = MeshQuad2.from_mesh(MeshQuad.init_tensor(first, second))
@@ -46,13 +44,13 @@ class RevolvedBody:
         mesh: of biquadratic cells.
         youngs_modulus_pa: of every cell [Pa].
         poisson_ratio: of all, below 1/2.
-        held: nodes that do not move.
+        fixed: nodes that do not move.
     """
 
     mesh: MeshQuad2
     youngs_modulus_pa: Float[ndarray, " cells"]
     poisson_ratio: float
-    held: Nodes
+    fixed: Nodes
 
     @cached_property
     def places_m(self) -> Float[ndarray, "nodes 2"]:
@@ -79,28 +77,26 @@ class RevolvedBody:
         n = len(self.places_m)
         free = self._free(mode)
         factors = spl.splu(
-            self._stiffness(mode)[free][:, free],
-            permc_spec="MMD_AT_PLUS_A",
-            options={"SymmetricMode": True},
+            self._stiffness(mode)[free][:, free], permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}
         )
         dofs = (3 * loaded[:, None] + np.arange(3)).ravel()
         loads = np.zeros((3 * n, len(dofs)))
         loads[dofs, np.arange(len(dofs))] = 1.0
-        moved = np.zeros_like(loads)
-        moved[free] = factors.solve(loads[free])
-        return moved.reshape(n, 3, len(loaded), 3)[read]
+        motion = np.zeros_like(loads)
+        motion[free] = factors.solve(loads[free])
+        return motion.reshape(n, 3, len(loaded), 3)[read]
 
     def _free(self, mode: int) -> Nodes:
         """Degrees of freedom, 3 n + (0 for U, 1 for V, 2 for W), that a mode moves."""
-        held = [3 * self.held, 3 * self.held + 1, 3 * self.held + 2]
+        fixed = [3 * self.fixed, 3 * self.fixed + 1, 3 * self.fixed + 2]
         axis = np.flatnonzero(np.isclose(self.places_m[:, 0], 0.0, atol=1e-9))
         if mode == 0:
-            held += [3 * axis, 3 * np.arange(len(self.places_m)) + 1]
+            fixed += [3 * axis, 3 * np.arange(len(self.places_m)) + 1]
         else:
-            held += [3 * axis + 2]
+            fixed += [3 * axis + 2]
         if mode > 1:
-            held += [3 * axis, 3 * axis + 1]
-        return np.setdiff1d(np.arange(3 * len(self.places_m)), np.concatenate(held))
+            fixed += [3 * axis, 3 * axis + 1]
+        return np.setdiff1d(np.arange(3 * len(self.places_m)), np.concatenate(fixed))
 
     def _stiffness(self, mode: int) -> sp.csc_matrix:
         basis, n = self._basis, 3 * len(self.places_m)
@@ -123,7 +119,7 @@ class RevolvedBody:
         return sp.csc_matrix((K.ravel(), (rows, columns)), shape=(n, n))
 
     def _strains(self, mode: int, r: Float[ndarray, "cells q"]) -> Float[ndarray, "cells q 6 27"]:
-        """From a cell's U, V, W to its strains rr, tt, zz and twice rz, rt, zt."""
+        """Matrix from a cell's U, V, W to its strains rr, tt, zz and twice rz, rt, zt."""
         B = np.zeros((*r.shape, 6, 27))
         for a, shape in enumerate(self._basis.basis):
             N, (dr, dz) = np.asarray(shape[0]), shape[0].grad

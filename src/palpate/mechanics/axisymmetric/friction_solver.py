@@ -28,7 +28,7 @@ CHANGE = 1e-6  # of the greatest force on a cell: less is rest
 def solve_friction(
     compliance: Float[ndarray, "n 3 n 3"],
     gap: Float[ndarray, " n"],
-    slid: Float[ndarray, "n 2"],
+    slip: Float[ndarray, "n 2"],
     friction: float,
     start: Float[ndarray, "n 3"],
 ) -> Float[ndarray, "n 3"]:
@@ -37,7 +37,7 @@ def solve_friction(
     Args:
         compliance: displacement that opens the gap and slides, by forces [m/N]; symmetric.
         gap: without any force [m]; negative where the bodies would overlap.
-        slid: tangential motion of the cells since they last rested, without any force now [m].
+        slip: tangential motion of the cells since they last rested, without any force now [m].
         friction: Coulomb's coefficient; 0 for none.
         start: forces to begin with, e.g. those of the last state [N].
 
@@ -49,7 +49,7 @@ def solve_friction(
     n = len(gap)
     force = np.ascontiguousarray(start, np.float64).copy()
     C = np.ascontiguousarray(compliance, np.float64).reshape(3 * n, 3 * n)
-    sweeps = _sweep(C, gap, slid, friction, force, SWEEPS, CHANGE)
+    sweeps = _sweep(C, gap, slip, friction, force, SWEEPS, CHANGE)
     if sweeps >= SWEEPS:
         raise RangeError(f"contact and friction found no rest in {SWEEPS} sweeps; press by smaller steps")
     return force
@@ -57,16 +57,16 @@ def solve_friction(
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _sweep(C, gap, slid, friction, force, most, change):
+def _sweep(C, gap, slip, friction, force, most, change):
     n = len(gap)
     f = force.reshape(3 * n)
     for sweep in range(most):
-        greatest = moved = 0.0
+        greatest = change_now = 0.0
         for i in range(n):
             row = 3 * i
-            opened = gap[i] + np.dot(C[row], f)
-            normal = max(0.0, f[row] - opened / C[row, row])
-            moved, f[row] = max(moved, abs(normal - f[row])), normal
+            opening = gap[i] + np.dot(C[row], f)
+            normal = max(0.0, f[row] - opening / C[row, row])
+            change_now, f[row] = max(change_now, abs(normal - f[row])), normal
             greatest = max(greatest, normal)
             if friction == 0.0:
                 continue
@@ -74,13 +74,13 @@ def _sweep(C, gap, slid, friction, force, most, change):
                 f[row + 1] = f[row + 2] = 0.0
                 continue
             stiff = max(C[row + 1, row + 1], C[row + 2, row + 2])
-            a = f[row + 1] - (slid[i, 0] + np.dot(C[row + 1], f)) / stiff
-            b = f[row + 2] - (slid[i, 1] + np.dot(C[row + 2], f)) / stiff
+            a = f[row + 1] - (slip[i, 0] + np.dot(C[row + 1], f)) / stiff
+            b = f[row + 2] - (slip[i, 1] + np.dot(C[row + 2], f)) / stiff
             size = np.hypot(a, b)
             if size > friction * normal:
                 a, b = a * friction * normal / size, b * friction * normal / size
-            moved = max(moved, abs(a - f[row + 1]), abs(b - f[row + 2]))
+            change_now = max(change_now, abs(a - f[row + 1]), abs(b - f[row + 2]))
             f[row + 1], f[row + 2] = a, b
-        if moved <= change * greatest or greatest == 0.0:
+        if change_now <= change * greatest or greatest == 0.0:
             return sweep
     return most

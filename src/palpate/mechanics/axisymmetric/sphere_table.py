@@ -1,4 +1,4 @@
-"""A rigid sphere pressed deep into a bonded elastomer disc: tables solved at finite strain, read between.
+"""A rigid sphere pressed deep into a bonded elastomer disc, centred or not: tables solved at finite strain.
 
 The tables hold a nearly incompressible neo-Hookean disc, W = mu/2 (tr C - 3) - mu ln J + lambda/2 (J - 1)^2,
 with nu = 0.49, its base bonded, its side and its top around the contact free. Lengths in sphere radii R and
@@ -10,11 +10,9 @@ Between depths d the scalars are read as F / d^(3/2), a / d^(1/2) and p / d^(1/2
 values and bend little. While the edge of the contact crosses more than a knot between two depths, the fields
 are drawn out with it (a similar contact, as under Hertz) before they are mixed.
 
-What moving a centred press towards the disc's rim leaves out, from presses solved off the centre.
-
-The press tables are of a ball in the middle of its disc. Nearer to the free rim the disc gives way more, and
-pushes the ball sideways. Both were solved in three dimensions by `tools/off_centre.py`, without friction, at
-finite strain, for the tables' discs; `tables/off_centre.json` holds the forces. Lengths are in ball radii R.
+The ball is in the middle of its disc. Nearer to the free rim the disc gives way more, and pushes the ball
+sideways: `edge_correction` holds both, solved in three dimensions by `tools/off_centre.py`, without friction,
+at finite strain, for the tables' discs; `tables/off_centre.json` holds the forces.
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 
 from palpate.core import Contact, Float, Float32, InputError, Pose, Probe, RangeError, ndarray
-from palpate.mechanics.half_space.hertz import GRID_POINTS, positive
+from palpate.mechanics.half_space.hertz import GRID_POINTS, grid_around, positive
 
 DRAWN_TO = 2.0  # contact radii from the centre within which a field follows the contact's edge
 SAME = 1e-6  # relative: two lengths or coefficients that differ by rounding only
@@ -95,7 +93,7 @@ class SphereTable:
         stress: Cauchy stress rr, tt, zz, rz at (r, zeta), where z = surface + zeta (thickness - surface).
 
     Example:
-        >>> table = PressTable.load("sphere-h2-mu0")
+        >>> table = SphereTable.load("sphere-h2-mu0")
         >>> round(table.at(1.0).force, 2)
         2.51
     """
@@ -132,8 +130,8 @@ class SphereTable:
     @classmethod
     def open(cls, path: Path) -> SphereTable:
         """A table from an .npz file written by `tools/press_tables.py`."""
-        with np.load(path, allow_pickle=False) as held:
-            values: dict[str, Any] = {key: held[key] if held[key].ndim else float(held[key]) for key in held}
+        with np.load(path, allow_pickle=False) as file:
+            values: dict[str, Any] = {key: file[key] if file[key].ndim else float(file[key]) for key in file}
         return cls(**values)
 
     def at(self, depth: float) -> TabulatedPress:
@@ -202,29 +200,29 @@ class SphereTable:
             return np.zeros_like(self.r), np.zeros(self.stress.shape[1:])
         k = int(np.clip(np.searchsorted(self.depth, depth), 1, len(self.depth) - 1))
         if k == 1:  # below the first depth every press is like it, only smaller
-            return self._drawn(1, depth, F, a, p)
+            return self._stretch(1, depth, F, a, p)
         edges = self.contact_radius[k - 1 : k + 1]
         if edges[1] - edges[0] > np.interp(edges[1], self.r[1:], np.diff(self.r)):
-            low, high = (self._drawn(i, depth, F, a, p) for i in (k - 1, k))
+            low, high = (self._stretch(i, depth, F, a, p) for i in (k - 1, k))
         else:
             low, high = ((self.surface[i].astype(float), self.stress[i].astype(float)) for i in (k - 1, k))
         share = (depth - self.depth[k - 1]) / (self.depth[k] - self.depth[k - 1])
         return (1.0 - share) * low[0] + share * high[0], (1.0 - share) * low[1] + share * high[1]
 
-    def _drawn(
+    def _stretch(
         self, k: int, depth: float, F: float, a: float, p: float
     ) -> tuple[Knots, Float[ndarray, "4 m n"]]:
         """Depth k's fields brought to another depth: like the contact near it, like the force afar."""
         away = np.hypot(self.r, self.zeta[:, None] * self.thickness) / (DRAWN_TO * a)
-        near = 1.0 / (1.0 + away**4)
-        stretch = 1.0 + (self.contact_radius[k] / a - 1.0) * near
+        share = 1.0 / (1.0 + away**4)
+        stretch = 1.0 + (self.contact_radius[k] / a - 1.0) * share
         r = np.clip(self.r * stretch, 0.0, self.r[-1])
         zeta = np.clip(self.zeta[:, None] * stretch, 0.0, 1.0)
         field = RegularGridInterpolator((self.zeta, self.r), np.moveaxis(self.stress[k].astype(float), 0, -1))
-        scale = near * p / self.peak_pressure[k] + (1.0 - near) * F / self.force[k]
+        scale = share * p / self.peak_pressure[k] + (1.0 - share) * F / self.force[k]
         surface = np.interp(r[0], self.r, self.surface[k])
-        sunk = near[0] * depth / self.depth[k] + (1.0 - near[0]) * F / self.force[k]
-        return surface * sunk, np.moveaxis(field((zeta, r)), -1, 0) * scale
+        factor = share[0] * depth / self.depth[k] + (1.0 - share[0]) * F / self.force[k]
+        return surface * factor, np.moveaxis(field((zeta, r)), -1, 0) * scale
 
 
 def shipped() -> tuple[str, ...]:
@@ -263,7 +261,7 @@ def press_finite_strain(
         friction: Coulomb's coefficient, one of the shipped.
         poisson_ratio: of the disc; that of the tables, 0.49.
         x_m: columns of the surface grid [m]; by default 81 points over 1.5 R to each side of the pose.
-        y_m: its rows [m]; by default likewise.
+        y_m: its rows [m]; by default as many.
 
     Returns:
         The contact. Its pressure is the vertical load per area seen from above, so that it sums to the force;
@@ -278,21 +276,16 @@ def press_finite_strain(
         raise InputError(
             f"the press tables are of a sphere, got probe shape {probe.shape!r}; use shape 'sphere'"
         )
-    if not (math.isfinite(pose.x_m) and math.isfinite(pose.y_m)):
-        raise InputError(
-            f"the pose ({pose.x_m}, {pose.y_m}) m is not a finite position; give numbers in metres"
-        )
     R, E = probe.radius_m, youngs_modulus_pa
     positive("the sphere's radius", R, "m")
     positive("Young's modulus", E, "Pa")
     positive("the disc's thickness", thickness_m, "m")
     positive("the disc's radius", disc_radius_m, "m")
+    around = np.linspace(-1.5 * R, 1.5 * R, GRID_POINTS)
+    x, y, _ = grid_around(pose, around, x_m, y_m)
     table = _table_for(thickness_m / R, friction, poisson_ratio)
     _fits(table, pose, R, disc_radius_m)
     at = table.at(min(pose.depth_m / R, table.greatest_depth))
-    around = np.linspace(-1.5 * R, 1.5 * R, GRID_POINTS)
-    x = pose.x_m + around if x_m is None else x_m
-    y = pose.y_m + around if y_m is None else y_m
     east, north = (x[None, :] - pose.x_m) / R, (y[:, None] - pose.y_m) / R
     r = np.hypot(east, north)
     inwards = np.interp(r, at.r, at.top_friction) * E / np.maximum(r, SAME)
@@ -322,13 +315,13 @@ def _table_for(ratio: float, friction: float, poisson_ratio: float) -> SphereTab
         and math.isclose(t.poisson_ratio, poisson_ratio, rel_tol=SAME)
     ]
     if not fitting:
-        solved = "; ".join(
+        choices = "; ".join(
             f"{t.thickness:g} R with friction {t.friction:g}, Poisson's ratio {t.poisson_ratio:g}"
             for t in tables
         )
         raise RangeError(
             f"no table is solved for a disc {ratio:g} R thick with friction {friction:g} and Poisson's ratio "
-            f"{poisson_ratio:g}; choose a sphere radius R and a friction among: {solved}"
+            f"{poisson_ratio:g}; choose a sphere radius R and a friction among: {choices}"
         )
     return fitting[0]
 
@@ -374,7 +367,7 @@ class EdgeCorrection(NamedTuple):
 
 
 def edge_correction(offset: float, depth: float, thickness: float) -> EdgeCorrection:
-    """What a centred press table misses at a place.
+    """Correction of a centred press for a place nearer to the rim.
 
     Args:
         offset: of the ball from the disc's axis, to 4.427 R (22.1 mm under a ball of 5 mm) [R].
@@ -385,27 +378,27 @@ def edge_correction(offset: float, depth: float, thickness: float) -> EdgeCorrec
         RangeError: beyond what was solved.
 
     Example:
-        >>> round(rim_effect(4.2, 1.0, 2.0).force_ratio, 3)
+        >>> round(edge_correction(4.2, 1.0, 2.0).force_ratio, 3)
         0.927
     """
-    known = _solved()
-    if thickness not in known:
+    tables = _off_centre()
+    if thickness not in tables:
         raise RangeError(
             f"no press off the centre of a disc {thickness:g} R thick was solved; 2 R and 4 R were"
         )
-    greatest = known[thickness].grid[0][-1], known[thickness].grid[1][-1]
+    greatest = tables[thickness].grid[0][-1], tables[thickness].grid[1][-1]
     if not (0 <= offset <= greatest[0] * (1 + SLACK) and 0 <= depth <= greatest[1] * (1 + SLACK)):
         raise RangeError(
             f"{offset:g} R from the axis and {depth:g} R deep lies outside 0 to {greatest[0]:g} R and 0 to "
             f"{greatest[1]:g} R, where presses were solved"
         )
     at = min(offset, greatest[0]), min(depth, greatest[1])
-    return EdgeCorrection(*(float(value) for value in known[thickness](at)))
+    return EdgeCorrection(*(float(value) for value in tables[thickness](at)))
 
 
 @lru_cache(maxsize=1)
-def _solved() -> dict[float, RegularGridInterpolator]:
-    """For each thickness, both ratios over offset and depth; at no depth as at the least one solved."""
+def _off_centre() -> dict[float, RegularGridInterpolator]:
+    """Both ratios over offset and depth, by thickness; at no depth those of the least one solved."""
     rows = json.loads(OFF_CENTRE.read_text(encoding="utf-8"))["presses"]
     return {
         h: _curves([row for row in rows if row["thickness"] == h]) for h in {row["thickness"] for row in rows}
@@ -414,8 +407,8 @@ def _solved() -> dict[float, RegularGridInterpolator]:
 
 def _curves(rows: list[dict[str, float]]) -> RegularGridInterpolator:
     offsets, depths = (np.array(sorted({row[part] for row in rows})) for part in ("offset", "depth"))
-    held = {(row["offset"], row["depth"]): [row["force"], row["side_force"]] for row in rows}
-    force, side = np.moveaxis(np.array([[held[c, d] for d in depths] for c in offsets]), -1, 0)
+    forces = {(row["offset"], row["depth"]): [row["force"], row["side_force"]] for row in rows}
+    force, side = np.moveaxis(np.array([[forces[c, d] for d in depths] for c in offsets]), -1, 0)
     ratios = np.stack([force / force[0], -side / force[0]], axis=-1)
     fine = np.linspace(offsets[0], offsets[-1], _FINE)
     smooth = PchipInterpolator(offsets, ratios)(fine)

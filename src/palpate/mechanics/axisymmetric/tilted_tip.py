@@ -1,13 +1,11 @@
-"""A hemispherical tip pressed along its axis on an inclined specimen: linear elasticity, Coulomb friction.
+"""A hemispherical tip, gel under a skin, pressed along its axis on an inclined cylinder, with friction.
 
 The tip's axis is z, upwards to its base; it moves down. The specimen's top is a plane whose normal leans
-from z towards -x by the tilt, so that the tip first touches on its side +x, at that angle. Both bodies answer
-by their Fourier modes (`revolved`): displacements are small, but gaps are those of the true sphere. All is
-even about the plane y = 0, so that half of the cells are kept.
+from z towards -x by the tilt, so that the tip first touches on its side +x, at that angle. Both bodies yield
+by their Fourier modes (`axisymmetric_fem`), linearly: displacements are small, but gaps are those of the true
+sphere. All is even about the plane y = 0, so that half of the cells are kept.
 
 What linearity costs against finite strain, measured head-on, is in `docs/decisions/0011-*.md`.
-
-Meshes of a hemispherical tip, gel under a skin, and of a cylinder, for `revolved`.
 """
 
 from __future__ import annotations
@@ -30,7 +28,7 @@ Cells = Int[ndarray, " n"]
 
 @dataclass(frozen=True)
 class TipModes:
-    """A tip's answer to loads on the cells of its skin, mode by mode.
+    """Compliance of a tip under loads on the cells of its skin, mode by mode.
 
     Attributes:
         radius_m: of the hemisphere [m].
@@ -51,7 +49,7 @@ class TipModes:
 
 @dataclass(frozen=True)
 class TopModes:
-    """A specimen's answer to loads on its top: ``[modes radii 3 radii 3]`` of point-wise rings [m/N rad]."""
+    """Compliance of a specimen's top ``[modes radii 3 radii 3]`` under point-wise rings of load [m/N rad]."""
 
     radii_m: Float[ndarray, " radii"]
     top: Float[ndarray, "m radii 3 radii 3"]
@@ -60,7 +58,7 @@ class TopModes:
 def facet_modes(
     body: RevolvedBody, facets: Int[ndarray, "rings 3"], pins: Cells, modes: int
 ) -> tuple[Float[ndarray, "m rings 3 rings 3"], Float[ndarray, "m places 3 rings 3"]]:
-    """Answers of facets, and of other nodes, to even pressure on facets."""
+    """Compliances of facets, and of other nodes, under even pressure on facets."""
     skin_nodes, where = np.unique(facets, return_inverse=True)
     spread = np.zeros((len(facets), len(skin_nodes)))
     np.add.at(spread, (np.arange(len(facets))[:, None], where.reshape(facets.shape)), FACET)
@@ -96,7 +94,7 @@ class TiltedContact:
     """A tip above an inclined specimen, None for a rigid plate.
 
     Attributes:
-        tip, top: the bodies' answers.
+        tip, top: the bodies' compliances.
         tilt_rad: of the specimen's normal from the tip's axis, 0 to 50 degrees.
         friction: Coulomb's coefficient.
     """
@@ -110,8 +108,8 @@ class TiltedContact:
     def cells(self) -> tuple[Cells, Cells]:
         """Ring and azimuth of every cell that may touch."""
         ring, azimuth = np.meshgrid(np.arange(len(self._polar)), np.arange(self.tip.azimuths), indexing="ij")
-        near = self._outward[ring.ravel(), azimuth.ravel()] @ self._touch > np.cos(WITHIN)
-        return ring.ravel()[near], azimuth.ravel()[near]
+        close = self._outward[ring.ravel(), azimuth.ravel()] @ self._touch > np.cos(WITHIN)
+        return ring.ravel()[close], azimuth.ravel()[close]
 
     @property
     def _polar(self) -> Float[ndarray, " rings"]:
@@ -123,14 +121,14 @@ class TiltedContact:
 
     @property
     def _outward(self) -> Float[ndarray, "rings azimuths 3"]:
-        """From the centre to the cells; z up."""
+        """Directions from the centre to the cells; z up."""
         phi, theta = self._polar[:, None], self._azimuth
         x, y, z = np.sin(phi) * np.cos(theta), np.sin(phi) * np.sin(theta), -np.cos(phi)
         return np.stack(np.broadcast_arrays(x, y, z), axis=-1)
 
     @property
     def _touch(self) -> Float[ndarray, 3]:
-        """From the centre to where the tip first touches."""
+        """Direction from the centre to where the tip first touches."""
         return np.array([np.sin(self.tilt_rad), 0.0, -np.cos(self.tilt_rad)])
 
     @property
@@ -141,14 +139,14 @@ class TiltedContact:
 
     @cached_property
     def cell_area_m2(self) -> Float[ndarray, " n"]:
-        """Of every cell that may touch, as it lies on the specimen's plane."""
+        """Area of every cell that may touch, projected on the specimen's plane [m^2]."""
         ring, azimuth = self.cells
         strip = -np.diff(np.cos(self.tip.polar_rad)) * np.pi / self.tip.azimuths
         return self.tip.radius_m**2 * strip[ring] * (self._outward[ring, azimuth] @ self._touch)
 
     @cached_property
     def compliance(self) -> Float[ndarray, "n 3 n 3"]:
-        """What opens the gap and slides by unit forces on pairs of cells, in the specimen's axes [m/N]."""
+        """Opening and sliding of cells by unit forces on others, in the specimen's axes [m/N]."""
         both = self._tip_compliance()
         return both if self.top is None else both + self._top_compliance(self.top)
 
@@ -160,7 +158,7 @@ class TiltedContact:
             angle = _angular(m, theta) * np.sinc(m / (2 * self.tip.azimuths))
             C += _per_pair(m) * angle[:, :, None, None] * skin[ring][:, :, ring] * angle
         turn = self._from_cylindrical(theta)
-        return _turned(C, turn)
+        return _rotate(C, turn)
 
     def _from_cylindrical(self, theta: Float[ndarray, " n"]) -> Float[ndarray, "n 3 3"]:
         """Specimen's axes by (r, around, z) at every azimuth."""
@@ -181,16 +179,16 @@ class TiltedContact:
         )
         n = len(at)
         C = np.zeros((n, 3, n, 3))
-        for m, answer in enumerate(top.top):
+        for m, ring_compliance in enumerate(top.top):
             spread = np.einsum("npk,npxa,npa->nxka", hat, turn, _angular(m, psi))
             rows = spread.reshape(3 * n, -1)
             k = len(top.radii_m)
-            C += _per_pair(m) * (rows @ answer.reshape(3 * k, 3 * k) @ rows.T).reshape(C.shape)
+            C += _per_pair(m) * (rows @ ring_compliance.reshape(3 * k, 3 * k) @ rows.T).reshape(C.shape)
         return C
 
     @cached_property
     def places_on_top_m(self) -> Float[ndarray, "n 2"]:
-        """Where the cells lie above the specimen, up the slope and y, from the specimen's axis [m]."""
+        """Places of the cells above the specimen, up the slope and y, from the specimen's axis [m]."""
         ring, azimuth = self.cells
         return self.tip.radius_m * self._outward[ring, azimuth] @ self.axes[1:].T
 
@@ -225,16 +223,16 @@ class TiltedContact:
         turn = self._from_cylindrical(theta)
         force = np.einsum("nxa,nx->na", turn, press.force_n)
         rings = len(self._polar)
-        moved = np.zeros((len(self.tip.pins_rad), self.tip.azimuths, 3))
+        motion = np.zeros((len(self.tip.pins_rad), self.tip.azimuths, 3))
         for m, pins in enumerate(self.tip.pins):
             load = force * _angular(m, theta) * np.sinc(m / (2 * self.tip.azimuths)) * _per_pair(m)
             by_ring = np.stack([np.bincount(ring, load[:, a], rings) for a in range(3)], axis=1)
-            moved += np.einsum("iajb,jb->ia", pins, by_ring)[:, None] * _angular(m, self._azimuth)
-        return moved
+            motion += np.einsum("iajb,jb->ia", pins, by_ring)[:, None] * _angular(m, self._azimuth)
+        return motion
 
 
 def _angular(mode: int, theta: ndarray) -> ndarray:
-    """Cos m t along r and z, sin m t around."""
+    """Angular factors: cos m t along r and z, sin m t around."""
     c, s = np.cos(mode * theta), np.sin(mode * theta)
     return np.stack([c, s, c], axis=-1)
 
@@ -244,8 +242,8 @@ def _per_pair(mode: int) -> float:
     return (1.0 if mode == 0 else 2.0) / np.pi
 
 
-def _turned(C: Float[ndarray, "n 3 n 3"], turn: Float[ndarray, "n 3 3"]) -> Float[ndarray, "n 3 n 3"]:
-    """The compliance along other axes."""
+def _rotate(C: Float[ndarray, "n 3 n 3"], turn: Float[ndarray, "n 3 3"]) -> Float[ndarray, "n 3 n 3"]:
+    """Express a compliance along other axes."""
     half = np.einsum("nxa,namb->nxmb", turn, C)
     return np.einsum("myb,nxmb->nxmy", turn, half)
 
@@ -260,7 +258,7 @@ def _hats(knots: Float[ndarray, " k"], at: Float[ndarray, "n p"]) -> Float[ndarr
     return weights
 
 
-CORE = 0.05  # of the radius, held, so that no cell shrinks to the centre
+CORE = 0.05  # of the radius, fixed, so that no cell shrinks to the centre
 FINE_TO = np.deg2rad(84.0)  # polar angle up to which cells are even
 TOP_FINE_TO = 0.85  # of a cylinder's radius
 
@@ -276,7 +274,7 @@ def tip_modes(
     azimuths: int = 24,
     modes: int = 32,
 ) -> TipModes:
-    """The answer of a hemisphere whose equator and core are held.
+    """Compliance of a hemisphere whose equator and core are fixed.
 
     Args:
         radius_m, skin_m: of the hemisphere; thickness of its skin [m].
@@ -321,10 +319,10 @@ def _hemisphere(
     angle, distance = np.arctan2(r, radius - z), np.hypot(r, z - radius)
     middle = mesh.doflocs[:, mesh.t].mean(axis=1)
     outer = np.hypot(middle[0], middle[1] - radius) > inner
-    held = np.flatnonzero(np.isclose(angle, np.pi / 2) | np.isclose(distance, CORE * radius))
+    fixed = np.flatnonzero(np.isclose(angle, np.pi / 2) | np.isclose(distance, CORE * radius))
     outside, inside = (_along(angle, np.isclose(distance, at)) for at in (radius, inner))
     facets = np.stack([outside[:-2:2], outside[1:-1:2], outside[2::2]], axis=1)[:rings]
-    body = RevolvedBody(mesh, np.where(outer, skin_pa, gel_pa), nu, held)
+    body = RevolvedBody(mesh, np.where(outer, skin_pa, gel_pa), nu, fixed)
     return body, facets, inside
 
 
@@ -337,7 +335,7 @@ def top_modes(
     rings: int = 30,
     modes: int = 32,
 ) -> TopModes:
-    """The answer of a cylinder's top, whose base is bonded.
+    """Compliance of a cylinder's top, whose base is bonded.
 
     Args:
         radius_m, height_m: of the cylinder [m].
@@ -359,11 +357,11 @@ def top_modes(
     z = np.concatenate([-down[::-1] / down[-1] * height_m, [0.0]])
     mesh = tensor_mesh(r, z)
     at_r, at_z = mesh.doflocs
-    held = np.flatnonzero(np.isclose(at_z, -height_m))
+    fixed = np.flatnonzero(np.isclose(at_z, -height_m))
     top = _along(at_r, np.isclose(at_z, 0.0, atol=1e-9))
-    body = RevolvedBody(mesh, np.full(mesh.t.shape[1], youngs_pa), poisson_ratio, held)
-    answers = np.stack([body.compliance(m, top, top) for m in range(modes)])
-    return TopModes(at_r[top], answers)
+    body = RevolvedBody(mesh, np.full(mesh.t.shape[1], youngs_pa), poisson_ratio, fixed)
+    rings_by_mode = np.stack([body.compliance(m, top, top) for m in range(modes)])
+    return TopModes(at_r[top], rings_by_mode)
 
 
 def _along(order: Float[ndarray, " n"], which: ndarray) -> Int[ndarray, " k"]:

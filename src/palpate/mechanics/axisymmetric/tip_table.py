@@ -53,7 +53,7 @@ class HeadOnPress:
 
     @property
     def area_m2(self) -> Levels:
-        """Of the contact [m^2]."""
+        """Area of the contact [m^2]."""
         return np.pi * self.radius_m**2
 
     def at(self, column: str, force_n: Float[ndarray, " k"]) -> Float[ndarray, k * n]:
@@ -119,8 +119,8 @@ class TipTable:
             raise RangeError(
                 f"a specimen of {specimen_pa:g} Pa; the table holds {self.specimen_pa[0]:g} Pa and stiffer"
             )
-        found = {name: spline(_softness(specimen_pa)) for name, spline in self._splines.items()}
-        return HeadOnPress(force_n=self.force_n, polar_rad=self.polar_rad, **found)
+        columns = {name: spline(_softness(specimen_pa)) for name, spline in self._splines.items()}
+        return HeadOnPress(force_n=self.force_n, polar_rad=self.polar_rad, **columns)
 
     @cached_property
     def _splines(self) -> dict[str, CubicSpline]:
@@ -150,8 +150,8 @@ def tip_table(name: str) -> TipTable:
     if name not in shipped_tips():
         raise InputError(f"no tip {name!r}; there are {', '.join(shipped_tips())}")
     path = resources.files("palpate.mechanics") / FOLDER / f"tip-{name}.npz"
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
-        data = {key: held[key].astype(np.float64) for key in held.files}
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        data = {key: arrays[key].astype(np.float64) for key in arrays.files}
     radius_mm, skin_mm, skin_mpa, gel_mpa, nu = data["tip"]
     r_mm, h_mm = data["specimen"]
     return TipTable(
@@ -168,15 +168,15 @@ def _columns(data: dict[str, ndarray], radius_m: float, skin_m: float) -> dict[s
     phi, inner = data["polar_rad"], radius_m - skin_m
     rest = np.stack([inner * np.sin(phi), radius_m - inner * np.cos(phi)], axis=-1)
 
-    def led(values: ndarray, first: ndarray | float = 0.0) -> ndarray:
+    def from_rest(values: ndarray, first: ndarray | float = 0.0) -> ndarray:
         start = np.broadcast_to(first, (len(values), 1, *values.shape[2:]))
         return np.concatenate([start, values], axis=1)
 
     return {
-        "approach_m": led(1e-3 * data["approach_mm"]),
-        "flattening_m": led(1e-3 * data["flattening_mm"]),
-        "radius_m": led(1e-3 * data["radius_mm"]),
-        "angle_rad": led(data["angle_rad"]),
-        "inside_m": led(1e-3 * data["inside_mm"], rest),
-        "energy_pa": led(1e6 * data["energy_mpa"]),
+        "approach_m": from_rest(1e-3 * data["approach_mm"]),
+        "flattening_m": from_rest(1e-3 * data["flattening_mm"]),
+        "radius_m": from_rest(1e-3 * data["radius_mm"]),
+        "angle_rad": from_rest(data["angle_rad"]),
+        "inside_m": from_rest(1e-3 * data["inside_mm"], rest),
+        "energy_pa": from_rest(1e6 * data["energy_mpa"]),
     }

@@ -72,14 +72,7 @@ def radius_from_force(
 ) -> float:
     """Contact radius a [m] under a force, the stable branch.
 
-    a^3 = 3 R / (4 E*) [F + 3 pi w R + sqrt(6 pi w R F + (3 pi w R)^2)].
-
-    Args:
-        force_n: from the pull-off force up [N]; negative is a pull.
-        work_of_adhesion_j_m2: w, 0 or more [J/m^2]; 0 gives Hertz's law.
-        radius_m: of the sphere [m].
-        youngs_modulus_pa: of the skin [Pa].
-        poisson_ratio: of the skin, 0 to 0.5.
+    a^3 = 3 R / (4 E*) [F + 3 pi w R + sqrt(6 pi w R F + (3 pi w R)^2)]; w = 0 is Hertz's.
     """
     w, R = _adhesion(work_of_adhesion_j_m2), _radius(radius_m)
     E, least = reduced_modulus(youngs_modulus_pa, poisson_ratio), pull_off_force(w, R)
@@ -157,10 +150,7 @@ def tabor_parameter(
     """(R w^2 / (E*^2 z0^3))^(1/3); JKR's law holds above 5 (``JKR_ABOVE``).
 
     Args:
-        work_of_adhesion_j_m2: w [J/m^2].
-        radius_m: of the sphere [m].
-        youngs_modulus_pa: of the skin [Pa].
-        poisson_ratio: of the skin, 0 to 0.5.
+        work_of_adhesion_j_m2, radius_m, youngs_modulus_pa, poisson_ratio: w, R, E, nu.
         range_m: z0, over which the surface forces act, some tenths of a nanometre for molecular contact [m].
     """
     w, R = _adhesion(work_of_adhesion_j_m2), _radius(radius_m)

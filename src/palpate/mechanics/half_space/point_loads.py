@@ -175,13 +175,7 @@ def mindlin_displacement(
 
 
 def mindlin_stress(
-    x_m: Points,
-    y_m: Points,
-    z_m: Points,
-    depth_m: float,
-    force_n: float,
-    along: Along,
-    poisson_ratio: float,
+    x_m: Points, y_m: Points, z_m: Points, depth_m: float, force_n: float, along: Along, poisson_ratio: float
 ) -> Tensors:
     """Stress by a force inside the half-space, below the origin [Pa]; see ``mindlin_displacement``."""
     reduced_modulus(1.0, poisson_ratio)

@@ -65,11 +65,6 @@ def layer_transfer(s: Function, poisson_ratio: float, base: Base = "bonded") -> 
 def punch_factor(ratio: float, poisson_ratio: float, base: Base = "bonded") -> float:
     """Hayes's kappa(a/h, nu): the force on a flat punch over that on a half-space, F / (2 a E* d).
 
-    Args:
-        ratio: contact radius over thickness a/h, above 0 to 10.
-        poisson_ratio: of the layer, 0 to 0.5.
-        base: ``"bonded"`` or ``"sliding"``.
-
     Example:
         >>> round(punch_factor(1e-9, 0.5), 6)
         1.0
@@ -127,16 +122,7 @@ def sphere_force(
     poisson_ratio: float,
     base: Base = "bonded",
 ) -> float:
-    """Force [N] of a sphere, no paraboloid, pressed into a layer; exact for small strain.
-
-    Args:
-        depth_m: approach past first touch, 0 to 0.2 h [m].
-        radius_m: of the sphere [m].
-        thickness_m: h of the layer [m].
-        youngs_modulus_pa: of the layer [Pa].
-        poisson_ratio: of the layer, 0 to 0.5.
-        base: ``"bonded"`` or ``"sliding"``.
-    """
+    """Force [N] of a sphere, no paraboloid, pressed into a layer; exact for small strain."""
     positive("the sphere's radius", radius_m, "m")
     _strain(depth_m, thickness_m)
     rest = (radius_m, thickness_m, youngs_modulus_pa, poisson_ratio, base)

@@ -70,12 +70,7 @@ def flat_punch(
 
 
 def wedge(
-    x_m: Axis,
-    y_m: Axis,
-    slope_rad: float,
-    length_m: float,
-    turn_rad: float = 0.0,
-    centre_m: Place = CENTRE,
+    x_m: Axis, y_m: Axis, slope_rad: float, length_m: float, turn_rad: float = 0.0, centre_m: Place = CENTRE
 ) -> Field:
     """Straight edge, z = (distance from its line) tan(slope) [m], cut off square at its ends.
 
@@ -92,12 +87,7 @@ def wedge(
 
 
 def lying_cylinder(
-    x_m: Axis,
-    y_m: Axis,
-    radius_m: float,
-    length_m: float,
-    turn_rad: float = 0.0,
-    centre_m: Place = CENTRE,
+    x_m: Axis, y_m: Axis, radius_m: float, length_m: float, turn_rad: float = 0.0, centre_m: Place = CENTRE
 ) -> Field:
     """Cylinder of radius R on its side, its axis turned from x towards y, cut off square at its ends [m]."""
     positive("the cylinder's radius", radius_m, "m")

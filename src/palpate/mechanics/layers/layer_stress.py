@@ -27,7 +27,7 @@ from palpate.core import Complex64, Field, Float, Float32, InputError, RangeErro
 from palpate.mechanics.layers.surface_grid import block_span, cells
 from palpate.mechanics.layers.transfer_table import mean_transfer, transfer
 
-STRESSES_OF_RAYS = ("xx-zz", "yy-zz", "xy", "xz", "yz")
+RAY_STRESSES = ("xx-zz", "yy-zz", "xy", "xz", "yz")
 COARSE = 20  # cells of the wide grid to the layer's thickness
 REACH = 5.0  # thicknesses beyond the load at which the stress has died away; half of them to the next image
 FADED = 3.7  # q at which w has fallen to 1e-4
@@ -41,7 +41,7 @@ Stresses = Float32[ndarray, "planes 5 _ _"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnGrid:
-    """The five stresses of `STRESSES_OF_RAYS` on planes over a regular grid.
+    """The five stresses of `RAY_STRESSES` on planes over a regular grid.
 
     Attributes:
         first_m: the first column and row (x, y) [m].
@@ -103,10 +103,7 @@ def stress_under(
     shear = np.zeros((2, 1, 1)) if shear_pa is None else shear_pa[:, rows, columns]
     loads = [pressure_pa[rows, columns], *(shear if shear_pa is not None and shear.any() else ())]
     near, far = plan.stresses(loads)
-    middle = (
-        (x_m[columns.start] + x_m[columns.stop - 1]) / 2,
-        (y_m[rows.start] + y_m[rows.stop - 1]) / 2,
-    )
+    middle = ((x_m[columns.start] + x_m[columns.stop - 1]) / 2, (y_m[rows.start] + y_m[rows.stop - 1]) / 2)
     return _on_grid(near, middle, plan.near), _on_grid(far, middle, plan.far)
 
 
@@ -174,8 +171,8 @@ class _Plan:
         singles = [np.asarray(load, np.float32) for load in loads]
         wide = [self.into_far[0] @ load @ self.into_far[1] for load in singles]
         window = [np.asarray(fft.rfft2(self._pad(load))) for load in singles]
-        near = np.empty((len(self.mean), len(STRESSES_OF_RAYS), *self.near.counts), np.float32)
-        far = np.empty((len(self.mean), len(STRESSES_OF_RAYS), *self.far.counts), np.float32)
+        near = np.empty((len(self.mean), len(RAY_STRESSES), *self.near.counts), np.float32)
+        far = np.empty((len(self.mean), len(RAY_STRESSES), *self.far.counts), np.float32)
         faded = [load * self.long.weight for load in wide]
         rest = [load * self.short.weight for load in window]
         rows, columns = self.around
@@ -204,7 +201,7 @@ def _on_plane(part: _WavePart, plane: int, loads: list[ndarray]) -> Complex64[nd
     kk, tt, kz, *rest = part.transfer[plane]
     p = loads[0]
     KK, TT, KZ = kk * p, tt * p, (-1j * kz) * p
-    stress = np.empty((len(STRESSES_OF_RAYS), *p.shape), np.complex64)
+    stress = np.empty((len(RAY_STRESSES), *p.shape), np.complex64)
     cc, cs = c * c, c * s
     if len(loads) == 1:
         difference = KK - TT
@@ -229,11 +226,7 @@ def _on_plane(part: _WavePart, plane: int, loads: list[ndarray]) -> Complex64[nd
 
 @lru_cache(maxsize=4)
 def _plan(
-    thickness: float,
-    nu: float,
-    depths: tuple[float, ...],
-    loaded: tuple[int, int],
-    cell: tuple[float, float],
+    thickness: float, nu: float, depths: tuple[float, ...], loaded: tuple[int, int], cell: tuple[float, float]
 ) -> _Plan:
     z = np.array(depths)
     coarse = max(thickness / COARSE, *cell)
@@ -249,9 +242,7 @@ def _plan(
         _short(np.hypot(*k_near) / K),
     )
     long = _WavePart(
-        transfer(z, thickness, nu, np.hypot(*k_far)),
-        *_directions(k_far),
-        1 - _short(np.hypot(*k_far) / K),
+        transfer(z, thickness, nu, np.hypot(*k_far)), *_directions(k_far), 1 - _short(np.hypot(*k_far) / K)
     )
     into = [
         np.exp(-1j * np.outer(k, (np.arange(n) - (n - 1) / 2) * d - far.axis(which)[0]))

@@ -112,12 +112,7 @@ def _in_plane(material: Material) -> Float[ndarray, "4 4"]:
     uniaxial = (1 - 2 * nu) / (2 * mu * (1 - nu))  # 1 / (lambda + 2 mu)
     plate = 2 * mu / (1 - nu)  # E / (1 - nu^2)
     return np.array(
-        [
-            [0.0, -1.0, -1 / mu, 0.0],
-            [n, 0.0, 0.0, -uniaxial],
-            [-plate, 0.0, 0.0, -n],
-            [0.0, 0.0, 1.0, 0.0],
-        ]
+        [[0.0, -1.0, -1 / mu, 0.0], [n, 0.0, 0.0, -uniaxial], [-plate, 0.0, 0.0, -n], [0.0, 0.0, 1.0, 0.0]]
     )
 
 
