@@ -33,7 +33,7 @@ def quiet(rng, count: int = 40) -> list[Wrench]:
     ],
 )
 def test_a_mounting_names_the_device_s_axis_behind_each_of_the_skin_s(axes, turned) -> None:
-    assert Mounting(axes).turned((1.0, 2.0, 3.0)) == turned
+    assert Mounting(axes).to_skin((1.0, 2.0, 3.0)) == turned
 
 
 @pytest.mark.parametrize("axes", [("x", "y", "y"), ("x", "y", "w"), ("x", "y", "--z"), ("x", "y", "")])
@@ -49,8 +49,8 @@ def test_a_load_after_the_tare_is_the_load(rng, axes) -> None:
     tare.measure(quiet(rng))
     load, moment = np.array([0.4, 0.6, -2.0]), np.array([0.05, 0.03, -0.07])
     loaded = sample(FORCE + load, TORQUE + moment)
-    np.testing.assert_allclose(tare.force(loaded), Mounting(axes).turned(load.tolist()), atol=0.015)
-    np.testing.assert_allclose(tare.torque(loaded), Mounting(axes).turned(moment.tolist()), atol=0.00075)
+    np.testing.assert_allclose(tare.force(loaded), Mounting(axes).to_skin(load.tolist()), atol=0.015)
+    np.testing.assert_allclose(tare.torque(loaded), Mounting(axes).to_skin(moment.tolist()), atol=0.00075)
 
 
 def test_without_a_tare_the_sensor_is_believed() -> None:

@@ -13,7 +13,7 @@ from palpate.core.shapes import Field, Float, Mask
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """What touches the skin.
+    """The body that touches the skin.
 
     Attributes:
         shape: ``"sphere"``, ``"punch"`` (an upright cylinder), ``"edge"`` (a wedge), ``"cylinder"`` (lying),
@@ -38,7 +38,7 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where the probe is, in the sensor's frame of reference.
+    """Place and depth of the probe, in the sensor's frame of reference.
 
     Attributes:
         x_m, y_m: position over the skin [m]; the origin is the skin's centre.
@@ -104,7 +104,7 @@ class EarlierPress:
 
 @dataclass(frozen=True, slots=True)
 class PressHistory:
-    """What happened before a press came to its pose.
+    """Path and earlier presses by which a press came to its pose.
 
     Attributes:
         path_m: where the probe has been since first touch, beside where it touched first, (x, y) in order,
@@ -137,7 +137,7 @@ class Contact:
         x_m: grid columns ``[nx]`` [m].
         y_m: grid rows ``[ny]`` [m].
         pressure_pa: normal traction ``[ny nx]``, positive in compression [Pa].
-        sinking_m: surface displacement along z ``[ny nx]`` [m].
+        displacement_m: surface displacement along z ``[ny nx]`` [m].
         touching: where probe and skin touch ``[ny nx]``.
         force_n: normal force, positive in compression [N].
         radius_m: radius of the contact region [m].

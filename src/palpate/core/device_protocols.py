@@ -1,4 +1,4 @@
-"""What a device must do to be used: a stage, a force sensor, a camera.
+"""The protocols of devices: a stage, a force sensor, a camera.
 
 Whoever has another device writes one of these and checks it with `palpate.check`. All times are on the
 host's monotonic clock [ns], all positions in the stage's own frame: x right, y towards the viewer, z into the
@@ -36,7 +36,7 @@ class Wrench:
 
 @dataclass(frozen=True, slots=True)
 class Travel:
-    """What a stage can do.
+    """Reach, speed and stopping of a stage.
 
     Attributes:
         least_m, greatest_m: where it may be sent [m].
@@ -52,7 +52,7 @@ class Travel:
     latency_s: float
 
     def overshoot_m(self, speed_m_s: float) -> float:
-        """How far it still goes after being told to stop, v^2 / 2a + v latency [m]."""
+        """Distance that it still goes after being told to stop, v^2 / 2a + v latency [m]."""
         return speed_m_s**2 / (2 * self.acceleration_m_s2) + speed_m_s * self.latency_s
 
 
@@ -62,11 +62,11 @@ class Stage(Protocol):
 
     @property
     def travel(self) -> Travel:
-        """What it can do."""
+        """Its reach, speed and stopping."""
         ...
 
     def position_m(self) -> Position:
-        """Where it is now, also on its way.
+        """Position now, also on its way [m].
 
         Raises:
             DeviceError: it does not answer, or its position is not known.
@@ -83,7 +83,7 @@ class Stage(Protocol):
         ...
 
     def moving(self) -> bool:
-        """Whether the last move is still under way.
+        """True while the last move is under way.
 
         Raises:
             DeviceError: it does not answer, or has stopped by itself where it was not sent.

@@ -74,12 +74,12 @@ class Outline:
         return min(xs), min(ys), max(xs), max(ys)
 
     def contains(self, x_m: float, y_m: float, probe_radius_m: float = 0.0) -> bool:
-        """Whether a round probe lies wholly inside."""
+        """True where a round probe lies wholly inside."""
         inside = float(self._signed(np.array([x_m]), np.array([y_m]))[0])
         return inside + probe_radius_m <= ROUNDING_M
 
     def beyond_m(self, x_m: Series, y_m: Series) -> Series:
-        """How far outside places lie, 0 inside [m]; past a polygon's corner a little less than that."""
+        """Distance outside, 0 inside [m]; past a polygon's corner a little less than that."""
         return np.clip(self._signed(x_m, y_m), 0.0, None)
 
     def _signed(self, x_m: Series, y_m: Series) -> Series:

@@ -19,10 +19,10 @@ from palpate.core.errors import InputError, MissingExtraError, PalpateError
 
 T = TypeVar("T")
 R = TypeVar("R")
-Told = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 
 SHOWN = 80  # characters of an item, in an error
-ANSWERS_WITHIN = "20s"
+CONNECT_WITHIN = "20s"
 
 
 def in_parallel(
@@ -31,7 +31,7 @@ def in_parallel(
     *,
     processes: int = 1,
     scheduler: str | None = None,
-    progress: Told = lambda done, total: None,
+    progress: Progress = lambda count, total: None,
 ) -> Iterator[R]:
     """Results of a function for every item, in their order, each as soon as it and those before it are there.
 
@@ -61,9 +61,9 @@ def in_parallel(
 
 
 def _results(
-    function: Callable[[T], R], items: Sequence[T], processes: int, scheduler: str | None, progress: Told
+    function: Callable[[T], R], items: Sequence[T], processes: int, scheduler: str | None, progress: Progress
 ) -> Iterator[R]:
-    job = partial(_named, function)
+    job = partial(_call, function)
     if scheduler is not None:
         results = _by_cluster(job, items, scheduler)
     elif processes > 1:
@@ -76,7 +76,7 @@ def _results(
             yield result
 
 
-def _named(function: Callable[[T], R], i: int, item: T) -> R:
+def _call(function: Callable[[T], R], i: int, item: T) -> R:
     """One job, whose failure says which it was."""
     try:
         return function(item)
@@ -121,7 +121,7 @@ def _by_cluster(job: Callable[[int, T], R], items: Sequence[T], scheduler: str) 
 
 def _client(scheduler: str) -> Any:
     try:
-        return _distributed().Client(scheduler, timeout=ANSWERS_WITHIN, set_as_default=False)
+        return _distributed().Client(scheduler, timeout=CONNECT_WITHIN, set_as_default=False)
     except (OSError, ValueError) as e:
         raise InputError(
             f"no Dask scheduler answers at {scheduler} ({e}); start one with `dask scheduler`, workers with "

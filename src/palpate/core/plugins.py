@@ -45,7 +45,7 @@ class PluginRegistry:
         return (*self.built_in, *sorted({point.name for point in installed(self.group)} - set(self.built_in)))
 
     def path_of(self, name: str) -> str:
-        """Where a name's code is, as ``module:Name``.
+        """Path of a name's code, as ``module:Name``.
 
         Raises:
             InputError: nothing of the kind has this name; the message lists what there is.
@@ -57,8 +57,8 @@ class PluginRegistry:
         own = self.built_in.get(name, "")
         paths = [own] * bool(own) + sorted(claims - {own})
         if not paths:
-            known = ", ".join(self.names()) or "none"
-            raise InputError(f"there is no {self.kind} {name!r}; there are {known}, or give module:Name")
+            names = ", ".join(self.names()) or "none"
+            raise InputError(f"there is no {self.kind} {name!r}; there are {names}, or give module:Name")
         if len(paths) > 1:
             raise PluginError(
                 f"{self.kind} {name!r} of {paths[1]} takes the name of {paths[0]}; a name stands for one "
@@ -128,25 +128,25 @@ def _changed_ns(folder: str) -> int:
         return 0
 
 
-def import_path(path: str, kind: str, asked: str = "") -> Any:
+def import_path(path: str, kind: str, name: str = "") -> Any:
     """Import what ``module:Name`` names.
 
     Args:
         path: which; a name with dots goes into a class.
         kind: what it shall be, for the message.
-        asked: the name that it was asked for by, if that is another.
+        name: the one that it was asked for by, if that is another.
 
     Raises:
         PluginError: it does not import, whatever its module raises, or has no such name.
     """
-    module, _, names = path.partition(":")
+    module, _, attributes = path.partition(":")
     try:
         thing: Any = import_module(module)
-        for name in names.split("."):
-            thing = getattr(thing, name)
+        for attribute in attributes.split("."):
+            thing = getattr(thing, attribute)
     except Exception as e:  # a module of somebody else's may raise anything
         raise PluginError(
-            f"{_label(kind, asked, path)} does not import: {type(e).__name__}: {e}; check its name, and that "
+            f"{_label(kind, name, path)} does not import: {type(e).__name__}: {e}; check its name, and that "
             "its folder is on PYTHONPATH or its package installed"
         ) from e
     return thing

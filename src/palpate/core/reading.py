@@ -1,11 +1,7 @@
-"""A Reading: a measured quantity that says how far it can be trusted; Readings: those of one frame.
+"""Measured quantities that say how far they can be trusted: scalars, angles, vectors, fields, candidates.
 
-The scalar kind is here. Angles that wrap, vectors, fields and sets of candidates are in `core.quantity`; all
-carry what `MeasurementResult` holds.
-
-Readings that are no single number on a line: angles that wrap, vectors, fields, sets of candidates.
-
-Each says what its coverage is a rate of, and `contains` is the event that is counted.
+Each kind says what its coverage is a rate of, and its `contains` is the event that is counted. All carry what
+`MeasurementResult` holds; `Readings` are those of one frame.
 """
 
 from __future__ import annotations
@@ -27,7 +23,7 @@ Same = TypeVar("Same", bound="MeasurementResult")
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """How far the untouched sensor has moved from what it was at calibration.
+    """Change of the untouched sensor since calibration.
 
     Attributes:
         statistic: distance of the no-contact image from the calibration's, in units of the spread among
@@ -40,13 +36,13 @@ class Drift:
 
     @property
     def drifted(self) -> bool:
-        """Whether the sensor must be re-zeroed or calibrated anew."""
+        """True where the sensor must be re-zeroed or calibrated anew."""
         return self.statistic > self.limit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class MeasurementResult:
-    """What every kind of reading carries beside its value.
+    """The part of a reading beside its value, the same for every kind.
 
     Attributes:
         quantity: what was measured, e.g. ``depth``.
@@ -77,7 +73,7 @@ class MeasurementResult:
 
     @property
     def verdict(self) -> str:
-        """Whether it may be used, in words."""
+        """Verdict in words: may it be used, and why not."""
         return "inside the calibrated range" if self.valid else self.why
 
     def in_unit(self: Same, symbol: str) -> Same:
@@ -88,20 +84,20 @@ class MeasurementResult:
         """
         if symbol == self.unit:
             return self
-        return replace(self, unit=symbol, **self._converted(self._conversion(symbol)))
+        return replace(self, unit=symbol, **self._in_other_unit(self._conversion(symbol)))
 
     def to_dict(self) -> dict[str, Any]:
         """The value, its interval and its verdict as plain values for JSON; what is no number is None."""
         return {**self._numbers(), "valid": self.valid, "why": self.why}
 
     def _conversion(self, symbol: str) -> Callable[[Any], Any]:
-        """What makes a number or an array in this unit one in another."""
+        """Function that turns a number or an array in this unit into one in another."""
         old, new = unit(self.unit), unit(symbol)
         if old.si != new.si:
             raise UnitError(f"{self.quantity} is in {self.unit}, which cannot be shown in {symbol}")
         return lambda value: new.from_si(old.to_si(value))
 
-    def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
+    def _in_other_unit(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
         """The fields that have the unit, converted."""
         raise NotImplementedError
 
@@ -132,13 +128,12 @@ class Reading(MeasurementResult):
     calibrated_range: tuple[float, float]
 
     def contains(self, truth: float) -> bool:
-        """Whether a value, in `unit`, lies in the interval."""
+        """True where a value, in `unit`, lies in the interval."""
         return bool(self.low <= truth <= self.high)
 
-    def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
-        least, greatest = self.calibrated_range
-        ends = {"value": convert(self.value), "low": convert(self.low), "high": convert(self.high)}
-        return {**ends, "calibrated_range": (convert(least), convert(greatest))}
+    def _in_other_unit(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
+        ends = {name: convert(getattr(self, name)) for name in ("value", "low", "high")}
+        return {**ends, "calibrated_range": tuple(convert(end) for end in self.calibrated_range)}
 
     def _numbers(self) -> dict[str, Any]:
         return {
@@ -146,7 +141,7 @@ class Reading(MeasurementResult):
             "unit": self.unit,
             "low": plain_number(self.low),
             "high": plain_number(self.high),
-            "range": [plain_number(end) for end in self.calibrated_range],
+            "range": _plain(self.calibrated_range),
         }
 
     def __str__(self) -> str:
@@ -178,15 +173,15 @@ class Readings(Mapping[str, MeasurementResult]):
     def __getitem__(self, key: str) -> Any:
         if key in self._by_column:
             return self._by_column[key].in_unit(split_column(key)[1].symbol)
-        quantity, asked = split_column(key) if has_unit(key) else (key, None)
+        quantity, target = split_column(key) if has_unit(key) else (key, None)
         alike = [one for one in self._by_column.values() if one.quantity in (key, quantity)]
-        if asked is not None:
-            alike = [one for one in alike if one.quantity == key or unit(one.unit).si == asked.si]
+        if target is not None:
+            alike = [one for one in alike if one.quantity == key or unit(one.unit).si == target.si]
         if len(alike) != 1:
             several = f"{len(alike)} readings are called" if alike else "there is no reading"
             raise ColumnError(f"{several} {key!r}; there are {', '.join(self)}")
         (one,) = alike
-        return one.in_unit(asked.symbol if asked is not None and one.quantity != key else unit(one.unit).si)
+        return one.in_unit(target.symbol if target is not None and one.quantity != key else unit(one.unit).si)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._by_column)
@@ -196,7 +191,7 @@ class Readings(Mapping[str, MeasurementResult]):
 
     @property
     def valid(self) -> bool:
-        """Whether every reading may be used."""
+        """True where every reading may be used."""
         return all(one.valid for one in self._by_column.values())
 
     def __repr__(self) -> str:
@@ -254,17 +249,17 @@ class CircularReading(MeasurementResult):
         return wrapped(self.value - other, self.period)
 
     def contains(self, truth: float) -> bool:
-        """Whether a value, in `unit`, lies on the arc."""
+        """True where a value, in `unit`, lies on the arc."""
         return bool((truth - self.low) % self.period <= self.high - self.low)
 
-    def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
+    def _in_other_unit(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
         names = ("value", "low", "high", "period")
         ends = {name: convert(getattr(self, name)) for name in names}
         return {**ends, "calibrated_range": tuple(convert(end) for end in self.calibrated_range)}
 
     def _numbers(self) -> dict[str, Any]:
         numbers = {n: plain_number(getattr(self, n)) for n in ("value", "low", "high", "period")}
-        return {**numbers, "unit": self.unit, "range": [plain_number(end) for end in self.calibrated_range]}
+        return {**numbers, "unit": self.unit, "range": _plain(self.calibrated_range)}
 
     def __str__(self) -> str:
         half = min(self.high - self.low, self.period) / 2
@@ -294,12 +289,12 @@ class Ellipsoid:
             raise InputError("a region's covariance is symmetric and positive definite, its radius above 0")
 
     def contains(self, offset: Float[np.ndarray, " k"]) -> bool:
-        """Whether an offset from the estimate lies within it."""
+        """True where an offset from the estimate lies within it."""
         return bool(offset @ np.linalg.solve(self.covariance, offset) <= self.radius**2)
 
     @property
     def half_widths(self) -> Float[np.ndarray, " k"]:
-        """How far the ellipsoid reaches along each component."""
+        """Reach of the ellipsoid along each component."""
         return np.asarray(self.radius * np.sqrt(np.diag(self.covariance)))
 
     def scaled(self, factor: float) -> Ellipsoid:
@@ -322,7 +317,7 @@ class AlignedBox:
             raise InputError(f"a box has half-widths of 0 or more, got {self.half_widths.tolist()}")
 
     def contains(self, offset: Float[np.ndarray, " k"]) -> bool:
-        """Whether an offset from the estimate lies within it."""
+        """True where an offset from the estimate lies within it."""
         return bool((np.abs(offset) <= self.half_widths).all())
 
     def scaled(self, factor: float) -> AlignedBox:
@@ -354,7 +349,7 @@ class VectorReading(MeasurementResult):
             raise InputError(f"{self.quantity}: {k} components need {k} values and a region of {k} axes")
 
     def contains(self, truth: Float[np.ndarray, " k"]) -> bool:
-        """Whether a vector, in `unit`, lies in the joint region."""
+        """True where a vector, in `unit`, lies in the joint region."""
         return self.region.contains(truth - self.value)
 
     def component(self, name: str) -> Reading:
@@ -377,7 +372,7 @@ class VectorReading(MeasurementResult):
             **provenance(self),
         )
 
-    def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
+    def _in_other_unit(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
         return {
             "value": convert(self.value),
             "region": self.region.scaled(convert(1.0)),
@@ -450,23 +445,22 @@ class FieldReading(MeasurementResult):
             )
 
     def contains(self, truth: Float[np.ndarray, ...]) -> Bool[np.ndarray, ...]:
-        """At each node, whether a field, in `unit`, lies in the interval; False where there is none."""
+        """Truth at each node of a field, in `unit`, lying in the interval; False where there is none."""
         return np.asarray((self.low <= truth) & (truth <= self.high))
 
-    def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
+    def _in_other_unit(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
         arrays = {name: convert(getattr(self, name)) for name in ("value", "low", "high")}
         return {**arrays, "calibrated_range": tuple(convert(end) for end in self.calibrated_range)}
 
     def _numbers(self) -> dict[str, Any]:
         axes = [{"name": a.name, "unit": a.unit, "nodes": _plain(a.nodes)} for a in self.axes]
         arrays = {name: _plain(getattr(self, name)) for name in ("value", "low", "high")}
-        range_ = [plain_number(end) for end in self.calibrated_range]
-        return {**arrays, "unit": self.unit, "axes": axes, "range": range_}
+        return {**arrays, "unit": self.unit, "axes": axes, "range": _plain(self.calibrated_range)}
 
     def __str__(self) -> str:
         grid = " × ".join(f"{len(axis.nodes)} {axis.name}" for axis in self.axes)
-        known = self.value[np.isfinite(self.value)]
-        span = f"{known.min():.3g} to {known.max():.3g} {self.unit}" if known.size else "no value"
+        finite = self.value[np.isfinite(self.value)]
+        span = f"{finite.min():.3g} to {finite.max():.3g} {self.unit}" if finite.size else "no value"
         return f"{self.quantity} {span} on {grid}, {self.verdict}"
 
 
@@ -492,10 +486,10 @@ class SetReading(MeasurementResult):
             raise InputError(f"{self.quantity}: no candidate, and yet valid; say why there is none")
 
     def contains(self, truth: float) -> bool:
-        """Whether a value, in `unit`, lies in any candidate's interval."""
+        """True where a value, in `unit`, lies in any candidate's interval."""
         return any(bool(low <= truth <= high) for _, low, high in self.candidates)
 
-    def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
+    def _in_other_unit(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
         candidates = tuple(tuple(convert(end) for end in one) for one in self.candidates)
         return {
             "candidates": candidates,
@@ -505,8 +499,7 @@ class SetReading(MeasurementResult):
     def _numbers(self) -> dict[str, Any]:
         names = ("value", "low", "high")
         candidates = [dict(zip(names, map(plain_number, one), strict=True)) for one in self.candidates]
-        range_ = [plain_number(end) for end in self.calibrated_range]
-        return {"candidates": candidates, "unit": self.unit, "range": range_}
+        return {"candidates": candidates, "unit": self.unit, "range": _plain(self.calibrated_range)}
 
     def __str__(self) -> str:
         shown = " or ".join(f"{v:.3g} ± {(high - low) / 2:.2g}" for v, low, high in self.candidates)
@@ -519,6 +512,6 @@ def provenance(of: MeasurementResult) -> dict[str, Any]:
     return {name: getattr(of, name) for name in names}
 
 
-def _plain(array: np.ndarray) -> Any:
+def _plain(array: Any) -> Any:
     """Nested lists of plain numbers; None where there is none."""
     return [_plain(part) if np.ndim(part) else plain_number(float(part)) for part in array]

@@ -1,4 +1,4 @@
-"""What a sensor design is to everything that uses one: the rig, calibration, the live loop, pages.
+"""The contract of a sensor design with everything that uses one: the rig, calibration, the live loop, pages.
 
 A sensor turns a probe at a pose into a `Contact`, and a `Contact` into a `Frame`. Everything is SI, in the
 sensor's own frame: x to the right, y towards the viewer, z into the skin, the origin at the skin's centre
@@ -6,7 +6,7 @@ where it rests. Whether the probe is moved into the sensor or the sensor onto a 
 a pose is the probe's, seen from the skin.
 
 Whoever has another sensor writes one class that keeps this contract, names it in the entry points of its
-package (group ``palpate.sensors``), and checks it with `palpate.sensors.check_sensor`.
+package (group ``palpate.sensors``), and checks it with `palpate.check.check_sensor`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ MINDLIN = 2 / 3  # tangential over normal stiffness of an incompressible body un
 
 @dataclass(frozen=True, slots=True)
 class Seating:
-    """How the sensor was set up for one press, where that differs from press to press.
+    """Set-up of the sensor for one press, where that differs from press to press.
 
     A sensor whose design holds one of these fixed leaves it out, and its documentation says so.
 
@@ -51,17 +51,17 @@ class Seating:
 
 
 SEATED = Seating()
-"""As at set-up."""
+"""The seating at set-up."""
 
 
 @dataclass(frozen=True, slots=True)
 class ImageAxes:
-    """How a region of the frame lies over the skin.
+    """Directions of the skin in a region of the frame.
 
     Attributes:
         region: in which a contact is seen to move.
         across: columns by which it moves for a metre along the skin's x and y [px/m].
-        down: rows, likewise [px/m].
+        down: rows by which it moves for the same [px/m].
     """
 
     region: str
@@ -76,7 +76,7 @@ class ImageAxes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceLaw:
-    """What a probe feels of the relaxed skin, over depth.
+    """Force of the relaxed skin on a probe, over depth.
 
     Attributes:
         depth_m: ascending from 0, to the deepest that is known [m].
@@ -102,7 +102,7 @@ class Sensor(Protocol):
 
     @property
     def name(self) -> str:
-        """What its frames and runs call it."""
+        """Name of it in its frames and runs."""
         ...
 
     @property
@@ -137,12 +137,12 @@ class Sensor(Protocol):
 
     @property
     def outline(self) -> Outline:
-        """Where a probe may come down on the skin."""
+        """Part of the skin on which a probe may come down."""
         ...
 
     @property
     def axes(self) -> ImageAxes:
-        """How its image lies over the skin."""
+        """Directions of the skin in its image."""
         ...
 
     @property
@@ -209,8 +209,8 @@ def force_law(sensor: Sensor, probe: Probe, specimen: Specimen | None = None) ->
     """
     own = getattr(sensor, "force_law", None)
     if own is not None:
-        found: ForceLaw = own(probe, specimen)
-        return found
+        law: ForceLaw = own(probe, specimen)
+        return law
     pressed_m = np.linspace(0.0, sensor.known_depth_m(probe, specimen), PRESSES)
     contacts = [sensor.press(probe, Pose(0.0, 0.0, float(d)), specimen) for d in pressed_m]
     depth = np.linspace(0.0, pressed_m[-1], KNOTS)
@@ -221,7 +221,7 @@ def force_law(sensor: Sensor, probe: Probe, specimen: Specimen | None = None) ->
 
 
 def variation_of(sensor: Sensor) -> Mapping[str, Any]:
-    """What its own `variation()` says of how its presses differ, in the virtual rig's words; or nothing."""
+    """Variation of a sensor's presses in the virtual rig's words: its own `variation()`, or nothing."""
     own = getattr(sensor, "variation", None)
     return {} if own is None else own()
 
@@ -238,72 +238,62 @@ def untouched(sensor: Sensor) -> Contact:
 
 
 def is_rigid(specimen: Specimen | None) -> bool:
-    """Whether what is pressed does not yield."""
+    """True where the body that is pressed does not yield."""
     return specimen is None or (specimen.stiffness_n_m == math.inf and specimen.youngs_modulus_pa is None)
 
 
-VALUES = (
-    "name",
-    "spec",
-    "frame_px",
-    "rectified_px",
-    "rate_hz",
-    "exposure_s",
-    "moves",
-    "outline",
-    "axes",
-    "default_probe",
-)
-METHODS = ("regions", "probe", "specimen", "press", "known_depth_m", "render", "rectify", "default_plan")
+_MEMBERS = {name: member for name, member in vars(Sensor).items() if not name.startswith("_")}
+METHODS = tuple(name for name, member in _MEMBERS.items() if callable(member))
+VALUES = tuple(name for name in _MEMBERS if name not in METHODS)
 
 
-def contract_faults(made: Any) -> list[str]:
+def contract_faults(design: Any) -> list[str]:
     """The laws of the contract that can be told without pressing, of those that an object breaks."""
-    missing = [name for name in (*VALUES, *METHODS) if not hasattr(made, name)]
-    missing += [name for name in METHODS if hasattr(made, name) and not callable(getattr(made, name))]
+    missing = [name for name in (*VALUES, *METHODS) if not hasattr(design, name)]
+    missing += [name for name in METHODS if hasattr(design, name) and not callable(getattr(design, name))]
     if missing:
         return [f"a sensor has {', '.join(missing)}"]
-    return list(_faults(made))
+    return list(_faults(design))
 
 
-def _faults(made: Sensor) -> Iterator[str]:
-    if not (isinstance(made.name, str) and made.name):
-        yield f"its name is a word, not {made.name!r}"
-    params = getattr(made.spec, "__dataclass_params__", None)
-    if not (is_dataclass(made.spec) and params is not None and params.frozen):
+def _faults(design: Sensor) -> Iterator[str]:
+    if not (isinstance(design.name, str) and design.name):
+        yield f"its name is a word, not {design.name!r}"
+    params = getattr(design.spec, "__dataclass_params__", None)
+    if not (is_dataclass(design.spec) and params is not None and params.frozen):
         yield "its spec is a frozen dataclass"
     for what in ("frame_px", "rectified_px"):
-        size = getattr(made, what)
+        size = getattr(design, what)
         whole = isinstance(size, tuple) and len(size) == 2 and all(isinstance(n, int) and n > 0 for n in size)
         if not whole:
             yield f"{what} is (width, height), two whole numbers of pixels above 0, not {size!r}"
             return
     for what, unit in (("rate_hz", "Hz"), ("exposure_s", "s")):
-        value = getattr(made, what)
+        value = getattr(design, what)
         if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
             yield f"{what} is a number above 0 {unit}, not {value!r}"
-    if made.moves not in ("probe", "sensor"):
-        yield f'moves is "probe" or "sensor", not {made.moves!r}'
-    if not isinstance(made.outline, Outline):
+    if design.moves not in ("probe", "sensor"):
+        yield f'moves is "probe" or "sensor", not {design.moves!r}'
+    if not isinstance(design.outline, Outline):
         yield "its outline is an Outline"
-    if not isinstance(made.default_plan(), Mapping):
+    if not isinstance(design.default_plan(), Mapping):
         yield "default_plan() is a mapping of a plan's fields"
-    yield from _region_faults(made)
+    yield from _region_faults(design)
 
 
-def _region_faults(made: Sensor) -> Iterator[str]:
-    (width, height), regions = made.frame_px, made.regions()
+def _region_faults(design: Sensor) -> Iterator[str]:
+    (width, height), regions = design.frame_px, design.regions()
     for name, (x, y, w, h) in regions.items():
         if min(x, y) < 0 or min(w, h) < 1 or x + w > width or y + h > height:
             yield f"its regions lie in its frame of {width} x {height} px; {name} {(x, y, w, h)} does not"
-    if not (isinstance(made.axes, ImageAxes) and made.axes.region in regions):
+    if not (isinstance(design.axes, ImageAxes) and design.axes.region in regions):
         yield f"its axes are Axes of one of its regions, {', '.join(regions) or 'of which it has none'}"
 
 
-def frame_faults(made: Sensor) -> list[str]:
+def frame_faults(design: Sensor) -> list[str]:
     """The laws that a skin at rest and its frame break; cheap enough for every start."""
-    rest = untouched(made)
-    frame = made.render(rest, np.random.default_rng(0))
+    rest = untouched(design)
+    frame = design.render(rest, np.random.default_rng(0))
     faults = []
     if not isinstance(rest, Contact):
         return [f"press() returns a Contact, not a {type(rest).__name__}"]
@@ -312,9 +302,10 @@ def frame_faults(made: Sensor) -> list[str]:
     if not isinstance(frame, Frame):
         return [*faults, f"render() returns a Frame, not a {type(frame).__name__}"]
     height, width = frame.image.shape[:2]
-    if (width, height) != made.frame_px:
+    if (width, height) != design.frame_px:
         faults.append(
-            f"a frame has its stated size, {made.frame_px[0]} x {made.frame_px[1]} px, not {width} x {height}"
+            "a frame has its stated size, "
+            f"{design.frame_px[0]} x {design.frame_px[1]} px, not {width} x {height}"
         )
     return faults
 
@@ -339,5 +330,5 @@ def sensor(name: str = DEFAULT_SENSOR) -> Sensor:
     Raises:
         InputError: there is none of the name, or it breaks the contract; the message says which law.
     """
-    made: Sensor = SENSORS.make(name)
-    return made
+    design: Sensor = SENSORS.make(name)
+    return design

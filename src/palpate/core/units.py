@@ -98,8 +98,8 @@ def split_column(name: str) -> tuple[str, Unit]:
         ('stiffness', 'N_per_mm')
     """
     for symbol in sorted(UNITS, key=len, reverse=True):
-        quantity, found, rest = name.rpartition(f"_{symbol}")
-        if found and not rest and quantity:
+        quantity, separator, rest = name.rpartition(f"_{symbol}")
+        if separator and not rest and quantity:
             return quantity, UNITS[symbol]
     raise UnitError(
         f"column {name!r} carries no unit; name it quantity_unit, as in depth_mm, force_N or tilt_deg "
@@ -108,7 +108,7 @@ def split_column(name: str) -> tuple[str, Unit]:
 
 
 def has_unit(name: str) -> bool:
-    """Whether a column's name ends in a known unit."""
+    """True where a column's name ends in a known unit."""
     try:
         split_column(name)
     except UnitError:

@@ -1,4 +1,4 @@
-"""Proxies of devices: whoever watches sees what passes, and an emergency stop holds the stage.
+"""Proxies of devices: watchers see what passes, and an emergency stop holds the stage.
 
 The engine uses them as it uses any other device: nothing is taken from it, delayed or changed.
 """
@@ -76,13 +76,13 @@ class ForceProxy(_Proxy):
     def drain(self) -> list[Wrench]:
         """All since the last call."""
         with self._noting_errors():
-            fresh = self._inner.drain()
+            samples = self._inner.drain()
         with self._lock:
-            self._recent.extend(fresh)
+            self._recent.extend(samples)
             oldest = self._clock.now_ns() - KEPT_S * NS_PER_S
             while self._recent and self._recent[0].time_ns < oldest:
                 self._recent.popleft()
-        return fresh
+        return samples
 
     def close(self) -> None:
         """Let go of the device."""
@@ -95,7 +95,7 @@ class ForceProxy(_Proxy):
 
 
 class CameraProxy(_Proxy):
-    """Implements `rig.FrameSource`; keeps the newest frame, and when the last ones came."""
+    """Implements `core.FrameSource`; keeps the newest frame, and when the last ones came."""
 
     def __init__(self, inner: FrameSource) -> None:
         super().__init__()
@@ -118,30 +118,30 @@ class CameraProxy(_Proxy):
     def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
         """The next frame."""
         with self._turn, self._noting_errors():
-            taken = self._inner.grab(timeout_s)
-            self._keep([taken])
-        return taken
+            frame = self._inner.grab(timeout_s)
+            self._keep([frame])
+        return frame
 
     def drain(self) -> list[tuple[int, Frame]]:
         """All since the last call."""
         with self._turn, self._noting_errors():
-            taken = self._inner.drain()
-            self._keep(taken)
-        return taken
+            frames = self._inner.drain()
+            self._keep(frames)
+        return frames
 
     def close(self) -> None:
         """Let go of the device."""
         self._inner.close()
 
     def came(self, now_ns: int) -> int:
-        """How many frames came in the last `RATE_S` seconds."""
+        """Number of frames that came in the last `RATE_S` seconds."""
         return sum(now_ns - at <= RATE_S * NS_PER_S for at in tuple(self._came))
 
-    def _keep(self, taken: list[tuple[int, Frame]]) -> None:
-        if taken:
-            self._came.extend(time_ns for time_ns, _ in taken)
-            self.newest = taken[-1]
-            self.count += len(taken)
+    def _keep(self, frames: list[tuple[int, Frame]]) -> None:
+        if frames:
+            self._came.extend(time_ns for time_ns, _ in frames)
+            self.newest = frames[-1]
+            self.count += len(frames)
 
 
 class StageProxy(_Proxy):
@@ -157,11 +157,11 @@ class StageProxy(_Proxy):
 
     @property
     def travel(self) -> Travel:
-        """What the device can do."""
+        """Reach, speed and stopping, as the device states them."""
         return self._inner.travel
 
     def position_m(self) -> Position:
-        """Where it is."""
+        """Position now [m]."""
         with self._noting_errors():
             return self._inner.position_m()
 
@@ -178,7 +178,7 @@ class StageProxy(_Proxy):
                 self._sent += 1
 
     def moving(self) -> bool:
-        """Whether it is under way.
+        """True while it is under way.
 
         Raises:
             OperatorInterrupt: an emergency stop holds it: wherever it was sent, it does not arrive.

@@ -1,4 +1,4 @@
-"""What is shown of devices: how they are, the force's last seconds, the newest picture, what happened."""
+"""Status of devices for display: health, the force's last seconds, the newest picture, a log."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ def force_health(force: ForceProxy, now_ns: int) -> dict[str, str]:
         return _health("force sensor", "failed", recent[-1].fault)
     if age_s > OLD_S:
         return _health("force sensor", "silent", f"the newest sample is {age_s:.1f} s old")
-    counted = [one for one in recent if now_ns - one.time_ns <= RATE_S * NS_PER_S]
+    window = [one for one in recent if now_ns - one.time_ns <= RATE_S * NS_PER_S]
     over_s = min(RATE_S, max((now_ns - recent[0].time_ns) / NS_PER_S, BIN_S))
-    return _health("force sensor", "ok", f"{len(counted) / over_s:.0f} of {force.rate_hz:g} samples a second")
+    return _health("force sensor", "ok", f"{len(window) / over_s:.0f} of {force.rate_hz:g} samples a second")
 
 
 def camera_health(camera: CameraProxy, now_ns: int, recording: bool) -> dict[str, str]:
@@ -76,17 +76,17 @@ def force_series(force: ForceProxy, mounting: Mounting, bias: Force, now_ns: int
     if not good:
         return empty
     times = np.array([one.time_ns for one in good])
-    values = np.array([mounting.turned(one.force_n) for one in good]) - np.array(bias)
-    kept = np.isfinite(values).all(axis=1) & (now_ns - times <= KEPT_S * NS_PER_S)
-    times, values = times[kept], values[kept]
+    values = np.array([mounting.to_skin(one.force_n) for one in good]) - np.array(bias)
+    recent = np.isfinite(values).all(axis=1) & (now_ns - times <= KEPT_S * NS_PER_S)
+    times, values = times[recent], values[recent]
     if not len(times):
         return empty
     bins, starts = np.unique(times // round(BIN_S * NS_PER_S), return_index=True)
     least, greatest = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
     pairs = np.stack([least, greatest], axis=1).reshape(-1, 3).round(4)
     middle_ns = np.repeat((bins + 0.5) * BIN_S * NS_PER_S, 2)
-    found = {"age_s": np.maximum((now_ns - middle_ns) / NS_PER_S, 0.0).round(3).tolist()}
-    return found | {axis: pairs[:, i].tolist() for i, axis in enumerate("xyz")}
+    ages = {"age_s": np.maximum((now_ns - middle_ns) / NS_PER_S, 0.0).round(3).tolist()}
+    return ages | {axis: pairs[:, i].tolist() for i, axis in enumerate("xyz")}
 
 
 def picture_of(image: Image) -> dict[str, Any]:
@@ -111,7 +111,7 @@ Kind = Literal["rig", "operator", "place", "fault"]
 
 
 class Log:
-    """The last few hundred things."""
+    """Log of the last few hundred events."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -119,13 +119,13 @@ class Log:
         self.count = 0
 
     def add(self, kind: Kind, text: str) -> None:
-        """It happened now."""
+        """Log an event of now."""
         at = datetime.now(UTC).isoformat(timespec="milliseconds")
         with self._lock:
             self._lines.append({"utc": at, "kind": kind, "text": text[:500]})
             self.count += 1
 
     def tail(self, lines: int) -> list[dict[str, str]]:
-        """The newest, oldest first."""
+        """The newest lines, oldest first."""
         with self._lock:
             return list(self._lines)[-lines:]

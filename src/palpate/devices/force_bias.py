@@ -1,4 +1,4 @@
-"""From the force sensor's own axes to the skin's: signs, and the bias in software.
+"""Force in the skin's axes from a sample in the sensor's own: signs, and the bias in software.
 
 The convention, stated once: z into the skin, and the normal force is positive in compression; x and y are the
 force of the probe on the skin. The bias is the mean of samples without contact, taken off here and never in
@@ -22,7 +22,7 @@ Force = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """How the sensor sits: for the skin's x, y and z, which of the device's axes, and its sign.
+    """Orientation of the sensor: for the skin's x, y and z, which of the device's axes, and its sign.
 
     Attributes:
         axes: such as ("x", "y", "-z"), where a device pushed along its own +z reads negative in compression.
@@ -37,7 +37,7 @@ class Mounting:
                 f"a sensor mounted as {self.axes}; name x, y and z once each, with + or - before"
             )
 
-    def turned(self, vector: Sequence[float]) -> Force:
+    def to_skin(self, vector: Sequence[float]) -> Force:
         """A device's vector in the skin's axes."""
         x, y, z = (
             (-1.0 if axis.startswith("-") else 1.0) * vector["xyz".index(axis.lstrip("+-"))]
@@ -76,8 +76,8 @@ class ForceBias:
                 Reason.FORCE_STALE,
                 f"{len(good)} good force samples for the zero of {SAMPLES}: is the sensor streaming?",
             )
-        force = np.array([self.mounting.turned(one.force_n) for one in good])
-        torque = np.array([self.mounting.turned(one.torque_nm) for one in good])
+        force = np.array([self.mounting.to_skin(one.force_n) for one in good])
+        torque = np.array([self.mounting.to_skin(one.torque_nm) for one in good])
         fx, fy, fz = force.mean(axis=0).tolist()
         tx, ty, tz = torque.mean(axis=0).tolist()
         self.force_n, self.torque_nm = (fx, fy, fz), (tx, ty, tz)
@@ -85,10 +85,10 @@ class ForceBias:
 
     def force(self, sample: Wrench) -> Force:
         """Force of a sample, in the skin's axes, without the bias [N]."""
-        x, y, z = self.mounting.turned(sample.force_n)
+        x, y, z = self.mounting.to_skin(sample.force_n)
         return x - self.force_n[0], y - self.force_n[1], z - self.force_n[2]
 
     def torque(self, sample: Wrench) -> Force:
         """Torque of a sample, in the skin's axes, without the bias [Nm]."""
-        x, y, z = self.mounting.turned(sample.torque_nm)
+        x, y, z = self.mounting.to_skin(sample.torque_nm)
         return x - self.torque_nm[0], y - self.torque_nm[1], z - self.torque_nm[2]

@@ -37,11 +37,11 @@ class Actuator(Protocol):
 
     @property
     def travel(self) -> Travel:
-        """Where it may go, how fast, and how soon it stops."""
+        """Its reach, speed and stopping."""
         ...
 
     def position_m(self) -> Position:
-        """Where it is now [m]; raises `DeviceError` where it does not know."""
+        """Position now [m]; raises `DeviceError` where it does not know."""
         ...
 
     def move_to(self, position_m: Position, speed_m_s: float) -> None:
@@ -49,7 +49,7 @@ class Actuator(Protocol):
         ...
 
     def moving(self) -> bool:
-        """Whether the last move is still under way."""
+        """True while the last move is under way."""
         ...
 
     def stop(self) -> None:
@@ -129,7 +129,7 @@ class MotionGuard:
         return self._bias.force(self._newest())
 
     def position_m(self) -> Position:
-        """Where the stage is.
+        """Position of the stage [m].
 
         Raises:
             Tripped: it does not say.
@@ -142,12 +142,12 @@ class MotionGuard:
     def wait(self, seconds: float, check: Check | None = None) -> list[Wrench]:
         """Let time pass while watching, and return what the sensor measured in it."""
         end_ns = self._clock.now_ns() + round(seconds * NS_PER_S)
-        seen: list[Wrench] = []
+        samples: list[Wrench] = []
         while (left_s := (end_ns - self._clock.now_ns()) / NS_PER_S) > 0:
             self._clock.sleep(min(WAIT_S, left_s))
-            seen += self.look(check)
+            samples += self.look(check)
             self.looks.publish()
-        return seen
+        return samples
 
     def towards(
         self, target: Position, speed_m_s: float, until: Until = _never, step_m: float | None = None
@@ -184,14 +184,14 @@ class MotionGuard:
             OperatorInterrupt: an emergency stop; no other wish holds it up.
         """
         self._limits.check_target(target)
-        begun = self._last_force()
+        start_n = self._last_force()
 
         def rising(sample: Wrench) -> None:
             force = math.hypot(*self._bias.force(sample))
-            if not sample.fault and begun is not None and force > begun + RISE_N:
+            if not sample.fault and start_n is not None and force > start_n + RISE_N:
                 raise Tripped(
                     Reason.FORCE_LIMIT,
-                    f"{force:.2f} N while moving away, from {begun:.2f} N: is the stage's z turned round?",
+                    f"{force:.2f} N while moving away, from {start_n:.2f} N: is the stage's z turned round?",
                 )
 
         speed = min(speed_m_s, self._stage.travel.top_speed_m_s)
@@ -204,15 +204,15 @@ class MotionGuard:
         """
         self._control.check(asks)
         try:
-            fresh = self._sensor.drain()
+            samples = self._sensor.drain()
         except DeviceError as e:
             if asks == LEAVING:
                 return []
             raise Tripped(Reason.FORCE_SENSOR, f"the force sensor failed: {e}") from e
-        self.samples.publish(fresh)
-        for one in fresh:
+        self.samples.publish(samples)
+        for one in samples:
             (check or self._within)(one)
-        return fresh
+        return samples
 
     def halt(self) -> None:
         """Bring the stage to a stand.
@@ -235,7 +235,7 @@ class MotionGuard:
     ) -> bool:
         """One move, watched; the stage stands when this returns or raises."""
         try:
-            if self._watched(target, speed_m_s, until, check, asks):
+            if self._follow(target, speed_m_s, until, check, asks):
                 self.halt()
                 return True
         except DeviceError as e:
@@ -248,7 +248,7 @@ class MotionGuard:
         self._check_arrived(target)
         return False
 
-    def _watched(
+    def _follow(
         self,
         target: Position,
         speed_m_s: float,
@@ -276,10 +276,10 @@ class MotionGuard:
     def _check_arrived(self, target: Position) -> None:
         at = self.position_m()
         self.positions.publish(at, self._clock.now_ns())
-        if (missed := math.dist(at, target)) > ARRIVED_M:
+        if (miss_m := math.dist(at, target)) > ARRIVED_M:
             raise Tripped(
                 Reason.STAGE,
-                f"the stage stands {missed * 1e3:.3f} mm from where it was sent; {ARRIVED_M * 1e3:g} mm are "
+                f"the stage stands {miss_m * 1e3:.3f} mm from where it was sent; {ARRIVED_M * 1e3:g} mm are "
                 "allowed: were steps lost?",
             )
 
@@ -321,7 +321,7 @@ class MotionGuard:
             )
 
     def _last_force(self) -> float | None:
-        """However old; None where the sensor does not say."""
+        """Newest force, however old [N]; None where the sensor does not say."""
         try:
             newest = self._sensor.latest()
         except DeviceError:

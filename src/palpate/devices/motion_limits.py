@@ -1,4 +1,4 @@
-"""How far, how fast and how hard the rig may go: refused in software, whatever the devices allow."""
+"""Limits of position, speed and force: refused in software, whatever the devices allow."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ AXES = "xyz"
 
 
 class Reason(StrEnum):
-    """What ends a recording that should have gone on."""
+    """Reason for which a recording ends that should have gone on."""
 
     FORCE_LIMIT = "force-limit"
     FORCE_RATE = "force-rate"
@@ -46,7 +46,7 @@ class Tripped(SafetyError):  # noqa: N818 - a guard trips
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a guarded motion keeps to.
+    """Limits that a guarded motion keeps to.
 
     Attributes:
         least_m, greatest_m: soft limits of each axis, inside the stage's travel [m].

@@ -50,7 +50,7 @@ class OperatorControl:
 
     @property
     def asked(self) -> OperatorCommand | None:
-        """What is asked for now."""
+        """The command that is asked for now."""
         return self._command
 
     def check(self, asks: tuple[OperatorCommand, ...] = AT_ONCE) -> None:

@@ -1,4 +1,4 @@
-"""What a process that holds devices and its clients share: address, lock, and the language of the socket.
+"""Address, lock and language that a process that holds devices shares with its clients.
 
 An address file holds a port and a token. Only its user can read it: whoever can may drive the devices, and
 nobody else on the machine can. A lock lets one process at a time hold them.
@@ -30,7 +30,7 @@ MAX_NAME = 80  # characters of a file's name
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """How to reach a process that holds devices.
+    """Address of a process that holds devices.
 
     Attributes:
         name: of what the process holds, such as a rig's.
@@ -46,17 +46,17 @@ class Address:
 
 
 def folder_of(folder: Path | None = None) -> Path:
-    """Where the files lie: the user's runtime folder, or the one in their home, closed to everybody else.
+    """Folder of the files: the user's runtime folder, or the one in their home, closed to everybody else.
 
     Raises:
         StorageError: it cannot be made.
     """
     runtime = os.environ.get("XDG_RUNTIME_DIR")
-    found = folder or (Path(runtime) if runtime else Path.home() / ".cache") / "palpate"
-    with storage_errors(found):
-        found.mkdir(parents=True, exist_ok=True, mode=0o700)
-        found.chmod(0o700)
-    return found
+    home = folder or (Path(runtime) if runtime else Path.home() / ".cache") / "palpate"
+    with storage_errors(home):
+        home.mkdir(parents=True, exist_ok=True, mode=0o700)
+        home.chmod(0o700)
+    return home
 
 
 def path_of(name: str, folder: Path | None = None, kind: str = "json") -> Path:
@@ -94,14 +94,14 @@ def publish(address: Address, folder: Path | None = None) -> Path:
 
 
 def find(name: str, folder: Path | None = None) -> Address | None:
-    """What the file says; None where there is none, or none that can be read as one.
+    """Address in the file; None where there is none, or none that can be read as one.
 
     That there is a file does not mean that there is a process: one that was killed leaves it behind.
     """
     try:
         data = path_of(name, folder).read_bytes()[:_MAX_BYTES]
-        said = json.loads(data)
-        return Address(str(said["name"]), int(said["port"]), str(said["token"]), int(said["pid"]))
+        fields = json.loads(data)
+        return Address(str(fields["name"]), int(fields["port"]), str(fields["token"]), int(fields["pid"]))
     except (OSError, ValueError, KeyError, TypeError, RecursionError, PalpateError):
         return None
 
@@ -141,24 +141,24 @@ class Lines:
 
     def __init__(self, most_bytes: int) -> None:
         self._most = most_bytes
-        self._held = bytearray()
+        self._line = bytearray()
         self._skipping = False
 
     def feed(self, data: bytes) -> Iterator[bytes | None]:
         """Each line that is whole now, without its end; None for one that was too long."""
         for i, part in enumerate(data.split(b"\n")):
             if i:
-                yield self._ended()
+                yield self._end_line()
             if not self._skipping:
-                self._held += part
-                if len(self._held) > self._most:
-                    self._held.clear()
+                self._line += part
+                if len(self._line) > self._most:
+                    self._line.clear()
                     self._skipping = True
 
-    def _ended(self) -> bytes | None:
+    def _end_line(self) -> bytes | None:
         if self._skipping:
             self._skipping = False
             return None
-        line = bytes(self._held)
-        self._held.clear()
+        line = bytes(self._line)
+        self._line.clear()
         return line

@@ -1,4 +1,4 @@
-"""How others on this machine start and ask a process that holds devices, and the newest of what it tells."""
+"""Client of a process that holds devices: starts it, asks it, and keeps the newest that it pushes."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class RpcClient:
         self._thread.join(CONNECT_S + AGAIN_S)
 
     def reached(self, within_s: float) -> bool:
-        """Whether the process answers, or comes to within some time."""
+        """Wait for the process to answer; False where it does not in time."""
         try:
             self.wait_for(lambda status: True, within_s)
         except DeviceError:
@@ -87,8 +87,8 @@ class RpcClient:
             if status is not None and status["serial"] > self._after and holds(status):
                 return status
             time.sleep(LOOK_S)
-        said = None if self.status is None else {k: self.status[k] for k in ("state", "message", "shots")}
-        raise DeviceError(f"what was waited for did not come within {timeout_s:g} s; the rig says {said}")
+        state = None if self.status is None else {k: self.status[k] for k in ("state", "message", "shots")}
+        raise DeviceError(f"what was waited for did not come within {timeout_s:g} s; the rig says {state}")
 
     def ask(self, do: str, **fields: Any) -> Any:
         """Ask for something, and wait for what came of it.
@@ -191,9 +191,9 @@ class RpcClient:
 
 def _error(kind: str, message: str) -> PalpateError:
     """Make the error that was raised in the process, or the nearest of its family."""
-    found = getattr(errors, "SafetyError" if kind == "Tripped" else kind, None)
-    if isinstance(found, type) and issubclass(found, PalpateError):
-        return found(message)
+    family = getattr(errors, "SafetyError" if kind == "Tripped" else kind, None)
+    if isinstance(family, type) and issubclass(family, PalpateError):
+        return family(message)
     return DeviceError(f"the rig's process failed: {kind}: {message}")
 
 

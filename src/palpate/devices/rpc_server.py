@@ -1,4 +1,4 @@
-"""The sockets: loopback only, a token first, then one JSON object a line.
+"""Server of the process that holds devices: loopback only, a token first, then one JSON object a line.
 
 Each client has a thread that reads, one that writes and one for what takes time, so that nothing that one
 client does, sends or fails to read holds up another, and an emergency stop never waits behind a plan.
@@ -163,10 +163,10 @@ class RpcServer:
             client.begin()
 
     def _tell(self) -> None:
-        shown = -1
+        latest = -1
         while not self._closing.is_set():
             try:
-                shown = self._tell_all(shown)
+                latest = self._tell_all(latest)
             except Exception:
                 # A thing that cannot be told must not end the telling; it is read in the process's log.
                 traceback.print_exc(file=sys.stderr)
@@ -174,18 +174,18 @@ class RpcServer:
             self._news.clear()
             self._closing.wait(TOLD_S / 4)  # however often it is nudged
 
-    def _tell_all(self, shown: int) -> int:
-        """Push the status, and a picture where there is one newer than that shown; its number."""
-        watching = [client.outbox for client in self._all() if client.known]
+    def _tell_all(self, latest: int) -> int:
+        """Push the status, and a picture where there is one newer than that number; the newest's number."""
+        watching = [client.outbox for client in self._all() if client.admitted]
         if not watching:
-            return shown
+            return latest
         self.serial += 1  # before it is looked at: what was done by then is in it
         status = encode({"push": "status", "serial": self.serial, **self._status()})
-        picture = self._picture(shown if all(out.pictured for out in watching) else -1)
+        picture = self._picture(latest if all(out.pictured for out in watching) else -1)
         for out in watching:
             out.push("status", status)
         if picture is None:
-            return shown
+            return latest
         line = encode({"push": "picture", **picture})
         for out in watching:
             out.push("picture", line)
@@ -202,7 +202,7 @@ class _Connection:
         self._server = server
         self._socket = connection
         self.outbox = Outbox(connection, self.drop)
-        self.known = False
+        self.admitted = False
         self._waiting = threading.Semaphore(MAX_WAITING)
         self._turn = threading.Lock()
 
@@ -217,7 +217,7 @@ class _Connection:
         lines, late_s = Lines(ASKED_BYTES), time.monotonic() + AUTH_S
         try:
             while data := self._socket.recv(CHUNK):
-                if not self.known and time.monotonic() > late_s:
+                if not self.admitted and time.monotonic() > late_s:
                     return
                 for line in lines.feed(data):
                     if not self._take(line):
@@ -230,84 +230,81 @@ class _Connection:
 
     def _take(self, line: bytes | None) -> bool:
         """One line; False where the connection ends with it."""
-        asked: dict[str, Any] = {}
+        request: dict[str, Any] = {}
         try:
             if line is None:
                 raise ProtocolError(f"a line longer than {ASKED_BYTES} bytes; send shorter ones")
-            asked = decode(line)
-            if not self.known:
-                self._admit(asked)
-                self._answer(asked, {"rig": self._server.name})
-                self.known = True
+            request = decode(line)
+            if not self.admitted:
+                self._admit(request)
+                self._answer(request, {"rig": self._server.name})
+                self.admitted = True
                 self._server.nudge()
                 return True
-            self._do(asked)
+            self._do(request)
         except PalpateError as e:
-            self._refuse(asked, e)
-            return self.known
+            self._refuse(request, e)
+            return self.admitted
         return True
 
-    def _admit(self, asked: Mapping[str, Any]) -> None:
-        said = asked.get("token")
+    def _admit(self, request: Mapping[str, Any]) -> None:
+        token = request.get("token")
         right = self._server.token.encode()
-        if not isinstance(said, str) or not hmac.compare_digest(said.encode("utf-8", "replace"), right):
+        if not isinstance(token, str) or not hmac.compare_digest(token.encode("utf-8", "replace"), right):
             raise ProtocolError(
                 "say the token first, as in {'token': ...}; it is in the process's address file"
             )
         self._socket.settimeout(None)
 
-    def _do(self, asked: Mapping[str, Any]) -> None:
-        name = asked.get("do")
+    def _do(self, request: Mapping[str, Any]) -> None:
+        name = request.get("do")
         if isinstance(name, str) and name in self._server.quick:
-            self._done(asked, self._server.quick[name])
+            self._perform(request, self._server.quick[name])
         elif isinstance(name, str) and name in self._server.slow:
             if not self._waiting.acquire(blocking=False):
                 raise InputError(f"{MAX_WAITING} requests wait already; wait for their replies")
-            work = threading.Thread(target=self._later, args=(asked, self._server.slow[name]), daemon=True)
+            work = threading.Thread(target=self._later, args=(request, self._server.slow[name]), daemon=True)
             work.start()
         else:
-            known = ", ".join([*self._server.quick, *self._server.slow])
-            raise InputError(f"there is nothing called {str(name)[:50]!r} to do; there are {known}")
+            names = ", ".join([*self._server.quick, *self._server.slow])
+            raise InputError(f"there is nothing called {str(name)[:50]!r} to do; there are {names}")
 
-    def _later(self, asked: Mapping[str, Any], ask: Request) -> None:
+    def _later(self, request: Mapping[str, Any], ask: Request) -> None:
         try:
             with self._turn:
-                self._done(asked, ask)
+                self._perform(request, ask)
         finally:
             self._waiting.release()
 
-    def _done(self, asked: Mapping[str, Any], ask: Request) -> None:
+    def _perform(self, request: Mapping[str, Any], ask: Request) -> None:
         try:
-            self._answer(asked, ask(asked))
-        except PalpateError as e:
-            self._refuse(asked, e)
-        except Exception as e:
-            # Whatever a client sends, the process that holds the devices goes on, and the client is told.
-            self._refuse(asked, e)
+            self._answer(request, ask(request))
+        except Exception as e:  # whatever a client sends, the process goes on, and the client is told
+            self._refuse(request, e)
         finally:
             self._server.nudge()
 
-    def _answer(self, asked: Mapping[str, Any], result: Any) -> None:
-        said = {"id": _id(asked), "ok": True, "serial": self._server.serial, "result": result}
-        self.outbox.reply(said)
+    def _answer(self, request: Mapping[str, Any], result: Any) -> None:
+        reply = {"id": _id(request), "ok": True, "serial": self._server.serial, "result": result}
+        self.outbox.reply(reply)
 
-    def _refuse(self, asked: Mapping[str, Any], error: Exception) -> None:
-        said = {"id": _id(asked), "ok": False, "kind": type(error).__name__, "error": str(error)}
-        self.outbox.reply(said)
+    def _refuse(self, request: Mapping[str, Any], error: Exception) -> None:
+        reply = {"id": _id(request), "ok": False, "kind": type(error).__name__, "error": str(error)}
+        self.outbox.reply(reply)
 
 
-def _id(asked: Mapping[str, Any]) -> int | None:
-    number = asked.get("id")
+def _id(request: Mapping[str, Any]) -> int | None:
+    number = request.get("id")
     return number if isinstance(number, int) and abs(number) < 1 << 53 else None
 
 
-def field_of(asked: Mapping[str, Any], name: str, kinds: tuple[type, ...]) -> Any:
+def field_of(request: Mapping[str, Any], name: str, kinds: tuple[type, ...]) -> Any:
     """A field of a request.
 
     Raises:
         InputError: it is missing, or of another kind.
     """
-    value = asked.get(name)
+    value = request.get(name)
     if not isinstance(value, kinds):
         raise InputError(f"{name!r} is missing, or not {' or '.join(kind.__name__ for kind in kinds)}")
     return value

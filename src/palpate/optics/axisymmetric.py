@@ -166,9 +166,6 @@ def march_axisymmetric(
 
     Returns:
         Light and what stood in its way. Memory beyond the rays and the result is a few 10 kB a thread.
-
-    Raises:
-        InputError: bands that do not fit, fewer than one slice, a frozen stress that is not a number.
     """
     _check_march(half_phase, weight, amplitude, slices, frozen_pa)
     from palpate.optics import axisymmetric_kernels  # here: compiling is for those who march

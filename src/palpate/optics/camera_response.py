@@ -53,9 +53,6 @@ def raw_codes(
         sensitivity: of the channels; see `Spectrum`.
         camera: its numbers.
         rng: the only source of chance.
-
-    Raises:
-        InputError: light that is negative or not a number.
     """
     if not (np.min(linear, initial=0.0) >= 0 and np.isfinite(linear).all()):
         raise InputError("light must be finite and not negative; look for NaN in the stress or the lamp")
@@ -81,13 +78,9 @@ def uneven_light(
     """Light over the image, fixed to the camera: 1 at the centre, falling with the square of the distance.
 
     Args:
-        height: of the image [px].
-        width: of the image [px].
+        height, width: of the image [px].
         corner_loss: share of the light lost at half the image's diagonal from the centre, 0 to 1.
         centre: of the light, in shares of the height and of the width.
-
-    Raises:
-        RangeError: the loss lies outside 0 to 1.
     """
     if not 0.0 <= corner_loss <= 1.0:
         raise RangeError(f"corner loss {corner_loss} lies outside 0 to 1")

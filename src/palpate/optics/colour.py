@@ -51,12 +51,6 @@ def assumed_camera(
         phosphor_share: the phosphor's peak over the die's.
         camera_peaks_nm: of red, green and blue [nm].
         camera_widths_nm: their standard deviations [nm].
-
-    Returns:
-        Bands and weights.
-
-    Raises:
-        InputError: too few bands for colour.
     """
     if bands < MIN_BANDS:
         raise InputError(f"{bands} bands are too few for interference colours; use {MIN_BANDS} or more")

@@ -48,9 +48,6 @@ def march_colour(
 
     Returns:
         Transmitted fraction of each channel, 1 where all light passes if the channel's weights sum to 1.
-
-    Raises:
-        InputError: shapes that do not fit, or a value that is not a finite number.
     """
     check_bands(half_phase, weight, amplitude)
     if difference.shape != shear.shape or difference.ndim < 2 or len(difference) < 1:
@@ -105,11 +102,7 @@ def march_colour_plain(
 def check_bands(
     half_phase: Float[ndarray, " k"], weight: Float[ndarray, "k c"], amplitude: Complex[ndarray, "k 4"]
 ) -> None:
-    """Refuse bands that do not fit each other or are not numbers.
-
-    Raises:
-        InputError: see the message.
-    """
+    """Refuse bands that do not fit each other or are not numbers."""
     k = len(half_phase)
     if k < 1 or weight.ndim != 2 or len(weight) != k or amplitude.shape != (k, 4):
         raise InputError(
@@ -127,11 +120,7 @@ def kernel_bands(half_phase: ndarray, weight: ndarray, amplitude: ndarray) -> tu
 
 
 def in_threads(piece: Callable[[int, int], None], rays: int, threads: int | None) -> None:
-    """Run `piece(first, last)` over all rays, in threads.
-
-    Raises:
-        InputError: fewer than one thread.
-    """
+    """Run `piece(first, last)` over all rays, in threads."""
     count = _threads() if threads is None else threads
     if count < 1:
         raise InputError(f"{count} threads cannot work; give 1 or more")

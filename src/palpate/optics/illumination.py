@@ -66,8 +66,7 @@ def strip_light(
 
     Args:
         strip: the lamp.
-        x_m: columns on the diffuser [m].
-        z_m: rows [m].
+        x_m, z_m: columns and rows on the diffuser [m].
     """
     rho2 = (x_m[:, None] - strip.places_m) ** 2 + (z_m[:, None, None] - strip.height_m) ** 2
     direct = (1 + rho2 / strip.distance_m**2) ** -2 @ strip.gain
@@ -82,12 +81,8 @@ def backlight(
 
     Args:
         strip: the lamp.
-        x_m: columns on the diffuser [m].
-        z_m: rows [m].
+        x_m, z_m: columns and rows on the diffuser [m].
         corner_loss: as in `illumination`.
-
-    Raises:
-        RangeError: the loss lies outside 0 to 1.
     """
     lens = uneven_light(len(z_m), len(x_m), corner_loss)
     return (strip_light(strip, x_m, z_m) * lens).astype(np.float32)

@@ -56,9 +56,6 @@ def graded_slices(scale_m: Float[ndarray, "*n"], count: int) -> tuple[ndarray, n
 
     Returns:
         Midpoints y > 0 and thicknesses dy [m], each ``[count *n]``: equal steps of the angle atan(y / scale).
-
-    Raises:
-        InputError: fewer than one slice.
     """
     if count < 1:
         raise InputError(f"{count} slices make no ray; give 1 or more")

@@ -59,15 +59,12 @@ def circular_dark_field(ray: Retarder) -> Light:
 
 
 def plane_amplitude(polariser_rad: float, bands: int, light_field: bool = False) -> Complex[ndarray, "k 4"]:
-    """A plane polariscope, the same in every band.
+    """The four numbers of a plane polariscope, the same in every band.
 
     Args:
         polariser_rad: from x towards z [rad].
         bands: k.
         light_field: analyser along the polariser instead of across it.
-
-    Returns:
-        Its four numbers for each band, for `through` and the fast marches.
 
     Raises:
         InputError: no band, or an angle that is not a number.
@@ -87,7 +84,7 @@ def circular_amplitude(
     light_field: bool = False,
     axis_error_rad: float = 0.0,
 ) -> Complex[ndarray, "k 4"]:
-    """A circular polariscope whose plates are quarter-wave at one wavelength only.
+    """The four numbers, in each band, of a circular polariscope with plates exact at one wavelength.
 
     Polariser, plate at +45 degrees to it, sample, plate at -45 degrees, analyser. The plates' retardance
     falls as 1/lambda; being crossed they cancel at every wavelength where nothing lies between them.
@@ -98,9 +95,6 @@ def circular_amplitude(
         polariser_rad: from x towards z [rad].
         light_field: analyser along the polariser instead of across it.
         axis_error_rad: by which the second plate is turned too far [rad].
-
-    Returns:
-        Its four numbers for each band.
 
     Raises:
         RangeError: a wavelength is not positive, or an angle is not a number.
@@ -144,9 +138,6 @@ def with_leak(light: Light, extinction: float) -> Light:
     Args:
         light: transmitted fraction between ideal polarisers.
         extinction: e, crossed over parallel transmission of the pair, 0 to 1.
-
-    Raises:
-        RangeError: e lies outside 0 to 1.
     """
     if not 0.0 <= extinction <= 1.0:
         raise RangeError(f"extinction {extinction} lies outside 0 to 1; film polarisers have 0.0001 to 0.01")

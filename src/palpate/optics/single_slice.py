@@ -51,9 +51,6 @@ def single_slice(
         coefficient_per_pa: C [1/Pa].
         wavelength_m: in vacuum [m].
         polariser_rad: from x towards z [rad].
-
-    Raises:
-        RangeError: path, coefficient or wavelength is not positive.
     """
     for name, value, unit in (
         ("path", path_m, "m"),
@@ -76,9 +73,6 @@ def best_path(
         shear_pa: 2 s_xz there [Pa].
         summed_difference: int (s_xx - s_zz) dy [Pa m].
         summed_shear: int 2 s_xz dy [Pa m].
-
-    Raises:
-        InputError: the mid-plane is free of stress.
     """
     square = float(np.sum(difference_pa**2 + shear_pa**2))
     if not square > 0:

@@ -94,9 +94,6 @@ def frozen_stress(birefringence: float, axis_rad: float, law: StressOpticLaw) ->
 
     Returns:
         s_xx - s_zz and 2 s_xz [Pa].
-
-    Raises:
-        RangeError: birefringence or axis is not a finite number.
     """
     if not (np.isfinite(birefringence) and np.isfinite(axis_rad)):
         raise RangeError(f"birefringence {birefringence} and axis {axis_rad} rad must be finite numbers")

@@ -42,9 +42,6 @@ class ColumnRays:
         Returns:
             Signed offset of each ray from the axis, and where it enters and leaves the skin, 0 being nearest
             to the axis. The offset's direction is (cos phi, -sin phi).
-
-        Raises:
-            InputError: a position that is not a number.
         """
         if not np.isfinite(x0_m + y0_m):
             raise InputError(f"the axis at ({x0_m}, {y0_m}) m must be finite numbers")
@@ -85,11 +82,7 @@ def round_rim(x_m: Columns, radius_m: float, index: float) -> ColumnRays:
 
 
 def straight(x_m: Columns, radius_m: float) -> ColumnRays:
-    """Rays through a round disc in a liquid of its own index: no turn, no loss.
-
-    Raises:
-        RangeError: see `round_rim`.
-    """
+    """Rays through a round disc in a liquid of its own index: no turn, no loss."""
     return round_rim(x_m, radius_m, 1.0)
 
 

@@ -24,22 +24,8 @@ POLL_S = 0.01
 MAX_AGE_S = 5.0  # of a stamp; on another clock or in another unit it is off by far more
 EARLY_S = 1e-3  # by which a stamp may lie ahead of the clock: rounding
 
-MEMBERS: dict[type, tuple[str, ...]] = {
-    Stage: ("travel", "position_m", "move_to", "moving", "stop", "close"),
-    ForceSensor: ("rate_hz", "range_n", "latest", "drain", "close"),
-    Camera: ("rate_hz", "size_px", "grab", "close"),
-}
-ARGUMENTS: dict[str, tuple[Any, ...]] = {
-    "position_m": (),
-    "move_to": ((0.0, 0.0, 0.0), 1e-3),
-    "moving": (),
-    "stop": (),
-    "close": (),
-    "latest": (),
-    "drain": (),
-    "grab": (1.0,),
-}
-"""Arguments that the rig calls each method with."""
+ARGUMENTS: dict[str, tuple[Any, ...]] = {"move_to": ((0.0, 0.0, 0.0), 1e-3), "grab": (1.0,)}
+"""Arguments that the rig calls a method with; none where it is not named here."""
 
 
 def check_interface(role: Role, device: object, clock: Clock) -> list[CheckResult]:
@@ -92,14 +78,15 @@ def camera_interface(camera: object) -> Part:
 
 
 def _members(device: object, protocol: type) -> Part:
-    missing = [name for name in MEMBERS[protocol] if not hasattr(device, name)]
+    members = {name: member for name, member in vars(protocol).items() if not name.startswith("_")}
+    missing = [name for name in members if not hasattr(device, name)]
     yield verdict(
         "has the protocol's methods", not missing,
         f"it lacks {', '.join(missing)}; see palpate.core.{protocol.__name__} for what it must have",
     )  # fmt: skip
     if not missing:
-        methods = [name for name in MEMBERS[protocol] if name in ARGUMENTS]
-        wrong = [name for name in methods if not _takes(getattr(device, name), ARGUMENTS[name])]
+        methods = [name for name, member in members.items() if callable(member)]
+        wrong = [name for name in methods if not _takes(getattr(device, name), ARGUMENTS.get(name, ()))]
         yield verdict(
             "takes the protocol's arguments", not wrong,
             f"{', '.join(wrong)} cannot be called as palpate.core.{protocol.__name__} says",

@@ -54,9 +54,6 @@ def check_stage(
         watch: called at every look while it moves; raises what ends the check, such as too much force.
         close: close it at the end, and check that.
 
-    Returns:
-        The findings, in the order they were made.
-
     Raises:
         RangeError: the box leaves the travel or is too small for the speed, or no such speed; nothing moved.
 

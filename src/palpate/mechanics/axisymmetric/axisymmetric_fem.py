@@ -68,9 +68,6 @@ class RevolvedBody:
 
         Returns:
             (U, V, W) [m] by (r, around, z) [N/rad]. In mode 0 what is around the axis is zero.
-
-        Raises:
-            InputError: no such mode.
         """
         if mode < 0:
             raise InputError(f"mode {mode}; modes around the axis are 0, 1, 2, ...")

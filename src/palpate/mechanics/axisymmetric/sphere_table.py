@@ -118,11 +118,7 @@ class SphereTable:
 
     @classmethod
     def load(cls, name: str) -> SphereTable:
-        """A shipped table, read once.
-
-        Raises:
-            InputError: no table of this name is shipped.
-        """
+        """A shipped table, read once."""
         if name not in shipped():
             raise InputError(f"no press table {name!r} is shipped; give one of {', '.join(shipped())}")
         return _shipped(name)
@@ -140,9 +136,6 @@ class SphereTable:
         Against solving the depth itself, halfway between the table's: force within 0.03 %, contact radius and
         greatest pressure within 0.1 %, stress within 0.1 % rms and, at the contact's edge, 3 % of the
         greatest.
-
-        Raises:
-            RangeError: the depth is negative, not finite or beyond the table.
         """
         if not 0.0 <= depth <= self.greatest_depth * (1.0 + SAME):
             raise RangeError(
@@ -154,26 +147,13 @@ class SphereTable:
             float(depth**power * ratio(depth))
             for power, ratio in zip((1.5, 0.5, 0.5), self._ratios, strict=True)
         )
-        surface, stress = self._fields(depth, force, radius, pressure)
+        fields = (self.r, self.zeta, *self._fields(depth, force, radius, pressure))
         return TabulatedPress(
-            depth=float(depth),
-            force=force,
-            contact_radius=radius,
-            peak_pressure=pressure,
-            r=self.r,
-            zeta=self.zeta,
-            surface=surface,
-            stress=stress,
-            thickness=self.thickness,
-            disc_radius=self.disc_radius,
+            float(depth), force, radius, pressure, *fields, self.thickness, self.disc_radius
         )
 
     def force_at(self, depth: Knots) -> Knots:
-        """Forces at many depths [R], as `at` gives them one by one [E R^2].
-
-        Raises:
-            RangeError: one is negative, not finite or beyond the table.
-        """
+        """Forces at many depths [R], as `at` gives them one by one [E R^2]."""
         if not np.all((depth >= 0.0) & (depth <= self.greatest_depth * (1.0 + SAME))):
             raise RangeError(
                 f"depths of {np.min(depth):g} to {np.max(depth):g} R; the table was solved from 0 to "
@@ -373,9 +353,6 @@ def edge_correction(offset: float, depth: float, thickness: float) -> EdgeCorrec
         offset: of the ball from the disc's axis, to 4.427 R (22.1 mm under a ball of 5 mm) [R].
         depth: 0 to 1 R.
         thickness: of the disc: 2 or 4 R.
-
-    Raises:
-        RangeError: beyond what was solved.
 
     Example:
         >>> round(edge_correction(4.2, 1.0, 2.0).force_ratio, 3)

@@ -282,9 +282,6 @@ def tip_modes(
         poisson_ratio: of both.
         rings, azimuths: cells of the skin from the axis to 84 degrees, and around half of it.
         modes: around the axis.
-
-    Raises:
-        RangeError: no such tip.
     """
     if not (0 < skin_m < 0.5 * radius_m and skin_pa > 0 and gel_pa > 0 and 0 < poisson_ratio < 0.5):
         raise RangeError(
@@ -342,9 +339,6 @@ def top_modes(
         youngs_pa, poisson_ratio: of its material [Pa].
         rings: cells along the radius.
         modes: around the axis.
-
-    Raises:
-        RangeError: no such cylinder.
     """
     if not (min(radius_m, height_m, youngs_pa) > 0 and 0 < poisson_ratio < 0.5):
         raise RangeError(

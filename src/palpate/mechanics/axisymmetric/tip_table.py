@@ -57,11 +57,7 @@ class HeadOnPress:
         return np.pi * self.radius_m**2
 
     def at(self, column: str, force_n: Float[ndarray, " k"]) -> Float[ndarray, k * n]:
-        """A column of the table at other forces.
-
-        Raises:
-            RangeError: beyond the table's greatest force.
-        """
+        """A column of the table at other forces."""
         force = np.asarray(force_n, np.float64)
         if force.size and not (force.min() >= 0 and force.max() <= self.force_n[-1]):
             raise RangeError(
@@ -70,11 +66,7 @@ class HeadOnPress:
         return np.asarray(self._curves[column](np.cbrt(force)))
 
     def force_at(self, approach_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
-        """Force at approaches; 0 before first touch [N].
-
-        Raises:
-            RangeError: beyond the table's greatest approach.
-        """
+        """Force at approaches; 0 before first touch [N]."""
         d = np.maximum(approach_m, 0.0)
         if d.size and d.max() > self.approach_m[-1]:
             raise RangeError(
@@ -110,11 +102,7 @@ class TipTable:
     polar_rad: Float[ndarray, " n"]
 
     def press(self, specimen_pa: float) -> HeadOnPress:
-        """The tip on a specimen of any Young's modulus, `inf` for a rigid plate [Pa].
-
-        Raises:
-            RangeError: softer than the table's softest.
-        """
+        """The tip on a specimen of any Young's modulus, `inf` for a rigid plate [Pa]."""
         if not specimen_pa >= self.specimen_pa[0] * (1 - 1e-9):
             raise RangeError(
                 f"a specimen of {specimen_pa:g} Pa; the table holds {self.specimen_pa[0]:g} Pa and stiffer"
@@ -142,11 +130,7 @@ def shipped_tips() -> tuple[str, ...]:
 
 @cache
 def tip_table(name: str) -> TipTable:
-    """The table of a tip.
-
-    Raises:
-        InputError: there is none of this name.
-    """
+    """The table of a tip."""
     if name not in shipped_tips():
         raise InputError(f"no tip {name!r}; there are {', '.join(shipped_tips())}")
     path = resources.files("palpate.mechanics") / FOLDER / f"tip-{name}.npz"

@@ -129,8 +129,7 @@ def press(
     Args:
         probe: a sphere and its radius [m].
         pose: where, and how deep; depth 0 is first touch and gives no contact.
-        youngs_modulus_pa: of the skin [Pa].
-        poisson_ratio: of the skin, 0 to 0.5.
+        youngs_modulus_pa, poisson_ratio: of the skin [Pa], 0 to 0.5.
         x_m: columns of the surface grid in the sensor's frame [m]; by default 81 points over one sphere's
             radius to each side of the pose.
         y_m: its rows [m]; by default as many.
@@ -148,18 +147,9 @@ def press(
     a = contact_radius(d, R)
     p0 = peak_pressure(d, R, youngs_modulus_pa, poisson_ratio)
     x, y, r = grid_around(pose, np.linspace(-R, R, GRID_POINTS), x_m, y_m)
-    return Contact(
-        x_m=x,
-        y_m=y,
-        pressure_pa=pressure(r, a, p0),
-        displacement_m=surface_displacement(r, a, R),
-        touching=r < a,
-        force_n=force_from_depth(d, R, youngs_modulus_pa, poisson_ratio),
-        radius_m=a,
-        probe=probe,
-        pose=pose,
-        model=MODEL,
-    )
+    force = force_from_depth(d, R, youngs_modulus_pa, poisson_ratio)
+    p, u = pressure(r, a, p0), surface_displacement(r, a, R)
+    return Contact(x, y, p, u, r < a, force, a, probe, pose, MODEL)
 
 
 def grid_around(

@@ -162,8 +162,7 @@ def mindlin_displacement(
         depth_m: of the force, 0 or more [m].
         force_n: along the named axis [N].
         along: ``"x"``, ``"y"`` or ``"z"``.
-        youngs_modulus_pa: of the skin [Pa].
-        poisson_ratio: of the skin, 0 to 0.5.
+        youngs_modulus_pa, poisson_ratio: of the skin [Pa], 0 to 0.5.
 
     Raises:
         InputError: the axis is not one of the three.

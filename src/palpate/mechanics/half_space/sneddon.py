@@ -207,8 +207,7 @@ def press(
     Args:
         probe: shape ``"sphere"``, or ``"punch"`` with the radius of its flat end [m].
         pose: where, and how deep; depth 0 is first touch and gives no pressure.
-        youngs_modulus_pa: of the skin [Pa].
-        poisson_ratio: of the skin, 0 to 0.5.
+        youngs_modulus_pa, poisson_ratio: of the skin [Pa], 0 to 0.5.
         x_m: columns of the surface grid in the sensor's frame [m], evenly spaced; by default 81 points over
             two contact or punch radii to each side of the pose.
         y_m: its rows [m]; by default as many.
@@ -239,18 +238,8 @@ def press(
         short = np.where(r < a, np.minimum(r, a - cell / 4), r)
         pressure = punch_pressure(short, R, force)
         displacement = _surface_displacement(r, a, np.full_like(r, d), lambda t: np.full_like(t, d))
-    return Contact(
-        x_m=x,
-        y_m=y,
-        pressure_pa=np.where(r < a, pressure, 0.0),
-        displacement_m=displacement,
-        touching=r < a,
-        force_n=force,
-        radius_m=a,
-        probe=probe,
-        pose=pose,
-        model=MODEL.format(shape=probe.shape),
-    )
+    p, model = np.where(r < a, pressure, 0.0), MODEL.format(shape=probe.shape)
+    return Contact(x, y, p, displacement, r < a, force, a, probe, pose, model)
 
 
 def _surface_displacement(r: Points, a: float, inside: Points, g: Callable[[Points], Points]) -> Points:

@@ -195,8 +195,7 @@ def twisting_moment(
         force_n: normal force P, positive [N].
         friction: coefficient mu, positive.
         contact_radius_m: a, positive [m].
-        youngs_modulus_pa: of the half-space [Pa].
-        poisson_ratio: of the half-space.
+        youngs_modulus_pa, poisson_ratio: of the half-space [Pa].
     """
     greatest = greatest_moment(force_n, friction, contact_radius_m)
     if not 0.0 <= turn_rad < math.inf:

@@ -67,9 +67,6 @@ def solve_pressure(
         tolerance: misfit allowed, as a part of the greatest displacement.
         depth: of the indenter, above the least of the gap [m]; or
         load: the sum of the pressures, positive [Pa].
-
-    Raises:
-        RangeError: it does not settle in 1000 steps.
     """
     possible = np.isfinite(gap)
     heights = np.where(possible, gap, 0.0)
@@ -160,17 +157,9 @@ class StackContact:
 
     def as_contact(self, probe: Probe, pose: Pose) -> Contact:
         """The contact as core's Contact; its radius is that of the circle of equal area."""
+        radius_m, surface = math.sqrt(self.area_m2 / math.pi), (self.pressure_pa, self.displacement_m)
         return Contact(
-            x_m=self.x_m,
-            y_m=self.y_m,
-            pressure_pa=self.pressure_pa,
-            displacement_m=self.displacement_m,
-            touching=self.touching,
-            force_n=self.force_n,
-            radius_m=math.sqrt(self.area_m2 / math.pi),
-            probe=probe,
-            pose=pose,
-            model=MODEL,
+            self.x_m, self.y_m, *surface, self.touching, self.force_n, radius_m, probe, pose, MODEL
         )
 
 
@@ -190,8 +179,7 @@ def press_stack(
         stack: the layers.
         gap_m: height of the indenter over the flat skin at first touch ``[ny nx]`` [m], as of
             ``palpate.mechanics.layers.indenters``; infinite where it has no lower face.
-        x_m: columns of a regular grid [m].
-        y_m: rows of a regular grid [m].
+        x_m, y_m: columns and rows of a regular grid [m].
         depth_m: approach past first touch, 0 or more [m]; or
         force_n: normal force, 0 or more [N].
         tolerance: allowed misfit of skin and indenter, as a part of the greatest displacement.
@@ -227,19 +215,9 @@ def press_stack(
     _check_depth(solution.depth, stack, gap_m)
     touching = solution.pressure > 0.0
     _check_touching(touching, x_m, y_m)
-    return StackContact(
-        x_m=x_m,
-        y_m=y_m,
-        pressure_pa=solution.pressure,
-        displacement_m=solution.displacement,
-        touching=touching,
-        force_n=float(solution.pressure.sum()) * grid.area_m2,
-        area_m2=_area(solution.pressure, grid),
-        depth_m=solution.depth,
-        stack=stack,
-        steps=solution.steps,
-        misfit_m=solution.misfit,
-    )
+    force, area = float(solution.pressure.sum()) * grid.area_m2, _area(solution.pressure, grid)
+    fields = (x_m, y_m, solution.pressure, solution.displacement, touching)
+    return StackContact(*fields, force, area, solution.depth, stack, solution.steps, solution.misfit)
 
 
 def _area(p: Field, grid: Cells) -> float:

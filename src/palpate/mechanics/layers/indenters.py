@@ -27,8 +27,7 @@ def sphere(x_m: Axis, y_m: Axis, radius_m: float, centre_m: Place = CENTRE) -> F
     """Exact sphere, z = R - sqrt(R^2 - r^2) [m].
 
     Args:
-        x_m: columns of the grid [m].
-        y_m: rows of the grid [m].
+        x_m, y_m: columns and rows of the grid [m].
         radius_m: R, positive [m].
         centre_m: the lowest point (x, y) [m].
 
@@ -75,8 +74,7 @@ def wedge(
     """Straight edge, z = (distance from its line) tan(slope) [m], cut off square at its ends.
 
     Args:
-        x_m: columns of the grid [m].
-        y_m: rows of the grid [m].
+        x_m, y_m: columns and rows of the grid [m].
         slope_rad: of both sides against the skin, 0 to 90 degrees [rad].
         length_m: of the edge [m].
         turn_rad: of the edge from x towards y [rad].
@@ -135,8 +133,7 @@ def axisymmetric(
     """Any round indenter from its profile z(r), which must not fall.
 
     Args:
-        x_m: columns of the grid [m].
-        y_m: rows of the grid [m].
+        x_m, y_m: columns and rows of the grid [m].
         profile: a function of r [m] that gives z [m]; or the positions r and heights z of its points, joined
             by straight lines.
         outer_radius_m: where the indenter ends [m]; points must reach that far.
@@ -182,11 +179,7 @@ def tilt(gap_m: Field, x_m: Axis, y_m: Axis, slope_x_rad: float = 0.0, slope_y_r
 
 
 def lean(gap_m: Field, x_m: Axis, y_m: Axis, tilt_rad: float, turn_rad: float = 0.0) -> Field:
-    """Lean an indenter by one angle; the side that ``turn_rad``, from x towards y, points to is lower.
-
-    Raises:
-        RangeError: see `tilt`.
-    """
+    """Lean an indenter by one angle; the side that ``turn_rad``, from x towards y, points to is lower."""
     _check_tilt(tilt_rad)
     slope = math.tan(tilt_rad)
     return tilt(

@@ -61,11 +61,7 @@ class Influence(NamedTuple):
 
 @lru_cache(maxsize=8)
 def normal_influence(stack: Stack, grid: Cells) -> Influence:
-    """u_z under a pressure: one spectrum.
-
-    Raises:
-        RangeError: a cell is larger than the top layer is thick.
-    """
+    """u_z under a pressure: one spectrum."""
     (changes,) = _changes(stack, grid, lambda c: (c.normal,), (0,))
     (over_r,) = _rectangles(grid, lambda x, y, r: (x * np.log(y + r) + y * np.log(x + r),))
     return _transform(grid, over_r / (np.pi * stack.layers[0].reduced_modulus_pa) + changes)
@@ -73,11 +69,7 @@ def normal_influence(stack: Stack, grid: Cells) -> Influence:
 
 @lru_cache(maxsize=4)
 def tangential_influence(stack: Stack, grid: Cells) -> Influence:
-    """Displacement along the surface under a load along it: spectra of xx, yy and xy.
-
-    Raises:
-        RangeError: a cell is larger than the top layer is thick.
-    """
+    """Displacement along the surface under a load along it: spectra of xx, yy and xy."""
     mu, nu = stack.layers[0].material
     x, y = _offsets(grid)
     turn = 2 * np.arctan2(y, x)

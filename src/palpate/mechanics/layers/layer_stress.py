@@ -70,8 +70,7 @@ def stress_under(
         poisson_ratio: of the layer, below 1/2.
         depths_m: of the planes, rising from 0 to the thickness [m].
         pressure_pa: into the skin ``[ny nx]`` [Pa].
-        x_m: columns of a regular grid [m].
-        y_m: rows of a regular grid [m].
+        x_m, y_m: columns and rows of a regular grid [m].
         shear_pa: load along x and y, the force of the probe on the skin [Pa].
 
     Returns:
@@ -250,18 +249,10 @@ def _plan(
     ]
     share = cell[0] * cell[1] / coarse**2
     around, onto = zip(*(_read(far.axis(which), near.axis(which), coarse) for which in (0, 1)), strict=True)
-    return _Plan(
-        near=near,
-        far=far,
-        short=short,
-        long=long,
-        shallow=shallow,
-        mean=mean_transfer(z, thickness, nu),
-        into_far=((share * into[0]).astype(np.complex64), into[1].T.astype(np.complex64)),
-        onto_near=(onto[0].astype(np.float32), onto[1].T.astype(np.float32)),
-        around=(around[0], around[1]),
-        loaded=loaded,
-    )
+    into_far = ((share * into[0]).astype(np.complex64), into[1].T.astype(np.complex64))
+    onto_near = (onto[0].astype(np.float32), onto[1].T.astype(np.float32))
+    mean = mean_transfer(z, thickness, nu)
+    return _Plan(near, far, short, long, shallow, mean, into_far, onto_near, (around[0], around[1]), loaded)
 
 
 def _counts(least: list[float], like: tuple[int, int]) -> tuple[int, int]:

@@ -168,9 +168,6 @@ class ElasticLayer:
         thickness_m: positive [m]; ``math.inf`` only for the last layer of a stack on a half-space.
         youngs_modulus_pa: positive [Pa].
         poisson_ratio: 0 to below 0.5. At 0.5 a layer between rigid walls has no compliance at all.
-
-    Raises:
-        RangeError: one of them lies outside its range.
     """
 
     thickness_m: float

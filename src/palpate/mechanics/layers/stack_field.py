@@ -71,8 +71,7 @@ def field_below(
     Args:
         stack: the layers.
         pressure_pa: load into the skin ``[ny nx]``, positive in compression [Pa].
-        x_m: columns of a regular grid [m].
-        y_m: rows of a regular grid [m].
+        x_m, y_m: columns and rows of a regular grid [m].
         depths_m: of the planes, 0 to the stack's thickness [m].
         shear_x_pa: load along x, the force of the probe on the skin ``[ny nx]`` [Pa].
         shear_y_pa: the same along y [Pa].

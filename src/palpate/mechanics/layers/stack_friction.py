@@ -207,16 +207,9 @@ class _Problem:
         sticking = np.zeros(self.contact.touching.shape, bool)
         sticking[self.part] = self.touching & (np.hypot(*q) < self.limit * AT_LIMIT)
         load = self.load(q)
+        moment, turn = float(load[2]) * self.radius, float(motion[2]) / self.radius
         return StackShear(
-            contact=self.contact,
-            friction=self.friction,
-            shear_pa=shear,
-            sticking=sticking,
-            force_n=load[:2],
-            shift_m=motion[:2],
-            moment_nm=float(load[2]) * self.radius,
-            turn_rad=float(motion[2]) / self.radius,
-            axis_m=self.axis_m,
+            self.contact, self.friction, shear, sticking, load[:2], motion[:2], moment, turn, self.axis_m
         )
 
 

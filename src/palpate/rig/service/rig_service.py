@@ -78,7 +78,7 @@ class RigMonitor:
             self._at_mm = status.position_mm
         if status.force_n is not None and self.force.asked is not None:
             # The engine has just asked for this sample and taken its bias off: so that is the bias.
-            turned = self.rig.mounting.turned(self.force.asked.force_n)
+            turned = self.rig.mounting.to_skin(self.force.asked.force_n)
             x, y, z = (raw - own for raw, own in zip(turned, status.force_n, strict=True))
             self._bias = (x, y, z)
 
@@ -112,7 +112,7 @@ class RigMonitor:
         recent = self.force.recent()
         if not recent or recent[-1].fault:
             return None
-        turned = np.subtract(self.rig.mounting.turned(recent[-1].force_n), bias)
+        turned = np.subtract(self.rig.mounting.to_skin(recent[-1].force_n), bias)
         return [round(float(f), 4) for f in turned] if np.isfinite(turned).all() else None
 
     def _rest(self) -> None:
