@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
@@ -18,6 +17,7 @@ from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.certified import Zero, intervals_of
 from palpate.recordings import Run, RunWriter
+from palpate.recordings.table_files import read_table
 from palpate.reports.certificate_page import write_report
 
 TARGETS = ("x_mm", "height_mm")
@@ -311,7 +311,7 @@ def test_the_verb_prints_errors_before_and_after(original, record_spots, tmp_pat
     assert "MAE before" in said.output
     assert AS_IT_WAS not in said.output
     assert (tmp_path / "adapted" / "report.html").exists()
-    table = pd.read_parquet(tmp_path / "adapted" / "predictions.parquet")
+    table = read_table(tmp_path / "adapted" / "predictions.csv.gz")
     assert table["held_out_in_fold"].nunique() == 10
     refused = CliRunner().invoke(app, [str(original), str(copy.path), "--out", str(tmp_path / "adapted")])
     assert refused.exit_code == 2

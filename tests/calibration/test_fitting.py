@@ -3,7 +3,6 @@
 import json
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from palpate.calibration import CalibrationPlan, ReferenceRule, calibrate, evaluate
@@ -14,6 +13,7 @@ from palpate.estimators import Estimator, read_card
 from palpate.recordings import Split
 from palpate.recordings.packed_set import pack
 from palpate.recordings.preparation import Preparation
+from palpate.recordings.table_files import read_table
 
 PLAN = CalibrationPlan(targets=("x_mm", "height_mm"), split="group:press", size_px=(24, 32))
 
@@ -39,7 +39,7 @@ def test_held_out_predictions_come_from_the_other_folds(record_spots, tmp_path) 
         CalibrationPlan(("x_mm",), model="mean", split="group:press"),
         tmp_path / "cal",
     )
-    table = pd.read_parquet(tmp_path / "cal" / "predictions.parquet")
+    table = read_table(tmp_path / "cal" / "predictions.csv.gz")
     for fold in range(5):
         held = table["held_out_in_fold"] == fold
         assert not set(table["press"][held]) & set(table["press"][~held])
@@ -49,10 +49,10 @@ def test_held_out_predictions_come_from_the_other_folds(record_spots, tmp_path) 
 def test_frames_of_the_untouched_sensor_are_not_learnt_from_unless_asked(record_spots, tmp_path) -> None:
     run = record_spots("run", 10)
     calibrate(run, PLAN, tmp_path / "cal")
-    assert len(pd.read_parquet(tmp_path / "cal" / "predictions.parquet")) == 50
+    assert len(read_table(tmp_path / "cal" / "predictions.csv.gz")) == 50
     with_them = CalibrationPlan(("height_mm",), model="mean", split="group:press", learn_untouched=True)
     calibrate(run, with_them, tmp_path / "cal-all")
-    assert len(pd.read_parquet(tmp_path / "cal-all" / "predictions.parquet")) == 60
+    assert len(read_table(tmp_path / "cal-all" / "predictions.csv.gz")) == 60
     assert read_card(tmp_path / "cal-all").targets[0].least == 0
 
 
@@ -75,7 +75,7 @@ def test_an_interrupted_calibration_goes_on_to_the_same_result(record_spots, tmp
     assert len(before) == 3
     calibrate(run, PLAN, tmp_path / "cal")
     assert not kept.exists()
-    first, again = ((tmp_path / name / "predictions.parquet").read_bytes() for name in ("whole", "cal"))
+    first, again = ((tmp_path / name / "predictions.csv.gz").read_bytes() for name in ("whole", "cal"))
     assert first == again
 
 
@@ -199,7 +199,7 @@ def test_one_fold_is_held_out_from_the_model_that_is_kept(record_spots, tmp_path
     plan = CalibrationPlan(("x_mm",), split="group:press", size_px=(24, 32), scored_folds=1)
     split_card = read_card(calibrate(run, plan, tmp_path / "cal")).split
     assert (split_card.rows_scored, split_card.rows_learnt) == (20, 80)
-    table = pd.read_parquet(tmp_path / "cal" / "predictions.parquet")
+    table = read_table(tmp_path / "cal" / "predictions.csv.gz")
     # The kept model repeats the scored predictions: it is the very one that was scored.
     found = Estimator.open(tmp_path / "cal").read(
         run.frame(int(run.labels.index[run.labels["press"] == table["press"][0]][1]))

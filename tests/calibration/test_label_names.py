@@ -12,6 +12,7 @@ from palpate.core import LabelError, ManualClock
 from palpate.estimators import Estimator
 from palpate.recordings import Manifest, Run, RunWriter
 from palpate.recordings.labels import with_own
+from palpate.recordings.table_files import read_table
 from palpate.reports import write_report
 
 NAMES = (
@@ -52,7 +53,7 @@ def test_every_label_s_name_goes_through_a_calibration_and_keeps_its_values(spli
     run = recorded(tmp_path / "run")
     plan = CalibrationPlan(("x_mm",), model="mean", split=split, size_px=(12, 16), folds=3)
     calibrate(run, plan, tmp_path / "cal")
-    table = pd.read_parquet(tmp_path / "cal" / "predictions.parquet")
+    table = read_table(tmp_path / "cal" / "predictions.csv.gz")
     learnt = np.flatnonzero(~run.labels["reference"].to_numpy(bool))[table["own:row"]]
     for name in NAMES:
         np.testing.assert_array_equal(table[name], run.labels[name][learnt], err_msg=name)
@@ -79,7 +80,7 @@ def test_a_target_may_be_called_as_a_column_of_the_code_s(tmp_path) -> None:
 def test_without_such_labels_the_short_names_stay(tmp_path) -> None:
     run = recorded(tmp_path / "run", names=("press",))
     calibrate(run, CalibrationPlan(("x_mm",), model="mean", size_px=(12, 16), folds=3), tmp_path / "cal")
-    table = pd.read_parquet(tmp_path / "cal" / "predictions.parquet")
+    table = read_table(tmp_path / "cal" / "predictions.csv.gz")
     for name in ("row", "frame", "held_out_in_fold"):
         np.testing.assert_array_equal(table[name], table[f"own:{name}"])
 

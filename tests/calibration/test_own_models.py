@@ -26,6 +26,7 @@ from palpate.estimators.networks import Kind
 from palpate.estimators.networks.model_interface import silent
 from palpate.estimators.networks.onnx_graph import image_to_value
 from palpate.recordings import Split, split
+from palpate.recordings.table_files import read_table
 
 HERE = __name__
 TINY = {"shape": (1, 12, 16)}
@@ -229,7 +230,7 @@ def test_a_certificate_of_an_own_model_is_opened_without_it(
     assert told.exit_code == 0, told.output
     card = read_card(tmp_path / "cal")
     assert (card.model_name, card.split.kind) == (f"{plugin}:Constant", f"{plugin}:by_press")
-    table = pd.read_parquet(tmp_path / "cal" / "predictions.parquet")
+    table = read_table(tmp_path / "cal" / "predictions.csv.gz")
     assert table.groupby("press")["held_out_in_fold"].nunique().eq(1).all()
     sys.modules.pop(plugin)
     monkeypatch.setattr(sys, "path", [p for p in sys.path if not p.endswith("plugins")])

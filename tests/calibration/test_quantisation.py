@@ -5,7 +5,6 @@ import shutil
 
 import numpy as np
 import onnx
-import pandas as pd
 import pytest
 import typer
 from onnx import TensorProto, helper
@@ -20,6 +19,7 @@ from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.model_card import sealed
 from palpate.recordings import Manifest, Run, RunWriter
+from palpate.recordings.table_files import read_table, write_table
 
 pytest.importorskip("torch", reason="networks with convolutions train with torch")
 
@@ -115,7 +115,7 @@ def test_frames_it_never_saw_are_read_nearly_as_before(calibration, quantised, t
 def test_the_cost_told_is_the_one_that_the_networks_have(calibration, quantised, run) -> None:
     found = cost(calibration, quantised[0])
     pressed = np.flatnonzero(run.labels["reference"].astype(str).str.lower() != "true")
-    held = pressed[pd.read_parquet(calibration / "predictions.parquet")["row"].to_numpy()]
+    held = pressed[read_table(calibration / "predictions.csv.gz")["row"].to_numpy()]
     for i, folder in enumerate((calibration, quantised[0])):
         estimator = Estimator.open(folder)
         for column in TARGETS:
@@ -137,7 +137,7 @@ def test_the_card_says_that_it_is_int8_of_what_and_at_what_cost(calibration, qua
 
 
 def test_intervals_are_set_by_what_int8_said(quantised) -> None:
-    card, table = read_card(quantised[0]), pd.read_parquet(quantised[0] / "predictions.parquet")
+    card, table = read_card(quantised[0]), read_table(quantised[0] / "predictions.csv.gz")
     for target in card.targets:
         error = (table[f"estimate:{target.column}"] - table[target.column]).abs()
         inside = (error <= table[f"half_width:{target.column}"]).mean()
@@ -183,10 +183,10 @@ def test_a_calibration_adapted_to_another_copy_is_refused(calibration, run, tmp_
 
 def test_a_network_that_is_not_the_one_scored_is_refused(calibration, run, tmp_path) -> None:
     shutil.copytree(calibration, tmp_path / "cal")
-    told, card = tmp_path / "cal" / "predictions.parquet", read_card(calibration)
-    table = pd.read_parquet(told)
+    told, card = tmp_path / "cal" / "predictions.csv.gz", read_card(calibration)
+    table = read_table(told)
     table["estimate:x_mm"] += 0.1
-    table.to_parquet(told, index=False)
+    write_table(table, told)
     files = [{"file": p.file, "sha256": sha256_of(tmp_path / "cal" / p.file)} for p in card.files]
     altered = sealed(card.model_dump(exclude={"id"}) | {"files": files})
     (tmp_path / "cal" / "card.json").write_text(altered.model_dump_json())

@@ -318,7 +318,7 @@ def test_palpate_calibrates_under_torchrun_once_and_goes_on_to_the_same_when_kil
     assert work.exists(), "it was stopped on its way"
     assert not (tmp_path / "again").exists()
     under_torchrun(tmp_path, "again").communicate(timeout=TIMEOUT_S)
-    first, second = ((tmp_path / name / "predictions.parquet").read_bytes() for name in ("whole", "again"))
+    first, second = ((tmp_path / name / "predictions.csv.gz").read_bytes() for name in ("whole", "again"))
     assert first == second
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again", "run", "whole"]
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -16,15 +17,17 @@ from tests.rig.rigs import CLOCK_NS, keys, plan, rig, wanted
 from typer.testing import CliRunner
 
 from palpate.calibration import evaluate
+from palpate.calibration.certificate import read_predictions
 from palpate.calibration.compliance.compliance_calibration import ComplianceCalibration
 from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.cli import app
 from palpate.core.clock import ManualClock
 from palpate.core.units import split_column
-from palpate.estimators import Estimator
+from palpate.estimators import Estimator, read_card
 from palpate.estimators.compliance.pin_press import PinPress
 from palpate.recordings import Run
 from palpate.recordings.integrity import check
+from palpate.reports import write_report
 from palpate.rig import State, record
 from palpate.rig.plans import Listed
 
@@ -69,6 +72,24 @@ def test_a_certificate_of_before_scores_the_same(before) -> None:
         assert score.pop("unit") == target.pop("unit")
         assert score == pytest.approx(target, rel=FLOAT32, abs=1e-9), column
     assert {name: scores[name] for name in expected} == expected
+
+
+def test_held_out_predictions_of_before_give_the_scores_on_their_card(before) -> None:
+    pytest.importorskip("pyarrow", reason="needs pyarrow: tables were Parquet then")
+    card = read_card(before / "cal")
+    table = read_predictions(before / "cal", card)
+    for target in card.targets:
+        error = table[f"estimate:{target.column}"] - table[target.column]
+        assert float(error.abs().mean()) == pytest.approx(target.score.mae, rel=1e-12)
+    assert write_report(before / "cal", before / "again.html").stat().st_size > 0
+
+
+def test_the_report_of_a_certificate_of_before_says_what_to_install(before, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    told = CliRunner().invoke(app, ["report", str(before / "cal"), "--out", str(before / "none.html")])
+    assert told.exit_code == 2
+    assert "pip install 'palpate[parquet]'" in " ".join(told.output.split())
+    assert not (before / "none.html").exists()
 
 
 def test_a_tip_calibrated_before_reads_a_press_the_same(before) -> None:

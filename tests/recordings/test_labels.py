@@ -11,6 +11,8 @@ import pytest
 from palpate.core import InputError, LabelError, UnitError
 from palpate.recordings.labels import finite, label_kinds, label_values, read_labels, targets_from
 
+NO_PYARROW = "needs pyarrow, which reads Parquet"
+
 
 def csv_file(folder: Path, text: str | bytes) -> Path:
     path = folder / "labels.csv"
@@ -42,6 +44,7 @@ def test_a_spreadsheets_marks_and_line_ends_change_nothing(tmp_path):
 
 
 def test_parquet_holds_the_same_as_csv_whatever_its_name(tmp_path):
+    pytest.importorskip("pyarrow", reason=NO_PYARROW)
     table = read_labels(csv_file(tmp_path, "file,depth_mm,contact\na.png,1.5,true\nb.png,2,false\n"))
     path = tmp_path / "labels.table"
     table.to_parquet(path)
@@ -81,12 +84,17 @@ def test_a_damaged_table_is_refused_by_file_and_row(tmp_path, text, words):
     refused(csv_file(tmp_path, text), *words)
 
 
-def test_a_missing_table_and_a_damaged_parquet_are_named(tmp_path):
+def test_a_missing_table_is_named(tmp_path):
     refused(tmp_path / "gone.csv", "not there")
+
+
+def test_a_damaged_parquet_is_named(tmp_path):
+    pytest.importorskip("pyarrow", reason=NO_PYARROW)
     refused(csv_file(tmp_path, b"PAR1 and then nothing"), "Parquet")
 
 
 def test_parquet_columns_that_are_no_labels_are_refused(tmp_path):
+    pytest.importorskip("pyarrow", reason=NO_PYARROW)
     path = tmp_path / "labels.parquet"
     pd.DataFrame({"when": pd.to_datetime(["2026-01-01"])}).to_parquet(path)
     refused(path, "'when'", "timestamp")

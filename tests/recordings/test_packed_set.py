@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 
 from palpate.core import ExistsError, InputError, ManualClock, RecordingError, StorageError
+from palpate.core.files import sha256_of
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.preparation import Preparation
@@ -137,11 +140,11 @@ def cut_header(folder: Path) -> None:
 
 
 def drop_index(folder: Path) -> None:
-    (folder / "index.parquet").unlink()
+    (folder / "index.csv.gz").unlink()
 
 
 def break_index(folder: Path) -> None:
-    (folder / "index.parquet").write_bytes(b"PAR1")
+    (folder / "index.csv.gz").write_bytes(b"\x1f\x8b")
 
 
 def edit_card(**changes: object) -> object:
@@ -181,7 +184,7 @@ def test_a_set_whose_parts_do_not_fit_is_refused_by_name(run, tmp_path, damage):
         PackedSet.open(folder)
 
 
-@pytest.mark.parametrize("name", ["frames.npy", "index.parquet"])
+@pytest.mark.parametrize("name", ["frames.npy", "index.csv.gz"])
 def test_a_flipped_byte_is_found_when_asked_to_verify(run, tmp_path, name):
     folder = pack(run, tmp_path / "packed", SMALL).folder
     data = bytearray((folder / name).read_bytes())
@@ -189,6 +192,22 @@ def test_a_flipped_byte_is_found_when_asked_to_verify(run, tmp_path, name):
     (folder / name).write_bytes(data)
     with pytest.raises(RecordingError, match=name):
         PackedSet.open(folder, verify=True)
+
+
+def test_a_set_whose_index_was_written_as_parquet_opens_to_the_same(run, tmp_path):
+    pytest.importorskip("pyarrow", reason="needs pyarrow, which reads Parquet")
+    packed = pack(run, tmp_path / "packed", SMALL)
+    folder = shutil.copytree(packed.folder, tmp_path / "former")
+    (folder / "index.csv.gz").unlink()
+    labels = run.labels.assign(**{"frame:name": packed.names, "frame:time_s": packed.times_s})
+    labels[["frame:name", "frame:time_s", *run.labels]].to_parquet(folder / "index.parquet", index=False)
+    sums = json.loads((folder / "card.json").read_text())["sha256"]
+    del sums["index.csv.gz"]
+    edit_card(sha256=sums | {"index.parquet": sha256_of(folder / "index.parquet")})(folder)
+    former = PackedSet.open(folder, verify=True)
+    pd.testing.assert_frame_equal(former.table, packed.table)
+    assert former.names == packed.names
+    assert np.array_equal(former.read(range(len(run))), packed.read(range(len(run))))
 
 
 def test_a_file_cut_while_in_use_is_noticed(run, tmp_path):

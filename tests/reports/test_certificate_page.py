@@ -32,9 +32,9 @@ def test_the_page_shows_every_target_and_the_audit(calibration, tmp_path) -> Non
 
 
 def test_a_page_is_not_written_from_altered_predictions(calibration, tmp_path) -> None:
-    with (calibration / "predictions.parquet").open("ab") as file:
+    with (calibration / "predictions.csv.gz").open("ab") as file:
         file.write(b"\0")
-    with pytest.raises(CertificateError, match=r"predictions.parquet"):
+    with pytest.raises(CertificateError, match=r"predictions.csv.gz"):
         write_report(calibration, tmp_path / "page.html")
     assert not (tmp_path / "page.html").exists()
 

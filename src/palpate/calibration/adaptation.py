@@ -28,7 +28,6 @@ import onnx
 
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.certificate import (
-    PREDICTIONS_FILE,
     Calibrated,
     agreement,
     file_card,
@@ -38,6 +37,7 @@ from palpate.calibration.certificate import (
     run_card,
     software,
     target_cards,
+    write_predictions,
 )
 from palpate.calibration.conformal import GROUPS_FOR_SPREAD, conformal_quantile, fit_intervals
 from palpate.calibration.correction import AS_IT_WAS, Adapted, Correction, correct
@@ -122,7 +122,7 @@ def write_adapted(made: Calibrated, adapted: Adapted, former: Card, out: Path) -
         made.guard.save(folder / "guard.npz")
         intervals = intervals_of_presses(made.held_out, made.data.values, made.data.groups, former.coverage)
         halves = intervals.half_widths(made.held_out)
-        predictions_table(made, halves).to_parquet(folder / PREDICTIONS_FILE, index=False)
+        write_predictions(predictions_table(made, halves), folder)
         for name, image in pictures(made):
             (folder / name).write_bytes(image_files.encode(image).tobytes())
         card = _card(made, adapted, former, folder, intervals, halves, agrees)

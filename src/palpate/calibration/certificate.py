@@ -25,7 +25,7 @@ from palpate.calibration.evaluation import score
 from palpate.calibration.leakage import LeakageAudit
 from palpate.calibration.training_data import Untouched
 from palpate.core import CertificateError, Indices, Values, new_folder, sha256_of, split_column
-from palpate.estimators.certified import CARD_FILE, Intervals
+from palpate.estimators.certified import CARD_FILE, Intervals, checked_file
 from palpate.estimators.model_card import (
     FORMAT,
     Card,
@@ -45,6 +45,7 @@ from palpate.recordings.labels import with_own
 from palpate.recordings.packed_set import PackedSet
 from palpate.recordings.run_reader import Run
 from palpate.recordings.splits import Split
+from palpate.recordings.table_files import read_table, write_table
 from palpate.version import __version__
 
 
@@ -196,7 +197,7 @@ def software() -> dict[str, str]:
     return {"palpate": __version__, "python": platform.python_version()} | {n: version(n) for n in names}
 
 
-PREDICTIONS_FILE = "predictions.parquet"
+PREDICTIONS_FILE, FORMER_PREDICTIONS_FILE = "predictions.csv.gz", "predictions.parquet"
 
 
 def write_certificate(made: Calibrated, out: Path) -> Card:
@@ -215,7 +216,7 @@ def write_certificate(made: Calibrated, out: Path) -> Card:
             made.held_out[scored], made.data.values[scored], made.data.groups[scored], made.plan.coverage
         )
         halves = intervals.half_widths(made.held_out[scored])
-        predictions_table(made, halves).to_parquet(folder / PREDICTIONS_FILE, index=False)
+        write_predictions(predictions_table(made, halves), folder)
         for name, image in pictures(made):
             (folder / name).write_bytes(image_files.encode(image).tobytes())
         card = _card(made, folder, intervals, halves, agrees)
@@ -236,6 +237,24 @@ def predictions_table(made: Calibrated, halves: Values) -> pd.DataFrame:
         table[f"estimate:{column}"] = made.held_out[made.scored, j]
         table[f"half_width:{column}"] = halves[:, j]
     return table
+
+
+def write_predictions(table: pd.DataFrame, folder: Path) -> None:
+    """Write held-out predictions into a calibration's folder; `read_predictions` gives the same numbers."""
+    write_table(table, folder / PREDICTIONS_FILE)
+
+
+def read_predictions(folder: Path, card: Card) -> pd.DataFrame:
+    """The held-out predictions of a calibration, as `write_predictions` had them.
+
+    Raises:
+        CertificateError: they are missing, or not those that the card names.
+        MissingExtraError: they were written as Parquet, and pyarrow is not installed.
+    """
+    for part in card.files:
+        if part.file in (PREDICTIONS_FILE, FORMER_PREDICTIONS_FILE):
+            return read_table(checked_file(folder, part))
+    raise CertificateError(f"the card of {folder} names no {PREDICTIONS_FILE}; restore it or calibrate again")
 
 
 def _card(made: Calibrated, folder: Path, intervals: Intervals, halves: Values, agreement: float) -> Card:

@@ -34,7 +34,7 @@ from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantTy
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
-from palpate.calibration.certificate import PREDICTIONS_FILE, WORST, file_card, software
+from palpate.calibration.certificate import WORST, file_card, read_predictions, software, write_predictions
 from palpate.calibration.conformal import fit_intervals
 from palpate.calibration.evaluation import groups_in, score
 from palpate.calibration.training_data import find_untouched, rows_to_learn, training_data
@@ -242,7 +242,7 @@ def quantise(folder: PathText, run: Run, out: PathText, progress: Progress = sil
         shutil.copyfile(checked_file(folder, card.guard), made / "guard.npz")
         answered = _answers(_running(made / "model.onnx"), material, progress)
         targets, halves = _rescored(card, material, answered)
-        _predictions(card, material, answered, halves).to_parquet(made / PREDICTIONS_FILE, index=False)
+        write_predictions(_predictions(card, material, answered, halves), made)
         _pictures(folder, card, made, material, answered)
         quantised = _card(card, made, targets, material.largest_change(answered))
         (made / CARD_FILE).write_text(quantised.model_dump_json(indent=1))
@@ -279,7 +279,7 @@ def _material(folder: Path, card: Card, run: Run, work: Path, progress: Progress
             "(--scored-folds 1)"
         )
     packed = whole.only(rows)
-    table = pd.read_parquet(_part(folder, card, PREDICTIONS_FILE))
+    table = read_predictions(folder, card)
     groups = groups_in(packed.table, card.split.columns)
     data = training_data(packed, plan, groups, untouched.of(rows), str(run.path))
     held = own_column(table, "row").to_numpy(np.int64)
@@ -300,13 +300,6 @@ def _plan(card: Card) -> CalibrationPlan:
         reference=ReferenceRule(str(rule.column), str(rule.value), rule.by) if known else None,
         learn_untouched=rule.learnt,
     )
-
-
-def _part(folder: Path, card: Card, name: str) -> Path:
-    for part in card.files:
-        if part.file == name:
-            return checked_file(folder, part)
-    raise CertificateError(f"the card of {folder} names no {name}; restore it or calibrate again")
 
 
 def _check_repeats(estimator: Estimator, material: _Material, folder: Path) -> None:

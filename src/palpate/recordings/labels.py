@@ -16,12 +16,11 @@ from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
 from palpate.core import InputError, LabelError, PathText, Values, split_column, storage_errors
 from palpate.recordings.manifest import LabelKind
+from palpate.recordings.table_files import pyarrow_for
 
 Label = float | str | bool
 
@@ -97,6 +96,7 @@ def read_labels(path: PathText, *, kinds: Mapping[str, Kind] | None = None) -> p
     Raises:
         LabelError: the file is missing, empty, undecodable or ragged; a column is nameless or named twice;
             or a cell holds a formula, which a spreadsheet would run.
+        MissingExtraError: it is a Parquet file, and pyarrow is not installed.
         StorageError: the disk refused to read it.
     """
     path = Path(path)
@@ -320,15 +320,16 @@ def _guessed(cells: Sequence[str]) -> Kind:
 
 
 def _parquet_columns(path: Path, data: bytes) -> dict[str, pd.Series]:
+    pa = pyarrow_for(path)
     try:
-        table = pq.read_table(pa.BufferReader(data))
+        table = pa.parquet.read_table(pa.BufferReader(data))
     except (pa.ArrowException, OSError, ValueError) as e:
         raise LabelError(f"{path} begins as Parquet and cannot be read ({e}); write it again") from e
     _check_names(path, table.column_names)
-    return {name: _arrow_typed(path, name, table.column(name)) for name in table.column_names}
+    return {name: _arrow_typed(pa, path, name, table.column(name)) for name in table.column_names}
 
 
-def _arrow_typed(path: Path, name: str, column: pa.ChunkedArray) -> pd.Series:
+def _arrow_typed(pa: Any, path: Path, name: str, column: Any) -> pd.Series:
     kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
     cells = column.to_pylist()
     if pa.types.is_boolean(kind) and column.null_count == 0:

@@ -27,10 +27,11 @@ from palpate.core import (
 )
 from palpate.recordings.preparation import Preparation
 from palpate.recordings.run_reader import Run
+from palpate.recordings.table_files import read_table, write_table
 from palpate.version import __version__
 
 FRAMES_NAME = "frames.npy"
-INDEX_NAME = "index.parquet"
+INDEX_NAME, FORMER_INDEX_NAME = "index.csv.gz", "index.parquet"
 CARD_NAME = "card.json"
 _FORMAT = "palpate-packed-1"
 # With a colon, so that no label of a run takes their place.
@@ -79,19 +80,21 @@ class PackedSet:
 
         Raises:
             RecordingError: a part is missing, is cut short, or does not fit the card.
+            MissingExtraError: its index was written as Parquet, and pyarrow is not installed.
             StorageError: the disk refused.
         """
         folder = Path(folder)
         card = _read_card(folder)
         with storage_errors(folder):
             try:
-                index = pd.read_parquet(folder / INDEX_NAME)
+                name = INDEX_NAME if INDEX_NAME in card["sha256"] else FORMER_INDEX_NAME
+                index = read_table(folder / name)
                 packed = cls(folder, card, index, _check_frames(folder / FRAMES_NAME, len(index), card))
             except (ValueError, KeyError, TypeError, AttributeError, FileNotFoundError) as e:
                 raise RecordingError(f"packed set {folder} is damaged ({e}); {_REMEDY}") from e
-        for name in (FRAMES_NAME, INDEX_NAME) if verify else ():
-            if sha256_of(folder / name) != card["sha256"].get(name):
-                raise RecordingError(f"{folder / name} is not what its card says, by checksum; {_REMEDY}")
+        for part in (FRAMES_NAME, name) if verify else ():
+            if sha256_of(folder / part) != card["sha256"].get(part):
+                raise RecordingError(f"{folder / part} is not what its card says, by checksum; {_REMEDY}")
         return packed
 
     def __len__(self) -> int:
@@ -175,7 +178,7 @@ def pack(
 ) -> PackedSet:
     """Prepare every frame of a run and write them as one array, a frame at a time.
 
-    The folder holds ``frames.npy`` (8-bit ``[n h w c]``, which `numpy.load` also opens), ``index.parquet``
+    The folder holds ``frames.npy`` (8-bit ``[n h w c]``, which `numpy.load` also opens), ``index.csv.gz``
     (name, time and labels of each row) and ``card.json`` (what it was made from and how, with checksums).
 
     Args:
@@ -196,7 +199,7 @@ def pack(
     with new_folder(folder) as building:
         with (building / FRAMES_NAME).open("wb") as file:
             names, digest = _write_frames(file, run, preparation, progress)
-        _index(run, names).to_parquet(building / INDEX_NAME, index=False)
+        write_table(_index(run, names), building / INDEX_NAME)
         sums = {FRAMES_NAME: digest, INDEX_NAME: sha256_of(building / INDEX_NAME)}
         (building / CARD_NAME).write_text(_card_text(run, preparation, sums), encoding="utf-8")
     return PackedSet.open(folder)
@@ -276,5 +279,5 @@ def _check_frames(path: Path, rows: int, card: dict[str, Any]) -> int:
     if size != expected:
         raise ValueError(f"{path.name} has {size} bytes where {expected} belong")
     if card["frames"] != rows:
-        raise ValueError(f"{INDEX_NAME} has {rows} rows where the card says {card['frames']}")
+        raise ValueError(f"the index has {rows} rows where the card says {card['frames']}")
     return offset

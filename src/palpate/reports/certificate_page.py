@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from palpate.calibration.certificate import read_predictions
 from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.calibration.evaluation import groups_in
 from palpate.core import PathText, new_file
@@ -17,7 +18,6 @@ from palpate.estimators.model_card import Card, ScoreCard, TargetCard
 from palpate.recordings.labels import OWN, own_column
 from palpate.reports.calibration_figures import picture, surface_columns, surface_figure, target_figure
 
-PREDICTIONS_FILE = "predictions.parquet"
 OUTER_SHARE = 0.1
 """Share of the scored rows, by their truth, that an outer range holds."""
 MIN_OUTER_ROWS = 20
@@ -61,6 +61,7 @@ def write_report(calibration: PathText, out: PathText) -> Path:
     Raises:
         CertificateError: the folder is damaged.
         ExistsError: `out` exists.
+        MissingExtraError: its predictions were written as Parquet, and pyarrow is not installed.
     """
     calibration, out = Path(calibration), Path(out)
     card = read_card(calibration)
@@ -74,7 +75,7 @@ def write_report(calibration: PathText, out: PathText) -> Path:
 
 def render_report(calibration: Path, card: Card) -> str:
     """The report's HTML."""
-    table = pd.read_parquet(calibration / PREDICTIONS_FILE)
+    table = read_predictions(calibration, card)
     where, groups = surface_columns(table), groups_in(table, card.split.columns)
     environment = Environment(
         loader=PackageLoader("palpate.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True

@@ -18,6 +18,7 @@ from typing import Any
 import pandas as pd
 
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
+from palpate.calibration.certificate import read_predictions
 from palpate.calibration.evaluation import predictions
 from palpate.calibration.training_data import regions_seen
 from palpate.core import DeviceError, InputError, new_file
@@ -155,7 +156,6 @@ def scale_of(name: str) -> Scale:
     return SCALES[name]
 
 
-PREDICTIONS_FILE = "predictions.parquet"
 LOCATIONS = "group:location"
 
 
@@ -259,7 +259,8 @@ class StudyFolder:
 
     def held_out(self, way: CalibrationSetup) -> pd.DataFrame:
         """What a calibration said of the rows that it had not learnt from."""
-        return pd.read_parquet(self.calibrated(way) / PREDICTIONS_FILE)
+        folder = self.calibrated(way)
+        return read_predictions(folder, read_card(folder))
 
     def estimated(self, way: CalibrationSetup, run: Run, what: str) -> pd.DataFrame:
         """What it says of another run."""

@@ -338,8 +338,8 @@ def import_palm(
         check_no_strays(shots, folder)
     labels = _labels(shots, tables, folder)
     with tempfile.TemporaryDirectory() as scratch, storage_errors(Path(scratch)):
-        table_file = Path(scratch, "labels.parquet")
-        labels.to_parquet(table_file)
+        table_file = Path(scratch, "labels.csv")
+        labels.to_csv(table_file, index=False, lineterminator="\r\n")
         return import_images(
             folder,
             run,
