@@ -11,7 +11,7 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from palpate.calibration import Plan, calibrate
+from palpate.calibration import CalibrationPlan, calibrate
 from palpate.cli import ALIASES, HEADINGS, app
 from palpate.cli.verb_support import phases
 from palpate.estimators.model_card import ScoreCard
@@ -45,7 +45,7 @@ def loaded_by(folder: Path, *words: object) -> set[str]:
 
 def test_sensing_one_image_loads_no_tables_no_training_and_no_plots(record_spots, tmp_path: Path) -> None:
     run = record_spots("run", 12)
-    calibrate(run, Plan(("height_mm",), split="group:press", size_px=(12, 16)), tmp_path / "cal")
+    calibrate(run, CalibrationPlan(("height_mm",), split="group:press", size_px=(12, 16)), tmp_path / "cal")
     cv2.imwrite(str(tmp_path / "frame.png"), run.frame(3).image)
     loaded = loaded_by(tmp_path, "sense", tmp_path / "cal", tmp_path / "frame.png", "--timing")
     assert "onnxruntime" in loaded
