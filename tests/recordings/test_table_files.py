@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+import re
 import sys
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pandas as pd
 import pytest
 from numpy.typing import ArrayLike
 
+import palpate
 from palpate.core import InputError, MissingExtraError
 from palpate.recordings import table_files
 from palpate.recordings.labels import read_labels
@@ -134,3 +136,10 @@ def test_parquet_without_pyarrow_says_what_to_install(tmp_path: Path, monkeypatc
     with pytest.raises(MissingExtraError, match=needed) as caught:
         read(path)
     assert "\n" not in str(caught.value)
+
+
+def test_no_other_module_reads_or_writes_parquet_by_itself() -> None:
+    source = Path(palpate.__file__).parent
+    others = [path for path in source.rglob("*.py") if path != Path(table_files.__file__)]
+    use = re.compile(r"(import|from) pyarrow\b|(read|to)_parquet\(")
+    assert not [path.name for path in others if use.search(path.read_text("utf-8"))]
