@@ -40,11 +40,9 @@ from palpate.estimators.model_card import (
 from palpate.estimators.networks import settings_of
 from palpate.estimators.networks.model_interface import Fitted, TrainingData
 from palpate.estimators.novelty import NoveltyDetector
+from palpate.recordings import PackedSet, Run, Split
 from palpate.recordings.exchange import image_files
 from palpate.recordings.labels import with_own
-from palpate.recordings.packed_set import PackedSet
-from palpate.recordings.run_reader import Run
-from palpate.recordings.splits import Split
 from palpate.recordings.table_files import read_table, write_table
 from palpate.version import __version__
 

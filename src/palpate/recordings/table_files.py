@@ -8,11 +8,8 @@ number. A number has as many digits as tell it from its neighbours (Python's ``r
 from __future__ import annotations
 
 import gzip
-import io
 import re
 import zlib
-from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +39,9 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
     with (
         path.open("wb") as file,
         gzip.GzipFile("", "wb", 6, file, mtime=0) as packed,
-        io.TextIOWrapper(packed, "utf-8", newline="") as text,
     ):
-        text.write(",".join(_cell(str(name)) for name in table.columns) + "\n")
-        text.writelines(",".join(row) + "\n" for row in zip(*columns, strict=True))
+        packed.write(_line([_cell(str(name)) for name in table.columns]))
+        packed.writelines(map(_line, zip(*columns, strict=True)))
 
 
 def read_table(path: Path) -> pd.DataFrame:
@@ -60,7 +56,7 @@ def read_table(path: Path) -> pd.DataFrame:
     try:
         if data.startswith(_PARQUET):
             pyarrow_for(path)
-            return pd.read_parquet(io.BytesIO(data))
+            return pd.read_parquet(path)
         return _table(_unpacked(data).decode("utf-8"))
     except (ValueError, zlib.error) as e:
         raise InputError(f"{path} cannot be read as a table ({e}); restore it") from e
@@ -73,8 +69,8 @@ def pyarrow_for(path: Path) -> Any:
         MissingExtraError: it is not installed.
     """
     try:
-        pyarrow = import_module("pyarrow")
-        import_module("pyarrow.parquet")
+        import pyarrow
+        import pyarrow.parquet
     except ImportError as e:
         raise MissingExtraError(
             f"{path} is Parquet, which needs pyarrow, and that is not installed; run: pip install "
@@ -94,6 +90,10 @@ def _cell(value: object) -> str:
         case str():
             return '"' + value.replace('"', '""') + '"'
     raise InputError(f"a table holds numbers, texts and flags, not {value!r:.80}")
+
+
+def _line(cells: list[str] | tuple[str, ...]) -> bytes:
+    return f"{','.join(cells)}\n".encode()
 
 
 def _unpacked(data: bytes) -> bytes:
@@ -124,7 +124,7 @@ def _text(cell: str) -> str:
     return cell[1:-1].replace('""', '"')
 
 
-def _column(cells: Sequence[str]) -> pd.Series[Any]:
+def _column(cells: list[str]) -> pd.Series[Any]:
     if any(cell.startswith('"') for cell in cells):
         return pd.Series([_text(cell) if cell.startswith('"') else None for cell in cells], dtype=str)
     if all(cell in _FLAGS for cell in cells):
