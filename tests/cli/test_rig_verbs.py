@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from palpate.cli import app
-from palpate.recordings.integrity import check
+from palpate.recordings import check
 from palpate.recordings.run_reader import Run
 
 TOML = """

@@ -25,8 +25,7 @@ from palpate.core.clock import ManualClock
 from palpate.core.units import split_column
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.compliance.pin_press import PinPress
-from palpate.recordings import Run
-from palpate.recordings.integrity import check
+from palpate.recordings import Run, check
 from palpate.reports import write_report
 from palpate.rig import State, record
 from palpate.rig.plans import Listed

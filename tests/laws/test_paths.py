@@ -10,8 +10,7 @@ import pytest
 
 import palpate
 from palpate import CalibrationPlan, Estimator, Manifest, Run, RunWriter
-from palpate.recordings import PackedSet, export_folder, integrity, packed_set, read_labels
-from palpate.recordings import integrity as repair
+from palpate.recordings import PackedSet, check, export_folder, pack, read_labels, repair
 from palpate.recordings.preparation import Preparation
 from palpate.workflows import DemoProtocol, record_demo
 
@@ -54,8 +53,8 @@ def test_runs_are_written_resumed_checked_repaired_and_packed(at) -> None:
         writer.frame(np.zeros((4, 6), np.uint8))
     with RunWriter.resume(at("run")) as writer:
         writer.frame(np.zeros((4, 6), np.uint8))
-    assert integrity(at("run")).frames == repair(at("run"), at("repaired")).frames == 2
-    packed_set(Run.open(at("run")), at("packed"), Preparation(None, (2, 3), 1))
+    assert check(at("run")).frames == repair(at("run"), at("repaired")).frames == 2
+    pack(Run.open(at("run")), at("packed"), Preparation(None, (2, 3), 1))
     assert len(PackedSet.open(at("packed"))) == 2
     assert Manifest.read(at("run")).sensor == "one"
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.recordings.integrity import repair
+from palpate.recordings import repair
 from palpate.recordings.run_reader import Run
 from palpate.recordings.run_writer import RunWriter
 

@@ -16,8 +16,8 @@ import pytest
 
 from palpate.core import ExistsError, InputError, ManualClock, RecordingError, StorageError
 from palpate.core.files import sha256_of
+from palpate.recordings import PackedSet, pack
 from palpate.recordings.manifest import Manifest
-from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.preparation import Preparation
 from palpate.recordings.run_reader import Run
 from palpate.recordings.run_writer import RunWriter
@@ -226,7 +226,7 @@ WITH_LITTLE_MEMORY = """
 import resource, sys
 from pathlib import Path
 import numpy as np
-from palpate.recordings.packed_set import PackedSet, pack
+from palpate.recordings import PackedSet, pack
 from palpate.recordings.run_reader import Run
 from palpate.recordings.preparation import Preparation
 run = Run.open(Path(sys.argv[1]))

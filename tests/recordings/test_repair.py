@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from palpate.core import ExistsError, ManualClock, RecordingError
-from palpate.recordings.integrity import repair
+from palpate.recordings import repair
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.run_reader import Run
 from palpate.recordings.run_writer import RunWriter

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from palpate.core import ManualClock, RecordingError
-from palpate.recordings.integrity import check
+from palpate.recordings import check
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.run_writer import RunWriter
 

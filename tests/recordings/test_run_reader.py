@@ -18,9 +18,8 @@ from hypothesis import strategies as st
 from mcap.writer import MCAP0_MAGIC
 
 from palpate.core import ImageError, ManualClock, PalpateError, RangeError, RecordingError
-from palpate.recordings import message_schema
+from palpate.recordings import check, message_schema
 from palpate.recordings.exchange import image_files
-from palpate.recordings.integrity import check
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.run_reader import Run
 from palpate.recordings.run_writer import RunWriter

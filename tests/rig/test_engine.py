@@ -14,7 +14,7 @@ from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, plan, rig, wanted
 from palpate.core.clock import ManualClock
 from palpate.core.errors import RecordingError
 from palpate.devices.operator_control import OperatorCommand, OperatorControl
-from palpate.recordings.integrity import check
+from palpate.recordings import check
 from palpate.recordings.run_reader import Run
 from palpate.rig import State, Status, done_in, record
 from palpate.rig.plans import Listed, Ramp

@@ -177,7 +177,7 @@ def check(run: Annotated[Path, typer.Argument(help="Run to look through.")], jso
 
     Example: palpate check run
     """
-    from palpate.recordings.integrity import check as look_through
+    from palpate.recordings import check as look_through
     from palpate.reports.terminal_text import check_text
 
     report = look_through(run)
@@ -196,7 +196,7 @@ def repair(
 
     Example: palpate repair run run-repaired
     """
-    from palpate.recordings.integrity import repair as copy_readable
+    from palpate.recordings import repair as copy_readable
 
     report = copy_readable(run, new)
     lost = [f"{d.file} at byte {d.at_byte}: {d.what}" for d in report.lost]

@@ -83,7 +83,7 @@ def record(
             outcome = record_plan(opened, chosen, out, control=control, watch=watch)
     finally:
         opened.close()
-    found: dict[str, Any] = {"run": str(out), **asdict(outcome)}
+    result: dict[str, Any] = {"run": str(out), **asdict(outcome)}
     text = f"{out}: {outcome.state.value}, {outcome.shots} of {outcome.planned} shots"
     if outcome.clocks is not None:
         text += f"\n{_late(outcome.clocks)}"
@@ -91,14 +91,16 @@ def record(
         reason = f" ({outcome.reason.value})" if outcome.reason else ""
         text += f"{reason}: {outcome.message}\nthe same command goes on at the first missing shot"
     else:
-        text += _presses_written(out, found)
-    print_found(found, text, json_)
+        text += _write_presses(out, chosen.indenters, result)
+    print_found(result, text, json_)
     if outcome.state is not State.DONE:
         raise typer.Exit(1)
 
 
-def _presses_written(out: Path, found: dict[str, Any]) -> str:
-    """Presses on specimens, as `palpate compliance` reads them, into the run's folder."""
+def _write_presses(out: Path, indenters: tuple[str, ...], result: dict[str, Any]) -> str:
+    """Write presses on specimens into the run's folder, as `palpate compliance` reads them."""
+    if not any(_is_specimen(words) for words in indenters):
+        return ""
     from palpate.recordings.exchange.press_export import export_presses
     from palpate.recordings.exchange.press_folder import PRESSES
     from palpate.recordings.run_reader import Run
@@ -108,8 +110,18 @@ def _presses_written(out: Path, found: dict[str, Any]) -> str:
     written = export_presses(Run.open(out))
     if written is None:
         return ""
-    found[PRESSES] = str(written.path)
+    result[PRESSES] = str(written.path)
     return f"\n{written.path}: presses on {len(written.specimens)} specimens, as compliance reads them"
+
+
+def _is_specimen(words: str) -> bool:
+    from palpate.core import InputError, Specimen
+
+    try:
+        Specimen.parse(words.partition("@")[0])
+    except InputError:
+        return False
+    return True
 
 
 @rig_app.command()

@@ -10,11 +10,13 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from palpate.core import Clock, InputError, PalpateError, PluginError
 from palpate.core.plugins import OWN, PluginRegistry
-from palpate.devices.check.interface_check import Role, check_interface
+
+if TYPE_CHECKING:
+    from palpate.devices.check.interface_check import Role
 
 GROUPS: dict[Role, str] = {
     "stage": "palpate.stages",
@@ -61,6 +63,8 @@ def open_device(role: Role, kind: str, options: Mapping[str, Any], clock: Clock)
         ...
         palpate.core.errors.PluginError: stage 'bench.axes:Gantry' does not import: ModuleNotFoundError: ...
     """
+    from palpate.devices.check.interface_check import check_interface  # a rig without plug-ins needs none
+
     factory = PluginRegistry(role, GROUPS[role], {}).find(kind)
     device = _call(role, kind, factory, options, clock)
     fault = next((law for law in check_interface(role, device, clock) if not law.ok), None)

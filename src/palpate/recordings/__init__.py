@@ -1,7 +1,6 @@
 """What is on disk: runs written and read, repaired and checked, packed, split, imported and exported.
 
-The names here load when they are first used, so that reading one image loads no table. A function named
-as its module is imported from there: `from palpate.recordings.integrity import check`.
+The names here load when they are first used, so that reading one image loads no table.
 """
 
 from importlib import import_module
@@ -12,20 +11,23 @@ if TYPE_CHECKING:
     from palpate.recordings.exchange.folder_export import export_folder
     from palpate.recordings.exchange.image_files import read_image
     from palpate.recordings.exchange.image_import import ImportReport, import_images
-    from palpate.recordings.integrity import CheckReport, RepairReport
+    from palpate.recordings.integrity import CheckReport, RepairReport, check, repair
     from palpate.recordings.labels import read_labels
     from palpate.recordings.manifest import Manifest
-    from palpate.recordings.packed_set import PackedSet
+    from palpate.recordings.packed_set import PackedSet, pack
     from palpate.recordings.run_reader import Run
     from palpate.recordings.run_writer import RunWriter
     from palpate.recordings.splits import Split, split
 
 _MODULES = {
+    "check": "integrity",
     "export_folder": "exchange.folder_export",
     "import_images": "exchange.image_import",
     "offset_between": "clock_offset",
+    "pack": "packed_set",
     "read_image": "exchange.image_files",
     "read_labels": "labels",
+    "repair": "integrity",
     "split": "splits",
     "CheckReport": "integrity",
     "ImportReport": "exchange.image_import",
@@ -48,11 +50,14 @@ __all__ = [
     "Run",
     "RunWriter",
     "Split",
+    "check",
     "export_folder",
     "import_images",
     "offset_between",
+    "pack",
     "read_image",
     "read_labels",
+    "repair",
     "split",
 ]
 

@@ -10,7 +10,7 @@ import tomllib
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
@@ -27,7 +27,6 @@ from palpate.core import (
 )
 from palpate.core.sensor import DEFAULT_SENSOR, SENSORS
 from palpate.core.sensor import sensor as sensor_of
-from palpate.devices.check.interface_check import Role
 from palpate.devices.device_plugins import check_kind, open_device
 from palpate.devices.force_bias import Mounting
 from palpate.devices.motion_limits import Limits
@@ -35,6 +34,9 @@ from palpate.rig.rig import Region, Rig
 from palpate.rig.virtual import Fault, virtual_rig
 from palpate.rig.virtual.disturbances import Kind
 from palpate.rig.virtual.virtual_bench import PREFIX, REAL_TIME_AGE_S
+
+if TYPE_CHECKING:
+    from palpate.devices.check.interface_check import Role
 
 MM = 1e-3
 _MAX_BYTES = 1 << 20
