@@ -1,3 +1,44 @@
-"""The one place that says which version this is."""
+"""The one place that says which version this is, and which one a file needs that this one cannot read."""
+
+from __future__ import annotations
+
+import json
+import re
 
 __version__ = "0.1.0"
+
+NUMBER = re.compile(r"\d+")
+
+
+def needed_version(text: bytes, own_format: str) -> str | None:
+    """Say which version can read a manifest or a card that this one cannot.
+
+    Args:
+        text: of the file: a JSON object with ``format``, and ``software`` for what wrote it.
+        own_format: what this version reads, such as "palpate-run/1".
+
+    Returns:
+        The sentence; None where the file's version is not the reason.
+    """
+    try:
+        fields = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(fields, dict):
+        return None
+    layout, software = fields.get("format"), fields.get("software")
+    if isinstance(software, dict):
+        software = software.get("palpate")
+    writer = str(software or "").removeprefix("palpate ")
+    foreign = isinstance(layout, str) and layout != own_format and layout.startswith("palpate-")
+    if not foreign and _numbers(writer) <= _numbers(__version__):
+        return None
+    reader = f"palpate {writer}" if _numbers(writer) else "the version of palpate that wrote it"
+    return (
+        f"has the format {layout!s:.40} of palpate {writer or 'of an unknown version':.40}, and this is "
+        f"palpate {__version__}, which reads {own_format}: open it with {reader:.50}"
+    )
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in NUMBER.findall(version)[:3])

@@ -47,11 +47,11 @@ def reports_errors(verb: Callable[P, T]) -> Callable[P, T]:
         try:
             return verb(*args, **kwargs)
         except PalpateError as e:
-            typer.echo(f"palpate: {e}", err=True)
+            typer.echo(f"palpate: {' '.join(str(e).split())}", err=True)
             raise typer.Exit(2) from e
         except KeyboardInterrupt as e:
-            said = "stopped; nothing half-written is left, and a calibration goes on where it was"
-            typer.echo(f"palpate: {said}", err=True)
+            end = "stopped; nothing half-written is left, and a calibration goes on where it was"
+            typer.echo(f"palpate: {end}", err=True)
             raise typer.Exit(130) from e
 
     return wrapped

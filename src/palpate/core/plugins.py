@@ -144,7 +144,7 @@ def import_path(path: str, kind: str, name: str = "") -> Any:
         thing: Any = import_module(module)
         for attribute in attributes.split("."):
             thing = getattr(thing, attribute)
-    except Exception as e:  # a module of somebody else's may raise anything
+    except (Exception, SystemExit) as e:  # a module of somebody else's may raise anything
         raise PluginError(
             f"{_label(kind, name, path)} does not import: {type(e).__name__}: {e}; check its name, and that "
             "its folder is on PYTHONPATH or its package installed"

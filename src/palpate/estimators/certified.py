@@ -30,9 +30,10 @@ from palpate.core import (
     sha256_of,
     unit,
 )
-from palpate.estimators.model_card import Card, FileCard, TargetCard, card_id
+from palpate.estimators.model_card import FORMAT, Card, FileCard, TargetCard, card_id
 from palpate.estimators.model_parts import refuse_other_files
 from palpate.estimators.novelty import NoveltyDetector
+from palpate.version import needed_version
 
 LEAST, MOST = 0.2, 5.0
 """The spread is held between these multiples of the typical error: a quadratic fitted inside the
@@ -98,7 +99,7 @@ def read_card(folder: PathText) -> Card:
     """Read and check a calibration's card.
 
     Raises:
-        CertificateError: it is missing, damaged or altered.
+        CertificateError: it is missing, damaged or altered, or another version of palpate has to read it.
     """
     path = Path(folder) / CARD_FILE
     if not path.is_file():
@@ -108,9 +109,12 @@ def read_card(folder: PathText) -> Card:
         )
     if path.stat().st_size > MAX_CARD_BYTES:
         raise CertificateError(f"{path} is larger than {MAX_CARD_BYTES} bytes; a card never is")
+    text = path.read_bytes()
     try:
-        card = Card.model_validate_json(path.read_bytes())
+        card = Card.model_validate_json(text)
     except ValidationError as e:
+        if version := needed_version(text, FORMAT):
+            raise CertificateError(f"{path} {version}") from e
         first = e.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the text"
         raise CertificateError(

@@ -21,9 +21,10 @@ from palpate.core import (
     storage_errors,
     unit,
 )
-from palpate.version import __version__
+from palpate.version import __version__, needed_version
 
 MANIFEST = "manifest.json"
+FORMAT = "palpate-run/1"
 MAX_MANIFEST_BYTES = 1 << 20  # ten thousand label columns fit; more is no manifest
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -110,7 +111,7 @@ class Manifest(BaseModel):
         numbers = [name for name, kind in kinds.items() if kind == "number" and has_unit(name)]
         try:
             return cls(
-                format="palpate-run/1",
+                format=FORMAT,
                 run_id=str(uuid.uuid4()),
                 created_utc=datetime.now(UTC).isoformat(timespec="microseconds"),
                 clock=clock,
@@ -133,7 +134,7 @@ class Manifest(BaseModel):
         """The manifest in a run's folder.
 
         Raises:
-            RecordingError: there is none, or it is damaged.
+            RecordingError: there is none, it is damaged, or another version of palpate has to read it.
         """
         path = Path(run) / MANIFEST
         if not path.is_file():
@@ -145,6 +146,8 @@ class Manifest(BaseModel):
         try:
             return cls.model_validate_json(text)
         except ValidationError as e:
+            if version := needed_version(text, FORMAT):
+                raise RecordingError(f"{path} {version}") from e
             raise RecordingError(f"{path} is damaged: {_first(e)}; restore it from a copy of the run") from e
 
     def write(self, run: PathText) -> None:

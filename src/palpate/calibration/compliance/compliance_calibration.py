@@ -165,8 +165,11 @@ class ComplianceCalibration:
             # opened here, since numpy leaves a damaged file open
             with storage_errors(path), path.open("rb") as file, np.load(file, allow_pickle=False) as held:
                 data = {name: held[name] for name in held.files}
-            if int(data.pop("format")) != FORMAT:
-                raise CertificateError(f"{path} is of another format; calibrate anew with this version")
+            if (layout := int(data.pop("format"))) != FORMAT:
+                raise CertificateError(
+                    f"{path} has format {layout}, and palpate {__version__} reads format {FORMAT}: open it with "
+                    "the version of palpate that wrote it, or calibrate anew"
+                )
             made = built(cls, data)
         except (KeyError, ValueError, TypeError, BadZipFile, EOFError) as e:
             raise CertificateError(
