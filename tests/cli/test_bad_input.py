@@ -134,7 +134,7 @@ OWN = {"stage": "their_devices:Stage", "force": "their_devices:Force", "camera":
         ("stage", "their_devices:Gantry", "does not import: module 'their_devices' has no attribute"),
         ("force", "their_crash:Force", "does not import: no driver on this machine"),
         ("camera", "their_exit:Camera", "does not import"),
-        ("stage", "their_devices:RunawayStage", "breaks the law 'has the protocol's methods"),
+        ("stage", "their_devices:RunawayStage", 'methods": it lacks stop'),
         ("stage", "their_devices:MillimetreStage", "breaks the law 'stands inside its travel'"),
         ("force", "their_devices:BareForce", "breaks the law 'hands out samples'"),
         ("camera", "their_devices:TurnedCamera", "breaks the law 'keeps the stated size'"),

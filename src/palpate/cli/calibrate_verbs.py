@@ -49,8 +49,7 @@ def calibrate(
         int | None, typer.Option(help="Parts the rows are split in; default 5, for a network 8.")
     ] = None,
     scored_folds: Annotated[
-        int | None,
-        typer.Option(help="How many folds to hold out; by default all, or one for a network."),
+        int | None, typer.Option(help="How many folds to hold out; by default all, or one for a network.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
     size: Annotated[str | None, typer.Option(help="HEIGHTxWIDTH of the model's input [px].")] = None,

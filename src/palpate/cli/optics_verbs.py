@@ -95,8 +95,7 @@ def fit_c(
         bool, typer.Option("--bright-field", help="The polarisers are parallel, not crossed.")
     ] = False,
     parallel: Annotated[
-        Path | None,
-        typer.Option(help="Photograph of the unloaded specimen between parallel polarisers."),
+        Path | None, typer.Option(help="Photograph of the unloaded specimen between parallel polarisers.")
     ] = None,
     load_column: Annotated[
         str | None, typer.Option(help="Column of the load, e.g. load_N, load_kgf or mass_g.")

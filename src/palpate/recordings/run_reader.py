@@ -106,11 +106,7 @@ class Run:
         image = self._frames[index].image(check=not self._checked[index])
         self._checked[index] = 1
         return Frame(
-            image,
-            float(self.times_s[index]),
-            self._abouts[index][0],
-            self.manifest.sensor,
-            self._name(index),
+            image, float(self.times_s[index]), self._abouts[index][0], self.manifest.sensor, self._name(index)
         )
 
     def frame_at(self, time_s: float) -> Frame:

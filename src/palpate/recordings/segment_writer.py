@@ -86,10 +86,7 @@ class SegmentFile:
         with storage_errors(path):
             self._sink = _Sink(path)
         self._mcap = Writer(
-            self._sink,
-            chunk_size=_CHUNK_BYTES[kind],
-            compression=CompressionType.NONE,
-            enable_data_crcs=True,
+            self._sink, chunk_size=_CHUNK_BYTES[kind], compression=CompressionType.NONE, enable_data_crcs=True
         )
         self._begin(about, time_ns)
 

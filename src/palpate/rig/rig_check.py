@@ -123,12 +123,7 @@ def _stage(rig: Rig, clear_m: float, sensed: bool) -> Part:
     speed = min(SPEED_M_S, rig.limits.fastest_m_s(rig.stage.travel))
     watch = _Untouched(rig)
     yield from check_stage(
-        rig.stage,
-        clock=rig.clock,
-        region_m=_box(rig, highest_z),
-        speed_m_s=speed,
-        watch=watch,
-        close=False,
+        rig.stage, clock=rig.clock, region_m=_box(rig, highest_z), speed_m_s=speed, watch=watch, close=False
     )
     yield at_most(
         "touched nothing",

@@ -88,8 +88,7 @@ def press_folder(path: Path) -> PressFolder:
         table = path / SPECIMENS
         known = _known(table, found) if table.exists() else dict.fromkeys(found)
         return PressFolder(
-            path,
-            tuple(PressedSpecimen(name, known[name], _presses(found[name])) for name in known),
+            path, tuple(PressedSpecimen(name, known[name], _presses(found[name])) for name in known)
         )
 
 

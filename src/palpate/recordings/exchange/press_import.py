@@ -52,11 +52,7 @@ def import_press(
     refuse_existing(run)
     with open_sequence(frames) as sequence:
         table = read_press_table(
-            force,
-            len(sequence),
-            force_column=force_column,
-            position_column=position_column,
-            rate_hz=rate_hz,
+            force, len(sequence), force_column=force_column, position_column=position_column, rate_hz=rate_hz
         )
         names = _label_names(table)
         manifest = Manifest.new(

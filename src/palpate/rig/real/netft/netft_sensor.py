@@ -232,10 +232,7 @@ class NetFT:
     """
 
     def __init__(
-        self,
-        host: str = "192.168.1.1",
-        settings: NetFTSettings | None = None,
-        clock: Clock | None = None,
+        self, host: str = "192.168.1.1", settings: NetFTSettings | None = None, clock: Clock | None = None
     ) -> None:
         """Open the sensor.
 
