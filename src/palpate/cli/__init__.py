@@ -1,4 +1,4 @@
-"""The verbs. Each says what it needs, calls one room, and prints what came back."""
+"""Verbs of the command line. Each says what it needs, calls one room, and prints what came back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m palpate.cli`, where the command is not on the path."""
+"""Entry point of `python -m palpate.cli`, where the command is not on the path."""
 
 from palpate.cli import main
 

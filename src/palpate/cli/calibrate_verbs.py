@@ -1,9 +1,4 @@
-"""Verbs on calibrations: calibrate, evaluate, sense, report.
-
-The verb that takes a calibration over to another copy of its sensor.
-
-The verb that makes a calibration's network faster, and says what that costs.
-"""
+"""Verbs on calibrations: calibrate, evaluate, sense, report, adapt, quantise."""
 
 from __future__ import annotations
 

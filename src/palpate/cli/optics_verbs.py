@@ -1,7 +1,4 @@
-"""The verb that computes optical flow along a sequence of frames.
-
-The verbs of optics: fit a material's stress-optic coefficient from photographs.
-"""
+"""Verbs of optics: optical flow along frames, and a material's stress-optic coefficient."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""The verb that imports the photoelastic palm's own recordings.
-
-The verb that imports one press: frames in a TIFF or a video, force in a table.
-
-Verbs on recordings: import, check, repair, export.
-"""
+"""Verbs on recordings: import, check, repair, export."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the verbs share: options, errors as one line, progress, and reading what was typed."""
+"""Options, errors as one line, progress and readers of typed words that the verbs share."""
 
 from __future__ import annotations
 

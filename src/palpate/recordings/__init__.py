@@ -1,4 +1,4 @@
-"""What is on disk: runs written and read, repaired and checked, packed, split, imported and exported.
+"""Recordings on disk: runs written, read, repaired, checked, packed, split, imported and exported.
 
 The names here load when they are first used, so that reading one image loads no table.
 """

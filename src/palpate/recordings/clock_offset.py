@@ -1,4 +1,4 @@
-"""How far the frames' clock runs from the force sensor's, from taps that both have seen.
+"""Offset of the frames' clock from the force sensor's, from taps that both have recorded.
 
 A tap presses the skin and lets go. How much a frame differs from the untouched skin goes with the force at
 its time, by some law; so the offset is where the frames' signal is best explained by the force, shifted.
@@ -18,7 +18,7 @@ from scipy.stats import t as student
 from palpate.core import Float, InputError, RangeError, ndarray
 
 Series = Float[ndarray, " _"]
-"""Of any length; that two belong together is checked, and told."""
+"""Pair of any length; that two belong together is checked, and told."""
 Columns = Float[ndarray, "_ _"]
 
 STEP_S = 4e-3  # of the first, coarse search
@@ -36,7 +36,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """What to add to a force sample's time to have it on the frames' clock.
+    """Offset to add to a force sample's time to have it on the frames' clock.
 
     Attributes:
         seconds: the offset [s]; positive where frames are stamped later than the force they show.
@@ -146,7 +146,7 @@ class _Seen:
         return np.asarray(self.change - columns @ law), columns, law
 
     def squares(self, offset_s: float) -> float:
-        """What the best law leaves at an offset."""
+        """Residual sum of squares of the best law at an offset."""
         residual, *_ = self.fit(offset_s)
         return float(residual @ residual)
 
@@ -160,7 +160,7 @@ class _Seen:
 
 
 def _taps(force: Series) -> int:
-    """How often the force rises well above its noise and falls again.
+    """Count of times that the force rises well above its noise and falls again.
 
     Raises:
         RangeError: never.
@@ -235,7 +235,7 @@ def _with_interval(seen: _Seen, seconds: float, explained: float, taps: int) -> 
 
 
 def _columns(force: Series) -> Columns:
-    """Of the law from force to signal."""
+    """Columns of the law from force to signal."""
     F = np.clip(force, 0.0, None)
     return np.column_stack([np.ones_like(F), np.sqrt(F + SOFT), F, F**2])
 

@@ -1,7 +1,4 @@
-"""Say what a run holds, at which rates and with which gaps, and whether it is sound.
-
-Copy everything readable of a damaged run into a new, sound one.
-"""
+"""Integrity of a run: a check of its rates, gaps and damage, and a repair that copies what is readable."""
 
 from __future__ import annotations
 
@@ -37,7 +34,7 @@ from palpate.recordings.segment_writer import Segment
 
 @dataclass(frozen=True, slots=True)
 class ChannelReport:
-    """One channel of a run.
+    """Report on one channel of a run.
 
     Attributes:
         count: how many messages can be read.
@@ -54,7 +51,7 @@ class ChannelReport:
 
 @dataclass(frozen=True, slots=True)
 class CheckReport:
-    """What a run holds and whether it can be relied on.
+    """Report on what a run holds and whether it can be relied on.
 
     Attributes:
         path, run_id, sensor: which run.
@@ -137,13 +134,13 @@ def _channel(parts: list[np.ndarray], dropped: int, *, measured: bool) -> Channe
 
 
 def _duration_s(channels: list[list[np.ndarray]]) -> float:
-    """From each segment's first message to its last, together [s]."""
+    """Time from each segment's first message to its last, together [s]."""
     segments = [np.concatenate(times) for times in zip(*channels, strict=True)]
     return sum(float(np.ptp(times)) / NS_PER_S for times in segments if times.size)
 
 
 def _dropped(run: Run) -> dict[str, int]:
-    """What the writer noted as dropped: within a segment its notes count up."""
+    """Drops that the writer noted: within a segment its notes count up."""
     total: dict[str, int] = {}
     for segment in run.segments:
         last: dict[str, int] = {}
@@ -158,7 +155,7 @@ def _dropped(run: Run) -> dict[str, int]:
 
 
 def _duplicated(run: Run) -> int:
-    """How many readable frames hold the same PNG as the one before."""
+    """Count of readable frames with the same PNG as the one before."""
     count, before = 0, None
     for segment in run.segments:
         for frame in segment.frames:
@@ -173,7 +170,7 @@ def _duplicated(run: Run) -> int:
 
 @dataclass(frozen=True, slots=True)
 class RepairReport:
-    """What a repair carried over.
+    """Report of what a repair carried over.
 
     Attributes:
         frames: how many frames.
@@ -233,7 +230,7 @@ def _claimed(folder: Path, manifest: Manifest, number: int, old: StoredSegment) 
 
 
 def _copy_frames(old: StoredSegment, new: Segment) -> tuple[dict[int, int], list[Damage]]:
-    """Which old sequence became which new one, and what could not be read."""
+    """New sequence of each old one, and what could not be read."""
     sequences: dict[int, int] = {}
     lost = []
     for frame in old.frames:
@@ -248,7 +245,7 @@ def _copy_frames(old: StoredSegment, new: Segment) -> tuple[dict[int, int], list
 
 
 def _copy_signals(old: StoredSegment, new: Segment, sequences: dict[int, int]) -> tuple[int, int]:
-    """How many messages were copied, and how many labels had lost their frame."""
+    """Count of messages copied, and of labels that had lost their frame."""
 
     def of(channel: Channel) -> Iterator[tuple[Channel, StoredMessage]]:
         return ((channel, message) for message in old.messages(channel))

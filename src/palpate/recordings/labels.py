@@ -1,7 +1,4 @@
-"""Whether a value may stand in a run: finite, of its label's kind.
-
-Tables of labels: CSV or Parquet in, kinds of columns, and targets as numbers with units.
-"""
+"""Labels of frames: tables in CSV or Parquet, kinds of columns, targets as numbers with units."""
 
 from __future__ import annotations
 
@@ -26,7 +23,7 @@ Label = float | str | bool
 
 
 def finite(values: Sequence[float] | np.ndarray, count: int, what: str) -> list[float]:
-    """So many finite numbers, as plain floats.
+    """Convert so many finite numbers to plain floats.
 
     Raises:
         InputError: they are not.
@@ -145,7 +142,7 @@ def targets_from(table: pd.DataFrame, columns: Sequence[str], source: str) -> Va
 
 OWN = "own:"
 RESERVED = (OWN, "estimate:", "half_width:", "frame:")
-"""How columns begin that the code adds to a table of labels; no label may."""
+"""Prefixes of columns that the code adds to a table of labels; no label may begin so."""
 
 
 def with_own(table: pd.DataFrame, columns: Mapping[str, Sequence[Any] | np.ndarray]) -> pd.DataFrame:

@@ -32,7 +32,7 @@ LabelKind = Literal["number", "text", "flag"]
 
 
 class Manifest(BaseModel):
-    """What a run is of, and under which terms its data may be used.
+    """Manifest of a run: what it is of, and under which terms its data may be used.
 
     Attributes:
         format: the layout of the folder.

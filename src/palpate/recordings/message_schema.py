@@ -1,4 +1,4 @@
-"""What a segment's messages are: standard ROS 2 types in CDR, so that other MCAP readers open them.
+"""Messages of a segment: standard ROS 2 types in CDR, so that other MCAP readers open them.
 
 | file | topic | type | holds |
 |---|---|---|---|
@@ -35,7 +35,7 @@ MAX_TIME_NS = (2**31 - 1) * NS_PER_S  # a ROS stamp's seconds are 32-bit: until 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One topic of a segment and the ROS 2 type of its messages."""
+    """Topic of a segment and the ROS 2 type of its messages."""
 
     topic: str
     type: str

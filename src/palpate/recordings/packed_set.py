@@ -266,7 +266,7 @@ def _preparation(made: dict[str, Any]) -> Preparation:
 
 
 def _check_frames(path: Path, rows: int, card: dict[str, Any]) -> int:
-    """Where the array begins in its file, once header, card, index and size agree."""
+    """Offset of the array in its file, once header, card, index and size agree."""
     with path.open("rb") as file:
         if np.lib.format.read_magic(file) != (1, 0):
             raise ValueError(f"{path.name} is of an unknown version")

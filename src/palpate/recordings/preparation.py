@@ -1,4 +1,4 @@
-"""From a camera's image to what an estimator sees: crop, scale, colour."""
+"""Preparation of a camera's image for an estimator: crop, scale, colour."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Box = tuple[int, int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Preparation:
-    """How a frame becomes an estimator's input.
+    """Preparation of a frame as an estimator's input.
 
     Attributes:
         crop_px: (x, y, width, height) cut from the frame first [px]; None takes the whole frame.

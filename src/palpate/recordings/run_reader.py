@@ -1,4 +1,4 @@
-"""Read a run: frames by index or time, labels and signals as tables, and what is damaged."""
+"""Reader of a run: frames by index or time, labels and signals as tables, and what is damaged."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Run:
     """
 
     def __init__(self, path: Path, manifest: Manifest, segments: tuple[StoredSegment, ...]) -> None:
-        """Not for callers: `open` makes runs."""
+        """Use `open`, which makes runs."""
         self.path = path
         self.manifest = manifest
         self.segments = segments
@@ -95,7 +95,7 @@ class Run:
         return np.array([self._seconds(frame.time_ns) for frame in self._frames], np.float64)
 
     def frame(self, index: int) -> Frame:
-        """One frame; its name is its `NAME_COLUMN` label where the run has it, else its index.
+        """Frame by index; its name is its `NAME_COLUMN` label where the run has it, else its index.
 
         Raises:
             RangeError: there is no such index.
@@ -121,7 +121,7 @@ class Run:
         return self.frame(int(np.argmin(np.abs(self.times_s - time_s))))
 
     def frames(self) -> Iterator[Frame]:
-        """Every frame, in order.
+        """Frames, in order.
 
         Raises:
             RecordingError: one is damaged.
@@ -152,11 +152,11 @@ class Run:
         return self._table(RAW if raw else FORCE, FORCE_COLUMNS, six)
 
     def stage(self) -> pd.DataFrame:
-        """Where the stage was over time: ``time_s`` and `STAGE_COLUMNS`."""
+        """Stage position over time: ``time_s`` and `STAGE_COLUMNS`."""
         return self._table(STAGE, STAGE_COLUMNS, lambda m: (m.point.x, m.point.y, m.point.z))
 
     def events(self) -> pd.DataFrame:
-        """What happened: ``time_s``, ``kind`` and ``fields`` as JSON text."""
+        """Events of the run: ``time_s``, ``kind`` and ``fields`` as JSON text."""
         rows = [
             (self._seconds(message.time_ns), str(event.get("kind")), json.dumps(event.get("fields")))
             for segment in self.segments
@@ -167,7 +167,7 @@ class Run:
 
     @cached_property
     def damage(self) -> tuple[Damage, ...]:
-        """All that is not as it was written; empty for a sound run. Reads every byte, once."""
+        """Damage: all that is not as it was written; empty for a sound run. Reads every byte, once."""
         numbers = [segment.number for segment in self.segments]
         missing = sorted(set(range(max(numbers, default=0) + 1)) - set(numbers))
         gone = [Damage(file_name(n, kind), 0, "is missing") for n in missing for kind in KINDS]

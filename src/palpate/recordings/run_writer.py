@@ -1,8 +1,6 @@
-"""A bounded queue between those who record and the one thread that writes.
+"""Writer of a run: frames, force, stage and events on one clock, on disk at least once a second.
 
-Lock a run, claim its next segment and say when that begins.
-
-Record a run: frames, force, stage and events on one clock, on disk at least once a second.
+Those who record put into a bounded queue; one thread writes, into a segment claimed under the run's lock.
 """
 
 from __future__ import annotations
@@ -50,7 +48,7 @@ MAX_SIGNALS = 1 << 16  # nine seconds of a 7 kHz force sensor
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """What was recorded, and when [ns since 1970].
+    """Item to write, and when it was recorded [ns since 1970].
 
     Attributes:
         data: a message's bytes, or a frame's image.
@@ -174,7 +172,7 @@ def open_segment(path: Path, now_ns: int) -> OpenedSegment:
 
 
 def _start(run: Run, now_ns: int) -> int:
-    """When the next segment begins [ns since 1970]: as the clock says, and after all that is there."""
+    """Begin of the next segment [ns since 1970]: as the clock says, and after all that is there."""
     if not run.segments:
         return run.manifest.created_ns
     start_ns = run.end_ns + 1
@@ -215,7 +213,7 @@ class RunWriter:
     """
 
     def __init__(self, opened: OpenedSegment, clock: Clock, buffer: Buffer) -> None:
-        """Not for callers: `create` and `resume` make writers."""
+        """Use `create` or `resume`, which make writers."""
         self._opened = opened
         self._segment = opened.segment
         self._labels = opened.manifest.labels
@@ -356,7 +354,7 @@ class RunWriter:
 
     @property
     def dropped(self) -> Mapping[str, int]:
-        """How many of each channel found no room in this segment's queue."""
+        """Count of messages of each channel that found no room in this segment's queue."""
         return MappingProxyType(self._buffer.dropped)
 
     def close(self) -> None:

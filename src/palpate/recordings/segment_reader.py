@@ -1,7 +1,4 @@
-"""The read side of one segment file: find its chunks, cut or whole, and trust none unchecked.
-
-One segment as found on disk: which frames and signals can be read, and what is damaged.
-"""
+"""Reader of one segment: its chunks, cut or whole, none trusted unchecked; its frames, signals and damage."""
 
 from __future__ import annotations
 
@@ -65,7 +62,7 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Where one chunk lies and what is in it.
+    """Chunk: where it lies and what is in it.
 
     Attributes:
         offset, length: of its record in the file [bytes].
@@ -83,7 +80,7 @@ class Chunk:
 
 @dataclass(frozen=True, slots=True)
 class StoredMessage:
-    """One message as stored; `data` is CDR."""
+    """Message as stored; `data` is CDR."""
 
     channel: int
     sequence: int
@@ -93,7 +90,7 @@ class StoredMessage:
 
 @dataclass(frozen=True, slots=True)
 class SegmentScan:
-    """What a file holds.
+    """Scan of what a file holds.
 
     Attributes:
         path: the file.
@@ -300,7 +297,7 @@ def _data_sound(path: Path, end: int) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class StoredFrame:
-    """Where one frame lies.
+    """Frame as stored: where it lies.
 
     Attributes:
         sequence: its number in its segment, which its labels name.
@@ -338,7 +335,7 @@ class StoredFrame:
             raise self.error(e) from e
 
     def error(self, reason: Exception) -> RecordingError:
-        """What to tell about a frame that cannot be read."""
+        """Error of a frame that cannot be read."""
         return RecordingError(
             f"{self.path} at byte {self.chunk.offset}: {reason}; `palpate repair` copies what is readable "
             "into a new run"
@@ -351,7 +348,7 @@ class StoredFrame:
 
 @dataclass(frozen=True)
 class StoredSegment:
-    """What can be read of a segment.
+    """Segment as stored: what can be read of it.
 
     Attributes:
         number: of the segment in its run.

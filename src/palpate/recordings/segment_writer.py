@@ -32,7 +32,7 @@ _NAME = re.compile(r"([0-9]{4,9})-(?:frames|signals)\.mcap")
 
 
 def file_name(number: int, kind: FileKind) -> str:
-    """What one file of a segment is called."""
+    """Name of one file of a segment."""
     return f"{number:04d}-{kind}.mcap"
 
 
@@ -72,7 +72,7 @@ class _Sink:
 
 
 class SegmentFile:
-    """One file of a segment, open for appending.
+    """File of a segment, open for appending.
 
     Every method raises `StorageError` when the disk refuses. The file then takes nothing more: what is
     whole in it stays readable.

@@ -1,4 +1,4 @@
-"""Which rows train and which are held out, so that a score says something about new presses.
+"""Splits into rows that train and rows held out, so that a score says something about new presses.
 
 A split of a user's is a function named ``module:function`` or by an entry point: of the table of labels, the
 number of folds and the seed, it makes either a group's label for each row, or a `Split`.
@@ -147,7 +147,7 @@ def _function(spec: str) -> Any:
 
 
 def _plugged_in(table: pd.DataFrame, spec: str, folds: int, seed: int) -> Split:
-    """What a function of a user's makes of the table, twice, so that chance without a seed is seen."""
+    """Split by a function of the user's, called twice, so that chance without a seed shows."""
     check_split_text(spec)
     function = _function(spec)
     first, second = (_made_by(function, table, spec, folds, seed) for _ in range(2))

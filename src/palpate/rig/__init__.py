@@ -1,4 +1,4 @@
-"""Moves, measures and records: plans, guards, drivers of real devices and their virtual twin."""
+"""Motion, measurement and recording: plans, guards, drivers of real devices and their virtual twin."""
 
 from palpate.core import FrameSource
 from palpate.devices.force_bias import Mounting

@@ -1,4 +1,4 @@
-"""What the engine records: bursts at a stand, sweeps on the move, and the labels of every frame."""
+"""Acquisition of frames: bursts at a stand, sweeps on the move, and the labels of every frame."""
 
 from __future__ import annotations
 
@@ -210,7 +210,7 @@ class Acquisition:
 
 
 def drained(camera: FrameSource) -> list[tuple[int, Frame]]:
-    """What a camera took meanwhile.
+    """Frames that a camera took meanwhile.
 
     Raises:
         Tripped: it failed.

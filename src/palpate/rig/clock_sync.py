@@ -129,7 +129,7 @@ def _thinned(frame: Frame) -> Pixels:
 
 
 def most_telling(images: Sequence[Pixels]) -> Signal:
-    """How far each frame lies along what varies most between them: their first principal component.
+    """Score of each frame along the first principal component of all.
 
     Of frames over their mean brightness, so that a lamp that flickers is no signal. All pixels tell together,
     which leaves far less noise than there is in a mean difference.

@@ -54,11 +54,11 @@ Watch = Callable[[Status], None]
 
 
 def nobody(status: Status) -> None:
-    """Nobody watches."""
+    """Ignore the status."""
 
 
 class Engine:
-    """One plan on one rig into one run.
+    """Recorder of one plan on one rig into one run.
 
     Args:
         rig: the devices.
@@ -266,7 +266,7 @@ def _plain(rig: Rig) -> dict[str, object]:
 
 @contextmanager
 def _quietly() -> Iterator[None]:
-    """What fails on the way out hides nothing of why it is left."""
+    """Suppress what fails on the way out, so that it hides nothing of why it is left."""
     try:
         yield
     except (PalpateError, OperatorInterrupt):
@@ -314,7 +314,7 @@ def record(
 
 
 def manifest_of(rig: Rig, plan: RecordingPlan) -> Manifest:
-    """What a run of this rig and plan says of itself."""
+    """Manifest of a run of this rig and plan."""
     truths = dict.fromkeys(rig.truths, "number")
     return Manifest.new(
         sensor=rig.sensor,

@@ -47,7 +47,7 @@ _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, "palpate-run/1")
 
 
 def documents(run: Run) -> Iterator[Document]:
-    """All documents of a run, in order.
+    """Documents of a run, in order.
 
     The same run gives the same, also once more was recorded into it: a document's `uid` is made of the run's
     id, the segment's number and the document's own. Only the `stop` of a segment that is still being recorded
@@ -170,7 +170,7 @@ def _events(segment: StoredSegment) -> Iterator[tuple[int, str, dict[str, Any]]]
 
 
 def _plain(fields: dict[str, Any]) -> dict[str, Any]:
-    """What an event's data may hold: scalars and lists of them. What is not known is left out."""
+    """Values that an event's data may hold: scalars and lists of them; unknown ones are left out."""
     return {_key(name): _value(value) for name, value in fields.items() if value is not None}
 
 

@@ -1,4 +1,4 @@
-"""Where the layer lies in the stage's frame, from where a ball touched it: centre, height, tilt and width.
+"""Location of the layer in the stage's frame, from where a ball touched it: centre, height, tilt, width.
 
 Inside the rim the ball rests on the layer's plane. Beyond it, it rests on the rim's edge, lower by as much as
 a sphere falls away at the distance between its axis and the edge; so from how low it came, that distance
@@ -24,7 +24,7 @@ MM = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class SpecimenPlacement:
-    """Where a layer lies.
+    """Place of a layer.
 
     Attributes:
         origin_mm: its centre at its surface, in the stage's frame: the `origin_mm` of a rig's file [mm].
@@ -88,7 +88,7 @@ def _plane(at: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _rim_mm(at: tuple[float, float, float], plane: np.ndarray, radius_mm: float) -> float:
-    """How far from the origin the rim lies on the way to a place beyond it."""
+    """Distance of the rim from the origin, on the way to a place beyond it."""
     x, y, z = at
     away = math.hypot(x, y)
     beyond = 0.0

@@ -1,4 +1,4 @@
-"""Where the engine goes: over a place, onto the skin, into it, aside and away."""
+"""Motion of one press: over a place, onto the skin, into it, aside and away."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class PressMotion:
 
     @property
     def zero_m(self) -> float | None:
-        """Where contact was found in this press, along the stage's z; None before [m]."""
+        """Height of contact in this press, along the stage's z; None before [m]."""
         return self._zero_m
 
     def begin(self, press: PlannedPress) -> None:

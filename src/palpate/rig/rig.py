@@ -41,7 +41,7 @@ def by_hand(indenter: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """What the engine drives.
+    """Devices, limits and clock that the engine drives.
 
     Attributes:
         name: such as "virtual:palm".

@@ -89,7 +89,7 @@ class PluginPart(BaseModel):
 
     @property
     def options(self) -> dict[str, Any]:
-        """What it is opened with."""
+        """Options that it is opened with."""
         return dict(self.model_extra or {})
 
 
@@ -124,7 +124,7 @@ class LimitsPart(_Part):
 
 
 class FaultPart(_Part):
-    """One thing that goes wrong, from so many seconds on."""
+    """Fault of a virtual rig, from so many seconds on."""
 
     kind: Kind
     after_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
@@ -147,7 +147,7 @@ class RegionPart(_Part):
 
 
 def _own(kind: str) -> Discriminator:
-    """Whether a part is palpate's own driver of a kind, or a plug-in."""
+    """Discriminate palpate's own driver of a kind from a plug-in."""
 
     def tag(part: Any) -> str:
         named = part.get("kind") if isinstance(part, dict) else getattr(part, "kind", None)

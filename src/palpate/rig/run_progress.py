@@ -1,7 +1,4 @@
-"""From the devices to the run: force at its own rate, raw and in the skin's axes, stage, frames, events.
-
-How far a recording is, how it ended, and what a run holds already: read from the recording itself.
-"""
+"""Progress of a run: the engine's data on their way into it, its state, and what it holds already."""
 
 from __future__ import annotations
 
@@ -39,7 +36,7 @@ class Recorder:
         self._muted = True
 
     def force(self, samples: Sequence[Wrench]) -> None:
-        """Every good sample; faulty ones hold no numbers."""
+        """Record every good sample; faulty ones hold no numbers."""
         for one in samples:
             if not one.fault and not self._muted and one.time_ns >= self._begun_ns:
                 force, torque = self._bias.force(one), self._bias.torque(one)
@@ -47,7 +44,7 @@ class Recorder:
                 self._writer.force((*one.force_n, *one.torque_nm), time_ns=one.time_ns, raw=True)
 
     def stage(self, position_m: Position, time_ns: int) -> None:
-        """Where the stage is."""
+        """Record where the stage is."""
         if not self._muted:
             self._writer.stage(position_m, time_ns=time_ns)
 
@@ -56,13 +53,13 @@ class Recorder:
         return self._writer.frame(frame.image, time_ns=time_ns, exposure_s=frame.exposure_s, labels=labels)
 
     def event(self, kind: str, **fields: Any) -> None:
-        """That something happened."""
+        """Record that something happened."""
         if not self._muted:
             self._writer.event(kind, **fields)
 
 
 class State(StrEnum):
-    """Where the engine is."""
+    """State of the engine."""
 
     READY = "ready"
     RUNNING = "running"
@@ -76,7 +73,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a recording ended.
+    """Outcome of a recording.
 
     Attributes:
         state: done, stopped, aborted, e-stopped or failed.
@@ -102,7 +99,7 @@ SWEEPS = "sweep"
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """How far a recording is, for whoever watches.
+    """Status of a recording, for whoever watches.
 
     Attributes:
         state: of the engine.
@@ -123,7 +120,7 @@ class Status:
 
 
 def done_in(run: Run) -> Done:
-    """Which frames of which shots a run holds. A frame counts that has its label; a sweep, when it ended.
+    """Frames of each shot that a run holds. A frame counts that has its label; a sweep, when it ended.
 
     Nothing but the recording is asked: there is no ledger that could say otherwise.
     """

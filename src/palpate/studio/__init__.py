@@ -1,3 +1,3 @@
-"""The pages in the browser: they show, and pass on what is asked for. No physics, no hardware loop."""
+"""Pages in the browser: they show, and pass on what is asked for. No physics, no hardware loop."""
 
 __all__: list[str] = []

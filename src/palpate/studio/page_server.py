@@ -1,10 +1,9 @@
-"""The emergency stop on the page, which needs nothing of the page but the browser itself.
+"""Server of the studio: loopback only, for pages of its own address only, with nothing of its own to lose.
 
-`estop.html` is plain HTML beside the page's own elements and asks over a request of its own, so that it works
-while the page loads, after a reload and when the page's own connection hangs. It acts when pressed, not when
-let go. What goes wrong is said loudly, for then the operator must use the switch on the rig.
-
-The studio's server: loopback only, for pages of its own address only, with nothing of its own to lose.
+The emergency stop needs nothing of the page but the browser itself: `estop.html` is plain HTML beside the
+page's own elements and asks over a request of its own, so that it works while the page loads, after a reload
+and when the page's own connection hangs. It acts when pressed, not when let go. What goes wrong is said
+loudly, for then the operator must use the switch on the rig.
 """
 
 from __future__ import annotations

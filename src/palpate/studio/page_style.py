@@ -1,4 +1,4 @@
-"""How the pages look: the reports' ink and accent on quiet ground, system fonts, nothing from elsewhere."""
+"""Style of the pages: the reports' ink and accent on quiet ground, system fonts, nothing from elsewhere."""
 
 from __future__ import annotations
 

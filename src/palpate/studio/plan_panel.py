@@ -128,7 +128,7 @@ class PlanPanel:
         await self._judge(draft)
 
     async def _judge(self, fields: dict[str, Any]) -> None:
-        """In a thread: nothing here may hold up an emergency stop that comes in meanwhile."""
+        """Judge the draft in a thread: nothing here may hold up an emergency stop that comes in meanwhile."""
         try:
             laid_out = await run.io_bound(_laid_out, fields)
         except PalpateError as e:

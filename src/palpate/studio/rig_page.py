@@ -23,7 +23,7 @@ AXIS_NAMES = {"x": "x", "y": "y", "z": "z, normal"}
 
 
 class RigPage:
-    """One tab.
+    """Page of the rig in one tab.
 
     Args:
         client: of the rig's process; shared by all tabs.

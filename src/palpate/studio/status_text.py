@@ -1,4 +1,4 @@
-"""What the page says in words, from what the rig's process tells."""
+"""Words of the page: the rig process's status as text."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CALM = {"running", "done", "paused", "ready", "stopped"}
 
 
 def duration(seconds: float | None) -> str:
-    """Such as "3 min 20 s"."""
+    """Duration in words, such as "3 min 20 s"."""
     if seconds is None:
         return "–"
     whole = round(seconds)
@@ -38,7 +38,7 @@ def time_left(status: Mapping[str, Any]) -> str:
 
 
 def state_of(status: Mapping[str, Any] | None) -> tuple[str, str]:
-    """What the rig does, in a word or two, and its look: "calm", "busy", "warn" or "bad"."""
+    """State of the rig in a word or two, and its look: "calm", "busy", "warn" or "bad"."""
     if status is None:
         return "no connection", "bad"
     if status["held"]:
@@ -53,7 +53,7 @@ def state_of(status: Mapping[str, Any] | None) -> tuple[str, str]:
 
 
 def doing(status: Mapping[str, Any]) -> str:
-    """What the rig says that it does; where it was when it was paused."""
+    """Activity of the rig; where it was when it was paused."""
     message = str(status["message"])
     if status["state"] == "paused" and ", cycle " in message:
         return f"the probe is lifted and waits; it was at {message.rpartition(':')[0]}"
@@ -61,7 +61,7 @@ def doing(status: Mapping[str, Any]) -> str:
 
 
 def done_by_place(plan: RecordingPlan, shots: int) -> dict[str, float]:
-    """Of each place, the share of its presses whose shots are all recorded.
+    """Share of each place's presses whose shots are all recorded.
 
     Shots are recorded in the plan's order, and a resumed recording begins at the first that is missing; so
     their number tells which they are.
@@ -90,7 +90,7 @@ def clearance(plan: RecordingPlan) -> str:
 
 
 def plan_facts(plan: RecordingPlan, size: Size) -> str:
-    """What a plan asks for, in a line."""
+    """Size of a plan, in a line."""
     shots = sum(len(plan.shots(press)) for press in plan.presses())
     return (
         f"{size.points} place{'s' * (size.points != 1)} × {plan.cycles} · {shots:,} shots, "
@@ -100,6 +100,6 @@ def plan_facts(plan: RecordingPlan, size: Size) -> str:
 
 
 def number(value: float, digits: int) -> str:
-    """With a true minus, and none before a zero."""
+    """Number with a true minus, and none before a zero."""
     text = f"{value:.{digits}f}"
     return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")

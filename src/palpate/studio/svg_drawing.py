@@ -1,4 +1,4 @@
-"""What the pages draw, as SVG: the places of a plan, the force over time, regions over a picture."""
+"""Drawings of the pages, as SVG: the places of a plan, the force over time, regions over a picture."""
 
 from __future__ import annotations
 

@@ -1,17 +1,10 @@
-"""A multi-page TIFF as a sequence of frames: opened once, each page read when asked for.
+"""Sequences of frames, whatever they are stored as: a multi-page TIFF, a video, a folder, a run.
 
-Before any page is decoded its chain of directories is walked: a chain that comes back to itself, leaves the
-file or is longer than any recording is refused. The file stays open, since opening it anew for every page
-takes far longer than reading one.
-
-Written page by page, uncompressed, so that whatever reads a TIFF reads it.
-
-A video file as a sequence of frames, decoded one after the other.
-
-How many frames a video holds is known for certain only after the last: what its header says is checked then.
-Decoding loses what the codec has lost; touch is better recorded as TIFF or as a run.
-
-Frames one after the other, whatever they are stored as: a multi-page TIFF, a video, a folder, a run.
+Before any page of a TIFF is decoded its chain of directories is walked: a chain that comes back to itself,
+leaves the file or is longer than any recording is refused. The file stays open, since opening it anew for
+every page takes far longer than reading one. A TIFF is written page by page, uncompressed, so that whatever
+reads a TIFF reads it. How many frames a video holds is known for certain only after the last: what its header
+says is checked then. Decoding loses what the codec has lost; touch is better recorded as TIFF or as a run.
 """
 
 from __future__ import annotations
@@ -75,7 +68,7 @@ class TiffFrames:
         return (self[i] for i in range(len(self)))
 
     def __getitem__(self, index: int) -> Image:
-        """One frame.
+        """Frame by its number.
 
         Raises:
             RangeError: there is no such page.
@@ -148,7 +141,7 @@ def write_tiff(path: Path, frames: Iterable[Image]) -> int:
 
 
 def page_offsets(file: BinaryIO, path: Path, most: int) -> list[int]:
-    """Where every page's directory lies.
+    """Offsets of every page's directory.
 
     Raises:
         ImageError: no TIFF, or a chain of directories that is no recording's.
@@ -281,7 +274,7 @@ class FrameSequence(Protocol):
     """Images in time, which may be gone through more than once."""
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Number of frames."""
         ...
 
     def __iter__(self) -> Iterator[Image]:

@@ -1,6 +1,7 @@
-"""One image as PNG bytes, in an encoding that decodes faster than OpenCV's default and is not larger.
+"""Image files: PNG written in an encoding that decodes fast, and single images of others read.
 
-Reading one image file that somebody else wrote: an allow-list of formats, everything checked.
+Reading has an allow-list of formats, and everything is checked. The encoding decodes faster than OpenCV's
+default and is not larger.
 """
 
 from __future__ import annotations

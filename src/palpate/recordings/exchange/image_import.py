@@ -39,7 +39,7 @@ _GROUP_NAMES = frozenset(name for columns in CONVENTIONAL_GROUPS for name in col
 
 @dataclass(frozen=True, slots=True)
 class ImportReport:
-    """What was imported.
+    """Report of what was imported.
 
     Attributes:
         frames: number of frames in the run.
@@ -55,7 +55,7 @@ class ImportReport:
 
     @property
     def no_targets(self) -> tuple[str, ...]:
-        """Those of `unitless` that are not called as groups are: somebody may want one for a target."""
+        """Columns of `unitless` that are not called as groups are: somebody may want one for a target."""
         return tuple(name for name in self.unitless if name not in _GROUP_NAMES)
 
 
@@ -134,7 +134,7 @@ def import_images(
 
 
 def _manifest(given: dict[str, str], exported: Manifest | None, kept: pd.DataFrame, timed: bool) -> Manifest:
-    """What was given, else what an exported folder says of itself."""
+    """Manifest by what the caller says, else by what an exported folder says of itself."""
     told = {name: text or (getattr(exported, name) if exported else "") for name, text in given.items()}
     targets = tuple(one for one in exported.targets if one in kept) if exported else ()
     return Manifest.new(
@@ -267,7 +267,7 @@ def _shape_text(shape: tuple[int, ...]) -> str:
 
 
 def _times_ns(table: pd.DataFrame, source: Path, rate_hz: float | None, column: str | None) -> np.ndarray:
-    """When each frame was taken, from the beginning of the run [ns]."""
+    """Time of each frame, from the beginning of the run [ns]."""
     if column is None:
         if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
             raise InputError(f"rate {rate_hz} Hz: a rate is above 0 Hz; leave it out where there is none")
@@ -292,7 +292,7 @@ def _nanoseconds(times_s: np.ndarray) -> np.ndarray:
 
 
 def _labels(table: pd.DataFrame, image_column: str) -> pd.DataFrame:
-    """What the run keeps: all but the exporter's own columns, with the names of images where runs look."""
+    """Labels that the run keeps: all but the exporter's own columns; image names where runs look for them."""
     kept = table.drop(columns=[FILE_COLUMN, TIME_COLUMN], errors="ignore")
     return kept if NAME_COLUMN in kept.columns else kept.rename(columns={image_column: NAME_COLUMN})
 

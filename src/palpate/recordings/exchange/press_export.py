@@ -33,7 +33,7 @@ AREA = "true_area_mm2"
 
 @dataclass(frozen=True)
 class _Press:
-    """One sweep: on what, which, and its frames."""
+    """Sweep of the run: on what, which, and its frames."""
 
     specimen: Specimen
     told: bool
@@ -71,7 +71,7 @@ def export_presses(run: Run, out: Path | None = None) -> PressFolder | None:
 
 
 def latency_s(run: Run) -> float:
-    """By how much the frames' stamps run behind the force's, by the run's last taps; 0 without any [s]."""
+    """Latency of the frames' stamps behind the force's, by the run's last taps; 0 without any [s]."""
     events = run.events()
     told = [json.loads(text) for text in events.loc[events["kind"] == CLOCKS, "fields"]]
     return float(told[-1]["seconds"]) if told else 0.0
@@ -117,7 +117,7 @@ def _rows(run: Run, press: _Press, force: pd.DataFrame, stage: pd.DataFrame, lat
 def _areas_m2(
     run: Run, press: _Press, sample: Int[ndarray, " f"], samples: int
 ) -> Float[ndarray, " s"] | None:
-    """Of the contact where a frame is, from a simulator; none elsewhere."""
+    """Contact area where a frame is, from a simulator; none elsewhere."""
     if AREA not in run.labels.columns:
         return None
     area = np.full(samples, np.nan)

@@ -1,4 +1,4 @@
-"""One press as a multi-page TIFF or a video, with a table of force, turned into a run.
+"""Press as a multi-page TIFF or a video, with a table of force, turned into a run.
 
 Frames carry force, position and the contact's area at their own time as labels, as far as the table has them;
 its samples go into the run's own streams at their own rate, force as z of the wrench and position as z of the

@@ -32,7 +32,7 @@ Samples = Float[ndarray, " s"]
 
 @dataclass(frozen=True)
 class PressTable:
-    """One press, SI.
+    """Press as a table, SI.
 
     Attributes:
         time_s: of every sample, from the first [s].

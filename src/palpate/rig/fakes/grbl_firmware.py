@@ -66,12 +66,12 @@ class GrblController:
 
     @property
     def place_mm(self) -> Millimetres:
-        """Where it truly is, in the counts of a homed machine [mm]."""
+        """True place, in the counts of a homed machine [mm]."""
         return add_mm(self._axes.place_mm, self._slip_mm)
 
     @property
     def speed_mm_s(self) -> float:
-        """How fast it goes [mm/s]."""
+        """Speed [mm/s]."""
         return 0.0 if self._axes.stuck else self._axes.speed_mm_s
 
     @property
@@ -111,7 +111,7 @@ class GrblController:
         self._serve()
 
     def take(self) -> bytes:
-        """What it has to say."""
+        """Bytes for the host."""
         said = bytes(self._out)
         self._out.clear()
         return b"" if self.faults.mute else said
@@ -237,7 +237,7 @@ class GrblController:
             self._slip_mm = add_mm(self._slip_mm, (x, y, z))
 
     def _forget(self) -> None:
-        """All that a reset undoes."""
+        """Undo what a reset undoes."""
         self._modes = Modes()
         self._rx, self._line = bytearray(), ""
         self._work = None

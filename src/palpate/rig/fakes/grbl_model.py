@@ -1,4 +1,4 @@
-"""Which stage is faked, and what goes wrong with it."""
+"""Model of the stage that the fake GRBL controller drives, and its faults."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SAME = 1e-9  # speeds that differ by this part are one
 
 @dataclass(slots=True)
 class PlannedBlock:
-    """One move in the planner; it starts and ends at a stand.
+    """Move in the planner; it starts and ends at a stand.
 
     Attributes:
         start_mm, end_mm: [mm].
@@ -60,12 +60,12 @@ class Axes:
 
     @property
     def place_mm(self) -> Millimetres:
-        """Where it is [mm]."""
+        """Place now [mm]."""
         return self.blocks[0].place_mm(self.along_mm) if self.blocks else self._stood_mm
 
     @property
     def end_mm(self) -> Millimetres:
-        """Where it will be when all is done [mm]."""
+        """Place when all is done [mm]."""
         return self.blocks[-1].end_mm if self.blocks else self._stood_mm
 
     @property
@@ -166,7 +166,7 @@ class RefusalError(Exception):
 
 @dataclass(slots=True)
 class Modes:
-    """What a line leaves behind for the next, until a reset."""
+    """Modes that a line leaves behind for the next, until a reset."""
 
     motion: str = "G0"
     inches: bool = False
@@ -176,13 +176,13 @@ class Modes:
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """One line: its codes, its numbers in the line's own unit, and its lengths in mm."""
+    """Line of G-code: its codes, its numbers in the line's own unit, and its lengths in mm."""
 
     codes: tuple[str, ...]
     numbers: dict[str, float]
 
     def modes_after(self, before: Modes) -> Modes:
-        """What holds from this line on."""
+        """Modes from this line on."""
         after = Modes(before.motion, before.inches, before.steps, before.feed_mm_min)
         for code in self.codes:
             if code in ("G20", "G21"):
@@ -273,7 +273,7 @@ class GrblModel:
 
 @dataclass(frozen=True, slots=True)
 class GrblFaults:
-    """What goes wrong; nothing by default.
+    """Faults; none by default.
 
     Attributes:
         no_banner: it starts without one.

@@ -28,7 +28,7 @@ _BEHIND_S = 0.2  # a computer busy for longer makes the fake skip time, not send
 
 @dataclass(frozen=True, slots=True)
 class FakePage:
-    """What the box says of itself. `newtons` and `newton_metres` are what one of its units is, in SI."""
+    """Page of the box about itself. `newtons` and `newton_metres` are what one of its units is, in SI."""
 
     product: str = "Net F/T that is not there"
     serial: str = "FT00000"
@@ -62,7 +62,7 @@ class FakePage:
 
 
 class ReceivedRequest(NamedTuple):
-    """One request that came over UDP; header, command and records are -1 where it was not eight bytes."""
+    """Request that came over UDP; header, command and records are -1 where it was not eight bytes."""
 
     header: int
     command: int

@@ -22,14 +22,14 @@ _MAX_UNSENT = 1 << 20  # bytes, for a host that does not read
 
 @runtime_checkable
 class SerialDevice(Protocol):
-    """What stands at the other end of the wire; times are in seconds of the terminal's clock."""
+    """Device at the other end of the wire; times are in seconds of the terminal's clock."""
 
     def receive(self, data: bytes) -> None:
         """Bytes from the host, now."""
         ...
 
     def take(self) -> bytes:
-        """What it has to say."""
+        """Bytes for the host."""
         ...
 
     def run_to(self, now_s: float) -> None:

@@ -1,4 +1,4 @@
-"""What is recorded, where and in which order, as presses, keyed shots and steps."""
+"""Recording plans: what is recorded, where and in which order, as presses, keyed shots and steps."""
 
 from palpate.rig.plans.plan_files import PLANS, Known, Size, plan_from, plan_of, size_of
 from palpate.rig.plans.plan_kinds import Dwell, Lateral, Ramp, StepHold, SurfaceProbe

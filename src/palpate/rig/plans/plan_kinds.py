@@ -1,10 +1,7 @@
-"""Press in steps, and stand at each while frames are taken: the palm's own protocol, and its relatives.
+"""Kinds of recording plan: stepped presses with holds, ramps at one speed, and surface probes.
 
-Press at one speed to a force or a depth and back, recording all the while.
-
-A sweep is one shot: frames of one that was interrupted belong to no shot, and it is done again from the air.
-
-Find contact at each place and go no deeper: where the skin lies.
+A ramp's sweep is one shot: frames of one that was interrupted belong to no shot, and it is done again from
+the air.
 """
 
 from __future__ import annotations
@@ -54,7 +51,7 @@ class Lateral(BaseModel):
     speed_mm_s: Positive = 0.5
 
     def shifts_mm(self) -> tuple[tuple[float, float], ...]:
-        """Where it stands, in order."""
+        """Lateral shifts at which it stands, in order."""
         return tuple(
             (x * i / self.steps, y * i / self.steps) for x, y in self.to_mm for i in range(1, self.steps + 1)
         )
@@ -104,7 +101,7 @@ class StepHold(RecordingPlan):
         return self.depth_mm
 
     def depths_um(self) -> tuple[int, ...]:
-        """From the first to the deepest, to the micrometre."""
+        """Depths from the first to the deepest, to the micrometre."""
         count = round(self.depth_mm / self.step_mm)
         return tuple(round(self.step_mm * i * UM) for i in range(1, max(1, count) + 1))
 
@@ -168,7 +165,7 @@ class StepHold(RecordingPlan):
 
 
 class Ramp(RecordingPlan):
-    """At each place and cycle one sweep from the clearance.
+    """Sweep from the clearance, one at each place and cycle.
 
     Attributes:
         speed_mm_s: down and up.
@@ -213,7 +210,7 @@ class Ramp(RecordingPlan):
 
 
 class SurfaceProbe(RecordingPlan):
-    """At each place and cycle one search for contact, and a frame or more where it was found.
+    """Search for contact, one at each place and cycle, and a frame or more where it was found.
 
     Attributes:
         frames: at contact.
@@ -227,7 +224,7 @@ class SurfaceProbe(RecordingPlan):
 
     @property
     def deepest_mm(self) -> float:
-        """It goes no deeper than contact."""
+        """Zero: it goes no deeper than contact."""
         return 0.0
 
     def steps(self, press: PlannedPress, done: Done) -> Steps:

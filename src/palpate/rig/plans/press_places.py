@@ -1,4 +1,4 @@
-"""Where to press: the candidate grid clipped by the skin's outline and the probe, or seeded random places.
+"""Places to press: the candidate grid clipped by the skin's outline and the probe, or random places.
 
 Outline and probe are the sensor's where a plan does not give them: `laid_on` writes them into the places.
 """
@@ -24,7 +24,7 @@ MAX_TRIES = 1000  # for each random place
 
 
 class Place(NamedTuple):
-    """One place on the skin.
+    """Place on the skin.
 
     Attributes:
         name: unique in its plan, such as "r3c7".
@@ -83,7 +83,7 @@ class OnSkin(BaseModel):
 
     @property
     def reach_mm(self) -> float:
-        """How far from the skin's centre the probe's axis may lie.
+        """Greatest distance of the probe's axis from the skin's centre.
 
         Raises:
             InputError: the probe is wider than the skin.
@@ -148,7 +148,7 @@ class Scattered(OnSkin):
     seed: int = 0
 
     def places(self) -> tuple[Place, ...]:
-        """In the order they were drawn.
+        """Places in the order they were drawn.
 
         Raises:
             InputError: they cannot lie so far apart.
@@ -184,7 +184,7 @@ class Listed(OnSkin):
     at_mm: Annotated[tuple[tuple[float, float], ...], Field(min_length=1)]
 
     def places(self) -> tuple[Place, ...]:
-        """In the order given.
+        """Places in the order of the plan.
 
         Raises:
             InputError: one at which the probe reaches over the rim.
@@ -248,7 +248,7 @@ Places = Annotated[Grid | Scattered | Listed | Around, Field(discriminator="kind
 
 
 def reach_mm(layer_mm: float, probe_mm: float) -> float:
-    """How far from the layer's centre the probe's axis may lie.
+    """Greatest distance of the probe's axis from the layer's centre.
 
     Raises:
         InputError: the probe is wider than the layer.
@@ -259,7 +259,7 @@ def reach_mm(layer_mm: float, probe_mm: float) -> float:
 
 
 def _mm(metres: float) -> float:
-    """In millimetres, to a picometre, so that 57 mm are 57.0."""
+    """Length in millimetres, to a picometre, so that 57 mm are 57.0."""
     return round(1e3 * float(metres), 9)
 
 

@@ -1,7 +1,4 @@
-"""What a plan asks of the engine, one step after the other.
-
-What every plan is: presses in an order, each a few keyed shots and the steps that record them.
-"""
+"""Recording plan: presses in an order, each a few keyed shots and the steps that record them."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ from palpate.rig.plans.press_places import Grid, Place, Places, Positive
 
 
 class Shot(NamedTuple):
-    """One keyed group of frames: what a resumed recording is told by.
+    """Keyed group of frames, by which a resumed recording finds what is missing.
 
     Attributes:
         place: its name.
@@ -39,13 +36,13 @@ class Shot(NamedTuple):
 
     @property
     def key(self) -> str:
-        """As text, unique in its plan."""
+        """Name of the shot, unique in its plan."""
         return f"{self.place}/{self.cycle}/{self.phase}/{self.depth_um}/{self.turn}"
 
 
 @dataclass(frozen=True, slots=True)
 class Over:
-    """Lift to the clearance, and go over a place."""
+    """Travel over a place, lifted to the clearance."""
 
     x_m: float
     y_m: float
@@ -80,7 +77,7 @@ class Aside:
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """Let time pass."""
+    """Wait of so many seconds."""
 
     seconds: float
 
@@ -128,7 +125,7 @@ LESS = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class PlannedPress(NamedTuple):
-    """One approach of one place."""
+    """Approach of one place."""
 
     place: Place
     cycle: int
@@ -227,7 +224,7 @@ class RecordingPlan(BaseModel):
         return self.deepest_mm
 
     def presses(self) -> Iterator[PlannedPress]:
-        """All of them, in order."""
+        """Presses of the plan, in order."""
         places = self.places.places()
         for indenter in self.indenters:
             found = [
@@ -248,7 +245,7 @@ class RecordingPlan(BaseModel):
         return ((reference, self.reference_frames), *own) if self.reference_frames else own
 
     def steps(self, press: PlannedPress, done: Done) -> Steps:
-        """What records the frames of a press that are missing; nothing where none is."""
+        """Steps that record the missing frames of a press; none where none is missing."""
         raise NotImplementedError
 
     def missing(self, press: PlannedPress, done: Done) -> dict[Shot, tuple[int, ...]]:

@@ -26,7 +26,7 @@ BY_ID = Path("/dev/v4l/by-id")
 
 
 def device(address: str | int, by_id: Path = BY_ID) -> str | int:
-    """What to open for an address.
+    """Device of an address.
 
     Args:
         address: a number, a path such as ``/dev/video2``, or the serial number that the camera tells over
@@ -60,7 +60,7 @@ Picture = UInt8[ndarray, "h w 3"]
 
 @dataclass(frozen=True, slots=True)
 class UvcCounts:
-    """What a camera has sent.
+    """Counts of what a camera has sent.
 
     Attributes:
         frames: new ones.
@@ -97,7 +97,7 @@ class FrameWatch:
 
     @property
     def counts(self) -> UvcCounts:
-        """What has come so far."""
+        """Counts of what has come so far."""
         return UvcCounts(self._frames, self._dropped, self._duplicate, self._broken, self._backwards)
 
     @property
@@ -175,7 +175,7 @@ _CLOSE_S = 2.0  # for a read under way to end
 
 @runtime_checkable
 class VideoSource(Protocol):
-    """What is used of `cv2.VideoCapture`."""
+    """Source of video, as far as `cv2.VideoCapture` is used."""
 
     def isOpened(self) -> bool: ...  # noqa: N802 - OpenCV's name
     def set(self, control: int, value: float, /) -> bool: ...
@@ -192,7 +192,7 @@ def open_source(where: str | int) -> VideoSource:
 
 @dataclass(frozen=True, slots=True)
 class UvcSettings:
-    """How a camera shall take its frames.
+    """Settings of how a camera takes its frames.
 
     Attributes:
         size_px: (width, height) [px].
@@ -301,7 +301,7 @@ class UvcCamera:
 
     @property
     def counts(self) -> UvcCounts:
-        """What has come so far."""
+        """Counts of what has come so far."""
         with self._new:
             return self._watch.counts
 
@@ -330,7 +330,7 @@ class UvcCamera:
             return self._newest
 
     def drain(self) -> list[tuple[int, Frame]]:
-        """All frames since the last call or `grab`, oldest first; of the last half second at most.
+        """Frames since the last call or `grab`, oldest first; of the last half second at most.
 
         Raises:
             DeviceError: the camera has failed, and why.

@@ -1,4 +1,4 @@
-"""How a page or a script asks the process that holds a rig, and how that process is started."""
+"""Client of the process that holds a rig, and the start of that process."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""A rig's devices, tapped; looked at a few times a second while nobody records with them.
+"""Service that holds a rig: it records when asked to, and stops when told to.
 
-Who holds the rig: records when asked to, and stops when told to.
-
-The recording runs in a thread of its own and asks nobody who watches: they may come and go.
+The recording runs in a thread of its own and asks nobody who watches: they may come and go. While nothing is
+recorded, the devices are read a few times a second.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ NO_BIAS: Force = (0.0, 0.0, 0.0)
 
 
 class RigMonitor:
-    """Whose they are at any time, and what was seen of them.
+    """Monitor of a rig's devices: whose they are at any time, and their last readings.
 
     Args:
         opened: the rig; closed by `close`.
@@ -62,12 +61,12 @@ class RigMonitor:
 
     @contextmanager
     def taken(self) -> Iterator[None]:
-        """To be used by the caller alone."""
+        """Reserve the devices for the caller alone."""
         with self._turn:
             yield
 
     def close(self) -> None:
-        """Let go of them."""
+        """Close the devices."""
         self._closing.set()
         self._watcher.join(2 * GRAB_S)
         self.rig.close()
@@ -83,7 +82,7 @@ class RigMonitor:
             self._bias = (x, y, z)
 
     def status(self, recording: bool) -> dict[str, Any]:
-        """What is told of them; plain values."""
+        """Status of the devices; plain values."""
         now_ns, bias = self.rig.clock.now_ns(), self._bias or NO_BIAS
         return {
             "force_n": self._force_now(bias),
@@ -144,7 +143,7 @@ class RigMonitor:
 
 
 def _tried(look: Callable[[], object]) -> None:
-    """A device that fails while the rig rests is told of by its tap, and asked again."""
+    """Read a device; one that fails while the rig rests is reported by its proxy, and read again."""
     try:
         look()
     except PalpateError:
@@ -161,7 +160,7 @@ _UNTOLD = Status(State.READY, "", 0, 0, None)
 
 
 class RigService:
-    """One rig, and whatever is asked of it from any thread.
+    """Service of one rig to whoever asks, from any thread.
 
     Args:
         opened: the rig; closed by `close`.
@@ -297,7 +296,7 @@ class RigService:
         return self._thread is not None and self._thread.is_alive()
 
     def status(self) -> dict[str, Any]:
-        """All that a page shows, but for the picture; plain values."""
+        """Status for a page, but for the picture; plain values."""
         told, recording, asked = self._status, self.recording, self._control.asked
         return {
             "rig": self._rig.name,
@@ -369,7 +368,7 @@ class RigService:
         self._begun.set()
 
     def _told(self, status: Status) -> None:
-        """By the engine, a few times a second, in the recording's thread."""
+        """Take in the engine's status, a few times a second, in the recording's thread."""
         if status.state is not self._status.state and status.state in (State.RUNNING, State.PAUSED):
             self._log.add("rig", f"{status.state.value}: {status.message}")
         press, colon, _ = status.message.rpartition(":")

@@ -1,10 +1,9 @@
-"""What can go wrong on a virtual rig, by configuration: one kind, from one instant on.
+"""Disturbances of a virtual rig: faults by configuration, and how its presses differ.
 
-How presses of a virtual rig differ, as those of a real one do: all of it seeded, each with its size.
-
-The incidental lateral forces are those of the palm's report, which records 0.07 and 0.29 N (standard
-deviation) without any lateral load: here they come from a probe that is not quite upright, by a constant and
-by a part that changes from press to press. The other sizes are assumed.
+A fault is of one kind, from one instant on. The variation of presses is seeded, each part with its size. The
+incidental lateral forces are those of the palm's report, which records 0.07 and 0.29 N (standard deviation)
+without any lateral load: here they come from a probe that is not quite upright, by a constant and by a part
+that changes from press to press. The other sizes are assumed.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ Kind = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault.
+    """Fault of one kind.
 
     Attributes:
         kind: which.
@@ -55,7 +54,7 @@ class Fault:
 
 
 class Faults:
-    """Those of a rig, asked for by their kind."""
+    """Faults of a rig, by their kind."""
 
     def __init__(self, faults: Sequence[Fault], begun_ns: int) -> None:
         self._from_ns: dict[str, int] = {}
@@ -68,7 +67,7 @@ class Faults:
         return kind in self._from_ns and now_ns >= self._from_ns[kind]
 
     def since(self, kind: Kind) -> int | None:
-        """When it sets in [ns]; None where it never does."""
+        """Time when it sets in [ns]; None where it never does."""
         return self._from_ns.get(kind)
 
 
@@ -128,7 +127,7 @@ IDEAL = Variation(
 
 @dataclass(frozen=True, slots=True)
 class Approach:
-    """What is particular to one approach of one place.
+    """Variation of one approach of one place.
 
     Attributes:
         height_m: of the skin, downwards positive [m].
@@ -163,6 +162,6 @@ def approach_of(variation: Variation, seed: int, x_m: float, y_m: float, visit: 
 
 
 def shift_of(variation: Variation, seed: int, presses: int) -> tuple[float, float]:
-    """Of the whole image after so many presses [px]."""
+    """Shift of the whole image after so many presses [px]."""
     x, y = np.random.default_rng([seed & 0xFFFFFFFF, 0x5F, presses]).standard_normal(2).tolist()
     return variation.shift_px * x, variation.shift_px * y

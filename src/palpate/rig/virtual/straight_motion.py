@@ -15,7 +15,7 @@ Places = Float[ndarray, "n 3"]
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Up to speed, along, and down again; a stand where start and target are one.
+    """Motion up to speed, along, and down again; a stand where start and target are one.
 
     Attributes:
         start_m, target_m: from and to [m].
@@ -33,7 +33,7 @@ class Motion:
 
     @property
     def length_m(self) -> float:
-        """From start to target."""
+        """Length from start to target [m]."""
         return math.dist(self.start_m, self.target_m)
 
     @property
@@ -43,7 +43,7 @@ class Motion:
 
     @property
     def ends_s(self) -> float:
-        """When it stands."""
+        """Time when it stands [s]."""
         if self.length_m == 0:
             return self.begun_s
         v, a = self.top_m_s, self.acceleration_m_s2
@@ -53,7 +53,7 @@ class Motion:
         return self.stopped_s + self._speed(self.stopped_s) / a
 
     def at(self, time_s: Times) -> Places:
-        """Where it is at times [m]."""
+        """Places at times [m]."""
         start, target = np.array(self.start_m), np.array(self.target_m)
         if self.length_m == 0:
             return np.broadcast_to(start, (len(time_s), 3))

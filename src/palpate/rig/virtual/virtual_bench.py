@@ -27,18 +27,18 @@ TRAVEL = Travel(
     acceleration_m_s2=0.5,
     latency_s=0.004,
 )
-"""Of a small belt-free stage. Assumed."""
+"""Travel of a small belt-free stage. Assumed."""
 CARRYING = replace(TRAVEL, greatest_m=(40e-3, 40e-3, 20e-3))
-"""Of one that carries the sensor, onto specimens softer than it is. Assumed."""
+"""Travel of a stage that carries the sensor, onto specimens softer than it is. Assumed."""
 
 FORCE_HZ = 200.0
 FORCE_N = 35.0  # allowed
 REAL_TIME_AGE_S = 0.5
-"""Of the oldest force that is moved on in real time: it is measured when it is asked for, on a machine that
+"""Age of the oldest force for a move in real time: it is measured when it is asked for, on a machine that
 may have other work."""
 TRUTHS = ("true_depth_mm", "true_force_N")
 AREA = "true_area_mm2"
-"""Of the contact; told beside the others by a sensor that is pressed onto specimens."""
+"""Label of the contact's area, beside the others of a sensor that is pressed onto specimens."""
 
 
 def virtual_rig(
@@ -82,7 +82,7 @@ def virtual_rig(
     truths = TRUTHS if made.moves == "probe" else (*TRUTHS, AREA)
 
     def truth(time_ns: int) -> dict[str, float]:
-        """At the middle of the exposure that a frame's time tells of."""
+        """Labels at the middle of the exposure of a frame's time."""
         touch = world.touch_at(time_ns / 1e9 - TRANSPORT_S - made.exposure_s / 2)
         if touch is None:
             return dict.fromkeys(truths, 0.0)

@@ -58,7 +58,7 @@ class VirtualCamera:
         return round(arrives_s * NS_PER_S), self._taken(ends_s)
 
     def drain(self) -> list[tuple[int, Frame]]:
-        """All frames that have arrived since the last call; of the last seconds at most."""
+        """Frames that have arrived since the last call; of the last seconds at most."""
         world = self._world
         last = int(np.floor((world.now_s - TRANSPORT_S) * self._rate_hz))
         first = max(self._next, int(np.ceil((world.now_s - KEPT_S) * self._rate_hz)))

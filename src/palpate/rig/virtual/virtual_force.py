@@ -12,7 +12,7 @@ from palpate.rig.virtual.virtual_world import Touch, World
 RANGE_N = (40.0, 40.0, 120.0)
 LATENCY_S = 0.002
 BIAS_N = (0.31, -0.22, 1.7)
-"""What it reads without a load. Assumed."""
+"""Bias: the reading without a load. Assumed."""
 KEPT = 100_000
 SPIKE_N = 1000.0
 NOISIER = 100.0
@@ -41,7 +41,7 @@ class VirtualForce:
 
     @property
     def range_n(self) -> tuple[float, float, float]:
-        """To either side."""
+        """Range to either side [N]."""
         return RANGE_N
 
     def latest(self) -> Wrench:
@@ -52,7 +52,7 @@ class VirtualForce:
         return self._latest
 
     def drain(self) -> list[Wrench]:
-        """All that have arrived since the last call."""
+        """Samples that have arrived since the last call."""
         self._take_in()
         with self._world.lock:
             fresh = list(self._ready)

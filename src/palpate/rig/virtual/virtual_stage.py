@@ -20,11 +20,11 @@ class VirtualStage:
 
     @property
     def travel(self) -> Travel:
-        """What it can do."""
+        """Travel of the stage."""
         return self._world.travel
 
     def position_m(self) -> Position:
-        """Where it is now."""
+        """Place now [m]."""
         self._check_there()
         return self._world.stand_at()
 

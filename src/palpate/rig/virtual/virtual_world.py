@@ -1,18 +1,14 @@
-"""The force of a viscoelastic skin on a probe, sample after sample.
-
-Elastic force from the sensor's own law, as far as it holds; with every change dF of it a share g_i dF is
-added that fades with time t_i (a Prony series: the modulus is the relaxed one). A probe is never pulled:
-below zero the force is zero. That the contact of a skin that lags behind is smaller on the way back (Ting) is
-left out.
-
-When the probe has left, what is left is a dent: each branch has come to some depth, of which its share
-remains and fades with its own time. The next touch is of the dented skin, and begins without memory.
-
-What the virtual devices share: the stage's motion, the skin under the probe, and what they did before.
+"""World of the virtual devices: the stage's motion, the skin under the probe, and its memory of presses.
 
 Nothing runs by itself. Whoever asks brings the world up to the clock's time, at the force sensor's rate, so
 that it is the same in real time and faster. Depth is below the skin's own surface, at first touch: the truth
 that labels below a force threshold differ from.
+
+The elastic force is the sensor's own law, as far as it holds; with every change dF of it a share g_i dF is
+added that fades with time t_i (a Prony series: the modulus is the relaxed one). A probe is never pulled:
+below zero the force is zero. That the contact of a skin that lags behind is smaller on the way back (Ting) is
+left out. When the probe has left, a dent remains: each branch has come to some depth, of which its share
+remains and fades with its own time. The next touch is of the dented skin, and begins without memory.
 """
 
 from __future__ import annotations
@@ -47,7 +43,7 @@ class ViscoelasticSkin:
         self._last = 0.0
 
     def force(self, depth_m: Series, step_s: float) -> tuple[Series, Series]:
-        """What the probe feels, and the elastic part of it, at samples `step_s` apart [N]."""
+        """Force on the probe, and the elastic part of it, at samples `step_s` apart [N]."""
         elastic = np.interp(depth_m, self.law.depth_m, self.law.force_n, left=0.0)
         change = np.diff(elastic, prepend=self._last)
         total = elastic.copy()
@@ -74,7 +70,7 @@ class ViscoelasticSkin:
         return left
 
     def radius_at(self, depth_m: float) -> float:
-        """Of the contact [m]."""
+        """Radius of the contact [m]."""
         return float(np.interp(depth_m, self.law.depth_m, self.law.radius_m, left=0.0))
 
     def lateral_at(self, depth_m: float) -> float:
@@ -95,7 +91,7 @@ MAX_DENTS = 32  # that are remembered
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """One instant.
+    """State of the contact at one instant.
 
     Attributes:
         time_s: on the world's clock [s].
@@ -122,7 +118,7 @@ class Touch:
 
 
 class Dent(NamedTuple):
-    """What a press has left: where, when, and how deep each branch of memory and the probe came [m]."""
+    """Dent that a press has left: where, when, and how deep each branch of memory and the probe came [m]."""
 
     x_m: float
     y_m: float
@@ -132,7 +128,7 @@ class Dent(NamedTuple):
 
 
 class World:
-    """One sensor and one probe on one stage."""
+    """World of one sensor and one probe on one stage."""
 
     def __init__(
         self,
@@ -196,7 +192,7 @@ class World:
         )
 
     def radius_at(self, depth_m: float) -> float:
-        """Of the contact at a depth [m]."""
+        """Radius of the contact at a depth [m]."""
         return self._skin.radius_at(depth_m)
 
     @property
@@ -217,7 +213,7 @@ class World:
         self._motions.append(motion)
 
     def stand_at(self) -> Position:
-        """Where the stage says that it is now [m]."""
+        """Place that the stage reports now [m]."""
         x, y, z = self.motion.at(np.array([self.now_s]))[0].tolist()
         return x, y, z
 
@@ -238,14 +234,14 @@ class World:
                 self._motions.popleft()
 
     def fresh(self) -> list[Touch]:
-        """What the force sensor has not taken in yet, oldest first."""
+        """Instants that the force sensor has not taken in yet, oldest first."""
         with self.lock:
             taken = list(self._fresh)
             self._fresh.clear()
         return taken
 
     def touch_at(self, time_s: float) -> Touch | None:
-        """How it was at a time, between samples along a straight line; None before the first."""
+        """State at a time, between samples along a straight line; None before the first."""
         self.advance()
         with self.lock:
             if not self.touches:
@@ -300,7 +296,7 @@ class World:
         return touches
 
     def _beyond_the_rim(self, relative: Float[ndarray, "n 3"]) -> Series:
-        """How much lower a round probe has to come to touch the rim's edge beside it; far where it passes it.
+        """Descent of a round probe that touches the rim's edge beside it; far where it passes it.
 
         That the edge yields more easily than the middle is left out.
         """
@@ -336,7 +332,7 @@ class World:
         return float(relative[-1, 0]), float(relative[-1, 1])
 
     def _dent_at(self, x_m: float, y_m: float, time_s: float) -> float:
-        """What earlier presses near a place have left of themselves."""
+        """Dent that earlier presses near a place have left."""
         R, depth_m = max(self._own_radius_m, NEAR_M), 0.0
         for dent in self._dents:
             near = math.exp(-((x_m - dent.x_m) ** 2 + (y_m - dent.y_m) ** 2) / R**2)
@@ -345,7 +341,7 @@ class World:
         return depth_m
 
     def _hook(self) -> None:
-        """Where the camera sees the sensor until the next press is over."""
+        """Place where the camera sees the sensor until the next press is over."""
         if self.variation.shift_px > 0:
             shift_px = shift_of(self.variation, self.seed, self._presses)
             self._approach = replace(self._approach, shift_px=shift_px)
@@ -390,7 +386,7 @@ class World:
 
 
 def _between(before: Touch, after: Touch, share: float) -> Touch:
-    """Of one approach; from one to the next nothing is in between."""
+    """Interpolate within one approach; from one to the next nothing is in between."""
     if before.approach is not after.approach:
         return before if share < HALF else after
     names = ("depth_m", "x_m", "y_m", "stiffening")

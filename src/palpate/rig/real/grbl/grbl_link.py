@@ -34,10 +34,10 @@ WRITE_S = 1.0
 
 @runtime_checkable
 class SerialPort(Protocol):
-    """What the driver needs of a serial port; pyserial's `Serial` has it."""
+    """Serial port, as far as the driver needs it; pyserial's `Serial` is one."""
 
     def read(self, size: int = 1, /) -> bytes:
-        """Up to `size` bytes, none after a short wait."""
+        """Read up to `size` bytes, none after a short wait."""
         ...
 
     def write(self, data: bytes, /) -> int | None:
@@ -50,7 +50,7 @@ class SerialPort(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go."""
+        """Close the port."""
         ...
 
 
@@ -263,7 +263,7 @@ class GrblLink:
         self._write(HOLD)
 
     def settled(self) -> None:
-        """It was seen standing, with nothing in flight."""
+        """Note that it stands, with nothing in flight."""
         self.restless = False
 
     def reset(self) -> bool:

@@ -1,4 +1,4 @@
-"""What a GRBL controller says, line by line: bytes in, small frozen records out. No port and no time.
+"""Parser of a GRBL controller's lines: bytes in, small frozen records out. No port and no time.
 
 One line sent gives one `ok` or `error:N`; status `<...>`, messages `[...]`, alarms and banners come in
 between at any time. Whatever bytes come, the memory used is bounded and the only error is `ProtocolError`.
@@ -70,7 +70,7 @@ MAX_AXES = 8
 
 
 class GrblState(StrEnum):
-    """What the controller says that it does. A state not known here is UNKNOWN, and unsafe."""
+    """State that the controller reports. One not known here is UNKNOWN, and unsafe."""
 
     IDLE = "Idle"
     RUN = "Run"
@@ -139,7 +139,7 @@ class GrblStatus:
 
 @dataclass(frozen=True, slots=True)
 class ProbeReport:
-    """Where a probing move ended, in machine coordinates [mm]. The place means nothing unless it hit."""
+    """End of a probing move, in machine coordinates [mm]. The place means nothing unless it hit."""
 
     machine_mm: tuple[float, ...]
     hit: bool
@@ -147,7 +147,7 @@ class ProbeReport:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One line of the `$$` list."""
+    """Line of the `$$` list."""
 
     number: int
     text: str

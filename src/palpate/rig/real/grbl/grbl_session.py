@@ -1,4 +1,4 @@
-"""What is known of a GRBL stage while its port is open: settings, place, and whether that can be trusted.
+"""Session of a GRBL stage while its port is open: settings, place, and whether that can be trusted.
 
 The place is lost on opening the port, on a banner that nobody asked for, on any alarm, on a jump and on a
 reset in motion. It comes back by homing or on the caller's word, never by itself.
@@ -105,16 +105,16 @@ class GrblSession:
             raise DeviceError(f"{stray}; it may have lost steps: {_HOW}")
 
     def settle(self, place_mm: Millimetres) -> None:
-        """It stands here, with no move in flight."""
+        """Note that it stands here, with no move in flight."""
         self.move, self._stood_mm, self.homing = None, place_mm, False
         self.link.settled()
 
     def found(self, mount: Mount) -> None:
-        """Its place is known again, in this frame."""
+        """Take its place as known again, in this frame."""
         self.lost, self.mount = "", mount
 
     def lose(self, why: str) -> None:
-        """From here on its place is not known."""
+        """Forget its place, and why."""
         self.lost, self._stood_mm = why, None
 
     def note_restart(self) -> bool:

@@ -88,7 +88,7 @@ class GrblStage:
         )
 
     def position_m(self) -> Position:
-        """Where it is now [m]. See `palpate.core.Stage`."""
+        """Place now [m]. See `palpate.core.Stage`."""
         with self._lock:
             self._session.need_known()
             _, place_mm = self._session.look()
@@ -335,7 +335,7 @@ def _await_homed(session: GrblSession, halts: int) -> GrblStatus | None:
 
 
 def probed(pushed: Iterable[Line]) -> Millimetres | None:
-    """Where the probe triggered, in machine coordinates [mm]; None if it did not.
+    """Place where the probe triggered, in machine coordinates [mm]; None if it did not.
 
     Judged by the flag of the report and by there being no alarm. Not by the `ok`, which comes either way,
     nor by the place: on a miss one firmware prints zeros or an old place and another the end of the move.

@@ -1,7 +1,4 @@
-"""One GRBL stage: its port, how it is mounted, and where it may go.
-
-The machine's own settings, and one straight move under watch: on its path, arrived, or stopped short.
-"""
+"""Supervisor of one straight move of a GRBL stage, with the stage's spec, mounting and settings."""
 
 from __future__ import annotations
 
@@ -24,7 +21,7 @@ _DECIMALS = 4  # of a target [mm]; a tenth of what the controller reports
 
 @dataclass(frozen=True, slots=True)
 class GrblSpec:
-    """How a stage is reached, mounted and limited.
+    """Specification of how a stage is reached, mounted and limited.
 
     Attributes:
         port: a path such as /dev/ttyACM0, or the USB serial number of its adapter.
@@ -193,7 +190,7 @@ class GrblMachine:
 
     @classmethod
     def read(cls, settings: Mapping[int, str]) -> GrblMachine:
-        """From setting numbers and texts.
+        """Read the settings from their numbers and texts.
 
         Raises:
             DeviceError: one is missing, not a positive number, or it reports in inches.
@@ -210,12 +207,12 @@ class GrblMachine:
 
     @property
     def tolerance_mm(self) -> float:
-        """How near counts as there: two steps of the coarsest axis, 0.01 mm at least [mm]."""
+        """Tolerance of a place: two steps of the coarsest axis, 0.01 mm at least [mm]."""
         return max(2.0 / min(self.steps_per_mm), 0.01)
 
     @property
     def slowing_s(self) -> float:
-        """How long slowing down takes at worst [s]."""
+        """Time that slowing down takes at worst [s]."""
         return max(self.top_mm_min) / S_PER_MIN / min(self.acceleration_mm_s2)
 
 
@@ -312,7 +309,7 @@ class MoveSupervisor:
         self._end_mm = (x, y, z)
 
     def stray(self, place_mm: Millimetres) -> str:
-        """What is wrong with a place that is off the way by more than the tolerance; empty for one on it."""
+        """Describe a place off the way by more than the tolerance; empty for one on it."""
         off = distance_to_segment(place_mm, self.start_mm, self._end_mm)
         if off <= self.tolerance_mm:
             return ""

@@ -1,4 +1,4 @@
-"""What a Net F/T box says of itself at `/netftapi2.xml`: counts per unit, the units, range and rate.
+"""Calibration page of a Net F/T box, `/netftapi2.xml`: counts per unit, the units, range and rate.
 
 The page is read as untrusted: no document type, no entities, at most 64 KiB, every field at most once and at
 most 128 characters, every number plain, finite and positive. Nothing is assumed where the page is silent.
@@ -32,7 +32,7 @@ FORCE_N = {
     "kgf": KILOGRAM_N,
     "gf": 1e-3 * KILOGRAM_N,
 }
-"""What one of the box's force units is [N]."""
+"""Force units of the box [N]."""
 TORQUE_NM = {
     "lbf-in": POUND_N * INCH_M,
     "lbf-ft": POUND_N * 12 * INCH_M,
@@ -45,7 +45,7 @@ TORQUE_NM = {
     "kN-m": 1e3,
     "kNm": 1e3,
 }
-"""What one of its torque units is, in both spellings that boxes use [Nm]."""
+"""Torque units of the box, in both spellings that boxes use [Nm]."""
 
 _REQUIRED = ("prodname", "cfgcpf", "cfgcpt", "scfgfu", "scfgtu")
 _OPTIONAL = ("cfgcalsn", "comrdtrate", "cfgmr", "setbias")
@@ -56,7 +56,7 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class NetFTCalibration:
-    """All of a box's page that the meaning of its counts hangs on. Two that differ are two instruments.
+    """Calibration that gives a box's counts their meaning. Two that differ are two instruments.
 
     Attributes:
         product: the box's name.
@@ -190,7 +190,7 @@ def _range(text: str, force_n: float) -> Triple | None:
 
 
 def fetch(host: str, port: int = 80, timeout_s: float = 2.0) -> NetFTCalibration:
-    """What the box at an address says of itself.
+    """Fetch and read the page of the box at an address.
 
     Args:
         host: its name or address.

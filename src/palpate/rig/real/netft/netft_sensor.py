@@ -35,7 +35,7 @@ from palpate.rig.real.netft.netft_stream import (
 
 @dataclass(frozen=True, slots=True)
 class NetFTSettings:
-    """How to talk to a box.
+    """Settings of the connection to a box.
 
     Attributes:
         rdt_port, http_port: where it listens.
@@ -82,7 +82,7 @@ _RAILS = (-(2**31), 2**31 - 1)
 
 @dataclass(slots=True)
 class NetFTCounts:
-    """What has come in.
+    """Counts of what has come in.
 
     Attributes:
         received: records that were new.
@@ -198,7 +198,7 @@ class Samples:
         return Wrench(time_ns, force_n, self.calibration.torque_nm(record.counts))
 
     def _fault(self, record: RdtRecord, progress: Progress, force_n: Triple) -> str:
-        """What is wrong with a sample; empty where its numbers hold."""
+        """Fault of a sample; empty where its numbers hold."""
         if not is_healthy(record.status):
             return status_text(record.status)
         if progress is not Progress.NEW:
@@ -274,7 +274,7 @@ class NetFT:
 
     @property
     def counts(self) -> NetFTCounts:
-        """What has come since the sensor was opened."""
+        """Counts since the sensor was opened."""
         with self._lock:
             return self._before.plus(self._samples.counts)
 
@@ -288,7 +288,7 @@ class NetFT:
             return self._refuse_failed()
 
     def drain(self) -> list[Wrench]:
-        """All samples since the last call, oldest first.
+        """Samples since the last call, oldest first.
 
         Raises:
             DeviceError: the stream has failed, or more came since the last call than are kept; the kept ones
@@ -383,7 +383,7 @@ class NetFT:
         )
 
     def _run(self, begun: RdtStream) -> None:
-        """What the thread does: follow the stream to its end, and the next one where that is wanted."""
+        """Follow the stream to its end, and the next one where that is wanted."""
         stream: RdtStream | None = begun
         try:
             while stream is not None:

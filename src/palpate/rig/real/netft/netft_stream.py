@@ -68,11 +68,11 @@ STATUS_BITS = {
     2: "temperature",
     1: "HTTP",
 }
-"""What each status bit means; bit 31 only says that another is set, 15 and 0 mean nothing."""
+"""Meaning of each status bit; bit 31 only says that another is set, 15 and 0 mean nothing."""
 
 
 class RdtCommand(IntEnum):
-    """What a box can be asked to do over RDT."""
+    """Commands of RDT."""
 
     STOP = 0x0000
     START = 0x0002  # one record a datagram, as it is measured
@@ -86,7 +86,7 @@ Counts = tuple[int, int, int, int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class RdtRecord:
-    """One measurement as sent: sequences, status, and Fx Fy Fz Tx Ty Tz in counts."""
+    """Measurement as sent: sequences, status, and Fx Fy Fz Tx Ty Tz in counts."""
 
     rdt_sequence: int
     ft_sequence: int
@@ -139,7 +139,7 @@ def is_only_saturated(status: int) -> bool:
 
 
 def status_text(status: int) -> str:
-    """What a status says, in words; empty where it is healthy.
+    """Status in words; empty where it is healthy.
 
     Example:
         >>> status_text(0x80020000)
@@ -155,7 +155,7 @@ def status_text(status: int) -> str:
 
 
 def ahead(current: int, previous: int) -> int:
-    """How far one sequence number is ahead of another, -2^31 to 2^31 - 1.
+    """Lead of one sequence number over another, -2^31 to 2^31 - 1.
 
     Example:
         >>> ahead(0, 0xFFFFFFFF)
@@ -187,7 +187,7 @@ class RdtSequence:
 
 
 class Progress(Enum):
-    """What the F/T sequence of a new record says of the measurement."""
+    """Progress of the measurement, by the F/T sequence of a new record."""
 
     NEW = "a new measurement"
     STALLED = "the measurement stands still"
@@ -203,7 +203,7 @@ class RdtMeasurement:
     jumped: bool = False
 
     def progress(self, current: int) -> Progress:
-        """What this record's number says, after those before."""
+        """Progress by this record's number, after those before."""
         step = 1 if self.last is None else ahead(current, self.last)
         if step == 0:
             return Progress.STALLED
@@ -292,7 +292,7 @@ class RdtStream:
 
 
 def _waited_ns(told: list[tuple[int, int, bytes]]) -> int:
-    """How long a datagram lay in the kernel: between two readings of the wall clock, both taken now [ns]."""
+    """Time that a datagram lay in the kernel: between two readings of the wall clock, both taken now [ns]."""
     for level, kind, data in told:
         if (level, kind, len(data)) == (socket.SOL_SOCKET, _STAMP_OPTION, _STAMP.size):
             seconds, ns = _STAMP.unpack(data)
