@@ -303,13 +303,13 @@ def _adapted_text(card: Any, out: Path, report: str) -> str:
 
 
 def _cells(target: Any, corrections: dict[str, Any]) -> tuple[str, ...]:
-    said, score = corrections[target.column], target.score
+    change, score = corrections[target.column], target.score
     return (
         target.column,
         target.unit,
-        f"{said['mae_before']:.3g}",
-        f"{said['mae_after']:.3g}",
-        said["terms"],
+        f"{change['mae_before']:.3g}",
+        f"{change['mae_after']:.3g}",
+        change["terms"],
         f"±{score.half_width:.3g}",
         f"{100 * score.coverage_90:.1f} %",
     )
@@ -339,19 +339,19 @@ def quantise(
     with progress_bar(quiet) as progress:
         card = written(calibration, Run.open(run), out, progress)
     write_report(out, out / REPORT_FILE)
-    found = cost(calibration, out)
+    price = cost(calibration, out)
     table = {
         target.column: {
             "unit": target.unit,
-            "fp32_mae": found.mae[target.column][0],
-            "int8_mae": found.mae[target.column][1],
+            "fp32_mae": price.mae[target.column][0],
+            "int8_mae": price.mae[target.column][1],
             "int8_half_width": target.score.half_width,
         }
         for target in card.targets
     }
-    ms = {name: 1e3 * seconds for name, seconds in zip(("fp32", "int8"), found.seconds, strict=True)}
-    said = {"calibration": card.id, "quantised_from": card.options["quantised_from"]}
-    print_found(said | {"targets": table, "network_ms": ms}, _quantised_text(card.id, out, table, ms), json_)
+    ms = {name: 1e3 * seconds for name, seconds in zip(("fp32", "int8"), price.seconds, strict=True)}
+    about = {"calibration": card.id, "quantised_from": card.options["quantised_from"]}
+    print_found(about | {"targets": table, "network_ms": ms}, _quantised_text(card.id, out, table, ms), json_)
 
 
 def _quantised_text(name: str, out: Path, table: dict[str, dict[str, Any]], ms: dict[str, float]) -> str:

@@ -39,11 +39,11 @@ def verb(law: Callable[P, dict[str, object]]) -> Callable[P, None]:
 
     @functools.wraps(law)
     def run(*args: P.args, **kwargs: P.kwargs) -> None:
-        found = reports_errors(law)(*args, **kwargs)
+        answer = reports_errors(law)(*args, **kwargs)
         if kwargs.get("json_"):
-            typer.echo(json.dumps(found, indent=1, allow_nan=False))
+            typer.echo(json.dumps(answer, indent=1, allow_nan=False))
         else:
-            typer.echo("\n".join(f"{name} = {_text(value)}" for name, value in found.items()))
+            typer.echo("\n".join(f"{name} = {_text(value)}" for name, value in answer.items()))
 
     run.__annotations__ = {**law.__annotations__, "return": "None"}
     return run
@@ -182,16 +182,16 @@ def layer(
         raise InputError(f"base {base!r} is not known; the layer's base is 'bonded' or 'sliding'")
     on: law.Base = "bonded" if base == "bonded" else "sliding"
     exact = law.sphere_force(d, R, h, *skin, on)
-    found: dict[str, object] = {
+    answer: dict[str, object] = {
         "force_N": exact,
         "depth_mm": depth_mm,
         "sqrt_Rd_over_h_ratio": math.sqrt(R * d) / h,
     }
     try:
-        found["dimitriadis_force_N"] = law.dimitriadis_force(d, R, h, *skin, on)
+        answer["dimitriadis_force_N"] = law.dimitriadis_force(d, R, h, *skin, on)
     except RangeError as e:
-        found |= {"dimitriadis_force_N": None, "dimitriadis_refused": str(e)}
-    return found | {
+        answer |= {"dimitriadis_force_N": None, "dimitriadis_refused": str(e)}
+    return answer | {
         "half_space_force_N": sphere_force_from_depth(d, R, *skin),
         "law": f"rigid sphere, {base} layer, small strain, no friction, a/R <= 0.99, d/h <= 0.2",
     }

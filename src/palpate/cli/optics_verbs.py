@@ -33,7 +33,7 @@ def flow(
     from palpate.reports.flow_figures import write_flow
 
     with progress_bar(quiet) as progress:
-        found = write_flow(
+        result = write_flow(
             frames,
             out,
             method=method,
@@ -42,10 +42,10 @@ def flow(
             progress=lambda done, total: progress("flow", done, total),
         )
     text = (
-        f"{out}: {found['steps']} steps by {method}, mean speed {found['mean_speed_px']:.3g} px, accumulated "
-        f"mean divergence {found['accumulated_divergence']:.3g}"
+        f"{out}: {result['steps']} steps by {method}, mean speed {result['mean_speed_px']:.3g} px, "
+        f"accumulated mean divergence {result['accumulated_divergence']:.3g}"
     )
-    print_found(found, text, json_)
+    print_found(result, text, json_)
 
 
 if TYPE_CHECKING:

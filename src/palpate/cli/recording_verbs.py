@@ -41,8 +41,8 @@ def palm(
         )
     units = ", ".join(f"{column} [{symbol}]" for column, symbol in report.units.items())
     text = f"{run}: {report.frames} frames; columns with a unit: {units}"
-    found = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
-    print_found(found | {"unitless": list(report.unitless)}, text, json_)
+    result = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
+    print_found(result | {"unitless": list(report.unitless)}, text, json_)
 
 
 Frames = Annotated[Path, typer.Argument(help="The frames of one press.")]
@@ -96,8 +96,8 @@ def press(
             origin=origin,
             progress=lambda done, total: progress("importing", done, total),
         )
-    found = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
-    print_found(found, f"{run}: {report.frames} frames with {', '.join(report.columns)}", json_)
+    result = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
+    print_found(result, f"{run}: {report.frames} frames with {', '.join(report.columns)}", json_)
 
 
 import_app = typer.Typer(
@@ -157,8 +157,8 @@ def import_images(
             "depth to depth_mm and import again if one shall be",
             err=True,
         )
-    found = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
-    print_found(found | {"unitless": list(report.unitless)}, text, json_)
+    result = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
+    print_found(result | {"unitless": list(report.unitless)}, text, json_)
 
 
 import_app.command("palm")(palm)

@@ -163,17 +163,17 @@ def layer(run: Annotated[Path, typer.Argument(help="A run of the plan layer.")],
     from palpate.recordings.run_reader import Run
     from palpate.rig.locate_specimen import locate_specimen
 
-    found = locate_specimen(Run.open(run))
-    at, moved = (", ".join(f"{d:.3f}" for d in three) for three in (found.origin_mm, found.moved_mm))
+    place = locate_specimen(Run.open(run))
+    at, moved = (", ".join(f"{d:.3f}" for d in three) for three in (place.origin_mm, place.moved_mm))
     text = (
         f"origin_mm = [{at}]\n"
         f"that is ({moved}) mm from where it was taken to be, and each is known to about the search's step, "
-        f"{found.step_mm:g} mm\n"
-        f"tilt {found.tilt_mrad[0]:.2f} and {found.tilt_mrad[1]:.2f} mrad along x and y; "
-        f"diameter {found.diameter_mm[0]:.2f} and {found.diameter_mm[1]:.2f} mm; "
-        f"{found.off_plane_mm:.3f} mm off a plane at most"
+        f"{place.step_mm:g} mm\n"
+        f"tilt {place.tilt_mrad[0]:.2f} and {place.tilt_mrad[1]:.2f} mrad along x and y; "
+        f"diameter {place.diameter_mm[0]:.2f} and {place.diameter_mm[1]:.2f} mm; "
+        f"{place.off_plane_mm:.3f} mm off a plane at most"
     )
-    print_found(asdict(found), text, json_)
+    print_found(asdict(place), text, json_)
 
 
 @rig_app.command()
@@ -220,21 +220,21 @@ def preview(
 
     chosen = plan_of(plan)
     size = size_of(chosen, rate_hz)
-    found: dict[str, Any] = size._asdict()
-    found["bytes"] = round((size.frames + size.reference_frames) * frame_kb * 1e3)
-    found["plan"] = chosen.name
-    found["hash"] = chosen.hash
+    result: dict[str, Any] = size._asdict()
+    result["bytes"] = round((size.frames + size.reference_frames) * frame_kb * 1e3)
+    result["plan"] = chosen.name
+    result["hash"] = chosen.hash
     if png is not None:
         from palpate.reports.plan_figure import draw_places
 
         draw_places(chosen, png)
-        found["png"] = str(png)
+        result["png"] = str(png)
     text = (
         f"{chosen.name}: {size.points} points, {size.presses} presses, {size.shots} shots, {size.frames} "
         f"frames and {size.reference_frames} of the untouched skin; about {size.seconds / 60:.0f} min at "
-        f"{rate_hz:g} frames/s, {found['bytes'] / 1e9:.1f} GB at {frame_kb:g} kB a frame"
+        f"{rate_hz:g} frames/s, {result['bytes'] / 1e9:.1f} GB at {frame_kb:g} kB a frame"
     )
-    print_found(found, text, json_)
+    print_found(result, text, json_)
 
 
 def _measured(finding: CheckResult) -> str:

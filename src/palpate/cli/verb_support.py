@@ -122,13 +122,13 @@ def options_of(pairs: list[str]) -> dict[str, Any]:
         if not equals:
             raise InputError(f"option {pair!r} is not NAME=VALUE, as in epochs=30")
         try:
-            held = json.loads(value)
+            content = json.loads(value)
         except json.JSONDecodeError:
-            held = value
-        options[name] = tuple(held) if isinstance(held, list) else held
+            content = value
+        options[name] = tuple(content) if isinstance(content, list) else content
     return options
 
 
-def print_found(found: Any, text: str, as_json: bool) -> None:
+def print_found(result: Any, text: str, as_json: bool) -> None:
     """Print what was found, as text or as JSON."""
-    typer.echo(json.dumps(found, indent=1, allow_nan=False) if as_json else text)
+    typer.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else text)

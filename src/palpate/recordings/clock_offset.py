@@ -102,12 +102,12 @@ def offset_between(
     if not (math.isfinite(exposure_s) and exposure_s >= 0 and math.isfinite(most_s) and most_s > 0):
         raise RangeError(f"exposure_s {exposure_s} and most_s {most_s}: give seconds, 0 or more and above 0")
     taps = _taps(force)
-    seen = _Seen(force_t, force, frame_t, change, exposure_s, most_s)
-    seconds, explained = _best(seen, most_s)
-    return _with_interval(seen, seconds, explained, taps)
+    signals = _TapSignals(force_t, force, frame_t, change, exposure_s, most_s)
+    seconds, explained = _best(signals, most_s)
+    return _with_interval(signals, seconds, explained, taps)
 
 
-class _Seen:
+class _TapSignals:
     """Both series, and the fit of one by the other at any offset, of those frames that none of them loses."""
 
     def __init__(
@@ -183,16 +183,16 @@ def _taps(force: Series) -> int:
     return taps
 
 
-def _best(seen: _Seen, most_s: float) -> tuple[float, float]:
+def _best(signals: _TapSignals, most_s: float) -> tuple[float, float]:
     """The offset that leaves the least, and which share of the variance it explains.
 
     Raises:
         RangeError: it explains too little, lies at the end of what was looked at, or has a rival.
     """
     offsets = np.linspace(-most_s, most_s, 2 * math.ceil(most_s / STEP_S) + 1)
-    left = np.array([seen.squares(float(offset)) for offset in offsets])
+    left = np.array([signals.squares(float(offset)) for offset in offsets])
     best = int(np.argmin(left))
-    whole = float(np.sum((seen.change - seen.change.mean()) ** 2))
+    whole = float(np.sum((signals.change - signals.change.mean()) ** 2))
     explained = 1 - left[best] / whole if whole > 0 else 0.0
     if not explained >= EXPLAINED:
         raise RangeError(
@@ -207,14 +207,14 @@ def _best(seen: _Seen, most_s: float) -> tuple[float, float]:
             "several offsets explain the frames alike; tap a few times, not evenly, and rest between"
         )
     near = (float(offsets[best - 1]), float(offsets[best + 1]))
-    fine = minimize_scalar(seen.squares, bounds=near, method="bounded", options={"xatol": 1e-7})
+    fine = minimize_scalar(signals.squares, bounds=near, method="bounded", options={"xatol": 1e-7})
     return float(fine.x), float(explained)
 
 
-def _with_interval(seen: _Seen, seconds: float, explained: float, taps: int) -> Offset:
-    residual, columns, law = seen.fit(seconds)
+def _with_interval(signals: _TapSignals, seconds: float, explained: float, taps: int) -> Offset:
+    residual, columns, law = signals.fit(seconds)
     # Of the signal, for a change of the offset.
-    later, earlier = (_columns(seen.force_at(seconds + h)) @ law for h in (SLOPE_S, -SLOPE_S))
+    later, earlier = (_columns(signals.force_at(seconds + h)) @ law for h in (SLOPE_S, -SLOPE_S))
     slope = (later - earlier) / (2 * SLOPE_S)
     J = np.column_stack([slope, columns])
     bread = np.linalg.pinv(J.T @ J)

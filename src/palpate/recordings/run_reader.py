@@ -171,7 +171,7 @@ class Run:
         numbers = [segment.number for segment in self.segments]
         missing = sorted(set(range(max(numbers, default=0) + 1)) - set(numbers))
         gone = [Damage(file_name(n, kind), 0, "is missing") for n in missing for kind in KINDS]
-        return (*gone, *(found for segment in self.segments for found in segment.verify()))
+        return (*gone, *(fault for segment in self.segments for fault in segment.verify()))
 
     @cached_property
     def hash(self) -> str:
@@ -200,26 +200,26 @@ class Run:
     def _abouts(self) -> list[tuple[float | None, dict[str, Label]]]:
         """Exposure [s] and labels of each frame."""
         return [
-            found.get(frame.sequence, (None, {}))
+            abouts.get(frame.sequence, (None, {}))
             for segment in self.segments
-            for found in [self._abouts_of(segment)]
+            for abouts in [self._abouts_of(segment)]
             for frame in segment.frames
         ]
 
     def _abouts_of(self, segment: StoredSegment) -> dict[int, tuple[float | None, dict[str, Label]]]:
         """Exposure and labels in one segment, by the sequence of the frame they belong to."""
-        found = {}
+        abouts = {}
         for message in segment.messages(LABELS):
             about = message_schema.decode_json(message.data, LABELS)
             exposure, labels = about.get("exposure_s"), about.get("labels", {})
             try:
                 exposure_s = None if exposure is None else finite([exposure], 1, "exposure [s]")[0]
-                found[int(about["frame"])] = (exposure_s, label_values(labels, self.manifest.labels))
+                abouts[int(about["frame"])] = (exposure_s, label_values(labels, self.manifest.labels))
             except (InputError, KeyError, TypeError, ValueError, AttributeError) as e:
                 raise RecordingError(
                     f"{segment.signals_file.path} holds a label that does not fit: {e}"
                 ) from e
-        return found
+        return abouts
 
     def _table(
         self, channel: Channel, columns: tuple[str, ...], values: Callable[[Any], tuple[float, ...]]

@@ -134,14 +134,14 @@ class OpenedSegment:
     Attributes:
         manifest: of the run.
         segment: open for appending.
-        held: the lock, until it is closed.
+        lock_file: the lock, until it is closed.
         start_ns: the segment's first instant [ns since 1970].
         zero_ns: what the clock's reading is added to, to count from 1970.
     """
 
     manifest: Manifest
     segment: Segment
-    held: BinaryIO
+    lock_file: BinaryIO
     start_ns: int
     zero_ns: int
 
@@ -156,7 +156,7 @@ def open_segment(path: Path, now_ns: int) -> OpenedSegment:
     """
     Manifest.read(path)
     with ExitStack() as undo:
-        held = undo.enter_context(lock(path / MANIFEST))
+        lock_file = undo.enter_context(lock(path / MANIFEST))
         run = Run.open(path)
         number = max(segment_numbers(path), default=-1) + 1
         start_ns = _start(run, now_ns)
@@ -168,7 +168,7 @@ def open_segment(path: Path, now_ns: int) -> OpenedSegment:
         }
         segment = Segment.claim(path, number, about, start_ns)
         undo.pop_all()
-    return OpenedSegment(run.manifest, segment, held, start_ns, start_ns - now_ns)
+    return OpenedSegment(run.manifest, segment, lock_file, start_ns, start_ns - now_ns)
 
 
 def _start(run: Run, now_ns: int) -> int:
@@ -368,7 +368,7 @@ class RunWriter:
         self._closed = True
         self._buffer.close()
         self._thread.join()
-        self._opened.held.close()
+        self._opened.lock_file.close()
         self._raise_failure()
 
     def __enter__(self) -> RunWriter:

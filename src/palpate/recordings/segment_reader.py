@@ -120,8 +120,8 @@ def scan(path: Path) -> SegmentScan:
         indexed = _from_index(file, size)
         if indexed is not None:
             return SegmentScan(path, *indexed, tuple(damage))
-        chunks, found = _by_walking(file, size, path.name)
-        return SegmentScan(path, chunks, None, (*damage, *found))
+        chunks, more = _by_walking(file, size, path.name)
+        return SegmentScan(path, chunks, None, (*damage, *more))
 
 
 def _from_index(file: BinaryIO, size: int) -> tuple[tuple[Chunk, ...], int] | None:
@@ -191,12 +191,12 @@ def _by_walking(file: BinaryIO, size: int, name: str) -> tuple[tuple[Chunk, ...]
 
 
 def _examined(file: BinaryIO, offset: int, length: int) -> Chunk:
-    found = list(messages(_chunk_records(_bytes_at(file, offset, length), check=True)))
-    if not found:
+    contents = list(messages(_chunk_records(_bytes_at(file, offset, length), check=True)))
+    if not contents:
         raise RecordingError("a chunk without messages")
-    channels = frozenset(message.channel for message in found)
-    end_ns = max(message.time_ns for message in found)
-    return Chunk(offset, length, channels, end_ns, found[0].sequence)
+    channels = frozenset(message.channel for message in contents)
+    end_ns = max(message.time_ns for message in contents)
+    return Chunk(offset, length, channels, end_ns, contents[0].sequence)
 
 
 def read_chunk(path: Path, chunk: Chunk, *, check: bool = True) -> list[StoredMessage]:
@@ -265,22 +265,22 @@ def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
         at += length
 
 
-def verify(found: SegmentScan) -> tuple[Damage, ...]:
+def verify(whole: SegmentScan) -> tuple[Damage, ...]:
     """Compare every byte of a file with its checksums; what was found on the way, known damage included.
 
     Raises:
         StorageError: the file cannot be read.
     """
-    damage = list(found.damage)
-    if found.data_end is None:
-        return found.damage
-    for chunk in found.chunks:
+    damage = list(whole.damage)
+    if whole.data_end is None:
+        return whole.damage
+    for chunk in whole.chunks:
         try:
-            read_chunk(found.path, chunk)
+            read_chunk(whole.path, chunk)
         except RecordingError as e:
-            damage.append(Damage(found.path.name, chunk.offset, str(e)))
-    if not damage and not _data_sound(found.path, found.data_end):
-        damage.append(Damage(found.path.name, found.data_end, "bytes outside the chunks have changed"))
+            damage.append(Damage(whole.path.name, chunk.offset, str(e)))
+    if not damage and not _data_sound(whole.path, whole.data_end):
+        damage.append(Damage(whole.path.name, whole.data_end, "bytes outside the chunks have changed"))
     return tuple(damage)
 
 
@@ -316,12 +316,12 @@ class StoredFrame:
             RecordingError: it is damaged; the text names the file, the place and the remedy.
         """
         try:
-            found = read_chunk(self.path, self.chunk, check=check)
-            if [(m.channel, m.sequence, m.time_ns) for m in found] != [self._key]:
+            contents = read_chunk(self.path, self.chunk, check=check)
+            if [(m.channel, m.sequence, m.time_ns) for m in contents] != [self._key]:
                 raise RecordingError("the chunk is not the frame that the index promises")  # noqa: TRY301
         except RecordingError as e:
             raise self.error(e) from e
-        return found[0]
+        return contents[0]
 
     def image(self, *, check: bool = True) -> Image:
         """The frame's image.
@@ -397,17 +397,17 @@ class StoredSegment:
         wanted = channel_id("signals", channel)
         for chunk in self.signals_file.chunks:
             if wanted in chunk.channels:
-                found = read_chunk(self.signals_file.path, chunk)
-                yield from (message for message in found if message.channel == wanted)
+                contents = read_chunk(self.signals_file.path, chunk)
+                yield from (message for message in contents if message.channel == wanted)
 
     def verify(self) -> tuple[Damage, ...]:
         """Compare every byte with its checksums; all that is wrong."""
         known = set(self.damage)
         late = [
-            found
+            damage
             for file in (self.frames_file, self.signals_file)
-            for found in verify(file)
-            if found not in known
+            for damage in verify(file)
+            if damage not in known
         ]
         return (*self.damage, *late)
 
@@ -444,12 +444,12 @@ def _beginning(file: SegmentScan) -> list[StoredMessage]:
     if not file.chunks or 1 not in file.chunks[0].channels:
         return []
     try:
-        found = read_chunk(file.path, file.chunks[0])[:1]
-        for message in found:
+        contents = read_chunk(file.path, file.chunks[0])[:1]
+        for message in contents:
             decode_json(message.data, SEGMENT)
     except RecordingError:
         return []  # told as damage when the chunk's bytes are verified
-    return found
+    return contents
 
 
 def _frames(file: SegmentScan) -> Iterator[StoredFrame]:

@@ -39,8 +39,8 @@ def file_name(number: int, kind: FileKind) -> str:
 def segment_numbers(run: Path) -> list[int]:
     """The numbers of the segments in a run's folder, ascending; half a segment counts."""
     with storage_errors(run):
-        found = (_NAME.fullmatch(name) for name in os.listdir(run))
-        return sorted({int(match[1]) for match in found if match})
+        matches = (_NAME.fullmatch(name) for name in os.listdir(run))
+        return sorted({int(match[1]) for match in matches if match})
 
 
 class _Sink:

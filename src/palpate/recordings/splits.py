@@ -184,10 +184,10 @@ def check_split(made: Split, rows: int) -> None:
     Raises:
         PluginError: it breaks a law; the message names the split and the law.
     """
-    held = np.concatenate(made.folds) if made.folds else np.empty(0, np.int64)
+    held_rows = np.concatenate(made.folds) if made.folds else np.empty(0, np.int64)
     if len(made.folds) < 2 or not all(len(fold) for fold in made.folds):
         raise PluginError(f"split {made.kind} has {len(made.folds)} folds; there are two or more, none empty")
-    if not np.array_equal(np.sort(held), np.arange(rows)):
+    if not np.array_equal(np.sort(held_rows), np.arange(rows)):
         raise PluginError(f"split {made.kind}: its folds hold out each of the {rows} rows once")
     if made.groups is None:
         return
@@ -202,8 +202,8 @@ def check_split(made: Split, rows: int) -> None:
 
 def conventional_groups(table: pd.DataFrame) -> list[tuple[str, ...]]:
     """The conventional group columns that a table has, coarsest first; `location` stands for coordinates."""
-    found = [columns for columns in CONVENTIONAL_GROUPS if set(columns) <= set(table.columns)]
-    return [c for c in found if len(c) == 1 or ("location",) not in found]
+    groups = [columns for columns in CONVENTIONAL_GROUPS if set(columns) <= set(table.columns)]
+    return [c for c in groups if len(c) == 1 or ("location",) not in groups]
 
 
 def group_names(table: pd.DataFrame, columns: Sequence[str]) -> np.ndarray:

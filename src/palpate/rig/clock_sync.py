@@ -47,7 +47,7 @@ class ClockSync:
         self._recorder = recorder
         self._bias = bias
         self._force: list[tuple[int, float]] = []
-        self._seen: list[tuple[int, Pixels]] = []
+        self._frames: list[tuple[int, Pixels]] = []
         self._exposure_s = 0.0
         self._last_ns = 0
 
@@ -89,19 +89,22 @@ class ClockSync:
         for time_ns, frame in drained(self._rig.camera):
             check_size(self._rig.camera, frame)
             self._exposure_s = frame.exposure_s or 0.0
-            self._seen.append((time_ns, _thinned(frame)))
+            self._frames.append((time_ns, _thinned(frame)))
             self._last_ns = self._rig.clock.now_ns()
         if self._rig.clock.now_ns() - self._last_ns > STARVED_S * NS_PER_S:
             raise Tripped(Reason.CAMERA, f"no frame came for {STARVED_S:g} s; is the camera still there?")
 
     def _offset(self) -> Offset:
         force_ns, force = np.array([at for at, _ in self._force]), np.array([n for _, n in self._force])
-        if not self._seen:
+        if not self._frames:
             raise Tripped(Reason.CAMERA, "not a single frame came while the probe tapped")
-        frame_ns, change = np.array([at for at, _ in self._seen]), most_telling([p for _, p in self._seen])
+        frame_ns, change = (
+            np.array([at for at, _ in self._frames]),
+            most_telling([p for _, p in self._frames]),
+        )
         begun = min(int(force_ns[0]), int(frame_ns[0]))
         try:
-            found = offset_between(
+            offset = offset_between(
                 (force_ns - begun) / NS_PER_S,
                 force,
                 (frame_ns - begun) / NS_PER_S,
@@ -117,9 +120,9 @@ class ClockSync:
             ) from e
         ago_s = np.round((self._rig.clock.now_ns() - frame_ns) / NS_PER_S, 6)
         self._recorder.event(
-            CLOCKS, **asdict(found), frames_ago_s=ago_s.tolist(), change=np.round(change, 5).tolist()
+            CLOCKS, **asdict(offset), frames_ago_s=ago_s.tolist(), change=np.round(change, 5).tolist()
         )
-        return found
+        return offset
 
 
 def _thinned(frame: Frame) -> Pixels:

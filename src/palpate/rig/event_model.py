@@ -63,10 +63,10 @@ def documents(run: Run) -> Iterator[Document]:
     Raises:
         RecordingError: the run was not recorded by a plan.
     """
-    found = [(segment, list(_events(segment))) for segment in run.segments]
-    if not any(kind == PLAN for _, events in found for _, kind, _ in events):
+    recordings = [(segment, list(_events(segment))) for segment in run.segments]
+    if not any(kind == PLAN for _, events in recordings for _, kind, _ in events):
         raise RecordingError(f"{run.path} was not recorded by a plan, so the engine has left no events in it")
-    for segment, events in found:
+    for segment, events in recordings:
         yield from _Session(run, segment.number).documents(segment, events)
 
 

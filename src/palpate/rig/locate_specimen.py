@@ -56,13 +56,13 @@ def locate_specimen(run: Run) -> SpecimenPlacement:
             f"{run.path} does not go around a layer; record one with --plan layer, or with a plan "
             'whose places are of the kind "around"'
         )
-    found = {str(zero["place"]): _touched(zero) for zero in fields_of(run, ZERO)}
-    missing = [place.name for place in plan.places.places() if place.name not in found]
+    touches = {str(zero["place"]): _touched(zero) for zero in fields_of(run, ZERO)}
+    missing = [place.name for place in plan.places.places() if place.name not in touches]
     if missing:
         raise RecordingError(f"{run.path} has not touched {', '.join(missing)} yet; record it to its end")
-    inside = np.array([found[name] for name in ("middle", *(f"inside{way}" for way in WAYS))])
+    inside = np.array([touches[name] for name in ("middle", *(f"inside{way}" for way in WAYS))])
     plane, off = _plane(inside)
-    rims = {way: _rim_mm(found[f"rim{way}"], plane, plan.places.sizes_mm()[1] / 2) for way in WAYS}
+    rims = {way: _rim_mm(touches[f"rim{way}"], plane, plan.places.sizes_mm()[1] / 2) for way in WAYS}
     x, y = (rims["+x"] - rims["-x"]) / 2, (rims["+y"] - rims["-y"]) / 2
     moved = (x, y, float(plane @ (1.0, x, y)))
     return SpecimenPlacement(

@@ -53,25 +53,25 @@ def check_rig(
     """
     noise_n = threshold_n / SIGMAS
     force = check_force_sensor(rig.force, clock=rig.clock, noise_n=noise_n, close=False)
-    findings = with_prefix("force", force)
-    findings += with_prefix("camera", check_camera(rig.camera, clock=rig.clock, close=False))
-    findings += with_prefix("rig", [*gather("fitting", _fits(rig))])
-    findings += with_prefix(
+    results = with_prefix("force", force)
+    results += with_prefix("camera", check_camera(rig.camera, clock=rig.clock, close=False))
+    results += with_prefix("rig", [*gather("fitting", _fits(rig))])
+    results += with_prefix(
         "stage", [*gather("the checks", _stage(rig, clear_m, all(one.ok for one in force)))]
     )
     if close:
         near = rig.origin_m
-        findings += with_prefix(
+        results += with_prefix(
             "stage",
             [*gather("close", check_closing(rig.stage, lambda: rig.stage.move_to(near, 1e-4), "move_to"))],
         )
-        findings += with_prefix(
+        results += with_prefix(
             "force", [*gather("close", check_closing(rig.force, rig.force.latest, "latest()"))]
         )
-        findings += with_prefix(
+        results += with_prefix(
             "camera", [*gather("close", check_closing(rig.camera, rig.camera.grab, "grab()"))]
         )
-    return findings
+    return results
 
 
 def _fits(rig: Rig) -> Part:

@@ -250,8 +250,8 @@ def read_rig(path: Path) -> RigFile:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
         raise InputError(f"{path} is not TOML: {e}") from e
     except ValidationError as e:
-        said = "; ".join(f"{_field(d['loc'])}: {d['msg']}" for d in e.errors())
-        raise InputError(f"{path}: {said}") from e
+        problems = "; ".join(f"{_field(d['loc'])}: {d['msg']}" for d in e.errors())
+        raise InputError(f"{path}: {problems}") from e
     for role, own in OWN.items():
         if (part := getattr(file, role)) is not None:
             try:

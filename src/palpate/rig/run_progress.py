@@ -125,15 +125,15 @@ def done_in(run: Run) -> Done:
     Nothing but the recording is asked: there is no ledger that could say otherwise.
     """
     labels = run.labels
-    found: dict[str, set[int]] = defaultdict(set)
+    recorded: dict[str, set[int]] = defaultdict(set)
     known = labels["shot"].notna() & labels["frame_in_shot"].notna()
     stepped = known & (labels["phase"] != SWEEPS)
     for key, k in zip(labels["shot"][stepped], labels["frame_in_shot"][stepped], strict=True):
-        found[str(key)].add(int(k))
+        recorded[str(key)].add(int(k))
     for fields in fields_of(run, SHOT):
         if fields.get("whole"):
-            found[str(fields["key"])].add(0)
-    return {key: frozenset(frames) for key, frames in found.items()}
+            recorded[str(fields["key"])].add(0)
+    return {key: frozenset(frames) for key, frames in recorded.items()}
 
 
 def check_same_plan(run: Run, plan: RecordingPlan) -> None:

@@ -33,10 +33,10 @@ def add_route(app: FastAPI, client: RigClient) -> None:
             return JSONResponse({"error": "not asked from the rig's own page"}, 403)
         try:
             answer = client.send_estop()  # here and now; only its answer is waited for elsewhere
-            found = await asyncio.get_running_loop().run_in_executor(threads, answer)
+            stop = await asyncio.get_running_loop().run_in_executor(threads, answer)
         except PalpateError as e:
             return JSONResponse({"error": str(e)}, 503)
-        return JSONResponse(found)
+        return JSONResponse(stop)
 
 
 HOST = "127.0.0.1"

@@ -64,7 +64,7 @@ class PlanPanel:
             self._trouble = ui.html("", sanitize=False).classes("trouble")
             with ui.row().classes("w-full justify-end"):
                 self._back = ui.button("Undo", on_click=self._undo).props('flat no-caps id="plan-undo"')
-                self._button = ui.button("Use this plan", on_click=self._given)
+                self._button = ui.button("Use this plan", on_click=self._submit)
                 self._button.props('unelevated no-caps id="plan-use"')
 
     async def refresh(self, status: Mapping[str, Any]) -> None:
@@ -92,7 +92,7 @@ class PlanPanel:
         self._draft = None
         await self._fill(self._rigs)
 
-    async def _given(self) -> None:
+    async def _submit(self) -> None:
         if self._draft is not None and await self._use("plan", self._draft):
             self._rigs, self._draft = self._draft, None
             await self._fill(self._rigs)
@@ -174,10 +174,10 @@ def _laid_out(fields: Mapping[str, Any]) -> tuple[RecordingPlan, str]:
 
 
 def _get(fields: Mapping[str, Any], name: str) -> Any:
-    held: Any = fields
+    value: Any = fields
     for part in name.split("."):
-        held = held.get(part) if isinstance(held, Mapping) else None
-    return held
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
 
 
 def _set(fields: dict[str, Any], name: str, value: Any) -> None:
@@ -188,4 +188,4 @@ def _set(fields: dict[str, Any], name: str, value: Any) -> None:
 
 
 def _copied(fields: dict[str, Any]) -> dict[str, Any]:
-    return {name: dict(held) if isinstance(held, dict) else held for name, held in fields.items()}
+    return {name: dict(value) if isinstance(value, dict) else value for name, value in fields.items()}

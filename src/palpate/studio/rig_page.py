@@ -36,13 +36,13 @@ class RigPage:
         self._busy = False
         self._seen_log = -1
         self._seen_picture = -1
-        self._seen = -1
+        self._serial = -1
         self._last_run = ""
         ui.add_css(page_style.style())
         ui.colors(primary=ACCENT, negative=BAD, dark=INK)
         ui.add_body_html(page_style.text_of("estop.html"))
         self._top()
-        self._held_banner()
+        self._hold_banner()
         with ui.element("main").classes("board"):
             with ui.element("div"):
                 self._plan = PlanPanel(self._act)
@@ -61,12 +61,12 @@ class RigPage:
             self._state = ui.label("…").classes("state").props('id="state" role="status"')
             self._progress = ui.html("", sanitize=False).classes("progress").props('id="progress"')
 
-    def _held_banner(self) -> None:
-        with ui.element("div").classes("heldbar").props('id="held"') as self._held:
+    def _hold_banner(self) -> None:
+        with ui.element("div").classes("heldbar").props('id="held"') as self._banner:
             ui.label("Emergency stop: the stage is held, also from moving away. What was recorded is kept.")
             button = ui.button("Release…", on_click=self._ask_release)
             button.props('outline no-caps color=negative id="release"')
-        self._held.set_visibility(False)
+        self._banner.set_visibility(False)
         with ui.dialog() as self._dialog, ui.card().style("max-width: 460px"):
             ui.label("Release the emergency stop?").style("font-size: 17px; font-weight: 650")
             ui.label(
@@ -158,11 +158,11 @@ class RigPage:
             self._doing.set_content(f'<span style="color:{BAD}">{said}</span>')
             for button in (self._start, self._pause, self._resume, self._stop, self._abort):
                 button.disable()
-            self._seen = -1
+            self._serial = -1
             return
-        if status["serial"] == self._seen:
+        if status["serial"] == self._serial:
             return
-        self._seen = status["serial"]
+        self._serial = status["serial"]
         self._show_recording(status)
         self._show_devices(status)
         self._show_force(status)
@@ -171,7 +171,7 @@ class RigPage:
 
     def _show_recording(self, status: Mapping[str, Any]) -> None:
         recording, paused = bool(status["recording"]), status["state"] == "paused"
-        asked = status["asked"]
+        command = status["asked"]
         faster = "" if status["real_time"] else ", faster than real time"
         under = f'<div class="under">{escape(status["rig"])}{faster}</div>'
         self._title.set_content(f"<h1>Indentation rig</h1>{under}")
@@ -182,12 +182,12 @@ class RigPage:
             f"<span>{escape(status_text.time_left(status))}</span></div>"
             f'<div class="bar"><i style="width:{share:.2f}%"></i></div>'
         )
-        self._held.set_visibility(bool(status["held"]))
+        self._banner.set_visibility(bool(status["held"]))
         self._start.set_enabled(not recording and not status["held"])
-        self._pause.set_enabled(recording and not paused and asked is None)
-        self._resume.set_enabled(recording and asked == "pause")
-        self._stop.set_enabled(recording and asked in (None, "pause"))
-        self._abort.set_enabled(recording and asked in (None, "pause", "stop"))
+        self._pause.set_enabled(recording and not paused and command is None)
+        self._resume.set_enabled(recording and command == "pause")
+        self._stop.set_enabled(recording and command in (None, "pause"))
+        self._abort.set_enabled(recording and command in (None, "pause", "stop"))
         self._name.set_enabled(not recording)
         run_name = str(status["run"])
         if run_name and run_name != self._last_run:  # so that "start" goes on with it
@@ -221,12 +221,12 @@ class RigPage:
 
     def _show_force(self, status: Mapping[str, Any]) -> None:
         force = status["force_n"]
-        said = [
+        words = [
             f'<span><i style="background:{colour}"></i>{AXIS_NAMES[axis]} '
             f"<b>{'–' if force is None else status_text.number(force[i], 2)}</b> N</span>"
             for i, (axis, colour) in enumerate(AXES.items())
         ]
-        self._force_now.set_content("".join(said))
+        self._force_now.set_content("".join(words))
         self._force.set_content(svg_drawing.force_svg(status["series"]))
         zero = "less its zero in the air" if status["tared"] else "as measured: its zero is not taken off yet"
         self._force_said.set_text(

@@ -66,11 +66,11 @@ def done_by_place(plan: RecordingPlan, shots: int) -> dict[str, float]:
     Shots are recorded in the plan's order, and a resumed recording begins at the first that is missing; so
     their number tells which they are.
     """
-    found: dict[str, list[bool]] = {}
+    done: dict[str, list[bool]] = {}
     for press in plan.presses():
         shots -= len(plan.shots(press))
-        found.setdefault(press.place.name, []).append(shots >= 0)
-    return {name: sum(whole) / len(whole) for name, whole in found.items()}
+        done.setdefault(press.place.name, []).append(shots >= 0)
+    return {name: sum(whole) / len(whole) for name, whole in done.items()}
 
 
 def clearance_mm(plan: RecordingPlan) -> float:

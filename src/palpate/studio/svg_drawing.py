@@ -101,8 +101,8 @@ def force_svg(series: Mapping[str, Sequence[float]]) -> str:
         )
     for age in (20, 15, 10, 5, 0):
         anchor = "end" if age == 0 else "middle"
-        said = "now" if age == 0 else f"−{age} s"
-        parts.append(f'<text x="{across(age):.1f}" y="{HEIGHT - 7}" text-anchor="{anchor}">{said}</text>')
+        age_text = "now" if age == 0 else f"−{age} s"
+        parts.append(f'<text x="{across(age):.1f}" y="{HEIGHT - 7}" text-anchor="{anchor}">{age_text}</text>')
     parts.append(f'<text x="{LEFT + 5}" y="{TOP + 9}" class="unit">N</text>')
     for axis, colour in AXES.items():
         points = " ".join(

@@ -156,25 +156,27 @@ def page_offsets(file: BinaryIO, path: Path, most: int) -> list[int]:
     offset_type, count_type, entry = ("I", "H", 12) if magic == 42 else ("Q", "Q", 20)
     if magic == 43:
         file.seek(8)
-    found: list[int] = []
-    seen: set[int] = set()
+    offsets: list[int] = []
+    visited: set[int] = set()
     offset = _number(file, order + offset_type, path)
     while offset:
-        if offset in seen:
-            raise ImageError(f"{path}: its pages run in a circle after page {len(found) - 1}; it is damaged")
+        if offset in visited:
+            raise ImageError(
+                f"{path}: its pages run in a circle after page {len(offsets) - 1}; it is damaged"
+            )
         if not 0 < offset < size:
-            raise ImageError(f"{path}: page {len(found)} lies outside the file; it is cut off or damaged")
-        if len(found) >= most:
+            raise ImageError(f"{path}: page {len(offsets)} lies outside the file; it is cut off or damaged")
+        if len(offsets) >= most:
             raise ImageError(f"{path} has more than {most} pages; split the recording, or raise the limit")
-        seen.add(offset)
-        found.append(offset)
+        visited.add(offset)
+        offsets.append(offset)
         file.seek(offset)
         entries = _number(file, order + count_type, path)
         file.seek(entries * entry, 1)
         offset = _number(file, order + offset_type, path)
-    if not found:
+    if not offsets:
         raise ImageError(f"{path} has no pages; export it again")
-    return found
+    return offsets
 
 
 def _number(file: BinaryIO, kind: str, path: Path) -> int:
@@ -250,9 +252,9 @@ class VideoFrames:
         finally:
             capture.release()
         if done != self._count:
-            found = "more" if done > self._count else str(done)
+            number = "more" if done > self._count else str(done)
             raise ImageError(
-                f"{self.path}: its header says {self._count} frames, and {found} can be decoded; it is cut "
+                f"{self.path}: its header says {self._count} frames, and {number} can be decoded; it is cut "
                 "off or damaged: convert it anew"
             )
 
@@ -321,10 +323,10 @@ def open_sequence(path: Path) -> Iterator[FrameSequence]:
     if (path / MANIFEST).is_file():
         yield RunImages(Run.open(path))
     elif path.is_dir():
-        found = tuple(sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGES))
-        if not found:
+        images = tuple(sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGES))
+        if not images:
             raise InputError(f"{path} holds no images ({', '.join(sorted(IMAGES))}) and is not a run")
-        yield ImageFolder(found)
+        yield ImageFolder(images)
     elif path.suffix.lower() in SUFFIXES:
         yield VideoFrames(path)
     elif path.suffix.lower() in TIFFS:

@@ -128,20 +128,20 @@ def import_images(
         )
     for done, _ in enumerate(_same_kind(paths), start=1):
         _tell(progress, done, 2 * len(paths))
-    given = {"sensor": sensor, "rig": rig, "licence": licence, "origin": origin}
-    _record(run, _manifest(given, exported, kept, timed), paths, times_ns, kept, progress)
+    about = {"sensor": sensor, "rig": rig, "licence": licence, "origin": origin}
+    _record(run, _manifest(about, exported, kept, timed), paths, times_ns, kept, progress)
     return _report(kept)
 
 
-def _manifest(given: dict[str, str], exported: Manifest | None, kept: pd.DataFrame, timed: bool) -> Manifest:
+def _manifest(about: dict[str, str], exported: Manifest | None, kept: pd.DataFrame, timed: bool) -> Manifest:
     """Manifest by what the caller says, else by what an exported folder says of itself."""
-    told = {name: text or (getattr(exported, name) if exported else "") for name, text in given.items()}
+    texts = {name: text or (getattr(exported, name) if exported else "") for name, text in about.items()}
     targets = tuple(one for one in exported.targets if one in kept) if exported else ()
     return Manifest.new(
-        sensor=told["sensor"],
-        rig=told["rig"],
-        licence=told["licence"],
-        origin=told["origin"],
+        sensor=texts["sensor"],
+        rig=texts["rig"],
+        licence=texts["licence"],
+        origin=texts["origin"],
         targets=targets,
         seed=exported.seed if exported else None,
         labels=label_kinds(kept),
@@ -185,9 +185,9 @@ def _image_paths(table: pd.DataFrame, source: Path, folder: Path, image_column: 
             f"{source}, {rows_text(missing)}: no such image in {folder} or {folder / 'images'}: {shown}; "
             "copy the images there, or remove the rows"
         )
-    found = [path for path in paths if path is not None]
-    _check_once(found, source)
-    return found
+    files = [path for path in paths if path is not None]
+    _check_once(files, source)
+    return files
 
 
 def _inside(folder: Path, name: str, source: Path, row: int) -> Path | None:

@@ -36,7 +36,7 @@ class _Press:
     """Sweep of the run: on what, which, and its frames."""
 
     specimen: Specimen
-    told: bool
+    is_known: bool
     name: str
     frames: Int[ndarray, " f"]
 
@@ -62,8 +62,8 @@ def export_presses(run: Run, out: Path | None = None) -> PressFolder | None:
     out = run.path / PRESSES if out is None else out
     force, stage, late_s = run.force(), run.stage(), latency_s(run)
     with new_folder(out) as building:
-        told = {p.specimen.name: p.specimen.stiffness_n_m if p.told else math.nan for p in presses}
-        write_specimens(building, {name: math.nan if k is None else k for name, k in told.items()})
+        stiffness = {p.specimen.name: p.specimen.stiffness_n_m if p.is_known else math.nan for p in presses}
+        write_specimens(building, {name: math.nan if k is None else k for name, k in stiffness.items()})
         for press in presses:
             rows = _rows(run, press, force, stage, late_s)
             write_press(building / press.specimen.name, press.name, _images(run, press.frames), rows)
@@ -73,8 +73,8 @@ def export_presses(run: Run, out: Path | None = None) -> PressFolder | None:
 def latency_s(run: Run) -> float:
     """Latency of the frames' stamps behind the force's, by the run's last taps; 0 without any [s]."""
     events = run.events()
-    told = [json.loads(text) for text in events.loc[events["kind"] == CLOCKS, "fields"]]
-    return float(told[-1]["seconds"]) if told else 0.0
+    clocks = [json.loads(text) for text in events.loc[events["kind"] == CLOCKS, "fields"]]
+    return float(clocks[-1]["seconds"]) if clocks else 0.0
 
 
 def _presses(run: Run) -> Iterator[_Press]:

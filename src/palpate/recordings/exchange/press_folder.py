@@ -80,15 +80,15 @@ def press_folder(path: Path) -> PressFolder:
     if not path.is_dir():
         raise InputError(f"{path} is no folder; give that of an experiment, with a folder for every specimen")
     with storage_errors(path):
-        found = {p.name: p for p in sorted(path.iterdir()) if p.is_dir() and not p.name.startswith(".")}
-        if not found:
+        folders = {p.name: p for p in sorted(path.iterdir()) if p.is_dir() and not p.name.startswith(".")}
+        if not folders:
             raise InputError(
                 f"{path} holds no folders; put the presses of each specimen into one, e.g. S1/01.tif"
             )
         table = path / SPECIMENS
-        known = _known(table, found) if table.exists() else dict.fromkeys(found)
+        known = _known(table, folders) if table.exists() else dict.fromkeys(folders)
         return PressFolder(
-            path, tuple(PressedSpecimen(name, known[name], _presses(found[name])) for name in known)
+            path, tuple(PressedSpecimen(name, known[name], _presses(folders[name])) for name in known)
         )
 
 
@@ -143,7 +143,7 @@ def _written(path: Path, rows: pd.DataFrame) -> Path:
     return path
 
 
-def _known(path: Path, found: Mapping[str, Path]) -> dict[str, float | None]:
+def _known(path: Path, folders: Mapping[str, Path]) -> dict[str, float | None]:
     """Stiffness of every specimen of the table [N/m], which are those that have a folder."""
     table = read_labels(path, kinds={NAME: "text"})
     if NAME not in table.columns:
@@ -152,13 +152,13 @@ def _known(path: Path, found: Mapping[str, Path]) -> dict[str, float | None]:
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         raise LabelError(f"{path} names specimen {twice[0]!r} more than once; a specimen has one row")
-    gone = [name for name in names if name not in found]
+    gone = [name for name in names if name not in folders]
     if gone:
         raise LabelError(
             f"{path} names {', '.join(map(repr, gone))}, without a folder of that name beside it; there are "
-            f"{', '.join(found)}"
+            f"{', '.join(folders)}"
         )
-    left = [name for name in found if name not in names]
+    left = [name for name in folders if name not in names]
     if left:
         raise LabelError(
             f"{path} has no row for {', '.join(map(repr, left))}; add one, or move the folder away"
@@ -209,9 +209,9 @@ def _presses(folder: Path) -> tuple[tuple[Path, Path], ...]:
 
 
 def _by_stem(files: Iterable[Path]) -> dict[str, Path]:
-    found: dict[str, Path] = {}
+    by_stem: dict[str, Path] = {}
     for path in files:
-        if path.stem in found:
-            raise InputError(f"{found[path.stem]} and {path.name} are of one press; keep one of them")
-        found[path.stem] = path
-    return found
+        if path.stem in by_stem:
+            raise InputError(f"{by_stem[path.stem]} and {path.name} are of one press; keep one of them")
+        by_stem[path.stem] = path
+    return by_stem

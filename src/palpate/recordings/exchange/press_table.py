@@ -139,26 +139,26 @@ def press_rows(
 def _named(
     table: pd.DataFrame,
     path: Path,
-    asked: str | None,
+    wanted: str | None,
     usual: tuple[str, ...],
     si: str,
     what: str,
     must: bool = True,
 ) -> str | None:
     """The column of a quantity."""
-    found = asked if asked is not None else next((name for name in usual if name in table.columns), None)
-    if found is None and not must:
+    column = wanted if wanted is not None else next((name for name in usual if name in table.columns), None)
+    if column is None and not must:
         return None
-    if found is None or found not in table.columns:
+    if column is None or column not in table.columns:
         raise LabelError(
-            f"{path} has no column {' or '.join([asked] if asked else usual)}; name the column of {what}: "
+            f"{path} has no column {' or '.join([wanted] if wanted else usual)}; name the column of {what}: "
             f"{', '.join(map(str, table.columns))}"
         )
-    if not has_unit(found) or split_column(found)[1].si != si:
+    if not has_unit(column) or split_column(column)[1].si != si:
         raise LabelError(
-            f"column {found!r} of {path} carries no unit of {what}; rename it, e.g. {usual[-1]!r}"
+            f"column {column!r} of {path} carries no unit of {what}; rename it, e.g. {usual[-1]!r}"
         )
-    return found
+    return column
 
 
 def _si(table: pd.DataFrame, path: Path, name: str) -> Samples:

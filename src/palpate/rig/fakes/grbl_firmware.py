@@ -57,7 +57,7 @@ class GrblController:
         self._rx, self._line = bytearray(), ""
         self._work: Work | None = None
         self._delayed: list[tuple[float, int]] = []
-        self._held = self._jogging = self._cancelling = self._homing = self._critical = self._hard = False
+        self._holding = self._jogging = self._cancelling = self._homing = self._critical = self._hard = False
         self.power_up()
         if model.homed:
             self.homed, self._alarm = True, False
@@ -81,7 +81,7 @@ class GrblController:
             return "Home"
         if self._alarm:
             return "Alarm"
-        if self._held:
+        if self._holding:
             return "Hold:0" if self._axes.speed_mm_s == 0.0 else "Hold:1"
         if self._axes.blocks:
             hidden = self._now_s - self._began_s < self.faults.idle_s
@@ -112,9 +112,9 @@ class GrblController:
 
     def take(self) -> bytes:
         """Bytes for the host."""
-        said = bytes(self._out)
+        sent = bytes(self._out)
         self._out.clear()
-        return b"" if self.faults.mute else said
+        return b"" if self.faults.mute else sent
 
     def run_to(self, now_s: float) -> None:
         """Let time go by until then [s]."""
@@ -195,7 +195,7 @@ class GrblController:
         elif byte == 0x18:
             self._soft_reset()
         elif byte == ord("~"):
-            self._held = self._axes.held = False
+            self._holding = self._axes.holding = False
         elif byte in (ord("!"), 0x85):
             if byte == ord("!"):
                 self.holds.append(self.place_mm)
@@ -209,9 +209,9 @@ class GrblController:
         jogging = self._jogging and bool(self._axes.blocks)
         if byte == 0x85 or (jogging and self.model.hold_cancels_jog):
             if jogging:
-                self._cancelling = self._axes.held = True
+                self._cancelling = self._axes.holding = True
         else:
-            self._held = self._axes.held = True
+            self._holding = self._axes.holding = True
 
     def _soft_reset(self) -> None:
         moved = self._axes.speed_mm_s > 0.0
@@ -242,7 +242,7 @@ class GrblController:
         self._rx, self._line = bytearray(), ""
         self._work = None
         self._delayed = []
-        self._held = self._jogging = self._cancelling = self._homing = self._critical = self._hard = False
+        self._holding = self._jogging = self._cancelling = self._homing = self._critical = self._hard = False
         self._reports, self._began_s = 0, -math.inf
 
     def _lock(self, code: int) -> None:
@@ -428,7 +428,7 @@ class GrblFirmware(GrblController):
             yield
         hit_mm = self._axes.place_mm if self._probe_pressed() else None
         while hit_mm and self._axes.speed_mm_s > 0.0:
-            self._axes.held = True
+            self._axes.holding = True
             yield
         self._axes.clear()
         miss_mm = self._axes.place_mm if self.model.firmware == "grblHAL" else NOWHERE

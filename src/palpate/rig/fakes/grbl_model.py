@@ -54,7 +54,7 @@ class Axes:
         self.blocks: deque[PlannedBlock] = deque()
         self.speed_mm_s = 0.0
         self.along_mm = 0.0
-        self.held = False
+        self.holding = False
         self.stuck = False
         self._stood_mm = place_mm
 
@@ -70,7 +70,7 @@ class Axes:
 
     @property
     def stands(self) -> bool:
-        return self.speed_mm_s == 0.0 and (self.held or not self.blocks)
+        return self.speed_mm_s == 0.0 and (self.holding or not self.blocks)
 
     def add(self, block: PlannedBlock) -> None:
         """Queue a block; one of no length is no block."""
@@ -86,7 +86,7 @@ class Axes:
         self._stood_mm, speed = self.place_mm, self.speed_mm_s
         self.blocks.clear()
         self.speed_mm_s = self.along_mm = 0.0
-        self.held = False
+        self.holding = False
         return speed
 
     def put(self, place_mm: Millimetres) -> None:
@@ -109,7 +109,7 @@ class Axes:
                 self._stood_mm = block.end_mm
                 self.blocks.popleft()
                 self.speed_mm_s = self.along_mm = 0.0
-            if self.held and self.speed_mm_s == 0.0:
+            if self.holding and self.speed_mm_s == 0.0:
                 return
 
     def _phase(self, seconds: float) -> float:
@@ -120,7 +120,7 @@ class Axes:
             block.speed_mm_s, math.sqrt(a * left + v * v / 2)
         )  # the peak from which it just stops in time
         braking = v * v / (2 * a)
-        if self.held or left - braking <= _SMALL_MM:
+        if self.holding or left - braking <= _SMALL_MM:
             rate, lasts = -a, v / a
         elif v < top * (1 - _SAME):
             rate, lasts = a, (top - v) / a
@@ -132,7 +132,7 @@ class Axes:
         self.speed_mm_s = v + rate * t
         if ends and rate < 0:
             self.speed_mm_s = 0.0
-            if not self.held:
+            if not self.holding:
                 self.along_mm = block.length_mm
         elif ends and rate > 0:
             self.speed_mm_s = top

@@ -115,7 +115,7 @@ class FakeNetFT:
         self.host = "127.0.0.1"
         self._client: tuple[str, int] | None = None
         self._instead: deque[tuple[bytes, ...] | int] = deque()
-        self._held: bytes | None = None
+        self._delayed: bytes | None = None
         self._left = 0
         self._closing = Event()
         self._began = self._due = time.monotonic()
@@ -134,7 +134,7 @@ class FakeNetFT:
     @property
     def was_biased(self) -> bool:
         """Whether anybody ever asked it to take the present load as zero."""
-        return any(asked.command == BIAS for asked in self.requests)
+        return any(request.command == BIAS for request in self.requests)
 
     @property
     def streams_to(self) -> tuple[str, int] | None:
@@ -196,25 +196,25 @@ class FakeNetFT:
             wait_s = min(max(self._due - now, 0.0), 0.02) if self._client else 0.02
             self._udp.settimeout(wait_s)
             with suppress(TimeoutError, BlockingIOError, ConnectionError):
-                self._asked(*self._udp.recvfrom(64))
+                self._take(*self._udp.recvfrom(64))
             if self._client and time.monotonic() >= self._due:
                 self._due = max(self._due + 1 / self.page.rate_hz, time.monotonic() - _BEHIND_S)
                 if not self.silent:
                     self._send()
 
-    def _asked(self, data: bytes, source: tuple[str, int]) -> None:
+    def _take(self, data: bytes, source: tuple[str, int]) -> None:
         header, command, records = struct.unpack(">HHI", data) if len(data) == 8 else (-1, -1, -1)
-        asked = ReceivedRequest(header, command, records, source)
-        self.requests.append(asked)
-        if asked.header != 0x1234:
+        request = ReceivedRequest(header, command, records, source)
+        self.requests.append(request)
+        if request.header != 0x1234:
             return
-        if asked.command == START:
+        if request.command == START:
             if self.lost_starts > 0:
                 self.lost_starts -= 1
                 return
-            self._client, self._left, self._due = source, asked.records, time.monotonic()
+            self._client, self._left, self._due = source, request.records, time.monotonic()
             self.rdt_sequence = (self.first_sequence - 1) % 2**32
-        elif asked.command == STOP:
+        elif request.command == STOP:
             if self.lost_stops > 0:
                 self.lost_stops -= 1
                 return
@@ -225,12 +225,12 @@ class FakeNetFT:
         if isinstance(what, tuple):
             self._put(*what)
         elif what < 0:
-            self._held = self.record()
+            self._delayed = self.record()
         else:
             self._put(*[self.record()] * what)
-            if self._held is not None:
-                self._put(self._held)
-                self._held = None
+            if self._delayed is not None:
+                self._put(self._delayed)
+                self._delayed = None
 
     def _put(self, *datagrams: bytes) -> None:
         for datagram in datagrams:

@@ -153,8 +153,8 @@ def plan_from(fields: Mapping[str, Any], sensor: Sensor | None = None) -> Known:
         plan = _ADAPTER.validate_python({"kind": "stepped", **fields}).on(sensor or sensor_of())
         plan.places.places()
     except ValidationError as e:
-        said = "; ".join(f"{'.'.join(map(str, d['loc'][1:])) or 'plan'}: {d['msg']}" for d in e.errors())
-        raise InputError(said) from e
+        problems = "; ".join(f"{'.'.join(map(str, d['loc'][1:])) or 'plan'}: {d['msg']}" for d in e.errors())
+        raise InputError(problems) from e
     return plan
 
 

@@ -151,17 +151,17 @@ class StepHold(RecordingPlan):
 
     def _shots(self, press: PlannedPress) -> tuple[tuple[Shot, int], ...]:
         place, depths = self._named(press), self.depths_um()
-        found: list[tuple[Shot, int]] = []
+        shots: list[tuple[Shot, int]] = []
         for depth in depths:
-            found.append((Shot(place, press.cycle, "down", depth), self.frames))
+            shots.append((Shot(place, press.cycle, "down", depth), self.frames))
             if self.dwell and depth in [round(d * UM) for d in self.dwell.depths_mm]:
-                found.append((Shot(place, press.cycle, "hold", depth), self.dwell.frames))
+                shots.append((Shot(place, press.cycle, "hold", depth), self.dwell.frames))
             if self.lateral and depth in [round(d * UM) for d in self.lateral.depths_mm]:
                 turns = range(len(self.lateral.shifts_mm()))
-                found += [(Shot(place, press.cycle, "lateral", depth, i), self.frames) for i in turns]
+                shots += [(Shot(place, press.cycle, "lateral", depth, i), self.frames) for i in turns]
         if self.unloading:
-            found += [(Shot(place, press.cycle, "up", depth), self.frames) for depth in reversed(depths[:-1])]
-        return tuple(found)
+            shots += [(Shot(place, press.cycle, "up", depth), self.frames) for depth in reversed(depths[:-1])]
+        return tuple(shots)
 
 
 class Ramp(RecordingPlan):

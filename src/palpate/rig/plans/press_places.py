@@ -64,14 +64,14 @@ class OnSkin(BaseModel):
 
     def laid_on(self: Laid, sensor: Sensor) -> Laid:
         """The same places with the sensor's outline and probe, where they give none of their own."""
-        found: dict[str, Any] = {}
+        fields: dict[str, Any] = {}
         if self.layer_mm is None:
             outline = sensor.outline
-            found["layer_mm"] = _mm(2 * outline.radius_m)
-            found["corners_mm"] = tuple((_mm(x), _mm(y)) for x, y in outline.corners_m)
+            fields["layer_mm"] = _mm(2 * outline.radius_m)
+            fields["corners_mm"] = tuple((_mm(x), _mm(y)) for x, y in outline.corners_m)
         if self.probe_mm is None:
-            found["probe_mm"] = _mm(2 * sensor.probe(sensor.default_probe).radius_m)
-        return self.model_copy(update=found)
+            fields["probe_mm"] = _mm(2 * sensor.probe(sensor.default_probe).radius_m)
+        return self.model_copy(update=fields)
 
     def sizes_mm(self) -> tuple[float, float]:
         """Diameters of skin and probe, the usual sensor's where none are given."""
@@ -119,18 +119,18 @@ class Grid(OnSkin):
         """
         reach = self.reach_mm
         middle = (self.per_side - 1) / 2
-        found = [
+        places = [
             Place(f"r{row}c{column}", (column - middle) * self.pitch_mm, (row - middle) * self.pitch_mm)
             for row in range(self.per_side)
             for column in range(self.per_side)
             if self.holds((column - middle) * self.pitch_mm, (row - middle) * self.pitch_mm)
         ]
-        if not found:
+        if not places:
             raise InputError(
                 f"no place of the grid, {self.pitch_mm:g} mm apart, lies within {reach:g} mm of the centre; "
                 "use an odd number of places a side, or a smaller pitch"
             )
-        return tuple(found)
+        return tuple(places)
 
 
 class Scattered(OnSkin):
@@ -154,23 +154,23 @@ class Scattered(OnSkin):
             InputError: they cannot lie so far apart.
         """
         reach, rng = self.reach_mm, np.random.default_rng(self.seed)
-        found: list[Place] = []
+        places: list[Place] = []
         for _ in range(MAX_TRIES * self.count):
-            if len(found) == self.count:
+            if len(places) == self.count:
                 break
             away, angle = reach * math.sqrt(rng.uniform()), rng.uniform(0, math.tau)
             # To a micrometre, so that the name, the label and the stage agree.
             x, y = round(away * math.cos(angle), 3), round(away * math.sin(angle), 3)
             if self.corners_mm and not self.holds(x, y):
                 continue
-            if all(math.hypot(x - p.x_mm, y - p.y_mm) >= self.apart_mm for p in found):
-                found.append(Place(f"s{len(found)}", x, y))
-        if len(found) < self.count:
+            if all(math.hypot(x - p.x_mm, y - p.y_mm) >= self.apart_mm for p in places):
+                places.append(Place(f"s{len(places)}", x, y))
+        if len(places) < self.count:
             raise InputError(
                 f"{self.count} places {self.apart_mm:g} mm apart do not fit within {reach:g} mm of the "
-                f"centre; {len(found)} were found"
+                f"centre; {len(places)} were found"
             )
-        return tuple(found)
+        return tuple(places)
 
 
 class Listed(OnSkin):

@@ -198,12 +198,12 @@ class RecordingPlan(BaseModel):
         Raises:
             InputError: an indenter is wider than the probe that places are clipped for.
         """
-        found: dict[str, Any] = {"places": self.places.laid_on(sensor)}
+        fields: dict[str, Any] = {"places": self.places.laid_on(sensor)}
         if "indenters" not in self.model_fields_set:
-            found["indenters"] = (sensor.default_probe,)
+            fields["indenters"] = (sensor.default_probe,)
         elif self.places.probe_mm is None:
-            _check_width(self.indenters, found["places"].probe_mm)
-        return self.model_copy(update=found)
+            _check_width(self.indenters, fields["places"].probe_mm)
+        return self.model_copy(update=fields)
 
     @property
     def hash(self) -> str:
@@ -227,16 +227,16 @@ class RecordingPlan(BaseModel):
         """Presses of the plan, in order."""
         places = self.places.places()
         for indenter in self.indenters:
-            found = [
+            presses = [
                 PlannedPress(place, cycle, indenter)
                 for place in places
                 for cycle in range(1, self.cycles + 1)
             ]
             if self.order == "rounds":
-                found.sort(key=lambda press: press.cycle)
+                presses.sort(key=lambda press: press.cycle)
             if self.order == "shuffled":
-                np.random.default_rng(self.seed).shuffle(found)
-            yield from found
+                np.random.default_rng(self.seed).shuffle(presses)
+            yield from presses
 
     def shots(self, press: PlannedPress) -> tuple[tuple[Shot, int], ...]:
         """The shots of a press, each with how many frames it has, in order."""

@@ -38,14 +38,14 @@ def device(address: str | int, by_id: Path = BY_ID) -> str | int:
     """
     if isinstance(address, int) or "/" in address:
         return address
-    found = [path for path in _cameras(by_id) if path.name.endswith(f"_{address}-video-index0")]
-    if len(found) != 1 or not address:
+    matches = [path for path in _cameras(by_id) if path.name.endswith(f"_{address}-video-index0")]
+    if len(matches) != 1 or not address:
         there = ", ".join(path.name for path in _cameras(by_id)) or "none"
         raise DeviceError(
-            f"{len(found)} cameras have the serial number {address!r}; {by_id} lists: {there}. "
+            f"{len(matches)} cameras have the serial number {address!r}; {by_id} lists: {there}. "
             "Give one of these serial numbers, a path such as /dev/video0, or a number"
         )
-    return str(found[0].resolve())
+    return str(matches[0].resolve())
 
 
 def _cameras(by_id: Path) -> list[Path]:
@@ -217,8 +217,8 @@ class UvcSettings:
 
     def __post_init__(self) -> None:
         delay_s = 0.0 if self.delay_s is None else self.delay_s
-        given = (*self.size_px, self.rate_hz, self.freeze_s, self.white_balance_k or 1.0)
-        if not all(value > 0 and math.isfinite(value) for value in given) or not 0 <= delay_s < math.inf:
+        numbers = (*self.size_px, self.rate_hz, self.freeze_s, self.white_balance_k or 1.0)
+        if not all(value > 0 and math.isfinite(value) for value in numbers) or not 0 <= delay_s < math.inf:
             raise RangeError(
                 f"sizes [px], rates [Hz], times [s] and kelvins have to be greater than 0: {self}"
             )
@@ -272,8 +272,8 @@ class UvcCamera:
         self._kept: deque[tuple[int, Frame]] = deque(maxlen=max(2, math.ceil(KEPT_S * s.rate_hz)))
         self._failure = ""
         self._last_ns = self._clock.now_ns()
-        self._asked = self._controls()
-        self._in_turn = cycle(self._asked)
+        self._targets = self._controls()
+        self._in_turn = cycle(self._targets)
         self._source = opener(device(address))
         try:
             self._open()
@@ -365,19 +365,19 @@ class UvcCamera:
                 "it cannot be opened: check that it is plugged in, that no other program uses it, and that "
                 "you may read it (on Linux, group video)"
             )
-        for control, (_, value) in self._asked.items():
+        for control, (_, value) in self._targets.items():
             self._source.set(control, value)  # what it returns says little; what is read back holds
         if self._settings.white_balance_k is None and self._source.get(cv2.CAP_PROP_AUTO_WB) == 1:
             raise DeviceError("its white balance is automatic; give white_balance_k")
-        for control in self._asked:
+        for control in self._targets:
             self._verify(control)
-        for _ in self._asked:  # and once more while frames come: some cameras fall back only then
+        for _ in self._targets:  # and once more while frames come: some cameras fall back only then
             self._step()
 
     def _controls(self) -> dict[int, tuple[str, float]]:
         """Everything that is set, in the order it has to be: a control's number to its name and value."""
         s = self._settings
-        asked: dict[int, tuple[str, float]] = {
+        controls: dict[int, tuple[str, float]] = {
             cv2.CAP_PROP_FOURCC: ("pixels", cv2.VideoWriter.fourcc(*s.pixels)),
             cv2.CAP_PROP_FRAME_WIDTH: ("width [px]", s.size_px[0]),
             cv2.CAP_PROP_FRAME_HEIGHT: ("height [px]", s.size_px[1]),
@@ -386,19 +386,19 @@ class UvcCamera:
             cv2.CAP_PROP_EXPOSURE: ("exposure [0.1 ms]", round(s.exposure_s / EXPOSURE_UNIT_S)),
         }
         if s.white_balance_k is not None:
-            asked[cv2.CAP_PROP_AUTO_WB] = ("automatic white balance", 0)
-            asked[cv2.CAP_PROP_WB_TEMPERATURE] = ("white balance [K]", s.white_balance_k)
-        return asked | {n: (f"OpenCV's control {n}", value) for n, value in s.controls.items()}
+            controls[cv2.CAP_PROP_AUTO_WB] = ("automatic white balance", 0)
+            controls[cv2.CAP_PROP_WB_TEMPERATURE] = ("white balance [K]", s.white_balance_k)
+        return controls | {n: (f"OpenCV's control {n}", value) for n, value in s.controls.items()}
 
     def _verify(self, control: int) -> None:
-        name, asked = self._asked[control]
-        held = self._source.get(control)
+        name, target = self._targets[control]
+        actual = self._source.get(control)
         within = _RATE_WITHIN if control == cv2.CAP_PROP_FPS else 0.0
-        if not math.isclose(asked, held, rel_tol=within):
-            told = [_letters(v) if control == cv2.CAP_PROP_FOURCC else f"{v:g}" for v in (asked, held)]
+        if not math.isclose(target, actual, rel_tol=within):
+            words = [_letters(v) if control == cv2.CAP_PROP_FOURCC else f"{v:g}" for v in (target, actual)]
             raise DeviceError(
-                f"{name} was set to {told[0]} and is {told[1]}: it refuses that, or another program changed "
-                "it; ask for what it can do (on Linux, v4l2-ctl --list-ctrls --list-formats-ext tells)"
+                f"{name} was set to {words[0]} and is {words[1]}: it refuses that, or another program "
+                "changed it; see what it can do (on Linux, v4l2-ctl --list-ctrls --list-formats-ext tells)"
             )
 
     def _run(self) -> None:

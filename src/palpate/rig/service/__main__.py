@@ -26,7 +26,7 @@ def main() -> int:
     parser.add_argument("--runs", type=Path, required=True, help="folder that recordings go into")
     parser.add_argument("--folder", type=Path, help="folder of the address file")
     parser.add_argument("--accelerated", action="store_true", help="a virtual rig as fast as it goes")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     ended = threading.Event()
 
     def end(number: int, frame: FrameType | None) -> None:
@@ -38,7 +38,7 @@ def main() -> int:
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        serve(asked.rig, asked.runs, asked.folder, asked.accelerated, ended)
+        serve(options.rig, options.runs, options.folder, options.accelerated, ended)
     except PalpateError as e:
         print(f"palpate: {e}", file=sys.stderr)
         return 2

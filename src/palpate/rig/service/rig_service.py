@@ -71,7 +71,7 @@ class RigMonitor:
         self._watcher.join(2 * GRAB_S)
         self.rig.close()
 
-    def told(self, status: Status) -> None:
+    def update(self, status: Status) -> None:
         """Take in what the engine says of force and position."""
         if status.position_mm is not None:
             self._at_mm = status.position_mm
@@ -199,7 +199,7 @@ class RigService:
             self._set(plan)
             self._status = _UNTOLD
             self._log.add("operator", f"plan {plan.name}: {len(plan.places.places())} places")
-            return self._asked
+            return self._plan_facts
 
     def start(self, out: str) -> dict[str, Any]:
         """Record the plan into a run of this name, or go on with one that is there.
@@ -297,23 +297,23 @@ class RigService:
 
     def status(self) -> dict[str, Any]:
         """Status for a page, but for the picture; plain values."""
-        told, recording, asked = self._status, self.recording, self._control.asked
+        status, recording, command = self._status, self.recording, self._control.asked
         return {
             "rig": self._rig.name,
             "real_time": self._real_time,
             "recording": recording,
-            "state": told.state.value,
-            "asked": asked.value if recording and asked else None,
+            "state": status.state.value,
+            "asked": command.value if recording and command else None,
             "held": self._devices.stage.held,
             "estop": self._estop,
-            "message": told.message,
+            "message": status.message,
             "run": self._run,
-            "shots": told.shots,
-            "left_s": None if told.left_s is None else round(told.left_s, 1),
+            "shots": status.shots,
+            "left_s": None if status.left_s is None else round(status.left_s, 1),
             "place": self._place if recording else "",
             "log": self._log.tail(TAIL),
             "log_count": self._log.count,
-            **self._asked,
+            **self._plan_facts,
             **self._devices.status(recording),
         }
 
@@ -325,7 +325,7 @@ class RigService:
         size = size_of(plan, self._rig.camera.rate_hz)
         planned = sum(len(plan.shots(press)) for press in plan.presses())
         self._plan = plan
-        self._asked = {"plan": plan.model_dump(mode="json"), "size": size._asdict(), "planned": planned}
+        self._plan_facts = {"plan": plan.model_dump(mode="json"), "size": size._asdict(), "planned": planned}
 
     def _begin(self, out: str, path: Path) -> None:
         control = OperatorControl()
@@ -343,7 +343,7 @@ class RigService:
     def _record(self, plan: AnyPlan, path: Path, control: OperatorControl) -> None:
         try:
             with self._devices.taken():
-                outcome = record(self._rig, plan, path, control=control, watch=self._told)
+                outcome = record(self._rig, plan, path, control=control, watch=self._update)
         except PalpateError as e:
             self._failed(e)
         except Exception as e:
@@ -367,7 +367,7 @@ class RigService:
         )
         self._begun.set()
 
-    def _told(self, status: Status) -> None:
+    def _update(self, status: Status) -> None:
         """Take in the engine's status, a few times a second, in the recording's thread."""
         if status.state is not self._status.state and status.state in (State.RUNNING, State.PAUSED):
             self._log.add("rig", f"{status.state.value}: {status.message}")
@@ -375,7 +375,7 @@ class RigService:
         if colon and ", cycle " in press and press != self._place:
             self._place = press
             self._log.add("place", press)
-        self._devices.told(status)
+        self._devices.update(status)
         self._status = status
         self._begun.set()
 

@@ -87,8 +87,8 @@ def virtual_rig(
         if touch is None:
             return dict.fromkeys(truths, 0.0)
         area_mm2 = 1e6 * math.pi * world.radius_at(touch.depth_m) ** 2
-        told = (max(touch.depth_m, 0.0) * 1e3, touch.force_n[2], area_mm2)
-        return dict(zip(truths, told, strict=False))
+        values = (max(touch.depth_m, 0.0) * 1e3, touch.force_n[2], area_mm2)
+        return dict(zip(truths, values, strict=False))
 
     def fit(indenter: str) -> bool:
         world.fit(indenter)
@@ -124,8 +124,8 @@ def _limits(travel: Travel, age_s: float | None) -> Limits:
 
 
 def _variation(sensor: Sensor, name: str) -> Variation:
-    told: dict[str, Any] = dict(variation_of(sensor))
+    sizes: dict[str, Any] = dict(variation_of(sensor))
     try:
-        return replace(Variation(), **told)
+        return replace(Variation(), **sizes)
     except TypeError as e:
         raise InputError(f"{name}: variation() gives fields of the rig's Variation: {e}") from e

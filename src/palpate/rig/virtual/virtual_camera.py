@@ -79,13 +79,13 @@ class VirtualCamera:
         if self._frozen is not None and world.faults.on("camera-frozen", now_ns):
             return self._frozen
         touch = world.touch_at(ends_s - world.sensor.exposure_s / 2)
-        frame = replace(self._seen(touch), time_s=ends_s)
+        frame = replace(self._shown(touch), time_s=ends_s)
         if world.faults.on("camera-resized", now_ns):
             frame = replace(frame, image=np.ascontiguousarray(frame.image[:-8]))
         self._frozen = frame
         return frame
 
-    def _seen(self, touch: Touch | None) -> Frame:
+    def _shown(self, touch: Touch | None) -> Frame:
         sensor = self._world.sensor
         if touch is None:
             return sensor.render(untouched(sensor), self._rng)

@@ -38,7 +38,7 @@ class ViscoelasticSkin:
     def __init__(self, law: ForceLaw, relaxation: tuple[tuple[float, float], ...]) -> None:
         self.law = law
         self._branches = relaxation
-        self._held = np.zeros(len(relaxation))
+        self._memory = np.zeros(len(relaxation))
         self._reached_m = np.zeros(len(relaxation))
         self._last = 0.0
 
@@ -51,9 +51,9 @@ class ViscoelasticSkin:
             fades = math.exp(-step_s / time_s)
             # A change is spread over its step, so that half of the step's fading has happened to it.
             gain = share * math.exp(-step_s / 2 / time_s)
-            held, after = lfilter([gain], [1.0, -fades], change, zi=[fades * self._held[i]])
-            self._held[i] = after[0] / fades
-            total += held
+            memory, after = lfilter([gain], [1.0, -fades], change, zi=[fades * self._memory[i]])
+            self._memory[i] = after[0] / fades
+            total += memory
             pressed = np.maximum(depth_m, 0.0)
             reached, _ = lfilter([1.0 - fades], [1.0, -fades], pressed, zi=[fades * self._reached_m[i]])
             self._reached_m[i] = reached[-1] if len(reached) else self._reached_m[i]
@@ -66,7 +66,7 @@ class ViscoelasticSkin:
         whole = 1.0 + sum(share for share, _ in self._branches)
         dents = zip(self._branches, self._reached_m, strict=True)
         left = tuple(float(share / whole * reached) for (share, _), reached in dents)
-        self._held[:], self._reached_m[:], self._last = 0.0, 0.0, 0.0
+        self._memory[:], self._reached_m[:], self._last = 0.0, 0.0, 0.0
         return left
 
     def radius_at(self, depth_m: float) -> float:
@@ -308,20 +308,20 @@ class World:
 
     def _play(self, times: Series) -> Float[ndarray, "n 3"]:
         """The stage's own places, less what the backlash swallows; each move runs one way along each axis."""
-        asked = np.empty((len(times), 3))
+        targets = np.empty((len(times), 3))
         left = np.ones(len(times), dtype=bool)
         for motion in reversed(self._motions):  # the last ones first: there are seldom more than two
             during = left & (times >= motion.begun_s)
             if during.any():
-                asked[during] = motion.at(times[during])
+                targets[during] = motion.at(times[during])
                 left &= ~during
             if not left.any():
                 break
-        asked[left] = self._motions[0].start_m
+        targets[left] = self._motions[0].start_m
         half = self.variation.backlash_m / 2
-        played = np.empty_like(asked)
+        played = np.empty_like(targets)
         at = self._played
-        for i, place in enumerate(asked):
+        for i, place in enumerate(targets):
             at = np.clip(at, place - half, place + half)
             played[i] = at
         self._played = at

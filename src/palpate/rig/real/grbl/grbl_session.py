@@ -179,9 +179,9 @@ class GrblSession:
         Raises:
             DeviceError: it could not be brought to a stand, or its place was lost.
         """
-        lost_before, held = self.lost, self.link.restless
+        lost_before, holding = self.lost, self.link.restless
         # Homing ignores a hold, and answers nothing until it ends.
-        stood, stood_mm = (None, None) if self.homing else self._await_stand(held)
+        stood, stood_mm = (None, None) if self.homing else self._await_stand(holding)
         self.note_restart()
         if stood is None:
             self.lose("it had to be reset while it may have been moving")
@@ -203,10 +203,10 @@ class GrblSession:
         if self.lost and (stood is None or not lost_before):
             raise DeviceError(f"the stage stands, but its position was lost: {self.lost}; {_HOW}")
 
-    def _await_stand(self, held: bool) -> tuple[GrblStatus | None, Millimetres | None]:
+    def _await_stand(self, holding: bool) -> tuple[GrblStatus | None, Millimetres | None]:
         """The first report of a stand that can be trusted, and the place; None where none comes in time."""
         began_ns, previous = self.clock.now_ns(), None
-        held_ns = began_ns if held else began_ns - round(_HOLD_AGAIN_S * NS_PER_S)
+        held_ns = began_ns if holding else began_ns - round(_HOLD_AGAIN_S * NS_PER_S)
         while self.clock.now_ns() - began_ns < (self.spec.stop_s + self._slowing_s) * NS_PER_S:
             status = self.link.ask()
             if status is None:
@@ -215,12 +215,12 @@ class GrblSession:
             if _held_still(status):
                 return status, place_mm
             # Idle can be of the moment before the hold was taken up; the same twice cannot.
-            if status.state in _STANDS and (previous == status or not held):
+            if status.state in _STANDS and (previous == status or not holding):
                 return status, place_mm
             going = status.state not in _STANDS and status.state is not GrblState.HOLD
             if going and self.clock.now_ns() - held_ns >= _HOLD_AGAIN_S * NS_PER_S:
                 self.link.hold()  # the first may have been lost, or was never sent
-                held, held_ns = True, self.clock.now_ns()
+                holding, held_ns = True, self.clock.now_ns()
             previous = status
             self.clock.sleep(self.spec.poll_s)
         return None, None

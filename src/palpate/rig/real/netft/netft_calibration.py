@@ -93,20 +93,20 @@ def calibration(page: bytes) -> NetFTCalibration:
     Raises:
         ProtocolError: it is not such a page, or a field is missing, double, not a number or of no known unit.
     """
-    told = _fields(page)
+    fields = _fields(page)
     for name in _REQUIRED:
-        if not told.get(name):
+        if not fields.get(name):
             raise ProtocolError(f"the box's page has no {name}; is there a Net F/T box at this address?")
-    force_n, torque_nm = _unit(told, "scfgfu", FORCE_N), _unit(told, "scfgtu", TORQUE_NM)
-    rate, ranges = told.get("comrdtrate"), told.get("cfgmr")
+    force_n, torque_nm = _unit(fields, "scfgfu", FORCE_N), _unit(fields, "scfgtu", TORQUE_NM)
+    rate, ranges = fields.get("comrdtrate"), fields.get("cfgmr")
     return NetFTCalibration(
-        product=told["prodname"],
-        serial=told.get("cfgcalsn", ""),
-        counts_per_n=_per_si("cfgcpf", told, force_n),
-        counts_per_nm=_per_si("cfgcpt", told, torque_nm),
+        product=fields["prodname"],
+        serial=fields.get("cfgcalsn", ""),
+        counts_per_n=_per_si("cfgcpf", fields, force_n),
+        counts_per_nm=_per_si("cfgcpt", fields, torque_nm),
         rate_hz=None if rate is None else _positive("comrdtrate", rate),
         range_n=None if ranges is None else _range(ranges, force_n),
-        device_bias=told.get("setbias", ""),
+        device_bias=fields.get("setbias", ""),
     )
 
 
@@ -114,23 +114,23 @@ def _fields(page: bytes) -> dict[str, str]:
     """The text of every field of interest on the page, each at most once."""
     if len(page) > MAX_PAGE_BYTES:
         raise ProtocolError(f"the box's page is longer than {MAX_PAGE_BYTES} bytes; it is not a Net F/T page")
-    told: dict[str, str] = {}
+    fields: dict[str, str] = {}
     inside: list[str] = []
 
     def start(name: str, _: dict[str, str]) -> None:
-        if inside and inside[-1] in told:
+        if inside and inside[-1] in fields:
             raise ProtocolError(f"the field {inside[-1]} of the box's page holds more than text")
-        if name in told:
+        if name in fields:
             raise ProtocolError(f"the box's page has {name} twice; which one holds is not known")
         if name in _REQUIRED or name in _OPTIONAL:
-            told[name] = ""
+            fields[name] = ""
         inside.append(name)
 
     def text(data: str) -> None:
-        if inside and inside[-1] in told:
+        if inside and inside[-1] in fields:
             name = inside[-1]
-            told[name] += data
-            if len(told[name]) > MAX_CHARACTERS:
+            fields[name] += data
+            if len(fields[name]) > MAX_CHARACTERS:
                 raise ProtocolError(f"{name} on the box's page is longer than {MAX_CHARACTERS} characters")
 
     def refuse(*_: object) -> None:
@@ -146,7 +146,7 @@ def _fields(page: bytes) -> dict[str, str]:
         parser.Parse(page, True)
     except (expat.ExpatError, LookupError, ValueError) as error:  # the last two: encodings Python has not
         raise ProtocolError(f"the box's page is not XML ({error}); is there a Net F/T box there?") from error
-    return {name: value.strip(" \t\r\n") for name, value in told.items()}
+    return {name: value.strip(" \t\r\n") for name, value in fields.items()}
 
 
 def _number(name: str, text: str) -> float:
@@ -163,20 +163,20 @@ def _positive(name: str, text: str) -> float:
     return value
 
 
-def _unit(told: dict[str, str], name: str, known: dict[str, float]) -> float:
-    if told[name] not in known:
+def _unit(fields: dict[str, str], name: str, known: dict[str, float]) -> float:
+    if fields[name] not in known:
         raise ProtocolError(
-            f"{name} on the box's page is {told[name]!r}, which is no known unit; "
+            f"{name} on the box's page is {fields[name]!r}, which is no known unit; "
             f"set the box to one of {', '.join(known)}"
         )
-    return known[told[name]]
+    return known[fields[name]]
 
 
-def _per_si(name: str, told: dict[str, str], unit: float) -> float:
+def _per_si(name: str, fields: dict[str, str], unit: float) -> float:
     """Counts a newton or newton metre, from counts a unit; refused where the counts' rails overflow."""
-    value = _positive(name, told[name]) / unit
+    value = _positive(name, fields[name]) / unit
     if not (value > 0 and math.isfinite(value) and math.isfinite(2.0**31 / value)):
-        raise ProtocolError(f"{name} on the box's page is {told[name]!r}, which no transducer has")
+        raise ProtocolError(f"{name} on the box's page is {fields[name]!r}, which no transducer has")
     return value
 
 

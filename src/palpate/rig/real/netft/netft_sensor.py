@@ -68,8 +68,8 @@ class NetFTSettings:
     def __post_init__(self) -> None:
         seconds = (self.silence_s, *self.retry_s, self.start_wait_s, self.http_timeout_s)
         rate_hz = 1.0 if self.rate_hz is None else self.rate_hz
-        given = (*seconds, *(self.range_n or ()), self.start_tries, self.keep, rate_hz)
-        if not all(value > 0 and math.isfinite(value) for value in given):
+        numbers = (*seconds, *(self.range_n or ()), self.start_tries, self.keep, rate_hz)
+        if not all(value > 0 and math.isfinite(value) for value in numbers):
             raise RangeError(f"times [s], range [N], rate [Hz] and numbers have to be greater than 0: {self}")
         if self.recovery not in ("stop", "reconnect"):
             raise RangeError(f"recovery is {self.recovery!r}; give 'stop' or 'reconnect'")
@@ -142,7 +142,7 @@ class Samples:
             time_ns: when they came [ns].
         """
         try:
-            found = records(datagram)
+            batch = records(datagram)
         except ProtocolError as error:
             self.counts.malformed += 1
             self._malformed += 1
@@ -150,7 +150,7 @@ class Samples:
                 self.failure = ProtocolError(f"{MAX_MALFORMED} datagrams in a row were no records: {error}")
             return []
         self._malformed = 0
-        new = [record for record in found if self._is_new(record)]
+        new = [record for record in batch if self._is_new(record)]
         return [self._sample(record, time_ns) for record in new]
 
     def is_overdue(self, now_ns: int) -> bool:
@@ -327,13 +327,13 @@ class NetFT:
         return self._latest
 
     def _page(self, expected: NetFTCalibration | None) -> NetFTCalibration:
-        found = fetch(self._host, self._settings.http_port, self._settings.http_timeout_s)
-        if expected is not None and found != expected:
+        page = fetch(self._host, self._settings.http_port, self._settings.http_timeout_s)
+        if expected is not None and page != expected:
             raise _ChangedError(
-                f"its calibration, units or settings changed: {expected} became {found}; "
+                f"its calibration, units or settings changed: {expected} became {page}; "
                 "put them back, or begin anew with a new no-load force"
             )
-        return found
+        return page
 
     def _known_rate(self) -> float:
         rate = self.calibration.rate_hz or self._settings.rate_hz

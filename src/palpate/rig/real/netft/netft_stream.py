@@ -276,14 +276,14 @@ class RdtStream:
         """
         self._socket.settimeout(timeout_s)
         try:
-            datagram, told, _, _ = self._socket.recvmsg(MAX_BYTES + 1, 64)
+            datagram, ancillary, _, _ = self._socket.recvmsg(MAX_BYTES + 1, 64)
         except (TimeoutError, BlockingIOError):
             return None
         except OSError as error:
             raise DeviceError(
                 f"the network gave up ({error}); check the box's power and the cable"
             ) from error
-        self._last_ns = max(self._last_ns, self._clock.now_ns() - _waited_ns(told))
+        self._last_ns = max(self._last_ns, self._clock.now_ns() - _waited_ns(ancillary))
         return datagram, self._last_ns
 
     def close(self) -> None:
@@ -291,9 +291,9 @@ class RdtStream:
         self._socket.close()
 
 
-def _waited_ns(told: list[tuple[int, int, bytes]]) -> int:
+def _waited_ns(ancillary: list[tuple[int, int, bytes]]) -> int:
     """Time that a datagram lay in the kernel: between two readings of the wall clock, both taken now [ns]."""
-    for level, kind, data in told:
+    for level, kind, data in ancillary:
         if (level, kind, len(data)) == (socket.SOL_SOCKET, _STAMP_OPTION, _STAMP.size):
             seconds, ns = _STAMP.unpack(data)
             waited = time.time_ns() - seconds * NS_PER_S - ns
