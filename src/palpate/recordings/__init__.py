@@ -1,6 +1,7 @@
 """Recordings on disk: runs written, read, repaired, checked, packed, split, imported and exported.
 
-The names here load when they are first used, so that reading one image loads no table.
+The names here load when they are first used, so that reading one image loads no table. Whatever reads or
+writes a file raises `StorageError` where the disk is full or refuses.
 """
 
 from importlib import import_module

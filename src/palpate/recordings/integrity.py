@@ -91,7 +91,6 @@ def check(path: PathText) -> CheckReport:
 
     Raises:
         RecordingError: not a run.
-        StorageError: the disk refused.
     """
     run = Run.open(path)
     times = {channel: [_times_ns(segment, channel) for segment in run.segments] for channel in RECORDED}
@@ -191,7 +190,6 @@ def repair(run_path: PathText, new_path: PathText) -> RepairReport:
     Raises:
         ExistsError: `new_path` exists.
         RecordingError: `run_path` is not a run.
-        StorageError: the disk refused.
     """
     run = Run.open(run_path)
     if not run.segments:

@@ -94,7 +94,6 @@ def read_labels(path: PathText, *, kinds: Mapping[str, Kind] | None = None) -> p
         LabelError: the file is missing, empty, undecodable or ragged; a column is nameless or named twice;
             or a cell holds a formula, which a spreadsheet would run.
         MissingExtraError: it is a Parquet file, and pyarrow is not installed.
-        StorageError: the disk refused to read it.
     """
     path = Path(path)
     if not path.is_file():

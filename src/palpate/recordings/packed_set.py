@@ -81,7 +81,6 @@ class PackedSet:
         Raises:
             RecordingError: a part is missing, is cut short, or does not fit the card.
             MissingExtraError: its index was written as Parquet, and pyarrow is not installed.
-            StorageError: the disk refused.
         """
         folder = Path(folder)
         card = _read_card(folder)
@@ -191,7 +190,6 @@ def pack(
         ExistsError: `folder` exists.
         RecordingError: the run has no frames.
         InputError: the crop reaches outside an image.
-        StorageError: the disk is full, or refused.
     """
     if len(run) == 0:
         raise RecordingError(f"run {run.manifest.run_id} has no frames, so there is nothing to pack")

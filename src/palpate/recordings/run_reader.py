@@ -58,7 +58,6 @@ class Run:
 
         Raises:
             RecordingError: not a run, or one without a readable manifest.
-            StorageError: the disk refused.
         """
         path = Path(path)
         manifest = Manifest.read(path)

@@ -152,7 +152,6 @@ def open_segment(path: Path, now_ns: int) -> OpenedSegment:
     Raises:
         RecordingError: not a run, or another writer has it.
         ExistsError: another writer claimed the segment.
-        StorageError: the disk refused.
     """
     Manifest.read(path)
     with ExitStack() as undo:
@@ -249,7 +248,6 @@ class RunWriter:
 
         Raises:
             ExistsError: `path` exists.
-            StorageError: the disk refused.
         """
         buffer = _buffer(queue_frames, overflow)
         path, now_ns = Path(path), clock.now_ns()
@@ -273,7 +271,6 @@ class RunWriter:
 
         Raises:
             RecordingError: not a run, or another writer is recording into it.
-            StorageError: the disk refused.
         """
         buffer = _buffer(queue_frames, overflow)
         return cls(open_segment(Path(path), clock.now_ns()), clock, buffer)

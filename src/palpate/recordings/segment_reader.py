@@ -107,11 +107,7 @@ class SegmentScan:
 
 
 def scan(path: Path) -> SegmentScan:
-    """Find the chunks of a segment file, up to where it was cut.
-
-    Raises:
-        StorageError: the file cannot be read.
-    """
+    """Find the chunks of a segment file, up to where it was cut."""
     with storage_errors(path), path.open("rb") as file:
         size = path.stat().st_size
         damage = []
@@ -206,7 +202,6 @@ def read_chunk(path: Path, chunk: Chunk, *, check: bool = True) -> list[StoredMe
 
     Raises:
         RecordingError: the chunk is damaged; the message names neither file nor place.
-        StorageError: the file cannot be read.
     """
     with storage_errors(path), path.open("rb", buffering=0) as file:
         data = _bytes_at(file, chunk.offset, chunk.length)
@@ -266,11 +261,7 @@ def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 
 def verify(whole: SegmentScan) -> tuple[Damage, ...]:
-    """Compare every byte of a file with its checksums; what was found on the way, known damage included.
-
-    Raises:
-        StorageError: the file cannot be read.
-    """
+    """Compare every byte of a file with its checksums; what was found on the way, known damage included."""
     damage = list(whole.damage)
     if whole.data_end is None:
         return whole.damage

@@ -155,7 +155,6 @@ class Segment:
 
         Raises:
             ExistsError: the number is taken.
-            StorageError: the disk refused.
         """
         with ExitStack() as opened:
             files = []

@@ -37,7 +37,6 @@ def export_folder(run: Run, path: PathText, progress: Callable[[int, int], None]
     Raises:
         ExistsError: `path` exists.
         LabelError: a text of the run is one that a spreadsheet would run as a formula.
-        StorageError: the disk is full, or refused.
     """
     with new_folder(Path(path)) as building:
         _write_table(building / LABELS_NAME, _labels(run))

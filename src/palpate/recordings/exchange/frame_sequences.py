@@ -14,7 +14,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import BinaryIO, Protocol, runtime_checkable
 
 import cv2
@@ -44,7 +43,6 @@ class TiffFrames:
         Raises:
             ImageError: it is missing, damaged, no TIFF, of too many pages, or its first page is no 8-bit grey
                 or RGB image.
-            StorageError: the disk refused to read it.
         """
         self.path = Path(path)
         if not self.path.is_file():
@@ -73,7 +71,6 @@ class TiffFrames:
         Raises:
             RangeError: there is no such page.
             ImageError: it is damaged, or not as the first is.
-            StorageError: the disk refused to read it.
         """
         if not 0 <= index < len(self):
             raise RangeError(f"{self.path} has pages 0 to {len(self) - 1}, and {index} was asked for")
@@ -96,9 +93,7 @@ class TiffFrames:
     def __enter__(self) -> TiffFrames:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _checked(self, index: int) -> tifffile.TiffPage:
@@ -125,7 +120,6 @@ def write_tiff(path: Path, frames: Iterable[Image]) -> int:
     Raises:
         ExistsError: `path` exists.
         ImageError: there was none, one is no 8-bit grey or RGB image, or not of the first's size.
-        StorageError: the disk is full, or refused.
     """
     shapes: list[tuple[int, ...]] = []
     with new_file(path) as building, tifffile.TiffWriter(building) as writer:

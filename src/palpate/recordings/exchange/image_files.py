@@ -119,7 +119,6 @@ def read_image(path: PathText, *, max_pixels: int = 100_000_000) -> Image:
     Raises:
         ImageError: the file is missing, no file, empty, truncated, damaged, animated or of several pages,
             deeper than 8 bits, CMYK, with transparency, larger than `max_pixels`, or of another format.
-        StorageError: the disk refused to read it.
     """
     path = Path(path)
     data = _read_bytes(path, _HEADER_BYTES + _BYTES_PER_PIXEL * max_pixels)

@@ -106,7 +106,6 @@ def import_images(
         ImageError: an image cannot be read, or is not of the first one's size and kind.
         InputError: `folder` is none, or `rate_hz` is no rate or given beside `time_column`.
         RecordingError: `folder` was exported and its manifest is damaged.
-        StorageError: the disk is full, or refused.
     """
     folder, run, labels = Path(folder), Path(run), Path(labels)
     refuse_existing(run)

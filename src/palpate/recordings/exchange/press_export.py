@@ -54,7 +54,6 @@ def export_presses(run: Run, out: Path | None = None) -> PressFolder | None:
     Raises:
         ExistsError: `out` exists.
         RecordingError: a press has no force samples, or its frames do not follow one another.
-        StorageError: the disk is full, or refused.
     """
     presses = list(_presses(run))
     if not presses:

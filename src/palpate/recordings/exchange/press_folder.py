@@ -73,7 +73,6 @@ def press_folder(path: Path) -> PressFolder:
             twice.
         LabelError: `specimens.csv` cannot be read, names a specimen twice or one that has no folder, leaves
             one out, or holds a stiffness that is none.
-        StorageError: the disk refused to read it.
     """
     path = Path(path)
     path = path / PRESSES if (path / PRESSES).is_dir() and (path / MANIFEST).exists() else path
@@ -102,7 +101,6 @@ def write_specimens(folder: Path, stiffness_n_m: Mapping[str, float]) -> Path:
     Raises:
         InputError: a name that cannot be a folder's everywhere, or a stiffness that is none.
         ExistsError: the file is there.
-        StorageError: the disk is full, or refused.
     """
     for name, stiffness in stiffness_n_m.items():
         if not _PLAIN.fullmatch(name):
@@ -130,7 +128,6 @@ def write_press(folder: Path, press: str, frames: Iterable[Image], rows: pd.Data
     Raises:
         ExistsError: one of the files is there.
         ImageError: no frames, or one that is no such image.
-        StorageError: the disk is full, or refused.
     """
     tiff = folder / f"{press}.tif"
     write_tiff(tiff, frames)

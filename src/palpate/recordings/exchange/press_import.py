@@ -47,7 +47,6 @@ def import_press(
         ExistsError: `run` exists.
         ImageError: the frames cannot be read, or are not all of one kind.
         LabelError: the table cannot be read, or does not fit the frames.
-        StorageError: the disk is full, or refused.
     """
     refuse_existing(run)
     with open_sequence(frames) as sequence:

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler
 from socketserver import ThreadingTCPServer
 from threading import Event, Thread
-from types import TracebackType
 from typing import NamedTuple
 
 from palpate.core import InputError
@@ -170,9 +169,7 @@ class FakeNetFT:
     def __enter__(self) -> FakeNetFT:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def record(self) -> bytes:

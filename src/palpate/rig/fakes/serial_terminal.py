@@ -10,7 +10,6 @@ import select
 import threading
 import tty
 from contextlib import suppress
-from types import TracebackType
 from typing import Protocol, runtime_checkable
 
 from palpate.core import NS_PER_S, Clock, MonotonicClock
@@ -61,9 +60,7 @@ class FakeTerminal:
     def __enter__(self) -> FakeTerminal:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._ended.set()
         self._thread.join()
         self.unplug()

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from itertools import cycle
 from pathlib import Path
 from threading import Condition, Event, Thread
-from types import TracebackType
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import cv2
@@ -354,9 +353,7 @@ class UvcCamera:
     def __enter__(self) -> UvcCamera:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _open(self) -> None:

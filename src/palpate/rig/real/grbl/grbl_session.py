@@ -253,7 +253,7 @@ class GrblSession:
         self._boots = self.link.banners
         if status.state not in _STANDS:
             self.link.hold()
-            stood, _ = self._await_stand(held=True)
+            stood, _ = self._await_stand(holding=True)
             if stood is None or stood.state not in _STANDS:
                 self.reset()
         machine = read_machine(self.link)

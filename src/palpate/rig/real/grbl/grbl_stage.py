@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterable
-from types import TracebackType
 
 from palpate.core import NS_PER_S, Clock, DeviceError, MonotonicClock, Position, RangeError, Travel
 from palpate.rig.real.grbl.grbl_link import CutOffError, RefusedError, SerialPort, SilenceError, open_port
@@ -68,9 +67,7 @@ class GrblStage:
     def __enter__(self) -> GrblStage:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property

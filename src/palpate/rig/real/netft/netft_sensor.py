@@ -13,7 +13,6 @@ import math
 from collections import deque
 from dataclasses import asdict, dataclass, fields
 from threading import Event, Lock, Thread
-from types import TracebackType
 from typing import Literal
 
 from palpate.core import NS_PER_S, Clock, DeviceError, MonotonicClock, ProtocolError, RangeError, Wrench
@@ -316,9 +315,7 @@ class NetFT:
     def __enter__(self) -> NetFT:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _refuse_failed(self) -> Wrench:
