@@ -11,6 +11,7 @@ import typer
 
 from palpate.cli.verb_support import (
     Json,
+    NewCalibration,
     Quiet,
     columns_of,
     numbers_of,
@@ -26,7 +27,7 @@ Box = tuple[int, int, int, int]
 @reports_errors
 def calibrate(
     run: Annotated[Path, typer.Argument(help="Run to learn from.")],
-    out: Annotated[Path, typer.Option(help="Calibration folder to make; must not exist.")],
+    out: NewCalibration,
     targets: Annotated[
         str,
         typer.Option(
@@ -255,7 +256,7 @@ HEAD = ("target", "unit", "MAE before", "MAE after", "correction", "90 % interva
 def adapt(
     calibration: Annotated[Path, typer.Argument(help="Calibration folder; it is left as it is.")],
     run: Annotated[Path, typer.Argument(help="Labelled run of your own copy, ten presses or more.")],
-    out: Annotated[Path, typer.Option(help="Calibration folder to make; must not exist.")],
+    out: NewCalibration,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -319,7 +320,7 @@ def _cells(target: Any, corrections: dict[str, Any]) -> tuple[str, ...]:
 def quantise(
     calibration: Annotated[Path, typer.Argument(help="Calibration folder; left as it is.")],
     run: Annotated[Path, typer.Argument(help="The run that it was calibrated on.")],
-    out: Annotated[Path, typer.Option(help="Calibration folder to make; must not exist.")],
+    out: NewCalibration,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:

@@ -10,19 +10,13 @@ from typing import Annotated, ParamSpec, TypeVar
 
 import typer
 
-from palpate.cli.verb_support import Group, Json, reports_errors
+from palpate.cli.verb_support import Json, group, reports_errors
 from palpate.core import InputError
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
-app = typer.Typer(
-    cls=Group,
-    add_completion=False,
-    help="Work out force, depth, radius and pressure by a contact law.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
+app = group("Work out force, depth, radius and pressure by a contact law.")
 
 Radius = Annotated[float, typer.Option("--radius-mm", help="Radius of the sphere or punch [mm].")]
 Modulus = Annotated[float, typer.Option("--modulus-kpa", help="Young's modulus of the skin [kPa].")]
@@ -33,9 +27,7 @@ Lies = Annotated[str, typer.Option(help="How the layer lies on its base: bonded 
 
 
 def verb(law: Callable[P, dict[str, object]]) -> Callable[P, None]:
-    """Report errors as every verb of palpate does, and print what the law gave: in JSON, or a line a "
-    "number.
-    """
+    """Report errors as every verb does, and print the law's answer: in JSON, or a line a number."""
 
     @functools.wraps(law)
     def run(*args: P.args, **kwargs: P.kwargs) -> None:
@@ -134,9 +126,7 @@ def punch(
 @app.command()
 @verb
 def cone(
-    half_angle_deg: Annotated[
-        float, typer.Option("--half-angle-deg", help="From the cone's axis to its side [deg].")
-    ],
+    half_angle_deg: Annotated[float, typer.Option(help="From the cone's axis to its side [deg].")],
     modulus_kpa: Modulus,
     poisson: Poisson = 0.5,
     depth_mm: Depth = None,
@@ -202,16 +192,14 @@ def layer(
 def jkr(
     radius_mm: Radius,
     modulus_kpa: Modulus,
-    adhesion_j_per_m2: Annotated[
-        float, typer.Option("--adhesion-j-per-m2", help="Work of adhesion [J/m^2].")
-    ],
+    adhesion_j_per_m2: Annotated[float, typer.Option(help="Work of adhesion [J/m^2].")],
     poisson: Poisson = 0.5,
     depth_mm: Depth = None,
     force_n: Annotated[
-        float | None, typer.Option("--force-n", help="Force, a pull negative, instead of a depth [N].")
+        float | None, typer.Option(help="Force, a pull negative, instead of a depth [N].")
     ] = None,
     range_nm: Annotated[
-        float, typer.Option("--range-nm", help="Range of the surface forces, for Tabor's parameter [nm].")
+        float, typer.Option(help="Range of the surface forces, for Tabor's parameter [nm].")
     ] = 0.3,
     json_: Json = False,
 ) -> dict[str, object]:
@@ -243,12 +231,8 @@ def jkr(
 def ting(
     radius_mm: Radius,
     depth_mm: Annotated[float, typer.Option("--depth-mm", help="Greatest depth [mm].")],
-    equilibrium_kpa: Annotated[
-        float, typer.Option("--equilibrium-kpa", help="Modulus after a long time [kPa].")
-    ],
-    branch: Annotated[
-        list[str], typer.Option("--branch", help="MODULUS_KPA:TIME_S of a branch; give one or more.")
-    ],
+    equilibrium_kpa: Annotated[float, typer.Option(help="Modulus after a long time [kPa].")],
+    branch: Annotated[list[str], typer.Option(help="MODULUS_KPA:TIME_S of a branch; give one or more.")],
     rise_s: Annotated[float, typer.Option("--rise-s", help="Time to the greatest depth [s].")],
     fall_s: Annotated[float, typer.Option("--fall-s", help="Time back [s].")],
     hold_s: Annotated[float, typer.Option("--hold-s", help="Time at the greatest depth [s].")] = 0.0,

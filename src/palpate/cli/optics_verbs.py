@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import typer
 
-from palpate.cli.verb_support import Group, Json, Quiet, numbers_of, print_found, progress_bar, reports_errors
+from palpate.cli.verb_support import Json, Quiet, group, numbers_of, print_found, progress_bar, reports_errors
 from palpate.core import InputError
 
 
@@ -52,18 +52,7 @@ if TYPE_CHECKING:
     from palpate.calibration.stress_optic_fit import Disc, FringeFit, Strip
     from palpate.estimators.fringe_light import Polariscope
 
-app = typer.Typer(
-    cls=Group,
-    add_completion=False,
-    help="Light, stress and what a material makes of them.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
-
-
-@app.callback()
-def optics() -> None:
-    """Light, stress and what a material makes of them."""
+app = group("Light, stress and what a material makes of them.")
 
 
 @app.command("fit-c")
@@ -104,8 +93,8 @@ def fit_c(
     ] = 0.05,
     tone: Annotated[str, typer.Option(help="srgb, or linear where the numbers are light.")] = "srgb",
     out: Annotated[Path | None, typer.Option(help="PNG of the fit to make; must not exist.")] = None,
-    json_: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress bar.")] = False,
+    json_: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Fit the stress-optic coefficient C from photographs.
 

@@ -3,11 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from palpate.cli.verb_support import Group, Json, Quiet, print_found, progress_bar, reports_errors
+from palpate.cli.verb_support import (
+    Json,
+    Licence,
+    NewRun,
+    Origin,
+    Quiet,
+    group,
+    print_found,
+    progress_bar,
+    reports_errors,
+)
+
+if TYPE_CHECKING:
+    from palpate.recordings import ImportReport
 
 
 @reports_errors
@@ -15,10 +28,10 @@ def palm(
     folder: Annotated[
         Path, typer.Argument(help="Folder of Cycle_Indent5mm_r{row}c{col}_{cycle}.csv tables.")
     ],
-    run: Annotated[Path, typer.Argument(help="Run to make; must not exist.")],
+    run: NewRun,
     sensor: Annotated[str, typer.Option(help="What was recorded.")] = "palm",
-    licence: Annotated[str, typer.Option(help="Licence of the data.")] = "",
-    origin: Annotated[str, typer.Option(help="Where the data come from.")] = "",
+    licence: Licence = "",
+    origin: Origin = "",
     allow_unlabelled: Annotated[bool, typer.Option(help="Skip photographs that no table names.")] = False,
     json_: Json = False,
     quiet: Quiet = False,
@@ -39,22 +52,15 @@ def palm(
             allow_unlabelled=allow_unlabelled,
             progress=lambda done, total: progress("importing", done, total),
         )
-    units = ", ".join(f"{column} [{symbol}]" for column, symbol in report.units.items())
-    text = f"{run}: {report.frames} frames; columns with a unit: {units}"
-    result = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
-    print_found(result | {"unitless": list(report.unitless)}, text, json_)
+    _print_import(run, report, json_)
 
 
 Frames = Annotated[Path, typer.Argument(help="The frames of one press.")]
-Made = Annotated[Path, typer.Argument(help="Run to make; must not exist.")]
 Force = Annotated[Path, typer.Option(help="CSV or Parquet: samples of force and the frame each is of.")]
 ForceColumn = Annotated[str | None, typer.Option(help="Its column of force, if not a usual name.")]
 PositionColumn = Annotated[str | None, typer.Option(help="Its column of position, if not a usual name.")]
 Rate = Annotated[float | None, typer.Option(help="Rate of its rows [Hz], if it has no time_s.")]
 Sensor = Annotated[str, typer.Option(help="What was recorded.")]
-Licence = Annotated[str, typer.Option(help="Licence of the data.")]
-Origin = Annotated[str, typer.Option(help="Where the data come from.")]
-
 
 TIFF = """Import a press from a multi-page TIFF and its table of force.
 
@@ -69,7 +75,7 @@ Example: palpate import video press.avi RUN --force force.csv --rate-hz 30
 @reports_errors
 def press(
     frames: Frames,
-    run: Made,
+    run: NewRun,
     force: Force,
     force_column: ForceColumn = None,
     position_column: PositionColumn = None,
@@ -100,25 +106,19 @@ def press(
     print_found(result, f"{run}: {report.frames} frames with {', '.join(report.columns)}", json_)
 
 
-import_app = typer.Typer(
-    cls=Group,
-    help="Bring recordings from elsewhere into a run.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-)
+import_app = group("Bring recordings from elsewhere into a run.")
 
 
 @import_app.command("images")
 @reports_errors
 def import_images(
     folder: Annotated[Path, typer.Argument(help="Folder of images.")],
-    run: Annotated[Path, typer.Argument(help="Run to make; must not exist.")],
+    run: NewRun,
     labels: Annotated[Path, typer.Option(help="CSV or Parquet, one row an image; here or in the folder.")],
     image_column: Annotated[str, typer.Option(help="Label column that names the image file.")] = "image_file",
     sensor: Annotated[str, typer.Option(help="What the images are of.")] = "",
-    licence: Annotated[str, typer.Option(help="Licence of the data.")] = "",
-    origin: Annotated[str, typer.Option(help="Where the data come from.")] = "",
+    licence: Licence = "",
+    origin: Origin = "",
     rate_hz: Annotated[float | None, typer.Option(help="Frame rate, if the images are a sequence.")] = None,
     allow_unlabelled: Annotated[bool, typer.Option(help="Skip images without a row.")] = False,
     strict: Annotated[
@@ -147,16 +147,20 @@ def import_images(
             strict=strict,
             progress=lambda done, total: progress("importing", done, total),
         )
-    units = ", ".join(f"{column} [{symbol}]" for column, symbol in report.units.items())
-    text = f"{run}: {report.frames} frames; columns with a unit: {units or 'none'}"
-    if report.unitless:
-        text += f"; without: {', '.join(report.unitless)}"
     if report.no_targets:
         typer.echo(
             f"palpate: no unit in {', '.join(report.no_targets)}: these cannot be targets; rename such as "
             "depth to depth_mm and import again if one shall be",
             err=True,
         )
+    _print_import(run, report, json_)
+
+
+def _print_import(run: Path, report: ImportReport, json_: bool) -> None:
+    units = ", ".join(f"{column} [{symbol}]" for column, symbol in report.units.items())
+    text = f"{run}: {report.frames} frames; columns with a unit: {units or 'none'}"
+    if report.unitless:
+        text += f"; without: {', '.join(report.unitless)}"
     result = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
     print_found(result | {"unitless": list(report.unitless)}, text, json_)
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from palpate.cli.verb_support import Group, Json, Quiet, print_found, progress_bar, reports_errors
+from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar, reports_errors
 
 if TYPE_CHECKING:
     from palpate.devices.check.check_result import CheckResult
@@ -19,31 +19,10 @@ if TYPE_CHECKING:
     from palpate.recordings.clock_offset import Offset
     from palpate.rig import Status
 
-plan_app = typer.Typer(
-    cls=Group, add_completion=False, help="Plans of recordings.", no_args_is_help=True, rich_markup_mode=None
-)
-
-
-rig_app = typer.Typer(
-    cls=Group,
-    add_completion=False,
-    help="Rigs: stage, force sensor, camera.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
-
+plan_app = group("Plans of recordings.")
+rig_app = group("Rigs: stage, force sensor, camera.")
 
 SHOWN_IN = {"s": (1e3, "ms"), "m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
-
-
-@plan_app.callback()
-def start() -> None:
-    """Plans of recordings."""
-
-
-@rig_app.callback()
-def start_rig() -> None:
-    """Rigs: stage, force sensor, camera."""
 
 
 @reports_errors

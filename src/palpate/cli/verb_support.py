@@ -7,6 +7,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, Any, ParamSpec, TypeVar
 
 import typer
@@ -17,6 +18,10 @@ T = TypeVar("T")
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress bar.")]
+NewRun = Annotated[Path, typer.Argument(help="Run to make; must not exist.")]
+NewCalibration = Annotated[Path, typer.Option(help="Calibration folder to make; must not exist.")]
+Licence = Annotated[str, typer.Option(help="Licence of the data.")]
+Origin = Annotated[str, typer.Option(help="Where the data come from.")]
 
 
 class Group(TyperGroup):
@@ -35,6 +40,15 @@ class Group(TyperGroup):
         for heading, rows in sections.items():
             with formatter.section(heading):
                 formatter.write_dl(rows)
+
+
+def group(help_text: str) -> typer.Typer:
+    """Make a group of verbs; one of a single verb is a group as well."""
+    app = typer.Typer(
+        cls=Group, add_completion=False, help=help_text, no_args_is_help=True, rich_markup_mode=None
+    )
+    app.callback()(lambda: None)
+    return app
 
 
 def reports_errors(verb: Callable[P, T]) -> Callable[P, T]:
