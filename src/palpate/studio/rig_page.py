@@ -108,7 +108,7 @@ class RigPage:
 
     def _devices_card(self) -> None:
         with ui.element("section").classes("card"):
-            ui.html("<h2>RigMonitor</h2>", sanitize=False)
+            ui.html("<h2>Devices</h2>", sanitize=False)
             self._devices = ui.html("", sanitize=False).classes("devices").props('id="devices"')
 
     def _log_card(self) -> None:

@@ -10,7 +10,7 @@ says is checked then. Decoding loses what the codec has lost; touch is better re
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -269,39 +269,22 @@ IMAGES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp", *TIFFS})
 class FrameSequence(Protocol):
     """Images in time, which may be gone through more than once."""
 
-    def __len__(self) -> int:
-        """Number of frames."""
-        ...
-
-    def __iter__(self) -> Iterator[Image]:
-        """Each in turn."""
-        ...
+    def __len__(self) -> int: ...
+    def __iter__(self) -> Iterator[Image]: ...
 
 
 @dataclass(frozen=True)
-class ImageFolder:
-    """The images of a folder, in the order of their names."""
+class IndexedImages:
+    """Images that are read by their index, of a run or of a folder in the order of its names."""
 
-    paths: tuple[Path, ...]
-
-    def __len__(self) -> int:
-        return len(self.paths)
-
-    def __iter__(self) -> Iterator[Image]:
-        return (read_image(path) for path in self.paths)
-
-
-@dataclass(frozen=True)
-class RunImages:
-    """The images of a run."""
-
-    run: Run
+    count: int
+    read: Callable[[int], Image]
 
     def __len__(self) -> int:
-        return len(self.run)
+        return self.count
 
     def __iter__(self) -> Iterator[Image]:
-        return (frame.image for frame in self.run.frames())
+        return (self.read(i) for i in range(self.count))
 
 
 @contextmanager
@@ -315,12 +298,13 @@ def open_sequence(path: Path) -> Iterator[FrameSequence]:
     """
     path = Path(path)
     if (path / MANIFEST).is_file():
-        yield RunImages(Run.open(path))
+        run = Run.open(path)
+        yield IndexedImages(len(run), lambda i: run.frame(i).image)
     elif path.is_dir():
         images = tuple(sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGES))
         if not images:
             raise InputError(f"{path} holds no images ({', '.join(sorted(IMAGES))}) and is not a run")
-        yield ImageFolder(images)
+        yield IndexedImages(len(images), lambda i: read_image(images[i]))
     elif path.suffix.lower() in SUFFIXES:
         yield VideoFrames(path)
     elif path.suffix.lower() in TIFFS:

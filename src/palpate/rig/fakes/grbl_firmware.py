@@ -125,11 +125,6 @@ class GrblController:
             self._now_s += step_s
             self._tick(step_s)
 
-    def hit_limit(self) -> None:
-        """A limit switch closes."""
-        self._stop_dead()
-        self._lock(1)
-
     def _tick(self, step_s: float) -> None:
         if self._booting:
             self._boot()

@@ -23,17 +23,9 @@ _MAX_UNSENT = 1 << 20  # bytes, for a host that does not read
 class SerialDevice(Protocol):
     """Device at the other end of the wire; times are in seconds of the terminal's clock."""
 
-    def receive(self, data: bytes) -> None:
-        """Bytes from the host, now."""
-        ...
-
-    def take(self) -> bytes:
-        """Bytes for the host."""
-        ...
-
-    def run_to(self, now_s: float) -> None:
-        """Let time go by until then [s]."""
-        ...
+    def receive(self, data: bytes) -> None: ...  # from the host, now
+    def take(self) -> bytes: ...  # for the host
+    def run_to(self, now_s: float) -> None: ...  # let time go by until then
 
 
 class FakeTerminal:

@@ -36,22 +36,11 @@ WRITE_S = 1.0
 class SerialPort(Protocol):
     """Serial port, as far as the driver needs it; pyserial's `Serial` is one."""
 
-    def read(self, size: int = 1, /) -> bytes:
-        """Read up to `size` bytes, none after a short wait."""
-        ...
-
-    def write(self, data: bytes, /) -> int | None:
-        """Send, and say how many bytes went."""
-        ...
-
     @property
-    def in_waiting(self) -> int:
-        """Bytes that can be read at once."""
-        ...
-
-    def close(self) -> None:
-        """Close the port."""
-        ...
+    def in_waiting(self) -> int: ...
+    def read(self, size: int = 1, /) -> bytes: ...  # none after a short wait
+    def write(self, data: bytes, /) -> int | None: ...
+    def close(self) -> None: ...
 
 
 def open_port(name: str, baud: int, *, dtr: bool = False) -> SerialPort:
