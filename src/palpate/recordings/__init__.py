@@ -21,24 +21,21 @@ if TYPE_CHECKING:
     from palpate.recordings.splits import Split, split
 
 _MODULES = {
-    "check": "integrity",
-    "export_folder": "exchange.folder_export",
-    "import_images": "exchange.image_import",
-    "offset_between": "clock_offset",
-    "pack": "packed_set",
-    "read_image": "exchange.image_files",
-    "read_labels": "labels",
-    "repair": "integrity",
-    "split": "splits",
-    "CheckReport": "integrity",
-    "ImportReport": "exchange.image_import",
-    "Manifest": "manifest",
-    "Offset": "clock_offset",
-    "PackedSet": "packed_set",
-    "RepairReport": "integrity",
-    "Run": "run_reader",
-    "RunWriter": "run_writer",
-    "Split": "splits",
+    name: module
+    for module, names in {
+        "clock_offset": ("Offset", "offset_between"),
+        "exchange.folder_export": ("export_folder",),
+        "exchange.image_files": ("read_image",),
+        "exchange.image_import": ("ImportReport", "import_images"),
+        "integrity": ("CheckReport", "RepairReport", "check", "repair"),
+        "labels": ("read_labels",),
+        "manifest": ("Manifest",),
+        "packed_set": ("PackedSet", "pack"),
+        "run_reader": ("Run",),
+        "run_writer": ("RunWriter",),
+        "splits": ("Split", "split"),
+    }.items()
+    for name in names
 }
 
 __all__ = [

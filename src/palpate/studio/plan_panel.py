@@ -118,11 +118,11 @@ class PlanPanel:
         ).props("dense outlined").classes(f"field-{name.replace('.', '-')}")
 
     async def _changed(self, name: str, value: float | None, whole: bool) -> None:
-        held = int(value) if whole and value is not None and value == int(value) else value
-        if held == _get(self._current, name):
+        number = int(value) if whole and value is not None and value == int(value) else value
+        if number == _get(self._current, name):
             return
         draft = _copied(self._current)
-        _set(draft, name, held)
+        _set(draft, name, number)
         draft["name"] = "by-hand" if draft["name"] in PLANS else draft["name"]
         self._draft = draft
         await self._judge(draft)

@@ -154,8 +154,8 @@ class RigPage:
         self._state.set_text(text)
         self._state.classes(replace=f"state {kind}")
         if status is None:
-            said = "The rig's process cannot be reached. If it runs, it goes on; this page looks for it."
-            self._doing.set_content(f'<span style="color:{BAD}">{said}</span>')
+            message = "The rig's process cannot be reached. If it runs, it goes on; this page looks for it."
+            self._doing.set_content(f'<span style="color:{BAD}">{message}</span>')
             for button in (self._start, self._pause, self._resume, self._stop, self._abort):
                 button.disable()
             self._serial = -1
