@@ -160,11 +160,7 @@ class _TapSignals:
 
 
 def _taps(force: Series) -> int:
-    """Count of times that the force rises well above its noise and falls again.
-
-    Raises:
-        RangeError: never.
-    """
+    """Count of times that the force rises well above its noise and falls again."""
     greatest, rest = float(force.max()), float(np.median(np.sort(force)[: max(len(force) // 5, 1)]))
     # Of neighbours' differences, so that the taps themselves do not count as noise.
     noise = float(np.median(np.abs(np.diff(force, n=2)))) / (0.6745 * math.sqrt(6))
@@ -184,11 +180,7 @@ def _taps(force: Series) -> int:
 
 
 def _best(signals: _TapSignals, most_s: float) -> tuple[float, float]:
-    """The offset that leaves the least, and which share of the variance it explains.
-
-    Raises:
-        RangeError: it explains too little, lies at the end of what was looked at, or has a rival.
-    """
+    """The offset that leaves the least, and which share of the variance it explains."""
     offsets = np.linspace(-most_s, most_s, 2 * math.ceil(most_s / STEP_S) + 1)
     left = np.array([signals.squares(float(offset)) for offset in offsets])
     best = int(np.argmin(left))

@@ -23,11 +23,7 @@ Label = float | str | bool
 
 
 def finite(values: Sequence[float] | np.ndarray, count: int, what: str) -> list[float]:
-    """Convert so many finite numbers to plain floats.
-
-    Raises:
-        InputError: they are not.
-    """
+    """Convert so many finite numbers to plain floats."""
     try:
         array = np.asarray(values, np.float64)
     except (TypeError, ValueError):
@@ -162,11 +158,7 @@ def own_column(table: pd.DataFrame, name: str) -> pd.Series[Any]:
 
 
 def refuse_reserved(names: Sequence[str], source: str) -> None:
-    """Raise if a label's name begins as the code's own columns do.
-
-    Raises:
-        LabelError: one does.
-    """
+    """Raise if a label's name begins as the code's own columns do."""
     for name in names:
         if name.startswith(RESERVED):
             raise LabelError(
@@ -184,11 +176,7 @@ def rows_text(positions: np.ndarray | Sequence[int]) -> str:
 
 
 def refuse_formulas(table: pd.DataFrame, path: Path) -> None:
-    """Raise if a name or a text cell begins as a formula does, which a spreadsheet would run.
-
-    Raises:
-        LabelError: one does; the message names the row and the column.
-    """
+    """Raise if a name or a text cell begins as a formula does, which a spreadsheet would run."""
     for name in table.columns:
         if _is_formula(str(name)):
             raise LabelError(f"{path}, row 1: column name {name!r} begins as a formula does; rename it")

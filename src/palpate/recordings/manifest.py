@@ -151,11 +151,7 @@ class Manifest(BaseModel):
             raise RecordingError(f"{path} is damaged: {_first(e)}; restore it from a copy of the run") from e
 
     def write(self, run: PathText) -> None:
-        """Write the manifest into a run's folder, whole or not at all.
-
-        Raises:
-            ExistsError: one is there already.
-        """
+        """Write the manifest into a run's folder, whole or not at all."""
         with new_file(Path(run) / MANIFEST) as path:
             path.write_text(self.model_dump_json(indent=2) + "\n", encoding="utf-8")
 

@@ -126,11 +126,7 @@ def encode_json(fields: dict[str, Any]) -> bytes:
 
 
 def decode(data: memoryview, channel: Channel) -> Any:
-    """A message from its CDR bytes.
-
-    Raises:
-        RecordingError: they are not one.
-    """
+    """A message from its CDR bytes."""
     try:
         return _store().deserialize_cdr(data, channel.type)
     except (SerdeError, ValueError) as e:
@@ -138,11 +134,7 @@ def decode(data: memoryview, channel: Channel) -> Any:
 
 
 def decode_json(data: memoryview, channel: Channel) -> dict[str, Any]:
-    """The JSON object in a text message.
-
-    Raises:
-        RecordingError: it holds none.
-    """
+    """The JSON object in a text message."""
     try:
         fields = json.loads(decode(data, channel).data)
     except (ValueError, RecursionError) as e:

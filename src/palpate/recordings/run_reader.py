@@ -120,20 +120,12 @@ class Run:
         return self.frame(int(np.argmin(np.abs(self.times_s - time_s))))
 
     def frames(self) -> Iterator[Frame]:
-        """Frames, in order.
-
-        Raises:
-            RecordingError: one is damaged.
-        """
+        """Frames, in order."""
         return (self.frame(index) for index in range(len(self)))
 
     @cached_property
     def labels(self) -> pd.DataFrame:
-        """A row a frame, a column a label; NaN or None where it is not known.
-
-        Raises:
-            RecordingError: a label is not as the manifest has it.
-        """
+        """A row a frame, a column a label; NaN or None where it is not known."""
         rows = [about[1] for about in self._abouts]
         columns = {
             name: _column([row.get(name) for row in rows], kind)

@@ -147,12 +147,7 @@ class OpenedSegment:
 
 
 def open_segment(path: Path, now_ns: int) -> OpenedSegment:
-    """Claim the next segment of a run; it begins when the clock reads `now_ns`.
-
-    Raises:
-        RecordingError: not a run, or another writer has it.
-        ExistsError: another writer claimed the segment.
-    """
+    """Claim the next segment of a run; it begins when the clock reads `now_ns`."""
     Manifest.read(path)
     with ExitStack() as undo:
         lock_file = undo.enter_context(lock(path / MANIFEST))

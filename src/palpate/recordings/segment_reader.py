@@ -234,11 +234,7 @@ def _chunk_records(data: bytes, *, check: bool) -> memoryview:
 
 
 def messages(records: memoryview) -> Iterator[StoredMessage]:
-    """The messages among a chunk's records.
-
-    Raises:
-        RecordingError: the records do not fit each other.
-    """
+    """The messages among a chunk's records."""
     for opcode, body in _records(records):
         if opcode == Opcode.MESSAGE:
             if len(body) < _MESSAGE.size:
@@ -315,11 +311,7 @@ class StoredFrame:
         return contents[0]
 
     def image(self, *, check: bool = True) -> Image:
-        """The frame's image.
-
-        Raises:
-            RecordingError: it is damaged; the text names the file, the place and the remedy.
-        """
+        """The frame's image."""
         try:
             return image_files.decode(decode(self.message(check=check).data, FRAMES).data)
         except ImageError as e:

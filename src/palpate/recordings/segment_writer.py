@@ -151,11 +151,7 @@ class Segment:
 
     @classmethod
     def claim(cls, run: Path, number: int, about: dict[str, Any], time_ns: int) -> Segment:
-        """Create a segment that nobody else can then create.
-
-        Raises:
-            ExistsError: the number is taken.
-        """
+        """Create a segment that nobody else can then create."""
         with ExitStack() as opened:
             files = []
             for kind in KINDS:

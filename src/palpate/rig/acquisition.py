@@ -83,11 +83,7 @@ class Acquisition:
         self._press = press
 
     def burst(self, burst: Burst) -> None:
-        """Record the frames of a shot that are missing, at a stand.
-
-        Raises:
-            Tripped: the camera or the force sensor fails.
-        """
+        """Record the frames of a shot that are missing, at a stand."""
         begun_ns = self._rig.clock.now_ns()
         for i, k in enumerate(burst.missing):
             due_s = i * burst.every_s - (self._rig.clock.now_ns() - begun_ns) / NS_PER_S
@@ -210,11 +206,7 @@ class Acquisition:
 
 
 def drained(camera: FrameSource) -> list[tuple[int, Frame]]:
-    """Frames that a camera took meanwhile.
-
-    Raises:
-        Tripped: it failed.
-    """
+    """Frames that a camera took meanwhile."""
     try:
         return camera.drain()
     except DeviceError as e:
@@ -222,11 +214,7 @@ def drained(camera: FrameSource) -> list[tuple[int, Frame]]:
 
 
 def check_size(camera: FrameSource, frame: Frame) -> None:
-    """Refuse a frame of another size than the camera promised.
-
-    Raises:
-        Tripped: it is of another.
-    """
+    """Refuse a frame of another size than the camera promised."""
     width, height = camera.size_px
     if frame.image.shape[:2] != (height, width):
         raise Tripped(

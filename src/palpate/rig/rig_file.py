@@ -212,11 +212,7 @@ def open_rig(text: str, *, seed: int = 0) -> Rig:
 
 
 def sensor_named(text: str) -> str:
-    """The sensor of a virtual rig's name.
-
-    Raises:
-        InputError: there is no such sensor, or it breaks its contract.
-    """
+    """The sensor of a virtual rig's name."""
     name = text.removeprefix(PREFIX)
     try:
         sensor_of(name)
@@ -267,12 +263,7 @@ def _field(location: tuple[str | int, ...]) -> str:
 
 
 def rig_from(file: RigFile) -> Rig:
-    """Open what a file says.
-
-    Raises:
-        InputError: neither a virtual rig nor all parts of a real one.
-        DeviceError: see `open_rig`.
-    """
+    """Open what a file says."""
     if file.virtual is not None:
         if file.stage or file.force or file.camera:
             raise InputError(f"the rig {file.name!r} is virtual and names real devices; leave one out")

@@ -137,11 +137,7 @@ def done_in(run: Run) -> Done:
 
 
 def check_same_plan(run: Run, plan: RecordingPlan) -> None:
-    """Refuse to go on with another plan than the one that a run was begun with.
-
-    Raises:
-        RecordingError: the run has another plan, or none.
-    """
+    """Refuse to go on with another plan than the one that a run was begun with."""
     begun = fields_of(run, PLAN)
     if not begun:
         raise RecordingError(f"{run.path} was not recorded by a plan; name a new run")

@@ -55,9 +55,6 @@ def serve(client: RigClient, port: int, runs: Path) -> None:
         client: of the rig's process.
         port: on 127.0.0.1.
         runs: the folder that recordings go into, to be named on the page.
-
-    Raises:
-        MissingExtraError: NiceGUI is not installed.
     """
     check_needed()
     import uvicorn
@@ -102,11 +99,7 @@ def make_app(client: RigClient, runs: Path):  # type: ignore[no-untyped-def]
 
 
 def check_needed() -> None:
-    """Refuse to begin without what the pages are made with.
-
-    Raises:
-        MissingExtraError: NiceGUI is not installed.
-    """
+    """Refuse to begin without what the pages are made with."""
     try:
         import nicegui  # noqa: F401
     except ImportError as e:
@@ -114,11 +107,7 @@ def check_needed() -> None:
 
 
 def check_port(port: int) -> None:
-    """Refuse a port that is taken before anything is started.
-
-    Raises:
-        DeviceError: it is.
-    """
+    """Refuse a port that is taken before anything is started."""
     import socket
 
     try:

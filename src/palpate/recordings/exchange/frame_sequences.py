@@ -135,11 +135,7 @@ def write_tiff(path: Path, frames: Iterable[Image]) -> int:
 
 
 def page_offsets(file: BinaryIO, path: Path, most: int) -> list[int]:
-    """Offsets of every page's directory.
-
-    Raises:
-        ImageError: no TIFF, or a chain of directories that is no recording's.
-    """
+    """Offsets of every page's directory."""
     size = file.seek(0, 2)
     file.seek(0)
     order = _ORDERS.get(file.read(2))
@@ -227,11 +223,7 @@ class VideoFrames:
         return self._count
 
     def __iter__(self) -> Iterator[Image]:
-        """The frames in order.
-
-        Raises:
-            ImageError: fewer or more of them than the header says.
-        """
+        """The frames in order."""
         capture = cv2.VideoCapture(str(self.path))
         done = 0
         try:

@@ -43,11 +43,7 @@ _READ_AS = {0: cv2.IMREAD_GRAYSCALE, 2: cv2.IMREAD_COLOR_RGB}  # by PNG's colour
 
 
 def encode(image: Image) -> np.ndarray:
-    """PNG bytes ``[n]`` of an 8-bit grey ``[h w]`` or RGB ``[h w 3]`` image.
-
-    Raises:
-        ImageError: it cannot be encoded.
-    """
+    """PNG bytes ``[n]`` of an 8-bit grey ``[h w]`` or RGB ``[h w 3]`` image."""
     rows = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     done, data = cv2.imencode(".png", rows, _SETTINGS)
     if not done:

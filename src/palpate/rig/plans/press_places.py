@@ -83,11 +83,7 @@ class OnSkin(BaseModel):
 
     @property
     def reach_mm(self) -> float:
-        """Greatest distance of the probe's axis from the skin's centre.
-
-        Raises:
-            InputError: the probe is wider than the skin.
-        """
+        """Greatest distance of the probe's axis from the skin's centre."""
         return reach_mm(*self.sizes_mm())
 
     def holds(self, x_mm: float, y_mm: float) -> bool:
@@ -112,11 +108,7 @@ class Grid(OnSkin):
     pitch_mm: Positive = 7.0
 
     def places(self) -> tuple[Place, ...]:
-        """Row by row, from the top left, as the camera sees it.
-
-        Raises:
-            InputError: none is left.
-        """
+        """Row by row, from the top left, as the camera sees it."""
         reach = self.reach_mm
         middle = (self.per_side - 1) / 2
         places = [
@@ -148,11 +140,7 @@ class Scattered(OnSkin):
     seed: int = 0
 
     def places(self) -> tuple[Place, ...]:
-        """Places in the order they were drawn.
-
-        Raises:
-            InputError: they cannot lie so far apart.
-        """
+        """Places in the order they were drawn."""
         reach, rng = self.reach_mm, np.random.default_rng(self.seed)
         places: list[Place] = []
         for _ in range(MAX_TRIES * self.count):
@@ -184,11 +172,7 @@ class Listed(OnSkin):
     at_mm: Annotated[tuple[tuple[float, float], ...], Field(min_length=1)]
 
     def places(self) -> tuple[Place, ...]:
-        """Places in the order of the plan.
-
-        Raises:
-            InputError: one at which the probe reaches over the rim.
-        """
+        """Places in the order of the plan."""
         reach = self.reach_mm
         for x, y in self.at_mm:
             if not self.holds(x, y):
@@ -215,12 +199,7 @@ class Around(OnSkin):
     beyond_mm: Positive = 2.0
 
     def places(self) -> tuple[Place, ...]:
-        """The middle, then inside and outside along +x, -x, +y, -y.
-
-        Raises:
-            InputError: the probe reaches over the rim inside, or passes beside it outside; or there is no
-                round rim.
-        """
+        """The middle, then inside and outside along +x, -x, +y, -y."""
         if self.corners_mm:
             raise InputError("only a round skin is gone around; this sensor's outline is a polygon")
         (layer_mm, probe_mm), reach = self.sizes_mm(), self.reach_mm
@@ -248,11 +227,7 @@ Places = Annotated[Grid | Scattered | Listed | Around, Field(discriminator="kind
 
 
 def reach_mm(layer_mm: float, probe_mm: float) -> float:
-    """Greatest distance of the probe's axis from the layer's centre.
-
-    Raises:
-        InputError: the probe is wider than the layer.
-    """
+    """Greatest distance of the probe's axis from the layer's centre."""
     if probe_mm > layer_mm:
         raise InputError(f"a probe of {probe_mm:g} mm is wider than the layer, {layer_mm:g} mm")
     return (layer_mm - probe_mm) / 2

@@ -110,9 +110,6 @@ class FrameWatch:
 
         Args:
             stamp_ns: the driver's time of it [ns].
-
-        Raises:
-            DeviceError: it was the tenth in a row.
         """
         self._stamp(stamp_ns)
         self._broken += 1
@@ -329,11 +326,7 @@ class UvcCamera:
             return self._newest
 
     def drain(self) -> list[tuple[int, Frame]]:
-        """Frames since the last call or `grab`, oldest first; of the last half second at most.
-
-        Raises:
-            DeviceError: the camera has failed, and why.
-        """
+        """Frames since the last call or `grab`, oldest first; of the last half second at most."""
         with self._new:
             if self._failure:
                 raise DeviceError(f"the camera {self._name}: {self._failure}")

@@ -46,12 +46,7 @@ def main() -> int:
 
 
 def serve(rig: str, runs: Path, folder: Path | None, accelerated: bool, ended: threading.Event) -> None:
-    """Hold the rig until the event is set, or a client asks for the end.
-
-    Raises:
-        DeviceError: another process holds it, or a device does not answer.
-        InputError: there is no such rig.
-    """
+    """Hold the rig until the event is set, or a client asks for the end."""
     with hold(rig, folder):
         service = RigService(open_served_rig(rig, accelerated=accelerated), runs)
         server = RigServer(service)

@@ -228,11 +228,7 @@ class RigService:
         self._wish(OperatorCommand.PAUSE)
 
     def resume(self) -> None:
-        """Go on after a pause: the press that was left is approached anew.
-
-        Raises:
-            SafetyError: nothing is recorded.
-        """
+        """Go on after a pause: the press that was left is approached anew."""
         self._check_recording("resume")
         self._log.add("operator", "resume")
         self._control.resume()
@@ -268,11 +264,7 @@ class RigService:
         return self._estop
 
     def release(self) -> None:
-        """Take the emergency stop back; nothing moves until something is started.
-
-        Raises:
-            SafetyError: the recording that it ended has not ended yet.
-        """
+        """Take the emergency stop back; nothing moves until something is started."""
         with self._asking:
             if self._thread is not None:
                 self._thread.join(END_S)

@@ -40,11 +40,7 @@ def open_served_rig(name: str, *, accelerated: bool = False, seed: int = 0) -> S
 
 
 def rig_name(rig: str) -> str:
-    """Name a rig as its process does: by its name, or its file's whole path.
-
-    Raises:
-        InputError: there is no such rig, or its file is not one.
-    """
+    """Name a rig as its process does: by its name, or its file's whole path."""
     if is_virtual(rig):
         sensor_named(rig)
         return rig

@@ -65,9 +65,6 @@ def virtual_rig(
         age_s: of the oldest force that is moved on, where no limits are given; None for the usual one.
         force_hz: samples of force a second.
         askew_m: where the skin lies, from where the rig believes it to be.
-
-    Raises:
-        InputError: there is no such sensor, or it breaks a law of the contract.
     """
     name = f"{PREFIX}{sensor if isinstance(sensor, str) else sensor.name}"
     made = for_rig(sensor_of(sensor)) if isinstance(sensor, str) else sensor

@@ -172,11 +172,7 @@ class World:
         self._fresh: deque[Touch] = deque(maxlen=MAX_FRESH)
 
     def fit(self, indenter: str) -> None:
-        """Change what touches the skin, in the air.
-
-        Raises:
-            InputError: the sensor knows nothing of these words.
-        """
+        """Change what touches the skin, in the air."""
         self.probe: Probe = self.sensor.probe(indenter)
         self.specimen: Specimen | None = self.sensor.specimen(indenter)
         self._skin = ViscoelasticSkin(

@@ -76,10 +76,6 @@ def find_port(name: str) -> str:
 
     Args:
         name: a path, or the serial number of a USB adapter.
-
-    Raises:
-        MissingExtraError: pyserial is not installed.
-        DeviceError: no port has that path or serial number, or several have that number.
     """
     if os.sep in name and Path(name).exists():
         return name
@@ -220,11 +216,7 @@ class GrblLink:
             raise SilenceError(f"the stage's controller did not answer {line!r} in time")
 
     def ask(self, timeout_s: float | None = None) -> GrblStatus | None:
-        """The answer to a `?` asked now; None where none comes in time.
-
-        Raises:
-            DeviceError: the link is gone.
-        """
+        """The answer to a `?` asked now; None where none comes in time."""
         with self._asking:
             with self._news:
                 heard = self._heard
@@ -260,9 +252,6 @@ class GrblLink:
 
         Returns:
             Whether the banner came.
-
-        Raises:
-            DeviceError: the link is gone.
         """
         with self._news:
             banners = self.banners

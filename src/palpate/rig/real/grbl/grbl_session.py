@@ -59,11 +59,7 @@ class GrblSession:
             raise
 
     def look(self) -> tuple[GrblStatus, Millimetres]:
-        """The controller's state, and its place in machine coordinates [mm].
-
-        Raises:
-            DeviceError: it does not answer, has an alarm, restarted by itself, or is in an unknown state.
-        """
+        """The controller's state, and its place in machine coordinates [mm]."""
         self.check_alarm()
         status, place_mm = self._where()
         self._check_restart()
@@ -78,11 +74,7 @@ class GrblSession:
         return status, place_mm
 
     def standing(self) -> tuple[GrblStatus, Millimetres]:
-        """Look at a stage that must stand where it was left.
-
-        Raises:
-            DeviceError: it is not Idle, or not where it stood.
-        """
+        """Look at a stage that must stand where it was left."""
         status, place_mm = self.look()
         if status.state is not GrblState.IDLE:
             raise DeviceError(f"the stage is in {status.state}, not idle; stop() it first")
@@ -90,11 +82,7 @@ class GrblSession:
         return status, place_mm
 
     def check_place(self, place_mm: Millimetres) -> None:
-        """Compare a place with the way of the move, or with where it stood.
-
-        Raises:
-            DeviceError: it cannot have got there.
-        """
+        """Compare a place with the way of the move, or with where it stood."""
         stray = ""
         if self.move:
             stray = self.move.stray(place_mm)
@@ -127,11 +115,7 @@ class GrblSession:
         return True
 
     def need_known(self) -> None:
-        """Refuse to go on without a place.
-
-        Raises:
-            DeviceError: the place is not known.
-        """
+        """Refuse to go on without a place."""
         if self.link.dead:
             raise DeviceError(self.link.dead)
         self.check_alarm()
@@ -140,11 +124,7 @@ class GrblSession:
             raise DeviceError(f"the stage's position is not known: {self.lost}; {_HOW}")
 
     def need_homed(self) -> None:
-        """Refuse to move unhomed where the spec asks for homing.
-
-        Raises:
-            DeviceError: homing is off, was bypassed, or grblHAL says that it was not done.
-        """
+        """Refuse to move unhomed where the spec asks for homing."""
         if not self.spec.require_homed:
             return
         if not self.machine.homing:
@@ -157,11 +137,7 @@ class GrblSession:
             raise DeviceError("the stage is not homed, so its own limits do not hold; call home()")
 
     def check_alarm(self) -> None:
-        """Refuse to go on after an alarm.
-
-        Raises:
-            DeviceError: there was one; it is named.
-        """
+        """Refuse to go on after an alarm."""
         if self.link.alarm is not None:
             why = alarm_name(self.link.alarm)
             self.lose(f"it stopped with {why}")
@@ -226,11 +202,7 @@ class GrblSession:
         return None, None
 
     def reset(self) -> None:
-        """Reset the controller: of a stage that stands, this keeps the place and forgets answers still due.
-
-        Raises:
-            DeviceError: it does not come back.
-        """
+        """Reset the controller: where it stands, this keeps the place and forgets answers still due."""
         if not self.link.reset():
             self.lose("it did not come back from a reset")
             raise DeviceError(

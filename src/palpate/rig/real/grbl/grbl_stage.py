@@ -55,13 +55,7 @@ class GrblStage:
 
     @classmethod
     def open(cls, spec: GrblSpec, clock: Clock | None = None) -> GrblStage:
-        """Open the spec's port and get into step with what is there; a motion found under way is stopped.
-
-        Raises:
-            MissingExtraError: pyserial is not installed.
-            DeviceError: no such port, in use, or no GRBL controller at it.
-            RangeError: the spec's limits are wider than the machine.
-        """
+        """Open the spec's port and get into step with what is there; a motion found under way is stopped."""
         return cls(spec, open_port(spec.port, spec.baud, dtr=spec.dtr), clock)
 
     def __enter__(self) -> GrblStage:
@@ -147,7 +141,7 @@ class GrblStage:
         """
         halts = self._link.halts
         with self._lock:
-            home(self._session, halts)
+            _home(self._session, halts)
 
     def unlock(self) -> None:
         """Reset it and lift the lock of an alarm without homing; its position stays unknown.
@@ -156,7 +150,11 @@ class GrblStage:
             DeviceError: it is moving or refuses.
         """
         with self._lock:
-            unlock(self._session)
+            session = self._session
+            alarm = _clear(session)
+            session.lose(f"it was unlocked without homing, after {alarm or 'no alarm'}")
+            session.unlocked = True
+            session.link.command("$X")
 
     def reference(self, position_m: Position | None = None) -> None:
         """Take the caller's word for where it stands.
@@ -254,16 +252,8 @@ def _words(axes_mm: Iterable[float]) -> str:
     return "".join(f"{axis}{fixed(value)}" for axis, value in zip("XYZ", axes_mm, strict=True))
 
 
-def home(session: GrblSession, halts: int) -> None:
-    """Drive to the switches and take the machine's own coordinates from there.
-
-    Args:
-        session: with the stage's lock held.
-        halts: the link's count of halts when this was asked for.
-
-    Raises:
-        DeviceError: it is moving, has no switches, did not find them, or was stopped.
-    """
+def _home(session: GrblSession, halts: int) -> None:
+    """Home with the stage's lock held; `halts` is the link's count when this was asked for."""
     link = session.link
     _clear(session)
     session.lose("homing was not finished")
@@ -287,18 +277,6 @@ def home(session: GrblSession, halts: int) -> None:
     session.unlocked = False
     session.homed = True if session.homed is None else session.homed
     session.found(session.mount.at_origin())
-
-
-def unlock(session: GrblSession) -> None:
-    """Reset it and lift the lock of an alarm; its place stays unknown.
-
-    Raises:
-        DeviceError: it is moving, or refuses.
-    """
-    alarm = _clear(session)
-    session.lose(f"it was unlocked without homing, after {alarm or 'no alarm'}")
-    session.unlocked = True
-    session.link.command("$X")
 
 
 def _clear(session: GrblSession) -> str:

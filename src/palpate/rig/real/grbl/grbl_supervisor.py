@@ -147,11 +147,7 @@ def feed_mm_min(speed_m_s: float) -> float:
 
 
 def check_range(travel: Travel, position_m: Position, speed_m_s: float) -> None:
-    """Refuse what a stage cannot do.
-
-    Raises:
-        RangeError: the position lies outside the travel, or the speed is none that it can run at.
-    """
+    """Refuse what a stage cannot do."""
     for name, value, low, high in zip("xyz", position_m, travel.least_m, travel.greatest_m, strict=True):
         if not low - _ROUNDING_M <= value <= high + _ROUNDING_M:
             raise RangeError(
@@ -190,11 +186,7 @@ class GrblMachine:
 
     @classmethod
     def read(cls, settings: Mapping[int, str]) -> GrblMachine:
-        """Read the settings from their numbers and texts.
-
-        Raises:
-            DeviceError: one is missing, not a positive number, or it reports in inches.
-        """
+        """Read the settings from their numbers and texts."""
         if _number(settings, 13) != 0:
             raise DeviceError("the controller reports in inches ($13=1); set $13=0 on it")
         return cls(
@@ -217,11 +209,7 @@ class GrblMachine:
 
 
 def read_machine(link: GrblLink) -> GrblMachine:
-    """Ask for the settings.
-
-    Raises:
-        DeviceError: they do not come, or one that is needed cannot be read.
-    """
+    """Ask for the settings."""
     for _ in range(3):  # an answer to somebody else's line can come before the list
         settings = {line.number: line.text for line in link.command("$$") if isinstance(line, Setting)}
         if settings:

@@ -114,11 +114,7 @@ def request(command: RdtCommand, count: int = 0) -> bytes:
 
 
 def records(datagram: bytes) -> list[RdtRecord]:
-    """The records of one datagram, oldest first.
-
-    Raises:
-        ProtocolError: it is not one to forty whole records of 36 bytes.
-    """
+    """The records of one datagram, oldest first."""
     size = len(datagram)
     if size == 0 or size % RECORD_BYTES or size > MAX_BYTES:
         raise ProtocolError(
@@ -225,11 +221,7 @@ class RdtStream:
     """A connected UDP socket: the kernel drops what other addresses and other ports send to it."""
 
     def __init__(self, host: str, port: int, clock: Clock) -> None:
-        """Open the socket; nothing is sent yet.
-
-        Raises:
-            DeviceError: no such address.
-        """
+        """Open the socket; nothing is sent yet."""
         self._clock, self._last_ns = clock, clock.now_ns()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -270,9 +262,6 @@ class RdtStream:
 
         The time is the kernel's where it tells it, so a program that is late does not take an old sample for
         a fresh one.
-
-        Raises:
-            DeviceError: the network refused.
         """
         self._socket.settimeout(timeout_s)
         try:
