@@ -96,11 +96,7 @@ class Acquisition:
         self._recorder.event(SHOT, key=burst.shot.key, frames=len(burst.missing))
 
     def sweep(self, sweep: Sweep) -> None:
-        """Record frames as they come on the way down to the force or the depth, and back up.
-
-        Raises:
-            Tripped: the camera or the force sensor fails, or a guard stops the motion.
-        """
+        """Record frames as they come on the way down to the force or the depth, and back up."""
         x, y, z = self._guard.position_m()
         counter = iter(range(1_000_000_000))
         last_ns = self._rig.clock.now_ns()

@@ -58,16 +58,7 @@ def nobody(status: Status) -> None:
 
 
 class Engine:
-    """Recorder of one plan on one rig into one run.
-
-    Args:
-        rig: the devices.
-        plan: what is recorded.
-        writer: of the run.
-        done: what the run holds already.
-        control: through which the operator interrupts.
-        watch: told how far it is, a few times a second.
-    """
+    """Recorder of one plan on one rig into one run."""
 
     def __init__(
         self,

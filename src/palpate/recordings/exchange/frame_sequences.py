@@ -281,13 +281,7 @@ class IndexedImages:
 
 @contextmanager
 def open_sequence(path: Path) -> Iterator[FrameSequence]:
-    """Open whatever holds frames.
-
-    Raises:
-        InputError: nothing that does.
-        ImageError: it cannot be read.
-        RecordingError: a damaged run.
-    """
+    """Open whatever holds frames."""
     path = Path(path)
     if (path / MANIFEST).is_file():
         run = Run.open(path)

@@ -106,11 +106,7 @@ class FrameWatch:
         return (len(stamps) - 1) * NS_PER_S / (stamps[-1] - stamps[0]) if len(stamps) > 1 else None
 
     def broken(self, stamp_ns: int) -> None:
-        """Count a frame that could not be decoded.
-
-        Args:
-            stamp_ns: the driver's time of it [ns].
-        """
+        """Count a frame that could not be decoded."""
         self._stamp(stamp_ns)
         self._broken += 1
         self._broken_in_a_row += 1
@@ -118,16 +114,7 @@ class FrameWatch:
             raise DeviceError(f"{_MAX_BROKEN} frames in a row could not be decoded; try another cable")
 
     def is_new(self, picture: ndarray, stamp_ns: int, time_ns: int) -> bool:
-        """Whether a frame is another one than that before.
-
-        Args:
-            picture: as the camera gave it.
-            stamp_ns: the driver's time of it, on whatever clock [ns].
-            time_ns: when it came [ns].
-
-        Raises:
-            DeviceError: its size or format is another, or the camera froze.
-        """
+        """Whether a frame is another one than that before."""
         self._refuse_changed(picture)
         self._broken_in_a_row = 0
         self._stamp(stamp_ns)

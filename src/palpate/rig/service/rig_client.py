@@ -81,9 +81,6 @@ def launch(
         runs: the folder that recordings go into.
         accelerated: let a virtual rig's time run as fast as the machine can.
         folder: of the address file, where it is not the user's own.
-
-    Raises:
-        DeviceError: it ended at once, or did not begin to listen; the message says what it said.
     """
     words = ["-m", "palpate.rig.service", "--rig", rig, "--runs", str(runs.absolute())]
     words += ["--accelerated"] if accelerated else []

@@ -185,13 +185,7 @@ class RigService:
         self._log.add("rig", f"{self._rig.name} opened")
 
     def plan(self, what: str | Mapping[str, Any]) -> dict[str, Any]:
-        """Set what is recorded next, by name or by its fields; says how much that is.
-
-        Raises:
-            InputError: no such plan, or a field that is not one, or out of range.
-            Tripped: it leaves the rig's limits.
-            SafetyError: a recording is under way.
-        """
+        """Set what is recorded next, by name or by its fields; says how much that is."""
         with self._asking:
             self._check_at_rest("set a plan")
             plan = checked_plan(what, self._rig.design)
@@ -202,15 +196,7 @@ class RigService:
             return self._plan_facts
 
     def start(self, out: str) -> dict[str, Any]:
-        """Record the plan into a run of this name, or go on with one that is there.
-
-        Raises:
-            InputError: a name that is none.
-            SafetyError: a recording is under way, or the emergency stop holds the stage.
-            Tripped: the plan leaves the rig's limits.
-            RecordingError: the run has another plan.
-            StorageError: the disk refused before anything moved.
-        """
+        """Record the plan into a run of this name, or go on with one that is there."""
         with self._asking:
             path = self._runs / _run_name(out)
             self._check_at_rest("start")

@@ -31,10 +31,6 @@ def open_served_rig(name: str, *, accelerated: bool = False, seed: int = 0) -> S
         name: "virtual:" and a sensor's name, or the path of a rig's file.
         accelerated: let the virtual rig's time run as fast as the machine can; a file says so itself.
         seed: of a virtual rig; a file says so itself.
-
-    Raises:
-        InputError: there is no such rig, or its file is not one.
-        DeviceError: a device is missing, busy or refuses.
     """
     return _virtual(name, accelerated, seed) if is_virtual(name) else _of_file(Path(name))
 

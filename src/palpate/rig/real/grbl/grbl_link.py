@@ -44,12 +44,7 @@ class SerialPort(Protocol):
 
 
 def open_port(name: str, baud: int, *, dtr: bool = False) -> SerialPort:
-    """Open a port for this programme alone.
-
-    Raises:
-        MissingExtraError: pyserial is not installed.
-        DeviceError: there is no such port, it is in use, or it cannot be opened.
-    """
+    """Open a port for this programme alone."""
     serial = _serial()
     path = find_port(name)
     port = serial.Serial(

@@ -151,9 +151,6 @@ class GrblSession:
         Hold:0, forgets the rest of the move and keeps the count too. A jog that the hold itself cancels
         ends Idle and needs no reset. A reset in motion, which loses the count, is left for a controller
         that says nothing or does not come to a stand in time.
-
-        Raises:
-            DeviceError: it could not be brought to a stand, or its place was lost.
         """
         lost_before, holding = self.lost, self.link.restless
         # Homing ignores a hold, and answers nothing until it ends.

@@ -134,12 +134,7 @@ class Samples:
         self._stalled = self._stale = self._malformed = 0  # since the last new measurement
 
     def take(self, datagram: bytes, time_ns: int) -> list[Wrench]:
-        """The samples in a datagram. What ends the stream is told by `failure`, the sample included.
-
-        Args:
-            datagram: any bytes.
-            time_ns: when they came [ns].
-        """
+        """The samples in a datagram. What ends the stream is told by `failure`, the sample included."""
         try:
             batch = records(datagram)
         except ProtocolError as error:
@@ -278,11 +273,7 @@ class NetFT:
             return self._before.plus(self._samples.counts)
 
     def latest(self) -> Wrench:
-        """The newest sample. One with a fault has no numbers: its force and torque are not-a-number.
-
-        Raises:
-            DeviceError: the stream has failed, and why.
-        """
+        """The newest sample. One with a fault has no numbers: its force and torque are not-a-number."""
         with self._lock:
             return self._refuse_failed()
 

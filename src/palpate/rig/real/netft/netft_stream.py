@@ -97,13 +97,6 @@ class RdtRecord:
 def request(command: RdtCommand, count: int = 0) -> bytes:
     """The eight bytes that ask for something.
 
-    Args:
-        command: what.
-        count: after how many records the box shall stop by itself; 0 for never.
-
-    Raises:
-        RangeError: the count does not fit 32 bits.
-
     Example:
         >>> request(RdtCommand.START).hex(" ")
         '12 34 00 02 00 00 00 00'
