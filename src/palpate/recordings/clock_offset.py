@@ -227,7 +227,6 @@ def _with_interval(signals: _TapSignals, seconds: float, explained: float, taps:
 
 
 def _columns(force: Series) -> Columns:
-    """Columns of the law from force to signal."""
     F = np.clip(force, 0.0, None)
     return np.column_stack([np.ones_like(F), np.sqrt(F + SOFT), F, F**2])
 

@@ -118,13 +118,11 @@ def check(path: PathText) -> CheckReport:
 
 
 def _times_ns(segment: StoredSegment, channel: Channel) -> np.ndarray:
-    """Times of one channel's messages in one segment ``[n]`` [ns since 1970]."""
     source = segment.frames if channel is FRAMES else segment.messages(channel)
     return np.array([message.time_ns for message in source], np.int64)
 
 
 def _channel(parts: list[np.ndarray], dropped: int, *, measured: bool) -> ChannelReport:
-    """A channel from its times in each segment."""
     count = sum(len(part) for part in parts)
     gaps_s = np.concatenate([np.empty(0), *(np.diff(part) for part in parts)]) / NS_PER_S
     if not measured or not gaps_s.sum() > 0:

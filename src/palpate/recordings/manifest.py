@@ -169,7 +169,6 @@ def _nanoseconds(iso: str) -> int:
 
 
 def _first(error: ValidationError) -> str:
-    """The first thing that is wrong, in one line."""
     problem = error.errors(include_url=False, include_context=False)[0]
     where = ".".join(str(part) for part in problem["loc"])
     return f"{where}: {problem['msg']}" if where else problem["msg"]

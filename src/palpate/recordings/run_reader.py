@@ -198,7 +198,6 @@ class Run:
         ]
 
     def _abouts_of(self, segment: StoredSegment) -> dict[int, tuple[float | None, dict[str, Label]]]:
-        """Exposure and labels in one segment, by the sequence of the frame they belong to."""
         abouts = {}
         for message in segment.messages(LABELS):
             about = message_schema.decode_json(message.data, LABELS)

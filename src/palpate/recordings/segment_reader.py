@@ -216,7 +216,6 @@ def _bytes_at(file: BinaryIO, offset: int, length: int) -> bytes:
 
 
 def _chunk_records(data: bytes, *, check: bool) -> memoryview:
-    """The records within a chunk."""
     if len(data) < _CHUNK.size:
         raise RecordingError("a chunk is cut")
     opcode, length, _, _, size, crc, compressed, stored = _CHUNK.unpack_from(data)

@@ -169,7 +169,7 @@ class Acquisition:
             self._samples.popleft()
 
     def _mean_force(self, time_ns: int, exposure_s: float) -> Force:
-        """Over the exposure, on the force's clock; the nearest sample where none fell into it."""
+        """Mean over the exposure, on the force's clock; the nearest sample where none fell into it."""
         time_ns -= round(self.late_s * NS_PER_S)
         begun_ns = time_ns - exposure_s * NS_PER_S
         during = [force for at, force in self._samples if begun_ns <= at <= time_ns]

@@ -68,7 +68,7 @@ class ClockSync:
         return self._offset()
 
     def _once(self) -> None:
-        """Down until the force says so, and back."""
+        """Press until the force says so, and go back."""
         plan = self._plan
         x, y, z = self._guard.position_m()
         deepest_mm = plan.seek_mm + min(plan.deepest_mm, MAX_DEEP_MM)

@@ -166,7 +166,6 @@ class Engine:
                 assert_never(step)
 
     def _set_clocks(self, press: PlannedPress) -> None:
-        """Tap where the first press will be."""
         self._message = f"{press.place.name}: {self._plan.taps} taps, to set the clocks"
         self._motion.begin(press)
         self._motion.over(press.place.x_mm * 1e-3, press.place.y_mm * 1e-3)
@@ -184,7 +183,7 @@ class Engine:
             self._control.check()
 
     def _paused(self) -> None:
-        """Lifted, and watching, until resumed; raises `OperatorInterrupt` on anything stronger."""
+        """Wait lifted, and watch, until resumed; raises `OperatorInterrupt` on anything stronger."""
         self._motion.lift()
         self._turn(State.PAUSED, self._wanted or "paused by the operator")
         self._wanted = ""

@@ -162,7 +162,6 @@ class _Session:
 
 
 def _events(segment: StoredSegment) -> Iterator[tuple[int, str, dict[str, Any]]]:
-    """Time since 1970 [ns], kind and fields of each event."""
     for message in segment.messages(EVENTS):
         event = decode_json(message.data, EVENTS)
         fields = event.get("fields")

@@ -135,7 +135,6 @@ def _stage(rig: Rig, clear_m: float, sensed: bool) -> Part:
 
 
 def _box(rig: Rig, highest_z: float) -> Box:
-    """Box around where the stage stands, inside the soft limits, clear of the skin."""
     at, limits = rig.stage.position_m(), rig.limits
     least = [max(p - HALF_M, low) for p, low in zip(at, limits.least_m, strict=True)]
     most = [min(p + HALF_M, high) for p, high in zip(at, limits.greatest_m, strict=True)]

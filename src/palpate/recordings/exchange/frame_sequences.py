@@ -246,7 +246,7 @@ class VideoFrames:
 
 
 def _plain(frame: np.ndarray) -> Image:
-    """Grey if it is, else RGB."""
+    """Image in grey where all channels are one, else in RGB."""
     b, g, r = (frame[..., k] for k in range(3)) if frame.ndim == 3 else (frame, frame, frame)
     if np.array_equal(b, g) and np.array_equal(g, r):
         return np.ascontiguousarray(g)

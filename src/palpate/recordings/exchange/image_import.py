@@ -156,7 +156,6 @@ def _record(
     kept: pd.DataFrame,
     progress: Progress | None,
 ) -> None:
-    """Write the run; it appears whole or not at all."""
     with new_folder(run) as building:
         inner = building / "run"  # the writer makes its own folder
         with RunWriter.create(inner, manifest, clock=ManualClock(), overflow="wait") as writer:
@@ -266,7 +265,6 @@ def _shape_text(shape: tuple[int, ...]) -> str:
 
 
 def _times_ns(table: pd.DataFrame, source: Path, rate_hz: float | None, column: str | None) -> np.ndarray:
-    """Time of each frame, from the beginning of the run [ns]."""
     if column is None:
         if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
             raise InputError(f"rate {rate_hz} Hz: a rate is above 0 Hz; leave it out where there is none")

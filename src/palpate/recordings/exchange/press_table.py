@@ -145,7 +145,6 @@ def _named(
     what: str,
     must: bool = True,
 ) -> str | None:
-    """The column of a quantity."""
     column = wanted if wanted is not None else next((name for name in usual if name in table.columns), None)
     if column is None and not must:
         return None
@@ -167,7 +166,6 @@ def _si(table: pd.DataFrame, path: Path, name: str) -> Samples:
 
 
 def _areas(table: pd.DataFrame, path: Path, name: str) -> Samples:
-    """Areas, of which some may be missing."""
     bad = np.arange(len(table))
     if label_kinds(table)[name] == "number":
         values = table[name].to_numpy(np.float64)

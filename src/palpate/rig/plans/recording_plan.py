@@ -260,5 +260,4 @@ class RecordingPlan(BaseModel):
         raise NotImplementedError
 
     def _named(self, press: PlannedPress) -> str:
-        """The place's name, and the indenter's where there are several."""
         return press.place.name if len(self.indenters) == 1 else f"{press.place.name}@{press.indenter}"

@@ -398,7 +398,6 @@ class UvcCamera:
             self._new.notify_all()
 
     def _step(self) -> None:
-        """Read a frame, and keep it where it is a new one."""
         if not self._source.grab():
             raise DeviceError("it gives no frame: it was unplugged, or another program took it")
         self._last_ns = max(self._last_ns, self._clock.now_ns())  # before the frame is decoded
@@ -429,6 +428,5 @@ class UvcCamera:
 
 
 def _letters(fourcc: float) -> str:
-    """The four letters of a pixel format's number."""
     letters = (int(fourcc) & 0xFFFFFFFF).to_bytes(4, "little")
     return letters.decode("ascii") if letters.isalnum() else f"{fourcc:g}"

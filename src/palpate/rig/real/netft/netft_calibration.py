@@ -111,7 +111,6 @@ def calibration(page: bytes) -> NetFTCalibration:
 
 
 def _fields(page: bytes) -> dict[str, str]:
-    """The text of every field of interest on the page, each at most once."""
     if len(page) > MAX_PAGE_BYTES:
         raise ProtocolError(f"the box's page is longer than {MAX_PAGE_BYTES} bytes; it is not a Net F/T page")
     fields: dict[str, str] = {}

@@ -420,7 +420,6 @@ class NetFT:
             self._failure, self._latest = why, None
 
     def _step(self, stream: RdtStream) -> None:
-        """Receive once, or find that nothing new comes."""
         got = stream.receive(min(self._settings.silence_s / 2, _POLL_S))
         now_ns = self._clock.now_ns() if got is None else got[1]
         if got is None and self._samples.is_overdue(now_ns):
