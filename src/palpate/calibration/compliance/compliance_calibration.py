@@ -167,8 +167,8 @@ class ComplianceCalibration:
                 data = {name: held[name] for name in held.files}
             if (layout := int(data.pop("format"))) != FORMAT:
                 raise CertificateError(
-                    f"{path} has format {layout}, and palpate {__version__} reads format {FORMAT}: open it with "
-                    "the version of palpate that wrote it, or calibrate anew"
+                    f"{path} has format {layout}, and palpate {__version__} reads format {FORMAT}: open it "
+                    "with the version of palpate that wrote it, or calibrate anew"
                 )
             made = built(cls, data)
         except (KeyError, ValueError, TypeError, BadZipFile, EOFError) as e:
