@@ -13,7 +13,7 @@ from typer.main import get_command
 from palpate.cli.verb_support import Group
 from palpate.version import __version__
 
-__all__ = ["app", "main"]
+__all__ = ["ALIASES", "HEADINGS", "Group", "Root", "Verbs", "app", "main", "start"]
 
 HEADINGS: dict[str, dict[str, str]] = {
     "Record": {
