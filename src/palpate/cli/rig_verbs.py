@@ -240,7 +240,7 @@ def _signals_ask(control: OperatorControl) -> Iterator[None]:
 
     def ask(number: int, frame: object) -> None:
         control.ask(
-            OperatorCommand.ESTOP if control.asked is OperatorCommand.ABORT else OperatorCommand.ABORT
+            OperatorCommand.ESTOP if control.command is OperatorCommand.ABORT else OperatorCommand.ABORT
         )
 
     before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}

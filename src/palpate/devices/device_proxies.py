@@ -55,7 +55,7 @@ class ForceProxy(_Proxy):
         self._clock = clock
         self._lock = threading.Lock()
         self._recent: deque[Wrench] = deque(maxlen=MAX_SAMPLES)
-        self.asked: Wrench | None = None
+        self.newest: Wrench | None = None
 
     @property
     def rate_hz(self) -> float:
@@ -70,8 +70,8 @@ class ForceProxy(_Proxy):
     def latest(self) -> Wrench:
         """The newest sample."""
         with self._noting_errors():
-            self.asked = self._inner.latest()
-        return self.asked
+            self.newest = self._inner.latest()
+        return self.newest
 
     def drain(self) -> list[Wrench]:
         """All since the last call."""
@@ -133,7 +133,7 @@ class CameraProxy(_Proxy):
         """Let go of the device."""
         self._inner.close()
 
-    def came(self, now_ns: int) -> int:
+    def recent_count(self, now_ns: int) -> int:
         """Number of frames that came in the last `RATE_S` seconds."""
         return sum(now_ns - at <= RATE_S * NS_PER_S for at in tuple(self._came))
 

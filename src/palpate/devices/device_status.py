@@ -62,7 +62,7 @@ def camera_health(camera: CameraProxy, now_ns: int, recording: bool) -> dict[str
     if age_s > OLD_S:
         state = "ok" if recording else "silent"
         return _health("camera", state, f"{size}; the last {age_s:.0f} s ago")
-    return _health("camera", "ok", f"{size}; {camera.came(now_ns) / RATE_S:.1f} taken")
+    return _health("camera", "ok", f"{size}; {camera.recent_count(now_ns) / RATE_S:.1f} taken")
 
 
 def _health(name: str, state: str, detail: str) -> dict[str, str]:

@@ -49,7 +49,7 @@ class OperatorControl:
             self._changed.notify_all()
 
     @property
-    def asked(self) -> OperatorCommand | None:
+    def command(self) -> OperatorCommand | None:
         """The command that is asked for now."""
         return self._command
 

@@ -237,7 +237,7 @@ class _Connection:
             request = decode(line)
             if not self.admitted:
                 self._admit(request)
-                self._answer(request, {"rig": self._server.name})
+                self._reply(request, {"rig": self._server.name})
                 self.admitted = True
                 self._server.nudge()
                 return True
@@ -278,13 +278,13 @@ class _Connection:
 
     def _perform(self, request: Mapping[str, Any], ask: Request) -> None:
         try:
-            self._answer(request, ask(request))
+            self._reply(request, ask(request))
         except Exception as e:  # whatever a client sends, the process goes on, and the client is told
             self._refuse(request, e)
         finally:
             self._server.nudge()
 
-    def _answer(self, request: Mapping[str, Any], result: Any) -> None:
+    def _reply(self, request: Mapping[str, Any], result: Any) -> None:
         reply = {"id": _id(request), "ok": True, "serial": self._server.serial, "result": result}
         self.outbox.reply(reply)
 

@@ -101,7 +101,7 @@ class Engine:
         self._turn(State.RUNNING, "begun")
         try:
             for press in self._plan.presses():
-                if self._control.asked is OperatorCommand.STOP:
+                if self._control.command is OperatorCommand.STOP:
                     return self._over(State.STOPPED, "stopped by the operator")
                 self._finish(press)
         except OperatorInterrupt as interrupt:

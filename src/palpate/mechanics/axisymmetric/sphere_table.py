@@ -240,8 +240,7 @@ def press_finite_strain(
         disc_radius_m: of the disc, 5.7 R or more [m].
         friction: Coulomb's coefficient, one of the shipped.
         poisson_ratio: of the disc; that of the tables, 0.49.
-        x_m: columns of the surface grid [m]; by default 81 points over 1.5 R to each side of the pose.
-        y_m: its rows [m]; by default as many.
+        x_m, y_m: columns and rows of the surface grid [m]; by default 81 points over 1.5 R to each side.
 
     Returns:
         The contact. Its pressure is the vertical load per area seen from above, so that it sums to the force;

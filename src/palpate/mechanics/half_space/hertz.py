@@ -130,9 +130,8 @@ def press(
         probe: a sphere and its radius [m].
         pose: where, and how deep; depth 0 is first touch and gives no contact.
         youngs_modulus_pa, poisson_ratio: of the skin [Pa], 0 to 0.5.
-        x_m: columns of the surface grid in the sensor's frame [m]; by default 81 points over one sphere's
-            radius to each side of the pose.
-        y_m: its rows [m]; by default as many.
+        x_m, y_m: columns and rows of the surface grid in the sensor's frame [m]; by default 81 points each,
+            over one sphere's radius to each side of the pose.
 
     Returns:
         The contact: exact pressure and surface displacement, inside the contact and around it.

@@ -7,7 +7,7 @@ With 1/E = 1/E1 + 1/E2 and 1/R = 1/R1 + 1/R2 of two bodies, E_i = Young's modulu
 
 So objects under one finger feel alike to the arm where E sqrt(R) is equal, and alike to the skin where E / R
 is. Equations (1) and (2) of the softness display's report name these two rightly, but print their right-hand
-sides exchanged; here they stand resolved.
+sides exchanged; here they stand resolved. A partner that would have to be hollow raises RangeError.
 
 References: K. L. Johnson, Contact Mechanics (1985), ch. 4, doi:10.1017/CBO9781139171731; E. P. Scilingo,
 M. Bianchi, G. Grioli, A. Bicchi, Rendering softness, IEEE Trans. Haptics 3 (2010) 109,
@@ -64,21 +64,13 @@ class Body:
 
 
 def alike_to_the_arm(one: Body, finger: Body, modulus_pa: float) -> Body:
-    """The object of another modulus with the same force over displacement under this finger.
-
-    Raises:
-        RangeError: it would have to be hollow.
-    """
+    """The object of another modulus with the same force over displacement under this finger."""
     E1, E2 = one.against(finger).modulus_pa, Body(modulus_pa, 1.0).against(finger).modulus_pa
     return _partner(modulus_pa, (E1 / E2) ** 2 * one.against(finger).radius_m, finger)
 
 
 def alike_to_the_skin(one: Body, finger: Body, modulus_pa: float) -> Body:
-    """The object of another modulus with the same contact area over force under this finger.
-
-    Raises:
-        RangeError: it would have to be hollow.
-    """
+    """The object of another modulus with the same contact area over force under this finger."""
     E1, E2 = one.against(finger).modulus_pa, Body(modulus_pa, 1.0).against(finger).modulus_pa
     return _partner(modulus_pa, E2 / E1 * one.against(finger).radius_m, finger)
 

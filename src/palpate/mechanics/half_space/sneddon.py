@@ -208,9 +208,8 @@ def press(
         probe: shape ``"sphere"``, or ``"punch"`` with the radius of its flat end [m].
         pose: where, and how deep; depth 0 is first touch and gives no pressure.
         youngs_modulus_pa, poisson_ratio: of the skin [Pa], 0 to 0.5.
-        x_m: columns of the surface grid in the sensor's frame [m], evenly spaced; by default 81 points over
-            two contact or punch radii to each side of the pose.
-        y_m: its rows [m]; by default as many.
+        x_m, y_m: columns and rows of the surface grid in the sensor's frame [m], evenly spaced; by default 81
+            points each, over two contact or punch radii to each side of the pose.
 
     Returns:
         The contact; the pressure is that at the grid's points. A punch's is infinite at its edge, so within a

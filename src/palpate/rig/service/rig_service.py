@@ -75,9 +75,9 @@ class RigMonitor:
         """Take in what the engine says of force and position."""
         if status.position_mm is not None:
             self._at_mm = status.position_mm
-        if status.force_n is not None and self.force.asked is not None:
+        if status.force_n is not None and self.force.newest is not None:
             # The engine has just asked for this sample and taken its bias off: so that is the bias.
-            turned = self.rig.mounting.to_skin(self.force.asked.force_n)
+            turned = self.rig.mounting.to_skin(self.force.newest.force_n)
             x, y, z = (raw - own for raw, own in zip(turned, status.force_n, strict=True))
             self._bias = (x, y, z)
 
@@ -275,7 +275,7 @@ class RigService:
 
     def status(self) -> dict[str, Any]:
         """Status for a page, but for the picture; plain values."""
-        status, recording, command = self._status, self.recording, self._control.asked
+        status, recording, command = self._status, self.recording, self._control.command
         return {
             "rig": self._rig.name,
             "real_time": self._real_time,
