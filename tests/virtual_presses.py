@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from palpate.calibration.compliance.compliance_calibration import ReferenceSpecimen, ReferenceTrial
-from palpate.estimators.compliance.pin_press import UNTOUCHED_N, PinPress, watched
+from palpate.estimators.compliance.pin_press import UNTOUCHED_N, PinPress, follow_press
 from palpate.estimators.compliance.press_force import (
     CONTACT_N,
     loading,
@@ -24,12 +24,12 @@ NOISE_PX = 0.02  # of a pin's centre, as it is found in a frame
 
 def seen(made: Trial) -> ReferenceTrial:
     """Frames rendered, pins followed."""
-    press = watched(list(made.frames()), made.raw_n, made.frame_sample, made.actual_m, made.time_s)
+    press = follow_press(list(made.frames()), made.raw_n, made.frame_sample, made.actual_m, made.time_s)
     return ReferenceTrial(press, made.true_area_m2[made.frame_sample[press.frame]])
 
 
 def ideal(made: Trial, noise_px: float = NOISE_PX) -> ReferenceTrial:
-    """True centres with noise, at the frames that `watched` would use; no frame is rendered."""
+    """True centres with noise, at the frames that `follow_press` would use; no frame is rendered."""
     rng = np.random.default_rng([made.seed, 1])
     smooth = moving_average(without_spikes(made.raw_n))
     part = loading(smooth)

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError
-from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, finger_of, touched
+from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, fit_finger, invert_hertz
 from palpate.mechanics.half_space.hertz_pairs import Body, alike_to_the_arm, alike_to_the_skin
 
 FINGER = Body(1e5, 15e-3)
@@ -32,7 +32,7 @@ def press(thing: Body, rng=None, area=0.01, place_m=20e-6, offset_m=1e-3) -> Pre
 
 @pytest.mark.parametrize("thing", [B, C, D])
 def test_without_noise_modulus_and_radius_come_back(rng, thing) -> None:
-    found = touched([press(thing)], Finger(FINGER), rng)
+    found = invert_hertz([press(thing)], Finger(FINGER), rng)
     assert_allclose(found.modulus_pa[0], thing.modulus_pa, rtol=1e-6)
     assert_allclose(found.radius_m[0], thing.radius_m, rtol=1e-6)
     assert found.valid
@@ -40,7 +40,7 @@ def test_without_noise_modulus_and_radius_come_back(rng, thing) -> None:
 
 def test_pairs_that_one_cue_confuses_are_told_apart(rng) -> None:
     for one, other in ((A, B), (C, D)):
-        told = [touched([press(x, rng) for _ in range(5)], Finger(FINGER), rng) for x in (one, other)]
+        told = [invert_hertz([press(x, rng) for _ in range(5)], Finger(FINGER), rng) for x in (one, other)]
         soft, hard = sorted(told, key=lambda t: t.modulus_pa[0])
         assert soft.modulus_pa[2] < hard.modulus_pa[1]
 
@@ -48,7 +48,7 @@ def test_pairs_that_one_cue_confuses_are_told_apart(rng) -> None:
 def test_objects_that_yield_enough_are_measured_within_the_bars(rng) -> None:
     errors = []
     for thing in (B, C, D):
-        found = [touched([press(thing, rng) for _ in range(5)], Finger(FINGER), rng) for _ in range(20)]
+        found = [invert_hertz([press(thing, rng) for _ in range(5)], Finger(FINGER), rng) for _ in range(20)]
         assert all(f.valid for f in found)
         errors.append([abs(f.modulus_pa[0] / thing.modulus_pa - 1) for f in found])
         assert np.median([abs(f.radius_m[0] / thing.radius_m - 1) for f in found]) < 0.15
@@ -56,7 +56,7 @@ def test_objects_that_yield_enough_are_measured_within_the_bars(rng) -> None:
 
 
 def test_an_object_that_hardly_yields_is_marked(rng) -> None:
-    found = touched([press(A, rng)], Finger(FINGER), rng)
+    found = invert_hertz([press(A, rng)], Finger(FINGER), rng)
     assert not found.valid
     assert "9%" in found.why
 
@@ -64,7 +64,7 @@ def test_an_object_that_hardly_yields_is_marked(rng) -> None:
 def test_intervals_hold_as_often_as_they_say(rng) -> None:
     held = np.zeros(2)
     for _ in range(150):
-        found = touched([press(D, rng)], Finger(FINGER), rng)
+        found = invert_hertz([press(D, rng)], Finger(FINGER), rng)
         held += [
             found.modulus_pa[1] <= D.modulus_pa <= found.modulus_pa[2],
             found.radius_m[1] <= D.radius_m <= found.radius_m[2],
@@ -75,19 +75,19 @@ def test_intervals_hold_as_often_as_they_say(rng) -> None:
 def test_what_is_no_press_is_refused(rng) -> None:
     good = press(C)
     with pytest.raises(InputError, match="no press"):
-        touched([], Finger(FINGER), rng)
+        invert_hertz([], Finger(FINGER), rng)
     with pytest.raises(InputError, match="5 or more"):
-        touched(
+        invert_hertz(
             [PressCurves(*(x[:3] for x in (good.force_n, good.approach_m, good.area_m2)))],
             Finger(FINGER),
             rng,
         )
     with pytest.raises(InputError, match="turn the sign"):
-        touched([PressCurves(good.force_n, -good.approach_m, good.area_m2)], Finger(FINGER), rng)
+        invert_hertz([PressCurves(good.force_n, -good.approach_m, good.area_m2)], Finger(FINGER), rng)
     with pytest.raises(InputError, match="above 0"):
-        touched([PressCurves(good.force_n - 1, good.approach_m, good.area_m2)], Finger(FINGER), rng)
+        invert_hertz([PressCurves(good.force_n - 1, good.approach_m, good.area_m2)], Finger(FINGER), rng)
     with pytest.raises(InputError, match="loading part"):
-        touched([PressCurves(np.ones(9), np.ones(9), np.ones(9))], Finger(FINGER), rng)
+        invert_hertz([PressCurves(np.ones(9), np.ones(9), np.ones(9))], Finger(FINGER), rng)
 
 
 def rigid(finger: Body, rng=None) -> PressCurves:
@@ -98,13 +98,13 @@ def rigid(finger: Body, rng=None) -> PressCurves:
 
 
 def test_a_hertz_finger_is_found_from_its_presses_on_a_rigid_plate(rng) -> None:
-    found = finger_of([rigid(FINGER), rigid(FINGER)])
+    found = fit_finger([rigid(FINGER), rigid(FINGER)])
     assert_allclose(
         (found.body.modulus_pa, found.body.radius_m), (FINGER.modulus_pa, FINGER.radius_m), rtol=1e-6
     )
     assert found.misfit < 1e-6
     assert found.modulus_spread < 1e-6
-    noisy = finger_of([rigid(FINGER, rng) for _ in range(5)])
+    noisy = fit_finger([rigid(FINGER, rng) for _ in range(5)])
     assert_allclose(noisy.body.modulus_pa, FINGER.modulus_pa, rtol=0.01)
     assert noisy.modulus_spread > 0
 
@@ -113,11 +113,12 @@ def test_a_finger_that_stiffens_says_by_how_much(rng) -> None:
     """P^(2/3) over approach bends: the upper half of the forces has the stiffer line."""
     alone = rigid(FINGER)
     bent = PressCurves(alone.force_n, 6e-3 * (1 - np.exp(-alone.approach_m / 6e-3)), alone.area_m2)
-    found = finger_of([bent])
+    found = fit_finger([bent])
     assert 0.1 < found.misfit < 1
     assert_allclose(found.modulus_spread, found.misfit / 4, rtol=0.3)
     wide, tight = (
-        touched([press(D)], Finger(FINGER, spread, spread), rng) for spread in (found.modulus_spread, 0.0)
+        invert_hertz([press(D)], Finger(FINGER, spread, spread), rng)
+        for spread in (found.modulus_spread, 0.0)
     )
     assert np.diff(wide.modulus_pa[1:]) > np.diff(tight.modulus_pa[1:])
 
@@ -125,9 +126,9 @@ def test_a_finger_that_stiffens_says_by_how_much(rng) -> None:
 def test_a_press_too_short_to_halve_has_no_misfit() -> None:
     alone = rigid(FINGER)
     short = PressCurves(*(x[::8] for x in (alone.force_n, alone.approach_m, alone.area_m2)))
-    assert finger_of([short]).misfit == 0
+    assert fit_finger([short]).misfit == 0
 
 
 def test_a_finger_without_presses_is_refused() -> None:
     with pytest.raises(InputError, match="rigid plate"):
-        finger_of([])
+        fit_finger([])

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError
-from palpate.estimators.compliance.literature_method import AsReported, as_reported, over_pins
+from palpate.estimators.compliance.literature_method import AsReported, as_reported, circle_through_pins
 from palpate.estimators.pins import find_pins
 from palpate.sensors.tactip import HeadOn, tactip, trial
 
@@ -22,7 +22,7 @@ def made(pa: float, speed_m_s: float):
 def reported(pa: float = S1, speed_m_s: float = 5e-3) -> AsReported:
     press = made(pa, speed_m_s)
     frames = list(press.frames())
-    circle = over_pins(find_pins(frames[0]).xy_px, *frames[0].shape)
+    circle = circle_through_pins(find_pins(frames[0]).xy_px, *frames[0].shape)
     return as_reported(frames, press.raw_n, press.frame_sample, region=circle)
 
 
@@ -76,7 +76,7 @@ def test_what_a_press_does_not_allow_is_left_out(usual) -> None:
 
 def test_the_circle_goes_through_the_outermost_pin_and_passes_lost_ones_over() -> None:
     at = np.array([[50.0, 40.0], [70.0, 40.0], [30.0, 40.0], [50.0, 60.0], [50.0, 20.0], [np.nan, np.nan]])
-    circle = over_pins(at, 80, 100)
+    circle = circle_through_pins(at, 80, 100)
     assert circle.shape == (80, 100)
     assert circle[40, 70]
     assert not circle[40, 71]

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate.core.errors import ImageError, InputError
-from palpate.estimators.compliance.pin_press import watched
+from palpate.estimators.compliance.pin_press import follow_press
 from palpate.sensors.tactip import HeadOn, tactip, trial
 from palpate.sensors.tactip.tactip_camera import rendered
 
@@ -31,7 +31,7 @@ def watch(made, frames, **changed):
         "position_m": made.actual_m,
         "time_s": made.time_s,
     } | changed
-    return watched(frames, **given)
+    return follow_press(frames, **given)
 
 
 def test_a_good_press_is_followed_through_its_loading_part(made, frames) -> None:
@@ -92,7 +92,7 @@ def test_a_first_frame_that_is_touched_is_refused(made, frames) -> None:
     begin = int(np.argmax(made.true_force_n[made.frame_sample] > 0.3))
     late = made.frame_sample[begin]
     with pytest.raises(InputError, match="must be taken before contact"):
-        watched(frames[begin:], made.raw_n[late:], made.frame_sample[begin:] - late)
+        follow_press(frames[begin:], made.raw_n[late:], made.frame_sample[begin:] - late)
 
 
 def test_a_force_that_was_never_biased_is_refused(made, frames) -> None:
@@ -102,17 +102,17 @@ def test_a_force_that_was_never_biased_is_refused(made, frames) -> None:
 
 def test_too_few_frames_are_refused(made, frames) -> None:
     with pytest.raises(InputError, match=r"6 are needed.*more frames a second"):
-        watched(frames[::5], made.raw_n, made.frame_sample[::5])
+        follow_press(frames[::5], made.raw_n, made.frame_sample[::5])
 
 
 def test_a_single_frame_is_refused(made, frames) -> None:
     with pytest.raises(InputError, match="6 are needed"):
-        watched(frames[:1], made.raw_n, made.frame_sample[:1])
+        follow_press(frames[:1], made.raw_n, made.frame_sample[:1])
 
 
 def test_no_frame_is_refused(made) -> None:
     with pytest.raises(InputError, match="no frame"):
-        watched([], made.raw_n, made.frame_sample)
+        follow_press([], made.raw_n, made.frame_sample)
 
 
 def test_a_force_that_never_reaches_contact_is_refused(made, frames) -> None:

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.compliance.pin_press import PinPress, at_forces, laid_on
+from palpate.estimators.compliance.pin_press import PinPress, at_forces, motion_on_layout
 
 LEVELS = np.arange(1.0, 4.51, 0.5)
 
@@ -68,23 +68,23 @@ def moved(layout, rng) -> np.ndarray:
 
 def test_a_shift_of_the_image_is_undone(layout, moved) -> None:
     for shift in ((0.0, 0.0), (2.5, -1.5), (-40.0, 25.0)):
-        assert_allclose(laid_on(press(layout + shift, moved), layout), moved)
+        assert_allclose(motion_on_layout(press(layout + shift, moved), layout), moved)
 
 
 def test_the_order_of_the_pins_does_not_matter(layout, moved, rng) -> None:
     order = rng.permutation(len(layout))
-    found = laid_on(press(layout[order] + 1.0, moved[:, order]), layout)
+    found = motion_on_layout(press(layout[order] + 1.0, moved[:, order]), layout)
     assert_allclose(found, moved)
 
 
 def test_pins_a_little_out_of_place_are_still_the_same_pins(layout, moved, rng) -> None:
-    assert_allclose(laid_on(press(layout + rng.standard_normal(layout.shape), moved), layout), moved)
+    assert_allclose(motion_on_layout(press(layout + rng.standard_normal(layout.shape), moved), layout), moved)
 
 
 def test_lost_pins_are_nan_and_the_others_stay(layout, moved) -> None:
     gone = [0, 7, 30]
     moved[3, gone] = np.nan  # in one frame only
-    found = laid_on(press(layout + 2.0, moved), layout)
+    found = motion_on_layout(press(layout + 2.0, moved), layout)
     assert np.isnan(found[:, gone]).all()
     kept = np.delete(np.arange(len(layout)), gone)
     assert_allclose(found[:, kept], moved[:, kept])
@@ -92,7 +92,7 @@ def test_lost_pins_are_nan_and_the_others_stay(layout, moved) -> None:
 
 def test_pins_that_were_never_found_are_nan(layout, moved) -> None:
     kept = np.arange(len(layout)) % 10 != 0
-    found = laid_on(press(layout[kept], moved[:, kept]), layout)
+    found = motion_on_layout(press(layout[kept], moved[:, kept]), layout)
     assert np.isnan(found[:, ~kept]).all()
     assert_allclose(found[:, kept], moved[:, kept])
 
@@ -108,9 +108,9 @@ def test_another_layout_is_refused(layout, moved, other) -> None:
         "fewer": layout[: len(layout) // 2],
     }[other]
     with pytest.raises(InputError, match="calibrate for it"):
-        laid_on(press(at, np.ones((6, len(at), 2))), layout)
+        motion_on_layout(press(at, np.ones((6, len(at), 2))), layout)
 
 
 def test_a_press_without_pins_is_refused(layout, moved) -> None:
     with pytest.raises(InputError, match="every pin is lost"):
-        laid_on(press(layout, np.full_like(moved, np.nan)), layout)
+        motion_on_layout(press(layout, np.full_like(moved, np.nan)), layout)

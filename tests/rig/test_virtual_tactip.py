@@ -10,6 +10,7 @@ import pytest
 
 from palpate.calibration.compliance.compliance_calibration import ReferenceSpecimen, calibrate_compliance
 from palpate.calibration.compliance.compliance_reading import read_touch
+from palpate.calibration.compliance.press_cues import cues_of
 from palpate.core.errors import ExistsError
 from palpate.core.sensor import sensor
 from palpate.recordings.exchange.frame_sequences import TiffFrames
@@ -21,7 +22,6 @@ from palpate.rig import PLANS, State, record
 from palpate.rig.virtual import virtual_rig
 from palpate.rig.virtual.virtual_camera import TRANSPORT_S
 from palpate.rig.virtual.virtual_force import LATENCY_S
-from palpate.workflows.compliance.press_cues import cues_of
 
 TACTIP = sensor("tactip")
 FEW = PLANS["tactip"].model_copy(update={"indenters": ("rigid", "S3=1.1?"), "cycles": 1, "wait_s": 0.0})

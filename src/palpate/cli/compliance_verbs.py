@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from palpate.cli.verb_support import Group, Json, Quiet, print_found, progress_bar, reports_errors
+from palpate.core import refuse_existing
 
 READ = "read"
 
@@ -68,13 +69,21 @@ def read(
 
     Example: palpate compliance PRESS.tif --force force.csv --calibration tip.npz --out press
     """
-    from palpate.workflows.compliance import read_files
+    from palpate.calibration.compliance import press_record, read_press
 
-    found = read_files(
-        press, force, calibration=calibration, out=out,
+    if out is not None:
+        refuse_existing(out)
+    cues, touch = read_press(
+        press, force, calibration=calibration,
         force_column=force_column, position_column=position_column, rate_hz=rate_hz,
     )  # fmt: skip
-    print_found(found, _text(found), json_)
+    record = press_record(cues, touch)
+    if out is not None:
+        from palpate.reports.compliance_figures import write_press
+
+        write_press(out, record, cues, touch)
+        record["out"] = str(out)
+    print_found(record, _text(record), json_)
 
 
 @app.command()
@@ -93,7 +102,7 @@ def calibrate(
 
     Example: palpate compliance calibrate references --out tip.npz
     """
-    from palpate.workflows.compliance import calibrate_folder
+    from palpate.calibration.compliance import calibrate_folder
 
     with progress_bar(quiet) as progress:
         found = calibrate_folder(folder, out, tilt_deg=tilt_deg, note=note, progress=progress)
@@ -106,7 +115,7 @@ def calibrate(
         f"{out}: {found['calibration']}, {found['pins']} pins, on {names}",
         "each inner reference, read from the others: "
         + ("none is between two references" if between is None else f"off by up to {100 * between:.1f} %"),
-        _area_said(found["area_known"], found["area_error"]),
+        _area_error(found["area_known"], found["area_error"]),
     ]
     print_found(found, "\n".join(lines), json_)
 
@@ -128,9 +137,11 @@ def plate(
 
     Example: palpate compliance plate S1-plate-1.csv S1-plate-2.csv S1-plate-3.csv
     """
-    from palpate.workflows.compliance import by_plate
+    from palpate.calibration.compliance import plate_stiffness
 
-    found = by_plate(tables, force_column=force_column, position_column=position_column, rate_hz=rate_hz)
+    found = plate_stiffness(
+        tables, force_column=force_column, position_column=position_column, rate_hz=rate_hz
+    )
     low, high = found["low_N_per_mm"], found["high_N_per_mm"]
     ends = ", of one trial" if low is None else f" ({low:.3g} to {high:.3g}, bootstrap over trials)"
     lines = [
@@ -160,14 +171,18 @@ def compare(
 
     Example: palpate compliance compare experiment --calibration tip.npz --out compared
     """
-    from palpate.workflows.compliance import compare_specimens
+    from palpate.calibration.compliance import compare_specimens
+    from palpate.reports.compliance_figures import write_comparison
 
+    refuse_existing(out)
     with progress_bar(quiet) as progress:
-        found = compare_specimens(folder, out, calibration=calibration, pooled=pooled, progress=progress)
-    print_found(found, _compared(found), json_)
+        comparison = compare_specimens(folder, calibration=calibration, pooled=pooled, progress=progress)
+        write_comparison(out, comparison)
+    record = comparison.record | {"out": str(out)}
+    print_found(record, _compared(record), json_)
 
 
-def _area_said(known: bool, error: float | None) -> str:
+def _area_error(known: bool, error: float | None) -> str:
     if not known:
         return "contact area: fewer than two references have a known one"
     if error is None:
@@ -226,13 +241,15 @@ def _reading(one: dict[str, Any], common: list[str]) -> str:
 def _compared(found: dict[str, Any]) -> str:
     lines = []
     for cue, one in found["cues"].items():
-        told = ", ".join(
+        means = ", ".join(
             f"{name} {mean:.3g} ({one['interval_95'][name][0]:.3g} to {one['interval_95'][name][1]:.3g})"
             for name, mean in one["mean"].items()
         )
         worst = max(one["pairs"], key=lambda pair: pair["rank_sum_p"])
         missing = [name for name in found["trials"] if name not in one["mean"]]
-        lines.append(f"{cue}: {told}" + (f"; no two valid readings: {', '.join(missing)}" if missing else ""))
+        lines.append(
+            f"{cue}: {means}" + (f"; no two valid readings: {', '.join(missing)}" if missing else "")
+        )
         lines.append(
             f"    Kruskal-Wallis p {one['kruskal_p']:.2g}; least apart {worst['first']}, {worst['second']}: "
             f"rank-sum p {worst['rank_sum_p']:.2g} (at least {worst['least_p']:.2g} for so many trials)"

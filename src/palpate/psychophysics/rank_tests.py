@@ -26,6 +26,7 @@ from palpate.core import Float, InputError, ndarray
 MIN_FOR_LILLIEFORS = 4
 LILLIEFORS_DRAWS, LILLIEFORS_SEED = 9_999, 1967
 LILLIEFORS_VALUES = 10_000_000  # drawn at a time
+BOOTSTRAP_DRAWS = 2000
 POOLED = (
     "{samples} samples of {trials} trials are pooled: those of one trial are not independent, so p-values "
     "are far too small (pseudo-replication); compare one value a trial"
@@ -57,7 +58,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What the tests say.
+    """Results of the tests.
 
     Attributes:
         n: values in each group.
@@ -124,6 +125,16 @@ def compare(groups: Groups, *, pooled: bool = False) -> Comparison:
         pairs,
         _warnings(groups, pooled),
     )
+
+
+def bootstrap_interval(values: Sequence[float], seed: int = 0) -> tuple[float, float]:
+    """Interval of the mean by resampling trials: the percentile bootstrap at 95 %.
+
+    With few trials it covers less often than 95 %: about 83 % with five, 76 % with three, 50 % with two.
+    """
+    drawn = np.random.default_rng(seed).choice(np.asarray(values), (BOOTSTRAP_DRAWS, len(values)))
+    low, high = np.quantile(drawn.mean(axis=1), [0.025, 0.975])
+    return float(low), float(high)
 
 
 def _values(name: str, trials: Sequence[Any], pooled: bool) -> Values:

@@ -1,8 +1,11 @@
-"""Pictures of compliance by touch: one press, and several specimens beside each other."""
+"""Pictures and files of compliance by touch: one press, and several specimens beside each other."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -11,13 +14,63 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from palpate.calibration.compliance.compliance_calibration import ReferenceTrial
-from palpate.calibration.compliance.compliance_reading import PressReading
-from palpate.core import Float, ndarray
+from palpate.calibration.compliance.compliance_reading import PressReading, read_touch
+from palpate.calibration.compliance.press_cues import PressCues
+from palpate.calibration.compliance.specimen_comparison import LABELS, SpecimenComparison
+from palpate.core import Float, ndarray, new_folder, storage_errors
 from palpate.estimators.compliance.literature_method import AsReported
 from palpate.reports.calibration_figures import ACCENT, BAND, INK, STYLE
 
 COLOURS = ("#31688e", "#c0392b", "#35a36a", "#d8a013", "#7b4fa3", "#5b6b75")
 """For specimens in their order; the report's own are blue, (new: red,) green and yellow."""
+
+
+def write_press(out: Path, record: dict[str, Any], cues: PressCues, touch: PressReading | None) -> None:
+    """Write a press as a folder of ``readings.json`` and ``press.png``.
+
+    Raises:
+        ExistsError: `out` exists.
+    """
+    with new_folder(out) as building:
+        (building / "readings.json").write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
+        press_figure(cues.trial, touch, cues.reported).savefig(building / "press.png")
+
+
+def write_comparison(out: Path, comparison: SpecimenComparison) -> None:
+    """Write a comparison as a folder of ``trials.csv``, ``comparison.json`` and ``comparison.png``.
+
+    Raises:
+        ExistsError: `out` exists.
+        StorageError: the disk refused.
+    """
+    text = json.dumps(comparison.record, indent=1, allow_nan=False) + "\n"
+    with new_folder(out) as building, storage_errors(out):
+        comparison.table.to_csv(building / "trials.csv", index=False)
+        (building / "comparison.json").write_text(text)
+        comparison_figure(comparison).savefig(building / "comparison.png")
+
+
+def comparison_figure(comparison: SpecimenComparison) -> Figure:
+    """Area over force of all trials, relative without a calibration, and a panel of boxes for every cue."""
+    groups, table, calibration = comparison.groups, comparison.table, comparison.calibration
+    cues = {
+        label: {str(name): list(rows[cue].dropna()) for name, rows in table.groupby("specimen", sort=False)}
+        for cue, label in LABELS.items()
+        if cue in table
+    }
+    if calibration is None or calibration.area is None:
+        courses = {n: [(c.reported.force_n, c.reported.area) for c in each] for n, each in groups.items()}
+        return compare_figure(courses, "relative area, by divergence [-]", cues)
+    areas = {
+        name: [
+            (course.force_n, 1e6 * course.area_m2[:, 0])
+            for c in each
+            for course in [read_touch(calibration, [c.trial.press]).course]
+            if course is not None
+        ]
+        for name, each in groups.items()
+    }
+    return compare_figure(areas, "contact area [mm²]", cues)
 
 
 def press_figure(trial: ReferenceTrial, touch: PressReading | None, reported: AsReported) -> Figure:

@@ -1,3 +1,7 @@
-"""A TacTip calibrated on specimens of known stiffness, and what it then says of another."""
+"""Compliance by touch from recorded presses: calibrate on references, read a press, compare specimens."""
 
-__all__: list[str] = []
+from palpate.calibration.compliance.compliance_calibration import calibrate_folder
+from palpate.calibration.compliance.press_cues import plate_stiffness, press_record, read_press
+from palpate.calibration.compliance.specimen_comparison import compare_specimens
+
+__all__ = ["calibrate_folder", "compare_specimens", "plate_stiffness", "press_record", "read_press"]

@@ -1,12 +1,8 @@
-"""Nested dataclasses of arrays, numbers and words as one flat set of arrays, and back; no pickles.
+"""Compliance calibration of a TacTip on specimens of known stiffness, read from files and kept in one.
 
-A TacTip calibrated on specimens of known stiffness, and what it then says of another.
-
-Trials of a rigid plate and of soft references give the curve of `estimators.casr.softness`, by touch alone
-and with the approach beside it, and where the references' contact areas are known also the area fit. All is
-held in one file of plain arrays, whose contents name it.
-
-Presses from files: frames and table of one press, or the presses of an experiment's folder.
+Trials of a rigid plate and of soft references give the curve of `estimators.compliance.stiffness_curve`, by
+touch alone and with the approach beside it, and where the references' contact areas are known also the area
+fit. The file is one flat set of plain arrays, no pickles, and the calibration's id is that of its contents.
 """
 
 from __future__ import annotations
@@ -21,46 +17,55 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from palpate.core import CertificateError, Float, InputError, Shaped, ndarray, new_file, storage_errors
+from palpate.core import (
+    CertificateError,
+    Float,
+    InputError,
+    Shaped,
+    ndarray,
+    new_file,
+    refuse_existing,
+    storage_errors,
+)
 from palpate.estimators.compliance.contact_area import AreaFit, Motions, fit_area, fit_motions, ring_measures
-from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, finger_of
-from palpate.estimators.compliance.pin_press import PinPress, at_forces, laid_on, watched
+from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, fit_finger
+from palpate.estimators.compliance.pin_press import PinPress, at_forces, follow_press, motion_on_layout
 from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, fit_softness
 from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.recordings.exchange.frame_sequences import open_sequence
-from palpate.recordings.exchange.press_folder import PressFolder
+from palpate.recordings.exchange.press_folder import PressFolder, press_folder
 from palpate.recordings.exchange.press_table import PressTable, read_press_table
 from palpate.version import __version__
 
 
-def flat(held: Any, prefix: str = "") -> dict[str, ndarray]:
-    """Every field under its dotted name; what is None is left out."""
-    found: dict[str, ndarray] = {}
-    for field in fields(held):
-        value, name = getattr(held, field.name), prefix + field.name
+def flat_arrays(record: Any, prefix: str = "") -> dict[str, ndarray]:
+    """Fields of nested dataclasses under their dotted names; what is None is left out."""
+    arrays: dict[str, ndarray] = {}
+    for field in fields(record):
+        value, name = getattr(record, field.name), prefix + field.name
         if is_dataclass(value):
-            found |= flat(value, f"{name}.")
+            arrays |= flat_arrays(value, f"{name}.")
         elif value is not None:
-            found[name] = np.asarray(value)
-    return found
+            arrays[name] = np.asarray(value)
+    return arrays
 
 
-def built(kind: type, data: Mapping[str, ndarray], prefix: str = "") -> Any:
-    """The dataclass that `flat` took apart.
+def from_flat_arrays(kind: type, data: Mapping[str, ndarray], prefix: str = "") -> Any:
+    """Dataclass that `flat_arrays` took apart.
 
     Raises:
         KeyError: a field is missing that may not be None.
     """
-    made: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for name, hint in get_type_hints(kind).items():
         full, (inner, optional) = prefix + name, _plain(hint)
         if optional and not any(key == full or key.startswith(f"{full}.") for key in data):
-            made[name] = None
+            values[name] = None
         elif is_dataclass(inner):
-            made[name] = built(inner, data, f"{full}.")  # type: ignore[arg-type]
+            values[name] = from_flat_arrays(inner, data, f"{full}.")  # type: ignore[arg-type]
         else:
-            made[name] = _value(data[full], inner)
-    return kind(**made)
+            values[name] = _value(data[full], inner)
+    return kind(**values)
 
 
 def _plain(hint: Any) -> tuple[Any, bool]:
@@ -78,7 +83,7 @@ def _value(value: ndarray, kind: Any) -> Any:
 
 
 FORMAT = 1
-RINGS_SEEN = 0.5  # of a trial's frames; on an inclined specimen the field's edge cuts the ring
+MIN_RING_SHARE = 0.5  # of a trial's frames; on an inclined specimen the field's edge cuts the ring
 LEVELS_N = np.arange(1.0, 4.51, 0.5)
 APPROACH_PX = 2e5  # px/m: what a metre of approach weighs beside pins' motion; scatter is discounted anyway
 
@@ -137,11 +142,11 @@ class ComplianceCalibration:
 
     @property
     def id(self) -> str:
-        """Of the contents."""
-        told = hashlib.sha256()
-        for name, value in sorted(flat(self).items()):
-            told.update(name.encode() + np.ascontiguousarray(value).tobytes())
-        return f"compliance-{told.hexdigest()[:12]}"
+        """Name by the contents."""
+        digest = hashlib.sha256()
+        for name, value in sorted(flat_arrays(self).items()):
+            digest.update(name.encode() + np.ascontiguousarray(value).tobytes())
+        return f"compliance-{digest.hexdigest()[:12]}"
 
     def save(self, path: Path) -> None:
         """Write one ``.npz``, whole or not at all.
@@ -151,7 +156,7 @@ class ComplianceCalibration:
             StorageError: the disk refused.
         """
         with new_file(path) as building, building.open("wb") as file:
-            np.savez_compressed(file, **flat(self), format=np.array(FORMAT))  # type: ignore[arg-type]
+            np.savez_compressed(file, **flat_arrays(self), format=np.array(FORMAT))  # type: ignore[arg-type]
 
     @classmethod
     def load(cls, path: Path) -> ComplianceCalibration:
@@ -163,27 +168,27 @@ class ComplianceCalibration:
         """
         try:
             # opened here, since numpy leaves a damaged file open
-            with storage_errors(path), path.open("rb") as file, np.load(file, allow_pickle=False) as held:
-                data = {name: held[name] for name in held.files}
+            with storage_errors(path), path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+                data = dict(archive)
             if (layout := int(data.pop("format"))) != FORMAT:
                 raise CertificateError(
                     f"{path} has format {layout}, and palpate {__version__} reads format {FORMAT}: open it "
                     "with the version of palpate that wrote it, or calibrate anew"
                 )
-            made = built(cls, data)
+            calibration = from_flat_arrays(cls, data)
         except (KeyError, ValueError, TypeError, BadZipFile, EOFError) as e:
             raise CertificateError(
                 f"{path} is no calibration of compliance, or a damaged one; "
                 "`palpate compliance calibrate` makes them"
             ) from e
-        assert isinstance(made, cls)
-        return made
+        assert isinstance(calibration, cls)
+        return calibration
 
 
 def calibrate_compliance(
     references: Sequence[ReferenceSpecimen], *, tilt_rad: float = 0.0, note: str = ""
 ) -> ComplianceCalibration:
-    """Fit to references.
+    """Fit a calibration to references.
 
     Args:
         references: two or more, pressed alike.
@@ -197,7 +202,7 @@ def calibrate_compliance(
     if not trials:
         raise InputError("no reference has a trial; press a rigid plate and a soft specimen, five times each")
     layout = _layout([trial.press for _, trial in trials])
-    moved = [laid_on(trial.press, layout) for _, trial in trials]
+    moved = [motion_on_layout(trial.press, layout) for _, trial in trials]
     positions = [trial.press.position_m for _, trial in trials]
     touch_rows = [touch_row(trial.press, layout, LEVELS_N) for _, trial in trials]
     kappa = [one.kappa_n_m for one in references]
@@ -238,8 +243,8 @@ def _layout(presses: Sequence[PinPress]) -> Float[ndarray, "p 2"]:
     """The untouched pins: mean over presses, about where the first has them."""
     first = presses[0].untouched_px
     first = first[np.isfinite(first).all(axis=1)]
-    seen = [_untouched(press, first) for press in presses]
-    return np.asarray(np.nanmean([at - np.nanmean(at, axis=0) for at in seen], axis=0) + first.mean(axis=0))
+    places = [_untouched(press, first) for press in presses]
+    return np.asarray(np.nanmean([at - np.nanmean(at, axis=0) for at in places], axis=0) + first.mean(axis=0))
 
 
 def _untouched(press: PinPress, layout: Float[ndarray, "p 2"]) -> Float[ndarray, "p 2"]:
@@ -251,7 +256,7 @@ def _untouched(press: PinPress, layout: Float[ndarray, "p 2"]) -> Float[ndarray,
         moved_px=press.untouched_px[None],
         position_m=None,
     )
-    return laid_on(still, layout)[0]
+    return motion_on_layout(still, layout)[0]
 
 
 def wobble_px(press: PinPress, layout: Float[ndarray, "p 2"]) -> float:
@@ -263,10 +268,10 @@ def wobble_px(press: PinPress, layout: Float[ndarray, "p 2"]) -> float:
 
 def touch_row(press: PinPress, layout: Float[ndarray, "p 2"], levels_n: Float[ndarray, " l"]) -> ndarray:
     """The motion of the pins at every level, in one row; NaN for pins that are lost."""
-    moved = laid_on(press, layout)
-    seen = np.isfinite(moved).all(axis=(0, 2))
+    moved = motion_on_layout(press, layout)
+    tracked = np.isfinite(moved).all(axis=(0, 2))
     row = np.full((len(levels_n), *moved.shape[1:]), np.nan)
-    row[:, seen] = at_forces(press.force_n, moved[:, seen], levels_n)
+    row[:, tracked] = at_forces(press.force_n, moved[:, tracked], levels_n)
     return row.ravel()
 
 
@@ -290,8 +295,8 @@ def _areas(
     motions = fit_motions([m for _, m, _ in known])
     area = fit_area([motions.of(m) for _, m, _ in known], areas, which)
     rings = [ring_measures(layout, m) for _, m, _ in known]
-    seen = all(np.isfinite(one).all(axis=1).mean() > RINGS_SEEN for one in rings)
-    return motions, area, fit_area(rings, areas, which) if seen else None
+    whole = all(np.isfinite(one).all(axis=1).mean() > MIN_RING_SHARE for one in rings)
+    return motions, area, fit_area(rings, areas, which) if whole else None
 
 
 def _finger(references: Sequence[ReferenceSpecimen]) -> Finger | None:
@@ -303,35 +308,25 @@ def _finger(references: Sequence[ReferenceSpecimen]) -> Finger | None:
         if t.area_m2 is not None and t.press.position_m is not None
         for good in [np.isfinite(t.area_m2) & (t.press.force_n >= LEVELS_N[0])]
     ]
-    return finger_of(presses) if presses else None
+    return fit_finger(presses) if presses else None
 
 
-def followed(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -> ReferenceTrial:
-    """One press: its pins followed, and its contact area at their frames where the table has it.
+def reference_trial(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -> ReferenceTrial:
+    """Trial of a press: its pins' motion, and its contact area at their frames where the table has it.
 
     Raises:
         InputError, ImageError: they cannot be read as a press.
     """
-    press = watched(frames, table.force_n, table.frame_sample, table.position_m, table.time_s)
+    press = follow_press(frames, table.force_n, table.frame_sample, table.position_m, table.time_s)
     area = None if table.area_m2 is None else table.area_m2[table.frame_sample[press.frame]]
     return ReferenceTrial(press, area)
-
-
-def load_press(frames: Path, table: Path) -> ReferenceTrial:
-    """The same from files.
-
-    Raises:
-        InputError, ImageError, LabelError: what cannot be read as a press.
-    """
-    with open_sequence(frames) as sequence:
-        return followed(sequence, read_press_table(table, len(sequence)))
 
 
 def load_references(folder: PressFolder, progress: Progress = silent) -> list[ReferenceSpecimen]:
     """The specimens of known stiffness, in the folder's order.
 
     Raises:
-        InputError: fewer than two have a known stiffness; and as `load_press`.
+        InputError: fewer than two have a known stiffness; and as a press cannot be read.
     """
     known = [one for one in folder.specimens if one.stiffness_n_m is not None]
     if len(known) < 2:
@@ -344,9 +339,57 @@ def load_references(folder: PressFolder, progress: Progress = silent) -> list[Re
     for one in known:
         trials = []
         for frames, table in one.presses:
-            trials.append(load_press(frames, table))
+            with open_sequence(frames) as sequence:
+                trials.append(reference_trial(sequence, read_press_table(table, len(sequence))))
             done += 1
             progress("presses", done, total)
         assert one.stiffness_n_m is not None
         references.append(ReferenceSpecimen(one.name, one.stiffness_n_m, tuple(trials)))
     return references
+
+
+def calibrate_folder(
+    folder: Path, out: Path, *, tilt_deg: float = 0.0, note: str = "", progress: Progress = silent
+) -> dict[str, Any]:
+    """Calibrate on the specimens of known stiffness in a folder, and return what was fitted in plain numbers.
+
+    Args:
+        folder: of an experiment; see `recordings.exchange.press_folder`.
+        out: ``.npz`` to make.
+        tilt_deg: of the specimens' tops [deg].
+        note: kept with the calibration.
+        progress: called with how many presses are read.
+
+    Raises:
+        PalpateError: a folder, press or reference that cannot be used; `out` exists.
+    """
+    if out.suffix != ".npz":
+        raise InputError(f"{out} is not an .npz file; name the calibration e.g. tip.npz")
+    refuse_existing(out)
+    references = load_references(press_folder(folder), progress)
+    calibration = calibrate_compliance(references, tilt_rad=float(np.deg2rad(tilt_deg)), note=note)
+    calibration.save(out)
+    both, area = calibration.both, calibration.area
+    return {
+        "calibration": calibration.id,
+        "out": str(out),
+        "references": [
+            {
+                "specimen": one.name,
+                "stiffness_N_per_mm": finite_or_none(1e-3 * one.kappa_n_m),
+                "trials": len(one.trials),
+            }
+            for one in references
+        ],
+        "pins": len(calibration.layout_px),
+        "error_between_references": finite_or_none(calibration.touch.between),
+        "error_between_references_both_cues": None if both is None else finite_or_none(both.between),
+        "area_known": area is not None,
+        "area_error": None if area is None else finite_or_none(area.spread),
+        "tilt_deg": tilt_deg,
+    }
+
+
+def finite_or_none(value: float) -> float | None:
+    """A number as JSON has it: None where it is not finite."""
+    return float(value) if np.isfinite(value) else None

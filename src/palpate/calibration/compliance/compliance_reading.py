@@ -15,8 +15,8 @@ from palpate.calibration.compliance.compliance_calibration import (
 )
 from palpate.core import Drift, Float, InputError, Reading, ndarray
 from palpate.estimators.compliance.contact_area import AreaFit, ring_measures
-from palpate.estimators.compliance.hertz_inversion import PressCurves, touched
-from palpate.estimators.compliance.pin_press import PinPress, at_forces, laid_on
+from palpate.estimators.compliance.hertz_inversion import PressCurves, invert_hertz
+from palpate.estimators.compliance.pin_press import PinPress, at_forces, motion_on_layout
 from palpate.estimators.compliance.spread_rate import spread
 from palpate.estimators.compliance.stiffness_curve import SoftnessCurve
 
@@ -117,7 +117,7 @@ def read_touch(
 def _course(calibration: ComplianceCalibration, press: PinPress) -> AreaCourse:
     assert calibration.area is not None
     assert calibration.motions is not None
-    moved = laid_on(press, calibration.layout_px)
+    moved = motion_on_layout(press, calibration.layout_px)
     ring = np.full(len(moved), np.nan)
     if calibration.ring is not None:
         ring = calibration.ring.at(ring_measures(calibration.layout_px, moved))[:, 0]
@@ -202,7 +202,7 @@ class _Said:
             if one.position_m is not None
             for good in [one.force_n >= self.calibration.levels_n[0]]
         ]
-        found = touched(presses, finger, np.random.default_rng(0), COVERAGE)
+        found = invert_hertz(presses, finger, np.random.default_rng(0), COVERAGE)
         why = [found.why] if found.why else []
         if not np.isfinite(self._fit.spread):
             why.append(NO_BETWEEN)

@@ -41,7 +41,7 @@ class PressCurves:
 
 @dataclass(frozen=True)
 class Finger:
-    """What touches, and how well it is known.
+    """Finger that touches, and how well it is known.
 
     Attributes:
         body: its modulus over 1 - nu^2 and its radius.
@@ -75,15 +75,15 @@ class TouchedObject:
     why: str
 
 
-def finger_of(rigid: Sequence[PressCurves]) -> Finger:
-    """What touches, from its own presses on a rigid plate: the Hertz pair that acts as it does.
+def fit_finger(rigid: Sequence[PressCurves]) -> Finger:
+    """Fit the Hertz pair that acts as the finger does, from its presses on a rigid plate.
 
     A tip whose skin is stiffer than its gel is no Hertz body, and the pair's radius is not the dome's; but
     the modulus of an object in series with it is found to some 6 % (virtual tips on flat specimens). A
     quarter of the misfit is counted as a standard deviation.
 
     Raises:
-        InputError: as `touched`.
+        InputError: as `invert_hertz`.
     """
     if not rigid:
         raise InputError("no press on a rigid plate; give one or more")
@@ -100,7 +100,7 @@ def finger_of(rigid: Sequence[PressCurves]) -> Finger:
 
 
 def _misfit(press: PressCurves) -> float:
-    """How far the moduli of the lower and the upper half of the forces differ, as a share of the greater."""
+    """Difference of the moduli of the lower and the upper half of the forces, as a share of the greater."""
     low = press.force_n <= np.median(press.force_n)
     if min(low.sum(), (~low).sum()) < MIN_SAMPLES:
         return 0.0
@@ -111,10 +111,10 @@ def _misfit(press: PressCurves) -> float:
     return 1.0 - min(halves) / max(halves)
 
 
-def touched(
+def invert_hertz(
     presses: Sequence[PressCurves], finger: Finger, rng: np.random.Generator, coverage: float = 0.9
 ) -> TouchedObject:
-    """What was touched, from one press or several.
+    """Invert Hertz's contact for the object of one press or several.
 
     Intervals are of draws of the two lines' slopes and of the finger. With several presses the slopes' spread
     is that between presses; with one it is that of its samples, as if these were independent.

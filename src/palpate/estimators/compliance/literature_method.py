@@ -1,8 +1,8 @@
 """The report's route from frames and force to a spread rate: flow, divergence, accumulated area.
 
 A_0 is the circle through the pins, not a contact, so all areas are relative to it: only contrasts between
-presses of one sensor mean anything. `over_pins` gives that circle, over which the mean divergence is taken;
-over the whole image, as (8) has it, it is nothing but what flows through the image's border. Beside the
+presses of one sensor mean anything. `circle_through_pins` gives that circle, over which the mean divergence is
+taken; over the whole image, as (8) has it, it is nothing but what flows through the image's border. Beside the
 report's own sum over frames stand the secant and the regression of A_i = A_0 exp(sum of D_j).
 """
 
@@ -15,14 +15,7 @@ from itertools import islice
 import numpy as np
 
 from palpate.core import Bool, Float, InputError, Int, PalpateError, Shaped, ndarray
-from palpate.estimators.compliance.press_force import (
-    CONTACT_N,
-    MAX_N,
-    loading,
-    moving_average,
-    within,
-    without_spikes,
-)
+from palpate.estimators.compliance.press_force import CONTACT_N, MAX_N, loading, smoothed, within
 from palpate.estimators.compliance.spread_rate import SpreadRate, Way, area_m2, paper_spread, spread
 from palpate.estimators.flow.flow_sequence import course
 
@@ -31,7 +24,7 @@ WAYS: tuple[Way, ...] = ("regression", "secant", "paper")
 
 @dataclass(frozen=True)
 class AsReported:
-    """What the report's route gives.
+    """Results of the report's route.
 
     Attributes:
         force_n: at each frame of the loading part [N].
@@ -64,7 +57,7 @@ class AsReported:
         )
 
 
-def over_pins(untouched_px: Float[ndarray, "p 2"], height: int, width: int) -> Bool[ndarray, "h w"]:
+def circle_through_pins(untouched_px: Float[ndarray, "p 2"], height: int, width: int) -> Bool[ndarray, "h w"]:
     """The largest circle through the pins about the one in their middle: A_0 of the report's Algorithm 1."""
     seen = untouched_px[np.isfinite(untouched_px).all(axis=1)]
     middle = seen[np.argmin(np.hypot(*(seen - seen.mean(axis=0)).T))]
@@ -81,7 +74,7 @@ def as_reported(
     method: str = "horn-schunck",
     region: Bool[ndarray, "h w"] | None = None,
 ) -> AsReported:
-    """Run it on a press.
+    """Run the report's route on a press.
 
     Args:
         frames: grey images in time.
@@ -93,7 +86,7 @@ def as_reported(
     Raises:
         InputError: no loading part, or too few frames.
     """
-    smooth = moving_average(without_spikes(np.asarray(force_n, np.float64)))
+    smooth = smoothed(force_n)
     at = np.asarray(frame_sample)
     used = np.flatnonzero(np.isin(at, within(smooth, loading(smooth), CONTACT_N, MAX_N)))
     first, last = int(max(used[0] - 1, 0)) if len(used) else 0, int(used[-1]) if len(used) else 0
@@ -111,10 +104,12 @@ def as_reported(
 def _spreads(
     force: Float[ndarray, " f"], divergence: Float[ndarray, " f"], area: Float[ndarray, " f"]
 ) -> dict[str, SpreadRate]:
-    found: dict[str, SpreadRate] = {}
+    spreads: dict[str, SpreadRate] = {}
     for way in WAYS if len(force) > 1 else ():
         try:
-            found[way] = paper_spread(force, divergence, 1.0) if way == "paper" else spread(force, area, way)
+            spreads[way] = (
+                paper_spread(force, divergence, 1.0) if way == "paper" else spread(force, area, way)
+            )
         except PalpateError:  # e.g. too few frames for a line; the others may still stand
             continue
-    return found
+    return spreads

@@ -1,6 +1,4 @@
-"""One press as its pins show it: how far each has moved at every force of the loading part.
-
-The motion of pins as a smooth function of force, whatever the frames' number and times were.
+"""Motion of the pins in one press: at every frame of the loading part, and at fixed forces.
 
 Each pin's motion is fitted by a polynomial in the cube root of force, in which young contact is nearly
 straight, and read at fixed forces; so presses of any speed and frame rate can be compared pin by pin.
@@ -16,13 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from palpate.core import Float, InputError, Int, RangeError, Shaped, ndarray
-from palpate.estimators.compliance.press_force import (
-    CONTACT_N,
-    loading,
-    moving_average,
-    within,
-    without_spikes,
-)
+from palpate.estimators.compliance.press_force import CONTACT_N, loading, smoothed, within
 from palpate.estimators.pins import find_pins, follow
 
 UNTOUCHED_N = 0.06  # about one step of a 1/16 N sensor
@@ -62,7 +54,7 @@ class PinPress:
     flaws: tuple[str, ...]
 
 
-def watched(
+def follow_press(
     frames: Iterable[Shaped[ndarray, ...]],
     force_n: Samples,
     frame_sample: Int[ndarray, " f"],
@@ -85,7 +77,7 @@ def watched(
         InputError: no loading part, too few frames in it, or pins lost.
         ImageError: no pins in the first frame.
     """
-    smooth = moving_average(without_spikes(np.asarray(force_n, np.float64)))
+    smooth = smoothed(force_n)
     part = loading(smooth, contact_n)
     samples = within(smooth, part, contact_n, np.inf)
     at = np.asarray(frame_sample)
@@ -95,7 +87,7 @@ def watched(
             f"{len(used)} frames of rising force above {contact_n:g} N; {MIN_FRAMES} are needed: "
             "press more slowly, or take more frames a second"
         )
-    xy = _followed(frames, int(used[-1]) + 1)
+    xy = _pin_positions(frames, int(used[-1]) + 1)
     if len(xy) <= used[-1]:
         raise InputError(
             f"{len(xy)} frames, and the table tells of {len(at)}; give the frames and the table of one press"
@@ -119,8 +111,8 @@ def watched(
     )  # fmt: skip
 
 
-def _followed(frames: Iterable[Shaped[ndarray, ...]], count: int) -> Float[ndarray, "f p 2"]:
-    """Where the pins of the first frame are in every one."""
+def _pin_positions(frames: Iterable[Shaped[ndarray, ...]], count: int) -> Float[ndarray, "f p 2"]:
+    """Places of the first frame's pins in every frame [px]."""
     frames = iter(frames)
     first = next(frames, None)
     if first is None:
@@ -130,7 +122,7 @@ def _followed(frames: Iterable[Shaped[ndarray, ...]], count: int) -> Float[ndarr
 
 
 def _still(force_n: Samples) -> int:
-    """How many frames are before any touch, less the last of them, in which it may have begun."""
+    """Number of frames before any touch, less the last of them, in which it may have begun."""
     touched = force_n >= UNTOUCHED_N
     before = int(np.argmax(touched)) if touched.any() else len(force_n)
     if before == 0:
@@ -185,7 +177,7 @@ def _powers(force_n: Float[ndarray, " f"], scale: float, degree: int) -> Float[n
     return np.vander(np.cbrt(force_n / scale), degree + 1, increasing=True)
 
 
-def laid_on(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 2"]:
+def motion_on_layout(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 2"]:
     """The motion of a press's pins in the order of a layout; NaN for pins it has not.
 
     Raises:

@@ -1,14 +1,12 @@
-"""The force of a press: smoothed, cut to its contact, and laid beside the frames.
+"""Force of a press or a grasp: smoothed, cut to its loading part, and its slope.
 
 The TacTip report smooths with a moving average of five samples at 200 Hz and says that it cuts off at about
 5 Hz and delays by 0.5 s. Five taps at 200 Hz pass 18 Hz (-3 dB) and delay by 10 ms, as
 `moving_average_response` tells; half a second would misplace force by newtons. Here the average is centred on
 its sample, so that it delays nothing; `trailing` is the report's.
 
-A grasp's loading part: how stiff it is, and what was seen at a force.
-
-Grippers are often asked for their width more slowly than the camera runs: the table then repeats a width for
-several frames and jumps. A repeated width is no measurement; `fresh` tells those that are.
+Grippers often report their width more slowly than the camera runs: the table then repeats a width for several
+frames and jumps. A repeated width is no measurement; `fresh` selects those that are.
 """
 
 from __future__ import annotations
@@ -88,6 +86,11 @@ def without_spikes(force_n: Samples) -> Samples:
     return np.interp(i, i[good], force_n[good])
 
 
+def smoothed(force_n: Samples) -> Samples:
+    """Force without spikes, averaged over five samples [N]."""
+    return moving_average(without_spikes(np.asarray(force_n, np.float64)))
+
+
 @dataclass(frozen=True)
 class Loading:
     """The part of a press in which force rises from contact to the greatest.
@@ -103,7 +106,7 @@ class Loading:
 
 
 def loading(force_n: Samples, contact_n: float = CONTACT_N) -> Loading:
-    """Find it in a smoothed force.
+    """Find the loading part in a smoothed force.
 
     Raises:
         InputError: too few samples, one that is not finite, no contact, or a force that only falls.
@@ -171,7 +174,7 @@ GraspSamples = Float[ndarray, " _"]
 
 
 def fresh(held: GraspSamples) -> Int[ndarray, " k"]:
-    """Samples at which a held reading is new: the first, and every one that differs from that before it."""
+    """Samples at which a repeated reading is new: the first, and each that differs from the one before."""
     return np.flatnonzero(np.concatenate([[True], np.diff(held) != 0]))
 
 

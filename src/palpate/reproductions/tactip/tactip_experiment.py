@@ -20,12 +20,12 @@ from palpate.calibration.compliance.compliance_calibration import (
     calibrate_compliance,
 )
 from palpate.calibration.compliance.compliance_reading import PressReading, read_touch
+from palpate.calibration.compliance.press_cues import PressCues, cues_of, series
+from palpate.calibration.compliance.specimen_comparison import trials_table
 from palpate.core import Float, ndarray
 from palpate.psychophysics.line_fit import Line, fit_line
 from palpate.recordings.exchange.press_table import PressTable
 from palpate.sensors.tactip import TacTipSpec, Trial, trial
-from palpate.workflows.compliance.press_cues import PressCues, cues_of, series
-from palpate.workflows.compliance.specimen_comparison import trials_table
 from palpate.workflows.tactip_trials import specimens_at
 
 

@@ -5,12 +5,12 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
+from palpate.calibration.compliance.press_cues import cues_of, series
+from palpate.calibration.compliance.specimen_comparison import cue_tests, trials_table
+from palpate.psychophysics import bootstrap_interval
 from palpate.recordings.exchange.press_table import PressTable
 from palpate.reproductions.tactip.tactip_experiment import table_of
 from palpate.sensors.tactip import HeadOn, tactip, trial
-from palpate.workflows.compliance.press_cues import cues_of, series
-from palpate.workflows.compliance.specimen_comparison import bootstrap, trials_table
-from palpate.workflows.compliance.specimen_comparison import tests_of as told_apart
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def test_cues_are_tested_where_two_specimens_have_them() -> None:
             "frames": [9.0, 10.0, 11.0, 19.0, 20.0, 21.0],
         }
     )
-    found = told_apart(table)
+    found = cue_tests(table)
     assert set(found) == {"told"}  # frames are no cue, and what is alike cannot be tested
     assert_allclose(found["told"]["mean"]["a"], 1.1)
     low, high = found["told"]["interval_95"]["a"]
@@ -68,7 +68,7 @@ def test_cues_are_tested_where_two_specimens_have_them() -> None:
 
 def test_a_bootstrap_interval_is_the_same_at_every_call(rng) -> None:
     values = list(rng.standard_normal(40))
-    assert bootstrap(values) == bootstrap(values)
-    low, high = bootstrap(values)
+    assert bootstrap_interval(values) == bootstrap_interval(values)
+    low, high = bootstrap_interval(values)
     # of a mean of 40: 1.96 / sqrt 40 = 0.31 to either side
     assert_allclose(high - low, 2 * 1.96 * np.std(values) / np.sqrt(40), rtol=0.15)

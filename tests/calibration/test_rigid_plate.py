@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from palpate.calibration.compliance import plate_stiffness
 from palpate.cli import app
 from palpate.core.errors import InputError, LabelError
-from palpate.workflows.compliance import by_plate
 
 
 def written(folder, name: str, force_of, **more):
@@ -29,7 +29,7 @@ def written(folder, name: str, force_of, **more):
 @pytest.mark.parametrize("kappa", [7.6, 3.1, 1.1])
 def test_the_slope_of_force_over_deformation_is_the_stiffness(tmp_path, kappa) -> None:
     tables = [written(tmp_path, f"trial{'x' * k}", lambda d: kappa * d) for k in range(3)]
-    found = by_plate(tables)
+    found = plate_stiffness(tables)
     assert found["stiffness_N_per_mm"] == pytest.approx(kappa, rel=0.02)  # steps of 1/16 N over 24 samples
     assert found["low_N_per_mm"] <= found["stiffness_N_per_mm"] <= found["high_N_per_mm"]
     assert all(one["adjusted_r2"] > 0.99 for one in found["trials"])
@@ -38,20 +38,20 @@ def test_the_slope_of_force_over_deformation_is_the_stiffness(tmp_path, kappa) -
 
 def test_a_force_that_is_no_line_is_flagged(tmp_path) -> None:
     jumps = written(tmp_path, "jumps", lambda d: 0.6 * (d > 0.1) + 4.5 * (d > 4) + 0.01 * d)
-    assert "no line" in by_plate([jumps])["flags"][0]
+    assert "no line" in plate_stiffness([jumps])["flags"][0]
 
 
 def test_what_is_no_press_of_a_plate_is_refused_in_words(tmp_path) -> None:
     with pytest.raises(InputError, match="no table"):
-        by_plate([])
+        plate_stiffness([])
     path = written(tmp_path, "short", lambda d: 3 * d)
     pd.read_csv(path).drop(columns="actual_mm").to_csv(tmp_path / "none.csv", index=False)
     with pytest.raises(LabelError, match="no column of position"):
-        by_plate([tmp_path / "none.csv"])
+        plate_stiffness([tmp_path / "none.csv"])
     turned = pd.read_csv(path).assign(actual_mm=lambda t: -t["actual_mm"])
     turned.to_csv(tmp_path / "turned.csv", index=False)
     with pytest.raises(InputError, match="turn the position's sign"):
-        by_plate([tmp_path / "turned.csv"])
+        plate_stiffness([tmp_path / "turned.csv"])
 
 
 def test_the_verb_prints_and_speaks_json(tmp_path) -> None:

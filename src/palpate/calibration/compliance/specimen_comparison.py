@@ -1,0 +1,139 @@
+"""Specimens of an experiment compared: a table with a row a trial, and rank tests of every cue."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from palpate.calibration.compliance.compliance_calibration import ComplianceCalibration, finite_or_none
+from palpate.calibration.compliance.compliance_reading import read_touch
+from palpate.calibration.compliance.press_cues import LATE_N, PressCues, cues_of, reading_record
+from palpate.core import InputError
+from palpate.estimators.networks.model_interface import Progress, silent
+from palpate.psychophysics import bootstrap_interval, compare
+from palpate.recordings.exchange.frame_sequences import open_sequence
+from palpate.recordings.exchange.press_folder import PressFolder, press_folder
+from palpate.recordings.exchange.press_table import read_press_table
+
+BESIDE = ("frames", "series_adjusted_r2")  # in the table, but no cues
+LABELS = {
+    "stiffness_N_per_mm": "stiffness by touch [N/mm]",
+    "stiffness_both_cues_N_per_mm": "stiffness, both cues [N/mm]",
+    "area_at_4_N_mm2": "area at 4 N [mm²]",
+    "spread_rate_mm2_per_N": "spread rate dA/dF [mm²/N]",
+    "series_stiffness_N_per_mm": "in series with the tip [N/mm]",
+    "divergence_regression_per_N": "by divergence, regression [1/N]",
+    "divergence_paper_per_N": "by divergence, eq. (12) [1/N]",
+}
+
+Groups = Mapping[str, Sequence[PressCues]]
+
+
+@dataclass(frozen=True)
+class SpecimenComparison:
+    """A comparison of specimens.
+
+    Attributes:
+        groups: cues of every trial, by specimen.
+        table: one row a trial, see `trials_table`.
+        calibration: the one used; None for cues that need none.
+        record: tests and means in plain numbers, as ``comparison.json`` holds them.
+    """
+
+    groups: Groups
+    table: pd.DataFrame
+    calibration: ComplianceCalibration | None
+    record: dict[str, Any]
+
+
+def compare_specimens(
+    folder: Path, *, calibration: Path | None = None, pooled: bool = False, progress: Progress = silent
+) -> SpecimenComparison:
+    """Compare the specimens of an experiment's folder.
+
+    Args:
+        folder: see `recordings.exchange.press_folder`.
+        calibration: of the sensor; None for the cues that need none.
+        pooled: also test the report's pooled samples, with a warning.
+        progress: called with how many presses are read.
+
+    Raises:
+        InputError: fewer than two specimens; and as a press cannot be read.
+    """
+    known = None if calibration is None else ComplianceCalibration.load(calibration)
+    experiment = press_folder(folder)
+    if len(experiment.specimens) < 2:
+        raise InputError(f"{folder} holds one specimen; two or more can be compared")
+    groups = _read(experiment, progress)
+    table = trials_table(groups, known)
+    record: dict[str, Any] = {
+        "calibration": None if known is None else known.id,
+        "references": [] if known is None else [name for name in groups if name in known.names],
+        "trials": {name: len(each) for name, each in groups.items()},
+        "cues": cue_tests(table),
+    }
+    if known is not None:
+        record["specimens"] = {
+            name: [reading_record(one) for one in read_touch(known, presses, name).readings]
+            for name, presses in {n: [c.trial.press for c in each] for n, each in groups.items()}.items()
+        }
+    if pooled:
+        late = {
+            name: [c.reported.summed[c.reported.force_n >= LATE_N] for c in each]
+            for name, each in groups.items()
+        }
+        record["pooled_sums"] = asdict(compare(late, pooled=True))
+    return SpecimenComparison(groups, table, known, _plain(record))
+
+
+def _read(experiment: PressFolder, progress: Progress) -> dict[str, list[PressCues]]:
+    total = sum(len(one.presses) for one in experiment.specimens)
+    groups: dict[str, list[PressCues]] = {one.name: [] for one in experiment.specimens}
+    for one in experiment.specimens:
+        for frames, force in one.presses:
+            with open_sequence(frames) as sequence:
+                groups[one.name].append(cues_of(sequence, read_press_table(force, len(sequence))))
+            progress("presses", sum(map(len, groups.values())), total)
+    return groups
+
+
+def trials_table(groups: Groups, calibration: ComplianceCalibration | None) -> pd.DataFrame:
+    """One row a trial: specimen, trial, and every cue; empty where a reading is not valid."""
+    rows = [
+        {"specimen": name, "trial": i + 1, **one.row(calibration, f"{name}/{i + 1}")}
+        for name, each in groups.items()
+        for i, one in enumerate(each)
+    ]
+    table = pd.DataFrame(rows)
+    first = ["specimen", "trial", *(cue for cue in LABELS if cue in table)]
+    return table[first + [column for column in table if column not in first]]
+
+
+def cue_tests(table: pd.DataFrame) -> dict[str, Any]:
+    """Means with bootstrap intervals over trials, and rank tests, of every cue that two specimens have."""
+    tests = {}
+    for cue in [one for one in table.columns[2:] if one not in BESIDE]:
+        groups = {str(name): list(rows[cue]) for name, rows in table.groupby("specimen", sort=False)}
+        groups = {name: [x for x in each if np.isfinite(x)] for name, each in groups.items()}
+        groups = {name: each for name, each in groups.items() if len(each) >= 2}
+        if len(groups) >= 2 and len({x for each in groups.values() for x in each}) > 1:
+            tests[cue] = {
+                "mean": {name: float(np.mean(each)) for name, each in groups.items()},
+                "interval_95": {name: bootstrap_interval(each) for name, each in groups.items()},
+                **asdict(compare(groups)),
+            }
+    return tests
+
+
+def _plain(value: Any) -> Any:
+    """Plain containers, what is not finite as None."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    return finite_or_none(value) if isinstance(value, float) else value
