@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palpate.calibration import CalibrationPlan, ReferenceRule, calibrate, evaluate
-from palpate.calibration.fitting import most_like_the_rest
+from palpate.calibration.fitting import representative_fold
 from palpate.calibration.training_data import find_untouched
 from palpate.core import ExistsError, InputError, LabelError, SplitError
 from palpate.estimators import Estimator, read_card
@@ -210,7 +210,7 @@ def test_one_fold_is_held_out_from_the_model_that_is_kept(record_spots, tmp_path
 def test_the_fold_that_stands_for_all_is_the_one_most_like_all() -> None:
     values = np.r_[np.zeros(30), np.linspace(0, 1, 30), np.ones(30)][:, None]
     folds = tuple(np.array_split(np.arange(90), 3))
-    assert most_like_the_rest(Split("random", (), None, folds, ""), values) == 1
+    assert representative_fold(Split("random", (), None, folds, ""), values) == 1
 
 
 def test_the_plan_s_name_of_before_still_works_and_says_the_new_one() -> None:

@@ -37,7 +37,10 @@ def reported() -> AsReported:
 
 def reading(quantity: str, value: float, low: float, high: float, why: str = "") -> Reading:
     range_ = (1.1e3, 7.6e3)
-    return Reading(quantity, value, low, high, "N_per_m", 0.9, range_, not why, why, None, "c", "f", 0.0)
+    return Reading(
+        quantity=quantity, value=value, low=low, high=high, unit="N_per_m", coverage=0.9,
+        calibrated_range=range_, valid=not why, why=why, drift=None, calibration="c", frame="f", time_s=0.0,
+    )  # fmt: skip
 
 
 def touch(value: float, low: float, high: float, why: str = "", area: bool = True) -> PressReading:

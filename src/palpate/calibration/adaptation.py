@@ -1,8 +1,4 @@
-"""The guard of an adapted calibration: it knows the frames of both copies, and lets the new one's pass.
-
-The certificate of an adapted calibration: as any other's, and from which calibration it comes.
-
-A calibration taken over to another copy of its sensor, from a few presses of that copy.
+"""Adaptation of a calibration to another copy of its sensor, from a few presses of that copy.
 
 The network stays as it is. It reads the copy's own frames, less the copy's own untouched image where it is
 differential, and a small correction is learnt behind it (see `calibration.correction`). All that the new
@@ -17,61 +13,38 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import onnx
+import pandas as pd
 
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
-from palpate.calibration.certificate import (
-    Calibrated,
-    agreement,
-    file_card,
-    pictures,
-    predictions_table,
-    reference_card,
-    run_card,
-    software,
-    target_cards,
-    write_predictions,
-)
+from palpate.calibration.certificate import CalibrationResult, split_card, write_certificate
 from palpate.calibration.conformal import GROUPS_FOR_SPREAD, conformal_quantile, fit_intervals
 from palpate.calibration.correction import AS_IT_WAS, Adapted, Correction, correct
 from palpate.calibration.leakage import audit
-from palpate.calibration.training_data import (
-    find_untouched,
-    marked,
-    prepared_images,
-    rows_to_learn,
-    training_data,
-)
+from palpate.calibration.training_data import LearningSet, learning_set, rows_matching, rows_to_learn
 from palpate.core import (
     ImageError,
-    Indices,
     InputError,
     LabelError,
     PathText,
     Tensor,
     Values,
-    new_folder,
     refuse_existing,
     storage_errors,
 )
-from palpate.estimators.certified import CARD_FILE, Estimator, Intervals, checked_file, intervals_of
-from palpate.estimators.model_card import Card, SplitCard, sealed
-from palpate.estimators.networks.model_interface import Progress, TrainingData, silent
+from palpate.estimators.certified import Estimator, Intervals, checked_file, intervals_of
+from palpate.estimators.model_card import Card, SplitCard
+from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.estimators.novelty import (
     NoveltyDetector,
     RenderedImages,
-    Thumbnails,
     fit_novelty_detector,
-    thumbnails,
 )
-from palpate.recordings.exchange import image_files
 from palpate.recordings.labels import targets_from
 from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.run_reader import Run
@@ -81,53 +54,7 @@ TOGETHER = 12
 """Frames of the former calibration that are held out together: they lie in the order of its presses."""
 
 
-def guard_with(
-    former: NoveltyDetector, thumbs: Thumbnails, folds: Sequence[Indices], untouched: Indices
-) -> NoveltyDetector:
-    """A guard with another copy's frames added; drift is judged by that copy's own untouched frames.
-
-    Its limits let the copy's frames pass, each held against the former calibration and the copy's other
-    presses. Where the former frames are too unlike the copy's to help, they are left out.
-
-    Args:
-        former: of the calibration that is adapted.
-        thumbs: thumbnails of all the copy's frames ``[n h w c]``.
-        folds: their rows by press.
-        untouched: which rows show the untouched copy; may be none.
-    """
-    known = former.seen.thumbs
-    also = RenderedImages(known, np.arange(len(known)) // TOGETHER)
-    return fit_novelty_detector(thumbs, folds, thumbs[untouched], also=also)
-
-
 MAX_COVERAGE = 1 - 1e-9
-
-
-def write_adapted(made: Calibrated, adapted: Adapted, former: Card, out: Path) -> Card:
-    """Write the folder; `out` appears whole or not at all.
-
-    Args:
-        made: the copy's rows, the network with its correction, and the guard.
-        adapted: what the correction is, and what it said of presses it had not learnt from.
-        former: card of the calibration that was adapted.
-        out: the folder to make.
-
-    Raises:
-        CertificateError: the exported model does not repeat the network and its correction.
-        ExistsError: `out` exists.
-    """
-    with new_folder(out) as folder:
-        onnx.save(made.fitted.to_onnx(), str(folder / "model.onnx"))
-        agrees = agreement(made, folder / "model.onnx")
-        made.guard.save(folder / "guard.npz")
-        intervals = intervals_of_presses(made.held_out, made.data.values, made.data.groups, former.coverage)
-        halves = intervals.half_widths(made.held_out)
-        write_predictions(predictions_table(made, halves), folder)
-        for name, image in pictures(made):
-            (folder / name).write_bytes(image_files.encode(image).tobytes())
-        card = _card(made, adapted, former, folder, intervals, halves, agrees)
-        (folder / CARD_FILE).write_text(card.model_dump_json(indent=1))
-    return card
 
 
 def intervals_of_presses(predicted: Values, true: Values, groups: np.ndarray, coverage: float) -> Intervals:
@@ -150,60 +77,22 @@ def intervals_of_presses(predicted: Values, true: Values, groups: np.ndarray, co
     return replace(found, quantile=np.array([conformal_quantile(column, raised) for column in scores.T]))
 
 
-def _card(
-    made: Calibrated,
-    adapted: Adapted,
-    former: Card,
-    folder: Path,
-    intervals: Intervals,
-    halves: Values,
-    agreement: float,
-) -> Card:
-    others = sorted(p for p in folder.iterdir() if p.name not in ("model.onnx", "guard.npz"))
-    return sealed(
-        former.model_dump(exclude={"id"})
-        | {
-            "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-            "software": software(),
-            "sensor": made.run.manifest.sensor,
-            "targets": tuple(target_cards(made, intervals, halves)),
-            "model": file_card(folder / "model.onnx"),
-            "guard": file_card(folder / "guard.npz"),
-            "files": tuple(file_card(path) for path in others),
-            "reference": reference_card(made),
-            "split": _adapted_split(made, adapted, former),
-            "run": run_card(made),
-            "agreement": agreement,
-            "seconds": round(made.seconds, 1),
-            "adapted_from": former.id,
-        }
-    )
-
-
-def _adapted_split(made: Calibrated, adapted: Adapted, former: Card) -> SplitCard:
+def _adapted_split(result: CalibrationResult, adapted: Adapted, former: Card) -> SplitCard:
     changed = [c for c, d in zip(former.columns, adapted.choices, strict=True) if d.terms != AS_IT_WAS]
-    return SplitCard(
-        kind=made.split.kind,
-        reason=(
-            f"adapted from calibration {former.id}, whose network has seen none of this run; scored by "
-            "corrections that had not learnt from the press they read; corrected: "
-            f"{', '.join(changed) or 'nothing, since no correction was better than none'}"
-        ),
-        columns=made.split.group_columns,
-        groups=len(np.unique(made.data.groups)),
-        folds=len(made.split.folds),
-        rows_learnt=len(made.packed),
-        rows_scored=len(made.packed),
-        clean=made.audit.clean,
-        audit=made.audit.text,
-        details=made.audit.to_dict() | {"correction": _said(made, adapted, former)},
+    reason = (
+        f"adapted from calibration {former.id}, whose network has seen none of this run; scored by "
+        "corrections that had not learnt from the press they read; corrected: "
+        f"{', '.join(changed) or 'nothing, since no correction was better than none'}"
     )
+    card = split_card(result)
+    corrections = {"correction": _correction_records(result, adapted, former)}
+    return card.model_copy(update={"reason": reason, "details": card.details | corrections})
 
 
-def _said(made: Calibrated, adapted: Adapted, former: Card) -> dict[str, Any]:
-    """Of each target: the mean absolute error before and after, in its unit, and what was done."""
+def _correction_records(result: CalibrationResult, adapted: Adapted, former: Card) -> dict[str, Any]:
+    """Mean absolute error of each target before and after, in its unit, and the correction chosen."""
     before, after = (
-        np.abs(values - made.data.values).mean(axis=0) for values in (adapted.estimates, adapted.held_out)
+        np.abs(values - result.data.values).mean(axis=0) for values in (adapted.estimates, adapted.held_out)
     )
     return {
         column: {
@@ -254,13 +143,15 @@ def adapt(folder: PathText, run: Run, out: PathText, progress: Progress = silent
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.name}.", suffix=".work", dir=out.parent) as work:
             packed = _packed(run, Path(work), card, progress)
-            made, adapted = _made(estimator, run, packed, plan, progress)
+            result, adapted = _result(estimator, run, packed, plan, progress)
             progress("writing the calibration", 0, 1)
-            return write_adapted(replace(made, seconds=time.monotonic() - started), adapted, card, out)
+            result = replace(result, seconds=time.monotonic() - started)
+            held_out = _adapted_split(result, adapted, card)
+            return write_certificate(result, out, fit=intervals_of_presses, former=card, split=held_out)
 
 
 @dataclass(frozen=True)
-class _Corrected:
+class _CorrectedNetwork:
     """A network and the correction behind it."""
 
     estimator: Estimator
@@ -303,7 +194,7 @@ def _rule(card: Card, run: Run) -> ReferenceRule | None:
         return None
     rule = ReferenceRule(held.column, held.value, held.by)
     try:
-        marked(run.labels, rule)
+        rows_matching(run.labels, rule)
     except LabelError as e:
         if card.input.delta:
             raise LabelError(
@@ -349,58 +240,49 @@ def _packed(run: Run, work: Path, card: Card, progress: Progress) -> PackedSet:
     return pack(run, work / "packed", card.input.preparation, lambda n, of: progress("packing", n, of))
 
 
-def _made(
+def _result(
     estimator: Estimator, run: Run, whole: PackedSet, plan: CalibrationPlan, progress: Progress
-) -> tuple[Calibrated, Adapted]:
-    card, untouched = estimator.card, find_untouched(whole, plan)
-    rows = rows_to_learn(whole.table, plan)
-    packed = whole.only(rows)
-    parts = _split(packed, plan)
-    groups = np.arange(len(packed)) if parts.groups is None else parts.groups
-    data = training_data(packed, plan, groups, untouched.of(rows), str(run.path))
+) -> tuple[CalibrationResult, Adapted]:
+    table = run.labels.iloc[rows_to_learn(run.labels, plan)].reset_index(drop=True)
+    parts = _split(table, plan)
+    learning = learning_set(whole, plan, parts.groups, str(run.path))
+    data = learning.data
     progress("learning the correction", 0, 1)
-    estimates = _estimates(estimator, data)
-    spread = intervals_of(card).spread
-    presses = np.unique(groups, return_inverse=True)[1]
+    estimates = np.concatenate([estimator.values(x) for _, x in data.batches(np.arange(len(data.values)))])
+    spread = intervals_of(estimator.card).spread
+    presses = np.unique(data.groups, return_inverse=True)[1]
     start = Correction.none(spread.centre, spread.scale, estimates)
     adapted = correct(estimates, data.values, presses, start)
     progress("learning the correction", 1, 1)
-    made = Calibrated(
+    result = CalibrationResult(
         run=run,
         plan=plan,
-        packed=packed,
-        data=data,
+        learning=learning,
         split=parts,
-        audit=audit(packed, parts),
-        untouched=untouched,
+        audit=audit(learning.packed, parts),
         held_out=adapted.held_out,
-        fitted=_Corrected(estimator, adapted.correction),
-        guard=_guard(estimator, whole, _all_folds(len(whole), rows, parts), untouched.rows),
+        fitted=_CorrectedNetwork(estimator, adapted.correction),
+        guard=_novelty_detector(estimator, learning, parts),
     )
-    return made, adapted
+    return result, adapted
 
 
-def _split(packed: PackedSet, plan: CalibrationPlan) -> Split:
+def _split(table: pd.DataFrame, plan: CalibrationPlan) -> Split:
     if plan.split.endswith(":row"):
-        each = tuple(np.arange(len(packed))[:, None])
+        each = tuple(np.arange(len(table))[:, None])
         return Split(plan.split, (), None, each, "no column says which rows are of one press")
-    return split(packed.table, plan.split)
+    return split(table, plan.split)
 
 
-def _estimates(estimator: Estimator, data: TrainingData) -> Values:
-    rows = np.arange(len(data.values))
-    return np.concatenate([estimator.values(inputs) for _, inputs in data.batches(rows)])
+def _novelty_detector(estimator: Estimator, learning: LearningSet, parts: Split) -> NoveltyDetector:
+    """A detector that knows the frames of both copies and judges drift by the new one's untouched frames.
 
-
-def _all_folds(n: int, rows: Indices, parts: Split) -> list[Indices]:
-    """The folds, in the whole run's rows; those that are not learnt from are dealt out to them."""
-    others = np.setdiff1d(np.arange(n), rows)
-    return [np.append(rows[held], others[k :: len(parts.folds)]) for k, held in enumerate(parts.folds)]
-
-
-def _guard(
-    estimator: Estimator, whole: PackedSet, folds: Sequence[Indices], untouched: Indices
-) -> NoveltyDetector:
-    thumbs = thumbnails(prepared_images(whole, np.arange(len(whole))))
-    former = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard))
-    return guard_with(former, thumbs, folds, untouched)
+    Its limits let the copy's frames pass, each compared with the former calibration and the copy's other
+    presses. Where the former frames are too unlike the copy's to help, they are left out.
+    """
+    former = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard)).seen.thumbs
+    also = RenderedImages(former, np.arange(len(former)) // TOGETHER)
+    thumbs = learning.thumbnails()
+    return fit_novelty_detector(
+        thumbs, learning.folds_of_whole(parts), thumbs[learning.untouched.rows], also=also
+    )

@@ -1,18 +1,14 @@
-"""What a calibration has made, before it is written down.
-
-What every certificate is made of: pictures, scores, references, files and the software's versions.
-
-A calibration as a folder that proves itself: model, guard, card, held-out predictions, pictures.
-"""
+"""Certificate of a calibration: a folder of model, novelty detector, card, predictions and pictures."""
 
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -23,7 +19,7 @@ from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.conformal import fit_intervals
 from palpate.calibration.evaluation import score
 from palpate.calibration.leakage import LeakageAudit
-from palpate.calibration.training_data import Untouched
+from palpate.calibration.training_data import LearningSet, Untouched
 from palpate.core import CertificateError, Indices, Values, new_folder, sha256_of, split_column
 from palpate.estimators.certified import CARD_FILE, Intervals, checked_file
 from palpate.estimators.model_card import (
@@ -48,14 +44,13 @@ from palpate.version import __version__
 
 
 @dataclass(frozen=True)
-class Calibrated:
-    """Everything a certificate is written from.
+class CalibrationResult:
+    """Result of a calibration: everything a certificate is written from.
 
     Attributes:
         run, plan: what was asked.
-        packed, data: the rows learnt from; of the untouched sensor's only where that was asked for.
-        untouched: those frames.
-        split, audit: how rows were held out.
+        learning: the rows learnt from and the frames of the untouched sensor.
+        split, audit: how rows were held out, and what stands on both sides.
         held_out: predictions of rows by a model that had not seen their group; NaN for rows not scored.
         fitted, guard: what was learnt from all of them.
         seconds: time it took [s].
@@ -63,15 +58,28 @@ class Calibrated:
 
     run: Run
     plan: CalibrationPlan
-    packed: PackedSet
-    data: TrainingData
+    learning: LearningSet
     split: Split
     audit: LeakageAudit
-    untouched: Untouched
     held_out: Values
     fitted: Fitted
     guard: NoveltyDetector
     seconds: float = 0.0
+
+    @property
+    def packed(self) -> PackedSet:
+        """Rows learnt from; those of the untouched sensor only where that was asked for."""
+        return self.learning.packed
+
+    @property
+    def data(self) -> TrainingData:
+        """Inputs, values and groups of these rows."""
+        return self.learning.data
+
+    @property
+    def untouched(self) -> Untouched:
+        """Frames of the untouched sensor."""
+        return self.learning.untouched
 
     @property
     def scored(self) -> Indices:
@@ -90,35 +98,36 @@ AGREEMENT = 1e-4
 WORST = 6
 
 
-def worst_rows(made: Calibrated) -> Indices:
+def worst_rows(result: CalibrationResult) -> Indices:
     """Rows whose error, in units of each target's range, is the largest."""
-    span, scored = np.ptp(made.data.values, axis=0), made.scored
-    error = np.max(np.abs(made.held_out[scored] - made.data.values[scored]) / span, axis=1)
+    span, scored = np.ptp(result.data.values, axis=0), result.scored
+    error = np.max(np.abs(result.held_out[scored] - result.data.values[scored]) / span, axis=1)
     return scored[np.argsort(error)[::-1][:WORST]]
 
 
-def pictures(made: Calibrated) -> Iterator[tuple[str, np.ndarray]]:
+def pictures(result: CalibrationResult) -> Iterator[tuple[str, np.ndarray]]:
     """File names and pictures, RGB or grey, that the report shows."""
-    chosen = [(f"worst-{row}.png", int(row)) for row in worst_rows(made)]
-    chosen += [("example.png", len(made.packed) // 2)]
+    chosen = [(f"worst-{row}.png", int(row)) for row in worst_rows(result)]
+    chosen += [("example.png", len(result.packed) // 2)]
     for name, row in chosen:
-        yield name, _picture(made.packed.read(np.array([row]))[0])
-    if len(made.untouched.rows):
-        mean = made.untouched.images[0].transpose(1, 2, 0)
-        yield "reference.png", _picture(mean.round().astype(np.uint8))
+        yield name, as_picture(result.packed.read(np.array([row]))[0])
+    if len(result.untouched.rows):
+        mean = result.untouched.images[0].transpose(1, 2, 0)
+        yield "reference.png", as_picture(mean.round().astype(np.uint8))
 
 
-def _picture(prepared: np.ndarray) -> np.ndarray:
+def as_picture(prepared: np.ndarray) -> np.ndarray:
+    """A prepared frame ``[h w c]`` as an image file has it: RGB, or grey without a channel axis."""
     return prepared if prepared.shape[2] == 3 else prepared[..., 0]
 
 
-def agreement(made: Calibrated, model: Path) -> float:
+def agreement(result: CalibrationResult, model: Path) -> float:
     """Largest difference between exported and trained model, as a share of each target's range."""
-    rows = np.linspace(0, len(made.packed) - 1, min(64, len(made.packed))).astype(np.int64)
-    inputs = made.data.fetch(rows)
+    rows = np.linspace(0, len(result.packed) - 1, min(64, len(result.packed))).astype(np.int64)
+    inputs = result.data.fetch(rows)
     session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
     (exported,) = session.run(["value"], {"image": inputs})
-    difference = np.abs(exported - made.fitted.predict(inputs)) / np.ptp(made.data.values, axis=0)
+    difference = np.abs(exported - result.fitted.predict(inputs)) / np.ptp(result.data.values, axis=0)
     worst = float(difference.max())
     if not worst <= AGREEMENT:
         raise CertificateError(
@@ -128,15 +137,26 @@ def agreement(made: Calibrated, model: Path) -> float:
     return worst
 
 
-def target_cards(made: Calibrated, intervals: Intervals, halves: Values) -> Iterator[TargetCard]:
+def interval_fields(intervals: Intervals, j: int) -> dict[str, Any]:
+    """Fields of a target's card from which `estimators.certified.intervals_of` makes its interval again."""
+    spread = intervals.spread
+    return {
+        "centre": float(spread.centre[j]),
+        "scale": float(spread.scale[j]),
+        "typical": float(spread.typical[j]),
+        "coefficients": tuple(float(c) for c in spread.coefficients[j]),
+        "quantile": float(intervals.quantile[j]),
+    }
+
+
+def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values) -> Iterator[TargetCard]:
     """Ranges, intervals and scores."""
-    mean_of_others = np.empty_like(made.data.values)
-    for k, rows in enumerate(made.split.folds):
-        mean_of_others[rows] = made.data.values[made.split.training_rows(k)].mean(axis=0)
-    scored = made.scored
-    for j, column in enumerate(made.plan.targets):
-        quantity, unit = split_column(column)
-        true = made.data.values[:, j]
+    scored, values, groups = result.scored, result.data.values, result.data.groups
+    mean_of_others = np.empty_like(values)
+    for k, rows in enumerate(result.split.folds):
+        mean_of_others[rows] = values[result.split.training_rows(k)].mean(axis=0)
+    for j, column in enumerate(result.plan.targets):
+        (quantity, unit), true, estimate = split_column(column), values[:, j], result.held_out[scored, j]
         yield TargetCard(
             column=column,
             quantity=quantity,
@@ -144,41 +164,32 @@ def target_cards(made: Calibrated, intervals: Intervals, halves: Values) -> Iter
             least=float(true.min()),
             greatest=float(true.max()),
             training_mean=float(true.mean()),
-            centre=float(intervals.spread.centre[j]),
-            scale=float(intervals.spread.scale[j]),
-            typical=float(intervals.spread.typical[j]),
-            coefficients=tuple(float(c) for c in intervals.spread.coefficients[j]),
-            quantile=float(intervals.quantile[j]),
+            **interval_fields(intervals, j),
             score=score(
-                unit.symbol,
-                true[scored],
-                made.held_out[scored, j],
-                halves[:, j],
-                mean_of_others[scored, j],
-                made.data.groups[scored],
+                unit.symbol, true[scored], estimate, halves[:, j], mean_of_others[scored, j], groups[scored]
             ),
         )
 
 
-def reference_card(made: Calibrated) -> ReferenceCard:
+def reference_card(result: CalibrationResult) -> ReferenceCard:
     """How the untouched sensor was found."""
-    rule = made.untouched.rule
+    rule = result.untouched.rule
     return ReferenceCard(
         column=rule.column if rule else None,
         value=rule.value if rule else None,
         by=rule.by if rule else (),
-        frames=len(made.untouched.rows),
-        learnt=made.plan.learn_untouched,
+        frames=len(result.untouched.rows),
+        learnt=result.plan.learn_untouched,
     )
 
 
-def run_card(made: Calibrated) -> RunCard:
-    """What was learnt from."""
-    manifest = made.run.manifest
+def run_card(result: CalibrationResult) -> RunCard:
+    """The run that was learnt from."""
+    manifest = result.run.manifest
     return RunCard(
         run_id=manifest.run_id,
-        hash=made.run.hash,
-        frames=len(made.run),
+        hash=result.run.hash,
+        frames=len(result.run),
         origin=manifest.origin,
         licence=manifest.licence,
     )
@@ -190,7 +201,7 @@ def file_card(path: Path) -> FileCard:
 
 
 def software() -> dict[str, str]:
-    """Versions of what a calibration is made and read with."""
+    """Versions of what a calibration is result and read with."""
     names = ("numpy", "scikit-learn", "onnx", "onnxruntime", "opencv-python-headless")
     return {"palpate": __version__, "python": platform.python_version()} | {n: version(n) for n in names}
 
@@ -198,41 +209,85 @@ def software() -> dict[str, str]:
 PREDICTIONS_FILE, FORMER_PREDICTIONS_FILE = "predictions.csv.gz", "predictions.parquet"
 
 
-def write_certificate(made: Calibrated, out: Path) -> Card:
+IntervalFit = Callable[[Values, Values, np.ndarray, float], Intervals]
+
+
+def write_certificate(
+    result: CalibrationResult,
+    out: Path,
+    *,
+    fit: IntervalFit = fit_intervals,
+    former: Card | None = None,
+    split: SplitCard | None = None,
+) -> Card:
     """Write the folder; `out` appears whole or not at all.
+
+    Args:
+        result: what was calibrated.
+        out: the folder to make.
+        fit: intervals from held-out predictions, labels, groups and coverage.
+        former: card of the calibration that was adapted, whose model and input stay; None for a new one.
+        split: how rows were held out; None takes the result's own.
 
     Raises:
         CertificateError: the exported model does not repeat the trained one.
         ExistsError: `out` exists.
     """
+    data, scored = result.data, result.scored
     with new_folder(out) as folder:
-        onnx.save(made.fitted.to_onnx(), str(folder / "model.onnx"))
-        agrees = agreement(made, folder / "model.onnx")
-        made.guard.save(folder / "guard.npz")
-        scored = made.scored
-        intervals = fit_intervals(
-            made.held_out[scored], made.data.values[scored], made.data.groups[scored], made.plan.coverage
+        onnx.save(result.fitted.to_onnx(), str(folder / "model.onnx"))
+        agrees = agreement(result, folder / "model.onnx")
+        result.guard.save(folder / "guard.npz")
+        intervals = fit(
+            result.held_out[scored], data.values[scored], data.groups[scored], result.plan.coverage
         )
-        halves = intervals.half_widths(made.held_out[scored])
-        write_predictions(predictions_table(made, halves), folder)
-        for name, image in pictures(made):
+        halves = intervals.half_widths(result.held_out[scored])
+        write_predictions(predictions_table(result, halves), folder)
+        for name, image in pictures(result):
             (folder / name).write_bytes(image_files.encode(image).tobytes())
-        card = _card(made, folder, intervals, halves, agrees)
+        constant = _plan_fields(result) if former is None else former.model_dump(exclude={"id"})
+        card = sealed(
+            constant
+            | {"sensor": result.run.manifest.sensor}
+            | made_fields(folder)
+            | {
+                "targets": tuple(target_cards(result, intervals, halves)),
+                "reference": reference_card(result),
+                "split": split or split_card(result),
+                "run": run_card(result),
+                "agreement": agrees,
+                "seconds": round(result.seconds, 1),
+                "adapted_from": former and former.id,
+            }
+        )
         (folder / CARD_FILE).write_text(card.model_dump_json(indent=1))
     return card
 
 
-def predictions_table(made: Calibrated, halves: Values) -> pd.DataFrame:
-    """One row a scored frame: its labels, and for each target what was said of it when it was held out."""
-    fold = np.empty(len(made.packed), np.int64)
-    for k, rows in enumerate(made.split.folds):
+def made_fields(folder: Path) -> dict[str, Any]:
+    """Fields of a card that say when, with what software and into which files a calibration was written."""
+    parts = ("model.onnx", "guard.npz")
+    others = sorted(path for path in folder.iterdir() if path.is_file() and path.name not in parts)
+    return {
+        "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "software": software(),
+        "model": file_card(folder / "model.onnx"),
+        "guard": file_card(folder / "guard.npz"),
+        "files": tuple(file_card(path) for path in others),
+    }
+
+
+def predictions_table(result: CalibrationResult, halves: Values) -> pd.DataFrame:
+    """One row a scored frame: its labels, and for each target the estimate when it was held out."""
+    fold = np.empty(len(result.packed), np.int64)
+    for k, rows in enumerate(result.split.folds):
         fold[rows] = k
-    rows = made.scored
-    names = [made.packed.names[row] for row in rows]
+    rows = result.scored
+    names = [result.packed.names[row] for row in rows]
     own = {"row": rows, "frame": names, "held_out_in_fold": fold[rows]}
-    table = with_own(made.packed.table.iloc[rows].reset_index(drop=True), own)
-    for j, column in enumerate(made.plan.targets):
-        table[f"estimate:{column}"] = made.held_out[made.scored, j]
+    table = with_own(result.packed.table.iloc[rows].reset_index(drop=True), own)
+    for j, column in enumerate(result.plan.targets):
+        table[f"estimate:{column}"] = result.held_out[result.scored, j]
         table[f"half_width:{column}"] = halves[:, j]
     return table
 
@@ -255,51 +310,36 @@ def read_predictions(folder: Path, card: Card) -> pd.DataFrame:
     raise CertificateError(f"the card of {folder} names no {PREDICTIONS_FILE}; restore it or calibrate again")
 
 
-def _card(made: Calibrated, folder: Path, intervals: Intervals, halves: Values, agreement: float) -> Card:
-    plan, run = made.plan, made.run
-    preparation = made.packed.preparation
-    others = sorted(p for p in folder.iterdir() if p.name not in ("model.onnx", "guard.npz"))
-    return sealed(
-        {
-            "format": FORMAT,
-            "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-            "software": software(),
-            "seed": plan.seed,
-            "sensor": run.manifest.sensor,
-            "model_name": plan.model,
-            "options": settings_of(plan.model, plan.options),
-            "coverage": plan.coverage,
-            "input": InputCard(
-                frame_px=run.frame(0).image.shape[:2],
-                size_px=preparation.size_px,
-                channels=preparation.channels,
-                crop_px=preparation.crop_px,
-                beside_px=preparation.beside_px,
-                delta=plan.delta,
-            ),
-            "targets": tuple(target_cards(made, intervals, halves)),
-            "model": file_card(folder / "model.onnx"),
-            "guard": file_card(folder / "guard.npz"),
-            "files": tuple(file_card(path) for path in others),
-            "reference": reference_card(made),
-            "split": _split(made),
-            "run": run_card(made),
-            "agreement": agreement,
-            "seconds": round(made.seconds, 1),
-        }
-    )
+def _plan_fields(result: CalibrationResult) -> dict[str, Any]:
+    plan, preparation = result.plan, result.packed.preparation
+    return {
+        "format": FORMAT,
+        "seed": plan.seed,
+        "model_name": plan.model,
+        "options": settings_of(plan.model, plan.options),
+        "coverage": plan.coverage,
+        "input": InputCard(
+            frame_px=result.run.frame(0).image.shape[:2],
+            size_px=preparation.size_px,
+            channels=preparation.channels,
+            crop_px=preparation.crop_px,
+            beside_px=preparation.beside_px,
+            delta=plan.delta,
+        ),
+    }
 
 
-def _split(made: Calibrated) -> SplitCard:
+def split_card(result: CalibrationResult) -> SplitCard:
+    """How rows were held out, and what the audit of it found."""
     return SplitCard(
-        kind=made.split.kind,
-        reason=made.split.reason,
-        columns=made.split.group_columns,
-        groups=len(np.unique(made.data.groups)),
-        folds=len(made.split.folds),
-        rows_learnt=len(made.packed) - (len(made.scored) if made.one_fold else 0),
-        rows_scored=len(made.scored),
-        clean=made.audit.clean,
-        audit=made.audit.text,
-        details=made.audit.to_dict(),
+        kind=result.split.kind,
+        reason=result.split.reason,
+        columns=result.split.group_columns,
+        groups=len(np.unique(result.data.groups)),
+        folds=len(result.split.folds),
+        rows_learnt=len(result.packed) - (len(result.scored) if result.one_fold else 0),
+        rows_scored=len(result.scored),
+        clean=result.audit.clean,
+        audit=result.audit.text,
+        details=result.audit.to_dict(),
     )

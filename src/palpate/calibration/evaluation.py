@@ -9,7 +9,7 @@ import pandas as pd
 
 from palpate.calibration.calibration_plan import ReferenceRule
 from palpate.calibration.conformal import grouped_coverage_interval
-from palpate.calibration.training_data import marked
+from palpate.calibration.training_data import rows_matching
 from palpate.core import LabelError, Readings, Shaped, Values
 from palpate.estimators.certified import Estimator, Zero
 from palpate.estimators.model_card import Card, ScoreCard
@@ -137,7 +137,7 @@ def _untouched_rows(card: Card, table: pd.DataFrame) -> np.ndarray:
     if rule.column is None or rule.value is None or not {rule.column, *rule.by} <= set(table):
         return np.empty(0, np.int64)
     try:
-        return np.flatnonzero(marked(table, ReferenceRule(rule.column, rule.value, rule.by)))
+        return np.flatnonzero(rows_matching(table, ReferenceRule(rule.column, rule.value, rule.by)))
     except LabelError:
         return np.empty(0, np.int64)
 

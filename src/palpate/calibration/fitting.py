@@ -1,9 +1,9 @@
-"""From a run and a plan to a certificate: pack, split, audit, fit, hold out, certify.
+"""Calibration of a model on a run: pack, split, audit, fit, hold out, certify.
 
 Work is kept in a folder beside the result (`.NAME.work`) until it is whole. Interrupted, the same command
 goes on from there: the packed set, every finished fold and a network's last epoch are kept.
 
-Of several processes that torchrun began, the first does all this, and the others help it to train.
+Where torchrun began several processes, the first does all this, and the others help it to train.
 """
 
 from __future__ import annotations
@@ -12,23 +12,17 @@ import json
 import math
 import shutil
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.stats import ks_2samp
 
 from palpate.calibration.calibration_plan import CalibrationPlan
-from palpate.calibration.certificate import Calibrated, write_certificate
+from palpate.calibration.certificate import CalibrationResult, write_certificate
 from palpate.calibration.leakage import audit
 from palpate.calibration.model_check import check_plugged_in
-from palpate.calibration.training_data import (
-    Untouched,
-    find_untouched,
-    prepared_images,
-    rows_to_learn,
-    training_data,
-)
+from palpate.calibration.training_data import LearningSet, learning_set, rows_to_learn
 from palpate.core import (
     ExistsError,
     Indices,
@@ -43,13 +37,11 @@ from palpate.estimators.networks import make_model, model_kind
 from palpate.estimators.networks.distributed import ProcessGroup
 from palpate.estimators.networks.model_interface import (
     Fitted,
-    Model,
     Progress,
-    TrainingData,
     predict_rows,
     silent,
 )
-from palpate.estimators.novelty import LearnsFromRendered, NoveltyDetector, fit_novelty_detector, thumbnails
+from palpate.estimators.novelty import LearnsFromRendered, NoveltyDetector, fit_novelty_detector
 from palpate.recordings.labels import refuse_reserved, targets_from
 from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.preparation import Preparation
@@ -68,7 +60,7 @@ def calibrate(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress
         run: frames and their labels.
         plan: what to estimate and how.
         out: the calibration folder to make; must not exist.
-        progress: told what is being done and how far it is.
+        progress: called with what is being done and how far it is.
 
     Returns:
         `out`.
@@ -80,85 +72,43 @@ def calibrate(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress
     out = Path(out)
     refuse_existing(out)
     started = time.monotonic()
-    _check_plan(run, plan)
-    crew = _crew(plan)
-    if not crew.first:
-        _help(run, plan, _work_path(out), crew)
+    parts = _split_rows(run, plan)
+    processes = _process_group(plan)
+    if not processes.first:  # train along, from the set that the first packs, and write nothing
+        learning = _learning_set(run, plan, parts, _work_path(out), silent, processes)
+        _fit(learning, parts, plan, _work_path(out), silent, processes)
+        processes.wait()
         return out
     work = _work_folder(run, plan, out)
     with storage_errors(work):
-        made = _made(run, plan, work, progress, crew)
-        write_certificate(replace(made, seconds=time.monotonic() - started), out)
-        crew.wait()
+        learning = _learning_set(run, plan, parts, work, progress, processes)
+        leakage = audit(learning.packed, parts)
+        held_out, fitted = _fit(learning, parts, plan, work, progress, processes)
+        detector = _novelty_detector(learning, parts, fitted, plan, progress)
+        result = CalibrationResult(run, plan, learning, parts, leakage, held_out, fitted, detector)
+        write_certificate(replace(result, seconds=time.monotonic() - started), out)
+        processes.wait()
         shutil.rmtree(work)
     return out
 
 
-def _crew(plan: CalibrationPlan) -> ProcessGroup:
+def _process_group(plan: CalibrationPlan) -> ProcessGroup:
     """The processes that shall train together.
 
     Raises:
         InputError: there are several, and the model is none that they can share.
     """
-    crew = ProcessGroup.of_environment()
-    if crew.size > 1 and not hasattr(make_model(plan.model, plan.options), "descent"):
+    processes = ProcessGroup.of_environment()
+    if processes.size > 1 and not hasattr(make_model(plan.model, plan.options), "descent"):
         raise InputError(
-            f"{crew.size} processes, and {plan.model} trains in one; run palpate without torchrun, or take "
-            "one of the palm's networks that are trained with torch"
+            f"{processes.size} processes, and {plan.model} trains in one; run palpate without torchrun, or "
+            "take one of the palm's networks that are trained with torch"
         )
-    return crew
+    return processes
 
 
-def _help(run: Run, plan: CalibrationPlan, work: Path, crew: ProcessGroup) -> None:
-    """Train along with the first process, from the set that it packs, and write nothing."""
-    ready = _ready(run, plan, work, silent, crew)
-    _learnt(make_model(plan.model, plan.options), ready, plan, work, silent, crew)
-    crew.wait()
-
-
-@dataclass(frozen=True, slots=True)
-class _Ready:
-    """What there is before anything is learnt: all rows packed, and those to learn from, split."""
-
-    whole: PackedSet
-    rows: Indices
-    untouched: Untouched
-    packed: PackedSet
-    parts: Split
-    data: TrainingData
-
-
-def _ready(run: Run, plan: CalibrationPlan, work: Path, progress: Progress, crew: ProcessGroup) -> _Ready:
-    whole = _packed(run, plan, work, progress, crew)
-    untouched = find_untouched(whole, plan)
-    rows = rows_to_learn(whole.table, plan)
-    packed = whole.only(rows)
-    parts = split(packed.table, plan.split, folds=_folds(plan), seed=plan.seed)
-    groups = parts.groups if parts.groups is not None else np.arange(len(packed))
-    data = training_data(packed, plan, groups, untouched.of(rows), str(run.path))
-    return _Ready(whole, rows, untouched, packed, parts, data)
-
-
-def _made(run: Run, plan: CalibrationPlan, work: Path, progress: Progress, crew: ProcessGroup) -> Calibrated:
-    ready = _ready(run, plan, work, progress, crew)
-    model = make_model(plan.model, plan.options)
-    held_out, fitted = _learnt(model, ready, plan, work, progress, crew)
-    return Calibrated(
-        run=run,
-        plan=plan,
-        packed=ready.packed,
-        data=ready.data,
-        split=ready.parts,
-        audit=audit(ready.packed, ready.parts),
-        untouched=ready.untouched,
-        held_out=held_out,
-        fitted=fitted,
-        guard=_guard(ready, fitted, plan, progress),
-    )
-
-
-def _check_plan(run: Run, plan: CalibrationPlan) -> None:
-    """Refuse at once what would fail after an hour."""
+def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
+    """Split the rows to learn from, and refuse at once what would fail after an hour."""
     if len(run) < 10:
         raise InputError(f"{run.path} holds {len(run)} frames; a calibration needs 10 or more")
     refuse_reserved(list(run.manifest.labels), str(run.path))
@@ -166,8 +116,9 @@ def _check_plan(run: Run, plan: CalibrationPlan) -> None:
     prepared = preparation_of(run, plan).apply(run.frame(0).image)
     table = run.labels.iloc[rows_to_learn(run.labels, plan)].reset_index(drop=True)
     targets_from(table, plan.targets, str(run.path))
-    split(table, plan.split, folds=_folds(plan), seed=plan.seed)
+    parts = split(table, plan.split, folds=_folds(plan), seed=plan.seed)
     check_plugged_in(plan, prepared.transpose(2, 0, 1).shape)
+    return parts
 
 
 def preparation_of(run: Run, plan: CalibrationPlan) -> Preparation:
@@ -187,7 +138,7 @@ def preparation_of(run: Run, plan: CalibrationPlan) -> Preparation:
 
 
 def _work_folder(run: Run, plan: CalibrationPlan, out: Path) -> Path:
-    """The folder of unfinished work towards this very plan, made or found again."""
+    """The folder of unfinished work towards this very plan, new or from an interrupted run."""
     work = _work_path(out)
     wanted = json.dumps({"run": run.hash, "plan": plan.to_dict()}, sort_keys=True)
     note = work / "plan.json"
@@ -211,43 +162,64 @@ def _work_path(out: Path) -> Path:
     return out.with_name(f".{out.name}.work")
 
 
-def _packed(run: Run, plan: CalibrationPlan, work: Path, progress: Progress, crew: ProcessGroup) -> PackedSet:
+def _learning_set(
+    run: Run, plan: CalibrationPlan, parts: Split, work: Path, progress: Progress, processes: ProcessGroup
+) -> LearningSet:
     folder = work / "packed"
-    if crew.first and not folder.exists():
-        made = preparation_of(run, plan)
-        pack(run, folder, made, progress=lambda done, total: progress("packing", done, total))
-    crew.wait()
-    return PackedSet.open(folder)
+    if processes.first and not folder.exists():
+        prepare = preparation_of(run, plan)
+        pack(run, folder, prepare, progress=lambda done, total: progress("packing", done, total))
+    processes.wait()
+    return learning_set(PackedSet.open(folder), plan, parts.groups, str(run.path))
 
 
-def _learnt(
-    model: Model, ready: _Ready, plan: CalibrationPlan, work: Path, progress: Progress, crew: ProcessGroup
+def _fit(
+    learning: LearningSet,
+    parts: Split,
+    plan: CalibrationPlan,
+    work: Path,
+    progress: Progress,
+    processes: ProcessGroup,
 ) -> tuple[Values, Fitted]:
-    """Predictions of rows by a model that has not seen their fold (NaN where none was), and what is kept.
+    """Held-out predictions, NaN where a row was in no scored fold, and the model that is kept.
 
-    Where every fold is held out in turn, what is kept has learnt from all rows. Where one is, what is kept
-    is the very model that was scored.
+    Where every fold is held out in turn, the one kept has learnt from all rows. Where one is, it is the very
+    model that was scored.
     """
-    data, parts = ready.data, ready.parts
+    data, model = learning.data, make_model(plan.model, plan.options)
+
+    def fit(name: str, what: str, rows: Indices, seed: int) -> Fitted:
+        def labelled(stage: str, done: int, total: int) -> None:
+            progress(f"{what}: {stage}", done, total)
+
+        return model.fit(data, rows, seed=seed, progress=labelled, checkpoint=work / f"{name}.npz")
+
+    def held_out(k: int) -> Values:
+        # All processes see the same here: the first writes it after they have trained this fold together.
+        kept = work / f"fold-{k}.npy"
+        if kept.exists():
+            return np.asarray(np.load(kept, allow_pickle=False))
+        what = f"fold {k + 1} of {len(parts.folds)}"
+        fitted = fit(f"fold-{k}", what, parts.training_rows(k), plan.seed + k + 1)
+        predicted = predict_rows(fitted, data, parts.folds[k])
+        if processes.first:
+            with new_file(kept) as path, path.open("wb") as file:
+                np.save(file, predicted)
+        return predicted
+
     predicted = np.full_like(data.values, np.nan)
-    count, alone = folds_to_score(plan, parts), most_like_the_rest(parts, data.values)
-    if count > 1:
-        for k in range(count):
-            predicted[parts.folds[k]] = _fold(model, ready, plan, k, work, progress, crew)
-    fitted = model.fit(
-        data,
-        np.arange(len(data.values)) if count > 1 else parts.training_rows(alone),
-        seed=plan.seed,
-        progress=_named(progress, "the model that is kept"),
-        checkpoint=work / "kept.npz",
-    )
+    count, alone = folds_to_score(plan, parts), representative_fold(parts, data.values)
+    for k in range(count) if count > 1 else ():
+        predicted[parts.folds[k]] = held_out(k)
+    rows = np.arange(len(data.values)) if count > 1 else parts.training_rows(alone)
+    fitted = fit("kept", "the model that is kept", rows, plan.seed)
     if count == 1:
         predicted[parts.folds[alone]] = predict_rows(fitted, data, parts.folds[alone])
     return predicted, fitted
 
 
-def most_like_the_rest(parts: Split, values: Values) -> int:
-    """The fold whose targets are spread most like all rows': one fold stands for all, so chance is held low.
+def representative_fold(parts: Split, values: Values) -> int:
+    """The fold whose targets are distributed most like all rows', since it stands for all.
 
     It is chosen by the labels alone, before anything is learnt: by the largest gap between the fold's and all
     rows' cumulative distributions (the Kolmogorov-Smirnov distance), summed over the targets.
@@ -257,12 +229,12 @@ def most_like_the_rest(parts: Split, values: Values) -> int:
 
 
 def _folds(plan: CalibrationPlan) -> int:
-    """How many parts: five, or eight where a costly model shall learn from as many rows as it can."""
+    """Number of parts: five, or eight where a costly model shall learn from as many rows as it can."""
     return plan.folds or (8 if model_kind(plan.model).costly else 5)
 
 
 def folds_to_score(plan: CalibrationPlan, parts: Split) -> int:
-    """How many folds are held out: all, unless the model is costly and the first gives scores enough.
+    """Number of folds held out: all, unless the model is costly and the first gives scores enough.
 
     With 200 scores of 20 groups the rate that 90 % intervals really keep scatters by 2 %.
     """
@@ -274,52 +246,15 @@ def folds_to_score(plan: CalibrationPlan, parts: Split) -> int:
     return 1 if model_kind(plan.model).costly and enough else len(parts.folds)
 
 
-def _fold(
-    model: Model,
-    ready: _Ready,
-    plan: CalibrationPlan,
-    k: int,
-    work: Path,
-    progress: Progress,
-    crew: ProcessGroup,
-) -> Values:
-    # All processes see the same here: the first writes it only after they have trained this fold together.
-    kept = work / f"fold-{k}.npy"
-    if kept.exists():
-        return np.asarray(np.load(kept, allow_pickle=False))
-    rows: Indices = ready.parts.folds[k]
-    fitted = model.fit(
-        ready.data,
-        ready.parts.training_rows(k),
-        seed=plan.seed + k + 1,
-        progress=_named(progress, f"fold {k + 1} of {len(ready.parts.folds)}"),
-        checkpoint=work / f"fold-{k}.npz",
-    )
-    predicted = predict_rows(fitted, ready.data, rows)
-    if crew.first:
-        with new_file(kept) as path, path.open("wb") as file:
-            np.save(file, predicted)
-    return predicted
-
-
-def _guard(ready: _Ready, fitted: Fitted, plan: CalibrationPlan, progress: Progress) -> NoveltyDetector:
-    """A guard that knows every frame, those of the untouched sensor too; they are dealt out to all folds.
-
-    What the model has learnt from besides, it knows as well.
-    """
+def _novelty_detector(
+    learning: LearningSet, parts: Split, fitted: Fitted, plan: CalibrationPlan, progress: Progress
+) -> NoveltyDetector:
+    """A detector that knows every frame, untouched ones too, and rendered ones that the model has seen."""
     progress("learning what frames look like", 0, 1)
-    whole, rows, held_out = ready.whole, ready.rows, ready.parts.folds
-    thumbs = thumbnails(prepared_images(whole, np.arange(len(whole))))
-    others = np.setdiff1d(np.arange(len(whole)), rows)
-    folds = [np.append(rows[held], others[k :: len(held_out)]) for k, held in enumerate(held_out)]
+    thumbs = learning.thumbnails()
     also = fitted.also_seen if isinstance(fitted, LearnsFromRendered) else None
-    guard = fit_novelty_detector(thumbs, folds, thumbs[ready.untouched.rows], also=also, seed=plan.seed)
+    detector = fit_novelty_detector(
+        thumbs, learning.folds_of_whole(parts), thumbs[learning.untouched.rows], also=also, seed=plan.seed
+    )
     progress("learning what frames look like", 1, 1)
-    return guard
-
-
-def _named(progress: Progress, what: str) -> Progress:
-    def named(stage: str, done: int, total: int) -> None:
-        progress(f"{what}: {stage}", done, total)
-
-    return named
+    return detector

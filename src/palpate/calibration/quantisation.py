@@ -1,14 +1,10 @@
-"""A network's convolutions in whole numbers of eight bits.
+"""Quantisation of a calibration's network to int8: faster, and never without what that costs.
 
 Activations and weights are rounded to 8 bits with a scale for each tensor, for weights one for each output
 channel (Jacob et al., CVPR 2018, doi:10.1109/CVPR.2018.00286). The scales of activations are set by images.
 
 Only convolutions are rounded, with their rectifiers and the sums of residual blocks. Those that see the image
 itself, and the dense layers, stay in float32: they take little time, and rounding them costs the most.
-
-What a calibration's int8 copy costs in accuracy, and what it saves in time.
-
-A calibration with its network in int8: faster, and never without what that costs.
 
 The scales that the network rounds by are set by images that it has learnt from. What the rounding costs is
 measured on the rows that the calibration held out, by the calibration's own measures, and its intervals are
@@ -21,10 +17,8 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 import onnx
@@ -34,10 +28,17 @@ from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantTy
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
-from palpate.calibration.certificate import WORST, file_card, read_predictions, software, write_predictions
+from palpate.calibration.certificate import (
+    WORST,
+    as_picture,
+    interval_fields,
+    made_fields,
+    read_predictions,
+    write_predictions,
+)
 from palpate.calibration.conformal import fit_intervals
 from palpate.calibration.evaluation import groups_in, score
-from palpate.calibration.training_data import find_untouched, rows_to_learn, training_data
+from palpate.calibration.training_data import learning_set, rows_to_learn
 from palpate.core import (
     CertificateError,
     Indices,
@@ -142,7 +143,7 @@ ROUNDS, FRAMES, WARM = 8, 25, 3
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What int8 costs, and what it gives.
+    """Cost of int8, and its gain.
 
     Attributes:
         mae: of each target, in its unit: with the network in float32 and in int8, on the same held-out rows.
@@ -154,7 +155,7 @@ class Cost:
 
 
 def cost(folder: Path, quantised: Path) -> Cost:
-    """What a calibration's int8 copy costs, by both cards, and how fast both are here, taken in turn.
+    """Cost of a calibration's int8 copy, by both cards, and how fast both are here, taken in turn.
 
     Raises:
         InputError: the second does not come from the first.
@@ -201,11 +202,11 @@ class _Material:
 
     @property
     def before(self) -> Values:
-        """What the network in float32 said of the held-out rows."""
+        """Estimates of the held-out rows by the network in float32."""
         return self.predictions[[f"estimate:{name}" for name in self.data.names]].to_numpy(np.float64)
 
     def largest_change(self, answered: Values) -> float:
-        """Of any estimate of a held-out row, as a share of its target's range."""
+        """Largest change of any estimate of a held-out row, as a share of its target's range."""
         return float((np.abs(answered - self.before) / np.ptp(self.data.values, axis=0)).max())
 
 
@@ -266,24 +267,21 @@ def _check_asked(card: Card, run: Run) -> None:
 
 
 def _material(folder: Path, card: Card, run: Run, work: Path, progress: Progress) -> _Material:
-    def told(done: int, total: int) -> None:
-        progress("packing", done, total)
-
+    preparation = card.input.preparation
+    whole = pack(run, work / "packed", preparation, lambda done, total: progress("packing", done, total))
     plan = _plan(card)
-    whole = pack(run, work / "packed", card.input.preparation, told)
-    rows, untouched = rows_to_learn(whole.table, plan), find_untouched(whole, plan)
+    rows = rows_to_learn(whole.table, plan)
     if card.split.rows_learnt + card.split.rows_scored != len(rows):
         raise InputError(
             f"the network of calibration {card.id} has learnt from {card.split.rows_learnt} of {len(rows)} "
             "rows, and none that it has not seen can tell what int8 costs; calibrate with one fold held out "
             "(--scored-folds 1)"
         )
-    packed = whole.only(rows)
+    groups = groups_in(whole.table.iloc[rows], card.split.columns)
+    learning = learning_set(whole, plan, groups, str(run.path))
     table = read_predictions(folder, card)
-    groups = groups_in(packed.table, card.split.columns)
-    data = training_data(packed, plan, groups, untouched.of(rows), str(run.path))
     held = own_column(table, "row").to_numpy(np.int64)
-    return _Material(packed, data, table, held, np.setdiff1d(np.arange(len(packed)), held))
+    return _Material(learning.packed, learning.data, table, held, np.setdiff1d(np.arange(len(rows)), held))
 
 
 def _plan(card: Card) -> CalibrationPlan:
@@ -313,7 +311,7 @@ def _check_repeats(estimator: Estimator, material: _Material, folder: Path) -> N
 
 
 def _answers(run: Callable[[Tensor], Values], material: _Material, progress: Progress) -> Values:
-    """What a network says of the held-out rows."""
+    """Estimates of the held-out rows by a network."""
     answers = np.empty((len(material.held), len(material.data.names)))
     done = 0
     for rows, inputs in material.data.batches(material.held, AT_ONCE):
@@ -339,32 +337,24 @@ def _running(model: Path) -> Callable[[Tensor], Values]:
 
 
 def _rescored(card: Card, material: _Material, answered: Values) -> tuple[tuple[TargetCard, ...], Values]:
-    """Targets with intervals and scores from what int8 said, and the intervals' half-widths."""
+    """Targets with intervals and scores from the int8 estimates, and the intervals' half-widths."""
     held, values = material.held, material.data.values
-    groups, true, others = material.data.groups[held], values[held], values[material.learnt]
+    groups, true, means = material.data.groups[held], values[held], values[material.learnt].mean(axis=0)
     intervals = fit_intervals(answered, true, groups, card.coverage)
-    halves, spread = intervals.half_widths(answered), intervals.spread
+    halves = intervals.half_widths(answered)
 
     def rescored(j: int, target: TargetCard) -> TargetCard:
-        mean = float(others[:, j].mean())
-        changed = {
-            "centre": float(spread.centre[j]),
-            "scale": float(spread.scale[j]),
-            "typical": float(spread.typical[j]),
-            "coefficients": tuple(map(float, spread.coefficients[j])),
-            "quantile": float(intervals.quantile[j]),
-            "score": score(target.unit, true[:, j], answered[:, j], halves[:, j], mean, groups),
-        }
-        return target.model_copy(update=changed)
+        scores = score(target.unit, true[:, j], answered[:, j], halves[:, j], float(means[j]), groups)
+        return target.model_copy(update=interval_fields(intervals, j) | {"score": scores})
 
     return tuple(rescored(j, target) for j, target in enumerate(card.targets)), halves
 
 
 def _predictions(card: Card, material: _Material, answered: Values, halves: Values) -> pd.DataFrame:
-    """The held-out rows as before, with what int8 said of them."""
-    said = {f"estimate:{c}": answered[:, j] for j, c in enumerate(card.columns)}
-    said |= {f"half_width:{c}": halves[:, j] for j, c in enumerate(card.columns)}
-    return material.predictions.assign(**said)
+    """The held-out rows as before, with the int8 estimates."""
+    estimates = {f"estimate:{c}": answered[:, j] for j, c in enumerate(card.columns)}
+    widths = {f"half_width:{c}": halves[:, j] for j, c in enumerate(card.columns)}
+    return material.predictions.assign(**estimates, **widths)
 
 
 def _pictures(folder: Path, card: Card, made: Path, material: _Material, answered: Values) -> None:
@@ -374,22 +364,12 @@ def _pictures(folder: Path, card: Card, made: Path, material: _Material, answere
             shutil.copyfile(checked_file(folder, part), made / part.file)
     error = np.abs(answered - material.data.values[material.held]) / np.ptp(material.data.values, axis=0)
     for row in material.held[np.argsort(error.max(axis=1))[::-1][:WORST]].tolist():
-        image = material.packed.read([row])[0]
-        shown = image if image.shape[2] == 3 else image[..., 0]
-        (made / f"worst-{row}.png").write_bytes(image_files.encode(shown).tobytes())
+        picture = as_picture(material.packed.read([row])[0])
+        (made / f"worst-{row}.png").write_bytes(image_files.encode(picture).tobytes())
 
 
 def _card(card: Card, made: Path, targets: tuple[TargetCard, ...], change: float) -> Card:
-    others = sorted(p for p in made.iterdir() if p.is_file() and p.name not in ("model.onnx", "guard.npz"))
     before = {target.column: float(f"{target.score.mae:.4g}") for target in card.targets}
-    now: dict[str, Any] = {
-        "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-        "software": software(),
-        "options": card.options | {"int8": True, "quantised_from": card.id, "fp32_mae": before},
-        "targets": targets,
-        "model": file_card(made / "model.onnx"),
-        "guard": file_card(made / "guard.npz"),
-        "files": tuple(file_card(path) for path in others),
-        "agreement": change,
-    }
-    return sealed(card.model_dump(exclude={"id"}) | now)
+    options = card.options | {"int8": True, "quantised_from": card.id, "fp32_mae": before}
+    changed = {"options": options, "targets": targets, "agreement": change}
+    return sealed(card.model_dump(exclude={"id"}) | made_fields(made) | changed)

@@ -1,12 +1,8 @@
-"""Which parts of a frame a model sees, where nobody says so: the regions that it was made for.
-
-From a packed recording to what a model learns from: values, groups, references, inputs.
-"""
+"""Training data from a packed recording: rows to learn from, their values, groups, references and inputs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -14,15 +10,17 @@ import pandas as pd
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.core import Bool, Float32, Indices, InputError, Int, LabelError, Shaped, Tensor
 from palpate.estimators.networks.model_interface import TrainingData
+from palpate.estimators.novelty import thumbnails
 from palpate.recordings.labels import targets_from
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.packed_set import PackedSet
+from palpate.recordings.splits import Split
 
 Box = tuple[int, int, int, int]
 
 
-def regions_seen(manifest: Manifest, names: tuple[str, ...]) -> tuple[Box, ...]:
-    """The regions of these names, in their order.
+def model_regions(manifest: Manifest, names: tuple[str, ...]) -> tuple[Box, ...]:
+    """Regions of a frame that a model was made for, in its order.
 
     Args:
         manifest: of the run, which names its regions.
@@ -63,30 +61,24 @@ class Untouched:
     images: Float32[np.ndarray, "g c h w"]
     rule: ReferenceRule | None
 
-    def of(self, rows: Indices) -> Untouched:
-        """The same references for some of the rows, numbered anew."""
-        return replace(self, groups=self.groups[rows])
 
-
-def marked(table: pd.DataFrame, rule: ReferenceRule) -> Bool[np.ndarray, " n"]:
-    """Rows that a reference rule names.
+def rows_matching(table: pd.DataFrame, rule: ReferenceRule) -> Bool[np.ndarray, " n"]:
+    """Rows that a reference rule names, as a mask.
 
     Raises:
         LabelError: the rule's columns are not there, or no row matches.
     """
-    for column in (rule.column, *rule.by):
-        if column not in table:
-            raise LabelError(
-                f"reference column {column!r} is not among the labels: {', '.join(table.columns)}"
-            )
-    held = table[rule.column]
+    for name in (rule.column, *rule.by):
+        if name not in table:
+            raise LabelError(f"reference column {name!r} is not among the labels: {', '.join(table.columns)}")
+    column = table[rule.column]
     try:
-        found = (pd.to_numeric(held) == float(rule.value)).to_numpy()
+        mask = (pd.to_numeric(column) == float(rule.value)).to_numpy()
     except (TypeError, ValueError):
-        found = (held.astype(str).str.lower() == rule.value.lower()).to_numpy()
-    if not found.any():
+        mask = (column.astype(str).str.lower() == rule.value.lower()).to_numpy()
+    if not mask.any():
         raise LabelError(f"no row has {rule.column}={rule.value}; the untouched sensor was not recorded")
-    return found
+    return mask
 
 
 def default_rule(table: pd.DataFrame) -> ReferenceRule | None:
@@ -121,7 +113,7 @@ def rows_to_learn(table: pd.DataFrame, plan: CalibrationPlan) -> Indices:
     rule = _rule(table, plan)
     if rule is None or plan.learn_untouched:
         return np.arange(len(table))
-    return np.flatnonzero(~marked(table, rule))
+    return np.flatnonzero(~rows_matching(table, rule))
 
 
 def find_untouched(packed: PackedSet, plan: CalibrationPlan) -> Untouched:
@@ -135,7 +127,7 @@ def find_untouched(packed: PackedSet, plan: CalibrationPlan) -> Untouched:
     nothing = np.zeros(len(table), dtype=np.int64)
     if rule is None:
         return Untouched(nothing[:0], nothing, np.empty((0, *packed.preparation.shape), np.float32), None)
-    rows = np.flatnonzero(marked(table, rule))
+    rows = np.flatnonzero(rows_matching(table, rule))
     groups = table.groupby(list(rule.by), sort=False).ngroup().to_numpy() if rule.by else nothing
     return Untouched(rows, groups, _mean_images(packed, rows, groups, rule), rule)
 
@@ -155,30 +147,63 @@ def _mean_images(
     return images
 
 
-def training_data(
-    packed: PackedSet,
-    plan: CalibrationPlan,
-    groups: Shaped[np.ndarray, " n"],
-    untouched: Untouched,
-    source: str,
-) -> TrainingData:
-    """What a model learns from.
+@dataclass(frozen=True)
+class LearningSet:
+    """Packed rows to learn from, beside all that were packed.
 
-    Raises:
-        LabelError, UnitError: a target column is missing, not a number, constant, or has no unit.
+    Attributes:
+        whole: every frame, those of the untouched sensor too.
+        rows: rows of `whole` to learn from.
+        packed: these rows, numbered anew.
+        untouched: references, for every row of `whole`.
+        data: inputs, values and groups of `packed`.
     """
 
-    def fetch(rows: Indices) -> Tensor:
-        inputs = packed.read(rows).transpose(0, 3, 1, 2).astype(np.float32)
+    whole: PackedSet
+    rows: Indices
+    packed: PackedSet
+    untouched: Untouched
+    data: TrainingData
+
+    def thumbnails(self) -> np.ndarray:
+        """Thumbnails of every frame ``[n h w c]``, few images in memory at a time."""
+        return thumbnails(
+            frame for batch in self.whole.batches(np.arange(len(self.whole)), BATCH) for frame in batch
+        )
+
+    def folds_of_whole(self, parts: Split) -> list[Indices]:
+        """Folds in rows of `whole`; rows that are not learnt from are dealt out to them."""
+        others = np.setdiff1d(np.arange(len(self.whole)), self.rows)
+        return [
+            np.append(self.rows[held], others[k :: len(parts.folds)]) for k, held in enumerate(parts.folds)
+        ]
+
+
+def learning_set(
+    whole: PackedSet, plan: CalibrationPlan, groups: Shaped[np.ndarray, " n"] | None, source: str
+) -> LearningSet:
+    """Select the rows to learn from.
+
+    Args:
+        whole: all frames, packed.
+        plan: targets, reference, and whether inputs are differences from it.
+        groups: label of each row's group, of the rows to learn from; None where each row is its own.
+        source: name of the recording, for messages.
+
+    Raises:
+        LabelError, UnitError: a target column is missing, not a number, constant, or has no unit; or there
+            is no untouched frame and the plan needs one.
+    """
+    rows, untouched = rows_to_learn(whole.table, plan), find_untouched(whole, plan)
+    packed, references = whole.only(rows), untouched.groups[rows]
+
+    def fetch(wanted: Indices) -> Tensor:
+        inputs = packed.read(wanted).transpose(0, 3, 1, 2).astype(np.float32)
         if plan.delta:
-            inputs -= untouched.images[untouched.groups[rows]]
+            inputs -= untouched.images[references[wanted]]
         return np.ascontiguousarray(inputs)
 
     values = targets_from(packed.table, plan.targets, source)
-    return TrainingData(packed.preparation.shape, values, groups, fetch, tuple(plan.targets))
-
-
-def prepared_images(packed: PackedSet, rows: Indices) -> Iterator[np.ndarray]:
-    """Prepared images ``[h w c]`` of the rows, one at a time, few in memory."""
-    for start in range(0, len(rows), BATCH):
-        yield from packed.read(rows[start : start + BATCH])
+    groups = np.arange(len(rows)) if groups is None else groups
+    data = TrainingData(packed.preparation.shape, values, groups, fetch, tuple(plan.targets))
+    return LearningSet(whole, rows, packed, untouched, data)

@@ -92,7 +92,7 @@ def calibrate(
     """
     from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
     from palpate.calibration.fitting import calibrate as help_to_calibrate
-    from palpate.calibration.training_data import regions_seen
+    from palpate.calibration.training_data import model_regions
     from palpate.estimators.networks import model_kind
     from palpate.estimators.networks.distributed import ProcessGroup
     from palpate.recordings.run_reader import Run
@@ -103,7 +103,7 @@ def calibrate(
     recorded, kind = Run.open(run), model_kind(model)
     crops = _crops(crop or [])
     if kind.regions and crops[0] is None:
-        crops = regions_seen(recorded.manifest, kind.regions)  # type: ignore[assignment]
+        crops = model_regions(recorded.manifest, kind.regions)  # type: ignore[assignment]
     plan = CalibrationPlan(
         targets=columns_of(targets) or kind.targets or recorded.manifest.targets,
         model=model,

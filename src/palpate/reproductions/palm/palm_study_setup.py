@@ -20,7 +20,7 @@ import pandas as pd
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.certificate import read_predictions
 from palpate.calibration.evaluation import predictions
-from palpate.calibration.training_data import regions_seen
+from palpate.calibration.training_data import model_regions
 from palpate.core import DeviceError, InputError, new_file
 from palpate.estimators.certified import Estimator, read_card
 from palpate.estimators.networks import model_kind
@@ -238,7 +238,7 @@ class StudyFolder:
             return out
         out.parent.mkdir(parents=True, exist_ok=True)
         run, kind = Run.open(self.folder / "runs" / way.run), model_kind(way.model)
-        first, beside = regions_seen(run.manifest, ("fringes", "mirror"))
+        first, beside = model_regions(run.manifest, ("fringes", "mirror"))
         plan = CalibrationPlan(
             targets=way.targets or kind.targets,
             model=way.model,
