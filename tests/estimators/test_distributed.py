@@ -80,7 +80,7 @@ def resumed(checkpoint: Path, normalised: bool, batch: int = BATCH) -> nn.Module
     before = TrainingRun(plan(batch=batch), network(normalised), lesson(), 5)
     for _ in range(EPOCHS // 2):
         before.one_epoch()
-    if before.crew.first:
+    if before.processes.first:
         before.save(checkpoint)
     return plan(batch=batch).train(network(normalised), lesson(), seed=5, checkpoint=checkpoint)
 
@@ -218,15 +218,15 @@ def test_the_mean_of_weighted_shares_is_the_mean_of_the_batch(size: int, n: int,
 
 def test_without_torchrun_there_is_one_process_that_waits_for_nobody(monkeypatch) -> None:
     monkeypatch.delenv("WORLD_SIZE", raising=False)
-    crew = ProcessGroup.of_environment()
-    assert crew == ProcessGroup(0, 1, 0)
-    crew.join()
-    crew.wait()
-    assert crew.first
-    assert crew.sum(2.5) == crew.first_says(2.5) == 2.5
+    processes = ProcessGroup.of_environment()
+    assert processes == ProcessGroup(0, 1, 0)
+    processes.join()
+    processes.wait()
+    assert processes.first
+    assert processes.sum(2.5) == processes.first_says(2.5) == 2.5
     whole = network()
-    assert crew.of_one_mind(whole) is whole
-    assert crew.spread(whole, crew.device()) is whole
+    assert processes.with_shared_statistics(whole) is whole
+    assert processes.spread(whole, processes.device()) is whole
 
 
 @pytest.mark.parametrize("wrong", [{}, {"RANK": "2"}, {"RANK": "-1"}, {"RANK": "first"}])
@@ -256,7 +256,7 @@ def test_more_processes_than_gpus_are_refused_and_each_gets_its_own(monkeypatch)
 def test_on_gpus_a_copy_shares_its_batch_statistics_and_the_network_stays_as_it_is(monkeypatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     given = network(normalised=True)
-    shared = ProcessGroup(0, 2).of_one_mind(given)
+    shared = ProcessGroup(0, 2).with_shared_statistics(given)
     assert isinstance(shared[1], nn.SyncBatchNorm)
     assert isinstance(given[1], nn.BatchNorm2d)
     assert shared.state_dict().keys() == given.state_dict().keys()

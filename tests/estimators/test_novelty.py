@@ -228,7 +228,7 @@ def test_a_neighbour_counts_by_its_distance_and_a_hundredth_of_the_mean_one() ->
     known = NeighbourModel(
         thumbs, np.zeros((2, 2), np.float16), flat.mean(axis=0), np.eye(4, dtype=np.float32)
     )
-    level = known.rebuilt(np.full((2, 2, 1), 100, np.float32)).left[-1]
+    level = known.reconstruct(np.full((2, 2, 1), 100, np.float32)).residual[-1]
     nearer = 9.05 / (1.05 + 9.05)
     assert level == pytest.approx(((nearer * 1 + (1 - nearer) * 3) / 4) ** 2, rel=1e-3)
 

@@ -8,7 +8,7 @@ The rule, of two numbers a trial:
   the pad wide, against the frame in which the gripper is widest.
 
 A trial goes to the ball whose mean is nearest, each number in units of its spread within balls
-(`psychophysics.assignment`), all learnt without that trial. What else was tried, and how it did, is in
+(`trial_assignment`), all learnt without that trial. What else was tried, and how it did, is in
 docs/explanations/grasping-balls.md.
 """
 
@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 import pytest
+from tests.real.trial_assignment import assign, nearest
 
 from palpate.estimators.compliance import (
     ImprintRegion,
@@ -28,7 +29,6 @@ from palpate.estimators.compliance import (
     loading,
     loading_slope,
 )
-from palpate.psychophysics import assign, nearest
 from palpate.recordings.exchange.frame_sequences import VideoFrames
 from palpate.recordings.exchange.press_table import read_press_table
 

@@ -11,15 +11,9 @@ from palpate.calibration.leakage import LeakageAudit, audit
 from palpate.calibration.model_check import check_model
 
 __all__ = [
-    "CalibrationPlan",
-    "LeakageAudit",
-    "ReferenceRule",
-    "adapt",
-    "audit",
-    "calibrate",
-    "check_model",
+    "CalibrationPlan", "LeakageAudit", "ReferenceRule", "adapt", "audit", "calibrate", "check_model",
     "evaluate",
-]
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -40,11 +40,7 @@ from palpate.core import (
 from palpate.estimators.certified import Estimator, Intervals, checked_file, intervals_of
 from palpate.estimators.model_card import Card, SplitCard
 from palpate.estimators.networks.model_interface import Progress, silent
-from palpate.estimators.novelty import (
-    NoveltyDetector,
-    RenderedImages,
-    fit_novelty_detector,
-)
+from palpate.estimators.novelty import NoveltyDetector, RenderedImages, fit_novelty_detector
 from palpate.recordings.labels import targets_from
 from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.run_reader import Run
@@ -167,7 +163,7 @@ class _CorrectedNetwork:
 
 
 def _plan(card: Card, run: Run) -> CalibrationPlan:
-    """What the calibration was asked, of the copy's run."""
+    """Plan of the calibration, for the copy's run."""
     return CalibrationPlan(
         targets=tuple(card.columns),
         split=_grouping(run),
@@ -189,10 +185,10 @@ def _grouping(run: Run) -> str:
 
 def _rule(card: Card, run: Run) -> ReferenceRule | None:
     """The calibration's own rule; None where it has none, or the run no such rows and does without."""
-    held = card.reference
-    if held.column is None or held.value is None:
+    reference = card.reference
+    if reference.column is None or reference.value is None:
         return None
-    rule = ReferenceRule(held.column, held.value, held.by)
+    rule = ReferenceRule(reference.column, reference.value, reference.by)
     try:
         rows_matching(run.labels, rule)
     except LabelError as e:

@@ -1,4 +1,4 @@
-"""What a calibration is asked to do: one frozen page, checked when it is made and saved with the result."""
+"""Plan of a calibration: one frozen page, checked when it is made and saved with the result."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from palpate.core.plugins import import_path_of
 
 @dataclass(frozen=True, slots=True)
 class ReferenceRule:
-    """Which rows show the untouched sensor.
+    """Rule that names the rows of the untouched sensor.
 
     Attributes:
         column, value: rows where a label column holds this value (compared as a number where both are).
@@ -122,7 +122,7 @@ class CalibrationPlan:
                 raise InputError(f"crop {box} px; x and y are 0 or more, width and height 1 or more")
 
     def to_dict(self) -> dict[str, Any]:
-        """As plain values for JSON."""
+        """Plain values for JSON."""
         return asdict(self)
 
 

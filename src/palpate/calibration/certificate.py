@@ -88,7 +88,7 @@ class CalibrationResult:
 
     @property
     def one_fold(self) -> bool:
-        """Whether only one fold was held out, and the kept model has not seen it."""
+        """True if only one fold was held out, and the kept model has not seen it."""
         return any(np.array_equal(self.scored, np.sort(rows)) for rows in self.split.folds)
 
 
@@ -172,7 +172,7 @@ def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values
 
 
 def reference_card(result: CalibrationResult) -> ReferenceCard:
-    """How the untouched sensor was found."""
+    """Rule by which the untouched sensor was found."""
     rule = result.untouched.rule
     return ReferenceCard(
         column=rule.column if rule else None,
@@ -330,7 +330,7 @@ def _plan_fields(result: CalibrationResult) -> dict[str, Any]:
 
 
 def split_card(result: CalibrationResult) -> SplitCard:
-    """How rows were held out, and what the audit of it found."""
+    """Split of the rows, and the findings of its audit."""
     return SplitCard(
         kind=result.split.kind,
         reason=result.split.reason,

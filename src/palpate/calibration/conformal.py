@@ -98,7 +98,7 @@ def _parts(groups: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 def _terms(errors: Values, groups: np.ndarray) -> int:
-    """How many terms of `design` the rows can carry: 1, the linear ones, or all."""
+    """Number of terms of `design` that the rows can carry: 1, the linear ones, or all."""
     n, t = errors.shape
     if len(np.unique(groups)) < GROUPS_FOR_SPREAD:
         return 1

@@ -117,7 +117,7 @@ class Correction:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What a target's correction consists of.
+    """Terms and strength of a target's correction.
 
     Attributes:
         terms: "as it was", "offset", "linear" or "quadratic".
@@ -159,29 +159,29 @@ def correct(estimates: Values, true: Values, presses: Indices, start: Correction
         presses: number of each row's press ``[n]``, 0, 1, 2, and so on.
         start: the identity, with the scales to work in.
     """
-    left = _LeftOut(start.terms(estimates), true - estimates, presses)
+    folds = _LeavePressOut(start.terms(estimates), true - estimates, presses)
     held_out, targets = estimates.copy(), range(true.shape[1])
-    for press in range(left.presses):
+    for press in range(folds.presses):
         rows = presses == press
-        weights = left.weights(left.chosen(press), press)
-        held_out[rows] += left.terms[rows] @ weights
-    helps = [_helps(held_out[:, j] - true[:, j], left.errors[:, j], presses) for j in targets]
-    found = left.chosen()
+        weights = folds.weights(folds.chosen(press), press)
+        held_out[rows] += folds.terms[rows] @ weights
+    helps = [_helps(held_out[:, j] - true[:, j], folds.errors[:, j], presses) for j in targets]
+    found = folds.chosen()
     choices = tuple(c if good else Choice(AS_IT_WAS) for c, good in zip(found, helps, strict=True))
     for j in targets:
         if choices[j].terms == AS_IT_WAS:
             held_out[:, j] = estimates[:, j]
-    return Adapted(replace(start, weights=left.weights(choices)), estimates, held_out, choices)
+    return Adapted(replace(start, weights=folds.weights(choices)), estimates, held_out, choices)
 
 
 def _helps(after: np.ndarray, before: np.ndarray, presses: Indices) -> bool:
-    """Whether errors have become smaller by more than chance makes them between presses."""
+    """True if errors have become smaller by more than chance makes them between presses."""
     rows = np.bincount(presses)
     gain = np.bincount(presses, weights=np.abs(before) - np.abs(after)) / rows
     return bool(gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain)))
 
 
-class _LeftOut:
+class _LeavePressOut:
     """Ridge regressions without one press, or two, from sums that are made once for each press."""
 
     def __init__(self, terms: Terms, errors: Values, presses: Indices) -> None:
@@ -197,7 +197,7 @@ class _LeftOut:
         self._kinds = {name: count for name, count in counts.items() if count <= self.presses}
 
     def chosen(self, without: int | None = None) -> tuple[Choice, ...]:
-        """For each target the terms and the strength that err least where each press is left out in turn.
+        """Terms and strength for each target that err least where each press is left out in turn.
 
         Args:
             without: a press that has no part in the choice.
@@ -205,9 +205,9 @@ class _LeftOut:
         watched = self.of != (-1 if without is None else without)
         choices, errors = [Choice(AS_IT_WAS)], [np.abs(self.errors[watched]).mean(axis=0)]
         for name, count in self._kinds.items():
-            for strength, said in zip(STRENGTHS, self._said(count, without), strict=True):
+            for strength, change in zip(STRENGTHS, self._changes(count, without), strict=True):
                 choices.append(Choice(name, count, strength))
-                errors.append(np.abs(self.errors - said)[watched].mean(axis=0))
+                errors.append(np.abs(self.errors - change)[watched].mean(axis=0))
         return tuple(choices[best] for best in np.argmin(errors, axis=0))
 
     def weights(self, choices: tuple[Choice, ...], without: int | None = None) -> Float[np.ndarray, "k t"]:
@@ -221,7 +221,7 @@ class _LeftOut:
                 found[:c, j] = np.linalg.solve(squares, self._moments[kept, :c, j].sum(axis=0) / n)
         return found
 
-    def _said(self, count: int, without: int | None) -> Float[np.ndarray, "s n t"]:
+    def _changes(self, count: int, without: int | None) -> Float[np.ndarray, "s n t"]:
         """The change of every row at each strength, learnt without its own press and `without`."""
         squares, moments, rows = self._squares[:, :count, :count], self._moments[:, :count], self.rows
         kept = np.arange(self.presses) != (-1 if without is None else without)

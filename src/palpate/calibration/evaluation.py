@@ -97,7 +97,7 @@ def evaluate(
 def predictions(
     estimator: Estimator, run: Run, *, zero: Zero | None = None, progress: Progress = silent
 ) -> pd.DataFrame:
-    """What a calibration says of each frame of a run, one frame in memory at a time.
+    """Estimates of a calibration for each frame of a run, one frame in memory at a time.
 
     Args: as of `evaluate`.
 

@@ -1,4 +1,4 @@
-"""Whether a held-out frame is one that was trained on, under another name."""
+"""Leakage audit: held-out frames that were trained on, under another name."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _SECOND_DIFFERENCES = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.f
 
 @dataclass(frozen=True, slots=True)
 class LeakageAudit:
-    """What stands on both sides of a split.
+    """Frames and groups that stand on both sides of a split.
 
     Attributes:
         shared_groups: for each column (or columns) that groups frames, how many of its groups have frames
@@ -179,7 +179,7 @@ def _shrunk(frames: np.ndarray, most_px: int) -> np.ndarray:
 def _nearest_across(
     thumbs: np.ndarray, split: Split, resting: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """For each held-out row the trained-on row that looks most like it, and how many pairs were compared."""
+    """Held-out rows, the trained-on row that looks most like each, and how many pairs were compared."""
     # Beyond this many pairs every so many held-out frames stand for all.
     step = 1 + len(thumbs) ** 2 // _MAX_PAIRS
     held, twin, pairs = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], 0
@@ -195,7 +195,7 @@ def _nearest_across(
 
 
 def _noise(packed: PackedSet, thumbs: np.ndarray) -> float:
-    """What camera noise alone changes in a thumbnail's cell between two frames, as a deviation [grey levels].
+    """Standard deviation of a thumbnail's cell between two frames by camera noise alone [grey levels].
 
     It is asked of frames and those most like them, on either side of the split. Noise changes every place
     alike, whereas another scene changes some places more: only if most pairs differ evenly is it noise that
@@ -219,8 +219,7 @@ def _most_alike(thumbs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _roughness(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
-    """How much two frames differ from place to place [grey levels in a thumbnail's cell], and how evenly [0,
-    1].
+    """Difference of two frames from place to place [grey levels in a cell], and its evenness [0, 1].
 
     Second differences see noise and not shading. They are taken at half a cell, because noise of neighbouring
     pixels is often alike (interpolated colour, compression) and would be underrated pixel by pixel.
@@ -243,7 +242,7 @@ def _alike(a: np.ndarray, b: np.ndarray, limit: float) -> np.ndarray:
 
 
 def _looks_like(thumbs: np.ndarray, resting: np.ndarray, limit: float) -> np.ndarray:
-    """Which frames cannot be told from the skin at rest, touched or not."""
+    """Mask of frames that cannot be told from the skin at rest, touched or not."""
     untouched = np.median(thumbs[resting], axis=0)
     unseen: np.ndarray = resting | _alike(thumbs, np.broadcast_to(untouched, thumbs.shape), limit)
     return unseen

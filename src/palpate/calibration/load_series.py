@@ -43,7 +43,7 @@ _EXIF, _SECONDS, _F_NUMBER, _ISO = 0x8769, 33434, 33437, 34855
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """What `read_series` found.
+    """Light of a series of photographs.
 
     Attributes:
         images: names of the photographs, in the table's order.
@@ -132,7 +132,7 @@ def _load_column(table: pd.DataFrame, source: Path) -> str:
 
 
 def _newtons(column: str) -> float:
-    """What one of a column's unit is in N; 0 if it is no force's and no mass's."""
+    """One of a column's unit in N; 0 if it is no force's and no mass's."""
     found: Unit = split_column(column)[1]
     return found.factor * {"N": 1.0, "kg": STANDARD_GRAVITY}.get(found.si, 0.0)
 

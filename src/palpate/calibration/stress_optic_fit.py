@@ -1,15 +1,13 @@
-"""Specimens of known section: how much fringe order a load makes in each.
+"""Stress-optic coefficient C from photographs of a specimen of known section under known loads.
+
+The line N = k P + N0 is fitted to the light of a region of the photographs (`fringe_order`). With the
+specimen's breadth b and the wavelength l0 at which orders are counted, C = k l0 b.
 
 A strip of width w in tension carries s = P / (w t) through the thickness t, so N = C s t / l0 = C P / (w l0).
 At the centre of a disc of diameter D pressed across it s1 - s2 = 8 P / (pi D t), so N = 8 C P / (pi D l0).
 The thickness cancels in both: N = C P / (b l0), with b = w, or pi D / 8.
 
 Reference for the disc: S. Timoshenko and J. N. Goodier, Theory of Elasticity, 3rd ed. (1970), art. 41.
-
-Photographs of a specimen of known section under known loads, to its stress-optic coefficient C.
-
-The line N = k P + N0 is fitted to what a region of the photographs looks like (`fringe_order`). With the
-specimen's breadth b (`specimens`) and the wavelength l0 at which orders are counted, C = k l0 b.
 """
 
 from __future__ import annotations
@@ -48,7 +46,7 @@ class Strip:
 
     @property
     def breadth_m(self) -> float:
-        """What divides P in N = C P / (b l0) [m]."""
+        """Breadth b that divides P in N = C P / (b l0) [m]."""
         return self.width_m
 
     def stress_pa(self, load_n: float) -> float:
@@ -74,7 +72,7 @@ class Disc:
 
     @property
     def breadth_m(self) -> float:
-        """What divides P in N = C P / (b l0) [m]."""
+        """Breadth b that divides P in N = C P / (b l0) [m]."""
         return math.pi * self.diameter_m / 8
 
     def __str__(self) -> str:

@@ -17,18 +17,13 @@ class ReadsByDefault(Group):
     """A group whose first word may be a file: then it is read."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """As written, or after `read`."""
+        """Parse the words as written, or after `read`."""
         if args and args[0] not in self.commands and not args[0].startswith("-"):
             args = [READ, *args]
         return super().parse_args(ctx, args)
 
 
-app = typer.Typer(
-    cls=ReadsByDefault,
-    add_completion=False,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
+app = typer.Typer(cls=ReadsByDefault, add_completion=False, no_args_is_help=True, rich_markup_mode=None)
 
 Calibration = Annotated[
     Path | None, typer.Option(help="Calibration (.npz) of this sensor; without, only relative numbers.")

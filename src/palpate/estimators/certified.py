@@ -1,7 +1,4 @@
-"""Half-widths of intervals, as a calibration has set them.
-
-A calibration folder, opened: checked in every part, then Frame in, Readings out.
-"""
+"""Calibration folder, opened: checked in every part, then Frame in, Readings out."""
 
 from __future__ import annotations
 
@@ -233,7 +230,7 @@ class Estimator:
             return self._readings(frame, None, self._size_message(frame.image), zero)
         prepared = self._preparation.apply(frame.image)
         atypicality = self._guard.atypicality(prepared)
-        why = "" if atypicality <= 1 else _strange(atypicality)
+        why = "" if atypicality <= 1 else _novelty_reason(atypicality)
         picture = prepared.astype(np.float32)
         difference = picture - zero.image if self.card.input.delta and zero is not None else picture
         values = self.values(np.ascontiguousarray(difference.transpose(2, 0, 1))[None])
@@ -313,12 +310,12 @@ def intervals_of(card: Card) -> Intervals:
     return Intervals(spread, np.array([t.quantile for t in targets]), card.coverage)
 
 
-def _strange(atypicality: float) -> str:
+def _novelty_reason(atypicality: float) -> str:
     return f"the image is unlike those calibrated on (distance {atypicality:.1f}, limit 1)"
 
 
 def _outside(target: TargetCard, value: float, half: float) -> str:
-    """Why a value cannot be trusted: its whole interval lies beyond what the calibration saw."""
+    """Reason not to trust a value: its whole interval lies beyond what the calibration saw."""
     if target.least - half <= value <= target.greatest + half:
         return ""
     return (

@@ -1,4 +1,4 @@
-"""What lamp, polarisers and camera make of a fringe order: the light of each colour channel.
+"""Light of a fringe order in each colour channel, by lamp, polarisers and camera.
 
     S_c(N) = sum_k w_kc sin^2(pi N l0 C(l_k) / (l_k C(l0)))
 

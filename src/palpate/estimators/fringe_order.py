@@ -5,8 +5,8 @@ Each patch of the photograph passes, in colour channel c and at load P,
     v_c = b_c + a_c S_c(N),   S_c(N) = sum_k w_kc sin^2(pi N l0 C(l_k) / (l_k C(l0))),   N = k P + N0,
 
 with the gain a and the leak b of every patch and channel unknown. Many k fit nearly as well as each other, so
-all are tried on a grid (`fringe_scan`); the best few are refined by robust least squares, soft L1, patch by
-patch, since stress may differ between patches (`fringe_refine`). What comes back is the patches' mean of k.
+all are tried on a grid (`fringe_search`); the best few are refined by robust least squares, soft L1, patch by
+patch, since stress may differ between patches. What comes back is the patches' mean of k.
 
 A photograph's errors (lamp, exposure, load) are shared by all its patches, so the photographs are what is
 counted: the interval is Student's, with 4 unknowns, from the scatter of whole photographs about the fit, and
@@ -82,7 +82,7 @@ class OrderFit:
 
     @property
     def ambiguous(self) -> bool:
-        """Whether another slope fits nearly as well."""
+        """True if another slope fits nearly as well."""
         return any(rival.likelihood > RIVAL for rival in self.rivals)
 
 

@@ -1,9 +1,7 @@
-"""The search behind `fringe_order`: every slope is tried.
+"""Search behind `fringe_order`: every slope is tried, and the best are refined patch by patch.
 
 The misfit has a valley at every slope that turns the same brightnesses by some whole fringe more or less, so
 no descent from one start finds the right one. On the grid the gain and the leak are in closed form.
-
-The best slopes of `fringe_scan`, refined patch by patch, and how well each is known.
 """
 
 from __future__ import annotations
@@ -32,7 +30,7 @@ TOO_MUCH = "the best fit lies at the scan's end, order {:g} at the greatest load
 
 @dataclass(frozen=True, slots=True)
 class Traces:
-    """What is fitted: light over its range, one row a photograph and perhaps one for parallel polarisers."""
+    """Light over its range, one row a photograph and perhaps one for parallel polarisers."""
 
     load_n: Float[ndarray, " n"]
     y: Float[ndarray, "rows p c"]
@@ -145,7 +143,7 @@ class Fit:
 
     @property
     def slopes(self) -> ndarray:
-        """Of every patch [1/N]."""
+        """Slope k of every patch [1/N]."""
         return self.parameters[:, 0]
 
     @property
@@ -172,12 +170,12 @@ class Fit:
         return float(student.ppf((1 + CONFIDENCE) / 2, self.freedom()))
 
     def covariance(self) -> ndarray:
-        """Of one photograph's error between its channels ``[c c]``."""
+        """Covariance of one photograph's error between its channels ``[c c]``."""
         r = self.residuals.mean(axis=1)
         return np.asarray(r.T @ r / self.freedom())
 
     def half_width(self) -> float:
-        """Of k's interval [1/N]."""
+        """Half-width of k's interval [1/N]."""
         rows, patches, channels = self.residuals.shape
         L = self.influence.mean(axis=0).reshape(rows, channels)
         # Errors alike in every photograph, or as large in each as its residual: the wider of the two.
@@ -286,7 +284,7 @@ def _fit_patch(traces: Traces, p: int, slope: float, offset: float, noise: float
 
 
 def _influence(found: OptimizeResult) -> ndarray:
-    """How much each residual, were it 1, would move k (in orders at the greatest load)."""
+    """Change of k (in orders at the greatest load) by each residual, were it 1."""
     free = found.active_mask == 0
     free[0] = True
     return np.asarray(-np.linalg.pinv(found.jac[:, free])[0])

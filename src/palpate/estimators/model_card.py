@@ -19,7 +19,7 @@ class _CardPart(BaseModel):
 
 
 class ScoreCard(_CardPart):
-    """How one target fared on held-out rows, in its unit.
+    """Scores of one target on held-out rows, in its unit.
 
     Attributes:
         unit: of everything here that has one.
@@ -46,7 +46,7 @@ class ScoreCard(_CardPart):
 
     @property
     def says_nothing(self) -> bool:
-        """Whether the estimate is no better than always saying the mean (within 5 %)."""
+        """True if the estimate is no better than always saying the mean (within 5 %)."""
         return self.mae > 0.95 * self.mean_mae
 
 
@@ -58,7 +58,7 @@ class TargetCard(_CardPart):
         quantity, unit: its two halves.
         least, greatest: the calibrated range, in `unit`.
         training_mean: of the labels learnt from, in `unit`.
-        centre, scale, typical, coefficients, quantile: see `estimators.intervals`.
+        centre, scale, typical, coefficients, quantile: see `estimators.certified`.
         score: on held-out folds.
     """
 
@@ -84,11 +84,11 @@ class FileCard(_CardPart):
 
 
 class InputCard(_CardPart):
-    """What an image must be, and how it becomes the network's input.
+    """Kind of image that is read, and how it becomes the network's input.
 
     Attributes:
         frame_px: (height, width) of the frames calibrated on [px].
-        size_px, channels, crop_px, beside_px: see `sensors.preparation.Preparation`.
+        size_px, channels, crop_px, beside_px: see `recordings.preparation.Preparation`.
         delta: whether the input is the difference from a no-contact reference.
     """
 
@@ -106,7 +106,7 @@ class InputCard(_CardPart):
 
 
 class ReferenceCard(_CardPart):
-    """Which rows of a run show the untouched sensor.
+    """Rows of a run that show the untouched sensor.
 
     Attributes:
         column, value: rows where the label column holds this value; None where the run has none.
@@ -123,7 +123,7 @@ class ReferenceCard(_CardPart):
 
 
 class SplitCard(_CardPart):
-    """How rows were held out, how many the kept model learnt from, how many were scored, the audit."""
+    """Split by which rows were held out, numbers of rows learnt from and scored, and the audit."""
 
     kind: str
     reason: str
@@ -138,7 +138,7 @@ class SplitCard(_CardPart):
 
 
 class RunCard(_CardPart):
-    """Which recording was learnt from."""
+    """Recording that was learnt from."""
 
     run_id: str
     hash: str

@@ -1,17 +1,16 @@
-"""What a calibration saw, and how far a new image lies from what is between those images.
+"""Novelty detector: how far a new image lies from those that a calibration was learnt from.
 
-A thumbnail of the image is made again from the calibration's nearest ones, as their mean with weights that
+A thumbnail of the image is rebuilt from the calibration's nearest ones, as their mean with weights that
 are not negative: so places between those recorded are known as well, and two touches at once are not, since a
-mean of one touch here and one there shows half of each. What is left over is held, block by block, against
-what was left of those nearest ones when their own groups were held out: little near the untouched skin, much
+mean of one touch here and one there shows half of each. The residual is compared, block by block, with the
+residuals of those nearest ones when their own groups were held out: little near the untouched skin, much
 under a deep press. That is the idea of the local outlier factor (Breunig et al., SIGMOD 2000,
 doi:10.1145/335191.335388); weights that rebuild a point from its neighbours are those of locally linear
 embedding (Roweis and Saul, Science 2000, doi:10.1126/science.290.5500.2323), here without negative ones.
 
-The guard: is this image of the kind the estimator was calibrated on, and has the sensor drifted?
-
-How strange an image is, `seen` says by two numbers. Each has a limit, and both limits together are such that
-a stated share of the calibration's frames, each held against other groups, would have been turned away.
+Novelty is two numbers, each with a limit; both limits together are such that a stated share of the
+calibration's frames, each compared with other groups, would have been turned away. Drift of the untouched
+sensor is judged beside it.
 """
 
 from __future__ import annotations
@@ -63,30 +62,31 @@ def thumbnails(images: Iterable[Prepared]) -> Thumbnails:
 
 @dataclass(frozen=True)
 class NeighbourModel:
-    """The calibration's thumbnails, and what was left of each when it was rebuilt from other groups.
+    """Thumbnails of a calibration, and the residual of each when it was rebuilt from other groups.
 
     Attributes:
         thumbs: in whole grey levels.
-        left: squared means of what was left, over blocks and then over all of each channel ``[n m]``.
+        residual: squared means of it, over blocks and then over all of each channel ``[n m]``.
         centre, axes: of the space that neighbours are searched in ``[k]``, ``[k a]``.
     """
 
     thumbs: Kept
-    left: Float16[np.ndarray, "n m"]
+    residual: Float16[np.ndarray, "n m"]
     centre: Float32[np.ndarray, " k"]
     axes: Float32[np.ndarray, "k a"]
 
     def novelty_score(self, thumb: Thumbnail) -> Float[np.ndarray, " 2"]:
-        """What is left of a thumbnail, over what was left of its neighbours: of its blocks, of its level.
+        """Residual of a thumbnail over the one expected from its neighbours: of its blocks, of its level.
 
         The first is the root mean square over blocks of the mean of all channels. The second is the largest
         over the channels, each as a whole: light that is brighter, darker or of another colour.
         """
-        rebuilt = self.rebuilt(thumb)
-        return _ratios(rebuilt.left, _usual(self.left[rebuilt.rows]), thumb.shape[2])
+        rebuilt = self.reconstruct(thumb)
+        expected = _expected_residual(self.residual[rebuilt.rows])
+        return _ratios(rebuilt.residual, expected, thumb.shape[2])
 
-    def rebuilt(self, thumb: Thumbnail) -> Reconstruction:
-        """Make a thumbnail again from its nearest ones."""
+    def reconstruct(self, thumb: Thumbnail) -> Reconstruction:
+        """Rebuild a thumbnail from its nearest ones."""
         flat = thumb.ravel()
         # By einsum, in one thread: where other work has the cores, BLAS's threads wait for each other, which
         # costs a frame many times what they save.
@@ -99,8 +99,8 @@ class NeighbourModel:
         return Reconstruction(rows, np.einsum("k,km->m", error, _means(thumb.shape)) ** 2)
 
     def among(self, rows: Indices) -> NeighbourModel:
-        """Some of the thumbnails alone."""
-        return replace(self, thumbs=self.thumbs[rows], left=self.left[rows])
+        """A model of some of the thumbnails alone."""
+        return replace(self, thumbs=self.thumbs[rows], residual=self.residual[rows])
 
     @cached_property
     def places(self) -> Float32[np.ndarray, "n a"]:
@@ -113,27 +113,27 @@ class NeighbourModel:
         return np.sum(self.places**2, axis=1)
 
 
-def belong_together(thumbs: np.ndarray, left: np.ndarray, centre: np.ndarray, axes: np.ndarray) -> bool:
-    """Whether arrays, read from a file, are those of one `Seen`."""
+def arrays_fit(thumbs: np.ndarray, residual: np.ndarray, centre: np.ndarray, axes: np.ndarray) -> bool:
+    """True if arrays, read from a file, are those of one `NeighbourModel`."""
     types = (np.uint8, np.float16, np.float32, np.float32)
-    if any(part.dtype != of for part, of in zip((thumbs, left, centre, axes), types, strict=True)):
+    if any(part.dtype != of for part, of in zip((thumbs, residual, centre, axes), types, strict=True)):
         return False
     if thumbs.ndim != 4 or axes.ndim != 2 or not thumbs.size:
         return False
     k, m = _means(thumbs.shape[1:]).shape
-    return left.shape == (len(thumbs), m) and centre.shape == (k,) and len(axes) == k
+    return residual.shape == (len(thumbs), m) and centre.shape == (k,) and len(axes) == k
 
 
 class Reconstruction(NamedTuple):
-    """A thumbnail made again from its neighbours.
+    """A thumbnail rebuilt from its neighbours.
 
     Attributes:
-        rows: the neighbours'.
-        left: squared means of what is left, as in `Seen.left`.
+        rows: of the neighbours.
+        residual: squared means, as in `NeighbourModel.residual`.
     """
 
     rows: Int[np.ndarray, " r"]
-    left: Float[np.ndarray, " m"]
+    residual: Float[np.ndarray, " m"]
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class RenderedImages:
     """Images that a model has learnt from besides the recorded ones, such as rendered ones.
 
     Attributes:
-        thumbs: of them, prepared as the recorded ones are.
+        thumbs: thumbnails, prepared as the recorded ones are.
         groups: those of one group, such as one press, are held out together.
     """
 
@@ -151,7 +151,7 @@ class RenderedImages:
 
 @runtime_checkable
 class LearnsFromRendered(Protocol):
-    """A fitted model that tells of such images."""
+    """A fitted model that learnt from such images."""
 
     @property
     def also_seen(self) -> RenderedImages | None:
@@ -160,21 +160,21 @@ class LearnsFromRendered(Protocol):
 
 
 class FittedNeighbours(NamedTuple):
-    """`Seen`, and how the same images look to it when their own fold is held out.
+    """A `NeighbourModel`, and how the same images look to it when their own fold is held out.
 
     Attributes:
-        seen: of all of them.
-        strangeness: of each ``[n 2]``.
-        usual: what is usually left of a block about each of them [grey levels] ``[n]``.
+        model: of all of them.
+        novelty_score: of each ``[n 2]``.
+        expected_residual: of a block about each of them [grey levels] ``[n]``.
     """
 
-    seen: NeighbourModel
+    model: NeighbourModel
     novelty_score: Float[np.ndarray, "n 2"]
-    usual: Float[np.ndarray, " n"]
+    expected_residual: Float[np.ndarray, " n"]
 
 
 def fit_neighbours(thumbs: Kept, folds: Sequence[Indices], rng: np.random.Generator) -> FittedNeighbours:
-    """Rebuild each thumbnail from those of other folds, and keep what is left.
+    """Rebuild each thumbnail from those of other folds, and keep the residual.
 
     Args:
         thumbs: in whole grey levels.
@@ -182,29 +182,29 @@ def fit_neighbours(thumbs: Kept, folds: Sequence[Indices], rng: np.random.Genera
         rng: draws the rows that the axes are found from.
     """
     means, channels = _means(thumbs.shape[1:]).shape[1], thumbs.shape[3]
-    seen = NeighbourModel(thumbs, np.zeros((len(thumbs), means), np.float16), *_axes(thumbs, rng))
-    left, near = seen.left.copy(), [np.empty(0, np.int64)] * len(thumbs)
-    for held in folds:
-        others = np.setdiff1d(np.arange(len(thumbs)), held)
-        rest = seen.among(others)
-        for row in held:
-            rebuilt = rest.rebuilt(thumbs[row].astype(np.float32))
-            left[row], near[row] = rebuilt.left, others[rebuilt.rows]
-    usual = [_usual(left[rows]) for rows in near]
-    strange = [_ratios(*pair, channels) for pair in zip(left.astype(np.float32), usual, strict=True)]
-    blocks = np.sqrt([squares[:-channels].mean() for squares in usual])
-    return FittedNeighbours(replace(seen, left=left), np.stack(strange), blocks)
+    model = NeighbourModel(thumbs, np.zeros((len(thumbs), means), np.float16), *_axes(thumbs, rng))
+    residual, near = model.residual.copy(), [np.empty(0, np.int64)] * len(thumbs)
+    for fold in folds:
+        others = np.setdiff1d(np.arange(len(thumbs)), fold)
+        rest = model.among(others)
+        for row in fold:
+            rebuilt = rest.reconstruct(thumbs[row].astype(np.float32))
+            residual[row], near[row] = rebuilt.residual, others[rebuilt.rows]
+    expected = [_expected_residual(residual[rows]) for rows in near]
+    scores = [_ratios(*pair, channels) for pair in zip(residual.astype(np.float32), expected, strict=True)]
+    blocks = np.sqrt([squares[:-channels].mean() for squares in expected])
+    return FittedNeighbours(replace(model, residual=residual), np.stack(scores), blocks)
 
 
-def _usual(around: Float16[np.ndarray, "r m"]) -> Float[np.ndarray, " m"]:
-    """What is to be expected of a thumbnail, from what was left of its neighbours."""
+def _expected_residual(around: Float16[np.ndarray, "r m"]) -> Float[np.ndarray, " m"]:
+    """Squared residual to expect of a thumbnail, from those of its neighbours."""
     return np.asarray(around.mean(axis=0, dtype=np.float32) + FLOOR_GREY_LEVELS**2)
 
 
 def _ratios(
-    left: Float[np.ndarray, " m"], usual: Float[np.ndarray, " m"], channels: int
+    residual: Float[np.ndarray, " m"], expected: Float[np.ndarray, " m"], channels: int
 ) -> Float[np.ndarray, " 2"]:
-    blocks, level = np.split(left / usual, [-channels])
+    blocks, level = np.split(residual / expected, [-channels])
     return np.sqrt(np.array([blocks.mean(), level.max()], np.float64))
 
 
@@ -233,7 +233,7 @@ def _means(shape: tuple[int, int, int]) -> Float32[np.ndarray, "k m"]:
 
 
 def _axes(thumbs: Kept, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Their mean, and the principal axes of at most so many of them."""
+    """Mean, and principal axes of at most so many thumbnails."""
     few = len(thumbs) <= ROWS_FOR_AXES
     drawn = thumbs if few else thumbs[rng.choice(len(thumbs), ROWS_FOR_AXES, replace=False)]
     flat = drawn.reshape(len(drawn), -1).astype(np.float32)
@@ -254,11 +254,11 @@ DRIFT_LIMIT_OF_FEW = 3.0
 
 @dataclass(frozen=True, slots=True)
 class NoveltyDetector:
-    """Judges images against what a calibration saw.
+    """Judge of images by those that a calibration was learnt from, and of drift.
 
     Attributes:
         seen: the calibration's thumbnails.
-        limits: of the two numbers of `Seen.novelty_score`.
+        limits: of the two numbers of `NeighbourModel.novelty_score`.
         reference: mean thumbnail of the untouched sensor ``[h w c]``; None where none was recorded.
         reference_spread: how far its own no-contact thumbnails lie from their mean [grey levels, rms].
         drift_limit: the drift statistic above which the calibration is stale.
@@ -271,23 +271,23 @@ class NoveltyDetector:
     drift_limit: float
 
     def atypicality(self, prepared: Prepared) -> float:
-        """How far the image is from all that was calibrated on; beyond 1 it should not be trusted."""
+        """Distance of the image from all that was calibrated on; beyond 1 it should not be trusted."""
         return float(np.max(self.seen.novelty_score(thumbnail(prepared)) / self.limits))
 
     def drift(self, untouched: Prepared) -> Drift | None:
-        """How far the untouched sensor has moved since calibration; None where that had no view of it."""
+        """Drift of the untouched sensor since calibration; None where that had no view of it."""
         if self.reference is None:
             return None
         moved = np.sqrt(np.mean((thumbnail(untouched) - self.reference) ** 2))
         return Drift(float(moved / self.reference_spread), self.drift_limit)
 
     def save(self, path: Path) -> None:
-        """Write the guard as plain arrays."""
+        """Write the detector as plain arrays."""
         absent = np.empty(0, np.float32)
         np.savez_compressed(
             path,
             thumbs=self.seen.thumbs,
-            left=self.seen.left,
+            left=self.seen.residual,
             centre=self.seen.centre,
             axes=self.seen.axes,
             limits=self.limits,
@@ -297,15 +297,15 @@ class NoveltyDetector:
 
     @classmethod
     def load(cls, path: Path) -> NoveltyDetector:
-        """Read a guard that `save` wrote.
+        """Read a detector that `save` wrote.
 
         Raises:
             CertificateError: the file is not one, or of the kind before decision 0010.
         """
         try:
             # Opened here, since numpy leaves a file that is no archive to the garbage collector.
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
-                parts = {name: held[name] for name in held.files}
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+                parts = dict(archive)
             _check(path, parts)
             seen = NeighbourModel(parts["thumbs"], parts["left"], parts["centre"], parts["axes"])
             reference = parts["reference"] if parts["reference"].size else None
@@ -323,7 +323,7 @@ def _check(path: Path, parts: Mapping[str, np.ndarray]) -> None:
             "calibrate again"
         )
     thumbs, reference = parts["thumbs"], parts["reference"]
-    fits = belong_together(thumbs, parts["left"], parts["centre"], parts["axes"])
+    fits = arrays_fit(thumbs, parts["left"], parts["centre"], parts["axes"])
     untouched = reference.size == 0 or reference.shape == thumbs.shape[1:]
     if not fits or not untouched or parts["limits"].shape != (2,):
         raise CertificateError(f"{path}: the guard's arrays do not fit each other; calibrate again")
@@ -339,14 +339,14 @@ def fit_novelty_detector(
     most: int = 2000,
     seed: int = 0,
 ) -> NoveltyDetector:
-    """Keep thumbnails, and set the limits from how strange frames look to those of other folds.
+    """Keep thumbnails, and set the limits from how novel frames look to those of other folds.
 
     Args:
         thumbs: of every calibration frame.
         folds: held-out rows of each fold, whole groups together.
         untouched: thumbnails of the no-contact frames; may be empty.
         also: images known to be good besides. The limits are set by recorded frames alone, and where these
-            are too unlike the others, a guard without the others lets less pass, and is taken.
+            are too unlike the others, a detector without the others lets less pass, and is taken.
         false_alarms: share of good frames that may be turned away.
         most: recorded frames kept, at most.
         seed: of the draw when there are more.
@@ -357,8 +357,8 @@ def fit_novelty_detector(
     if len(thumbs) < 6:
         raise InputError(f"{len(thumbs)} frames are too few to learn what frames look like; record 6 or more")
     fold = np.zeros(len(thumbs), np.int64)
-    for k, held in enumerate(folds):
-        fold[held] = k
+    for k, rows in enumerate(folds):
+        fold[rows] = k
     rng = np.random.default_rng(seed)
     if len(thumbs) > most:
         drawn = np.sort(rng.choice(len(thumbs), most, replace=False))
@@ -374,9 +374,11 @@ def fit_novelty_detector(
         known.append((np.concatenate([kept, also.thumbs]), _dealt(fold, also)))
     learnt = [fit_neighbours(images, _rows_of(dealt), rng) for images, dealt in known]
     limits = [_limits(one.novelty_score[: len(kept)], false_alarms) for one in learnt]
-    lets_pass = [one.usual[: len(kept)] * limit[0] for one, limit in zip(learnt, limits, strict=True)]
+    lets_pass = [
+        one.expected_residual[: len(kept)] * limit[0] for one, limit in zip(learnt, limits, strict=True)
+    ]
     best = int(np.argmin([np.median(grey) for grey in lets_pass]))
-    return NoveltyDetector(learnt[best].seen, limits[best], *_untouched(untouched))
+    return NoveltyDetector(learnt[best].model, limits[best], *_untouched(untouched))
 
 
 def _rows_of(fold: Indices) -> list[Indices]:
@@ -392,7 +394,7 @@ def _dealt(fold: Indices, also: RenderedImages) -> Indices:
 def _limits(novelty_score: Float[np.ndarray, "n 2"], false_alarms: float) -> Float[np.ndarray, " 2"]:
     """Limits that so many are beyond, of one or the other, each by itself of half as many.
 
-    Never below 1: what leaves no more than its neighbours did is not strange.
+    They are never below 1: an image whose residual is no more than its neighbours' is not novel.
     """
     each = np.quantile(novelty_score, 1 - false_alarms / 2, axis=0)
     each = np.maximum(each, 1e-3)

@@ -1,6 +1,4 @@
-"""The compiled loops that find and follow pins; `pins` uses them, nobody else.
-
-Bright pins in grey images: found in the first frame, followed from frame to frame.
+"""Bright pins in grey images: found in the first frame, followed from frame to frame.
 
 A pin's place is the centroid of what it is brighter than its ground by, which a disc of even brightness gives
 to a few hundredths of a pixel. Following looks only near where each pin was, and again around where it is
@@ -78,69 +76,6 @@ def settle(pixels, row, margin, xy, reach, floor, sums, weight):
                 break
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
-def _root(parent, i):
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
-@numba.njit(cache=True, nogil=True)
-@no_type_check
-def brighter(image, level):
-    """Connected patches brighter than a level: of each its pixels, sums of x and y, 1 if off the border.
-
-    A row's runs of bright pixels join those of the row above that they touch, corners included.
-    """
-    h, w = image.shape
-    most = h * (w // 2 + 1)
-    parent = np.empty(most, np.int64)
-    start, end = np.empty(most, np.int64), np.empty(most, np.int64)  # of runs; end is the first beyond
-    sums = np.empty((most, 4))
-    n = above = 0
-    for r in range(h):
-        first, c = n, 0
-        while c < w:
-            if image[r, c] <= level:
-                c += 1
-                continue
-            start[n] = c
-            while c < w and image[r, c] > level:
-                c += 1
-            end[n], parent[n] = c, n
-            size = c - start[n]
-            sums[n, 0], sums[n, 1], sums[n, 2] = size, size * (start[n] + c - 1) / 2, size * r
-            sums[n, 3] = 0 < r < h - 1 and start[n] > 0 and c < w
-            n += 1
-        j = above
-        for i in range(first, n):
-            while j < first and end[j] < start[i]:
-                j += 1
-            k = j
-            while k < first and start[k] <= end[i]:
-                a, b = _root(parent, k), _root(parent, i)
-                parent[max(a, b)] = min(a, b)
-                k += 1
-        above = first
-    patches = 0
-    for i in range(n):
-        a = _root(parent, i)
-        if a == i:
-            patches += 1
-        else:
-            sums[a, :3] += sums[i, :3]
-            sums[a, 3] = min(sums[a, 3], sums[i, 3])
-    found = np.empty((patches, 4))
-    k = 0
-    for i in range(n):
-        if parent[i] == i:
-            found[k] = sums[i]
-            k += 1
-    return found
-
-
 FLOOR = 0.25  # of the way from ground to pin: what is darker has no weight
 LOST = 0.35  # of a pin's first weight: with less it is lost
 CLEAR = 5.0  # spreads of the ground that pins are brighter by
@@ -209,13 +144,13 @@ def find_pins(image: Shaped[ndarray, ...], least: int = MIN_PINS) -> PinTracks:
 
 def _patches(image: Grey, level: int) -> Points:
     """Middles of the patches brighter than a level that are of a pin's size and inside the image."""
-    patches = brighter(image, level)
-    size = patches[:, 0]
+    bright = (image > level).astype(np.uint8)
+    _, _, boxes, middles = cv2.connectedComponentsWithStats(bright, connectivity=8)
+    left, top, width, height, size = boxes[1:].T  # the first is the ground
     large = size >= MIN_PX
     typical = np.median(size[large]) if large.any() else 0
-    whole = patches[:, 3] > 0
-    kept = whole & large & (size > 0.3 * typical) & (size < 3 * typical)
-    return patches[kept, 1:3] / size[kept, None]
+    whole = (left > 0) & (top > 0) & (left + width < image.shape[1]) & (top + height < image.shape[0])
+    return middles[1:][whole & large & (size > 0.3 * typical) & (size < 3 * typical)]
 
 
 def _contrast(image: Grey, level: int) -> tuple[float, float, bool]:
@@ -232,7 +167,7 @@ def _contrast(image: Grey, level: int) -> tuple[float, float, bool]:
 
 
 def _median(counts: Float[ndarray, " n"]) -> float:
-    """Of whole numbers from 0, by how often each occurs."""
+    """Median of whole numbers from 0, by how often each occurs."""
     upto = np.cumsum(counts)
     return float(np.searchsorted(upto, upto[-1] / 2))
 
@@ -257,18 +192,6 @@ def follow(frames: Iterable[Shaped[ndarray, ...]], pins: PinTracks) -> Iterator[
         yield now
 
 
-def largest_circle(pins: PinTracks) -> float:
-    """Radius of the circle around the middle pin through the farthest one [px]: the report's Algorithm 1.
-
-    Raises:
-        RangeError: no pins.
-    """
-    xy = pins.xy_px[pins.found]
-    if not len(xy):
-        raise RangeError("no pin is found; the circle through the pins has no size")
-    return float(np.hypot(*(xy - xy[0]).T).max())
-
-
 def _floor(pins: PinTracks) -> float:
     return pins.ground + FLOOR * (pins.bright - pins.ground)
 
@@ -276,14 +199,14 @@ def _floor(pins: PinTracks) -> float:
 def _centroids(
     image: Grey, xy: Points, reach: Float[ndarray, " p"], floor: float
 ) -> tuple[Points, Float[ndarray, " p"]]:
-    found, weight = xy.copy(), np.zeros(len(xy))
+    places, weight = xy.copy(), np.zeros(len(xy))
     width = SPAN * math.ceil((2 * reach.max() + 2) / SPAN)
-    whole = (
-        np.int32 if width < 700 else np.int64
-    )  # 16 parts of 255 levels on half a window squared fit 31 bits
+    # 16 parts of 255 levels on half a window squared fit 31 bits.
+    sums = np.empty((2, width), np.int32 if width < 700 else np.int64)
     padded = cv2.copyMakeBorder(
         np.ascontiguousarray(image), width, width, width, width, cv2.BORDER_CONSTANT, value=0
     )
-    sums = np.empty((2, width), whole)
-    settle(padded.ravel(), padded.shape[1], width, found, reach, np.int32(round(PARTS * floor)), sums, weight)
-    return found, weight
+    settle(
+        padded.ravel(), padded.shape[1], width, places, reach, np.int32(round(PARTS * floor)), sums, weight
+    )
+    return places, weight

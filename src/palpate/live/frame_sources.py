@@ -1,4 +1,4 @@
-"""Where frames come from when sensing: one image, a folder of images, a run."""
+"""Sources of frames when sensing: one image, a folder of images, a run."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class FrameStream(Protocol):
     """A finite or endless sequence of frames."""
 
     def __len__(self) -> int:
-        """How many frames there are."""
+        """Number of frames."""
         ...
 
     def __iter__(self) -> Iterator[Frame | Unreadable]:

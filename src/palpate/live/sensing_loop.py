@@ -16,7 +16,7 @@ from palpate.live.frame_sources import FrameStream, RunFrames, Unreadable
 
 @dataclass(frozen=True, slots=True)
 class Sensed:
-    """What one frame told.
+    """Readings of one frame.
 
     Attributes:
         frame: its name.
@@ -36,7 +36,7 @@ class Sensed:
         return self.readings
 
     def to_dict(self) -> dict[str, Any]:
-        """As one JSON object; a value that could not be read is null."""
+        """Plain values for one JSON object; None for a value that could not be read."""
         first = next(iter(self.readings.values()))
         return {
             "frame": self.frame,

@@ -1,4 +1,4 @@
-"""Do several specimens differ? Rank tests over one value a trial.
+"""Rank tests of whether several specimens differ, over one value a trial.
 
 Samples of one trial follow each other in time and are not independent: pooling them as if they were makes any
 difference significant (pseudo-replication). So a trial counts as one value, unless the caller insists.

@@ -119,7 +119,7 @@ def outer_ranges(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) ->
 
 
 def verdict(target: TargetCard, ends: tuple[OuterRange, ...] = ()) -> str:
-    """What a target's scores mean, in a sentence.
+    """Meaning of a target's scores, in a sentence.
 
     Args:
         target: its card.
@@ -136,12 +136,12 @@ def verdict(target: TargetCard, ends: tuple[OuterRange, ...] = ()) -> str:
         f"Off by {s.mae:.3g} {s.unit} on average, {s.mean_mae / s.mae:.1f} times less than always saying the "
         f"mean. The 90 % intervals are ±{s.half_width:.3g} {s.unit} wide on average and covered the truth in "
         f"{100 * s.coverage_90:.1f} % of rows (95 % interval {100 * s.coverage_90_low:.1f} to "
-        f"{100 * s.coverage_90_high:.1f} %), {_kept(s, ends)}."
+        f"{100 * s.coverage_90_high:.1f} %), {_promise(s, ends)}."
     )
 
 
-def _kept(s: ScoreCard, ends: tuple[OuterRange, ...]) -> str:
-    """Whether the intervals keep their promise, over all rows and at both ends of the range."""
+def _promise(s: ScoreCard, ends: tuple[OuterRange, ...]) -> str:
+    """Judgement of the intervals' promise, over all rows and at both ends of the range."""
     failed = [end for end in ends if end.high < 0.9]
     named = "; ".join(
         f"{end.where} only {end.covered} of {end.n} (95 % interval {100 * end.low:.1f} to "
@@ -170,7 +170,7 @@ def _worst(calibration: Path, card: Card, table: pd.DataFrame) -> list[_Worst]:
             _Worst(
                 picture(path),
                 str(row[f"{OWN}frame" if f"{OWN}frame" in row else "frame"]),
-                _said(row, target),
+                _estimate_text(row, target),
             )
         )
     return found
@@ -180,7 +180,7 @@ def _error(row: pd.Series, target: TargetCard) -> float:
     return abs(float(row[f"estimate:{target.column}"]) - float(row[target.column]))
 
 
-def _said(row: pd.Series, target: TargetCard) -> str:
+def _estimate_text(row: pd.Series, target: TargetCard) -> str:
     guess, half = row[f"estimate:{target.column}"], row[f"half_width:{target.column}"]
     return (
         f"{target.quantity.replace('_', ' ')} {guess:.3g} ± {half:.2g} {target.unit}, "

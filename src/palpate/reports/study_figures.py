@@ -1,7 +1,4 @@
-"""Figures of a study that compares models: bars beside printed values, truth against estimate, curves.
-
-Figures 5 to 9 of the compliance report, drawn of the virtual TacTip's presses.
-"""
+"""Figures of reproduced studies: bars beside printed values, truth against estimate, curves, trends."""
 
 from __future__ import annotations
 
@@ -77,7 +74,7 @@ def clouds(all_clouds: Sequence[Cloud], label: str) -> str:
 
 
 def places(titles: Sequence[str], at: Sequence[Sequence[Sequence[float]]]) -> str:
-    """Where contacts were and where they were seen, a panel a model: x, y, x estimated, y estimated."""
+    """Places of contacts and their estimates, a panel a model: x, y, x estimated, y estimated."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(3.3 * len(titles), 3.5), layout="constrained")
         panels = figure.subplots(1, len(titles), squeeze=False)[0]

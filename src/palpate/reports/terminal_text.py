@@ -13,16 +13,7 @@ if TYPE_CHECKING:
     from palpate.recordings.integrity import CheckReport
 
 COLUMNS = 80  # of a terminal
-HEAD = (
-    "target",
-    "unit",
-    "MAE",
-    "of mean",
-    "RMSE",
-    "R2",
-    "90 %",
-    "covered (95 %)",
-)
+HEAD = ("target", "unit", "MAE", "of mean", "RMSE", "R2", "90 %", "covered (95 %)")
 
 
 def scores_table(scores: Mapping[str, ScoreCard]) -> str:
@@ -71,7 +62,7 @@ def latency_line(seconds: Sequence[float]) -> str:
 
 
 def check_text(report: CheckReport) -> str:
-    """What a run holds, and whether it can be relied on."""
+    """Contents of a run, and whether it can be relied on."""
     span = "times not measured" if report.duration_s is None else f"{report.duration_s:.3g} s"
     sensor = report.sensor or "sensor not named"
     lines = [f"{report.path}: {report.frames} frames, {span}, {report.segments} segments, {sensor}"]

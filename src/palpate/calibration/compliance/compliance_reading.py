@@ -1,4 +1,4 @@
-"""What a calibrated TacTip says of a press, each quantity with its interval, range, flags and calibration."""
+"""Readings of a press by a calibrated TacTip, with intervals, ranges, flags and calibration."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from palpate.estimators.compliance.stiffness_curve import SoftnessCurve
 
 COVERAGE = 0.9
 AREA_AT_N = 4.0
-STRANGE = 5.0  # times what the references' own trials showed
+MAX_NOVELTY = 5.0  # times what the references' own trials showed
 DRIFT_LIMIT = 4.0
 SPEED_SHARE = 3.0  # times faster or slower than any reference
 UNLIKE = (
@@ -55,7 +55,7 @@ class AreaCourse:
 
 @dataclass(frozen=True)
 class PressReading:
-    """What was touched.
+    """Readings of what was touched.
 
     Attributes:
         stiffness: by images and force alone.
@@ -77,7 +77,7 @@ class PressReading:
 
     @property
     def readings(self) -> tuple[Reading, ...]:
-        """Those that there are."""
+        """The readings that there are."""
         all_ = (
             self.stiffness, self.stiffness_both, self.area, self.spread_rate, self.modulus, self.radius
         )  # fmt: skip
@@ -99,18 +99,18 @@ def read_touch(
     """
     if not presses:
         raise InputError("no press; give one or more")
-    said = _Said(calibration, presses, name)
+    reader = _PressReader(calibration, presses, name)
     rows = np.stack([touch_row(one, calibration.layout_px, calibration.levels_n) for one in presses])
-    stiffness = said.stiffness("stiffness", calibration.touch, rows)
+    stiffness = reader.stiffness("stiffness", calibration.touch, rows)
     both = None
     if calibration.both is not None and all(one.position_m is not None for one in presses):
         beside = np.stack([approach_row(one, calibration.levels_n) for one in presses])
-        both = said.stiffness("stiffness_both_cues", calibration.both, np.hstack([rows, beside]))
+        both = reader.stiffness("stiffness_both_cues", calibration.both, np.hstack([rows, beside]))
     if calibration.area is None:
         return PressReading(stiffness, both, None, None, None, None, None)
     courses = [_course(calibration, one) for one in presses]
-    area, rate = said.area(courses), said.rate(courses)
-    modulus, radius = said.object(courses) if both is not None else (None, None)
+    area, rate = reader.area(courses), reader.rate(courses)
+    modulus, radius = reader.object(courses) if both is not None else (None, None)
     return PressReading(stiffness, both, area, rate, modulus, radius, courses[0])
 
 
@@ -124,7 +124,7 @@ def _course(calibration: ComplianceCalibration, press: PinPress) -> AreaCourse:
     return AreaCourse(press.force_n, calibration.area.at(calibration.motions.of(moved), COVERAGE), ring)
 
 
-class _Said:
+class _PressReader:
     """Readings of some presses, with the flags that hold for all of them."""
 
     def __init__(self, calibration: ComplianceCalibration, presses: Sequence[PinPress], name: str) -> None:
@@ -156,14 +156,13 @@ class _Said:
         )  # fmt: skip
 
     def stiffness(self, quantity: str, curve: SoftnessCurve, rows: Float[ndarray, "t d"]) -> Reading:
-        found = curve.of(rows, COVERAGE)
-        kappa, low, high = found.kappa_n_m
+        kappa, low, high = curve.of(rows, COVERAGE).kappa_n_m
         finite = curve.kappa_n_m[np.isfinite(curve.kappa_n_m)]
         range_ = float(finite.min()), float(finite.max())
         why = [] if np.isfinite(curve.between) else [NO_BETWEEN]
-        strange = max(curve.novelty_score(row) for row in rows)
-        if strange > STRANGE:
-            why.append(UNLIKE.format(strange, STRANGE))
+        novelty = max(curve.novelty_score(row) for row in rows)
+        if novelty > MAX_NOVELTY:
+            why.append(UNLIKE.format(novelty, MAX_NOVELTY))
         if low > range_[1] * EDGE or high < range_[0] / EDGE:
             why.append(OUTSIDE.format(1e-3 * kappa, 1e-3 * range_[0], 1e-3 * range_[1]))
         return self.reading(quantity, (kappa, low, high), "N_per_m", range_, why)
@@ -202,8 +201,8 @@ class _Said:
             if one.position_m is not None
             for good in [one.force_n >= self.calibration.levels_n[0]]
         ]
-        found = invert_hertz(presses, finger, np.random.default_rng(0), COVERAGE)
-        why = [found.why] if found.why else []
+        contact = invert_hertz(presses, finger, np.random.default_rng(0), COVERAGE)
+        why = [contact.why] if contact.why else []
         if not np.isfinite(self._fit.spread):
             why.append(NO_BETWEEN)
         if self.calibration.tilt_rad > HEAD_ON_RAD:
@@ -211,8 +210,8 @@ class _Said:
         round_ = [NO_HERTZ.format(finger.misfit, MISFIT)] if finger.misfit > MISFIT else []
         beyond = (0.0, float("inf"))
         return (
-            self.reading("modulus", found.modulus_pa, "Pa", beyond, why),
-            self.reading("radius", found.radius_m, "m", beyond, [*why, *round_]),
+            self.reading("modulus", contact.modulus_pa, "Pa", beyond, why),
+            self.reading("radius", contact.radius_m, "m", beyond, [*why, *round_]),
         )
 
     @property

@@ -23,23 +23,7 @@ from palpate.estimators.compliance.spread_rate import (
 )
 
 __all__ = [
-    "ImprintRegion",
-    "Lamps",
-    "Loading",
-    "SpreadRate",
-    "area_m2",
-    "at_force",
-    "bulge",
-    "fresh",
-    "loading",
-    "loading_slope",
-    "moving_average",
-    "moving_average_response",
-    "paper_spread",
-    "refuse_literal",
-    "rising",
-    "spread",
-    "summed_slopes",
-    "within",
-    "without_spikes",
-]
+    "ImprintRegion", "Lamps", "Loading", "SpreadRate", "area_m2", "at_force", "bulge", "fresh", "loading",
+    "loading_slope", "moving_average", "moving_average_response", "paper_spread", "refuse_literal",
+    "rising", "spread", "summed_slopes", "within", "without_spikes",
+]  # fmt: skip

@@ -1,4 +1,4 @@
-"""The contact's area from what each frame shows of the pins, told by references whose area is known.
+"""The contact's area from what each frame shows of the pins, from references whose area is known.
 
 log A is a smooth function of a few measures of a frame: of the ring's size and the middle's stretch
 (`region`), or, where the ring is cut by the field's edge as on an inclined specimen, of the motion of all
@@ -53,7 +53,7 @@ class AreaFit:
 def fit_area(
     measures: Sequence[AnyMeasures], area_m2: Sequence[Float[ndarray, " _"]], reference: Sequence[int]
 ) -> AreaFit:
-    """Fit to references.
+    """Fit the area to references.
 
     Args:
         measures: of the frames of every trial.
@@ -83,7 +83,7 @@ def fit_area(
 
 
 def _left_out(z: list[AnyMeasures], y: list[ndarray], reference: ndarray) -> float:
-    """Error of log A of trials of each reference, told by the others' trials of it: the worst reference's."""
+    """Error of log A of left-out trials of each reference, by the other trials: the worst reference's."""
     squares: dict[int, list[float]] = {}
     for i, (own, log_a) in enumerate(zip(z, y, strict=True)):
         others = [j for j in range(len(z)) if j != i]
@@ -132,7 +132,7 @@ class Motions:
 
 
 def fit_motions(moved_px: Sequence[Float[ndarray, "_ p 2"]], count: int = MOTIONS) -> Motions:
-    """Of the references' frames.
+    """Fit the directions to the references' frames.
 
     Raises:
         InputError: too few frames.

@@ -34,7 +34,7 @@ Points = Float[ndarray, "p 2"]
 
 @dataclass(frozen=True)
 class Field:
-    """Where pins were untouched, and how far each has moved [px]; only pins that were found."""
+    """Places of the untouched pins, and how far each has moved [px]; only pins that were found."""
 
     at_px: Points
     moved_px: Points
@@ -56,7 +56,7 @@ class Field:
 
     @cached_property
     def middle_px(self) -> Float[ndarray, 2]:
-        """Where the field stands still: the contact's centre, from a linear fit around the pins' middle."""
+        """Contact's centre, where the field stands still, from a linear fit around the pins' middle."""
         centre = self.at_px.mean(axis=0)
         for _ in range(3):
             gradient, shift = self._linear(centre)
@@ -69,7 +69,7 @@ class Field:
 
     @property
     def radius_px(self) -> float:
-        """Of the field of pins."""
+        """Radius of the field of pins [px]."""
         return float(np.hypot(*(self.at_px - self.at_px.mean(axis=0)).T).max())
 
     def stretch(self) -> Float[ndarray, "2 2"]:
@@ -126,7 +126,7 @@ class Rigid:
 
     @classmethod
     def fitted(cls, rings: Float[ndarray, " n"], stretches: Float[ndarray, " n"]) -> Rigid:
-        """From presses on a rigid plate.
+        """Fit to presses on a rigid plate.
 
         Raises:
             InputError: too few states with a ring.
@@ -228,7 +228,7 @@ def _terms(x: Points) -> Float[ndarray, "p k"]:
 
 
 def _reach(field: Field, centre: Float[ndarray, 2]) -> Float[ndarray, " rays"]:
-    """How far the pins go from the centre, in every direction."""
+    """Reach of the pins from the centre, in every direction."""
     off = field.at_px - centre
     angles = np.arange(RAYS) * 2 * np.pi / RAYS
     along = off @ np.stack([np.cos(angles), np.sin(angles)])

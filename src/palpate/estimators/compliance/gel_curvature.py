@@ -1,4 +1,4 @@
-"""How far a touch bulges a coated gel that is lit by lamps of several colours from its sides.
+"""Curvature of the bulge in a coated gel that is lit by lamps of several colours from its sides.
 
 A camera behind an opaque, evenly coated gel sees slopes as colour: where the coat leans towards a lamp, that
 lamp's colour grows. With h the height of the bulge towards the camera and l_k the direction of lamp k in the
@@ -39,7 +39,7 @@ Image = Shaped[ndarray, "..."]  # [h w c], which `bulge` checks
 
 @dataclass(frozen=True)
 class Lamps:
-    """Where the light of each colour comes from, in the order of the image's channels.
+    """Directions that the light of each colour comes from, in the order of the image's channels.
 
     Attributes:
         towards: unit vectors (x along columns, y along rows downwards) from the gel's middle to each lamp.
@@ -51,7 +51,7 @@ class Lamps:
         if not np.allclose(np.hypot(*np.transpose(self.towards)), 1.0, atol=1e-6):
             raise InputError(f"directions to lamps are unit vectors (x, y), got {self.towards}")
         if self.apart < MIN_APART:
-            raise InputError("all lamps stand on one side; slopes are told by colours from different sides")
+            raise InputError("all lamps stand on one side; slopes are seen by colours from different sides")
 
     @property
     def apart(self) -> float:
@@ -117,7 +117,7 @@ def _cut(image: Image, region: ImprintRegion, lamps: Lamps) -> Float[ndarray, "h
 
 
 def _slopes(change: Float[ndarray, "h w c"]) -> Float[ndarray, "c 2"]:
-    """Of the plane through every channel, along x and y [1/px]."""
+    """Slopes of the plane through every channel, along x and y [1/px]."""
     h, w, _ = change.shape
     x, y = (np.arange(n) - (n - 1) / 2 for n in (w, h))
     along_x = np.einsum("ijc,j->c", change, x) / (h * (x**2).sum())

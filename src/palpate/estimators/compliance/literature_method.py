@@ -1,9 +1,9 @@
 """The report's route from frames and force to a spread rate: flow, divergence, accumulated area.
 
 A_0 is the circle through the pins, not a contact, so all areas are relative to it: only contrasts between
-presses of one sensor mean anything. `circle_through_pins` gives that circle, over which the mean divergence is
-taken; over the whole image, as (8) has it, it is nothing but what flows through the image's border. Beside the
-report's own sum over frames stand the secant and the regression of A_i = A_0 exp(sum of D_j).
+presses of one sensor mean anything. `circle_through_pins` gives that circle, over which the mean divergence
+is taken; over the whole image, as (8) has it, it is nothing but what flows through the image's border. Beside
+the report's own sum over frames stand the secant and the regression of A_i = A_0 exp(sum of D_j).
 """
 
 from __future__ import annotations

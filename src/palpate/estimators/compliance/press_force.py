@@ -51,7 +51,7 @@ def moving_average(force_n: Samples, taps: int = TAPS, *, trailing: bool = False
 
 
 def moving_average_response(taps: int, rate_hz: float) -> tuple[float, float]:
-    """Where a trailing moving average passes 1/sqrt 2 of an oscillation [Hz], and by how much it delays [s].
+    """Cut-off of a trailing moving average (1/sqrt 2 of an oscillation) [Hz], and its delay [s].
 
     Raises:
         RangeError: fewer than two taps, or no rate.

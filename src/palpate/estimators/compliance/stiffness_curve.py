@@ -38,7 +38,7 @@ Vector = Float[ndarray, " d"]
 
 @dataclass(frozen=True)
 class Softness:
-    """Where a press, or the mean of several, lies.
+    """Place on the curve of a press, or of the mean of several.
 
     Attributes:
         kappa_n_m: stiffness, low and high of its interval [N/m].
@@ -112,7 +112,7 @@ class SoftnessCurve:
         return np.diff(self.at(np.array([low, high])), axis=0)[0] / (high - low)
 
     def _bend(self, y: Float[ndarray, " q"], s: float) -> float:
-        """How far s may be wrong because the curve runs otherwise between its references."""
+        """Error of s that is possible because the curve runs otherwise between its references."""
         if np.isfinite(self.between):
             return self.between * s * (1 - s)
         return max(abs(self.nearest(y, bend * self.turning_n_m) - s) for bend in BENDS)
@@ -121,7 +121,7 @@ class SoftnessCurve:
         return self.turning_n_m * (1 / min(s, 1.0) - 1) if s > 0 else float("inf")
 
     def novelty_score(self, press: Vector) -> float:
-        """What of a press no reference shows, in units of what their trials showed of it."""
+        """Part of a press that no reference shows, in units of what their trials showed of it."""
         off = press - self.middle
         seen = np.isfinite(off)
         left = off[seen] - self._in_basis(press) @ self.basis[:, seen]
@@ -200,7 +200,7 @@ def fit_softness(kappa_n_m: Sequence[float], trials: Sequence[Float[ndarray, "_ 
 
 
 def _turned(curve: SoftnessCurve) -> SoftnessCurve:
-    """With the kappa_0 by which the others best tell the stiffness of each reference between them."""
+    """Set kappa_0 to that by which the others best predict the stiffness of each reference between them."""
     finite = np.sort(curve.kappa_n_m[np.isfinite(curve.kappa_n_m)])
     if len(curve.means) < 3:
         return curve
@@ -212,7 +212,7 @@ def _turned(curve: SoftnessCurve) -> SoftnessCurve:
 
 
 def _between(curve: SoftnessCurve) -> float:
-    """The greatest error of log kappa of a reference between others, told by these."""
+    """The greatest error of log kappa of a reference between others, by these."""
     order = np.argsort(curve.kappa_n_m)
     off = []
     for left in order[1:-1]:

@@ -1,7 +1,7 @@
 """The flow of `horn_schunck`, compiled and in single precision.
 
 Between TacTip frames it agrees with the plain reference to 5e-6 px. It releases the interpreter's lock, so
-that the pairs of a sequence may be shared by threads; see `sequence`.
+that the pairs of a sequence may be shared by threads; see `flow_sequence`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ FlowField = Float32[ndarray, "2 h w"]
 
 
 class _Workspace(local):
-    """What one thread writes into again and again; `kernels` says what lies where."""
+    """Workspace that one thread writes into again and again, laid out as `flow_kernels` says."""
 
     shape: tuple[int, int, int] = (0, 0, 0)
 

@@ -1,4 +1,4 @@
-"""The compiled loops of Horn and Schunck's flow; `fast` uses them, nobody else.
+"""The compiled loops of Horn and Schunck's flow; `compiled_flow` uses them.
 
 One pair of images needs n sweeps over five arrays that do not fit the processor's second cache together. Here
 the sweeps run as a wavefront instead: as soon as sweep k has done row r + 1, sweep k + 1 does row r, so that
@@ -7,7 +7,7 @@ through all sweeps before the next one starts: each sweep then finds most of wha
 since the sweep before has just used it. The result is that of n whole sweeps, number for number.
 
 A row of w pixels lies in `row_length(w)` numbers: the pixels, the last one again, and what fills up whole
-vectors and means nothing. `lanes` says why vectors are written out. Rows are places in flat arrays, since a
+vectors and means nothing. `simd` says why vectors are written out. Rows are places in flat arrays, since a
 slice for each would cost as much as its arithmetic.
 
 Kernels release the interpreter's lock, so that plain threads share the pairs of a sequence.
@@ -122,7 +122,7 @@ def _row(k, r, w):
 @numba.njit(**FAST)
 @no_type_check
 def relax(e, n, rows, flow):
-    """N sweeps from the flow [2 h w], in place.
+    """Run n sweeps from the flow [2 h w], in place.
 
     Args:
         e: of `coefficients`.

@@ -1,9 +1,7 @@
-"""Flow along a sequence of frames: from each to the next, or from the first to each.
+"""Flow along a sequence of frames, from each to the next or from the first to each: speed and divergence.
 
 Frames are taken as they come and few are held at a time, so a sequence may be as long as its file. Pairs are
 shared among threads; results come in the order of the frames.
-
-The course of flow along a sequence: how fast, how divergent, and the divergence so far.
 """
 
 from __future__ import annotations
@@ -36,7 +34,7 @@ def along(
     from_first: bool = False,
     threads: int | None = None,
 ) -> Iterator[T]:
-    """What a function says of each pair of frames, in their order.
+    """Results of a function of each pair of frames, in their order.
 
     Args:
         frames: grey images of one size, in time; read once.

@@ -1,12 +1,4 @@
-"""Images as brightness in [0, 1], and its derivatives over the eight-measurement cube of Horn and Schunck.
-
-The smoothness weight alpha of the flow has the unit of a brightness difference, so it means nothing before
-the scale of brightness is fixed: here black is 0 and the greatest value of the image's type is 1.
-
-Reference: B. K. P. Horn, B. G. Schunck, Determining optical flow, Artificial Intelligence 17 (1981) 185-203,
-doi:10.1016/0004-3702(81)90024-2, sections 7 and 8.
-
-Dense optical flow by Horn and Schunck: the plain reference in double precision, and its settings.
+"""Dense optical flow by Horn and Schunck: the plain reference in double precision, and its settings.
 
 The flow (u, v) [px/frame] minimises the squared change of brightness along the motion plus alpha^2 times the
 squared gradients of u and v. Each iteration takes the neighbours' average and moves it towards the line on
@@ -20,7 +12,11 @@ away, hence n at least as large as the widest patch of even brightness: a pin, 2
 Pagnanelli et al., "Model-Based Compliance Discrimination via Soft Tactile Optical Sensing and Optical Flow
 Computation" (IEEE Robotics and Automation Letters).
 
-Reference: Horn and Schunck 1981, doi:10.1016/0004-3702(81)90024-2.
+The smoothness weight alpha has the unit of a brightness difference, so it means nothing before the scale of
+brightness is fixed: here black is 0 and the greatest value of the image's type is 1.
+
+Reference: B. K. P. Horn, B. G. Schunck, Determining optical flow, Artificial Intelligence 17 (1981) 185-203,
+doi:10.1016/0004-3702(81)90024-2, sections 7 and 8.
 """
 
 from __future__ import annotations

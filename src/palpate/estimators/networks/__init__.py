@@ -13,7 +13,7 @@ from palpate.estimators.networks.model_interface import Fitted, Model, Progress,
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """Where a model's code is, and what it is like; a user's model may say so in its class variable ``kind``.
+    """Place of a model's code, its input and output; a user's model may have one as class variable ``kind``.
 
     Attributes:
         path: ``module:Class``; empty where a model says itself what it is like.
@@ -36,65 +36,32 @@ class Kind:
 
 _FORCES = ("force_x_N", "force_y_N", "force_N")
 _PLACE = ("x_mm", "y_mm")
-_PALM = ("fringes", "mirror")
 
+
+def _palm(path: str, side_px: int, channels: int, delta: bool, *targets: str, costly: bool = True) -> Kind:
+    regions = ("fringes", "mirror")
+    return Kind(f"palpate.sensors.palm.networks.{path}", side_px, costly, channels, delta, targets, regions)
+
+
+_REPORT = "palm_report_networks"
+_TWO_STAGE = ("depth_mm", *_PLACE, *_FORCES, "force_magnitude_N")
 MODELS: dict[str, Kind] = {
     "mean": Kind("palpate.estimators.networks.baseline:MeanBaseline", 32),
     "pca-ridge": Kind("palpate.estimators.networks.pca_ridge:PcaRidge", 112),
     "pixel-mlp": Kind("palpate.estimators.networks.pixel_mlp:PixelMlp", 64),
     "compact-cnn": Kind("palpate.estimators.networks.compact_cnn:CompactCnn", 224, costly=True),
-    "palm-joint-raw": Kind(
-        "palpate.sensors.palm.networks.palm_report_networks:PalmJointRaw",
-        128,
-        costly=True,
-        channels=3,
-        delta=False,
-        targets=(*_FORCES, *_PLACE),
-        regions=_PALM,
-    ),
-    "palm-force-conditioned": Kind(
-        "palpate.sensors.palm.networks.palm_report_networks:PalmForceConditioned",
-        128,
-        costly=True,
-        channels=3,
-        delta=True,
-        targets=("force_N", *_PLACE),
-        regions=_PALM,
-    ),
-    "palm-mlp-delta": Kind(
-        "palpate.sensors.palm.networks.palm_mlp_delta:PalmMlpDelta",
-        128,
-        channels=1,
-        delta=True,
-        targets=_FORCES,
-        regions=_PALM,
-    ),
-    "palm-two-stage": Kind(
-        "palpate.sensors.palm.networks.palm_report_networks:PalmTwoStage",
-        128,
-        costly=True,
-        channels=1,
-        delta=True,
-        targets=("depth_mm", *_PLACE, *_FORCES, "force_magnitude_N"),
-        regions=_PALM,
-    ),
-    "palm-compact": Kind(
-        "palpate.sensors.palm.networks.palm_compact:PalmCompact",
-        96,
-        costly=True,
-        channels=3,
-        delta=True,
-        targets=("depth_mm", *_PLACE, "force_N"),
-        regions=_PALM,
-    ),
+    "palm-joint-raw": _palm(f"{_REPORT}:PalmJointRaw", 128, 3, False, *_FORCES, *_PLACE),
+    "palm-force-conditioned": _palm(f"{_REPORT}:PalmForceConditioned", 128, 3, True, "force_N", *_PLACE),
+    "palm-mlp-delta": _palm("palm_mlp_delta:PalmMlpDelta", 128, 1, True, *_FORCES, costly=False),
+    "palm-two-stage": _palm(f"{_REPORT}:PalmTwoStage", 128, 1, True, *_TWO_STAGE),
+    "palm-compact": _palm("palm_compact:PalmCompact", 96, 3, True, "depth_mm", *_PLACE, "force_N"),
 }
-
 
 REGISTRY = PluginRegistry("model", "palpate.models", {name: kind.path for name, kind in MODELS.items()})
 
 
 def model_kind(name: str) -> Kind:
-    """What the named model is like.
+    """Kind of the named model.
 
     Raises:
         InputError: there is no such model; the message lists those there are.
@@ -160,16 +127,6 @@ def settings_of(name: str, options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 __all__ = [
-    "MODELS",
-    "REGISTRY",
-    "Fitted",
-    "Kind",
-    "Model",
-    "Progress",
-    "TrainingData",
-    "make_model",
-    "model_class",
-    "model_kind",
-    "settings_of",
-    "silent",
-]
+    "MODELS", "REGISTRY", "Fitted", "Kind", "Model", "Progress", "TrainingData", "make_model",
+    "model_class", "model_kind", "settings_of", "silent",
+]  # fmt: skip

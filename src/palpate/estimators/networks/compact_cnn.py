@@ -112,7 +112,7 @@ def _add_network(graph: TorchGraph, network: Network) -> str:
 
 @dataclass(frozen=True, slots=True)
 class CompactCnn:
-    """How the network is built and trained.
+    """Recipe by which the network is built and trained.
 
     Attributes:
         widths: features after the stem, which quarters the map's side, and after each block, which halves it.
@@ -289,30 +289,45 @@ class _Training:
         arrays |= {f"average/{k}": v.numpy() for k, v in self.average.state_dict().items()}
         for i, state in self.optimiser.state_dict()["state"].items():
             arrays |= {f"optimiser/{i}/{k}": v.numpy() for k, v in state.items()}
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
-            np.savez(file, epoch=np.array(self.epoch), **arrays)
-        Path(file.name).replace(path)
+        write_checkpoint(path, {"epoch": np.array(self.epoch), **arrays})
 
     def load(self, path: Path) -> None:
-        """Go on from what `save` kept; a damaged file is set aside and the fold begun anew."""
+        """Load what `save` kept; a damaged file is set aside and the fold begun anew."""
         try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
-                arrays = {k: torch.from_numpy(np.array(held[k])) for k in held.files}
+            arrays = read_checkpoint(path)
         except (OSError, ValueError, EOFError, zipfile.BadZipFile):
             path.unlink()
             return
-
-        def part(name: str) -> dict[str, torch.Tensor]:
-            return {k[len(name) + 1 :]: v for k, v in arrays.items() if k.startswith(f"{name}/")}
-
         self.epoch = int(arrays["epoch"])
-        self.network.load_state_dict(part("network"))
-        self.average.load_state_dict(part("average"))
+        self.network.load_state_dict(checkpoint_part(arrays, "network"))
+        self.average.load_state_dict(checkpoint_part(arrays, "average"))
         states: dict[int, dict[str, torch.Tensor]] = {}
-        for key, value in part("optimiser").items():
+        for key, value in checkpoint_part(arrays, "optimiser").items():
             i, _, field = key.partition("/")
             states.setdefault(int(i), {})[field] = value
         self.optimiser.load_state_dict(self.optimiser.state_dict() | {"state": states})
+
+
+def write_checkpoint(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Replace a checkpoint of plain arrays in one step."""
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
+        try:
+            np.savez(file, **arrays)  # type: ignore[arg-type]
+        except BaseException:
+            Path(file.name).unlink()
+            raise
+    Path(file.name).replace(path)
+
+
+def read_checkpoint(path: Path) -> dict[str, torch.Tensor]:
+    """All arrays of a checkpoint."""
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        return {name: torch.from_numpy(np.array(value)) for name, value in archive.items()}
+
+
+def checkpoint_part(arrays: dict[str, torch.Tensor], name: str) -> dict[str, torch.Tensor]:
+    """Arrays whose names begin with ``name/``, without it."""
+    return {k[len(name) + 1 :]: v for k, v in arrays.items() if k.startswith(f"{name}/")}
 
 
 def _moved(images: torch.Tensor, most_px: int, rng: np.random.Generator) -> torch.Tensor:
@@ -338,7 +353,7 @@ def _running(most: float) -> Callable[[torch.Tensor, torch.Tensor, torch.Tensor 
 
 
 def fast_bfloat16() -> bool:
-    """Whether this processor multiplies bfloat16 natively; elsewhere it would be slower."""
+    """True if this processor multiplies bfloat16 natively; elsewhere it would be slower."""
     return bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
 
 

@@ -40,7 +40,7 @@ class ProcessGroup:
 
     @classmethod
     def of_environment(cls) -> ProcessGroup:
-        """As torchrun says.
+        """Read the group from the environment that torchrun sets.
 
         Raises:
             InputError: WORLD_SIZE is set and what goes with it is not.
@@ -49,19 +49,19 @@ class ProcessGroup:
         if size == "1":
             return cls()
         try:
-            found = cls(*(int(os.environ[name]) for name in ("RANK", "WORLD_SIZE", "LOCAL_RANK")))
+            group = cls(*(int(os.environ[name]) for name in ("RANK", "WORLD_SIZE", "LOCAL_RANK")))
         except (KeyError, ValueError):
-            found = cls(size=0)
-        if not 0 <= found.rank < found.size or found.local < 0:
+            group = cls(size=0)
+        if not 0 <= group.rank < group.size or group.local < 0:
             raise InputError(
                 f"WORLD_SIZE is {size!r}, and RANK and LOCAL_RANK do not say which process this is; begin "
                 "several by torchrun, or unset WORLD_SIZE to train by one"
             )
-        return found
+        return group
 
     @property
     def first(self) -> bool:
-        """Whether this is the one that decides and writes."""
+        """True for the process that decides and writes."""
         return self.rank == 0
 
     def join(self) -> None:
@@ -78,30 +78,30 @@ class ProcessGroup:
         atexit.register(distributed.destroy_process_group)
 
     def wait(self) -> None:
-        """Until all others have come here too."""
+        """Wait until all others have come here too."""
         self.sum(0.0)
 
     def sum(self, number: float) -> float:
-        """Of what each brings; the same in all."""
-        return self._met(number, all_of_them=True)
+        """Sum of the numbers of all processes; the same in all."""
+        return self._collect(number, total=True)
 
     def first_says(self, number: float) -> float:
-        """What the first brings, in all; what the others bring is not looked at."""
-        return self._met(number, all_of_them=False)
+        """Number of the first process, in all; those of the others are not looked at."""
+        return self._collect(number, total=False)
 
-    def _met(self, number: float, *, all_of_them: bool) -> float:
+    def _collect(self, number: float, *, total: bool) -> float:
         if self.size == 1:
             return number
         import torch
         from torch import distributed
 
         self.join()
-        held = torch.tensor(number, dtype=torch.float64)
-        if all_of_them:
-            distributed.all_reduce(held)
+        value = torch.tensor(number, dtype=torch.float64)
+        if total:
+            distributed.all_reduce(value)
         else:
-            distributed.broadcast(held, 0)
-        return float(held)
+            distributed.broadcast(value, 0)
+        return float(value)
 
     def share(self, rows: Indices) -> tuple[Indices, float]:
         """This process's rows of a batch, and the weight of their mean loss in the mean of all shares.
@@ -130,7 +130,7 @@ class ProcessGroup:
             )
         return torch.device("cuda", self.local) if self.size > 1 else torch.device("cuda")
 
-    def of_one_mind(self, network: nn.Module) -> nn.Module:
+    def with_shared_statistics(self, network: nn.Module) -> nn.Module:
         """The network itself, or on several GPUs a copy whose batch statistics are those of all shares.
 
         torch has no such batch normalisation on the CPU: there each process normalises by its own share.

@@ -22,7 +22,7 @@ def silent(what: str, done: int, total: int) -> None:
 
 @dataclass(frozen=True)
 class TrainingData:
-    """What a model learns from: inputs fetched by row, values, and which rows belong together.
+    """Data that a model learns from: inputs fetched by row, values, and which rows belong together.
 
     Attributes:
         shape: (channels, height, width) of an input.

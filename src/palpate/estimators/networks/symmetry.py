@@ -22,7 +22,7 @@ lattice that misses its own symmetry correlates at 0.2 to 0.5, one that has it a
 
 @dataclass(frozen=True, slots=True)
 class RotationalSymmetry:
-    """How images and values turn together.
+    """Rotation of images and their values together.
 
     Attributes:
         order: n, how often the sensor repeats in a full turn.
@@ -79,7 +79,7 @@ class RotationalSymmetry:
 
 
 def in_plane(names: tuple[str, ...]) -> tuple[tuple[tuple[int, int], ...], tuple[int, ...]]:
-    """Which target columns are in-plane vectors, by their names, and which are half of one.
+    """Target columns that are in-plane vectors, by their names, and those that are half of one.
 
     Example:
         >>> in_plane(("depth_mm", "shear_x_mm", "shear_y_mm", "tilt_x_deg"))
@@ -94,7 +94,7 @@ def in_plane(names: tuple[str, ...]) -> tuple[tuple[tuple[int, int], ...], tuple
 
 
 def axis_of(mean: Float[np.ndarray, "h w"], order: int) -> tuple[float, float]:
-    """Where the axis stands in the mean image (x, y) [px], from how far off its turned copy lies.
+    """Place of the axis in the mean image (x, y) [px], from how far off its turned copy lies.
 
     Turned about the middle m, an image whose axis is m + e comes out displaced by R e - e.
 
@@ -121,7 +121,7 @@ def axis_of(mean: Float[np.ndarray, "h w"], order: int) -> tuple[float, float]:
 
 
 def _displacement(a: Float[np.ndarray, "h w"], b: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " 2"]:
-    """How far (x, y) the second image lies from the first, to a pixel: where they correlate most."""
+    """Displacement (x, y) of the second image from the first, to a pixel: where they correlate most."""
     height, width = a.shape
     spectrum = np.conj(np.fft.rfft2(a - a.mean())) * np.fft.rfft2(b - b.mean())
     y, x = np.unravel_index(int(np.argmax(np.fft.irfft2(spectrum, (height, width)))), (height, width))

@@ -101,7 +101,7 @@ class TorchGraph:
         return self.add("Slice", [at], bounds)
 
     def centres(self, maps: nn.Conv2d, grid: torch.Tensor, at: str) -> str:
-        """Where a layer's maps weigh most: the softmax of each, times a grid of places ``[h w, 2]``."""
+        """Centres of a layer's maps: the softmax of each, times a grid of places ``[h w, 2]``."""
         shape = torch.tensor([0, maps.out_channels, len(grid)])
         flat = self.add("Reshape", [self.add_layer(maps, at)], {"shape": shape})
         return self.add(
@@ -125,7 +125,7 @@ class TorchGraph:
         return self.add("Div", [at], {"contrast": contrast[None]})
 
     def restored(self, at: str, scale: torch.Tensor, mean: torch.Tensor, output: str = "") -> str:
-        """X scale + mean, each one number or one a feature."""
+        """Scale and shift, x scale + mean, each one number or one a feature."""
         at = self.add("Mul", [at], {"scale": scale[None]})
         return self.add("Add", [at], {"mean": mean[None]}, output=output)
 

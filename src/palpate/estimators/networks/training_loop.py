@@ -15,7 +15,6 @@ stay float32. Reference for Adam: Kingma & Ba, ICLR (2015), arXiv:1412.6980.
 from __future__ import annotations
 
 import math
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -28,7 +27,12 @@ import torch
 from torch import nn
 
 from palpate.core import Float32, Indices, InputError, Tensor
-from palpate.estimators.networks.compact_cnn import fast_bfloat16
+from palpate.estimators.networks.compact_cnn import (
+    checkpoint_part,
+    fast_bfloat16,
+    read_checkpoint,
+    write_checkpoint,
+)
 from palpate.estimators.networks.distributed import ProcessGroup
 from palpate.estimators.networks.model_interface import Progress, silent
 
@@ -40,7 +44,7 @@ RISING = 100  # steps
 
 @dataclass(frozen=True)
 class TrainingTask:
-    """What a network shall learn.
+    """Rows, answers and loss that a network shall learn.
 
     Attributes:
         fetch: rows -> inputs ``[n c h w]``.
@@ -59,7 +63,7 @@ class TrainingTask:
 
 @dataclass(frozen=True, slots=True)
 class TrainingLoop:
-    """How a network is trained.
+    """Schedule by which a network is trained.
 
     Attributes:
         epochs: passes over the rows, at most.
@@ -104,7 +108,7 @@ class TrainingLoop:
     def train(
         self,
         network: nn.Module,
-        lesson: TrainingTask,
+        task: TrainingTask,
         *,
         seed: int,
         progress: Progress = silent,
@@ -114,7 +118,7 @@ class TrainingLoop:
 
         Args:
             network: from inputs to answers; changed in place.
-            lesson: what it shall learn.
+            task: what it shall learn.
             seed: of the order in which rows are seen.
             progress: told how far the work is; of several processes, only the first's is.
             checkpoint: where to keep what is needed to go on, in a folder that all processes see; a file
@@ -124,43 +128,43 @@ class TrainingLoop:
             InputError: fewer than two rows, a batch of fewer than two rows a process, or the loss stops being
                 a number.
         """
-        if len(lesson.learn) < 2:
-            raise InputError(f"{len(lesson.learn)} rows to learn from; two or more are needed")
-        run = TrainingRun(self, network, lesson, seed)
-        told = progress if run.crew.first else silent
+        if len(task.learn) < 2:
+            raise InputError(f"{len(task.learn)} rows to learn from; two or more are needed")
+        run = TrainingRun(self, network, task, seed)
+        show = progress if run.processes.first else silent
         if checkpoint is not None:
             run.resume(checkpoint)
         while not run.ended:
             run.one_epoch()
-            if checkpoint is not None and run.crew.first:
+            if checkpoint is not None and run.processes.first:
                 run.save(checkpoint)
-            told("learning", run.epoch, self.epochs)
-        told("learning", self.epochs, self.epochs)
+            show("learning", run.epoch, self.epochs)
+        show("learning", self.epochs, self.epochs)
         return run.kept()
 
 
 class TrainingRun:
     """A network in training: its optimiser, the best it has been, and how long ago that was."""
 
-    def __init__(self, plan: TrainingLoop, network: nn.Module, lesson: TrainingTask, seed: int) -> None:
-        self.plan, self.lesson, self.seed, self.epoch = plan, lesson, seed, 0
-        self.crew = ProcessGroup.of_environment()
-        if plan.batch < 2 * self.crew.size:
+    def __init__(self, plan: TrainingLoop, network: nn.Module, task: TrainingTask, seed: int) -> None:
+        self.plan, self.task, self.seed, self.epoch = plan, task, seed, 0
+        self.processes = ProcessGroup.of_environment()
+        if plan.batch < 2 * self.processes.size:
             raise InputError(
-                f"a batch of {plan.batch} rows for {self.crew.size} processes; 2 rows or more for each, so "
-                f"take a batch of {2 * self.crew.size} or more, or fewer processes"
+                f"a batch of {plan.batch} rows for {self.processes.size} processes; 2 rows or more for each, "
+                f"so take a batch of {2 * self.processes.size} or more, or fewer processes"
             )
-        self.crew.join()
-        self.device = self.crew.device()
-        self.given = network.to(self.device, memory_format=torch.channels_last)
-        self.network = self.crew.of_one_mind(self.given)
+        self.processes.join()
+        self.device = self.processes.device()
+        self.plain = network.to(self.device, memory_format=torch.channels_last)
+        self.network = self.processes.with_shared_statistics(self.plain)
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=plan.learning_rate)
         self.best: dict[str, torch.Tensor] = {}
         self.best_loss, self.since = math.inf, 0
 
     @property
     def stops_early(self) -> bool:
-        return self.plan.patience > 0 and len(self.lesson.watch) > 0
+        return self.plan.patience > 0 and len(self.task.watch) > 0
 
     @property
     def ended(self) -> bool:
@@ -169,27 +173,29 @@ class TrainingRun:
     def one_epoch(self) -> None:
         """See every row once, then look at the watched rows."""
         rng = np.random.default_rng([self.seed, self.epoch])
-        order = rng.permutation(self.lesson.learn)
+        order = rng.permutation(self.task.learn)
         self.network.train()
         # Anew each epoch: how gradients are bundled, and so rounded, then follows from the epoch alone.
-        spread = self.crew.spread(self.network, self.device)
+        spread = self.processes.spread(self.network, self.device)
         parts = [order[i : i + self.plan.batch] for i in range(0, len(order), self.plan.batch)]
         parts = [part for part in parts if len(part) > 1]
         before = self.epoch * len(parts)
         losses = [self._step(spread, part, (before + i, len(parts))) for i, part in enumerate(parts)]
         self.epoch += 1
-        self._require_a_number(self.crew.sum(torch.stack(losses).sum().item()))
+        self._require_a_number(self.processes.sum(torch.stack(losses).sum().item()))
         if self.stops_early:
-            self._remember(self.crew.first_says(self.watched_loss() if self.crew.first else math.nan))
+            self._remember(
+                self.processes.first_says(self.watched_loss() if self.processes.first else math.nan)
+            )
 
     def _step(self, spread: nn.Module, part: Indices, at: tuple[int, int]) -> torch.Tensor:
         """One step down, the `at[0]`-th of `at[1]` an epoch, by this process's share of the rows."""
-        mine, weight = self.crew.share(part)
+        mine, weight = self.processes.share(part)
         for group in self.optimiser.param_groups:
             group["lr"] = self.plan.rate(*at)
-        with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self._in_bfloat16()):
+        with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self._uses_bfloat16()):
             answer = spread(self._inputs(mine))
-        loss = weight * self.lesson.loss(answer.float(), self._wanted(mine))
+        loss = weight * self.task.loss(answer.float(), self._wanted(mine))
         self.optimiser.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(self.network.parameters(), self.plan.clip)
@@ -197,25 +203,25 @@ class TrainingRun:
         return loss.detach()
 
     def _inputs(self, part: Indices) -> torch.Tensor:
-        image = torch.from_numpy(self.lesson.fetch(part)).to(self.device)
+        image = torch.from_numpy(self.task.fetch(part)).to(self.device)
         return image.contiguous(memory_format=torch.channels_last)
 
     def _wanted(self, part: Indices) -> torch.Tensor:
-        return torch.from_numpy(self.lesson.wanted[part]).to(self.device)
+        return torch.from_numpy(self.task.wanted[part]).to(self.device)
 
-    def _in_bfloat16(self) -> bool:
+    def _uses_bfloat16(self) -> bool:
         if self.plan.precision == "float32":
             return False
         return torch.cuda.is_bf16_supported() if self.device.type == "cuda" else fast_bfloat16()
 
     def watched_loss(self) -> float:
         """The loss of the watched rows, in float32 as the trained network will answer."""
-        watch = self.lesson.watch
+        watch = self.task.watch
         self.network.eval()
         with torch.no_grad():
             parts = [watch[i : i + WATCHED_AT_ONCE] for i in range(0, len(watch), WATCHED_AT_ONCE)]
             answers = torch.cat([self.network(self._inputs(part)).float() for part in parts])
-            return float(self.lesson.loss(answers, self._wanted(watch)))
+            return float(self.task.loss(answers, self._wanted(watch)))
 
     def _remember(self, loss: float) -> None:
         self._require_a_number(loss)
@@ -234,10 +240,10 @@ class TrainingRun:
 
     def kept(self) -> nn.Module:
         """The network at its best, or as it is where none was watched; on the CPU, in plain layout."""
-        self.given.load_state_dict(self.best or self.network.state_dict())
-        kept = self.given.to("cpu", memory_format=torch.contiguous_format).eval()
-        self.crew.align(kept)
-        return kept
+        self.plain.load_state_dict(self.best or self.network.state_dict())
+        network = self.plain.to("cpu", memory_format=torch.contiguous_format).eval()
+        self.processes.align(network)
+        return network
 
     def save(self, path: Path) -> None:
         """Keep all of it as plain arrays, in one step."""
@@ -247,40 +253,36 @@ class TrainingRun:
         arrays |= {f"best/{k}": v.numpy() for k, v in self.best.items()}
         for i, state in self.optimiser.state_dict()["state"].items():
             arrays |= {f"optimiser/{i}/{k}": v.numpy(force=True) for k, v in state.items()}
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
-            try:
-                np.savez(file, **arrays)
-            except BaseException:
-                Path(file.name).unlink()
-                raise
-        Path(file.name).replace(path)
+        write_checkpoint(path, arrays)
 
     def resume(self, path: Path) -> None:
         """Go on from a checkpoint where there is one: all processes from the same."""
-        if self.crew.first and path.exists():
+        if self.processes.first and path.exists():
             self.load(path)
-        self.crew.wait()
-        if not self.crew.first and path.exists():  # the first has set aside what is damaged
-            self._take(_read(path))
-        if self.epoch != self.crew.first_says(self.epoch):
-            raise InputError(f"process {self.crew.rank} does not see the first's {path}; share its folder")
+        self.processes.wait()
+        if not self.processes.first and path.exists():  # the first has set aside what is damaged
+            self._take(read_checkpoint(path))
+        if self.epoch != self.processes.first_says(self.epoch):
+            raise InputError(
+                f"process {self.processes.rank} does not see the first's {path}; share its folder"
+            )
 
     def load(self, path: Path) -> None:
-        """Go on from what `save` kept; a file that is damaged or of another training is set aside."""
+        """Load what `save` kept; a file that is damaged or of another training is set aside."""
         try:
-            self._take(_read(path))
+            self._take(read_checkpoint(path))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
             path.replace(path.with_suffix(".damaged"))
 
     def _take(self, arrays: dict[str, torch.Tensor]) -> None:
         """All of a checkpoint's arrays, or none of them."""
-        network, best = _part(arrays, "network"), _part(arrays, "best")
+        network, best = checkpoint_part(arrays, "network"), checkpoint_part(arrays, "best")
         self._require_fit(network)
         if best:
             self._require_fit(best)
         parameters = list(self.network.parameters())
         states: dict[int, dict[str, torch.Tensor]] = {i: {} for i in range(len(parameters))}
-        for key, value in _part(arrays, "optimiser").items():
+        for key, value in checkpoint_part(arrays, "optimiser").items():
             i, _, field = key.partition("/")
             states[int(i)][field] = _laid_out(value)
         if not all(set(state) == {"step", "exp_avg", "exp_avg_sq"} for state in states.values()):
@@ -299,15 +301,6 @@ class TrainingRun:
             raise ValueError("the weights are of another network")
 
 
-def _read(path: Path) -> dict[str, torch.Tensor]:
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
-        return {k: torch.from_numpy(np.array(held[k])) for k in held.files}
-
-
-def _part(arrays: dict[str, torch.Tensor], name: str) -> dict[str, torch.Tensor]:
-    return {k[len(name) + 1 :]: v for k, v in arrays.items() if k.startswith(f"{name}/")}
-
-
 def _laid_out(state: torch.Tensor) -> torch.Tensor:
-    """In the layout of the weights it belongs to, so that a step is computed in the very same order."""
+    """State in the layout of the weights it belongs to, so that a step is computed in the very same order."""
     return state.contiguous(memory_format=torch.channels_last) if state.dim() == 4 else state

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from tests.real.trial_assignment import assign, nearest
 
 from palpate.core.errors import InputError
-from palpate.psychophysics import assign, nearest
 
 BALLS = ["soft"] * 3 + ["middling"] * 3 + ["hard"] * 3
 
@@ -85,7 +85,7 @@ def test_many_labellings_are_drawn_and_p_is_never_zero(rng) -> None:
 def test_drawn_and_exact_p_agree(rng, monkeypatch) -> None:
     x = trials(rng, 1.0)
     exact = assign(x, BALLS, rng)
-    monkeypatch.setattr("palpate.psychophysics.trial_assignment.EXACT_UP_TO", 10)
+    monkeypatch.setattr("tests.real.trial_assignment.EXACT_UP_TO", 10)
     drawn = assign(x, BALLS, rng, draws=4000)
     assert_allclose(drawn.p, exact.p, atol=4 * math.sqrt(exact.p * (1 - exact.p) / 4000) + 1 / 4000)
 
