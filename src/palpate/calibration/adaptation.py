@@ -66,11 +66,11 @@ def intervals_of_presses(predicted: Values, true: Values, groups: np.ndarray, co
     """
     presses = len(np.unique(groups))
     raised = min(coverage * (presses + 1) / presses, MAX_COVERAGE)
-    found = replace(fit_intervals(predicted, true, groups, raised), coverage=coverage)
+    intervals = replace(fit_intervals(predicted, true, groups, raised), coverage=coverage)
     if presses >= GROUPS_FOR_SPREAD:
-        return found
-    scores = np.abs(predicted - true) / found.spread.at(predicted)
-    return replace(found, quantile=np.array([conformal_quantile(column, raised) for column in scores.T]))
+        return intervals
+    scores = np.abs(predicted - true) / intervals.spread.at(predicted)
+    return replace(intervals, quantile=np.array([conformal_quantile(column, raised) for column in scores.T]))
 
 
 def _adapted_split(result: CalibrationResult, adapted: Adapted, former: Card) -> SplitCard:
@@ -133,7 +133,7 @@ def adapt(folder: PathText, run: Run, out: PathText, progress: Progress = silent
     started = time.monotonic()
     estimator = Estimator.open(folder)
     card = estimator.card
-    plan = _plan(card, run)
+    plan = CalibrationPlan.of_card(card, _rule(card, run), _grouping(run))
     _check(card, run, plan)
     with storage_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -162,33 +162,15 @@ class _CorrectedNetwork:
         return self.correction.appended(model, f"adapted-{card.id}")
 
 
-def _plan(card: Card, run: Run) -> CalibrationPlan:
-    """Plan of the calibration, for the copy's run."""
-    return CalibrationPlan(
-        targets=tuple(card.columns),
-        split=_grouping(run),
-        seed=card.seed,
-        size_px=card.input.size_px,
-        channels=card.input.channels,
-        crop_px=card.input.crop_px,
-        beside_px=card.input.beside_px,
-        delta=card.input.delta,
-        reference=_rule(card, run),
-        learn_untouched=card.reference.learnt,
-        coverage=card.coverage,
-    )
-
-
 def _grouping(run: Run) -> str:
     return f"leave-one-out:{next((column for column in GROUPS if column in run.labels), 'row')}"
 
 
 def _rule(card: Card, run: Run) -> ReferenceRule | None:
     """The calibration's own rule; None where it has none, or the run no such rows and does without."""
-    reference = card.reference
-    if reference.column is None or reference.value is None:
+    rule = ReferenceRule.of_card(card)
+    if rule is None:
         return None
-    rule = ReferenceRule(reference.column, reference.value, reference.by)
     try:
         rows_matching(run.labels, rule)
     except LabelError as e:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from palpate.core import InputError, split_column
 from palpate.core.plugins import import_path_of
+
+if TYPE_CHECKING:
+    from palpate.estimators.model_card import Card
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +37,12 @@ class ReferenceRule:
         if not (column and equals and value):
             raise InputError(f"reference {text!r} is not COLUMN=VALUE, as in mass_g=0 or touched=false")
         return cls(column.strip(), value.strip(), by)
+
+    @classmethod
+    def of_card(cls, card: Card) -> ReferenceRule | None:
+        """Rule that a certificate states; None where it has none."""
+        rule = card.reference
+        return None if rule.column is None or rule.value is None else cls(rule.column, rule.value, rule.by)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +113,24 @@ class CalibrationPlan:
         check_split_text(self.split)
         self._check_numbers()
 
+    @classmethod
+    def of_card(cls, card: Card, reference: ReferenceRule | None, split: str = "auto") -> CalibrationPlan:
+        """Plan that prepares images and rows as they were for a certificate; the model is not its own."""
+        image = card.input
+        return cls(
+            targets=tuple(card.columns),
+            split=split,
+            seed=card.seed,
+            size_px=image.size_px,
+            channels=image.channels,
+            crop_px=image.crop_px,
+            beside_px=image.beside_px,
+            delta=image.delta,
+            reference=reference,
+            learn_untouched=card.reference.learnt,
+            coverage=card.coverage,
+        )
+
     def _check_numbers(self) -> None:
         if self.folds is not None and self.folds < 2:
             raise InputError(f"{self.folds} folds; a split needs 2 or more, to train on one and hold one out")
@@ -126,12 +153,12 @@ class CalibrationPlan:
         return asdict(self)
 
 
-def _targets(given: Sequence[str]) -> tuple[str, ...]:
+def _targets(names: Sequence[str]) -> tuple[str, ...]:
     """The targets' names, each once and with a unit."""
-    if isinstance(given, str):
-        hint = ", ".join(repr(name.strip()) for name in given.split(","))
-        raise InputError(f"targets are a tuple of names, not the text {given!r}; give ({hint},)")
-    targets = tuple(given)
+    if isinstance(names, str):
+        hint = ", ".join(repr(name.strip()) for name in names.split(","))
+        raise InputError(f"targets are a tuple of names, not the text {names!r}; give ({hint},)")
+    targets = tuple(names)
     if not targets:
         raise InputError("no target to calibrate; name label columns, as in --targets depth_mm,force_N")
     repeated = sorted({t for t in targets if targets.count(t) > 1})

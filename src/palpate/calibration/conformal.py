@@ -63,8 +63,8 @@ def fit_intervals(predicted: Values, true: Values, groups: np.ndarray, coverage:
 
 def coverage_interval(hits: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
     """Clopper-Pearson interval of a rate, from `hits` of `n` independent rows."""
-    found = binomtest(hits, n).proportion_ci(confidence, method="exact")
-    return float(found.low), float(found.high)
+    interval = binomtest(hits, n).proportion_ci(confidence, method="exact")
+    return float(interval.low), float(interval.high)
 
 
 def grouped_coverage_interval(

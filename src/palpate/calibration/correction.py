@@ -104,15 +104,15 @@ class Correction:
             ("Concat", ("z", "products"), "terms", {"axis": 1}),
             ("Gemm", ("terms", "weights", "offset"), "change", {}),
         )
-        made = []
+        nodes = []
         for kind, inputs, output, how in steps:
             names = [f"{tag}-{name}" for name in inputs]
-            made.append(
+            nodes.append(
                 helper.make_node(
                     kind, [before, *names] if kind == "Sub" else names, [f"{tag}-{output}"], **how
                 )
             )
-        return [*made, helper.make_node("Add", [before, f"{tag}-change"], ["value"])]
+        return [*nodes, helper.make_node("Add", [before, f"{tag}-change"], ["value"])]
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,8 +166,8 @@ def correct(estimates: Values, true: Values, presses: Indices, start: Correction
         weights = folds.weights(folds.chosen(press), press)
         held_out[rows] += folds.terms[rows] @ weights
     helps = [_helps(held_out[:, j] - true[:, j], folds.errors[:, j], presses) for j in targets]
-    found = folds.chosen()
-    choices = tuple(c if good else Choice(AS_IT_WAS) for c, good in zip(found, helps, strict=True))
+    best = folds.chosen()
+    choices = tuple(c if good else Choice(AS_IT_WAS) for c, good in zip(best, helps, strict=True))
     for j in targets:
         if choices[j].terms == AS_IT_WAS:
             held_out[:, j] = estimates[:, j]
@@ -202,34 +202,34 @@ class _LeavePressOut:
         Args:
             without: a press that has no part in the choice.
         """
-        watched = self.of != (-1 if without is None else without)
-        choices, errors = [Choice(AS_IT_WAS)], [np.abs(self.errors[watched]).mean(axis=0)]
+        rows = self.of != (-1 if without is None else without)
+        choices, errors = [Choice(AS_IT_WAS)], [np.abs(self.errors[rows]).mean(axis=0)]
         for name, count in self._kinds.items():
             for strength, change in zip(STRENGTHS, self._changes(count, without), strict=True):
                 choices.append(Choice(name, count, strength))
-                errors.append(np.abs(self.errors - change)[watched].mean(axis=0))
+                errors.append(np.abs(self.errors - change)[rows].mean(axis=0))
         return tuple(choices[best] for best in np.argmin(errors, axis=0))
 
     def weights(self, choices: tuple[Choice, ...], without: int | None = None) -> Float[np.ndarray, "k t"]:
         """W of the choices, learnt from all presses but one."""
-        kept = np.arange(self.presses) != (-1 if without is None else without)
-        n, found = self.rows[kept].sum(), np.zeros(self._moments.shape[1:])
+        others = np.arange(self.presses) != (-1 if without is None else without)
+        n, weights = self.rows[others].sum(), np.zeros(self._moments.shape[1:])
         for j, choice in enumerate(choices):
             if choice.strength is not None:
                 c = choice.count
-                squares = self._squares[kept, :c, :c].sum(axis=0) / n + choice.strength * np.eye(c)
-                found[:c, j] = np.linalg.solve(squares, self._moments[kept, :c, j].sum(axis=0) / n)
-        return found
+                squares = self._squares[others, :c, :c].sum(axis=0) / n + choice.strength * np.eye(c)
+                weights[:c, j] = np.linalg.solve(squares, self._moments[others, :c, j].sum(axis=0) / n)
+        return weights
 
     def _changes(self, count: int, without: int | None) -> Float[np.ndarray, "s n t"]:
         """The change of every row at each strength, learnt without its own press and `without`."""
         squares, moments, rows = self._squares[:, :count, :count], self._moments[:, :count], self.rows
-        kept = np.arange(self.presses) != (-1 if without is None else without)
-        n = rows[kept].sum() - rows
-        n[~kept] = rows[kept].sum()  # of the press left out itself nothing is asked; any sound sums do
-        own = np.where(kept, 1.0, 0.0)[:, None, None]
-        a = (squares[kept].sum(axis=0) - own * squares) / n[:, None, None]
-        b = (moments[kept].sum(axis=0) - own * moments) / n[:, None, None]
+        others = np.arange(self.presses) != (-1 if without is None else without)
+        n = rows[others].sum() - rows
+        n[~others] = rows[others].sum()  # of the press left out itself nothing is asked; any sound sums do
+        own = np.where(others, 1.0, 0.0)[:, None, None]
+        a = (squares[others].sum(axis=0) - own * squares) / n[:, None, None]
+        b = (moments[others].sum(axis=0) - own * moments) / n[:, None, None]
         sizes, axes = np.linalg.eigh(a)
         along = np.einsum("nk,nkm->nm", self.terms[:, :count], axes[self.of])
         aims = np.einsum("pkm,pkt->pmt", axes, b)[self.of]

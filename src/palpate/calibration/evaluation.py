@@ -133,11 +133,11 @@ def _rows_to_score(card: Card, table: pd.DataFrame) -> np.ndarray:
 
 def _untouched_rows(card: Card, table: pd.DataFrame) -> np.ndarray:
     """Rows that the calibration's own rule says show the untouched sensor; none where it has no rule."""
-    rule = card.reference
-    if rule.column is None or rule.value is None or not {rule.column, *rule.by} <= set(table):
+    rule = ReferenceRule.of_card(card)
+    if rule is None or not {rule.column, *rule.by} <= set(table):
         return np.empty(0, np.int64)
     try:
-        return np.flatnonzero(rows_matching(table, ReferenceRule(rule.column, rule.value, rule.by)))
+        return np.flatnonzero(rows_matching(table, rule))
     except LabelError:
         return np.empty(0, np.int64)
 

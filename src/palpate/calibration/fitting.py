@@ -135,10 +135,10 @@ def preparation_of(run: Run, plan: CalibrationPlan) -> Preparation:
 def _work_folder(run: Run, plan: CalibrationPlan, out: Path) -> Path:
     """The folder of unfinished work towards this very plan, new or from an interrupted run."""
     work = _work_path(out)
-    wanted = json.dumps({"run": run.hash, "plan": plan.to_dict()}, sort_keys=True)
+    request = json.dumps({"run": run.hash, "plan": plan.to_dict()}, sort_keys=True)
     note = work / "plan.json"
     if note.is_file():
-        if note.read_text() != wanted:
+        if note.read_text() != request:
             raise ExistsError(
                 f"{work} holds unfinished work towards another calibration named {out.name}; "
                 "run that one again to finish it, remove the folder, or choose another --out"
@@ -149,7 +149,7 @@ def _work_folder(run: Run, plan: CalibrationPlan, out: Path) -> Path:
             shutil.rmtree(work)
         work.mkdir(parents=True)
     with new_file(note) as path:
-        path.write_text(wanted)
+        path.write_text(request)
     return work
 
 
@@ -191,14 +191,14 @@ def _fit(
 
     def held_out(k: int) -> Values:
         # All processes see the same here: the first writes it after they have trained this fold together.
-        kept = work / f"fold-{k}.npy"
-        if kept.exists():
-            return np.asarray(np.load(kept, allow_pickle=False))
+        file_path = work / f"fold-{k}.npy"
+        if file_path.exists():
+            return np.asarray(np.load(file_path, allow_pickle=False))
         what = f"fold {k + 1} of {len(parts.folds)}"
         fitted = fit(f"fold-{k}", what, parts.training_rows(k), plan.seed + k + 1)
         predicted = predict_rows(fitted, data, parts.folds[k])
         if processes.first:
-            with new_file(kept) as path, path.open("wb") as file:
+            with new_file(file_path) as path, path.open("wb") as file:
                 np.save(file, predicted)
         return predicted
 

@@ -153,14 +153,14 @@ def _shared(groups: np.ndarray, split: Split) -> np.ndarray:
 
 
 def _at_rest(table: pd.DataFrame) -> np.ndarray:
-    rest, asked = np.ones(len(table), dtype=bool), False
+    rest, any_column = np.ones(len(table), dtype=bool), False
     for name, kind in label_kinds(table).items():
         if kind == "flag" and name == "contact":
             return np.asarray(table[name].eq(False), dtype=bool)
         if kind == "number" and has_unit(name) and split_column(name)[0].endswith(("depth", "force")):
             rest &= table[name].to_numpy() == 0
-            asked = True
-    return rest & asked
+            any_column = True
+    return rest & any_column
 
 
 def _thumbnails(packed: PackedSet) -> np.ndarray:
@@ -184,13 +184,13 @@ def _nearest_across(
     step = 1 + len(thumbs) ** 2 // _MAX_PAIRS
     held, twin, pairs = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], 0
     for k, fold in enumerate(split.folds):
-        asked, trained = fold[~resting[fold]][::step], split.training_rows(k)
+        queries, trained = fold[~resting[fold]][::step], split.training_rows(k)
         trained = trained[~resting[trained]]
-        if asked.size and trained.size:
+        if queries.size and trained.size:
             search = NearestNeighbors(n_neighbors=1, algorithm="brute").fit(thumbs[trained])
-            held.append(asked)
-            twin.append(trained[search.kneighbors(thumbs[asked], return_distance=False)[:, 0]])
-            pairs += len(asked) * len(trained)
+            held.append(queries)
+            twin.append(trained[search.kneighbors(thumbs[queries], return_distance=False)[:, 0]])
+            pairs += len(queries) * len(trained)
     return np.concatenate(held), np.concatenate(twin), pairs
 
 
@@ -205,17 +205,17 @@ def _noise(packed: PackedSet, thumbs: np.ndarray) -> float:
         The standard deviation; 0 where the differences are not those of noise.
     """
     rows, others = _most_alike(thumbs)
-    seen = [_roughness(*packed.read(pair)) for pair in np.column_stack([rows, others])]
-    levels = [level for level, evenness in seen if evenness > _EVEN]
-    return float(np.median(levels)) if 2 * len(levels) > len(seen) else 0.0
+    roughness = [_roughness(*packed.read(pair)) for pair in np.column_stack([rows, others])]
+    levels = [level for level, evenness in roughness if evenness > _EVEN]
+    return float(np.median(levels)) if 2 * len(levels) > len(roughness) else 0.0
 
 
 def _most_alike(thumbs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows = np.unique(np.linspace(0, len(thumbs) - 1, min(_NOISE_PAIRS, len(thumbs))).astype(np.int64))
     search = NearestNeighbors(n_neighbors=min(2, len(thumbs)), algorithm="brute").fit(thumbs)
-    found = search.kneighbors(thumbs[rows], return_distance=False)
+    neighbours = search.kneighbors(thumbs[rows], return_distance=False)
     # A row's nearest is itself, unless it has an exact copy, which may then come first.
-    return rows, np.where(found[:, 0] == rows, found[:, -1], found[:, 0])
+    return rows, np.where(neighbours[:, 0] == rows, neighbours[:, -1], neighbours[:, 0])
 
 
 def _roughness(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
@@ -249,20 +249,20 @@ def _looks_like(thumbs: np.ndarray, resting: np.ndarray, limit: float) -> np.nda
 
 
 def _text(split: Split, shared: dict[str, int], twins: int, held: int) -> str:
-    found = []
+    findings = []
     if twins:
-        found.append(
+        findings.append(
             f"{twins} of {held} held-out frames look the same, within camera noise, as frames trained on: "
             "the score says how well those are remembered, not how well new ones will be read"
         )
     if shared and split.groups is None:
         names = ", ".join(f"{name} ({count} groups)" for name, count in shared.items())
-        found.append(
+        findings.append(
             f"the random split puts frames of one group on both sides: {names}; split by one of these"
         )
     elif shared:
         held_out, names = " and ".join(split.group_columns), ", ".join(shared)
-        found.append(f"the test is of new {held_out}; of new {names} it says nothing, being on both sides")
-    if not found:
+        findings.append(f"the test is of new {held_out}; of new {names} it says nothing, being on both sides")
+    if not findings:
         return "No held-out frame looks the same as one trained on, and no group stands on both sides."
-    return "Found: " + ". Also: ".join(found) + "."
+    return "Found: " + ". Also: ".join(findings) + "."

@@ -100,7 +100,7 @@ def read_series(
     progress("reading", len(paths), len(paths))
     if len({one.ndim for one in pixels}) > 1:
         raise ImageError("some photographs are grey and some in colour; take all alike")
-    exposure, said = _exposures(paths)
+    exposure, remark = _exposures(paths)
     patches = [_patches(one) for one in pixels]
     light = np.stack([_light(p, tone) / e for p, e in zip(patches, exposure, strict=True)])
     clipped = np.stack([[(one >= SATURATED).mean(axis=(0, 1)) > CLIPPED_SHARE for one in p] for p in patches])
@@ -118,23 +118,23 @@ def read_series(
         clipped=clipped[:n],
         open_light=light[n] if parallel is not None else None,
         grey=pixels[0].ndim == 2,
-        remarks=(said, *saturated),
+        remarks=(remark, *saturated),
     )
 
 
 def _load_column(table: pd.DataFrame, source: Path) -> str:
-    known = [c for c in table.columns if has_unit(c) and split_column(c)[0] in LOADS and _newtons(c)]
-    if not known:
+    columns = [c for c in table.columns if has_unit(c) and split_column(c)[0] in LOADS and _newtons(c)]
+    if not columns:
         raise LabelError(
             f"{source} has no column of loads; name one load_N, load_kgf or mass_g, or say which it is"
         )
-    return min(known, key=lambda c: (split_column(c)[1].symbol != "N", known.index(c)))
+    return min(columns, key=lambda c: (split_column(c)[1].symbol != "N", columns.index(c)))
 
 
 def _newtons(column: str) -> float:
     """One of a column's unit in N; 0 if it is no force's and no mass's."""
-    found: Unit = split_column(column)[1]
-    return found.factor * {"N": 1.0, "kg": STANDARD_GRAVITY}.get(found.si, 0.0)
+    one: Unit = split_column(column)[1]
+    return one.factor * {"N": 1.0, "kg": STANDARD_GRAVITY}.get(one.si, 0.0)
 
 
 def _loads(table: pd.DataFrame, column: str, source: Path) -> ndarray:
@@ -205,15 +205,15 @@ def _light(patches: list[UInt8[ndarray, "_ _ 3"]], tone: Tone) -> Float[ndarray,
 
 def _exposures(paths: list[Path]) -> tuple[ndarray, str]:
     """Time times sensitivity over the squared aperture, 1 at the greatest, where every file notes them."""
-    noted = [_exposure(path) for path in paths]
-    found = np.array([e for e in noted if e is not None])
-    if len(found) < len(paths):
+    exposures = [_exposure(path) for path in paths]
+    values = np.array([e for e in exposures if e is not None])
+    if len(values) < len(paths):
         return np.ones(len(paths)), "not all files note an exposure: all are taken as exposed alike"
-    if np.ptp(found) == 0:
+    if np.ptp(values) == 0:
         return np.ones(len(paths)), "all files note the same exposure"
-    return found / found.max(), (
-        f"exposure differs up to {found.max() / found.min():.2g} times between files, and was divided out by "
-        "what they note; a fixed exposure is better"
+    return values / values.max(), (
+        f"exposure differs up to {values.max() / values.min():.2g} times between files, and was divided out "
+        "by what they note; a fixed exposure is better"
     )
 
 
@@ -222,9 +222,9 @@ def _exposure(path: Path) -> float | None:
         if file.read(3) != b"\xff\xd8\xff":
             return None
     with JpegImageFile(path) as image:
-        noted = image.getexif().get_ifd(_EXIF)
+        tags = image.getexif().get_ifd(_EXIF)
     try:
-        exposure = float(noted[_SECONDS]) * float(noted[_ISO]) / float(noted.get(_F_NUMBER, 1.0)) ** 2
+        exposure = float(tags[_SECONDS]) * float(tags[_ISO]) / float(tags.get(_F_NUMBER, 1.0)) ** 2
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
         return None
     return exposure if np.isfinite(exposure) and exposure > 0 else None

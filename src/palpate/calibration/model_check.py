@@ -45,13 +45,13 @@ def check_model(
     plan = CalibrationPlan(targets, model=model, options=dict(options or {}))
     kind = model_kind(plan.model)
     columns = kind.targets or tuple(plan.targets)
-    made = _MadeUp.of(
+    sample = _MadeUp.of(
         shape or (kind.channels or 1, kind.side_px, kind.side_px * max(len(kind.regions), 1)), columns
     )
-    fitted = _fitted(plan, made)
-    _check_estimates(plan.model, fitted, made)
-    _check_same_again(plan, fitted, made)
-    _check_onnx(plan.model, fitted, made)
+    fitted = _fitted(plan, sample)
+    _check_estimates(plan.model, fitted, sample)
+    _check_same_again(plan, fitted, sample)
+    _check_onnx(plan.model, fitted, sample)
 
 
 def check_plugged_in(plan: CalibrationPlan, shape: tuple[int, int, int]) -> None:
@@ -104,20 +104,20 @@ class _MadeUp:
         return self.images[rows]
 
 
-def _fitted(plan: CalibrationPlan, made: _MadeUp) -> Fitted:
-    name, rows = plan.model, made.learnt.copy()
+def _fitted(plan: CalibrationPlan, sample: _MadeUp) -> Fitted:
+    name, rows = plan.model, sample.learnt.copy()
     try:
-        fitted = make_model(name, plan.options).fit(made.data, rows, seed=0)
+        fitted = make_model(name, plan.options).fit(sample.data, rows, seed=0)
     except PalpateError:
         raise
     except Exception as e:  # somebody else's model may raise anything
         raise PluginError(
             f"model {name}: fit(data, rows, *, seed, progress, checkpoint) failed on {len(rows)} rows of "
-            f"{list(made.images.shape[1:])} ({type(e).__name__}: {e})"
+            f"{list(sample.images.shape[1:])} ({type(e).__name__}: {e})"
         ) from e
-    if made.trespass:
+    if sample.trespass:
         raise PluginError(
-            f"model {name} fetched rows it may not learn from: {made.trespass[:5]}; keep to `rows`"
+            f"model {name} fetched rows it may not learn from: {sample.trespass[:5]}; keep to `rows`"
         )
     if not isinstance(fitted, Fitted):
         raise PluginError(
@@ -128,32 +128,33 @@ def _fitted(plan: CalibrationPlan, made: _MadeUp) -> Fitted:
 
 def _predicted(name: str, fitted: Fitted, inputs: Tensor, count: int) -> Values:
     try:
-        found: Any = fitted.predict(inputs)
+        estimates: Any = fitted.predict(inputs)
     except Exception as e:
         raise PluginError(
             f"model {name}: predict failed on {list(inputs.shape)} ({type(e).__name__}: {e})"
         ) from e
-    wanted = (len(inputs), count)
-    if not isinstance(found, np.ndarray) or found.shape != wanted or found.dtype.kind != "f":
-        got = f"{found.dtype} {list(found.shape)}" if isinstance(found, np.ndarray) else type(found).__name__
+    shape = (len(inputs), count)
+    if not isinstance(estimates, np.ndarray) or estimates.shape != shape or estimates.dtype.kind != "f":
+        array = isinstance(estimates, np.ndarray)
+        got = f"{estimates.dtype} {list(estimates.shape)}" if array else type(estimates).__name__
         raise PluginError(
-            f"model {name}: predict gave {got} for {len(inputs)} images, not floats {list(wanted)}"
+            f"model {name}: predict gave {got} for {len(inputs)} images, not floats {list(shape)}"
         )
-    if not np.isfinite(found).all():
+    if not np.isfinite(estimates).all():
         raise PluginError(
             f"model {name}: predict gave what is no number; it learns from `rows` and no others"
         )
-    return found
+    return estimates
 
 
-def _check_estimates(name: str, fitted: Fitted, made: _MadeUp) -> None:
+def _check_estimates(name: str, fitted: Fitted, sample: _MadeUp) -> None:
     """Shape for one image and for several, and the unit: near the values learnt, not a thousandth of them."""
-    learnt = made.values[made.learnt]
-    _predicted(name, fitted, made.images[:1], len(made.names))
-    mean = _predicted(name, fitted, made.images[made.learnt], len(made.names)).mean(axis=0)
-    least, greatest = learnt.min(axis=0), learnt.max(axis=0)
+    labels = sample.values[sample.learnt]
+    _predicted(name, fitted, sample.images[:1], len(sample.names))
+    mean = _predicted(name, fitted, sample.images[sample.learnt], len(sample.names)).mean(axis=0)
+    least, greatest = labels.min(axis=0), labels.max(axis=0)
     span = greatest - least
-    for column, value, low, high in zip(made.names, mean, least - span, greatest + span, strict=True):
+    for column, value, low, high in zip(sample.names, mean, least - span, greatest + span, strict=True):
         if not low <= value <= high:
             raise PluginError(
                 f"model {name}: {column} is {value:.3g} on average over rows whose labels are {low:.3g} to "
@@ -161,16 +162,16 @@ def _check_estimates(name: str, fitted: Fitted, made: _MadeUp) -> None:
             )
 
 
-def _check_same_again(plan: CalibrationPlan, fitted: Fitted, made: _MadeUp) -> None:
-    again = _fitted(plan, made)
-    first, second = (one.predict(made.images) for one in (fitted, again))
+def _check_same_again(plan: CalibrationPlan, fitted: Fitted, sample: _MadeUp) -> None:
+    again = _fitted(plan, sample)
+    first, second = (one.predict(sample.images) for one in (fitted, again))
     if not np.allclose(first, second, rtol=1e-6, atol=0):
         raise PluginError(
             f"model {plan.model}: the same rows and seed give other estimates; draw all chance from `seed`"
         )
 
 
-def _check_onnx(name: str, fitted: Fitted, made: _MadeUp) -> None:
+def _check_onnx(name: str, fitted: Fitted, sample: _MadeUp) -> None:
     """The ONNX model, which is what senses: its names and shapes, and the same estimates."""
     try:
         model: Any = fitted.to_onnx()
@@ -180,17 +181,17 @@ def _check_onnx(name: str, fitted: Fitted, made: _MadeUp) -> None:
         raise PluginError(f"model {name}: to_onnx gave no model that runs ({type(e).__name__}: {e})") from e
     inputs = {one.name: one.shape[1:] for one in session.get_inputs()}
     outputs = {one.name: one.shape[1:] for one in session.get_outputs()}
-    wanted = {"image": list(made.images.shape[1:])}, {"value": [len(made.names)]}
-    if (inputs, outputs) != wanted:
+    expected = {"image": list(sample.images.shape[1:])}, {"value": [len(sample.names)]}
+    if (inputs, outputs) != expected:
         raise PluginError(
-            f"model {name}: its ONNX model takes {inputs} and gives {outputs}, not {wanted[0]} and "
-            f"{wanted[1]} behind a free first axis"
+            f"model {name}: its ONNX model takes {inputs} and gives {outputs}, not {expected[0]} and "
+            f"{expected[1]} behind a free first axis"
         )
     if any(part.HasField("g") or part.graphs for node in model.graph.node for part in node.attribute):
         raise PluginError(f"model {name}: its ONNX model has graphs inside its graph, which is not opened")
-    span = np.ptp(made.values[made.learnt], axis=0)
-    (found,) = session.run(["value"], {"image": made.images})
-    apart = float(np.max(np.abs(found - fitted.predict(made.images)) / span))
+    span = np.ptp(sample.values[sample.learnt], axis=0)
+    (estimates,) = session.run(["value"], {"image": sample.images})
+    apart = float(np.max(np.abs(estimates - fitted.predict(sample.images)) / span))
     if not apart <= AGREEMENT:
         raise PluginError(
             f"model {name}: its ONNX model and predict differ by {apart:.2g} of a target's range; at most "

@@ -60,12 +60,12 @@ from palpate.recordings.run_reader import Run
 ROUNDED = ("Conv", "Relu", "Add")
 
 
-def int8_model(model: Path, seen: Iterator[Tensor], work: Path) -> onnx.ModelProto:
+def int8_model(model: Path, images: Iterator[Tensor], work: Path) -> onnx.ModelProto:
     """A model in int8, self-contained and of standard operators alone.
 
     Args:
         model: one from `image` to `value`, in float32.
-        seen: inputs to set the scales of activations by.
+        images: inputs to set the scales of activations by.
         work: a folder for passing files.
 
     Raises:
@@ -88,7 +88,7 @@ def int8_model(model: Path, seen: Iterator[Tensor], work: Path) -> onnx.ModelPro
     quantize_static(
         str(fused),
         str(rounded),
-        _Images(seen),
+        _Images(images),
         quant_format=QuantFormat.QDQ,
         op_types_to_quantize=list(ROUNDED),
         nodes_to_quantize=chosen,
@@ -120,9 +120,9 @@ def nodes_to_round(graph: onnx.GraphProto) -> list[str]:
 def _tidied(model: onnx.ModelProto) -> onnx.ModelProto:
     """Without the families of operators that the runtime declares and no node uses."""
     used = {node.domain for node in model.graph.node}
-    kept = [family for family in model.opset_import if family.domain in used]
+    families = [family for family in model.opset_import if family.domain in used]
     del model.opset_import[:]
-    model.opset_import.extend(kept)
+    model.opset_import.extend(families)
     onnx.checker.check_model(model, full_check=True)
     return model
 
@@ -130,11 +130,11 @@ def _tidied(model: onnx.ModelProto) -> onnx.ModelProto:
 class _Images(CalibrationDataReader):  # type: ignore[misc]  # onnxruntime is seen as Any
     """Inputs as the runtime asks for them."""
 
-    def __init__(self, seen: Iterator[Tensor]) -> None:
-        self.seen = seen
+    def __init__(self, images: Iterator[Tensor]) -> None:
+        self.images = images
 
     def get_next(self) -> dict[str, Tensor] | None:
-        inputs = next(self.seen, None)
+        inputs = next(self.images, None)
         return None if inputs is None else {"image": inputs}
 
 
@@ -174,15 +174,15 @@ def cost(folder: Path, quantised: Path) -> Cost:
 
 def _taken_in_turn(calls: list[Callable[[], object]]) -> list[float]:
     """Median seconds of each, in rounds, so that all see the machine's other work."""
-    taken: list[list[float]] = [[] for _ in calls]
+    seconds: list[list[float]] = [[] for _ in calls]
     for _ in range(ROUNDS):
-        for call, times in zip(calls, taken, strict=True):
+        for call, times in zip(calls, seconds, strict=True):
             for i in range(-WARM, FRAMES):
                 started = time.perf_counter()
                 call()
                 if i >= 0:
                     times.append(time.perf_counter() - started)
-    return [float(np.median(times)) for times in taken]
+    return [float(np.median(times)) for times in seconds]
 
 
 SEEN_FOR_SCALES = 512  # rows, at most
@@ -205,9 +205,9 @@ class _Material:
         """Estimates of the held-out rows by the network in float32."""
         return self.predictions[[f"estimate:{name}" for name in self.data.names]].to_numpy(np.float64)
 
-    def largest_change(self, answered: Values) -> float:
+    def largest_change(self, estimates: Values) -> float:
         """Largest change of any estimate of a held-out row, as a share of its target's range."""
-        return float((np.abs(answered - self.before) / np.ptp(self.data.values, axis=0)).max())
+        return float((np.abs(estimates - self.before) / np.ptp(self.data.values, axis=0)).max())
 
 
 def quantise(folder: PathText, run: Run, out: PathText, progress: Progress = silent) -> Card:
@@ -234,20 +234,20 @@ def quantise(folder: PathText, run: Run, out: PathText, progress: Progress = sil
     estimator = Estimator.open(folder)
     card = estimator.card
     _check_asked(card, run)
-    with new_folder(out) as made, TemporaryDirectory(dir=made) as work:
+    with new_folder(out) as building, TemporaryDirectory(dir=building) as work:
         material = _material(folder, card, run, Path(work), progress)
         _check_repeats(estimator, material, folder)
         model = folder / card.model.file
-        seen = _inputs_learnt_from(material, card.seed, progress)
-        onnx.save(int8_model(model, seen, Path(work)), str(made / "model.onnx"))
-        shutil.copyfile(checked_file(folder, card.guard), made / "guard.npz")
-        answered = _answers(_running(made / "model.onnx"), material, progress)
-        targets, halves = _rescored(card, material, answered)
-        write_predictions(_predictions(card, material, answered, halves), made)
-        _pictures(folder, card, made, material, answered)
-        quantised = _card(card, made, targets, material.largest_change(answered))
-        (made / CARD_FILE).write_text(quantised.model_dump_json(indent=1))
-        Estimator.open(made)
+        images = _inputs_learnt_from(material, card.seed, progress)
+        onnx.save(int8_model(model, images, Path(work)), str(building / "model.onnx"))
+        shutil.copyfile(checked_file(folder, card.guard), building / "guard.npz")
+        estimates = _answers(_running(building / "model.onnx"), material, progress)
+        targets, halves = _rescored(card, material, estimates)
+        write_predictions(_predictions(card, material, estimates, halves), building)
+        _pictures(folder, card, building, material, estimates)
+        quantised = _card(card, building, targets, material.largest_change(estimates))
+        (building / CARD_FILE).write_text(quantised.model_dump_json(indent=1))
+        Estimator.open(building)
     return quantised
 
 
@@ -269,7 +269,7 @@ def _check_asked(card: Card, run: Run) -> None:
 def _material(folder: Path, card: Card, run: Run, work: Path, progress: Progress) -> _Material:
     preparation = card.input.preparation
     whole = pack(run, work / "packed", preparation, lambda done, total: progress("packing", done, total))
-    plan = _plan(card)
+    plan = CalibrationPlan.of_card(card, ReferenceRule.of_card(card))
     rows = rows_to_learn(whole.table, plan)
     if card.split.rows_learnt + card.split.rows_scored != len(rows):
         raise InputError(
@@ -284,20 +284,6 @@ def _material(folder: Path, card: Card, run: Run, work: Path, progress: Progress
     return _Material(learning.packed, learning.data, table, held, np.setdiff1d(np.arange(len(rows)), held))
 
 
-def _plan(card: Card) -> CalibrationPlan:
-    """The plan by which images and references are found as they were for this card."""
-    rule, made = card.reference, card.input
-    known = rule.column is not None and rule.value is not None
-    return CalibrationPlan(
-        targets=tuple(card.columns),
-        size_px=made.size_px,
-        channels=made.channels,
-        crop_px=made.crop_px,
-        beside_px=made.beside_px,
-        delta=made.delta,
-        reference=ReferenceRule(str(rule.column), str(rule.value), rule.by) if known else None,
-        learn_untouched=rule.learnt,
-    )
 
 
 def _check_repeats(estimator: Estimator, material: _Material, folder: Path) -> None:
@@ -336,33 +322,33 @@ def _running(model: Path) -> Callable[[Tensor], Values]:
     return lambda inputs: np.asarray(session.run(["value"], {"image": inputs})[0], np.float64)
 
 
-def _rescored(card: Card, material: _Material, answered: Values) -> tuple[tuple[TargetCard, ...], Values]:
+def _rescored(card: Card, material: _Material, estimates: Values) -> tuple[tuple[TargetCard, ...], Values]:
     """Targets with intervals and scores from the int8 estimates, and the intervals' half-widths."""
     held, values = material.held, material.data.values
     groups, true, means = material.data.groups[held], values[held], values[material.learnt].mean(axis=0)
-    intervals = fit_intervals(answered, true, groups, card.coverage)
-    halves = intervals.half_widths(answered)
+    intervals = fit_intervals(estimates, true, groups, card.coverage)
+    halves = intervals.half_widths(estimates)
 
     def rescored(j: int, target: TargetCard) -> TargetCard:
-        scores = score(target.unit, true[:, j], answered[:, j], halves[:, j], float(means[j]), groups)
+        scores = score(target.unit, true[:, j], estimates[:, j], halves[:, j], float(means[j]), groups)
         return target.model_copy(update=interval_fields(intervals, j) | {"score": scores})
 
     return tuple(rescored(j, target) for j, target in enumerate(card.targets)), halves
 
 
-def _predictions(card: Card, material: _Material, answered: Values, halves: Values) -> pd.DataFrame:
+def _predictions(card: Card, material: _Material, estimates: Values, halves: Values) -> pd.DataFrame:
     """The held-out rows as before, with the int8 estimates."""
-    estimates = {f"estimate:{c}": answered[:, j] for j, c in enumerate(card.columns)}
+    columns = {f"estimate:{c}": estimates[:, j] for j, c in enumerate(card.columns)}
     widths = {f"half_width:{c}": halves[:, j] for j, c in enumerate(card.columns)}
-    return material.predictions.assign(**estimates, **widths)
+    return material.predictions.assign(**columns, **widths)
 
 
-def _pictures(folder: Path, card: Card, made: Path, material: _Material, answered: Values) -> None:
+def _pictures(folder: Path, card: Card, made: Path, material: _Material, estimates: Values) -> None:
     """The report's pictures: the usual ones as they were, and the rows that int8 misses most."""
     for part in card.files:
         if part.file in ("example.png", "reference.png"):
             shutil.copyfile(checked_file(folder, part), made / part.file)
-    error = np.abs(answered - material.data.values[material.held]) / np.ptp(material.data.values, axis=0)
+    error = np.abs(estimates - material.data.values[material.held]) / np.ptp(material.data.values, axis=0)
     for row in material.held[np.argsort(error.max(axis=1))[::-1][:WORST]].tolist():
         picture = as_picture(material.packed.read([row])[0])
         (made / f"worst-{row}.png").write_bytes(image_files.encode(picture).tobytes())

@@ -169,8 +169,8 @@ class FringeFit:
 
     def to_dict(self) -> dict[str, Any]:
         """All but the colour scale, as JSON can hold it."""
-        held = asdict(self) | {"observed": self.observed.tolist()}
-        return {name: value for name, value in held.items() if not name.startswith("scale_")}
+        record = asdict(self) | {"observed": self.observed.tolist()}
+        return {name: value for name, value in record.items() if not name.startswith("scale_")}
 
 
 def fit_stress_optic(
@@ -217,12 +217,12 @@ def fit_stress_optic(
         RangeError: the photographs do not tell C.
     """
     series = read_series(folder, labels, region_px, image_column, load_column, parallel, tone, progress)
-    shown = polariscope.grey() if series.grey else polariscope
+    light = polariscope.grey() if series.grey else polariscope
     progress("fitting", 0, 1)
-    found = fit_orders(
+    orders = fit_orders(
         series.load_n,
         series.light,
-        shown,
+        light,
         clipped=series.clipped,
         open_light=series.open_light,
         greatest_order=greatest_order,
@@ -230,32 +230,32 @@ def fit_stress_optic(
     )
     progress("fitting", 1, 1)
     per_slope = polariscope.wavelength_m * specimen.breadth_m
-    scale = np.linspace(0.0, max(found.order.max(), found.seen.max()), SCALE_STEPS)
-    C, half = found.slope_per_n * per_slope, found.half_width_per_n * per_slope
+    scale = np.linspace(0.0, max(orders.order.max(), orders.seen.max()), SCALE_STEPS)
+    C, half = orders.slope_per_n * per_slope, orders.half_width_per_n * per_slope
     return FringeFit(
         coefficient_per_pa=C,
         low_per_pa=C - half,
         high_per_pa=C + half,
-        ambiguous=found.ambiguous,
-        rivals=tuple(CoefficientCandidate(r.slope_per_n * per_slope, r.likelihood) for r in found.rivals),
+        ambiguous=orders.ambiguous,
+        rivals=tuple(CoefficientCandidate(r.slope_per_n * per_slope, r.likelihood) for r in orders.rivals),
         wavelength_m=polariscope.wavelength_m,
         lamp=polariscope.lamp,
         specimen=str(specimen),
         images=series.images,
         load_n=_floats(series.load_n),
-        order=_floats(found.order),
-        seen=_floats(found.seen),
-        seen_low=_floats(found.seen_low),
-        seen_high=_floats(found.seen_high),
-        residual_order=found.residual_order,
-        r_squared=_r_squared(found),
-        monotone=_monotone(series.load_n, found.seen),
-        rms=found.rms,
-        spread=found.spread,
-        channels=found.channels,
+        order=_floats(orders.order),
+        seen=_floats(orders.seen),
+        seen_low=_floats(orders.seen_low),
+        seen_high=_floats(orders.seen_high),
+        residual_order=orders.residual_order,
+        r_squared=_r_squared(orders),
+        monotone=_monotone(series.load_n, orders.seen),
+        rms=orders.rms,
+        spread=orders.spread,
+        channels=orders.channels,
         observed=series.light.mean(axis=1),
         scale_order=scale,
-        scale_light=found.leak + found.gain * shown.light(scale),
+        scale_light=orders.leak + orders.gain * light.light(scale),
         region_px=region_px,
         settings={
             "load_column": series.load_column,
@@ -268,40 +268,42 @@ def fit_stress_optic(
         },
         sha256=sha256_of_all(series.paths),
         version=__version__,
-        remarks=_remarks(series, found, polariscope, residual_order),
+        remarks=_remarks(series, orders, polariscope, residual_order),
     )
 
 
 def _remarks(
-    series: Series, found: OrderFit, polariscope: Polariscope, residual_order: float
+    series: Series, orders: OrderFit, polariscope: Polariscope, residual_order: float
 ) -> tuple[str, ...]:
-    said = [*series.remarks]
+    remarks = [*series.remarks]
     if "assumed" in polariscope.lamp:
-        said.append(f"the light ({polariscope.lamp}) was not measured; the interval does not hold its error")
+        remarks.append(
+            f"the light ({polariscope.lamp}) was not measured; the interval does not hold its error"
+        )
     if series.load_n.min() > 0:
-        said.append(f"no photograph without load: N0 is taken as 0 ± {residual_order:g} before the fit")
-    if abs(found.residual_order) > 2 * residual_order:
-        said.append(f"residual order {found.residual_order:.2f} is more than was allowed for")
-    if found.spread > UNEVEN:
-        said.append(f"C differs by {found.spread:.0%} between patches: the stress is not uniform there")
-    if not _monotone(series.load_n, found.seen):
-        said.append("the orders that single photographs show do not all rise with load")
-    if found.ambiguous:
-        said.append(
+        remarks.append(f"no photograph without load: N0 is taken as 0 ± {residual_order:g} before the fit")
+    if abs(orders.residual_order) > 2 * residual_order:
+        remarks.append(f"residual order {orders.residual_order:.2f} is more than was allowed for")
+    if orders.spread > UNEVEN:
+        remarks.append(f"C differs by {orders.spread:.0%} between patches: the stress is not uniform there")
+    if not _monotone(series.load_n, orders.seen):
+        remarks.append("the orders that single photographs show do not all rise with load")
+    if orders.ambiguous:
+        remarks.append(
             "ambiguous: another C fits nearly as well; count the dark fringes to say how many orders the "
             "greatest load can turn, or add photographs at loads in between"
         )
-    return tuple(said)
+    return tuple(remarks)
 
 
-def _r_squared(found: OrderFit) -> float:
-    about_line = np.sum((found.seen - found.order) ** 2)
-    return float(1 - about_line / np.sum((found.seen - found.seen.mean()) ** 2))
+def _r_squared(orders: OrderFit) -> float:
+    about_line = np.sum((orders.seen - orders.order) ** 2)
+    return float(1 - about_line / np.sum((orders.seen - orders.seen.mean()) ** 2))
 
 
-def _monotone(load_n: ndarray, seen: ndarray) -> bool:
+def _monotone(load_n: ndarray, order: ndarray) -> bool:
     loads = np.unique(load_n)
-    means = [seen[load_n == load].mean() for load in loads]
+    means = [order[load_n == load].mean() for load in loads]
     return bool(np.all(np.diff(means) >= 0))
 
 

@@ -175,7 +175,7 @@ class LearningSet:
         """Folds in rows of `whole`; rows that are not learnt from are dealt out to them."""
         others = np.setdiff1d(np.arange(len(self.whole)), self.rows)
         return [
-            np.append(self.rows[held], others[k :: len(parts.folds)]) for k, held in enumerate(parts.folds)
+            np.append(self.rows[fold], others[k :: len(parts.folds)]) for k, fold in enumerate(parts.folds)
         ]
 
 
@@ -197,10 +197,10 @@ def learning_set(
     rows, untouched = rows_to_learn(whole.table, plan), find_untouched(whole, plan)
     packed, references = whole.only(rows), untouched.groups[rows]
 
-    def fetch(wanted: Indices) -> Tensor:
-        inputs = packed.read(wanted).transpose(0, 3, 1, 2).astype(np.float32)
+    def fetch(chosen: Indices) -> Tensor:
+        inputs = packed.read(chosen).transpose(0, 3, 1, 2).astype(np.float32)
         if plan.delta:
-            inputs -= untouched.images[references[wanted]]
+            inputs -= untouched.images[references[chosen]]
         return np.ascontiguousarray(inputs)
 
     values = targets_from(packed.table, plan.targets, source)

@@ -95,8 +95,8 @@ def candidates(traces: Traces, greatest_order: float) -> list[tuple[float, float
     if not deepest or deepest[0] in ends:
         over = bool(deepest) and deepest[0] == -1
         raise RangeError(TOO_MUCH.format(greatest_order) if over else TOO_LITTLE)
-    kept = [i for i in deepest[:CANDIDATES] if valley[i] <= HOPELESS * valley[deepest[0]]]
-    return [(float(slopes[i]), float(offsets[cost[i].argmin()])) for i in kept]
+    best = [i for i in deepest[:CANDIDATES] if valley[i] <= HOPELESS * valley[deepest[0]]]
+    return [(float(slopes[i]), float(offsets[cost[i].argmin()])) for i in best]
 
 
 def profiled(traces: Traces, slopes: ndarray, offset: float) -> ndarray:
@@ -222,27 +222,27 @@ def refined(traces: Traces, starts: list[tuple[float, float]]) -> list[Fit]:
     """The candidates, each refined, best first; those that ran into one another are one."""
     noise = np.sqrt(profiled(traces, np.array([starts[0][0]]), starts[0][1])[0])
     noise = max(float(noise) / np.sqrt(traces.y.shape[2] * max(len(traces.y) - UNKNOWNS, 1)), 1e-3)
-    found = [_fit_near(traces, k, n0, noise) for k, n0 in starts]
-    fits = sorted(found, key=lambda fit: (not fit.whole, fit.cost))
+    attempts = [_fit_near(traces, k, n0, noise) for k, n0 in starts]
+    fits = sorted(attempts, key=lambda fit: (not fit.whole, fit.cost))
     apart = 2 * STEP / traces.load_n.max()
-    kept: list[Fit] = []
+    distinct: list[Fit] = []
     for fit in fits:
-        if all(abs(fit.slope - other.slope) > apart for other in kept):
-            kept.append(fit)
-    if kept[0].slope * traces.load_n.max() < traces.least_order:
+        if all(abs(fit.slope - other.slope) > apart for other in distinct):
+            distinct.append(fit)
+    if distinct[0].slope * traces.load_n.max() < traces.least_order:
         raise RangeError(TOO_LITTLE)
-    return kept
+    return distinct
 
 
 def _fit_near(traces: Traces, slope: float, offset: float, noise: float) -> Fit:
-    found = [_fit_patch(traces, p, slope, offset, noise) for p in range(traces.y.shape[1])]
+    patches = [_fit_patch(traces, p, slope, offset, noise) for p in range(traces.y.shape[1])]
     data = traces.y[:, 0].size
-    influence = np.array([_influence(one) for one in found]) / traces.load_n.max()
-    residuals = np.stack([one.fun[:data].reshape(traces.y[:, 0].shape) for one in found], axis=1)
-    parameters = np.array([one.x for one in found])
+    influence = np.array([_influence(one) for one in patches]) / traces.load_n.max()
+    residuals = np.stack([one.fun[:data].reshape(traces.y[:, 0].shape) for one in patches], axis=1)
+    parameters = np.array([one.x for one in patches])
     parameters[:, 0] /= traces.load_n.max()
     prior = float((influence[:, data].mean() * noise) ** 2)
-    whole = not any(one.active_mask[0] for one in found)
+    whole = not any(one.active_mask[0] for one in patches)
     return Fit(traces, parameters, residuals, influence[:, :data], prior, whole)
 
 
@@ -252,9 +252,9 @@ def _fit_patch(traces: Traces, p: int, slope: float, offset: float, noise: float
     y, cut = traces.y[:, p], traces.clipped[:, p]
 
     share = np.append(traces.load_n / top, np.zeros(len(y) - len(traces.load_n)))[:, None, None]
-    known = np.zeros((1, 2 + 2 * c))
-    known[0, 1] = noise / traces.residual_order
-    held: dict[bytes, tuple[ndarray, ndarray]] = {}
+    prior_row = np.zeros((1, 2 + 2 * c))
+    prior_row[0, 1] = noise / traces.residual_order
+    cache: dict[bytes, tuple[ndarray, ndarray]] = {}
 
     def both(x: ndarray) -> tuple[ndarray, ndarray]:
         """Residuals and their derivatives: at each point both are asked for."""
@@ -262,20 +262,20 @@ def _fit_patch(traces: Traces, p: int, slope: float, offset: float, noise: float
         a, b = x[2 : 2 + c], x[2 + c :]
         r = a * s + b - y
         counts = ~(cut & (r > 0))  # saturated light is at least what is written
-        turned, each = (counts * a * by_order)[..., None], counts[..., None] * np.eye(c)
-        J = np.concatenate([turned * share, turned, each * s[..., None], each], axis=-1)
-        at = np.append((counts * r).ravel(), known[0, 1] * x[1])
-        held.clear()
-        held[x.tobytes()] = at, np.concatenate([J.reshape(-1, 2 + 2 * c), known])
-        return held[x.tobytes()]
+        by_line, each = (counts * a * by_order)[..., None], counts[..., None] * np.eye(c)
+        J = np.concatenate([by_line * share, by_line, each * s[..., None], each], axis=-1)
+        at = np.append((counts * r).ravel(), prior_row[0, 1] * x[1])
+        cache.clear()
+        cache[x.tobytes()] = at, np.concatenate([J.reshape(-1, 2 + 2 * c), prior_row])
+        return cache[x.tobytes()]
 
     start = np.concatenate([[slope * top, offset], np.full(c, 1.0), np.maximum(y.min(axis=0), 1e-3)])
     low = np.concatenate([[max(start[0] - APART, 0.0), -np.inf], np.zeros(2 * c)])
     high = np.concatenate([[start[0] + APART], np.full(1 + 2 * c, np.inf)])
     return least_squares(
-        lambda x: (held.get(x.tobytes()) or both(x))[0],
+        lambda x: (cache.get(x.tobytes()) or both(x))[0],
         start,
-        lambda x: (held.get(x.tobytes()) or both(x))[1],
+        lambda x: (cache.get(x.tobytes()) or both(x))[1],
         bounds=(low, high),
         loss="soft_l1",
         f_scale=3 * noise,
@@ -283,8 +283,8 @@ def _fit_patch(traces: Traces, p: int, slope: float, offset: float, noise: float
     )
 
 
-def _influence(found: OptimizeResult) -> ndarray:
+def _influence(optimum: OptimizeResult) -> ndarray:
     """Change of k (in orders at the greatest load) by each residual, were it 1."""
-    free = found.active_mask == 0
+    free = optimum.active_mask == 0
     free[0] = True
-    return np.asarray(-np.linalg.pinv(found.jac[:, free])[0])
+    return np.asarray(-np.linalg.pinv(optimum.jac[:, free])[0])

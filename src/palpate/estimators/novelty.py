@@ -361,24 +361,25 @@ def fit_novelty_detector(
         fold[rows] = k
     rng = np.random.default_rng(seed)
     if len(thumbs) > most:
-        drawn = np.sort(rng.choice(len(thumbs), most, replace=False))
-        thumbs, fold = thumbs[drawn], fold[drawn]
+        rows_kept = np.sort(rng.choice(len(thumbs), most, replace=False))
+        thumbs, fold = thumbs[rows_kept], fold[rows_kept]
     _, fold = np.unique(fold, return_inverse=True)
     if fold.max() == 0:
         raise InputError(
             "all frames are of one group; what new ones look like shows in others: record two or more"
         )
-    kept = np.round(thumbs).astype(np.uint8)
-    known = [(kept, fold)]
+    thumbs_8bit = np.round(thumbs).astype(np.uint8)
+    sets = [(thumbs_8bit, fold)]
     if also is not None:
-        known.append((np.concatenate([kept, also.thumbs]), _dealt(fold, also)))
-    learnt = [fit_neighbours(images, _rows_of(dealt), rng) for images, dealt in known]
-    limits = [_limits(one.novelty_score[: len(kept)], false_alarms) for one in learnt]
+        sets.append((np.concatenate([thumbs_8bit, also.thumbs]), _dealt(fold, also)))
+    models = [fit_neighbours(images, _rows_of(dealt), rng) for images, dealt in sets]
+    limits = [_limits(one.novelty_score[: len(thumbs_8bit)], false_alarms) for one in models]
     lets_pass = [
-        one.expected_residual[: len(kept)] * limit[0] for one, limit in zip(learnt, limits, strict=True)
+        one.expected_residual[: len(thumbs_8bit)] * limit[0]
+        for one, limit in zip(models, limits, strict=True)
     ]
     best = int(np.argmin([np.median(grey) for grey in lets_pass]))
-    return NoveltyDetector(learnt[best].model, limits[best], *_untouched(untouched))
+    return NoveltyDetector(models[best].model, limits[best], *_untouched(untouched))
 
 
 def _rows_of(fold: Indices) -> list[Indices]:

@@ -82,9 +82,9 @@ def open_source(path: PathText) -> FrameStream:
 
         return RunFrames(Run.open(path))
     if path.is_dir():
-        found = tuple(sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES))
-        if not found:
+        images = tuple(sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES))
+        if not images:
             raise InputError(f"{path} holds no images ({', '.join(sorted(IMAGE_SUFFIXES))}) and is not a run")
-        return ImageFiles(found)
+        return ImageFiles(images)
     read_image(path)
     return ImageFiles((path,))

@@ -162,18 +162,18 @@ def _promise(s: ScoreCard, ends: tuple[OuterRange, ...]) -> str:
 
 
 def _worst(calibration: Path, card: Card, table: pd.DataFrame) -> list[_Worst]:
-    found = []
+    frames = []
     for path in sorted(calibration.glob("worst-*.png"), key=lambda p: int(p.stem.split("-")[1])):
         row = table[own_column(table, "row") == int(path.stem.split("-")[1])].iloc[0]
         target = max(card.targets, key=lambda t: _error(row, t) / (t.greatest - t.least))
-        found.append(
+        frames.append(
             _Worst(
                 picture(path),
                 str(row[f"{OWN}frame" if f"{OWN}frame" in row else "frame"]),
                 _estimate_text(row, target),
             )
         )
-    return found
+    return frames
 
 
 def _error(row: pd.Series, target: TargetCard) -> float:

@@ -43,7 +43,7 @@ def write_flow(
         progress: told how many steps are done of how many.
 
     Returns:
-        What was found, as the verb prints it.
+        The summary that the verb prints.
 
     Raises:
         ExistsError: `out` exists.
@@ -52,14 +52,15 @@ def write_flow(
     with open_sequence(frames) as sequence, new_folder(out) as building:
         rows: list[tuple[int, float, float]] = []
         fastest: Step | None = None
-        kept: np.ndarray | None = None
+        flows: np.ndarray | None = None
         for i, step in enumerate(course(sequence, method, from_first=from_first)):
             rows.append((i + 1, step.speed_px, step.divergence))
             if fastest is None or step.speed_px > fastest.speed_px:
                 fastest = step
             if fields:
-                kept = kept if kept is not None else _kept(building, len(sequence) - 1, step)
-                kept[i] = step.field
+                if flows is None:
+                    flows = _flows_file(building, len(sequence) - 1, step)
+                flows[i] = step.field
             progress(i + 1, len(sequence) - 1)
         assert fastest is not None
         table = pd.DataFrame(rows, columns=["frame", "speed_px", "divergence_per_frame"])
@@ -81,7 +82,7 @@ def write_flow(
     }
 
 
-def _kept(folder: Path, steps: int, step: Step) -> np.ndarray:
+def _flows_file(folder: Path, steps: int, step: Step) -> np.ndarray:
     with storage_errors(folder):
         return np.lib.format.open_memmap(
             folder / "fields.npy", "w+", np.float32, shape=(steps, *step.field.shape)

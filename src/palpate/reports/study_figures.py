@@ -146,8 +146,8 @@ def _legend(figure: Figure, axes: ndarray) -> None:
 
 
 def _ends(values: Sequence[float]) -> list[float]:
-    known = np.asarray(values, float)
-    return [float(known.min()), float(known.max())]
+    array = np.asarray(values, float)
+    return [float(array.min()), float(array.max())]
 
 
 COLOUR = {"S1": "#2f6fb7", "new": "#c0392b", "S2": "#2e9e5b", "S3": "#d8a013"}

@@ -202,7 +202,7 @@ def calibrate_compliance(
     if not trials:
         raise InputError("no reference has a trial; press a rigid plate and a soft specimen, five times each")
     layout = _layout([trial.press for _, trial in trials])
-    moved = [motion_on_layout(trial.press, layout) for _, trial in trials]
+    motions_px = [motion_on_layout(trial.press, layout) for _, trial in trials]
     positions = [trial.press.position_m for _, trial in trials]
     touch_rows = [touch_row(trial.press, layout, LEVELS_N) for _, trial in trials]
     kappa = [one.kappa_n_m for one in references]
@@ -220,7 +220,7 @@ def calibrate_compliance(
                 for row, (_, trial) in zip(touch_rows, trials, strict=True)
             ]
         )
-    motions, area, ring = _areas(trials, moved, layout)
+    motions, area, ring = _areas(trials, motions_px, layout)
     speeds = [trial.press.speed_m_s for _, trial in trials]
     return ComplianceCalibration(
         tuple(one.name for one in references),
@@ -268,10 +268,10 @@ def wobble_px(press: PinPress, layout: Float[ndarray, "p 2"]) -> float:
 
 def touch_row(press: PinPress, layout: Float[ndarray, "p 2"], levels_n: Float[ndarray, " l"]) -> ndarray:
     """The motion of the pins at every level, in one row; NaN for pins that are lost."""
-    moved = motion_on_layout(press, layout)
-    tracked = np.isfinite(moved).all(axis=(0, 2))
-    row = np.full((len(levels_n), *moved.shape[1:]), np.nan)
-    row[:, tracked] = at_forces(press.force_n, moved[:, tracked], levels_n)
+    motion = motion_on_layout(press, layout)
+    tracked = np.isfinite(motion).all(axis=(0, 2))
+    row = np.full((len(levels_n), *motion.shape[1:]), np.nan)
+    row[:, tracked] = at_forces(press.force_n, motion[:, tracked], levels_n)
     return row.ravel()
 
 

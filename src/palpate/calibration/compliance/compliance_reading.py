@@ -117,11 +117,11 @@ def read_touch(
 def _course(calibration: ComplianceCalibration, press: PinPress) -> AreaCourse:
     assert calibration.area is not None
     assert calibration.motions is not None
-    moved = motion_on_layout(press, calibration.layout_px)
-    ring = np.full(len(moved), np.nan)
+    motion = motion_on_layout(press, calibration.layout_px)
+    ring = np.full(len(motion), np.nan)
     if calibration.ring is not None:
-        ring = calibration.ring.at(ring_measures(calibration.layout_px, moved))[:, 0]
-    return AreaCourse(press.force_n, calibration.area.at(calibration.motions.of(moved), COVERAGE), ring)
+        ring = calibration.ring.at(ring_measures(calibration.layout_px, motion))[:, 0]
+    return AreaCourse(press.force_n, calibration.area.at(calibration.motions.of(motion), COVERAGE), ring)
 
 
 class _PressReader:

@@ -109,13 +109,13 @@ def read_press(
     Raises:
         PalpateError: a file that cannot be read.
     """
-    known = None if calibration is None else ComplianceCalibration.load(calibration)
+    tip = None if calibration is None else ComplianceCalibration.load(calibration)
     with open_sequence(frames) as sequence:
         table = read_press_table(
             force, len(sequence), force_column=force_column, position_column=position_column, rate_hz=rate_hz
         )
         cues = cues_of(sequence, table)
-    return cues, None if known is None else read_touch(known, [cues.trial.press], frames.name)
+    return cues, None if tip is None else read_touch(tip, [cues.trial.press], frames.name)
 
 
 def press_record(cues: PressCues, touch: PressReading | None) -> dict[str, Any]:

@@ -63,17 +63,17 @@ def fit_area(
     Raises:
         InputError: too few frames with a known area.
     """
-    kept = [
+    masks = [
         np.isfinite(one).all(axis=1) & np.isfinite(a) & (np.nan_to_num(a) > 0)
         for one, a in zip(measures, area_m2, strict=True)
     ]
-    if sum(int(one.sum()) for one in kept) < MIN_FRAMES:
+    if sum(int(one.sum()) for one in masks) < MIN_FRAMES:
         raise InputError(
-            f"{sum(int(one.sum()) for one in kept)} frames of the references have a known contact area; "
+            f"{sum(int(one.sum()) for one in masks)} frames of the references have a known contact area; "
             f"{MIN_FRAMES} or more are needed, from a rigid plate and a soft reference"
         )
-    x = [one[good] for one, good in zip(measures, kept, strict=True)]
-    y = [np.log(a[good]) for a, good in zip(area_m2, kept, strict=True)]
+    x = [one[good] for one, good in zip(measures, masks, strict=True)]
+    y = [np.log(a[good]) for a, good in zip(area_m2, masks, strict=True)]
     everything = np.concatenate(x)
     middle, scale = everything.mean(axis=0), everything.std(axis=0) + 1e-12
     z = [(one - middle) / scale for one in x]
@@ -123,12 +123,12 @@ class Motions:
 
     def of(self, moved_px: Float[ndarray, "f p 2"]) -> Measures:
         """Measures of frames; pins that are lost (NaN) are left out."""
-        seen = np.isfinite(moved_px).all(axis=(0, 2)) & np.isfinite(self.middle).all(axis=1)
-        off = (moved_px - self.middle)[:, seen].reshape(len(moved_px), -1)
-        found, *_ = np.linalg.lstsq(
-            self.directions[:, seen].reshape(len(self.directions), -1).T, off.T, rcond=None
+        tracked = np.isfinite(moved_px).all(axis=(0, 2)) & np.isfinite(self.middle).all(axis=1)
+        off = (moved_px - self.middle)[:, tracked].reshape(len(moved_px), -1)
+        measures, *_ = np.linalg.lstsq(
+            self.directions[:, tracked].reshape(len(self.directions), -1).T, off.T, rcond=None
         )
-        return np.asarray(found.T)
+        return np.asarray(measures.T)
 
 
 def fit_motions(moved_px: Sequence[Float[ndarray, "_ p 2"]], count: int = MOTIONS) -> Motions:
@@ -140,20 +140,20 @@ def fit_motions(moved_px: Sequence[Float[ndarray, "_ p 2"]], count: int = MOTION
     frames = np.concatenate(moved_px)
     if len(frames) < MIN_FRAMES:
         raise InputError(f"the references have {len(frames)} frames; {MIN_FRAMES} or more are needed")
-    seen = np.isfinite(frames).all(axis=(0, 2))
+    tracked = np.isfinite(frames).all(axis=(0, 2))
     middle = frames.mean(axis=0)
-    off = np.where(seen[:, None], frames - middle, 0.0).reshape(len(frames), -1)
+    off = np.where(tracked[:, None], frames - middle, 0.0).reshape(len(frames), -1)
     directions = np.linalg.svd(off, full_matrices=False)[2][:count]
-    return Motions(np.where(seen[:, None], middle, np.nan), directions.reshape(-1, *middle.shape))
+    return Motions(np.where(tracked[:, None], middle, np.nan), directions.reshape(-1, *middle.shape))
 
 
 def ring_measures(untouched_px: Float[ndarray, "p 2"], moved_px: Float[ndarray, "f p 2"]) -> Measures:
     """Logarithms of the ring's radius and the middle's stretch of every frame; NaN where there is no ring."""
-    found = np.full((len(moved_px), 2), np.nan)
-    for i, moved in enumerate(moved_px):
-        seen = np.isfinite(moved).all(axis=1)
-        field = Field(untouched_px[seen], moved[seen])
+    measures = np.full((len(moved_px), 2), np.nan)
+    for i, motion in enumerate(moved_px):
+        tracked = np.isfinite(motion).all(axis=1)
+        field = Field(untouched_px[tracked], motion[tracked])
         ring, stretch = ring_px(field), float(np.trace(field.stretch()))
         if np.isfinite(ring) and stretch > 0:
-            found[i] = np.log([ring, stretch])
-    return found
+            measures[i] = np.log([ring, stretch])
+    return measures

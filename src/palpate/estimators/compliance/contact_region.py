@@ -113,8 +113,8 @@ def ring_px(field: Field) -> float:
     best = int(np.argmin(values))
     if best in (0, len(grid) - 1):
         return float("nan")
-    found = minimize_scalar(inward, bounds=(grid[best - 1], grid[best + 1]), method="bounded")
-    return float(found.x * far)
+    optimum = minimize_scalar(inward, bounds=(grid[best - 1], grid[best + 1]), method="bounded")
+    return float(optimum.x * far)
 
 
 @dataclass(frozen=True)
@@ -206,19 +206,19 @@ def ring_ellipse(field: Field) -> Ellipse:
     x = (field.at_px - centre) / field.radius_px
     fit, *_ = np.linalg.lstsq(_terms(x), field.moved_px, rcond=None)
     reach = _reach(field, centre)
-    found = []
+    points = []
     for angle, far in zip(np.arange(RAYS) * 2 * np.pi / RAYS, reach, strict=True):
         direction = np.array([np.cos(angle), np.sin(angle)])
         r = np.linspace(0.15, 1.0, 120) * far
         away = _terms(r[:, None] * direction / field.radius_px) @ fit @ direction
         best = int(np.argmax(away))
         if 0 < best < len(r) - 1:
-            found.append(r[best] * direction)
-    if len(found) < RAYS // 3:
+            points.append(r[best] * direction)
+    if len(points) < RAYS // 3:
         raise InputError(
-            f"the ring lies inside the field of pins in {len(found)} of {RAYS} directions; a third is needed"
+            f"the ring lies inside the field of pins in {len(points)} of {RAYS} directions; a third is needed"
         )
-    return _through(np.array(found), centre, len(found) / RAYS)
+    return _through(np.array(points), centre, len(points) / RAYS)
 
 
 def _terms(x: Points) -> Float[ndarray, "p k"]:

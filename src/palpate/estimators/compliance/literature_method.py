@@ -48,20 +48,20 @@ class AsReported:
 
     def above(self, force_n: float) -> AsReported:
         """The same of frames above a force; the report takes 2.5 N in its section V [N]."""
-        kept = self.force_n >= force_n
+        rows = self.force_n >= force_n
         return AsReported(
-            self.force_n[kept],
-            self.divergence[kept],
-            self.area[kept],
-            _spreads(self.force_n[kept], self.divergence[kept], self.area[kept]),
+            self.force_n[rows],
+            self.divergence[rows],
+            self.area[rows],
+            _spreads(self.force_n[rows], self.divergence[rows], self.area[rows]),
         )
 
 
 def circle_through_pins(untouched_px: Float[ndarray, "p 2"], height: int, width: int) -> Bool[ndarray, "h w"]:
     """The largest circle through the pins about the one in their middle: A_0 of the report's Algorithm 1."""
-    seen = untouched_px[np.isfinite(untouched_px).all(axis=1)]
-    middle = seen[np.argmin(np.hypot(*(seen - seen.mean(axis=0)).T))]
-    reach = np.hypot(*(seen - middle).T).max()
+    places = untouched_px[np.isfinite(untouched_px).all(axis=1)]
+    middle = places[np.argmin(np.hypot(*(places - places.mean(axis=0)).T))]
+    reach = np.hypot(*(places - middle).T).max()
     y, x = np.mgrid[:height, :width]
     return np.asarray(np.hypot(x - middle[0], y - middle[1]) <= reach)
 

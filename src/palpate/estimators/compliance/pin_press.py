@@ -184,8 +184,8 @@ def motion_on_layout(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 
         InputError: its pins are not those of the layout.
     """
     spacing = float(np.median(cKDTree(layout_px).query(layout_px, k=2)[0][:, 1]))
-    found = np.isfinite(press.moved_px).all(axis=(0, 2))
-    at = press.untouched_px[found]
+    tracked = np.isfinite(press.moved_px).all(axis=(0, 2))
+    at = press.untouched_px[tracked]
     if not len(at):
         raise InputError("every pin is lost; look at light, focus and speed")
     shift = at.mean(axis=0) - layout_px.mean(axis=0)
@@ -201,6 +201,6 @@ def motion_on_layout(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 
             f"{int(near.sum())} of the {len(layout_px)} calibrated pins are where they should be, and "
             f"{len(at)} pins are seen: another sensor, zoom or crop, or pins lost; calibrate for it"
         )
-    moved = np.full((len(press.force_n), len(layout_px), 2), np.nan)
-    moved[:, near] = press.moved_px[:, found][:, which[near]]
-    return moved
+    motion = np.full((len(press.force_n), len(layout_px), 2), np.nan)
+    motion[:, near] = press.moved_px[:, tracked][:, which[near]]
+    return motion

@@ -130,8 +130,8 @@ def paper_spread(force_n: Steps, mean_divergence: Steps, first_m2: float) -> Spr
 
 def summed_slopes(force_n: Steps, area: Steps) -> float:
     """Equation (12): the sum of (A_j - A_j-1) / (F_j - F_j-1) over steps in which force changes [m^2/N]."""
-    moved = np.diff(force_n) != 0
-    return float((np.diff(area)[moved] / np.diff(force_n)[moved]).sum())
+    changes = np.diff(force_n) != 0
+    return float((np.diff(area)[changes] / np.diff(force_n)[changes]).sum())
 
 
 def refuse_literal(force_n: Steps, mean_divergence: Steps, pixels: int) -> None:

@@ -123,18 +123,18 @@ class SoftnessCurve:
     def novelty_score(self, press: Vector) -> float:
         """Part of a press that no reference shows, in units of what their trials showed of it."""
         off = press - self.middle
-        seen = np.isfinite(off)
-        left = off[seen] - self._in_basis(press) @ self.basis[:, seen]
-        return float(np.sqrt(np.mean(left**2)) / self.outside)
+        finite = np.isfinite(off)
+        residual = off[finite] - self._in_basis(press) @ self.basis[:, finite]
+        return float(np.sqrt(np.mean(residual**2)) / self.outside)
 
     def _in_basis(self, press: Vector) -> Float[ndarray, " q"]:
         if press.shape != self.middle.shape:
             raise InputError(f"{press.size} values; the curve is of {self.middle.size}")
-        seen = np.isfinite(press - self.middle)
-        if seen.sum() < 4 * len(self.basis):
-            raise InputError(f"{int(seen.sum())} of {press.size} values are known; too many pins are lost")
-        found, *_ = np.linalg.lstsq(self.basis[:, seen].T, (press - self.middle)[seen], rcond=None)
-        return np.asarray(found)
+        finite = np.isfinite(press - self.middle)
+        if finite.sum() < 4 * len(self.basis):
+            raise InputError(f"{int(finite.sum())} of {press.size} values are known; too many pins are lost")
+        place, *_ = np.linalg.lstsq(self.basis[:, finite].T, (press - self.middle)[finite], rcond=None)
+        return np.asarray(place)
 
     def nearest(self, y: Float[ndarray, " q"], turning_n_m: float | None = None) -> float:
         """S of a place in the basis."""
@@ -172,25 +172,25 @@ def fit_softness(kappa_n_m: Sequence[float], trials: Sequence[Float[ndarray, "_ 
         raise InputError("two references have one stiffness; give their trials together")
     if min(map(len, trials)) < MIN_TRIALS:
         raise InputError(f"each reference needs {MIN_TRIALS} trials or more, so that their scatter is known")
-    known = np.isfinite(np.concatenate(trials)).all(axis=0)
-    if known.mean() < 0.5:
+    finite = np.isfinite(np.concatenate(trials)).all(axis=0)
+    if finite.mean() < 0.5:
         raise InputError("fewer than half of the pins are seen in every trial; look at light and focus")
-    trials = [np.where(known, trial, 0.0) for trial in trials]
+    trials = [np.where(finite, trial, 0.0) for trial in trials]
     middle = np.concatenate(trials).mean(axis=0)
     means = np.stack([trial.mean(axis=0) for trial in trials])
     about = np.concatenate([trial - mean for trial, mean in zip(trials, means, strict=True)])
     freedom = len(about) - len(kappa)
     wide = np.linalg.svd(about, full_matrices=False)[2][: min(SCATTER, max(1, freedom // 3))]
     basis = _orthonormal(np.concatenate([means - middle, wide]))
-    left = about - about @ basis.T @ basis
+    residual = about - about @ basis.T @ basis
     inside = about @ basis.T
-    noise = (left**2).sum() / freedom / known.sum()
+    noise = (residual**2).sum() / freedom / finite.sum()
     return _turned(
         SoftnessCurve(
             kappa,
             float(kappa[np.isfinite(kappa)].min()),
-            np.where(known, middle, np.nan),
-            np.where(known, basis, 0.0),
+            np.where(finite, middle, np.nan),
+            np.where(finite, basis, 0.0),
             (means - middle) @ basis.T,
             inside.T @ inside / freedom + noise * np.eye(len(basis)),
             float(np.sqrt(noise)),
@@ -215,11 +215,11 @@ def _between(curve: SoftnessCurve) -> float:
     """The greatest error of log kappa of a reference between others, by these."""
     order = np.argsort(curve.kappa_n_m)
     off = []
-    for left in order[1:-1]:
-        others = np.delete(np.arange(len(order)), left)
+    for reference in order[1:-1]:
+        others = np.delete(np.arange(len(order)), reference)
         fewer = replace(curve, kappa_n_m=curve.kappa_n_m[others], means=curve.means[others])
-        s = max(fewer.nearest(curve.means[left]), 1e-6)
-        off.append(abs(np.log(curve.turning_n_m * (1 / s - 1) / curve.kappa_n_m[left])))
+        s = max(fewer.nearest(curve.means[reference]), 1e-6)
+        off.append(abs(np.log(curve.turning_n_m * (1 / s - 1) / curve.kappa_n_m[reference])))
     return float(max(off))
 
 

@@ -64,12 +64,12 @@ def coarse_to_fine(first: Grey, second: Grey, settings: CoarseToFine | None = No
     first, second = np.asarray(first), np.asarray(second)
     check_pair(first, second)
     levels = _pyramid(first, second, settings)
-    found = np.zeros((2, *levels[-1][0].shape), np.float32)
+    estimate = np.zeros((2, *levels[-1][0].shape), np.float32)
     for a, b in reversed(levels):
-        found = _enlarged(found, a.shape)
+        estimate = _enlarged(estimate, a.shape)
         for _ in range(settings.warps):
-            found = _refined(a, b, found, settings)
-    return found
+            estimate = _refined(a, b, estimate, settings)
+    return estimate
 
 
 def _pyramid(first: Grey, second: Grey, settings: CoarseToFine) -> list[tuple[Levels, Levels]]:
@@ -102,8 +102,8 @@ def _refined(a: Levels, b: Levels, flow: FlowField, settings: CoarseToFine) -> F
     y, x = np.mgrid[:h, :w].astype(np.float32)
     at_x, at_y = x + flow[0], y + flow[1]
     warped = cv2.remap(b, at_x, at_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE).clip(0, 1)
-    seen = (at_x >= 0) & (at_x <= w - 1) & (at_y >= 0) & (at_y <= h - 1)
-    found = relaxed(a, warped, settings.horn_schunck, about=flow, seen=seen)
+    inside = (at_x >= 0) & (at_x <= w - 1) & (at_y >= 0) & (at_y <= h - 1)
+    estimate = relaxed(a, warped, settings.horn_schunck, about=flow, mask=inside)
     if settings.median_px == 1:
-        return found
-    return np.stack([cv2.medianBlur(part, settings.median_px) for part in found])
+        return estimate
+    return np.stack([cv2.medianBlur(part, settings.median_px) for part in estimate])

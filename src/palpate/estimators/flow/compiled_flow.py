@@ -60,7 +60,7 @@ def relaxed(
     settings: HornSchunck,
     *,
     about: FlowField | None = None,
-    seen: Bool[ndarray, "h w"] | None = None,
+    mask: Bool[ndarray, "h w"] | None = None,
 ) -> FlowField:
     """Flow from the first image to a second that was perhaps warped [px/frame].
 
@@ -68,7 +68,7 @@ def relaxed(
         first, second: grey images of one size and type; see `brightness`.
         settings: weight of smoothness and number of iterations.
         about: the flow that the second image was warped by, where the iterations start; None for none.
-        seen: where the second image shows something; elsewhere only smoothness speaks.
+        mask: where the second image shows something; elsewhere only smoothness speaks.
 
     Raises:
         ImageError, InputError: images that cannot be read as a pair.
@@ -86,15 +86,15 @@ def relaxed(
         levels[:, :w] = image
         levels[:, w] = image[:, -1]
     flow_kernels.coefficients(a, b, w, np.float32(0.25 / white), np.float32(settings.alpha**2), e)
-    found = np.zeros((2, h, w), np.float32)
+    flow = np.zeros((2, h, w), np.float32)
     e_x, e_y, e_t = (e[:, i, :w] for i in range(3))
-    if seen is not None:
-        e[:, :, :w] *= seen[:, None]
+    if mask is not None:
+        e[:, :, :w] *= mask[:, None]
     if about is not None:
         e_t -= e_x * about[0] + e_y * about[1]
-        found[:] = about
-    flow_kernels.relax(e, settings.iterations, rows, found)
-    return found
+        flow[:] = about
+    flow_kernels.relax(e, settings.iterations, rows, flow)
+    return flow
 
 
 def _white(image: Grey) -> float | None:

@@ -145,9 +145,9 @@ def relax(e, n, rows, flow):
                 u0, u1, u2 = _row(k - 1, above, w), _row(k - 1, here, w), _row(k - 1, below, w)
                 _sweep(rows, u0, u1, u2, _row(k, r, w), e, 3 * r * row, w)
         for r in range(max(0, front - n), min(front - n + STEP, h)):
-            found = _row(n, r, w)
-            _copy(rows, found, flow, r * w, w)
-            _copy(rows, found + row, flow, v + r * w, w)
+            last = _row(n, r, w)
+            _copy(rows, last, flow, r * w, w)
+            _copy(rows, last + row, flow, v + r * w, w)
 
 
 @numba.njit(**FAST)

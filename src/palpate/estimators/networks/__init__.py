@@ -82,14 +82,14 @@ def model_class(path: str) -> type:
     Raises:
         PluginError: it does not import, or is no such class.
     """
-    found = import_path(path, "model")
-    if not (isinstance(found, type) and is_dataclass(found)):
+    model = import_path(path, "model")
+    if not (isinstance(model, type) and is_dataclass(model)):
         raise PluginError(
             f"model {path} is not a dataclass; its settings are its fields, which the certificate tells"
         )
-    if not callable(getattr(found, "fit", None)):
+    if not callable(getattr(model, "fit", None)):
         raise PluginError(f"model {path} has no method fit(data, rows, *, seed, progress, checkpoint)")
-    return found
+    return model
 
 
 def make_model(name: str, options: Mapping[str, Any]) -> Model:
@@ -110,14 +110,14 @@ def make_model(name: str, options: Mapping[str, Any]) -> Model:
                 "'palpate[train]'"
             ) from e
         raise
-    known = [f.name for f in fields(make)]
-    unknown = sorted(set(options) - set(known))
+    names = [f.name for f in fields(make)]
+    unknown = sorted(set(options) - set(names))
     if unknown:
         raise InputError(
-            f"model {name} has no option {', '.join(unknown)}; it has {', '.join(known) or 'none'}"
+            f"model {name} has no option {', '.join(unknown)}; it has {', '.join(names) or 'none'}"
         )
-    made: Model = make(**options)
-    return made
+    model: Model = make(**options)
+    return model
 
 
 def settings_of(name: str, options: Mapping[str, Any]) -> dict[str, Any]:

@@ -170,16 +170,18 @@ class CompactCnn:
         members = []
         for m in range(self.members):
             # Which epoch was best is not kept, so a network that stops early starts anew.
-            kept = (
+            member_checkpoint = (
                 checkpoint.with_name(f"{checkpoint.stem}-{m}.npz")
                 if checkpoint and not self.patience
                 else None
             )
 
-            def told(what: str, done: int, total: int, before: int = m * self.epochs) -> None:
+            def member_progress(what: str, done: int, total: int, before: int = m * self.epochs) -> None:
                 progress(what, before + done, self.members * total)
 
-            members.append(plan._member(data, rows, seed * self.members + m, told, kept))
+            members.append(
+                plan._member(data, rows, seed * self.members + m, member_progress, member_checkpoint)
+            )
         return FittedNetwork(tuple(members), data.shape)
 
     def _member(
@@ -249,10 +251,10 @@ class _Training:
         if self.turns:
             images, values = self.turns.turned(images, values, rng)
         image = _moved(torch.from_numpy(images), self.plan.shift_px, rng)
-        wanted = torch.from_numpy(self.scaler.scaled(values).astype(np.float32))
+        targets = torch.from_numpy(self.scaler.scaled(values).astype(np.float32))
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=fast_bfloat16()):
             guess = self.network.scaled(image.contiguous(memory_format=torch.channels_last))
-        loss = functional.smooth_l1_loss(guess.float(), wanted, beta=0.1)
+        loss = functional.smooth_l1_loss(guess.float(), targets, beta=0.1)
         self.optimiser.zero_grad()
         loss.backward()
         self.optimiser.step()
@@ -345,9 +347,9 @@ def _moved(images: torch.Tensor, most_px: int, rng: np.random.Generator) -> torc
 def _running(most: float) -> Callable[[torch.Tensor, torch.Tensor, torch.Tensor | int], torch.Tensor]:
     """A running average that is short at first, so that a brief training does not remember its beginning."""
 
-    def average(kept: torch.Tensor, new: torch.Tensor, count: torch.Tensor | int) -> torch.Tensor:
+    def average(mean: torch.Tensor, new: torch.Tensor, count: torch.Tensor | int) -> torch.Tensor:
         share = min(most, (1 + int(count)) / (10 + int(count)))
-        return kept + (1 - share) * (new - kept) if kept.is_floating_point() else new
+        return mean + (1 - share) * (new - mean) if mean.is_floating_point() else new
 
     return average
 

@@ -126,5 +126,5 @@ def inner_validation(
     """
     names = np.unique(data.groups[rows])
     count = min(round(share * len(names)) or 1, len(names) - 1)
-    watched = np.isin(data.groups[rows], rng.choice(names, count, replace=False))
-    return rows[~watched], rows[watched]
+    validation = np.isin(data.groups[rows], rng.choice(names, count, replace=False))
+    return rows[~validation], rows[validation]

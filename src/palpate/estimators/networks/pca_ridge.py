@@ -98,9 +98,9 @@ class PcaRidge:
         axes = principal_axes(basis - centre, self.components)
         scores = self._scores(centre, axes, data, rows, progress)
         scaler = Scaler.of(data.values[rows])
-        wanted = scaler.scaled(data.values[rows])
-        penalty = self._penalty(scores, wanted, data.groups[rows])
-        ridge = Ridge(alpha=penalty).fit(scores, wanted)
+        targets = scaler.scaled(data.values[rows])
+        penalty = self._penalty(scores, targets, data.groups[rows])
+        ridge = Ridge(alpha=penalty).fit(scores, targets)
         weights = axes @ (ridge.coef_.reshape(len(scaler.scale), -1).T * scaler.scale)
         return FittedLinear(
             data.shape,
@@ -123,13 +123,13 @@ class PcaRidge:
             progress("projecting", sum(map(len, parts)), len(rows))
         return np.concatenate(parts)
 
-    def _penalty(self, scores: Float[np.ndarray, "n k"], wanted: Values, groups: np.ndarray) -> float:
+    def _penalty(self, scores: Float[np.ndarray, "n k"], targets: Values, groups: np.ndarray) -> float:
         folds = min(4, len(np.unique(groups)))
         if folds < 2:
             return float(np.median(self.penalties))
         errors = np.zeros(len(self.penalties))
         for learn, watch in GroupKFold(folds).split(scores, groups=groups):
             for i, penalty in enumerate(self.penalties):
-                guess = Ridge(alpha=penalty).fit(scores[learn], wanted[learn]).predict(scores[watch])
-                errors[i] += float(np.sum((guess.reshape(len(watch), -1) - wanted[watch]) ** 2))
+                guess = Ridge(alpha=penalty).fit(scores[learn], targets[learn]).predict(scores[watch])
+                errors[i] += float(np.sum((guess.reshape(len(watch), -1) - targets[watch]) ** 2))
         return self.penalties[int(np.argmin(errors))]

@@ -130,9 +130,9 @@ class PixelMlp:
     ) -> None:
         for part, inputs in data.batches(rows, 16 * self.batch):
             pixels = (inputs.reshape(len(part), -1) - level) / contrast
-            wanted = scaler.scaled(data.values[part]).astype(np.float32)
+            targets = scaler.scaled(data.values[part]).astype(np.float32)
             network.set_params(batch_size=min(self.batch, len(part)))
-            network.partial_fit(pixels, wanted[:, 0] if wanted.shape[1] == 1 else wanted)
+            network.partial_fit(pixels, targets[:, 0] if targets.shape[1] == 1 else targets)
 
     def _error(self, fitted: FittedPerceptron, data: TrainingData, rows: Indices) -> float:
         errors = [

@@ -103,25 +103,25 @@ class ResNet18(nn.Module):  # type: ignore[misc]
             InputError: entries are missing, extra or of another shape.
         """
         mine = self.state_dict()
-        given = {k: v for k, v in weights.items() if not k.startswith("fc.")}
+        trunk = {k: v for k, v in weights.items() if not k.startswith("fc.")}
         # Files written by older versions of torch do not count batches, and nothing here reads the count.
         needed = {k for k in mine if not k.endswith("num_batches_tracked")}
-        missing, extra = sorted(needed - set(given)), sorted(set(given) - set(mine))
+        missing, extra = sorted(needed - set(trunk)), sorted(set(trunk) - set(mine))
         if missing or extra:
             raise InputError(
                 f"{source} does not hold a ResNet-18's weights: missing {_listed(missing)}; "
                 f"extra {_listed(extra)}"
             )
         if mine["conv1.weight"].shape[1] == 1:
-            given["conv1.weight"] = given["conv1.weight"].float().sum(dim=1, keepdim=True)
+            trunk["conv1.weight"] = trunk["conv1.weight"].float().sum(dim=1, keepdim=True)
         unlike = [
             f"{k} {list(v.shape)}, not {list(mine[k].shape)}"
-            for k, v in given.items()
+            for k, v in trunk.items()
             if v.shape != mine[k].shape
         ]
         if unlike:
             raise InputError(f"{source} holds weights of other shapes: {_listed(unlike)}")
-        self.load_state_dict(mine | given)
+        self.load_state_dict(mine | trunk)
 
 
 def check_weights(path: Path) -> None:
@@ -161,5 +161,5 @@ def read_weights(path: Path) -> dict[str, torch.Tensor]:
 
 def _listed(names: list[str]) -> str:
     """The first few of them, and how many more."""
-    shown, more = ", ".join(names[:8]) or "none", len(names) - 8
-    return f"{shown} and {more} more" if more > 0 else shown
+    first, more = ", ".join(names[:8]) or "none", len(names) - 8
+    return f"{first} and {more} more" if more > 0 else first

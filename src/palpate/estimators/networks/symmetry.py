@@ -59,23 +59,23 @@ class RotationalSymmetry:
     def turned(self, images: Tensor, values: Values, rng: np.random.Generator) -> tuple[Tensor, Values]:
         """Each image and its values turned by its own random number of steps."""
         counts = rng.integers(0, self.order, len(images))
-        seen = np.stack(
+        rotated = np.stack(
             [
                 _warped(image, self.matrix(int(n))) if n else image
                 for image, n in zip(images, counts, strict=True)
             ]
         )
-        return seen, self.turned_values(values, counts)
+        return rotated, self.turned_values(values, counts)
 
     def turned_values(self, values: Values, counts: np.ndarray) -> Values:
         """Values of touches turned clockwise by these numbers of steps."""
-        made = values.copy()
+        rotated = values.copy()
         cos, sin = (f(2 * math.pi * counts / self.order) for f in (np.cos, np.sin))
         for i, j in self.pairs:
-            made[:, i] = cos * values[:, i] - sin * values[:, j]
-            made[:, j] = sin * values[:, i] + cos * values[:, j]
-        made[:, list(self.lone)] *= np.rint(cos)[:, None]
-        return made
+            rotated[:, i] = cos * values[:, i] - sin * values[:, j]
+            rotated[:, j] = sin * values[:, i] + cos * values[:, j]
+        rotated[:, list(self.lone)] *= np.rint(cos)[:, None]
+        return rotated
 
 
 def in_plane(names: tuple[str, ...]) -> tuple[tuple[tuple[int, int], ...], tuple[int, ...]]:
@@ -106,8 +106,8 @@ def axis_of(mean: Float[np.ndarray, "h w"], order: int) -> tuple[float, float]:
     height, width = mean.shape
     middle = ((width - 1) / 2, (height - 1) / 2)
     angle = 2 * math.pi / order
-    turned = _warped(mean[None].astype(np.float32), RotationalSymmetry(order, middle, ()).matrix(1))[0]
-    away = _displacement(mean, turned)
+    rotated = _warped(mean[None].astype(np.float32), RotationalSymmetry(order, middle, ()).matrix(1))[0]
+    away = _displacement(mean, rotated)
     R = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
     ex, ey = np.linalg.solve(R - np.eye(2), away)
     axis = (middle[0] + float(ex), middle[1] + float(ey))

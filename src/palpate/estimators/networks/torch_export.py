@@ -40,9 +40,9 @@ class TorchGraph:
         """Add a node and its weights; returns the name of what it makes."""
         names = {f"{name}{len(self.nodes)}": value for name, value in weights.items()}
         self.constants |= {name: value.detach().numpy() for name, value in names.items()}
-        made = output or f"x{len(self.nodes)}"
-        self.nodes.append(helper.make_node(kind, [*inputs, *names], [made], **how))
-        return made
+        name = output or f"x{len(self.nodes)}"
+        self.nodes.append(helper.make_node(kind, [*inputs, *names], [name], **how))
+        return name
 
     def add_chain(self, layers: Iterable[nn.Module], at: str) -> str:
         """Add layers one after the other, the first after the node named `at`."""
