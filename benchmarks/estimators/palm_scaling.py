@@ -107,7 +107,7 @@ def as_one_of_two() -> None:
     from palpate.sensors.palm.networks.palm_compact import CompactPalmNetwork, _loss
     from palpate.sensors.palm.networks.palm_training import Scales
 
-    crew, rng = ProcessGroup.of_environment(), np.random.default_rng(0)
+    processes, rng = ProcessGroup.of_environment(), np.random.default_rng(0)
     frames = rng.integers(0, 256, (ROWS, SIDE, 2 * SIDE, 3), np.uint8)
     wanted = rng.normal(0, 1, (ROWS, 4)).astype(np.float32)
     scales = Scales(SIDE, (128.0, 128.0), (74.0, 74.0), Scaler(np.zeros(4), np.ones(4)), (0, 1, 2, 3))
@@ -120,7 +120,7 @@ def as_one_of_two() -> None:
 
     def epoch(alone: bool, threads: int = 1) -> None:
         torch.set_num_threads(threads)
-        os.environ["WORLD_SIZE"] = "1" if alone else str(crew.size)
+        os.environ["WORLD_SIZE"] = "1" if alone else str(processes.size)
         TrainingLoop(1, BATCH, 2e-3).train(network, lesson, seed=0)
 
     ways: dict[str, tuple[bool, Callable[[], None]]] = {
@@ -132,12 +132,12 @@ def as_one_of_two() -> None:
     taken: Taken = {way: [] for way in ways}
     for i in range(ROUNDS + 1):  # the first warms up
         for way, (both, work) in ways.items():
-            crew.wait()
-            times = clocked(work) if both or crew.first else (0.0, 0.0)
-            wall = crew.sum(times[0]) / (2 if both else 1)
+            processes.wait()
+            times = clocked(work) if both or processes.first else (0.0, 0.0)
+            wall = processes.sum(times[0]) / (2 if both else 1)
             if i:
                 taken[way].append((wall, times[1]))
-    if crew.first:
+    if processes.first:
         print(json.dumps({"taken": taken, "weights": sum(p.numel() for p in network.parameters())}))
 
 

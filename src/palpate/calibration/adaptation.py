@@ -115,7 +115,7 @@ def adapt(folder: PathText, run: Run, out: PathText, progress: Progress = silent
         run: ten presses of the copy or more, labelled in the calibration's columns, with frames of the
             untouched copy marked by the calibration's own rule.
         out: the calibration folder to make; must not exist, and appears whole.
-        progress: told what is being done and how far it is.
+        progress: called with what is being done and how far it is.
 
     Returns:
         The new calibration's card. Its scores are of presses that the correction had not learnt from;

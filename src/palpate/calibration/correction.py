@@ -132,7 +132,7 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class Adapted:
-    """A correction, and what it said of each row before it had learnt from that row's press.
+    """A correction, and its estimates of each row before it had learnt from that row's press.
 
     Attributes:
         correction: learnt from all presses.

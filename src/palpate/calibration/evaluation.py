@@ -31,7 +31,7 @@ def score(
     Args:
         unit_: unit of everything given.
         true, predicted, half: labels, estimates and half-widths of their intervals.
-        mean: what always saying the training mean would have said.
+        mean: the training mean, as an estimate of every row.
         groups: label of each row's group; rows of one group are not independent.
     """
     error = predicted - true
@@ -79,7 +79,7 @@ def evaluate(
         estimator: the calibration.
         run: frames with labels in the calibration's target columns.
         zero: one reference for the whole run; None finds the run's own by the calibration's rule.
-        progress: told how far it is.
+        progress: called with how far it is.
 
     Returns:
         ``{"targets": {column: {"unit", "n", "mae", "rmse", "r2", "coverage_90", …}}, …}``.

@@ -220,7 +220,7 @@ def quantise(folder: PathText, run: Run, out: PathText, progress: Progress = sil
         folder: the calibration; left as it is.
         run: what it was calibrated on.
         out: the calibration folder to make; must not exist.
-        progress: told what is being done and how far it is.
+        progress: called with what is being done and how far it is.
 
     Raises:
         InputError: another run, a network without convolutions to round, one that is in int8 already or

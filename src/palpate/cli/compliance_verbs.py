@@ -100,19 +100,19 @@ def calibrate(
     from palpate.calibration.compliance import calibrate_folder
 
     with progress_bar(quiet) as progress:
-        found = calibrate_folder(folder, out, tilt_deg=tilt_deg, note=note, progress=progress)
+        record = calibrate_folder(folder, out, tilt_deg=tilt_deg, note=note, progress=progress)
     names = ", ".join(
         f"{one['specimen']} ({_stiff(one['stiffness_N_per_mm'])}, {one['trials']} trials)"
-        for one in found["references"]
+        for one in record["references"]
     )
-    between = found["error_between_references"]
+    between = record["error_between_references"]
     lines = [
-        f"{out}: {found['calibration']}, {found['pins']} pins, on {names}",
+        f"{out}: {record['calibration']}, {record['pins']} pins, on {names}",
         "each inner reference, read from the others: "
         + ("none is between two references" if between is None else f"off by up to {100 * between:.1f} %"),
-        _area_error(found["area_known"], found["area_error"]),
+        _area_error(record["area_known"], record["area_error"]),
     ]
-    print_found(found, "\n".join(lines), json_)
+    print_found(record, "\n".join(lines), json_)
 
 
 @app.command()
@@ -134,18 +134,18 @@ def plate(
     """
     from palpate.calibration.compliance import plate_stiffness
 
-    found = plate_stiffness(
+    record = plate_stiffness(
         tables, force_column=force_column, position_column=position_column, rate_hz=rate_hz
     )
-    low, high = found["low_N_per_mm"], found["high_N_per_mm"]
+    low, high = record["low_N_per_mm"], record["high_N_per_mm"]
     ends = ", of one trial" if low is None else f" ({low:.3g} to {high:.3g}, bootstrap over trials)"
     lines = [
         f"{one['table']}: {one['stiffness_N_per_mm']:.3g} N/mm, adjusted R2 {one['adjusted_r2']:.3g}"
-        for one in found["trials"]
+        for one in record["trials"]
     ]
-    lines += [f"flag: {flag}" for flag in found["flags"]]
-    lines.append(f"stiffness {found['stiffness_N_per_mm']:.3g} N/mm{ends}")
-    print_found(found, "\n".join(lines), json_)
+    lines += [f"flag: {flag}" for flag in record["flags"]]
+    lines.append(f"stiffness {record['stiffness_N_per_mm']:.3g} N/mm{ends}")
+    print_found(record, "\n".join(lines), json_)
 
 
 @app.command()
@@ -200,22 +200,22 @@ NAMES = {
 SYMBOLS = {"N_per_mm": "N/mm", "mm2": "mm²", "mm2_per_N": "mm²/N"}
 
 
-def _text(found: dict[str, Any]) -> str:
-    readings = found["readings"]
+def _text(record: dict[str, Any]) -> str:
+    readings = record["readings"]
     common = _common([one["why"].split("; ") for one in readings])
     lines = [_reading(one, common) for one in readings]
-    series = found.get("series_stiffness")
+    series = record.get("series_stiffness")
     if series:
         lines.append(
             f"{'tip and specimen':22}{series['value_N_per_mm']:9.3g} N/mm    in series, by force and position"
         )
-    lines += [f"flag: {flag}" for flag in dict.fromkeys([*common, *found["flags"]])]
+    lines += [f"flag: {flag}" for flag in dict.fromkeys([*common, *record["flags"]])]
     if readings:
         drift = readings[0]["drift"]
         lines.append(f"drift {drift['statistic']:.2g} (stale above {drift['limit']:g})")
         lines.append(f"calibration {readings[0]['calibration']}")
-    if "out" in found:
-        lines.append(f"picture and readings: {found['out']}")
+    if "out" in record:
+        lines.append(f"picture and readings: {record['out']}")
     return "\n".join(lines)
 
 
@@ -233,15 +233,15 @@ def _reading(one: dict[str, Any], common: list[str]) -> str:
     return f"{NAMES[one['quantity']]:22}{value:>9} {unit:7} ({ends}, 90 %)  {verdict}"
 
 
-def _compared(found: dict[str, Any]) -> str:
+def _compared(record: dict[str, Any]) -> str:
     lines = []
-    for cue, one in found["cues"].items():
+    for cue, one in record["cues"].items():
         means = ", ".join(
             f"{name} {mean:.3g} ({one['interval_95'][name][0]:.3g} to {one['interval_95'][name][1]:.3g})"
             for name, mean in one["mean"].items()
         )
         worst = max(one["pairs"], key=lambda pair: pair["rank_sum_p"])
-        missing = [name for name in found["trials"] if name not in one["mean"]]
+        missing = [name for name in record["trials"] if name not in one["mean"]]
         lines.append(
             f"{cue}: {means}" + (f"; no two valid readings: {', '.join(missing)}" if missing else "")
         )
@@ -249,13 +249,13 @@ def _compared(found: dict[str, Any]) -> str:
             f"    Kruskal-Wallis p {one['kruskal_p']:.2g}; least apart {worst['first']}, {worst['second']}: "
             f"rank-sum p {worst['rank_sum_p']:.2g} (at least {worst['least_p']:.2g} for so many trials)"
         )
-    if found["references"]:
-        lines.append(f"{', '.join(found['references'])}: references of this calibration, read by it")
-    if "pooled_sums" in found:
-        pooled = found["pooled_sums"]
+    if record["references"]:
+        lines.append(f"{', '.join(record['references'])}: references of this calibration, read by it")
+    if "pooled_sums" in record:
+        pooled = record["pooled_sums"]
         lines.append(
             f"equation (12) at all frames above 2.5 N, pooled: Kruskal-Wallis p {pooled['kruskal_p']:.2g}"
         )
         lines += [f"warning: {warning}" for warning in pooled["warnings"]]
-    lines.append(f"means with bootstrap intervals over trials; trials, tests and picture: {found['out']}")
+    lines.append(f"means with bootstrap intervals over trials; trials, tests and picture: {record['out']}")
     return "\n".join(lines)

@@ -40,7 +40,7 @@ def write_flow(
         out: folder to make; must not exist. It appears when all is done.
         method, from_first: see `course`.
         fields: also write every flow ``[steps 2 h w]``, float32.
-        progress: told how many steps are done of how many.
+        progress: called with how many steps are done of how many.
 
     Returns:
         The summary that the verb prints.

@@ -2,9 +2,8 @@
 
 from palpate.estimators.flow.coarse_to_fine import CoarseToFine, coarse_to_fine
 from palpate.estimators.flow.compiled_flow import FlowField, divergence, flow
-from palpate.estimators.flow.flow_sequence import along
+from palpate.estimators.flow.flow_sequence import along, dis, farneback
 from palpate.estimators.flow.horn_schunck import HornSchunck, horn_schunck
-from palpate.estimators.flow.opencv_flow import dis, farneback
 
 __all__ = [
     "CoarseToFine", "FlowField", "HornSchunck", "along", "coarse_to_fine", "dis", "divergence", "farneback",

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
+import cv2
 import numpy as np
 
 from palpate.core import Bool, InputError, ndarray
 from palpate.estimators.flow.coarse_to_fine import coarse_to_fine
 from palpate.estimators.flow.compiled_flow import FlowField, divergence, flow
-from palpate.estimators.flow.horn_schunck import Grey
-from palpate.estimators.flow.opencv_flow import dis, farneback
+from palpate.estimators.flow.horn_schunck import Grey, brightness, check_pair
 
 AHEAD = 4  # pairs a thread that wait, so that no thread waits for the reader
 
@@ -85,6 +85,41 @@ def _results(
         finally:
             for future in begun:
                 future.cancel()
+
+
+def dis(first: Grey, second: Grey) -> FlowField:
+    """Dense inverse search, preset MEDIUM [px/frame]; doi:10.1007/978-3-319-46493-0_29.
+
+    Raises:
+        ImageError, InputError: images that cannot be read as a pair.
+    """
+    a, b = _eight_bit_pair(first, second)
+    method = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    return _planes(method.calc(a, b, None))
+
+
+def farneback(first: Grey, second: Grey) -> FlowField:
+    """Farnebäck's polynomial expansion, 3 levels, window 15 px [px/frame]; doi:10.1007/3-540-45103-X_50.
+
+    Raises:
+        ImageError, InputError: images that cannot be read as a pair.
+    """
+    a, b = _eight_bit_pair(first, second)
+    return _planes(
+        cv2.calcOpticalFlowFarneback(
+            a, b, None, pyr_scale=0.5, levels=3, winsize=15, iterations=3, poly_n=5, poly_sigma=1.2, flags=0
+        )
+    )
+
+
+def _eight_bit_pair(first: Grey, second: Grey) -> tuple[Grey, Grey]:
+    check_pair(first, second)
+    a, b = (np.round(255 * brightness(image)).astype(np.uint8) for image in (first, second))
+    return a, b
+
+
+def _planes(flow: np.ndarray) -> FlowField:
+    return np.ascontiguousarray(np.moveaxis(flow, -1, 0), np.float32)
 
 
 METHODS: dict[str, Callable[[Grey, Grey], FlowField]] = {

@@ -1,6 +1,6 @@
 """The processes that torchrun began, which train one network: each learns from its share of every batch.
 
-They are told of each other by torchrun's environment (RANK, LOCAL_RANK, WORLD_SIZE); without it there is one.
+They know of each other from torchrun's environment (RANK, LOCAL_RANK, WORLD_SIZE); without it there is one.
 torch is imported only where processes are to meet, so that which one this is can be asked without it. Numbers
 and waiting go through gloo, gradients through NCCL where there are GPUs; nothing is pickled.
 """

@@ -82,7 +82,7 @@ class Model(Protocol):
             data: inputs and values.
             rows: the rows that may be learnt from.
             seed: of everything random.
-            progress: told how far the work is.
+            progress: called with how far the work is.
             checkpoint: a file the model may keep its progress in, to go on from after an interruption.
         """
         ...

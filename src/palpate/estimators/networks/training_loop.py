@@ -120,7 +120,7 @@ class TrainingLoop:
             network: from inputs to answers; changed in place.
             task: what it shall learn.
             seed: of the order in which rows are seen.
-            progress: told how far the work is; of several processes, only the first's is.
+            progress: called with how far the work is; of several processes, only the first's is.
             checkpoint: where to keep what is needed to go on, in a folder that all processes see; a file
                 found there is gone on from. The same weights need the same number of processes.
 
