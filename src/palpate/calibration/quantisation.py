@@ -284,8 +284,6 @@ def _material(folder: Path, card: Card, run: Run, work: Path, progress: Progress
     return _Material(learning.packed, learning.data, table, held, np.setdiff1d(np.arange(len(rows)), held))
 
 
-
-
 def _check_repeats(estimator: Estimator, material: _Material, folder: Path) -> None:
     """The network must be the very one whose estimates of held-out rows were kept."""
     worst = material.largest_change(_answers(estimator.values, material, silent))
