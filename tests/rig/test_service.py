@@ -461,4 +461,4 @@ def test_the_process_outlives_its_client_and_lifts_the_probe_when_it_is_told_to_
     assert find(RIG, folder) is None
     found = shots_of(tmp_path / "runs" / "night")
     assert 0 < len(found) < 4
-    assert address.token not in (folder / "rig-virtual-palm.log").read_text()
+    assert address.token not in (folder / "devices-virtual-palm.log").read_text()
