@@ -15,20 +15,21 @@ from palpate.estimators.compliance.press_force import (
     within,
     without_spikes,
 )
-from palpate.sensors.tactip import TacTipSpec, TipOnSpecimen, Trial, trial
+from palpate.sensors.tactip import TacTipSpec
+from palpate.workflows.tactip_trials import VirtualPress, record_press, stiffness_of
 
 KAPPA_N_M = {"rigid": float("inf"), "S1": 7.6e3, "S2": 3.1e3, "S3": 1.1e3, "new": 5.3e3}
 REFERENCES = ("rigid", "S1", "S2", "S3")
 NOISE_PX = 0.02  # of a pin's centre, as it is found in a frame
 
 
-def seen(made: Trial) -> ReferenceTrial:
+def seen(made: VirtualPress) -> ReferenceTrial:
     """Frames rendered, pins followed."""
-    press = follow_press(list(made.frames()), made.raw_n, made.frame_sample, made.actual_m, made.time_s)
+    press = follow_press(list(made.frames()), made.raw_n, made.frame_sample, made.position_m, made.time_s)
     return ReferenceTrial(press, made.true_area_m2[made.frame_sample[press.frame]])
 
 
-def ideal(made: Trial, noise_px: float = NOISE_PX) -> ReferenceTrial:
+def ideal(made: VirtualPress, noise_px: float = NOISE_PX) -> ReferenceTrial:
     """True centres with noise, at the frames that `follow_press` would use; no frame is rendered."""
     rng = np.random.default_rng([made.seed, 1])
     smooth = moving_average(without_spikes(made.raw_n))
@@ -43,7 +44,7 @@ def ideal(made: Trial, noise_px: float = NOISE_PX) -> ReferenceTrial:
 
     untouched = centres(0, noise_px / np.sqrt(still))  # mean of the frames before contact
     xy = np.stack([centres(int(frame), noise_px) for frame in used])
-    position, time = made.actual_m[at[used]] - made.actual_m[part.first], made.time_s[at[used]]
+    position, time = made.position_m[at[used]] - made.position_m[part.first], made.time_s[at[used]]
     press = PinPress(
         used,
         smooth[at[used]],
@@ -57,16 +58,16 @@ def ideal(made: Trial, noise_px: float = NOISE_PX) -> ReferenceTrial:
 
 
 def pressed(
-    spec: TacTipSpec, specimen: TipOnSpecimen, count: int, seed: int, *, rendered: bool = True
+    spec: TacTipSpec, specimen: str, count: int, seed: int, *, rendered: bool = True
 ) -> tuple[ReferenceTrial, ...]:
     """Some trials on one specimen."""
     make = seen if rendered else ideal
-    return tuple(make(trial(spec, specimen, seed + k)) for k in range(count))
+    return tuple(make(record_press(spec, specimen, seed + k)) for k in range(count))
 
 
 def references(
     spec: TacTipSpec,
-    specimens: dict[str, tuple[float, TipOnSpecimen]],
+    specimens: dict[str, str],
     trials: int,
     seed: int,
     *,
@@ -77,8 +78,8 @@ def references(
     return [
         ReferenceSpecimen(
             name,
-            specimens[name][0],
-            pressed(spec, specimens[name][1], trials, seed + 100 * i, rendered=rendered),
+            stiffness_of(specimens[name]),
+            pressed(spec, specimens[name], trials, seed + 100 * i, rendered=rendered),
         )
         for i, name in enumerate(names)
     ]

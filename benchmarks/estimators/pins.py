@@ -19,7 +19,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from palpate.estimators.pins import PinTracks, find_pins, follow
-from palpate.sensors.tactip import HeadOn, tactip, trial
+from palpate.sensors.tactip import tactip
+from palpate.workflows.tactip_trials import record_press
 
 ROUNDS = 7
 SAME_PX = 0.25  # the detector's centres are those of outlines, ours of brightness
@@ -40,8 +41,7 @@ def blob_detector() -> cv2.SimpleBlobDetector:
 
 def press(pins: int, frames: int) -> np.ndarray:
     """The last frames of a press on a specimen of 50 kPa, where pins move."""
-    spec = tactip(pins)
-    made = trial(spec, HeadOn(spec.table.press(50e3), spec.table.radius_m), seed=0)
+    made = record_press(tactip(pins), "specimen=1.571", seed=0)
     return np.stack(list(made.frames()))[-frames:]
 
 

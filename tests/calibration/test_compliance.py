@@ -18,6 +18,7 @@ from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.core.errors import CertificateError, ExistsError, InputError, RangeError, StorageError
 from palpate.sensors.tactip import tactip
 from palpate.sensors.tactip.tactip_press import modulus_pa
+from palpate.sensors.tactip.tactip_sensor import TacTip
 from palpate.workflows.tactip_trials import specimens_at
 
 TRIALS = 3
@@ -48,7 +49,7 @@ def calibration(given) -> ComplianceCalibration:
 def fresh(spec, specimens):
     """Trials of every specimen that the calibration has not seen."""
     return {
-        name: [t.press for t in pressed(spec, specimens[name][1], TRIALS, 9000 + 100 * i)]
+        name: [t.press for t in pressed(spec, specimens[name], TRIALS, 9000 + 100 * i)]
         for i, name in enumerate(KAPPA_N_M)
     }
 
@@ -88,8 +89,8 @@ def test_a_rigid_plate_has_no_upper_end_and_is_outside_of_the_range(read) -> Non
 
 
 def test_contact_areas_come_back(spec, specimens, read) -> None:
-    for name, (_, specimen) in specimens.items():
-        true = float(specimen.area_m2(np.array([4.0]))[0])
+    for name, words in specimens.items():
+        true = float(TacTip(spec).on(words).area_m2(np.array([4.0]))[0])
         assert_allclose(read[name].area.value, true, rtol=0.05, err_msg=name)
     area = read["new"].area
     assert area.valid, area.why
@@ -132,7 +133,7 @@ def test_speed_changes_the_reading_little(spec, specimens, calibration, read, sp
     """Calibrated at 5 mm/s; the virtual tip has no viscosity, so all that differs is the frames' number."""
     other = replace(spec, speed_m_s=1e-3 * speed_mm_s)
     for name in ("S1", "new", "S2", "S3"):
-        presses = [t.press for t in pressed(other, specimens[name][1], TRIALS, 300)]
+        presses = [t.press for t in pressed(other, specimens[name], TRIALS, 300)]
         found = read_touch(calibration, presses)
         assert_allclose(found.stiffness.value, read[name].stiffness.value, rtol=0.05, err_msg=name)
         assert found.stiffness.valid, found.stiffness.why

@@ -10,13 +10,13 @@ from palpate.calibration.compliance.specimen_comparison import cue_tests, trials
 from palpate.psychophysics import bootstrap_interval
 from palpate.recordings.exchange.press_table import PressTable
 from palpate.reproductions.tactip.tactip_experiment import table_of
-from palpate.sensors.tactip import HeadOn, tactip, trial
+from palpate.sensors.tactip import tactip
+from palpate.workflows.tactip_trials import record_press
 
 
 @pytest.fixture(scope="module")
 def cues():
-    spec = tactip()
-    made = trial(spec, HeadOn(spec.table.press(0.2419e6), spec.table.radius_m), seed=3)
+    made = record_press(tactip(), "S1=7.6", seed=3)
     return cues_of(list(made.frames()), table_of(made))
 
 

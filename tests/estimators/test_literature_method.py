@@ -9,18 +9,18 @@ from numpy.testing import assert_allclose
 from palpate.core.errors import InputError
 from palpate.estimators.compliance.literature_method import AsReported, as_reported, circle_through_pins
 from palpate.estimators.pins import find_pins
-from palpate.sensors.tactip import HeadOn, tactip, trial
+from palpate.sensors.tactip import tactip
+from palpate.workflows.tactip_trials import record_press
 
-S1, S3 = 0.2419e6, 0.035e6
-
-
-def made(pa: float, speed_m_s: float):
-    spec = replace(tactip(), speed_m_s=speed_m_s)
-    return trial(spec, HeadOn(spec.table.press(pa), spec.table.radius_m), seed=21)
+S1, S3 = "S1=7.6", "S3=1.1"
 
 
-def reported(pa: float = S1, speed_m_s: float = 5e-3) -> AsReported:
-    press = made(pa, speed_m_s)
+def made(words: str, speed_m_s: float):
+    return record_press(replace(tactip(), speed_m_s=speed_m_s), words, seed=21)
+
+
+def reported(words: str = S1, speed_m_s: float = 5e-3) -> AsReported:
+    press = made(words, speed_m_s)
     frames = list(press.frames())
     circle = circle_through_pins(find_pins(frames[0]).xy_px, *frames[0].shape)
     return as_reported(frames, press.raw_n, press.frame_sample, region=circle)

@@ -6,8 +6,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate.core.errors import ImageError, InputError
 from palpate.estimators.compliance.pin_press import follow_press
-from palpate.sensors.tactip import HeadOn, tactip, trial
+from palpate.sensors.tactip import tactip
 from palpate.sensors.tactip.tactip_camera import rendered
+from palpate.workflows.tactip_trials import record_press
 
 RATE, EVERY = 200, 10
 
@@ -15,8 +16,7 @@ RATE, EVERY = 200, 10
 @pytest.fixture(scope="module")
 def made():
     """One virtual trial on S1, rendered."""
-    spec = tactip()
-    return trial(spec, HeadOn(spec.table.press(0.2419e6), spec.table.radius_m), seed=11)
+    return record_press(tactip(), "S1=7.6", seed=11)
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def watch(made, frames, **changed):
     given = {
         "force_n": made.raw_n,
         "frame_sample": made.frame_sample,
-        "position_m": made.actual_m,
+        "position_m": made.position_m,
         "time_s": made.time_s,
     } | changed
     return follow_press(frames, **given)
@@ -41,23 +41,27 @@ def test_a_good_press_is_followed_through_its_loading_part(made, frames) -> None
     assert press.force_n[-1] > 4.9
     assert (np.diff(press.frame) == 1).all()
     assert_allclose(press.force_n, made.true_force_n[made.frame_sample[press.frame]], atol=0.06)
-    assert_allclose(press.speed_m_s, made.spec.speed_m_s, rtol=1e-9)
+    assert_allclose(press.speed_m_s, made.sensor.spec.speed_m_s, rtol=1e-9)
 
 
 def test_motion_is_what_the_markers_did(made, frames) -> None:
-    """Centroids are good to some hundredths of a pixel; 0.15 px is what one pin may be off by."""
+    """Centroids are good to some hundredths of a pixel.
+
+    The pins round the apex may be off by 0.2 px: the frame before the force sensor tells contact, which counts
+    as untouched, may be touched already by less than the sensor's step.
+    """
     press = watch(made, frames)
     (rest, _), (last, _) = (made.points_px(int(i)) for i in (0, press.frame[-1]))
     order = [int(np.argmin(np.hypot(*(rest - xy).T))) for xy in press.untouched_px]
     off = press.moved_px[-1] - (last - rest)[order]
-    assert np.hypot(*off.T).max() < 0.15
+    assert np.hypot(*off.T).max() < 0.2
     assert np.sqrt((off**2).mean()) < 0.05
 
 
 def test_position_is_counted_from_contact_whatever_the_encoders_origin(made, frames) -> None:
-    here, there = (watch(made, frames, position_m=made.actual_m + x) for x in (0.0, 0.125))
+    here, there = (watch(made, frames, position_m=made.position_m + x) for x in (0.0, 0.125))
     assert_allclose(here.position_m, there.position_m, atol=1e-12)
-    assert 0 <= here.position_m[0] < made.spec.speed_m_s / made.spec.camera.rate_hz
+    assert 0 <= here.position_m[0] < made.sensor.spec.speed_m_s / made.sensor.spec.camera.rate_hz
 
 
 def test_without_an_encoder_there_is_no_position_and_no_speed(made, frames) -> None:
@@ -144,7 +148,7 @@ def test_pins_that_wander_before_contact_are_flagged(made, frames) -> None:
     for i in range(len(frames)):
         xy, radius = made.points_px(i)
         off = 0.4 * min(i, touched)
-        moving.append(rendered(xy + off, radius, made.spec.camera, np.random.default_rng(i)))
+        moving.append(rendered(xy + off, radius, made.sensor.spec.camera, np.random.default_rng(i)))
     (flaw,) = watch(made, moving).flaws
     assert "pins wander" in flaw
 

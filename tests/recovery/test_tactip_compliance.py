@@ -32,7 +32,7 @@ def told(spec, specimens, tilt_rad: float, seed: int) -> tuple[dict[str, float],
     )
     touch, both, held = {}, {}, False
     for i, name in enumerate(STIFFEST_FIRST):
-        trials = pressed(spec, specimens[name][1], TRIALS, start + 1000 * (i + 1), rendered=False)
+        trials = pressed(spec, specimens[name], TRIALS, start + 1000 * (i + 1), rendered=False)
         found = read_touch(calibration, [trial.press for trial in trials])
         touch[name], both[name] = found.stiffness.value, found.stiffness_both.value
         if name == "new":

@@ -25,8 +25,8 @@ from palpate.reproductions.tactip.tactip_experiment import (
     under_plate,
 )
 from palpate.reproductions.tactip.tactip_reproduction import CUES, entry, reproduce_tactip
-from palpate.sensors.tactip import tactip, trial
-from palpate.workflows.tactip_trials import specimens_at
+from palpate.sensors.tactip import tactip
+from palpate.workflows.tactip_trials import record_press
 
 FIELDS = {"name", "value", "unit", "published", "source", "why"}
 
@@ -148,8 +148,7 @@ def test_a_specimen_under_a_rigid_plate_has_the_stiffness_it_was_given() -> None
 
 
 def test_a_trial_has_the_table_that_its_files_would_hold() -> None:
-    spec = tactip()
-    made = trial(spec, specimens_at(spec, {"S1": 7.6e3})["S1"][1], 2)
+    made = record_press(tactip(), "S1=7.6", 2)
     table = table_of(made)
     assert table.force_n is made.raw_n
     assert len(table.frame_sample) == len(made.frame_sample)

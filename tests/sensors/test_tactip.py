@@ -1,4 +1,4 @@
-"""The virtual TacTip: lattice, lever, refraction, frames, and the trial as a rig records it."""
+"""The virtual TacTip: lattice, lever, refraction."""
 
 import math
 from dataclasses import replace
@@ -9,8 +9,7 @@ from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError, RangeError
 from palpate.estimators.compliance.contact_region import Field, ring_px
-from palpate.estimators.pins import find_pins, follow
-from palpate.sensors.tactip import PINS_127, PINS_331, HeadOn, PinLayout, pictured, tactip, trial
+from palpate.sensors.tactip import PINS_127, PINS_331, PinLayout, pictured, tactip
 from palpate.sensors.tactip.pin_markers import Turned, head_on, lattice, markers
 from palpate.sensors.tactip.tactip_camera import slopes
 
@@ -20,10 +19,6 @@ S1, S3 = 0.2419e6, 0.035e6
 @pytest.fixture(scope="module")
 def spec():
     return tactip()
-
-
-def specimen(spec, pa=S1) -> HeadOn:
-    return HeadOn(spec.table.press(pa), spec.table.radius_m)
 
 
 @pytest.mark.parametrize(("pins", "count"), [(PINS_127, 127), (PINS_331, 331)])
@@ -71,40 +66,6 @@ def test_refraction_obeys_snell_and_vanishes_without_gel() -> None:
     g = np.arcsin(np.sin(np.arctan(t)) / n)
     assert_allclose(depth * np.tan(g) + air * t, r, atol=1e-12)
     assert_allclose(slopes(r, np.full(3, depth), air, 1.0), r / (depth + air))
-
-
-def test_a_trial_is_recorded_as_the_report_records_it(spec) -> None:
-    made = trial(spec, specimen(spec), seed=3)
-    assert_allclose(np.diff(made.time_s), 1 / 200)
-    assert_allclose(np.diff(made.frame_sample), 10)
-    assert_allclose(made.raw_n % 0.0625, 0, atol=1e-9)
-    assert made.true_force_n[0] == 0
-    assert made.true_force_n[-1] >= 5.2
-    assert_allclose(np.diff(made.desired_m), 5e-3 / 200, rtol=1e-9)
-    frames = list(made.frames())
-    assert frames[0].shape == (300, 300)
-    assert frames[0].dtype == np.uint8
-    np.testing.assert_array_equal(made.frame(5), frames[5])
-    again = trial(spec, specimen(spec), seed=3)
-    np.testing.assert_array_equal(again.raw_n, made.raw_n)
-
-
-def test_pins_in_the_frames_are_where_the_trial_says(spec) -> None:
-    made = trial(spec, specimen(spec), seed=4)
-    frames = list(made.frames())
-    first = find_pins(frames[0])
-    truth, _ = made.points_px(0)
-    order = [int(np.argmin(np.hypot(*(truth - xy).T))) for xy in first.xy_px]
-    *_, last = follow(frames[1:], first)
-    assert last.found.all()
-    at, _ = made.points_px(len(frames) - 1)
-    assert np.hypot(*(last.xy_px - at[order]).T).max() < 0.15
-
-
-def test_half_the_speed_gives_twice_the_frames(spec) -> None:
-    slow = trial(replace(spec, speed_m_s=2.5e-3), specimen(spec), seed=5)
-    fast = trial(spec, specimen(spec), seed=5)
-    assert_allclose(len(slow.frame_sample) / len(fast.frame_sample), 2, rtol=0.06)
 
 
 def test_a_softer_specimen_has_the_larger_ring_at_equal_force(spec) -> None:

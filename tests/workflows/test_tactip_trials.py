@@ -9,15 +9,16 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate.core.errors import ExistsError, InputError, RangeError
+from palpate.estimators.pins import find_pins, follow
 from palpate.recordings import Run
 from palpate.recordings.exchange.frame_sequences import TiffFrames
 from palpate.recordings.exchange.press_folder import press_folder
 from palpate.recordings.exchange.press_table import read_press_table
-from palpate.sensors.tactip import HeadOn, tactip, trial
+from palpate.sensors.tactip import HeadOn, tactip, tactip_sensor
 from palpate.sensors.tactip.inclined_press import Inclined
 from palpate.sensors.tactip.tactip_press import modulus_pa
-from palpate.workflows import tactip_trials
-from palpate.workflows.tactip_trials import REPORT_N_M, record_trials, specimens_at
+from palpate.sensors.tactip.tactip_sensor import TacTip
+from palpate.workflows.tactip_trials import REPORT_N_M, record_press, record_trials, specimens_at
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +36,44 @@ def folder(spec, tmp_path_factory):
 
 def made(spec, folder, press):
     seed = json.loads((folder / "virtual.json").read_text())["specimens"]["S1"]["presses"][press]["seed"]
-    return trial(spec, specimens_at(spec, {"S1": 7.6e3})["S1"][1], seed)
+    return record_press(spec, "S1=7.6", seed)
+
+
+def test_a_press_is_recorded_as_the_report_records_it() -> None:
+    made = record_press(tactip(), "S1=7.6", seed=3)
+    assert_allclose(np.diff(made.time_s), 1 / 200)
+    assert_allclose(np.diff(made.frame_sample), 10)
+    steps = (made.raw_n - made.raw_n[0]) / 0.0625
+    assert_allclose(steps, np.rint(steps), atol=1e-9)
+    in_air = made.raw_n[made.true_approach_m < 0]
+    assert abs(in_air.mean()) < 0.02  # tared, to less than its noise
+    assert made.true_force_n[0] == 0
+    assert made.true_force_n[-1] >= 5.2
+    assert_allclose(np.diff(made.position_m), 5e-3 / 200, rtol=1e-9)
+    frames = list(made.frames())
+    assert frames[0].shape == (300, 300)
+    assert frames[0].dtype == np.uint8
+    assert_array_equal(made.frame(5), frames[5])
+    again = record_press(tactip(), "S1=7.6", seed=3)
+    assert_array_equal(again.raw_n, made.raw_n)
+
+
+def test_pins_in_the_frames_are_where_the_press_says() -> None:
+    made = record_press(tactip(), "S1=7.6", seed=4)
+    frames = list(made.frames())
+    first = find_pins(frames[0])
+    truth, _ = made.points_px(0)
+    order = [int(np.argmin(np.hypot(*(truth - xy).T))) for xy in first.xy_px]
+    *_, last = follow(frames[1:], first)
+    assert last.found.all()
+    at, _ = made.points_px(len(frames) - 1)
+    assert np.hypot(*(last.xy_px - at[order]).T).max() < 0.15
+
+
+def test_half_the_speed_gives_twice_the_frames() -> None:
+    slow = record_press(replace(tactip(), speed_m_s=2.5e-3), "S1=7.6", seed=5)
+    fast = record_press(tactip(), "S1=7.6", seed=5)
+    assert_allclose(len(slow.frame_sample) / len(fast.frame_sample), 2, rtol=0.06)
 
 
 def test_frames_force_position_and_area_come_back(spec, folder) -> None:
@@ -47,10 +85,10 @@ def test_frames_force_position_and_area_come_back(spec, folder) -> None:
             assert_array_equal(np.stack(list(pages)), np.stack(list(rig.frames())))
             table = read_press_table(path, len(pages))
         assert table.force_column == "force_raw_N"
-        assert_array_equal(table.force_n, rig.raw_n)
         assert_array_equal(table.frame_sample, rig.frame_sample)
-        # nine digits of millimetres
-        assert_allclose(table.position_m, rig.actual_m, rtol=1e-8)
+        # nine digits of newtons and millimetres
+        assert_allclose(table.force_n, rig.raw_n, rtol=1e-8, atol=1e-12)
+        assert_allclose(table.position_m, rig.position_m, rtol=1e-8)
         assert_allclose(table.area_m2, rig.true_area_m2, rtol=1e-8)
 
 
@@ -76,10 +114,11 @@ def test_trials_differ_and_the_same_seed_makes_them_again_in_any_company(spec, f
 def test_a_reports_specimen_has_the_modulus_of_its_stiffness(spec) -> None:
     # a column's stiffness: E pi (20 mm)^2 / 40 mm
     assert_allclose(modulus_pa(spec.table, 7.6e3) * math.pi * 0.02**2 / 0.04, 7.6e3)
-    made = specimens_at(spec, REPORT_N_M)
-    assert list(made) == ["rigid", "S1", "S2", "S3", "new"]
-    assert all(isinstance(one, HeadOn) for _, one in made.values())
-    deep = [one.deepest_m for _, one in made.values()]
+    words = specimens_at(spec, REPORT_N_M)
+    assert list(words) == ["rigid", "S1", "S2", "S3", "new"]
+    bodies = [TacTip(spec).on(one) for one in words.values()]
+    assert all(isinstance(body, HeadOn) for body in bodies)
+    deep = [body.deepest_m for body in bodies]
     assert np.argsort(deep).tolist() == [0, 1, 4, 2, 3]  # the stiffer, the shallower
 
 
@@ -107,19 +146,21 @@ def test_a_stiffness_that_is_not_modelled_is_refused_in_its_unit(spec, stiffness
 
 def test_a_tilt_asks_for_inclined_contact(spec, monkeypatch) -> None:
     asked = []
-    (_, flat) = specimens_at(spec, {"S1": 7.6e3})["S1"]
-    monkeypatch.setattr(tactip_trials, "inclined", lambda *args: asked.append(args) or flat)
-    specimens_at(spec, {"S1": 7.6e3}, math.radians(30))
-    assert asked == [(spec, modulus_pa(spec.table, 7.6e3), math.radians(30))]
+    flat, own = TacTip(spec).on("S1=7.6"), replace(spec, name="own")  # of which no contact is known yet
+    monkeypatch.setattr(tactip_sensor, "inclined", lambda *args: asked.append(args) or flat)
+    specimens_at(own, {"S1": 7.6e3}, math.radians(30))
+    ((asked_spec, modulus, tilt),) = asked
+    assert asked_spec == own
+    assert_allclose((modulus, tilt), (modulus_pa(spec.table, 7.6e3), math.radians(30)))
     monkeypatch.undo()
-    with pytest.raises(RangeError, match="0 to 50 degrees"):
+    with pytest.raises(InputError, match="0 to 50 degrees"):
         specimens_at(spec, {"S1": 7.6e3}, math.radians(60))
 
 
 @pytest.mark.slow
 def test_inclined_trials_say_their_tilt_and_model(spec, tmp_path) -> None:
     pressed = specimens_at(spec, {"S1": 7.6e3}, math.radians(30))
-    assert isinstance(pressed["S1"][1], Inclined)
+    assert isinstance(TacTip(spec).on(pressed["S1"]), Inclined)
     record_trials(tmp_path / "a", spec, pressed, 1)
     about = json.loads((tmp_path / "a" / "virtual.json").read_text())["specimens"]["S1"]
     assert about["tilt_deg"] == pytest.approx(30)

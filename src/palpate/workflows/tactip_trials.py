@@ -1,6 +1,8 @@
-"""Presses of the virtual TacTip, written as a rig writes its own: an experiment's folder, and runs if wanted.
+"""Presses of the virtual TacTip by the virtual rig's devices, with their truth, and written as a rig's files.
 
-A specimen is the tables' cylinder, of a stiffness kappa = E pi r^2 / h: slow loading over its whole top.
+A press goes down at a steady speed onto the tables' cylinder, of a stiffness kappa = E pi r^2 / h (slow
+loading over its whole top), or onto a rigid plate. Stage, force sensor, seating and their noise are those of
+`rig.virtual`; the frames are of the force samples nearest to the middle of the camera's exposures.
 """
 
 from __future__ import annotations
@@ -8,41 +10,198 @@ from __future__ import annotations
 import json
 import math
 import zlib
-from collections.abc import Collection, Mapping
-from dataclasses import asdict
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from palpate.core import InputError, RangeError, new_file, new_folder
+from palpate.core import (
+    Contact,
+    Float,
+    InputError,
+    Int,
+    ManualClock,
+    Pose,
+    RangeError,
+    Specimen,
+    UInt8,
+    ndarray,
+    new_file,
+    new_folder,
+)
+from palpate.core.contact import RIGID
+from palpate.core.sensor import Seating
 from palpate.core.units import UNITS
 from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.mechanics.axisymmetric.tip_table import TipTable
 from palpate.recordings.exchange.press_folder import PressFolder, press_folder, write_press, write_specimens
 from palpate.recordings.exchange.press_import import import_press
 from palpate.recordings.exchange.press_table import press_rows
-from palpate.sensors.tactip import HeadOn, TacTipSpec, TipOnSpecimen, Trial, trial
-from palpate.sensors.tactip.inclined_press import Inclined, inclined
+from palpate.rig.virtual.disturbances import Variation
+from palpate.rig.virtual.virtual_bench import CARRYING, ORIGIN_M
+from palpate.rig.virtual.virtual_force import VirtualForce
+from palpate.rig.virtual.virtual_stage import VirtualStage
+from palpate.rig.virtual.virtual_world import Touch, World
+from palpate.sensors.tactip import TacTipSpec
 from palpate.sensors.tactip.tactip_press import modulus_pa
+from palpate.sensors.tactip.tactip_sensor import TacTip
 from palpate.version import __version__
 
 REPORT_N_M = {"rigid": math.inf, "S1": 7.6e3, "S2": 3.1e3, "S3": 1.1e3, "new": 5.3e3}
-"""The compliance report's specimens (source "R" of `sensors.tactip.spec`) [N/m]."""
+"""The compliance report's specimens (source "R" of `sensors.tactip.tactip_spec`) [N/m]."""
 
 UNKNOWN = ("new",)
-"""Of these, the one that a calibration shall not be told."""
+"""The specimen of these whose stiffness a calibration shall not know."""
 
+LEAD_M = 1e-3  # above the specimen, where a press is at its speed
+MAX_N = 5.2  # at whose first sample a press ends
+TARE_S = 0.5
+POLL_S = 0.1
 TRUTH = "virtual.json"
 LICENCE = "CC0-1.0"
 ORIGIN = "rendered by palpate; virtual, not measured"
-MODELS = {HeadOn: "finite strain, without friction", Inclined: "linear bodies, with friction"}
+MODELS = {False: "finite strain, without friction", True: "linear bodies, with friction"}  # by inclination
 
-Specimens = Mapping[str, tuple[float, TipOnSpecimen]]
+
+@dataclass(frozen=True)
+class VirtualPress:
+    """One press as the virtual rig's devices record it, and the truth behind it.
+
+    Attributes:
+        sensor, words: the TacTip, and what it is pressed onto, such as "S1=7.6@30".
+        seed: of everything random.
+        time_s: of the force sensor's samples, from the first [s].
+        raw_n: force by the sensor, less its reading in the air before [N].
+        position_m: of the stage, from the first sample [m].
+        touches: state of the contact at every sample.
+        frame_sample: index of the sample of every frame.
+    """
+
+    sensor: TacTip
+    words: str
+    seed: int
+    time_s: Float[ndarray, " s"]
+    raw_n: Float[ndarray, " s"]
+    position_m: Float[ndarray, " s"]
+    touches: tuple[Touch, ...]
+    frame_sample: Int[ndarray, " f"]
+
+    @cached_property
+    def true_force_n(self) -> Float[ndarray, " s"]:
+        """Force without noise or steps [N]."""
+        return np.array([touch.force_n[2] for touch in self.touches])
+
+    @cached_property
+    def true_approach_m(self) -> Float[ndarray, " s"]:
+        """Depth below first touch [m]."""
+        return np.array([touch.depth_m for touch in self.touches])
+
+    @cached_property
+    def true_area_m2(self) -> Float[ndarray, " s"]:
+        """Area of the contact [m^2]."""
+        return self.sensor.on(self.words).area_m2(self.true_force_n)
+
+    @property
+    def pose(self) -> Pose:
+        """The deepest."""
+        return self._contact(-1).pose
+
+    @property
+    def seating(self) -> Seating:
+        """Lamp and shift of the image."""
+        approach = self.touches[-1].approach
+        return Seating(approach.lamp_gain, approach.shift_px)
+
+    def points_px(self, frame: int) -> tuple[Float[ndarray, "p 2"], Float[ndarray, " p"]]:
+        """True centres (x, y) and radii of the markers in one frame, the middle pin first [px]."""
+        return self.sensor.markers_px(self._contact(int(self.frame_sample[frame])), self.seating)
+
+    def frame(self, frame: int) -> UInt8[ndarray, "h w"]:
+        """One image, the same at every call."""
+        rng = np.random.default_rng([self.seed, frame])
+        return self.sensor.render(self._contact(int(self.frame_sample[frame])), rng, self.seating).image
+
+    def frames(self) -> Iterator[UInt8[ndarray, "h w"]]:
+        """All images, in order."""
+        return (self.frame(i) for i in range(len(self.frame_sample)))
+
+    def _contact(self, sample: int) -> Contact:
+        touch, sensor = self.touches[sample], self.sensor
+        pose = Pose(touch.x_m, touch.y_m, touch.depth_m)
+        return sensor.press(sensor.probe(self.words), pose, sensor.specimen(self.words))
+
+
+def record_press(spec: TacTipSpec, words: str, seed: int) -> VirtualPress:
+    """Press once, with random seating, by the devices of the virtual rig on a clock of their own.
+
+    Args:
+        spec: the sensor and its rig.
+        words: what is pressed, see `TacTip.probe`.
+        seed: of everything random, 0 or more.
+
+    Raises:
+        InputError: the words name no specimen.
+        RangeError: the specimen's table ends before the greatest force.
+    """
+    sensor, rate_hz = TacTip(spec), spec.force.rate_hz
+    variation = replace(Variation(), **sensor.variation())
+    world = World(sensor, ManualClock(), CARRYING, ORIGIN_M, variation, rate_hz, seed, ())
+    world.fit(words)
+    stage, force = VirtualStage(world), VirtualForce(world)
+    speed, run_up_m = spec.speed_m_s, spec.speed_m_s**2 / (2 * CARRYING.acceleration_m_s2)
+    phase_m = np.random.default_rng(seed).uniform(0, speed / sensor.rate_hz)
+    stage.move_to((0.0, 0.0, -(LEAD_M + phase_m + run_up_m)), CARRYING.top_speed_m_s)
+    touches: list[Touch] = []
+    _follow(world, touches, until_s=world.motion.ends_s)
+    tare_s = world.now_s
+    _follow(world, touches, until_s=tare_s + TARE_S)
+    stage.move_to((0.0, 0.0, sensor.on(words).deepest_m + LEAD_M), speed)
+    motion = world.motion
+    while touches[-1].force_n[2] < MAX_N and stage.moving():
+        _follow(world, touches, until_s=world.now_s + POLL_S)
+    normal, time_s = np.array([t.force_n[2] for t in touches]), np.array([t.time_s for t in touches])
+    if normal.max() < MAX_N:
+        raise RangeError(f"the table ends at {normal.max():.3g} N; a press goes to {MAX_N} N")
+    world.clock.sleep(1.0)  # until the last sample has arrived
+    samples = np.array([wrench.force_n[2] for wrench in force.drain()])[: len(touches)]
+    end = int(np.argmax(normal >= MAX_N)) + 1
+    frame_sample = _nearest(sensor, time_s[:end])
+    frame_sample = frame_sample[time_s[frame_sample] > motion.begun_s + speed / CARRYING.acceleration_m_s2]
+    part = slice(int(frame_sample[0]), end)
+    air = (time_s > tare_s) & (time_s < motion.begun_s)
+    z_m = motion.at(time_s[part])[:, 2]
+    return VirtualPress(
+        sensor,
+        words,
+        seed,
+        time_s[part] - time_s[part][0],
+        samples[part] - samples[air].mean(),
+        z_m - z_m[0],
+        tuple(touches[part]),
+        frame_sample - frame_sample[0],
+    )
+
+
+def _follow(world: World, touches: list[Touch], until_s: float) -> None:
+    """Let time pass, and keep what happens."""
+    while world.now_s < until_s:
+        world.clock.sleep(min(1.0, until_s - world.now_s + 1e-9))
+        world.advance()
+        last_s = touches[-1].time_s if touches else -math.inf
+        touches.extend(touch for touch in world.touches if touch.time_s > last_s)
+
+
+def _nearest(sensor: TacTip, time_s: Float[ndarray, " s"]) -> Int[ndarray, " f"]:
+    """Samples at the middle of the camera's exposures, or just before where it lies between two."""
+    ends_s = np.arange(1, math.floor(time_s[-1] * sensor.rate_hz) + 1) / sensor.rate_hz
+    return np.searchsorted(time_s, ends_s - sensor.exposure_s / 2 + 1e-9, side="right") - 1
 
 
 def least_stiffness_n_m(table: TipTable) -> float:
-    """Of the softest cylinder in the tables [N/m]."""
+    """Stiffness of the softest cylinder in the tables [N/m]."""
     return float(table.specimen_pa[0]) / modulus_pa(table, 1.0)
 
 
@@ -52,40 +211,47 @@ def specimens_at(
     tilt_rad: float = 0.0,
     *,
     progress: Progress = silent,
-) -> dict[str, tuple[float, TipOnSpecimen]]:
-    """The tip on specimens: head-on from tables at finite strain, inclined by linear bodies with friction.
+) -> dict[str, str]:
+    """Solve the contacts with specimens: head-on from tables at finite strain, inclined by linear bodies.
 
-    The two models are not the same. At 0 degrees and 5.2 N, on specimens from 1.1 N/mm to rigid, the area by
-    linear bodies is 20 to 25 % smaller than by the tables of the tip "base", the approach 5 % smaller to 2 %
-    larger. To compare tilts by one model, take a tiny tilt such as 0.001 degrees for the upright one.
+    The two models are not the same: linear bodies have friction. At 0 degrees and 5.2 N, on specimens from
+    1.1 N/mm to rigid, the area by linear bodies is 20 to 25 % smaller than by the tables of the tip "base",
+    the approach 5 % smaller to 2 % larger. To compare tilts by one model, take a tiny tilt such as 0.001
+    degrees for the upright one.
 
     Args:
         spec: the sensor.
         stiffness_n_m: name -> stiffness, inf for a rigid plate [N/m].
         tilt_rad: of the specimens' tops, 0 to 50 degrees [rad].
-        progress: told how many are solved; inclined ones take some ten seconds each, the first more.
+        progress: called with how many are solved; inclined ones take some ten seconds each, the first more.
+
+    Returns:
+        Of every name the words by which the TacTip knows the specimen.
 
     Raises:
-        RangeError: a stiffness or tilt outside of what is modelled.
+        RangeError: a stiffness outside of what is modelled.
+        InputError: a tilt outside of it.
     """
-    least = least_stiffness_n_m(spec.table)
+    least, sensor = least_stiffness_n_m(spec.table), TacTip(spec)
     for name, stiffness in stiffness_n_m.items():
         if not stiffness >= least * (1 - 1e-9):
             raise RangeError(
                 f"specimen {name} of {1e-3 * stiffness:g} N/mm; tip {spec.tip!r} has tables down to "
                 f"{1e-3 * least:.3g} N/mm, up to inf for a rigid plate"
             )
-    made: dict[str, tuple[float, TipOnSpecimen]] = {}
+    words: dict[str, str] = {}
     for name, stiffness in stiffness_n_m.items():
-        made[name] = stiffness, _specimen(spec, modulus_pa(spec.table, stiffness), tilt_rad)
-        progress("solving contacts", len(made), len(stiffness_n_m))
-    return made
+        face = RIGID if math.isinf(stiffness) else f"specimen={1e-3 * stiffness:.15g}"
+        words[name] = f"{face}@{math.degrees(tilt_rad):.15g}" if tilt_rad else face
+        sensor.on(words[name])
+        progress("solving contacts", len(words), len(stiffness_n_m))
+    return words
 
 
 def record_trials(
     out: Path,
     spec: TacTipSpec,
-    specimens: Specimens,
+    specimens: Mapping[str, str],
     trials: int = 5,
     *,
     seed: int = 0,
@@ -96,23 +262,23 @@ def record_trials(
     """Press every specimen several times and write what a rig would, see `press_folder`; whole or not at all.
 
     `virtual.json` beside it says that it is virtual, and the truth that the files of a rig do not hold. A
-    specimen's trials depend on the seed, its name and their numbers alone: who else is pressed, and at what
+    specimen's presses depend on the seed, its name and their numbers alone: who else is pressed, and at what
     tilt, changes nothing in their seating and noise.
 
     Args:
         out: folder to make; must not exist.
         spec: the sensor and its rig.
-        specimens: name -> stiffness, inf for a rigid plate [N/m], and what is pressed.
-        trials: of each.
+        specimens: name -> the words of what is pressed, see `specimens_at`.
+        trials: presses of each.
         seed: of everything random, 0 or more.
         unknown: names whose stiffness `specimens.csv` leaves empty; `virtual.json` has it.
         runs: also write each press as a run, in a folder of the press's name.
-        progress: told how many trials are done.
+        progress: called with how many presses are done.
 
     Raises:
         InputError: no specimens or trials, or a name that cannot be a folder's.
         ExistsError: `out` exists.
-        RangeError: a specimen's table ends before the greatest force of a trial.
+        RangeError: a specimen's table ends before the greatest force of a press.
         StorageError: the disk is full, or refused.
     """
     if not (specimens and trials >= 1 and seed >= 0):
@@ -121,14 +287,16 @@ def record_trials(
         )
     truths: dict[str, dict[str, Any]] = {name: {} for name in specimens}
     with new_folder(out) as building:
-        told = {name: math.nan if name in unknown else k for name, (k, _) in specimens.items()}
-        write_specimens(building, told)
-        for i, (name, (_, specimen)) in enumerate(specimens.items()):
+        stiffness = {name: stiffness_of(words) for name, words in specimens.items()}
+        write_specimens(building, {n: math.nan if n in unknown else k for n, k in stiffness.items()})
+        for i, (name, words) in enumerate(specimens.items()):
             for k in range(1, trials + 1):
-                made = trial(spec, specimen, _seed(seed, name, k))
-                press = f"{k:0{max(2, len(str(trials)))}d}"
-                _record(building / name, press, made, runs)
-                truths[name][press] = _truth(made)
+                press, number = (
+                    record_press(spec, words, _seed(seed, name, k)),
+                    f"{k:0{max(2, len(str(trials)))}d}",
+                )
+                _write(building / name, number, press, runs)
+                truths[name][number] = _truth(press)
                 progress("pressing", i * trials + k, len(specimens) * trials)
         with new_file(building / TRUTH) as path:
             about = _about(spec, specimens, seed, truths)
@@ -136,52 +304,53 @@ def record_trials(
     return press_folder(out)
 
 
-def tilt_and_model(specimen: TipOnSpecimen) -> tuple[float, str]:
-    """Tilt of a specimen's top [rad], and what its contact is solved by."""
-    tilt_rad = specimen.contact.tilt_rad if isinstance(specimen, Inclined) else 0.0
-    return tilt_rad, MODELS.get(type(specimen), type(specimen).__name__)
-
-
-def _specimen(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> TipOnSpecimen:
-    if tilt_rad == 0:
-        return HeadOn(spec.table.press(specimen_pa), spec.table.radius_m)
-    return inclined(spec, specimen_pa, tilt_rad)
+def stiffness_of(words: str) -> float:
+    """Stiffness of what words name, inf for a rigid plate [N/m]."""
+    stiffness_n_m = Specimen.parse(words.partition("@")[0]).stiffness_n_m
+    assert stiffness_n_m is not None
+    return stiffness_n_m
 
 
 def _seed(seed: int, name: str, number: int) -> int:
     return int(np.random.SeedSequence((seed, zlib.crc32(name.encode()), number)).generate_state(1)[0])
 
 
-def _record(folder: Path, press: str, made: Trial, runs: bool) -> None:
+def _write(folder: Path, number: str, press: VirtualPress, runs: bool) -> None:
     rows = press_rows(
-        made.time_s, made.raw_n, made.desired_m, made.actual_m, made.frame_sample, made.true_area_m2
+        press.time_s,
+        press.raw_n,
+        press.position_m,
+        press.position_m,
+        press.frame_sample,
+        press.true_area_m2,
     )
-    tiff, table = write_press(folder, press, made.frames(), rows)
+    tiff, table = write_press(folder, number, press.frames(), rows)
     if runs:
-        import_press(tiff, folder / press, force=table, sensor=made.spec.name, licence=LICENCE, origin=ORIGIN)
+        name = press.sensor.spec.name
+        import_press(tiff, folder / number, force=table, sensor=name, licence=LICENCE, origin=ORIGIN)
 
 
-def _truth(made: Trial) -> dict[str, Any]:
-    """What this trial drew."""
+def _truth(press: VirtualPress) -> dict[str, Any]:
+    """What is particular to this press."""
     return {
-        "seed": made.seed,
-        "touch_s": float(made.time_s[0] - made.true_approach_m[0] / made.spec.speed_m_s),
-        "shift_px": list(made.shift_px),
-        "lean_deg": np.rad2deg(made.lean_rad).tolist(),
-        "light_ratio": made.light,
+        "seed": press.seed,
+        "touch_s": float(np.interp(0.0, press.true_approach_m, press.time_s)),
+        "shift_px": list(press.seating.shift_px),
+        "lean_deg": np.rad2deg(press.sensor.lean_rad(press.pose)).tolist(),
+        "light_ratio": press.seating.light,
     }
 
 
 def _about(
-    spec: TacTipSpec, specimens: Specimens, seed: int, truths: Mapping[str, dict[str, Any]]
+    spec: TacTipSpec, specimens: Mapping[str, str], seed: int, truths: Mapping[str, dict[str, Any]]
 ) -> dict[str, Any]:
     about = {}
-    for name, (stiffness, specimen) in specimens.items():
-        tilt, model = tilt_and_model(specimen)
+    for name, words in specimens.items():
+        tilt_rad = TacTip(spec).probe(words).tilt_rad
         about[name] = {
-            "stiffness_N_per_mm": stiffness_shown(stiffness),
-            "tilt_deg": math.degrees(tilt),
-            "model": model,
+            "stiffness_N_per_mm": stiffness_shown(stiffness_of(words)),
+            "tilt_deg": math.degrees(tilt_rad),
+            "model": MODELS[tilt_rad != 0],
             "presses": truths[name],
         }
     return {
@@ -196,5 +365,5 @@ def _about(
 
 
 def stiffness_shown(stiffness_n_m: float) -> float | str:
-    """In N/mm for JSON, which has no infinity."""
+    """A stiffness in N/mm for JSON, which has no infinity."""
     return "inf" if math.isinf(stiffness_n_m) else UNITS["N_per_mm"].from_si(stiffness_n_m)

@@ -29,10 +29,11 @@ from palpate.estimators.flow import divergence
 from palpate.estimators.flow.flow_sequence import course
 from palpate.estimators.pins import find_pins, follow
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
-from palpate.sensors.tactip import PINS_331, HeadOn, TacTipSpec, Trial, trial
+from palpate.sensors.tactip import PINS_331, HeadOn, TacTipSpec
 from palpate.sensors.tactip.pin_markers import HeadOnSkin
 from palpate.sensors.tactip.tactip_camera import projected
 from palpate.sensors.tactip.tactip_press import modulus_pa, pixels_per_tangent
+from palpate.workflows.tactip_trials import VirtualPress, record_press
 
 LOW_N, HIGH_N = 0.5, 5.0
 MIDDLE_M = 6e-3
@@ -93,7 +94,9 @@ def true_course(spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray, " 
     return {name: of(circle) for name, circle in circles.items() if name != "whole"}
 
 
-def recorded(spec: TacTipSpec, kappa_n_m: float, seed: int, steps: int | None = None) -> tuple[Trial, Steps]:
+def recorded(
+    spec: TacTipSpec, kappa_n_m: float, seed: int, steps: int | None = None
+) -> tuple[VirtualPress, Steps]:
     """A trial with only its frames from 0.5 to 5 N, and their smoothed forces [N].
 
     Args:
@@ -102,7 +105,7 @@ def recorded(spec: TacTipSpec, kappa_n_m: float, seed: int, steps: int | None = 
         seed: of seating and noise.
         steps: None for the frames that there are; else that many even steps of approach for any specimen.
     """
-    made = trial(spec, head_on(spec, kappa_n_m), seed)
+    made = record_press(spec, f"specimen={1e-3 * kappa_n_m:.15g}", seed)
     force = moving_average(made.raw_n)
     samples = within(force, loading(force, LOW_N), LOW_N, HIGH_N)
     if steps is None:
@@ -112,7 +115,7 @@ def recorded(spec: TacTipSpec, kappa_n_m: float, seed: int, steps: int | None = 
     return replace(made, frame_sample=at), force[at]
 
 
-def flow_course(made: Trial, circles: Courses, method: str = "horn-schunck") -> Courses:
+def flow_course(made: VirtualPress, circles: Courses, method: str = "horn-schunck") -> Courses:
     """Mean divergence by a method of `flow.course`, for every step and region."""
     far = _from_axis(made)
     found: dict[str, list[float]] = {name: [] for name in circles}
@@ -123,11 +126,11 @@ def flow_course(made: Trial, circles: Courses, method: str = "horn-schunck") -> 
     return {name: np.array(values) for name, values in found.items()}
 
 
-def tracked_course(made: Trial, circles: Courses) -> Courses:
+def tracked_course(made: VirtualPress, circles: Courses) -> Courses:
     """The same from pins that are followed: a line through the outward motion of those near the circle."""
     frames = made.frames()
     first = find_pins(next(frames))
-    near = NEAR * made.spec.camera.disc_px / made.spec.pins.rings
+    near = NEAR * made.sensor.spec.camera.disc_px / made.sensor.spec.pins.rings
     places = [first.xy_px, *(pins.xy_px for pins in follow(frames, first))]
     found: dict[str, list[float]] = {name: [] for name in circles if name != "whole"}
     for j, (now, later) in enumerate(pairwise(places)):
@@ -141,12 +144,12 @@ def tracked_course(made: Trial, circles: Courses) -> Courses:
     return {name: np.array(values) for name, values in found.items()}
 
 
-def _middle(made: Trial) -> Float[ndarray, 2]:
-    return (made.spec.camera.size_px - 1) / 2 + np.array(made.shift_px)
+def _middle(made: VirtualPress) -> Float[ndarray, 2]:
+    return (made.sensor.spec.camera.size_px - 1) / 2 + np.array(made.seating.shift_px)
 
 
-def _from_axis(made: Trial) -> Float[ndarray, "h w"]:
-    y, x = np.mgrid[: made.spec.camera.size_px, : made.spec.camera.size_px]
+def _from_axis(made: VirtualPress) -> Float[ndarray, "h w"]:
+    y, x = np.mgrid[: made.sensor.spec.camera.size_px, : made.sensor.spec.camera.size_px]
     at = _middle(made)
     return np.hypot(x - at[0], y - at[1])
 

@@ -25,8 +25,8 @@ from palpate.calibration.compliance.specimen_comparison import trials_table
 from palpate.core import Float, ndarray
 from palpate.psychophysics.line_fit import Line, fit_line
 from palpate.recordings.exchange.press_table import PressTable
-from palpate.sensors.tactip import TacTipSpec, Trial, trial
-from palpate.workflows.tactip_trials import specimens_at
+from palpate.sensors.tactip import TacTipSpec
+from palpate.workflows.tactip_trials import VirtualPress, record_press, specimens_at
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,10 +76,10 @@ def kappa_n_m(name: str) -> float:
     return float("inf") if name == RIGID else 1e3 * KAPPA[name].value
 
 
-def table_of(made: Trial) -> PressTable:
+def table_of(made: VirtualPress) -> PressTable:
     """A trial's table, as if read from a file."""
     return PressTable(
-        made.time_s, made.raw_n, made.actual_m, made.true_area_m2, made.frame_sample,
+        made.time_s, made.raw_n, made.position_m, made.true_area_m2, made.frame_sample,
         "force_raw_N", "actual_mm", "true_area_mm2", False,
     )  # fmt: skip
 
@@ -127,7 +127,7 @@ def press_all(
     for i, (name, count) in enumerate(counts.items()):
         found = []
         for k in range(count):
-            made = trial(spec, specimens[name][1], seed=100_000 * seed + 1000 * tilt_deg + 100 * i + k)
+            made = record_press(spec, specimens[name], seed=100_000 * seed + 1000 * tilt_deg + 100 * i + k)
             found.append(cues_of(list(made.frames()), table_of(made)))
             done += 1
             progress(f"presses at {tilt_deg} degrees", done, total)

@@ -1,6 +1,6 @@
 """The TacTip: a gel-filled dome whose skin carries pins, seen from inside."""
 
-from palpate.sensors.tactip.tactip_press import HeadOn, TipOnSpecimen, Trial, pictured, trial
+from palpate.sensors.tactip.tactip_press import HeadOn, TipOnSpecimen, pictured
 from palpate.sensors.tactip.tactip_spec import (
     PINS_127,
     PINS_331,
@@ -22,8 +22,6 @@ __all__ = [
     "TacTipCamera",
     "TacTipSpec",
     "TipOnSpecimen",
-    "Trial",
     "pictured",
     "tactip",
-    "trial",
 ]

@@ -15,7 +15,19 @@ from typing import Any, Literal
 
 import numpy as np
 
-from palpate.core import Contact, Frame, InputError, Outline, Pose, PressHistory, Probe, RangeError, Specimen
+from palpate.core import (
+    Contact,
+    Float,
+    Frame,
+    InputError,
+    Outline,
+    Pose,
+    PressHistory,
+    Probe,
+    RangeError,
+    Specimen,
+    ndarray,
+)
 from palpate.core.contact import FRESH, RIGID
 from palpate.core.sensor import SEATED, Box, ForceLaw, ImageAxes, Seating, is_rigid
 from palpate.sensors.tactip import tactip_spec as specs
@@ -152,11 +164,19 @@ class TacTip:
 
     def render(self, contact: Contact, rng: np.random.Generator, seating: Seating = SEATED) -> Frame:
         """Discs of the markers, light on dark."""
-        body, radius_m = self.body(contact.probe, contact.specimen), self.spec.table.radius_m
-        lean = contact.pose.x_m / radius_m, -contact.pose.y_m / radius_m
-        skin = body.skin(max(contact.pose.depth_m, 0.0), lean)
-        image = rendered(*pictured(self.spec, skin, seating.shift_px), self.spec.camera, rng, seating.light)
+        image = rendered(*self.markers_px(contact, seating), self.spec.camera, rng, seating.light)
         return Frame(image, exposure_s=self.exposure_s, sensor=self.name)
+
+    def markers_px(
+        self, contact: Contact, seating: Seating = SEATED
+    ) -> tuple[Float[ndarray, "p 2"], Float[ndarray, " p"]]:
+        """True centres (x, y) and radii of the markers in the image, the middle pin first [px]."""
+        body, pose = self.body(contact.probe, contact.specimen), contact.pose
+        return pictured(self.spec, body.skin(max(pose.depth_m, 0.0), self.lean_rad(pose)), seating.shift_px)
+
+    def lean_rad(self, pose: Pose) -> tuple[float, float]:
+        """Lean of a face that touches at a place beside the apex, towards +x and -y [rad]."""
+        return pose.x_m / self.spec.table.radius_m, -pose.y_m / self.spec.table.radius_m
 
     def rectify(self, frame: Frame) -> Frame:
         """As it is.
@@ -205,6 +225,10 @@ class TacTip:
             "force_step_n": force.resolution_n,
             "relaxation": (),
         }
+
+    def on(self, words: str) -> Pressed:
+        """The tip on the face that words name, see `probe`."""
+        return self.body(self.probe(words), self.specimen(words))
 
     def body(self, probe: Probe, specimen: Specimen | None) -> Pressed:
         """The tip on what it is pressed onto."""
@@ -283,6 +307,6 @@ def _read(words: str) -> tuple[Specimen, float]:
         raise InputError(f"{words!r} is no specimen of the TacTip; give {WORDS}") from None
     if not 0 <= math.radians(tilt) <= MAX_TILT:
         raise InputError(
-            f"{words!r} is inclined by {tilt:g} degrees; 0 to {math.degrees(MAX_TILT):g} are modelled"
+            f"{words!r} is inclined by {tilt:g}; 0 to {math.degrees(MAX_TILT):g} degrees are modelled"
         )
     return specimen, tilt
