@@ -226,6 +226,12 @@ def variation_of(sensor: Sensor) -> Mapping[str, Any]:
     return {} if own is None else own()
 
 
+def plans_of(sensor: Sensor) -> Mapping[str, Mapping[str, Any]]:
+    """Its own `plans()` beside its default one, name -> fields as in a plan's file; names begin as its own."""
+    own = getattr(sensor, "plans", None)
+    return {} if own is None else own()
+
+
 def for_rig(sensor: Sensor) -> Sensor:
     """The same sensor at the size that a virtual rig films: its own `for_rig()`, or itself."""
     own = getattr(sensor, "for_rig", None)
@@ -322,6 +328,9 @@ SENSORS = PluginRegistry(
     },
     contract_faults,
 )
+
+MODELS_OF_SENSORS = {"palm": "palpate.sensors.palm.networks:MODELS"}
+"""Models that a built-in sensor brings along, by the sensor's name, with which theirs begin."""
 
 
 def sensor(name: str = DEFAULT_SENSOR) -> Sensor:

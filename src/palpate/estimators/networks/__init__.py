@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 from palpate.core import InputError, MissingExtraError, PluginError
 from palpate.core.plugins import PluginRegistry, import_path
+from palpate.core.sensor import MODELS_OF_SENSORS
 from palpate.estimators.networks.model_interface import Fitted, Model, Progress, TrainingData, silent
 
 
@@ -34,30 +35,48 @@ class Kind:
     regions: tuple[str, ...] = ()
 
 
-_FORCES = ("force_x_N", "force_y_N", "force_N")
-_PLACE = ("x_mm", "y_mm")
-
-
-def _palm(path: str, side_px: int, channels: int, delta: bool, *targets: str, costly: bool = True) -> Kind:
-    regions = ("fringes", "mirror")
-    return Kind(f"palpate.sensors.palm.networks.{path}", side_px, costly, channels, delta, targets, regions)
-
-
-_REPORT = "palm_report_networks"
-_TWO_STAGE = ("depth_mm", *_PLACE, *_FORCES, "force_magnitude_N")
-MODELS: dict[str, Kind] = {
+_GENERAL = {
     "mean": Kind("palpate.estimators.networks.baseline:MeanBaseline", 32),
     "pca-ridge": Kind("palpate.estimators.networks.pca_ridge:PcaRidge", 112),
     "pixel-mlp": Kind("palpate.estimators.networks.pixel_mlp:PixelMlp", 64),
     "compact-cnn": Kind("palpate.estimators.networks.compact_cnn:CompactCnn", 224, costly=True),
-    "palm-joint-raw": _palm(f"{_REPORT}:PalmJointRaw", 128, 3, False, *_FORCES, *_PLACE),
-    "palm-force-conditioned": _palm(f"{_REPORT}:PalmForceConditioned", 128, 3, True, "force_N", *_PLACE),
-    "palm-mlp-delta": _palm("palm_mlp_delta:PalmMlpDelta", 128, 1, True, *_FORCES, costly=False),
-    "palm-two-stage": _palm(f"{_REPORT}:PalmTwoStage", 128, 1, True, *_TWO_STAGE),
-    "palm-compact": _palm("palm_compact:PalmCompact", 96, 3, True, "depth_mm", *_PLACE, "force_N"),
 }
 
-REGISTRY = PluginRegistry("model", "palpate.models", {name: kind.path for name, kind in MODELS.items()})
+
+class _Models(Mapping[str, Kind]):
+    """The models for any sensor, and those that a sensor's own folder declares, under its name."""
+
+    def __getitem__(self, name: str) -> Kind:
+        if name in _GENERAL:
+            return _GENERAL[name]
+        return self._own(name.partition("-")[0])[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*_GENERAL, *(name for sensor in MODELS_OF_SENSORS for name in self._own(sensor))))
+
+    def __len__(self) -> int:
+        return len(tuple(iter(self)))
+
+    @staticmethod
+    def _own(sensor: str) -> Mapping[str, Kind]:
+        return import_path(MODELS_OF_SENSORS[sensor], "model") if sensor in MODELS_OF_SENSORS else {}
+
+
+class _Paths(Mapping[str, str]):
+    """Where the code of every one of these models is."""
+
+    def __getitem__(self, name: str) -> str:
+        return MODELS[name].path
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(MODELS)
+
+    def __len__(self) -> int:
+        return len(MODELS)
+
+
+MODELS: Mapping[str, Kind] = _Models()
+REGISTRY = PluginRegistry("model", "palpate.models", _Paths())
 
 
 def model_kind(name: str) -> Kind:

@@ -10,10 +10,10 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import Field, TypeAdapter, ValidationError
 
 from palpate.core import InputError, Sensor, storage_errors
-from palpate.core.sensor import DEFAULT_SENSOR, SENSORS
+from palpate.core.sensor import DEFAULT_SENSOR, SENSORS, plans_of
 from palpate.core.sensor import sensor as sensor_of
-from palpate.rig.plans.plan_kinds import Dwell, Lateral, Ramp, StepHold, SurfaceProbe
-from palpate.rig.plans.press_places import Around, Grid, Listed, Scattered
+from palpate.rig.plans.plan_kinds import Ramp, StepHold, SurfaceProbe
+from palpate.rig.plans.press_places import Around, Listed
 from palpate.rig.plans.recording_plan import RecordingPlan
 
 Known = StepHold | Ramp | SurfaceProbe
@@ -22,34 +22,8 @@ _ADAPTER: TypeAdapter[Known] = TypeAdapter(AnyPlan)
 _MAX_BYTES = 1 << 20
 
 _CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
-_ROUND = ((0.3, 0.0), (0.0, 0.3), (-0.3, 0.0), (0.0, -0.3))
-_SMALL = {"cycles": 1, "frames": 5, "reference_frames": 5}
 _PLANS: tuple[Known, ...] = (
     SurfaceProbe(name="layer", kind="touched", places=Around(kind="around"), taps=0),
-    StepHold(name="palm-reduced", cycles=1, depth_mm=4.0, step_mm=1.0, frames=2, reference_frames=1),
-    StepHold(
-        name="palm-validation",
-        places=Scattered(kind="scattered", count=20, apart_mm=3.0, seed=1),
-        step_mm=0.5,
-        **_SMALL,
-    ),
-    StepHold(
-        name="palm-lateral",
-        places=Grid(pitch_mm=12.0),
-        depth_mm=1.5,
-        step_mm=0.5,
-        lateral=Lateral(depths_mm=(1.0,), to_mm=_ROUND),
-        **_SMALL,
-    ),
-    StepHold(
-        name="palm-creep",
-        places=_CENTRE,
-        depth_mm=4.0,
-        step_mm=1.0,
-        unloading=True,
-        dwell=Dwell(depths_mm=(4.0,), seconds=60.0, frames=60),
-        **_SMALL,
-    ),
     Ramp(
         name="tactip-press",
         kind="swept",
@@ -67,26 +41,34 @@ _OWN = {plan.name: plan for plan in _PLANS}
 
 
 class _Plans(Mapping[str, Known]):
-    """Plans by name, laid on the usual sensor; the default plan of a sensor has the sensor's name."""
+    """Plans by name, laid on the usual sensor; a sensor's own plan has its sensor's name before its own."""
 
     def __getitem__(self, name: str) -> Known:
         if name in _OWN:
             return _OWN[name].on(sensor_of())
-        if name not in SENSORS.names():
-            raise KeyError(name)
-        return plan_of_sensor(name)
+        if name in SENSORS.names():
+            return plan_of_sensor(name)
+        return plan_from(_plans_of_sensors(name)[name])
 
     def __iter__(self) -> Iterator[str]:
-        return iter((DEFAULT_SENSOR, *_OWN, *(name for name in SENSORS.names() if name != DEFAULT_SENSOR)))
+        first, *general = _OWN
+        others = (name for name in SENSORS.names() if name != DEFAULT_SENSOR)
+        return iter((DEFAULT_SENSOR, first, *plans_of(sensor_of()), *general, *others))
 
     def __len__(self) -> int:
         return len(tuple(iter(self)))
 
 
+def _plans_of_sensors(name: str) -> Mapping[str, Mapping[str, Any]]:
+    """The plans of the sensor whose name this one begins with."""
+    owner = next((owner for owner in SENSORS.names() if name.startswith(f"{owner}-")), None)
+    return {} if owner is None else plans_of(sensor_of(owner))
+
+
 PLANS: Mapping[str, Known] = _Plans()
-"""The palm's protocol first; one that finds where a layer lies, small ones, one of each kind; then the
-protocols of the other sensors. "tactip-press" and the two after it are those of the TacTip's and NUSense's
-reports, on the usual skin."""
+"""The usual sensor's protocol first; one that finds where a layer lies; the sensor's other plans, and general
+ones; then the protocols of the other sensors. "tactip-press" and the two after it are those of the TacTip's
+and NUSense's reports, on the usual skin."""
 
 
 class Size(NamedTuple):
@@ -128,8 +110,10 @@ def plan_of(text: str | Path, sensor: Sensor | None = None) -> Known:
     """
     if str(text) in _OWN:
         return _OWN[str(text)].on(sensor or sensor_of())
-    if str(text) in PLANS:
-        return PLANS[str(text)]
+    if str(text) in SENSORS.names():
+        return plan_of_sensor(str(text))
+    if str(text) in (own := _plans_of_sensors(str(text))):
+        return plan_from(own[str(text)], sensor)
     path = Path(text)
     if not path.exists():
         raise InputError(f"{text} is no file, and none of the plans {', '.join(PLANS)}")

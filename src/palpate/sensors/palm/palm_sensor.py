@@ -181,6 +181,29 @@ class Palm:
             "frames": 25,
         }
 
+    def plans(self) -> Mapping[str, Mapping[str, Any]]:
+        """A short form of the report's plan, places beside its grid, and loads along and held on the skin."""
+        short = {"kind": "stepped", "cycles": 1, "frames": 5, "reference_frames": 5, "step_mm": 0.5}
+        centre, held = (
+            {"kind": "listed", "at_mm": [[0.0, 0.0]]},
+            {"depths_mm": [4.0], "seconds": 60.0, "frames": 60},
+        )
+        sideways = [[0.3, 0.0], [0.0, 0.3], [-0.3, 0.0], [0.0, -0.3]]
+        plans = {
+            "palm-reduced": short | {"depth_mm": 4.0, "step_mm": 1.0, "frames": 2, "reference_frames": 1},
+            "palm-validation": short
+            | {"places": {"kind": "scattered", "count": 20, "apart_mm": 3.0, "seed": 1}},
+            "palm-lateral": short
+            | {
+                "places": {"kind": "grid", "pitch_mm": 12.0},
+                "depth_mm": 1.5,
+                "lateral": {"depths_mm": [1.0], "to_mm": sideways},
+            },
+            "palm-creep": short
+            | {"places": centre, "depth_mm": 4.0, "step_mm": 1.0, "unloading": True, "dwell": held},
+        }
+        return {name: {"name": name} | fields for name, fields in plans.items()}
+
     def draw_presses(
         self, side_px: int, count: int, depths_each: int, rng: np.random.Generator, *told: Any, processes: int
     ) -> Presses:

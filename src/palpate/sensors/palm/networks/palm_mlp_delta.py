@@ -18,7 +18,8 @@ from palpate.core import Indices, InputError, Tensor, Values
 from palpate.estimators.networks.model_interface import Progress, TrainingData, silent
 from palpate.estimators.networks.onnx_graph import image_to_value
 from palpate.estimators.networks.pixel_mlp import FittedPerceptron, PixelMlp
-from palpate.sensors.palm.networks.palm_training import FORCES, columns_of, half_width
+from palpate.sensors.palm.networks import FORCES
+from palpate.sensors.palm.networks.palm_training import columns_of, half_width
 
 LARGEST_BATCH = 200
 

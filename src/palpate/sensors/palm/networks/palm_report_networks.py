@@ -33,11 +33,10 @@ from torch.nn import functional
 from palpate.core import InputError
 from palpate.estimators.networks.resnet import FEATURES, ResNet18
 from palpate.estimators.networks.torch_export import TorchGraph
+from palpate.sensors.palm.networks import FORCES, PLACE
 from palpate.sensors.palm.networks.palm_training import (
     DEPTH,
-    FORCES,
     MAGNITUDE,
-    PLACE,
     PalmModel,
     PalmNetwork,
     Scales,

@@ -35,9 +35,6 @@ from palpate.estimators.networks.resnet import ResNet18, check_weights
 from palpate.estimators.networks.torch_export import TorchGraph
 from palpate.estimators.networks.training_loop import TrainingLoop, TrainingTask
 
-FORCES = ("force_x_N", "force_y_N", "force_N")
-"""The force's components; the normal one is positive in compression."""
-PLACE = ("x_mm", "y_mm")
 MAGNITUDE = "force_magnitude_N"
 DEPTH = "depth_mm"
 
