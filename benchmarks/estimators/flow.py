@@ -52,7 +52,7 @@ def sequence(frames: int) -> np.ndarray:
 
 
 def usual_script(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """As a lab would write it: two convolutions an iteration."""
+    """A lab's usual script: two convolutions an iteration."""
     a, b = (np.pad(image / 255.0, ((0, 1), (0, 1)), mode="edge") for image in (a, b))
     x = sum(i[:-1, 1:] - i[:-1, :-1] + i[1:, 1:] - i[1:, :-1] for i in (a, b)) / 4
     y = sum(i[1:, :-1] - i[:-1, :-1] + i[1:, 1:] - i[:-1, 1:] for i in (a, b)) / 4

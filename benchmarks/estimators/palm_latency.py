@@ -44,7 +44,7 @@ def row(name: str, ms: np.ndarray) -> None:
 
 
 def ratio(name: str, above: np.ndarray, below: np.ndarray, asked: str = "") -> None:
-    """Of medians, round by round."""
+    """Ratio of medians, round by round."""
     each = np.median(above, axis=1) / np.median(below, axis=1)
     low, middle, high = np.quantile(each, [0.25, 0.5, 0.75])
     print(f"  {name:44s} {middle:.3g}, middle half {low:.3g} to {high:.3g}{asked}")
@@ -68,7 +68,7 @@ def networks(side: int) -> dict[str, tuple[Any, tuple[int, int, int]]]:
 
 
 def session(model: bytes, threads: int) -> Any:
-    """As `Estimator` opens one."""
+    """Session as `Estimator` opens one."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()

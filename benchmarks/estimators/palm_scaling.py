@@ -1,4 +1,4 @@
-"""From one process to two: rendering presses, and training palm-compact's network by several processes.
+"""Scaling with processes: rendering presses, and training palm-compact's network.
 
 Run ``python benchmarks/estimators/palm_scaling.py``, or with ``render`` or ``train`` for one half of it;
 ROUNDS in the environment says how many rounds. Every process has one thread, unless it says two. Ways are

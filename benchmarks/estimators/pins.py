@@ -46,7 +46,7 @@ def press(pins: int, frames: int) -> np.ndarray:
 
 
 def check(frames: np.ndarray, detector: cv2.SimpleBlobDetector, pins: int) -> float:
-    """How far apart the two find a pin at most [px]."""
+    """Greatest distance between the two detectors' places of a pin [px]."""
     found = find_pins(frames[0])
     later = [found, *follow(frames[1:], found)]
     worst = 0.0

@@ -32,7 +32,7 @@ ALLOWED = 1e-2  # light, rms: of the fast path against the exact one at 3 mm, in
 
 
 def contacts(spec: PalmSpec) -> list[Contact]:
-    """At many places and a few depths, in no order."""
+    """Contacts at many places and a few depths, in no order."""
     rng = np.random.default_rng(5)
     found = []
     for depth in DEPTHS_M * PLACES:

@@ -9,7 +9,7 @@ from palpate.estimators.networks import model_kind
 from palpate.reproductions.palm import Scale, reproduce_palm, scale_of
 from palpate.reproductions.palm.palm_conditions import record_loads
 from palpate.reproductions.palm.palm_published import MAE, NAMES, R2, TABLE_2
-from palpate.reproductions.palm.palm_reproduction import workshop, write_up
+from palpate.reproductions.palm.palm_reproduction import study_folder, write_up
 from palpate.reproductions.palm.palm_study_setup import MODELS, noisier
 from palpate.reproductions.palm.palm_summary import summary_of
 
@@ -76,25 +76,25 @@ def workshop_spec():
 
 
 def test_a_result_is_made_once_and_found_again(tmp_path):
-    shop, made = workshop(tmp_path / "out", TINY, 0), []
+    study, made = study_folder(tmp_path / "out", TINY, 0), []
 
     def make():
         made.append(1)
         return {"a": [1.5]}
 
-    assert shop.kept("x", make) == shop.kept("x", make) == {"a": [1.5]}
+    assert study.kept("x", make) == study.kept("x", make) == {"a": [1.5]}
     assert len(made) == 1
-    assert list(shop.seconds()) == ["x"]
+    assert list(study.seconds()) == ["x"]
 
 
 def test_unfinished_work_of_another_seed_is_not_gone_on_with(tmp_path):
-    workshop(tmp_path / "out", TINY, 0)
-    workshop(tmp_path / "out", TINY, 0)
+    study_folder(tmp_path / "out", TINY, 0)
+    study_folder(tmp_path / "out", TINY, 0)
     with pytest.raises(ExistsError, match="another scale, seed or part"):
-        workshop(tmp_path / "out", TINY, 1)
+        study_folder(tmp_path / "out", TINY, 1)
     (tmp_path / "done").mkdir()
     with pytest.raises(ExistsError):
-        workshop(tmp_path / "done", TINY, 0)
+        study_folder(tmp_path / "done", TINY, 0)
 
 
 def test_an_unknown_part_is_refused(tmp_path):
@@ -108,21 +108,21 @@ def test_a_study_of_nothing_has_no_numbers():
 
 
 def test_drawing_that_was_stopped_is_not_taken_for_whole(tmp_path):
-    shop = replace(workshop(tmp_path / "out", TINY, 0), processes=1)
-    half = shop.folder / "runs" / ".loads-inclined.part"
+    study = replace(study_folder(tmp_path / "out", TINY, 0), processes=1)
+    half = study.folder / "runs" / ".loads-inclined.part"
     half.mkdir(parents=True)
     (half / "manifest.json").write_text("{}")
-    run = record_loads(shop, "inclined")
+    run = record_loads(study, "inclined")
     assert len(run) == 2 * TINY.loads  # of each contact the untouched skin too
     assert not half.exists()
 
 
 def test_writing_up_that_was_stopped_begins_anew(tmp_path):
-    shop = workshop(tmp_path / "out", TINY, 0)
-    (shop.folder / "summary.json").write_text("[")
-    write_up(shop, {})
-    assert json.loads((shop.folder / "summary.json").read_text()) == []
-    assert "Virtual." in (shop.folder / "report.html").read_text()
+    study = study_folder(tmp_path / "out", TINY, 0)
+    (study.folder / "summary.json").write_text("[")
+    write_up(study, {})
+    assert json.loads((study.folder / "summary.json").read_text()) == []
+    assert "Virtual." in (study.folder / "report.html").read_text()
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from palpate.reproductions.tactip.energy_contour import STEP_N, contour, contour_rad, told
+from palpate.reproductions.tactip.energy_contour import STEP_N, contour, contour_growths, contour_rad
 from palpate.reproductions.tactip.model_errors import areas_by_friction, linear_error, shares, truth
 from palpate.reproductions.tactip.tactip_controls import (
     CONDITIONS,
@@ -16,13 +16,13 @@ from palpate.reproductions.tactip.tactip_controls import (
     TO_N,
     compared,
     concordance,
-    counted,
     cues,
+    equation_12,
     head_on,
     order,
     recorded,
     sensitivity,
-    true_course,
+    true_divergence,
 )
 from palpate.sensors.tactip import PINS_331, TacTipSpec
 from palpate.sensors.tactip.tactip_press import modulus_pa
@@ -39,7 +39,7 @@ def spec():
 def fine(spec):
     """True divergence from 1 to 4 N in steps so many that their number does not matter, by specimen."""
     force = np.linspace(FROM_N, TO_N, 200)
-    return [true_course(spec, head_on(spec, kappa).press, force) for kappa in KAPPA_N_M.values()]
+    return [true_divergence(spec, head_on(spec, kappa).press, force) for kappa in KAPPA_N_M.values()]
 
 
 def test_the_specimens_have_the_moduli_of_a_cylinder_under_its_own_stiffness(spec) -> None:
@@ -78,21 +78,21 @@ def test_the_middle_spreads_less_on_softer_specimens(fine) -> None:
 def test_over_the_contact_the_softest_spreads_least_and_the_others_alike(fine) -> None:
     s1, new, s2, s3 = (float(D["contact"].sum()) for D in fine)
     assert s3 < 0.9 * min(s1, new, s2)
-    assert max(s1, new, s2) < 1.02 * min(s1, new, s2)  # no order to be told
+    assert max(s1, new, s2) < 1.02 * min(s1, new, s2)  # no order to be contour_growths
 
 
 def test_divergence_hardly_depends_on_how_many_steps_there_are(spec) -> None:
     """Over the true contact, many small steps come to the integral: a tenth of them are enough."""
     press = head_on(spec, S1).press
     coarse, many = (
-        true_course(spec, press, np.linspace(FROM_N, TO_N, n))["contact"].sum() for n in (20, 400)
+        true_divergence(spec, press, np.linspace(FROM_N, TO_N, n))["contact"].sum() for n in (20, 400)
     )
     assert_allclose(coarse, many, rtol=0.02)
 
 
 @pytest.mark.parametrize(("kappa", "steps"), [(7600.0, 2), (3100.0, 6), (1100.0, 18)])
 def test_equation_12_of_one_and_the_same_area_is_20_60_and_180(kappa, steps) -> None:
-    assert_allclose(counted(kappa), 10 * steps)
+    assert_allclose(equation_12(kappa), 10 * steps)
 
 
 def test_half_the_speed_doubles_equation_12_and_hardly_changes_the_secant(spec) -> None:
@@ -149,7 +149,7 @@ def test_the_contact_edge_rolls_over_the_skin(spec) -> None:
 
 def test_outer_contours_know_the_force_and_not_the_specimen(spec) -> None:
     """Beyond the contact the skin carries the force, whatever it is pressed on."""
-    rows = [row for row in told(spec, (2.0,), (300.0,)) if row.flank == "outer"]
+    rows = [row for row in contour_growths(spec, (2.0,), (300.0,)) if row.flank == "outer"]
     assert_allclose(rows[0].area_m2, np.mean(rows[0].area_m2), rtol=5e-3)
     assert np.ptp(rows[0].true_m2) > 0.2 * min(rows[0].true_m2)
 

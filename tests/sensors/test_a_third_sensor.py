@@ -28,7 +28,7 @@ import numpy as np
 from palpate.core import Contact, Frame, InputError, Pose, Probe, RangeError
 from palpate.core.contact import FRESH
 from palpate.core.outline import Outline
-from palpate.core.sensor import SEATED, Axes
+from palpate.core.sensor import SEATED, ImageAxes
 from palpate.mechanics import hertz
 
 PX_PER_M = 2000.0
@@ -68,7 +68,7 @@ class Pad:
 
     @property
     def axes(self):
-        return Axes("pad", (PX_PER_M, 0.0), (0.0, PX_PER_M))
+        return ImageAxes("pad", (PX_PER_M, 0.0), (0.0, PX_PER_M))
 
     def regions(self):
         return {"pad": (0, 0, *self.frame_px)}

@@ -190,7 +190,7 @@ def _stiffnesses(pairs: list[str], rigid: bool) -> dict[str, float]:
 def _trials_said(
     made: PressFolder, stiffness_n_m: Mapping[str, float], tilt_deg: float, runs: bool
 ) -> tuple[dict[str, Any], str]:
-    """What was made, as values and as text."""
+    """Result as values and as text."""
     from palpate.workflows.tactip_trials import TRUTH, stiffness_shown
 
     presses = sum(len(one.presses) for one in made.specimens)
@@ -213,7 +213,7 @@ def _trials_said(
 
 
 def _wear(presses: float, haze: float | None, scratches: int | None, yellowing: float) -> Wear:
-    """Of so many presses, save for what is asked for itself."""
+    """Wear after so many presses, save for what is asked for itself."""
     from palpate.sensors.palm.wear import worn
 
     wear = replace(worn(presses), yellowing=yellowing)

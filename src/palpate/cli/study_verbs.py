@@ -1,9 +1,4 @@
-"""The demo.
-
-Verbs that reproduce a published study.
-
-The studio.
-"""
+"""Verbs of the demo, of reproduced studies and of the studio."""
 
 from __future__ import annotations
 

@@ -227,7 +227,7 @@ def variation_of(sensor: Sensor) -> Mapping[str, Any]:
 
 
 def plans_of(sensor: Sensor) -> Mapping[str, Mapping[str, Any]]:
-    """Its own `plans()` beside its default one, name -> fields as in a plan's file; names begin as its own."""
+    """Plans beside its default one, by its own `plans()`: name, begun as the sensor's -> a file's fields."""
     own = getattr(sensor, "plans", None)
     return {} if own is None else own()
 

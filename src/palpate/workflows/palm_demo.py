@@ -74,7 +74,7 @@ LABELS: dict[str, LabelKind] = {
 
 @dataclass(frozen=True, slots=True)
 class DemoProtocol:
-    """Where and how deep the ball is pressed, and how presses vary.
+    """Places and depths of the ball's presses, and how they vary.
 
     Attributes:
         reach_mm: locations lie within this of the membrane's axis [mm].
@@ -97,7 +97,7 @@ class DemoProtocol:
 
 @dataclass(frozen=True, slots=True)
 class DemoResult:
-    """What the demo made.
+    """Results of the demo.
 
     Attributes:
         folder: where everything lies.
@@ -112,7 +112,7 @@ class DemoResult:
     sensed: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """As plain values for JSON."""
+        """Plain values for JSON."""
         return {
             "folder": str(self.folder),
             "scores": {m: {t: s.model_dump() for t, s in by.items()} for m, by in self.scores.items()},
@@ -239,7 +239,7 @@ def _said(name: str) -> str:
 
 
 def _some_readings(folder: Path) -> tuple[str, ...]:
-    """What the first model says of a few new frames, and of one that is dark."""
+    """Readings of the first model on a few new frames, and of one that is dark."""
     estimator = Estimator.open(folder / f"cal-{next(iter(WAYS))}")
     run = Run.open(folder / "run-new-places")
     lines = []

@@ -331,7 +331,7 @@ def _write(folder: Path, number: str, press: VirtualPress, runs: bool) -> None:
 
 
 def _truth(press: VirtualPress) -> dict[str, Any]:
-    """What is particular to this press."""
+    """Seed and seating of a press."""
     return {
         "seed": press.seed,
         "touch_s": float(np.interp(0.0, press.true_approach_m, press.time_s)),

@@ -1,4 +1,4 @@
-"""The photoelastic palm's study: the source's comparison made again on the virtual rig, and gone beyond."""
+"""The photoelastic palm's study: the source's comparison reproduced on the virtual rig, and more."""
 
 from palpate.reproductions.palm.palm_reproduction import PARTS, reproduce_palm
 from palpate.reproductions.palm.palm_study_setup import SCALES, Scale, scale_of

@@ -21,16 +21,22 @@ from palpate.estimators.certified import Estimator, read_card
 from palpate.estimators.networks import model_kind
 from palpate.recordings.run_reader import Run
 from palpate.reproductions.palm.palm_published import scores_of
-from palpate.reproductions.palm.palm_study_setup import LOCATIONS, MODELS, CalibrationSetup, StudyFolder, ways
+from palpate.reproductions.palm.palm_study_setup import (
+    LOCATIONS,
+    MODELS,
+    CalibrationSetup,
+    StudyFolder,
+    setups,
+)
 
 POINTS = 400  # of a figure, at most
-CAMPAIGN = 1000  # added to the seed for the places off the grid
+NEW_PLACES_SEED = 1000  # added to the seed for the places off the grid
 
 
-def record_both(shop: StudyFolder) -> dict[str, Any]:
+def record_both(study: StudyFolder) -> dict[str, Any]:
     """The protocol at the grid's places, and a campaign of its own at places off the grid."""
-    protocol = shop.recorded("protocol", shop.scale.protocol())
-    new = shop.recorded("new-places", shop.scale.new_places(shop.seed), seed=shop.seed + CAMPAIGN)
+    protocol = study.recorded("protocol", study.scale.protocol())
+    new = study.recorded("new-places", study.scale.new_places(study.seed), seed=study.seed + NEW_PLACES_SEED)
     return {name: _comparison_text(run) for name, run in (("protocol", protocol), ("new-places", new))}
 
 
@@ -49,11 +55,11 @@ def _comparison_text(run: Run) -> dict[str, Any]:
     }
 
 
-def headline(shop: StudyFolder, model: str) -> dict[str, Any]:
+def headline(study: StudyFolder, model: str) -> dict[str, Any]:
     """One model: its scores on held-out places of the grid and on the campaign off it, and its points."""
-    way = ways(MODELS, shop.scale)[model]
-    table, card = shop.held_out(way), read_card(shop.calibrated(way))
-    new = shop.estimated(way, Run.open(shop.folder / "runs" / "new-places"), "new places")
+    setup = setups(MODELS, study.scale)[model]
+    table, card = study.held_out(setup), read_card(study.calibrated(setup))
+    new = study.estimated(setup, Run.open(study.folder / "runs" / "new-places"), "new places")
     columns = model_kind(model).targets
     return {
         "calibration": card.id,
@@ -75,15 +81,15 @@ def _points(table: pd.DataFrame, columns: tuple[str, ...]) -> dict[str, list[flo
     return {name: [round(float(v), 5) for v in table[name].iloc[rows]] for name in names}
 
 
-def one_frame(shop: StudyFolder) -> dict[str, Any]:
+def one_frame(study: StudyFolder) -> dict[str, Any]:
     """The two-stage network on one held-out frame: what it is told, and what it says (figure 14)."""
-    way = ways(MODELS, shop.scale)["palm-two-stage"]
-    table = shop.held_out(way)
+    setup = setups(MODELS, study.scale)["palm-two-stage"]
+    table = study.held_out(setup)
     errors = (table["estimate:depth_mm"] - table["depth_mm"]).abs()
     typical = int((errors - errors.median()).abs().argmin())
     row = table.iloc[typical]
     columns = ("depth_mm", "x_mm", "y_mm", "force_N")
-    run = Run.open(shop.folder / "runs" / "protocol")
+    run = Run.open(study.folder / "runs" / "protocol")
     pressed = np.flatnonzero(~run.labels["reference"].astype(bool).to_numpy())
     return {
         "frame": int(pressed[int(row["row"])]),
@@ -94,9 +100,9 @@ def one_frame(shop: StudyFolder) -> dict[str, Any]:
     }
 
 
-def small_way(shop: StudyFolder, name: str, **changes: Any) -> CalibrationSetup:
+def small_setup(study: StudyFolder, name: str, **changes: Any) -> CalibrationSetup:
     """The architecture that is trained many times over, on recorded presses alone."""
-    return CalibrationSetup(name, "palm-compact", **{"options": dict(shop.scale.small), **changes})
+    return CalibrationSetup(name, "palm-compact", **{"options": dict(study.scale.small), **changes})
 
 
 SMALL = "small-network"
@@ -106,7 +112,7 @@ GROUPINGS = {
     "row of the table": "random",
 }
 
-SEEINGS: dict[str, dict[str, Any]] = {
+MIRROR_SIGHTS: dict[str, dict[str, Any]] = {
     "visible": {},
     "occluded": {"probe_in_mirror": False},
     "opaque underside": {"opaque_underside": True},
@@ -114,57 +120,57 @@ SEEINGS: dict[str, dict[str, Any]] = {
 """How the mirror sees the probe: through the membrane, not at all with the skin's dimple left, or nothing."""
 
 
-def leakage(shop: StudyFolder) -> list[dict[str, Any]]:
+def leakage(study: StudyFolder) -> list[dict[str, Any]]:
     """The same models on the same frames, held out by place, by place and cycle, and by row of the table."""
     found = []
     for grouping, split in GROUPINGS.items():
         tag = "" if split == LOCATIONS else f"-by-{split.partition(':')[2].replace(',', '-') or split}"
-        small = small_way(shop, f"{SMALL}{tag}", split=split)
-        mlp = replace(ways(("palm-mlp-delta",), shop.scale)["palm-mlp-delta"], split=split)
-        for model, way in (("small network", small), ("MLP", replace(mlp, name=f"{mlp.name}{tag}"))):
-            found.append({"grouping": grouping, "model": model, **_on_both(shop, way)})
+        small = small_setup(study, f"{SMALL}{tag}", split=split)
+        mlp = replace(setups(("palm-mlp-delta",), study.scale)["palm-mlp-delta"], split=split)
+        for model, setup in (("small network", small), ("MLP", replace(mlp, name=f"{mlp.name}{tag}"))):
+            found.append({"grouping": grouping, "model": model, **_on_both(study, setup)})
     return found
 
 
-def factorial(shop: StudyFolder) -> list[dict[str, Any]]:
+def factorial(study: StudyFolder) -> list[dict[str, Any]]:
     """Colour and difference, each with and without, in one architecture."""
     found = []
     for colour, channels in (("RGB", 3), ("grey", 1)):
         for seen, delta in (("raw", False), ("delta", True)):
             tag = "" if (colour, seen) == ("RGB", "delta") else f"-{colour.lower()}-{seen}"
-            way = small_way(shop, f"{SMALL}{tag}", channels=channels, delta=delta)
-            found.append({"colour": colour, "seen": seen, **_on_both(shop, way)})
+            setup = small_setup(study, f"{SMALL}{tag}", channels=channels, delta=delta)
+            found.append({"colour": colour, "seen": seen, **_on_both(study, setup)})
     return found
 
 
-def mirror(shop: StudyFolder) -> list[dict[str, Any]]:
+def mirror(study: StudyFolder) -> list[dict[str, Any]]:
     """One architecture, learning and tested with the probe in sight, out of sight, and nothing in sight.
 
-    Each way of seeing is learnt from and tested on all of them: a model that was taught with the probe in
+    Each setup of seeing is learnt from and tested on all of them: a model that was taught with the probe in
     sight, and is tested without, tells what it had relied on; one taught without tells what is left.
     """
     runs = {}
-    for name, fields in SEEINGS.items():
-        spec, tag = replace(shop.spec, **fields), name.replace(" ", "-")
+    for name, fields in MIRROR_SIGHTS.items():
+        spec, tag = replace(study.spec, **fields), name.replace(" ", "-")
         if fields:
-            shop.recorded(f"protocol-{tag}", shop.scale.protocol(), spec=spec)
-            plan = shop.scale.new_places(shop.seed)
-            shop.recorded(f"new-places-{tag}", plan, spec=spec, seed=shop.seed + CAMPAIGN)
+            study.recorded(f"protocol-{tag}", study.scale.protocol(), spec=spec)
+            plan = study.scale.new_places(study.seed)
+            study.recorded(f"new-places-{tag}", plan, spec=spec, seed=study.seed + NEW_PLACES_SEED)
         runs[name] = f"-{tag}" if fields else ""
     found = []
     for taught, tag in runs.items():
-        way = small_way(shop, f"{SMALL}{tag}", run=f"protocol{tag}")
+        setup = small_setup(study, f"{SMALL}{tag}", run=f"protocol{tag}")
         for tested, other in runs.items():
-            run = Run.open(shop.folder / "runs" / f"new-places{other}")
-            found.append({"taught": taught, "tested": tested, **shop.scored(way, run, tested)})
+            run = Run.open(study.folder / "runs" / f"new-places{other}")
+            found.append({"taught": taught, "tested": tested, **study.scored(setup, run, tested)})
     return found
 
 
-def _on_both(shop: StudyFolder, way: CalibrationSetup) -> dict[str, Any]:
+def _on_both(study: StudyFolder, setup: CalibrationSetup) -> dict[str, Any]:
     """Scores on held-out rows, and on places off the grid, which no split has touched."""
-    table, columns = shop.held_out(way), model_kind(way.model).targets
-    card = read_card(shop.calibrated(way))
-    new = shop.scored(way, Run.open(shop.folder / "runs" / "new-places"), "new places")
+    table, columns = study.held_out(setup), model_kind(setup.model).targets
+    card = read_card(study.calibrated(setup))
+    new = study.scored(setup, Run.open(study.folder / "runs" / "new-places"), "new places")
     return {
         "held_out": scores_of(table, columns),
         "new": new["targets"],
@@ -177,25 +183,25 @@ ROUNDS, EACH, WARM = 20, 10, 3
 THREADS = 2
 
 
-def latency(shop: StudyFolder) -> dict[str, Any]:
-    """Of each model: onnxruntime alone on one frame, and from camera frame to readings."""
-    run = Run.open(shop.folder / "runs" / "new-places")
+def latency(study: StudyFolder) -> dict[str, Any]:
+    """Times of each model: onnxruntime alone on one frame, and from camera frame to readings."""
+    run = Run.open(study.folder / "runs" / "new-places")
     table = run.labels
     untouched = run.frame(int(np.flatnonzero(table["reference"].astype(bool))[0])).image
     frame = run.frame(int(np.flatnonzero(~table["reference"].astype(bool))[-1]))
     jobs: dict[tuple[str, str], Callable[[], Any]] = {}
-    for model, way in ways(MODELS, shop.scale).items():
-        estimator = Estimator.open(shop.calibrated(way), threads=THREADS)
+    for model, setup in setups(MODELS, study.scale).items():
+        estimator = Estimator.open(study.calibrated(setup), threads=THREADS)
         jobs[model, "network"] = _network(estimator)
         jobs[model, "reading"] = _reading(estimator, frame, untouched)
     taken: dict[tuple[str, str], list[float]] = {job: [] for job in jobs}
     for i in range(ROUNDS):
         for job, run_it in jobs.items():
             taken[job] += _timed(run_it)
-        shop.progress("timing", i + 1, ROUNDS)
+        study.progress("timing", i + 1, ROUNDS)
     return {
         model: {part: _latency_text(taken[model, part]) for part in ("network", "reading")}
-        for model in ways(MODELS, shop.scale)
+        for model in setups(MODELS, study.scale)
     }
 
 

@@ -32,12 +32,11 @@ from palpate.calibration.adaptation import adapt
 from palpate.calibration.conformal import coverage_interval
 from palpate.core import ManualClock
 from palpate.estimators.certified import Estimator, Zero
-from palpate.estimators.networks.model_interface import Progress
 from palpate.recordings.labels import own_column
 from palpate.recordings.manifest import LabelKind, Manifest
 from palpate.recordings.run_reader import Run
 from palpate.recordings.run_writer import RunWriter
-from palpate.reproductions.palm.palm_comparison import CAMPAIGN, small_way
+from palpate.reproductions.palm.palm_comparison import NEW_PLACES_SEED, small_setup
 from palpate.reproductions.palm.palm_published import scores_of
 from palpate.reproductions.palm.palm_study_setup import (
     MODELS,
@@ -45,7 +44,7 @@ from palpate.reproductions.palm.palm_study_setup import (
     Scale,
     StudyFolder,
     noisier,
-    ways,
+    setups,
 )
 from palpate.rig.plans import Dwell, Listed, StepHold
 from palpate.rig.virtual.disturbances import Variation
@@ -89,7 +88,7 @@ class PalmCondition:
     name: str
     said: str
     change: Change = field(default_factory=only)
-    campaign: int = CAMPAIGN
+    campaign: int = NEW_PLACES_SEED
     where: Literal["off", "own", "beyond"] = "off"
 
 
@@ -113,41 +112,41 @@ CONDITIONS: tuple[PalmCondition, ...] = (
 )
 
 
-def conditions(shop: StudyFolder) -> dict[str, Any]:
+def conditions(study: StudyFolder) -> dict[str, Any]:
     """Every model's scores under each condition."""
-    return {one.name: {"said": one.said, "models": _models(shop, one)} for one in CONDITIONS}
+    return {one.name: {"said": one.said, "models": _models(study, one)} for one in CONDITIONS}
 
 
-def noise(shop: StudyFolder) -> list[dict[str, Any]]:
+def noise(study: StudyFolder) -> list[dict[str, Any]]:
     """Every model, taught at the rig's own noise, on places off the grid at so many times that noise."""
     every = (
         PalmCondition(f"noise-{times:g}", f"{times:g} times the noise", _noise(times)) for times in NOISES
     )
-    return [{"times": times, "models": _models(shop, one)} for times, one in zip(NOISES, every, strict=True)]
+    return [{"times": times, "models": _models(study, one)} for times, one in zip(NOISES, every, strict=True)]
 
 
-def durability(shop: StudyFolder) -> list[dict[str, Any]]:
+def durability(study: StudyFolder) -> list[dict[str, Any]]:
     """Every model on a membrane that has been pressed so often, by the law of wear that is assumed."""
     every = (
         PalmCondition(f"pressed-{presses:g}", f"after {presses:g} presses", only(wear=worn(presses)))
         for presses in PRESSES
     )
     return [
-        {"presses": presses, "models": _models(shop, one)}
+        {"presses": presses, "models": _models(study, one)}
         for presses, one in zip(PRESSES, every, strict=True)
     ]
 
 
-def recorded(shop: StudyFolder, one: PalmCondition) -> Run:
+def recorded(study: StudyFolder, one: PalmCondition) -> Run:
     """A condition's recording."""
-    spec, variation = one.change(shop.spec)
-    plan = _plan(shop.scale, shop.seed, one)
-    return shop.recorded(one.name, plan, spec, variation, shop.seed + one.campaign)
+    spec, variation = one.change(study.spec)
+    plan = _plan(study.scale, study.seed, one)
+    return study.recorded(one.name, plan, spec, variation, study.seed + one.campaign)
 
 
-def _models(shop: StudyFolder, one: PalmCondition) -> dict[str, Any]:
-    run = recorded(shop, one)
-    return {model: shop.scored(way, run, one.said) for model, way in ways(MODELS, shop.scale).items()}
+def _models(study: StudyFolder, one: PalmCondition) -> dict[str, Any]:
+    run = recorded(study, one)
+    return {model: study.scored(setup, run, one.said) for model, setup in setups(MODELS, study.scale).items()}
 
 
 def _plan(scale: Scale, seed: int, one: PalmCondition) -> StepHold:
@@ -164,7 +163,7 @@ def _ring(count: int) -> tuple[tuple[float, float], ...]:
     return tuple((round(RING_MM * math.cos(a), 3), round(RING_MM * math.sin(a), 3)) for a in angles)
 
 
-def sustained(shop: StudyFolder, seconds: float = 60.0) -> dict[str, Any]:
+def sustained(study: StudyFolder, seconds: float = 60.0) -> dict[str, Any]:
     """One press held: what every model says of depth and force while the skin relaxes."""
     plan = StepHold(
         name="palm-sustained",
@@ -176,14 +175,14 @@ def sustained(shop: StudyFolder, seconds: float = 60.0) -> dict[str, Any]:
         step_mm=1.0,
         dwell=Dwell(depths_mm=(4.0,), seconds=seconds, frames=60),
     )
-    run = shop.recorded("sustained", plan, seed=shop.seed + 3000)
-    return {"seconds": seconds, "models": _held(shop, run)}
+    run = study.recorded("sustained", plan, seed=study.seed + 3000)
+    return {"seconds": seconds, "models": _held(study, run)}
 
 
-def _held(shop: StudyFolder, run: Run) -> dict[str, Any]:
+def _held(study: StudyFolder, run: Run) -> dict[str, Any]:
     found: dict[str, Any] = {}
-    for model, way in ways(MODELS, shop.scale).items():
-        table = shop.estimated(way, run, "a press held")
+    for model, setup in setups(MODELS, study.scale).items():
+        table = study.estimated(setup, run, "a press held")
         held = table[table["phase"] == "hold"]
         names = [c for c in ("depth_mm", "force_N") if f"estimate:{c}" in held]
         found[model] = {
@@ -210,20 +209,24 @@ def copy_of(spec: PalmSpec) -> PalmSpec:
     )
 
 
-def adaptation(shop: StudyFolder) -> list[dict[str, Any]]:
+def adaptation(study: StudyFolder) -> list[dict[str, Any]]:
     """Scores on the copy after no, 10, 20 and 50 presses of it; "0" has the copy's own untouched frame."""
-    spec = copy_of(shop.spec)
-    test = shop.recorded("copy", shop.scale.new_places(shop.seed, coarse=True), spec, seed=shop.seed + COPY)
+    spec = copy_of(study.spec)
+    test = study.recorded(
+        "copy", study.scale.new_places(study.seed, coarse=True), spec, seed=study.seed + COPY
+    )
     found = []
     for model in COPIED:
-        way = ways(MODELS, shop.scale)[model]
-        found.append({"model": model, "presses": 0, **shop.scored(way, test, "a copy")})
+        setup = setups(MODELS, study.scale)[model]
+        found.append({"model": model, "presses": 0, **study.scored(setup, test, "a copy")})
         for presses in ADAPTATION_PRESSES:
-            run = shop.recorded(f"copy-{presses}", _lesson(shop.scale, presses), spec, seed=shop.seed + COPY)
-            out = shop.folder / "calibrations" / f"{model}-copy-{presses}"
+            run = study.recorded(
+                f"copy-{presses}", _lesson(study.scale, presses), spec, seed=study.seed + COPY
+            )
+            out = study.folder / "calibrations" / f"{model}-copy-{presses}"
             if not out.exists():
-                adapt(shop.calibrated(way), run, out, shop.progress)
-            found.append({"model": model, "presses": presses, **shop.scored_by(out, test, "a copy")})
+                adapt(study.calibrated(setup), run, out, study.progress)
+            found.append({"model": model, "presses": presses, **study.scored_by(out, test, "a copy")})
     return found
 
 
@@ -259,71 +262,69 @@ def drawn(block: LoadBlock, rng: np.random.Generator) -> Loads:
     return draw_loads(block.spec, block.kind, block.count, rng)
 
 
-def record_loads(shop: StudyFolder, kind: str) -> Run:
+def record_loads(study: StudyFolder, kind: str) -> Run:
     """A kind's pictures as a run: of each contact the untouched skin, and the contact."""
-    path = shop.folder / "runs" / f"loads-{kind}"
+    path = study.folder / "runs" / f"loads-{kind}"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        counts = np.diff(np.append(np.arange(0, shop.scale.loads, BLOCK), shop.scale.loads)).tolist()
-        blocks = [LoadBlock(shop.spec, kind, count) for count in counts]
-        told = partial(_told, shop.progress, f"drawing {kind}")
+        counts = np.diff(np.append(np.arange(0, study.scale.loads, BLOCK), study.scale.loads)).tolist()
+        blocks = [LoadBlock(study.spec, kind, count) for count in counts]
+        report = partial(study.progress, f"drawing {kind}")
         parts = sweep(
-            drawn, blocks, seed=shop.seed + KINDS.index(kind), processes=shop.processes, progress=told
+            drawn, blocks, seed=study.seed + KINDS.index(kind), processes=study.processes, progress=report
         )
         half = path.with_name(f".{path.name}.part")
         shutil.rmtree(half, ignore_errors=True)  # what a try that was stopped has left
-        _write(shop, half, kind, parts)
+        _write(study, half, kind, parts)
         half.rename(path)
     return Run.open(path)
 
 
-def _told(progress: Progress, what: str, done: int, total: int) -> None:
-    progress(what, done, total)
-
-
-def _write(shop: StudyFolder, path: Path, kind: str, parts: list[Loads]) -> None:
+def _write(study: StudyFolder, path: Path, kind: str, parts: list[Loads]) -> None:
     names = parts[0].names
     # A grasp of three has no fourth ball: what not all contacts have is left out.
     kept = [i for i in range(len(names)) if all(np.isfinite(part.values[:, i]).all() for part in parts)]
     labels: dict[str, LabelKind] = {"location": "text", "press": "text", "reference": "flag"}
     labels |= dict.fromkeys([names[i] for i in kept], "number")
     manifest = Manifest.new(
-        sensor=f"virtual {shop.spec.name}",
+        sensor=f"virtual {study.spec.name}",
         rig=f"drawn: {kind}",
         licence="CC0-1.0",
         origin="rendered by palpate; virtual, not measured",
         labels=labels,
-        regions={"fringes": shop.spec.fringes.box_px, "mirror": shop.spec.mirror.box_px},
-        seed=shop.seed,
+        regions={"fringes": study.spec.fringes.box_px, "mirror": study.spec.mirror.box_px},
+        seed=study.seed,
     )
     clock, count = ManualClock(), 0
     with RunWriter.create(path, manifest, clock=clock, overflow="wait") as writer:
         for part in parts:
             for image, untouched, values in zip(part.images, part.hanging, part.values, strict=True):
-                told = {names[i]: float(values[i]) for i in kept}
+                numbers = {names[i]: float(values[i]) for i in kept}
                 who = {"location": f"c{count}", "press": f"c{count}"}
                 for picture, reference in ((untouched, True), (image, False)):
                     clock.sleep(1 / 30)
-                    writer.frame(picture, labels={**who, "reference": reference, **told})
+                    writer.frame(picture, labels={**who, "reference": reference, **numbers})
                 count += 1
 
 
-def loads(shop: StudyFolder) -> dict[str, Any]:
-    """Of each kind: what the five models make of it, and what a network can learn of it."""
+def loads(study: StudyFolder) -> dict[str, Any]:
+    """Results of each kind: what the five models make of it, and what a network can learn of it."""
     found: dict[str, Any] = {}
     for kind in KINDS:
-        run = record_loads(shop, kind)
+        run = record_loads(study, kind)
         found[kind] = {
-            "models": {m: _as_it_comes(shop, way, run, kind) for m, way in ways(MODELS, shop.scale).items()},
-            "learnt": _learnt(shop, kind),
+            "models": {
+                m: _as_it_comes(study, setup, run, kind) for m, setup in setups(MODELS, study.scale).items()
+            },
+            "learnt": _learnt(study, kind),
         }
-    found["shapes"]["told apart"] = told_apart(Run.open(shop.folder / "runs" / "loads-shapes"))
+    found["shapes"]["told apart"] = shape_classification(Run.open(study.folder / "runs" / "loads-shapes"))
     return found
 
 
-def _as_it_comes(shop: StudyFolder, way: CalibrationSetup, run: Run, kind: str) -> dict[str, Any]:
+def _as_it_comes(study: StudyFolder, setup: CalibrationSetup, run: Run, kind: str) -> dict[str, Any]:
     """The whole force as a model reads it, with the untouched skin beside it as the reference."""
-    estimator, table = Estimator.open(shop.calibrated(way)), run.labels
+    estimator, table = Estimator.open(study.calibrated(setup)), run.labels
     zero: Zero | None = None
     errors, stood = [], []
     for row in range(len(table)):
@@ -333,7 +334,7 @@ def _as_it_comes(shop: StudyFolder, way: CalibrationSetup, run: Run, kind: str) 
         readings = estimator.read(run.frame(row), zero)
         errors.append(readings["force_N"].value - float(table["force_N"].iloc[row]))
         stood.append(all(reading.valid for reading in readings.values()))
-        shop.progress(f"{way.name} on {kind}", row + 1, len(table))
+        study.progress(f"{setup.name} on {kind}", row + 1, len(table))
     held = np.abs(np.array(errors)[np.array(stood)])
     return {
         "force_mae_N": float(np.abs(errors).mean()),
@@ -342,16 +343,16 @@ def _as_it_comes(shop: StudyFolder, way: CalibrationSetup, run: Run, kind: str) 
     }
 
 
-def _learnt(shop: StudyFolder, kind: str) -> dict[str, Any]:
+def _learnt(study: StudyFolder, kind: str) -> dict[str, Any]:
     if kind not in LOAD_PRESSES:
         return {}
-    way = small_way(shop, f"small-network-{kind}", run=f"loads-{kind}", targets=LOAD_PRESSES[kind])
-    table = shop.held_out(way)
+    setup = small_setup(study, f"small-network-{kind}", run=f"loads-{kind}", targets=LOAD_PRESSES[kind])
+    table = study.held_out(setup)
     spread = {c: float(np.abs(table[c] - table[c].mean()).mean()) for c in LOAD_PRESSES[kind]}
     return {"targets": scores_of(table, LOAD_PRESSES[kind]), "spread": spread}
 
 
-def told_apart(run: Run, seed: int = 0) -> dict[str, Any]:
+def shape_classification(run: Run, seed: int = 0) -> dict[str, Any]:
     """Which of five shapes it was, by a linear classifier of the differences' main components.
 
     Five folds of contacts; no contact is in two.
@@ -386,20 +387,20 @@ FOREIGN: tuple[PalmCondition, ...] = (
 )
 
 
-def validity(shop: StudyFolder) -> list[dict[str, Any]]:
+def validity(study: StudyFolder) -> list[dict[str, Any]]:
     """Shares of frames that each calibration says are not of its kind, or out of its range."""
-    every = ways(MODELS, shop.scale)
-    new = Run.open(shop.folder / "runs" / "new-places")
+    every = setups(MODELS, study.scale)
+    new = Run.open(study.folder / "runs" / "new-places")
     found = [
-        _row("held-out places of the grid", True, {m: _held_out(shop, way) for m, way in every.items()}),
-        _row("places off the grid", True, {m: _flags(shop, w, new) for m, w in every.items()}),
+        _row("held-out places of the grid", True, {m: _held_out(study, setup) for m, setup in every.items()}),
+        _row("places off the grid", True, {m: _flags(study, w, new) for m, w in every.items()}),
     ]
     for kind, said in (("two-contacts", "two contacts at once"), ("grasp", "three or four contacts at once")):
-        run = record_loads(shop, kind)
-        found.append(_row(said, False, {m: _flags(shop, way, run) for m, way in every.items()}))
+        run = record_loads(study, kind)
+        found.append(_row(said, False, {m: _flags(study, setup, run) for m, setup in every.items()}))
     for one in FOREIGN:
-        run = recorded(shop, one)
-        found.append(_row(one.said, False, {m: _flags(shop, way, run) for m, way in every.items()}))
+        run = recorded(study, one)
+        found.append(_row(one.said, False, {m: _flags(study, setup, run) for m, setup in every.items()}))
     return found
 
 
@@ -412,20 +413,20 @@ def _rate(flagged: np.ndarray) -> dict[str, float]:
     return {"flagged": float(flagged.mean()), "low": low, "high": high, "n": len(flagged)}
 
 
-def _flags(shop: StudyFolder, way: CalibrationSetup, run: Run) -> np.ndarray:
-    return ~shop.estimated(way, run, run.path.name)["valid"].to_numpy(bool)
+def _flags(study: StudyFolder, setup: CalibrationSetup, run: Run) -> np.ndarray:
+    return ~study.estimated(setup, run, run.path.name)["valid"].to_numpy(bool)
 
 
-def _held_out(shop: StudyFolder, way: CalibrationSetup) -> np.ndarray:
-    """Of the rows that the calibration was scored by, each with its own press's untouched frame."""
-    estimator = Estimator.open(shop.calibrated(way))
-    run = Run.open(shop.folder / "runs" / way.run)
+def _held_out(study: StudyFolder, setup: CalibrationSetup) -> np.ndarray:
+    """Flags of the rows that the calibration was scored by, each with its own press's untouched frame."""
+    estimator = Estimator.open(study.calibrated(setup))
+    run = Run.open(study.folder / "runs" / setup.run)
     table = run.labels
     reference = table["reference"].astype(bool).to_numpy()
     pressed, untouched = np.flatnonzero(~reference), np.flatnonzero(reference)
     zero_of = dict(zip(table["press"].iloc[untouched], untouched.tolist(), strict=True))
     flagged = []
-    for row in pressed[own_column(shop.held_out(way), "row").to_numpy(int)]:
+    for row in pressed[own_column(study.held_out(setup), "row").to_numpy(int)]:
         zero = estimator.zero(run.frame(zero_of[table["press"].iloc[row]]).image)
         readings = estimator.read(run.frame(int(row)), zero)
         flagged.append(not all(reading.valid for reading in readings.values()))

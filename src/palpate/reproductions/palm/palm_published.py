@@ -1,8 +1,7 @@
-"""What the source prints, to stand beside what is found here.
+"""Numbers that the source prints, and scores to set beside them.
 
-Source: "Photoelastic Tactile Sensor for a Robotic Palm" (2026), tables 2 to 4 and section 6.
-
-Scores of held-out frames with intervals over places: frames of one place are not independent.
+Source: "Photoelastic Tactile Sensor for a Robotic Palm" (2026), tables 2 to 4 and section 6. Scores have
+intervals over places, since frames of one place are not independent.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The study as one page that reads like the results section of a paper.
+"""The palm's report reproduced on the virtual rig: record, train, score, and write one page of results.
 
-The palm's report made again on the virtual rig, and gone beyond: record, train, score, write it up.
+The page reads like the results section of a paper, and goes beyond the source's.
 """
 
 from __future__ import annotations
@@ -53,17 +53,17 @@ Panels = dict[str, dict[str, tuple[list[float], list[float]]]]
 LIGHT, DARK = "#35c46a", "#3d7bff"
 
 
-def write_up(shop: StudyFolder, found: Mapping[str, Any]) -> None:
+def write_up(study: StudyFolder, found: Mapping[str, Any]) -> None:
     """Write `summary.json` and `report.html` into the study's folder; one that was stopped begins anew."""
     for name in (SUMMARY_FILE, REPORT_FILE):
-        (shop.folder / name).unlink(missing_ok=True)
-    with new_file(shop.folder / SUMMARY_FILE) as path:
+        (study.folder / name).unlink(missing_ok=True)
+    with new_file(study.folder / SUMMARY_FILE) as path:
         path.write_text(json.dumps(summary_of(found), indent=1, allow_nan=False) + "\n")
-    with new_file(shop.folder / REPORT_FILE) as path:
-        path.write_text(page(shop, found), encoding="utf-8")
+    with new_file(study.folder / REPORT_FILE) as path:
+        path.write_text(page(study, found), encoding="utf-8")
 
 
-def page(shop: StudyFolder, found: Mapping[str, Any]) -> str:
+def page(study: StudyFolder, found: Mapping[str, Any]) -> str:
     """The report's HTML."""
     environment = Environment(
         loader=PackageLoader("palpate.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
@@ -72,10 +72,10 @@ def page(shop: StudyFolder, found: Mapping[str, Any]) -> str:
     environment.filters["pc"] = lambda share: f"{100 * share:.1f} %"
     scores = {m: found[f"headline-{m}"] for m in MODELS if f"headline-{m}" in found}
     return environment.get_template("palm_study.html").render(
-        scale=shop.scale,
-        seed=shop.seed,
+        scale=study.scale,
+        seed=study.seed,
         version=__version__,
-        seconds=shop.seconds(),
+        seconds=study.seconds(),
         found=found,
         scores=scores,
         models=MODELS,
@@ -90,13 +90,13 @@ def page(shop: StudyFolder, found: Mapping[str, Any]) -> str:
         training=TABLE_2,
         peers=PEERS,
         verdicts=verdicts(scores),
-        figures=_figures(shop, found, scores),
+        figures=_figures(study, found, scores),
         copy={"stiffer": STIFFER - 1, "dimmer": 1 - DIMMER, "warmer_mired": WARMER_MIRED},
     )
 
 
 def verdicts(scores: Mapping[str, Any]) -> list[str]:
-    """What the headline's numbers say, in sentences that are made from them."""
+    """Sentences made from the headline's numbers."""
     ours = scores.get("palm-compact")
     others = {m: s for m, s in scores.items() if m != "palm-compact"}
     if not ours or not others:
@@ -115,7 +115,7 @@ def verdicts(scores: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _figures(shop: StudyFolder, found: Mapping[str, Any], scores: Mapping[str, Any]) -> dict[str, str]:
+def _figures(study: StudyFolder, found: Mapping[str, Any], scores: Mapping[str, Any]) -> dict[str, str]:
     if len(scores) < len(MODELS):
         return {}
     made = {
@@ -126,7 +126,7 @@ def _figures(shop: StudyFolder, found: Mapping[str, Any], scores: Mapping[str, A
         "places": _places(scores),
     }
     if "one-frame" in found:
-        made["frame"] = _frame(shop, found["one-frame"]["frame"])
+        made["frame"] = _frame(study, found["one-frame"]["frame"])
     if "noise" in found:
         made["noise"] = draw.curves(_against(found["noise"], "times"), "noise, over the rig's own")
     if "durability" in found:
@@ -165,8 +165,8 @@ def _places(scores: Mapping[str, Any]) -> str:
     return draw.places([SHORT[m] for m in points], [[p[n] for n in names] for p in points.values()])
 
 
-def _frame(shop: StudyFolder, frame: int) -> str:
-    run = Run.open(shop.folder / "runs" / "protocol")
+def _frame(study: StudyFolder, frame: int) -> str:
+    run = Run.open(study.folder / "runs" / "protocol")
     boxes = [(run.manifest.regions[name], c) for name, c in (("fringes", LIGHT), ("mirror", DARK))]
     return draw.annotated(run.frame(frame).image, boxes)
 
@@ -220,7 +220,7 @@ def stages(part: str = "all") -> tuple[StudyPart, ...]:
     """The parts, in the order in which they are made."""
 
     def one(model: str) -> Callable[[StudyFolder], Any]:
-        return lambda shop: headline(shop, model)
+        return lambda study: headline(study, model)
 
     first = (
         StudyPart("recorded", record_both),
@@ -268,15 +268,15 @@ def reproduce_palm(
     """
     if part not in PARTS:
         raise InputError(f"there is no part {part!r}; there are {', '.join(PARTS)}")
-    shop = workshop(out, scale, seed, part, progress)
-    found = {stage.name: shop.kept(stage.name, partial(stage.make, shop)) for stage in stages(part)}
-    write_up(shop, found)
+    study = study_folder(out, scale, seed, part, progress)
+    found = {stage.name: study.kept(stage.name, partial(stage.make, study)) for stage in stages(part)}
+    write_up(study, found)
     entries = summary_of(found)
-    shop.folder.rename(out)
+    study.folder.rename(out)
     return entries
 
 
-def workshop(
+def study_folder(
     out: Path, scale: Scale, seed: int, part: str = "all", progress: Progress = silent
 ) -> StudyFolder:
     """The folder of unfinished work towards `out`, made or found again.

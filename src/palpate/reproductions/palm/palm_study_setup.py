@@ -1,8 +1,7 @@
-"""How large the study is: what is recorded, at which size it is seen, and how long models learn.
+"""Size of the study, and its folder, in which every recording, calibration and result is made once.
 
-The study's folder: every recording, calibration and result is made once and found again.
-
-Whatever is interrupted is gone on with by the same command, from the first thing that is missing.
+The size says what is recorded, at which resolution, and how long models learn. An interrupted study continues
+by the same command, from the first part that is missing.
 """
 
 from __future__ import annotations
@@ -161,7 +160,7 @@ LOCATIONS = "group:location"
 
 @dataclass(frozen=True)
 class CalibrationSetup:
-    """One way to calibrate.
+    """One setup to calibrate.
 
     Attributes:
         name: of its calibration in the folder.
@@ -185,7 +184,7 @@ class CalibrationSetup:
 
 @dataclass(frozen=True)
 class StudyFolder:
-    """Where the study is made.
+    """Folder of the study.
 
     Attributes:
         folder: of everything.
@@ -229,51 +228,51 @@ class StudyFolder:
             raise DeviceError(f"recording {name} ended {outcome.state.value}: {outcome.message}")
         return Run.open(path)
 
-    def calibrated(self, way: CalibrationSetup) -> Path:
+    def calibrated(self, setup: CalibrationSetup) -> Path:
         """A calibration's folder."""
-        out = self.folder / "calibrations" / way.name
+        out = self.folder / "calibrations" / setup.name
         if out.exists():
             if not (out / REPORT_FILE).exists():  # stopped between the two
                 write_report(out, out / REPORT_FILE)
             return out
         out.parent.mkdir(parents=True, exist_ok=True)
-        run, kind = Run.open(self.folder / "runs" / way.run), model_kind(way.model)
+        run, kind = Run.open(self.folder / "runs" / setup.run), model_kind(setup.model)
         first, beside = model_regions(run.manifest, ("fringes", "mirror"))
         plan = CalibrationPlan(
-            targets=way.targets or kind.targets,
-            model=way.model,
-            split=way.split,
+            targets=setup.targets or kind.targets,
+            model=setup.model,
+            split=setup.split,
             folds=self.scale.folds,
             scored_folds=1,
             seed=self.seed,
             size_px=(self.scale.side_px, 2 * self.scale.side_px),
-            channels=way.channels or kind.channels or 1,  # type: ignore[arg-type]
+            channels=setup.channels or kind.channels or 1,  # type: ignore[arg-type]
             crop_px=first,
             beside_px=beside,
-            delta=bool(kind.delta) if way.delta is None else way.delta,
+            delta=bool(kind.delta) if setup.delta is None else setup.delta,
             reference=ReferenceRule("reference", "true", ("press",)),
-            options=dict(way.options),
+            options=dict(setup.options),
         )
-        certify(run, plan, out, lambda what, *at: self.progress(f"{way.name}: {what}", *at))
+        certify(run, plan, out, lambda what, *at: self.progress(f"{setup.name}: {what}", *at))
         return out
 
-    def held_out(self, way: CalibrationSetup) -> pd.DataFrame:
-        """What a calibration said of the rows that it had not learnt from."""
-        folder = self.calibrated(way)
+    def held_out(self, setup: CalibrationSetup) -> pd.DataFrame:
+        """Predictions of a calibration on the rows that it had not learnt from."""
+        folder = self.calibrated(setup)
         return read_predictions(folder, read_card(folder))
 
-    def estimated(self, way: CalibrationSetup, run: Run, what: str) -> pd.DataFrame:
-        """What it says of another run."""
-        return self.estimated_by(self.calibrated(way), run, what)
+    def estimated(self, setup: CalibrationSetup, run: Run, what: str) -> pd.DataFrame:
+        """Predictions on another run."""
+        return self.estimated_by(self.calibrated(setup), run, what)
 
     def estimated_by(self, calibration: Path, run: Run, what: str) -> pd.DataFrame:
-        """What the calibration in a folder says of a run."""
+        """Predictions of the calibration in a folder on a run."""
         estimator, name = Estimator.open(calibration), calibration.name
         return predictions(estimator, run, progress=lambda _, *at: self.progress(f"{name} on {what}", *at))
 
-    def scored(self, way: CalibrationSetup, run: Run, what: str) -> dict[str, Any]:
+    def scored(self, setup: CalibrationSetup, run: Run, what: str) -> dict[str, Any]:
         """Its scores there, and the share of frames that it stands by."""
-        return self.scored_by(self.calibrated(way), run, what)
+        return self.scored_by(self.calibrated(setup), run, what)
 
     def scored_by(self, calibration: Path, run: Run, what: str) -> dict[str, Any]:
         """The same of a folder's."""
@@ -294,7 +293,7 @@ class StudyFolder:
         return json.loads(path.read_text())["found"]
 
     def seconds(self) -> dict[str, float]:
-        """How long each result took to make [s]."""
+        """Time that each result took [s]."""
         files = sorted((self.folder / "results").glob("*.json"))
         return {path.stem: float(json.loads(path.read_text())["seconds"]) for path in files}
 
@@ -322,6 +321,6 @@ def noisier(spec: PalmSpec, times: float) -> tuple[PalmSpec, Variation]:
     return replace(spec, camera=camera), varied
 
 
-def ways(models: Sequence[str], scale: Scale) -> dict[str, CalibrationSetup]:
-    """A way for each model, as the scale trains it."""
+def setups(models: Sequence[str], scale: Scale) -> dict[str, CalibrationSetup]:
+    """A setup for each model, as the scale trains it."""
     return {name: CalibrationSetup(name, name, options=dict(scale.options.get(name, {}))) for name in models}

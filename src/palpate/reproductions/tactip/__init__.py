@@ -1,6 +1,6 @@
-"""The compliance report on the virtual TacTip: made again, its controls, and its equation (3) itself."""
+"""The compliance report on the virtual TacTip: reproduced, its controls, and its equation (3) itself."""
 
-from palpate.reproductions.tactip.energy_contour import Contour, ContourGrowth, contour, told
+from palpate.reproductions.tactip.energy_contour import Contour, ContourGrowth, contour, contour_growths
 from palpate.reproductions.tactip.model_errors import (
     Linear,
     Share,
@@ -10,7 +10,7 @@ from palpate.reproductions.tactip.model_errors import (
     shares,
     truth,
 )
-from palpate.reproductions.tactip.tactip_controls import Row, compared, counted, cues, sensitivity
+from palpate.reproductions.tactip.tactip_controls import Row, compared, cues, equation_12, sensitivity
 
 __all__ = [
     "Contour",
@@ -22,11 +22,11 @@ __all__ = [
     "areas_by_friction",
     "compared",
     "contour",
-    "counted",
+    "contour_growths",
     "cues",
+    "equation_12",
     "linear_error",
     "sensitivity",
     "shares",
-    "told",
     "truth",
 ]

@@ -28,7 +28,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from palpate.core import Float, ndarray
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
-from palpate.reproductions.tactip.tactip_controls import KAPPA_N_M, POLAR, head_on, order, seen_px
+from palpate.reproductions.tactip.tactip_controls import KAPPA_N_M, POLAR, head_on, marker_radii_px, order
 from palpate.sensors.tactip import TacTipSpec
 
 LEVELS_PA = (150.0, 300.0, 600.0)
@@ -122,7 +122,7 @@ def contour_rad(press: HeadOnPress, level: Level, flank: Flank, force_n: Forces)
 
 
 def _down(energy: Float[ndarray, " n"], polar: Float[ndarray, " n"], level: float) -> float:
-    """Where the energy first falls to a level, going down from the top."""
+    """Polar angle at which the energy first falls to a level, going down from the top."""
     under = energy <= level
     if energy[0] <= level or not under.any():
         return float("nan")
@@ -144,14 +144,14 @@ def _radius_m(spec: TacTipSpec, press: HeadOnPress, view: View, polar: Forces, f
         rows, at = press.at("inside_m", force_n)[..., 0], press.polar_rad
     else:
         metre = spec.pins.rings * spec.pins.pitch_m / spec.camera.disc_px
-        rows, at = metre * seen_px(spec, press, force_n), POLAR
+        rows, at = metre * marker_radii_px(spec, press, force_n), POLAR
     known = np.where((polar >= at[0]) & (polar <= at[-1]), polar, np.nan)
     return np.array([float(CubicSpline(at, row)(p)) for row, p in zip(rows, known, strict=True)])
 
 
 @dataclass(frozen=True)
 class ContourGrowth:
-    """What a contour says of the specimens, stiffest first, at one force.
+    """A contour on all specimens, stiffest first, at one force.
 
     Attributes:
         area_m2, growth_m2_n, flux_m2_n: see `Contour`.
@@ -175,11 +175,11 @@ class ContourGrowth:
 
     @property
     def orders(self) -> tuple[str, str, str]:
-        """Of area, growth and flux."""
+        """Orders of area, growth and flux."""
         return order(self.area_m2), order(self.growth_m2_n), order(self.flux_m2_n)
 
 
-def told(
+def contour_growths(
     spec: TacTipSpec | None = None,
     force_n: Sequence[float] = (2.0, 3.0, 4.0),
     levels: Sequence[Level] = (*LEVELS_PA, "half", "peak", "contact"),

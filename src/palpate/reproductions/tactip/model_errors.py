@@ -1,4 +1,4 @@
-"""What flow sees of the true motion, and what the models of contact cost: linearity and friction."""
+"""Errors of flow against the true motion, and of the contact models: linearity and friction."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from palpate.reproductions.tactip.tactip_controls import (
     LOW_N,
     Steps,
     circles_px,
-    flow_course,
+    flow_divergence,
     head_on,
     recorded,
-    tracked_course,
-    true_course,
+    tracked_divergence,
+    true_divergence,
 )
 from palpate.sensors.tactip import TacTipSpec, pictured
 from palpate.sensors.tactip.inclined_press import inclined
@@ -47,17 +47,17 @@ class Share:
 def shares(
     spec: TacTipSpec, kappa_n_m: float, seeds: Sequence[int] = range(3), methods: Sequence[str] = METHODS
 ) -> tuple[Share, ...]:
-    """Of every method over disc and contact, from 0.5 to 5 N."""
+    """Shares by every method over disc and contact, from 0.5 to 5 N."""
     found: dict[tuple[str, str], list[float]] = {}
     for seed in seeds:
         made, _ = recorded(spec, kappa_n_m, seed)
         press, force = head_on(spec, kappa_n_m).press, made.true_force_n[made.frame_sample]
         circles = {name: circles_px(spec, press, force)[name] for name in ("disc", "contact")}
-        true = true_course(spec, press, force)
+        true = true_divergence(spec, press, force)
         for method in methods:
             tracked = method == "tracked"
-            told = tracked_course(made, circles) if tracked else flow_course(made, circles, method)
-            for region, D in told.items():
+            series = tracked_divergence(made, circles) if tracked else flow_divergence(made, circles, method)
+            for region, D in series.items():
                 found.setdefault((method, region), []).append(float(D.sum() / true[region].sum()))
     return tuple(
         Share(spec.pins.count, kappa_n_m, *key, float(np.mean(v)), float(np.std(v, ddof=len(v) > 1)))
@@ -84,12 +84,12 @@ class Truth:
 
 
 def truth(spec: TacTipSpec, kappa_n_m: float, force_n: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0)) -> Truth:
-    """What is true of a press, and of its pins."""
+    """True values of a press, and of its pins."""
     press, at = head_on(spec, kappa_n_m).press, np.array(force_n)
     fine = np.linspace(LOW_N, HIGH_N, FINE_STEPS)
     area, above, below = (press.at("area_m2", at + step) for step in (0.0, 0.05, -0.05))
     so_far = {
-        name: np.interp(at, fine[1:], np.cumsum(D)) for name, D in true_course(spec, press, fine).items()
+        name: np.interp(at, fine[1:], np.cumsum(D)) for name, D in true_divergence(spec, press, fine).items()
     }
     flattening, approach = press.at("flattening_m", at), press.at("approach_m", at)
     return Truth(kappa_n_m, at, area, (above - below) / 0.1, flattening, approach, so_far)
@@ -112,7 +112,7 @@ class Linear:
 
 
 def linear_error(tip: str, kappa_n_m: float, force_n: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0)) -> Linear:
-    """At forces; half a minute for a new tip."""
+    """Error of the linear model at forces; half a minute for a new tip."""
     spec, at = TacTipSpec(tip, friction=0.0), np.array(force_n)
     true = head_on(spec, kappa_n_m)
     linear = inclined(spec, modulus_pa(spec.table, kappa_n_m), 0.0)

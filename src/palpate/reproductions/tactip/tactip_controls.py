@@ -1,10 +1,8 @@
-"""The mean divergence of every step of a press over regions of the image: true, by flow, by tracked pins.
+"""Controls on the virtual TacTip: does the divergence of its pin image tell softness, or the frames' count?
 
-Regions are discs around the tip's axis: the `whole` image, the `disc` that untouched pins fill, the true
-`contact` as the camera would see pins at its edge, and the `middle`, inside the pins 6 mm from the axis.
-
-Controls on the virtual TacTip: does the divergence of its pin image tell softness, or do the frames' count
-and the region?
+The mean divergence of every step of a press is taken over regions of the image: true, by flow, by tracked
+pins. Regions are discs around the tip's axis: the `whole` image, the `disc` that untouched pins fill, the
+true `contact` as the camera would see pins at its edge, and the `middle`, inside the pins 6 mm from the axis.
 
 The report's four specimens are pressed head-on from 0.5 to 5 N. Every step from frame to frame has a mean
 divergence over a region of the image (`courses`), from flow of rendered frames or from the markers' true
@@ -43,7 +41,7 @@ NEAR = 0.8  # of the pins' pitch: those by which a circle's motion is told
 Region = Literal["whole", "disc", "contact", "middle"]
 REGIONS: tuple[Region, ...] = ("whole", "disc", "contact", "middle")
 Steps = Float[ndarray, " _"]  # one a step, a frame or a force
-Courses = dict[str, Steps]  # of every step, by region
+DivergenceSeries = dict[str, Steps]  # of every step, by region
 
 
 def head_on(spec: TacTipSpec, kappa_n_m: float) -> HeadOn:
@@ -51,7 +49,9 @@ def head_on(spec: TacTipSpec, kappa_n_m: float) -> HeadOn:
     return HeadOn(spec.table.press(modulus_pa(spec.table, kappa_n_m)), spec.table.radius_m)
 
 
-def seen_px(spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray, " f"]) -> Float[ndarray, "f n"]:
+def marker_radii_px(
+    spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray, " f"]
+) -> Float[ndarray, "f n"]:
     """Distance from the axis in the image of the markers of pins at `POLAR`, at every force [px]."""
     scale, base = pixels_per_tangent(spec), spec.table.radius_m
     rows = []
@@ -62,15 +62,15 @@ def seen_px(spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray, " f"])
     return np.stack(rows)
 
 
-def circles_px(spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray, " f"]) -> Courses:
+def circles_px(spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray, " f"]) -> DivergenceSeries:
     """Radius of every region's circle halfway through every step from one force to the next [px].
 
     Halfway, since the contact grows during a step: a circle from its beginning would make divergence depend
     on how long steps are.
     """
     inner, even = spec.table.radius_m - spec.table.skin_m, np.ones(len(force_n) - 1)
-    seen, edge = seen_px(spec, press, force_n), press.at("angle_rad", force_n)
-    untouched = seen_px(spec, press, np.zeros(1))[0]
+    seen, edge = marker_radii_px(spec, press, force_n), press.at("angle_rad", force_n)
+    untouched = marker_radii_px(spec, press, np.zeros(1))[0]
     contact = np.array([np.interp(a, POLAR, r) for a, r in zip(edge, seen, strict=True)])
     return {
         "whole": np.inf * even,
@@ -80,12 +80,12 @@ def circles_px(spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray, " f
     }
 
 
-def true_course(spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray, " f"]) -> Courses:
+def true_divergence(spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray, " f"]) -> DivergenceSeries:
     """Mean divergence of the markers' true motion: 2 u_r(r) / r on a circle of radius r, for every step.
 
     Of the whole image there is none: beyond the pins nothing moves that could be true.
     """
-    seen, circles = seen_px(spec, press, force_n), circles_px(spec, press, force_n)
+    seen, circles = marker_radii_px(spec, press, force_n), circles_px(spec, press, force_n)
 
     def of(circle: Steps) -> Steps:
         pairs = zip(circle, pairwise(seen), strict=True)
@@ -115,7 +115,9 @@ def recorded(
     return replace(made, frame_sample=at), force[at]
 
 
-def flow_course(made: VirtualPress, circles: Courses, method: str = "horn-schunck") -> Courses:
+def flow_divergence(
+    made: VirtualPress, circles: DivergenceSeries, method: str = "horn-schunck"
+) -> DivergenceSeries:
     """Mean divergence by a method of `flow.course`, for every step and region."""
     far = _from_axis(made)
     found: dict[str, list[float]] = {name: [] for name in circles}
@@ -126,7 +128,7 @@ def flow_course(made: VirtualPress, circles: Courses, method: str = "horn-schunc
     return {name: np.array(values) for name, values in found.items()}
 
 
-def tracked_course(made: VirtualPress, circles: Courses) -> Courses:
+def tracked_divergence(made: VirtualPress, circles: DivergenceSeries) -> DivergenceSeries:
     """The same from pins that are followed: a line through the outward motion of those near the circle."""
     frames = made.frames()
     first = find_pins(next(frames))
@@ -158,7 +160,7 @@ KAPPA_N_M = {"S1": 7600.0, "Snew": 5300.0, "S2": 3100.0, "S3": 1100.0}
 """The report's specimens, stiffest first."""
 
 FROM_N, TO_N = 1.0, 4.0  # between these divergence is read: frames seldom fall on the ends of a press
-FINE_STEPS = 200  # of the markers' true motion where no frames are counted
+FINE_STEPS = 200  # of the markers' true motion where no frames are equation_12
 WAYS = ("divergence", "paper", "secant", "regression")
 
 
@@ -181,15 +183,15 @@ class FlowCues:
 
 
 def cues(spec: TacTipSpec, kappa_n_m: float, seed: int, steps: int | None = None) -> FlowCues:
-    """What Horn and Schunck's flow, and the true markers, say of one trial."""
+    """Cues of one press by Horn and Schunck's flow, and by the true markers."""
     made, force = recorded(spec, kappa_n_m, seed, steps)
     press, true_n = head_on(spec, kappa_n_m).press, made.true_force_n[made.frame_sample]
     circles = circles_px(spec, press, true_n)
     values = {
         (source, region, way): value
         for source, courses in (
-            ("flow", flow_course(made, circles)),
-            ("true", true_course(spec, press, true_n)),
+            ("flow", flow_divergence(made, circles)),
+            ("true", true_divergence(spec, press, true_n)),
         )
         for region, D in courses.items()
         for way, value in zip(WAYS, _ways(spec, force, D), strict=True)
@@ -232,7 +234,7 @@ class Row:
 
 
 def order(values: Sequence[float]) -> str:
-    """How values of ever softer specimens are ordered: "right" where they grow, "reversed", or "mixed"."""
+    """Order of the values of ever softer specimens: "right" where they grow, "reversed", or "mixed"."""
     steps = np.diff(values)
     return "right" if (steps > 0).all() else "reversed" if (steps < 0).all() else "mixed"
 
@@ -249,7 +251,7 @@ def concordance(by_specimen: Sequence[Float[ndarray, " t"]]) -> float:
 
 @dataclass(frozen=True)
 class TacTipCondition:
-    """What is changed from the assumed sensor.
+    """Change from the assumed sensor.
 
     Attributes:
         change: of the spec.
@@ -326,7 +328,7 @@ def sensitivity() -> tuple[Row, ...]:
                     pins=replace(spec.pins, length_m=1e-3 * mm),
                     camera=replace(spec.camera, gel_index=index),
                 )
-                found = [true_course(spec, head_on(spec, k).press, force) for k in KAPPA_N_M.values()]
+                found = [true_divergence(spec, head_on(spec, k).press, force) for k in KAPPA_N_M.values()]
                 name = f"{tip}, pins of {mm:g} mm, index {index:g}"
                 rows += [
                     _row((name, "true", region, "divergence"), [D[region].sum(keepdims=True) for D in found])
@@ -335,7 +337,7 @@ def sensitivity() -> tuple[Row, ...]:
     return tuple(rows)
 
 
-def counted(kappa_n_m: float, slope: float = 10.0, stride_m: float = 0.25e-3) -> float:
+def equation_12(kappa_n_m: float, slope: float = 10.0, stride_m: float = 0.25e-3) -> float:
     """Equation (12) where the area is the same function of force on every specimen, a straight line.
 
     A rigid plate presses at 5 mm/s before 20 frames a second, up to 5 N; what comes out is the slope times

@@ -1,9 +1,9 @@
-"""What the compliance report prints.
+"""The compliance report's numbers, and its experiments on the virtual TacTip.
+
+Specimens are pressed under a rigid plate, and under the tip.
 
 Source: Pagnanelli et al., Model-Based Compliance Discrimination via Soft Tactile Optical Sensing and Optical
 Flow Computation: A Biomimetic Approach, IEEE Robotics and Automation Letters.
-
-The report's experiments on the virtual TacTip: specimens under a rigid plate, and under the tip.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ Progress = Callable[[str, int, int], None]
 
 
 def kappa_n_m(name: str) -> float:
-    """Of a specimen [N/m]."""
+    """Stiffness of a specimen [N/m]."""
     return float("inf") if name == RIGID else 1e3 * KAPPA[name].value
 
 

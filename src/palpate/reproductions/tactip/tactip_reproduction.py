@@ -1,4 +1,7 @@
-"""The compliance report made again: its figures 5 to 9, its p-values, the new specimen's stiffness."""
+"""The compliance report reproduced on the virtual TacTip.
+
+Its figures 5 to 9, its p-values, and the new specimen's stiffness are set beside what is found here.
+"""
 
 from __future__ import annotations
 
@@ -128,7 +131,7 @@ def entries_of(study: Study) -> Iterator[TacTipStudyEntry]:
 
 
 def shown_controls(study: Study) -> list[Row]:
-    """By flow, over the pins' disc and the true contact, equation (12) and the secant."""
+    """Controls by flow, over the pins' disc and the true contact, equation (12) and the secant."""
     return [
         row
         for region, way in SHOWN
@@ -208,23 +211,23 @@ def entry(
 
 
 def groups_of(one: Experiment, cue: str, names: Sequence[str] = NAMES) -> dict[str, list[float]]:
-    """Of every specimen a value a trial."""
+    """Values of every specimen, one a trial."""
     rows = one.table[["specimen", cue]].dropna()
     return {name: rows.loc[rows["specimen"] == name, cue].tolist() for name in names}
 
 
 def means(one: Experiment, cue: str) -> dict[str, float]:
-    """Of every specimen."""
+    """Mean of every specimen."""
     return {name: float(np.mean(values)) for name, values in groups_of(one, cue).items()}
 
 
 def cue_tests(one: Experiment, cue: str) -> Comparison:
-    """Between S1, S2 and S3."""
+    """Rank tests between S1, S2 and S3."""
     return compare(groups_of(one, cue, ("S1", "S2", "S3")))
 
 
 def area_errors(one: Experiment) -> dict[str, tuple[float, float]]:
-    """Of every specimen: median error of the area over 1 to 5 N, and its spread between trials at 4 N."""
+    """Median error of every specimen's area over 1 to 5 N, and its spread between trials at 4 N."""
     found = {}
     for name, cues in one.unseen().items():
         off, level = [], []
@@ -284,7 +287,8 @@ def _figures(study: Study) -> dict[str, Any]:
         ),
         "trend": {t: draw.trend_figure(_panels(one)) for t, one in study.experiments.items()},
         "line": {
-            t: draw.line_figure([_told(one, cue) for cue in CUES]) for t, one in study.experiments.items()
+            t: draw.line_figure([_compared_value(one, cue) for cue in CUES])
+            for t, one in study.experiments.items()
         },
     }
     rows, printed = {}, {}
@@ -293,7 +297,7 @@ def _figures(study: Study) -> dict[str, Any]:
             if reading is not None:
                 rows[f"{t}°, {how}"] = _per_mm(reading)
         for cue in ("spread_rate_mm2_per_N", "divergence_paper_per_N"):
-            rows[f"{t}°, line over {CUES[cue].split(' [')[0]}"] = _told(one, cue).new
+            rows[f"{t}°, line over {CUES[cue].split(' [')[0]}"] = _compared_value(one, cue).new
         printed[f"{t}°, line over {CUES['divergence_paper_per_N'].split(' [')[0]}"] = KAPPA_NEW[t].value
     made["new"] = draw.forest_figure(rows, KAPPA[NEW].value, printed)
     return made
@@ -332,7 +336,7 @@ def _panels(one: Experiment) -> dict[str, tuple[draw.Courses, draw.Groups]]:
     }
 
 
-def _told(one: Experiment, cue: str) -> draw.ComparedValue:
+def _compared_value(one: Experiment, cue: str) -> draw.ComparedValue:
     line, new = stiffness_line(one, cue)
     return draw.ComparedValue(
         CUES[cue],

@@ -29,7 +29,7 @@ MIDDLE_OVER_RIM = 0.35
 
 
 class Quality(NamedTuple):
-    """What makes fringes readable.
+    """Measures of how readable fringes are.
 
     Attributes:
         greatest_order: the most fringe orders on any ray, at 550 nm.
@@ -47,7 +47,7 @@ class Quality(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FromBelow:
-    """What the prototype's camera sees: x to the right, y down the image.
+    """View of the prototype's camera: x to the right, y down the image.
 
     Attributes:
         x_m, y_m: of the pixels on the membrane [m].
@@ -98,7 +98,7 @@ def through_thickness(spec: PalmSpec, depth_m: float) -> tuple[Float[ndarray, " 
 
 
 def quality_below(contact: Contact, spec: PalmSpec) -> Quality:
-    """Of the prototype's picture."""
+    """Quality of the prototype's picture."""
     seen = from_below(contact, spec)
     steps = np.hypot(*np.gradient(seen.order, seen.y_m * 1e3, seen.x_m * 1e3))
     lit = _rim_light(spec, seen.x_m)
@@ -113,7 +113,7 @@ def quality_below(contact: Contact, spec: PalmSpec) -> Quality:
 
 
 def quality_edge_on(contact: Contact, spec: PalmSpec) -> Quality:
-    """Of the folded path's picture.
+    """Quality of the folded path's picture.
 
     Raises:
         InputError: see `from_below`.

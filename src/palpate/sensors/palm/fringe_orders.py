@@ -3,7 +3,7 @@
 N = C / lambda |integral of (s_xx - s_zz, 2 s_xz) dy|. Where the axes turn along the ray it is not the order
 of the light that comes out, but counts the fringes from the outside in to a few per cent.
 
-The numbers of a contact that one would read beside its picture.
+The numbers of a contact that belong beside its picture are here too.
 """
 
 from __future__ import annotations

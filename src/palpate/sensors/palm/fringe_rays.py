@@ -37,7 +37,7 @@ Planes = Float[ndarray, " z"]
 
 
 def exact(spec: PalmSpec, contact: Contact) -> fringe_view.Light:
-    """What each ray sees; dark where the probe or the sunken surface stops it."""
+    """Light of each ray; dark where the probe or the sunken surface stops it."""
     view = spec.fringes.sampled(*spec.rays_per_pixel)
     light = np.full((*view.size_px[::-1], 3), spec.extinction, np.float32)
     rays, z = fringe_view.columns(spec, view), view.down_m
@@ -56,7 +56,7 @@ def exact(spec: PalmSpec, contact: Contact) -> fringe_view.Light:
 
 
 class Places:
-    """Where rays are read: the slices' middles (x, y) and their lengths [m], each ``[w s]``."""
+    """Places at which rays are read: the slices' middles (x, y) and their lengths [m], each ``[w s]``."""
 
     def __init__(self, x: Rays, y: Rays, length: Rays) -> None:
         self.x, self.y, self.length = x, y, length
@@ -111,14 +111,14 @@ def _crowded(contact: Contact) -> list[tuple[float, float]]:
 
 
 def _lowest(contact: Contact, places: Places) -> Float[ndarray, " w"]:
-    """How deep the surface lies where each ray passes it deepest [m]."""
+    """Depth of the surface where each ray passes it deepest [m]."""
     x, y = contact.x_m, contact.y_m
     at = [(places.y - y[0]) / (y[1] - y[0]), (places.x - x[0]) / (x[1] - x[0])]
     return np.asarray(map_coordinates(contact.displacement_m, at, order=1, cval=0.0).max(axis=1))
 
 
 def _stopped(spec: PalmSpec, contact: Contact, rays: ColumnRays, z: Float[ndarray, " h"]) -> ndarray:
-    """Where the probe is in a ray's way, each of its parts where the turned rays pass it."""
+    """Mask of the rays that the probe stops, each of its parts where the turned rays pass it."""
     pose, stopped = contact.pose, np.zeros((len(z), len(rays.visible)), bool)
     if pose.depth_m == 0:
         return stopped

@@ -1,6 +1,4 @@
-"""Pictures that are marched once: a cache bound by bytes, for presets differ a hundredfold in size.
-
-The edge-on view: crossed polarisers, the pressed membrane between them, its round rim a lens.
+"""The edge-on view: crossed polarisers, the pressed membrane between them, its round rim a lens.
 
 Through the rim a column of the image looks along a straight ray inside the membrane that passes the
 contact's axis at some offset s. An axisymmetric field depends on nothing else, so one picture of (s, z)
@@ -35,7 +33,7 @@ from palpate.sensors.palm.probe_shapes import silhouette
 
 @runtime_checkable
 class Sized(Protocol):
-    """What says how much memory it takes."""
+    """An object that says how much memory it takes."""
 
     @property
     def nbytes(self) -> int:
@@ -121,14 +119,14 @@ def shifted(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Light:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """What rays see at signed offsets s from the contact's axis."""
+    """Light of the rays at signed offsets s from the contact's axis."""
 
     offset_m: Float[ndarray, " s"]
     light: Float32[ndarray, "h s 3"]
 
     @property
     def nbytes(self) -> int:
-        """Of memory."""
+        """Size in memory [bytes]."""
         return self.light.nbytes
 
     def at(self, offset_m: Float[ndarray, " w"]) -> Light:
@@ -176,7 +174,7 @@ def spectrum(bands: int) -> Spectrum:
 
 
 def _inner_pitch(spec: PalmSpec) -> float:
-    """From column to column inside the membrane, at its middle [m]."""
+    """Pitch of the columns inside the membrane, at its middle [m]."""
     return spec.fringes.pitch_m / (spec.refractive_index if spec.rim_refracts else 1.0)
 
 

@@ -74,7 +74,7 @@ def shifted(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Grey:
 
 
 def contact_px(spec: PalmSpec, x_m: float, y_m: float, depth_m: float = 0.0) -> tuple[float, float]:
-    """Where the mirror shows a place on the upper surface, from the region's corner (x, y) [px].
+    """Pixel at which the mirror shows a place on the upper surface, from the region's corner (x, y) [px].
 
     The line of sight to it enters the underside nearer to the camera, by the way it leans in the membrane.
     """
@@ -94,7 +94,7 @@ class Patch:
 
     @property
     def nbytes(self) -> int:
-        """Of memory."""
+        """Size in memory [bytes]."""
         return self.grey.nbytes
 
 
@@ -111,7 +111,7 @@ def patch_of(spec: PalmSpec, depth_m: float) -> Patch:
 
 
 def _underside(spec: PalmSpec) -> tuple[ndarray, ndarray]:
-    """Where each pixel's line of sight enters the underside [m]."""
+    """Place at which each pixel's line of sight enters the underside [m]."""
     x, y = np.meshgrid(spec.mirror.x_m, spec.mirror.down_m / math.sin(spec.mirror_elevation_rad))
     return x, y
 
@@ -122,13 +122,13 @@ def veil(spec: PalmSpec) -> float:
 
 
 def inside_rim(spec: PalmSpec) -> Bool[ndarray, "h w"]:
-    """Where the mirror's lines of sight enter the membrane, or the opening it is set in."""
+    """Mask of the mirror's lines of sight that enter the membrane, or the opening it is set in."""
     y = spec.mirror.down_m / math.sin(spec.mirror_elevation_rad)
     return np.asarray(spec.mirror.x_m**2 + y[:, None] ** 2 <= spec.radius_m**2)
 
 
 def path_m(spec: PalmSpec) -> float:
-    """Of a line of sight from the underside to the flat upper surface [m]."""
+    """Length of a line of sight from the underside to the flat upper surface [m]."""
     return spec.thickness_m / _inside_direction(spec)[1]
 
 
@@ -156,17 +156,17 @@ class Surface(Protocol):
         ...
 
     def touching(self, x: ndarray, y: ndarray) -> ndarray:
-        """Where the probe lies on it."""
+        """Mask of the places where the probe lies on it."""
         ...
 
     def beside(self, place: ndarray, out: ndarray) -> ndarray:
-        """How squarely a line of sight that has left the membrane meets the probe; 0 where it does not."""
+        """Cosine at which a line of sight that has left the membrane meets the probe; 0 where it does not."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class BallSurface:
-    """Under a ball, from the finite-strain table; a depth below 0 is of a ball that hangs over it."""
+    """Surface under a ball, from the finite-strain table; a depth below 0 is of a ball that hangs over it."""
 
     press: TabulatedPress
     radius_m: float
@@ -185,7 +185,7 @@ class BallSurface:
         return np.asarray(np.hypot(x, y) < self.press.contact_radius * self.radius_m)
 
     def beside(self, place: ndarray, out: ndarray) -> ndarray:
-        """On the sphere."""
+        """The sphere beside the contact, as `beside` of a surface."""
         if self.depth_m == 0:
             return np.zeros(place.shape[1:])
         R = self.radius_m
@@ -200,7 +200,7 @@ class BallSurface:
 
 
 class GridSurface:
-    """Under any probe, from a contact's grid; the probe is seen only where it touches."""
+    """Surface under any probe, from a contact's grid; the probe is seen only where it touches."""
 
     def __init__(self, contact: Contact) -> None:
         x, y = contact.x_m - contact.pose.x_m, contact.y_m - contact.pose.y_m

@@ -1,8 +1,4 @@
-"""The photoelastic palm's tables: one a press, named by its place and cycle, force samples in its rows.
-
-The photoelastic palm's shots: the dwells of a press, and the photographs taken during each.
-
-The photoelastic palm's own recordings: a table a press, a folder of photographs a shot, turned into a run.
+"""Import of the photoelastic palm's own recordings: a table a press, a folder of photographs a shot.
 
 A press is one table `Cycle_Indent5mm_r{row}c{col}_{cycle}.csv` of force samples. While the probe dwells at a
 depth, some five samples are taken and some 25 photographs; the column `image_file` of all of them names the
@@ -161,7 +157,7 @@ class PalmShot:
 
     @property
     def key(self) -> str:
-        """As the rig's own plans name their shots."""
+        """Name of a shot, as the rig's own plans give it."""
         return f"{self.press.name}/{self.label}/{round(self.depth_mm * 1000)}/0"
 
 

@@ -1,6 +1,4 @@
-"""The pressed membrane as the optics want it: the finite-strain table, in metres and pascals.
-
-A probe on the palm's membrane: the finite-strain table for the ball, linear layers for all else.
+"""A probe on the palm's membrane: the finite-strain table for the ball, linear layers for all else.
 
 The table reaches 6 mm. Linear layers are right to some 4 % in force up to 1.5 mm under a 10 mm ball, and to
 that depth they are allowed; a ball under lateral load or moment is of them, and so are several balls at once.
@@ -52,7 +50,7 @@ def _table(thickness: float, disc_radius: float, poisson_ratio: float, friction:
 
 
 def has_table(spec: PalmSpec) -> bool:
-    """Whether a table was solved for the spec's membrane under its ball."""
+    """Tell whether a table was solved for the spec's membrane under its ball."""
     R = spec.indenter_radius_m
     return _table(spec.thickness_m / R, spec.radius_m / R, spec.poisson_ratio, spec.friction) is not None
 
@@ -85,7 +83,7 @@ def pressed(spec: PalmSpec, depth_m: float) -> TabulatedPress:
 
 
 def depth_of_force(spec: PalmSpec, force_n: float) -> float:
-    """How deep the spec's ball goes under a force [m].
+    """Depth of the spec's ball under a force [m].
 
     Raises:
         RangeError: a force that is negative, not a number, or beyond the table.

@@ -1,7 +1,7 @@
-"""A contact to the camera's frame: the edge-on fringes above, the mirror's view below.
+"""The camera's frame of a contact: the edge-on fringes above, the mirror's view below.
 
-Two ways. The exact one marches every ray from wall to wall and traces every pixel of the mirror. The fast one
-marches each depth once and moves the picture to the contact; what it leaves out is that rays off the
+There are two methods. The exact one marches every ray from wall to wall and traces every pixel of the mirror.
+The fast one marches each depth once and moves the picture to the contact; it leaves out that rays off the
 contact's axis end at the membrane's round wall and not at the table's.
 """
 
@@ -104,7 +104,7 @@ def render_views(contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, 
 
 
 def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool = False) -> tuple[Linear, Below]:
-    """What the camera would see of both regions without noise: linear RGB, 1 at the bare lamp's brightest.
+    """Picture of both regions without noise: linear RGB, 1 at the bare lamp's brightest.
 
     The spec's ball without lateral load takes one of the two ways; any other contact is marched through its
     own stress, whatever `exact` says.
@@ -156,7 +156,7 @@ def _behind_analyser(contact: Contact, spec: PalmSpec, exact: bool) -> tuple[Lin
 
 
 def is_ball(contact: Contact, spec: PalmSpec) -> bool:
-    """Whether the finite-strain table has this contact."""
+    """Tell whether the finite-strain table has this contact."""
     return contact.probe == Probe("sphere", spec.indenter_radius_m) and contact.shear_pa is None
 
 
@@ -196,7 +196,7 @@ def _lamp(strip: LedStrip, corner_loss: float, transmission: float, spec: PalmSp
 def _films(
     wear: Wear, strip: LedStrip, corner_loss: float, transmission: float, spec: PalmSpec
 ) -> tuple[Film, Film]:
-    """What a worn membrane does to both regions, for a lamp as at set-up.
+    """Films of a worn membrane in both regions, for a lamp as at set-up.
 
     The same surface scatters the lamp's light before the analyser and the housing's on its way to the mirror.
     """
@@ -227,7 +227,7 @@ def _films(
 
 
 def _draw_probe(light: Linear, contact: Contact, spec: PalmSpec) -> None:
-    """What the lit housing shows of the probe, of all balls it may consist of."""
+    """Draw what the lit housing shows of the probe, of all balls it may consist of."""
     if contact.pose.depth_m == 0:
         return
     for part, (x, y, up) in parts_of(contact.probe):

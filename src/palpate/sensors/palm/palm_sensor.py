@@ -142,7 +142,7 @@ class Palm:
     def known_depth_m(
         self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
     ) -> float:
-        """To where the table reaches under the own ball, and linear layers under all else [m]."""
+        """Greatest depth of the table under the own ball, and of linear layers under all else [m]."""
         if not is_rigid(specimen):
             return 0.0
         return LINEAR_DEPTH_M if lateral or probe != self._ball else self.force_law(probe).greatest_m
@@ -227,7 +227,7 @@ class Palm:
         return replace(self.spec, youngs_modulus_pa=self.spec.youngs_modulus_pa * history.stiffening)
 
     def _lateral_n(self, probe: Probe, pose: Pose, history: PressHistory) -> tuple[float, float]:
-        """Of the path, by Cattaneo's and Mindlin's law, where it is not known."""
+        """Lateral force of the path, by Cattaneo's and Mindlin's law, where it is not known."""
         if history.lateral_n is not None:
             return history.lateral_n
         if not history.path_m or pose.depth_m <= 0:

@@ -1,9 +1,8 @@
 """Every number of the photoelastic palm: a clear disc between crossed polarisers, with a mirror beneath it.
 
 Sources: "R", the palm's report (Photoelastic Tactile Sensor for a Robotic Palm, 2026); "D", the data layout
-of its code release (github.com/Spades2002/Photoelastic-Palm-Sensor). What neither tells is marked assumed.
-
-Named palms.
+of its code release (github.com/Spades2002/Photoelastic-Palm-Sensor). What neither says is
+marked assumed. The named presets stand at the end.
 """
 
 from __future__ import annotations
@@ -46,17 +45,17 @@ class View:
 
     @property
     def pitches_m(self) -> tuple[float, float]:
-        """Of columns and of rows [m]."""
+        """Pitch of columns and of rows [m]."""
         return self.pitch_m, self.pitch_m if self.row_pitch_m is None else self.row_pitch_m
 
     @property
     def x_m(self) -> Float[ndarray, " w"]:
-        """Of the columns' centres, from the axis [m]."""
+        """Places of the columns' centres, from the axis [m]."""
         return (np.arange(self.box_px[2]) + 0.5 - self.middle_px[0]) * self.pitch_m
 
     @property
     def down_m(self) -> Float[ndarray, " h"]:
-        """Of the rows' centres, from the middle, down the image [m]."""
+        """Places of the rows' centres, from the middle, down the image [m]."""
         return (np.arange(self.box_px[3]) + 0.5 - self.middle_px[1]) * self.pitches_m[1]
 
     def sampled(self, across: float, down: float) -> View:
@@ -179,7 +178,7 @@ class PalmSpec:
 
     @property
     def radius_m(self) -> float:
-        """Of the membrane [m]."""
+        """Radius of the membrane [m]."""
         return self.diameter_m / 2
 
 

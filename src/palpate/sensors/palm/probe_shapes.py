@@ -136,7 +136,7 @@ def upright_ball(probe: Probe) -> Probe:
 
 
 def parts_of(probe: Probe) -> tuple[tuple[Probe, Place], ...]:
-    """What a probe consists of, each with its place beside the axis and its height over the lowest [m].
+    """Parts of a probe, each with its place beside the axis and its height over the lowest [m].
 
     Several points are as many balls, moved as the holder leans; all else is one part.
     """
@@ -189,7 +189,7 @@ def gap_of(
 def silhouette(
     probe: Probe, depth_m: float, across_m: Float[ndarray, " w"], z_m: Float[ndarray, " h"]
 ) -> Float32[ndarray, "h w"]:
-    """How squarely a probe faces a viewer along y, 0 to 1; 0 beside it, and where there is none.
+    """Cosine at which a probe faces a viewer along y, 0 to 1; 0 beside it, and where there is none.
 
     Args:
         probe: what is looked at. Balls are shaded; the sides of all else face the viewer alike.
@@ -217,12 +217,12 @@ def silhouette(
 
 
 def reach_of(probe: Probe) -> float:
-    """How far from its centre along x the probe may touch [m]."""
+    """Distance from its centre along x at which the probe may touch [m]."""
     return reaches_of(probe)[0]
 
 
 def reaches_of(probe: Probe) -> tuple[float, float]:
-    """How far from its centre the probe may touch along x and along y [m]; the same for one body."""
+    """Distances along x and y from its centre at which the probe may touch [m]; the same for one body."""
     if probe.shape in ("two-points", "points"):
         places = [place for _, place in parts_of(probe)]
         across, down = (max(abs(place[axis]) for place in places) for axis in (0, 1))

@@ -1,14 +1,12 @@
-"""Many presses of the virtual palm, drawn for a network to learn from: places anywhere, labels as a rig's.
+"""Presses and other contacts of the virtual palm, drawn for a network to learn from, with their labels.
 
-Like a rig's press, each has one frame of the untouched skin with the probe hanging over it, and then frames
-at several depths. Lamp, hanging height and relaxation differ from press to press, and the camera's noise from
-frame to frame; what differs on a rig besides (tilt, leaning, dents) is left out.
+Presses lie anywhere. Like a rig's press, each has one frame of the untouched skin with the probe hanging over
+it, and then frames at several depths. Lamp, hanging height and relaxation differ from press to press, and the
+camera's noise from frame to frame; what differs on a rig besides (tilt, leaning, dents) is left out.
 
-Contacts beyond one upright ball, drawn for a network to learn from: each picture with what made it.
-
-All are pressed by linear layers, the palm's own ball too, so that no kind is told from another by its law.
-Lamp and place differ from press to press, and the camera's noise from frame to frame. What is drawn at random
-is spread evenly over its range, unless said otherwise; relaxation and wear are left out.
+Other contacts are those beyond one upright ball. All are pressed by linear layers, the palm's own ball too,
+so that no kind is told from another by its law. What is drawn at random is spread evenly over its range, unless
+said otherwise; relaxation and wear are left out.
 """
 
 from __future__ import annotations
@@ -49,7 +47,7 @@ TARGETS = ("depth_mm", "x_mm", "y_mm", "force_N")
 
 @dataclass(frozen=True, slots=True)
 class Presses:
-    """What was drawn.
+    """Rendered presses and their labels.
 
     Attributes:
         images: sRGB ``[n h w 3]``, fringes left and mirror right.
@@ -202,7 +200,7 @@ place on the surface at rest, a grasp's about those through the membrane's centr
 
 @dataclass(frozen=True, slots=True)
 class Loads:
-    """What was drawn.
+    """Rendered contacts and their labels.
 
     Attributes:
         kind: of load, as in `NAMES`.

@@ -1,4 +1,4 @@
-"""The compiled loop that reads stress along rays; `volume` uses it, nobody else."""
+"""The compiled loop that reads stress along rays; `fringe_rays` uses it alone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ f32 = np.float32
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 @no_type_check
 def read_along(near, far, to_near, to_far, x, y, length, turns, frozen, u, v):
-    """What the slices of rays add to a march, on every plane.
+    """Read what the slices of rays add to a march, on every plane.
 
     Args:
         near, far: five stresses on planes [nz 5 ny nx], the first where it holds, the other beyond.

@@ -1,11 +1,11 @@
-"""Light that is not as at set-up: a lamp of another colour, and room light that gets into the housing.
+"""Wear of a clear membrane, and light that differs from that at set-up.
 
-What use leaves on a clear membrane: a clouded surface, scratches, yellowed silicone.
-
-Each thins the light that comes straight through and adds some that does not, so both regions of the frame
-become light * keep + add, with two pictures that are made once. What a surface scatters is taken as spread
-wide and wholly depolarised: the analyser passes half of it, also where the field was dark. Real scratches and
-real haze keep part of the polarisation, so the lifted dark field is an upper bound.
+Light differs by a lamp of another colour, and by room light in the housing. Use leaves a clouded surface,
+scratches and yellowed silicone. Each thins the light that comes straight through and adds some that does
+not, so both regions of the frame become light * keep + add, with two pictures that are made once. Light that
+a surface scatters is taken as spread wide and wholly depolarised: the analyser passes half of it, also where
+the field was dark. Real scratches and haze keep part of the polarisation, so the lifted dark field is an
+upper bound.
 
 Nobody has measured how this palm wears: its report leaves that to future work. All sizes are assumed.
 """
@@ -51,7 +51,7 @@ def room_light(frame_px: tuple[int, int]) -> Float32[ndarray, "h w 1"]:
 
 
 def in_box(shade: Float[ndarray, "h w 1"], box_px: tuple[int, int, int, int]) -> Float32[ndarray, "u v 1"]:
-    """What of it lies in a region of the frame."""
+    """The part that lies in a region of the frame."""
     x, y, w, h = box_px
     return shade[y : y + h, x : x + w]
 
@@ -81,7 +81,7 @@ HAZE_MOST, SCRATCHES_MOST, PRESSES = 0.3, 24, 10_000.0
 
 @dataclass(frozen=True, slots=True)
 class Wear:
-    """How worn a membrane is; by default not at all.
+    """State of a worn membrane; by default not at all.
 
     Attributes:
         haze: share of the light that clouded surfaces scatter out of the beam, 0 to 1, as a haze meter counts
@@ -112,7 +112,7 @@ class Wear:
 
     @property
     def shows(self) -> bool:
-        """Whether a camera would see any of it."""
+        """Tell whether a camera would see any of it."""
         return bool(self.haze or self.scratches or self.yellowing)
 
 
@@ -147,7 +147,7 @@ def worn(presses: float) -> Wear:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Film:
-    """What a worn membrane does to one region's light."""
+    """Effect of a worn membrane on one region's light."""
 
     keep: Float32[ndarray, "h w 3"]
     add: Float32[ndarray, "h w 3"]

@@ -63,7 +63,7 @@ class Inclined:
         return np.asarray(self._root(np.maximum(approach_m, 0.0))) ** 1.5
 
     def area_m2(self, force_n: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
-        """Of the contact [m^2]; smooth, where the states count whole cells."""
+        """Area of the contact [m^2]; smooth, where the states count whole cells."""
         return np.polyval(self._area, np.cbrt(force_n)) * np.cbrt(force_n) ** 2
 
     def skin(self, approach_m: float, lean_rad: tuple[float, float]) -> SkinShape:

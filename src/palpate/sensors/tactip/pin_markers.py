@@ -1,4 +1,4 @@
-"""Where the markers are: rigid pins that stand on the skin's inside and turn with it.
+"""Places of the markers: rigid pins that stand on the skin's inside and turn with it.
 
 A pin's root moves with the skin, and the pin stays along the deformed skin's normal, so that its marker, at
 the end of a lever, shows the skin's tilt larger than its displacement.
@@ -106,6 +106,6 @@ def lattice(pins: PinLayout, inner_radius_m: float) -> tuple[Angles, Angles]:
 
 
 def markers(skin: SkinShape, pins: PinLayout, inner_radius_m: float) -> Places:
-    """Where the markers on the pins' ends are [m]."""
+    """Places of the markers on the pins' ends [m]."""
     places, normals = skin.at(*lattice(pins, inner_radius_m))
     return places + pins.length_m * normals

@@ -1,4 +1,4 @@
-"""From markers in the tip to grey images: refraction at the window, projection, discs, noise."""
+"""Grey images of the markers in the tip: refraction at the window, projection, discs, noise."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ class TacTip:
 
     @property
     def name(self) -> str:
-        """With the number of pins, where it is not the usual one."""
+        """Name of its frames, with the number of pins where it is not the usual one."""
         return "tactip" if self.spec.pins == specs.PINS_127 else f"tactip-{self.spec.pins.count}"
 
     @property
@@ -91,7 +91,7 @@ class TacTip:
 
     @property
     def axes(self) -> ImageAxes:
-        """Of the apex as the camera sees it, x to the right and y down."""
+        """Axes at the apex as the camera sees it, x to the right and y down."""
         _, share = projected(np.zeros((1, 3)), self.spec.camera, self.spec.table.radius_m)
         scale = pixels_per_tangent(self.spec) * float(share[0])
         return ImageAxes(REGION, (scale, 0.0), (0.0, scale))
@@ -179,7 +179,7 @@ class TacTip:
         return pose.x_m / self.spec.table.radius_m, -pose.y_m / self.spec.table.radius_m
 
     def rectify(self, frame: Frame) -> Frame:
-        """As it is.
+        """The frame unchanged.
 
         Raises:
             InputError: a frame of another size.
@@ -211,7 +211,7 @@ class TacTip:
         }
 
     def variation(self) -> Mapping[str, Any]:
-        """Of the report's rig: see `spec.Seating` and `spec.ForceSensor`."""
+        """Spread of the report's rig: see `SeatingSpread` and `ForceSensorSpec`."""
         seat, force = self.spec.seating, self.spec.force
         return {
             "seating_m": seat.position_m,

@@ -73,7 +73,7 @@ class TacTipCamera:
 
 @dataclass(frozen=True, slots=True)
 class ForceSensorSpec:
-    """Under the specimen.
+    """The force sensor under the specimen.
 
     Attributes:
         rate_hz: samples a second [Hz]. R: 200.
@@ -88,7 +88,7 @@ class ForceSensorSpec:
 
 @dataclass(frozen=True, slots=True)
 class SeatingSpread:
-    """What differs from trial to trial; standard deviations, all assumed.
+    """Spread from press to press; standard deviations, all assumed.
 
     Attributes:
         shift_px: of the whole image, along each axis: how the tip is hooked in.

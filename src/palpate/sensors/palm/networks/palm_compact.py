@@ -56,22 +56,22 @@ class RenderedPresses(Protocol):
 
     @property
     def images(self) -> UInt8[np.ndarray, "n h w 3"]:
-        """Of all presses, at all their depths."""
+        """Images of all presses, at all their depths."""
         ...
 
     @property
     def hanging(self) -> UInt8[np.ndarray, "p h w 3"]:
-        """Of each press before it touches."""
+        """Image of each press before it touches."""
         ...
 
     @property
     def press(self) -> Int[np.ndarray, " n"]:
-        """Of each image."""
+        """Index of the press of each image."""
         ...
 
     @property
     def values(self) -> Float32[np.ndarray, "n 4"]:
-        """Of each image, in the order of `TARGETS`."""
+        """Labels of each image, in the order of `TARGETS`."""
         ...
 
 
@@ -139,7 +139,7 @@ class FittedCompact(FittedPalm):
 
 @dataclass(frozen=True)
 class PalmCompact:
-    """How the network is built and trained.
+    """Settings of the network and its training.
 
     Attributes:
         rendered: frames of rendered presses that are learnt from besides the recorded ones; 0 for none, and

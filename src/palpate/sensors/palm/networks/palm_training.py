@@ -1,4 +1,4 @@
-"""What the palm's networks have in common: two views in one image, and targets found by name.
+"""Common parts of the palm's networks: two views in one image, and targets found by name.
 
 The photoelastic palm is seen twice: edge-on, where its fringes are, and in an angled mirror, where the
 indenter's place is. One image holds both, side by side: its left half is the fringe crop, its right half the
@@ -56,7 +56,7 @@ def half_width(shape: tuple[int, int, int]) -> int:
 
 
 def columns_of(targets: Sequence[str], asked: Sequence[str], model: str) -> Indices:
-    """Where each of a model's targets stands among those asked for.
+    """Index of each of a model's targets among those asked for.
 
     Raises:
         InputError: they are not the same targets, in whatever order.
@@ -71,7 +71,7 @@ def columns_of(targets: Sequence[str], asked: Sequence[str], model: str) -> Indi
 
 @dataclass(frozen=True)
 class Scales:
-    """How grey levels and targets become numbers of order one.
+    """Scales by which grey levels and targets become numbers of order one.
 
     Attributes:
         half: columns of each view [px].
@@ -215,7 +215,7 @@ class FittedPalm:
 
 @dataclass(frozen=True)
 class PalmModel(ABC):
-    """How a network of the palm is built and trained: Adam, gradients clipped at a norm of 5.
+    """Settings of a network of the palm and its training: Adam, gradients clipped at a norm of 5.
 
     Attributes:
         epochs: passes over the rows, at most.
@@ -251,7 +251,7 @@ class PalmModel(ABC):
 
     @abstractmethod
     def loss(self, answer: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
-        """What training makes small, of scaled values ``[n t]`` in the model's order."""
+        """Loss that training makes small, of scaled values ``[n t]`` in the model's order."""
 
     def descent(self) -> TrainingLoop:
         """The training loop these options ask for."""
