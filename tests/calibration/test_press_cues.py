@@ -9,7 +9,7 @@ from palpate.calibration.compliance.press_cues import cues_of, series
 from palpate.calibration.compliance.specimen_comparison import cue_tests, trials_table
 from palpate.psychophysics import bootstrap_interval
 from palpate.recordings.exchange.press_table import PressTable
-from palpate.reproductions.tactip.tactip_experiment import table_of
+from palpate.reproductions.tactip.tactip_setup import table_of
 from palpate.sensors.tactip import tactip
 from palpate.workflows.tactip_trials import record_press
 

@@ -10,7 +10,7 @@ from palpate.reproductions.palm import Scale, reproduce_palm, scale_of
 from palpate.reproductions.palm.palm_conditions import record_loads
 from palpate.reproductions.palm.palm_published import MAE, NAMES, R2, TABLE_2
 from palpate.reproductions.palm.palm_reproduction import study_folder, write_up
-from palpate.reproductions.palm.palm_study_setup import MODELS, noisier
+from palpate.reproductions.palm.palm_setup import MODELS, noisier
 from palpate.reproductions.palm.palm_summary import summary_of
 
 SHORT = {"epochs": 1}

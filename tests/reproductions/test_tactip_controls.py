@@ -8,8 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.reproductions.tactip.energy_contour import STEP_N, contour, contour_growths, contour_rad
-from palpate.reproductions.tactip.model_errors import areas_by_friction, linear_error, shares, truth
-from palpate.reproductions.tactip.tactip_controls import (
+from palpate.reproductions.tactip.tactip_comparison import areas_by_friction, linear_error, shares, truth
+from palpate.reproductions.tactip.tactip_conditions import (
     CONDITIONS,
     FROM_N,
     KAPPA_N_M,

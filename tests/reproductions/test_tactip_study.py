@@ -12,9 +12,11 @@ from typer.testing import CliRunner
 from palpate.cli import app
 from palpate.core.errors import ExistsError, InputError
 from palpate.psychophysics.line_fit import fit_line
+from palpate.reproductions import tactip as tactip_package
 from palpate.reproductions.tactip import tactip_reproduction as study
-from palpate.reproductions.tactip.tactip_controls import order
-from palpate.reproductions.tactip.tactip_experiment import (
+from palpate.reproductions.tactip.tactip_conditions import order
+from palpate.reproductions.tactip.tactip_reproduction import CUES, entry, reproduce_tactip
+from palpate.reproductions.tactip.tactip_setup import (
     KAPPA,
     KAPPA_NEW,
     NAMES,
@@ -24,7 +26,6 @@ from palpate.reproductions.tactip.tactip_experiment import (
     table_of,
     under_plate,
 )
-from palpate.reproductions.tactip.tactip_reproduction import CUES, entry, reproduce_tactip
 from palpate.sensors.tactip import tactip
 from palpate.workflows.tactip_trials import record_press
 
@@ -122,7 +123,7 @@ def test_a_stopped_study_leaves_nothing(tmp_path) -> None:
 def test_the_verb_says_that_it_is_virtual(upright, monkeypatch, tmp_path) -> None:
     _, entries, _ = upright
     asked = {}
-    monkeypatch.setattr(study, "reproduce_tactip", lambda out, **how: asked.update(how) or entries)
+    monkeypatch.setattr(tactip_package, "reproduce_tactip", lambda out, **how: asked.update(how) or entries)
     words = ["reproduce", "tactip", "--out", str(tmp_path / "a"), "--trials", "2", "--seed", "3", "--quiet"]
     said = CliRunner().invoke(app, words)
     assert said.exit_code == 0, said.output + said.stderr

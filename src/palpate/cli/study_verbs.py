@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -70,17 +71,10 @@ def palm(
 
     with progress_bar(quiet) as progress:
         entries = reproduce_palm(out, scale_of(scale), seed=seed, part=part, progress=progress)
-    beside = [one for one in entries if one["published"] is not None]
-    width = max((len(one["name"]) for one in beside), default=0)
-    lines = [
+    warning = (
         "Virtual sensor, and models trained with unequal budgets: neither a sensor's accuracy nor a ranking."
-    ]
-    lines += [
-        f"{one['name']:{width}}  {one['value']:.3g} {one['unit']}  (printed: {one['published']:g})"
-        for one in beside
-    ]
-    lines += [f"all {len(entries)} numbers: {out / 'summary.json'}", f"report: {out / 'report.html'}"]
-    print_found(entries, "\n".join(lines), json_)
+    )
+    print_found(entries, _beside_the_source(warning, entries, out), json_)
 
 
 @app.command()
@@ -98,21 +92,25 @@ def tactip(
 
     Example: palpate reproduce tactip --out tactip-study
     """
-    from palpate.reproductions.tactip.tactip_reproduction import reproduce_tactip
+    from palpate.reproductions.tactip import reproduce_tactip
 
     with progress_bar(quiet) as progress:
         entries = reproduce_tactip(out, seed=seed, trials=trials, progress=progress)
-    beside = [one for one in entries if one["published"] is not None]
-    width = max(len(one["name"]) for one in beside)
-    lines = ["Virtual sensor: what the estimators recover of a model, not how good a sensor is."]
-    lines += [
+    warning = "Virtual sensor: what the estimators recover of a model, not how good a sensor is."
+    print_found(entries, _beside_the_source(warning, entries, out), json_)
+
+
+def _beside_the_source(warning: str, entries: Sequence[Mapping[str, Any]], out: Path) -> str:
+    """Text of the numbers that the source prints too, and where all of them are."""
+    beside = [one for one in entries if one["published"] is not None and one["value"] is not None]
+    width = max((len(one["name"]) for one in beside), default=0)
+    lines = [
         f"{one['name']:{width}}  {one['value']:.3g} {one['unit'] if one['unit'] != '1' else '':4}  "
         f"(printed: {one['published']:g})"
         for one in beside
-        if one["value"] is not None
     ]
-    lines += [f"all {len(entries)} numbers: {out / 'summary.json'}", f"report: {out / 'report.html'}"]
-    print_found(entries, "\n".join(lines), json_)
+    files = [f"all {len(entries)} numbers: {out / 'summary.json'}", f"report: {out / 'report.html'}"]
+    return "\n".join([warning, *lines, *files])
 
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from palpate.estimators.certified import Estimator, read_card
 from palpate.estimators.networks import model_kind
 from palpate.recordings.run_reader import Run
 from palpate.reproductions.palm.palm_published import scores_of
-from palpate.reproductions.palm.palm_study_setup import (
+from palpate.reproductions.palm.palm_setup import (
     LOCATIONS,
     MODELS,
     CalibrationSetup,

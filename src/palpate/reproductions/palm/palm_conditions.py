@@ -38,7 +38,7 @@ from palpate.recordings.run_reader import Run
 from palpate.recordings.run_writer import RunWriter
 from palpate.reproductions.palm.palm_comparison import NEW_PLACES_SEED, small_setup
 from palpate.reproductions.palm.palm_published import scores_of
-from palpate.reproductions.palm.palm_study_setup import (
+from palpate.reproductions.palm.palm_setup import (
     MODELS,
     CalibrationSetup,
     Scale,

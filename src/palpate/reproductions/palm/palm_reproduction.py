@@ -31,7 +31,7 @@ from palpate.reproductions.palm.palm_conditions import (
     validity,
 )
 from palpate.reproductions.palm.palm_published import DEPTH, FORCE, MAE, NAMES, PEERS, PLACE, R2, TABLE_2
-from palpate.reproductions.palm.palm_study_setup import MODELS, Scale, StudyFolder
+from palpate.reproductions.palm.palm_setup import MODELS, Scale, StudyFolder
 from palpate.reproductions.palm.palm_summary import PalmStudyEntry, summary_of, targets_of
 from palpate.version import __version__
 

@@ -7,7 +7,7 @@ from typing import Any, TypedDict
 
 from palpate.estimators.networks import model_kind
 from palpate.reproductions.palm.palm_published import MAE, PLACE, R2, PublishedPalm
-from palpate.reproductions.palm.palm_study_setup import MODELS
+from palpate.reproductions.palm.palm_setup import MODELS
 
 FIELDS = ("grid", "new")
 WHERE = {"grid": "held-out places of the grid", "new": "places off the grid"}

@@ -28,7 +28,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from palpate.core import Float, ndarray
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
-from palpate.reproductions.tactip.tactip_controls import KAPPA_N_M, POLAR, head_on, marker_radii_px, order
+from palpate.reproductions.tactip.tactip_conditions import KAPPA_N_M, POLAR, head_on, marker_radii_px, order
 from palpate.sensors.tactip import TacTipSpec
 
 LEVELS_PA = (150.0, 300.0, 600.0)

@@ -16,11 +16,12 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from palpate.core import InputError, Reading, new_folder, refuse_existing, storage_errors
+from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.psychophysics.line_fit import Line
 from palpate.psychophysics.rank_tests import Comparison, compare
 from palpate.reports import study_figures as draw
-from palpate.reproductions.tactip.tactip_controls import Row, compared, order
-from palpate.reproductions.tactip.tactip_experiment import (
+from palpate.reproductions.tactip.tactip_conditions import Row, compared, order
+from palpate.reproductions.tactip.tactip_setup import (
     ADJUSTED_R2,
     DUNN_P,
     KAPPA,
@@ -31,7 +32,6 @@ from palpate.reproductions.tactip.tactip_experiment import (
     RANK_SUM_P,
     Experiment,
     Plate,
-    Progress,
     PublishedTacTip,
     press_all,
     stiffness_line,
@@ -81,7 +81,7 @@ class Study:
 
 
 def reproduce_tactip(
-    out: Path, *, seed: int = 0, trials: int = TRIALS, progress: Progress = lambda what, done, total: None
+    out: Path, *, seed: int = 0, trials: int = TRIALS, progress: Progress = silent
 ) -> list[TacTipStudyEntry]:
     """Make ``report.html`` and ``summary.json``.
 

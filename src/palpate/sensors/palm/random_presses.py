@@ -5,8 +5,8 @@ it, and then frames at several depths. Lamp, hanging height and relaxation diffe
 camera's noise from frame to frame; what differs on a rig besides (tilt, leaning, dents) is left out.
 
 Other contacts are those beyond one upright ball. All are pressed by linear layers, the palm's own ball too,
-so that no kind is told from another by its law. What is drawn at random is spread evenly over its range, unless
-said otherwise; relaxation and wear are left out.
+so that no kind is told from another by its law. What is drawn at random is spread evenly over its range,
+unless said otherwise; relaxation and wear are left out.
 """
 
 from __future__ import annotations

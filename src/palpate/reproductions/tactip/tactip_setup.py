@@ -8,7 +8,7 @@ Flow Computation: A Biomimetic Approach, IEEE Robotics and Automation Letters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ from palpate.calibration.compliance.compliance_reading import PressReading, read
 from palpate.calibration.compliance.press_cues import PressCues, cues_of, series
 from palpate.calibration.compliance.specimen_comparison import trials_table
 from palpate.core import Float, ndarray
+from palpate.estimators.networks.model_interface import Progress
 from palpate.psychophysics.line_fit import Line, fit_line
 from palpate.recordings.exchange.press_table import PressTable
 from palpate.sensors.tactip import TacTipSpec
@@ -68,7 +69,6 @@ DUNN_P = {
 RIGID = "rigid"
 REFERENCES = (RIGID, "S1", "S2", "S3")
 NEW = "new"
-Progress = Callable[[str, int, int], None]
 
 
 def kappa_n_m(name: str) -> float:

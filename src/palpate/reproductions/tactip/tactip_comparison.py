@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palpate.reproductions.tactip.tactip_controls import (
+from palpate.reproductions.tactip.tactip_conditions import (
     FINE_STEPS,
     HIGH_N,
     KAPPA_N_M,
