@@ -29,7 +29,7 @@ from palpate.core import Contact, Frame, InputError, Pose, Probe, RangeError
 from palpate.core.contact import FRESH
 from palpate.core.outline import Outline
 from palpate.core.sensor import SEATED, ImageAxes
-from palpate.mechanics import hertz
+from palpate.mechanics.half_space import hertz
 
 PX_PER_M = 2000.0
 

@@ -114,7 +114,7 @@ def test_at_equal_load_the_reports_choice_shows_most_orders(force_n):
 
 def test_facts_name_a_contact_s_numbers_with_their_units():
     contact = pressed(0.5e-3, 18e-3, -14e-3)
-    found = palm.facts(contact, SPEC)
+    found = palm.contact_summary(contact, SPEC)
     assert found["force_N"] == contact.force_n
     assert found["contact_radius_mm"] == contact.radius_m * 1e3
     assert found["peak_pressure_Pa"] == pytest.approx(contact.pressure_pa.max(), rel=0.02)

@@ -22,7 +22,7 @@ def presses() -> str:
     spec, rows = palm.palm(), []
     scale = 4 / 3 * spec.youngs_modulus_pa / (1 - spec.poisson_ratio**2) * math.sqrt(spec.indenter_radius_m)
     for depth_mm in (1, 2, 3, 4, 5):
-        found = palm.facts(palm.press(spec, Pose(0.0, 0.0, depth_mm * 1e-3)), spec)
+        found = palm.contact_summary(palm.press(spec, Pose(0.0, 0.0, depth_mm * 1e-3)), spec)
         hertz = scale * (depth_mm * 1e-3) ** 1.5
         rows.append(
             (
@@ -97,7 +97,7 @@ def materials(force_n: float) -> str:
     for name in ("solaris", "casting-resin", "sylgard-184"):
         spec = palm.preset(name)
         contact = palm.press_to_force(spec, force_n)
-        found = palm.facts(contact, spec)
+        found = palm.contact_summary(contact, spec)
         rows.append(
             (
                 f"`{name}`",

@@ -85,11 +85,12 @@ def palm(
     from palpate.core.contact import Pose
     from palpate.core.errors import InputError
     from palpate.core.files import new_file
+    from palpate.core.sensor import sensor as sensor_of
     from palpate.recordings.exchange import image_files
     from palpate.sensors import palm as palms
 
-    spec = palms.preset(preset)
-    probe = palms.parse_probe(indenter)
+    sensor = sensor_of("palm" if preset == "palm" else f"palm-{preset}")
+    spec, probe = sensor.spec, sensor.probe(indenter)
     try:
         lateral = tuple(float(part) for part in lateral_n.split(","))
     except ValueError:
@@ -110,10 +111,10 @@ def palm(
     pose = Pose(x_mm * 1e-3, y_mm * 1e-3, depth_mm * 1e-3)
     contact = palms.press(spec, pose, probe, lateral)
     frame = palms.render(contact, spec, np.random.default_rng(seed), exact=exact)
-    found: dict[str, Any] = palms.facts(contact, spec) | {"out": str(out)}
+    result: dict[str, Any] = palms.contact_summary(contact, spec) | {"out": str(out)}
     with new_file(out) as path:
         path.write_bytes(image_files.encode(frame.image).tobytes())
-    print_found(found, "\n".join(f"{name}: {_shown(value)}" for name, value in found.items()), json_)
+    print_found(result, "\n".join(f"{name}: {_shown(value)}" for name, value in result.items()), json_)
 
 
 @app.command()
@@ -154,40 +155,40 @@ def tactip(
     Example: palpate render tactip presses --specimen S1=7.6 --specimen S2=3.1 --trials 3
     """
     from palpate.core.files import refuse_existing
-    from palpate.sensors.tactip import tactip as tactip_of
+    from palpate.core.sensor import sensor as sensor_of
     from palpate.workflows.tactip_trials import REPORT_N_M, UNKNOWN, record_trials, specimens_at
 
     refuse_existing(out)  # before solving for minutes
     own = _stiffnesses(specimen or [], rigid)
     stiffness, hidden = own or REPORT_N_M, unknown or ([] if own else list(UNKNOWN))
-    spec = replace(tactip_of(pins), tip=tip, speed_m_s=1e-3 * speed_mm_s)
+    spec = replace(sensor_of(f"tactip-{pins}").spec, tip=tip, speed_m_s=1e-3 * speed_mm_s)
     with progress_bar(quiet) as progress:
         pressed = specimens_at(spec, stiffness, math.radians(tilt_deg), progress=progress)
         made = record_trials(
             out, spec, pressed, trials, seed=seed, unknown=hidden, runs=runs, progress=progress
         )
-    found, text = _trials_said(made, stiffness, tilt_deg, runs)
-    print_found(found, text, json_)
+    result, text = _trials_text(made, stiffness, tilt_deg, runs)
+    print_found(result, text, json_)
 
 
 def _stiffnesses(pairs: list[str], rigid: bool) -> dict[str, float]:
     """Specimens from ``NAME=STIFFNESS`` [N/m]."""
     from palpate.core.errors import InputError
 
-    found = {"rigid": float("inf")} if rigid else {}
+    stiffnesses = {"rigid": float("inf")} if rigid else {}
     for pair in pairs:
         name, _, value = pair.partition("=")
         try:
             stiffness = 1e3 * float(value)
         except ValueError:
             raise InputError(f"--specimen {pair!r} is not NAME=STIFFNESS in N/mm, as in S1=7.6") from None
-        if name in found:
+        if name in stiffnesses:
             raise InputError(f"specimen {name!r} is given twice; a name stands for one specimen")
-        found[name] = stiffness
-    return found
+        stiffnesses[name] = stiffness
+    return stiffnesses
 
 
-def _trials_said(
+def _trials_text(
     made: PressFolder, stiffness_n_m: Mapping[str, float], tilt_deg: float, runs: bool
 ) -> tuple[dict[str, Any], str]:
     """Result as values and as text."""
@@ -195,7 +196,7 @@ def _trials_said(
 
     presses = sum(len(one.presses) for one in made.specimens)
     shown = {name: stiffness_shown(k) for name, k in stiffness_n_m.items()}
-    found = {
+    result = {
         "out": str(made.path),
         "virtual": True,
         "presses": presses,
@@ -209,7 +210,7 @@ def _trials_said(
         *(f"  {name}: {'a rigid plate' if k == 'inf' else f'{k:.4g} N/mm'}" for name, k in shown.items()),
         f"  a press is a TIFF and a table{' and a run' if runs else ''}; the truth behind them: {TRUTH}",
     ]
-    return found, "\n".join(lines)
+    return result, "\n".join(lines)
 
 
 def _wear(presses: float, haze: float | None, scratches: int | None, yellowing: float) -> Wear:

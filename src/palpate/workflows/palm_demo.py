@@ -228,10 +228,10 @@ def _calibrated(folder: Path, name: str, seed: int, progress: Progress) -> dict[
     )
     calibration = folder / f"cal-{name}"
     certify(Run.open(folder / "run"), plan, calibration, lambda *a: progress(f"{name}: {a[0]}", *a[1:]))
-    found = evaluate(Estimator.open(calibration), Run.open(folder / "run-new-places"), progress=progress)
+    results = evaluate(Estimator.open(calibration), Run.open(folder / "run-new-places"), progress=progress)
     with new_file(folder / f"scores-{name}.json") as path:
-        path.write_text(json.dumps(found, indent=1) + "\n")
-    return {target: ScoreCard(**score) for target, score in found["targets"].items()}
+        path.write_text(json.dumps(results, indent=1) + "\n")
+    return {target: ScoreCard(**score) for target, score in results["targets"].items()}
 
 
 def _said(name: str) -> str:

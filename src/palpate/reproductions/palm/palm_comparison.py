@@ -122,25 +122,25 @@ MIRROR_SIGHTS: dict[str, dict[str, Any]] = {
 
 def leakage(study: StudyFolder) -> list[dict[str, Any]]:
     """The same models on the same frames, held out by place, by place and cycle, and by row of the table."""
-    found = []
+    results = []
     for grouping, split in GROUPINGS.items():
         tag = "" if split == LOCATIONS else f"-by-{split.partition(':')[2].replace(',', '-') or split}"
         small = small_setup(study, f"{SMALL}{tag}", split=split)
         mlp = replace(setups(("palm-mlp-delta",), study.scale)["palm-mlp-delta"], split=split)
         for model, setup in (("small network", small), ("MLP", replace(mlp, name=f"{mlp.name}{tag}"))):
-            found.append({"grouping": grouping, "model": model, **_on_both(study, setup)})
-    return found
+            results.append({"grouping": grouping, "model": model, **_on_both(study, setup)})
+    return results
 
 
 def factorial(study: StudyFolder) -> list[dict[str, Any]]:
     """Colour and difference, each with and without, in one architecture."""
-    found = []
+    results = []
     for colour, channels in (("RGB", 3), ("grey", 1)):
         for seen, delta in (("raw", False), ("delta", True)):
             tag = "" if (colour, seen) == ("RGB", "delta") else f"-{colour.lower()}-{seen}"
             setup = small_setup(study, f"{SMALL}{tag}", channels=channels, delta=delta)
-            found.append({"colour": colour, "seen": seen, **_on_both(study, setup)})
-    return found
+            results.append({"colour": colour, "seen": seen, **_on_both(study, setup)})
+    return results
 
 
 def mirror(study: StudyFolder) -> list[dict[str, Any]]:
@@ -157,13 +157,13 @@ def mirror(study: StudyFolder) -> list[dict[str, Any]]:
             plan = study.scale.new_places(study.seed)
             study.recorded(f"new-places-{tag}", plan, spec=spec, seed=study.seed + NEW_PLACES_SEED)
         runs[name] = f"-{tag}" if fields else ""
-    found = []
+    results = []
     for taught, tag in runs.items():
         setup = small_setup(study, f"{SMALL}{tag}", run=f"protocol{tag}")
         for tested, other in runs.items():
             run = Run.open(study.folder / "runs" / f"new-places{other}")
-            found.append({"taught": taught, "tested": tested, **study.scored(setup, run, tested)})
-    return found
+            results.append({"taught": taught, "tested": tested, **study.scored(setup, run, tested)})
+    return results
 
 
 def _on_both(study: StudyFolder, setup: CalibrationSetup) -> dict[str, Any]:

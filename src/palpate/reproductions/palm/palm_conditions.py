@@ -180,15 +180,15 @@ def sustained(study: StudyFolder, seconds: float = 60.0) -> dict[str, Any]:
 
 
 def _held(study: StudyFolder, run: Run) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     for model, setup in setups(MODELS, study.scale).items():
         table = study.estimated(setup, run, "a press held")
         held = table[table["phase"] == "hold"]
         names = [c for c in ("depth_mm", "force_N") if f"estimate:{c}" in held]
-        found[model] = {
+        results[model] = {
             name: [round(float(v), 5) for v in held[name]] for c in names for name in (c, f"estimate:{c}")
         }
-    return found
+    return results
 
 
 COPIED = ("palm-two-stage", "palm-compact")
@@ -215,10 +215,10 @@ def adaptation(study: StudyFolder) -> list[dict[str, Any]]:
     test = study.recorded(
         "copy", study.scale.new_places(study.seed, coarse=True), spec, seed=study.seed + COPY
     )
-    found = []
+    results = []
     for model in COPIED:
         setup = setups(MODELS, study.scale)[model]
-        found.append({"model": model, "presses": 0, **study.scored(setup, test, "a copy")})
+        results.append({"model": model, "presses": 0, **study.scored(setup, test, "a copy")})
         for presses in ADAPTATION_PRESSES:
             run = study.recorded(
                 f"copy-{presses}", _lesson(study.scale, presses), spec, seed=study.seed + COPY
@@ -226,8 +226,8 @@ def adaptation(study: StudyFolder) -> list[dict[str, Any]]:
             out = study.folder / "calibrations" / f"{model}-copy-{presses}"
             if not out.exists():
                 adapt(study.calibrated(setup), run, out, study.progress)
-            found.append({"model": model, "presses": presses, **study.scored_by(out, test, "a copy")})
-    return found
+            results.append({"model": model, "presses": presses, **study.scored_by(out, test, "a copy")})
+    return results
 
 
 def _lesson(scale: Scale, presses: int) -> StepHold:
@@ -309,17 +309,17 @@ def _write(study: StudyFolder, path: Path, kind: str, parts: list[Loads]) -> Non
 
 def loads(study: StudyFolder) -> dict[str, Any]:
     """Results of each kind: what the five models make of it, and what a network can learn of it."""
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     for kind in KINDS:
         run = record_loads(study, kind)
-        found[kind] = {
+        results[kind] = {
             "models": {
                 m: _as_it_comes(study, setup, run, kind) for m, setup in setups(MODELS, study.scale).items()
             },
             "learnt": _learnt(study, kind),
         }
-    found["shapes"]["told apart"] = shape_classification(Run.open(study.folder / "runs" / "loads-shapes"))
-    return found
+    results["shapes"]["told apart"] = shape_classification(Run.open(study.folder / "runs" / "loads-shapes"))
+    return results
 
 
 def _as_it_comes(study: StudyFolder, setup: CalibrationSetup, run: Run, kind: str) -> dict[str, Any]:
@@ -391,17 +391,17 @@ def validity(study: StudyFolder) -> list[dict[str, Any]]:
     """Shares of frames that each calibration says are not of its kind, or out of its range."""
     every = setups(MODELS, study.scale)
     new = Run.open(study.folder / "runs" / "new-places")
-    found = [
+    results = [
         _row("held-out places of the grid", True, {m: _held_out(study, setup) for m, setup in every.items()}),
         _row("places off the grid", True, {m: _flags(study, w, new) for m, w in every.items()}),
     ]
     for kind, said in (("two-contacts", "two contacts at once"), ("grasp", "three or four contacts at once")):
         run = record_loads(study, kind)
-        found.append(_row(said, False, {m: _flags(study, setup, run) for m, setup in every.items()}))
+        results.append(_row(said, False, {m: _flags(study, setup, run) for m, setup in every.items()}))
     for one in FOREIGN:
         run = recorded(study, one)
-        found.append(_row(one.said, False, {m: _flags(study, setup, run) for m, setup in every.items()}))
-    return found
+        results.append(_row(one.said, False, {m: _flags(study, setup, run) for m, setup in every.items()}))
+    return results
 
 
 def _row(said: str, good: bool, flags: dict[str, np.ndarray]) -> dict[str, Any]:

@@ -140,14 +140,14 @@ def scores_of(table: pd.DataFrame, columns: Sequence[str], group: str = GROUP) -
     table = table[read]
     groups = table[group].to_numpy()
     errors = {c: (table[f"estimate:{c}"] - table[c]).to_numpy(float) for c in columns}
-    found = {c: _one(c, table, errors[c], groups) for c in columns}
+    results = {c: _one(c, table, errors[c], groups) for c in columns}
     if "x_mm" in errors and "y_mm" in errors:
         away = np.hypot(errors["x_mm"], errors["y_mm"])
         mean_x, mean_y, mean = (float(np.abs(e).mean()) for e in (errors["x_mm"], errors["y_mm"], away))
         if not math.hypot(mean_x, mean_y) - ROUNDING <= mean <= mean_x + mean_y + ROUNDING:
             raise InputError(f"a mean distance of {mean} mm cannot be, of {mean_x} and {mean_y} mm")
-        found[PLACE] = {"unit": "mm", **_sizes(away, groups)}
-    return found
+        results[PLACE] = {"unit": "mm", **_sizes(away, groups)}
+    return results
 
 
 def _one(column: str, table: pd.DataFrame, error: Column, groups: Shaped[ndarray, " n"]) -> dict[str, Any]:

@@ -27,9 +27,9 @@ class PalmStudyEntry(TypedDict):
     source: str
 
 
-def summary_of(found: Mapping[str, Any]) -> list[PalmStudyEntry]:
+def summary_of(results: Mapping[str, Any]) -> list[PalmStudyEntry]:
     """All of them; of stages that were not made, none."""
-    return [entry for part in _PARTS for entry in part(found)]
+    return [entry for part in _PARTS for entry in part(results)]
 
 
 def entry(name: str, value: float, unit: str, printed: PublishedPalm | None = None) -> PalmStudyEntry:
@@ -44,9 +44,9 @@ def entry(name: str, value: float, unit: str, printed: PublishedPalm | None = No
     )
 
 
-def _headline(found: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+def _headline(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
     for model in MODELS:
-        scores = found.get(f"headline-{model}")
+        scores = results.get(f"headline-{model}")
         if scores is None:
             continue
         for at in FIELDS:
@@ -72,53 +72,53 @@ def _of_targets(name: str, targets: Mapping[str, Any]) -> Iterator[PalmStudyEntr
         yield entry(f"{name}: {target}, MAE", one["mae"], one["unit"])
 
 
-def _leakage(found: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
-    for row in found.get("leakage", []):
+def _leakage(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+    for row in results.get("leakage", []):
         for at in ("held_out", "new"):
             said = "held out" if at == "held_out" else WHERE["new"]
             yield from _of_targets(f"split by {row['grouping']}, {row['model']}, {said}", row[at])
 
 
-def _factorial(found: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
-    for row in found.get("factorial", []):
+def _factorial(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+    for row in results.get("factorial", []):
         for at in ("held_out", "new"):
             said = "held out" if at == "held_out" else WHERE["new"]
             yield from _of_targets(f"one architecture, {row['colour']} {row['seen']}, {said}", row[at])
 
 
-def _mirror(found: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
-    for row in found.get("mirror", []):
+def _mirror(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+    for row in results.get("mirror", []):
         name = f"mirror, taught {row['taught']}, tested {row['tested']}"
         yield from _of_targets(name, row["targets"])
 
 
-def _conditions(found: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
-    for row in found.get("noise", []):
+def _conditions(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+    for row in results.get("noise", []):
         for model, one in row["models"].items():
             yield from _of_targets(f"{row['times']:g} times the noise, {model}", one["targets"])
-    for one in found.get("conditions", {}).values():
+    for one in results.get("conditions", {}).values():
         for model, scores in one["models"].items():
             yield from _of_targets(f"{one['said']}, {model}", scores["targets"])
             yield entry(f"{one['said']}, {model}: frames stood by", scores["valid"], "1")
 
 
-def _wear(found: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
-    for row in found.get("durability", []):
+def _wear(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+    for row in results.get("durability", []):
         for model, one in row["models"].items():
             name = f"after {row['presses']:g} presses (assumed wear), {model}"
             yield from _of_targets(name, one["targets"])
             yield entry(f"{name}: frames stood by", one["valid"], "1")
 
 
-def _adaptation(found: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
-    for row in found.get("adaptation", []):
+def _adaptation(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+    for row in results.get("adaptation", []):
         name = f"a copy after {row['presses']} presses, {row['model']}"
         yield from _of_targets(name, row["targets"])
         yield entry(f"{name}: frames stood by", row["valid"], "1")
 
 
-def _loads(found: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
-    for kind, one in found.get("loads", {}).items():
+def _loads(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+    for kind, one in results.get("loads", {}).items():
         for model, read in one["models"].items():
             yield entry(f"{kind}, read by {model}: force_N, MAE", read["force_mae_N"], "N")
             yield entry(f"{kind}, read by {model}: frames stood by", read["stood_by"], "1")
@@ -131,14 +131,14 @@ def _loads(found: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
             yield entry("shapes told apart", one["told apart"]["right"], "1")
 
 
-def _validity(found: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
-    for row in found.get("validity", []):
+def _validity(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+    for row in results.get("validity", []):
         for model, rate in row["models"].items():
             yield entry(f"{row['said']}, {model}: frames flagged", rate["flagged"], "1")
 
 
-def _latency(found: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
-    times = found.get("latency", {})
+def _latency(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+    times = results.get("latency", {})
     for model, parts in times.items():
         for part, said in (("network", "network alone, onnxruntime"), ("reading", "frame to readings")):
             yield entry(f"{model}: {said}, median", parts[part]["median_ms"], "ms")

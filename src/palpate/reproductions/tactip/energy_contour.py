@@ -108,17 +108,17 @@ def contour_rad(press: HeadOnPress, level: Level, flank: Flank, force_n: Forces)
     """Polar angle where the contour lies at every force, NaN where there is none."""
     if level == "contact":
         return press.at("angle_rad", force_n)
-    found = []
+    results = []
     for energy in press.at("energy_pa", force_n):
         curve = PchipInterpolator(press.polar_rad, energy)(FINE)
         top = int(np.argmax(curve))
         if level == "peak":
-            found.append(_crest(curve, top))
+            results.append(_crest(curve, top))
             continue
         height = curve[top] / 2 if level == HALF else float(level)
-        found.append(_down(curve[top::-1], FINE[top::-1], height) if flank == "inner" else
+        results.append(_down(curve[top::-1], FINE[top::-1], height) if flank == "inner" else
                      _down(curve[top:], FINE[top:], height))  # fmt: skip
-    return np.array(found)
+    return np.array(results)
 
 
 def _down(energy: Float[ndarray, " n"], polar: Float[ndarray, " n"], level: float) -> float:

@@ -48,7 +48,7 @@ def shares(
     spec: TacTipSpec, kappa_n_m: float, seeds: Sequence[int] = range(3), methods: Sequence[str] = METHODS
 ) -> tuple[Share, ...]:
     """Shares by every method over disc and contact, from 0.5 to 5 N."""
-    found: dict[tuple[str, str], list[float]] = {}
+    results: dict[tuple[str, str], list[float]] = {}
     for seed in seeds:
         made, _ = recorded(spec, kappa_n_m, seed)
         press, force = head_on(spec, kappa_n_m).press, made.true_force_n[made.frame_sample]
@@ -58,10 +58,10 @@ def shares(
             tracked = method == "tracked"
             series = tracked_divergence(made, circles) if tracked else flow_divergence(made, circles, method)
             for region, D in series.items():
-                found.setdefault((method, region), []).append(float(D.sum() / true[region].sum()))
+                results.setdefault((method, region), []).append(float(D.sum() / true[region].sum()))
     return tuple(
         Share(spec.pins.count, kappa_n_m, *key, float(np.mean(v)), float(np.std(v, ddof=len(v) > 1)))
-        for key, v in found.items()
+        for key, v in results.items()
     )
 
 
@@ -137,9 +137,9 @@ def areas_by_friction(
     tilt_rad: float, frictions: Sequence[float] = (0.0, 0.5, 1.0), force_n: float = HIGH_N
 ) -> dict[float, tuple[float, ...]]:
     """Contact area on every specimen, stiffest first, by Coulomb's coefficient [m^2]; ten seconds a press."""
-    found = {}
+    results = {}
     for friction in frictions:
         spec = replace(TacTipSpec(), friction=friction)
         specimens = (inclined(spec, modulus_pa(spec.table, k), tilt_rad) for k in KAPPA_N_M.values())
-        found[friction] = tuple(float(s.area_m2(np.array([force_n]))[0]) for s in specimens)
-    return found
+        results[friction] = tuple(float(s.area_m2(np.array([force_n]))[0]) for s in specimens)
+    return results

@@ -120,12 +120,12 @@ def flow_divergence(
 ) -> DivergenceSeries:
     """Mean divergence by a method of `flow.course`, for every step and region."""
     far = _from_axis(made)
-    found: dict[str, list[float]] = {name: [] for name in circles}
+    results: dict[str, list[float]] = {name: [] for name in circles}
     for j, step in enumerate(course(made.frames(), method)):
         spreading = divergence(step.field)
         for name, circle in circles.items():
-            found[name].append(float(spreading[far < circle[j]].mean(dtype=np.float64)))
-    return {name: np.array(values) for name, values in found.items()}
+            results[name].append(float(spreading[far < circle[j]].mean(dtype=np.float64)))
+    return {name: np.array(values) for name, values in results.items()}
 
 
 def tracked_divergence(made: VirtualPress, circles: DivergenceSeries) -> DivergenceSeries:
@@ -134,16 +134,16 @@ def tracked_divergence(made: VirtualPress, circles: DivergenceSeries) -> Diverge
     first = find_pins(next(frames))
     near = NEAR * made.sensor.spec.camera.disc_px / made.sensor.spec.pins.rings
     places = [first.xy_px, *(pins.xy_px for pins in follow(frames, first))]
-    found: dict[str, list[float]] = {name: [] for name in circles if name != "whole"}
+    results: dict[str, list[float]] = {name: [] for name in circles if name != "whole"}
     for j, (now, later) in enumerate(pairwise(places)):
         off = now - _middle(made)
         r = np.hypot(*off.T)
         away = ((later - now) * off).sum(axis=1) / np.maximum(r, 1.0)
-        for name in found:
+        for name in results:
             c = circles[name][j]
             here = (np.abs(r - c) < near) & np.isfinite(away)
-            found[name].append(float(2 * np.polyfit(r[here] - c, away[here], 1)[1] / c))
-    return {name: np.array(values) for name, values in found.items()}
+            results[name].append(float(2 * np.polyfit(r[here] - c, away[here], 1)[1] / c))
+    return {name: np.array(values) for name, values in results.items()}
 
 
 def _middle(made: VirtualPress) -> Float[ndarray, 2]:
@@ -328,11 +328,13 @@ def sensitivity() -> tuple[Row, ...]:
                     pins=replace(spec.pins, length_m=1e-3 * mm),
                     camera=replace(spec.camera, gel_index=index),
                 )
-                found = [true_divergence(spec, head_on(spec, k).press, force) for k in KAPPA_N_M.values()]
+                results = [true_divergence(spec, head_on(spec, k).press, force) for k in KAPPA_N_M.values()]
                 name = f"{tip}, pins of {mm:g} mm, index {index:g}"
                 rows += [
-                    _row((name, "true", region, "divergence"), [D[region].sum(keepdims=True) for D in found])
-                    for region in found[0]
+                    _row(
+                        (name, "true", region, "divergence"), [D[region].sum(keepdims=True) for D in results]
+                    )
+                    for region in results[0]
                 ]
     return tuple(rows)
 

@@ -228,7 +228,7 @@ def cue_tests(one: Experiment, cue: str) -> Comparison:
 
 def area_errors(one: Experiment) -> dict[str, tuple[float, float]]:
     """Median error of every specimen's area over 1 to 5 N, and its spread between trials at 4 N."""
-    found = {}
+    results = {}
     for name, cues in one.unseen().items():
         off, level = [], []
         for cue in cues:
@@ -237,8 +237,8 @@ def area_errors(one: Experiment) -> dict[str, tuple[float, float]]:
             inside = (course.force_n >= 1) & (course.force_n <= 5)
             off.append(np.abs(course.area_m2[inside, 0] / cue.trial.area_m2[inside] - 1))
             level.append(np.interp(4.0, course.force_n, course.area_m2[:, 0]))
-        found[name] = (float(np.median(np.concatenate(off))), float(np.std(level, ddof=1) / np.mean(level)))
-    return found
+        results[name] = (float(np.median(np.concatenate(off))), float(np.std(level, ddof=1) / np.mean(level)))
+    return results
 
 
 def _course(one: Experiment, cue: Any) -> Any:

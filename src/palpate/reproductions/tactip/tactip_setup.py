@@ -125,13 +125,13 @@ def press_all(
     specimens = specimens_at(spec, kappas, float(np.deg2rad(tilt_deg)), progress=progress)
     done, total, cues = 0, sum(counts.values()), {}
     for i, (name, count) in enumerate(counts.items()):
-        found = []
+        results = []
         for k in range(count):
             made = record_press(spec, specimens[name], seed=100_000 * seed + 1000 * tilt_deg + 100 * i + k)
-            found.append(cues_of(list(made.frames()), table_of(made)))
+            results.append(cues_of(list(made.frames()), table_of(made)))
             done += 1
             progress(f"presses at {tilt_deg} degrees", done, total)
-        cues[name] = tuple(found)
+        cues[name] = tuple(results)
     calibration = calibrate_compliance(
         [
             ReferenceSpecimen(name, kappa_n_m(name), tuple(c.trial for c in cues[name][:calibrating]))

@@ -1,6 +1,6 @@
 """The photoelastic palm: a clear disc between crossed polarisers, seen edge-on and through a mirror."""
 
-from palpate.sensors.palm.fringe_orders import facts
+from palpate.sensors.palm.fringe_orders import contact_summary
 from palpate.sensors.palm.palm_press import has_table, press, press_to_force
 from palpate.sensors.palm.palm_render import Views, expose, render, render_clean, render_raw, render_views
 from palpate.sensors.palm.palm_spec import (
@@ -28,12 +28,12 @@ __all__ = [
     "Views",
     "Wear",
     "casting_resin",
+    "contact_summary",
     "cropped",
     "crops",
     "debug",
     "demo",
     "expose",
-    "facts",
     "has_table",
     "palm",
     "parse_probe",

@@ -84,7 +84,7 @@ def integrated(
     return 2 * (along * dy).sum(axis=0), 2 * (2 * rz * cosine * dy).sum(axis=0)
 
 
-def facts(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
+def contact_summary(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
     """Force, contact, pressure and fringes, each named with its unit.
 
     `rim_force_percent` is by how much the force would differ had the press been solved where it is, and not

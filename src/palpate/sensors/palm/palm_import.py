@@ -75,13 +75,13 @@ def presses_in(folder: Path) -> list[PalmPressTable]:
 
 
 def _press(path: Path) -> PalmPressTable:
-    found = _TABLE.fullmatch(path.name)
-    if found is None:
+    results = _TABLE.fullmatch(path.name)
+    if results is None:
         raise LabelError(
             f"{path} is not named as Cycle_Indent5mm_r4c6_1.csv is, which tells depth, row, column and "
             "cycle; rename it, or move it away"
         )
-    deepest, row, column, cycle = found.groups()
+    deepest, row, column, cycle = results.groups()
     return PalmPressTable(path, float(deepest), int(row), int(column), int(cycle))
 
 
@@ -163,12 +163,12 @@ class PalmShot:
 
 def shots_of(press: PalmPressTable, table: pd.DataFrame, folder: Path) -> list[PalmShot]:
     """A press's dwells, in the order in which they begin in its table."""
-    found: dict[tuple[str, float], PalmShot] = {}
+    results: dict[tuple[str, float], PalmShot] = {}
     seen: dict[str, list[Path]] = {}
     for i in range(len(table)):
         cell, phase = str(table["image_file"].iloc[i]), str(table["phase"].iloc[i])
         depth = _depth_mm(press, i, cell, phase, float(table["indent_mm"].iloc[i]))
-        shot = found.setdefault((phase, depth), PalmShot(press, phase, depth))
+        shot = results.setdefault((phase, depth), PalmShot(press, phase, depth))
         shot.rows.append(i)
         if cell not in seen:
             seen[cell] = _photos(press, i, cell, folder)
@@ -178,9 +178,9 @@ def shots_of(press: PalmPressTable, table: pd.DataFrame, folder: Path) -> list[P
                 f"{press.path}, row {i + FIRST_ROW}: {cell!r} belongs to another shot than {phase} at "
                 f"{depth:g} mm; one photograph shows one dwell"
             )
-    for shot in found.values():
+    for shot in results.values():
         _check_stands(shot, table)
-    return list(found.values())
+    return list(results.values())
 
 
 def _depth_mm(press: PalmPressTable, i: int, cell: str, phase: str, indent_mm: float) -> float:
@@ -189,8 +189,8 @@ def _depth_mm(press: PalmPressTable, i: int, cell: str, phase: str, indent_mm: f
     if named is None:
         return round(indent_mm, 3)
     row, column, cycle, phase_named, depth = named.groups()
-    told = (int(row), int(column), int(cycle), phase_named)
-    if told != (press.row, press.column, press.cycle, phase) or abs(float(depth) - indent_mm) > NEAR_MM:
+    report = (int(row), int(column), int(cycle), phase_named)
+    if report != (press.row, press.column, press.cycle, phase) or abs(float(depth) - indent_mm) > NEAR_MM:
         raise LabelError(
             f"{press.path}, row {i + FIRST_ROW}: image_file is {cell!r}, but the row is of {press.name}, "
             f"{phase}, {indent_mm:g} mm; one of the two is misfiled"

@@ -62,9 +62,9 @@ def table_of(spec: PalmSpec) -> SphereTable:
         RangeError: none was made for them; the message lists those there are.
     """
     R = spec.indenter_radius_m
-    found = _table(spec.thickness_m / R, spec.radius_m / R, spec.poisson_ratio, spec.friction)
-    if found is not None:
-        return found
+    pressed = _table(spec.thickness_m / R, spec.radius_m / R, spec.poisson_ratio, spec.friction)
+    if pressed is not None:
+        return pressed
     known = "; ".join(
         f"{t.thickness * R * 1e3:g} mm thick, {2 * t.disc_radius * R * 1e3:g} mm wide or more, "
         f"nu {t.poisson_ratio:g}, friction {t.friction:g}"
@@ -140,7 +140,7 @@ FRICTION = 1.0  # between probe and clean silicone, where a lateral load is aske
 class Layered(NamedTuple):
     """A press by linear layers: as the mechanics know it, and as all else does."""
 
-    found: StackContact
+    pressed: StackContact
     contact: Contact
 
 
@@ -227,19 +227,21 @@ def press_layers(spec: PalmSpec, pose: Pose, probe: Probe) -> Layered:
         )
     across, down = _offsets(probe)
     x, y = pose.x_m + across, pose.y_m + down
-    found = press_stack(stack_of(spec), gap_of(probe, x, y, (pose.x_m, pose.y_m)), x, y, depth_m=pose.depth_m)
-    _check_inside(spec, found, pose)
-    return Layered(found, found.as_contact(probe, pose))
+    pressed = press_stack(
+        stack_of(spec), gap_of(probe, x, y, (pose.x_m, pose.y_m)), x, y, depth_m=pose.depth_m
+    )
+    _check_inside(spec, pressed, pose)
+    return Layered(pressed, pressed.as_contact(probe, pose))
 
 
 def pulled(layered: Layered, lateral_n: tuple[float, float], moment_nm: float | None = None) -> Contact:
     """A contact with a lateral load on top; arguments and errors as of `press`."""
-    found, contact = layered
-    if not found.force_n > 0:
+    pressed, contact = layered
+    if not pressed.force_n > 0:
         asked = f"{math.hypot(*lateral_n):g} N" + (f" and {moment_nm:g} N m" if moment_nm else "")
         raise RangeError(f"a lateral load of {asked} on a probe that does not press")
     axis = (contact.pose.x_m, contact.pose.y_m)
-    sheared = shear_stack(found, FRICTION, force_n=lateral_n, moment_nm=moment_nm, axis_m=axis)
+    sheared = shear_stack(pressed, FRICTION, force_n=lateral_n, moment_nm=moment_nm, axis_m=axis)
     return replace(
         contact,
         shear_pa=sheared.shear_pa,
@@ -267,9 +269,11 @@ def _offsets(probe: Probe) -> tuple[np.ndarray, np.ndarray]:
     return across, down
 
 
-def _check_inside(spec: PalmSpec, found: StackContact, pose: Pose) -> None:
-    y, x = np.nonzero(found.touching)
-    furthest = float(np.hypot(found.x_m[x], found.y_m[y]).max()) if len(x) else math.hypot(pose.x_m, pose.y_m)
+def _check_inside(spec: PalmSpec, pressed: StackContact, pose: Pose) -> None:
+    y, x = np.nonzero(pressed.touching)
+    furthest = (
+        float(np.hypot(pressed.x_m[x], pressed.y_m[y]).max()) if len(x) else math.hypot(pose.x_m, pose.y_m)
+    )
     if furthest > spec.radius_m:
         raise RangeError(
             f"the contact reaches {furthest * 1e3:.1f} mm from the membrane's axis, over its rim at "

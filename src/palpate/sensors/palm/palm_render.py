@@ -112,7 +112,7 @@ def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool = False) -> tu
     Raises:
         InputError: another contact than the ball's without a membrane.
     """
-    light, grey = _behind_analyser(contact, spec, exact)
+    light, grey = _transmitted(contact, spec, exact)
     light *= _lamp(spec.lamp, spec.corner_loss, spec.membrane_transmission, spec.unlit)
     if spec.probe_edge_on:
         _draw_probe(light, contact, spec)
@@ -132,7 +132,7 @@ def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool = False) -> tu
     return light, below
 
 
-def _behind_analyser(contact: Contact, spec: PalmSpec, exact: bool) -> tuple[Linear, Grey]:
+def _transmitted(contact: Contact, spec: PalmSpec, exact: bool) -> tuple[Linear, Grey]:
     """Both regions, lit evenly: what passes the analyser edge-on, and the brightness the mirror shows."""
     pose, air = contact.pose, not spec.membrane
     if air and not (is_ball(contact, spec) and math.isfinite(pose.x_m + pose.y_m)):

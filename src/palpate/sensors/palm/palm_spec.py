@@ -239,17 +239,17 @@ def palm() -> PalmSpec:
 
 def small() -> PalmSpec:
     """A quarter of the pixels each way: what networks are fed."""
-    return shrunk(palm(), 4, "palm-small")
+    return scaled_down(palm(), 4, "palm-small")
 
 
 def demo() -> PalmSpec:
     """A sixth of the pixels each way: what the demo records."""
-    return shrunk(palm(), 6, "palm-demo")
+    return scaled_down(palm(), 6, "palm-demo")
 
 
 def debug() -> PalmSpec:
     """A tenth of the pixels each way: for tests, and for finding faults."""
-    return shrunk(palm(), 10, "palm-debug")
+    return scaled_down(palm(), 10, "palm-debug")
 
 
 def crops() -> PalmSpec:
@@ -280,7 +280,7 @@ def casting_resin() -> PalmSpec:
     )
 
 
-def shrunk(spec: PalmSpec, by: int, name: str) -> PalmSpec:
+def scaled_down(spec: PalmSpec, by: int, name: str) -> PalmSpec:
     """The same palm seen by a camera of fewer pixels, each of them the mean of four rays."""
     w, h = spec.frame_px
     return replace(
@@ -346,7 +346,7 @@ __all__ = [
     "demo",
     "palm",
     "preset",
-    "shrunk",
+    "scaled_down",
     "small",
     "solaris",
     "sylgard_184",

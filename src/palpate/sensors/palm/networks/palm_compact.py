@@ -224,11 +224,11 @@ class PalmCompact:
             return None
         count = max(1, round(self.rendered / DEPTHS_EACH))
 
-        def told(done: int, total: int) -> None:
+        def report(done: int, total: int) -> None:
             progress("rendering presses", done, total)
 
         draw: Callable[..., RenderedPresses] = self._sensor().draw_presses  # type: ignore[attr-defined]
-        return draw(side, count, DEPTHS_EACH, rng, told, processes=self.processes)
+        return draw(side, count, DEPTHS_EACH, rng, report, processes=self.processes)
 
     def _sensor(self) -> Sensor:
         return sensor(DEFAULT_SENSOR if self.palm == DEFAULT_SENSOR else f"{DEFAULT_SENSOR}-{self.palm}")

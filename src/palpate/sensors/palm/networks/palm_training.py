@@ -277,10 +277,10 @@ class PalmModel(ABC):
         network = self._begun(data.shape[0], scales, seed)
         begun = f"from {Path(self.weights).name}" if self.weights else "from scratch"
 
-        def told(what: str, done: int, total: int) -> None:
+        def report(what: str, done: int, total: int) -> None:
             progress(f"{what} {begun}", done, total)
 
-        trained = self.descent().train(network, lesson, seed=seed, progress=told, checkpoint=checkpoint)
+        trained = self.descent().train(network, lesson, seed=seed, progress=report, checkpoint=checkpoint)
         return FittedPalm(trained, data.shape)
 
     def _begun(self, channels: int, scales: Scales, seed: int) -> PalmNetwork:
