@@ -23,7 +23,7 @@ def certify(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress =
         run: frames and labels to learn from.
         plan: what to estimate and how.
         out: calibration folder to make; must not exist.
-        progress: told what is being done and how far it is.
+        progress: called with what is being done and how far it is.
     """
     out = Path(out)
     calibrate(run, plan, out, progress)

@@ -138,7 +138,7 @@ def run_demo(
         out: folder to make; must not exist. It appears when everything is done.
         locations: places to calibrate on, and new ones to test on.
         seed: of everything random.
-        progress: told what is being done.
+        progress: called with what is being done.
     """
     out = Path(out)
     with new_folder(out) as folder:
@@ -162,7 +162,7 @@ def record_demo(
         protocol: how the ball is pressed.
         locations: how many places.
         seed: of everything random.
-        progress: told how far it is.
+        progress: called with how far it is.
     """
     spec = palm.demo()
     manifest = Manifest.new(

@@ -36,7 +36,7 @@ def sweep(
         seed: 0 or more.
         processes: how many work on this machine; 1 works in this process.
         scheduler: address of a Dask scheduler whose workers shall do it instead.
-        progress: told how many items are done of how many.
+        progress: called with how many items are done of how many.
 
     Returns:
         What the function returned, in the order of the items.

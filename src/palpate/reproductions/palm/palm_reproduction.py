@@ -257,7 +257,7 @@ def reproduce_palm(
         scale: how large.
         seed: of everything random: the rig's noise, which places are held out, the networks' beginnings.
         part: "all", or "headline" for the comparison of the five models alone.
-        progress: told what is being done.
+        progress: called with what is being done.
 
     Returns:
         The numbers, as `summary.json` holds them.

@@ -190,7 +190,7 @@ class StudyFolder:
         folder: of everything.
         scale: how large it is.
         seed: of everything random.
-        progress: told what is being done.
+        progress: called with what is being done.
         processes: how many draw pictures.
     """
 

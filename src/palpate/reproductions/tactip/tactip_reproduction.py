@@ -89,7 +89,7 @@ def reproduce_tactip(
         out: folder to make; it appears when all is done.
         seed: of everything random.
         trials: of each specimen at each tilt, beside as many that calibrate; 2 or more.
-        progress: told of every press.
+        progress: called at every press.
 
     Returns:
         What ``summary.json`` holds.

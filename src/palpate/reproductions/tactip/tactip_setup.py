@@ -118,7 +118,7 @@ def press_all(
         tilt_deg: of the specimens' tops [deg].
         seed: of everything random.
         calibrating, testing: trials of each reference; the new specimen has `testing` alone.
-        progress: told of every press.
+        progress: called at every press.
     """
     counts = {RIGID: calibrating} | dict.fromkeys(("S1", "S2", "S3"), calibrating + testing) | {NEW: testing}
     kappas = {name: kappa_n_m(name) for name in counts}

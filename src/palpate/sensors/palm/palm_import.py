@@ -315,7 +315,7 @@ def import_palm(
         licence: of the data.
         origin: who recorded it, and where it was had from.
         allow_unlabelled: leave out photographs that no table names, rather than refuse the folder.
-        progress: told how many steps are done of how many.
+        progress: called with how many steps are done of how many.
 
     Raises:
         ExistsError: `run` exists.

@@ -78,7 +78,7 @@ def draw_presses(
         count: of presses.
         depths_each: frames of each.
         rng: the only source of chance.
-        progress: told how many frames are drawn of how many.
+        progress: called with how many frames are drawn of how many.
         processes: how many draw, on this machine; what is drawn does not depend on it.
 
     Raises:
@@ -242,7 +242,7 @@ def draw_loads(
             ``"two-contacts"`` (two of the palm's balls, 12 mm apart or more) or ``"grasp"`` (three or four).
         count: of contacts, with one picture each.
         rng: the only source of chance.
-        progress: told how many are drawn of how many.
+        progress: called with how many are drawn of how many.
 
     Raises:
         InputError: another kind, or no contact.
