@@ -19,8 +19,7 @@ from palpate.estimators.flow import (
     flow,
     horn_schunck,
 )
-from palpate.estimators.flow.horn_schunck import brightness, derivatives
-from palpate.estimators.flow.horn_schunck import divergence as plain_divergence
+from palpate.estimators.flow.horn_schunck import brightness, derivatives, divergence as plain_divergence
 from palpate.recordings.exchange.frame_sequences import TiffFrames
 
 

@@ -13,8 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from mcap.writer import MCAP0_MAGIC
 
 from palpate.core import ImageError, ManualClock, PalpateError, RangeError, RecordingError

@@ -3,8 +3,7 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from palpate.core.errors import InputError
 from palpate.reproductions.palm.palm_published import interval_of_mean, scores_of

@@ -8,8 +8,7 @@ import threading
 from types import SimpleNamespace
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from palpate.core.clock import MonotonicClock
 from palpate.core.device_protocols import Stage

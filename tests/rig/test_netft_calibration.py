@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from palpate.core import ProtocolError
 from palpate.rig.real.netft.netft_calibration import calibration

@@ -7,8 +7,7 @@ from numpy.testing import assert_allclose
 from palpate.core.errors import RangeError
 from palpate.mechanics.axisymmetric.tilted_tip import tip_modes, top_modes
 from palpate.mechanics.axisymmetric.tip_table import tip_table
-from palpate.sensors.tactip import inclined_press as module
-from palpate.sensors.tactip import pictured, tactip
+from palpate.sensors.tactip import inclined_press as module, pictured, tactip
 from palpate.sensors.tactip.inclined_press import Inclined, inclined
 from palpate.sensors.tactip.pin_markers import Turned, lattice
 

@@ -15,8 +15,7 @@ from palpate.core import Pose
 from palpate.optics.colour import encode_srgb
 from palpate.reports.calibration_figures import ACCENT, BAND, INK
 from palpate.sensors import palm
-from palpate.sensors.palm import View, first_prototype
-from palpate.sensors.palm import mirror_view as mirrors
+from palpate.sensors.palm import View, first_prototype, mirror_view as mirrors
 from palpate.sensors.palm.palm_press import depth_of_force, pressed
 from palpate.sensors.palm.palm_render import BACKGROUND
 from palpate.sensors.palm.wear import Wear, worn

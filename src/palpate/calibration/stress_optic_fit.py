@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 
 from palpate.calibration.load_series import Series, Tone, read_series
-from palpate.core import Float, RangeError, ndarray
-from palpate.core.files import sha256_of_all
+from palpate.core import Float, RangeError, ndarray, sha256_of_all
 from palpate.estimators.fringe_light import Polariscope
 from palpate.estimators.fringe_order import OrderFit, fit_orders
 from palpate.version import __version__

@@ -331,8 +331,7 @@ def quantise(
 
     Example: palpate quantise cal run --out cal-int8
     """
-    from palpate.calibration.quantisation import cost
-    from palpate.calibration.quantisation import quantise as written
+    from palpate.calibration.quantisation import cost, quantise as written
     from palpate.recordings.run_reader import Run
     from palpate.reports.certificate_page import write_report
     from palpate.workflows.certification import REPORT_FILE

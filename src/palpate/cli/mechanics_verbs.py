@@ -249,8 +249,7 @@ def ting(
     """
     import numpy as np
 
-    from palpate.mechanics.viscoelastic import Prony
-    from palpate.mechanics.viscoelastic import ting as law
+    from palpate.mechanics.viscoelastic import Prony, ting as law
 
     for name, value in (("--rise-s", rise_s), ("--fall-s", fall_s)):
         if not (value > 0 and math.isfinite(value)):

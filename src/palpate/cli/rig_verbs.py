@@ -47,8 +47,7 @@ def record(
     Example: palpate record --rig virtual:palm --plan palm-reduced --out run
     """
     from palpate.devices.operator_control import OperatorControl
-    from palpate.rig import State, plan_of
-    from palpate.rig import record as record_plan
+    from palpate.rig import State, plan_of, record as record_plan
     from palpate.rig.rig_file import open_rig
 
     control, opened = OperatorControl(), open_rig(rig, seed=seed)

@@ -1,7 +1,17 @@
 """The nouns that every room speaks in: shapes, units, errors, the clock, files."""
 
 from palpate.core.clock import NS_PER_S, Clock, ManualClock, MonotonicClock
-from palpate.core.contact import Contact, Pose, PressHistory, Probe, Specimen
+from palpate.core.contact import (
+    FRESH,
+    RIGID,
+    UNTOLD,
+    Contact,
+    EarlierPress,
+    Pose,
+    PressHistory,
+    Probe,
+    Specimen,
+)
 from palpate.core.device_protocols import Camera, ForceSensor, FrameSource, Position, Stage, Travel, Wrench
 from palpate.core.errors import (
     CertificateError,
@@ -22,7 +32,17 @@ from palpate.core.errors import (
     StorageError,
     UnitError,
 )
-from palpate.core.files import PathText, new_file, new_folder, refuse_existing, sha256_of, storage_errors
+from palpate.core.files import (
+    PathText,
+    lock,
+    new_file,
+    new_folder,
+    refuse_existing,
+    sha256_of,
+    sha256_of_all,
+    storage_errors,
+    sync,
+)
 from palpate.core.frame import Frame
 from palpate.core.outline import Outline
 from palpate.core.reading import (
@@ -38,7 +58,17 @@ from palpate.core.reading import (
     SetReading,
     VectorReading,
 )
-from palpate.core.sensor import Sensor
+from palpate.core.sensor import (
+    DEFAULT_SENSOR,
+    SEATED,
+    SENSORS,
+    Box,
+    ForceLaw,
+    ImageAxes,
+    Seating,
+    Sensor,
+    is_rigid,
+)
 from palpate.core.shapes import (
     Bool,
     Complex,
@@ -59,12 +89,20 @@ from palpate.core.shapes import (
     Values,
     ndarray,
 )
-from palpate.core.units import Unit, has_unit, split_column, unit
+from palpate.core.units import UNITS, Unit, has_unit, split_column, unit
 
 __all__ = [
+    "DEFAULT_SENSOR",
+    "FRESH",
     "NS_PER_S",
+    "RIGID",
+    "SEATED",
+    "SENSORS",
+    "UNITS",
+    "UNTOLD",
     "AlignedBox",
     "Bool",
+    "Box",
     "Camera",
     "CertificateError",
     "CircularReading",
@@ -75,6 +113,7 @@ __all__ = [
     "Contact",
     "DeviceError",
     "Drift",
+    "EarlierPress",
     "Ellipsoid",
     "ExistsError",
     "Field",
@@ -82,11 +121,13 @@ __all__ = [
     "Float",
     "Float16",
     "Float32",
+    "ForceLaw",
     "ForceSensor",
     "Frame",
     "FrameSource",
     "GridAxis",
     "Image",
+    "ImageAxes",
     "ImageError",
     "Images",
     "Indices",
@@ -112,6 +153,7 @@ __all__ = [
     "Readings",
     "RecordingError",
     "SafetyError",
+    "Seating",
     "Sensor",
     "SetReading",
     "Shaped",
@@ -129,12 +171,16 @@ __all__ = [
     "VectorReading",
     "Wrench",
     "has_unit",
+    "is_rigid",
+    "lock",
     "ndarray",
     "new_file",
     "new_folder",
     "refuse_existing",
     "sha256_of",
+    "sha256_of_all",
     "split_column",
     "storage_errors",
+    "sync",
     "unit",
 ]

@@ -21,8 +21,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from palpate.core import DeviceError, PalpateError, ProtocolError, RecordingError, storage_errors
-from palpate.core.files import lock
+from palpate.core import DeviceError, PalpateError, ProtocolError, RecordingError, lock, storage_errors
 
 _MAX_BYTES = 4096
 MAX_NAME = 80  # characters of a file's name

@@ -13,8 +13,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from palpate.core import NS_PER_S, Frame, InputError, PathText, RangeError, RecordingError, sha256_of
-from palpate.core.files import sha256_of_all
+from palpate.core import (
+    NS_PER_S,
+    Frame,
+    InputError,
+    PathText,
+    RangeError,
+    RecordingError,
+    sha256_of,
+    sha256_of_all,
+)
 from palpate.recordings import message_schema
 from palpate.recordings.labels import Label, finite, label_values
 from palpate.recordings.manifest import MANIFEST, LabelKind, Manifest

@@ -28,10 +28,10 @@ from palpate.core import (
     PalpateError,
     PathText,
     RecordingError,
+    lock,
     new_folder,
     sha256_of,
 )
-from palpate.core.files import lock
 from palpate.recordings import message_schema
 from palpate.recordings.exchange import image_files
 from palpate.recordings.labels import Label, finite, label_values

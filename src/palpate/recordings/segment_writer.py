@@ -12,8 +12,7 @@ from typing import Any
 
 from mcap.writer import CompressionType, Writer
 
-from palpate.core import ExistsError, StorageError, storage_errors
-from palpate.core.files import sync
+from palpate.core import ExistsError, StorageError, storage_errors, sync
 from palpate.recordings.message_schema import (
     CHANNELS,
     SEGMENT,

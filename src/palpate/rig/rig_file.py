@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
 from palpate.core import (
+    DEFAULT_SENSOR,
+    SENSORS,
     Clock,
     ForceSensor,
     FrameSource,
@@ -25,7 +27,6 @@ from palpate.core import (
     Stage,
     storage_errors,
 )
-from palpate.core.sensor import DEFAULT_SENSOR, SENSORS
 from palpate.core.sensor import sensor as sensor_of
 from palpate.devices.device_plugins import check_kind, open_device
 from palpate.devices.force_bias import Mounting

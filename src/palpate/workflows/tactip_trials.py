@@ -19,6 +19,8 @@ from typing import Any
 import numpy as np
 
 from palpate.core import (
+    RIGID,
+    UNITS,
     Contact,
     Float,
     InputError,
@@ -26,15 +28,13 @@ from palpate.core import (
     ManualClock,
     Pose,
     RangeError,
+    Seating,
     Specimen,
     UInt8,
     ndarray,
     new_file,
     new_folder,
 )
-from palpate.core.contact import RIGID
-from palpate.core.sensor import Seating
-from palpate.core.units import UNITS
 from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.mechanics.axisymmetric.tip_table import TipTable
 from palpate.recordings.exchange.press_folder import PressFolder, press_folder, write_press, write_specimens

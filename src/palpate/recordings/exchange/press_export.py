@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from palpate.core import Float, Image, InputError, Int, RecordingError, Specimen, ndarray, new_folder
-from palpate.core.contact import UNTOLD
+from palpate.core import UNTOLD, Float, Image, InputError, Int, RecordingError, Specimen, ndarray, new_folder
 from palpate.recordings.exchange.press_folder import (
     PRESSES,
     PressFolder,

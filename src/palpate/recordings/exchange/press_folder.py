@@ -24,8 +24,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from palpate.core import Image, InputError, LabelError, has_unit, new_file, split_column, storage_errors
-from palpate.core.units import UNITS
+from palpate.core import (
+    UNITS,
+    Image,
+    InputError,
+    LabelError,
+    has_unit,
+    new_file,
+    split_column,
+    storage_errors,
+)
 from palpate.recordings.exchange.frame_sequences import TIFFS, write_tiff
 from palpate.recordings.labels import FIRST_ROW, label_kinds, read_labels
 from palpate.recordings.manifest import MANIFEST

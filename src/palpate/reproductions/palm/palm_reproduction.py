@@ -19,8 +19,7 @@ from palpate.core import ExistsError, InputError, new_file, refuse_existing, sto
 from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.recordings.run_reader import Run
 from palpate.reports import study_figures as draw
-from palpate.reproductions.palm import palm_comparison
-from palpate.reproductions.palm import palm_conditions as cond
+from palpate.reproductions.palm import palm_comparison, palm_conditions as cond
 from palpate.reproductions.palm.palm_comparison import headline, latency, one_frame, record_both
 from palpate.reproductions.palm.palm_conditions import (
     DIMMER,

@@ -9,9 +9,8 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from palpate.core import InputError, Sensor, storage_errors
-from palpate.core.sensor import DEFAULT_SENSOR, SENSORS, plans_of
-from palpate.core.sensor import sensor as sensor_of
+from palpate.core import DEFAULT_SENSOR, SENSORS, InputError, Sensor, storage_errors
+from palpate.core.sensor import plans_of, sensor as sensor_of
 from palpate.rig.plans.plan_kinds import Ramp, StepHold, SurfaceProbe
 from palpate.rig.plans.press_places import Around, Listed
 from palpate.rig.plans.recording_plan import RecordingPlan

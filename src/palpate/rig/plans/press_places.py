@@ -13,8 +13,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_serializer
 
-from palpate.core import InputError, Outline, Sensor
-from palpate.core.sensor import DEFAULT_SENSOR
+from palpate.core import DEFAULT_SENSOR, InputError, Outline, Sensor
 from palpate.core.sensor import sensor as sensor_of
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.devices.rpc import Address
-from palpate.devices.rpc_client import RpcClient
-from palpate.devices.rpc_client import launch as launch_process
+from palpate.devices.rpc_client import RpcClient, launch as launch_process
 
 ESTOP_S = 5.0
 

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.core import DeviceError, InputError, PalpateError, Position, SafetyError, Sensor
-from palpate.core.sensor import DEFAULT_SENSOR
+from palpate.core import DEFAULT_SENSOR, DeviceError, InputError, PalpateError, Position, SafetyError, Sensor
 from palpate.devices import device_status
 from palpate.devices.device_proxies import CameraProxy, ForceProxy, StageProxy
 from palpate.devices.device_status import Kind, Log

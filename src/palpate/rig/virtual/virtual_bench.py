@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from palpate.core import Clock, InputError, ManualClock, Position, Sensor, Travel
-from palpate.core.sensor import DEFAULT_SENSOR, for_rig, frame_faults, variation_of
-from palpate.core.sensor import sensor as sensor_of
+from palpate.core import DEFAULT_SENSOR, Clock, InputError, ManualClock, Position, Sensor, Travel
+from palpate.core.sensor import for_rig, frame_faults, sensor as sensor_of, variation_of
 from palpate.devices.motion_limits import Limits
 from palpate.rig.rig import Region, Rig
 from palpate.rig.virtual.disturbances import Fault, Variation

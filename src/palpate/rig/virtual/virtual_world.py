@@ -23,9 +23,21 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-from palpate.core import NS_PER_S, Clock, Float, Pose, Position, Probe, Sensor, Specimen, Travel, ndarray
-from palpate.core.contact import EarlierPress
-from palpate.core.sensor import ForceLaw, force_law
+from palpate.core import (
+    NS_PER_S,
+    Clock,
+    EarlierPress,
+    Float,
+    ForceLaw,
+    Pose,
+    Position,
+    Probe,
+    Sensor,
+    Specimen,
+    Travel,
+    ndarray,
+)
+from palpate.core.sensor import force_law
 from palpate.rig.virtual.disturbances import Approach, Fault, Faults, Variation, approach_of, shift_of
 from palpate.rig.virtual.straight_motion import Motion, standing
 

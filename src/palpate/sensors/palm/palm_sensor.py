@@ -13,19 +13,24 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from palpate.core import (
+    FRESH,
+    SEATED,
+    Box,
     Contact,
     Float32,
+    ForceLaw,
     Frame,
+    ImageAxes,
     Outline,
     Pose,
     PressHistory,
     Probe,
     RangeError,
+    Seating,
     Specimen,
+    is_rigid,
     ndarray,
 )
-from palpate.core.contact import FRESH
-from palpate.core.sensor import SEATED, Box, ForceLaw, ImageAxes, Seating, is_rigid
 from palpate.mechanics.half_space.tangential import tangential_stiffness
 from palpate.recordings.preparation import Preparation
 from palpate.sensors.palm import palm_spec

@@ -16,25 +16,36 @@ from typing import Any, Literal
 import numpy as np
 
 from palpate.core import (
+    FRESH,
+    RIGID,
+    SEATED,
+    Box,
     Contact,
     Float,
+    ForceLaw,
     Frame,
+    ImageAxes,
     InputError,
     Outline,
     Pose,
     PressHistory,
     Probe,
     RangeError,
+    Seating,
     Specimen,
+    is_rigid,
     ndarray,
 )
-from palpate.core.contact import FRESH, RIGID
-from palpate.core.sensor import SEATED, Box, ForceLaw, ImageAxes, Seating, is_rigid
 from palpate.sensors.tactip import tactip_spec as specs
 from palpate.sensors.tactip.inclined_press import MAX_TILT, inclined
 from palpate.sensors.tactip.tactip_camera import projected, rendered
-from palpate.sensors.tactip.tactip_press import HeadOn, modulus_pa, pictured, pixels_per_tangent
-from palpate.sensors.tactip.tactip_press import TipOnSpecimen as Pressed
+from palpate.sensors.tactip.tactip_press import (
+    HeadOn,
+    TipOnSpecimen as Pressed,
+    modulus_pa,
+    pictured,
+    pixels_per_tangent,
+)
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
 REGION = "pins"

@@ -21,8 +21,8 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from palpate.core import Float32, Indices, InputError, Int, Sensor, Tensor, UInt8
-from palpate.core.sensor import DEFAULT_SENSOR, sensor
+from palpate.core import DEFAULT_SENSOR, Float32, Indices, InputError, Int, Sensor, Tensor, UInt8
+from palpate.core.sensor import sensor
 from palpate.estimators.networks.compact_cnn import seeded
 from palpate.estimators.networks.model_interface import Progress, Scaler, TrainingData, silent
 from palpate.estimators.networks.torch_export import TorchGraph
