@@ -191,7 +191,7 @@ def test_a_few_lost_pins_change_little(calibration, fresh) -> None:
 
 
 def test_another_sensor_is_refused(spec, specimens, calibration) -> None:
-    (other,) = pressed(tactip(331), specimens["S1"][1], 1, 1)
+    (other,) = pressed(tactip(331), specimens["S1"], 1, 1)
     with pytest.raises(InputError, match="calibrate for it"):
         read_touch(calibration, [other.press])
 
@@ -321,7 +321,7 @@ def test_what_cannot_calibrate_is_refused(spec, specimens, given) -> None:
         calibrate_compliance(given[:1])
     with pytest.raises(InputError, match="2 trials or more"):
         calibrate_compliance([given[0], replace(given[1], trials=given[1].trials[:1])])
-    other = ReferenceSpecimen("other", 2e3, pressed(tactip(331), specimens["S2"][1], 2, 1))
+    other = ReferenceSpecimen("other", 2e3, pressed(tactip(331), specimens["S2"], 2, 1))
     with pytest.raises(InputError, match="calibrate for it"):
         calibrate_compliance([*given, other])
 

@@ -131,15 +131,23 @@ OWN = {"stage": "their_devices:Stage", "force": "their_devices:Force", "camera":
 @pytest.mark.parametrize(
     ("role", "kind", "message"),
     [
-        ("stage", "their_nowhere:Stage", "does not import: No module named 'their_nowhere'"),
-        ("stage", "their_devices:Gantry", "does not import: module 'their_devices' has no attribute"),
-        ("force", "their_crash:Force", "does not import: no driver on this machine"),
+        (
+            "stage",
+            "their_nowhere:Stage",
+            "does not import: ModuleNotFoundError: No module named",
+        ),
+        (
+            "stage",
+            "their_devices:Gantry",
+            "does not import: AttributeError: module 'their_devices'",
+        ),
+        ("force", "their_crash:Force", "does not import: OSError: no driver on this machine"),
         ("camera", "their_exit:Camera", "does not import"),
         ("stage", "their_devices:RunawayStage", 'methods": it lacks stop'),
         ("stage", "their_devices:MillimetreStage", "breaks the law 'stands inside its travel'"),
         ("force", "their_devices:BareForce", "breaks the law 'hands out samples'"),
         ("camera", "their_devices:TurnedCamera", "breaks the law 'keeps the stated size'"),
-        ("camera", "webcam", "there is no camera 'webcam'; palpate has uvc"),
+        ("camera", "webcam", "there is no camera 'webcam'; there are uvc, or give module:Name"),
     ],
 )
 @pytest.mark.parametrize("verb", ["record", "check"])
@@ -169,7 +177,8 @@ def test_a_device_that_takes_an_existing_name_is_refused(
     kinds = {"stage": 'grbl"\nport = "COM3', "force": 'netft"\nhost = "box', "camera": 'uvc"\naddress = "0'}
     (folder / "rig.toml").write_text(RIG.format(**{**OWN, role: kinds[role]}))
     line = refusal("record", "--out", folder / "run", "--rig", folder / "rig.toml")
-    assert f"{OWN[role]} is registered as '{name}', a name of palpate's own; rename it" in line
+    assert f"{role} '{name}' of {OWN[role]}" in line
+    assert "takes the name of palpate itself" in line
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,6 @@ def test_a_manifest_that_names_no_targets_reads_as_one_without(tmp_path: Path) -
         ("created_utc", "yesterday"),
         ("created_utc", "2026-01-01T00:00:00"),
         ("created_utc", "1969-01-01T00:00:00+00:00"),
-        ("format", "palpate-run/2"),
         ("units", {"depth_mm": "furlong"}),
         ("units", {"force_N": "N"}),
         ("labels", {"depth_mm": "picture"}),

@@ -194,7 +194,7 @@ def test_a_line_without_an_end_is_refused_and_not_kept(quick):
     lines = Lines(100)
     for _ in range(1000):
         assert list(lines.feed(b"y" * 99)) == []
-    assert len(lines._held) <= 100
+    assert len(lines._line) <= 100
     assert list(lines.feed(b"\nok\n")) == [None, b"ok"]
     assert client.ask_status()
 

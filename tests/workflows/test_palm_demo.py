@@ -53,8 +53,8 @@ def test_a_dark_frame_is_not_believed(result) -> None:
 
 def test_the_demo_loads_no_torch(tmp_path) -> None:
     code = (
-        "import sys; from pathlib import Path; from palpate.workflows import demo; "
-        "demo.record(Path(sys.argv[1]) / 'run', demo.Protocol(), 6, seed=0); "
+        "import sys; from pathlib import Path; from palpate.workflows import palm_demo as demo; "
+        "demo.record_demo(Path(sys.argv[1]) / 'run', demo.DemoProtocol(), 6, seed=0); "
         "from palpate.calibration import CalibrationPlan; from palpate.recordings import Run; "
         "plan = CalibrationPlan(('x_mm',)); "
         "demo.certify(Run.open(Path(sys.argv[1]) / 'run'), plan, Path(sys.argv[1]) / 'cal'); "
