@@ -151,6 +151,25 @@ def test_stops_from_many_threads_are_one_stop(grbl_bench):
     assert stage.position_m() == pytest.approx(metres(bench.place_mm), abs=1e-6)
 
 
+def test_a_hold_that_meets_a_stage_just_reset_is_cleared_too(grbl_bench, monkeypatch):
+    bench = grbl_bench(GrblModel(homed=True, hold_cancels_jog=False))
+    stage = bench.open()
+    bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
+    reset, held = stage._session.reset, []
+
+    def reset_and_hold():  # as another thread's stop can
+        reset()
+        if len(held) < 2:
+            held.append(True)
+            stage._link.hold()
+
+    monkeypatch.setattr(stage._session, "reset", reset_and_hold)
+    stage.stop()
+    assert len(held) == 2
+    assert stage.position_m() == pytest.approx(metres(bench.place_mm), abs=1e-6)
+    assert not stage.moving()
+
+
 def test_a_move_recalled_before_it_was_sent_is_not_sent(grbl_bench, monkeypatch):
     bench = grbl_bench()
     stage = bench.open()

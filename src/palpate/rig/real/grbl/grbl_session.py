@@ -26,6 +26,7 @@ _STANDS = {GrblState.IDLE, GrblState.ALARM, GrblState.SLEEP, GrblState.CHECK}
 _HOW = "call home(), or reference() on your own word"
 _SLOWING_S = 10.0  # from any speed, until the settings are known
 _HOLD_AGAIN_S = 0.25  # a second hold too soon would meet a jog that just ended, and leave it held
+_HOLDS_MET = 8  # stops from as many threads at once
 _OFFSET_WITHIN = 40  # status reports; the work offset comes in one of 10 to 30
 
 
@@ -161,6 +162,11 @@ class GrblSession:
         if stood is None or stood.state not in _STANDS:
             self.reset()
         status, place_mm = self._where()
+        for _ in range(_HOLDS_MET):  # the hold of another thread's stop can come after the reset
+            if not _held_still(status):
+                break
+            self.reset()
+            status, place_mm = self._where()
         if stood_mm and not self.lost and math.dist(place_mm, stood_mm) > self.machine.tolerance_mm:
             self.lose("its place changed when it was reset")
         if status.state is GrblState.ALARM:
