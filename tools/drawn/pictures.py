@@ -11,11 +11,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
 from drawn import AS_SEEN, DPI, SPEC, H, R, light, outer_labels, sheet, show
+from oracles import first_prototype
 from palpate.core import Pose
 from palpate.optics.colour import encode_srgb
 from palpate.reports.calibration_figures import ACCENT, BAND, INK
 from palpate.sensors import palm
-from palpate.sensors.palm import View, first_prototype, mirror_view as mirrors
+from palpate.sensors.palm import View, mirror_view as mirrors
 from palpate.sensors.palm.palm_press import depth_of_force, pressed
 from palpate.sensors.palm.palm_render import BACKGROUND
 from palpate.sensors.palm.wear import Wear, worn

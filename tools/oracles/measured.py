@@ -7,14 +7,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from oracles import shortcuts, table
+from oracles import first_prototype, shortcuts, table
 from oracles.light import INDEX, RIM
 from oracles.palm import GRID_MM
 from oracles.tables import exponent
 from palpate.core import Pose
 from palpate.optics import round_rim
 from palpate.sensors import palm
-from palpate.sensors.palm import first_prototype
 
 
 def presses() -> str:
