@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from palpate.core import InputError, RangeError
-from palpate.optics import flat_windows, round_rim, straight
+from palpate.optics import round_rim, straight
 from palpate.optics.wall_refraction import fresnel
 
 R, INDEX = 28.5e-3, 1.41
@@ -92,13 +92,6 @@ def test_index_one_is_the_straight_view():
     np.testing.assert_array_equal(rays.turn_rad, 0.0)
     np.testing.assert_allclose(rays.transmission, 1.0)
     np.testing.assert_allclose(rays.half_chord_m, np.sqrt(R**2 - x**2))
-
-
-def test_flat_windows_turn_nothing_and_lose_what_normal_incidence_loses():
-    rays = flat_windows(np.linspace(-1, 1, 3), 20e-3, INDEX)
-    np.testing.assert_array_equal(rays.impact_m, [-1, 0, 1])
-    np.testing.assert_array_equal(rays.half_chord_m, 20e-3)
-    np.testing.assert_allclose(rays.transmission, (1 - ((INDEX - 1) / (INDEX + 1)) ** 2) ** 2)
 
 
 def test_the_level_polarisation_passes_whole_at_brewster_s_angle():

@@ -10,6 +10,7 @@ from numpy import ndarray
 from scipy.linalg import expm
 
 from oracles import Oracle
+from oracles.plain_march import march_axisymmetric_plain, march_colour_plain
 from palpate.mechanics.half_space.hertz import secondary_stress
 from palpate.optics import (
     AxisymmetricField,
@@ -22,9 +23,7 @@ from palpate.optics import (
     linear_retarder,
     march,
     march_axisymmetric,
-    march_axisymmetric_plain,
     march_colour,
-    march_colour_plain,
     plane_amplitude,
     round_rim,
     single_retarder,

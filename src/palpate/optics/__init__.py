@@ -5,19 +5,17 @@ from palpate.optics.axisymmetric import (
     MarchedRays,
     Rays,
     march_axisymmetric,
-    march_axisymmetric_plain,
 )
 from palpate.optics.camera_response import (
     CameraResponse,
     develop,
     electrons,
-    electrons_exact,
     quantise,
     raw_codes,
     uneven_light,
 )
 from palpate.optics.colour import Spectrum, assumed_camera, encode_srgb, spectral_to_linear
-from palpate.optics.compiled_march import march_colour, march_colour_plain, march_spectral
+from palpate.optics.compiled_march import march_colour, march_spectral
 from palpate.optics.illumination import LedStrip, backlight, strip_light
 from palpate.optics.march import Retarder, graded_slices, march
 from palpate.optics.polariscope import (
@@ -32,7 +30,7 @@ from palpate.optics.polariscope import (
 )
 from palpate.optics.single_slice import SingleSliceError, best_path, single_slice, single_slice_error
 from palpate.optics.stress_optic import StressOpticLaw, fringe_order, frozen_stress, stress_axis
-from palpate.optics.wall_refraction import ColumnRays, flat_windows, round_rim, straight
+from palpate.optics.wall_refraction import ColumnRays, round_rim, straight
 
 __all__ = [
     "AxisymmetricField",
@@ -53,18 +51,14 @@ __all__ = [
     "dark_field",
     "develop",
     "electrons",
-    "electrons_exact",
     "encode_srgb",
-    "flat_windows",
     "fringe_order",
     "frozen_stress",
     "graded_slices",
     "linear_retarder",
     "march",
     "march_axisymmetric",
-    "march_axisymmetric_plain",
     "march_colour",
-    "march_colour_plain",
     "march_spectral",
     "plane_amplitude",
     "quantise",

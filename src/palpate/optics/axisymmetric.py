@@ -17,10 +17,9 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
 
-from palpate.core import Bool, Complex, Float, Float32, InputError, RangeError, ndarray
-from palpate.optics.compiled_march import check_bands, in_threads, kernel_bands, march_colour_plain
+from palpate.core import Complex, Float, Float32, InputError, RangeError, ndarray
+from palpate.optics.compiled_march import check_bands, in_threads, kernel_bands
 
 Along = Float[ndarray, "*_"]
 Numbers = Float[ndarray, "5 *n"]
@@ -36,8 +35,6 @@ class AxisymmetricField:
         surface_m: z of the deformed surface at each r [m]; positive in the dimple.
         thickness_m: z of the bottom [m]; (r, z) has zeta = (z - surface) / (thickness - surface).
         stress_pa: Cauchy rr, tt, zz and rz [Pa], positive in tension.
-        indenter_m: z of the indenter's underside at each r [m], -inf where there is none; it may not get
-            deeper away from the axis. None: nothing stands in the light.
     """
 
     r_m: Float[ndarray, " n"]
@@ -45,7 +42,6 @@ class AxisymmetricField:
     surface_m: Float[ndarray, " n"]
     thickness_m: float
     stress_pa: Float[ndarray, "4 m n"]
-    indenter_m: Float[ndarray, " n"] | None = None
 
     def __post_init__(self) -> None:
         n, m = len(self.r_m), len(self.zeta)
@@ -65,7 +61,6 @@ class AxisymmetricField:
                 f"bottom at {self.thickness_m} m, surface down to {self.surface_m.max()} m: no skin is left; "
                 "give a bottom below the surface"
             )
-        _check_indenter(self.indenter_m, n)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,18 +102,6 @@ class Rays:
         return np.stack([np.broadcast_to(getattr(self, part.name), self.shape) for part in fields(self)])
 
 
-def _check_indenter(indenter_m: ndarray | None, n: int) -> None:
-    if indenter_m is None:
-        return
-    under = np.maximum(indenter_m, np.finfo(float).min)
-    if under.shape != (n,) or not np.isfinite(under).all() or (np.diff(under) > 0).any():
-        raise InputError(
-            f"indenter {indenter_m.shape} for {n} radii: give its underside [m] at each r, rising away from "
-            "the axis, -inf where there is none"
-        )
-
-
-NOWHERE = -1e9  # stands for an indenter's underside where there is none, in units of the table's radius
 FINEST = 4096  # equal steps that look up graded knots
 Bands = Float[ndarray, " k"]
 Weights = Float[ndarray, "k c"]
@@ -126,17 +109,15 @@ Amplitudes = Complex[ndarray, "k 4"]
 
 
 class MarchedRays(NamedTuple):
-    """Light of rays that were marched, and what stood in their way.
+    """Light of rays that were marched, and how much of the skin each crossed.
 
     Attributes:
         light: transmitted fraction in each channel, between ideal polarisers.
-        occluded: the indenter stands in the ray; its light is 0.
         skin_m: length inside the skin [m]; 0 where a ray runs in air, or below the bottom.
         outside_m: length inside the skin but beyond the table [m], where no stress was counted.
     """
 
     light: Float32[ndarray, "*n c"]
-    occluded: Bool[ndarray, "*n"]
     skin_m: Float32[ndarray, "*n"]
     outside_m: Float32[ndarray, "*n"]
 
@@ -165,7 +146,7 @@ def march_axisymmetric(
         threads: to share the rays; None for as many as there are processors, or as NUMBA_NUM_THREADS says.
 
     Returns:
-        Light and what stood in its way. Memory beyond the rays and the result is a few 10 kB a thread.
+        Light and lengths. Memory beyond the rays and the result is a few 10 kB a thread.
     """
     _check_march(half_phase, weight, amplitude, slices, frozen_pa)
     from palpate.optics import axisymmetric_kernels  # here: compiling is for those who march
@@ -181,74 +162,8 @@ def march_axisymmetric(
         axisymmetric_kernels.march_rays(first, last, paths, slices, table, frozen, *optics, light, inside)
 
     in_threads(piece, paths.shape[1], threads)
-    return _result(light.T, inside * np.float32(unit), field, rays)
-
-
-def march_axisymmetric_plain(
-    field: AxisymmetricField,
-    rays: Rays,
-    half_phase: Bands,
-    weight: Weights,
-    amplitude: Amplitudes,
-    slices: int = 64,
-    frozen_pa: tuple[float, float] = (0.0, 0.0),
-) -> MarchedRays:
-    """The slow reference for `march_axisymmetric`: numpy in double precision, all slices in memory."""
-    _check_march(half_phase, weight, amplitude, slices, frozen_pa)
-    s, z, start, end, scale = rays.broadcast().reshape(5, -1)
-    first, last = np.arctan(start / scale), np.arctan(end / scale)
-    step = (last - first) / slices
-    edge = first + np.arange(slices + 1)[:, None] * step
-    y, dy, y_edge = _middles(scale, edge, step)
-    length = np.diff(y_edge, axis=0)
-
-    clear = z - np.interp(np.hypot(s, y_edge), field.r_m, field.surface_m)
-    below, above = clear[:-1], clear[1:]
-    crossing = np.sign(below) * np.sign(above) < 0
-    span = np.where(crossing, abs(above - below), 1.0)
-    share = np.where(crossing, np.maximum(below, above) / span, (below >= 0) & (above >= 0))
-    part = length * share / 2
-    y = np.where(crossing, np.where(above > 0, y_edge[1:] - part, y_edge[:-1] + part), y)
-    share = share * (z <= field.thickness_m)
-
-    r = np.hypot(s, y)
-    top = np.interp(r, field.r_m, field.surface_m)
-    zeta = np.clip((z - top) / (field.thickness_m - top), 0, 1)
-    read = RegularGridInterpolator((field.zeta, field.r_m), np.moveaxis(field.stress_pa, 0, -1))
-    inside_table = r <= field.r_m[-1]
-    rr, tt, zz, rz = np.moveaxis(
-        read(np.stack([zeta, np.minimum(r, field.r_m[-1])], -1)) * inside_table[..., None], -1, 0
-    )
-    cosine = s / np.maximum(r, np.finfo(float).tiny)
-    difference = ((rr - tt) * cosine**2 + tt - zz) * dy * share + frozen_pa[0] * length * share
-    shear = 2 * rz * cosine * dy * share + frozen_pa[1] * length * share
-    light = march_colour_plain(difference, shear, half_phase, weight, amplitude)
-    skin = length * share
-    inside = np.stack([skin.sum(0), (skin * ~inside_table).sum(0)])
-    return _result(light, inside, field, rays)
-
-
-def _middles(scale: Along, edge: Along, step: Along) -> tuple[ndarray, ndarray, ndarray]:
-    middle = (edge[1:] + edge[:-1]) / 2
-    # scale / cos^2 step, not the difference of the edges: the former sums a smooth ray far more exactly
-    return scale * np.tan(middle), scale / np.cos(middle) ** 2 * step, scale * np.tan(edge)
-
-
-def _result(light: ndarray, inside: ndarray, field: AxisymmetricField, rays: Rays) -> MarchedRays:
-    occluded = _occluded(field, rays)
-    transmitted = np.array(light, np.float32, order="C").reshape(*rays.shape, -1)
-    transmitted[occluded] = 0
-    skin, outside = inside.astype(np.float32).reshape(2, *rays.shape)
-    return MarchedRays(transmitted, occluded, skin, outside)
-
-
-def _occluded(field: AxisymmetricField, rays: Rays) -> Bool[ndarray, "*n"]:
-    if field.indenter_m is None:
-        return np.zeros(rays.shape, bool)
-    under = np.maximum(field.indenter_m, NOWHERE)
-    nearest = np.maximum(np.maximum(rays.start_m, -rays.end_m), 0)  # |y| where the ray is nearest to the axis
-    lowest = np.interp(np.hypot(rays.offset_m, nearest), field.r_m, under, right=NOWHERE)
-    return np.broadcast_to(rays.depth_m < lowest, rays.shape)
+    skin, outside = (inside * np.float32(unit)).reshape(2, *rays.shape)
+    return MarchedRays(np.ascontiguousarray(light.T).reshape(*rays.shape, -1), skin, outside)
 
 
 def _table(field: AxisymmetricField) -> tuple[ndarray | np.float32, ...]:

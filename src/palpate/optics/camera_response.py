@@ -107,11 +107,6 @@ def electrons(mean: Electrons, read_noise_e: float, rng: np.random.Generator) ->
     return spread
 
 
-def electrons_exact(mean: Electrons, read_noise_e: float, rng: np.random.Generator) -> Electrons:
-    """The slow reference for `electrons`: Poisson's photons and a Gaussian read-out."""
-    return rng.poisson(mean) + read_noise_e * rng.standard_normal(mean.shape)
-
-
 def quantise(counts: Electrons, full_well_e: float, bits: int) -> UInt16[ndarray, "*n"]:
     """The converter's codes: 0 at no electrons, 2^bits - 1 at the full well, clipped at both ends."""
     top = 2**bits - 1

@@ -15,8 +15,6 @@ from itertools import pairwise
 import numpy as np
 
 from palpate.core import Complex, Float, Float32, InputError, ndarray
-from palpate.optics.march import Retarder, march, march_even
-from palpate.optics.polariscope import through
 
 PIECES = 4  # of the rays a thread, so that one late thread holds up little
 TILE = 64  # rays that the kernels march together; 31 bands x 4 float32 of them are 32 kB
@@ -82,21 +80,6 @@ def march_spectral(
     """Light of each ray in each band; arguments and errors as in `march_colour`."""
     each = np.eye(len(half_phase))
     return np.moveaxis(march_colour(difference, shear, half_phase, each, amplitude, even, threads), -1, 0)
-
-
-def march_colour_plain(
-    difference: Slices,
-    shear: Slices,
-    half_phase: Float[ndarray, " k"],
-    weight: Float[ndarray, "k c"],
-    amplitude: Complex[ndarray, "k 4"],
-    even: bool = False,
-) -> Float[ndarray, "*n c"]:
-    """The slow reference for `march_colour`: numpy, one band after the other, double precision."""
-    law: Callable[..., Retarder] = march_even if even else march
-    u, v = np.asarray(difference, float), np.asarray(shear, float)
-    bands = zip(half_phase, weight, amplitude, strict=True)
-    return np.asarray(sum(through(law(u, v, float(c)), part)[..., None] * w for c, w, part in bands))
 
 
 def check_bands(

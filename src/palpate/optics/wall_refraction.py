@@ -86,23 +86,6 @@ def straight(x_m: Columns, radius_m: float) -> ColumnRays:
     return round_rim(x_m, radius_m, 1.0)
 
 
-def flat_windows(x_m: Columns, half_length_m: float, index: float) -> ColumnRays:
-    """Rays between two flat windows across the view, straight, with the loss of two walls met head-on.
-
-    Args:
-        x_m: of the columns [m].
-        half_length_m: half the way from window to window [m].
-        index: of the skin over that around it.
-
-    Raises:
-        RangeError: length not positive, index below 1, or a column that is not a number.
-    """
-    _check(x_m, half_length_m, index)
-    zero = np.zeros_like(x_m)
-    loss = _two_walls(zero, zero, index)
-    return ColumnRays(x_m + zero, zero, zero + half_length_m, loss, np.ones(x_m.shape, bool))
-
-
 def fresnel(outside_rad: Columns, inside_rad: Columns, index: float) -> tuple[Columns, Columns]:
     """Share of light that one wall lets pass, upright (s) and level (p) polarisation.
 
