@@ -128,9 +128,9 @@ def quality_edge_on(contact: Contact, spec: PalmSpec) -> Quality:
     near = np.abs(x - contact.pose.x_m * index) < spec.diameter_m / 4
     grey = light[np.ix_(rows, near)].mean(axis=-1)
     lit = lamp(spec)[np.ix_(rows, near & fringe_view.columns_kept(spec).visible)]
-    return Quality(
-        orders.greatest, orders.steepest_per_m * 1e-3, _contrast(grey.ravel()), float(lit.min() / lit.max())
-    )
+    slope = np.hypot(*np.gradient(orders.order, orders.depth_m * 1e3, orders.offset_m * 1e3))
+    steepest = float(np.quantile(slope, 0.999))  # a table's sharpest corner is not a fringe
+    return Quality(orders.greatest, steepest, _contrast(grey.ravel()), float(lit.min() / lit.max()))
 
 
 def _check_round(contact: Contact, spec: PalmSpec) -> None:

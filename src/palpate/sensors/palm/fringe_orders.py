@@ -41,11 +41,6 @@ class Orders(NamedTuple):
         """The 99.9th percentile: a table's sharpest corner is not a fringe."""
         return float(np.quantile(self.order, 0.999))
 
-    @property
-    def steepest_per_m(self) -> float:
-        """The 99.9th percentile of its slope: fringes a metre where they are densest."""
-        return float(np.quantile(np.hypot(*np.gradient(self.order, self.depth_m, self.offset_m)), 0.999))
-
 
 def edge_on(spec: PalmSpec, depth_m: float, points: int = 121) -> Orders:
     """Orders near the axis, down from the rest surface.

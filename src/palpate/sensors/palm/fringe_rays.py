@@ -8,6 +8,8 @@ all marched: between two that are, light runs straight.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
@@ -22,9 +24,8 @@ from palpate.sensors.palm import fringe_view
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import parts_of, silhouette
 
-PLANES = (
-    20  # of stress, finest at the surface; with all else below, light is off by 0.1 of 255 rms, 1 at most
-)
+# With the numbers below, light is off by 0.1 of 255 rms, 1 at most.
+PLANES = 20  # of stress, finest at the surface
 SLICES = 64
 MORE_SLICES = 32  # for each place beyond the first that the slices crowd about
 FINE = 400  # points of a ray, between which its slices are laid out
@@ -33,7 +34,6 @@ COLUMNS = 64  # marched together, which bounds the memory
 WIDTH = 0.3  # thicknesses: within which slices are equally fine about a place
 
 Rays = Float[ndarray, "w s"]
-Planes = Float[ndarray, " z"]
 
 
 def exact(spec: PalmSpec, contact: Contact) -> fringe_view.Light:
@@ -55,11 +55,12 @@ def exact(spec: PalmSpec, contact: Contact) -> fringe_view.Light:
     return fringe_view.mean_of(light, *spec.rays_per_pixel)
 
 
-class Places:
-    """Places at which rays are read: the slices' middles (x, y) and their lengths [m], each ``[w s]``."""
+class Places(NamedTuple):
+    """Places at which rays are read: the slices' middles (x, y) and their lengths [m]."""
 
-    def __init__(self, x: Rays, y: Rays, length: Rays) -> None:
-        self.x, self.y, self.length = x, y, length
+    x: Rays
+    y: Rays
+    length: Rays
 
 
 def _chosen(rays: ColumnRays, seen: ndarray) -> ndarray:
@@ -169,7 +170,7 @@ def _read(
     """Difference and shear times length, of each slice of some rays on every plane."""
     from palpate.sensors.palm import ray_kernels  # here: compiling is for those who march
 
-    x, y, length = (np.ascontiguousarray(values[part].T) for values in (places.x, places.y, places.length))
+    x, y, length = (np.ascontiguousarray(values[part].T) for values in places)
     c, s = np.cos(turn), np.sin(turn)
     turns = np.stack([c * c, s * s, -2 * s * c, 2 * c, -2 * s]).astype(np.float32)
     frozen = frozen_stress(spec.frozen_birefringence, spec.frozen_axis_rad, spec.stress_optic)

@@ -15,7 +15,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ParamSpec, Protocol, TypeVar, runtime_checkable
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from cachetools import LRUCache, cached
@@ -30,29 +30,19 @@ from palpate.sensors.palm.palm_press import field_of, pressed
 from palpate.sensors.palm.palm_spec import PalmSpec, View
 from palpate.sensors.palm.probe_shapes import silhouette
 
-
-@runtime_checkable
-class Sized(Protocol):
-    """An object that says how much memory it takes."""
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes."""
-        ...
-
-
 P = ParamSpec("P")
-T = TypeVar("T", bound=Sized)
+T = TypeVar("T")
 
 
 def kept(most_bytes: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """Keep what a function returned, the least recently used going first; arguments must be hashable.
 
-    What takes more than the bound by itself displaces all others and is kept alone.
+    What it returns tells its size in memory as `nbytes`. What takes more than the bound by itself displaces
+    all others and is kept alone.
     """
 
-    def size(made: Sized) -> int:
-        return min(made.nbytes, most_bytes)
+    def size(result: Any) -> int:
+        return min(result.nbytes, most_bytes)
 
     return cached(LRUCache(most_bytes, getsizeof=size), lock=threading.Lock())
 

@@ -38,7 +38,6 @@ from palpate.sensors.palm.palm_press import FRICTION, LINEAR_DEPTH_M, press, tab
 from palpate.sensors.palm.palm_render import expose, is_ball, render, render_clean
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import parse_probe
-from palpate.sensors.palm.random_presses import Presses, draw_presses
 
 RATE_HZ = 30.0
 """R (see `spec`)."""
@@ -208,13 +207,6 @@ class Palm:
             | {"places": centre, "depth_mm": 4.0, "step_mm": 1.0, "unloading": True, "dwell": held},
         }
         return {name: {"name": name} | fields for name, fields in plans.items()}
-
-    def draw_presses(
-        self, side_px: int, count: int, depths_each: int, rng: np.random.Generator, *told: Any, processes: int
-    ) -> Presses:
-        """Rendered presses to learn from, both regions as squares; see `presses.draw_presses`."""
-        spec = palm_spec.cropped(self.spec, side_px, "palm-rendered")
-        return draw_presses(spec, count, depths_each, rng, *told, processes=processes)
 
     def for_rig(self) -> Palm:
         """Both regions as squares of 128 px; a palm that is smaller already stays as it is."""

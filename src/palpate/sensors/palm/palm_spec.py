@@ -335,19 +335,3 @@ def preset(name: str) -> PalmSpec:
     if name not in PRESETS:
         raise InputError(f"there is no palm {name!r}; there are {', '.join(PRESETS)}")
     return PRESETS[name]()
-
-
-__all__ = [
-    "PRESETS",
-    "casting_resin",
-    "cropped",
-    "crops",
-    "debug",
-    "demo",
-    "palm",
-    "preset",
-    "scaled_down",
-    "small",
-    "solaris",
-    "sylgard_184",
-]

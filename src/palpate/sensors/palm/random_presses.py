@@ -167,7 +167,15 @@ APART_M = 12e-3  # between balls, at least
 INSIDE_M = 0.5e-3  # of the membrane that stays free between a probe's reach and the rim
 TRIES = 1000  # at places for several balls
 
-SHAPES = ("sphere", "punch", "edge", "cylinder", "two-points")
+SIZES_M = {
+    "sphere": ((4e-3, 0.0), (6e-3, 0.0), (7e-3, 0.0)),
+    "punch": ((3e-3, 0.0), (4e-3, 0.0), (5e-3, 0.0)),
+    "edge": ((0.0, 8e-3), (0.0, 10e-3), (0.0, 12e-3)),
+    "cylinder": ((3e-3, 8e-3), (3e-3, 10e-3), (3e-3, 12e-3)),
+    "two-points": ((3e-3, 8e-3), (3e-3, 10e-3), (3e-3, 12e-3)),
+}
+"""Radius and length of each shape, small, middling and large [m]."""
+SHAPES = tuple(SIZES_M)
 BALLS = 4  # that a grasp has room for
 PLACE = ("depth_mm", "x_mm", "y_mm")
 EACH = 4  # values of a ball
@@ -294,7 +302,8 @@ def shapes(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
     """One of the shapes, of one of three sizes, turned anyhow."""
     which, size = int(rng.integers(len(SHAPES))), int(rng.integers(3))
     turn = rng.uniform(0, 180)
-    probe = _shape(SHAPES[which], size, math.radians(turn))
+    radius, length = SIZES_M[SHAPES[which]][size]
+    probe = Probe(SHAPES[which], radius, length, math.radians(turn) if length else 0.0)
     pose = _pose(spec, probe, rng)
     contact = press_layers(spec, pose, probe).contact
     turned = turn if probe.length_m else 0.0
@@ -347,21 +356,6 @@ def _untouched(spec: PalmSpec, contact: Contact) -> Contact:
 
 def _place(pose: Pose) -> tuple[float, float, float]:
     return 1e3 * pose.depth_m, 1e3 * pose.x_m, 1e3 * pose.y_m
-
-
-def _shape(shape: str, size: int, turn_rad: float) -> Probe:
-    """A probe of a shape, small, middling or large."""
-    match shape:
-        case "sphere":
-            return Probe(shape, (4e-3, 6e-3, 7e-3)[size])
-        case "punch":
-            return Probe(shape, (3e-3, 4e-3, 5e-3)[size])
-        case "edge":
-            return Probe(shape, 0.0, (8e-3, 10e-3, 12e-3)[size], turn_rad)
-        case "cylinder":
-            return Probe(shape, 3e-3, (8e-3, 10e-3, 12e-3)[size], turn_rad)
-        case _:
-            return Probe(shape, 3e-3, (8e-3, 10e-3, 12e-3)[size], turn_rad)
 
 
 def _pose(spec: PalmSpec, probe: Probe, rng: np.random.Generator) -> Pose:

@@ -10,10 +10,10 @@ palm they are a model of it, and how much they help there is not known.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -21,8 +21,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from palpate.core import DEFAULT_SENSOR, Float32, Indices, InputError, Int, Sensor, Tensor, UInt8
-from palpate.core.sensor import sensor
+from palpate.core import Indices, InputError, Tensor
 from palpate.estimators.networks.compact_cnn import seeded
 from palpate.estimators.networks.model_interface import Progress, Scaler, TrainingData, silent
 from palpate.estimators.networks.torch_export import TorchGraph
@@ -36,6 +35,8 @@ from palpate.sensors.palm.networks.palm_training import (
     dense,
     half_width,
 )
+from palpate.sensors.palm.palm_spec import cropped, preset
+from palpate.sensors.palm.random_presses import TARGETS, Presses, draw_presses
 
 WIDTHS = (24, 48, 64, 96)
 SEEN_AT = 2  # blocks after which the mirror's maps are asked where they weigh most
@@ -44,35 +45,6 @@ FEATURES = 128
 BEND = 0.05  # of the Huber loss, in spreads of the targets
 DEPTHS_EACH = 12  # frames of a rendered press
 OFTEN = 2  # times in an epoch that a recorded frame is seen
-
-
-TARGETS = ("depth_mm", "x_mm", "y_mm", "force_N")
-"""Labels of a rendered press."""
-
-
-@runtime_checkable
-class RenderedPresses(Protocol):
-    """Presses of a virtual sensor: images, those of the skin with the probe over it, and their labels."""
-
-    @property
-    def images(self) -> UInt8[np.ndarray, "n h w 3"]:
-        """Images of all presses, at all their depths."""
-        ...
-
-    @property
-    def hanging(self) -> UInt8[np.ndarray, "p h w 3"]:
-        """Image of each press before it touches."""
-        ...
-
-    @property
-    def press(self) -> Int[np.ndarray, " n"]:
-        """Index of the press of each image."""
-        ...
-
-    @property
-    def values(self) -> Float32[np.ndarray, "n 4"]:
-        """Labels of each image, in the order of `TARGETS`."""
-        ...
 
 
 class CompactPalmNetwork(PalmNetwork):
@@ -168,7 +140,7 @@ class PalmCompact:
                 f"rendered is {self.rendered} and processes {self.processes}; give a number of frames, 0 for "
                 "none, and one of processes, 1 or more"
             )
-        self._sensor()
+        preset(self.palm)
         self.descent()
 
     def descent(self) -> TrainingLoop:
@@ -219,7 +191,7 @@ class PalmCompact:
             )
         return side
 
-    def _drawn(self, side: int, rng: np.random.Generator, progress: Progress) -> RenderedPresses | None:
+    def _drawn(self, side: int, rng: np.random.Generator, progress: Progress) -> Presses | None:
         if self.rendered == 0:
             return None
         count = max(1, round(self.rendered / DEPTHS_EACH))
@@ -227,14 +199,11 @@ class PalmCompact:
         def report(done: int, total: int) -> None:
             progress("rendering presses", done, total)
 
-        draw: Callable[..., RenderedPresses] = self._sensor().draw_presses  # type: ignore[attr-defined]
-        return draw(side, count, DEPTHS_EACH, rng, report, processes=self.processes)
-
-    def _sensor(self) -> Sensor:
-        return sensor(DEFAULT_SENSOR if self.palm == DEFAULT_SENSOR else f"{DEFAULT_SENSOR}-{self.palm}")
+        spec = cropped(preset(self.palm), side, "palm-rendered")
+        return draw_presses(spec, count, DEPTHS_EACH, rng, report, processes=self.processes)
 
 
-def _seen(drawn: RenderedPresses, channels: int) -> RenderedImages:
+def _seen(drawn: Presses, channels: int) -> RenderedImages:
     """Thumbnails of all that was drawn, the skin with the probe over it as well."""
     images = (_in_channels(image, channels) for part in (drawn.images, drawn.hanging) for image in part)
     groups = np.concatenate([drawn.press, np.arange(len(drawn.hanging))])
@@ -253,7 +222,7 @@ def _loss(answer: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
 class _Union:
     """Recorded rows and, numbered on after them, rendered ones."""
 
-    def __init__(self, data: TrainingData, drawn: RenderedPresses | None) -> None:
+    def __init__(self, data: TrainingData, drawn: Presses | None) -> None:
         self._data, self._drawn, self._first = data, drawn, len(data.values)
         self.drawn_rows = self._first + np.arange(len(drawn.values) if drawn else 0)
 
@@ -267,7 +236,7 @@ class _Union:
             inputs[~recorded] = self._differences(self._drawn, rows[~recorded] - self._first)
         return inputs
 
-    def _differences(self, drawn: RenderedPresses, rows: Indices) -> Tensor:
+    def _differences(self, drawn: Presses, rows: Indices) -> Tensor:
         pairs = zip(drawn.images[rows], drawn.hanging[drawn.press[rows]], strict=True)
         return np.stack([self._as_input(image) - self._as_input(hanging) for image, hanging in pairs])
 
