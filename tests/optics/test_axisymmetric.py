@@ -169,7 +169,9 @@ def test_twice_the_slices_or_bands_change_no_8_bit_step(highest, slices):
     def light(slices, bands):
         spectrum = assumed_camera(bands)
         optics = law.half_phase(spectrum.wavelength_m), spectrum.weight, plane_amplitude(np.pi / 4, bands)
-        return march_axisymmetric(field, rays, *optics, slices=slices).light
+        marched = march_axisymmetric(field, rays, *optics, slices=slices).light
+        marched[rays.offset_m**2 + (rays.depth_m + 3e-3) ** 2 < 5e-3**2] = 0  # a ball lies in the dimple
+        return marched
 
     base = light(slices, 31)
     assert np.quantile(abs(light(2 * slices, 31) - base), 0.999) < 1 / 255

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from palpate.core import InputError, RangeError
-from palpate.optics import round_rim, straight
+from palpate.optics import round_rim
 from palpate.optics.wall_refraction import fresnel
 
 R, INDEX = 28.5e-3, 1.41
@@ -87,7 +87,7 @@ def test_an_axis_sees_the_ray_where_geometry_puts_it(x, place):
 
 def test_index_one_is_the_straight_view():
     x = np.linspace(-28e-3, 28e-3, 9)
-    rays = straight(x, R)
+    rays = round_rim(x, R, 1.0)
     np.testing.assert_allclose(rays.impact_m, x)
     np.testing.assert_array_equal(rays.turn_rad, 0.0)
     np.testing.assert_allclose(rays.transmission, 1.0)
@@ -118,4 +118,4 @@ def test_places_that_are_no_numbers_are_refused():
     with pytest.raises(RangeError, match="NaN"):
         round_rim(np.array([np.nan]), R, INDEX)
     with pytest.raises(InputError, match="finite"):
-        straight(np.zeros(1), R).about(np.nan, 0.0)
+        round_rim(np.zeros(1), R, 1.0).about(np.nan, 0.0)

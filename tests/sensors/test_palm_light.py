@@ -7,7 +7,7 @@ from palpate.core import Pose
 from palpate.sensors import palm
 from palpate.sensors.palm import fringe_view
 from palpate.sensors.palm.palm_render import BACKGROUND
-from palpate.sensors.palm.wear import SECOND_RADIATION_M_K, in_box, lamp_tint, room_light
+from palpate.sensors.palm.wear import SECOND_RADIATION_M_K, lamp_tint, room_light
 
 SPEC = palm.debug()
 
@@ -56,7 +56,7 @@ def test_room_light_adds_the_same_whatever_is_pressed_and_however_bright_the_lam
         ),
         strict=True,
     ):
-        wanted = 0.05 * in_box(room_light(SPEC.frame_px), view.box_px)
+        wanted = 0.05 * room_light(SPEC.frame_px)[view.window]
         for dark, lit in zip(pairs[::2], pairs[1::2], strict=True):
             np.testing.assert_allclose(lit - dark, np.broadcast_to(wanted, lit.shape), atol=1e-6)
 

@@ -124,8 +124,7 @@ def quality_edge_on(contact: Contact, spec: PalmSpec) -> Quality:
     orders = edge_on(spec, depth)
     x, z = spec.fringes.x_m, spec.fringes.down_m
     rows = (z > depth) & (z < spec.thickness_m)
-    index = spec.refractive_index if spec.rim_refracts else 1.0
-    near = np.abs(x - contact.pose.x_m * index) < spec.diameter_m / 4
+    near = np.abs(x - contact.pose.x_m * spec.rim_index) < spec.diameter_m / 4
     grey = light[np.ix_(rows, near)].mean(axis=-1)
     lit = lamp(spec)[np.ix_(rows, near & fringe_view.columns_kept(spec).visible)]
     slope = np.hypot(*np.gradient(orders.order, orders.depth_m * 1e3, orders.offset_m * 1e3))

@@ -30,7 +30,7 @@ from palpate.optics.polariscope import (
 )
 from palpate.optics.single_slice import SingleSliceError, best_path, single_slice, single_slice_error
 from palpate.optics.stress_optic import StressOpticLaw, fringe_order, frozen_stress, stress_axis
-from palpate.optics.wall_refraction import ColumnRays, round_rim, straight
+from palpate.optics.wall_refraction import ColumnRays, round_rim
 
 __all__ = [
     "AxisymmetricField",
@@ -68,7 +68,6 @@ __all__ = [
     "single_slice",
     "single_slice_error",
     "spectral_to_linear",
-    "straight",
     "stress_axis",
     "strip_light",
     "through",

@@ -81,11 +81,6 @@ def round_rim(x_m: Columns, radius_m: float, index: float) -> ColumnRays:
     )
 
 
-def straight(x_m: Columns, radius_m: float) -> ColumnRays:
-    """Rays through a round disc in a liquid of its own index: no turn, no loss."""
-    return round_rim(x_m, radius_m, 1.0)
-
-
 def fresnel(outside_rad: Columns, inside_rad: Columns, index: float) -> tuple[Columns, Columns]:
     """Share of light that one wall lets pass, upright (s) and level (p) polarisation.
 

@@ -25,7 +25,7 @@ from palpate.optics.axisymmetric import Rays, march_axisymmetric
 from palpate.optics.colour import Spectrum, assumed_camera
 from palpate.optics.polariscope import plane_amplitude, with_leak
 from palpate.optics.stress_optic import frozen_stress
-from palpate.optics.wall_refraction import ColumnRays, round_rim, straight
+from palpate.optics.wall_refraction import ColumnRays, round_rim
 from palpate.sensors.palm.palm_press import field_of, pressed
 from palpate.sensors.palm.palm_spec import PalmSpec, View
 from palpate.sensors.palm.probe_shapes import silhouette
@@ -61,9 +61,7 @@ Light = Float32[ndarray, "h w 3"]
 
 def columns(spec: PalmSpec, view: View) -> ColumnRays:
     """The ray inside the membrane of each column."""
-    if spec.rim_refracts:
-        return round_rim(view.x_m, spec.radius_m, spec.refractive_index)
-    return straight(view.x_m, spec.radius_m)
+    return round_rim(view.x_m, spec.radius_m, spec.rim_index)
 
 
 @lru_cache(maxsize=8)
@@ -81,8 +79,7 @@ def sees(spec: PalmSpec, x_m: float, y_m: float, within_m: float = 0.0) -> bool:
     cross. Contacts elsewhere show only what of their stress reaches there.
     """
     wide = spec.radius_m * np.sin(np.linspace(-np.pi / 2, np.pi / 2, LOOKS)[1:-1])
-    index = spec.refractive_index if spec.rim_refracts else 1.0
-    offset, _, _ = round_rim(wide, spec.radius_m, index).about(x_m, y_m)
+    offset, _, _ = round_rim(wide, spec.radius_m, spec.rim_index).about(x_m, y_m)
     return bool(offset.min() <= 0 <= offset.max() or np.abs(offset).min() < within_m)
 
 
@@ -165,7 +162,7 @@ def spectrum(bands: int) -> Spectrum:
 
 def _inner_pitch(spec: PalmSpec) -> float:
     """Pitch of the columns inside the membrane, at its middle [m]."""
-    return spec.fringes.pitch_m / (spec.refractive_index if spec.rim_refracts else 1.0)
+    return spec.fringes.pitch_m / spec.rim_index
 
 
 def _offsets(spec: PalmSpec) -> Float[ndarray, " s"]:

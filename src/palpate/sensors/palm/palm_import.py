@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import re
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
@@ -216,7 +216,7 @@ def _photos(press: PalmPressTable, i: int, cell: str, folder: Path) -> list[Path
             f"{where}: image_file {cell!r} is neither in {folder} nor in {folder / 'images'}; copy it there"
         )
     with storage_errors(at):
-        photos = sorted(_images_in(at), key=_by_number) if at.is_dir() else [at]
+        photos = sorted(filter(_is_photo, at.iterdir()), key=_by_number) if at.is_dir() else [at]
     if not photos:
         raise LabelError(f"{where}: {at} holds no photograph; copy them there, or remove the shot's rows")
     for photo in photos:
@@ -227,12 +227,8 @@ def _photos(press: PalmPressTable, i: int, cell: str, folder: Path) -> list[Path
     return photos
 
 
-def _images_in(folder: Path) -> Iterator[Path]:
-    return (
-        path
-        for path in folder.iterdir()
-        if path.suffix.lower() in _SUFFIXES and not path.name.startswith(".")
-    )
+def _is_photo(path: Path) -> bool:
+    return path.suffix.lower() in _SUFFIXES and not path.name.startswith(".")
 
 
 def _by_number(path: Path) -> list[tuple[int, str]]:
@@ -278,7 +274,7 @@ def check_no_strays(shots: Sequence[PalmShot], folder: Path) -> None:
     strays = sorted(
         path.relative_to(folder).as_posix()
         for path in folder.rglob("*")
-        if path.suffix.lower() in _SUFFIXES and not path.name.startswith(".") and path.resolve() not in named
+        if _is_photo(path) and path.resolve() not in named
     )
     if strays:
         raise LabelError(
@@ -311,11 +307,8 @@ def import_palm(
     Args:
         folder: where the tables are, the photographs beside them or in a folder ``images``.
         run: the run to make; must not exist.
-        sensor: which sensor was recorded.
-        licence: of the data.
-        origin: who recorded it, and where it was had from.
+        sensor, licence, origin, progress: see `import_images`.
         allow_unlabelled: leave out photographs that no table names, rather than refuse the folder.
-        progress: called with how many steps are done of how many.
 
     Raises:
         ExistsError: `run` exists.

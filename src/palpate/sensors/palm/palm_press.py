@@ -38,12 +38,17 @@ a membrane pressed in its middle, and would stand where there is no rim under a 
 Knots = Float[ndarray, " n"]
 
 
+def _table_of(spec: PalmSpec) -> SphereTable | None:
+    R = spec.indenter_radius_m
+    return _table(spec.thickness_m / R, spec.radius_m / R, spec.poisson_ratio, spec.friction)
+
+
 @lru_cache(maxsize=32)
 def _table(thickness: float, disc_radius: float, poisson_ratio: float, friction: float) -> SphereTable | None:
     """The shipped table of these proportions (lengths in ball radii); None if there is none."""
     for table in (SphereTable.load(name) for name in shipped()):
-        held = np.array([table.thickness, table.poisson_ratio, table.friction])
-        fits = np.allclose(held, [thickness, poisson_ratio, friction], rtol=SAME, atol=SAME)
+        own = np.array([table.thickness, table.poisson_ratio, table.friction])
+        fits = np.allclose(own, [thickness, poisson_ratio, friction], rtol=SAME, atol=SAME)
         if fits and table.disc_radius <= disc_radius * (1 + SAME):
             return table
     return None
@@ -51,8 +56,7 @@ def _table(thickness: float, disc_radius: float, poisson_ratio: float, friction:
 
 def has_table(spec: PalmSpec) -> bool:
     """Tell whether a table was solved for the spec's membrane under its ball."""
-    R = spec.indenter_radius_m
-    return _table(spec.thickness_m / R, spec.radius_m / R, spec.poisson_ratio, spec.friction) is not None
+    return _table_of(spec) is not None
 
 
 def table_of(spec: PalmSpec) -> SphereTable:
@@ -61,10 +65,9 @@ def table_of(spec: PalmSpec) -> SphereTable:
     Raises:
         RangeError: none was made for them; the message lists those there are.
     """
+    if (table := _table_of(spec)) is not None:
+        return table
     R = spec.indenter_radius_m
-    pressed = _table(spec.thickness_m / R, spec.radius_m / R, spec.poisson_ratio, spec.friction)
-    if pressed is not None:
-        return pressed
     known = "; ".join(
         f"{t.thickness * R * 1e3:g} mm thick, {2 * t.disc_radius * R * 1e3:g} mm wide or more, "
         f"nu {t.poisson_ratio:g}, friction {t.friction:g}"

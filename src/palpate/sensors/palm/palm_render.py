@@ -24,7 +24,6 @@ from palpate.sensors.palm.wear import (
     Film,
     Wear,
     film,
-    in_box,
     lamp_tint,
     passed_by,
     room_light,
@@ -92,8 +91,7 @@ def _housed(seen: tuple[Linear, Below], spec: PalmSpec) -> Whole:
     if spec.ambient:
         clean += np.float32(spec.ambient) * room_light(spec.frame_px)
     for view, light in zip((spec.fringes, spec.mirror), seen, strict=True):
-        x, y, w, h = view.box_px
-        clean[y : y + h, x : x + w] = light
+        clean[view.window] = light
     return clean
 
 
@@ -128,7 +126,7 @@ def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool = False) -> tu
             seen *= lamp_tint(spec.lamp_mired, fringe_view.spectrum(spec.bands))
     if spec.ambient:
         for view, seen in ((spec.fringes, light), (spec.mirror, below)):
-            seen += np.float32(spec.ambient) * in_box(room_light(spec.frame_px), view.box_px)
+            seen += np.float32(spec.ambient) * room_light(spec.frame_px)[view.window]
     return light, below
 
 

@@ -66,12 +66,10 @@ class Palm:
 
     @property
     def name(self) -> str:
-        """The spec's."""
         return self.spec.name
 
     @property
     def frame_px(self) -> tuple[int, int]:
-        """(width, height) [px]."""
         return self.spec.frame_px
 
     @property
@@ -82,12 +80,10 @@ class Palm:
 
     @property
     def rate_hz(self) -> float:
-        """Frames a second."""
         return RATE_HZ
 
     @property
     def exposure_s(self) -> float:
-        """Exposure of a frame [s]."""
         return self.spec.exposure_s
 
     @property
@@ -188,10 +184,8 @@ class Palm:
     def plans(self) -> Mapping[str, Mapping[str, Any]]:
         """A short form of the report's plan, places beside its grid, and loads along and held on the skin."""
         short = {"kind": "stepped", "cycles": 1, "frames": 5, "reference_frames": 5, "step_mm": 0.5}
-        centre, held = (
-            {"kind": "listed", "at_mm": [[0.0, 0.0]]},
-            {"depths_mm": [4.0], "seconds": 60.0, "frames": 60},
-        )
+        centre = {"kind": "listed", "at_mm": [[0.0, 0.0]]}
+        dwell = {"depths_mm": [4.0], "seconds": 60.0, "frames": 60}
         sideways = [[0.3, 0.0], [0.0, 0.3], [-0.3, 0.0], [0.0, -0.3]]
         plans = {
             "palm-reduced": short | {"depth_mm": 4.0, "step_mm": 1.0, "frames": 2, "reference_frames": 1},
@@ -204,7 +198,7 @@ class Palm:
                 "lateral": {"depths_mm": [1.0], "to_mm": sideways},
             },
             "palm-creep": short
-            | {"places": centre, "depth_mm": 4.0, "step_mm": 1.0, "unloading": True, "dwell": held},
+            | {"places": centre, "depth_mm": 4.0, "step_mm": 1.0, "unloading": True, "dwell": dwell},
         }
         return {name: {"name": name} | fields for name, fields in plans.items()}
 

@@ -44,6 +44,12 @@ class View:
         return self.box_px[2:]
 
     @property
+    def window(self) -> tuple[slice, slice]:
+        """Rows and columns of it in the frame."""
+        x, y, w, h = self.box_px
+        return slice(y, y + h), slice(x, x + w)
+
+    @property
     def pitches_m(self) -> tuple[float, float]:
         """Pitch of columns and of rows [m]."""
         return self.pitch_m, self.pitch_m if self.row_pitch_m is None else self.row_pitch_m
@@ -175,6 +181,11 @@ class PalmSpec:
     def unlit(self) -> PalmSpec:
         """The same palm whatever its lamp and camera: what its marched and traced pictures depend on."""
         return replace(self, **{name: getattr(_NOMINAL, name) for name in _LATER})
+
+    @property
+    def rim_index(self) -> float:
+        """Refractive index by which the rim bends the rays; 1 for flat windows."""
+        return self.refractive_index if self.rim_refracts else 1.0
 
     @property
     def radius_m(self) -> float:

@@ -6,6 +6,7 @@ A probe of several balls is a rigid holder of them. Leaning turns the holder; ea
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -118,16 +119,7 @@ def _leaning(text: str, probe: Probe, words: str) -> Probe:
     if not all(map(math.isfinite, angles)) or abs(angles[0]) > STEEPEST_DEG + 1e-9:
         raise InputError(f"indenter {text!r}: it leans by -{STEEPEST_DEG:g} to {STEEPEST_DEG:g} degrees")
     turn = math.radians(angles[1]) if len(angles) > 1 else probe.turn_rad
-    return upright_ball(
-        Probe(
-            probe.shape,
-            probe.radius_m,
-            probe.length_m,
-            turn,
-            math.radians(angles[0]),
-            probe.places_m,
-        )
-    )
+    return upright_ball(replace(probe, turn_rad=turn, tilt_rad=math.radians(angles[0])))
 
 
 def upright_ball(probe: Probe) -> Probe:

@@ -279,8 +279,8 @@ def lateral(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
     pose = _pose(spec, probe, rng)
     pressed = press_layers(spec, pose, probe)
     force, moment = greatest_aside(pressed)
-    held, mixed, way = HELD * math.sqrt(rng.uniform()), rng.uniform(0, math.pi / 2), rng.uniform(0, math.tau)
-    aside, twist = held * math.cos(mixed) * force, held * math.sin(mixed) * moment
+    load, mixed, way = HELD * math.sqrt(rng.uniform()), rng.uniform(0, math.pi / 2), rng.uniform(0, math.tau)
+    aside, twist = load * math.cos(mixed) * force, load * math.sin(mixed) * moment
     twist *= float(rng.choice((-1.0, 1.0)))
     contact = pulled(pressed, (aside * math.cos(way), aside * math.sin(way)), twist)
     return Drawn(contact, (*_place(pose), *contact.lateral_n, contact.force_n, 1e3 * contact.moment_nm))

@@ -50,12 +50,6 @@ def room_light(frame_px: tuple[int, int]) -> Float32[ndarray, "h w 1"]:
     return np.asarray((1 - down[:, None] - across)[..., None])
 
 
-def in_box(shade: Float[ndarray, "h w 1"], box_px: tuple[int, int, int, int]) -> Float32[ndarray, "u v 1"]:
-    """The part that lies in a region of the frame."""
-    x, y, w, h = box_px
-    return shade[y : y + h, x : x + w]
-
-
 MAX_SCRATCHES = 1000
 
 VEIL_M = 10e-3
@@ -241,10 +235,8 @@ def _scratch(
     cos, sin = math.cos(math.pi * drawn[2]), math.sin(math.pi * drawn[2])
     half = SCRATCH_M[0] * (SCRATCH_M[1] / SCRATCH_M[0]) ** drawn[3]
     bend = (2 * drawn[4] - 1) / BEND_M
-    width, strength = (
-        wear.scratch_width_m * (0.3 + 0.7 * drawn[5]),
-        wear.scratch_strength * (0.3 + 0.7 * drawn[6]),
-    )
+    width = wear.scratch_width_m * (0.3 + 0.7 * drawn[5])
+    strength = wear.scratch_strength * (0.3 + 0.7 * drawn[6])
     rows, columns = (
         slice(*np.searchsorted(axis, (middle - 1.1 * half, middle + 1.1 * half)))
         for axis, middle in ((z_m, z0), (x_m, x0))

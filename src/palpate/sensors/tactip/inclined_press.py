@@ -59,7 +59,6 @@ class Inclined:
         return float(self.approach_m[-1])
 
     def force_n(self, approach_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
-        """Vertical force; 0 before first touch [N]."""
         return np.asarray(self._root(np.maximum(approach_m, 0.0))) ** 1.5
 
     def area_m2(self, force_n: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
@@ -103,7 +102,6 @@ class MovedDome:
     moved_m: NdBSpline
 
     def at(self, polar: Float[ndarray, " p"], azimuth: Float[ndarray, " p"]) -> tuple[ndarray, ndarray]:
-        """Places, and the normals there that point into the tip."""
         ab = np.stack([polar * np.cos(azimuth), polar * np.sin(azimuth)], axis=-1)
         along_a, along_b = (self._tangent(ab, i) for i in range(2))
         normal = np.cross(along_a, along_b)

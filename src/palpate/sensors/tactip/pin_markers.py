@@ -40,17 +40,12 @@ class HeadOnSkin:
     inside_m: Float[ndarray, "n 2"]
 
     def at(self, polar: Angles, azimuth: Angles) -> tuple[Places, Places]:
-        """Places, and the normals there that point into the tip."""
-        curve = self._curve
+        curve = CubicSpline(self.polar_rad, self.inside_m)
         (r, height), (dr, dz) = curve(polar).T, curve(polar, 1).T
         size = np.hypot(dr, dz)
         c, s = np.cos(azimuth), np.sin(azimuth)
         places = np.stack([r * c, r * s, height], axis=-1)
         return places, np.stack([-dz / size * c, -dz / size * s, dr / size], axis=-1)
-
-    @property
-    def _curve(self) -> CubicSpline:
-        return CubicSpline(self.polar_rad, self.inside_m)
 
 
 @dataclass(frozen=True)
@@ -71,7 +66,6 @@ class Turned:
     lean_rad: tuple[float, float]
 
     def at(self, polar: Angles, azimuth: Angles) -> tuple[Places, Places]:
-        """Places, and the normals there that point into the tip."""
         turn = _lean(*self.lean_rad)
         out = np.stack(
             [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), -np.cos(polar)], axis=-1

@@ -60,12 +60,9 @@ def pictured(
     spec: TacTipSpec, skin: SkinShape, shift_px: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[Float[ndarray, "p 2"], Float[ndarray, " p"]]:
     """Centres (x, y) and radii of the markers in the image [px]."""
-    table, camera = spec.table, spec.camera
-    tangent, share = projected(
-        markers(skin, spec.pins, table.radius_m - table.skin_m), camera, table.radius_m
-    )
+    tangent, share = _projected(spec, skin)
     scale = pixels_per_tangent(spec)
-    middle = (camera.size_px - 1) / 2 + np.array(shift_px)
+    middle = (spec.camera.size_px - 1) / 2 + np.array(shift_px)
     return middle + scale * tangent, scale * share * spec.pins.radius_m
 
 
@@ -78,9 +75,10 @@ def modulus_pa(table: TipTable, stiffness_n_m: float) -> float:
 @lru_cache(maxsize=32)
 def pixels_per_tangent(spec: TacTipSpec) -> float:
     """The camera's focal length [px]: the untouched field of pins fills its disc."""
-    table, camera = spec.table, spec.camera
-    untouched = head_on(table.press(math.inf), table.radius_m, 0.0, (0.0, 0.0))
-    tangent, _ = projected(
-        markers(untouched, spec.pins, table.radius_m - table.skin_m), camera, table.radius_m
-    )
-    return float(camera.disc_px / np.hypot(*tangent.T).max())
+    untouched = head_on(spec.table.press(math.inf), spec.table.radius_m, 0.0, (0.0, 0.0))
+    tangent, _ = _projected(spec, untouched)
+    return float(spec.camera.disc_px / np.hypot(*tangent.T).max())
+
+
+def _projected(spec: TacTipSpec, skin: SkinShape) -> tuple[Float[ndarray, "p 2"], Float[ndarray, " p"]]:
+    return projected(markers(skin, spec.pins, spec.inner_radius_m), spec.camera, spec.table.radius_m)

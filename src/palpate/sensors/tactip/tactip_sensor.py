@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -72,7 +72,6 @@ class TacTip:
 
     @property
     def frame_px(self) -> tuple[int, int]:
-        """(width, height) [px]."""
         return self.spec.camera.size_px, self.spec.camera.size_px
 
     @property
@@ -82,12 +81,10 @@ class TacTip:
 
     @property
     def rate_hz(self) -> float:
-        """Frames a second."""
         return self.spec.camera.rate_hz
 
     @property
     def exposure_s(self) -> float:
-        """Exposure of a frame [s]."""
         return self.spec.camera.exposure_s
 
     @property
@@ -158,7 +155,7 @@ class TacTip:
         depth = np.array([max(pose.depth_m, 0.0)])
         force_n = float(body.force_n(depth)[0])
         radius_m = math.sqrt(float(body.area_m2(np.array([force_n]))[0]) / math.pi)
-        return self._contact(probe, pose, force_n, radius_m, specimen, history)
+        return replace(self._contact(probe, pose, force_n, radius_m), specimen=specimen, history=history)
 
     def known_depth_m(
         self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
@@ -258,15 +255,7 @@ class TacTip:
             raise InputError(f"the specimen {specimen.name!r} has neither a stiffness nor a modulus")
         return modulus_pa(self.spec.table, specimen.stiffness_n_m)
 
-    def _contact(
-        self,
-        probe: Probe,
-        pose: Pose,
-        force_n: float,
-        radius_m: float,
-        specimen: Specimen | None,
-        history: PressHistory,
-    ) -> Contact:
+    def _contact(self, probe: Probe, pose: Pose, force_n: float, radius_m: float) -> Contact:
         a, R = radius_m, self.spec.table.radius_m
         half = REACH * a if a > 0 else 1e-3
         at = (np.arange(CELLS) + 0.5 - CELLS / 2) * 2 * half / CELLS
@@ -286,8 +275,6 @@ class TacTip:
             probe=probe,
             pose=pose,
             model="a dome on a flat face; pressure drawn as a sphere's over the known force and area",
-            specimen=specimen,
-            history=history,
         )
 
 

@@ -126,12 +126,11 @@ class TacTipSpec:
     name: str = "virtual-tactip"
 
     def __post_init__(self) -> None:
-        table = tip_table(self.tip)
-        reach = self.pins.rings * self.pins.pitch_m
-        if not (self.pins.rings >= 1 and reach < table.radius_m - table.skin_m):
+        table, reach = self.table, self.pins.rings * self.pins.pitch_m
+        if not (self.pins.rings >= 1 and reach < self.inner_radius_m):
             raise RangeError(
                 f"pins out to {1e3 * reach:.3g} mm; the skin's inside has a radius of "
-                f"{1e3 * (table.radius_m - table.skin_m):.3g} mm"
+                f"{1e3 * self.inner_radius_m:.3g} mm"
             )
         if not 0 <= self.pins.length_m < 0.5 * table.radius_m:
             raise RangeError(f"pins of {1e3 * self.pins.length_m:g} mm; 0 to half the tip's radius")
@@ -147,6 +146,11 @@ class TacTipSpec:
     def table(self) -> TipTable:
         """The tip on head-on specimens."""
         return tip_table(self.tip)
+
+    @property
+    def inner_radius_m(self) -> float:
+        """Radius of the skin's inside [m]."""
+        return self.table.radius_m - self.table.skin_m
 
 
 def tactip(pins: int = 127) -> TacTipSpec:

@@ -6,7 +6,7 @@ convolution is worth.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -51,15 +51,8 @@ class PalmMlpDelta:
 
     What the source does not name is scikit-learn's own default: one hidden layer of 100, a step of 1e-3, a
     penalty of 1e-4. Two things are as in `PixelMlp`, and not as in scikit-learn's `fit`: it stops by whole
-    groups that are watched, not by rows drawn at random; and its targets are standardised.
-
-    Attributes:
-        hidden: width of each hidden layer.
-        epochs: passes over the rows, at most.
-        patience: passes without gain on the watched groups before it stops.
-        watched: share of the groups kept out of learning, to decide when to stop.
-        learning_rate: Adam's step.
-        penalty: L2 penalty on the weights.
+    groups that are watched, not by rows drawn at random; and its targets are standardised. See `PixelMlp` for
+    its options.
     """
 
     hidden: tuple[int, ...] = (100,)
@@ -91,13 +84,5 @@ class PalmMlpDelta:
             return np.ascontiguousarray(data.fetch(chosen)[..., :half])
 
         seen = replace(data, shape=(*data.shape[:2], half), fetch=fringes)
-        perceptron = PixelMlp(
-            hidden=self.hidden,
-            epochs=self.epochs,
-            patience=self.patience,
-            watched=self.watched,
-            batch=min(LARGEST_BATCH, len(rows)),
-            learning_rate=self.learning_rate,
-            penalty=self.penalty,
-        )
+        perceptron = PixelMlp(**asdict(self), batch=min(LARGEST_BATCH, len(rows)))
         return FittedPalmMlp(perceptron.fit(seen, rows, seed=seed, progress=progress), data.shape)

@@ -8,8 +8,7 @@ The photoelastic palm's force-conditioned network: the place is estimated knowin
 
 As the joint network, on differences from the untouched sensor; one head answers the normal force alone, and
 the other answers the place to [z, sg(F_z)]. The stop-gradient sg lets the force inform the place, and keeps
-the place's errors from reaching the force's head. The two mean squared errors count equally. The source
-names no size for the heads: here each has one hidden layer of 256 with a rectifier.
+the place's errors from reaching the force's head. Errors count, and heads are built, as in the joint network.
 
 The photoelastic palm's two-stage network: first where and how deep, then how hard.
 
