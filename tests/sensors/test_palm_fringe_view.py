@@ -100,10 +100,10 @@ def test_where_the_axes_of_stress_lie_along_the_polarisers_it_is_dark(polariser,
     spec = replace(SPEC, polariser_rad=polariser, fringes=view, rays_per_pixel=(1, 1))
     rays = fringe_view.columns(spec, view)
     x = float(rays.impact_m[column] / np.cos(rays.turn_rad[column]))
-    seen = below(fringe_view.exact(spec, 2e-3, x, 0.0), 2e-3)
+    seen = below(fringe_view.march_fringes(spec, 2e-3, x, 0.0), 2e-3)
     np.testing.assert_allclose(seen[:, column], spec.extinction, atol=1e-6)
     assert seen[:, column + 8].max() > 0.1
-    turned = fringe_view.exact(replace(spec, polariser_rad=np.pi / 4), 2e-3, x, 0.0)
+    turned = fringe_view.march_fringes(replace(spec, polariser_rad=np.pi / 4), 2e-3, x, 0.0)
     assert below(turned, 2e-3)[:, column].max() > 0.5
 
 
@@ -118,7 +118,7 @@ def test_frozen_birefringence_lights_the_membrane_at_rest():
     # the light of a plate 57 mm thick at the middle column: 2e-6 * 57 mm is 0.2 orders
     seen = fringe_view.spectrum(31)
     wanted = np.sin(np.pi * 2e-6 * 57e-3 / seen.wavelength_m) ** 2 @ seen.weight
-    light = fringe_view.exact(frozen, 0.0, 0.0, 0.0)[
+    light = fringe_view.march_fringes(frozen, 0.0, 0.0, 0.0)[
         SPEC.fringes.down_m > 0.5e-3, SPEC.fringes.size_px[0] // 2
     ]
     np.testing.assert_allclose(light[3], SPEC.extinction + (1 - SPEC.extinction) * wanted, atol=1e-3)

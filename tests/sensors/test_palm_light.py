@@ -6,8 +6,8 @@ import pytest
 from palpate.core import Pose
 from palpate.sensors import palm
 from palpate.sensors.palm import fringe_view
+from palpate.sensors.palm.membrane_wear import SECOND_RADIATION_M_K, lamp_tint, room_light
 from palpate.sensors.palm.palm_render import BACKGROUND
-from palpate.sensors.palm.wear import SECOND_RADIATION_M_K, lamp_tint, room_light
 
 SPEC = palm.debug()
 

@@ -14,11 +14,11 @@ BALL = Probe("sphere", SPEC.indenter_radius_m)
 
 
 def seen(depth_m, x_m=0.0, y_m=0.0, spec=SPEC):
-    return mirror_view.exact(spec, depth_m, x_m, y_m)
+    return mirror_view.trace_mirror(spec, depth_m, x_m, y_m)
 
 
 def layered(words, depth_m=0.8e-3):
-    return mirror_view.of_contact(SPEC, palm.press(SPEC, Pose(0.0, 0.0, depth_m), palm.parse_probe(words)))
+    return mirror_view.trace_contact(SPEC, palm.press(SPEC, Pose(0.0, 0.0, depth_m), palm.parse_probe(words)))
 
 
 def by_snell(spec, depth_m, x_m, y_m):
@@ -62,11 +62,11 @@ def test_looking_straight_up_a_contact_is_where_it_is():
 @pytest.mark.parametrize("place", [(0.0, 0.0), (5e-3, -4e-3), (-9e-3, 3e-3)])
 @pytest.mark.parametrize("depth_m", [0.5e-3, 3e-3])
 def test_the_moved_patch_shows_what_tracing_every_pixel_does(depth_m, place):
-    moved, traced = mirror_view.shifted(SPEC, depth_m, *place), seen(depth_m, *place)
+    moved, traced = mirror_view.shift_mirror(SPEC, depth_m, *place), seen(depth_m, *place)
     assert np.sqrt(np.mean((moved - traced) ** 2)) < 5e-3  # the contact's sharp edge, moved by part pixels
 
 
-@pytest.mark.parametrize("way", [mirror_view.exact, mirror_view.shifted])
+@pytest.mark.parametrize("way", [mirror_view.trace_mirror, mirror_view.shift_mirror])
 def test_the_dimple_moves_with_the_contact(way):
     at_rest = way(SPEC, 0.0, 0.0, 0.0)
 
@@ -97,20 +97,20 @@ def test_a_membrane_at_rest_is_even_and_nothing_is_seen_beyond_it():
     assert not inside.all()
 
 
-@pytest.mark.parametrize("way", [mirror_view.exact, mirror_view.shifted])
+@pytest.mark.parametrize("way", [mirror_view.trace_mirror, mirror_view.shift_mirror])
 def test_an_opaque_underside_hides_the_contact(way):
     covered = replace(SPEC, opaque_underside=True)
     at_rest = way(covered, 0.0, 0.0, 0.0)
     np.testing.assert_array_equal(way(covered, 3e-3, 4e-3, -2e-3), at_rest)
     assert abs(way(SPEC, 3e-3, 4e-3, -2e-3) - at_rest).max() > 0.1
     punch = palm.press(covered, Pose(0.0, 0.0, 1e-3), palm.parse_probe("punch:6"))
-    np.testing.assert_array_equal(mirror_view.of_contact(covered, punch), at_rest)
+    np.testing.assert_array_equal(mirror_view.trace_contact(covered, punch), at_rest)
 
 
 UNSEEN = replace(SPEC, probe_in_mirror=False)
 
 
-@pytest.mark.parametrize("way", [mirror_view.exact, mirror_view.shifted])
+@pytest.mark.parametrize("way", [mirror_view.trace_mirror, mirror_view.shift_mirror])
 def test_out_of_sight_a_probe_s_own_look_changes_nothing_and_its_dimple_is_left(way):
     dimple, black = (way(replace(UNSEEN, ball_albedo=a), 3e-3, 4e-3, -2e-3) for a in (0.5, 0.0))
     np.testing.assert_array_equal(dimple, black)
@@ -118,7 +118,7 @@ def test_out_of_sight_a_probe_s_own_look_changes_nothing_and_its_dimple_is_left(
     assert abs(dimple - way(SPEC, 0.0, 0.0, 0.0)).max() > 0.1
 
 
-@pytest.mark.parametrize("way", [mirror_view.exact, mirror_view.shifted])
+@pytest.mark.parametrize("way", [mirror_view.trace_mirror, mirror_view.shift_mirror])
 def test_out_of_sight_a_probe_in_the_air_is_not_there(way):
     np.testing.assert_array_equal(way(UNSEEN, -1e-3, 4e-3, -2e-3), way(UNSEEN, 0.0, 0.0, 0.0))
     assert abs(way(SPEC, -1e-3, 4e-3, -2e-3) - way(SPEC, 0.0, 0.0, 0.0)).max() > 0.1
@@ -136,8 +136,10 @@ def test_beyond_the_contact_and_the_ball_s_side_the_probe_s_body_changes_nothing
 
 def test_other_probes_can_be_out_of_sight_as_well():
     contact = palm.press(SPEC, Pose(0.0, 0.0, 0.8e-3), palm.parse_probe("punch:6"))
-    dimple = mirror_view.of_contact(UNSEEN, contact)
-    np.testing.assert_array_equal(dimple, mirror_view.of_contact(replace(UNSEEN, ball_albedo=0.0), contact))
+    dimple = mirror_view.trace_contact(UNSEEN, contact)
+    np.testing.assert_array_equal(
+        dimple, mirror_view.trace_contact(replace(UNSEEN, ball_albedo=0.0), contact)
+    )
     # under the flat punch the surface is flat, and shows what it shows at rest
     x, y = mirror_view.contact_px(SPEC, 0.0, 0.0, 0.8e-3)
     assert dimple[int(y), int(x)] == pytest.approx(seen(0.0)[int(y), int(x)], abs=1e-3)
@@ -147,15 +149,15 @@ def test_other_probes_can_be_out_of_sight_as_well():
 @pytest.mark.parametrize("changed", [{"probe_in_mirror": False}, {"membrane": False}])
 def test_without_probe_or_membrane_the_moved_patch_shows_what_tracing_does(changed, place):
     spec = replace(SPEC, **changed)
-    moved, traced = mirror_view.shifted(spec, 3e-3, *place), mirror_view.exact(spec, 3e-3, *place)
+    moved, traced = mirror_view.shift_mirror(spec, 3e-3, *place), mirror_view.trace_mirror(spec, 3e-3, *place)
     assert np.sqrt(np.mean((moved - traced) ** 2)) < 5e-3  # as with both
 
 
 @pytest.mark.parametrize("depth_m", [-2e-3, 3e-3])
 def test_without_a_membrane_the_ball_is_a_round_disc_where_a_straight_line_of_sight_puts_it(depth_m):
     air, place = replace(FULL, membrane=False), (6e-3, -3e-3)
-    grey = mirror_view.exact(air, depth_m, *place)
-    empty = mirror_view.exact(air, 0.0, *place)
+    grey = mirror_view.trace_mirror(air, depth_m, *place)
+    empty = mirror_view.trace_mirror(air, 0.0, *place)
     inside = mirror_view.inside_rim(FULL)
     assert np.ptp(empty[inside]) == 0
     down, x = np.nonzero(grey != empty)
@@ -209,7 +211,7 @@ def test_two_points_are_as_far_apart_as_they_are():
 
 def test_a_contact_s_own_grid_shows_the_ball_where_the_table_does():
     pose = Pose(3e-3, 2e-3, 0.3e-3)
-    layers = mirror_view.of_contact(SPEC, palm.press(SPEC, pose, BALL, (1e-6, 0.0)))
+    layers = mirror_view.trace_contact(SPEC, palm.press(SPEC, pose, BALL, (1e-6, 0.0)))
     table = seen(0.3e-3, 3e-3, 2e-3)
     x, y = mirror_view.contact_px(SPEC, 3e-3, 2e-3, 0.3e-3)
     down, right = np.mgrid[: table.shape[0], : table.shape[1]] + 0.5

@@ -9,9 +9,9 @@ from palpate.core import InputError, Pose, Probe, RangeError
 from palpate.optics import LedStrip
 from palpate.sensors import palm
 from palpate.sensors.palm import View, fringe_view
-from palpate.sensors.palm.fringe_view import kept
+from palpate.sensors.palm.fringe_view import cache_within
+from palpate.sensors.palm.membrane_wear import Wear
 from palpate.sensors.palm.palm_spec import scaled_down
-from palpate.sensors.palm.wear import Wear
 
 FEWER_PIXELS = [palm.small, palm.demo, palm.debug, palm.crops]
 
@@ -47,7 +47,9 @@ def test_fewer_pixels_press_alike(make):
 
 def test_a_smaller_picture_is_the_mean_of_the_larger():
     large = replace(palm.debug(), rays_per_pixel=(1, 1))
-    light = [fringe_view.exact(spec, 3e-3, 4e-3, -3e-3) for spec in (large, scaled_down(large, 2, "half"))]
+    light = [
+        fringe_view.march_fringes(spec, 3e-3, 4e-3, -3e-3) for spec in (large, scaled_down(large, 2, "half"))
+    ]
     h, w, _ = light[1].shape
     np.testing.assert_allclose(
         light[0].reshape(h, 2, w, 2, 3).mean(axis=(1, 3)), light[1], atol=1e-5
@@ -159,7 +161,7 @@ def made():
 
 @pytest.fixture
 def pictures(made):
-    @kept(most_bytes=1000)
+    @cache_within(most_bytes=1000)
     def picture(name: str, size: int = 400) -> np.ndarray:
         made.append(name)
         return np.zeros(size, np.uint8)

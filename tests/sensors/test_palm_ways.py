@@ -49,14 +49,15 @@ def test_the_fast_way_shows_what_the_exact_one_does(place):
 )
 def test_twice_the_slices_change_no_8_bit_step(depth_m, place):
     one, two = (
-        fringe_view.exact(SPEC, depth_m, *place, n) for n in (fringe_view.SLICES, 2 * fringe_view.SLICES)
+        fringe_view.march_fringes(SPEC, depth_m, *place, n)
+        for n in (fringe_view.SLICES, 2 * fringe_view.SLICES)
     )
     assert np.quantile(abs(below(one - two, depth_m)), 0.999) < STEP
 
 
 @pytest.mark.parametrize("depth_m", [1e-3, 5e-3])
 def test_twice_the_bands_change_no_8_bit_step(depth_m):
-    one, two = (fringe_view.exact(replace(SPEC, bands=n), depth_m, 0.0, 0.0) for n in (31, 62))
+    one, two = (fringe_view.march_fringes(replace(SPEC, bands=n), depth_m, 0.0, 0.0) for n in (31, 62))
     assert np.quantile(abs(below(one - two, depth_m)), 0.999) < STEP
 
 
@@ -104,23 +105,23 @@ def test_a_lateral_load_to_the_right_is_that_to_the_left_mirrored(coarse):
 )
 def test_finer_planes_slices_and_rays_change_no_8_bit_step(words, lateral_n, monkeypatch):
     contact = layered(words, lateral_n=lateral_n)
-    one = fringe_rays.exact(SPEC, contact)
+    one = fringe_rays.march_contact(SPEC, contact)
     for name, value in (("PLANES", 40), ("SLICES", 160), ("MORE_SLICES", 80), ("ACROSS_M", 0.05e-3)):
         monkeypatch.setattr(fringe_rays, name, value)
-    two = fringe_rays.exact(SPEC, contact)
+    two = fringe_rays.march_contact(SPEC, contact)
     assert rms(below(one - two, 1.1e-3)) < 0.1 * STEP
     assert np.quantile(abs(below(one - two, 1.1e-3)), 0.999) < STEP
 
 
 def test_a_probe_leaning_to_the_right_is_that_to_the_left_mirrored(coarse):
-    left, right = (fringe_rays.exact(SPEC, layered(f"punch:6@5:{towards}")) for towards in (180, 0))
+    left, right = (fringe_rays.march_contact(SPEC, layered(f"punch:6@5:{towards}")) for towards in (180, 0))
     assert rms(below(left - left[:, ::-1], 0.8e-3)) > 0.05, "and is not its own mirror"
     np.testing.assert_allclose(below(left, 0.8e-3), below(right, 0.8e-3)[:, ::-1], atol=1e-3)
 
 
 def test_a_twist_to_the_right_is_that_to_the_left_mirrored(coarse):
     left, right = (
-        fringe_rays.exact(
+        fringe_rays.march_contact(
             SPEC, palm.press(SPEC, Pose(0.0, 0.0, 1e-3), palm.parse_probe("sphere:8"), (0.0, 0.0), moment)
         )
         for moment in (-5e-4, 5e-4)
@@ -132,7 +133,7 @@ def test_balls_far_apart_are_drawn_as_each_alone_where_it_is(coarse):
     together, alone = (layered(f"points:8:{places}") for places in ("-12,0;12,0", "-12,0"))
     z, x = SPEC.fringes.down_m, SPEC.fringes.x_m
     left = (x > -20e-3) & (x < -8e-3)
-    one, other = (fringe_rays.exact(SPEC, contact)[:, left] for contact in (together, alone))
+    one, other = (fringe_rays.march_contact(SPEC, contact)[:, left] for contact in (together, alone))
     deep = (z > 0.8e-3) & (z < SPEC.thickness_m)
     # the other's stress reaches 24 mm far by a few thousandths of its greatest
     assert rms((one - other)[deep]) < 0.02

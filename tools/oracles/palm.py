@@ -28,14 +28,15 @@ def inside(light: ndarray, spec: PalmSpec, depth_m: float) -> ndarray:
 def slices(depth_m: float) -> float:
     """Light with twice the slices, 999 of 1000 pixels below the dimple."""
     one, two = (
-        fringe_view.exact(SMALL, depth_m, 0.0, 0.0, n) for n in (fringe_view.SLICES, 2 * fringe_view.SLICES)
+        fringe_view.march_fringes(SMALL, depth_m, 0.0, 0.0, n)
+        for n in (fringe_view.SLICES, 2 * fringe_view.SLICES)
     )
     return float(np.quantile(np.abs(inside(one - two, SMALL, depth_m)), 0.999))
 
 
 def bands() -> float:
     """Light with twice the bands, 999 of 1000 pixels, at 5 mm."""
-    one, two = (fringe_view.exact(replace(SMALL, bands=n), 5e-3, 0.0, 0.0) for n in (31, 62))
+    one, two = (fringe_view.march_fringes(replace(SMALL, bands=n), 5e-3, 0.0, 0.0) for n in (31, 62))
     return float(np.quantile(np.abs(inside(one - two, SMALL, 5e-3)), 0.999))
 
 
@@ -59,14 +60,14 @@ def two_mechanics() -> float:
 
 def mirrored() -> float:
     """A contact on the right is that on the left, mirrored, at a polariser of 45 degrees."""
-    left, right = (fringe_view.exact(SMALL, 3e-3, x, 2e-3) for x in (-6e-3, 6e-3))
+    left, right = (fringe_view.march_fringes(SMALL, 3e-3, x, 2e-3) for x in (-6e-3, 6e-3))
     return float(np.abs(inside(left - right[:, ::-1], SMALL, 3e-3)).max())
 
 
 def under_the_ball() -> float:
     """Pixels between where the mirror shows the ball's lowest point and where Snell's law puts it."""
     spec, depth, at = palm.palm(), 3e-3, (4e-3, -3e-3)
-    grey = mirror_view.exact(spec, depth, *at)
+    grey = mirror_view.trace_mirror(spec, depth, *at)
     lean = math.asin(math.cos(spec.mirror_elevation_rad) / spec.refractive_index)
     enters = at[1] + (spec.thickness_m - depth) * math.tan(lean)
     wanted = np.array([at[0], enters * math.sin(spec.mirror_elevation_rad)]) / spec.mirror.pitch_m

@@ -150,7 +150,7 @@ def below_the_table() -> float:
     u, v = (part * dy for part in secondary_stress(x, y, z, a, p0))
     optics = seen.weight, plane_amplitude(spec.polariser_rad, spec.bands)
     light = march_colour(u, v, spec.stress_optic.half_phase(seen.wavelength_m), *optics, even=True)
-    off = fringe_view.exact(spec, depth, 0.0, 0.0) - with_leak(light, spec.extinction)
+    off = fringe_view.march_fringes(spec, depth, 0.0, 0.0) - with_leak(light, spec.extinction)
     return float(np.sqrt(np.mean(off[spec.fringes.down_m > 2 * depth] ** 2)))
 
 

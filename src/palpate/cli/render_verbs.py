@@ -14,7 +14,7 @@ from palpate.cli.verb_support import Group, Json, Quiet, print_found, progress_b
 
 if TYPE_CHECKING:
     from palpate.recordings.exchange.press_folder import PressFolder
-    from palpate.sensors.palm.wear import Wear
+    from palpate.sensors.palm.membrane_wear import Wear
 
 app = typer.Typer(
     cls=Group,
@@ -215,7 +215,7 @@ def _trials_text(
 
 def _wear(presses: float, haze: float | None, scratches: int | None, yellowing: float) -> Wear:
     """Wear after so many presses, save for what is asked for itself."""
-    from palpate.sensors.palm.wear import worn
+    from palpate.sensors.palm.membrane_wear import worn
 
     wear = replace(worn(presses), yellowing=yellowing)
     wear = wear if haze is None else replace(wear, haze=haze)

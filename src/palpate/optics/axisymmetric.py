@@ -171,13 +171,11 @@ def _table(field: AxisymmetricField) -> tuple[ndarray | np.float32, ...]:
     unit = field.r_m[-1]
     rr, tt, zz, rz = field.stress_pa
     stress = np.stack([rr - tt, tt - zz, 2 * rz, 0 * rz], axis=-1).swapaxes(0, 1)
-    surface = (field.surface_m / unit).astype(np.float32)
-    deep = np.float32(field.thickness_m / unit)
     return (
         *_index(field.r_m / unit),
         *_index(field.zeta),
-        surface,
-        deep,
+        (field.surface_m / unit).astype(np.float32),
+        np.float32(field.thickness_m / unit),
         np.ascontiguousarray(stress, np.float32),
     )
 

@@ -49,8 +49,8 @@ from palpate.reproductions.palm.palm_setup import (
 from palpate.rig.plans import Dwell, Listed, StepHold
 from palpate.rig.virtual.disturbances import Variation
 from palpate.sensors.palm import PalmSpec
+from palpate.sensors.palm.membrane_wear import Wear, worn
 from palpate.sensors.palm.random_presses import SHAPES, Loads, draw_loads
-from palpate.sensors.palm.wear import Wear, worn
 from palpate.workflows.parameter_sweep import sweep
 
 RING_MM = 23.0

@@ -1,6 +1,7 @@
 """The photoelastic palm: a clear disc between crossed polarisers, seen edge-on and through a mirror."""
 
 from palpate.sensors.palm.fringe_orders import contact_summary
+from palpate.sensors.palm.membrane_wear import Wear, worn
 from palpate.sensors.palm.palm_press import has_table, press, press_to_force
 from palpate.sensors.palm.palm_render import Views, expose, render, render_clean, render_raw, render_views
 from palpate.sensors.palm.palm_spec import (
@@ -19,7 +20,6 @@ from palpate.sensors.palm.palm_spec import (
     sylgard_184,
 )
 from palpate.sensors.palm.probe_shapes import parse_probe
-from palpate.sensors.palm.wear import Wear, worn
 
 __all__ = [
     "PRESETS",

@@ -36,7 +36,7 @@ WIDTH = 0.3  # thicknesses: within which slices are equally fine about a place
 Rays = Float[ndarray, "w s"]
 
 
-def exact(spec: PalmSpec, contact: Contact) -> fringe_view.Light:
+def march_contact(spec: PalmSpec, contact: Contact) -> fringe_view.Light:
     """Light of each ray; dark where the probe or the sunken surface stops it."""
     view = spec.fringes.sampled(*spec.rays_per_pixel)
     light = np.full((*view.size_px[::-1], 3), spec.extinction, np.float32)

@@ -34,7 +34,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def kept(most_bytes: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
+def cache_within(most_bytes: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """Keep what a function returned, the least recently used going first; arguments must be hashable.
 
     What it returns tells its size in memory as `nbytes`. What takes more than the bound by itself displaces
@@ -83,8 +83,8 @@ def sees(spec: PalmSpec, x_m: float, y_m: float, within_m: float = 0.0) -> bool:
     return bool(offset.min() <= 0 <= offset.max() or np.abs(offset).min() < within_m)
 
 
-def exact(spec: PalmSpec, depth_m: float, x_m: float, y_m: float, slices: int = SLICES) -> Light:
-    """Every ray from wall to wall."""
+def march_fringes(spec: PalmSpec, depth_m: float, x_m: float, y_m: float, slices: int = SLICES) -> Light:
+    """Light of every ray, marched from wall to wall."""
     view = spec.fringes.sampled(*spec.rays_per_pixel)
     width, height = view.size_px
     light = np.full((height, width, 3), spec.extinction, np.float32)
@@ -94,8 +94,8 @@ def exact(spec: PalmSpec, depth_m: float, x_m: float, y_m: float, slices: int = 
     return mean_of(light, *spec.rays_per_pixel)
 
 
-def shifted(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Light:
-    """The fast way: columns of the kept picture, at each column's offset from the contact's axis."""
+def shift_fringes(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Light:
+    """Light by the fast way: columns of the kept picture, at each column's offset from the contact's axis."""
     same = spec.unlit
     rays = columns_kept(same)
     offset, _, _ = rays.about(x_m, y_m)
@@ -129,7 +129,7 @@ class Picture:
         return light
 
 
-@kept(PICTURES_BYTES)
+@cache_within(PICTURES_BYTES)
 def picture_of(spec: PalmSpec, depth_m: float) -> Picture:
     """The picture of one depth, marched once: as seen from the membrane's middle, each pixel's rays averaged.
 

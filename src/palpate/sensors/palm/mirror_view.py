@@ -23,7 +23,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from palpate.core import Bool, Contact, Float32, ndarray
 from palpate.mechanics.axisymmetric.sphere_table import TabulatedPress
-from palpate.sensors.palm.fringe_view import kept
+from palpate.sensors.palm.fringe_view import cache_within
 from palpate.sensors.palm.palm_press import pressed
 from palpate.sensors.palm.palm_spec import PalmSpec
 
@@ -40,13 +40,13 @@ PATCHES_BYTES = 100_000_000
 Grey = Float32[ndarray, "h w"]
 
 
-def exact(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Grey:
-    """Every pixel traced, the contact where it is."""
+def trace_mirror(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Grey:
+    """The mirror's picture, every pixel traced, the contact where it is."""
     x, y = _underside(spec)
     return _inside_rim(spec, _traced(spec, *_ball_surface(spec, depth_m), x - x_m, y - y_m))
 
 
-def of_contact(spec: PalmSpec, contact: Contact) -> Grey:
+def trace_contact(spec: PalmSpec, contact: Contact) -> Grey:
     """The same under any probe, from the contact's own grid."""
     x, y = _underside(spec)
     reach = (min(float(contact.displacement_m.min()), 0.0), float(contact.displacement_m.max()))
@@ -54,7 +54,7 @@ def of_contact(spec: PalmSpec, contact: Contact) -> Grey:
     return _inside_rim(spec, traced)
 
 
-def shifted(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Grey:
+def shift_mirror(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Grey:
     """The fast way: one traced patch, moved to the contact by whole and part pixels."""
     patch = patch_of(spec.unlit, depth_m)
     wide, high = spec.mirror.pitches_m
@@ -98,7 +98,7 @@ class Patch:
         return self.grey.nbytes
 
 
-@kept(PATCHES_BYTES)
+@cache_within(PATCHES_BYTES)
 def patch_of(spec: PalmSpec, depth_m: float) -> Patch:
     """The patch of one depth, traced once."""
     (wide, high), sine = spec.mirror.pitches_m, math.sin(spec.mirror_elevation_rad)
@@ -123,8 +123,8 @@ def veil(spec: PalmSpec) -> float:
 
 def inside_rim(spec: PalmSpec) -> Bool[ndarray, "h w"]:
     """Mask of the mirror's lines of sight that enter the membrane, or the opening it is set in."""
-    y = spec.mirror.down_m / math.sin(spec.mirror_elevation_rad)
-    return np.asarray(spec.mirror.x_m**2 + y[:, None] ** 2 <= spec.radius_m**2)
+    x, y = _underside(spec)
+    return np.asarray(x**2 + y**2 <= spec.radius_m**2)
 
 
 def path_m(spec: PalmSpec) -> float:

@@ -18,9 +18,7 @@ from palpate.core import Contact, Float32, Frame, InputError, Pose, Probe, UInt8
 from palpate.optics.camera_response import CameraResponse, develop, raw_codes, uneven_light
 from palpate.optics.illumination import LedStrip, backlight
 from palpate.sensors.palm import fringe_rays, fringe_view, mirror_view
-from palpate.sensors.palm.palm_spec import PalmSpec
-from palpate.sensors.palm.probe_shapes import parts_of, reach_of, silhouette
-from palpate.sensors.palm.wear import (
+from palpate.sensors.palm.membrane_wear import (
     Film,
     Wear,
     film,
@@ -30,6 +28,8 @@ from palpate.sensors.palm.wear import (
     scratches_over,
     spread,
 )
+from palpate.sensors.palm.palm_spec import PalmSpec
+from palpate.sensors.palm.probe_shapes import parts_of, reaches_of, silhouette
 
 BACKGROUND = 0.004
 """Of the housing outside both regions, over the lamp at its brightest. Assumed."""
@@ -142,9 +142,11 @@ def _transmitted(contact: Contact, spec: PalmSpec, exact: bool) -> tuple[Linear,
     usual = spec.probe_in_mirror and not spec.opaque_underside
     marched = spec if usual else replace(spec, probe_in_mirror=True, opaque_underside=False)
     if not is_ball(contact, spec):
-        return fringe_rays.exact(marched, contact), mirror_view.of_contact(spec, contact)
+        return fringe_rays.march_contact(marched, contact), mirror_view.trace_contact(spec, contact)
     edge_on, below = (
-        (fringe_view.exact, mirror_view.exact) if exact else (fringe_view.shifted, mirror_view.shifted)
+        (fringe_view.march_fringes, mirror_view.trace_mirror)
+        if exact
+        else (fringe_view.shift_fringes, mirror_view.shift_mirror)
     )
     if air:
         light = np.full((*spec.fringes.size_px[::-1], 3), spec.extinction, np.float32)
@@ -237,7 +239,7 @@ def _draw_part(light: Linear, probe: Probe, pose: Pose, spec: PalmSpec) -> None:
     """One body: past the rim above the rest surface, through it below."""
     glow = np.float32(BEHIND_ANALYSER * PROBE_LIGHT * spec.inside_light * spec.ball_albedo)
     x, z = spec.fringes.x_m, spec.fringes.down_m
-    rays, reach = fringe_view.columns_kept(spec.unlit), reach_of(probe)
+    rays, reach = fringe_view.columns_kept(spec.unlit), reaches_of(probe)[0]
     through = np.where(rays.visible, rays.about(pose.x_m, pose.y_m)[0], np.inf)
     rest = int(np.searchsorted(z, 0.0, side="right"))
     regions = ((slice(rest), x - pose.x_m), (slice(rest, None), through))

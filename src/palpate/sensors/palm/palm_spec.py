@@ -18,7 +18,7 @@ from palpate.optics.camera_response import CameraResponse
 from palpate.optics.colour import MIN_BANDS
 from palpate.optics.illumination import LedStrip
 from palpate.optics.stress_optic import StressOpticLaw
-from palpate.sensors.palm.wear import Wear
+from palpate.sensors.palm.membrane_wear import Wear
 
 
 @dataclass(frozen=True, slots=True)

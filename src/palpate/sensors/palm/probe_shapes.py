@@ -190,7 +190,8 @@ def silhouette(
         z_m: heights, into the skin [m].
     """
     facing = np.zeros((len(z_m), len(across_m)), np.float32)
-    near = np.flatnonzero(np.abs(across_m) <= reach_of(probe))
+    reach, _ = reaches_of(probe)
+    near = np.flatnonzero(np.abs(across_m) <= reach)
     if depth_m == 0 or not len(near):
         return facing
     x, above = across_m[near], depth_m - z_m[:, None]
@@ -201,16 +202,11 @@ def silhouette(
         ]
         facing[:, near] = np.sqrt(np.maximum(np.maximum.reduce(discs), 0) / R2)
         return facing
-    y = np.linspace(-1, 1, 201) * reach_of(probe)
+    y = np.linspace(-1, 1, 201) * reach
     lowest = gap_of(probe, x, y, (0.0, 0.0)).min(axis=0)
     top = 2 * probe.radius_m - lowest if probe.shape == "cylinder" else np.inf
     facing[:, near] = SIDE * ((above > lowest) & (above < top))
     return facing
-
-
-def reach_of(probe: Probe) -> float:
-    """Distance from its centre along x at which the probe may touch [m]."""
-    return reaches_of(probe)[0]
 
 
 def reaches_of(probe: Probe) -> tuple[float, float]:
