@@ -82,6 +82,11 @@ def point_potentials(x: Points, y: Points, z: Points) -> Potentials:
     )
 
 
+def _third_derivatives(b: Points, c: Points, x: Points, y: Points) -> tuple[Points, Points, Points]:
+    """K_xxx, K_xyy and K_xxy from ``b`` and ``c``."""
+    return 3 * x * b + x**3 * c, x * b + x * y**2 * c, y * b + x**2 * y * c
+
+
 def stress_of_normal_load(K: Potentials, x: Points, y: Points, z: Points, nu: float) -> Tensors:
     """Stress under a normal surface load with these potentials [Pa]."""
     m = 1 - 2 * nu
@@ -94,9 +99,8 @@ def stress_of_normal_load(K: Potentials, x: Points, y: Points, z: Points, nu: fl
 
 def stress_of_load_along_x(K: Potentials, x: Points, y: Points, z: Points, nu: float) -> Tensors:
     """Stress under a tangential surface load along x with these potentials [Pa]."""
-    f_xxx, f1_xxx = 3 * x * K.f_b + x**3 * K.f_c, 3 * x * K.f1_b + x**3 * K.f1_c
-    f_xyy, f1_xyy = x * K.f_b + x * y**2 * K.f_c, x * K.f1_b + x * y**2 * K.f1_c
-    f_xxy, f1_xxy = y * K.f_b + x**2 * y * K.f_c, y * K.f1_b + x**2 * y * K.f1_c
+    f_xxx, f_xyy, f_xxy = _third_derivatives(K.f_b, K.f_c, x, y)
+    f1_xxx, f1_xyy, f1_xxy = _third_derivatives(K.f1_b, K.f1_c, x, y)
     xx = 2 * (1 + nu) * x * K.v_a + 2 * nu * f1_xxx - z * f_xxx
     yy = 2 * nu * x * K.v_a + 2 * nu * f1_xyy - z * f_xyy
     xy = y * K.v_a + 2 * nu * f1_xxy - z * f_xxy
@@ -130,20 +134,6 @@ def cerruti_stress(x_m: Points, y_m: Points, z_m: Points, force_n: float, poisso
     return _finite(force_n) * stress_of_load_along_x(K, x_m, y_m, z_m, poisson_ratio)
 
 
-def boussinesq_displacement(
-    x_m: Points, y_m: Points, z_m: Points, force_n: float, youngs_modulus_pa: float, poisson_ratio: float
-) -> Vectors:
-    """Displacement by a force along z on the surface at the origin [m]; on it u_z = (1-nu^2) F / (pi E r)."""
-    return mindlin_displacement(x_m, y_m, z_m, 0.0, force_n, "z", youngs_modulus_pa, poisson_ratio)
-
-
-def cerruti_displacement(
-    x_m: Points, y_m: Points, z_m: Points, force_n: float, youngs_modulus_pa: float, poisson_ratio: float
-) -> Vectors:
-    """Displacement by a force along x on the surface at the origin [m]."""
-    return mindlin_displacement(x_m, y_m, z_m, 0.0, force_n, "x", youngs_modulus_pa, poisson_ratio)
-
-
 def mindlin_displacement(
     x_m: Points,
     y_m: Points,
@@ -154,7 +144,9 @@ def mindlin_displacement(
     youngs_modulus_pa: float,
     poisson_ratio: float,
 ) -> Vectors:
-    """Displacement by a force inside the half-space, below the origin [m].
+    """Displacement by a force inside the half-space, below the origin, or on it at depth 0 [m].
+
+    On the surface Boussinesq's force, along z, makes u_z = (1 - nu^2) F / (pi E r).
 
     Args:
         x_m, y_m: in the sensor's frame [m].
@@ -207,8 +199,8 @@ def _mindlin(
     L2 = _symmetric(
         K.f_a + x**2 * K.f_b, K.f_a + y**2 * K.f_b, b1[..., 2], x * y * K.f_b, b1[..., 1], b1[..., 0]
     )
+    sum1 = k1 + beta * b1
     if along == "z":
-        sum1 = k1 + beta * b1
         u = -zc[..., 0] * sum1 + cz[..., None] * b2[..., 2] - m * L1
         u[..., 2] += beta * k + beta**2 * b - 2 * beta * c * b1[..., 2]
         grad = -zc * (k2 + beta * b2) + 2 * c * z_ * b3[..., 2, :, :] - m * L2
@@ -217,15 +209,8 @@ def _mindlin(
         return u, grad, k1[..., 2] + beta * b1[..., 2] - 2 * c * b2[..., 2, 2]
     M_xx, M_xy = -1 / (b**-1 + z + c) + x**2 * K.f1_b, x * y * K.f1_b
     M1 = np.stack([M_xx, M_xy, L1[..., 0]], -1)
-    M2 = _symmetric(
-        3 * x * K.f1_b + x**3 * K.f1_c,
-        x * K.f1_b + x * y**2 * K.f1_c,
-        L2[..., 0, 2],
-        y * K.f1_b + x**2 * y * K.f1_c,
-        L2[..., 0, 1],
-        L2[..., 0, 0],
-    )
-    sum1 = k1 + beta * b1
+    M_xxx, M_xyy, M_xxy = _third_derivatives(K.f1_b, K.f1_c, x, y)
+    M2 = _symmetric(M_xxx, M_xyy, L2[..., 0, 2], M_xxy, L2[..., 0, 1], L2[..., 0, 0])
     u = -x[..., None] * sum1 - cz[..., None] * b2[..., 0] - m * M1
     u[..., 0] += beta * k + b
     u[..., 2] += 2 * beta * c * b1[..., 0] + 2 * m * L1[..., 0]

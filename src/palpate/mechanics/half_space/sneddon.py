@@ -3,7 +3,8 @@
 With f(r) the punch's height over its tip, every law here follows from one function on 0 <= t <= a,
 
     g(t) = d - t int_0^t f'(r) / sqrt(t^2 - r^2) dr,      F = 2 E* int_0^a g dt,
-    u(r) = (2/pi) int_0^a g / sqrt(r^2 - t^2) dt outside,   g(a) = 0 where the punch has no edge:
+
+and g(a) = 0 where the punch has no edge:
 
     sphere  g = d - t atanh(t/R),     flat punch  g = d,     cone  g = d - (pi/2) t cot(alpha).
 
@@ -23,8 +24,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import brentq
 
-from palpate.core import Contact, Float, InputError, Pose, Probe, RangeError, ndarray
-from palpate.mechanics.half_space.hertz import GRID_POINTS, grid_around, positive, reduced_modulus
+from palpate.core import Float, RangeError, ndarray
+from palpate.mechanics.half_space.hertz import positive, reduced_modulus
 
 MAX_RADIUS = 0.99  # a/R of the sphere; at 1 the depth is infinite
 MAX_PUNCH_DEPTH = 0.5  # d/a of the flat punch; its strain is of this order
@@ -146,16 +147,6 @@ def punch_depth(
     return force_n / stiffness
 
 
-def punch_pressure(r_m: Points, punch_radius_m: float, force_n: float) -> Points:
-    """Pressure F / (2 pi a sqrt(a^2 - r^2)) [Pa] at distance r [m]; infinite at the edge, zero outside it."""
-    positive("the punch's radius", punch_radius_m, "m")
-    _within("force", force_n, math.inf, "N", "a contact without adhesion")
-    a, r = punch_radius_m, np.abs(r_m)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inside = force_n / (2 * np.pi * a * np.sqrt(np.maximum(a**2 - r**2, 0.0)))
-    return np.where((r > a) | (force_n == 0.0), 0.0, inside)
-
-
 def cone_radius(depth_m: float, half_angle_rad: float) -> float:
     """Contact radius a = (2/pi) d tan(alpha) [m]; alpha from the cone's axis to its side."""
     _within("depth", depth_m, math.inf, "m", "a contact")
@@ -177,79 +168,6 @@ def cone_depth(
     _within("force", force_n, math.inf, "N", "a contact without adhesion")
     stiffness = 2 / math.pi * reduced_modulus(youngs_modulus_pa, poisson_ratio) * _tangent(half_angle_rad)
     return math.sqrt(force_n / stiffness)
-
-
-def cone_pressure(
-    r_m: Points,
-    contact_radius_m: float,
-    half_angle_rad: float,
-    youngs_modulus_pa: float,
-    poisson_ratio: float,
-) -> Points:
-    """Pressure (E*/2) cot(alpha) arcosh(a/r) [Pa] at distance r [m]; infinite at the tip, zero outside."""
-    positive("contact radius", contact_radius_m, "m")
-    E = reduced_modulus(youngs_modulus_pa, poisson_ratio)
-    with np.errstate(divide="ignore"):
-        ratio = contact_radius_m / np.minimum(np.abs(r_m), contact_radius_m)
-    return np.asarray(E / (2.0 * _tangent(half_angle_rad)) * np.arccosh(ratio))
-
-
-def press(
-    probe: Probe,
-    pose: Pose,
-    youngs_modulus_pa: float,
-    poisson_ratio: float,
-    x_m: Float[ndarray, " nx"] | None = None,
-    y_m: Float[ndarray, " ny"] | None = None,
-) -> Contact:
-    """Press a sphere, or a flat punch, into a half-space.
-
-    Args:
-        probe: shape ``"sphere"``, or ``"punch"`` with the radius of its flat end [m].
-        pose: where, and how deep; depth 0 is first touch and gives no pressure.
-        youngs_modulus_pa, poisson_ratio: of the skin [Pa], 0 to 0.5.
-        x_m, y_m: columns and rows of the surface grid in the sensor's frame [m], evenly spaced; by default 81
-            points each, over two contact or punch radii to each side of the pose.
-
-    Returns:
-        The contact; the pressure is that at the grid's points. A punch's is infinite at its edge, so within a
-        quarter of a cell of it the grid holds the mean over that cell, and a sum over the grid misses some of
-        the force (10 % of it at 20 cells a radius); ``force_n`` is exact.
-
-    Raises:
-        InputError: the probe has another shape or the pose is not finite.
-        RangeError: depth or material lies outside the law's range.
-    """
-    if probe.shape not in ("sphere", "punch"):
-        raise InputError(f"Sneddon's press is for 'sphere' or 'punch', got probe shape {probe.shape!r}")
-    R, d, E, nu = probe.radius_m, pose.depth_m, youngs_modulus_pa, poisson_ratio
-    sphere = probe.shape == "sphere"
-    force = sphere_force_from_depth(d, R, E, nu) if sphere else punch_force(d, R, E, nu)
-    a = sphere_radius_from_depth(d, R) if sphere else R if d > 0 else 0.0
-    around = 2.0 * (a or R) * np.linspace(-1, 1, GRID_POINTS)
-    x, y, r = grid_around(pose, around, x_m, y_m)
-    if sphere:
-        pressure = sphere_pressure(r, a, R, E, nu)
-        profile = R - np.sqrt(R**2 - np.minimum(r, a) ** 2)
-        displacement = _surface_displacement(r, a, d - profile, lambda t: d - t * np.arctanh(t / R))
-    else:
-        cell = abs(x[1] - x[0]) if len(x) > 1 else 0.0
-        short = np.where(r < a, np.minimum(r, a - cell / 4), r)
-        pressure = punch_pressure(short, R, force)
-        displacement = _surface_displacement(r, a, np.full_like(r, d), lambda t: np.full_like(t, d))
-    p, model = np.where(r < a, pressure, 0.0), MODEL.format(shape=probe.shape)
-    return Contact(x, y, p, displacement, r < a, force, a, probe, pose, model)
-
-
-def _surface_displacement(r: Points, a: float, inside: Points, g: Callable[[Points], Points]) -> Points:
-    if a == 0.0:
-        return np.zeros_like(r)
-    outer = np.maximum(r, a)
-    widest = np.arcsin(a / outer)  # with t = r sin(angle), dt / sqrt(r^2 - t^2) is d(angle)
-    around = np.zeros_like(r)
-    for node, weight in zip((1 + NODES) / 2, WEIGHTS / 2, strict=True):
-        around += weight * widest * g(outer * np.sin(node * widest))
-    return np.where(r < a, inside, 2 / np.pi * around)
 
 
 def _slope(contact_radius_m: float, radius_m: float) -> float:
