@@ -79,34 +79,6 @@ def test_a_stuck_circular_contact_is_stiffer_pressed_than_pulled():
         assert ratio == pytest.approx((2 - nu) / (2 * (1 - nu)), rel=1e-12)
 
 
-@pytest.mark.parametrize("turn", [1e-3, 0.3, 0.8])
-def test_the_energy_lost_is_the_area_of_the_loop(turn):
-    rest = (P, MU, A, E, 0.49)
-    there = slip.returning_displacement(turn, turn, *rest)
-    assert there == pytest.approx(slip.tangential_displacement(turn, *rest), rel=1e-12)
-    back = slip.returning_displacement(-turn, turn, *rest)
-    assert back == pytest.approx(-there, rel=1e-12)
-    # the way forth mirrors the way back
-    half = quad(
-        lambda Q: -slip.returning_displacement(-Q, turn, *rest) - slip.returning_displacement(Q, turn, *rest),
-        -turn,
-        turn,
-        epsabs=0,
-        epsrel=1e-8,
-    )[0]
-    lost = slip.energy_lost_per_cycle(turn, *rest)
-    assert abs(half) == pytest.approx(lost, rel=1e-5)
-
-
-def test_the_series_of_the_energy_meets_its_closed_form():
-    below, above = (
-        slip.energy_lost_per_cycle(s * MU * P, P, MU, A, E, 0.49) / s**3 for s in (0.0099999, 0.0100001)
-    )
-    # the closed form keeps eight digits there, and the two places differ by 1e-7
-    assert above == pytest.approx(below, rel=5e-7)
-    assert slip.energy_lost_per_cycle(0.0, P, MU, A, E, 0.49) == 0
-
-
 def test_at_mu_times_the_load_nothing_sticks():
     assert slip.stick_radius(MU * P, P, MU, A) == 0
     assert q(0.0, MU * P) == pytest.approx(MU * P0)
@@ -120,8 +92,6 @@ def test_a_pull_that_friction_does_not_hold_is_refused(pull):
         lambda: slip.stick_radius(pull, P, MU, A),
         lambda: slip.traction(np.zeros(1), pull, P, MU, A),
         lambda: slip.tangential_displacement(pull, P, MU, A, E, 0.3),
-        lambda: slip.energy_lost_per_cycle(pull, P, MU, A, E, 0.3),
-        lambda: slip.returning_displacement(0.0, pull, P, MU, A, E, 0.3),
     ):
         with pytest.raises(RangeError, match=r"0 to 0\.8 N"):
             ask()
@@ -140,5 +110,3 @@ def test_what_else_lies_outside_is_refused(bad):
             ask()
     with pytest.raises(RangeError):
         slip.tangential_stiffness(A, E, 0.6)
-    with pytest.raises(RangeError, match="between the turns"):
-        slip.returning_displacement(0.4, 0.3, P, MU, A, E, 0.3)

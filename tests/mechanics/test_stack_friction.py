@@ -2,9 +2,9 @@ import math
 
 import numpy as np
 import pytest
+from tests.oracles import twisted_sphere
 
 from palpate.core import InputError, RangeError
-from palpate.mechanics.half_space import tangential
 from palpate.mechanics.layers import indenters
 from palpate.mechanics.layers.contact_solver import press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
@@ -77,7 +77,7 @@ def test_a_contact_that_sticks_twists_as_reissner_and_sagoci_say(nu):
     contact = on_half_space(nu)
     found = shear_stack(contact, 1e4, turn_rad=1e-6)
     # the traction rises without end to the rim, which lies in cells of A/27: 0.6 % is measured at nu = 0.49
-    assert found.moment_nm == pytest.approx(1e-6 * tangential.twisting_stiffness(A, E, nu), rel=0.01)
+    assert found.moment_nm == pytest.approx(1e-6 * twisted_sphere.twisting_stiffness(A, E, nu), rel=0.01)
     assert np.abs(found.force_n).max() < 1e-6 * found.moment_nm / A
 
 
@@ -86,7 +86,7 @@ def test_a_contact_that_sticks_twists_as_reissner_and_sagoci_say(nu):
 def test_a_twisted_sphere_slips_as_lubkin_says(nu, turn):
     contact = on_half_space(nu)
     found = shear_stack(contact, MU, turn_rad=turn)
-    moment, stick = tangential.twisting_moment(turn, contact.force_n, MU, A, E, nu)
+    moment, stick = twisted_sphere.twisting_moment(turn, contact.force_n, MU, A, E, nu)
     assert found.moment_nm == pytest.approx(moment, rel=1e-3)  # 4e-4 is measured
     sticking = math.sqrt(found.sticking.sum() / contact.touching.sum())
     assert sticking == pytest.approx(stick / A, abs=0.01)  # counted in cells of A/27
@@ -95,13 +95,13 @@ def test_a_twisted_sphere_slips_as_lubkin_says(nu, turn):
 def test_a_great_turn_slips_everywhere_at_the_moment_of_friction():
     contact = on_half_space(0.3)
     found = shear_stack(contact, MU, turn_rad=3.0)
-    greatest = tangential.greatest_moment(contact.force_n, MU, A)
+    greatest = twisted_sphere.greatest_moment(contact.force_n, MU, A)
     assert found.moment_nm == pytest.approx(greatest, rel=1e-3)
 
 
 def test_a_moment_to_the_left_is_that_to_the_right_mirrored():
     contact = on_half_space(0.49)
-    most = tangential.greatest_moment(contact.force_n, MU, A)
+    most = twisted_sphere.greatest_moment(contact.force_n, MU, A)
     one, other = (shear_stack(contact, MU, moment_nm=sign * 0.5 * most) for sign in (1, -1))
     assert one.turn_rad > 0
     assert other.turn_rad == pytest.approx(-one.turn_rad, rel=1e-6)
@@ -121,7 +121,7 @@ def test_force_and_moment_together_convert_back_to_shift_and_turn():
 
 def test_force_and_moment_share_the_friction():
     contact = on_half_space(0.49)
-    most = tangential.greatest_moment(contact.force_n, MU, A)
+    most = twisted_sphere.greatest_moment(contact.force_n, MU, A)
     alone = shear_stack(contact, MU, moment_nm=0.6 * most)
     both = shear_stack(contact, MU, force_n=(0.5 * MU * contact.force_n, 0.0), moment_nm=0.6 * most)
     assert both.turn_rad > 1.1 * alone.turn_rad

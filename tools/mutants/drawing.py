@@ -37,10 +37,7 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
                 "tests/mechanics/test_subsurface.py",
             ),
             "palpate.mechanics.half_space.hertz_pairs": ("tests/mechanics/test_hertz_pairs.py",),
-            "palpate.mechanics.half_space.tangential": (
-                "tests/mechanics/test_partial_slip.py",
-                "tests/mechanics/test_twist.py",
-            ),
+            "palpate.mechanics.half_space.tangential": ("tests/mechanics/test_partial_slip.py",),
             "palpate.mechanics.half_space.point_loads": (
                 "tests/mechanics/test_point_loads.py",
                 "tests/mechanics/test_subsurface.py",
