@@ -4,87 +4,86 @@ import numpy as np
 import pytest
 
 from palpate.core import RangeError
-from palpate.mechanics.half_space import adhesion, hertz
+from palpate.mechanics.half_space import hertz
+from palpate.mechanics.half_space.adhesion import JKR_ABOVE, AdhesiveSphere
 
 W, R, E, NU = 0.05, 5e-3, 0.3e6, 0.49
-SKIN = (W, R, E, NU)
+SPHERE = AdhesiveSphere(W, R, E, NU)
 ES = hertz.reduced_modulus(E, NU)
 
 
 def test_without_adhesion_the_law_is_hertzs():
     d = 0.5e-3
     F = hertz.force_from_depth(d, R, E, NU)
-    assert adhesion.force_from_depth(d, 0.0, R, E, NU) == pytest.approx(F, rel=1e-12)
-    assert adhesion.radius_from_force(F, 0.0, R, E, NU) == pytest.approx(math.sqrt(R * d), rel=1e-12)
+    assert AdhesiveSphere(0.0, R, E, NU).force_from_depth(d) == pytest.approx(F, rel=1e-12)
+    assert AdhesiveSphere(0.0, R, E, NU).radius_from_force(F) == pytest.approx(math.sqrt(R * d), rel=1e-12)
 
 
 def test_a_5_mm_sphere_comes_off_silicone_at_1_2_millinewtons():
-    assert adhesion.pull_off_force(W, R) == pytest.approx(-1.5 * math.pi * W * R, rel=1e-12)
-    assert adhesion.pull_off_force(W, R) == pytest.approx(-1.2e-3, rel=0.02)
+    assert SPHERE.pull_off_force_n == pytest.approx(-1.5 * math.pi * W * R, rel=1e-12)
+    assert SPHERE.pull_off_force_n == pytest.approx(-1.2e-3, rel=0.02)
 
 
 @pytest.mark.parametrize("force_n", [-1.1e-3, 0.0, 1e-3, 0.1, 1.0])
 def test_radius_and_force_lead_back_to_each_other(force_n):
-    a = adhesion.radius_from_force(force_n, *SKIN)
-    assert adhesion.force_from_radius(a, *SKIN) == pytest.approx(force_n, rel=1e-9, abs=1e-15)
-    d = adhesion.depth_from_radius(a, *SKIN)
-    assert adhesion.force_from_depth(d, *SKIN) == pytest.approx(force_n, rel=1e-8, abs=1e-14)
+    a = SPHERE.radius_from_force(force_n)
+    assert SPHERE.force_from_radius(a) == pytest.approx(force_n, rel=1e-9, abs=1e-15)
+    d = SPHERE.depth_from_radius(a)
+    assert SPHERE.force_from_depth(d) == pytest.approx(force_n, rel=1e-8, abs=1e-14)
 
 
 def test_the_force_is_least_where_it_comes_off():
     a = np.linspace(0, R / 4, 100_001)
     forces = 4 * ES * a**3 / (3 * R) - np.sqrt(8 * math.pi * W * ES * a**3)
-    least = adhesion.pull_off_force(W, R)
+    least = SPHERE.pull_off_force_n
     # the grid's step leaves a parabola's 1e-8
     assert forces.min() == pytest.approx(least, rel=1e-6)
-    assert adhesion.radius_from_force(least, *SKIN) == pytest.approx(a[forces.argmin()], rel=1e-3)
+    assert SPHERE.radius_from_force(least) == pytest.approx(a[forces.argmin()], rel=1e-3)
 
 
 def test_the_work_of_the_force_is_elastic_energy_less_adhesion():
     # Griffith's balance along the branch: F dd = dU_elastic - w dA, with U of a punch and a paraboloid
     def energy(a):
         hertzian = 4 * ES * a**3 / (3 * R)
-        short = hertzian - adhesion.force_from_radius(a, *SKIN)  # a flat punch's pull
+        short = hertzian - SPHERE.force_from_radius(a)  # a flat punch's pull
         return hertzian**2 * 3 / (10 * ES * a) + short**2 / (4 * a * ES) - short * 2 * a**2 / (3 * R)
 
     a = np.linspace(2e-3, 2.2e-3, 2001)
-    forces = np.array([adhesion.force_from_radius(v, *SKIN) for v in a])
-    depths = np.array([adhesion.depth_from_radius(v, *SKIN) for v in a])
+    forces = np.array([SPHERE.force_from_radius(v) for v in a])
+    depths = np.array([SPHERE.depth_from_radius(v) for v in a])
     work = np.trapezoid(forces, depths)
     gained = energy(a[-1]) - energy(a[0]) - W * math.pi * (a[-1] ** 2 - a[0] ** 2)
     assert work == pytest.approx(gained, rel=1e-6)
 
 
 def test_at_the_pull_off_depth_the_branch_turns():
-    d = adhesion.pull_off_depth(*SKIN)
+    d = SPHERE.pull_off_depth_m
     a = np.linspace(1e-6, R / 4, 100_001)
     assert d == pytest.approx((a**2 / R - np.sqrt(2 * math.pi * W * a / ES)).min(), rel=1e-6)
     assert d < 0
     # held by its depth, the sphere comes off at 5/9 of the greatest pull
-    assert adhesion.force_from_depth(d, *SKIN) == pytest.approx(
-        5 / 9 * adhesion.pull_off_force(W, R), rel=1e-6
-    )
+    assert SPHERE.force_from_depth(d) == pytest.approx(5 / 9 * SPHERE.pull_off_force_n, rel=1e-6)
 
 
 def test_tabors_parameter_says_that_jkr_holds_for_soft_skin_and_not_for_hard_dust():
-    assert adhesion.tabor_parameter(W, R, E, NU, 0.3e-9) > 1e3 * adhesion.JKR_ABOVE
-    assert adhesion.tabor_parameter(W, 1e-8, 70e9, 0.2, 0.3e-9) < 0.1
+    assert SPHERE.tabor_parameter(0.3e-9) > 1e3 * JKR_ABOVE
+    assert AdhesiveSphere(W, 1e-8, 70e9, 0.2).tabor_parameter(0.3e-9) < 0.1
     by_hand = (R * W**2 / (ES**2 * 0.3e-9**3)) ** (1 / 3)
-    assert adhesion.tabor_parameter(W, R, E, NU, 0.3e-9) == pytest.approx(by_hand, rel=1e-12)
+    assert SPHERE.tabor_parameter(0.3e-9) == pytest.approx(by_hand, rel=1e-12)
 
 
 @pytest.mark.parametrize(
     "ask",
     [
-        lambda bad: adhesion.pull_off_force(bad, R),
-        lambda bad: adhesion.pull_off_force(W, bad),
-        lambda bad: adhesion.radius_from_force(bad, *SKIN),
-        lambda bad: adhesion.force_from_depth(bad, *SKIN),
-        lambda bad: adhesion.force_from_radius(bad, *SKIN),
-        lambda bad: adhesion.depth_from_radius(bad, *SKIN),
-        lambda bad: adhesion.pull_off_depth(W, R, bad, NU),
-        lambda bad: adhesion.pull_off_depth(W, R, E, bad),
-        lambda bad: adhesion.tabor_parameter(*SKIN, bad),
+        lambda bad: AdhesiveSphere(bad, R, E, NU),
+        lambda bad: AdhesiveSphere(W, bad, E, NU),
+        lambda bad: SPHERE.radius_from_force(bad),
+        lambda bad: SPHERE.force_from_depth(bad),
+        lambda bad: SPHERE.force_from_radius(bad),
+        lambda bad: SPHERE.depth_from_radius(bad),
+        lambda bad: AdhesiveSphere(W, R, bad, NU),
+        lambda bad: AdhesiveSphere(W, R, E, bad),
+        lambda bad: SPHERE.tabor_parameter(bad),
     ],
 )
 @pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
@@ -95,6 +94,6 @@ def test_what_lies_outside_the_law_is_refused(ask, bad):
 
 def test_a_contact_beyond_half_the_radius_is_refused():
     with pytest.raises(RangeError, match=r"a/R <= 0\.5"):
-        adhesion.radius_from_force(10.0, *SKIN)
+        SPHERE.radius_from_force(10.0)
     with pytest.raises(RangeError, match="comes off"):
-        adhesion.radius_from_force(-2e-3, *SKIN)
+        SPHERE.radius_from_force(-2e-3)

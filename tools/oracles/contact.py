@@ -13,7 +13,8 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.special import ellipk
 
 from oracles import Oracle, relative
-from palpate.mechanics.half_space import adhesion, hertz, sneddon
+from palpate.mechanics.half_space import hertz, sneddon
+from palpate.mechanics.half_space.adhesion import AdhesiveSphere
 from palpate.mechanics.half_space.hertz import secondary_stress
 from palpate.mechanics.half_space.point_loads import cerruti_stress
 from palpate.mechanics.half_space.subsurface import (
@@ -84,7 +85,7 @@ def pull_off() -> float:
         method="bounded",
         options={"xatol": 1e-12},
     )
-    return abs(adhesion.pull_off_force(w, R) / least.fun - 1)
+    return abs(AdhesiveSphere(w, R, E, NU).pull_off_force_n / least.fun - 1)
 
 
 def below_hertz() -> float:

@@ -209,19 +209,18 @@ def jkr(
 
     Example: palpate mechanics jkr --radius-mm 5 --modulus-kpa 300 --adhesion-j-per-m2 0.05 --force-n 0.01
     """
-    from palpate.mechanics.half_space import adhesion as law
+    from palpate.mechanics.half_space.adhesion import JKR_ABOVE, AdhesiveSphere
 
-    w, R = adhesion_j_per_m2, radius_mm / 1e3
-    skin = (w, R, modulus_kpa * 1e3, poisson)
     one_of(depth_mm, force_n)
-    F = law.force_from_depth(depth_mm / 1e3, *skin) if depth_mm is not None else force_n or 0.0
-    a = law.radius_from_force(F, *skin) if depth_mm is None else law.radius_from_depth(depth_mm / 1e3, *skin)
-    tabor = law.tabor_parameter(*skin, range_nm * 1e-9)
-    return _found(F, law.depth_from_radius(a, *skin), a) | {
-        "pull_off_force_N": law.pull_off_force(w, R),
-        "pull_off_depth_mm": law.pull_off_depth(*skin) * 1e3,
+    ball = AdhesiveSphere(adhesion_j_per_m2, radius_mm / 1e3, modulus_kpa * 1e3, poisson)
+    F = force_n or 0.0 if depth_mm is None else ball.force_from_depth(depth_mm / 1e3)
+    a = ball.radius_from_force(F) if depth_mm is None else ball.radius_from_depth(depth_mm / 1e3)
+    tabor = ball.tabor_parameter(range_nm * 1e-9)
+    return _found(F, ball.depth_from_radius(a), a) | {
+        "pull_off_force_N": ball.pull_off_force_n,
+        "pull_off_depth_mm": ball.pull_off_depth_m * 1e3,
         "tabor_ratio": tabor,
-        "applies": tabor > law.JKR_ABOVE,
+        "applies": tabor > JKR_ABOVE,
         "law": "JKR: rigid sphere, elastic half-space, small strain, a/R <= 0.5",
     }
 
