@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
@@ -128,40 +129,35 @@ def import_images(
     for done, _ in enumerate(_same_kind(paths), start=1):
         _tell(progress, done, 2 * len(paths))
     about = {"sensor": sensor, "rig": rig, "licence": licence, "origin": origin}
-    _record(run, _manifest(about, exported, kept, timed), paths, times_ns, kept, progress)
+    with whole_run(run, _manifest(about, exported, kept, timed)) as writer:
+        for i, image in enumerate(_same_kind(paths)):
+            writer.frame(image, time_ns=int(times_ns[i]), labels=_row(kept, i))
+            _tell(progress, len(paths) + i + 1, 2 * len(paths))
     return _report(kept)
 
 
 def _manifest(about: dict[str, str], exported: Manifest | None, kept: pd.DataFrame, timed: bool) -> Manifest:
     """Manifest by what the caller says, else by what an exported folder says of itself."""
     texts = {name: text or (getattr(exported, name) if exported else "") for name, text in about.items()}
-    targets = tuple(one for one in exported.targets if one in kept) if exported else ()
     return Manifest.new(
         sensor=texts["sensor"],
         rig=texts["rig"],
         licence=texts["licence"],
         origin=texts["origin"],
-        targets=targets,
+        targets=tuple(one for one in exported.targets if one in kept) if exported else (),
         seed=exported.seed if exported else None,
         labels=label_kinds(kept),
         clock="measured" if timed else "ordinal",
     )
 
 
-def _record(
-    run: Path,
-    manifest: Manifest,
-    paths: list[Path],
-    times_ns: np.ndarray,
-    kept: pd.DataFrame,
-    progress: Progress | None,
-) -> None:
+@contextmanager
+def whole_run(run: Path, manifest: Manifest) -> Iterator[RunWriter]:
+    """A writer of messages that carry their own times, into a run that appears whole or not at all."""
     with new_folder(run) as building:
         inner = building / "run"  # the writer makes its own folder
         with RunWriter.create(inner, manifest, clock=ManualClock(), overflow="wait") as writer:
-            for i, image in enumerate(_same_kind(paths)):
-                writer.frame(image, time_ns=int(times_ns[i]), labels=_row(kept, i))
-                _tell(progress, len(paths) + i + 1, 2 * len(paths))
+            yield writer
         for part in inner.iterdir():
             part.rename(building / part.name)
         inner.rmdir()

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.core import NS_PER_S, ManualClock, new_folder, refuse_existing
+from palpate.core import NS_PER_S, refuse_existing
 from palpate.recordings.exchange.frame_sequences import FrameSequence, open_sequence
-from palpate.recordings.exchange.image_import import ImportReport, Progress
+from palpate.recordings.exchange.image_import import ImportReport, Progress, whole_run
 from palpate.recordings.exchange.press_table import PressTable, read_press_table
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.run_writer import RunWriter
@@ -57,14 +57,9 @@ def import_press(
         manifest = Manifest.new(
             sensor=sensor, licence=licence, origin=origin, labels=dict.fromkeys(names, "number")
         )
-        with new_folder(run) as building:
-            inner = building / "run"  # the writer makes its own folder
-            with RunWriter.create(inner, manifest, clock=ManualClock(), overflow="wait") as writer:
-                _samples(writer, table)
-                _frames(writer, table, sequence, progress)
-            for part in inner.iterdir():
-                part.rename(building / part.name)
-            inner.rmdir()
+        with whole_run(run, manifest) as writer:
+            _samples(writer, table)
+            _frames(writer, table, sequence, progress)
     units = {name: name.rpartition("_")[2] for name in names}
     return ImportReport(len(table.frame_sample), names, units, ())
 
