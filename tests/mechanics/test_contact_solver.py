@@ -149,7 +149,8 @@ def test_far_contacts_on_a_bonded_layer_do_not_feel_each_other():
     layer = Stack((ElasticLayer(1e-3, E, NU),))
     x, y = square(8e-3, 192), square(2.5e-3, 60)
     alone = press_stack(layer, indenters.sphere(x, y, 3e-3, (-5.2e-3, 0.0)), x, y, depth_m=3e-4)
-    both = press_stack(layer, indenters.two_points(x, y, 3e-3, 10.4e-3), x, y, depth_m=3e-4)
+    pair = indenters.balls(x, y, 3e-3, [(-5.2e-3, 0.0, 0.0), (5.2e-3, 0.0, 0.0)])
+    both = press_stack(layer, pair, x, y, depth_m=3e-4)
     # ten thicknesses apart the motion of one has faded below 1e-3 under the other
     assert both.force_n == pytest.approx(2 * alone.force_n, rel=2e-3)
     np.testing.assert_allclose(
@@ -160,7 +161,8 @@ def test_far_contacts_on_a_bonded_layer_do_not_feel_each_other():
 def test_near_contacts_share_the_load():
     x = square(4e-3, 96)
     alone = press_stack(HALF_SPACE, indenters.sphere(x, x, R / 4), x, x, depth_m=2e-4)
-    both = press_stack(HALF_SPACE, indenters.two_points(x, x, R / 4, 4e-3), x, x, depth_m=2e-4)
+    pair = indenters.balls(x, x, R / 4, [(-2e-3, 0.0, 0.0), (2e-3, 0.0, 0.0)])
+    both = press_stack(HALF_SPACE, pair, x, x, depth_m=2e-4)
     # each lies on ground that the other's force has sunk by F / (pi E* s)
     part = both.force_n / (2 * alone.force_n)
     sunk = both.force_n / 2 / (math.pi * E_STAR * 4e-3)

@@ -77,36 +77,6 @@ def test_a_long_indenter_turns_from_x_towards_y(turn_deg, place):
             assert height(cylinder, u, end * 3e-3) == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.parametrize("turn_deg", [25, -40, 130])
-def test_two_points_lie_on_a_line_turned_from_x_towards_y(turn_deg):
-    turn = math.radians(turn_deg)
-    for end in (-2e-3, 2e-3):
-        x, y = np.array([end * math.cos(turn)]), np.array([end * math.sin(turn)])
-        assert indenters.two_points(x, y, 1e-3, 4e-3, turn)[0, 0] == pytest.approx(0.0, abs=1e-15)
-
-
-def test_two_points_are_two_spheres_at_their_separation():
-    z = indenters.two_points(X, Y, 1e-3, 4e-3)
-    assert z[25, 20] == z[25, 40] == 0.0
-    assert np.isinf(z[25, 30])
-    np.testing.assert_array_equal(
-        z,
-        indenters.together(
-            indenters.sphere(X, Y, 1e-3, (-2e-3, 0.0)), indenters.sphere(X, Y, 1e-3, (2e-3, 0.0))
-        ),
-    )
-
-
-def test_a_profile_gives_its_own_shape():
-    by_function = indenters.axisymmetric(X, Y, lambda r: r**2 / (2 * R), 3e-3)
-    inside = np.isfinite(by_function)
-    np.testing.assert_allclose(by_function[inside], indenters.paraboloid(X, Y, R)[inside], rtol=1e-12)
-    r = np.linspace(0.0, 3e-3, 2000)
-    by_points = indenters.axisymmetric(X, Y, (r, r**2 / (2 * R)), 3e-3)
-    # straight lines between points are off by dr^2 / (8 R)
-    np.testing.assert_allclose(by_points[inside], by_function[inside], atol=1e-10)
-
-
 def test_leaning_adds_the_slope_and_keeps_the_lowest_point_at_zero():
     z = indenters.tilt(indenters.flat_punch(X, Y, 3e-3), X, Y, math.radians(5), math.radians(-2))
     assert z.min() == 0.0
@@ -118,6 +88,9 @@ def test_balls_on_a_holder_are_spheres_lifted():
     z = indenters.balls(X, Y, 1e-3, [(-2e-3, 0.0, 0.0), (2e-3, 1e-3, 2e-4)])
     assert z[25, 20] == 0.0
     assert z[30, 40] == pytest.approx(2e-4)
+    assert np.isinf(z[25, 30])
+    one, other = indenters.sphere(X, Y, 1e-3, (-2e-3, 0.0)), indenters.sphere(X, Y, 1e-3, (2e-3, 1e-3))
+    np.testing.assert_array_equal(z, indenters.together(one, other + 2e-4))
     with pytest.raises(RangeError, match="at first touch"):
         indenters.balls(X, Y, 1e-3, [(0.0, 0.0, 1e-4)])
     with pytest.raises(InputError, match="without spheres"):
@@ -137,21 +110,6 @@ def test_the_side_that_an_indenter_leans_to_is_the_lower_one(turn_deg):
         indenters.lean(z, X, Y, math.nan)
 
 
-def test_a_profile_that_falls_or_starts_elsewhere_is_refused():
-    with pytest.raises(RangeError, match="falls from r"):
-        indenters.axisymmetric(X, Y, lambda r: np.sin(r * 1e3), 3e-3)
-    with pytest.raises(RangeError, match="heights fall"):
-        indenters.axisymmetric(
-            X, Y, (np.array([0.0, 1e-3, 1.001e-3, 3e-3]), np.array([0.0, 1e-3, 9e-4, 2e-3])), 3e-3
-        )
-    with pytest.raises(RangeError, match="starts at"):
-        indenters.axisymmetric(X, Y, lambda r: r + 1e-3, 3e-3)
-    with pytest.raises(RangeError, match="not finite"):
-        indenters.axisymmetric(X, Y, lambda r: np.where(r > 1e-3, np.nan, r), 3e-3)
-    with pytest.raises(InputError, match="positions rise"):
-        indenters.axisymmetric(X, Y, (np.array([0.0, 1e-3]), np.array([0.0, 1e-3])), 3e-3)
-
-
 @pytest.mark.parametrize(
     "shape",
     [
@@ -163,7 +121,6 @@ def test_a_profile_that_falls_or_starts_elsewhere_is_refused():
         lambda: indenters.flat_punch(X, Y, 1e-3, 2e-3),
         lambda: indenters.wedge(X, Y, 0.1, 0.0),
         lambda: indenters.lying_cylinder(X, Y, -R, 1e-3),
-        lambda: indenters.two_points(X, Y, 1e-3, 0.0),
         lambda: indenters.tilt(indenters.sphere(X, Y, R), X, Y, 0.6),
     ],
 )

@@ -8,14 +8,13 @@ for the displacement d - z where it touches. Combine shapes with ``together``, l
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from palpate.core import Field, Float, InputError, RangeError, ndarray
 from palpate.mechanics.half_space.hertz import positive
 
-PROFILE_POINTS = 2001  # at which a profile is checked before it is used
 MAX_TILT = math.radians(30)  # beyond it a leaning height field is no longer a rigid turn, to 15 %
 
 Axis = Float[ndarray, " _"]
@@ -93,21 +92,6 @@ def lying_cylinder(
     return _cut(_ball(np.abs(across), radius_m), along, length_m)
 
 
-def two_points(
-    x_m: Axis,
-    y_m: Axis,
-    radius_m: float,
-    separation_m: float,
-    turn_rad: float = 0.0,
-    centre_m: Place = CENTRE,
-) -> Field:
-    """Two equal spheres whose lowest points are ``separation_m`` apart on a line turned from x towards y."""
-    positive("the separation of the two points", separation_m, "m")
-    step = separation_m / 2 * np.array([math.cos(turn_rad), math.sin(turn_rad)])
-    ends = (np.asarray(centre_m) - step, np.asarray(centre_m) + step)
-    return together(*(sphere(x_m, y_m, radius_m, (float(x), float(y))) for x, y in ends))
-
-
 def balls(x_m: Axis, y_m: Axis, radius_m: float, places_m: Sequence[tuple[float, float, float]]) -> Field:
     """Equal spheres on one holder, each with its lowest point at (x, y) and so far above the skin [m].
 
@@ -121,44 +105,6 @@ def balls(x_m: Axis, y_m: Axis, radius_m: float, places_m: Sequence[tuple[float,
     if min(heights) != 0.0:
         raise RangeError(f"the spheres are {heights} m above the skin; the lowest is at 0 m, at first touch")
     return together(*(sphere(x_m, y_m, radius_m, (x, y)) + up for x, y, up in places_m))
-
-
-def axisymmetric(
-    x_m: Axis,
-    y_m: Axis,
-    profile: Callable[[ndarray], ndarray] | tuple[Axis, Axis],
-    outer_radius_m: float,
-    centre_m: Place = CENTRE,
-) -> Field:
-    """Any round indenter from its profile z(r), which must not fall.
-
-    Args:
-        x_m, y_m: columns and rows of the grid [m].
-        profile: a function of r [m] that gives z [m]; or the positions r and heights z of its points, joined
-            by straight lines.
-        outer_radius_m: where the indenter ends [m]; points must reach that far.
-        centre_m: its axis (x, y) [m].
-
-    Raises:
-        RangeError: the profile does not start at 0, falls somewhere, or is not finite up to its end.
-    """
-    positive("the indenter's outer radius", outer_radius_m, "m")
-    height = profile if callable(profile) else _interpolator(*profile, outer_radius_m)
-    samples = np.linspace(0.0, outer_radius_m, PROFILE_POINTS)
-    z = np.asarray(height(samples), float)
-    if not (z.shape == samples.shape and np.all(np.isfinite(z)) and z[0] == 0.0):
-        raise RangeError(
-            f"a profile is finite from r = 0, where it is 0 m, to its end at {outer_radius_m} m; this "
-            f"one starts at {np.ravel(z)[0]} m and has {np.count_nonzero(~np.isfinite(z))} values not finite"
-        )
-    if np.any(np.diff(z) < 0.0):
-        falls = samples[np.argmax(np.diff(z) < 0.0)]
-        raise RangeError(
-            f"the profile falls from r = {falls:g} m on; a height must not fall from the centre outwards. "
-            "Give an indenter with more than one tip as a height field made by together()"
-        )
-    r = _from_centre(x_m, y_m, centre_m)
-    return np.where(r <= outer_radius_m, height(np.minimum(r, outer_radius_m)), np.inf)
 
 
 def together(*gaps_m: Field) -> Field:
@@ -200,17 +146,6 @@ def _ball(r: Field, R: float) -> Field:
 def _cut(z: Field, along: Field, length_m: float) -> Field:
     positive("the length", length_m, "m")
     return np.where(np.abs(along) <= length_m / 2, z, np.inf)
-
-
-def _interpolator(r: Axis, z: Axis, outer_radius_m: float) -> Callable[[ndarray], ndarray]:
-    if not (len(r) == len(z) >= 2 and r[0] == 0.0 and np.all(np.diff(r) > 0.0) and r[-1] >= outer_radius_m):
-        raise InputError(
-            f"a profile's positions rise from 0 m to its outer radius {outer_radius_m} m or beyond, with one "
-            f"height each; got {len(r)} positions and {len(z)} heights"
-        )
-    if np.any(np.diff(z) < 0.0):
-        raise RangeError("the profile's heights fall; a height must not fall from the centre outwards")
-    return lambda at: np.interp(at, r, z)
 
 
 def _from_centre(x_m: Axis, y_m: Axis, centre_m: Place) -> Field:
