@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from palpate.core import NS_PER_S, PathText, RecordingError, new_folder, sha256_of
+from palpate.core import NS_PER_S, PathText, RecordingError, new_folder
 from palpate.recordings import message_schema
-from palpate.recordings.manifest import MANIFEST, Manifest
+from palpate.recordings.manifest import Manifest
 from palpate.recordings.message_schema import (
     EVENTS,
     FORCE,
@@ -198,7 +198,10 @@ def repair(run_path: PathText, new_path: PathText) -> RepairReport:
         manifest = _manifest(run)
         manifest.write(folder)
         for number, segment in enumerate(run.segments):
-            with closing(_claimed(folder, manifest, number, segment)) as new:
+            begin_ns = manifest.created_ns if segment.begin_ns is None else segment.begin_ns
+            clock_ns = segment.about.get("clock_ns")
+            claimed = Segment.claim(folder, number, manifest.run_id, begin_ns=begin_ns, clock_ns=clock_ns)
+            with closing(claimed) as new:
                 sequences, unread = _copy_frames(segment, new)
                 frames += len(sequences)
                 copied, orphans = _copy_signals(segment, new, sequences)
@@ -212,17 +215,6 @@ def _manifest(run: Run) -> Manifest:
     note = f"repaired from the run with data hash {run.hash}"
     origin = f"{run.manifest.origin}; {note}" if run.manifest.origin else note
     return run.manifest.model_copy(update={"origin": origin})
-
-
-def _claimed(folder: Path, manifest: Manifest, number: int, old: StoredSegment) -> Segment:
-    about = {
-        "run_id": manifest.run_id,
-        "segment": number,
-        "manifest_sha256": sha256_of(folder / MANIFEST),
-        "clock_ns": old.about.get("clock_ns"),
-    }
-    begin_ns = old.begin_ns if old.begin_ns is not None else manifest.created_ns
-    return Segment.claim(folder, number, about, begin_ns)
 
 
 def _copy_frames(old: StoredSegment, new: Segment) -> tuple[dict[int, int], list[Damage]]:

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -67,13 +67,12 @@ def _is_finite_number(value: object) -> bool:
     return isinstance(value, Real) and math.isfinite(value)
 
 
-Kind = Literal["number", "text", "flag"]
 FIRST_ROW = 2  # as a person counts in a spreadsheet: the header is row 1
 _SHOWN = 5
 _FLAGS = {"true": True, "false": False}
 
 
-def read_labels(path: PathText, *, kinds: Mapping[str, Kind] | None = None) -> pd.DataFrame:
+def read_labels(path: PathText, *, kinds: Mapping[str, LabelKind] | None = None) -> pd.DataFrame:
     """Read a table of labels, one row an image.
 
     A column becomes ``flag`` where every cell is true or false, ``number`` where every cell is a number or
@@ -108,7 +107,7 @@ def read_labels(path: PathText, *, kinds: Mapping[str, Kind] | None = None) -> p
     return table
 
 
-def label_kinds(table: pd.DataFrame) -> dict[str, Kind]:
+def label_kinds(table: pd.DataFrame) -> dict[str, LabelKind]:
     """The kind of every column: ``number``, ``text`` or ``flag``."""
     return {str(name): _kind(table[name]) for name in table.columns}
 
@@ -222,7 +221,7 @@ def _target(table: pd.DataFrame, name: str, source: str) -> np.ndarray:
     return values
 
 
-def _kind(column: pd.Series) -> Kind:
+def _kind(column: pd.Series) -> LabelKind:
     known = column.dropna() if column.dtype == object else column
     if is_bool_dtype(column.dtype) or (
         len(known) and all(isinstance(cell, bool | np.bool_) for cell in known)
@@ -239,7 +238,7 @@ def _is_number(cell: str) -> bool:
     return "_" not in cell  # Python reads 1_000, a spreadsheet does not
 
 
-def _csv_columns(path: Path, data: bytes, kinds: Mapping[str, Kind]) -> dict[str, pd.Series]:
+def _csv_columns(path: Path, data: bytes, kinds: Mapping[str, LabelKind]) -> dict[str, pd.Series]:
     rows = list(_csv_rows(path, _decoded(path, data)))
     while rows and not rows[-1]:
         rows.pop()
@@ -288,7 +287,7 @@ def _check_names(path: Path, names: Sequence[str]) -> None:
         )
 
 
-def _typed(cells: Sequence[str], kind: Kind | None) -> pd.Series:
+def _typed(cells: Sequence[str], kind: LabelKind | None) -> pd.Series:
     kind = kind or _guessed(cells)
     if kind == "flag":
         return pd.Series([_FLAGS[cell.lower()] for cell in cells], dtype=bool)
@@ -297,7 +296,7 @@ def _typed(cells: Sequence[str], kind: Kind | None) -> pd.Series:
     return pd.Series(list(cells), dtype=str)
 
 
-def _guessed(cells: Sequence[str]) -> Kind:
+def _guessed(cells: Sequence[str]) -> LabelKind:
     if all(cell.lower() in _FLAGS for cell in cells):
         return "flag"
     return "number" if all(not cell or _is_number(cell) for cell in cells) else "text"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import hashlib
 import json
 import os
 import weakref
@@ -196,16 +195,17 @@ def pack(
     folder = Path(folder)
     with new_folder(folder) as building:
         with (building / FRAMES_NAME).open("wb") as file:
-            names, digest = _write_frames(file, run, preparation, progress)
+            names = _write_frames(file, run, preparation, progress)
         write_table(_index(run, names), building / INDEX_NAME)
-        sums = {FRAMES_NAME: digest, INDEX_NAME: sha256_of(building / INDEX_NAME)}
+        sums = {name: sha256_of(building / name) for name in (FRAMES_NAME, INDEX_NAME)}
         (building / CARD_NAME).write_text(_card_text(run, preparation, sums), encoding="utf-8")
     return PackedSet.open(folder)
 
 
 def _write_frames(
     file: BinaryIO, run: Run, preparation: Preparation, progress: Callable[[int, int], None] | None
-) -> tuple[list[str], str]:
+) -> list[str]:
+    """Names of the frames, once they are written."""
     shape = (len(run), *preparation.size_px, preparation.channels)
     np.lib.format.write_array_header_1_0(file, {"descr": "|u1", "fortran_order": False, "shape": shape})
     names = []
@@ -215,9 +215,7 @@ def _write_frames(
         names.append(frame.name or str(i))
         if progress is not None:
             progress(i + 1, len(run))
-    file.flush()
-    with Path(file.name).open("rb") as written:
-        return names, hashlib.file_digest(written, "sha256").hexdigest()
+    return names
 
 
 def _index(run: Run, names: Sequence[str]) -> pd.DataFrame:

@@ -30,7 +30,6 @@ from palpate.core import (
     RecordingError,
     lock,
     new_folder,
-    sha256_of,
 )
 from palpate.recordings import message_schema
 from palpate.recordings.exchange import image_files
@@ -154,13 +153,7 @@ def open_segment(path: Path, now_ns: int) -> OpenedSegment:
         run = Run.open(path)
         number = max(segment_numbers(path), default=-1) + 1
         start_ns = _start(run, now_ns)
-        about = {
-            "run_id": run.manifest.run_id,
-            "segment": number,
-            "manifest_sha256": sha256_of(path / MANIFEST),
-            "clock_ns": now_ns,
-        }
-        segment = Segment.claim(path, number, about, start_ns)
+        segment = Segment.claim(path, number, run.manifest.run_id, begin_ns=start_ns, clock_ns=now_ns)
         undo.pop_all()
     return OpenedSegment(run.manifest, segment, lock_file, start_ns, start_ns - now_ns)
 

@@ -254,17 +254,24 @@ def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 def verify(whole: SegmentScan) -> tuple[Damage, ...]:
     """Compare every byte of a file with its checksums; what was found on the way, known damage included."""
-    damage = list(whole.damage)
-    if whole.data_end is None:
-        return whole.damage
-    for chunk in whole.chunks:
+    damage = _checked(whole).damage
+    if whole.data_end is None or damage or _data_sound(whole.path, whole.data_end):
+        return damage
+    return (Damage(whole.path.name, whole.data_end, "bytes outside the chunks have changed"),)
+
+
+def _checked(file: SegmentScan) -> SegmentScan:
+    """Leave the chunks out that fail their checksum, so that no table can change once it was read."""
+    if file.data_end is None:
+        return file
+    sound, damage = [], list(file.damage)
+    for chunk in file.chunks:
         try:
-            read_chunk(whole.path, chunk)
+            read_chunk(file.path, chunk)
+            sound.append(chunk)
         except RecordingError as e:
-            damage.append(Damage(whole.path.name, chunk.offset, str(e)))
-    if not damage and not _data_sound(whole.path, whole.data_end):
-        damage.append(Damage(whole.path.name, whole.data_end, "bytes outside the chunks have changed"))
-    return tuple(damage)
+            damage.append(Damage(file.path.name, chunk.offset, str(e)))
+    return replace(file, chunks=tuple(sound), damage=tuple(damage))
 
 
 def _data_sound(path: Path, end: int) -> bool:
@@ -398,20 +405,6 @@ def _scanned(run: Path, number: int, kind: FileKind) -> SegmentScan:
     if not path.is_file():
         return SegmentScan(path, (), None, (Damage(path.name, 0, "is missing"),))
     return scan(path)
-
-
-def _checked(file: SegmentScan) -> SegmentScan:
-    """Leave the chunks out that fail their checksum, so that no table can change once it was read."""
-    if file.data_end is None:
-        return file
-    sound, damage = [], list(file.damage)
-    for chunk in file.chunks:
-        try:
-            read_chunk(file.path, chunk)
-            sound.append(chunk)
-        except RecordingError as e:
-            damage.append(Damage(file.path.name, chunk.offset, str(e)))
-    return replace(file, chunks=tuple(sound), damage=tuple(damage))
 
 
 def _beginning(file: SegmentScan) -> list[StoredMessage]:

@@ -12,7 +12,8 @@ from typing import Any
 
 from mcap.writer import CompressionType, Writer
 
-from palpate.core import ExistsError, StorageError, storage_errors, sync
+from palpate.core import ExistsError, StorageError, sha256_of, storage_errors, sync
+from palpate.recordings.manifest import MANIFEST
 from palpate.recordings.message_schema import (
     CHANNELS,
     SEGMENT,
@@ -149,12 +150,26 @@ class Segment:
     signals: SegmentFile
 
     @classmethod
-    def claim(cls, run: Path, number: int, about: dict[str, Any], time_ns: int) -> Segment:
-        """Create a segment that nobody else can then create."""
+    def claim(cls, run: Path, number: int, run_id: str, *, begin_ns: int, clock_ns: int | None) -> Segment:
+        """Create a segment that nobody else can then create.
+
+        Args:
+            run: folder, which holds the manifest.
+            number: of the segment.
+            run_id: as the manifest has it.
+            begin_ns: its first instant [ns since 1970].
+            clock_ns: what the writer's clock read then [ns]; None where that is lost.
+        """
+        about = {
+            "run_id": run_id,
+            "segment": number,
+            "manifest_sha256": sha256_of(run / MANIFEST),
+            "clock_ns": clock_ns,
+        }
         with ExitStack() as opened:
             files = []
             for kind in KINDS:
-                files.append(_claimed(run / file_name(number, kind), kind, about, time_ns))
+                files.append(_claimed(run / file_name(number, kind), kind, about, begin_ns))
                 opened.callback(files[-1].close)
             with storage_errors(run):
                 sync(run)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from palpate.core import UNTOLD, Float, Image, InputError, Int, RecordingError, Specimen, ndarray, new_folder
+from palpate.core import UNTOLD, Float, InputError, Int, RecordingError, Specimen, ndarray, new_folder
 from palpate.recordings.exchange.press_folder import (
     PRESSES,
     PressFolder,
@@ -64,7 +64,12 @@ def export_presses(run: Run, out: Path | None = None) -> PressFolder | None:
         write_specimens(building, {name: math.nan if k is None else k for name, k in stiffness.items()})
         for press in presses:
             rows = _rows(run, press, force, stage, late_s)
-            write_press(building / press.specimen.name, press.name, _images(run, press.frames), rows)
+            write_press(
+                building / press.specimen.name,
+                press.name,
+                (run.frame(int(i)).image for i in press.frames),
+                rows,
+            )
     return press_folder(out)
 
 
@@ -121,7 +126,3 @@ def _areas_m2(
     area = np.full(samples, np.nan)
     area[sample] = 1e-6 * run.labels[AREA].to_numpy(np.float64)[press.frames]
     return area
-
-
-def _images(run: Run, frames: Int[ndarray, " f"]) -> Iterator[Image]:
-    return (run.frame(int(i)).image for i in frames)
