@@ -45,7 +45,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.core import Float, RangeError, ndarray
+from palpate.core import Bool, Float, RangeError, ndarray
 from palpate.mechanics.half_space.hertz import contact_radius, positive, reduced_modulus
 
 History = Float[ndarray, " n"]
@@ -274,48 +274,57 @@ def ting(
             "the depth does not rise once and then fall, as in Ting's law; use press for another history"
         )
     t, d = _subdivide(time_s, np.maximum(depth_m, 0.0))
-    D = d**1.5
     top *= SUBSTEPS
     while top + 1 < len(d) and d[top + 1] == d[top]:
         top += 1  # a hold at the greatest depth is part of the rise
-    memory_d, memory_D = skin.branches(t, d), skin.branches(t, D)
-    taus = np.array(skin.times_s)
-    equilibrium = skin.equilibrium_pa
-
-    def memory_at(memory: Float[ndarray, "n m"], signal: History, t1: Times) -> Float[ndarray, "k m"]:
-        """P_i at times between the samples."""
-        j = np.minimum(np.searchsorted(t, t1, side="right") - 1, len(t) - 2)
-        part = (t1 - t[j])[:, None] / taus
-        slope = ((signal[j + 1] - signal[j]) / (t[j + 1] - t[j]))[:, None]
-        gain = np.array(skin.moduli_pa) * taus * -np.expm1(-part) * slope
-        return np.exp(-part) * memory[j] + gain
-
-    back = np.arange(top + 1, len(t))
-
-    def pull(t1: Times) -> Times:
-        """The integral that vanishes at t1; it falls with t1, so there is one root."""
-        fall = np.exp(-(t[back] - t1)[:, None] / taus)
-        later = (memory_d[back] - fall * memory_at(memory_d, d, t1)).sum(axis=1)
-        return equilibrium * (d[back] - np.interp(t1, t, d)) + later
-
-    low, high = np.full(len(back), t[0]), np.full(len(back), t[top])
-    apart = pull(low) <= 0.0
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        wider = pull(middle) > 0.0
-        low, high = np.where(wider, middle, low), np.where(wider, high, middle)
-    t1 = np.concatenate([t[: top + 1], np.where(apart, t[0], low)])
+    t1, apart = _times_as_wide(_Remembered(skin, t, d), top)
     wide = np.sqrt(radius_m * np.maximum(np.interp(t1, t, d), 0.0))
     if np.any(np.diff(wide[top:]) > 1e-9 * wide[top]):
         raise RangeError(
             "the skin catches up with the sphere on its way back, and the contact would grow again, which "
             "Ting's law does not cover; use press"
         )
-    fall = np.exp(-(t - t1)[:, None] / taus)
-    total = equilibrium * np.interp(t1, t, D) + (fall * memory_at(memory_D, D, t1)).sum(axis=1)
-    total[back[apart]] = 0.0
+    pushed, memory = _Remembered(skin, t, d**1.5).left(t1, t)
+    total = skin.equilibrium_pa * pushed + memory.sum(axis=1)
+    total[apart] = 0.0
     K = 4.0 * math.sqrt(radius_m) / (3.0 * (1.0 - poisson_ratio**2))
     return Indentation(time_s, depth_m, K * np.maximum(total, 0.0)[::SUBSTEPS], wide[::SUBSTEPS])
+
+
+class _Remembered:
+    """A signal and what a skin's branches have left of it, at its samples and between them."""
+
+    def __init__(self, skin: Prony, time_s: Times, signal: History) -> None:
+        self.time_s, self.signal, self.branches = time_s, signal, skin.branches(time_s, signal)
+        self._skin, self._taus = skin, np.array(skin.times_s)
+
+    def left(self, t1: Times, later: Times) -> tuple[Times, Branches]:
+        """The signal at t1; and P_i that its history up to t1 has left at later times."""
+        t, signal = self.time_s, self.signal
+        j = np.minimum(np.searchsorted(t, t1, side="right") - 1, len(t) - 2)
+        part = (t1 - t[j])[:, None] / self._taus
+        slope = ((signal[j + 1] - signal[j]) / (t[j + 1] - t[j]))[:, None]
+        gain = np.array(self._skin.moduli_pa) * self._taus * -np.expm1(-part) * slope
+        fall = np.exp(-(later - t1)[:, None] / self._taus)
+        return np.interp(t1, t, signal), fall * (np.exp(-part) * self.branches[j] + gain)
+
+    def gained(self, t1: Times, first: int) -> Times:
+        """Stress by the history since t1, at the samples from the first on; it falls with t1."""
+        signal, memory = self.left(t1, self.time_s[first:])
+        later = (self.branches[first:] - memory).sum(axis=1)
+        return np.asarray(self._skin.equilibrium_pa * (self.signal[first:] - signal) + later)
+
+
+def _times_as_wide(depth: _Remembered, top: int) -> tuple[Times, Bool[ndarray, " k"]]:
+    """The earlier time t1 whose contact was as wide, of each sample; and where the contact is lost."""
+    t, back = depth.time_s, top + 1
+    low, high = np.full(len(t) - back, t[0]), np.full(len(t) - back, t[top])
+    apart = depth.gained(low, back) <= 0.0
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        wider = depth.gained(middle, back) > 0.0
+        low, high = np.where(wider, middle, low), np.where(wider, high, middle)
+    return np.append(t[:back], np.where(apart, t[0], low)), np.append(np.zeros(back, bool), apart)
 
 
 def press(
@@ -357,14 +366,6 @@ def press(
         force[n + 1] = 2.0 * dx * float((skin.equilibrium_pa + stiff) * (rigid - free)[:count].sum())
         width[n + 1] = count * dx
     return Indentation(time_s, depth_m, force[::SUBSTEPS] / (1.0 - poisson_ratio**2), width[::SUBSTEPS])
-
-
-def hold_force(
-    time_s: History, depth_m: float, radius_m: float, skin: Prony, poisson_ratio: float
-) -> History:
-    """Force K E(t) d^(3/2) [N] at times t >= 0 after a sudden press to a held depth."""
-    a = contact_radius(depth_m, radius_m)
-    return 4.0 / 3.0 * a * depth_m * skin.relaxation(time_s) * reduced_modulus(1.0, poisson_ratio)
 
 
 def creep_depth(

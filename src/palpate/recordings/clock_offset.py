@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 from scipy.optimize import minimize_scalar
 from scipy.stats import t as student
 
@@ -128,16 +129,14 @@ class _TapSignals:
         self.frame_t, self.change = frame_t[inside], change[inside]
         self._force_t, self._exposure_s = force_t, exposure_s
         self._force = force / force.max()
-        steps = np.diff(force_t) * (self._force[1:] + self._force[:-1]) / 2
-        self._summed = np.concatenate(([0.0], np.cumsum(steps)))
+        self._integral = make_interp_spline(force_t, self._force, k=1).antiderivative()
 
     def force_at(self, offset_s: float) -> Series:
         """The mean over each exposure, of the greatest force."""
         ends = self.frame_t - offset_s
         if self._exposure_s == 0:
             return np.interp(ends, self._force_t, self._force)
-        summed = self._sum_to(ends) - self._sum_to(ends - self._exposure_s)
-        return np.asarray(summed / self._exposure_s)
+        return np.asarray(self._integral(ends) - self._integral(ends - self._exposure_s)) / self._exposure_s
 
     def fit(self, offset_s: float) -> tuple[Series, Columns, Series]:
         """Residuals, columns and coefficients of the best law at an offset."""
@@ -149,14 +148,6 @@ class _TapSignals:
         """Residual sum of squares of the best law at an offset."""
         residual, *_ = self.fit(offset_s)
         return float(residual @ residual)
-
-    def _sum_to(self, times: Series) -> Series:
-        """The integral of force: quadratic between samples, since force is linear there."""
-        i = np.clip(np.searchsorted(self._force_t, times) - 1, 0, len(self._force_t) - 2)
-        into = times - self._force_t[i]
-        begun, step = self._force[i], self._force_t[i + 1] - self._force_t[i]
-        slope = (self._force[i + 1] - begun) / step
-        return np.asarray(self._summed[i] + begun * into + slope * into**2 / 2)
 
 
 def _taps(force: Series) -> int:

@@ -39,15 +39,7 @@ Knots = Float[ndarray, " n"]
 
 @dataclass(frozen=True)
 class TabulatedPress:
-    """The disc at one depth; lengths in R, stresses in E, forces in E R^2.
-
-    Attributes:
-        depth, force, contact_radius, peak_pressure: as in the table.
-        r: spatial radius; zeta: 0 at the deformed top, 1 at the base.
-        surface: z of the deformed top at r, into the layer.
-        stress: Cauchy stress rr, tt, zz, rz at (r, zeta), where z = surface + zeta (thickness - surface).
-        thickness, disc_radius: of the disc.
-    """
+    """The disc at one depth; the attributes are those of `SphereTable`, in its units."""
 
     depth: float
     force: float

@@ -21,7 +21,7 @@ import numpy as np
 import tifffile
 
 from palpate.core import Frame, Image, ImageError, InputError, RangeError, new_file, storage_errors
-from palpate.recordings.exchange.image_files import MAX_PIXELS, read_image
+from palpate.recordings.exchange.image_files import IMAGE_SUFFIXES, MAX_PIXELS, read_image, refuse_missing
 from palpate.recordings.manifest import MANIFEST
 from palpate.recordings.run_reader import Run
 
@@ -45,8 +45,7 @@ class TiffFrames:
                 or RGB image.
         """
         self.path = Path(path)
-        if not self.path.is_file():
-            raise ImageError(f"{path} is not there (or no plain file); check the name and the folder")
+        refuse_missing(self.path)
         with storage_errors(self.path), self.path.open("rb") as file:
             self._offsets = page_offsets(file, self.path, max_pages)
         try:
@@ -199,8 +198,7 @@ class VideoFrames:
             ImageError: it is missing, no video that can be decoded, or claims what no camera makes.
         """
         self.path = Path(path)
-        if not self.path.is_file():
-            raise ImageError(f"{path} is not there (or no plain file); check the name and the folder")
+        refuse_missing(self.path)
         capture = cv2.VideoCapture(str(self.path))
         try:
             if not capture.isOpened():
@@ -254,7 +252,6 @@ def _plain(frame: np.ndarray) -> Image:
 
 
 TIFFS = frozenset({".tif", ".tiff"})
-IMAGES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp", *TIFFS})
 
 
 @runtime_checkable
@@ -287,9 +284,9 @@ def open_sequence(path: Path) -> Iterator[FrameSequence]:
         run = Run.open(path)
         yield IndexedImages(len(run), lambda i: run.frame(i).image)
     elif path.is_dir():
-        images = tuple(sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGES))
+        images = tuple(sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES))
         if not images:
-            raise InputError(f"{path} holds no images ({', '.join(sorted(IMAGES))}) and is not a run")
+            raise InputError(f"{path} holds no images ({', '.join(sorted(IMAGE_SUFFIXES))}) and is not a run")
         yield IndexedImages(len(images), lambda i: read_image(images[i]))
     elif path.suffix.lower() in SUFFIXES:
         yield VideoFrames(path)

@@ -92,6 +92,7 @@ _FORMATS: tuple[tuple[int, bytes, type[ImageFile]], ...] = (
     (0, b"MM\0*", TiffImageFile),
     (8, b"WEBP", WebPImageFile),
 )
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 _GREY = ("1", "L")
 _COLOUR = ("RGB", "P", "YCbCr")
 _ALPHA = ("LA", "La", "PA", "RGBA", "RGBa", "RGBX")
@@ -130,11 +131,16 @@ def read_image(path: PathText, *, max_pixels: int = 100_000_000) -> Image:
         return np.array(upright.convert("L" if image.mode in _GREY else "RGB"))
 
 
+def refuse_missing(path: Path) -> None:
+    """Raise an `ImageError` where there is no plain file."""
+    if not path.is_file():
+        raise ImageError(f"{path} is not there (or no plain file); check the name and the folder")
+
+
 def _read_bytes(path: Path, most: int) -> bytes:
     if path.is_dir():
         raise ImageError(f"{path} is a folder, not an image; name a file in it")
-    if not path.is_file():
-        raise ImageError(f"{path} is not there (or no plain file); check the name and the folder")
+    refuse_missing(path)
     with storage_errors(path):
         size = path.stat().st_size
         if size == 0:

@@ -25,7 +25,7 @@ from palpate.core import (
     split_column,
 )
 from palpate.recordings.exchange.folder_export import FILE_COLUMN, TIME_COLUMN
-from palpate.recordings.exchange.image_files import read_image
+from palpate.recordings.exchange.image_files import IMAGE_SUFFIXES, read_image
 from palpate.recordings.labels import FIRST_ROW, label_kinds, read_labels, rows_text
 from palpate.recordings.manifest import MANIFEST, Manifest
 from palpate.recordings.run_reader import NAME_COLUMN
@@ -33,7 +33,6 @@ from palpate.recordings.run_writer import RunWriter
 from palpate.recordings.splits import CONVENTIONAL_GROUPS
 
 Progress = Callable[[int, int], None]
-_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 _SHOWN = 5
 _GROUP_NAMES = frozenset(name for columns in CONVENTIONAL_GROUPS for name in columns)
 
@@ -218,11 +217,9 @@ def _check_once(paths: Sequence[Path], source: Path) -> None:
 
 def _check_no_strays(folder: Path, paths: Sequence[Path], source: Path) -> None:
     named = set(paths)
-    strays = sorted(
-        path.relative_to(folder).as_posix()
-        for path in folder.rglob("*")
-        if path.suffix.lower() in _SUFFIXES and not path.name.startswith(".") and path.resolve() not in named
-    )
+    images = (path for path in folder.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES)
+    shown = (path for path in images if not path.name.startswith("."))
+    strays = sorted(path.relative_to(folder).as_posix() for path in shown if path.resolve() not in named)
     if strays:
         raise LabelError(
             f"{len(strays)} images in {folder} have no row in {source}: {', '.join(strays[:_SHOWN])}; "

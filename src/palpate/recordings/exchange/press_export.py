@@ -64,12 +64,8 @@ def export_presses(run: Run, out: Path | None = None) -> PressFolder | None:
         write_specimens(building, {name: math.nan if k is None else k for name, k in stiffness.items()})
         for press in presses:
             rows = _rows(run, press, force, stage, late_s)
-            write_press(
-                building / press.specimen.name,
-                press.name,
-                (run.frame(int(i)).image for i in press.frames),
-                rows,
-            )
+            images = (run.frame(int(i)).image for i in press.frames)
+            write_press(building / press.specimen.name, press.name, images, rows)
     return press_folder(out)
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from palpate.core import Float, Int, LabelError, has_unit, ndarray, split_column, unit
+from palpate.core import Float, Int, LabelError, has_unit, ndarray, split_column
 from palpate.recordings.labels import label_kinds, read_labels, rows_text
 
 FORCES = ("force_raw_N", "force_N", "Fz_N", "fz_N")
@@ -161,8 +161,7 @@ def _named(
 
 
 def _si(table: pd.DataFrame, path: Path, name: str) -> Samples:
-    values = _numbers(table, path, name)
-    return values * unit(split_column(name)[1].symbol).factor
+    return _numbers(table, path, name) * split_column(name)[1].factor
 
 
 def _areas(table: pd.DataFrame, path: Path, name: str) -> Samples:
