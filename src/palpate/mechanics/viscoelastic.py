@@ -381,22 +381,6 @@ def creep_depth(
     return np.asarray(depth_m)
 
 
-def kelvin_voigt_force(
-    time_s: History, depth_m: History, radius_m: float, skin: KelvinVoigt, poisson_ratio: float
-) -> History:
-    """Force K (E d^(3/2) + eta d(d^(3/2))/dt) [N] while the depth grows: the named baseline.
-
-    Raises:
-        RangeError: the depth does not grow throughout (a hold or a way back), starts with a step, or is
-            beyond a/R = 0.5, or an argument is out of range.
-    """
-    _check(time_s, depth_m, radius_m)
-    if np.any(np.diff(depth_m) < 0):
-        raise RangeError("the depth falls, where this baseline gives tension; use a Prony series with ting")
-    K = 4.0 / 3.0 * math.sqrt(radius_m) * reduced_modulus(1.0, poisson_ratio)
-    return K * skin.stress(time_s, depth_m**1.5)
-
-
 def _check(time_s: History, depth_m: History, radius_m: float) -> None:
     _steps(time_s, depth_m)
     if depth_m[0] > 0.0:

@@ -108,12 +108,14 @@ class SphereTable:
         """The deepest press of the table [R]."""
         return float(self.depth[-1])
 
-    @classmethod
-    def load(cls, name: str) -> SphereTable:
+    @staticmethod
+    @lru_cache
+    def load(name: str) -> SphereTable:
         """A shipped table, read once."""
         if name not in shipped():
             raise InputError(f"no press table {name!r} is shipped; give one of {', '.join(shipped())}")
-        return _shipped(name)
+        with resources.as_file(resources.files("palpate.mechanics") / "tables" / f"{name}.npz") as path:
+            return SphereTable.open(path)
 
     @classmethod
     def open(cls, path: Path) -> SphereTable:
@@ -203,12 +205,6 @@ def shipped() -> tuple[str, ...]:
     return tuple(sorted(name.removesuffix(".npz") for name in names if name.endswith(".npz")))
 
 
-@lru_cache
-def _shipped(name: str) -> SphereTable:
-    with resources.as_file(resources.files("palpate.mechanics") / "tables" / f"{name}.npz") as path:
-        return SphereTable.open(path)
-
-
 def press_finite_strain(
     probe: Probe,
     pose: Pose,
@@ -278,23 +274,17 @@ def press_finite_strain(
 
 def _table_for(ratio: float, friction: float, poisson_ratio: float) -> SphereTable:
     tables = [SphereTable.load(name) for name in shipped()]
-    fitting = [
-        t
-        for t in tables
-        if math.isclose(t.thickness, ratio, rel_tol=SAME)
-        and math.isclose(t.friction, friction, rel_tol=SAME, abs_tol=SAME)
-        and math.isclose(t.poisson_ratio, poisson_ratio, rel_tol=SAME)
-    ]
-    if not fitting:
-        choices = "; ".join(
-            f"{t.thickness:g} R with friction {t.friction:g}, Poisson's ratio {t.poisson_ratio:g}"
-            for t in tables
-        )
-        raise RangeError(
-            f"no table is solved for a disc {ratio:g} R thick with friction {friction:g} and Poisson's ratio "
-            f"{poisson_ratio:g}; choose a sphere radius R and a friction among: {choices}"
-        )
-    return fitting[0]
+    asked = (ratio, friction, poisson_ratio)
+    for table in tables:
+        if np.allclose((table.thickness, table.friction, table.poisson_ratio), asked, rtol=SAME, atol=SAME):
+            return table
+    choices = "; ".join(
+        f"{t.thickness:g} R with friction {t.friction:g}, Poisson's ratio {t.poisson_ratio:g}" for t in tables
+    )
+    raise RangeError(
+        f"no table is solved for a disc {ratio:g} R thick with friction {friction:g} and Poisson's ratio "
+        f"{poisson_ratio:g}; choose a sphere radius R and a friction among: {choices}"
+    )
 
 
 def _fits(table: SphereTable, pose: Pose, R: float, disc_radius_m: float) -> None:

@@ -69,18 +69,7 @@ class Level(NamedTuple):
     transmission: Squares
 
 
-class Levels(NamedTuple):
-    """Compliance and transmission at every plane, from the surface to the base."""
-
-    compliance: list[Squares]
-    transmission: list[Squares]
-
-    def at(self, level: int) -> Level:
-        """Compliance and transmission at one plane."""
-        return Level(self.compliance[level], self.transmission[level])
-
-
-def climb(slabs: Sequence[Slab], below: Material | None, k: Waves) -> tuple[Levels, Levels]:
+def climb(slabs: Sequence[Slab], below: Material | None, k: Waves) -> tuple[list[Level], list[Level]]:
     """The compliance at every plane, from the base up, and the load that arrives, from the surface down.
 
     Args:
@@ -89,7 +78,8 @@ def climb(slabs: Sequence[Slab], below: Material | None, k: Waves) -> tuple[Leve
         k: wavenumbers [1/m], positive.
 
     Returns:
-        The motion along the wave and into the skin (U, W), 2 x 2, and that across the wave, 1 x 1.
+        At every plane, from the surface to the base: of the motion along the wave and into the skin (U, W),
+        2 x 2, and of that across the wave, 1 x 1.
     """
     in_plane = _climb(slabs, k, _in_plane, half_space, below)
     return in_plane, _climb(slabs, k, _across, half_space_across, below)
@@ -126,7 +116,7 @@ def _climb(
     generator: Callable[[Material], ndarray],
     endless: Callable[[Material], ndarray],
     below: Material | None,
-) -> Levels:
+) -> list[Level]:
     d = len(generator(Material(1.0, 0.0))) // 2
     base = np.zeros((d, d)) if below is None else endless(below)
     compliance: list[Squares] = [np.broadcast_to(base, (len(k), d, d))]
@@ -143,7 +133,7 @@ def _climb(
     transmission = [np.broadcast_to(np.eye(d), (len(k), d, d))]
     for down in passing:
         transmission.append(down @ transmission[-1])
-    return Levels(compliance, transmission)
+    return [Level(*plane) for plane in zip(compliance, transmission, strict=True)]
 
 
 def _upwards(A: Square, s: Waves) -> Squares:
@@ -300,5 +290,5 @@ def surface_compliance(stack: Stack, wavenumber_per_m: Waves) -> Compliance:
     if stack.base == "bonded":
         k = np.maximum(k, LONG_WAVE / stack.thickness_m)
     in_plane, across = climb(stack.slabs, stack.below, k)
-    C, c = in_plane.compliance[0] / k[:, None, None], across.compliance[0] / k[:, None, None]
+    C, c = in_plane[0].compliance / k[:, None, None], across[0].compliance / k[:, None, None]
     return Compliance(C[:, 0, 0], C[:, 0, 1], c[:, 0, 0], C[:, 1, 1])

@@ -111,9 +111,7 @@ def field_below(
     stresses = np.empty((len(depths), len(STRESSES), grid.ny, grid.nx))
     for i, level in enumerate(levels):
         material = slabs[level - 1].material if level else stack.layers[0].material
-        moves_there, stresses_there = _on_plane(
-            material, in_plane.at(level), across.at(level), waves, spectra
-        )
+        moves_there, stresses_there = _on_plane(material, in_plane[level], across[level], waves, spectra)
         moves[i] = [waves.back(wave) for wave in moves_there]
         stresses[i] = [waves.back(wave) for wave in stresses_there]
     return StackField(x_m, y_m, depths, moves, stresses)

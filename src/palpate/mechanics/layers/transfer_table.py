@@ -57,7 +57,7 @@ def _levels(
     in_plane, across = climb(slabs, None, np.maximum(k, LONG_WAVE / thickness))
     levels = []
     for at in np.searchsorted(cuts, z):
-        one, other = in_plane.at(int(at)), across.at(int(at))
+        one, other = in_plane[int(at)], across[int(at)]
         motion = (other.compliance @ other.transmission)[:, 0, 0]
         levels.append(
             (one.transmission, one.compliance @ one.transmission, other.transmission[:, 0, 0], motion)
