@@ -48,7 +48,6 @@ def test_what_is_packed_is_what_preparation_makes_of_each_frame(run, tmp_path, r
     expected = np.stack([SMALL.apply(frame.image) for frame in run.frames()])
     rows = rng.integers(0, len(run), 20)
     assert np.array_equal(packed.read(rows), expected[rows])
-    assert np.array_equal(packed.frames, expected)
     assert np.array_equal(np.load(tmp_path / "packed" / "frames.npy", mmap_mode="r"), expected)
     assert np.array_equal(np.concatenate(list(packed.batches(rows, 6))), expected[rows])
     assert packed.read([]).shape == (0, 5, 6, 1)

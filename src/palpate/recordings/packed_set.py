@@ -117,13 +117,6 @@ class PackedSet:
         """Height, width and channels of every frame."""
         return (*self.preparation.size_px, self.preparation.channels)
 
-    @property
-    def frames(self) -> np.memmap:
-        """The whole file's frames as a read-only mapping ``[n h w c]``; `read` costs less memory."""
-        rows = (self.folder / FRAMES_NAME).stat().st_size - self._offset
-        shape = (rows // int(np.prod(self.shape)), *self.shape)
-        return np.memmap(self.folder / FRAMES_NAME, np.uint8, "r", self._offset, shape)
-
     def read(self, rows: Sequence[int] | Indices) -> Images:
         """Read some frames, in the order asked for.
 
@@ -255,10 +248,10 @@ def _read_card(folder: Path) -> dict[str, Any]:
     return card
 
 
-def _preparation(made: dict[str, Any]) -> Preparation:
-    crop, beside = (None if box is None else tuple(box) for box in (made["crop_px"], made.get("beside_px")))
-    height, width = made["size_px"]
-    return Preparation(crop, (height, width), made["channels"], beside)
+def _preparation(card: dict[str, Any]) -> Preparation:
+    crop, beside = (None if box is None else tuple(box) for box in (card["crop_px"], card.get("beside_px")))
+    height, width = card["size_px"]
+    return Preparation(crop, (height, width), card["channels"], beside)
 
 
 def _check_frames(path: Path, rows: int, card: dict[str, Any]) -> int:
@@ -268,8 +261,9 @@ def _check_frames(path: Path, rows: int, card: dict[str, Any]) -> int:
             raise ValueError(f"{path.name} is of an unknown version")
         shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
         offset = file.tell()
-    made = _preparation(card["preparation"])
-    if (shape, fortran, dtype) != ((rows, *made.size_px, made.channels), False, np.dtype(np.uint8)):
+    preparation = _preparation(card["preparation"])
+    shape_by_card = (rows, *preparation.size_px, preparation.channels)
+    if (shape, fortran, dtype) != (shape_by_card, False, np.dtype(np.uint8)):
         raise ValueError(f"{path.name} holds {dtype} {shape}, not what card and index say")
     size, expected = path.stat().st_size, offset + int(np.prod(shape))
     if size != expected:

@@ -61,11 +61,11 @@ class Preparation:
         """
         height, width = self.size_px
         if self.beside_px is None:
-            return self._made(image, self.crop_px, height, width)
-        halves = [self._made(image, crop, height, width // 2) for crop in (self.crop_px, self.beside_px)]
+            return self._scaled(image, self.crop_px, height, width)
+        halves = [self._scaled(image, crop, height, width // 2) for crop in (self.crop_px, self.beside_px)]
         return np.ascontiguousarray(np.concatenate(halves, axis=1))
 
-    def _made(self, image: Image, crop: Box | None, height: int, width: int) -> np.ndarray:
+    def _scaled(self, image: Image, crop: Box | None, height: int, width: int) -> np.ndarray:
         image = self._in_channels(self._cropped(image, crop))
         if image.shape[:2] != (height, width):
             shrinks = height <= image.shape[0] and width <= image.shape[1]

@@ -150,54 +150,56 @@ def _plugged_in(table: pd.DataFrame, spec: str, folds: int, seed: int) -> Split:
     """Split by a function of the user's, called twice, so that chance without a seed shows."""
     check_split_text(spec)
     function = _function(spec)
-    first, second = (_made_by(function, table, spec, folds, seed) for _ in range(2))
+    first, second = (_split_by(function, table, spec, folds, seed) for _ in range(2))
     if len(first.folds) != len(second.folds) or not all(map(np.array_equal, first.folds, second.folds)):
         raise PluginError(f"split {spec}: the same table and seed give other folds; draw from the seed alone")
     check_split(first, len(table))
     return first
 
 
-def _made_by(function: Any, table: pd.DataFrame, spec: str, folds: int, seed: int) -> Split:
+def _split_by(function: Any, table: pd.DataFrame, spec: str, folds: int, seed: int) -> Split:
     try:
-        made = function(table.copy(), folds=folds, seed=seed)
+        answer = function(table.copy(), folds=folds, seed=seed)
     except Exception as e:  # somebody else's function may raise anything
         raise PluginError(f"split {spec} failed on {len(table)} rows ({type(e).__name__}: {e})") from e
-    if isinstance(made, Split):
-        return replace(made, kind=spec)
-    groups = np.asarray(made)
+    if isinstance(answer, Split):
+        return replace(answer, kind=spec)
+    groups = np.asarray(answer)
     if groups.shape != (len(table),):
         raise PluginError(
-            f"split {spec} gave {type(made).__name__} of shape {list(groups.shape)} for {len(table)} rows; "
+            f"split {spec} gave {type(answer).__name__} of shape {list(groups.shape)} for {len(table)} rows; "
             f"it gives the label of each row's group, [{len(table)}], or a Split"
         )
     groups = groups.astype(str)
     return Split(spec, (), groups, _parts(groups, spec, folds, np.random.default_rng(seed)), f"by {spec}")
 
 
-def check_split(made: Split, rows: int) -> None:
+def check_split(parts: Split, rows: int) -> None:
     """Check that a split holds out every row once and no group in parts.
 
     Args:
-        made: the split.
+        parts: the split.
         rows: of the table that it parts.
 
     Raises:
         PluginError: it breaks a law; the message names the split and the law.
     """
-    held_rows = np.concatenate(made.folds) if made.folds else np.empty(0, np.int64)
-    if len(made.folds) < 2 or not all(len(fold) for fold in made.folds):
-        raise PluginError(f"split {made.kind} has {len(made.folds)} folds; there are two or more, none empty")
+    held_rows = np.concatenate(parts.folds) if parts.folds else np.empty(0, np.int64)
+    if len(parts.folds) < 2 or not all(len(fold) for fold in parts.folds):
+        raise PluginError(
+            f"split {parts.kind} has {len(parts.folds)} folds; there are two or more, none empty"
+        )
     if not np.array_equal(np.sort(held_rows), np.arange(rows)):
-        raise PluginError(f"split {made.kind}: its folds hold out each of the {rows} rows once")
-    if made.groups is None:
+        raise PluginError(f"split {parts.kind}: its folds hold out each of the {rows} rows once")
+    if parts.groups is None:
         return
-    if np.shape(made.groups) != (rows,):
-        raise PluginError(f"split {made.kind}: groups of shape {np.shape(made.groups)}; one for each row")
-    for fold in made.folds:
+    if np.shape(parts.groups) != (rows,):
+        raise PluginError(f"split {parts.kind}: groups of shape {np.shape(parts.groups)}; one for each row")
+    for fold in parts.folds:
         rest = np.setdiff1d(np.arange(rows), fold)
-        both = np.intersect1d(made.groups[fold], made.groups[rest])
+        both = np.intersect1d(parts.groups[fold], parts.groups[rest])
         if both.size:
-            raise PluginError(f"split {made.kind}: group {both[0]} stands on both sides of a fold")
+            raise PluginError(f"split {parts.kind}: group {both[0]} stands on both sides of a fold")
 
 
 def conventional_groups(table: pd.DataFrame) -> list[tuple[str, ...]]:

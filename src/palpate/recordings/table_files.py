@@ -106,12 +106,12 @@ def _unpacked(data: bytes) -> bytes:
 
 def _table(text: str) -> pd.DataFrame:
     cells, ends, read = [], [], 0
-    for found in _CELL.finditer(text):
-        if found.start() != read:
+    for cell in _CELL.finditer(text):
+        if cell.start() != read:
             break
-        cells.append(found[1])
-        ends.append(found[2])
-        read = found.end()
+        cells.append(cell[1])
+        ends.append(cell[2])
+        read = cell.end()
     if read != len(text) or "\n" not in ends:
         raise ValueError(f"it is damaged at character {read}")
     count = ends.index("\n") + 1

@@ -211,12 +211,11 @@ def in_skin(*places_m: RayPoints) -> None:
 SURFACE = 1e-12  # contact radii that stand for z -> 0, where the edge circle's 1/S would be infinite
 
 RayPoints = Float[ndarray, "..."] | float
-Stress = Float[ndarray, "..."]
 
 
 def secondary_stress(
     x_m: RayPoints, y_m: RayPoints, z_m: RayPoints, contact_radius_m: float, peak_pressure_pa: float
-) -> tuple[Stress, Stress]:
+) -> tuple[Points, Points]:
     """The two stresses that a ray along y sees, below a Hertz contact at the origin; nu = 1/2.
 
     Args:

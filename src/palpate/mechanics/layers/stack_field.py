@@ -90,19 +90,9 @@ def field_below(
     grid = cells(x_m, y_m)
     nothing = np.zeros((grid.ny, grid.nx))
     loads = [nothing if q is None else q for q in (shear_x_pa, shear_y_pa)] + [pressure_pa]
-    for load in loads:
-        if load.shape != nothing.shape or not np.all(np.isfinite(load)):
-            raise InputError(
-                f"a load is finite and has the grid's shape {nothing.shape}; this one has the shape "
-                f"{load.shape} and {np.count_nonzero(~np.isfinite(load))} values that are not finite"
-            )
     depths = np.asarray(depths_m, float)
-    inside = (depths >= 0.0) & (depths <= stack.thickness_m) & (depths < math.inf)
-    if depths.ndim != 1 or not len(depths) or not inside.all():
-        raise RangeError(
-            f"depths {np.ravel(depths)[~np.ravel(inside)]} m lie outside the stack; give a list of "
-            f"depths from 0 to {stack.thickness_m:g} m"
-        )
+    _check_loads(loads, nothing.shape)
+    _check_depths(depths, stack)
     waves = spread(grid, _margin(stack, grid, margin_m))
     spectra = [waves.forward(load) for load in loads]
     slabs, levels = _cut_at(stack, depths)
@@ -115,6 +105,24 @@ def field_below(
         moves[i] = [waves.back(wave) for wave in moves_there]
         stresses[i] = [waves.back(wave) for wave in stresses_there]
     return StackField(x_m, y_m, depths, moves, stresses)
+
+
+def _check_loads(loads: Sequence[Field], shape: tuple[int, ...]) -> None:
+    for load in loads:
+        if load.shape != shape or not np.all(np.isfinite(load)):
+            raise InputError(
+                f"a load is finite and has the grid's shape {shape}; this one has the shape "
+                f"{load.shape} and {np.count_nonzero(~np.isfinite(load))} values that are not finite"
+            )
+
+
+def _check_depths(depths: ndarray, stack: Stack) -> None:
+    inside = (depths >= 0.0) & (depths <= stack.thickness_m) & (depths < math.inf)
+    if depths.ndim != 1 or not len(depths) or not inside.all():
+        raise RangeError(
+            f"depths {np.ravel(depths)[~np.ravel(inside)]} m lie outside the stack; give a list of "
+            f"depths from 0 to {stack.thickness_m:g} m"
+        )
 
 
 def _margin(stack: Stack, grid: Cells, margin_m: float | None) -> float:

@@ -95,11 +95,11 @@ def _presses(run: Run) -> Iterator[_Press]:
 
 def _rows(run: Run, press: _Press, force: pd.DataFrame, stage: pd.DataFrame, late_s: float) -> pd.DataFrame:
     times = force["time_s"].to_numpy(np.float64)
-    seen_s = run.times_s[press.frames] - late_s
-    at = np.clip(np.searchsorted(times, seen_s), 1, max(len(times) - 1, 1))
-    if len(times) < 2 or not (np.diff(seen_s) > 0).all():
+    frame_s = run.times_s[press.frames] - late_s
+    at = np.clip(np.searchsorted(times, frame_s), 1, max(len(times) - 1, 1))
+    if len(times) < 2 or not (np.diff(frame_s) > 0).all():
         raise RecordingError(f"{run.path}: press {press.name} has no force samples, or frames out of order")
-    sample = at - (seen_s - times[at - 1] < times[at] - seen_s)
+    sample = at - (frame_s - times[at - 1] < times[at] - frame_s)
     part = slice(int(sample[0]), int(sample[-1]) + 1)
     time_s, first = times[part], int(sample[0])
     z_m = np.interp(time_s, stage["time_s"], stage["z_m"])
