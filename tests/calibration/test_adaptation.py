@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.adaptation import adapt, intervals_of_presses
 from palpate.calibration.correction import AS_IT_WAS, Correction, correct
+from palpate.cli import app
 from palpate.core import ExistsError, ImageError, InputError, LabelError
 from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
@@ -297,15 +298,9 @@ def test_a_press_left_out_has_no_part_in_what_is_said_of_it() -> None:
 
 
 def test_the_verb_prints_errors_before_and_after(original, record_spots, tmp_path) -> None:
-    import typer
-
-    from palpate.cli.calibrate_verbs import adapt as verb
-
-    app = typer.Typer()
-    app.command()(verb)
     copy = relabelled(record_spots("few", 10, seed=1), tmp_path / "copy", affine)
     said = CliRunner().invoke(
-        app, [str(original), str(copy.path), "--out", str(tmp_path / "adapted"), "--quiet"]
+        app, ["adapt", str(original), str(copy.path), "--out", str(tmp_path / "adapted"), "--quiet"]
     )
     assert said.exit_code == 0, said.output
     assert "MAE before" in said.output
@@ -313,5 +308,7 @@ def test_the_verb_prints_errors_before_and_after(original, record_spots, tmp_pat
     assert (tmp_path / "adapted" / "report.html").exists()
     table = read_table(tmp_path / "adapted" / "predictions.csv.gz")
     assert table["held_out_in_fold"].nunique() == 10
-    refused = CliRunner().invoke(app, [str(original), str(copy.path), "--out", str(tmp_path / "adapted")])
+    refused = CliRunner().invoke(
+        app, ["adapt", str(original), str(copy.path), "--out", str(tmp_path / "adapted")]
+    )
     assert refused.exit_code == 2

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-import typer
 from PIL import Image
 from typer.testing import CliRunner
 
+from palpate.cli import app
 from palpate.core import ExistsError, ImageError, InputError, LabelError, PalpateError
 from palpate.recordings.integrity import check
 from palpate.recordings.run_reader import Run
@@ -301,15 +301,13 @@ def test_a_run_that_exists_is_never_overwritten(folder: Path) -> None:
 
 
 def test_the_verb_imports_and_tells_what_it_found(folder: Path) -> None:
-    from palpate.cli.recording_verbs import palm
-
-    app = typer.Typer()
-    app.command()(palm)
     run = folder.parent / "run"
-    said = CliRunner().invoke(app, [str(folder), str(run), "--licence", "CC-BY-4.0", "--quiet"])
+    said = CliRunner().invoke(
+        app, ["import", "palm", str(folder), str(run), "--licence", "CC-BY-4.0", "--quiet"]
+    )
     assert said.exit_code == 0, said.output
     assert f"{FRAMES} frames" in said.output
     assert "force_N [N]" in said.output
     assert Run.open(run).manifest.licence == "CC-BY-4.0"
-    again = CliRunner().invoke(app, [str(folder), str(run), "--json", "--quiet"])
+    again = CliRunner().invoke(app, ["import", "palm", str(folder), str(run), "--json", "--quiet"])
     assert again.exit_code == 2

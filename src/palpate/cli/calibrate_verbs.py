@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 
+import palpate
 from palpate.cli.verb_support import (
     Json,
     NewCalibration,
@@ -18,67 +20,59 @@ from palpate.cli.verb_support import (
     options_of,
     print_found,
     progress_bar,
-    reports_errors,
 )
 
 Box = tuple[int, int, int, int]
 
 
-@reports_errors
 def calibrate(
-    run: Annotated[Path, typer.Argument(help="Run to learn from.")],
+    run: Annotated[Path, Argument(help="Run to learn from.")],
     out: NewCalibration,
     targets: Annotated[
         str,
-        typer.Option(
-            help="Label columns to estimate, e.g. depth_mm,force_N; by default those the run names."
-        ),
+        Option(help="Label columns to estimate, e.g. depth_mm,force_N; by default those the run names."),
     ] = "",
     model: Annotated[
         str,
-        typer.Option(help="mean, pca-ridge, pixel-mlp, compact-cnn, a palm's own, or yours, module:Class."),
+        Option(help="mean, pca-ridge, pixel-mlp, compact-cnn, a palm's own, or yours, module:Class."),
     ] = "pca-ridge",
     split: Annotated[
-        str, typer.Option(help="auto, random, group:COLUMN, leave-one-out:COLUMN, or module:function.")
+        str, Option(help="auto, random, group:COLUMN, leave-one-out:COLUMN, or module:function.")
     ] = "auto",
     folds: Annotated[
-        int | None, typer.Option(help="Parts the rows are split in; default 5, for a network 8.")
+        int | None, Option(help="Parts the rows are split in; default 5, for a network 8.")
     ] = None,
     scored_folds: Annotated[
-        int | None, typer.Option(help="How many folds to hold out; by default all, or one for a network.")
+        int | None, Option(help="How many folds to hold out; by default all, or one for a network.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
-    size: Annotated[str | None, typer.Option(help="HEIGHTxWIDTH of the model's input [px].")] = None,
+    seed: Annotated[int, Option(help="Seed of everything random.")] = 0,
+    size: Annotated[str | None, Option(help="HEIGHTxWIDTH of the model's input [px].")] = None,
     crop: Annotated[
         list[str] | None,
-        typer.Option(
-            help="X,Y,WIDTH,HEIGHT cut from each frame [px]; given twice, two are laid side by side."
-        ),
+        Option(help="X,Y,WIDTH,HEIGHT cut from each frame [px]; given twice, two are laid side by side."),
     ] = None,
     rgb: Annotated[
         bool | None,
-        typer.Option(
-            "--rgb/--grey", help="Learn from three colour channels or one; by default the model's own."
-        ),
+        Option("--rgb/--grey", help="Learn from three colour channels or one; by default the model's own."),
     ] = None,
     delta: Annotated[
         bool | None,
-        typer.Option(
+        Option(
             "--delta/--raw",
             help="Learn from the difference to the untouched sensor, or from the frame itself.",
         ),
     ] = None,
     reference: Annotated[
-        str | None, typer.Option(help="COLUMN=VALUE of rows that show the untouched sensor.")
+        str | None, Option(help="COLUMN=VALUE of rows that show the untouched sensor.")
     ] = None,
     reference_by: Annotated[
-        str, typer.Option(help="Columns within whose groups a reference holds, e.g. press.")
+        str, Option(help="Columns within whose groups a reference holds, e.g. press.")
     ] = "",
     learn_untouched: Annotated[
-        bool, typer.Option("--learn-untouched", help="Learn from the untouched sensor's frames too.")
+        bool, Option("--learn-untouched", help="Learn from the untouched sensor's frames too.")
     ] = False,
     option: Annotated[
-        list[str] | None, typer.Option(help="A model's own setting, NAME=VALUE, as in epochs=30.")
+        list[str] | None, Option(help="A model's own setting, NAME=VALUE, as in epochs=30.")
     ] = None,
     json_: Json = False,
     quiet: Quiet = False,
@@ -90,21 +84,18 @@ def calibrate(
 
     Example: palpate calibrate run --targets depth_mm,force_N --model compact-cnn --out cal
     """
-    from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
-    from palpate.calibration.fitting import calibrate as help_to_calibrate
+    from palpate.calibration.calibration_plan import ReferenceRule
     from palpate.calibration.training_data import model_regions
     from palpate.estimators.networks import model_kind
     from palpate.estimators.networks.distributed import ProcessGroup
-    from palpate.recordings.run_reader import Run
-    from palpate.workflows.certification import certify
 
     if ":" in model + split:
         sys.path.append(str(Path.cwd()))  # a module of one's own lies where one works
-    recorded, kind = Run.open(run), model_kind(model)
+    recorded, kind = palpate.Run.open(run), model_kind(model)
     crops = _crops(crop or [])
     if kind.regions and crops[0] is None:
         crops = model_regions(recorded.manifest, kind.regions)  # type: ignore[assignment]
-    plan = CalibrationPlan(
+    plan = palpate.CalibrationPlan(
         targets=columns_of(targets) or kind.targets or recorded.manifest.targets,
         model=model,
         split=split,
@@ -121,10 +112,10 @@ def calibrate(
         options=options_of(option or []),
     )
     if not ProcessGroup.of_environment().first:
-        help_to_calibrate(recorded, plan, out)
+        palpate.calibrate(recorded, plan, out)
         return
     with progress_bar(quiet) as progress:
-        card = certify(recorded, plan, out, progress)
+        card = palpate.certify(recorded, plan, out, progress)
     print_found(card.model_dump(mode="json"), _card_text(card, out), json_)
 
 
@@ -137,12 +128,11 @@ def _crops(words: list[str]) -> tuple[Box | None, Box | None]:
     return boxes[0], boxes[1]  # type: ignore[return-value]
 
 
-@reports_errors
 def evaluate(
-    calibration: Annotated[Path, typer.Argument(help="Calibration folder.")],
-    run: Annotated[Path, typer.Argument(help="Labelled run to score it on.")],
-    out: Annotated[Path | None, typer.Option(help="JSON file to write the scores to.")] = None,
-    reference: Annotated[Path | None, typer.Option(help="Image of the untouched sensor.")] = None,
+    calibration: Annotated[Path, Argument(help="Calibration folder.")],
+    run: Annotated[Path, Argument(help="Labelled run to score it on.")],
+    out: Annotated[Path | None, Option(help="JSON file to write the scores to.")] = None,
+    reference: Annotated[Path | None, Option(help="Image of the untouched sensor.")] = None,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -150,61 +140,52 @@ def evaluate(
 
     Example: palpate evaluate cal run-val --out scores.json
     """
-    from palpate.calibration.evaluation import evaluate as score
     from palpate.core.files import new_file, refuse_existing
-    from palpate.estimators.certified import Estimator
-    from palpate.recordings.run_reader import Run
 
     if out is not None:
         refuse_existing(out)
-    estimator = Estimator.open(calibration)
-    zero = _zero(estimator, reference)
+    estimator = palpate.Estimator.open(calibration)
+    zero = None if reference is None else estimator.zero(palpate.read_image(reference))
     with progress_bar(quiet) as progress:
-        scores = score(estimator, Run.open(run), zero=zero, progress=progress)
+        scores = palpate.evaluate(estimator, palpate.Run.open(run), zero=zero, progress=progress)
     if out is not None:
         with new_file(out) as path:
             path.write_text(json.dumps(scores, indent=1, allow_nan=False) + "\n")
     print_found(scores, _scores_text(scores), json_)
 
 
-@reports_errors
 def sense(
-    calibration: Annotated[Path, typer.Argument(help="Calibration folder.")],
-    source: Annotated[Path, typer.Argument(help="An image, a folder of images, or a run.")],
-    reference: Annotated[Path | None, typer.Option(help="Image of the untouched sensor.")] = None,
-    timing: Annotated[
-        bool, typer.Option("--timing", help="Print the latency at the end, to stderr.")
-    ] = False,
-    threads: Annotated[int, typer.Option(help="Threads of the inference engine; 0 lets it choose.")] = 0,
+    calibration: Annotated[Path, Argument(help="Calibration folder.")],
+    source: Annotated[Path, Argument(help="An image, a folder of images, or a run.")],
+    reference: Annotated[Path | None, Option(help="Image of the untouched sensor.")] = None,
+    timing: Annotated[bool, Option("--timing", help="Print the latency at the end, to stderr.")] = False,
+    threads: Annotated[int, Option(help="Threads of the inference engine; 0 lets it choose.")] = 0,
     json_: Json = False,
 ) -> None:
     """Read images: a value, an interval and a verdict for each target. With --json, one object a line.
 
     Example: palpate sense cal images --json
     """
-    from palpate.estimators.certified import Estimator
-    from palpate.live.frame_sources import open_source
-    from palpate.live.sensing_loop import sense as read
-
-    estimator = Estimator.open(calibration, threads=threads)
-    zero = _zero(estimator, reference)
+    estimator = palpate.Estimator.open(calibration, threads=threads)
+    zero = None if reference is None else estimator.zero(palpate.read_image(reference))
     latencies = []
-    for sensed in read(estimator, open_source(source), zero):
+    for sensed in palpate.sense(estimator, palpate.open_source(source), zero):
         latencies.append(sensed.latency_s)
         if json_:
             typer.echo(json.dumps(sensed.to_dict(), allow_nan=False))
         else:
             typer.echo("\n".join(f"{sensed.frame}: {reading}" for reading in sensed.readings.values()))
     if timing:
-        typer.echo(_latency_text(latencies), err=True)
+        from palpate.reports import latency_line
+
+        typer.echo(latency_line(latencies), err=True)
 
 
-@reports_errors
 def report(
-    calibration: Annotated[Path, typer.Argument(help="Calibration folder.")],
+    calibration: Annotated[Path, Argument(help="Calibration folder.")],
     out: Annotated[
         Path | None,
-        typer.Option(help="HTML file to make; must not exist. By default beside the folder, of its name."),
+        Option(help="HTML file to make; must not exist. By default beside the folder, of its name."),
     ] = None,
     json_: Json = False,
 ) -> None:
@@ -212,17 +193,9 @@ def report(
 
     Example: palpate report cal --out cal.html
     """
-    from palpate.reports.certificate_page import write_report
-
     page = out or calibration.parent / f"{calibration.resolve().name}.html"
-    write_report(calibration, page)
+    palpate.write_report(calibration, page)
     print_found({"report": str(page)}, str(page), json_)
-
-
-def _zero(estimator: Any, reference: Path | None) -> Any:
-    from palpate.recordings.exchange.image_files import read_image
-
-    return None if reference is None else estimator.zero(read_image(reference))
 
 
 def _card_text(card: Any, out: Path) -> str:
@@ -243,19 +216,12 @@ def _scores_text(scores: dict[str, Any]) -> str:
     return f"{table}\n{valid}" + (learnt if scores["learnt_from_this_run"] else "")
 
 
-def _latency_text(latencies: list[float]) -> str:
-    from palpate.reports.terminal_text import latency_line
-
-    return latency_line(latencies)
-
-
 HEAD = ("target", "unit", "MAE before", "MAE after", "correction", "90 % interval", "covered")
 
 
-@reports_errors
 def adapt(
-    calibration: Annotated[Path, typer.Argument(help="Calibration folder; it is left as it is.")],
-    run: Annotated[Path, typer.Argument(help="Labelled run of your own copy, ten presses or more.")],
+    calibration: Annotated[Path, Argument(help="Calibration folder; it is left as it is.")],
+    run: Annotated[Path, Argument(help="Labelled run of your own copy, ten presses or more.")],
     out: NewCalibration,
     json_: Json = False,
     quiet: Quiet = False,
@@ -267,14 +233,12 @@ def adapt(
     Example: palpate adapt cal run-of-my-copy --out cal-my-copy
     """
     from palpate.calibration.adaptation import adapt as take_over
-    from palpate.recordings.run_reader import Run
-    from palpate.reports.certificate_page import write_report
     from palpate.workflows.certification import REPORT_FILE
 
     with progress_bar(quiet) as progress:
-        card = take_over(calibration, Run.open(run), out, progress)
+        card = take_over(calibration, palpate.Run.open(run), out, progress)
         progress("writing the report", 0, 1)
-        write_report(out, out / REPORT_FILE)
+        palpate.write_report(out, out / REPORT_FILE)
     print_found(card.model_dump(mode="json"), _adapted_text(card, out, REPORT_FILE), json_)
 
 
@@ -316,10 +280,9 @@ def _cells(target: Any, corrections: dict[str, Any]) -> tuple[str, ...]:
     )
 
 
-@reports_errors
 def quantise(
-    calibration: Annotated[Path, typer.Argument(help="Calibration folder; left as it is.")],
-    run: Annotated[Path, typer.Argument(help="The run that it was calibrated on.")],
+    calibration: Annotated[Path, Argument(help="Calibration folder; left as it is.")],
+    run: Annotated[Path, Argument(help="The run that it was calibrated on.")],
     out: NewCalibration,
     json_: Json = False,
     quiet: Quiet = False,
@@ -332,13 +295,11 @@ def quantise(
     Example: palpate quantise cal run --out cal-int8
     """
     from palpate.calibration.quantisation import cost, quantise as written
-    from palpate.recordings.run_reader import Run
-    from palpate.reports.certificate_page import write_report
     from palpate.workflows.certification import REPORT_FILE
 
     with progress_bar(quiet) as progress:
-        card = written(calibration, Run.open(run), out, progress)
-    write_report(out, out / REPORT_FILE)
+        card = written(calibration, palpate.Run.open(run), out, progress)
+    palpate.write_report(out, out / REPORT_FILE)
     price = cost(calibration, out)
     table = {
         target.column: {

@@ -6,8 +6,19 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 
-from palpate.cli.verb_support import Group, Json, Quiet, print_found, progress_bar, reports_errors
+from palpate.cli.verb_support import (
+    ForceColumn,
+    ForceRate,
+    ForceTable,
+    Group,
+    Json,
+    PositionColumn,
+    Quiet,
+    print_found,
+    progress_bar,
+)
 from palpate.core import refuse_existing
 
 READ = "read"
@@ -26,7 +37,7 @@ class ReadsByDefault(Group):
 app = typer.Typer(cls=ReadsByDefault, add_completion=False, no_args_is_help=True, rich_markup_mode=None)
 
 Calibration = Annotated[
-    Path | None, typer.Option(help="Calibration (.npz) of this sensor; without, only relative numbers.")
+    Path | None, Option(help="Calibration (.npz) of this sensor; without, only relative numbers.")
 ]
 
 
@@ -41,21 +52,14 @@ def start() -> None:
 
 
 @app.command(READ)
-@reports_errors
 def read(
-    press: Annotated[
-        Path, typer.Argument(help="Frames of one press: multi-page TIFF, video, folder or run.")
-    ],
-    force: Annotated[Path, typer.Option(help="CSV or Parquet: samples of force and the frame each is of.")],
+    press: Annotated[Path, Argument(help="Frames of one press: multi-page TIFF, video, folder or run.")],
+    force: ForceTable,
     calibration: Calibration = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to make: press.png, readings.json.")] = None,
-    force_column: Annotated[
-        str | None, typer.Option(help="Its column of force, if not a usual name.")
-    ] = None,
-    position_column: Annotated[
-        str | None, typer.Option(help="Its column of position, if not a usual name.")
-    ] = None,
-    rate_hz: Annotated[float | None, typer.Option(help="Rate of its rows [Hz], if it has no time_s.")] = None,
+    out: Annotated[Path | None, Option(help="Folder to make: press.png, readings.json.")] = None,
+    force_column: ForceColumn = None,
+    position_column: PositionColumn = None,
+    rate_hz: ForceRate = None,
     json_: Json = False,
 ) -> None:
     """Read one press: stiffness, contact area, spread rate and E*.
@@ -82,14 +86,11 @@ def read(
 
 
 @app.command()
-@reports_errors
 def calibrate(
-    folder: Annotated[
-        Path, typer.Argument(help="Folder of references: specimens.csv, SPECIMEN/01.tif, 01.csv.")
-    ],
-    out: Annotated[Path, typer.Option(help="Calibration to make, an .npz; must not exist.")],
-    tilt_deg: Annotated[float, typer.Option(help="Tilt of the specimens' tops [deg].")] = 0.0,
-    note: Annotated[str, typer.Option(help="Free words to keep with it.")] = "",
+    folder: Annotated[Path, Argument(help="Folder of references: specimens.csv, SPECIMEN/01.tif, 01.csv.")],
+    out: Annotated[Path, Option(help="Calibration to make, an .npz; must not exist.")],
+    tilt_deg: Annotated[float, Option(help="Tilt of the specimens' tops [deg].")] = 0.0,
+    note: Annotated[str, Option(help="Free words to keep with it.")] = "",
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -116,14 +117,11 @@ def calibrate(
 
 
 @app.command()
-@reports_errors
 def plate(
-    tables: Annotated[list[Path], typer.Argument(help="Tables of force and position, one a trial.")],
-    force_column: Annotated[str | None, typer.Option(help="Column of force, if not a usual name.")] = None,
-    position_column: Annotated[
-        str | None, typer.Option(help="Column of position, if not a usual name.")
-    ] = None,
-    rate_hz: Annotated[float | None, typer.Option(help="Rate of the rows [Hz], if without time_s.")] = None,
+    tables: Annotated[list[Path], Argument(help="Tables of force and position, one a trial.")],
+    force_column: Annotated[str | None, Option(help="Column of force, if not a usual name.")] = None,
+    position_column: Annotated[str | None, Option(help="Column of position, if not a usual name.")] = None,
+    rate_hz: Annotated[float | None, Option(help="Rate of the rows [Hz], if without time_s.")] = None,
     json_: Json = False,
 ) -> None:
     """Measure a specimen's own stiffness by a rigid plate.
@@ -149,14 +147,11 @@ def plate(
 
 
 @app.command()
-@reports_errors
 def compare(
-    folder: Annotated[Path, typer.Argument(help="Folder of an experiment: SPECIMEN/01.tif with 01.csv.")],
-    out: Annotated[Path, typer.Option(help="Folder to make: trials.csv, comparison.json, comparison.png.")],
+    folder: Annotated[Path, Argument(help="Folder of an experiment: SPECIMEN/01.tif with 01.csv.")],
+    out: Annotated[Path, Option(help="Folder to make: trials.csv, comparison.json, comparison.png.")],
     calibration: Calibration = None,
-    pooled: Annotated[
-        bool, typer.Option(help="Also test pooled samples as the report did; warns of it.")
-    ] = False,
+    pooled: Annotated[bool, Option(help="Also test pooled samples as the report did; warns of it.")] = False,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:

@@ -3,45 +3,42 @@
 from __future__ import annotations
 
 import functools
-import json
 import math
 from collections.abc import Callable
-from typing import Annotated, ParamSpec, TypeVar
+from typing import Annotated, ParamSpec
 
-import typer
+from typer import Option
 
-from palpate.cli.verb_support import Json, group, reports_errors
+from palpate.cli.verb_support import Json, group, print_found
 from palpate.core import InputError
 
 P = ParamSpec("P")
-T = TypeVar("T")
+Answer = dict[str, object]
 
 app = group("Work out force, depth, radius and pressure by a contact law.")
 
-Radius = Annotated[float, typer.Option("--radius-mm", help="Radius of the sphere or punch [mm].")]
-Modulus = Annotated[float, typer.Option("--modulus-kpa", help="Young's modulus of the skin [kPa].")]
-Poisson = Annotated[float, typer.Option("--poisson", help="Poisson's ratio of the skin, 0 to 0.5.")]
-Depth = Annotated[float | None, typer.Option("--depth-mm", help="Depth past first touch [mm].")]
-Force = Annotated[float | None, typer.Option("--force-n", help="Normal force, instead of a depth [N].")]
-Lies = Annotated[str, typer.Option(help="How the layer lies on its base: bonded or sliding.")]
+Radius = Annotated[float, Option("--radius-mm", help="Radius of the sphere or punch [mm].")]
+Modulus = Annotated[float, Option("--modulus-kpa", help="Young's modulus of the skin [kPa].")]
+Poisson = Annotated[float, Option("--poisson", help="Poisson's ratio of the skin, 0 to 0.5.")]
+Depth = Annotated[float | None, Option("--depth-mm", help="Depth past first touch [mm].")]
+Force = Annotated[float | None, Option("--force-n", help="Normal force, instead of a depth [N].")]
+Lies = Annotated[str, Option(help="How the layer lies on its base: bonded or sliding.")]
 
 
-def verb(law: Callable[P, dict[str, object]]) -> Callable[P, None]:
-    """Report errors as every verb does, and print the law's answer: in JSON, or a line a number."""
+def verb(law: Callable[P, Answer]) -> Callable[P, None]:
+    """Make a verb of a law, which prints its answer: in JSON, or a line a number."""
 
+    @app.command()
     @functools.wraps(law)
     def run(*args: P.args, **kwargs: P.kwargs) -> None:
-        answer = reports_errors(law)(*args, **kwargs)
-        if kwargs.get("json_"):
-            typer.echo(json.dumps(answer, indent=1, allow_nan=False))
-        else:
-            typer.echo("\n".join(f"{name} = {_text(value)}" for name, value in answer.items()))
+        answer = law(*args, **kwargs)
+        text = "\n".join(f"{name} = {_text(value)}" for name, value in answer.items())
+        print_found(answer, text, bool(kwargs.get("json_")))
 
     run.__annotations__ = {**law.__annotations__, "return": "None"}
     return run
 
 
-@app.command()
 @verb
 def hertz(
     radius_mm: Radius,
@@ -50,7 +47,7 @@ def hertz(
     depth_mm: Depth = None,
     force_n: Force = None,
     json_: Json = False,
-) -> dict[str, object]:
+) -> Answer:
     """Sphere on a half-space, as a paraboloid: to a/R = 0.5.
 
     Example: palpate mechanics hertz --radius-mm 5 --modulus-kpa 300 --poisson 0.49 --depth-mm 1
@@ -70,7 +67,6 @@ def hertz(
     }
 
 
-@app.command()
 @verb
 def sphere(
     radius_mm: Radius,
@@ -79,7 +75,7 @@ def sphere(
     depth_mm: Depth = None,
     force_n: Force = None,
     json_: Json = False,
-) -> dict[str, object]:
+) -> Answer:
     """Exact sphere on a half-space (Sneddon): to a/R = 0.99.
 
     Example: palpate mechanics sphere --radius-mm 5 --modulus-kpa 300 --poisson 0.49 --force-n 2
@@ -98,7 +94,6 @@ def sphere(
     }
 
 
-@app.command()
 @verb
 def punch(
     radius_mm: Radius,
@@ -107,7 +102,7 @@ def punch(
     depth_mm: Depth = None,
     force_n: Force = None,
     json_: Json = False,
-) -> dict[str, object]:
+) -> Answer:
     """Flat-ended cylinder on a half-space (Sneddon): to d/a = 0.5.
 
     Example: palpate mechanics punch --radius-mm 3 --modulus-kpa 300 --depth-mm 0.5
@@ -123,16 +118,15 @@ def punch(
     }
 
 
-@app.command()
 @verb
 def cone(
-    half_angle_deg: Annotated[float, typer.Option(help="From the cone's axis to its side [deg].")],
+    half_angle_deg: Annotated[float, Option(help="From the cone's axis to its side [deg].")],
     modulus_kpa: Modulus,
     poisson: Poisson = 0.5,
     depth_mm: Depth = None,
     force_n: Force = None,
     json_: Json = False,
-) -> dict[str, object]:
+) -> Answer:
     """Cone on a half-space (Sneddon): small strain, so a blunt one.
 
     Example: palpate mechanics cone --half-angle-deg 70 --modulus-kpa 300 --depth-mm 1
@@ -146,17 +140,16 @@ def cone(
     return _found(F, d, a) | {"mean_pressure_kPa": mean / 1e3, "law": law.MODEL.format(shape="cone")}
 
 
-@app.command()
 @verb
 def layer(
     radius_mm: Radius,
-    thickness_mm: Annotated[float, typer.Option("--thickness-mm", help="Of the layer [mm].")],
-    depth_mm: Annotated[float, typer.Option("--depth-mm", help="Depth past first touch [mm].")],
+    thickness_mm: Annotated[float, Option("--thickness-mm", help="Of the layer [mm].")],
+    depth_mm: Annotated[float, Option("--depth-mm", help="Depth past first touch [mm].")],
     modulus_kpa: Modulus,
     poisson: Poisson = 0.5,
     base: Lies = "bonded",
     json_: Json = False,
-) -> dict[str, object]:
+) -> Answer:
     """Sphere on a layer over a rigid base: to d/h = 0.2.
 
     Beside the exact force stand Dimitriadis's series and a half-space.
@@ -172,7 +165,7 @@ def layer(
         raise InputError(f"base {base!r} is not known; the layer's base is 'bonded' or 'sliding'")
     on: law.Base = "bonded" if base == "bonded" else "sliding"
     exact = law.sphere_force(d, R, h, *skin, on)
-    answer: dict[str, object] = {
+    answer: Answer = {
         "force_N": exact,
         "depth_mm": depth_mm,
         "sqrt_Rd_over_h_ratio": math.sqrt(R * d) / h,
@@ -187,22 +180,17 @@ def layer(
     }
 
 
-@app.command()
 @verb
 def jkr(
     radius_mm: Radius,
     modulus_kpa: Modulus,
-    adhesion_j_per_m2: Annotated[float, typer.Option(help="Work of adhesion [J/m^2].")],
+    adhesion_j_per_m2: Annotated[float, Option(help="Work of adhesion [J/m^2].")],
     poisson: Poisson = 0.5,
     depth_mm: Depth = None,
-    force_n: Annotated[
-        float | None, typer.Option(help="Force, a pull negative, instead of a depth [N].")
-    ] = None,
-    range_nm: Annotated[
-        float, typer.Option(help="Range of the surface forces, for Tabor's parameter [nm].")
-    ] = 0.3,
+    force_n: Annotated[float | None, Option(help="Force, a pull negative, instead of a depth [N].")] = None,
+    range_nm: Annotated[float, Option(help="Range of the surface forces, for Tabor's parameter [nm].")] = 0.3,
     json_: Json = False,
-) -> dict[str, object]:
+) -> Answer:
     """Sphere that sticks to a half-space (Johnson, Kendall, Roberts).
 
     Says whether that law applies.
@@ -225,20 +213,19 @@ def jkr(
     }
 
 
-@app.command()
 @verb
 def ting(
     radius_mm: Radius,
-    depth_mm: Annotated[float, typer.Option("--depth-mm", help="Greatest depth [mm].")],
-    equilibrium_kpa: Annotated[float, typer.Option(help="Modulus after a long time [kPa].")],
-    branch: Annotated[list[str], typer.Option(help="MODULUS_KPA:TIME_S of a branch; give one or more.")],
-    rise_s: Annotated[float, typer.Option("--rise-s", help="Time to the greatest depth [s].")],
-    fall_s: Annotated[float, typer.Option("--fall-s", help="Time back [s].")],
-    hold_s: Annotated[float, typer.Option("--hold-s", help="Time at the greatest depth [s].")] = 0.0,
+    depth_mm: Annotated[float, Option("--depth-mm", help="Greatest depth [mm].")],
+    equilibrium_kpa: Annotated[float, Option(help="Modulus after a long time [kPa].")],
+    branch: Annotated[list[str], Option(help="MODULUS_KPA:TIME_S of a branch; give one or more.")],
+    rise_s: Annotated[float, Option("--rise-s", help="Time to the greatest depth [s].")],
+    fall_s: Annotated[float, Option("--fall-s", help="Time back [s].")],
+    hold_s: Annotated[float, Option("--hold-s", help="Time at the greatest depth [s].")] = 0.0,
     poisson: Poisson = 0.5,
-    samples: Annotated[int, typer.Option("--samples", help="Samples of the press, 10 to 100000.")] = 401,
+    samples: Annotated[int, Option("--samples", help="Samples of the press, 10 to 100000.")] = 401,
     json_: Json = False,
-) -> dict[str, object]:
+) -> Answer:
     """Sphere pressed into a viscoelastic half-space and back (Ting).
 
     Both at constant speed.
@@ -294,7 +281,7 @@ def _depth(depth_mm: float | None, force_n: float | None, of_force: Callable[[fl
     return depth_mm / 1e3 if depth_mm is not None else of_force(force_n or 0.0)
 
 
-def _found(force_n: float, depth_m: float, radius_m: float) -> dict[str, object]:
+def _found(force_n: float, depth_m: float, radius_m: float) -> Answer:
     return {"force_N": force_n, "depth_mm": depth_m * 1e3, "contact_radius_mm": radius_m * 1e3}
 
 

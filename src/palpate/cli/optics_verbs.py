@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
-import typer
+from typer import Argument, Option
 
-from palpate.cli.verb_support import Json, Quiet, group, numbers_of, print_found, progress_bar, reports_errors
+from palpate.cli.verb_support import Json, Quiet, group, numbers_of, print_found, progress_bar
 from palpate.core import InputError
 
 
-@reports_errors
 def flow(
-    frames: Annotated[Path, typer.Argument(help="Multi-page TIFF, video, folder of images or run.")],
-    out: Annotated[Path, typer.Option(help="Folder to make; must not exist.")],
-    method: Annotated[
-        str, typer.Option(help="horn-schunck, coarse-to-fine, dis or farneback.")
-    ] = "horn-schunck",
-    from_first: Annotated[bool, typer.Option(help="From the first frame, not the one before.")] = False,
-    fields: Annotated[bool, typer.Option(help="Also keep every flow: fields.npy, 4 bytes a number.")] = False,
+    frames: Annotated[Path, Argument(help="Multi-page TIFF, video, folder of images or run.")],
+    out: Annotated[Path, Option(help="Folder to make; must not exist.")],
+    method: Annotated[str, Option(help="horn-schunck, coarse-to-fine, dis or farneback.")] = "horn-schunck",
+    from_first: Annotated[bool, Option(help="From the first frame, not the one before.")] = False,
+    fields: Annotated[bool, Option(help="Also keep every flow: fields.npy, 4 bytes a number.")] = False,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -33,14 +31,8 @@ def flow(
     from palpate.reports.flow_figures import write_flow
 
     with progress_bar(quiet) as progress:
-        result = write_flow(
-            frames,
-            out,
-            method=method,
-            from_first=from_first,
-            fields=fields,
-            progress=lambda done, total: progress("flow", done, total),
-        )
+        tell = partial(progress, "flow")
+        result = write_flow(frames, out, method=method, from_first=from_first, fields=fields, progress=tell)
     text = (
         f"{out}: {result['steps']} steps by {method}, mean speed {result['mean_speed_px']:.3g} px, "
         f"accumulated mean divergence {result['accumulated_divergence']:.3g}"
@@ -56,43 +48,36 @@ app = group("Light, stress and what a material makes of them.")
 
 
 @app.command("fit-c")
-@reports_errors
 def fit_c(
-    folder: Annotated[Path, typer.Argument(help="Folder of photographs, one for each load.")],
-    labels: Annotated[
-        Path, typer.Option(help="CSV or Parquet, one row a photograph; here or in the folder.")
-    ],
-    roi_px: Annotated[str, typer.Option(help="X,Y,WIDTH,HEIGHT where the stress is uniform [px].")],
+    folder: Annotated[Path, Argument(help="Folder of photographs, one for each load.")],
+    labels: Annotated[Path, Option(help="CSV or Parquet, one row a photograph; here or in the folder.")],
+    roi_px: Annotated[str, Option(help="X,Y,WIDTH,HEIGHT where the stress is uniform [px].")],
     strip_mm: Annotated[
-        str | None, typer.Option(help="WIDTHxTHICKNESS of a strip in tension [mm], e.g. 20x6.")
+        str | None, Option(help="WIDTHxTHICKNESS of a strip in tension [mm], e.g. 20x6.")
     ] = None,
     disc_mm: Annotated[
-        float | None, typer.Option(help="Diameter of a disc pressed across; the region is its centre [mm].")
+        float | None, Option(help="Diameter of a disc pressed across; the region is its centre [mm].")
     ] = None,
-    lamp: Annotated[
-        str, typer.Option(help="line, led or tungsten; the white two are assumed curves.")
-    ] = "line",
-    wavelength_nm: Annotated[float, typer.Option(help="Of the line [nm]; sodium is 589.3.")] = 589.3,
-    bandwidth_nm: Annotated[float, typer.Option(help="Standard deviation of the line [nm].")] = 0.0,
-    dispersion_nm2: Annotated[
-        float, typer.Option(help="D in C(l) = C (1 + D (1/l^2 - 1/l0^2)) [nm^2].")
-    ] = 0.0,
+    lamp: Annotated[str, Option(help="line, led or tungsten; the white two are assumed curves.")] = "line",
+    wavelength_nm: Annotated[float, Option(help="Of the line [nm]; sodium is 589.3.")] = 589.3,
+    bandwidth_nm: Annotated[float, Option(help="Standard deviation of the line [nm].")] = 0.0,
+    dispersion_nm2: Annotated[float, Option(help="D in C(l) = C (1 + D (1/l^2 - 1/l0^2)) [nm^2].")] = 0.0,
     bright_field: Annotated[
-        bool, typer.Option("--bright-field", help="The polarisers are parallel, not crossed.")
+        bool, Option("--bright-field", help="The polarisers are parallel, not crossed.")
     ] = False,
     parallel: Annotated[
-        Path | None, typer.Option(help="Photograph of the unloaded specimen between parallel polarisers.")
+        Path | None, Option(help="Photograph of the unloaded specimen between parallel polarisers.")
     ] = None,
     load_column: Annotated[
-        str | None, typer.Option(help="Column of the load, e.g. load_N, load_kgf or mass_g.")
+        str | None, Option(help="Column of the load, e.g. load_N, load_kgf or mass_g.")
     ] = None,
-    image_column: Annotated[str, typer.Option(help="Column that names the photograph.")] = "image_file",
-    max_order: Annotated[float, typer.Option(help="Greatest order that the greatest load may turn.")] = 6.0,
+    image_column: Annotated[str, Option(help="Column that names the photograph.")] = "image_file",
+    max_order: Annotated[float, Option(help="Greatest order that the greatest load may turn.")] = 6.0,
     residual_order: Annotated[
-        float, typer.Option(help="Order that may be there without load, one standard deviation.")
+        float, Option(help="Order that may be there without load, one standard deviation.")
     ] = 0.05,
-    tone: Annotated[str, typer.Option(help="srgb, or linear where the numbers are light.")] = "srgb",
-    out: Annotated[Path | None, typer.Option(help="PNG of the fit to make; must not exist.")] = None,
+    tone: Annotated[str, Option(help="srgb, or linear where the numbers are light.")] = "srgb",
+    out: Annotated[Path | None, Option(help="PNG of the fit to make; must not exist.")] = None,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:

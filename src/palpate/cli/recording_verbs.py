@@ -2,37 +2,40 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
+import palpate
 from palpate.cli.verb_support import (
+    ForceColumn,
+    ForceRate,
+    ForceTable,
     Json,
     Licence,
     NewRun,
     Origin,
+    PositionColumn,
     Quiet,
     group,
     print_found,
     progress_bar,
-    reports_errors,
 )
 
 if TYPE_CHECKING:
     from palpate.recordings import ImportReport
 
 
-@reports_errors
 def palm(
-    folder: Annotated[
-        Path, typer.Argument(help="Folder of Cycle_Indent5mm_r{row}c{col}_{cycle}.csv tables.")
-    ],
+    folder: Annotated[Path, Argument(help="Folder of Cycle_Indent5mm_r{row}c{col}_{cycle}.csv tables.")],
     run: NewRun,
-    sensor: Annotated[str, typer.Option(help="What was recorded.")] = "palm",
+    sensor: Annotated[str, Option(help="What was recorded.")] = "palm",
     licence: Licence = "",
     origin: Origin = "",
-    allow_unlabelled: Annotated[bool, typer.Option(help="Skip photographs that no table names.")] = False,
+    allow_unlabelled: Annotated[bool, Option(help="Skip photographs that no table names.")] = False,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -50,17 +53,13 @@ def palm(
             licence=licence,
             origin=origin,
             allow_unlabelled=allow_unlabelled,
-            progress=lambda done, total: progress("importing", done, total),
+            progress=partial(progress, "importing"),
         )
     _print_import(run, report, json_)
 
 
-Frames = Annotated[Path, typer.Argument(help="The frames of one press.")]
-Force = Annotated[Path, typer.Option(help="CSV or Parquet: samples of force and the frame each is of.")]
-ForceColumn = Annotated[str | None, typer.Option(help="Its column of force, if not a usual name.")]
-PositionColumn = Annotated[str | None, typer.Option(help="Its column of position, if not a usual name.")]
-Rate = Annotated[float | None, typer.Option(help="Rate of its rows [Hz], if it has no time_s.")]
-Sensor = Annotated[str, typer.Option(help="What was recorded.")]
+Frames = Annotated[Path, Argument(help="The frames of one press.")]
+Sensor = Annotated[str, Option(help="What was recorded.")]
 
 TIFF = """Import a press from a multi-page TIFF and its table of force.
 
@@ -72,14 +71,13 @@ Example: palpate import video press.avi RUN --force force.csv --rate-hz 30
 """
 
 
-@reports_errors
 def press(
     frames: Frames,
     run: NewRun,
-    force: Force,
+    force: ForceTable,
     force_column: ForceColumn = None,
     position_column: PositionColumn = None,
-    rate_hz: Rate = None,
+    rate_hz: ForceRate = None,
     sensor: Sensor = "",
     licence: Licence = "",
     origin: Origin = "",
@@ -100,7 +98,7 @@ def press(
             sensor=sensor,
             licence=licence,
             origin=origin,
-            progress=lambda done, total: progress("importing", done, total),
+            progress=partial(progress, "importing"),
         )
     result = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
     print_found(result, f"{run}: {report.frames} frames with {', '.join(report.columns)}", json_)
@@ -110,20 +108,17 @@ import_app = group("Bring recordings from elsewhere into a run.")
 
 
 @import_app.command("images")
-@reports_errors
 def import_images(
-    folder: Annotated[Path, typer.Argument(help="Folder of images.")],
+    folder: Annotated[Path, Argument(help="Folder of images.")],
     run: NewRun,
-    labels: Annotated[Path, typer.Option(help="CSV or Parquet, one row an image; here or in the folder.")],
-    image_column: Annotated[str, typer.Option(help="Label column that names the image file.")] = "image_file",
-    sensor: Annotated[str, typer.Option(help="What the images are of.")] = "",
+    labels: Annotated[Path, Option(help="CSV or Parquet, one row an image; here or in the folder.")],
+    image_column: Annotated[str, Option(help="Label column that names the image file.")] = "image_file",
+    sensor: Annotated[str, Option(help="What the images are of.")] = "",
     licence: Licence = "",
     origin: Origin = "",
-    rate_hz: Annotated[float | None, typer.Option(help="Frame rate, if the images are a sequence.")] = None,
-    allow_unlabelled: Annotated[bool, typer.Option(help="Skip images without a row.")] = False,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Refuse columns of numbers that carry no unit.")
-    ] = False,
+    rate_hz: Annotated[float | None, Option(help="Frame rate, if the images are a sequence.")] = None,
+    allow_unlabelled: Annotated[bool, Option(help="Skip images without a row.")] = False,
+    strict: Annotated[bool, Option("--strict", help="Refuse columns of numbers that carry no unit.")] = False,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -131,10 +126,8 @@ def import_images(
 
     Example: palpate import images taps run --labels labels.csv --image-column image_file
     """
-    from palpate.recordings.exchange.image_import import import_images as importer
-
     with progress_bar(quiet) as progress:
-        report = importer(
+        report = palpate.import_images(
             folder,
             run,
             labels=labels,
@@ -145,7 +138,7 @@ def import_images(
             rate_hz=rate_hz,
             allow_unlabelled=allow_unlabelled,
             strict=strict,
-            progress=lambda done, total: progress("importing", done, total),
+            progress=partial(progress, "importing"),
         )
     if report.no_targets:
         typer.echo(
@@ -170,8 +163,7 @@ import_app.command("tiff", help=TIFF)(press)
 import_app.command("video", help=VIDEO)(press)
 
 
-@reports_errors
-def check(run: Annotated[Path, typer.Argument(help="Run to look through.")], json_: Json = False) -> None:
+def check(run: Annotated[Path, Argument(help="Run to look through.")], json_: Json = False) -> None:
     """Look through a run: counts, rates, gaps, drops, damage. Ends with status 1 if it is damaged.
 
     Example: palpate check run
@@ -185,10 +177,9 @@ def check(run: Annotated[Path, typer.Argument(help="Run to look through.")], jso
         raise typer.Exit(1)
 
 
-@reports_errors
 def repair(
-    run: Annotated[Path, typer.Argument(help="Damaged run; it is only read.")],
-    new: Annotated[Path, typer.Argument(help="Run to make of what can be read; must not exist.")],
+    run: Annotated[Path, Argument(help="Damaged run; it is only read.")],
+    new: Annotated[Path, Argument(help="Run to make of what can be read; must not exist.")],
     json_: Json = False,
 ) -> None:
     """Copy all that can be read of a damaged run into a new one.
@@ -207,10 +198,9 @@ def repair(
     )
 
 
-@reports_errors
 def export(
-    run: Annotated[Path, typer.Argument(help="Run to export.")],
-    folder: Annotated[Path, typer.Argument(help="Folder to make; must not exist.")],
+    run: Annotated[Path, Argument(help="Run to export.")],
+    folder: Annotated[Path, Argument(help="Folder to make; must not exist.")],
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -219,8 +209,7 @@ def export(
     Example: palpate export run folder
     """
     from palpate.recordings.exchange.folder_export import export_folder
-    from palpate.recordings.run_reader import Run
 
     with progress_bar(quiet) as progress:
-        count = export_folder(Run.open(run), folder, lambda done, total: progress("exporting", done, total))
+        count = export_folder(palpate.Run.open(run), folder, partial(progress, "exporting"))
     print_found({"folder": str(folder), "frames": count}, f"{folder}: {count} frames", json_)

@@ -8,71 +8,58 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
-from palpate.cli.verb_support import Group, Json, Quiet, print_found, progress_bar, reports_errors
+import palpate
+from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar
 
 if TYPE_CHECKING:
     from palpate.recordings.exchange.press_folder import PressFolder
     from palpate.sensors.palm.membrane_wear import Wear
 
-app = typer.Typer(
-    cls=Group,
-    add_completion=False,
-    help="Draw what a virtual sensor would see.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
-
-
-@app.callback()
-def start() -> None:
-    """Draw what a virtual sensor would see."""
+app = group("Draw what a virtual sensor would see.")
 
 
 @app.command()
-@reports_errors
 def palm(
     depth_mm: Annotated[
-        float, typer.Option(help="How deep the probe is pressed [mm]; negative: how far it hangs above.")
+        float, Option(help="How deep the probe is pressed [mm]; negative: how far it hangs above.")
     ],
-    out: Annotated[Path, typer.Option(help="PNG to write; must not exist.")],
-    x_mm: Annotated[float, typer.Option(help="Across the view, to the right [mm].")] = 0.0,
-    y_mm: Annotated[float, typer.Option(help="Towards the camera [mm].")] = 0.0,
+    out: Annotated[Path, Option(help="PNG to write; must not exist.")],
+    x_mm: Annotated[float, Option(help="Across the view, to the right [mm].")] = 0.0,
+    y_mm: Annotated[float, Option(help="Towards the camera [mm].")] = 0.0,
     indenter: Annotated[
         str,
-        typer.Option(
+        Option(
             help="sphere:DIAMETER, punch:DIAMETER, edge:LENGTH, cylinder:DIAMETER:LENGTH or "
             "two-points:DIAMETER:APART [mm]; the last three may end in :TURN [deg]."
         ),
     ] = "sphere:10",
-    lateral_n: Annotated[str, typer.Option(help="Lateral load along x and y, X,Y [N].")] = "0,0",
+    lateral_n: Annotated[str, Option(help="Lateral load along x and y, X,Y [N].")] = "0,0",
     preset: Annotated[
-        str, typer.Option(help="palm, small, demo, debug, crops, solaris, sylgard-184 or casting-resin.")
+        str, Option(help="palm, small, demo, debug, crops, solaris, sylgard-184 or casting-resin.")
     ] = "palm",
-    exact: Annotated[bool, typer.Option("--exact", help="March every ray anew: slower.")] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Of the camera's noise.")] = 0,
+    exact: Annotated[bool, Option("--exact", help="March every ray anew: slower.")] = False,
+    seed: Annotated[int, Option(min=0, help="Of the camera's noise.")] = 0,
     presses: Annotated[
-        float, typer.Option(help="How many presses the membrane has had: an assumed law of its wear.")
+        float, Option(help="How many presses the membrane has had: an assumed law of its wear.")
     ] = 0.0,
-    haze: Annotated[
-        float | None, typer.Option(help="Share of light a clouded surface scatters, 0 to 1.")
-    ] = None,
-    scratches: Annotated[int | None, typer.Option(help="Fine scratches in each view.")] = None,
+    haze: Annotated[float | None, Option(help="Share of light a clouded surface scatters, 0 to 1.")] = None,
+    scratches: Annotated[int | None, Option(help="Fine scratches in each view.")] = None,
     yellowing: Annotated[
-        float, typer.Option(help="Absorbance of the yellowed membrane at 450 nm, along its diameter.")
+        float, Option(help="Absorbance of the yellowed membrane at 450 nm, along its diameter.")
     ] = 0.0,
     ambient: Annotated[
-        float, typer.Option(help="Room light in the camera over the lamp's brightest, such as 0.02.")
+        float, Option(help="Room light in the camera over the lamp's brightest, such as 0.02.")
     ] = 0.0,
     lamp_mired: Annotated[
-        float, typer.Option(help="Lamp's colour: warmer by so many mired (1e6 K over its temperature).")
+        float, Option(help="Lamp's colour: warmer by so many mired (1e6 K over its temperature).")
     ] = 0.0,
     probe_in_mirror: Annotated[
-        bool, typer.Option(help="Show the probe's body in the mirror, or the membrane's dent alone.")
+        bool, Option(help="Show the probe's body in the mirror, or the membrane's dent alone.")
     ] = True,
     opaque_underside: Annotated[
-        bool, typer.Option("--opaque-underside", help="A dark layer under the membrane: a blind mirror.")
+        bool, Option("--opaque-underside", help="A dark layer under the membrane: a blind mirror.")
     ] = False,
     json_: Json = False,
 ) -> None:
@@ -85,11 +72,10 @@ def palm(
     from palpate.core.contact import Pose
     from palpate.core.errors import InputError
     from palpate.core.files import new_file
-    from palpate.core.sensor import sensor as sensor_of
     from palpate.recordings.exchange import image_files
     from palpate.sensors import palm as palms
 
-    sensor = sensor_of("palm" if preset == "palm" else f"palm-{preset}")
+    sensor = palpate.sensor("palm" if preset == "palm" else f"palm-{preset}")
     spec, probe = sensor.spec, sensor.probe(indenter)
     try:
         lateral = tuple(float(part) for part in lateral_n.split(","))
@@ -118,31 +104,30 @@ def palm(
 
 
 @app.command()
-@reports_errors
 def tactip(
-    out: Annotated[Path, typer.Argument(help="Folder to make; must not exist.")],
+    out: Annotated[Path, Argument(help="Folder to make; must not exist.")],
     specimen: Annotated[
         list[str] | None,
-        typer.Option(help="NAME=STIFFNESS [N/mm] of a cylinder 40 mm high and wide; again for more."),
+        Option(help="NAME=STIFFNESS [N/mm] of a cylinder 40 mm high and wide; again for more."),
     ] = None,
-    rigid: Annotated[bool, typer.Option("--rigid", help="Press a rigid plate as well.")] = False,
+    rigid: Annotated[bool, Option("--rigid", help="Press a rigid plate as well.")] = False,
     unknown: Annotated[
         list[str] | None,
-        typer.Option(help="Name whose stiffness specimens.csv shall not tell; again for more."),
+        Option(help="Name whose stiffness specimens.csv shall not tell; again for more."),
     ] = None,
     tilt_deg: Annotated[
         float,
-        typer.Option(
+        Option(
             help="Of the specimens' tops, 0 to 50 [deg]. 0 is solved at finite strain without friction, all "
             "others by linear bodies with friction: compare them with 0.001."
         ),
     ] = 0.0,
-    trials: Annotated[int, typer.Option(min=1, max=999, help="Of each specimen.")] = 5,
-    pins: Annotated[int, typer.Option(help="127 or 331.")] = 127,
-    tip: Annotated[str, typer.Option(help="base, even, soft-skin or stiff-skin.")] = "base",
-    speed_mm_s: Annotated[float, typer.Option(min=0.1, max=20, help="Of the tip's way down [mm/s].")] = 5.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of seating and noise.")] = 0,
-    runs: Annotated[bool, typer.Option("--runs", help="Also write each press as a run.")] = False,
+    trials: Annotated[int, Option(min=1, max=999, help="Of each specimen.")] = 5,
+    pins: Annotated[int, Option(help="127 or 331.")] = 127,
+    tip: Annotated[str, Option(help="base, even, soft-skin or stiff-skin.")] = "base",
+    speed_mm_s: Annotated[float, Option(min=0.1, max=20, help="Of the tip's way down [mm/s].")] = 5.0,
+    seed: Annotated[int, Option(min=0, help="Of seating and noise.")] = 0,
+    runs: Annotated[bool, Option("--runs", help="Also write each press as a run.")] = False,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -155,13 +140,12 @@ def tactip(
     Example: palpate render tactip presses --specimen S1=7.6 --specimen S2=3.1 --trials 3
     """
     from palpate.core.files import refuse_existing
-    from palpate.core.sensor import sensor as sensor_of
     from palpate.workflows.tactip_trials import REPORT_N_M, UNKNOWN, record_trials, specimens_at
 
     refuse_existing(out)  # before solving for minutes
     own = _stiffnesses(specimen or [], rigid)
     stiffness, hidden = own or REPORT_N_M, unknown or ([] if own else list(UNKNOWN))
-    spec = replace(sensor_of(f"tactip-{pins}").spec, tip=tip, speed_m_s=1e-3 * speed_mm_s)
+    spec = replace(palpate.sensor(f"tactip-{pins}").spec, tip=tip, speed_m_s=1e-3 * speed_mm_s)
     with progress_bar(quiet) as progress:
         pressed = specimens_at(spec, stiffness, math.radians(tilt_deg), progress=progress)
         made = record_trials(

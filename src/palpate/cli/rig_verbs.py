@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
-from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar, reports_errors
+import palpate
+from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar
 
 if TYPE_CHECKING:
     from palpate.devices.check.check_result import CheckResult
@@ -25,16 +27,15 @@ rig_app = group("Rigs: stage, force sensor, camera.")
 SHOWN_IN = {"s": (1e3, "ms"), "m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
 
 
-@reports_errors
 def record(
-    out: Annotated[Path, typer.Option(help="Run to make, or to go on with.")],
+    out: Annotated[Path, Option(help="Run to make, or to go on with.")],
     plan: Annotated[
-        str, typer.Option(help="Plan: a TOML file, or a name such as palm, palm-reduced or tactip.")
+        str, Option(help="Plan: a TOML file, or a name such as palm, palm-reduced or tactip.")
     ] = "palm",
     rig: Annotated[
-        str, typer.Option(help="Rig: a TOML file, virtual:palm, virtual:tactip or another sensor's.")
+        str, Option(help="Rig: a TOML file, virtual:palm, virtual:tactip or another sensor's.")
     ] = "virtual:palm",
-    seed: Annotated[int, typer.Option(min=0, help="Of all that varies on a virtual rig.")] = 0,
+    seed: Annotated[int, Option(min=0, help="Of all that varies on a virtual rig.")] = 0,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -81,11 +82,10 @@ def _write_presses(out: Path, indenters: tuple[str, ...], result: dict[str, Any]
         return ""
     from palpate.recordings.exchange.press_export import export_presses
     from palpate.recordings.exchange.press_folder import PRESSES
-    from palpate.recordings.run_reader import Run
 
     if (out / PRESSES).exists():
         return ""
-    written = export_presses(Run.open(out))
+    written = export_presses(palpate.Run.open(out))
     if written is None:
         return ""
     result[PRESSES] = str(written.path)
@@ -103,10 +103,7 @@ def _is_specimen(words: str) -> bool:
 
 
 @rig_app.command()
-@reports_errors
-def check(
-    rig: Annotated[str, typer.Argument(help="A TOML file, or virtual:palm.")], json_: Json = False
-) -> None:
+def check(rig: Annotated[str, Argument(help="A TOML file, or virtual:palm.")], json_: Json = False) -> None:
     """Check a rig with its probe in free air; the stage moves by 2 mm.
 
     Measures rates, noise, stamps and limits. Prints what was measured, and in brackets what was stated or
@@ -130,18 +127,16 @@ def check(
 
 
 @rig_app.command()
-@reports_errors
-def layer(run: Annotated[Path, typer.Argument(help="A run of the plan layer.")], json_: Json = False) -> None:
+def layer(run: Annotated[Path, Argument(help="A run of the plan layer.")], json_: Json = False) -> None:
     """Say where the layer lies, from a run of the plan layer.
 
     Prints what to write into the rig's file.
 
     Example: palpate rig layer layer-run
     """
-    from palpate.recordings.run_reader import Run
     from palpate.rig.locate_specimen import locate_specimen
 
-    place = locate_specimen(Run.open(run))
+    place = locate_specimen(palpate.Run.open(run))
     at, moved = (", ".join(f"{d:.3f}" for d in three) for three in (place.origin_mm, place.moved_mm))
     text = (
         f"origin_mm = [{at}]\n"
@@ -155,10 +150,9 @@ def layer(run: Annotated[Path, typer.Argument(help="A run of the plan layer.")],
 
 
 @rig_app.command()
-@reports_errors
 def documents(
-    run: Annotated[Path, typer.Argument(help="A run that was recorded by a plan.")],
-    out: Annotated[Path, typer.Option(help="JSON-lines file to make; must not exist.")],
+    run: Annotated[Path, Argument(help="A run that was recorded by a plan.")],
+    out: Annotated[Path, Option(help="JSON-lines file to make; must not exist.")],
     json_: Json = False,
 ) -> None:
     """Write what the engine did as event-model documents.
@@ -170,24 +164,22 @@ def documents(
     import json
 
     from palpate.core.files import new_file
-    from palpate.recordings.run_reader import Run
     from palpate.rig.event_model import documents as documents_of
 
     count = 0
     with new_file(out) as path, path.open("w", encoding="utf-8") as file:
-        for name, fields in documents_of(Run.open(run)):
+        for name, fields in documents_of(palpate.Run.open(run)):
             file.write(json.dumps([name, fields], allow_nan=False) + "\n")
             count += 1
     print_found({"documents": count, "file": str(out)}, f"{out}: {count} documents", json_)
 
 
 @plan_app.command()
-@reports_errors
 def preview(
-    plan: Annotated[str, typer.Argument(help="A TOML file, or a name such as palm.")],
-    png: Annotated[Path | None, typer.Option(help="Draw the places into this PNG; must not exist.")] = None,
-    rate_hz: Annotated[float, typer.Option(min=0.1, help="Frame rate of the camera.")] = 30.0,
-    frame_kb: Annotated[float, typer.Option(min=0.1, help="Size of a frame on disk [kB].")] = 90.0,
+    plan: Annotated[str, Argument(help="A TOML file, or a name such as palm.")],
+    png: Annotated[Path | None, Option(help="Draw the places into this PNG; must not exist.")] = None,
+    rate_hz: Annotated[float, Option(min=0.1, help="Frame rate of the camera.")] = 30.0,
+    frame_kb: Annotated[float, Option(min=0.1, help="Size of a frame on disk [kB].")] = 90.0,
     json_: Json = False,
 ) -> None:
     """Count a plan's points, shots, frames and minutes, and draw it.

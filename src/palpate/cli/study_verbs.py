@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 
-from palpate.cli.verb_support import Group, Json, Quiet, phases, print_found, progress_bar, reports_errors
+import palpate
+from palpate.cli.verb_support import Json, Quiet, group, phases, print_found, progress_bar
 
 
-@reports_errors
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder to make; must not exist.")],
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    out: Annotated[Path, Option(help="Folder to make; must not exist.")],
+    seed: Annotated[int, Option(help="Seed of everything random.")] = 0,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -26,37 +27,21 @@ def demo(
 
     Example: palpate demo --out demo-out
     """
-    from palpate.workflows.palm_demo import run_demo
-
     with progress_bar(quiet) as bar:
         progress = bar if sys.stderr.isatty() else phases(quiet)
-        result = run_demo(out, seed=seed, progress=progress)
+        result = palpate.run_demo(out, seed=seed, progress=progress)
     print_found(result.to_dict(), result.text(), json_)
 
 
-app = typer.Typer(
-    cls=Group,
-    add_completion=False,
-    help="Reproduce published studies on virtual sensors.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
-
-
-@app.callback()
-def start() -> None:
-    """Reproduce published studies on virtual sensors."""
+app = group("Reproduce published studies on virtual sensors.")
 
 
 @app.command()
-@reports_errors
 def palm(
-    out: Annotated[Path, typer.Option(help="Folder to make; must not exist.")],
-    scale: Annotated[str, typer.Option(help="small: for two cores. full: for a GPU.")] = "small",
-    part: Annotated[
-        str, typer.Option(help="all, or headline for the comparison of the models alone.")
-    ] = "all",
-    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    out: Annotated[Path, Option(help="Folder to make; must not exist.")],
+    scale: Annotated[str, Option(help="small: for two cores. full: for a GPU.")] = "small",
+    part: Annotated[str, Option(help="all, or headline for the comparison of the models alone.")] = "all",
+    seed: Annotated[int, Option(min=0, help="Seed of everything random.")] = 0,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -78,11 +63,10 @@ def palm(
 
 
 @app.command()
-@reports_errors
 def tactip(
-    out: Annotated[Path, typer.Option(help="Folder to make; must not exist.")],
-    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
-    trials: Annotated[int, typer.Option(help="Trials of each specimen at each tilt; the report has 5.")] = 5,
+    out: Annotated[Path, Option(help="Folder to make; must not exist.")],
+    seed: Annotated[int, Option(min=0, help="Seed of everything random.")] = 0,
+    trials: Annotated[int, Option(help="Trials of each specimen at each tilt; the report has 5.")] = 5,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -117,13 +101,12 @@ if TYPE_CHECKING:
     from palpate.rig.service import RigClient
 
 
-@reports_errors
 def studio(
-    port: Annotated[int, typer.Option(min=1, max=65535, help="On 127.0.0.1.")] = 8080,
-    rig: Annotated[str, typer.Option(help="A TOML file, or virtual:palm.")] = "virtual:palm",
-    runs: Annotated[Path, typer.Option(help="Folder that recordings go into.")] = Path("runs"),
+    port: Annotated[int, Option(min=1, max=65535, help="On 127.0.0.1.")] = 8080,
+    rig: Annotated[str, Option(help="A TOML file, or virtual:palm.")] = "virtual:palm",
+    runs: Annotated[Path, Option(help="Folder that recordings go into.")] = Path("runs"),
     accelerated: Annotated[
-        bool, typer.Option("--accelerated", help="Let virtual:palm run as fast as the machine can.")
+        bool, Option("--accelerated", help="Let virtual:palm run as fast as the machine can.")
     ] = False,
 ) -> None:
     """Open the operator's page of the rig in the browser.
@@ -155,8 +138,6 @@ def studio(
 
 def _leave(client: RigClient, rig: str) -> str:
     """Leave the rig safe; what was done."""
-    from palpate.core.errors import PalpateError
-
     try:
         status = client.ask_status()
         if not status["recording"]:
@@ -168,7 +149,7 @@ def _leave(client: RigClient, rig: str) -> str:
             f"the recording {status['run']} is paused with the probe lifted, and its process waits; run "
             "palpate studio again to go on or to end it"
         )
-    except PalpateError as e:
+    except palpate.PalpateError as e:
         return (
             f"the rig {rig} does not answer ({e}); look at it, and use its own emergency switch if it moves"
         )

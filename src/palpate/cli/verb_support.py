@@ -1,31 +1,47 @@
-"""Options, errors as one line, progress and readers of typed words that the verbs share."""
+"""Groups of verbs, which report errors as one line; options, progress and readers of words they share."""
 
 from __future__ import annotations
 
-import functools
 import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, ParamSpec, TypeVar
+from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 from typer.core import TyperGroup
 
-P = ParamSpec("P")
-T = TypeVar("T")
-
-Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress bar.")]
-NewRun = Annotated[Path, typer.Argument(help="Run to make; must not exist.")]
-NewCalibration = Annotated[Path, typer.Option(help="Calibration folder to make; must not exist.")]
-Licence = Annotated[str, typer.Option(help="Licence of the data.")]
-Origin = Annotated[str, typer.Option(help="Where the data come from.")]
+Json = Annotated[bool, Option("--json", help="Print JSON instead of text.")]
+Quiet = Annotated[bool, Option("--quiet", help="Show no progress bar.")]
+NewRun = Annotated[Path, Argument(help="Run to make; must not exist.")]
+NewCalibration = Annotated[Path, Option(help="Calibration folder to make; must not exist.")]
+Licence = Annotated[str, Option(help="Licence of the data.")]
+Origin = Annotated[str, Option(help="Where the data come from.")]
+ForceTable = Annotated[Path, Option(help="CSV or Parquet: samples of force and the frame each is of.")]
+ForceColumn = Annotated[str | None, Option(help="Its column of force, if not a usual name.")]
+PositionColumn = Annotated[str | None, Option(help="Its column of position, if not a usual name.")]
+ForceRate = Annotated[float | None, Option(help="Rate of its rows [Hz], if it has no time_s.")]
 
 
 class Group(TyperGroup):
     """Commands under their headings, each with the whole first sentence of its help."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a verb; an expected error is printed as one line and ends with status 2, Ctrl-C with 130."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as e:
+            end = "stopped; nothing half-written is left, and a calibration goes on where it was"
+            typer.echo(f"palpate: {end}", err=True)
+            raise typer.Exit(130) from e
+        except Exception as e:
+            core = sys.modules.get("palpate.core")  # not imported: it loads NumPy, which no help needs
+            if core is None or not isinstance(e, core.PalpateError):
+                raise
+            typer.echo(f"palpate: {' '.join(str(e).split())}", err=True)
+            raise typer.Exit(2) from e
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write a section a heading; the names of all sections are as wide, so that sentences align."""
@@ -49,26 +65,6 @@ def group(help_text: str) -> typer.Typer:
     )
     app.callback()(lambda: None)
     return app
-
-
-def reports_errors(verb: Callable[P, T]) -> Callable[P, T]:
-    """Print an expected error as one line and end with status 2; Ctrl-C ends with 130."""
-
-    @functools.wraps(verb)
-    def wrapped(*args: P.args, **kwargs: P.kwargs) -> T:
-        from palpate.core.errors import PalpateError  # loads NumPy, which no help needs
-
-        try:
-            return verb(*args, **kwargs)
-        except PalpateError as e:
-            typer.echo(f"palpate: {' '.join(str(e).split())}", err=True)
-            raise typer.Exit(2) from e
-        except KeyboardInterrupt as e:
-            end = "stopped; nothing half-written is left, and a calibration goes on where it was"
-            typer.echo(f"palpate: {end}", err=True)
-            raise typer.Exit(130) from e
-
-    return wrapped
 
 
 def phases(quiet: bool) -> Callable[[str, int, int], None]:
