@@ -11,8 +11,8 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -85,55 +85,44 @@ def storage_errors(path: Path) -> Iterator[None]:
         raise StorageError(f"{path}: {e.strerror or e}; check the path and its permissions") from e
 
 
-@contextmanager
-def new_folder(path: Path) -> Iterator[Path]:
+def new_folder(path: Path) -> AbstractContextManager[Path]:
     """Build a folder beside `path`, and move it there only when the block ends well.
 
-    Yields:
-        The folder to fill. After an error it is removed, and `path` was never there.
+    Returns:
+        A context of the folder to fill. After an error it is removed, and `path` was never there.
 
     Raises:
         ExistsError: `path` exists.
         StorageError: the disk refused.
     """
+    return _moved_when_whole(path, Path.mkdir)
+
+
+def new_file(path: Path) -> AbstractContextManager[Path]:
+    """Write a file beside `path`, and move it there only when the block ends well.
+
+    Returns:
+        A context of the path to write to, of an empty file; errors as of `new_folder`.
+    """
+    return _moved_when_whole(path, Path.touch)
+
+
+@contextmanager
+def _moved_when_whole(path: Path, make: Callable[[Path], None]) -> Iterator[Path]:
     refuse_existing(path)
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        building = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent))
+        passing = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent))
         try:
-            building.chmod(0o777 & ~_umask())
+            building = passing / path.name  # made by name, so that its mode is what the umask allows
+            make(building)
             yield building
             sync_tree(building)
             refuse_existing(path)
             building.rename(path)
             sync(path.parent)
         finally:
-            if building.exists():
-                shutil.rmtree(building, ignore_errors=True)
-
-
-@contextmanager
-def new_file(path: Path) -> Iterator[Path]:
-    """Write a file under a passing name, and give it its own only when the block ends well.
-
-    Yields:
-        The path to write to; errors as of `new_folder`.
-    """
-    refuse_existing(path)
-    with storage_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent)
-        os.close(handle)
-        building = Path(name)
-        try:
-            building.chmod(0o666 & ~_umask())
-            yield building
-            sync(building)
-            refuse_existing(path)
-            building.rename(path)
-            sync(path.parent)
-        finally:
-            building.unlink(missing_ok=True)
+            shutil.rmtree(passing, ignore_errors=True)
 
 
 def sync(path: Path) -> None:
@@ -146,7 +135,7 @@ def sync(path: Path) -> None:
 
 
 def sync_tree(folder: Path) -> None:
-    """Have the operating system put a folder and everything in it on disk."""
+    """Have the operating system put a folder and everything in it on disk, or one file."""
     for path in sorted(folder.rglob("*")):
         sync(path)
     sync(folder)
@@ -164,9 +153,3 @@ def sha256_of_all(paths: Iterable[Path]) -> str:
     for path in paths:
         total.update(f"{path.name}\0{sha256_of(path)}\0".encode())
     return total.hexdigest()
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
