@@ -7,10 +7,10 @@ Each kind says what its coverage is a rate of, and its `contains` is the event t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from html import escape
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -56,6 +56,8 @@ class MeasurementResult:
         time_s: that frame's capture time [s].
     """
 
+    _WITH_UNIT: ClassVar[tuple[str, ...]]  # the fields of a kind that have the unit
+
     quantity: str
     unit: str
     coverage: float
@@ -84,22 +86,22 @@ class MeasurementResult:
         """
         if symbol == self.unit:
             return self
-        return replace(self, unit=symbol, **self._in_other_unit(self._conversion(symbol)))
+        old, new = unit(self.unit), unit(symbol)
+        if old.si != new.si:
+            raise UnitError(f"{self.quantity} is in {self.unit}, which cannot be shown in {symbol}")
+
+        def convert(part: Any) -> Any:
+            if isinstance(part, tuple):
+                return tuple(convert(one) for one in part)
+            if isinstance(part, Ellipsoid | AlignedBox):
+                return part.scaled(convert(1.0))
+            return new.from_si(old.to_si(part))
+
+        return replace(self, unit=symbol, **{name: convert(getattr(self, name)) for name in self._WITH_UNIT})
 
     def to_dict(self) -> dict[str, Any]:
         """The value, its interval and its verdict as plain values for JSON; what is no number is None."""
         return {**self._numbers(), "valid": self.valid, "why": self.why}
-
-    def _conversion(self, symbol: str) -> Callable[[Any], Any]:
-        """Function that turns a number or an array in this unit into one in another."""
-        old, new = unit(self.unit), unit(symbol)
-        if old.si != new.si:
-            raise UnitError(f"{self.quantity} is in {self.unit}, which cannot be shown in {symbol}")
-        return lambda value: new.from_si(old.to_si(value))
-
-    def _in_other_unit(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
-        """The fields that have the unit, converted."""
-        raise NotImplementedError
 
     def _numbers(self) -> dict[str, Any]:
         """The value and what surrounds it, as plain values."""
@@ -122,6 +124,8 @@ class Reading(MeasurementResult):
         calibrated_range: least and greatest value the calibration saw, in `unit`.
     """
 
+    _WITH_UNIT = ("value", "low", "high", "calibrated_range")
+
     value: float
     low: float
     high: float
@@ -131,18 +135,10 @@ class Reading(MeasurementResult):
         """True where a value, in `unit`, lies in the interval."""
         return bool(self.low <= truth <= self.high)
 
-    def _in_other_unit(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
-        ends = {name: convert(getattr(self, name)) for name in ("value", "low", "high")}
-        return {**ends, "calibrated_range": tuple(convert(end) for end in self.calibrated_range)}
-
     def _numbers(self) -> dict[str, Any]:
-        return {
-            "value": plain_number(self.value),
-            "unit": self.unit,
-            "low": plain_number(self.low),
-            "high": plain_number(self.high),
-            "range": _plain(self.calibrated_range),
-        }
+        value, low, high = _plain((self.value, self.low, self.high))
+        ends = {"low": low, "high": high, "range": _plain(self.calibrated_range)}
+        return {"value": value, "unit": self.unit, **ends}
 
     def __str__(self) -> str:
         half = (self.high - self.low) / 2
@@ -229,6 +225,8 @@ class CircularReading(MeasurementResult):
         calibrated_range: the arc that the calibration saw, from the first upwards to the second.
     """
 
+    _WITH_UNIT = ("value", "low", "high", "period", "calibrated_range")
+
     value: float
     low: float
     high: float
@@ -251,11 +249,6 @@ class CircularReading(MeasurementResult):
     def contains(self, truth: float) -> bool:
         """True where a value, in `unit`, lies on the arc."""
         return bool((truth - self.low) % self.period <= self.high - self.low)
-
-    def _in_other_unit(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
-        names = ("value", "low", "high", "period")
-        ends = {name: convert(getattr(self, name)) for name in names}
-        return {**ends, "calibrated_range": tuple(convert(end) for end in self.calibrated_range)}
 
     def _numbers(self) -> dict[str, Any]:
         numbers = {n: plain_number(getattr(self, n)) for n in ("value", "low", "high", "period")}
@@ -336,6 +329,8 @@ class VectorReading(MeasurementResult):
         calibrated_range: least and greatest of each component that the calibration saw ``[2 k]``, in `unit`.
     """
 
+    _WITH_UNIT = ("value", "region", "calibrated_range")
+
     components: tuple[str, ...]
     value: Float[np.ndarray, " k"]
     region: Ellipsoid | AlignedBox
@@ -371,13 +366,6 @@ class VectorReading(MeasurementResult):
             calibrated_range=(least, greatest),
             **provenance(self),
         )
-
-    def _in_other_unit(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
-        return {
-            "value": convert(self.value),
-            "region": self.region.scaled(convert(1.0)),
-            "calibrated_range": convert(self.calibrated_range),
-        }
 
     def _numbers(self) -> dict[str, Any]:
         region = self.region
@@ -430,6 +418,8 @@ class FieldReading(MeasurementResult):
         calibrated_range: least and greatest value the calibration saw, in `unit`.
     """
 
+    _WITH_UNIT = ("value", "low", "high", "calibrated_range")
+
     axes: tuple[GridAxis, ...]
     value: Float[np.ndarray, ...]
     low: Float[np.ndarray, ...]
@@ -447,10 +437,6 @@ class FieldReading(MeasurementResult):
     def contains(self, truth: Float[np.ndarray, ...]) -> Bool[np.ndarray, ...]:
         """Truth at each node of a field, in `unit`, lying in the interval; False where there is none."""
         return np.asarray((self.low <= truth) & (truth <= self.high))
-
-    def _in_other_unit(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
-        arrays = {name: convert(getattr(self, name)) for name in ("value", "low", "high")}
-        return {**arrays, "calibrated_range": tuple(convert(end) for end in self.calibrated_range)}
 
     def _numbers(self) -> dict[str, Any]:
         axes = [{"name": a.name, "unit": a.unit, "nodes": _plain(a.nodes)} for a in self.axes]
@@ -473,6 +459,8 @@ class SetReading(MeasurementResult):
         calibrated_range: least and greatest value the calibration saw, in `unit`.
     """
 
+    _WITH_UNIT = ("candidates", "calibrated_range")
+
     candidates: tuple[tuple[float, float, float], ...]
     calibrated_range: tuple[float, float]
 
@@ -488,13 +476,6 @@ class SetReading(MeasurementResult):
     def contains(self, truth: float) -> bool:
         """True where a value, in `unit`, lies in any candidate's interval."""
         return any(bool(low <= truth <= high) for _, low, high in self.candidates)
-
-    def _in_other_unit(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
-        candidates = tuple(tuple(convert(end) for end in one) for one in self.candidates)
-        return {
-            "candidates": candidates,
-            "calibrated_range": tuple(convert(end) for end in self.calibrated_range),
-        }
 
     def _numbers(self) -> dict[str, Any]:
         names = ("value", "low", "high")
