@@ -17,11 +17,9 @@ class Clock(Protocol):
 
     def now_ns(self) -> int:
         """Monotonic time [ns]; only differences mean anything."""
-        ...
 
     def sleep(self, seconds: float) -> None:
         """Wait [s]."""
-        ...
 
 
 class MonotonicClock:

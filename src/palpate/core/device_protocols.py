@@ -63,7 +63,6 @@ class Stage(Protocol):
     @property
     def travel(self) -> Travel:
         """Its reach, speed and stopping."""
-        ...
 
     def position_m(self) -> Position:
         """Position now, also on its way [m].
@@ -71,7 +70,6 @@ class Stage(Protocol):
         Raises:
             DeviceError: it does not answer, or its position is not known.
         """
-        ...
 
     def move_to(self, position_m: Position, speed_m_s: float) -> None:
         """Start moving in a straight line, and return at once.
@@ -80,7 +78,6 @@ class Stage(Protocol):
             RangeError: a position outside the travel or a speed it cannot run at; it does not move.
             DeviceError: it is moving already, is not ready, or refused.
         """
-        ...
 
     def moving(self) -> bool:
         """True while the last move is under way.
@@ -88,7 +85,6 @@ class Stage(Protocol):
         Raises:
             DeviceError: it does not answer, or has stopped by itself where it was not sent.
         """
-        ...
 
     def stop(self) -> None:
         """Slow down to a stand at once and forget the move; returns when it stands, its position known.
@@ -98,11 +94,9 @@ class Stage(Protocol):
         Raises:
             DeviceError: it could not be brought to a stand, or its position was lost.
         """
-        ...
 
     def close(self) -> None:
         """Stop, and let go of the device. Closing again does nothing."""
-        ...
 
 
 @runtime_checkable
@@ -112,12 +106,10 @@ class ForceSensor(Protocol):
     @property
     def rate_hz(self) -> float:
         """Samples a second."""
-        ...
 
     @property
     def range_n(self) -> tuple[float, float, float]:
         """Greatest force along each axis that it can measure, to either side [N]."""
-        ...
 
     def latest(self) -> Wrench:
         """The newest sample, which may be old: its time tells.
@@ -125,7 +117,6 @@ class ForceSensor(Protocol):
         Raises:
             DeviceError: there was none yet, or the device is gone.
         """
-        ...
 
     def drain(self) -> list[Wrench]:
         """All samples since the last call, oldest first.
@@ -133,11 +124,9 @@ class ForceSensor(Protocol):
         Raises:
             DeviceError: the device is gone, or more were lost for want of calls than are kept.
         """
-        ...
 
     def close(self) -> None:
         """Stop measuring and let go of the device. Closing again does nothing."""
-        ...
 
 
 @runtime_checkable
@@ -147,12 +136,10 @@ class Camera(Protocol):
     @property
     def rate_hz(self) -> float:
         """Frames a second."""
-        ...
 
     @property
     def size_px(self) -> tuple[int, int]:
         """(width, height) of every frame [px]."""
-        ...
 
     def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
         """The next frame that is exposed wholly after this call, and when its exposure ended [ns].
@@ -160,11 +147,9 @@ class Camera(Protocol):
         Raises:
             DeviceError: none came in time, its size or format changed, or the device is gone.
         """
-        ...
 
     def close(self) -> None:
         """Let go of the device. Closing again does nothing."""
-        ...
 
 
 @runtime_checkable
@@ -173,4 +158,3 @@ class FrameSource(Camera, Protocol):
 
     def drain(self) -> list[tuple[int, Frame]]:
         """All frames since the last call or `grab`, oldest first, each with when its exposure ended [ns]."""
-        ...

@@ -1,23 +1,4 @@
-"""One tree of errors. A message says what was asked, what is allowed, the unit and what to do.
-
-PalpateError
-├── InputError              what was given cannot be used
-│   ├── UnitError           a column or quantity without a known unit
-│   ├── RangeError          outside the range where a law or a device is valid
-│   ├── ImageError          an image that is missing, damaged, too large or of another kind
-│   ├── ColumnError         no reading of that name or quantity
-│   ├── PluginError         a plug-in that cannot be imported, or breaks a law
-│   ├── LabelError          a table of labels that does not fit its images
-│   └── SplitError          a split that the data cannot carry
-├── ExistsError             the path exists; nothing is ever overwritten
-├── StorageError            the disk is full, or refused a read or a write
-├── RecordingError          a run that cannot be read as one
-├── CertificateError        a calibration whose parts do not belong together
-├── DeviceError             a device that is gone, does not answer, or refuses
-│   └── ProtocolError       bytes that are not the device's language
-├── SafetyError             motion was refused or stopped by a guard
-└── MissingExtraError       an optional package is needed for what was asked
-"""
+"""One tree of errors. A message says what was asked, what is allowed, the unit and what to do."""
 
 from __future__ import annotations
 

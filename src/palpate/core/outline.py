@@ -65,14 +65,6 @@ class Outline:
             )
         return cls(float(np.hypot(*at.T).max()), corners)
 
-    @property
-    def extent_m(self) -> tuple[float, float, float, float]:
-        """Least x, least y, greatest x, greatest y [m]."""
-        if not self.corners_m:
-            return -self.radius_m, -self.radius_m, self.radius_m, self.radius_m
-        xs, ys = zip(*self.corners_m, strict=True)
-        return min(xs), min(ys), max(xs), max(ys)
-
     def contains(self, x_m: float, y_m: float, probe_radius_m: float = 0.0) -> bool:
         """True where a round probe lies wholly inside."""
         inside = float(self._signed(np.array([x_m]), np.array([y_m]))[0])

@@ -103,56 +103,45 @@ class Sensor(Protocol):
     @property
     def name(self) -> str:
         """Name of it in its frames and runs."""
-        ...
 
     @property
     def spec(self) -> Any:
         """Every number of it: a frozen dataclass."""
-        ...
 
     @property
     def frame_px(self) -> tuple[int, int]:
         """(width, height) of its frames [px]."""
-        ...
 
     @property
     def rectified_px(self) -> tuple[int, int]:
         """(width, height) of a rectified frame [px]."""
-        ...
 
     @property
     def rate_hz(self) -> float:
         """Frames a second."""
-        ...
 
     @property
     def exposure_s(self) -> float:
         """Exposure of a frame [s]."""
-        ...
 
     @property
     def moves(self) -> Literal["probe", "sensor"]:
         """Which of the two a stage moves; poses are the probe's either way."""
-        ...
 
     @property
     def outline(self) -> Outline:
         """Part of the skin on which a probe may come down."""
-        ...
 
     @property
     def axes(self) -> ImageAxes:
         """Directions of the skin in its image."""
-        ...
 
     @property
     def default_probe(self) -> str:
         """The words of the probe that its protocol presses."""
-        ...
 
     def regions(self) -> Mapping[str, Box]:
         """Parts of the frame that matter, by name, (x, y, width, height) [px]."""
-        ...
 
     def probe(self, words: str) -> Probe:
         """A probe from words, such as "sphere:10".
@@ -160,11 +149,9 @@ class Sensor(Protocol):
         Raises:
             InputError: the sensor knows no such probe; the message lists what it knows.
         """
-        ...
 
     def specimen(self, words: str) -> Specimen | None:
         """The compliant body that the same words name; None for a rigid probe."""
-        ...
 
     def press(
         self, probe: Probe, pose: Pose, specimen: Specimen | None = None, history: PressHistory = FRESH
@@ -180,25 +167,20 @@ class Sensor(Protocol):
         Raises:
             RangeError: beyond what the sensor's laws know.
         """
-        ...
 
     def known_depth_m(
         self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
     ) -> float:
         """The deepest press that is known, with a lateral load or without; 0 for none [m]."""
-        ...
 
     def render(self, contact: Contact, rng: np.random.Generator, seating: Seating = SEATED) -> Frame:
         """The camera's frame of a contact; `rng` is the only source of chance."""
-        ...
 
     def rectify(self, frame: Frame) -> Frame:
         """A frame cut and scaled to `rectified_px`: what an estimator of this sensor is given."""
-        ...
 
     def default_plan(self) -> Mapping[str, Any]:
         """The fields of a plan that records it by its own protocol, as in a plan's file."""
-        ...
 
 
 def force_law(sensor: Sensor, probe: Probe, specimen: Specimen | None = None) -> ForceLaw:
@@ -222,20 +204,17 @@ def force_law(sensor: Sensor, probe: Probe, specimen: Specimen | None = None) ->
 
 def variation_of(sensor: Sensor) -> Mapping[str, Any]:
     """Variation of a sensor's presses in the virtual rig's words: its own `variation()`, or nothing."""
-    own = getattr(sensor, "variation", None)
-    return {} if own is None else own()
+    return getattr(sensor, "variation", dict)()
 
 
 def plans_of(sensor: Sensor) -> Mapping[str, Mapping[str, Any]]:
     """Plans beside its default one, by its own `plans()`: name, begun as the sensor's -> a file's fields."""
-    own = getattr(sensor, "plans", None)
-    return {} if own is None else own()
+    return getattr(sensor, "plans", dict)()
 
 
 def for_rig(sensor: Sensor) -> Sensor:
     """The same sensor at the size that a virtual rig films: its own `for_rig()`, or itself."""
-    own = getattr(sensor, "for_rig", None)
-    return sensor if own is None else own()
+    return getattr(sensor, "for_rig", lambda: sensor)()
 
 
 def untouched(sensor: Sensor) -> Contact:

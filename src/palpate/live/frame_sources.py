@@ -32,11 +32,9 @@ class FrameStream(Protocol):
 
     def __len__(self) -> int:
         """Number of frames."""
-        ...
 
     def __iter__(self) -> Iterator[Frame | Unreadable]:
         """The frames in order; one that cannot be opened says why and does not end the sequence."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
