@@ -19,26 +19,15 @@ if TYPE_CHECKING:
     from palpate.reports import write_report
     from palpate.workflows import certify, run_demo
 
-_ROOMS = {
-    "CalibrationPlan": "calibration",
-    "Estimator": "estimators",
-    "Frame": "core",
-    "Manifest": "recordings",
-    "PalpateError": "core",
-    "Reading": "core",
-    "Readings": "core",
-    "Run": "recordings",
-    "RunWriter": "recordings",
-    "calibrate": "calibration",
-    "certify": "workflows",
-    "evaluate": "calibration",
-    "import_images": "recordings",
-    "open_source": "live",
-    "read_image": "recordings",
-    "run_demo": "workflows",
-    "sense": "live",
-    "sensor": "core.sensor",
-    "write_report": "reports",
+_NAMES = {
+    "calibration": ("CalibrationPlan", "calibrate", "evaluate"),
+    "core": ("Frame", "PalpateError", "Reading", "Readings"),
+    "core.sensor": ("sensor",),
+    "estimators": ("Estimator",),
+    "live": ("open_source", "sense"),
+    "recordings": ("Manifest", "Run", "RunWriter", "import_images", "read_image"),
+    "reports": ("write_report",),
+    "workflows": ("certify", "run_demo"),
 }
 
 __all__ = [
@@ -69,8 +58,9 @@ def __getattr__(name: str) -> Any:
     if name == "Plan":
         warn("palpate.Plan is now called palpate.CalibrationPlan", DeprecationWarning, stacklevel=2)
         name = "CalibrationPlan"
-    if name in _ROOMS:
-        return getattr(import_module(f"palpate.{_ROOMS[name]}"), name)
+    for module, names in _NAMES.items():
+        if name in names:
+            return getattr(import_module(f"palpate.{module}"), name)
     raise AttributeError(f"palpate has no {name!r}; it has {', '.join(__all__)}")
 
 

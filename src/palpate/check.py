@@ -34,12 +34,10 @@ if TYPE_CHECKING:
     from palpate.devices.check import check_camera, check_force_sensor, check_stage
     from palpate.rig.rig_check import check_rig
 
-_MODULES = {
-    "check_camera": "palpate.devices.check",
-    "check_force_sensor": "palpate.devices.check",
-    "check_model": "palpate.calibration.model_check",
-    "check_rig": "palpate.rig.rig_check",
-    "check_stage": "palpate.devices.check",
+_NAMES = {
+    "palpate.calibration.model_check": ("check_model",),
+    "palpate.devices.check": ("check_camera", "check_force_sensor", "check_stage"),
+    "palpate.rig.rig_check": ("check_rig",),
 }
 
 __all__ = [
@@ -322,6 +320,7 @@ def _reach_m(sensor: Sensor) -> float:
 
 
 def __getattr__(name: str) -> Any:
-    if name in _MODULES:
-        return getattr(import_module(_MODULES[name]), name)
+    for module, names in _NAMES.items():
+        if name in names:
+            return getattr(import_module(module), name)
     raise AttributeError(f"palpate.check has no {name!r}; it has {', '.join(__all__)}")

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 import pytest
 
 from palpate.rig.plans import PLANS, plan_from
-from palpate.studio import palette, status_text, svg_drawing
+from palpate.studio import page_style, status_text, svg_drawing
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -98,19 +98,17 @@ def test_the_pages_wear_the_reports_colours():
     from palpate.reports import calibration_figures
 
     for name in ("INK", "ACCENT", "BAND", "BAD"):
-        assert getattr(palette, name) == getattr(calibration_figures, name)
+        assert getattr(page_style, name) == getattr(calibration_figures, name)
 
 
 def test_nothing_on_the_page_comes_from_elsewhere():
-    from palpate.studio import page_style
-
     for text in (page_style.style(), page_style.text_of("estop.html")):
         assert not re.search(r"https?:|//[a-z]|@import|url\(", text)
 
 
 def test_the_page_stops_over_the_path_and_with_the_header_that_are_answered():
     pytest.importorskip("fastapi", reason="NiceGUI is not installed")
-    from palpate.studio import page_server, page_style
+    from palpate.studio import page_server
 
     assert f'fetch("{page_server.PATH}"' in page_style.text_of("estop.html")
     assert f'"{page_server.HEADER}": "estop"' in page_style.text_of("estop.html")

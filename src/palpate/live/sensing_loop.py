@@ -58,7 +58,11 @@ def sense(estimator: Estimator, source: FrameStream, zero: Zero | None = None) -
     Raises:
         ImageError: the calibration is differential, and there is no image of the untouched sensor.
     """
-    zeros = _zeros(estimator, source) if zero is None and isinstance(source, RunFrames) else {}
+    zeros: dict[int, Zero] = {}
+    if zero is None and isinstance(source, RunFrames):
+        from palpate.calibration.evaluation import zeros_of  # loads tables, which no image needs
+
+        zeros = zeros_of(estimator, source.run)
     for i, frame in enumerate(source):
         started = time.perf_counter()
         if isinstance(frame, Unreadable):
@@ -66,13 +70,6 @@ def sense(estimator: Estimator, source: FrameStream, zero: Zero | None = None) -
         else:
             readings = estimator.read(frame, zero or zeros.get(i))
         yield Sensed(frame.name, frame.time_s, readings, time.perf_counter() - started)
-
-
-def _zeros(estimator: Estimator, source: RunFrames) -> dict[int, Zero]:
-    """The untouched sensor at each row, by the run's labels."""
-    from palpate.calibration.evaluation import zeros_of  # loads tables, which no image needs
-
-    return zeros_of(estimator, source.run)
 
 
 def _drift(drift: Drift | None) -> dict[str, Any] | None:

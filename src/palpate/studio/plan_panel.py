@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine, Mapping
+from copy import deepcopy
 from html import escape
 from typing import Any
 
@@ -121,7 +122,7 @@ class PlanPanel:
         number = int(value) if whole and value is not None and value == int(value) else value
         if number == _get(self._current, name):
             return
-        draft = _copied(self._current)
+        draft = deepcopy(self._current)
         _set(draft, name, number)
         draft["name"] = "by-hand" if draft["name"] in PLANS else draft["name"]
         self._draft = draft
@@ -185,7 +186,3 @@ def _set(fields: dict[str, Any], name: str, value: Any) -> None:
     for group in groups:
         fields = fields[group]
     fields[last] = value
-
-
-def _copied(fields: dict[str, Any]) -> dict[str, Any]:
-    return {name: dict(value) if isinstance(value, dict) else value for name, value in fields.items()}

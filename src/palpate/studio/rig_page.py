@@ -15,7 +15,7 @@ from nicegui import run, ui
 from palpate.core import PalpateError
 from palpate.rig.service.rig_client import RigClient
 from palpate.studio import page_style, status_text, svg_drawing
-from palpate.studio.palette import ACCENT, AXES, BAD, INK, SOFT
+from palpate.studio.page_style import ACCENT, AXES, BAD, INK, SOFT
 from palpate.studio.plan_panel import PlanPanel
 
 REFRESH_S = 0.2
@@ -64,7 +64,7 @@ class RigPage:
     def _hold_banner(self) -> None:
         with ui.element("div").classes("heldbar").props('id="held"') as self._banner:
             ui.label("Emergency stop: the stage is held, also from moving away. What was recorded is kept.")
-            button = ui.button("Release…", on_click=self._ask_release)
+            button = ui.button("Release…", on_click=lambda: self._dialog.open())
             button.props('outline no-caps color=negative id="release"')
         self._banner.set_visibility(False)
         with ui.dialog() as self._dialog, ui.card().style("max-width: 460px"):
@@ -131,9 +131,6 @@ class RigPage:
     async def _begin(self) -> None:
         self._start.disable()
         await self._act("start", str(self._name.value or ""))
-
-    def _ask_release(self) -> None:
-        self._dialog.open()
 
     async def _release(self) -> None:
         self._dialog.close()

@@ -9,7 +9,6 @@ from palpate.rig.plans import RecordingPlan, Size
 from palpate.rig.plans.press_places import ROUNDING_MM
 
 WISHES = {"pause": "pausing", "stop": "stops after this press", "abort": "aborting", "estop": "stopping"}
-CALM = {"running", "done", "paused", "ready", "stopped"}
 
 
 def duration(seconds: float | None) -> str:
@@ -30,9 +29,7 @@ def time_left(status: Mapping[str, Any]) -> str:
         return "complete"
     if not status["recording"] and status["shots"]:
         return f"{status['planned'] - status['shots']:,} left"
-    if not status["recording"]:
-        return f"about {duration(status['size']['seconds'])} in all"
-    if status["left_s"] is None:
+    if not status["recording"] or status["left_s"] is None:
         return f"about {duration(status['size']['seconds'])} in all"
     return f"about {duration(status['left_s'])} left"
 

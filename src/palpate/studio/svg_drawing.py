@@ -8,7 +8,7 @@ from html import escape
 from typing import Any
 
 from palpate.rig.plans.press_places import Place
-from palpate.studio.palette import ACCENT, AXES, BAD, BAND, INK, LINE, SOFT
+from palpate.studio.page_style import ACCENT, AXES, BAD, BAND, INK, LINE, SOFT
 
 MAX_PLACES = 3000  # that are drawn
 SPAN_S = 20.0  # of the force's time axis
