@@ -15,7 +15,7 @@ from palpate.cli.verb_support import (
     Json,
     NewCalibration,
     Quiet,
-    columns_of,
+    names_of,
     numbers_of,
     options_of,
     print_found,
@@ -96,7 +96,7 @@ def calibrate(
     if kind.regions and crops[0] is None:
         crops = model_regions(recorded.manifest, kind.regions)  # type: ignore[assignment]
     plan = palpate.CalibrationPlan(
-        targets=columns_of(targets) or kind.targets or recorded.manifest.targets,
+        targets=names_of(targets) or kind.targets or recorded.manifest.targets,
         model=model,
         split=split,
         folds=folds,
@@ -107,7 +107,7 @@ def calibrate(
         crop_px=crops[0],
         beside_px=crops[1],
         delta=bool(kind.delta) if delta is None else delta,
-        reference=ReferenceRule.parse(reference, columns_of(reference_by)) if reference else None,
+        reference=ReferenceRule.parse(reference, names_of(reference_by)) if reference else None,
         learn_untouched=learn_untouched,
         options=options_of(option or []),
     )

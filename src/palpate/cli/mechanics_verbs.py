@@ -59,7 +59,7 @@ def hertz(
     d = _depth(depth_mm, force_n, lambda F: law.depth_from_force(F, R, *skin))
     a, p0 = law.contact_radius(d, R), law.peak_pressure(d, R, *skin)
     shear, z = greatest_shear(poisson)
-    return _found(law.force_from_depth(d, R, *skin), d, a) | {
+    return _scalars(law.force_from_depth(d, R, *skin), d, a) | {
         "peak_pressure_kPa": p0 / 1e3,
         "greatest_shear_kPa": shear * p0 / 1e3,
         "greatest_shear_depth_mm": z * a * 1e3,
@@ -88,7 +88,7 @@ def sphere(
     d = _depth(depth_mm, force_n, lambda F: law.sphere_depth_from_force(F, R, *skin))
     a = law.sphere_radius_from_depth(d, R)
     p0 = float(law.sphere_pressure(np.zeros(1), a, R, *skin)[0])
-    return _found(law.sphere_force_from_radius(a, R, *skin), d, a) | {
+    return _scalars(law.sphere_force_from_radius(a, R, *skin), d, a) | {
         "peak_pressure_kPa": p0 / 1e3,
         "law": law.MODEL.format(shape="sphere"),
     }
@@ -112,7 +112,7 @@ def punch(
     R, skin = radius_mm / 1e3, (modulus_kpa * 1e3, poisson)
     d = _depth(depth_mm, force_n, lambda F: law.punch_depth(F, R, *skin))
     F = law.punch_force(d, R, *skin)
-    return _found(F, d, R) | {
+    return _scalars(F, d, R) | {
         "mean_pressure_kPa": F / (math.pi * R**2) / 1e3,
         "law": law.MODEL.format(shape="flat punch"),
     }
@@ -137,7 +137,7 @@ def cone(
     d = _depth(depth_mm, force_n, lambda F: law.cone_depth(F, alpha, *skin))
     a, F = law.cone_radius(d, alpha), law.cone_force(d, alpha, *skin)
     mean = F / (math.pi * a**2) if a else 0.0
-    return _found(F, d, a) | {"mean_pressure_kPa": mean / 1e3, "law": law.MODEL.format(shape="cone")}
+    return _scalars(F, d, a) | {"mean_pressure_kPa": mean / 1e3, "law": law.MODEL.format(shape="cone")}
 
 
 @verb
@@ -204,7 +204,7 @@ def jkr(
     F = force_n or 0.0 if depth_mm is None else ball.force_from_depth(depth_mm / 1e3)
     a = ball.radius_from_force(F) if depth_mm is None else ball.radius_from_depth(depth_mm / 1e3)
     tabor = ball.tabor_parameter(range_nm * 1e-9)
-    return _found(F, ball.depth_from_radius(a), a) | {
+    return _scalars(F, ball.depth_from_radius(a), a) | {
         "pull_off_force_N": ball.pull_off_force_n,
         "pull_off_depth_mm": ball.pull_off_depth_m * 1e3,
         "tabor_ratio": tabor,
@@ -281,7 +281,7 @@ def _depth(depth_mm: float | None, force_n: float | None, of_force: Callable[[fl
     return depth_mm / 1e3 if depth_mm is not None else of_force(force_n or 0.0)
 
 
-def _found(force_n: float, depth_m: float, radius_m: float) -> Answer:
+def _scalars(force_n: float, depth_m: float, radius_m: float) -> Answer:
     return {"force_N": force_n, "depth_mm": depth_m * 1e3, "contact_radius_mm": radius_m * 1e3}
 
 

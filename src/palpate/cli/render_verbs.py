@@ -148,10 +148,10 @@ def tactip(
     spec = replace(palpate.sensor(f"tactip-{pins}").spec, tip=tip, speed_m_s=1e-3 * speed_mm_s)
     with progress_bar(quiet) as progress:
         pressed = specimens_at(spec, stiffness, math.radians(tilt_deg), progress=progress)
-        made = record_trials(
+        folder = record_trials(
             out, spec, pressed, trials, seed=seed, unknown=hidden, runs=runs, progress=progress
         )
-    result, text = _trials_text(made, stiffness, tilt_deg, runs)
+    result, text = _trials_text(folder, stiffness, tilt_deg, runs)
     print_found(result, text, json_)
 
 
@@ -173,15 +173,15 @@ def _stiffnesses(pairs: list[str], rigid: bool) -> dict[str, float]:
 
 
 def _trials_text(
-    made: PressFolder, stiffness_n_m: Mapping[str, float], tilt_deg: float, runs: bool
+    folder: PressFolder, stiffness_n_m: Mapping[str, float], tilt_deg: float, runs: bool
 ) -> tuple[dict[str, Any], str]:
     """Result as values and as text."""
     from palpate.workflows.tactip_trials import TRUTH, stiffness_shown
 
-    presses = sum(len(one.presses) for one in made.specimens)
+    presses = sum(len(one.presses) for one in folder.specimens)
     shown = {name: stiffness_shown(k) for name, k in stiffness_n_m.items()}
     result = {
-        "out": str(made.path),
+        "out": str(folder.path),
         "virtual": True,
         "presses": presses,
         "runs": presses if runs else 0,
@@ -190,7 +190,7 @@ def _trials_text(
     }
     what = "press" if presses == 1 else "presses"
     lines = [
-        f"{made.path}: {presses} virtual {what} at {tilt_deg:g} degrees, not measured",
+        f"{folder.path}: {presses} virtual {what} at {tilt_deg:g} degrees, not measured",
         *(f"  {name}: {'a rigid plate' if k == 'inf' else f'{k:.4g} N/mm'}" for name, k in shown.items()),
         f"  a press is a TIFF and a table{' and a run' if runs else ''}; the truth behind them: {TRUTH}",
     ]

@@ -118,7 +118,7 @@ def studio(
     Example: palpate studio --port 8080
     """
     from palpate.rig.service import RigClient, launch, rig_name
-    from palpate.studio.page_server import check_needed, check_port, serve
+    from palpate.studio.page_server import check_needed, check_port, serve_pages
 
     rig = rig_name(rig)
     check_needed()
@@ -131,7 +131,7 @@ def studio(
         typer.echo(f"http://127.0.0.1:{port}  (Ctrl-C ends the page, and pauses a recording)")
         try:
             with contextlib.suppress(KeyboardInterrupt):
-                serve(client, port, runs.absolute())
+                serve_pages(client, port, runs.absolute())
         finally:
             typer.echo(_leave(client, rig))
 

@@ -102,7 +102,7 @@ def progress_bar(quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
         yield show
 
 
-def columns_of(text: str) -> tuple[str, ...]:
+def names_of(text: str) -> tuple[str, ...]:
     """Names from a comma-separated list."""
     return tuple(name.strip() for name in text.split(",") if name.strip())
 

@@ -13,7 +13,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from fastapi import FastAPI, Request
+from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 
 from palpate.core import DeviceError, MissingExtraError, PalpateError
@@ -48,7 +48,7 @@ ALIVE_S = 300  # a connection, so that an emergency stop need not open one
 SWITCH_S = 0.001  # between threads, for the same reason
 
 
-def serve(client: RigClient, port: int, runs: Path) -> None:
+def serve_pages(client: RigClient, port: int, runs: Path) -> None:
     """Serve the pages until the process is told to end (Ctrl-C).
 
     Args:
@@ -71,9 +71,8 @@ def serve(client: RigClient, port: int, runs: Path) -> None:
     uvicorn.Server(config).run()
 
 
-def make_app(client: RigClient, runs: Path):  # type: ignore[no-untyped-def]
+def make_app(client: RigClient, runs: Path) -> FastAPI:
     """The pages, the emergency stop's own address, and the newest picture."""
-    from fastapi import FastAPI, Response
     from nicegui import ui
     from starlette.middleware.trustedhost import TrustedHostMiddleware
 

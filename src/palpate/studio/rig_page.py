@@ -34,8 +34,8 @@ class RigPage:
         self._client = client
         self._runs = runs
         self._busy = False
-        self._seen_log = -1
-        self._seen_picture = -1
+        self._log_count = -1
+        self._picture_number = -1
         self._serial = -1
         self._last_run = ""
         ui.add_css(page_style.style())
@@ -51,8 +51,8 @@ class RigPage:
                 self._force_card()
             with ui.element("div"):
                 self._recording_card()
-                self._devices_card()
-                self._log_card()
+                self._devices = self._list_card("Devices", "devices")
+                self._log = self._list_card("Events", "log")
         ui.timer(REFRESH_S, self._refresh)
 
     def _top(self) -> None:
@@ -62,11 +62,6 @@ class RigPage:
             self._progress = ui.html("", sanitize=False).classes("progress").props('id="progress"')
 
     def _hold_banner(self) -> None:
-        with ui.element("div").classes("heldbar").props('id="held"') as self._banner:
-            ui.label("Emergency stop: the stage is held, also from moving away. What was recorded is kept.")
-            button = ui.button("Release…", on_click=lambda: self._dialog.open())
-            button.props('outline no-caps color=negative id="release"')
-        self._banner.set_visibility(False)
         with ui.dialog() as self._dialog, ui.card().style("max-width: 460px"):
             ui.label("Release the emergency stop?").style("font-size: 17px; font-weight: 650")
             ui.label(
@@ -76,19 +71,24 @@ class RigPage:
             with ui.row().classes("w-full justify-end"):
                 ui.button("Keep it held", on_click=self._dialog.close).props("flat no-caps")
                 ui.button("Release", on_click=self._release).props('unelevated no-caps id="release-yes"')
+        with ui.element("div").classes("heldbar").props('id="held"') as self._banner:
+            ui.label("Emergency stop: the stage is held, also from moving away. What was recorded is kept.")
+            button = ui.button("Release…", on_click=self._dialog.open)
+            button.props('outline no-caps color=negative id="release"')
+        self._banner.set_visibility(False)
 
     def _camera_card(self) -> None:
         with ui.element("section").classes("card camera"):
             ui.html("<h2>Camera</h2>", sanitize=False)
             self._picture = ui.interactive_image("", sanitize=False).props('id="camera"')
-            self._picture_said = ui.label("no frame yet").classes("soft")
+            self._picture_note = ui.label("no frame yet").classes("soft")
 
     def _force_card(self) -> None:
         with ui.element("section").classes("card force"):
             ui.html("<h2>Force on the skin</h2>", sanitize=False)
             self._force_now = ui.html("", sanitize=False).classes("now").props('id="force-now"')
             self._force = ui.html("", sanitize=False).props('id="force"')
-            self._force_said = ui.label("").classes("soft")
+            self._force_note = ui.label("").classes("soft")
 
     def _recording_card(self) -> None:
         with ui.element("section").classes("card"):
@@ -96,28 +96,23 @@ class RigPage:
             self._name = ui.input("run", value=f"run-{datetime.now().astimezone():%Y-%m-%d-%H%M}")
             self._name.props("dense outlined").classes("w-full run-name")
             with ui.element("div").classes("buttons"):
-                self._start = self._button("Start", self._begin, "start", "unelevated").classes("wide")
-                self._pause = self._button("Pause", lambda: self._act("pause"), "pause", "outline")
-                self._resume = self._button("Resume", lambda: self._act("resume"), "resume", "outline")
-                self._stop = self._button("Stop after press", lambda: self._act("stop"), "stop", "outline")
-                self._abort = self._button(
-                    "Abort", lambda: self._act("abort"), "abort", "outline color=negative"
-                )
+                self._start = self._button("Start", "start", "unelevated", self._begin).classes("wide")
+                self._pause = self._button("Pause", "pause")
+                self._resume = self._button("Resume", "resume")
+                self._stop = self._button("Stop after press", "stop")
+                self._abort = self._button("Abort", "abort", "outline color=negative")
             self._doing = ui.html("", sanitize=False).classes("doing").props('id="doing"')
             self._where = ui.label(f"into {self._runs}").classes("soft").style("overflow-wrap: anywhere")
 
-    def _devices_card(self) -> None:
+    def _list_card(self, title: str, name: str) -> ui.html:
         with ui.element("section").classes("card"):
-            ui.html("<h2>Devices</h2>", sanitize=False)
-            self._devices = ui.html("", sanitize=False).classes("devices").props('id="devices"')
+            ui.html(f"<h2>{title}</h2>", sanitize=False)
+            return ui.html("", sanitize=False).classes(name).props(f'id="{name}"')
 
-    def _log_card(self) -> None:
-        with ui.element("section").classes("card"):
-            ui.html("<h2>Events</h2>", sanitize=False)
-            self._log = ui.html("", sanitize=False).classes("log").props('id="log"')
-
-    def _button(self, text: str, ask: Any, name: str, props: str) -> ui.button:
-        return ui.button(text, on_click=ask).props(f'{props} no-caps id="{name}"')
+    def _button(self, text: str, name: str, props: str = "outline", ask: Any = None) -> ui.button:
+        """A button that asks the rig for what its name says, or calls `ask`."""
+        button = ui.button(text, on_click=ask or (lambda: self._act(name)))
+        return button.props(f'{props} no-caps id="{name}"')
 
     async def _act(self, name: str, *words: Any) -> bool:
         """Ask the rig's process, off the page's own loop; what it refuses is said."""
@@ -194,8 +189,8 @@ class RigPage:
         message = escape(status_text.doing(status))
         colour = BAD if status["state"] == "failed" and not recording else INK if recording else SOFT
         self._doing.set_content(f'<span style="color:{colour}">{message}</span>')
-        if status["log_count"] != self._seen_log:
-            self._seen_log = status["log_count"]
+        if status["log_count"] != self._log_count:
+            self._log_count = status["log_count"]
             self._log.set_content("".join(_log_line(line) for line in reversed(status["log"])))
 
     def _left_over(self, status: Mapping[str, Any]) -> bool:
@@ -226,20 +221,20 @@ class RigPage:
         self._force_now.set_content("".join(words))
         self._force.set_content(svg_drawing.force_svg(status["series"]))
         zero = "less its zero in the air" if status["tared"] else "as measured: its zero is not taken off yet"
-        self._force_said.set_text(
+        self._force_note.set_text(
             f"{zero}; positive into the skin; the rig stops at {status['limits']['force_n']:g} N"
         )
 
     def _show_picture(self, status: Mapping[str, Any]) -> None:
         picture = self._client.picture
-        if picture is None or picture[0] == self._seen_picture:
+        if picture is None or picture[0] == self._picture_number:
             return
         number, _, size_px = picture
-        first, self._seen_picture = self._seen_picture < 0, number
+        first, self._picture_number = self._picture_number < 0, number
         if first:
             self._picture.set_content(svg_drawing.regions_svg(status["regions"], size_px))
             names = ", ".join(region["name"] for region in status["regions"])
-            self._picture_said.set_text(f"{size_px[0]} × {size_px[1]} px; boxes: {names or 'none'}")
+            self._picture_note.set_text(f"{size_px[0]} × {size_px[1]} px; boxes: {names or 'none'}")
         self._picture.set_source(f"/picture?{number}")
 
 

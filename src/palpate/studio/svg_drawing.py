@@ -9,6 +9,7 @@ from typing import Any
 
 from palpate.rig.plans.press_places import Place
 from palpate.studio.page_style import ACCENT, AXES, BAD, BAND, INK, LINE, SOFT
+from palpate.studio.status_text import number
 
 MAX_PLACES = 3000  # that are drawn
 SPAN_S = 20.0  # of the force's time axis
@@ -83,6 +84,7 @@ def force_svg(series: Mapping[str, Sequence[float]]) -> str:
     values = [v for axis in AXES for v in series[axis]]
     low, high = _range(values)
     step = _nice((high - low) / 4)
+    digits = max(0, -math.floor(math.log10(step) + 1e-9))
 
     def across(age: float) -> float:
         return LEFT + (1 - age / SPAN_S) * (WIDTH - LEFT - RIGHT)
@@ -97,7 +99,7 @@ def force_svg(series: Mapping[str, Sequence[float]]) -> str:
         parts.append(
             f'<path d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}" stroke="{SOFT if zero else LINE}" '
             f'stroke-width="{1.2 if zero else 1}"/>'
-            f'<text x="{LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{_number(i * step, step)}</text>'
+            f'<text x="{LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{number(i * step, digits)}</text>'
         )
     for age in (20, 15, 10, 5, 0):
         anchor = "end" if age == 0 else "middle"
@@ -148,8 +150,3 @@ def _nice(step: float) -> float:
     """The next 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(step))
     return next(n * power for n in (1, 2, 5, 10) if n * power >= step * (1 - 1e-9))
-
-
-def _number(value: float, step: float) -> str:
-    digits = max(0, -math.floor(math.log10(step) + 1e-9))
-    return f"{value:.{digits}f}".replace("-", "−")
