@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import tifffile
 from numpy.testing import assert_allclose
+from tests.oracles.plain_flow import derivatives, divergence as plain_divergence, horn_schunck
 
 from palpate.core.errors import ImageError, InputError, RangeError
 from palpate.estimators.flow import (
@@ -17,9 +18,8 @@ from palpate.estimators.flow import (
     divergence,
     farneback,
     flow,
-    horn_schunck,
 )
-from palpate.estimators.flow.horn_schunck import brightness, derivatives, divergence as plain_divergence
+from palpate.estimators.flow.horn_schunck import brightness
 from palpate.recordings.exchange.frame_sequences import TiffFrames
 
 

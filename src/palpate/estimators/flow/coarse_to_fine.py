@@ -17,8 +17,7 @@ import cv2
 import numpy as np
 
 from palpate.core import Float32, RangeError, ndarray
-from palpate.estimators.flow.compiled_flow import FlowField, relaxed
-from palpate.estimators.flow.horn_schunck import Grey, HornSchunck, brightness, check_pair
+from palpate.estimators.flow.horn_schunck import FlowField, Grey, HornSchunck, brightness, check_pair, flow
 
 WARPED = HornSchunck(alpha=0.03, iterations=40)  # smoothness for images that are nearly alike
 
@@ -87,23 +86,23 @@ def _pyramid(first: Grey, second: Grey, settings: CoarseToFine) -> list[tuple[Le
     return levels
 
 
-def _enlarged(flow: Float32[ndarray, "2 _ _"], shape: tuple[int, ...]) -> FlowField:
-    """The flow on a finer image, in its pixels."""
+def _enlarged(coarse: Float32[ndarray, "2 _ _"], shape: tuple[int, ...]) -> FlowField:
+    """A flow on a finer image, in its pixels."""
     h, w = shape
-    per_axis = (w / flow.shape[2], h / flow.shape[1])
+    per_axis = (w / coarse.shape[2], h / coarse.shape[1])
     return np.stack(
-        [cv2.resize(part, (w, h)) * np.float32(k) for part, k in zip(flow, per_axis, strict=True)]
+        [cv2.resize(part, (w, h)) * np.float32(k) for part, k in zip(coarse, per_axis, strict=True)]
     )
 
 
-def _refined(a: Levels, b: Levels, flow: FlowField, settings: CoarseToFine) -> FlowField:
+def _refined(a: Levels, b: Levels, estimate: FlowField, settings: CoarseToFine) -> FlowField:
     """The flow after one warp of the second image by it."""
     h, w = a.shape
     y, x = np.mgrid[:h, :w].astype(np.float32)
-    at_x, at_y = x + flow[0], y + flow[1]
+    at_x, at_y = x + estimate[0], y + estimate[1]
     warped = cv2.remap(b, at_x, at_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE).clip(0, 1)
     inside = (at_x >= 0) & (at_x <= w - 1) & (at_y >= 0) & (at_y <= h - 1)
-    estimate = relaxed(a, warped, settings.horn_schunck, about=flow, mask=inside)
+    estimate = flow(a, warped, settings.horn_schunck, about=estimate, mask=inside)
     if settings.median_px == 1:
         return estimate
     return np.stack([cv2.medianBlur(part, settings.median_px) for part in estimate])

@@ -19,8 +19,7 @@ import numpy as np
 
 from palpate.core import Bool, InputError, ndarray
 from palpate.estimators.flow.coarse_to_fine import coarse_to_fine
-from palpate.estimators.flow.compiled_flow import FlowField, divergence, flow
-from palpate.estimators.flow.horn_schunck import Grey, brightness, check_pair
+from palpate.estimators.flow.horn_schunck import FlowField, Grey, brightness, check_pair, divergence, flow
 
 AHEAD = 4  # pairs a thread that wait, so that no thread waits for the reader
 
@@ -118,8 +117,8 @@ def _eight_bit_pair(first: Grey, second: Grey) -> tuple[Grey, Grey]:
     return a, b
 
 
-def _planes(flow: np.ndarray) -> FlowField:
-    return np.ascontiguousarray(np.moveaxis(flow, -1, 0), np.float32)
+def _planes(field: np.ndarray) -> FlowField:
+    return np.ascontiguousarray(np.moveaxis(field, -1, 0), np.float32)
 
 
 METHODS: dict[str, Callable[[Grey, Grey], FlowField]] = {

@@ -1,4 +1,4 @@
-"""Dense optical flow by Horn and Schunck: the plain reference in double precision, and its settings.
+"""Dense optical flow by Horn and Schunck, compiled and in single precision.
 
 The flow (u, v) [px/frame] minimises the squared change of brightness along the motion plus alpha^2 times the
 squared gradients of u and v. Each iteration takes the neighbours' average and moves it towards the line on
@@ -7,13 +7,18 @@ which brightness is constant:
     (u, v) <- (ū, v̄) - (E_x, E_y) (E_x ū + E_y v̄ + E_t) / (alpha^2 + E_x^2 + E_y^2)
 
 ū weighs the four nearest neighbours 1/6 and the four diagonal ones 1/12; all pixels are updated at once
-(Jacobi), and beyond the border the flow repeats. After n iterations a pixel has heard from those at most n
-away, hence n at least as large as the widest patch of even brightness: a pin, 26 px in the TacTip images of
-Pagnanelli et al., "Model-Based Compliance Discrimination via Soft Tactile Optical Sensing and Optical Flow
-Computation" (IEEE Robotics and Automation Letters).
+(Jacobi), and beyond the border the flow repeats. E_x, E_y and E_t are means of four differences along the
+edges of the cube between four pixels and two frames, so they are half a pixel right of and below the pixel
+they are stored at; beyond the border the last row and column are repeated. After n iterations a pixel has
+heard from those at most n away, hence n at least as large as the widest patch of even brightness: a pin,
+26 px in the TacTip images of Pagnanelli et al., "Model-Based Compliance Discrimination via Soft Tactile
+Optical Sensing and Optical Flow Computation" (IEEE Robotics and Automation Letters).
 
 The smoothness weight alpha has the unit of a brightness difference, so it means nothing before the scale of
 brightness is fixed: here black is 0 and the greatest value of the image's type is 1.
+
+Between TacTip frames the result agrees with the equations in double precision to 5e-6 px. It releases the
+interpreter's lock, so that the pairs of a sequence may be shared by threads; see `flow_sequence`.
 
 Reference: B. K. P. Horn, B. G. Schunck, Determining optical flow, Artificial Intelligence 17 (1981) 185-203,
 doi:10.1016/0004-3702(81)90024-2, sections 7 and 8.
@@ -21,20 +26,21 @@ doi:10.1016/0004-3702(81)90024-2, sections 7 and 8.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from threading import local
 
 import numpy as np
-from scipy import ndimage
 
-from palpate.core import Float, ImageError, InputError, RangeError, Shaped, ndarray
+from palpate.core import Bool, Float, Float32, ImageError, InputError, RangeError, Shaped, ndarray
 
 WHITE = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}
 
 Grey = Shaped[ndarray, "..."]  # [h w], which `brightness` checks: refusals are ours, with what to do
-Brightness = Float[ndarray, "h w"]
+FlowField = Float32[ndarray, "2 h w"]
 
 
-def brightness(image: Grey) -> Brightness:
+def brightness(image: Grey) -> Float[ndarray, "h w"]:
     """The image in double precision, black 0 and white 1.
 
     Raises:
@@ -61,29 +67,6 @@ def check_pair(first: Grey, second: Grey) -> None:
         )
 
 
-def derivatives(first: Brightness, second: Brightness) -> tuple[Brightness, Brightness, Brightness]:
-    """E_x, E_y and E_t [1/px, 1/px, 1/frame], each the mean of four differences along the cube's edges.
-
-    The cube stands between the pixels (r, c), (r+1, c), (r, c+1), (r+1, c+1) and the two frames, so the
-    derivatives are half a pixel right of and below the pixel they are stored at. x is along columns, y along
-    rows, downwards; beyond the border the last row and column are repeated.
-    """
-    a, b = (np.pad(image, ((0, 1), (0, 1)), mode="edge") for image in (first, second))
-    cube = np.stack([a, b])
-    across = cube[:, :, 1:] - cube[:, :, :-1]
-    down = cube[:, 1:] - cube[:, :-1]
-    later = b - a
-    e_x = (across[:, :-1] + across[:, 1:]).sum(axis=0) / 4
-    e_y = (down[:, :, :-1] + down[:, :, 1:]).sum(axis=0) / 4
-    e_t = (later[:-1, :-1] + later[:-1, 1:] + later[1:, :-1] + later[1:, 1:]) / 4
-    return e_x, e_y, e_t
-
-
-NEIGHBOURS = np.array([[1, 2, 1], [2, 0, 2], [1, 2, 1]]) / 12
-
-Flow = Float[ndarray, "2 h w"]
-
-
 @dataclass(frozen=True)
 class HornSchunck:
     """Settings of the flow; the defaults are those of the TacTip report.
@@ -106,12 +89,49 @@ class HornSchunck:
 AS_REPORTED = HornSchunck()
 
 
-def horn_schunck(first: Grey, second: Grey, settings: HornSchunck = AS_REPORTED) -> Flow:
-    """Flow from the first image to the second, step by step as the equations stand.
+class _Workspace(local):
+    """Workspace that one thread writes into again and again, laid out as `flow_kernels` says."""
+
+    shape: tuple[int, int, int] = (0, 0, 0)
+
+    def of(self, iterations: int, h: int, w: int) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+        from palpate.estimators.flow.flow_kernels import RING, row_length
+
+        if self.shape != (iterations, h, w):
+            row = row_length(w)
+            self.a, self.b = _aligned(h, row), _aligned(h, row)
+            self.e = _aligned(h, 3, row)
+            self.rows = _aligned(iterations + 1, RING, 2, row)
+            self.shape = (iterations, h, w)
+        return self.a, self.b, self.e, self.rows
+
+
+def _aligned(*shape: int) -> ndarray:
+    """Zeros, at an address that whole cache lines start from."""
+    size = math.prod(shape)
+    spare = np.zeros(size + 16, np.float32)
+    first = -spare.ctypes.data // 4 % 16
+    return spare[first : first + size].reshape(shape)
+
+
+_WORKSPACE = _Workspace()
+
+
+def flow(
+    first: Grey,
+    second: Grey,
+    settings: HornSchunck = AS_REPORTED,
+    *,
+    about: FlowField | None = None,
+    mask: Bool[ndarray, "h w"] | None = None,
+) -> FlowField:
+    """Flow from the first image to the second, which was perhaps warped.
 
     Args:
-        first, second: grey images of one size; see `brightness`.
+        first, second: grey images of one size and type; see `brightness`.
         settings: weight of smoothness and number of iterations.
+        about: the flow that the second image was warped by, where the iterations start; None for none.
+        mask: where the second image shows something; elsewhere only smoothness speaks.
 
     Returns:
         u (along columns) and v (along rows, downwards) [px/frame]. Motion beyond a pixel or so is
@@ -121,24 +141,44 @@ def horn_schunck(first: Grey, second: Grey, settings: HornSchunck = AS_REPORTED)
         ImageError, InputError: images that cannot be read as a pair.
 
     Example:
-        >>> import numpy as np
         >>> still = np.zeros((20, 20), np.uint8)
-        >>> float(abs(horn_schunck(still, still)).max())
+        >>> float(abs(flow(still, still)).max())
         0.0
     """
+    from palpate.estimators.flow import flow_kernels  # here: compiling is for those who need flow
+
+    first, second = np.asarray(first), np.asarray(second)
     check_pair(first, second)
-    e_x, e_y, e_t = derivatives(brightness(first), brightness(second))
-    weight = 1 / (settings.alpha**2 + e_x**2 + e_y**2)
-    u, v = np.zeros((2, *e_x.shape))
-    for _ in range(settings.iterations):
-        u_mean = ndimage.correlate(u, NEIGHBOURS, mode="nearest")
-        v_mean = ndimage.correlate(v, NEIGHBOURS, mode="nearest")
-        off = (e_x * u_mean + e_y * v_mean + e_t) * weight
-        u, v = u_mean - e_x * off, v_mean - e_y * off
-    return np.stack([u, v])
+    white = _white(first)
+    if white is None:
+        first, second, white = brightness(first), brightness(second), 1.0
+    h, w = first.shape
+    a, b, e, rows = _WORKSPACE.of(settings.iterations, h, w)
+    for image, levels in ((first, a), (second, b)):
+        levels[:, :w] = image
+        levels[:, w] = image[:, -1]
+    flow_kernels.coefficients(a, b, w, np.float32(0.25 / white), np.float32(settings.alpha**2), e)
+    field = np.zeros((2, h, w), np.float32)
+    e_x, e_y, e_t = (e[:, i, :w] for i in range(3))
+    if mask is not None:
+        e[:, :, :w] *= mask[:, None]
+    if about is not None:
+        e_t -= e_x * about[0] + e_y * about[1]
+        field[:] = about
+    flow_kernels.relax(e, settings.iterations, rows, field)
+    return field
 
 
-def divergence(flow: Float[ndarray, "*n 2 h w"]) -> Float[ndarray, "*n h w"]:
+def _white(image: Grey) -> float | None:
+    """The level that is white in an image of whole ones, which single precision holds exactly."""
+    whole = image.ndim == 2 and min(image.shape) > 1
+    return WHITE.get(image.dtype) if whole else None
+
+
+def divergence(field: FlowField) -> Float32[ndarray, "h w"]:
     """du/dx + dv/dy [1/frame] by three-point differences, one-sided on the border."""
-    u, v = flow[..., 0, :, :], flow[..., 1, :, :]
-    return np.gradient(u, axis=-1) + np.gradient(v, axis=-2)
+    from palpate.estimators.flow import flow_kernels
+
+    out = np.empty(field.shape[1:], np.float32)
+    flow_kernels.diverge(np.ascontiguousarray(field, np.float32), out)
+    return out
