@@ -1,11 +1,11 @@
-"""The loading part of a grasp: stiffness from a width that is held, and values at a force."""
+"""The loading part of a grasp: stiffness from a width that is held."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from palpate.core.errors import InputError, RangeError
-from palpate.estimators.compliance import Loading, at_force, fresh, loading_slope
+from palpate.core.errors import InputError
+from palpate.estimators.compliance import Loading, fresh, loading_slope
 
 WIDTH = 0.05 - np.linspace(0, 0.012, 49)
 FORCE = 1800.0 * (0.05 - WIDTH)
@@ -24,21 +24,6 @@ def test_a_spring_read_now_and_then_has_its_stiffness_from_fresh_readings() -> N
 
 def test_only_new_readings_are_fresh() -> None:
     assert fresh(np.array([5.0, 5, 4, 4, 4, 3, 5])).tolist() == [0, 2, 5, 6]
-
-
-def test_a_value_at_a_force_is_taken_where_loading_first_reaches_it() -> None:
-    force = np.array([0.0, 2.0, 6.0, 5.5, 8.0, 1.0])
-    values = np.array([0.0, 10.0, 20.0, 90.0, 30.0, 40.0])
-    part = Loading(1, 4, saturated=False)
-    assert_allclose(at_force(force, values, part, 5.0), 17.5)
-    assert_allclose(at_force(force, values, part, 2.0), 10.0)
-    assert_allclose(at_force(force, values, part, 1.0), 5.0)  # from the sample before contact
-
-
-@pytest.mark.parametrize("level", [-1.0, 9.0])
-def test_a_force_that_was_not_passed_through_is_refused(level) -> None:
-    with pytest.raises(RangeError, match="loading goes from"):
-        at_force(FORCE[:10], WIDTH[:10], Loading(0, 9, saturated=False), level)
 
 
 def test_a_table_that_is_no_grasp_is_refused() -> None:

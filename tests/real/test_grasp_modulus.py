@@ -17,13 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 from tests.real.trial_assignment import assign, nearest
 
+from palpate.core.errors import InputError, RangeError
 from palpate.estimators.compliance import (
     ImprintRegion,
     Lamps,
     Loading,
-    at_force,
     bulge,
     fresh,
     loading,
@@ -70,6 +71,35 @@ def _read(folder, ball: str, i: int) -> Grasp:
     frames = [frame for frame, keep in zip(video, good, strict=True) if keep]
     force, width = table.force_n[good], table.position_m[good]
     return Grasp(name, ball, frames, force, width, loading(force, FROM_N))
+
+
+def at_force(force_n: np.ndarray, values: np.ndarray, part: Loading, level_n: float) -> float:
+    """The value at which force first reaches a level while loading, between samples by a straight line.
+
+    Args:
+        force_n: of every sample [N].
+        values: of every sample.
+        part: of the loading; the sample before it may be the lower one.
+        level_n: force [N].
+
+    Raises:
+        InputError: as many values as forces are needed.
+        RangeError: the loading part begins above the level or never reaches it.
+    """
+    if np.shape(force_n) != np.shape(values):
+        raise InputError(f"{np.size(force_n)} forces and {np.size(values)} values; one of each")
+    first = max(part.first - 1, 0)
+    force = np.asarray(force_n, np.float64)[first : part.last + 1]
+    if not force[0] <= level_n <= force.max():
+        raise RangeError(
+            f"{level_n:g} N is asked for, and loading goes from {force[0]:.3g} to {force.max():.3g} N"
+        )
+    after = int(np.argmax(force >= level_n))
+    if after == 0:
+        return float(values[first])
+    low, high = force[after - 1], force[after]
+    k = (level_n - low) / (high - low)
+    return float((1 - k) * values[first + after - 1] + k * values[first + after])
 
 
 def middle(share: float = 1 / 3, off=(0, 0)) -> ImprintRegion:
@@ -205,3 +235,18 @@ def test_the_balls_differ_in_modulus_and_the_gripper_s_width_is_held(real_data) 
             folder / f"{ball}_1.csv", len(VideoFrames(folder / f"{ball}_1.avi")), rate_hz=RATE_HZ
         )
         assert len(fresh(table.position_m)) < 0.8 * len(table.position_m)
+
+
+def test_a_value_at_a_force_is_taken_where_loading_first_reaches_it() -> None:
+    force = np.array([0.0, 2.0, 6.0, 5.5, 8.0, 1.0])
+    values = np.array([0.0, 10.0, 20.0, 90.0, 30.0, 40.0])
+    part = Loading(1, 4, saturated=False)
+    assert_allclose(at_force(force, values, part, 5.0), 17.5)
+    assert_allclose(at_force(force, values, part, 2.0), 10.0)
+    assert_allclose(at_force(force, values, part, 1.0), 5.0)  # from the sample before contact
+
+
+@pytest.mark.parametrize("level", [-1.0, 9.0])
+def test_a_force_that_was_not_passed_through_is_refused(level) -> None:
+    with pytest.raises(RangeError, match="loading goes from"):
+        at_force(np.linspace(0.0, 4.0, 10), np.arange(10.0), Loading(0, 9, saturated=False), level)

@@ -185,15 +185,6 @@ class Estimator:
         session = _session(checked_file(folder, card.model), card, threads)
         return cls(folder, card, session, guard)
 
-    def prepare(self, image: Image) -> PreparedFloat:
-        """Crop and scale an image as in calibration.
-
-        Raises:
-            ImageError: it is not of the size calibrated on.
-        """
-        self._check_size(image)
-        return self._preparation.apply(image).astype(np.float32)
-
     def zero(self, untouched: Image) -> Zero:
         """Take an image of the untouched sensor as reference, and judge its drift by it."""
         self._check_size(untouched)

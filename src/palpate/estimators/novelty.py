@@ -242,7 +242,8 @@ def _axes(thumbs: Kept, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarra
     return centre, np.ascontiguousarray(axes[:, ::-1][:, :AXES])
 
 
-__all__ = ["NoveltyDetector", "fit_novelty_detector", "thumbnails"]
+MAX_KEPT = 2000  # recorded frames
+FALSE_ALARMS = 0.03  # share of good frames that may be turned away
 
 DRIFT_FLOOR_GREY_LEVELS = 0.5
 """Two averages of one scene never agree better than this, whatever a few references suggest."""
@@ -335,8 +336,6 @@ def fit_novelty_detector(
     untouched: Thumbnails,
     *,
     also: RenderedImages | None = None,
-    false_alarms: float = 0.03,
-    most: int = 2000,
     seed: int = 0,
 ) -> NoveltyDetector:
     """Keep thumbnails, and set the limits from how novel frames look to those of other folds.
@@ -347,9 +346,7 @@ def fit_novelty_detector(
         untouched: thumbnails of the no-contact frames; may be empty.
         also: images known to be good besides. The limits are set by recorded frames alone, and where these
             are too unlike the others, a detector without the others lets less pass, and is taken.
-        false_alarms: share of good frames that may be turned away.
-        most: recorded frames kept, at most.
-        seed: of the draw when there are more.
+        seed: of the draw where there are more frames than are kept.
 
     Raises:
         InputError: fewer than six frames, or fewer than two folds.
@@ -360,8 +357,8 @@ def fit_novelty_detector(
     for k, rows in enumerate(folds):
         fold[rows] = k
     rng = np.random.default_rng(seed)
-    if len(thumbs) > most:
-        rows_kept = np.sort(rng.choice(len(thumbs), most, replace=False))
+    if len(thumbs) > MAX_KEPT:
+        rows_kept = np.sort(rng.choice(len(thumbs), MAX_KEPT, replace=False))
         thumbs, fold = thumbs[rows_kept], fold[rows_kept]
     _, fold = np.unique(fold, return_inverse=True)
     if fold.max() == 0:
@@ -373,7 +370,7 @@ def fit_novelty_detector(
     if also is not None:
         sets.append((np.concatenate([thumbs_8bit, also.thumbs]), _dealt(fold, also)))
     models = [fit_neighbours(images, _rows_of(dealt), rng) for images, dealt in sets]
-    limits = [_limits(one.novelty_score[: len(thumbs_8bit)], false_alarms) for one in models]
+    limits = [_limits(one.novelty_score[: len(thumbs_8bit)]) for one in models]
     lets_pass = [
         one.expected_residual[: len(thumbs_8bit)] * limit[0]
         for one, limit in zip(models, limits, strict=True)
@@ -392,14 +389,14 @@ def _dealt(fold: Indices, also: RenderedImages) -> Indices:
     return np.concatenate([fold, group % (fold.max() + 1)])
 
 
-def _limits(novelty_score: Float[np.ndarray, "n 2"], false_alarms: float) -> Float[np.ndarray, " 2"]:
+def _limits(novelty_score: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " 2"]:
     """Limits that so many are beyond, of one or the other, each by itself of half as many.
 
     They are never below 1: an image whose residual is no more than its neighbours' is not novel.
     """
-    each = np.quantile(novelty_score, 1 - false_alarms / 2, axis=0)
+    each = np.quantile(novelty_score, 1 - FALSE_ALARMS / 2, axis=0)
     each = np.maximum(each, 1e-3)
-    both = np.quantile(np.max(novelty_score / each, axis=1), 1 - false_alarms, method="higher")
+    both = np.quantile(np.max(novelty_score / each, axis=1), 1 - FALSE_ALARMS, method="higher")
     return np.asarray(np.maximum(each * both, 1.0))
 
 

@@ -3,12 +3,10 @@
 from palpate.estimators.compliance.gel_curvature import ImprintRegion, Lamps, bulge
 from palpate.estimators.compliance.press_force import (
     Loading,
-    at_force,
     fresh,
     loading,
     loading_slope,
     moving_average,
-    moving_average_response,
     rising,
     within,
     without_spikes,
@@ -23,7 +21,7 @@ from palpate.estimators.compliance.spread_rate import (
 )
 
 __all__ = [
-    "ImprintRegion", "Lamps", "Loading", "SpreadRate", "area_m2", "at_force", "bulge", "fresh", "loading",
-    "loading_slope", "moving_average", "moving_average_response", "paper_spread", "refuse_literal",
+    "ImprintRegion", "Lamps", "Loading", "SpreadRate", "area_m2", "bulge", "fresh", "loading",
+    "loading_slope", "moving_average", "paper_spread", "refuse_literal",
     "rising", "spread", "summed_slopes", "within", "without_spikes",
 ]  # fmt: skip

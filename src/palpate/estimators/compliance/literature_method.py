@@ -71,7 +71,6 @@ def as_reported(
     force_n: Float[ndarray, " s"],
     frame_sample: Int[ndarray, " f"],
     *,
-    method: str = "horn-schunck",
     region: Bool[ndarray, "h w"] | None = None,
 ) -> AsReported:
     """Run the report's route on a press.
@@ -80,7 +79,6 @@ def as_reported(
         frames: grey images in time.
         force_n: raw samples [N].
         frame_sample: of every frame, which sample it belongs to.
-        method: of flow.
         region: over which divergence is averaged; None for the whole image, as reported.
 
     Raises:
@@ -90,7 +88,7 @@ def as_reported(
     at = np.asarray(frame_sample)
     used = np.flatnonzero(np.isin(at, within(smooth, loading(smooth), CONTACT_N, MAX_N)))
     first, last = int(max(used[0] - 1, 0)) if len(used) else 0, int(used[-1]) if len(used) else 0
-    steps = course(islice(iter(frames), first, last + 1), method, region=region)
+    steps = course(islice(iter(frames), first, last + 1), region=region)
     divergence = np.array([step.divergence for step in steps])[-len(used) :]
     if len(divergence) < len(used) or not len(used):
         raise InputError(

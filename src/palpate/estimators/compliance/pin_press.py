@@ -60,8 +60,6 @@ def follow_press(
     frame_sample: Int[ndarray, " f"],
     position_m: Samples | None = None,
     time_s: Samples | None = None,
-    *,
-    contact_n: float = CONTACT_N,
 ) -> PinPress:
     """Follow the pins through the loading part of a press.
 
@@ -71,20 +69,19 @@ def follow_press(
         frame_sample: of every frame, which sample it belongs to.
         position_m: of the tip, at every sample [m].
         time_s: of the samples, which give the speed [s].
-        contact_n: force at which contact is felt [N].
 
     Raises:
         InputError: no loading part, too few frames in it, or pins lost.
         ImageError: no pins in the first frame.
     """
     smooth = smoothed(force_n)
-    part = loading(smooth, contact_n)
-    samples = within(smooth, part, contact_n, np.inf)
+    part = loading(smooth)
+    samples = within(smooth, part, CONTACT_N, np.inf)
     at = np.asarray(frame_sample)
     used = np.flatnonzero(np.isin(at, samples))
     if len(used) < MIN_FRAMES:
         raise InputError(
-            f"{len(used)} frames of rising force above {contact_n:g} N; {MIN_FRAMES} are needed: "
+            f"{len(used)} frames of rising force above {CONTACT_N:g} N; {MIN_FRAMES} are needed: "
             "press more slowly, or take more frames a second"
         )
     xy = _pin_positions(frames, int(used[-1]) + 1)

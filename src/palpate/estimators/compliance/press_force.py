@@ -1,9 +1,8 @@
 """Force of a press or a grasp: smoothed, cut to its loading part, and its slope.
 
 The TacTip report smooths with a moving average of five samples at 200 Hz and says that it cuts off at about
-5 Hz and delays by 0.5 s. Five taps at 200 Hz pass 18 Hz (-3 dB) and delay by 10 ms, as
-`moving_average_response` tells; half a second would misplace force by newtons. Here the average is centred on
-its sample, so that it delays nothing; `trailing` is the report's.
+5 Hz and delays by 0.5 s. Five taps at 200 Hz pass 18 Hz (-3 dB) and delay by 10 ms; half a second would
+misplace force by newtons. Here the average is centred on its sample, so that it delays nothing.
 
 Grippers often report their width more slowly than the camera runs: the table then repeats a width for several
 frames and jumps. A repeated width is no measurement; `fresh` selects those that are.
@@ -15,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.optimize import brentq
 
 from palpate.core import Bool, Float, InputError, Int, RangeError, ndarray
 
@@ -30,39 +28,13 @@ PLATEAU = 8  # equal greatest samples in a row: the sensor's range has ended
 Samples = Float[ndarray, " s"]
 
 
-def moving_average(force_n: Samples, taps: int = TAPS, *, trailing: bool = False) -> Samples:
-    """Mean of each sample and its neighbours, of those that there are at the ends.
-
-    Args:
-        force_n: evenly sampled [N].
-        taps: odd number of samples.
-        trailing: of the sample and those before it, as a filter that runs along has to.
-
-    Raises:
-        RangeError: an even number of taps, or none.
-    """
-    if taps < 1 or taps % 2 == 0:
-        raise RangeError(f"{taps} taps; an odd number, {TAPS} if in doubt")
+def moving_average(force_n: Samples) -> Samples:
+    """Mean of each sample [N], the two before and the two after it, of those that there are at the ends."""
     sums = np.concatenate([[0.0], np.cumsum(force_n)])
     i = np.arange(len(force_n))
-    first = np.maximum(i - (taps - 1 if trailing else taps // 2), 0)
-    last = i if trailing else np.minimum(i + taps // 2, len(force_n) - 1)
+    first = np.maximum(i - TAPS // 2, 0)
+    last = np.minimum(i + TAPS // 2, len(force_n) - 1)
     return np.asarray((sums[last + 1] - sums[first]) / (last + 1 - first))
-
-
-def moving_average_response(taps: int, rate_hz: float) -> tuple[float, float]:
-    """Cut-off of a trailing moving average (1/sqrt 2 of an oscillation) [Hz], and its delay [s].
-
-    Raises:
-        RangeError: fewer than two taps, or no rate.
-    """
-    if taps < 2 or not rate_hz > 0:
-        raise RangeError(f"{taps} taps at {rate_hz} Hz; two or more, at a rate above 0")
-
-    def passed(turns: float) -> float:  # turns a sample
-        return float(np.sin(np.pi * taps * turns) / (taps * np.sin(np.pi * turns)) - np.sqrt(0.5))
-
-    return brentq(passed, 1e-9, 1 / taps) * rate_hz, (taps - 1) / 2 / rate_hz
 
 
 def spikes(force_n: Samples) -> Bool[ndarray, " s"]:
@@ -208,32 +180,3 @@ def loading_slope(
             "force does not rise as the fingers close; is the width an opening, and the force signed?"
         )
     return slope
-
-
-def at_force(force_n: GraspSamples, values: GraspSamples, part: Loading, level_n: float) -> float:
-    """The value at which force first reaches a level while loading, between samples by a straight line.
-
-    Args:
-        force_n: of every sample [N].
-        values: of every sample.
-        part: of the loading; the sample before it may be the lower one.
-        level_n: force [N].
-
-    Raises:
-        InputError: as many values as forces are needed.
-        RangeError: the loading part begins above the level or never reaches it.
-    """
-    if np.shape(force_n) != np.shape(values):
-        raise InputError(f"{np.size(force_n)} forces and {np.size(values)} values; one of each")
-    first = max(part.first - 1, 0)
-    force = np.asarray(force_n, np.float64)[first : part.last + 1]
-    if not force[0] <= level_n <= force.max():
-        raise RangeError(
-            f"{level_n:g} N is asked for, and loading goes from {force[0]:.3g} to {force.max():.3g} N"
-        )
-    after = int(np.argmax(force >= level_n))
-    if after == 0:
-        return float(values[first])
-    low, high = force[after - 1], force[after]
-    k = (level_n - low) / (high - low)
-    return float((1 - k) * values[first + after - 1] + k * values[first + after])

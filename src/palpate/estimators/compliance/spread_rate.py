@@ -75,14 +75,14 @@ def area_m2(first_m2: float, mean_divergence: Steps) -> Steps:
     return np.asarray(first_m2 * np.exp(total))
 
 
-def spread(force_n: Steps, area: Steps, way: Way = "regression", bin_n: float = BIN_N) -> SpreadRate:
+def spread(force_n: Steps, area: Steps, way: Way = "regression") -> SpreadRate:
     """dA/dF of areas over force.
 
     Args:
         force_n: of each area [N].
         area: of the contact [m^2].
-        way: "regression" (a line through bins of force) or "secant" (between the first bin and the last).
-        bin_n: width of the bins [N].
+        way: "regression" (a line through bins of force, 0.1 N wide) or "secant" (between the first and the
+            last of them).
 
     Raises:
         InputError: shapes that do not fit, values that are not finite, too little rise of force, or a way
@@ -93,10 +93,10 @@ def spread(force_n: Steps, area: Steps, way: Way = "regression", bin_n: float = 
         raise InputError(f"{force_n.size} forces and {area.size} areas; give one of each a frame")
     if not (np.isfinite(force_n).all() and np.isfinite(area).all()):
         raise InputError("forces and areas must be finite; leave out the frames where they are not known")
-    at, mean = rising(force_n, area, bin_n)
+    at, mean = rising(force_n, area, BIN_N)
     if len(at) < MIN_BINS:
         raise InputError(
-            f"the forces fill {len(at)} bins of {bin_n:g} N; a spread rate needs {MIN_BINS}: press harder, "
+            f"the forces fill {len(at)} bins of {BIN_N:g} N; a spread rate needs {MIN_BINS}: press harder, "
             "or take narrower bins"
         )
     if way == "regression":

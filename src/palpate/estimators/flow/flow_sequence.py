@@ -150,7 +150,6 @@ def course(
     *,
     from_first: bool = False,
     region: Bool[ndarray, "h w"] | None = None,
-    threads: int | None = None,
 ) -> Iterator[Step]:
     """Each step of a sequence.
 
@@ -159,7 +158,6 @@ def course(
         method: one of `METHODS`.
         from_first: from the first frame to each, not from each to the next.
         region: of the image that counts for the means; None for all.
-        threads: to share the pairs; None for as many as there are processors.
 
     Raises:
         InputError: no such method, too few frames, or a region of another size or of no pixels.
@@ -170,7 +168,7 @@ def course(
     if region is not None and not region.any():
         raise InputError("the region has no pixels; divergence is averaged over one or more")
     between = partial(_step, METHODS[method], region)
-    return along(map(grey, frames), between, from_first=from_first, threads=threads)
+    return along(map(grey, frames), between, from_first=from_first)
 
 
 def grey(image: ndarray) -> Grey:
