@@ -29,6 +29,7 @@ from palpate.estimators.networks.model_interface import (
     Scaler,
     TrainingData,
     inner_validation,
+    scaled_errors,
     silent,
 )
 from palpate.estimators.networks.symmetry import RotationalSymmetry
@@ -99,7 +100,7 @@ class FittedNetwork:
     def to_onnx(self) -> onnx.ModelProto:
         graph = TorchGraph()
         answers = [_add_network(graph, member) for member in self.members]
-        graph.add("Mean", answers, {}, output="value")
+        graph.add("Mean", answers, output="value")
         return graph.model(self.shape, len(self.members[0].mean))
 
 
@@ -273,11 +274,7 @@ class _Training:
 
     def error(self, rows: Indices) -> float:
         fitted = FittedNetwork((self.kept(),), self.data.shape)
-        errors = [
-            np.abs(self.scaler.scaled(fitted.predict(inputs)) - self.scaler.scaled(self.data.values[part]))
-            for part, inputs in self.data.batches(rows)
-        ]
-        return float(np.concatenate(errors).mean())
+        return float(np.abs(scaled_errors(fitted, self.scaler, self.data, rows)).mean())
 
     def kept(self) -> Network:
         """A copy of the averaged network, in plain layout, ready to predict."""

@@ -116,6 +116,11 @@ class Scaler:
         return scaled * self.scale + self.mean
 
 
+def scaled_errors(fitted: Fitted, scaler: Scaler, data: TrainingData, rows: Indices) -> Values:
+    """Errors of estimates of rows ``[n t]``, in units of the spread."""
+    return scaler.scaled(predict_rows(fitted, data, rows)) - scaler.scaled(data.values[rows])
+
+
 def inner_validation(
     data: TrainingData, rows: Indices, share: float, rng: np.random.Generator
 ) -> tuple[Indices, Indices]:

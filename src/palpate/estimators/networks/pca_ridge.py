@@ -1,20 +1,23 @@
-"""Principal components of the image, then ridge regression: linear, quick, hard to beat with few frames."""
+"""Linear models: the mean, and principal components of the image with ridge regression on them.
+
+The second is quick, and hard to beat with few frames.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import onnx
-from onnx import helper
 from scipy.linalg import eigh
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GroupKFold
 
 from palpate.core import Float, Float32, Indices, Tensor, Values
 from palpate.estimators.networks.model_interface import Progress, Scaler, TrainingData, silent
-from palpate.estimators.networks.onnx_graph import image_to_value
+from palpate.estimators.networks.onnx_graph import OnnxGraph
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,17 +34,30 @@ class FittedLinear:
         return (flat @ self.weights).astype(np.float64) + self.offset
 
     def to_onnx(self) -> onnx.ModelProto:
-        nodes = [
-            helper.make_node("Flatten", ["image"], ["flat"]),
-            helper.make_node("Sub", ["flat", "centre"], ["difference"]),
-            helper.make_node("Gemm", ["difference", "weights", "offset"], ["value"]),
-        ]
-        constants = {
-            "centre": self.centre[None, :],
-            "weights": self.weights,
-            "offset": self.offset.astype(np.float32),
-        }
-        return image_to_value(nodes, constants, self.shape, len(self.offset))
+        graph = OnnxGraph()
+        flat = graph.add("Flatten", ["image"])
+        difference = graph.add("Sub", [flat], {"centre": self.centre[None, :]})
+        weights = {"weights": self.weights, "offset": self.offset.astype(np.float32)}
+        graph.add("Gemm", [difference], weights, output="value")
+        return graph.model(self.shape, len(self.offset))
+
+
+@dataclass(frozen=True, slots=True)
+class MeanBaseline:
+    """Learns nothing but the mean of the training set: what any other model must beat."""
+
+    def fit(
+        self,
+        data: TrainingData,
+        rows: Indices,
+        *,
+        seed: int,
+        progress: Progress = silent,
+        checkpoint: Path | None = None,
+    ) -> FittedLinear:
+        pixels, mean = math.prod(data.shape), data.values[rows].mean(axis=0)
+        nothing = np.zeros((pixels, len(mean) + 1), np.float32)
+        return FittedLinear(data.shape, nothing[:, 0], nothing[:, 1:], mean)
 
 
 def principal_axes(centred: Float32[np.ndarray, "n p"], most: int) -> Float32[np.ndarray, "p k"]:
@@ -93,7 +109,7 @@ class PcaRidge:
         checkpoint: Path | None = None,
     ) -> FittedLinear:
         rng = np.random.default_rng(seed)
-        basis = data.sample(rows, self.basis_frames, rng).reshape(-1, int(np.prod(data.shape)))
+        basis = data.sample(rows, self.basis_frames, rng).reshape(-1, math.prod(data.shape))
         centre = basis.mean(axis=0)
         axes = principal_axes(basis - centre, self.components)
         scores = self._scores(centre, axes, data, rows, progress)

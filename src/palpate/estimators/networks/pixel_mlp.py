@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import onnx
-from onnx import helper
 from sklearn.neural_network import MLPRegressor
 
 from palpate.core import Float, Indices, Tensor, Values
@@ -16,49 +15,48 @@ from palpate.estimators.networks.model_interface import (
     Scaler,
     TrainingData,
     inner_validation,
+    scaled_errors,
     silent,
 )
-from palpate.estimators.networks.onnx_graph import image_to_value
-
-Layers = list[tuple[Float[np.ndarray, "_ _"], Float[np.ndarray, " _"]]]
+from palpate.estimators.networks.onnx_graph import OnnxGraph
 
 
 @dataclass(frozen=True, slots=True)
 class FittedPerceptron:
-    """Scaled pixels through dense layers with rectifiers between them, then scaled back."""
+    """Scaled pixels through dense layers with rectifiers between them, then scaled back.
+
+    Attributes:
+        shape: (channels, height, width) of an input.
+        level, contrast: that pixels are scaled by, as (x - level) / contrast.
+        scaler: of the targets.
+        layers: weights and bias of each.
+    """
 
     shape: tuple[int, int, int]
     level: float
     contrast: float
-    layers: Layers
     scaler: Scaler
+    layers: tuple[tuple[Float[np.ndarray, "_ _"], Float[np.ndarray, " _"]], ...] = ()
+
+    def pixels(self, inputs: Tensor) -> Float[np.ndarray, "n k"]:
+        """Scaled pixels of inputs, flat."""
+        return (inputs.reshape(len(inputs), -1) - self.level) / self.contrast
 
     def predict(self, inputs: Tensor) -> Values:
-        x = (inputs.reshape(len(inputs), -1) - self.level) / self.contrast
+        x = self.pixels(inputs)
         for weights, bias in self.layers[:-1]:
             x = np.maximum(x @ weights + bias, 0.0)
         weights, bias = self.layers[-1]
         return self.scaler.restored((x @ weights + bias).astype(np.float64))
 
     def to_onnx(self) -> onnx.ModelProto:
-        nodes = [helper.make_node("Flatten", ["image"], ["flat"])]
-        nodes += [helper.make_node("Sub", ["flat", "level"], ["centred"])]
-        nodes += [helper.make_node("Div", ["centred", "contrast"], ["x0"])]
-        constants = {
-            "level": np.array([self.level], np.float32),
-            "contrast": np.array([self.contrast], np.float32),
-            "scale": self.scaler.scale.astype(np.float32)[None, :],
-            "mean": self.scaler.mean.astype(np.float32)[None, :],
-        }
-        last = len(self.layers) - 1
+        graph = OnnxGraph()
+        at = graph.centred(graph.add("Flatten", ["image"]), self.level, self.contrast)
         for i, (weights, bias) in enumerate(self.layers):
-            constants |= {f"w{i}": weights.astype(np.float32), f"b{i}": bias.astype(np.float32)}
-            nodes += [helper.make_node("Gemm", [f"x{i}", f"w{i}", f"b{i}"], [f"y{i}"])]
-            if i < last:
-                nodes += [helper.make_node("Relu", [f"y{i}"], [f"x{i + 1}"])]
-        nodes += [helper.make_node("Mul", [f"y{last}", "scale"], ["spread"])]
-        nodes += [helper.make_node("Add", ["spread", "mean"], ["value"])]
-        return image_to_value(nodes, constants, self.shape, len(self.scaler.mean))
+            at = graph.add("Relu", [at]) if i else at
+            at = graph.add("Gemm", [at], {"w": weights.astype(np.float32), "b": bias.astype(np.float32)})
+        graph.restored(at, self.scaler.scale, self.scaler.mean, output="value")
+        return graph.model(self.shape, len(self.scaler.mean))
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +93,8 @@ class PixelMlp:
         rng = np.random.default_rng(seed)
         learn, watch = inner_validation(data, rows, self.watched, rng)
         first = data.sample(learn, 1000, rng)
-        level, contrast = float(first.mean()), float(first.std()) or 1.0
-        scaler = Scaler.of(data.values[learn])
+        contrast, scaler = float(first.std()) or 1.0, Scaler.of(data.values[learn])
+        untrained = FittedPerceptron(data.shape, float(first.mean()), contrast, scaler)
         network = MLPRegressor(
             hidden_layer_sizes=self.hidden,
             alpha=self.penalty,
@@ -105,10 +103,12 @@ class PixelMlp:
         )
         best, best_error, since = None, np.inf, 0
         for epoch in range(self.epochs):
-            self._pass(network, data, rng.permutation(learn), level, contrast, scaler)
+            self._pass(network, untrained, data, rng.permutation(learn))
             progress("learning", epoch + 1, self.epochs)
-            now = FittedPerceptron(data.shape, level, contrast, _layers(network), scaler)
-            error = self._error(now, data, watch) if len(watch) else float(network.loss_)
+            layers = zip(network.coefs_, network.intercepts_, strict=True)
+            now = replace(untrained, layers=tuple((w.copy(), b.copy()) for w, b in layers))
+            watched = scaled_errors(now, scaler, data, watch)
+            error = float(np.mean(watched**2)) if len(watch) else float(network.loss_)
             if error < best_error:
                 best, best_error, since = now, error, 0
             else:
@@ -120,27 +120,9 @@ class PixelMlp:
         return best
 
     def _pass(
-        self,
-        network: MLPRegressor,
-        data: TrainingData,
-        rows: Indices,
-        level: float,
-        contrast: float,
-        scaler: Scaler,
+        self, network: MLPRegressor, scales: FittedPerceptron, data: TrainingData, rows: Indices
     ) -> None:
         for part, inputs in data.batches(rows, 16 * self.batch):
-            pixels = (inputs.reshape(len(part), -1) - level) / contrast
-            targets = scaler.scaled(data.values[part]).astype(np.float32)
+            targets = scales.scaler.scaled(data.values[part]).astype(np.float32)
             network.set_params(batch_size=min(self.batch, len(part)))
-            network.partial_fit(pixels, targets[:, 0] if targets.shape[1] == 1 else targets)
-
-    def _error(self, fitted: FittedPerceptron, data: TrainingData, rows: Indices) -> float:
-        errors = [
-            fitted.scaler.scaled(fitted.predict(inputs)) - fitted.scaler.scaled(data.values[part])
-            for part, inputs in data.batches(rows)
-        ]
-        return float(np.mean(np.concatenate(errors) ** 2))
-
-
-def _layers(network: MLPRegressor) -> Layers:
-    return [(w.copy(), b.copy()) for w, b in zip(network.coefs_, network.intercepts_, strict=True)]
+            network.partial_fit(scales.pixels(inputs), targets[:, 0] if targets.shape[1] == 1 else targets)
