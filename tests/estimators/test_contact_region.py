@@ -65,7 +65,7 @@ def test_an_inclined_contacts_ring_is_an_ellipse(turn) -> None:
     assert_allclose(found.axes_px, (80.0, 80.0 / 1.3), rtol=0.04)
     assert_allclose(np.cos(2 * (found.angle_rad - turn)), 1.0, atol=0.05)
     assert_allclose(found.area_px2, np.pi * 80**2 / 1.3, rtol=0.05)
-    assert found.seen == 1.0
+    assert found.visible_share == 1.0
 
 
 def test_cells_grow_as_the_field_diverges() -> None:

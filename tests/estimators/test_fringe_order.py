@@ -64,7 +64,7 @@ def test_without_noise_the_slope_comes_back(light, slope) -> None:
     assert found.slope_per_n == pytest.approx(slope, rel=1e-3)
     assert found.residual_order == pytest.approx(0.02, abs=5e-3)
     assert not found.ambiguous
-    np.testing.assert_allclose(found.seen, slope * UNEVEN + 0.02, atol=0.01)
+    np.testing.assert_allclose(found.own_order, slope * UNEVEN + 0.02, atol=0.01)
 
 
 def test_the_interval_holds_the_slope_about_as_often_as_it_says() -> None:

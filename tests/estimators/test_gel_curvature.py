@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import ImageError, InputError
-from palpate.estimators.compliance import ImprintRegion, Lamps, bulge
+from palpate.estimators.compliance.gel_curvature import ImprintRegion, Lamps, bulge
 
 LAMPS = Lamps(((0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)))  # red from below, green from the left, blue from above
 MIDDLE = ImprintRegion(40, 30, 41, 31)

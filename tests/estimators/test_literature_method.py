@@ -59,7 +59,7 @@ def test_one_area_in_more_frames_has_one_regression_and_a_larger_sum() -> None:
         force = np.linspace(0.5, 5, frames)
         area = 1 + 0.1 * force
         divergence = np.diff(np.log(area), prepend=0.0)
-        return AsReported(force, divergence, area, {}).above(2.5)
+        return AsReported(force, divergence, area).above(2.5)
 
     few, many = course(20), course(60)
     assert (few.force_n >= 2.5).all()

@@ -110,7 +110,7 @@ def test_places_between_those_recorded_are_known_from_rendered_ones(sparse) -> N
     rng = np.random.default_rng(6)
     also = RenderedImages(np.round(thumbnails(scene(rng, 600))).astype(np.uint8), np.arange(600))
     guard = fit_novelty_detector(thumbs, folds, thumbs[:0], also=also)
-    assert len(guard.seen.thumbs) == len(thumbs) + 600
+    assert len(guard.neighbours.thumbs) == len(thumbs) + 600
     assert rising(guard, scene(rng, 100)) <= 0.05
     assert rising(guard, two_at_once(rng, 50)) >= 0.95
 
@@ -120,7 +120,7 @@ def test_rendered_frames_unlike_the_recorded_ones_are_left_out(sparse) -> None:
     unlike = 0.7 * thumbnails(scene(np.random.default_rng(7), 300)) + 30
     also = RenderedImages(np.round(unlike).astype(np.uint8), np.arange(300))
     guard = fit_novelty_detector(thumbs, folds, thumbs[:0], also=also)
-    assert len(guard.seen.thumbs) == len(thumbs)
+    assert len(guard.neighbours.thumbs) == len(thumbs)
 
 
 def test_a_guard_comes_back_from_disk_as_it_was(guard: NoveltyDetector, tmp_path) -> None:

@@ -7,13 +7,7 @@ from scipy.optimize import brentq
 from scipy.signal import lfilter
 
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.compliance import (
-    loading,
-    moving_average,
-    rising,
-    within,
-    without_spikes,
-)
+from palpate.estimators.compliance.press_force import loading, moving_average, rising, within, without_spikes
 
 
 def press(rate_hz=200.0, peak_n=5.2, s=2.0) -> np.ndarray:

@@ -5,7 +5,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.compliance import area_m2, paper_spread, refuse_literal, spread, summed_slopes
+from palpate.estimators.compliance.spread_rate import (
+    area_m2,
+    paper_spread,
+    refuse_literal,
+    spread,
+    summed_slopes,
+)
 
 
 def test_accumulated_divergence_gives_back_the_area_that_made_it() -> None:

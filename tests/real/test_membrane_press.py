@@ -22,7 +22,8 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.estimators.compliance import area_m2, loading, spread
+from palpate.estimators.compliance.press_force import loading
+from palpate.estimators.compliance.spread_rate import area_m2, spread
 from palpate.estimators.flow import CoarseToFine, HornSchunck, along, coarse_to_fine, dis, divergence, flow
 from palpate.recordings.exchange.frame_sequences import open_sequence
 from palpate.recordings.exchange.press_table import read_press_table

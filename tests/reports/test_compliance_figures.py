@@ -32,7 +32,7 @@ def pressed(rng) -> ReferenceTrial:
 
 
 def reported() -> AsReported:
-    return AsReported(FORCE, np.full(12, 0.01), np.exp(0.01 * np.arange(12)), {})
+    return AsReported(FORCE, np.full(12, 0.01), np.exp(0.01 * np.arange(12)))
 
 
 def reading(quantity: str, value: float, low: float, high: float, why: str = "") -> Reading:

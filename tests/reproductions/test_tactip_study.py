@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.core.errors import ExistsError, InputError
-from palpate.psychophysics.line_fit import fit_line
+from palpate.psychophysics import fit_line
 from palpate.reproductions import tactip as tactip_package
 from palpate.reproductions.tactip import tactip_reproduction as study
 from palpate.reproductions.tactip.tactip_conditions import order

@@ -76,14 +76,14 @@ def fitted(data):
 
 
 def test_it_tells_the_guard_of_the_presses_that_it_was_shown(fitted, data):
-    also = fitted.also_seen
+    also = fitted.rendered_images
     assert len(also.thumbs) == len(also.groups) == 240 + 20
     assert len(np.unique(also.groups)) == 20
     # Of the size of recorded inputs, and as light as a palm: dark fringes, a brighter mirror.
     assert also.thumbs.shape[1:] == thumbnail(np.zeros((SIDE, 2 * SIDE, 3), np.uint8)).shape
     half = also.thumbs.shape[2] // 2
     assert also.thumbs[240:, :, :half].mean() < also.thumbs[240:, :, half:].mean()
-    assert PalmCompact(rendered=0, epochs=1).fit(data, np.arange(96), seed=0).also_seen is None
+    assert PalmCompact(rendered=0, epochs=1).fit(data, np.arange(96), seed=0).rendered_images is None
 
 
 def test_it_learns_what_it_is_shown(fitted, data):

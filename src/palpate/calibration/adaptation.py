@@ -258,7 +258,7 @@ def _novelty_detector(estimator: Estimator, learning: LearningSet, parts: Split)
     Its limits let the copy's frames pass, each compared with the former calibration and the copy's other
     presses. Where the former frames are too unlike the copy's to help, they are left out.
     """
-    former = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard)).seen.thumbs
+    former = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard)).neighbours.thumbs
     also = RenderedImages(former, np.arange(len(former)) // TOGETHER)
     thumbs = learning.thumbnails()
     return fit_novelty_detector(

@@ -247,7 +247,7 @@ def _novelty_detector(
     """A detector that knows every frame, untouched ones too, and rendered ones that the model has seen."""
     progress("learning what frames look like", 0, 1)
     thumbs = learning.thumbnails()
-    also = fitted.also_seen if isinstance(fitted, LearnsFromRendered) else None
+    also = fitted.rendered_images if isinstance(fitted, LearnsFromRendered) else None
     detector = fit_novelty_detector(
         thumbs, learning.folds_of_whole(parts), thumbs[learning.untouched.rows], also=also, seed=plan.seed
     )

@@ -229,7 +229,7 @@ def fit_stress_optic(
     )
     progress("fitting", 1, 1)
     per_slope = polariscope.wavelength_m * specimen.breadth_m
-    scale = np.linspace(0.0, max(orders.order.max(), orders.seen.max()), SCALE_STEPS)
+    scale = np.linspace(0.0, max(orders.order.max(), orders.own_order.max()), SCALE_STEPS)
     C, half = orders.slope_per_n * per_slope, orders.half_width_per_n * per_slope
     return FringeFit(
         coefficient_per_pa=C,
@@ -243,12 +243,12 @@ def fit_stress_optic(
         images=series.images,
         load_n=_floats(series.load_n),
         order=_floats(orders.order),
-        seen=_floats(orders.seen),
-        seen_low=_floats(orders.seen_low),
-        seen_high=_floats(orders.seen_high),
+        seen=_floats(orders.own_order),
+        seen_low=_floats(orders.own_low),
+        seen_high=_floats(orders.own_high),
         residual_order=orders.residual_order,
         r_squared=_r_squared(orders),
-        monotone=_monotone(series.load_n, orders.seen),
+        monotone=_monotone(series.load_n, orders.own_order),
         rms=orders.rms,
         spread=orders.spread,
         channels=orders.channels,
@@ -285,7 +285,7 @@ def _remarks(
         remarks.append(f"residual order {orders.residual_order:.2f} is more than was allowed for")
     if orders.spread > UNEVEN:
         remarks.append(f"C differs by {orders.spread:.0%} between patches: the stress is not uniform there")
-    if not _monotone(series.load_n, orders.seen):
+    if not _monotone(series.load_n, orders.own_order):
         remarks.append("the orders that single photographs show do not all rise with load")
     if orders.ambiguous:
         remarks.append(
@@ -296,8 +296,8 @@ def _remarks(
 
 
 def _r_squared(orders: OrderFit) -> float:
-    about_line = np.sum((orders.seen - orders.order) ** 2)
-    return float(1 - about_line / np.sum((orders.seen - orders.seen.mean()) ** 2))
+    about_line = np.sum((orders.own_order - orders.order) ** 2)
+    return float(1 - about_line / np.sum((orders.own_order - orders.own_order.mean()) ** 2))
 
 
 def _monotone(load_n: ndarray, order: ndarray) -> bool:

@@ -55,9 +55,9 @@ class OrderFit:
         half_width_per_n: of its 95 % interval [1/N].
         residual_order: N0, the order without load.
         order: k P + N0 of each photograph.
-        seen: order that each photograph shows by itself, near the line (within 0.25).
-        seen_low: lower end of its 95 % interval.
-        seen_high: upper end.
+        own_order: order that each photograph shows by itself, near the line (within 0.25).
+        own_low: lower end of its 95 % interval.
+        own_high: upper end.
         channels: which channels were used.
         gain: a of each channel, mean over the patches, in the light's unit; 0 where a channel is not used.
         leak: b likewise; the mean light where a channel is not used.
@@ -70,9 +70,9 @@ class OrderFit:
     half_width_per_n: float
     residual_order: float
     order: Float[ndarray, " n"]
-    seen: Float[ndarray, " n"]
-    seen_low: Float[ndarray, " n"]
-    seen_high: Float[ndarray, " n"]
+    own_order: Float[ndarray, " n"]
+    own_low: Float[ndarray, " n"]
+    own_high: Float[ndarray, " n"]
     channels: tuple[int, ...]
     gain: Float[ndarray, " c"]
     leak: Float[ndarray, " c"]
@@ -118,8 +118,7 @@ def fit_orders(
     """
     clipped = np.zeros(light.shape, dtype=bool) if clipped is None else clipped
     _check(load_n, light, polariscope, greatest_order, residual_order)
-    channels = _lively(light)
-    traces = Traces.of(load_n, light, clipped, open_light, polariscope, channels, residual_order)
+    traces = Traces.of(load_n, light, clipped, open_light, polariscope, _lively(light), residual_order)
     fits = refined(traces, candidates(traces, greatest_order))
     best = fits[0]
     half = best.half_width()
@@ -129,25 +128,28 @@ def fit_orders(
             "zero; load more, take more photographs, or move the region to where the stress is uniform"
         )
     rivals = [_rival(fit, best) for fit in fits[1:] if fit.whole and abs(fit.slope - best.slope) > half]
-    seen, low, high = best.seen()
+    return _summary(light, traces, best, sorted(rivals, key=lambda rival: -rival.likelihood))
+
+
+def _summary(light: Light, traces: Traces, best: Fit, rivals: list[OrderCandidate]) -> OrderFit:
+    own, low, high = best.own_orders()
+    used = list(traces.channels)
     gain, leak = np.zeros(light.shape[2]), light.mean(axis=(0, 1))
-    gain[list(channels)], leak[list(channels)] = (
-        (share * traces.scale).mean(axis=0) for share in best.gain_and_leak()
-    )
+    gain[used], leak[used] = ((share * traces.scale).mean(axis=0) for share in best.gain_and_leak())
     return OrderFit(
         slope_per_n=best.slope,
-        half_width_per_n=half,
+        half_width_per_n=best.half_width(),
         residual_order=best.offset,
-        order=best.slope * load_n + best.offset,
-        seen=seen,
-        seen_low=low,
-        seen_high=high,
-        channels=channels,
+        order=best.slope * traces.load_n + best.offset,
+        own_order=own,
+        own_low=low,
+        own_high=high,
+        channels=traces.channels,
         gain=gain,
         leak=leak,
-        rms=float(np.sqrt(np.mean(best.residuals**2))),
+        rms=float(np.sqrt(best.cost)),
         spread=float(np.std(best.slopes) / best.slope),
-        rivals=tuple(sorted(rivals, key=lambda r: -r.likelihood)),
+        rivals=tuple(rivals),
     )
 
 

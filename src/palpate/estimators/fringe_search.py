@@ -190,7 +190,7 @@ class Fit:
         c = self.residuals.shape[2]
         return self.parameters[:, 2 : 2 + c], self.parameters[:, 2 + c :]
 
-    def seen(self) -> tuple[ndarray, ndarray, ndarray]:
+    def own_orders(self) -> tuple[ndarray, ndarray, ndarray]:
         """Order of each photograph by itself, and the orders it does not exclude."""
         a, b = self.gain_and_leak()
         line = self.slope * self.traces.load_n + self.offset

@@ -154,7 +154,7 @@ class LearnsFromRendered(Protocol):
     """A fitted model that learnt from such images."""
 
     @property
-    def also_seen(self) -> RenderedImages | None:
+    def rendered_images(self) -> RenderedImages | None:
         """None where there were none."""
         ...
 
@@ -258,14 +258,14 @@ class NoveltyDetector:
     """Judge of images by those that a calibration was learnt from, and of drift.
 
     Attributes:
-        seen: the calibration's thumbnails.
+        neighbours: the calibration's thumbnails.
         limits: of the two numbers of `NeighbourModel.novelty_score`.
         reference: mean thumbnail of the untouched sensor ``[h w c]``; None where none was recorded.
         reference_spread: how far its own no-contact thumbnails lie from their mean [grey levels, rms].
         drift_limit: the drift statistic above which the calibration is stale.
     """
 
-    seen: NeighbourModel
+    neighbours: NeighbourModel
     limits: Float[np.ndarray, " 2"]
     reference: Thumbnail | None
     reference_spread: float
@@ -273,7 +273,7 @@ class NoveltyDetector:
 
     def atypicality(self, prepared: Prepared) -> float:
         """Distance of the image from all that was calibrated on; beyond 1 it should not be trusted."""
-        return float(np.max(self.seen.novelty_score(thumbnail(prepared)) / self.limits))
+        return float(np.max(self.neighbours.novelty_score(thumbnail(prepared)) / self.limits))
 
     def drift(self, untouched: Prepared) -> Drift | None:
         """Drift of the untouched sensor since calibration; None where that had no view of it."""
@@ -287,10 +287,10 @@ class NoveltyDetector:
         absent = np.empty(0, np.float32)
         np.savez_compressed(
             path,
-            thumbs=self.seen.thumbs,
-            left=self.seen.residual,
-            centre=self.seen.centre,
-            axes=self.seen.axes,
+            thumbs=self.neighbours.thumbs,
+            left=self.neighbours.residual,
+            centre=self.neighbours.centre,
+            axes=self.neighbours.axes,
             limits=self.limits,
             reference=absent if self.reference is None else self.reference,
             drift=np.array([self.reference_spread, self.drift_limit]),
@@ -308,13 +308,13 @@ class NoveltyDetector:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 parts = dict(archive)
             _check(path, parts)
-            seen = NeighbourModel(parts["thumbs"], parts["left"], parts["centre"], parts["axes"])
+            neighbours = NeighbourModel(parts["thumbs"], parts["left"], parts["centre"], parts["axes"])
             reference = parts["reference"] if parts["reference"].size else None
             spread, limit = (float(v) for v in parts["drift"])
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as e:
             raise CertificateError(f"{path} is not a guard that palpate wrote ({e}); calibrate again") from e
-        _ = seen.squares  # so that the first frame does not wait for them
-        return cls(seen, parts["limits"], reference, spread, limit)
+        _ = neighbours.squares  # so that the first frame does not wait for them
+        return cls(neighbours, parts["limits"], reference, spread, limit)
 
 
 def _check(path: Path, parts: Mapping[str, np.ndarray]) -> None:
@@ -368,8 +368,11 @@ def fit_novelty_detector(
     thumbs_8bit = np.round(thumbs).astype(np.uint8)
     sets = [(thumbs_8bit, fold)]
     if also is not None:
-        sets.append((np.concatenate([thumbs_8bit, also.thumbs]), _dealt(fold, also)))
-    models = [fit_neighbours(images, _rows_of(dealt), rng) for images, dealt in sets]
+        sets.append((np.concatenate([thumbs_8bit, also.thumbs]), _joint_folds(fold, also)))
+    models = [
+        fit_neighbours(images, [np.flatnonzero(dealt == k) for k in range(fold.max() + 1)], rng)
+        for images, dealt in sets
+    ]
     limits = [_limits(one.novelty_score[: len(thumbs_8bit)]) for one in models]
     lets_pass = [
         one.expected_residual[: len(thumbs_8bit)] * limit[0]
@@ -379,11 +382,7 @@ def fit_novelty_detector(
     return NoveltyDetector(models[best].model, limits[best], *_untouched(untouched))
 
 
-def _rows_of(fold: Indices) -> list[Indices]:
-    return [np.flatnonzero(fold == k) for k in range(fold.max() + 1)]
-
-
-def _dealt(fold: Indices, also: RenderedImages) -> Indices:
+def _joint_folds(fold: Indices, also: RenderedImages) -> Indices:
     """The recorded frames' folds, then those of the others, whose groups are dealt out to the same folds."""
     _, group = np.unique(also.groups, return_inverse=True)
     return np.concatenate([fold, group % (fold.max() + 1)])

@@ -1,6 +1,5 @@
 """Statistics of specimens, stimuli and people."""
 
-from palpate.psychophysics.line_fit import Line, fit_line
-from palpate.psychophysics.rank_tests import Comparison, bootstrap_interval, compare
+from palpate.psychophysics.trial_statistics import Comparison, Line, bootstrap_interval, compare, fit_line
 
 __all__ = ["Comparison", "Line", "bootstrap_interval", "compare", "fit_line"]

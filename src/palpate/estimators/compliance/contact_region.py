@@ -183,13 +183,13 @@ class Ellipse:
         centre_px: of the ellipse [px].
         axes_px: half axes, the larger first [px].
         angle_rad: of the larger from x towards y [rad].
-        seen: share of directions in which the ring lies inside the field of pins.
+        visible_share: of directions in which the ring lies inside the field of pins.
     """
 
     centre_px: tuple[float, float]
     axes_px: tuple[float, float]
     angle_rad: float
-    seen: float
+    visible_share: float
 
     @property
     def area_px2(self) -> float:
@@ -235,7 +235,7 @@ def _reach(field: Field, centre: Float[ndarray, 2]) -> Float[ndarray, " rays"]:
     return along.max(axis=0)
 
 
-def _through(points: Points, centre: Float[ndarray, 2], seen: float) -> Ellipse:
+def _through(points: Points, centre: Float[ndarray, 2], visible_share: float) -> Ellipse:
     """The ellipse with the least algebraic distance to points around a centre."""
     scale = np.hypot(*points.T).mean()
     x, y = (points / scale).T
@@ -253,5 +253,5 @@ def _through(points: Points, centre: Float[ndarray, 2], seen: float) -> Ellipse:
         (float(at[0]), float(at[1])),
         (float(axes[0]), float(axes[1])),
         float(np.arctan2(vectors[1, 0], vectors[0, 0])),
-        seen,
+        visible_share,
     )

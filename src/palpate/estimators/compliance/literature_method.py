@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import islice
 
 import numpy as np
@@ -30,13 +31,25 @@ class AsReported:
         force_n: at each frame of the loading part [N].
         divergence: mean over the image, of the step to each frame [1/frame].
         area: A_i over A_0.
-        spreads: "regression", "secant" and "paper" [1/N]; those that the press allows.
     """
 
     force_n: Float[ndarray, " f"]
     divergence: Float[ndarray, " f"]
     area: Float[ndarray, " f"]
-    spreads: dict[str, SpreadRate]
+
+    @cached_property
+    def spreads(self) -> dict[str, SpreadRate]:
+        """Spread rates by "regression", "secant" and "paper" [1/N]; those that the press allows."""
+        spreads: dict[str, SpreadRate] = {}
+        for way in WAYS if len(self.force_n) > 1 else ():
+            try:
+                if way == "paper":
+                    spreads[way] = paper_spread(self.force_n, self.divergence, 1.0)
+                else:
+                    spreads[way] = spread(self.force_n, self.area, way)
+            except PalpateError:  # e.g. too few frames for a line; the others may still stand
+                continue
+        return spreads
 
     @property
     def summed(self) -> Float[ndarray, " f"]:
@@ -49,12 +62,7 @@ class AsReported:
     def above(self, force_n: float) -> AsReported:
         """The same of frames above a force; the report takes 2.5 N in its section V [N]."""
         rows = self.force_n >= force_n
-        return AsReported(
-            self.force_n[rows],
-            self.divergence[rows],
-            self.area[rows],
-            _spreads(self.force_n[rows], self.divergence[rows], self.area[rows]),
-        )
+        return AsReported(self.force_n[rows], self.divergence[rows], self.area[rows])
 
 
 def circle_through_pins(untouched_px: Float[ndarray, "p 2"], height: int, width: int) -> Bool[ndarray, "h w"]:
@@ -76,9 +84,7 @@ def as_reported(
     """Run the report's route on a press.
 
     Args:
-        frames: grey images in time.
-        force_n: raw samples [N].
-        frame_sample: of every frame, which sample it belongs to.
+        frames, force_n, frame_sample: see `pin_press.follow_press`.
         region: over which divergence is averaged; None for the whole image, as reported.
 
     Raises:
@@ -95,19 +101,4 @@ def as_reported(
             f"{len(divergence)} steps between frames for {len(used)} frames under {CONTACT_N:g} to "
             f"{MAX_N:g} N; give the frames and the table of one press, from a frame before contact on"
         )
-    force, area = smooth[at[used]], area_m2(1.0, divergence)
-    return AsReported(force, divergence, area, _spreads(force, divergence, area))
-
-
-def _spreads(
-    force: Float[ndarray, " f"], divergence: Float[ndarray, " f"], area: Float[ndarray, " f"]
-) -> dict[str, SpreadRate]:
-    spreads: dict[str, SpreadRate] = {}
-    for way in WAYS if len(force) > 1 else ():
-        try:
-            spreads[way] = (
-                paper_spread(force, divergence, 1.0) if way == "paper" else spread(force, area, way)
-            )
-        except PalpateError:  # e.g. too few frames for a line; the others may still stand
-            continue
-    return spreads
+    return AsReported(smooth[at[used]], divergence, area_m2(1.0, divergence))

@@ -54,11 +54,7 @@ class CoarseToFine:
 
 
 def coarse_to_fine(first: Grey, second: Grey, settings: CoarseToFine | None = None) -> FlowField:
-    """Flow from the first image to the second [px/frame], of many pixels if need be.
-
-    Raises:
-        ImageError, InputError: images that cannot be read as a pair.
-    """
+    """Flow from the first image to the second [px/frame], of many pixels if need be. Refuses as `flow`."""
     settings = settings or CoarseToFine()
     first, second = np.asarray(first), np.asarray(second)
     check_pair(first, second)

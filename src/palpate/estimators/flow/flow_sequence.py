@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain, pairwise, repeat
 from typing import TypeVar
 
 import cv2
@@ -57,16 +58,11 @@ def along(
 def _pairs(frames: Iterable[Grey], from_first: bool) -> Iterator[tuple[Grey, Grey]]:
     """Each frame after the first, behind its partner."""
     frames = iter(frames)
-    earlier = next(frames, None)
-    several = False
-    for frame in frames:
-        assert earlier is not None
-        yield earlier, frame
-        several = True
-        if not from_first:
-            earlier = frame
-    if not several:
+    first, second = next(frames, None), next(frames, None)
+    if first is None or second is None:
         raise InputError("flow needs two frames or more; the sequence has fewer")
+    later = chain([second], frames)
+    yield from zip(repeat(first), later) if from_first else pairwise(chain([first], later))
 
 
 def _results(
@@ -87,22 +83,14 @@ def _results(
 
 
 def dis(first: Grey, second: Grey) -> FlowField:
-    """Dense inverse search, preset MEDIUM [px/frame]; doi:10.1007/978-3-319-46493-0_29.
-
-    Raises:
-        ImageError, InputError: images that cannot be read as a pair.
-    """
+    """Dense inverse search, preset MEDIUM [px/frame]; doi:10.1007/978-3-319-46493-0_29. Refuses as `flow`."""
     a, b = _eight_bit_pair(first, second)
     method = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     return _planes(method.calc(a, b, None))
 
 
 def farneback(first: Grey, second: Grey) -> FlowField:
-    """Farnebäck's polynomial expansion, 3 levels, window 15 px [px/frame]; doi:10.1007/3-540-45103-X_50.
-
-    Raises:
-        ImageError, InputError: images that cannot be read as a pair.
-    """
+    """Farnebäck's expansion, 3 levels, window 15 px [px/frame]; doi:10.1007/3-540-45103-X_50. See `flow`."""
     a, b = _eight_bit_pair(first, second)
     return _planes(
         cv2.calcOpticalFlowFarneback(

@@ -43,10 +43,10 @@ _GENERAL = {
 }
 
 
-class _Models(Mapping[str, Kind]):
+class _Models(Mapping[str, Any]):
     """The models for any sensor, and those that a sensor's own folder declares, under its name."""
 
-    def __getitem__(self, name: str) -> Kind:
+    def __getitem__(self, name: str) -> Any:
         if name in _GENERAL:
             return _GENERAL[name]
         return self._own(name.partition("-")[0])[name]
@@ -62,17 +62,11 @@ class _Models(Mapping[str, Kind]):
         return import_path(MODELS_OF_SENSORS[sensor], "model") if sensor in MODELS_OF_SENSORS else {}
 
 
-class _Paths(Mapping[str, str]):
+class _Paths(_Models):
     """Where the code of every one of these models is."""
 
-    def __getitem__(self, name: str) -> str:
-        return MODELS[name].path
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(MODELS)
-
-    def __len__(self) -> int:
-        return len(MODELS)
+    def __getitem__(self, name: str) -> Any:
+        return super().__getitem__(name).path
 
 
 MODELS: Mapping[str, Kind] = _Models()

@@ -170,19 +170,14 @@ class CompactCnn:
             )
         members = []
         for m in range(self.members):
-            # Which epoch was best is not kept, so a network that stops early starts anew.
-            member_checkpoint = (
-                checkpoint.with_name(f"{checkpoint.stem}-{m}.npz")
-                if checkpoint and not self.patience
-                else None
-            )
 
-            def member_progress(what: str, done: int, total: int, before: int = m * self.epochs) -> None:
+            def report(what: str, done: int, total: int, before: int = m * self.epochs) -> None:
                 progress(what, before + done, self.members * total)
 
-            members.append(
-                plan._member(data, rows, seed * self.members + m, member_progress, member_checkpoint)
-            )
+            # Which epoch was best is not kept, so a network that stops early starts anew.
+            goes_on = checkpoint is not None and not self.patience
+            own = checkpoint.with_name(f"{checkpoint.stem}-{m}.npz") if checkpoint and goes_on else None
+            members.append(plan._member(data, rows, seed * self.members + m, report, own))
         return FittedNetwork(tuple(members), data.shape)
 
     def _member(
@@ -264,13 +259,7 @@ class _Training:
     def _rate(self, number: int) -> float:
         """Up over the first 200 steps (at most a tenth of all), then down a cosine."""
         total = self.steps * self.plan.epochs
-        rise = min(200, max(1, total // 10))
-        return (
-            self.plan.learning_rate
-            * min(1.0, (number + 1) / rise)
-            * 0.5
-            * (1 + math.cos(math.pi * number / total))
-        )
+        return cosine_rate(self.plan.learning_rate, number, total, min(200, max(1, total // 10)))
 
     def error(self, rows: Indices) -> float:
         fitted = FittedNetwork((self.kept(),), self.data.shape)
@@ -283,12 +272,9 @@ class _Training:
         return copy.eval()
 
     def save(self, path: Path) -> None:
-        """Keep all of it as plain arrays, in one step."""
-        arrays = {f"network/{k}": v.numpy() for k, v in self.network.state_dict().items()}
-        arrays |= {f"average/{k}": v.numpy() for k, v in self.average.state_dict().items()}
-        for i, state in self.optimiser.state_dict()["state"].items():
-            arrays |= {f"optimiser/{i}/{k}": v.numpy() for k, v in state.items()}
-        write_checkpoint(path, {"epoch": np.array(self.epoch), **arrays})
+        """Keep all of it, in one step."""
+        states = {"network": self.network.state_dict(), "average": self.average.state_dict()}
+        write_checkpoint(path, {"epoch": self.epoch}, states, self.optimiser)
 
     def load(self, path: Path) -> None:
         """Load what `save` kept; a damaged file is set aside and the fold begun anew."""
@@ -300,15 +286,26 @@ class _Training:
         self.epoch = int(arrays["epoch"])
         self.network.load_state_dict(checkpoint_part(arrays, "network"))
         self.average.load_state_dict(checkpoint_part(arrays, "average"))
-        states: dict[int, dict[str, torch.Tensor]] = {}
-        for key, value in checkpoint_part(arrays, "optimiser").items():
-            i, _, field = key.partition("/")
-            states.setdefault(int(i), {})[field] = value
+        states = optimiser_states(arrays)
         self.optimiser.load_state_dict(self.optimiser.state_dict() | {"state": states})
 
 
-def write_checkpoint(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Replace a checkpoint of plain arrays in one step."""
+def cosine_rate(peak: float, number: int, total: int, rise: int) -> float:
+    """Learning rate at one of all steps: up over the first so many, then down a cosine."""
+    return peak * min(1.0, (number + 1) / rise) * 0.5 * (1 + math.cos(math.pi * number / total))
+
+
+def write_checkpoint(
+    path: Path,
+    numbers: dict[str, float],
+    states: dict[str, dict[str, torch.Tensor]],
+    optimiser: torch.optim.Optimizer,
+) -> None:
+    """Replace a checkpoint of numbers, named states and an optimiser's, as plain arrays, in one step."""
+    arrays = {name: np.array(number) for name, number in numbers.items()}
+    moments = {f"optimiser/{i}": state for i, state in optimiser.state_dict()["state"].items()}
+    for name, state in (states | moments).items():
+        arrays |= {f"{name}/{k}": v.numpy(force=True) for k, v in state.items()}
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
         try:
             np.savez(file, **arrays)  # type: ignore[arg-type]
@@ -327,6 +324,15 @@ def read_checkpoint(path: Path) -> dict[str, torch.Tensor]:
 def checkpoint_part(arrays: dict[str, torch.Tensor], name: str) -> dict[str, torch.Tensor]:
     """Arrays whose names begin with ``name/``, without it."""
     return {k[len(name) + 1 :]: v for k, v in arrays.items() if k.startswith(f"{name}/")}
+
+
+def optimiser_states(arrays: dict[str, torch.Tensor]) -> dict[int, dict[str, torch.Tensor]]:
+    """The optimiser's state for each weight, of a checkpoint's arrays."""
+    states: dict[int, dict[str, torch.Tensor]] = {}
+    for key, value in checkpoint_part(arrays, "optimiser").items():
+        i, _, field = key.partition("/")
+        states.setdefault(int(i), {})[field] = value
+    return states
 
 
 def _moved(images: torch.Tensor, most_px: int, rng: np.random.Generator) -> torch.Tensor:

@@ -46,15 +46,7 @@ class FittedLinear:
 class MeanBaseline:
     """Learns nothing but the mean of the training set: what any other model must beat."""
 
-    def fit(
-        self,
-        data: TrainingData,
-        rows: Indices,
-        *,
-        seed: int,
-        progress: Progress = silent,
-        checkpoint: Path | None = None,
-    ) -> FittedLinear:
+    def fit(self, data: TrainingData, rows: Indices, **unused: object) -> FittedLinear:
         pixels, mean = math.prod(data.shape), data.values[rows].mean(axis=0)
         nothing = np.zeros((pixels, len(mean) + 1), np.float32)
         return FittedLinear(data.shape, nothing[:, 0], nothing[:, 1:], mean)

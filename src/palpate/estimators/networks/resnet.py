@@ -81,12 +81,7 @@ class ResNet18(nn.Module):  # type: ignore[misc]
         return image
 
     def load_weights(self, path: Path) -> None:
-        """Take weights from a file with torchvision's names for a ResNet-18 of colour images.
-
-        Raises:
-            InputError: it is no such file; the message names the entries missing, extra or of another shape.
-            MissingExtraError: the package that reads it is not installed.
-        """
+        """Take weights from a file with torchvision's names; see `read_weights` and `take`."""
         self.take(read_weights(path), str(path))
 
     def take(self, weights: Mapping[str, torch.Tensor], source: str) -> None:
@@ -96,11 +91,11 @@ class ResNet18(nn.Module):  # type: ignore[misc]
         image as the other would to the same image in all three channels.
 
         Args:
-            weights: of a ResNet-18.
+            weights: of a ResNet-18 of colour images.
             source: what an error shall call them.
 
         Raises:
-            InputError: entries are missing, extra or of another shape.
+            InputError: entries are missing, extra or of another shape; the message names them.
         """
         mine = self.state_dict()
         trunk = {k: v for k, v in weights.items() if not k.startswith("fc.")}

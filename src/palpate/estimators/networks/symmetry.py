@@ -59,12 +59,8 @@ class RotationalSymmetry:
     def turned(self, images: Tensor, values: Values, rng: np.random.Generator) -> tuple[Tensor, Values]:
         """Each image and its values turned by its own random number of steps."""
         counts = rng.integers(0, self.order, len(images))
-        rotated = np.stack(
-            [
-                _warped(image, self.matrix(int(n))) if n else image
-                for image, n in zip(images, counts, strict=True)
-            ]
-        )
+        each = zip(images, counts, strict=True)
+        rotated = np.stack([_warped(image, self.matrix(int(n))) if n else image for image, n in each])
         return rotated, self.turned_values(values, counts)
 
     def turned_values(self, values: Values, counts: np.ndarray) -> Values:

@@ -20,7 +20,6 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -29,7 +28,9 @@ from torch import nn
 from palpate.core import Float32, Indices, InputError, Tensor
 from palpate.estimators.networks.compact_cnn import (
     checkpoint_part,
+    cosine_rate,
     fast_bfloat16,
+    optimiser_states,
     read_checkpoint,
     write_checkpoint,
 )
@@ -102,8 +103,7 @@ class TrainingLoop:
         if not self.cosine:
             return self.learning_rate
         total = self.epochs * steps_an_epoch
-        rise = min(1.0, (step + 1) / min(RISING, total))
-        return self.learning_rate * rise * 0.5 * (1 + math.cos(math.pi * step / total))
+        return cosine_rate(self.learning_rate, step, total, min(RISING, total))
 
     def train(
         self,
@@ -246,14 +246,10 @@ class TrainingRun:
         return network
 
     def save(self, path: Path) -> None:
-        """Keep all of it as plain arrays, in one step."""
+        """Keep all of it, in one step."""
         counts = {"seed": self.seed, "epoch": self.epoch, "best_loss": self.best_loss, "since": self.since}
-        arrays: dict[str, Any] = {k: np.array(v) for k, v in counts.items()}
-        arrays |= {f"network/{k}": v.numpy(force=True) for k, v in self.network.state_dict().items()}
-        arrays |= {f"best/{k}": v.numpy() for k, v in self.best.items()}
-        for i, state in self.optimiser.state_dict()["state"].items():
-            arrays |= {f"optimiser/{i}/{k}": v.numpy(force=True) for k, v in state.items()}
-        write_checkpoint(path, arrays)
+        states = {"network": self.network.state_dict(), "best": self.best}
+        write_checkpoint(path, counts, states, self.optimiser)
 
     def resume(self, path: Path) -> None:
         """Go on from a checkpoint where there is one: all processes from the same."""
@@ -280,12 +276,12 @@ class TrainingRun:
         self._require_fit(network)
         if best:
             self._require_fit(best)
-        parameters = list(self.network.parameters())
-        states: dict[int, dict[str, torch.Tensor]] = {i: {} for i in range(len(parameters))}
-        for key, value in checkpoint_part(arrays, "optimiser").items():
-            i, _, field = key.partition("/")
-            states[int(i)][field] = _laid_out(value)
-        if not all(set(state) == {"step", "exp_avg", "exp_avg_sq"} for state in states.values()):
+        states = {
+            i: {name: _laid_out(value) for name, value in state.items()}
+            for i, state in optimiser_states(arrays).items()
+        }
+        whole = states.keys() == set(range(len(list(self.network.parameters()))))
+        if not (whole and all(set(state) == {"step", "exp_avg", "exp_avg_sq"} for state in states.values())):
             raise ValueError("the optimiser's state is not whole")
         if int(arrays["seed"]) != self.seed:
             raise ValueError("the checkpoint is of another seed")

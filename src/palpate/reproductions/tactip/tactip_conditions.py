@@ -20,9 +20,9 @@ from typing import Any, Literal
 import numpy as np
 
 from palpate.core import Float, ndarray
-from palpate.estimators.compliance import area_m2, loading, moving_average, paper_spread, spread, within
 from palpate.estimators.compliance.pin_press import at_forces
-from palpate.estimators.compliance.spread_rate import summed_slopes
+from palpate.estimators.compliance.press_force import loading, moving_average, within
+from palpate.estimators.compliance.spread_rate import area_m2, paper_spread, spread, summed_slopes
 from palpate.estimators.flow import divergence
 from palpate.estimators.flow.flow_sequence import course
 from palpate.estimators.pins import find_pins, follow

@@ -17,8 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from palpate.core import InputError, Reading, new_folder, refuse_existing, storage_errors
 from palpate.estimators.networks.model_interface import Progress, silent
-from palpate.psychophysics.line_fit import Line
-from palpate.psychophysics.rank_tests import Comparison, compare
+from palpate.psychophysics import Comparison, Line, compare
 from palpate.reports import study_figures as draw
 from palpate.reproductions.tactip.tactip_conditions import Row, compared, order
 from palpate.reproductions.tactip.tactip_setup import (

@@ -24,7 +24,7 @@ from palpate.calibration.compliance.press_cues import PressCues, cues_of, series
 from palpate.calibration.compliance.specimen_comparison import trials_table
 from palpate.core import Float, ndarray
 from palpate.estimators.networks.model_interface import Progress
-from palpate.psychophysics.line_fit import Line, fit_line
+from palpate.psychophysics import Line, fit_line
 from palpate.recordings.exchange.press_table import PressTable
 from palpate.sensors.tactip import TacTipSpec
 from palpate.workflows.tactip_trials import VirtualPress, record_press, specimens_at

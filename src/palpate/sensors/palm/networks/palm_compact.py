@@ -106,7 +106,7 @@ def _grid(side: int) -> torch.Tensor:
 class FittedCompact(FittedPalm):
     """A trained network, and the rendered presses that it has learnt from, for the guard to know."""
 
-    also_seen: RenderedImages | None
+    rendered_images: RenderedImages | None
 
 
 @dataclass(frozen=True)
