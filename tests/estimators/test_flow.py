@@ -9,17 +9,15 @@ from numpy.testing import assert_allclose
 from tests.oracles.plain_flow import derivatives, divergence as plain_divergence, horn_schunck
 
 from palpate.core.errors import ImageError, InputError, RangeError
-from palpate.estimators.flow import (
+from palpate.estimators.flow.flow_sequence import along, dis, farneback
+from palpate.estimators.flow.horn_schunck import (
     CoarseToFine,
     HornSchunck,
-    along,
+    brightness,
     coarse_to_fine,
-    dis,
     divergence,
-    farneback,
     flow,
 )
-from palpate.estimators.flow.horn_schunck import brightness
 from palpate.recordings.exchange.frame_sequences import TiffFrames
 
 

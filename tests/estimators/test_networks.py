@@ -6,7 +6,7 @@ import pytest
 
 from palpate.core.errors import InputError
 from palpate.estimators.networks import MODELS, make_model
-from palpate.estimators.networks.model_interface import Scaler, TrainingData, inner_validation, predict_rows
+from palpate.estimators.networks.model_interface import Scaler, TrainingData, predict_rows
 
 SHAPE = (1, 32, 32)
 # Those of fixed targets are tested beside this file, with the images and names that they ask for.
@@ -131,7 +131,7 @@ def test_a_damaged_checkpoint_is_not_trusted(rng, tmp_path) -> None:
 def test_early_stopping_watches_whole_groups(rng: np.random.Generator) -> None:
     data = blobs(60, rng)
     grouped = TrainingData(data.shape, data.values, np.repeat(np.arange(12), 5), data.fetch)
-    learn, watch = inner_validation(grouped, np.arange(60), 0.25, rng)
+    learn, watch = grouped.inner_validation(np.arange(60), 0.25, rng)
     assert len(watch) == 15
     assert not set(grouped.groups[learn]) & set(grouped.groups[watch])
     assert sorted([*learn, *watch]) == list(range(60))
@@ -140,7 +140,7 @@ def test_early_stopping_watches_whole_groups(rng: np.random.Generator) -> None:
 def test_one_group_leaves_nothing_to_watch(rng: np.random.Generator) -> None:
     data = blobs(10, rng)
     alone = TrainingData(data.shape, data.values, np.zeros(10), data.fetch)
-    learn, watch = inner_validation(alone, np.arange(10), 0.1, rng)
+    learn, watch = alone.inner_validation(np.arange(10), 0.1, rng)
     assert (len(learn), len(watch)) == (10, 0)
 
 

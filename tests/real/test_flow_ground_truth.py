@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.estimators.flow import coarse_to_fine, dis, flow
+from palpate.estimators.flow.flow_sequence import dis
+from palpate.estimators.flow.horn_schunck import coarse_to_fine, flow
 
 
 def scene(folder):

@@ -24,7 +24,8 @@ import pytest
 
 from palpate.estimators.compliance.press_force import loading
 from palpate.estimators.compliance.spread_rate import area_m2, spread
-from palpate.estimators.flow import CoarseToFine, HornSchunck, along, coarse_to_fine, dis, divergence, flow
+from palpate.estimators.flow.flow_sequence import along, dis
+from palpate.estimators.flow.horn_schunck import CoarseToFine, HornSchunck, coarse_to_fine, divergence, flow
 from palpate.recordings.exchange.frame_sequences import open_sequence
 from palpate.recordings.exchange.press_table import read_press_table
 

@@ -9,7 +9,7 @@ import tifffile
 from PIL import Image
 
 from palpate.core.errors import ExistsError, InputError
-from palpate.estimators.flow import divergence, flow
+from palpate.estimators.flow.horn_schunck import divergence, flow
 from palpate.reports.flow_figures import write_flow
 
 

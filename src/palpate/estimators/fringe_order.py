@@ -4,9 +4,11 @@ Each patch of the photograph passes, in colour channel c and at load P,
 
     v_c = b_c + a_c S_c(N),   S_c(N) = sum_k w_kc sin^2(pi N l0 C(l_k) / (l_k C(l0))),   N = k P + N0,
 
-with the gain a and the leak b of every patch and channel unknown. Many k fit nearly as well as each other, so
-all are tried on a grid (`fringe_search`); the best few are refined by robust least squares, soft L1, patch by
-patch, since stress may differ between patches. What comes back is the patches' mean of k.
+with the gain a and the leak b of every patch and channel unknown. The misfit has a valley at every k that
+turns the same brightnesses by some whole fringe more or less, so no descent from one start finds the right
+one: all are tried on a grid, where gain and leak are in closed form, and the best few are refined by robust
+least squares, soft L1, patch by patch, since stress may differ between patches. What comes back is the
+patches' mean of k.
 
 A photograph's errors (lamp, exposure, load) are shared by all its patches, so the photographs are what is
 counted: the interval is Student's, with 4 unknowns, from the scatter of whole photographs about the fit, and
@@ -20,15 +22,290 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.stats import t as student
 
 from palpate.core import Bool, Float, InputError, RangeError, ndarray
 from palpate.estimators.fringe_light import Polariscope
-from palpate.estimators.fringe_search import MIN_ORDER, Fit, Traces, candidates, refined
 
 MIN_PHOTOGRAPHS = 5  # one more than the unknowns k, N0, a and b
 MIN_LOADS = 4
 RIVAL = 0.05  # share of the best fit's likelihood from which another slope is called as good
 _DULL = 0.1  # a channel that changes less than this share of the liveliest one is left out
+UNKNOWNS = 4  # k, N0, a and b
+MIN_ORDER = 0.1  # at the greatest load; where the scan begins if the gain is not known
+MIN_WITH_GAIN = 0.02
+STEP = 0.02  # of the scan, in orders at the greatest load
+CANDIDATES = 5
+HOPELESS = 20.0  # times the best one's misfit: likelihood below 1e-3 with five photographs to spare
+TOO_LITTLE = (
+    "the photographs show too small a part of a fringe to tell the order from the lamp's brightness; "
+    "load more, or add a photograph between parallel polarisers"
+)
+TOO_MUCH = "the best fit lies at the scan's end, order {:g} at the greatest load; allow greater orders"
+
+
+@dataclass(frozen=True, slots=True)
+class Traces:
+    """Light over its range, one row a photograph and perhaps one for parallel polarisers."""
+
+    load_n: Float[ndarray, " n"]
+    y: Float[ndarray, "rows p c"]
+    scale: Float[ndarray, "p c"]
+    clipped: Bool[ndarray, "rows p c"]
+    polariscope: Polariscope
+    channels: tuple[int, ...]
+    open_row: bool
+    residual_order: float
+
+    @classmethod
+    def of(
+        cls,
+        load_n: ndarray,
+        light: ndarray,
+        clipped: ndarray | None,
+        open_light: ndarray | None,
+        polariscope: Polariscope,
+        residual_order: float,
+    ) -> Traces:
+        use = _lively(light)
+        y = light[..., use]
+        cut = np.zeros(y.shape, dtype=bool) if clipped is None else clipped[..., use]
+        scale = np.maximum(np.ptp(y, axis=0), 1e-3 * np.max(np.ptp(y, axis=0)))
+        if open_light is not None:
+            if not (np.isfinite(open_light).all() and (open_light[..., use] > 0).all()):
+                raise InputError(
+                    "the photograph between parallel polarisers is dark somewhere in the region; take it "
+                    "with the specimen unloaded and the analyser turned by 90 degrees"
+                )
+            y = np.concatenate([y, open_light[None, :, use]])
+            cut = np.concatenate([cut, np.zeros((1, *cut.shape[1:]), dtype=bool)])
+        opened = open_light is not None
+        return cls(load_n, y / scale, scale, cut, polariscope, tuple(use), opened, residual_order)
+
+    @property
+    def least_order(self) -> float:
+        """Order at the greatest load where the scan begins."""
+        return MIN_WITH_GAIN if self.open_row else MIN_ORDER
+
+    def model(self, order: ndarray) -> tuple[ndarray, ndarray]:
+        """S of every row and its derivative by N ``[... rows c]``, at the photographs' orders."""
+        s, by_order = (v[..., list(self.channels)] for v in self.polariscope.light_and_slope(order))
+        if not self.open_row:
+            return s, by_order
+        row = np.ones((*s.shape[:-2], 1, s.shape[-1]))
+        return np.concatenate([s, row], axis=-2), np.concatenate([by_order, 0 * row], axis=-2)
+
+
+def candidates(traces: Traces, greatest_order: float) -> list[tuple[float, float]]:
+    """Slopes and offsets of the scan's deepest valleys, best first."""
+    top = traces.load_n.max()
+    slopes = np.arange(traces.least_order, greatest_order + STEP / 2, STEP) / top
+    offsets = traces.residual_order * np.linspace(-2, 2, 5)
+    cost = np.stack([profiled(traces, slopes, offset) for offset in offsets], axis=1)
+    noise = cost.min() / max(len(traces.y) - UNKNOWNS, 1)
+    cost = cost + noise * (offsets / traces.residual_order) ** 2
+    valley = cost.min(axis=1)
+    inner = np.flatnonzero((valley[1:-1] < valley[:-2]) & (valley[1:-1] <= valley[2:])) + 1
+    ends = [i for i, j in ((0, 1), (-1, -2)) if valley[i] < valley[j]]
+    deepest = sorted([*inner, *ends], key=lambda i: valley[i])
+    if not deepest or deepest[0] in ends:
+        over = bool(deepest) and deepest[0] == -1
+        raise RangeError(TOO_MUCH.format(greatest_order) if over else TOO_LITTLE)
+    best = [i for i in deepest[:CANDIDATES] if valley[i] <= HOPELESS * valley[deepest[0]]]
+    return [(float(slopes[i]), float(offsets[cost[i].argmin()])) for i in best]
+
+
+def profiled(traces: Traces, slopes: ndarray, offset: float) -> ndarray:
+    """Mean over patches of the squared misfit at each slope, gain and leak being the best not below 0."""
+    s, _ = traces.model(slopes[:, None] * traces.load_n + offset)  # k, rows, c
+    w = (~traces.clipped).astype(float)
+    wy = w * traces.y
+    n, y1, y2 = w.sum(axis=0), wy.sum(axis=0), (wy * traces.y).sum(axis=0)
+    s1, s2 = np.einsum("knc,npc->kpc", s, w), np.einsum("knc,npc->kpc", s**2, w)
+    sy = np.einsum("knc,npc->kpc", s, wy)
+    tiny = 1e-12
+    a = (n * sy - s1 * y1) / np.maximum(n * s2 - s1**2, tiny)
+    b = (y1 - a * s1) / np.maximum(n, tiny)
+    free = y2 - a * sy - b * y1
+    no_leak = y2 - np.maximum(sy, 0) ** 2 / np.maximum(s2, tiny)
+    flat = y2 - y1**2 / np.maximum(n, tiny)
+    return np.asarray(np.where(a < 0, flat, np.where(b < 0, no_leak, free)).sum(axis=-1).mean(axis=-1))
+
+
+CONFIDENCE = 0.95
+EVALUATIONS = 60  # a candidate that has not settled by then lies in a flat valley and will not win
+APART = 0.5  # how far a patch may go from the scan's slope, in orders at the greatest load: one mirror image
+NEAR = 0.25  # how far from the line a photograph's own order is looked for; further lies its mirror image
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Every patch fitted near one slope.
+
+    Attributes:
+        parameters: k [1/N], N0, a of each channel and b of each channel, a row for each patch.
+        residuals: model minus light, in shares of each patch's range.
+        influence: how far each datum, were it 1 greater, would move its patch's k [1/N].
+        prior_share: part of k's variance that comes from not knowing N0 [1/N^2].
+        whole: every patch has a best k near the others', none wandered off to the end of where it may look.
+    """
+
+    traces: Traces
+    parameters: Float[ndarray, "p q"]
+    residuals: Float[ndarray, "rows p c"]
+    influence: Float[ndarray, "p m"]
+    prior_share: float
+    whole: bool
+
+    @property
+    def slopes(self) -> ndarray:
+        """Slope k of every patch [1/N]."""
+        return self.parameters[:, 0]
+
+    @property
+    def slope(self) -> float:
+        """Mean over patches [1/N]."""
+        return float(self.slopes.mean())
+
+    @property
+    def offset(self) -> float:
+        """N0, mean over patches."""
+        return float(self.parameters[:, 1].mean())
+
+    @property
+    def cost(self) -> float:
+        """Mean squared residual."""
+        return float(np.mean(self.residuals**2))
+
+    def freedom(self) -> int:
+        """Photographs beyond the unknowns."""
+        return max(len(self.residuals) - UNKNOWNS, 1)
+
+    def quantile(self) -> float:
+        """Student's, for the interval's two ends."""
+        return float(student.ppf((1 + CONFIDENCE) / 2, self.freedom()))
+
+    def covariance(self) -> ndarray:
+        """Covariance of one photograph's error between its channels ``[c c]``."""
+        r = self.residuals.mean(axis=1)
+        return np.asarray(r.T @ r / self.freedom())
+
+    def half_width(self) -> float:
+        """Half-width of k's interval [1/N]."""
+        rows, patches, channels = self.residuals.shape
+        L = self.influence.mean(axis=0).reshape(rows, channels)
+        # Errors alike in every photograph, or as large in each as its residual: the wider of the two.
+        even = np.einsum("nc,cd,nd->", L, self.covariance(), L)
+        own = np.sum(np.sum(L * self.residuals.mean(axis=1), axis=1) ** 2) * rows / self.freedom()
+        scatter = max(even, own)
+        between = self.slopes.var(ddof=1) / patches if patches > 1 else 0.0
+        return self.quantile() * float(np.sqrt(scatter + between + self.prior_share))
+
+    def gain_and_leak(self) -> tuple[ndarray, ndarray]:
+        """Both of every patch and channel ``[p c]``."""
+        c = self.residuals.shape[2]
+        return self.parameters[:, 2 : 2 + c], self.parameters[:, 2 + c :]
+
+    def own_orders(self) -> tuple[ndarray, ndarray, ndarray]:
+        """Order of each photograph by itself, and the orders it does not exclude."""
+        a, b = self.gain_and_leak()
+        line = self.slope * self.traces.load_n + self.offset
+        near = np.linspace(-NEAR, NEAR, 281)
+        share = (self.slopes / self.slope)[:, None, None]
+        order = (line + near[:, None]) * share  # p, near, n
+        s = self.traces.polariscope.light(order)[..., list(self.traces.channels)]
+        r = self.traces.y[: len(line)].transpose(1, 0, 2)[:, None] - b[:, None, None] - a[:, None, None] * s
+        misfit = (r.mean(axis=0) ** 2).sum(axis=-1)  # near, n
+        spare = self.quantile() ** 2 * np.trace(self.covariance())
+        ends = np.array([_valley(column, spare) for column in misfit.T])
+        best, low, high = near[ends].T
+        return line + best, line + low, line + high
+
+
+def _valley(misfit: ndarray, spare: float) -> tuple[int, int, int]:
+    """Bottom of the valley that the middle lies in, and the ends of what is at most `spare` above it."""
+    at = len(misfit) // 2
+    step = 1 if misfit[at + 1] < misfit[at] else -1
+    while 0 <= at + step < len(misfit) and misfit[at + step] < misfit[at]:
+        at += step
+    outside = np.flatnonzero(misfit > misfit[at] + spare)
+    low = outside[outside < at].max(initial=-1) + 1
+    high = outside[outside > at].min(initial=len(misfit)) - 1
+    return at, int(low), int(high)
+
+
+def refined(traces: Traces, starts: list[tuple[float, float]]) -> list[Fit]:
+    """The candidates, each refined, best first; those that ran into one another are one."""
+    noise = np.sqrt(profiled(traces, np.array([starts[0][0]]), starts[0][1])[0])
+    noise = max(float(noise) / np.sqrt(traces.y.shape[2] * max(len(traces.y) - UNKNOWNS, 1)), 1e-3)
+    attempts = [_fit_near(traces, k, n0, noise) for k, n0 in starts]
+    fits = sorted(attempts, key=lambda fit: (not fit.whole, fit.cost))
+    apart = 2 * STEP / traces.load_n.max()
+    distinct: list[Fit] = []
+    for fit in fits:
+        if all(abs(fit.slope - other.slope) > apart for other in distinct):
+            distinct.append(fit)
+    if distinct[0].slope * traces.load_n.max() < traces.least_order:
+        raise RangeError(TOO_LITTLE)
+    return distinct
+
+
+def _fit_near(traces: Traces, slope: float, offset: float, noise: float) -> Fit:
+    patches = [_fit_patch(traces, p, slope, offset, noise) for p in range(traces.y.shape[1])]
+    data = traces.y[:, 0].size
+    influence = np.array([_influence(one) for one in patches]) / traces.load_n.max()
+    residuals = np.stack([one.fun[:data].reshape(traces.y[:, 0].shape) for one in patches], axis=1)
+    parameters = np.array([one.x for one in patches])
+    parameters[:, 0] /= traces.load_n.max()
+    prior = float((influence[:, data].mean() * noise) ** 2)
+    whole = not any(one.active_mask[0] for one in patches)
+    return Fit(traces, parameters, residuals, influence[:, :data], prior, whole)
+
+
+def _fit_patch(traces: Traces, p: int, slope: float, offset: float, noise: float) -> OptimizeResult:
+    """One patch: k (in orders at the greatest load), N0, a, b. The last residual is what is known of N0."""
+    top, c = traces.load_n.max(), traces.y.shape[2]
+    y, cut = traces.y[:, p], traces.clipped[:, p]
+
+    share = np.append(traces.load_n / top, np.zeros(len(y) - len(traces.load_n)))[:, None, None]
+    prior_row = np.zeros((1, 2 + 2 * c))
+    prior_row[0, 1] = noise / traces.residual_order
+    cache: dict[bytes, tuple[ndarray, ndarray]] = {}
+
+    def both(x: ndarray) -> tuple[ndarray, ndarray]:
+        """Residuals and their derivatives: at each point both are asked for."""
+        s, by_order = traces.model(x[0] / top * traces.load_n + x[1])
+        a, b = x[2 : 2 + c], x[2 + c :]
+        r = a * s + b - y
+        counts = ~(cut & (r > 0))  # saturated light is at least what is written
+        by_line, each = (counts * a * by_order)[..., None], counts[..., None] * np.eye(c)
+        J = np.concatenate([by_line * share, by_line, each * s[..., None], each], axis=-1)
+        at = np.append((counts * r).ravel(), prior_row[0, 1] * x[1])
+        cache.clear()
+        cache[x.tobytes()] = at, np.concatenate([J.reshape(-1, 2 + 2 * c), prior_row])
+        return cache[x.tobytes()]
+
+    start = np.concatenate([[slope * top, offset], np.full(c, 1.0), np.maximum(y.min(axis=0), 1e-3)])
+    low = np.concatenate([[max(start[0] - APART, 0.0), -np.inf], np.zeros(2 * c)])
+    high = np.concatenate([[start[0] + APART], np.full(1 + 2 * c, np.inf)])
+    return least_squares(
+        lambda x: (cache.get(x.tobytes()) or both(x))[0],
+        start,
+        lambda x: (cache.get(x.tobytes()) or both(x))[1],
+        bounds=(low, high),
+        loss="soft_l1",
+        f_scale=3 * noise,
+        max_nfev=EVALUATIONS,
+    )
+
+
+def _influence(optimum: OptimizeResult) -> ndarray:
+    """Change of k (in orders at the greatest load) by each residual, were it 1."""
+    free = optimum.active_mask == 0
+    free[0] = True
+    return np.asarray(-np.linalg.pinv(optimum.jac[:, free])[0])
+
 
 Light = Float[ndarray, "n p c"]
 
@@ -116,9 +393,8 @@ def fit_orders(
             of light with load.
         RangeError: the scan's range is empty, the best slope lies at an end of it, or its interval reaches 0.
     """
-    clipped = np.zeros(light.shape, dtype=bool) if clipped is None else clipped
     _check(load_n, light, polariscope, greatest_order, residual_order)
-    traces = Traces.of(load_n, light, clipped, open_light, polariscope, _lively(light), residual_order)
+    traces = Traces.of(load_n, light, clipped, open_light, polariscope, residual_order)
     fits = refined(traces, candidates(traces, greatest_order))
     best = fits[0]
     half = best.half_width()
@@ -176,7 +452,7 @@ def _rival(fit: Fit, best: Fit) -> OrderCandidate:
     return OrderCandidate(fit.slope, float(min(ratio ** (fit.freedom() / 2), 1.0)))
 
 
-def _lively(light: ndarray) -> tuple[int, ...]:
+def _lively(light: ndarray) -> list[int]:
     """Channels whose light changes with load."""
     change = np.ptp(light, axis=0).mean(axis=0)
     if not change.max() > 0:
@@ -184,7 +460,7 @@ def _lively(light: ndarray) -> tuple[int, ...]:
             "the light in the region is the same at every load; move the region onto the specimen, or load "
             "more"
         )
-    return tuple(int(c) for c in np.flatnonzero(change >= _DULL * change.max()))
+    return [int(c) for c in np.flatnonzero(change >= _DULL * change.max())]
 
 
 def _check(

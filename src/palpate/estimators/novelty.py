@@ -156,7 +156,6 @@ class LearnsFromRendered(Protocol):
     @property
     def rendered_images(self) -> RenderedImages | None:
         """None where there were none."""
-        ...
 
 
 class FittedNeighbours(NamedTuple):

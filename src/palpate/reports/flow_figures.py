@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from palpate.core import new_folder, storage_errors
-from palpate.estimators.flow import FlowField
 from palpate.estimators.flow.flow_sequence import Step, course
+from palpate.estimators.flow.horn_schunck import FlowField
 from palpate.recordings.exchange.frame_sequences import open_sequence
 from palpate.reports.calibration_figures import ACCENT, INK, STYLE
 

@@ -19,8 +19,15 @@ import cv2
 import numpy as np
 
 from palpate.core import Bool, InputError, ndarray
-from palpate.estimators.flow.coarse_to_fine import coarse_to_fine
-from palpate.estimators.flow.horn_schunck import FlowField, Grey, brightness, check_pair, divergence, flow
+from palpate.estimators.flow.horn_schunck import (
+    FlowField,
+    Grey,
+    brightness,
+    check_pair,
+    coarse_to_fine,
+    divergence,
+    flow,
+)
 
 AHEAD = 4  # pairs a thread that wait, so that no thread waits for the reader
 

@@ -24,14 +24,7 @@ from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
 
 from palpate.core import Indices, InputError, Tensor, Values
-from palpate.estimators.networks.model_interface import (
-    Progress,
-    Scaler,
-    TrainingData,
-    inner_validation,
-    scaled_errors,
-    silent,
-)
+from palpate.estimators.networks.model_interface import Progress, Scaler, TrainingData, scaled_errors, silent
 from palpate.estimators.networks.symmetry import RotationalSymmetry
 from palpate.estimators.networks.torch_export import TorchGraph
 
@@ -54,10 +47,6 @@ class Network(nn.Module):  # type: ignore[misc]  # torch is seen as Any, so that
         self.head = nn.Sequential(
             nn.Flatten(), nn.Linear(flat, hidden), nn.ReLU(), nn.Linear(hidden, len(scaler.mean))
         )
-        self.level: torch.Tensor
-        self.contrast: torch.Tensor
-        self.mean: torch.Tensor
-        self.scale: torch.Tensor
         self.register_buffer("level", torch.zeros(()))
         self.register_buffer("contrast", torch.ones(()))
         self.register_buffer("mean", torch.tensor(scaler.mean, dtype=torch.float32))
@@ -65,8 +54,7 @@ class Network(nn.Module):  # type: ignore[misc]  # torch is seen as Any, so that
 
     def scaled(self, image: torch.Tensor) -> torch.Tensor:
         """Values in units of their spread in the training set: what the loss is taken of."""
-        result: torch.Tensor = self.head(self.blocks((image - self.level) / self.contrast))
-        return result
+        return self.head(self.blocks((image - self.level) / self.contrast))
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
         """Values in the targets' units."""
@@ -184,7 +172,7 @@ class CompactCnn:
         self, data: TrainingData, rows: Indices, seed: int, progress: Progress, checkpoint: Path | None
     ) -> Network:
         rng = np.random.default_rng(seed)
-        learn, watch = inner_validation(data, rows, self.watched, rng) if self.patience else (rows, rows[:0])
+        learn, watch = data.inner_validation(rows, self.watched, rng) if self.patience else (rows, rows[:0])
         with seeded(seed):
             training = _Training(self, data, learn, seed, rng)
         if checkpoint is not None and checkpoint.exists():

@@ -49,6 +49,19 @@ class TrainingData:
         chosen = rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))
         return np.concatenate([inputs for _, inputs in self.batches(chosen)])
 
+    def inner_validation(
+        self, rows: Indices, share: float, rng: np.random.Generator
+    ) -> tuple[Indices, Indices]:
+        """Part whole groups from `rows`, to decide by them when to stop.
+
+        Returns:
+            Rows to learn from and rows to watch; the second is empty where there are fewer than two groups.
+        """
+        names = np.unique(self.groups[rows])
+        count = min(round(share * len(names)) or 1, len(names) - 1)
+        validation = np.isin(self.groups[rows], rng.choice(names, count, replace=False))
+        return rows[~validation], rows[validation]
+
 
 @runtime_checkable
 class Fitted(Protocol):
@@ -56,11 +69,9 @@ class Fitted(Protocol):
 
     def predict(self, inputs: Tensor) -> Values:
         """Estimates ``[n t]`` in the targets' units, for inputs ``[n c h w]``."""
-        ...
 
     def to_onnx(self) -> onnx.ModelProto:
         """The same map as ONNX, from ``image [n c h w]`` to ``value [n t]``, both float32."""
-        ...
 
 
 @runtime_checkable
@@ -85,7 +96,6 @@ class Model(Protocol):
             progress: called with how far the work is.
             checkpoint: a file the model may keep its progress in, to go on from after an interruption.
         """
-        ...
 
 
 def predict_rows(fitted: Fitted, data: TrainingData, rows: Indices) -> Values:
@@ -119,17 +129,3 @@ class Scaler:
 def scaled_errors(fitted: Fitted, scaler: Scaler, data: TrainingData, rows: Indices) -> Values:
     """Errors of estimates of rows ``[n t]``, in units of the spread."""
     return scaler.scaled(predict_rows(fitted, data, rows)) - scaler.scaled(data.values[rows])
-
-
-def inner_validation(
-    data: TrainingData, rows: Indices, share: float, rng: np.random.Generator
-) -> tuple[Indices, Indices]:
-    """Part whole groups from `rows`, to decide by them when to stop.
-
-    Returns:
-        Rows to learn from and rows to watch; the second is empty where there are fewer than two groups.
-    """
-    names = np.unique(data.groups[rows])
-    count = min(round(share * len(names)) or 1, len(names) - 1)
-    validation = np.isin(data.groups[rows], rng.choice(names, count, replace=False))
-    return rows[~validation], rows[validation]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import onnx
@@ -92,13 +91,7 @@ class PcaRidge:
     penalties: tuple[float, ...] = tuple(float(p) for p in np.logspace(-4, 4, 17))
 
     def fit(
-        self,
-        data: TrainingData,
-        rows: Indices,
-        *,
-        seed: int,
-        progress: Progress = silent,
-        checkpoint: Path | None = None,
+        self, data: TrainingData, rows: Indices, *, seed: int, progress: Progress = silent, **unused: object
     ) -> FittedLinear:
         rng = np.random.default_rng(seed)
         basis = data.sample(rows, self.basis_frames, rng).reshape(-1, math.prod(data.shape))

@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import onnx
 from sklearn.neural_network import MLPRegressor
 
 from palpate.core import Float, Indices, Tensor, Values
-from palpate.estimators.networks.model_interface import (
-    Progress,
-    Scaler,
-    TrainingData,
-    inner_validation,
-    scaled_errors,
-    silent,
-)
+from palpate.estimators.networks.model_interface import Progress, Scaler, TrainingData, scaled_errors, silent
 from palpate.estimators.networks.onnx_graph import OnnxGraph
 
 
@@ -82,16 +74,10 @@ class PixelMlp:
     penalty: float = 1e-2
 
     def fit(
-        self,
-        data: TrainingData,
-        rows: Indices,
-        *,
-        seed: int,
-        progress: Progress = silent,
-        checkpoint: Path | None = None,
+        self, data: TrainingData, rows: Indices, *, seed: int, progress: Progress = silent, **unused: object
     ) -> FittedPerceptron:
         rng = np.random.default_rng(seed)
-        learn, watch = inner_validation(data, rows, self.watched, rng)
+        learn, watch = data.inner_validation(rows, self.watched, rng)
         first = data.sample(learn, 1000, rng)
         contrast, scaler = float(first.std()) or 1.0, Scaler.of(data.values[learn])
         untrained = FittedPerceptron(data.shape, float(first.mean()), contrast, scaler)

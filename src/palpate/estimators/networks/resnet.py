@@ -39,8 +39,7 @@ class BasicBlock(nn.Module):  # type: ignore[misc]  # torch is seen as Any, so t
         """The block's map ``[n k h w]``."""
         around = x if self.downsample is None else self.downsample(x)
         through = self.bn2(self.conv2(self.relu(self.bn1(self.conv1(x)))))
-        result: torch.Tensor = self.relu(through + around)
-        return result
+        return self.relu(through + around)
 
 
 class ResNet18(nn.Module):  # type: ignore[misc]

@@ -23,8 +23,8 @@ from palpate.core import Float, ndarray
 from palpate.estimators.compliance.pin_press import at_forces
 from palpate.estimators.compliance.press_force import loading, moving_average, within
 from palpate.estimators.compliance.spread_rate import area_m2, paper_spread, spread, summed_slopes
-from palpate.estimators.flow import divergence
 from palpate.estimators.flow.flow_sequence import course
+from palpate.estimators.flow.horn_schunck import divergence
 from palpate.estimators.pins import find_pins, follow
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
 from palpate.sensors.tactip import PINS_331, HeadOn, TacTipSpec

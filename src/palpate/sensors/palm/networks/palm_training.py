@@ -24,13 +24,7 @@ from torch import nn
 
 from palpate.core import Indices, InputError, Tensor, Values
 from palpate.estimators.networks.compact_cnn import seeded
-from palpate.estimators.networks.model_interface import (
-    Progress,
-    Scaler,
-    TrainingData,
-    inner_validation,
-    silent,
-)
+from palpate.estimators.networks.model_interface import Progress, Scaler, TrainingData, silent
 from palpate.estimators.networks.resnet import ResNet18, check_weights
 from palpate.estimators.networks.torch_export import TorchGraph
 from palpate.estimators.networks.training_loop import TrainingLoop, TrainingTask
@@ -270,7 +264,7 @@ class PalmModel(ABC):
         columns = columns_of(self.targets, data.names, type(self).__name__)
         half_width(data.shape)
         rng = np.random.default_rng(seed)
-        learn, watch = inner_validation(data, rows, self.watched, rng) if self.patience else (rows, rows[:0])
+        learn, watch = data.inner_validation(rows, self.watched, rng) if self.patience else (rows, rows[:0])
         scales = Scales.of(data, learn, columns, self.standardised, rng)
         wanted = scales.targets.scaled(data.values[:, columns]).astype(np.float32)
         lesson = TrainingTask(data.fetch, wanted, self.loss, learn, watch)
