@@ -2,3 +2,5 @@
 
 Each module is one way or one step of it, asked for by its path.
 """
+
+__all__: list[str] = []
