@@ -156,15 +156,15 @@ class CompactCnn:
                 f"an input of {side} px a side is too small for {len(self.widths)} widths; "
                 f"take {4 * 2 ** (len(self.widths) - 1)} px or more, or fewer widths"
             )
+        # Which epoch was best is not kept, so a network that stops early starts anew.
+        resumed = None if self.patience else checkpoint
         members = []
         for m in range(self.members):
 
             def report(what: str, done: int, total: int, before: int = m * self.epochs) -> None:
                 progress(what, before + done, self.members * total)
 
-            # Which epoch was best is not kept, so a network that stops early starts anew.
-            goes_on = checkpoint is not None and not self.patience
-            own = checkpoint.with_name(f"{checkpoint.stem}-{m}.npz") if checkpoint and goes_on else None
+            own = resumed and resumed.with_name(f"{resumed.stem}-{m}.npz")
             members.append(plan._member(data, rows, seed * self.members + m, report, own))
         return FittedNetwork(tuple(members), data.shape)
 

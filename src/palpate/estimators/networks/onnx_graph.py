@@ -15,7 +15,7 @@ OPSET = 18
 IR_VERSION = 9
 
 Weights = Mapping[str, np.ndarray]
-NONE: Weights = MappingProxyType({})
+EMPTY: Weights = MappingProxyType({})
 
 
 class OnnxGraph:
@@ -26,7 +26,7 @@ class OnnxGraph:
         self.constants: dict[str, np.ndarray] = {}
 
     def add(
-        self, kind: str, inputs: Sequence[str], weights: Weights = NONE, *, output: str = "", **how: object
+        self, kind: str, inputs: Sequence[str], weights: Weights = EMPTY, *, output: str = "", **how: object
     ) -> str:
         """Add a node, whose weights follow its inputs; returns the name of what it makes."""
         names = {f"{name}{len(self.nodes)}": value for name, value in weights.items()}
