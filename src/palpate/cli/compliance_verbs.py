@@ -78,9 +78,9 @@ def read(
     )  # fmt: skip
     record = press_record(cues, touch)
     if out is not None:
-        from palpate.reports.compliance_figures import write_press
+        from palpate.reports.compliance_figures import write_press_readings
 
-        write_press(out, record, cues, touch)
+        write_press_readings(out, record, cues, touch)
         record["out"] = str(out)
     print_found(record, _text(record), json_)
 

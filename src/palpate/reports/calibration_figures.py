@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -41,10 +43,8 @@ def picture(path: Path) -> str:
 
 def target_figure(target: TargetCard, table: pd.DataFrame) -> str:
     """Predicted against true, error against the truth, coverage along the truth."""
-    true, guess, half = _columns(target, table)
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(10.2, 3.1), layout="constrained")
-        left, middle, right = figure.subplots(1, 3)
+    true, guess, half = target_columns(target, table)
+    with styled_panels(10.2, 3.1, columns=3) as (figure, (left, middle, right)):
         _predicted(left, target, true, guess, half)
         _errors(middle, target, true, guess, half)
         _coverage(right, target, true, guess, half)
@@ -64,18 +64,17 @@ def surface_figure(targets: tuple[TargetCard, ...], table: pd.DataFrame, where: 
     x, y = (table[c].to_numpy(float) for c in where)
     columns = min(len(targets), 3)
     rows = -(-len(targets) // columns)
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(3.4 * columns, 2.9 * rows), layout="constrained")
-        grid = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
-        for axes in grid[len(targets) :]:
+    with styled_panels(3.4 * columns, 2.9 * rows, rows, columns) as (figure, panels):
+        for axes in panels[len(targets) :]:
             axes.set_axis_off()
-        for axes, target in zip(grid, targets, strict=False):
-            true, guess, _ = _columns(target, table)
+        for axes, target in zip(panels, targets, strict=False):
+            true, guess, _ = target_columns(target, table)
             _map(figure, axes, target, (x, y), np.abs(guess - true), where)
         return drawn(figure)
 
 
-def _columns(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def target_columns(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Truth, estimate and half-width of a target's held-out rows."""
     names = (target.column, f"estimate:{target.column}", f"half_width:{target.column}")
     true, guess, half = (table[name].to_numpy(float) for name in names)
     return true, guess, half
@@ -151,6 +150,16 @@ def _label(target: TargetCard, what: str) -> str:
 def _axis(column: str) -> str:
     quantity, _, unit = column.rpartition("_")
     return f"{quantity.replace('_', ' ')} [{unit}]"
+
+
+@contextmanager
+def styled_panels(
+    width: float, height: float, rows: int = 1, columns: int = 1, **grid: Any
+) -> Iterator[tuple[Figure, np.ndarray]]:
+    """A figure of a size [inch] and its panels, row by row, while the pages' style holds."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        yield figure, figure.subplots(rows, columns, squeeze=False, **grid).ravel()
 
 
 def drawn(figure: Figure) -> str:

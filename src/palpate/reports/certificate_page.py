@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,7 +17,13 @@ from palpate.core import PathText, new_file
 from palpate.estimators.certified import checked_file, read_card
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard
 from palpate.recordings.labels import OWN, own_column
-from palpate.reports.calibration_figures import picture, surface_columns, surface_figure, target_figure
+from palpate.reports.calibration_figures import (
+    picture,
+    surface_columns,
+    surface_figure,
+    target_columns,
+    target_figure,
+)
 
 OUTER_SHARE = 0.1
 """Share of the scored rows, by their truth, that an outer range holds."""
@@ -42,13 +49,6 @@ class OuterRange:
     low: float
     high: float
     bias: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Worst:
-    picture: str
-    frame: str
-    said: str
 
 
 def write_report(calibration: PathText, out: PathText) -> Path:
@@ -77,12 +77,9 @@ def render_report(calibration: Path, card: Card) -> str:
     """The report's HTML."""
     table = read_predictions(calibration, card)
     where, groups = surface_columns(table), groups_in(table, card.split.columns)
-    environment = Environment(
-        loader=PackageLoader("palpate.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    environment.filters["g"] = lambda value: f"{value:.3g}"
     example, reference = calibration / "example.png", calibration / "reference.png"
-    return environment.get_template("certificate.html").render(
+    return filled_template(
+        "certificate.html",
         card=card,
         figures={target.column: target_figure(target, table) for target in card.targets},
         verdicts={t.column: verdict(t, outer_ranges(t, table, groups)) for t in card.targets},
@@ -94,6 +91,16 @@ def render_report(calibration: Path, card: Card) -> str:
     )
 
 
+def filled_template(name: str, **values: Any) -> str:
+    """A page of `reports/templates`; its filters write three significant digits, and a share in percent."""
+    environment = Environment(
+        loader=PackageLoader("palpate.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.filters["g"] = lambda value: "–" if value is None else f"{value:.3g}"
+    environment.filters["pc"] = lambda share: f"{100 * share:.1f} %"
+    return environment.get_template(name).render(**values)
+
+
 def outer_ranges(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) -> tuple[OuterRange, ...]:
     """The lowest and the highest tenth of a target's scored rows, by the truth; none where rows are few.
 
@@ -102,9 +109,9 @@ def outer_ranges(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) ->
         table: the held-out predictions, a row a frame.
         groups: ``[n]`` label of each row's group.
     """
-    true = table[target.column].to_numpy(float)
-    error = table[f"estimate:{target.column}"].to_numpy(float) - true
-    inside = np.abs(error) <= table[f"half_width:{target.column}"].to_numpy(float)
+    true, estimate, half = target_columns(target, table)
+    error = estimate - true
+    inside = np.abs(error) <= half
     count = max(int(OUTER_SHARE * len(true)), MIN_OUTER_ROWS)
     if 2 * count > len(true):
         return ()
@@ -161,18 +168,15 @@ def _promise(s: ScoreCard, ends: tuple[OuterRange, ...]) -> str:
     )
 
 
-def _worst(calibration: Path, card: Card, table: pd.DataFrame) -> list[_Worst]:
+def _worst(calibration: Path, card: Card, table: pd.DataFrame) -> list[dict[str, str]]:
+    """Picture, name and estimate of each frame that was missed most."""
     frames = []
-    for path in sorted(calibration.glob("worst-*.png"), key=lambda p: int(p.stem.split("-")[1])):
-        row = table[own_column(table, "row") == int(path.stem.split("-")[1])].iloc[0]
+    for number in sorted(int(path.stem.split("-")[1]) for path in calibration.glob("worst-*.png")):
+        row = table[own_column(table, "row") == number].iloc[0]
         target = max(card.targets, key=lambda t: _error(row, t) / (t.greatest - t.least))
-        frames.append(
-            _Worst(
-                picture(path),
-                str(row[f"{OWN}frame" if f"{OWN}frame" in row else "frame"]),
-                _estimate_text(row, target),
-            )
-        )
+        name = str(row[f"{OWN}frame" if f"{OWN}frame" in row else "frame"])
+        shown = picture(calibration / f"worst-{number}.png")
+        frames.append({"picture": shown, "frame": name, "said": _estimate_text(row, target)})
     return frames
 
 

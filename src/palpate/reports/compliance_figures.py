@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -19,13 +18,19 @@ from palpate.calibration.compliance.press_cues import PressCues
 from palpate.calibration.compliance.specimen_comparison import LABELS, SpecimenComparison
 from palpate.core import Float, ndarray, new_folder, storage_errors
 from palpate.estimators.compliance.literature_method import AsReported
-from palpate.reports.calibration_figures import ACCENT, BAND, INK, STYLE
+from palpate.reports.calibration_figures import ACCENT, BAND, INK, styled_panels
 
 COLOURS = ("#31688e", "#c0392b", "#35a36a", "#d8a013", "#7b4fa3", "#5b6b75")
 """For specimens in their order; the report's own are blue, (new: red,) green and yellow."""
 
+Course = tuple[Float[ndarray, " _"], Float[ndarray, " _"]]
+Courses = Mapping[str, Sequence[Course]]
+Colours = Mapping[str, str]
 
-def write_press(out: Path, record: dict[str, Any], cues: PressCues, touch: PressReading | None) -> None:
+
+def write_press_readings(
+    out: Path, record: dict[str, Any], cues: PressCues, touch: PressReading | None
+) -> None:
     """Write a press as a folder of ``readings.json`` and ``press.png``.
 
     Raises:
@@ -75,9 +80,8 @@ def comparison_figure(comparison: SpecimenComparison) -> Figure:
 
 def press_figure(trial: ReferenceTrial, touch: PressReading | None, reported: AsReported) -> Figure:
     """The pins at the greatest force, contact area over force, and the stiffness with its interval."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(11.5, 3.7), layout="constrained")
-        left, middle, right = figure.subplots(1, 3, width_ratios=[1, 1.25, 1.25])
+    with styled_panels(11.5, 3.7, columns=3, width_ratios=[1, 1.25, 1.25]) as (figure, panels):
+        left, middle, right = panels
         _pins(left, trial)
         if touch is not None and touch.course is not None:
             _area(middle, trial, touch)
@@ -166,7 +170,7 @@ def _approach(axes: Axes, trial: ReferenceTrial) -> None:
 
 
 def boxes(
-    groups: Mapping[str, Sequence[float]], label: str, axes: Axes, colours: Mapping[str, str] | None = None
+    groups: Mapping[str, Sequence[float]], label: str, axes: Axes, colours: Colours | None = None
 ) -> None:
     """A box a specimen with every trial as a point on it; colours by name, or in order."""
     names = list(groups)
@@ -183,37 +187,29 @@ def boxes(
     axes.set_ylabel(label)
 
 
-def curves(
-    groups: Mapping[str, Sequence[tuple[Float[ndarray, " _"], Float[ndarray, " _"]]]],
-    across: str,
-    label: str,
-    axes: Axes,
+def trial_lines(
+    courses: Courses, across: str, label: str, axes: Axes, colours: Colours | None = None, **style: Any
 ) -> None:
-    """A line a trial, a colour a specimen."""
-    for i, (name, lines) in enumerate(groups.items()):
+    """A line a trial, a colour a specimen; colours by name, or in order."""
+    for i, (name, lines) in enumerate(courses.items()):
+        colour = COLOURS[i % len(COLOURS)] if colours is None else colours[name]
         for k, (x, y) in enumerate(lines):
-            axes.plot(
-                x, y, color=COLOURS[i % len(COLOURS)], lw=0.9, alpha=0.8, label=name if k == 0 else None
-            )
+            axes.plot(x, y, color=colour, label=name if k == 0 else None, **style)
     axes.set(xlabel=across, ylabel=label)
     axes.legend(frameon=False, fontsize=8)
 
 
 def compare_figure(
-    courses: Mapping[str, Sequence[tuple[Float[ndarray, " _"], Float[ndarray, " _"]]]],
-    course_label: str,
-    cues: Mapping[str, Mapping[str, Sequence[float]]],
+    courses: Courses, course_label: str, cues: Mapping[str, Mapping[str, Sequence[float]]]
 ) -> Figure:
     """Area over force of all trials, and a panel of boxes for every cue."""
-    with mpl.rc_context(STYLE):
-        panels = 1 + len(cues)
-        wide = min(panels, 4)
-        high = -(-panels // wide)
-        figure = Figure(figsize=(3.3 * wide, 3.1 * high), layout="constrained")
-        axes = np.atleast_1d(figure.subplots(high, wide)).ravel()
-        curves(courses, "force [N]", course_label, axes[0])
-        for one, (label, groups) in zip(axes[1:], cues.items(), strict=False):
-            boxes(groups, label, one)
-        for one in axes[panels:]:
-            one.set_axis_off()
+    count = 1 + len(cues)
+    wide = min(count, 4)
+    high = -(-count // wide)
+    with styled_panels(3.3 * wide, 3.1 * high, high, wide) as (figure, panels):
+        trial_lines(courses, "force [N]", course_label, panels[0], lw=0.9, alpha=0.8)
+        for axes, (label, groups) in zip(panels[1:], cues.items(), strict=False):
+            boxes(groups, label, axes)
+        for axes in panels[count:]:
+            axes.set_axis_off()
         return figure

@@ -6,16 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator
 
-from palpate.core import Float, UInt8, ndarray
-from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, STYLE, drawn
-from palpate.reports.compliance_figures import boxes
+from palpate.core import UInt8, ndarray
+from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, drawn, styled_panels
+from palpate.reports.compliance_figures import Course, Courses, boxes, trial_lines
 
 COLOURS = ("#5b6b75", "#c77d0a", "#8e44ad", "#2e6fb7", ACCENT)
 """One a model, in the order in which they are compared."""
@@ -41,9 +40,7 @@ class Cloud(NamedTuple):
 
 def bars(all_bars: Sequence[Bar], label: str) -> str:
     """Printed and found side by side; the found with their intervals."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(8.2, 3.3), layout="constrained")
-        axes = figure.subplots()
+    with styled_panels(8.2, 3.3) as (figure, (axes,)):
         for i, bar in enumerate(all_bars):
             if bar.printed is not None:
                 axes.bar(i - 0.2, bar.printed, 0.36, color=BAND, edgecolor=INK, lw=0.6)
@@ -61,10 +58,9 @@ def bars(all_bars: Sequence[Bar], label: str) -> str:
 
 def clouds(all_clouds: Sequence[Cloud], label: str) -> str:
     """Estimate against truth, a panel a model."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(3.1 * len(all_clouds), 3.1), layout="constrained")
-        panels = figure.subplots(1, len(all_clouds), squeeze=False)[0]
-        ends = _ends([v for c in all_clouds for v in c.true])
+    with styled_panels(3.1 * len(all_clouds), 3.1, columns=len(all_clouds)) as (figure, panels):
+        every = [value for cloud in all_clouds for value in cloud.true]
+        ends = [min(every), max(every)]
         for axes, cloud in zip(panels, all_clouds, strict=True):
             axes.plot(ends, ends, color=INK, lw=0.8, ls="--")
             axes.scatter(cloud.true, cloud.estimate, s=8, color=ACCENT, alpha=0.55, linewidths=0)
@@ -75,9 +71,7 @@ def clouds(all_clouds: Sequence[Cloud], label: str) -> str:
 
 def places(titles: Sequence[str], at: Sequence[Sequence[Sequence[float]]]) -> str:
     """Places of contacts and their estimates, a panel a model: x, y, x estimated, y estimated."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(3.3 * len(titles), 3.5), layout="constrained")
-        panels = figure.subplots(1, len(titles), squeeze=False)[0]
+    with styled_panels(3.3 * len(titles), 3.5, columns=len(titles)) as (figure, panels):
         for axes, title, (x, y, x_seen, y_seen) in zip(panels, titles, at, strict=True):
             for ends in zip(x, x_seen, y, y_seen, strict=True):
                 axes.plot(ends[:2], ends[2:], color=BAD, lw=0.5, alpha=0.5)
@@ -97,10 +91,8 @@ def curves(
     log_across: bool = False,
 ) -> str:
     """Panels of curves (x, y) by name, those of a share [%] linear; colours are those of the comparison."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(3.4 * len(panels) + 0.6, 3.1), layout="constrained")
-        drawn_axes = figure.subplots(1, len(panels), squeeze=False)[0]
-        names = sorted({name for lines in panels.values() for name in lines}, key=_first_seen(panels))
+    with styled_panels(3.4 * len(panels) + 0.6, 3.1, columns=len(panels)) as (figure, drawn_axes):
+        names = list(dict.fromkeys(name for lines in panels.values() for name in lines))
         for axes, (label, lines) in zip(drawn_axes, panels.items(), strict=True):
             for name, (x, y) in lines.items():
                 colour = COLOURS[names.index(name) % len(COLOURS)]
@@ -119,9 +111,7 @@ def curves(
 
 def annotated(image: UInt8[ndarray, "h w 3"], boxes: Sequence[tuple[tuple[int, int, int, int], str]]) -> str:
     """A frame with its regions outlined: (x, y, width, height) and a colour each."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(6.4, 6.4 * image.shape[0] / image.shape[1]), layout="constrained")
-        axes = figure.subplots()
+    with styled_panels(6.4, 6.4 * image.shape[0] / image.shape[1]) as (figure, (axes,)):
         axes.imshow(image)
         for (x, y, w, h), colour in boxes:
             axes.add_patch(Rectangle((x, y), w - 1, h - 1, fill=False, ec=colour, lw=2))
@@ -129,14 +119,8 @@ def annotated(image: UInt8[ndarray, "h w 3"], boxes: Sequence[tuple[tuple[int, i
         return drawn(figure)
 
 
-def _first_seen(panels: Mapping[str, Mapping[str, Any]]) -> Any:
-    order = [name for lines in panels.values() for name in lines]
-    return order.index
-
-
 def _legend(figure: Figure, axes: ndarray) -> None:
     handles: dict[str, Any] = {}
-    one: Axes
     for one in axes:
         for handle, label in zip(*one.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
@@ -145,16 +129,9 @@ def _legend(figure: Figure, axes: ndarray) -> None:
     )
 
 
-def _ends(values: Sequence[float]) -> list[float]:
-    array = np.asarray(values, float)
-    return [float(array.min()), float(array.max())]
-
-
 COLOUR = {"S1": "#2f6fb7", "new": "#c0392b", "S2": "#2e9e5b", "S3": "#d8a013"}
 """The report's own: blue, red, green, yellow."""
 
-Course = tuple[Float[ndarray, " _"], Float[ndarray, " _"]]
-Courses = Mapping[str, Sequence[Course]]
 Groups = Mapping[str, Sequence[float]]
 
 
@@ -162,9 +139,7 @@ def plate_figure(
     samples: Mapping[str, Course], slopes: Groups, lines: Mapping[str, tuple[float, float]]
 ) -> str:
     """Figure 5: force over deformation with its line; stiffness of every trial [N/mm]."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(8.6, 3.3), layout="constrained")
-        left, right = figure.subplots(1, 2, width_ratios=[1.3, 1])
+    with styled_panels(8.6, 3.3, columns=2, width_ratios=[1.3, 1]) as (figure, (left, right)):
         for name, (depth, force) in samples.items():
             slope, start = lines[name]
             left.plot(depth, force, ".", color=COLOUR[name], ms=3, label=f"{name}: {slope:.2f} N/mm")
@@ -176,18 +151,15 @@ def plate_figure(
         return drawn(figure)
 
 
-def trend_figure(panels: Mapping[str, tuple[Courses, Groups]], across: str = "force [N]") -> str:
+def trend_figure(panels: Mapping[str, tuple[Courses, Groups]]) -> str:
     """Figures 6, 8 and 9: a cue over force for every trial, and a box a specimen; a row of both a cue."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(8.6, 3.0 * len(panels)), layout="constrained")
-        rows = np.atleast_2d(figure.subplots(len(panels), 2, width_ratios=[1.3, 1]))
-        for (left, right), (label, (courses, groups)) in zip(rows, panels.items(), strict=True):
-            for name, lines in courses.items():
-                for i, (x, y) in enumerate(lines):
-                    left.plot(x, y, color=COLOUR[name], lw=0.8, label=name if i == 0 else None)
+    rows = len(panels)
+    with styled_panels(8.6, 3.0 * rows, rows, columns=2, width_ratios=[1.3, 1]) as (figure, pairs):
+        for (left, right), (label, (courses, groups)) in zip(
+            pairs.reshape(-1, 2), panels.items(), strict=True
+        ):
             course_label, _, box_label = label.partition("|")
-            left.set(xlabel=across, ylabel=course_label)
-            left.legend(frameon=False, fontsize=8)
+            trial_lines(courses, "force [N]", course_label, left, COLOUR, lw=0.8)
             boxes(groups, box_label, right, COLOUR)
         return drawn(figure)
 
@@ -208,10 +180,9 @@ class ComparedValue:
 
 def line_figure(lines: Sequence[ComparedValue]) -> str:
     """Figure 7: stiffness over a cue, the line, the new specimen by it with its 90 % interval."""
-    with mpl.rc_context(STYLE):
-        high = -(-len(lines) // 2)
-        figure = Figure(figsize=(8.6, 3.1 * high), layout="constrained")
-        for axes, one in zip(np.ravel(figure.subplots(high, 2)), lines, strict=False):
+    rows = -(-len(lines) // 2)
+    with styled_panels(8.6, 3.1 * rows, rows, columns=2) as (figure, panels):
+        for axes, one in zip(panels, lines, strict=False):
             _line(axes, one)
         return drawn(figure)
 
@@ -234,9 +205,7 @@ def forest_figure(
     rows: Mapping[str, tuple[float, float, float]], true: float, printed: Mapping[str, float]
 ) -> str:
     """The new specimen's stiffness by every route, with its interval; the dotted line is the truth [N/mm]."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(8.6, 0.42 * len(rows) + 1.0), layout="constrained")
-        axes = figure.subplots()
+    with styled_panels(8.6, 0.42 * len(rows) + 1.0) as (figure, (axes,)):
         for i, (name, (value, low, high)) in enumerate(rows.items()):
             axes.plot(np.clip([low, high], 0.5, 15), [i, i], color=INK, lw=1.4)
             axes.plot(np.clip(value, 0.5, 15), i, "o", color=COLOUR["new"])
