@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -165,24 +165,34 @@ def cost(folder: Path, quantised: Path) -> Cost:
     if cards[1].options.get("quantised_from") != cards[0].id:
         raise InputError(f"{quantised} was not made from {folder}; name a calibration and its own int8 copy")
     image = np.zeros((1, cards[0].input.channels, *cards[0].input.size_px), np.float32)
-    seconds = _taken_in_turn([lambda e=estimator: e.values(image) for estimator in both])  # type: ignore[misc]
+    calls = [lambda e=estimator: e.values(image) for estimator in both]
+    first, second = (float(np.median(times)) for times in times_in_turn(calls, ROUNDS, FRAMES))
     mae = {
         a.column: (a.score.mae, b.score.mae) for a, b in zip(cards[0].targets, cards[1].targets, strict=True)
     }
-    return Cost(mae, (seconds[0], seconds[1]))
+    return Cost(mae, (first, second))
 
 
-def _taken_in_turn(calls: list[Callable[[], object]]) -> list[float]:
-    """Median seconds of each, in rounds, so that all see the machine's other work."""
+def times_in_turn(
+    calls: Sequence[Callable[[], object]],
+    rounds: int,
+    each: int,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[list[float]]:
+    """Times of each call [s], so many in each round, so that all see the machine's other work.
+
+    The first calls of a round are not timed.
+    """
     seconds: list[list[float]] = [[] for _ in calls]
-    for _ in range(ROUNDS):
+    for done in range(rounds):
         for call, times in zip(calls, seconds, strict=True):
-            for i in range(-WARM, FRAMES):
+            for i in range(-WARM, each):
                 started = time.perf_counter()
                 call()
                 if i >= 0:
                     times.append(time.perf_counter() - started)
-    return [float(np.median(times)) for times in seconds]
+        progress(done + 1, rounds)
+    return seconds
 
 
 SEEN_FOR_SCALES = 512  # rows, at most

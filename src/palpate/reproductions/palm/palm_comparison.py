@@ -7,15 +7,15 @@ How long a frame takes, on this machine, all models in turns so that they share 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from palpate.calibration.quantisation import times_in_turn
 from palpate.core import Frame
 from palpate.estimators.certified import Estimator, read_card
 from palpate.estimators.networks import model_kind
@@ -26,7 +26,7 @@ from palpate.reproductions.palm.palm_setup import (
     MODELS,
     CalibrationSetup,
     StudyFolder,
-    setups,
+    pressed_rows,
 )
 
 POINTS = 400  # of a figure, at most
@@ -41,8 +41,7 @@ def record_both(study: StudyFolder) -> dict[str, Any]:
 
 
 def _comparison_text(run: Run) -> dict[str, Any]:
-    table = run.labels
-    pressed = table[~table["reference"].astype(bool)]
+    pressed = run.labels.iloc[pressed_rows(run)]
     return {
         "frames": len(pressed),
         "places": int(pressed["location"].nunique()),
@@ -57,9 +56,9 @@ def _comparison_text(run: Run) -> dict[str, Any]:
 
 def headline(study: StudyFolder, model: str) -> dict[str, Any]:
     """One model: its scores on held-out places of the grid and on the campaign off it, and its points."""
-    setup = setups(MODELS, study.scale)[model]
+    setup = study.setups[model]
     table, card = study.held_out(setup), read_card(study.calibrated(setup))
-    new = study.estimated(setup, Run.open(study.folder / "runs" / "new-places"), "new places")
+    new = study.estimated(study.calibrated(setup), study.run("new-places"), "new places")
     columns = model_kind(model).targets
     return {
         "calibration": card.id,
@@ -83,14 +82,14 @@ def _points(table: pd.DataFrame, columns: tuple[str, ...]) -> dict[str, list[flo
 
 def one_frame(study: StudyFolder) -> dict[str, Any]:
     """The two-stage network on one held-out frame: what it is told, and what it says (figure 14)."""
-    setup = setups(MODELS, study.scale)["palm-two-stage"]
+    setup = study.setups["palm-two-stage"]
     table = study.held_out(setup)
     errors = (table["estimate:depth_mm"] - table["depth_mm"]).abs()
     typical = int((errors - errors.median()).abs().argmin())
     row = table.iloc[typical]
     columns = ("depth_mm", "x_mm", "y_mm", "force_N")
-    run = Run.open(study.folder / "runs" / "protocol")
-    pressed = np.flatnonzero(~run.labels["reference"].astype(bool).to_numpy())
+    run = study.run("protocol")
+    pressed = pressed_rows(run)
     return {
         "frame": int(pressed[int(row["row"])]),
         "shot": str(row["shot"]),
@@ -126,7 +125,7 @@ def leakage(study: StudyFolder) -> list[dict[str, Any]]:
     for grouping, split in GROUPINGS.items():
         tag = "" if split == LOCATIONS else f"-by-{split.partition(':')[2].replace(',', '-') or split}"
         small = small_setup(study, f"{SMALL}{tag}", split=split)
-        mlp = replace(setups(("palm-mlp-delta",), study.scale)["palm-mlp-delta"], split=split)
+        mlp = replace(study.setups["palm-mlp-delta"], split=split)
         for model, setup in (("small network", small), ("MLP", replace(mlp, name=f"{mlp.name}{tag}"))):
             results.append({"grouping": grouping, "model": model, **_on_both(study, setup)})
     return results
@@ -161,8 +160,10 @@ def mirror(study: StudyFolder) -> list[dict[str, Any]]:
     for taught, tag in runs.items():
         setup = small_setup(study, f"{SMALL}{tag}", run=f"protocol{tag}")
         for tested, other in runs.items():
-            run = Run.open(study.folder / "runs" / f"new-places{other}")
-            results.append({"taught": taught, "tested": tested, **study.scored(setup, run, tested)})
+            run = study.run(f"new-places{other}")
+            results.append(
+                {"taught": taught, "tested": tested, **study.scored(study.calibrated(setup), run, tested)}
+            )
     return results
 
 
@@ -170,7 +171,7 @@ def _on_both(study: StudyFolder, setup: CalibrationSetup) -> dict[str, Any]:
     """Scores on held-out rows, and on places off the grid, which no split has touched."""
     table, columns = study.held_out(setup), model_kind(setup.model).targets
     card = read_card(study.calibrated(setup))
-    new = study.scored(setup, Run.open(study.folder / "runs" / "new-places"), "new places")
+    new = study.scored(study.calibrated(setup), study.run("new-places"), "new places")
     return {
         "held_out": scores_of(table, columns),
         "new": new["targets"],
@@ -179,30 +180,26 @@ def _on_both(study: StudyFolder, setup: CalibrationSetup) -> dict[str, Any]:
     }
 
 
-ROUNDS, EACH, WARM = 20, 10, 3
+ROUNDS, EACH = 20, 10
 THREADS = 2
 
 
 def latency(study: StudyFolder) -> dict[str, Any]:
     """Times of each model: onnxruntime alone on one frame, and from camera frame to readings."""
-    run = Run.open(study.folder / "runs" / "new-places")
-    table = run.labels
-    untouched = run.frame(int(np.flatnonzero(table["reference"].astype(bool))[0])).image
-    frame = run.frame(int(np.flatnonzero(~table["reference"].astype(bool))[-1]))
+    run = study.run("new-places")
+    untouched = run.frame(int(np.flatnonzero(run.labels["reference"].astype(bool))[0])).image
+    frame = run.frame(int(pressed_rows(run)[-1]))
     jobs: dict[tuple[str, str], Callable[[], Any]] = {}
-    for model, setup in setups(MODELS, study.scale).items():
+    for model, setup in study.setups.items():
         estimator = Estimator.open(study.calibrated(setup), threads=THREADS)
         jobs[model, "network"] = _network(estimator)
         jobs[model, "reading"] = _reading(estimator, frame, untouched)
-    taken: dict[tuple[str, str], list[float]] = {job: [] for job in jobs}
-    for i in range(ROUNDS):
-        for job, run_it in jobs.items():
-            taken[job] += _timed(run_it)
-        study.progress("timing", i + 1, ROUNDS)
-    return {
-        model: {part: _latency_text(taken[model, part]) for part in ("network", "reading")}
-        for model in setups(MODELS, study.scale)
-    }
+    times = times_in_turn(list(jobs.values()), ROUNDS, EACH, partial(study.progress, "timing"))
+    results: dict[str, Any] = {model: {} for model in MODELS}
+    for (model, part), seconds in zip(jobs, times, strict=True):
+        p50, p95 = (round(1e3 * float(p), 3) for p in np.percentile(seconds, [50, 95]))
+        results[model][part] = {"median_ms": p50, "p95_ms": p95}
+    return results
 
 
 def _network(estimator: Estimator) -> Callable[[], Any]:
@@ -214,18 +211,3 @@ def _network(estimator: Estimator) -> Callable[[], Any]:
 def _reading(estimator: Estimator, frame: Frame, untouched: np.ndarray) -> Callable[[], Any]:
     zero = estimator.zero(untouched) if estimator.card.input.delta else None
     return lambda: estimator.read(frame, zero)
-
-
-def _timed(job: Callable[[], Any]) -> list[float]:
-    for _ in range(WARM):
-        job()
-    marks = [time.perf_counter()]
-    for _ in range(EACH):
-        job()
-        marks.append(time.perf_counter())
-    return [1e3 * (b - a) for a, b in pairwise(marks)]
-
-
-def _latency_text(ms: list[float]) -> dict[str, float]:
-    p50, p95 = np.percentile(ms, [50, 95])
-    return {"median_ms": round(float(p50), 3), "p95_ms": round(float(p95), 3)}

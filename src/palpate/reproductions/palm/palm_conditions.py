@@ -30,22 +30,16 @@ from sklearn.preprocessing import StandardScaler
 
 from palpate.calibration.adaptation import adapt
 from palpate.calibration.conformal import coverage_interval
+from palpate.calibration.evaluation import zeros_of
 from palpate.core import ManualClock
-from palpate.estimators.certified import Estimator, Zero
+from palpate.estimators.certified import Estimator
 from palpate.recordings.labels import own_column
 from palpate.recordings.manifest import LabelKind, Manifest
 from palpate.recordings.run_reader import Run
 from palpate.recordings.run_writer import RunWriter
 from palpate.reproductions.palm.palm_comparison import NEW_PLACES_SEED, small_setup
 from palpate.reproductions.palm.palm_published import scores_of
-from palpate.reproductions.palm.palm_setup import (
-    MODELS,
-    CalibrationSetup,
-    Scale,
-    StudyFolder,
-    noisier,
-    setups,
-)
+from palpate.reproductions.palm.palm_setup import CalibrationSetup, Scale, StudyFolder, noisier, pressed_rows
 from palpate.rig.plans import Dwell, Listed, StepHold
 from palpate.rig.virtual.disturbances import Variation
 from palpate.sensors.palm import PalmSpec
@@ -67,10 +61,6 @@ def only(**fields: Any) -> Change:
 
 def _scaled(name: str, by: float) -> Change:
     return lambda spec: (replace(spec, **{name: getattr(spec, name) * by}), Variation())
-
-
-def _noise(times: float) -> Change:
-    return lambda spec: noisier(spec, times)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,25 +109,23 @@ def conditions(study: StudyFolder) -> dict[str, Any]:
 
 def noise(study: StudyFolder) -> list[dict[str, Any]]:
     """Every model, taught at the rig's own noise, on places off the grid at so many times that noise."""
-    every = (
-        PalmCondition(f"noise-{times:g}", f"{times:g} times the noise", _noise(times)) for times in NOISES
-    )
-    return [{"times": times, "models": _models(study, one)} for times, one in zip(NOISES, every, strict=True)]
+
+    def one(times: float) -> PalmCondition:
+        return PalmCondition(f"noise-{times:g}", f"{times:g} times the noise", partial(noisier, times=times))
+
+    return [{"times": times, "models": _models(study, one(times))} for times in NOISES]
 
 
 def durability(study: StudyFolder) -> list[dict[str, Any]]:
     """Every model on a membrane that has been pressed so often, by the law of wear that is assumed."""
-    every = (
-        PalmCondition(f"pressed-{presses:g}", f"after {presses:g} presses", only(wear=worn(presses)))
-        for presses in PRESSES
-    )
-    return [
-        {"presses": presses, "models": _models(study, one)}
-        for presses, one in zip(PRESSES, every, strict=True)
-    ]
+
+    def one(n: float) -> PalmCondition:
+        return PalmCondition(f"pressed-{n:g}", f"after {n:g} presses", only(wear=worn(n)))
+
+    return [{"presses": presses, "models": _models(study, one(presses))} for presses in PRESSES]
 
 
-def recorded(study: StudyFolder, one: PalmCondition) -> Run:
+def record_condition(study: StudyFolder, one: PalmCondition) -> Run:
     """A condition's recording."""
     spec, variation = one.change(study.spec)
     plan = _plan(study.scale, study.seed, one)
@@ -145,8 +133,8 @@ def recorded(study: StudyFolder, one: PalmCondition) -> Run:
 
 
 def _models(study: StudyFolder, one: PalmCondition) -> dict[str, Any]:
-    run = recorded(study, one)
-    return {model: study.scored(setup, run, one.said) for model, setup in setups(MODELS, study.scale).items()}
+    run = record_condition(study, one)
+    return {m: study.scored(study.calibrated(setup), run, one.said) for m, setup in study.setups.items()}
 
 
 def _plan(scale: Scale, seed: int, one: PalmCondition) -> StepHold:
@@ -181,8 +169,8 @@ def sustained(study: StudyFolder, seconds: float = 60.0) -> dict[str, Any]:
 
 def _held(study: StudyFolder, run: Run) -> dict[str, Any]:
     results: dict[str, Any] = {}
-    for model, setup in setups(MODELS, study.scale).items():
-        table = study.estimated(setup, run, "a press held")
+    for model, setup in study.setups.items():
+        table = study.estimated(study.calibrated(setup), run, "a press held")
         held = table[table["phase"] == "hold"]
         names = [c for c in ("depth_mm", "force_N") if f"estimate:{c}" in held]
         results[model] = {
@@ -217,8 +205,10 @@ def adaptation(study: StudyFolder) -> list[dict[str, Any]]:
     )
     results = []
     for model in COPIED:
-        setup = setups(MODELS, study.scale)[model]
-        results.append({"model": model, "presses": 0, **study.scored(setup, test, "a copy")})
+        setup = study.setups[model]
+        results.append(
+            {"model": model, "presses": 0, **study.scored(study.calibrated(setup), test, "a copy")}
+        )
         for presses in ADAPTATION_PRESSES:
             run = study.recorded(
                 f"copy-{presses}", _lesson(study.scale, presses), spec, seed=study.seed + COPY
@@ -226,7 +216,7 @@ def adaptation(study: StudyFolder) -> list[dict[str, Any]]:
             out = study.folder / "calibrations" / f"{model}-copy-{presses}"
             if not out.exists():
                 adapt(study.calibrated(setup), run, out, study.progress)
-            results.append({"model": model, "presses": presses, **study.scored_by(out, test, "a copy")})
+            results.append({"model": model, "presses": presses, **study.scored(out, test, "a copy")})
     return results
 
 
@@ -237,7 +227,7 @@ def _lesson(scale: Scale, presses: int) -> StepHold:
     return plan.model_copy(update={"name": f"palm-lesson-{presses}", "places": places})
 
 
-BLOCK = 15  # pictures that one process draws at a time
+BLOCK = 15  # contacts that one process draws at a time
 LOAD_PRESSES: dict[str, tuple[str, ...]] = {
     "lateral": ("force_N", "force_x_N", "force_y_N", "moment_z_Nmm"),
     "inclined": ("force_N", "moment_x_Nmm", "moment_y_Nmm"),
@@ -248,30 +238,18 @@ KINDS = ("lateral", "inclined", "shapes", "two-contacts", "grasp")
 COMPONENTS = 40
 
 
-@dataclass(frozen=True, slots=True)
-class LoadBlock:
-    """Some pictures of a kind."""
-
-    spec: PalmSpec
-    kind: str
-    count: int
-
-
-def drawn(block: LoadBlock, rng: np.random.Generator) -> Loads:
-    """One block's pictures."""
-    return draw_loads(block.spec, block.kind, block.count, rng)
-
-
 def record_loads(study: StudyFolder, kind: str) -> Run:
     """A kind's pictures as a run: of each contact the untouched skin, and the contact."""
     path = study.folder / "runs" / f"loads-{kind}"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         counts = np.diff(np.append(np.arange(0, study.scale.loads, BLOCK), study.scale.loads)).tolist()
-        blocks = [LoadBlock(study.spec, kind, count) for count in counts]
-        report = partial(study.progress, f"drawing {kind}")
         parts = sweep(
-            drawn, blocks, seed=study.seed + KINDS.index(kind), processes=study.processes, progress=report
+            partial(draw_loads, study.spec, kind),
+            counts,
+            seed=study.seed + KINDS.index(kind),
+            processes=study.processes,
+            progress=partial(study.progress, f"drawing {kind}"),
         )
         half = path.with_name(f".{path.name}.part")
         shutil.rmtree(half, ignore_errors=True)  # what a try that was stopped has left
@@ -313,33 +291,22 @@ def loads(study: StudyFolder) -> dict[str, Any]:
     for kind in KINDS:
         run = record_loads(study, kind)
         results[kind] = {
-            "models": {
-                m: _as_it_comes(study, setup, run, kind) for m, setup in setups(MODELS, study.scale).items()
-            },
+            "models": {m: _as_it_comes(study, setup, run, kind) for m, setup in study.setups.items()},
             "learnt": _learnt(study, kind),
         }
-    results["shapes"]["told apart"] = shape_classification(Run.open(study.folder / "runs" / "loads-shapes"))
+    results["shapes"]["told apart"] = shape_classification(study.run("loads-shapes"))
     return results
 
 
 def _as_it_comes(study: StudyFolder, setup: CalibrationSetup, run: Run, kind: str) -> dict[str, Any]:
     """The whole force as a model reads it, with the untouched skin beside it as the reference."""
-    estimator, table = Estimator.open(study.calibrated(setup)), run.labels
-    zero: Zero | None = None
-    errors, stood = [], []
-    for row in range(len(table)):
-        if table["reference"].iloc[row]:
-            zero = estimator.zero(run.frame(row).image)
-            continue
-        readings = estimator.read(run.frame(row), zero)
-        errors.append(readings["force_N"].value - float(table["force_N"].iloc[row]))
-        stood.append(all(reading.valid for reading in readings.values()))
-        study.progress(f"{setup.name} on {kind}", row + 1, len(table))
-    held = np.abs(np.array(errors)[np.array(stood)])
+    table = study.estimated(study.calibrated(setup), run, kind)
+    errors = (table["estimate:force_N"] - table["force_N"]).abs().to_numpy()
+    valid = table["valid"].to_numpy(bool)
     return {
-        "force_mae_N": float(np.abs(errors).mean()),
-        "stood_by": float(np.mean(stood)),
-        "force_mae_stood_by_N": float(held.mean()) if len(held) else None,
+        "force_mae_N": float(errors.mean()),
+        "stood_by": float(valid.mean()),
+        "force_mae_stood_by_N": float(errors[valid].mean()) if valid.any() else None,
     }
 
 
@@ -358,7 +325,7 @@ def shape_classification(run: Run, seed: int = 0) -> dict[str, Any]:
     Five folds of contacts; no contact is in two.
     """
     table = run.labels
-    pressed = np.flatnonzero(~table["reference"].astype(bool).to_numpy())
+    pressed = pressed_rows(run)
     images = np.stack(
         [
             (run.frame(int(i)).image.astype(np.float32) - run.frame(int(i) - 1).image)[::2, ::2].ravel()
@@ -387,25 +354,23 @@ FOREIGN: tuple[PalmCondition, ...] = (
 )
 
 
+SEVERAL = {"two-contacts": "two contacts at once", "grasp": "three or four contacts at once"}
+
+
 def validity(study: StudyFolder) -> list[dict[str, Any]]:
     """Shares of frames that each calibration says are not of its kind, or out of its range."""
-    every = setups(MODELS, study.scale)
-    new = Run.open(study.folder / "runs" / "new-places")
-    results = [
-        _row("held-out places of the grid", True, {m: _held_out(study, setup) for m, setup in every.items()}),
-        _row("places off the grid", True, {m: _flags(study, w, new) for m, w in every.items()}),
+    runs = [("places off the grid", True, study.run("new-places"))]
+    runs += [(said, False, record_loads(study, kind)) for kind, said in SEVERAL.items()]
+    runs += [(one.said, False, record_condition(study, one)) for one in FOREIGN]
+    rows = [("held-out places of the grid", True, {m: _held_out(study, s) for m, s in study.setups.items()})]
+    rows += [
+        (said, good, {m: _flags(study, setup, run) for m, setup in study.setups.items()})
+        for said, good, run in runs
     ]
-    for kind, said in (("two-contacts", "two contacts at once"), ("grasp", "three or four contacts at once")):
-        run = record_loads(study, kind)
-        results.append(_row(said, False, {m: _flags(study, setup, run) for m, setup in every.items()}))
-    for one in FOREIGN:
-        run = recorded(study, one)
-        results.append(_row(one.said, False, {m: _flags(study, setup, run) for m, setup in every.items()}))
-    return results
-
-
-def _row(said: str, good: bool, flags: dict[str, np.ndarray]) -> dict[str, Any]:
-    return {"said": said, "good": good, "models": {m: _rate(flagged) for m, flagged in flags.items()}}
+    return [
+        {"said": said, "good": good, "models": {m: _rate(flagged) for m, flagged in flags.items()}}
+        for said, good, flags in rows
+    ]
 
 
 def _rate(flagged: np.ndarray) -> dict[str, float]:
@@ -414,20 +379,14 @@ def _rate(flagged: np.ndarray) -> dict[str, float]:
 
 
 def _flags(study: StudyFolder, setup: CalibrationSetup, run: Run) -> np.ndarray:
-    return ~study.estimated(setup, run, run.path.name)["valid"].to_numpy(bool)
+    return ~study.estimated(study.calibrated(setup), run, run.path.name)["valid"].to_numpy(bool)
 
 
 def _held_out(study: StudyFolder, setup: CalibrationSetup) -> np.ndarray:
     """Flags of the rows that the calibration was scored by, each with its own press's untouched frame."""
     estimator = Estimator.open(study.calibrated(setup))
-    run = Run.open(study.folder / "runs" / setup.run)
-    table = run.labels
-    reference = table["reference"].astype(bool).to_numpy()
-    pressed, untouched = np.flatnonzero(~reference), np.flatnonzero(reference)
-    zero_of = dict(zip(table["press"].iloc[untouched], untouched.tolist(), strict=True))
-    flagged = []
-    for row in pressed[own_column(study.held_out(setup), "row").to_numpy(int)]:
-        zero = estimator.zero(run.frame(zero_of[table["press"].iloc[row]]).image)
-        readings = estimator.read(run.frame(int(row)), zero)
-        flagged.append(not all(reading.valid for reading in readings.values()))
-    return np.array(flagged)
+    run = study.run(setup.run)
+    pressed, zeros = pressed_rows(run), zeros_of(estimator, run)
+    held_out = pressed[own_column(study.held_out(setup), "row").to_numpy(int)].tolist()
+    readings = (estimator.read(run.frame(row), zeros[row]) for row in held_out)
+    return np.array([not all(one.valid for one in each.values()) for each in readings])

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,13 +15,8 @@ import pandas as pd
 
 from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.core import Float, InputError, Shaped, ndarray, split_column
-
-
-class PublishedPalm(NamedTuple):
-    """One number of the source, and where it stands."""
-
-    value: float
-    where: str
+from palpate.estimators.networks import model_kind
+from palpate.reproductions.study_results import Published
 
 
 class Training(NamedTuple):
@@ -34,63 +28,61 @@ class Training(NamedTuple):
     split: str
 
 
-NAMES: Mapping[str, str] = MappingProxyType(
-    {
-        "palm-joint-raw": "Joint multi-task (raw RGB)",
-        "palm-force-conditioned": "Force-conditioned (differential RGB)",
-        "palm-mlp-delta": "MLP (flattened fringe delta, grey)",
-        "palm-two-stage": "Two-stage (differential grey)",
-        "palm-compact": "palm-compact (ours, differential RGB)",
-    }
-)
+NAMES: Mapping[str, str] = {
+    "palm-joint-raw": "Joint multi-task (raw RGB)",
+    "palm-force-conditioned": "Force-conditioned (differential RGB)",
+    "palm-mlp-delta": "MLP (flattened fringe delta, grey)",
+    "palm-two-stage": "Two-stage (differential grey)",
+    "palm-compact": "palm-compact (ours, differential RGB)",
+}
 
-TABLE_2: Mapping[str, Training] = MappingProxyType(
-    {
-        "palm-joint-raw": Training("Adam", 32, 30, "location-disjoint"),
-        "palm-force-conditioned": Training("Adam", 32, 30, "location-disjoint"),
-        "palm-mlp-delta": Training("Adam", 200, 2000, "location-disjoint"),
-        "palm-two-stage": Training("Adam", 32, 50, "location-disjoint"),
-    }
-)
+TABLE_2: Mapping[str, Training] = {
+    "palm-joint-raw": Training("Adam", 32, 30, "location-disjoint"),
+    "palm-force-conditioned": Training("Adam", 32, 30, "location-disjoint"),
+    "palm-mlp-delta": Training("Adam", 200, 2000, "location-disjoint"),
+    "palm-two-stage": Training("Adam", 32, 50, "location-disjoint"),
+}
 
 FORCE, PLACE, DEPTH = "force_N", "place_mm", "depth_mm"
 
-MAE: Mapping[tuple[str, str], PublishedPalm] = MappingProxyType(
-    {
-        ("palm-joint-raw", FORCE): PublishedPalm(0.443, "Table 3"),
-        ("palm-joint-raw", PLACE): PublishedPalm(2.321, "Table 3"),
-        ("palm-joint-raw", "x_mm"): PublishedPalm(1.718, "sec. 6.2.2"),
-        ("palm-joint-raw", "y_mm"): PublishedPalm(1.243, "sec. 6.2.2"),
-        ("palm-force-conditioned", FORCE): PublishedPalm(0.244, "Table 3"),
-        ("palm-force-conditioned", PLACE): PublishedPalm(3.205, "Table 3"),
-        ("palm-force-conditioned", "x_mm"): PublishedPalm(1.247, "sec. 6.2.2"),
-        ("palm-force-conditioned", "y_mm"): PublishedPalm(2.757, "sec. 6.2.2"),
-        ("palm-mlp-delta", FORCE): PublishedPalm(0.330, "Table 3"),
-        ("palm-mlp-delta", "force_x_N"): PublishedPalm(0.036, "sec. 6.2.1"),
-        ("palm-mlp-delta", "force_y_N"): PublishedPalm(0.045, "sec. 6.2.1"),
-        ("palm-two-stage", FORCE): PublishedPalm(0.486, "Table 3"),
-        ("palm-two-stage", PLACE): PublishedPalm(0.204, "Table 3"),
-        ("palm-two-stage", DEPTH): PublishedPalm(0.165, "sec. 6.2.3"),
-        ("palm-two-stage", "x_mm"): PublishedPalm(0.131, "Table 4"),
-        ("palm-two-stage", "y_mm"): PublishedPalm(0.147, "Table 4"),
-        ("palm-two-stage", "force_x_N"): PublishedPalm(0.035, "sec. 6.2.1"),
-        ("palm-two-stage", "force_y_N"): PublishedPalm(0.037, "sec. 6.2.1"),
-        ("palm-two-stage", "force_magnitude_N"): PublishedPalm(0.457, "sec. 6.2.1"),
-    }
-)
+MAE: Mapping[tuple[str, str], Published] = {
+    ("palm-joint-raw", FORCE): Published(0.443, "Table 3"),
+    ("palm-joint-raw", PLACE): Published(2.321, "Table 3"),
+    ("palm-joint-raw", "x_mm"): Published(1.718, "sec. 6.2.2"),
+    ("palm-joint-raw", "y_mm"): Published(1.243, "sec. 6.2.2"),
+    ("palm-force-conditioned", FORCE): Published(0.244, "Table 3"),
+    ("palm-force-conditioned", PLACE): Published(3.205, "Table 3"),
+    ("palm-force-conditioned", "x_mm"): Published(1.247, "sec. 6.2.2"),
+    ("palm-force-conditioned", "y_mm"): Published(2.757, "sec. 6.2.2"),
+    ("palm-mlp-delta", FORCE): Published(0.330, "Table 3"),
+    ("palm-mlp-delta", "force_x_N"): Published(0.036, "sec. 6.2.1"),
+    ("palm-mlp-delta", "force_y_N"): Published(0.045, "sec. 6.2.1"),
+    ("palm-two-stage", FORCE): Published(0.486, "Table 3"),
+    ("palm-two-stage", PLACE): Published(0.204, "Table 3"),
+    ("palm-two-stage", DEPTH): Published(0.165, "sec. 6.2.3"),
+    ("palm-two-stage", "x_mm"): Published(0.131, "Table 4"),
+    ("palm-two-stage", "y_mm"): Published(0.147, "Table 4"),
+    ("palm-two-stage", "force_x_N"): Published(0.035, "sec. 6.2.1"),
+    ("palm-two-stage", "force_y_N"): Published(0.037, "sec. 6.2.1"),
+    ("palm-two-stage", "force_magnitude_N"): Published(0.457, "sec. 6.2.1"),
+}
 """Mean absolute errors; a place's is the mean distance."""
 
-R2: Mapping[tuple[str, str], PublishedPalm] = MappingProxyType(
-    {
-        ("palm-two-stage", FORCE): PublishedPalm(0.990, "sec. 6.2.1"),
-        ("palm-two-stage", "force_x_N"): PublishedPalm(0.600, "sec. 6.2.1"),
-        ("palm-two-stage", "force_y_N"): PublishedPalm(0.975, "sec. 6.2.1"),
-        ("palm-two-stage", "force_magnitude_N"): PublishedPalm(0.990, "sec. 6.2.1"),
-        ("palm-two-stage", DEPTH): PublishedPalm(0.978, "sec. 6.2.3"),
-        ("palm-two-stage", "x_mm"): PublishedPalm(0.9997, "sec. 6.2.2"),
-        ("palm-two-stage", "y_mm"): PublishedPalm(0.9998, "sec. 6.2.2"),
-    }
-)
+R2: Mapping[tuple[str, str], Published] = {
+    ("palm-two-stage", FORCE): Published(0.990, "sec. 6.2.1"),
+    ("palm-two-stage", "force_x_N"): Published(0.600, "sec. 6.2.1"),
+    ("palm-two-stage", "force_y_N"): Published(0.975, "sec. 6.2.1"),
+    ("palm-two-stage", "force_magnitude_N"): Published(0.990, "sec. 6.2.1"),
+    ("palm-two-stage", DEPTH): Published(0.978, "sec. 6.2.3"),
+    ("palm-two-stage", "x_mm"): Published(0.9997, "sec. 6.2.2"),
+    ("palm-two-stage", "y_mm"): Published(0.9998, "sec. 6.2.2"),
+}
+
+
+def targets_with_place(model: str) -> tuple[str, ...]:
+    """A model's targets, and the place as a whole where it has one."""
+    targets = model_kind(model).targets
+    return (*targets, PLACE) if "x_mm" in targets else targets
 
 
 class Peer(NamedTuple):

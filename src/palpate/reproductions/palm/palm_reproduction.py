@@ -7,34 +7,33 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from palpate.core import ExistsError, InputError, new_file, refuse_existing, storage_errors
 from palpate.estimators.networks.model_interface import Progress, silent
-from palpate.recordings.run_reader import Run
 from palpate.reports import study_figures as draw
-from palpate.reproductions.palm import palm_comparison, palm_conditions as cond
-from palpate.reproductions.palm.palm_comparison import headline, latency, one_frame, record_both
-from palpate.reproductions.palm.palm_conditions import (
-    DIMMER,
-    STIFFER,
-    WARMER_MIRED,
-    adaptation,
-    loads,
-    validity,
+from palpate.reports.certificate_page import filled_template
+from palpate.reproductions.palm import palm_comparison as comparison, palm_conditions as cond
+from palpate.reproductions.palm.palm_published import (
+    DEPTH,
+    FORCE,
+    MAE,
+    NAMES,
+    PEERS,
+    PLACE,
+    R2,
+    TABLE_2,
+    targets_with_place,
 )
-from palpate.reproductions.palm.palm_published import DEPTH, FORCE, MAE, NAMES, PEERS, PLACE, R2, TABLE_2
 from palpate.reproductions.palm.palm_setup import MODELS, Scale, StudyFolder
-from palpate.reproductions.palm.palm_summary import PalmStudyEntry, summary_of, targets_of
+from palpate.reproductions.palm.palm_summary import summary_of
+from palpate.reproductions.study_results import REPORT_FILE, SUMMARY_FILE, StudyEntry, write_results
 from palpate.version import __version__
 
-REPORT_FILE, SUMMARY_FILE = "report.html", "summary.json"
 SHORT = {name: said.split(" (")[0] for name, said in NAMES.items()}
 SAID = {
     "force_N": "F_z",
@@ -56,21 +55,14 @@ def write_up(study: StudyFolder, found: Mapping[str, Any]) -> None:
     """Write `summary.json` and `report.html` into the study's folder; one that was stopped begins anew."""
     for name in (SUMMARY_FILE, REPORT_FILE):
         (study.folder / name).unlink(missing_ok=True)
-    with new_file(study.folder / SUMMARY_FILE) as path:
-        path.write_text(json.dumps(summary_of(found), indent=1, allow_nan=False) + "\n")
-    with new_file(study.folder / REPORT_FILE) as path:
-        path.write_text(page(study, found), encoding="utf-8")
+    write_results(study.folder, summary_of(found), palm_page(study, found))
 
 
-def page(study: StudyFolder, found: Mapping[str, Any]) -> str:
+def palm_page(study: StudyFolder, found: Mapping[str, Any]) -> str:
     """The report's HTML."""
-    environment = Environment(
-        loader=PackageLoader("palpate.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    environment.filters["g"] = lambda value: "–" if value is None else f"{value:.3g}"
-    environment.filters["pc"] = lambda share: f"{100 * share:.1f} %"
     scores = {m: found[f"headline-{m}"] for m in MODELS if f"headline-{m}" in found}
-    return environment.get_template("palm_study.html").render(
+    return filled_template(
+        "palm_study.html",
         scale=study.scale,
         seed=study.seed,
         version=__version__,
@@ -80,9 +72,9 @@ def page(study: StudyFolder, found: Mapping[str, Any]) -> str:
         models=MODELS,
         names=NAMES,
         said=SAID,
-        targets={m: targets_of(m) for m in MODELS},
+        targets={m: targets_with_place(m) for m in MODELS},
         headline=HEADLINE,
-        by_target={t: [m for m in MODELS if t in targets_of(m)] for t in HEADLINE},
+        by_target={t: [m for m in MODELS if t in targets_with_place(m)] for t in HEADLINE},
         short=INITIALS,
         printed=MAE,
         printed_r2=R2,
@@ -90,7 +82,7 @@ def page(study: StudyFolder, found: Mapping[str, Any]) -> str:
         peers=PEERS,
         verdicts=verdicts(scores),
         figures=_figures(study, found, scores),
-        copy={"stiffer": STIFFER - 1, "dimmer": 1 - DIMMER, "warmer_mired": WARMER_MIRED},
+        copy={"stiffer": cond.STIFFER - 1, "dimmer": 1 - cond.DIMMER, "warmer_mired": cond.WARMER_MIRED},
     )
 
 
@@ -141,15 +133,8 @@ def _bars(scores: Mapping[str, Any], target: str) -> list[draw.Bar]:
     for model, found in scores.items():
         printed, one = MAE.get((model, target)), found["grid"].get(target)
         if one is not None:
-            rows.append(
-                draw.Bar(
-                    NAMES[model],
-                    printed.value if printed else None,
-                    one["mae"],
-                    one["mae_low"],
-                    one["mae_high"],
-                )
-            )
+            ends = one["mae_low"], one["mae_high"]
+            rows.append(draw.Bar(NAMES[model], printed.value if printed else None, one["mae"], *ends))
     return rows
 
 
@@ -165,7 +150,7 @@ def _places(scores: Mapping[str, Any]) -> str:
 
 
 def _frame(study: StudyFolder, frame: int) -> str:
-    run = Run.open(study.folder / "runs" / "protocol")
+    run = study.run("protocol")
     boxes = [(run.manifest.regions[name], c) for name, c in (("fringes", LIGHT), ("mirror", DARK))]
     return draw.annotated(run.frame(frame).image, boxes)
 
@@ -204,49 +189,33 @@ def _sustained(found: Mapping[str, Any]) -> str:
 
 
 PLAN_FILE = "study.json"
-PARTS = ("all", "headline")
+Stages = dict[str, Callable[[StudyFolder], Any]]
+HEADLINE_STAGES: Stages = {
+    "recorded": comparison.record_both,
+    **{f"headline-{model}": partial(comparison.headline, model=model) for model in MODELS},
+    "one-frame": comparison.one_frame,
+}
+STAGES: Stages = HEADLINE_STAGES | {
+    "leakage": comparison.leakage,
+    "factorial": comparison.factorial,
+    "mirror": comparison.mirror,
+    "noise": cond.noise,
+    "conditions": cond.conditions,
+    "durability": cond.durability,
+    "sustained": cond.sustained,
+    "adaptation": cond.adaptation,
+    "loads": cond.loads,
+    "validity": cond.validity,
+    "latency": comparison.latency,
+}
+"""What makes each result, in the order in which they are made."""
 
-
-@dataclass(frozen=True, slots=True)
-class StudyPart:
-    """A part of the study: its name, and what makes its result."""
-
-    name: str
-    make: Callable[[StudyFolder], Any]
-
-
-def stages(part: str = "all") -> tuple[StudyPart, ...]:
-    """The parts, in the order in which they are made."""
-
-    def one(model: str) -> Callable[[StudyFolder], Any]:
-        return lambda study: headline(study, model)
-
-    first = (
-        StudyPart("recorded", record_both),
-        *(StudyPart(f"headline-{model}", one(model)) for model in MODELS),
-        StudyPart("one-frame", one_frame),
-    )
-    if part == "headline":
-        return first
-    return (
-        *first,
-        StudyPart("leakage", palm_comparison.leakage),
-        StudyPart("factorial", palm_comparison.factorial),
-        StudyPart("mirror", palm_comparison.mirror),
-        StudyPart("noise", cond.noise),
-        StudyPart("conditions", cond.conditions),
-        StudyPart("durability", cond.durability),
-        StudyPart("sustained", cond.sustained),
-        StudyPart("adaptation", adaptation),
-        StudyPart("loads", loads),
-        StudyPart("validity", validity),
-        StudyPart("latency", latency),
-    )
+PARTS = {"all": STAGES, "headline": HEADLINE_STAGES}
 
 
 def reproduce_palm(
     out: Path, scale: Scale, *, seed: int = 0, part: str = "all", progress: Progress = silent
-) -> list[PalmStudyEntry]:
+) -> list[StudyEntry]:
     """Record, train, score and write up the study into a new folder.
 
     Interrupted, the same call goes on from the first part that is missing.
@@ -268,7 +237,7 @@ def reproduce_palm(
     if part not in PARTS:
         raise InputError(f"there is no part {part!r}; there are {', '.join(PARTS)}")
     study = study_folder(out, scale, seed, part, progress)
-    found = {stage.name: study.kept(stage.name, partial(stage.make, study)) for stage in stages(part)}
+    found = {name: study.kept(name, partial(make, study)) for name, make in PARTS[part].items()}
     write_up(study, found)
     entries = summary_of(found)
     study.folder.rename(out)

@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.certificate import read_predictions
 from palpate.calibration.evaluation import predictions
 from palpate.calibration.training_data import model_regions
-from palpate.core import DeviceError, InputError, new_file
+from palpate.core import DeviceError, Indices, InputError, new_file
 from palpate.estimators.certified import Estimator, read_card
 from palpate.estimators.networks import model_kind
 from palpate.estimators.networks.model_interface import Progress, silent
@@ -43,7 +43,7 @@ WITHIN_MM, PROBE_MM = 20.5, 10.0
 """How far from the middle the places off the grid lie. The grid ends at 21 mm: farther out a reading
 is beyond the calibrated range, and marked so."""
 
-SMALL_NETWORK: Mapping[str, Any] = MappingProxyType({"rendered": 0, "epochs": 60, "batch": 32})
+SMALL_NETWORK: Mapping[str, Any] = {"rendered": 0, "epochs": 60, "batch": 32}
 """palm-compact on recorded presses alone: where one architecture is trained many times over."""
 
 
@@ -139,7 +139,7 @@ FULL = Scale(
     options={"palm-compact": {"rendered": 60_000, "epochs": 30, "processes": 8}},
     loads=1000,
 )
-SCALES: Mapping[str, Scale] = MappingProxyType({scale.name: scale for scale in (SMALL, FULL)})
+SCALES: Mapping[str, Scale] = {scale.name: scale for scale in (SMALL, FULL)}
 """`small` is for two cores, `full` for a GPU. The source records 25 frames at each depth; they
 differ by the camera's noise alone, and `full` takes five."""
 
@@ -205,6 +205,16 @@ class StudyFolder:
         """The palm that is calibrated."""
         return palm.cropped(palm.palm(), self.scale.frame_px, "palm-rig")
 
+    @property
+    def setups(self) -> dict[str, CalibrationSetup]:
+        """A setup for each model, as the scale trains it."""
+        options = self.scale.options
+        return {name: CalibrationSetup(name, name, options=dict(options.get(name, {}))) for name in MODELS}
+
+    def run(self, name: str) -> Run:
+        """A recording of the study."""
+        return Run.open(self.folder / "runs" / name)
+
     def recorded(
         self,
         name: str,
@@ -236,7 +246,7 @@ class StudyFolder:
                 write_report(out, out / REPORT_FILE)
             return out
         out.parent.mkdir(parents=True, exist_ok=True)
-        run, kind = Run.open(self.folder / "runs" / setup.run), model_kind(setup.model)
+        run, kind = self.run(setup.run), model_kind(setup.model)
         first, beside = model_regions(run.manifest, ("fringes", "mirror"))
         plan = CalibrationPlan(
             targets=setup.targets or kind.targets,
@@ -261,22 +271,14 @@ class StudyFolder:
         folder = self.calibrated(setup)
         return read_predictions(folder, read_card(folder))
 
-    def estimated(self, setup: CalibrationSetup, run: Run, what: str) -> pd.DataFrame:
-        """Predictions on another run."""
-        return self.estimated_by(self.calibrated(setup), run, what)
-
-    def estimated_by(self, calibration: Path, run: Run, what: str) -> pd.DataFrame:
+    def estimated(self, calibration: Path, run: Run, what: str) -> pd.DataFrame:
         """Predictions of the calibration in a folder on a run."""
         estimator, name = Estimator.open(calibration), calibration.name
         return predictions(estimator, run, progress=lambda _, *at: self.progress(f"{name} on {what}", *at))
 
-    def scored(self, setup: CalibrationSetup, run: Run, what: str) -> dict[str, Any]:
-        """Its scores there, and the share of frames that it stands by."""
-        return self.scored_by(self.calibrated(setup), run, what)
-
-    def scored_by(self, calibration: Path, run: Run, what: str) -> dict[str, Any]:
-        """The same of a folder's."""
-        table = self.estimated_by(calibration, run, what)
+    def scored(self, calibration: Path, run: Run, what: str) -> dict[str, Any]:
+        """Scores of the calibration in a folder on a run, and the share of frames that it stands by."""
+        table = self.estimated(calibration, run, what)
         columns = read_card(calibration).columns
         return {"targets": scores_of(table, columns), "valid": float(table["valid"].mean())}
 
@@ -296,6 +298,11 @@ class StudyFolder:
         """Time that each result took [s]."""
         files = sorted((self.folder / "results").glob("*.json"))
         return {path.stem: float(json.loads(path.read_text())["seconds"]) for path in files}
+
+
+def pressed_rows(run: Run) -> Indices:
+    """Rows of a run that show a press, not the untouched skin."""
+    return np.flatnonzero(~run.labels["reference"].astype(bool).to_numpy())
 
 
 def noisier(spec: PalmSpec, times: float) -> tuple[PalmSpec, Variation]:
@@ -319,8 +326,3 @@ def noisier(spec: PalmSpec, times: float) -> tuple[PalmSpec, Variation]:
         backlash_m=v.backlash_m * times,
     )
     return replace(spec, camera=camera), varied
-
-
-def setups(models: Sequence[str], scale: Scale) -> dict[str, CalibrationSetup]:
-    """A setup for each model, as the scale trains it."""
-    return {name: CalibrationSetup(name, name, options=dict(scale.options.get(name, {}))) for name in models}

@@ -3,57 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, TypedDict
+from functools import partial
+from typing import Any
 
-from palpate.estimators.networks import model_kind
-from palpate.reproductions.palm.palm_published import MAE, PLACE, R2, PublishedPalm
+from palpate.reproductions.palm.palm_published import MAE, R2
 from palpate.reproductions.palm.palm_setup import MODELS
+from palpate.reproductions.study_results import StudyEntry, study_entry
 
-FIELDS = ("grid", "new")
 WHERE = {"grid": "held-out places of the grid", "new": "places off the grid"}
+TIMES = {"network": "network alone, onnxruntime", "reading": "frame to readings"}
+entry = partial(study_entry, "palm-photoelastic-2026")
 
 
-class PalmStudyEntry(TypedDict):
-    """One number.
-
-    Attributes:
-        name: what it is; value, unit: what was found; published, source: what is printed, and where.
-    """
-
-    name: str
-    value: float
-    unit: str
-    published: float | None
-    source: str
-
-
-def summary_of(results: Mapping[str, Any]) -> list[PalmStudyEntry]:
+def summary_of(results: Mapping[str, Any]) -> list[StudyEntry]:
     """All of them; of stages that were not made, none."""
-    return [entry for part in _PARTS for entry in part(results)]
+    parts = (_headline, _variants, _conditions, _loads, _validity, _latency)
+    return [one for part in parts for one in part(results)]
 
 
-def entry(name: str, value: float, unit: str, printed: PublishedPalm | None = None) -> PalmStudyEntry:
-    """One number, beside what the source prints of it."""
-    where = f"palm-photoelastic-2026, {printed.where}" if printed else ""
-    return PalmStudyEntry(
-        name=name,
-        value=float(value),
-        unit=unit,
-        published=printed.value if printed else None,
-        source=where,
-    )
-
-
-def _headline(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+def _headline(results: Mapping[str, Any]) -> Iterator[StudyEntry]:
     for model in MODELS:
         scores = results.get(f"headline-{model}")
         if scores is None:
             continue
-        for at in FIELDS:
+        for at, where in WHERE.items():
             for target, one in scores[at].items():
                 # The source's numbers are of held-out places of its grid; off it, it has none.
                 mae, r2 = (p.get((model, target)) if at == "grid" else None for p in (MAE, R2))
-                name = f"{model}: {target}, {WHERE[at]}"
+                name = f"{model}: {target}, {where}"
                 yield entry(f"{name}, MAE", one["mae"], one["unit"], mae)
                 yield entry(f"{name}, MAE, 95 % low", one["mae_low"], one["unit"])
                 yield entry(f"{name}, MAE, 95 % high", one["mae_high"], one["unit"])
@@ -67,57 +44,46 @@ def _headline(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
         yield entry(f"{model}: time to train and score", scores["seconds"], "s")
 
 
-def _of_targets(name: str, targets: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+def _of_targets(name: str, targets: Mapping[str, Any]) -> Iterator[StudyEntry]:
     for target, one in targets.items():
         yield entry(f"{name}: {target}, MAE", one["mae"], one["unit"])
 
 
-def _leakage(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
-    for row in results.get("leakage", []):
-        for at in ("held_out", "new"):
-            said = "held out" if at == "held_out" else WHERE["new"]
-            yield from _of_targets(f"split by {row['grouping']}, {row['model']}, {said}", row[at])
+def _stood_by(name: str, scores: Mapping[str, Any]) -> Iterator[StudyEntry]:
+    """Errors, and the share of frames that the calibration stands by."""
+    yield from _of_targets(name, scores["targets"])
+    yield entry(f"{name}: frames stood by", scores["valid"], "1")
 
 
-def _factorial(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
-    for row in results.get("factorial", []):
-        for at in ("held_out", "new"):
-            said = "held out" if at == "held_out" else WHERE["new"]
-            yield from _of_targets(f"one architecture, {row['colour']} {row['seen']}, {said}", row[at])
-
-
-def _mirror(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+def _variants(results: Mapping[str, Any]) -> Iterator[StudyEntry]:
+    """Other splits, other inputs, and the mirror seen otherwise."""
+    for stage, name in (
+        ("leakage", "split by {grouping}, {model}"),
+        ("factorial", "one architecture, {colour} {seen}"),
+    ):
+        for row in results.get(stage, []):
+            yield from _of_targets(f"{name.format(**row)}, held out", row["held_out"])
+            yield from _of_targets(f"{name.format(**row)}, {WHERE['new']}", row["new"])
     for row in results.get("mirror", []):
-        name = f"mirror, taught {row['taught']}, tested {row['tested']}"
-        yield from _of_targets(name, row["targets"])
+        yield from _of_targets(f"mirror, taught {row['taught']}, tested {row['tested']}", row["targets"])
 
 
-def _conditions(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+def _conditions(results: Mapping[str, Any]) -> Iterator[StudyEntry]:
+    """Noise, other conditions, wear, and a copy of the sensor."""
     for row in results.get("noise", []):
         for model, one in row["models"].items():
             yield from _of_targets(f"{row['times']:g} times the noise, {model}", one["targets"])
-    for one in results.get("conditions", {}).values():
-        for model, scores in one["models"].items():
-            yield from _of_targets(f"{one['said']}, {model}", scores["targets"])
-            yield entry(f"{one['said']}, {model}: frames stood by", scores["valid"], "1")
-
-
-def _wear(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+    for row in results.get("conditions", {}).values():
+        for model, one in row["models"].items():
+            yield from _stood_by(f"{row['said']}, {model}", one)
     for row in results.get("durability", []):
         for model, one in row["models"].items():
-            name = f"after {row['presses']:g} presses (assumed wear), {model}"
-            yield from _of_targets(name, one["targets"])
-            yield entry(f"{name}: frames stood by", one["valid"], "1")
-
-
-def _adaptation(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+            yield from _stood_by(f"after {row['presses']:g} presses (assumed wear), {model}", one)
     for row in results.get("adaptation", []):
-        name = f"a copy after {row['presses']} presses, {row['model']}"
-        yield from _of_targets(name, row["targets"])
-        yield entry(f"{name}: frames stood by", row["valid"], "1")
+        yield from _stood_by(f"a copy after {row['presses']} presses, {row['model']}", row)
 
 
-def _loads(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+def _loads(results: Mapping[str, Any]) -> Iterator[StudyEntry]:
     for kind, one in results.get("loads", {}).items():
         for model, read in one["models"].items():
             yield entry(f"{kind}, read by {model}: force_N, MAE", read["force_mae_N"], "N")
@@ -131,38 +97,18 @@ def _loads(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
             yield entry("shapes told apart", one["told apart"]["right"], "1")
 
 
-def _validity(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+def _validity(results: Mapping[str, Any]) -> Iterator[StudyEntry]:
     for row in results.get("validity", []):
         for model, rate in row["models"].items():
             yield entry(f"{row['said']}, {model}: frames flagged", rate["flagged"], "1")
 
 
-def _latency(results: Mapping[str, Any]) -> Iterator[PalmStudyEntry]:
+def _latency(results: Mapping[str, Any]) -> Iterator[StudyEntry]:
     times = results.get("latency", {})
     for model, parts in times.items():
-        for part, said in (("network", "network alone, onnxruntime"), ("reading", "frame to readings")):
+        for part, said in TIMES.items():
             yield entry(f"{model}: {said}, median", parts[part]["median_ms"], "ms")
             yield entry(f"{model}: {said}, 95th percentile", parts[part]["p95_ms"], "ms")
     if times:
         two, ours = (times[m]["network"]["median_ms"] for m in ("palm-two-stage", "palm-compact"))
         yield entry("palm-two-stage over palm-compact, network alone", two / ours, "1")
-
-
-_PARTS = (
-    _headline,
-    _leakage,
-    _factorial,
-    _mirror,
-    _conditions,
-    _wear,
-    _adaptation,
-    _loads,
-    _validity,
-    _latency,
-)
-
-
-def targets_of(model: str) -> tuple[str, ...]:
-    """A model's targets, and the place as a whole where it has one."""
-    targets = model_kind(model).targets
-    return (*targets, PLACE) if "x_mm" in targets else targets

@@ -28,7 +28,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from palpate.core import Float, ndarray
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
-from palpate.reproductions.tactip.tactip_conditions import KAPPA_N_M, POLAR, head_on, marker_radii_px, order
+from palpate.reproductions.tactip.tactip_conditions import KAPPA_N_M, POLAR, head_on, marker_radii_px
 from palpate.sensors.tactip import TacTipSpec
 
 LEVELS_PA = (150.0, 300.0, 600.0)
@@ -149,53 +149,19 @@ def _radius_m(spec: TacTipSpec, press: HeadOnPress, view: View, polar: Forces, f
     return np.array([float(CubicSpline(at, row)(p)) for row, p in zip(rows, known, strict=True)])
 
 
-@dataclass(frozen=True)
-class ContourGrowth:
-    """A contour on all specimens, stiffest first, at one force.
-
-    Attributes:
-        area_m2, growth_m2_n, flux_m2_n: see `Contour`.
-        true_m2, casr_m2_n: of the contact.
-    """
-
-    level: Level
-    flank: Flank
-    view: View
-    force_n: float
-    area_m2: tuple[float, ...]
-    growth_m2_n: tuple[float, ...]
-    flux_m2_n: tuple[float, ...]
-    true_m2: tuple[float, ...]
-    casr_m2_n: tuple[float, ...]
-
-    @property
-    def carried(self) -> tuple[float, ...]:
-        """See `Contour`."""
-        return tuple(flux / growth for flux, growth in zip(self.flux_m2_n, self.growth_m2_n, strict=True))
-
-    @property
-    def orders(self) -> tuple[str, str, str]:
-        """Orders of area, growth and flux."""
-        return order(self.area_m2), order(self.growth_m2_n), order(self.flux_m2_n)
-
-
-def contour_growths(
+def contours(
     spec: TacTipSpec | None = None,
     force_n: Sequence[float] = (2.0, 3.0, 4.0),
     levels: Sequence[Level] = (*LEVELS_PA, "half", "peak", "contact"),
     view: View = "skin",
-) -> tuple[ContourGrowth, ...]:
-    """Every contour at every force on all specimens."""
-    spec = spec or TacTipSpec()
-    kinds = [(level, flank) for level in levels for flank in _flanks(level)]
-    result = []
-    for level, flank in kinds:
-        some = [contour(spec, kappa, level, flank, view, force_n) for kappa in KAPPA_N_M.values()]
-        for i, force in enumerate(force_n):
-            names = ("area_m2", "growth_m2_n", "flux_m2_n", "contact_m2", "casr_m2_n")
-            values = (tuple(float(getattr(c, name)[i]) for c in some) for name in names)
-            result.append(ContourGrowth(level, flank, view, float(force), *values))
-    return tuple(result)
+) -> tuple[Contour, ...]:
+    """Every contour on all specimens, stiffest first."""
+    return tuple(
+        contour(spec or TacTipSpec(), kappa, level, flank, view, force_n)
+        for level in levels
+        for flank in _flanks(level)
+        for kappa in KAPPA_N_M.values()
+    )
 
 
 def _flanks(level: Level) -> tuple[Flank, ...]:

@@ -5,20 +5,23 @@ Its figures 5 to 9, its p-values, and the new specimen's stiffness are set besid
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from palpate.core import InputError, Reading, new_folder, refuse_existing, storage_errors
+from palpate.calibration.compliance.compliance_reading import AreaCourse, read_touch
+from palpate.calibration.compliance.press_cues import PressCues
+from palpate.core import InputError, Reading, new_folder, refuse_existing
 from palpate.estimators.networks.model_interface import Progress, silent
-from palpate.psychophysics import Comparison, Line, compare
+from palpate.psychophysics import Comparison, compare
 from palpate.reports import study_figures as draw
+from palpate.reports.certificate_page import filled_template
+from palpate.reports.compliance_figures import Courses
+from palpate.reproductions.study_results import Published, StudyEntry, study_entry, write_results
 from palpate.reproductions.tactip.tactip_conditions import Row, compared, order
 from palpate.reproductions.tactip.tactip_setup import (
     ADJUSTED_R2,
@@ -31,7 +34,6 @@ from palpate.reproductions.tactip.tactip_setup import (
     RANK_SUM_P,
     Experiment,
     Plate,
-    PublishedTacTip,
     press_all,
     stiffness_line,
     under_plate,
@@ -56,17 +58,6 @@ CONTROLS = ("as assumed", "half the speed", "twice the speed", "20 frames each",
 SHOWN = (("disc", "paper"), ("contact", "paper"), ("disc", "secant"), ("contact", "secant"))
 
 
-class TacTipStudyEntry(TypedDict):
-    """A number: what it is, what was found, its unit, what is printed and where, and why the two differ."""
-
-    name: str
-    value: float | None
-    unit: str
-    published: float | None
-    source: str
-    why: str
-
-
 @dataclass(frozen=True)
 class Study:
     """All that was made."""
@@ -81,7 +72,7 @@ class Study:
 
 def reproduce_tactip(
     out: Path, *, seed: int = 0, trials: int = TRIALS, progress: Progress = silent
-) -> list[TacTipStudyEntry]:
+) -> list[StudyEntry]:
     """Make ``report.html`` and ``summary.json``.
 
     Args:
@@ -112,13 +103,12 @@ def reproduce_tactip(
         progress("controls of divergence", i + 1, len(CONTROLS))
     study = Study(plates, experiments, tuple(controls), seed, trials, time.perf_counter() - began)
     entries = list(entries_of(study))
-    with new_folder(out) as building, storage_errors(out):
-        (building / "summary.json").write_text(json.dumps(entries, indent=1, allow_nan=False) + "\n")
-        (building / "report.html").write_text(page(study, entries), encoding="utf-8")
+    with new_folder(out) as building:
+        write_results(building, entries, tactip_page(study, entries))
     return entries
 
 
-def entries_of(study: Study) -> Iterator[TacTipStudyEntry]:
+def entries_of(study: Study) -> Iterator[StudyEntry]:
     """Every number."""
     yield from _plate_entries(study.plates)
     for experiment in study.experiments.values():
@@ -139,7 +129,7 @@ def shown_controls(study: Study) -> list[Row]:
     ]
 
 
-def _plate_entries(plates: Mapping[str, Plate]) -> Iterator[TacTipStudyEntry]:
+def _plate_entries(plates: Mapping[str, Plate]) -> Iterator[StudyEntry]:
     for name, plate in plates.items():
         slopes = [1e-3 * line.slope for line in plate.lines]
         yield entry(f"stiffness of {name} by a rigid plate", np.mean(slopes), "N/mm", KAPPA[name], PLATE_WHY)
@@ -150,28 +140,25 @@ def _plate_entries(plates: Mapping[str, Plate]) -> Iterator[TacTipStudyEntry]:
     yield entry("rank-sum p of these, one value a trial, worst pair", p, "1", RANK_SUM_P, RANK_WHY)
 
 
-def _tilt_entries(one: Experiment) -> Iterator[TacTipStudyEntry]:
+def _tilt_entries(one: Experiment) -> Iterator[StudyEntry]:
     at = f"{one.tilt_deg} degrees"
-    for reading in (one.touch.stiffness, one.touch.stiffness_both):
-        if reading is not None:
-            how = "touch alone" if reading is one.touch.stiffness else "both cues"
-            for part, value in (("", reading.value), (", low", reading.low), (", high", reading.high)):
-                printed = KAPPA_NEW[one.tilt_deg] if not part and how == "touch alone" else None
-                yield entry(f"{at}: new specimen by {how}{part}", 1e-3 * value, "N/mm", printed, NEW_WHY)
-    for cue in CUES:
+    for how, reading in stiffness_readings(one).items():
+        for part, value in zip(("", ", low", ", high"), _n_per_mm(reading), strict=True):
+            printed = KAPPA_NEW[one.tilt_deg] if not part and how == "touch alone" else None
+            yield entry(f"{at}: new specimen by {how}{part}", value, "N/mm", printed, NEW_WHY)
+    for cue, label in CUES.items():
+        by_paper = cue == "divergence_paper_per_N"
         line, new = stiffness_line(one, cue)
-        printed = KAPPA_NEW[one.tilt_deg] if cue == "divergence_paper_per_N" else None
-        yield entry(
-            f"{at}: new specimen by a line over {CUES[cue]}", line.at(new)[0], "N/mm", printed, LINE_WHY
-        )
-        tests = cue_tests(one, cue)
-        kruskal = KRUSKAL_P if one.tilt_deg == 0 and cue == "divergence_paper_per_N" else None
-        dunn = DUNN_P[one.tilt_deg] if cue == "divergence_paper_per_N" else None
-        yield entry(f"{at}: {CUES[cue]}, Kruskal-Wallis p", tests.kruskal_p, "1", kruskal, KRUSKAL_WHY)
+        printed = KAPPA_NEW[one.tilt_deg] if by_paper else None
+        yield entry(f"{at}: new specimen by a line over {label}", line.at(new)[0], "N/mm", printed, LINE_WHY)
+        tests = rank_tests_of(one, cue)
+        kruskal = KRUSKAL_P if one.tilt_deg == 0 and by_paper else None
+        dunn = DUNN_P[one.tilt_deg] if by_paper else None
+        yield entry(f"{at}: {label}, Kruskal-Wallis p", tests.kruskal_p, "1", kruskal, KRUSKAL_WHY)
         worst = max(pair.dunn_p for pair in tests.pairs)
-        yield entry(f"{at}: {CUES[cue]}, Dunn p, worst pair", worst, "1", dunn, DUNN_WHY)
+        yield entry(f"{at}: {label}, Dunn p, worst pair", worst, "1", dunn, DUNN_WHY)
         for name, mean in means(one, cue).items():
-            yield entry(f"{at}: {CUES[cue]} of {name}", mean, CUES[cue].split("[")[1].rstrip("]"))
+            yield entry(f"{at}: {label} of {name}", mean, label.split("[")[1].rstrip("]"))
     for name, (error, spread) in area_errors(one).items():
         yield entry(f"{at}: contact area of {name}, median error over 1 to 5 N", 100 * error, "%")
         yield entry(f"{at}: contact area of {name} at 4 N, spread between trials", 100 * spread, "%")
@@ -192,21 +179,22 @@ DUNN_WHY = "'LSD' after Kruskal-Wallis is Dunn's test uncorrected: 3 x 10 trials
 
 
 def entry(
-    name: str,
-    value: float | np.floating[Any],
-    unit: str,
-    printed: PublishedTacTip | None = None,
-    why: str = "",
-) -> TacTipStudyEntry:
-    """One number, beside what the report prints of it."""
-    return TacTipStudyEntry(
-        name=name,
-        value=float(value) if np.isfinite(value) else None,
-        unit=unit,
-        published=printed.value if printed else None,
-        source=f"{SOURCE}, {printed.where}" if printed else "",
-        why=why if printed else "",
-    )
+    name: str, value: float | np.floating[Any], unit: str, printed: Published | None = None, why: str = ""
+) -> StudyEntry:
+    """One number, beside what the report prints of it, and why the two differ."""
+    return {**study_entry(SOURCE, name, value, unit, printed), "why": why if printed else ""}
+
+
+def stiffness_readings(one: Experiment) -> dict[str, Reading]:
+    """Stiffness of the new specimen, by each way in which it was read."""
+    touch = one.touch
+    both = {} if touch.stiffness_both is None else {"both cues": touch.stiffness_both}
+    return {"touch alone": touch.stiffness} | both
+
+
+def _n_per_mm(reading: Reading) -> tuple[float, float, float]:
+    """A stiffness with its interval [N/mm]."""
+    return 1e-3 * reading.value, 1e-3 * reading.low, 1e-3 * reading.high
 
 
 def groups_of(one: Experiment, cue: str, names: Sequence[str] = NAMES) -> dict[str, list[float]]:
@@ -220,7 +208,7 @@ def means(one: Experiment, cue: str) -> dict[str, float]:
     return {name: float(np.mean(values)) for name, values in groups_of(one, cue).items()}
 
 
-def cue_tests(one: Experiment, cue: str) -> Comparison:
+def rank_tests_of(one: Experiment, cue: str) -> Comparison:
     """Rank tests between S1, S2 and S3."""
     return compare(groups_of(one, cue, ("S1", "S2", "S3")))
 
@@ -240,21 +228,17 @@ def area_errors(one: Experiment) -> dict[str, tuple[float, float]]:
     return results
 
 
-def _course(one: Experiment, cue: Any) -> Any:
-    from palpate.calibration.compliance.compliance_reading import read_touch
-
+def _course(one: Experiment, cue: PressCues) -> AreaCourse:
     course = read_touch(one.calibration, [cue.trial.press]).course
     assert course is not None
     return course
 
 
-def page(study: Study, entries: Sequence[TacTipStudyEntry]) -> str:
+def tactip_page(study: Study, entries: Sequence[StudyEntry]) -> str:
     """The report's HTML."""
-    environment = Environment(
-        loader=PackageLoader("palpate.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    environment.filters["g"] = lambda value: "–" if value is None else f"{value:.3g}"
-    return environment.get_template("tactip_study.html").render(
+    by_tilt = {t: {cue: means(one, cue) for cue in CUES} for t, one in study.experiments.items()}
+    return filled_template(
+        "tactip_study.html",
         version=__version__,
         seed=study.seed,
         trials=study.trials,
@@ -264,12 +248,9 @@ def page(study: Study, entries: Sequence[TacTipStudyEntry]) -> str:
         names=NAMES,
         cues=CUES,
         kappa={name: printed.value for name, printed in KAPPA.items()},
-        means={t: {cue: means(one, cue) for cue in CUES} for t, one in study.experiments.items()},
-        orders={
-            t: {cue: order(list(means(one, cue).values())) for cue in CUES}
-            for t, one in study.experiments.items()
-        },
-        tests={t: {cue: cue_tests(one, cue) for cue in CUES} for t, one in study.experiments.items()},
+        means=by_tilt,
+        orders={t: {cue: order([*of.values()]) for cue, of in cues.items()} for t, cues in by_tilt.items()},
+        tests={t: {cue: rank_tests_of(one, cue) for cue in CUES} for t, one in study.experiments.items()},
         areas={t: area_errors(one) for t, one in study.experiments.items()},
         controls=shown_controls(study),
         calibration={t: one.calibration for t, one in study.experiments.items()},
@@ -282,7 +263,7 @@ def _figures(study: Study) -> dict[str, Any]:
         "plate": draw.plate_figure(
             {n: _plate_samples(p) for n, p in study.plates.items()},
             {n: [1e-3 * line.slope for line in p.lines] for n, p in study.plates.items()},
-            {n: _in_mm(p.lines[0]) for n, p in study.plates.items()},
+            {n: (1e-3 * p.lines[0].slope, p.lines[0].start) for n, p in study.plates.items()},
         ),
         "trend": {t: draw.trend_figure(_panels(one)) for t, one in study.experiments.items()},
         "line": {
@@ -292,22 +273,13 @@ def _figures(study: Study) -> dict[str, Any]:
     }
     rows, printed = {}, {}
     for t, one in study.experiments.items():
-        for how, reading in (("touch", one.touch.stiffness), ("both cues", one.touch.stiffness_both)):
-            if reading is not None:
-                rows[f"{t}°, {how}"] = _per_mm(reading)
+        for how, reading in stiffness_readings(one).items():
+            rows[f"{t}°, {how.removesuffix(' alone')}"] = _n_per_mm(reading)
         for cue in ("spread_rate_mm2_per_N", "divergence_paper_per_N"):
             rows[f"{t}°, line over {CUES[cue].split(' [')[0]}"] = _compared_value(one, cue).new
         printed[f"{t}°, line over {CUES['divergence_paper_per_N'].split(' [')[0]}"] = KAPPA_NEW[t].value
     made["new"] = draw.forest_figure(rows, KAPPA[NEW].value, printed)
     return made
-
-
-def _per_mm(reading: Reading) -> tuple[float, float, float]:
-    return 1e-3 * reading.value, 1e-3 * reading.low, 1e-3 * reading.high
-
-
-def _in_mm(line: Line) -> tuple[float, float]:
-    return 1e-3 * line.slope, line.start
 
 
 def _plate_samples(plate: Plate) -> tuple[Any, Any]:
@@ -316,7 +288,7 @@ def _plate_samples(plate: Plate) -> tuple[Any, Any]:
     return 1e3 * plate.position_m[inside], plate.force_n[inside]
 
 
-def _panels(one: Experiment) -> dict[str, tuple[draw.Courses, draw.Groups]]:
+def _panels(one: Experiment) -> dict[str, tuple[Courses, draw.Groups]]:
     """Contact area and the report's own sum, over force."""
     unseen = one.unseen()
     area = {

@@ -26,43 +26,35 @@ from palpate.core import Float, ndarray
 from palpate.estimators.networks.model_interface import Progress
 from palpate.psychophysics import Line, fit_line
 from palpate.recordings.exchange.press_table import PressTable
+from palpate.reproductions.study_results import Published
 from palpate.sensors.tactip import TacTipSpec
 from palpate.workflows.tactip_trials import VirtualPress, record_press, specimens_at
-
-
-@dataclass(frozen=True, slots=True)
-class PublishedTacTip:
-    """A number, and where it is printed."""
-
-    value: float
-    where: str
-
 
 NAMES = ("S1", "new", "S2", "S3")
 """Stiffest first."""
 
 KAPPA = {
-    "S1": PublishedTacTip(7.6, "section V"),
-    "new": PublishedTacTip(5.3, "section V"),
-    "S2": PublishedTacTip(3.1, "section V"),
-    "S3": PublishedTacTip(1.1, "section V"),
+    "S1": Published(7.6, "section V"),
+    "new": Published(5.3, "section V"),
+    "S2": Published(3.1, "section V"),
+    "S3": Published(1.1, "section V"),
 }
 """By a rigid plate [N/mm]."""
 
 KAPPA_NEW = {
-    0: PublishedTacTip(4.99, "section V, Fig. 7"),
-    30: PublishedTacTip(3.95, "section V, Fig. 9"),
-    45: PublishedTacTip(6.8, "section V, Fig. 9"),
+    0: Published(4.99, "section V, Fig. 7"),
+    30: Published(3.95, "section V, Fig. 9"),
+    45: Published(6.8, "section V, Fig. 9"),
 }
 """Of the new specimen by touch, at each tilt in degrees [N/mm]."""
 
-ADJUSTED_R2 = PublishedTacTip(0.882, "section V, the worst of Fig. 5(a)")
-RANK_SUM_P = PublishedTacTip(9.91e-55, "section V, the worst pair of Fig. 5(b), pooled samples")
-KRUSKAL_P = PublishedTacTip(6.3e-5, "section V, Fig. 6(b)")
+ADJUSTED_R2 = Published(0.882, "section V, the worst of Fig. 5(a)")
+RANK_SUM_P = Published(9.91e-55, "section V, the worst pair of Fig. 5(b), pooled samples")
+KRUSKAL_P = Published(6.3e-5, "section V, Fig. 6(b)")
 DUNN_P = {
-    0: PublishedTacTip(0.01, "section V, Fig. 6(b), worst pair, 'LSD'"),
-    30: PublishedTacTip(0.01, "section V, Fig. 9(b), worst pair, 'LSD'"),
-    45: PublishedTacTip(0.005, "section V, Fig. 9(d), worst pair, 'LSD'"),
+    0: Published(0.01, "section V, Fig. 6(b), worst pair, 'LSD'"),
+    30: Published(0.01, "section V, Fig. 9(b), worst pair, 'LSD'"),
+    45: Published(0.005, "section V, Fig. 9(d), worst pair, 'LSD'"),
 }
 
 
@@ -140,14 +132,9 @@ def press_all(
         tilt_rad=float(np.deg2rad(tilt_deg)),
         note=f"virtual {spec.tip} tip",
     )
-    unseen = {name: cues[name][-testing:] for name in NAMES}
-    return Experiment(
-        tilt_deg,
-        cues,
-        calibration,
-        read_touch(calibration, [c.trial.press for c in cues[NEW]], NEW),
-        trials_table(unseen, calibration),
-    )
+    table = trials_table({name: cues[name][-testing:] for name in NAMES}, calibration)
+    touch = read_touch(calibration, [c.trial.press for c in cues[NEW]], NEW)
+    return Experiment(tilt_deg, cues, calibration, touch, table)
 
 
 @dataclass(frozen=True)
@@ -178,17 +165,10 @@ def _plate_table(spec: TacTipSpec, kappa: float, rng: np.random.Generator) -> Pr
     depth = start + spec.speed_m_s * time
     force = kappa * np.maximum(depth, 0) + sensor.noise_n * rng.standard_normal(n)
     encoder = depth + spec.seating.position_m * rng.standard_normal()
+    steps_n = step * np.rint(force / step)
     return PressTable(
-        time,
-        step * np.rint(force / step),
-        encoder,
-        None,
-        np.arange(n),
-        "force_raw_N",
-        "actual_mm",
-        None,
-        False,
-    )
+        time, steps_n, encoder, None, np.arange(n), "force_raw_N", "actual_mm", None, False
+    )  # fmt: skip
 
 
 def stiffness_line(experiment: Experiment, cue: str) -> tuple[Line, float]:
