@@ -9,7 +9,7 @@ from palpate.calibration.compliance.press_cues import cues_of, series
 from palpate.calibration.compliance.specimen_comparison import cue_tests, trials_table
 from palpate.psychophysics import bootstrap_interval
 from palpate.recordings.exchange.press_table import PressTable
-from palpate.reproductions.tactip.tactip_setup import table_of
+from palpate.reproductions.tactip.tactip_setup import press_table_of
 from palpate.sensors.tactip import tactip
 from palpate.workflows.tactip_trials import record_press
 
@@ -17,7 +17,7 @@ from palpate.workflows.tactip_trials import record_press
 @pytest.fixture(scope="module")
 def cues():
     made = record_press(tactip(), "S1=7.6", seed=3)
-    return cues_of(list(made.frames()), table_of(made))
+    return cues_of(list(made.frames()), press_table_of(made))
 
 
 def test_cues_without_a_calibration_are_relative_ones(cues) -> None:

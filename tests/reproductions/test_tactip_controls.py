@@ -98,17 +98,17 @@ def test_equation_12_of_one_and_the_same_area_is_20_60_and_180(kappa, steps) -> 
 def test_half_the_speed_doubles_equation_12_and_hardly_changes_the_secant(spec) -> None:
     way = ("flow", "disc")
     fast = cues(spec, S1, 0)
-    slow = cues(CONDITIONS["half the speed"].change(spec), S1, 0)
+    slow = cues(CONDITIONS["half the speed"].spec, S1, 0)
     assert_allclose(slow.steps / fast.steps, 2, rtol=0.08)  # a frame more or less of 18
     assert 1.8 < slow.values[(*way, "paper")] / fast.values[(*way, "paper")] < 2.6
     assert_allclose(slow.values[(*way, "secant")], fast.values[(*way, "secant")], rtol=0.12)
 
 
-def test_slowness_swaps_specimens_in_equation_12(spec) -> None:
+def test_slowness_swaps_specimens_in_equation_12() -> None:
     """The stiffest, pressed at half the speed, comes out softer than the softest at twice the speed."""
     way = ("flow", "disc", "paper")
-    stiff = cues(CONDITIONS["half the speed"].change(spec), S1, 0)
-    soft = cues(CONDITIONS["twice the speed"].change(spec), S3, 0)
+    stiff = cues(CONDITIONS["half the speed"].spec, S1, 0)
+    soft = cues(CONDITIONS["twice the speed"].spec, S3, 0)
     assert stiff.values[way] > 1.5 * soft.values[way]
 
 

@@ -22,8 +22,8 @@ from palpate.reproductions.tactip.tactip_setup import (
     NAMES,
     Experiment,
     kappa_n_m,
+    press_table_of,
     stiffness_line,
-    table_of,
     under_plate,
 )
 from palpate.sensors.tactip import tactip
@@ -150,7 +150,7 @@ def test_a_specimen_under_a_rigid_plate_has_the_stiffness_it_was_given() -> None
 
 def test_a_trial_has_the_table_that_its_files_would_hold() -> None:
     made = record_press(tactip(), "S1=7.6", 2)
-    table = table_of(made)
+    table = press_table_of(made)
     assert table.force_n is made.raw_n
     assert len(table.frame_sample) == len(made.frame_sample)
     assert_allclose(table.area_m2[-1], made.true_area_m2[-1])

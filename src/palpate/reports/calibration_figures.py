@@ -102,8 +102,7 @@ def _errors(axes: Axes, target: TargetCard, true: np.ndarray, guess: np.ndarray,
 
 def _coverage(axes: Axes, target: TargetCard, true: np.ndarray, guess: np.ndarray, half: np.ndarray) -> None:
     inside = np.abs(guess - true) <= half
-    order = np.argsort(true, kind="stable")
-    for rows in np.array_split(order, _bins(len(true))):
+    for rows in _bins(true):
         low, high = coverage_interval(int(inside[rows].sum()), len(rows))
         centre = float(true[rows].mean())
         axes.plot([centre, centre], [100 * low, 100 * high], color=ACCENT, lw=1.4)
@@ -134,13 +133,13 @@ def _map(
 
 def _binned(true: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
     """Means of equal parts of the rows, ordered by the truth."""
-    parts = np.array_split(np.argsort(true, kind="stable"), _bins(len(true)))
+    parts = _bins(true)
     centres = np.array([true[rows].mean() for rows in parts])
     return centres, tuple(np.array([value[rows].mean() for rows in parts]) for value in values)
 
 
-def _bins(n: int) -> int:
-    return int(np.clip(n // 25, 1, 12))
+def _bins(true: np.ndarray) -> list[np.ndarray]:
+    return np.array_split(np.argsort(true, kind="stable"), int(np.clip(len(true) // 25, 1, 12)))
 
 
 def _label(target: TargetCard, what: str) -> str:

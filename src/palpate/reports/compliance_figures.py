@@ -18,7 +18,7 @@ from palpate.calibration.compliance.press_cues import PressCues
 from palpate.calibration.compliance.specimen_comparison import LABELS, SpecimenComparison
 from palpate.core import Float, ndarray, new_folder, storage_errors
 from palpate.estimators.compliance.literature_method import AsReported
-from palpate.reports.calibration_figures import ACCENT, BAND, INK, styled_panels
+from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, styled_panels
 
 COLOURS = ("#31688e", "#c0392b", "#35a36a", "#d8a013", "#7b4fa3", "#5b6b75")
 """For specimens in their order; the report's own are blue, (new: red,) green and yellow."""
@@ -117,16 +117,16 @@ def _area(axes: Axes, trial: ReferenceTrial, touch: PressReading) -> None:
     if np.isfinite(touch.course.ring_m2).any():
         axes.plot(force, 1e6 * touch.course.ring_m2, color=INK, lw=0.8, ls=":", label="ring and stretch")
     if trial.area_m2 is not None and np.isfinite(trial.area_m2).any():
-        axes.plot(force, 1e6 * trial.area_m2, color="#c0392b", lw=0.8, ls="--", label="known")
+        axes.plot(force, 1e6 * trial.area_m2, color=BAD, lw=0.8, ls="--", label="known")
     axes.set(xlabel="force [N]", ylabel="contact area [mm²]", title="contact area")
     axes.legend(frameon=False, fontsize=8)
 
 
 def _stiffness(axes: Axes, touch: PressReading) -> None:
     """Each estimate with its interval, over the calibrated range."""
-    rows = [("touch", touch.stiffness)]
+    rows = {"touch": touch.stiffness}
     if touch.stiffness_both is not None:
-        rows.append(("touch and\nposition", touch.stiffness_both))
+        rows["touch and\nposition"] = touch.stiffness_both
     low, high = (x / 1e3 for x in touch.stiffness.calibrated_range)
     axes.axvspan(low, high, color=BAND, zorder=0)
     axes.annotate(
@@ -137,14 +137,15 @@ def _stiffness(axes: Axes, touch: PressReading) -> None:
         va="top",
         fontsize=8,
     )
-    for i, (_, one) in enumerate(rows):
-        value, least, most = (x / 1e3 for x in (one.value, one.low, one.high))
-        ends = np.clip([least, most], low / 5, high * 5)
-        axes.plot(ends, [i, i], color=ACCENT if one.valid else "#c0392b", lw=2)
-        axes.plot(np.clip(value, low / 5, high * 5), i, "o", color=ACCENT if one.valid else "#c0392b")
+    for i, one in enumerate(rows.values()):
+        value = one.value / 1e3
+        ends, at = (np.clip(x, low / 5, high * 5) for x in (np.array([one.low, one.high]) / 1e3, value))
+        colour = ACCENT if one.valid else BAD
+        axes.plot(ends, [i, i], color=colour, lw=2)
+        axes.plot(at, i, "o", color=colour)
         text = f"{value:.3g} N/mm" if np.isfinite(value) else "rigid"
         axes.annotate(
-            text if one.valid else f"{text} (not valid)", (np.clip(value, low / 5, high * 5), i),
+            text if one.valid else f"{text} (not valid)", (at, i),
             textcoords="offset points", xytext=(0, 8), ha="center", fontsize=9,
         )  # fmt: skip
     axes.set(
@@ -153,7 +154,7 @@ def _stiffness(axes: Axes, touch: PressReading) -> None:
         xlabel="stiffness [N/mm]",
         title="stiffness of the specimen",
     )
-    axes.set_yticks(range(len(rows)), [name for name, _ in rows])
+    axes.set_yticks(range(len(rows)), list(rows))
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter(ScalarFormatter())
     axes.xaxis.set_minor_formatter(NullFormatter())

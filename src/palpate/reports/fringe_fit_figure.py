@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from palpate.calibration.stress_optic_fit import CoefficientCandidate, FringeFit
+from palpate.calibration.stress_optic_fit import FringeFit
 from palpate.core import Values, new_file
 from palpate.estimators.fringe_order import RIVAL
 from palpate.optics.colour import encode_srgb
@@ -36,13 +36,13 @@ def write_figure(fit: FringeFit, path: Path) -> None:
         _line(figure.add_subplot(grid[:, 0]), fit)
         _curves(figure.add_subplot(grid[0, 1]), fit)
         _colours(figure.add_subplot(grid[1, 1]), fit)
-        figure.suptitle(headline(fit), fontsize=11, fontweight="bold", color=INK)
+        figure.suptitle(fit_headline(fit), fontsize=11, fontweight="bold", color=INK)
         figure.supxlabel(f"{fit.specimen}; {fit.lamp}", fontsize=7.5, color=INK)
         with new_file(path) as building:
             figure.savefig(building, format="png", dpi=160)
 
 
-def headline(fit: FringeFit) -> str:
+def fit_headline(fit: FringeFit) -> str:
     """C, its interval and whether it stands alone, in one line."""
     C, low, high = (c / BREWSTER for c in (fit.coefficient_per_pa, fit.low_per_pa, fit.high_per_pa))
     up_to = f"no other slope up to order {fit.settings['greatest_order']:g} fits nearly as well"
@@ -66,7 +66,8 @@ def _line(axes: Axes, fit: FringeFit) -> None:
         label="95 % interval of C",
     )
     axes.plot(ends, fit.residual_order + fit.orders_per_n * ends, color=ACCENT, lw=1.5, label="fit")
-    for rival, style in zip(_rivals(fit), ("--", ":", "-."), strict=False):
+    rivals = [rival for rival in fit.rivals if rival.likelihood > RIVAL]
+    for rival, style in zip(rivals, ("--", ":", "-."), strict=False):
         slope = fit.orders_per_n * rival.coefficient_per_pa / fit.coefficient_per_pa
         C = rival.coefficient_per_pa / BREWSTER
         label = f"also allowed: {C:.3g} brewster, likelihood {rival.likelihood:.2f}"
@@ -108,7 +109,3 @@ def _colours(axes: Axes, fit: FringeFit) -> None:
 
 def _shown(light: Values) -> np.ndarray:
     return np.asarray(encode_srgb(light))
-
-
-def _rivals(fit: FringeFit) -> tuple[CoefficientCandidate, ...]:
-    return tuple(rival for rival in fit.rivals if rival.likelihood > RIVAL)

@@ -17,14 +17,7 @@ REPORT_FILE = "report.html"
 
 
 def certify(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress = silent) -> Card:
-    """Calibrate, and write the report into the calibration's folder.
-
-    Args:
-        run: frames and labels to learn from.
-        plan: what to estimate and how.
-        out: calibration folder to make; must not exist.
-        progress: called with what is being done and how far it is.
-    """
+    """Calibrate, see `calibration.calibrate`, and write the report into the calibration's folder."""
     out = Path(out)
     calibrate(run, plan, out, progress)
     progress("writing the report", 0, 1)

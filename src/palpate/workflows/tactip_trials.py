@@ -36,7 +36,6 @@ from palpate.core import (
     new_folder,
 )
 from palpate.estimators.networks.model_interface import Progress, silent
-from palpate.mechanics.axisymmetric.tip_table import TipTable
 from palpate.recordings.exchange.press_folder import PressFolder, press_folder, write_press, write_specimens
 from palpate.recordings.exchange.press_import import import_press
 from palpate.recordings.exchange.press_table import press_rows
@@ -200,11 +199,6 @@ def _nearest(sensor: TacTip, time_s: Float[ndarray, " s"]) -> Int[ndarray, " f"]
     return np.searchsorted(time_s, ends_s - sensor.exposure_s / 2 + 1e-9, side="right") - 1
 
 
-def least_stiffness_n_m(table: TipTable) -> float:
-    """Stiffness of the softest cylinder in the tables [N/m]."""
-    return float(table.specimen_pa[0]) / modulus_pa(table, 1.0)
-
-
 def specimens_at(
     spec: TacTipSpec,
     stiffness_n_m: Mapping[str, float],
@@ -232,7 +226,7 @@ def specimens_at(
         RangeError: a stiffness outside of what is modelled.
         InputError: a tilt outside of it.
     """
-    least, sensor = least_stiffness_n_m(spec.table), TacTip(spec)
+    least, sensor = float(spec.table.specimen_pa[0]) / modulus_pa(spec.table, 1.0), TacTip(spec)
     for name, stiffness in stiffness_n_m.items():
         if not stiffness >= least * (1 - 1e-9):
             raise RangeError(
@@ -286,15 +280,13 @@ def record_trials(
             f"{len(specimens)} specimens, {trials} trials, seed {seed}; at least 1, 1 and 0 are needed"
         )
     truths: dict[str, dict[str, Any]] = {name: {} for name in specimens}
+    digits = max(2, len(str(trials)))
     with new_folder(out) as building:
         stiffness = {name: stiffness_of(words) for name, words in specimens.items()}
         write_specimens(building, {n: math.nan if n in unknown else k for n, k in stiffness.items()})
         for i, (name, words) in enumerate(specimens.items()):
             for k in range(1, trials + 1):
-                press, number = (
-                    record_press(spec, words, _seed(seed, name, k)),
-                    f"{k:0{max(2, len(str(trials)))}d}",
-                )
+                press, number = record_press(spec, words, _seed(seed, name, k)), f"{k:0{digits}d}"
                 _write(building / name, number, press, runs)
                 truths[name][number] = _truth(press)
                 progress("pressing", i * trials + k, len(specimens) * trials)
@@ -316,14 +308,8 @@ def _seed(seed: int, name: str, number: int) -> int:
 
 
 def _write(folder: Path, number: str, press: VirtualPress, runs: bool) -> None:
-    rows = press_rows(
-        press.time_s,
-        press.raw_n,
-        press.position_m,
-        press.position_m,
-        press.frame_sample,
-        press.true_area_m2,
-    )
+    z_m = press.position_m
+    rows = press_rows(press.time_s, press.raw_n, z_m, z_m, press.frame_sample, press.true_area_m2)
     tiff, table = write_press(folder, number, press.frames(), rows)
     if runs:
         name = press.sensor.spec.name

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from palpate.calibration.conformal import grouped_coverage_interval
+from palpate.calibration.conformal import grouped_coverage_interval, means_of_redrawn_groups
 from palpate.core import Float, InputError, Shaped, ndarray, split_column
 from palpate.estimators.networks import model_kind
 from palpate.reproductions.study_results import Published
@@ -174,10 +174,6 @@ def interval_of_mean(
     values: Column, groups: Shaped[ndarray, " n"], *, seed: int = 0, draws: int = DRAWS
 ) -> tuple[float, float]:
     """95 % percentile interval of a mean, from whole groups drawn again with replacement."""
-    _, index = np.unique(groups, return_inverse=True)
-    count = int(index.max()) + 1
-    sums, sizes = np.bincount(index, weights=values), np.bincount(index)
-    drawn = np.random.default_rng(seed).integers(0, count, (draws, count))
-    means = sums[drawn].sum(axis=1) / sizes[drawn].sum(axis=1)
+    means = means_of_redrawn_groups(values, groups, seed=seed, draws=draws)
     low, high = np.quantile(means, [0.025, 0.975])
     return float(low), float(high)

@@ -38,6 +38,7 @@ FINE = np.linspace(0.0, REACH, 1601)
 STEP_N = 0.25  # to either side: the tables' energy is known to its cells only
 
 Flank = Literal["inner", "outer"]
+FLANKS: tuple[Flank, ...] = ("inner", "outer")  # the crest and the contact's edge are on the inner one alone
 View = Literal["skin", "image"]
 Level = float | Literal["half", "peak", "contact"]
 Forces = Float[ndarray, " _"]
@@ -159,10 +160,6 @@ def contours(
     return tuple(
         contour(spec or TacTipSpec(), kappa, level, flank, view, force_n)
         for level in levels
-        for flank in _flanks(level)
+        for flank in (FLANKS[:1] if level in ("peak", "contact") else FLANKS)
         for kappa in KAPPA_N_M.values()
     )
-
-
-def _flanks(level: Level) -> tuple[Flank, ...]:
-    return ("inner",) if level in ("peak", "contact") else ("inner", "outer")

@@ -12,9 +12,9 @@ beside specimens' known order. All is of one model: verified, not validated.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise, product
 from typing import Any, Literal
 
 import numpy as np
@@ -251,44 +251,38 @@ def concordance(by_specimen: Sequence[Float[ndarray, " t"]]) -> float:
 
 @dataclass(frozen=True)
 class TacTipCondition:
-    """Change from the assumed sensor.
+    """The sensor, and the steps of a press: equal for all specimens, or None for the camera's frames."""
 
-    Attributes:
-        change: of the spec.
-        steps: equal for all specimens; None for the camera's frames.
-    """
-
-    change: Callable[[TacTipSpec], TacTipSpec] = field(default=lambda spec: spec)
+    spec: TacTipSpec
     steps: int | None = None
 
 
-def _pins(**fields: Any) -> TacTipCondition:
-    return TacTipCondition(lambda spec: replace(spec, pins=replace(spec.pins, **fields)))
+ASSUMED = TacTipSpec()
 
 
-def _camera(**fields: Any) -> TacTipCondition:
-    return TacTipCondition(lambda spec: replace(spec, camera=replace(spec.camera, **fields)))
+def _seen_by(**camera: Any) -> TacTipSpec:
+    return replace(ASSUMED, camera=replace(ASSUMED.camera, **camera))
 
 
-def _with(steps: int | None = None, **fields: Any) -> TacTipCondition:
-    return TacTipCondition(lambda spec: replace(spec, **fields), steps)
+def _pins_of(length_m: float) -> TacTipSpec:
+    return replace(ASSUMED, pins=replace(ASSUMED.pins, length_m=length_m))
 
 
 CONDITIONS: dict[str, TacTipCondition] = {
-    "as assumed": TacTipCondition(),
-    "half the speed": _with(speed_m_s=2.5e-3),
-    "twice the speed": _with(speed_m_s=10e-3),
-    "20 frames each": _with(20),
-    "wider pins": _camera(disc_px=130.0),
-    "tight crop": _camera(disc_px=165.0),
-    "tight crop, 20 frames each": TacTipCondition(_camera(disc_px=165.0).change, 20),
-    "no pin length": _pins(length_m=0.0),
-    "pins of 1 mm": _pins(length_m=1e-3),
-    "331 pins": _with(pins=PINS_331),
-    "no refraction": _camera(gel_index=1.0),
-    "soft-skin tip": _with(tip="soft-skin"),
-    "stiff-skin tip": _with(tip="stiff-skin"),
-    "even tip": _with(tip="even"),
+    "as assumed": TacTipCondition(ASSUMED),
+    "half the speed": TacTipCondition(replace(ASSUMED, speed_m_s=2.5e-3)),
+    "twice the speed": TacTipCondition(replace(ASSUMED, speed_m_s=10e-3)),
+    "20 frames each": TacTipCondition(ASSUMED, 20),
+    "wider pins": TacTipCondition(_seen_by(disc_px=130.0)),
+    "tight crop": TacTipCondition(_seen_by(disc_px=165.0)),
+    "tight crop, 20 frames each": TacTipCondition(_seen_by(disc_px=165.0), 20),
+    "no pin length": TacTipCondition(_pins_of(0.0)),
+    "pins of 1 mm": TacTipCondition(_pins_of(1e-3)),
+    "331 pins": TacTipCondition(replace(ASSUMED, pins=PINS_331)),
+    "no refraction": TacTipCondition(_seen_by(gel_index=1.0)),
+    "soft-skin tip": TacTipCondition(replace(ASSUMED, tip="soft-skin")),
+    "stiff-skin tip": TacTipCondition(replace(ASSUMED, tip="stiff-skin")),
+    "even tip": TacTipCondition(replace(ASSUMED, tip="even")),
 }
 
 
@@ -298,12 +292,12 @@ def compared(names: Sequence[str] = tuple(CONDITIONS), seeds: Sequence[int] = ra
 
 
 def _rows(name: str, condition: TacTipCondition, seeds: Sequence[int]) -> Iterator[Row]:
-    spec = condition.change(TacTipSpec())
-    trials = [[cues(spec, kappa, seed, condition.steps) for seed in seeds] for kappa in KAPPA_N_M.values()]
+    trials = [
+        [cues(condition.spec, kappa, seed, condition.steps) for seed in seeds] for kappa in KAPPA_N_M.values()
+    ]
     for key in trials[0][0].values:
         yield _row((name, *key), [np.array([t.values[key] for t in some]) for some in trials])
-    steps = [np.array([float(t.steps) for t in some]) for some in trials]
-    yield _row((name, "camera", "", "steps"), steps)
+    yield _row((name, "camera", "", "steps"), [np.array([float(t.steps) for t in some]) for some in trials])
     yield _row(
         (name, "truth", "contact", "secant"), [np.array([t.casr_m2_n for t in some]) for some in trials]
     )
@@ -319,23 +313,13 @@ def sensitivity() -> tuple[Row, ...]:
     """True markers' divergence from 1 to 4 N: four tips, three lengths of pins, refraction or none."""
     force = np.linspace(FROM_N, TO_N, FINE_STEPS)
     rows = []
-    for tip in ("base", "soft-skin", "stiff-skin", "even"):
-        for mm in (0.0, 1.0, 2.5):
-            for index in (1.0, 1.41):
-                spec = TacTipSpec(tip)
-                spec = replace(
-                    spec,
-                    pins=replace(spec.pins, length_m=1e-3 * mm),
-                    camera=replace(spec.camera, gel_index=index),
-                )
-                results = [true_divergence(spec, head_on(spec, k).press, force) for k in KAPPA_N_M.values()]
-                name = f"{tip}, pins of {mm:g} mm, index {index:g}"
-                rows += [
-                    _row(
-                        (name, "true", region, "divergence"), [D[region].sum(keepdims=True) for D in results]
-                    )
-                    for region in results[0]
-                ]
+    for tip, mm, index in product(("base", "soft-skin", "stiff-skin", "even"), (0.0, 1.0, 2.5), (1.0, 1.41)):
+        pins, camera = replace(ASSUMED.pins, length_m=1e-3 * mm), replace(ASSUMED.camera, gel_index=index)
+        spec = TacTipSpec(tip, pins=pins, camera=camera)
+        results = [true_divergence(spec, head_on(spec, k).press, force) for k in KAPPA_N_M.values()]
+        for region in results[0]:
+            names = (f"{tip}, pins of {mm:g} mm, index {index:g}", "true", region, "divergence")
+            rows.append(_row(names, [D[region].sum(keepdims=True) for D in results]))
     return tuple(rows)
 
 

@@ -68,7 +68,7 @@ def kappa_n_m(name: str) -> float:
     return float("inf") if name == RIGID else 1e3 * KAPPA[name].value
 
 
-def table_of(made: VirtualPress) -> PressTable:
+def press_table_of(made: VirtualPress) -> PressTable:
     """A trial's table, as if read from a file."""
     return PressTable(
         made.time_s, made.raw_n, made.position_m, made.true_area_m2, made.frame_sample,
@@ -120,7 +120,7 @@ def press_all(
         results = []
         for k in range(count):
             made = record_press(spec, specimens[name], seed=100_000 * seed + 1000 * tilt_deg + 100 * i + k)
-            results.append(cues_of(list(made.frames()), table_of(made)))
+            results.append(cues_of(list(made.frames()), press_table_of(made)))
             done += 1
             progress(f"presses at {tilt_deg} degrees", done, total)
         cues[name] = tuple(results)
