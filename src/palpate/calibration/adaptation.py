@@ -26,7 +26,7 @@ from palpate.calibration.certificate import CalibrationResult, split_card, write
 from palpate.calibration.conformal import GROUPS_FOR_SPREAD, conformal_quantile, fit_intervals
 from palpate.calibration.correction import AS_IT_WAS, Adapted, Correction, correct
 from palpate.calibration.leakage import audit
-from palpate.calibration.training_data import LearningSet, learning_set, rows_matching, rows_to_learn
+from palpate.calibration.training_data import LearningSet, learning_set, rows_matching, table_to_learn
 from palpate.core import (
     ImageError,
     InputError,
@@ -87,17 +87,11 @@ def _adapted_split(result: CalibrationResult, adapted: Adapted, former: Card) ->
 
 def _correction_records(result: CalibrationResult, adapted: Adapted, former: Card) -> dict[str, Any]:
     """Mean absolute error of each target before and after, in its unit, and the correction chosen."""
-    before, after = (
-        np.abs(values - result.data.values).mean(axis=0) for values in (adapted.estimates, adapted.held_out)
-    )
+    both = (adapted.estimates, adapted.held_out)
+    before, after = (np.abs(values - result.data.values).mean(axis=0).tolist() for values in both)
     return {
-        column: {
-            "mae_before": float(before[j]),
-            "mae_after": float(after[j]),
-            "terms": choice.terms,
-            "strength": choice.strength,
-        }
-        for j, (column, choice) in enumerate(zip(former.columns, adapted.choices, strict=True))
+        column: {"mae_before": was, "mae_after": now, "terms": choice.terms, "strength": choice.strength}
+        for column, was, now, choice in zip(former.columns, before, after, adapted.choices, strict=True)
     }
 
 
@@ -189,7 +183,7 @@ def _check(card: Card, run: Run, plan: CalibrationPlan) -> None:
         raise InputError(
             f"{run.path} is the run that this calibration has learnt from; record presses of your own copy"
         )
-    table = run.labels.iloc[rows_to_learn(run.labels, plan)].reset_index(drop=True)
+    table = table_to_learn(run.labels, plan)
     targets_from(table, plan.targets, str(run.path))
     column = plan.split.partition(":")[2]
     presses = len(table) if column == "row" else len(np.unique(group_names(table, (column,))))
@@ -221,7 +215,7 @@ def _packed(run: Run, work: Path, card: Card, progress: Progress) -> PackedSet:
 def _result(
     estimator: Estimator, run: Run, whole: PackedSet, plan: CalibrationPlan, progress: Progress
 ) -> tuple[CalibrationResult, Adapted]:
-    table = run.labels.iloc[rows_to_learn(run.labels, plan)].reset_index(drop=True)
+    table = table_to_learn(run.labels, plan)
     parts = _split(table, plan)
     learning = learning_set(whole, plan, parts.groups, str(run.path))
     data = learning.data

@@ -19,7 +19,7 @@ from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.conformal import fit_intervals
 from palpate.calibration.evaluation import score
 from palpate.calibration.leakage import LeakageAudit
-from palpate.calibration.training_data import LearningSet, Untouched
+from palpate.calibration.training_data import LearningSet
 from palpate.core import CertificateError, Indices, Values, new_folder, sha256_of, split_column
 from palpate.estimators.certified import CARD_FILE, Intervals, checked_file
 from palpate.estimators.model_card import (
@@ -36,7 +36,7 @@ from palpate.estimators.model_card import (
 from palpate.estimators.networks import settings_of
 from palpate.estimators.networks.model_interface import Fitted, TrainingData
 from palpate.estimators.novelty import NoveltyDetector
-from palpate.recordings import PackedSet, Run, Split
+from palpate.recordings import Run, Split
 from palpate.recordings.exchange import image_files
 from palpate.recordings.labels import with_own
 from palpate.recordings.table_files import read_table, write_table
@@ -49,7 +49,8 @@ class CalibrationResult:
 
     Attributes:
         run, plan: what was asked.
-        learning: the rows learnt from and the frames of the untouched sensor.
+        learning: the rows learnt from, those of the untouched sensor only where that was asked for, and its
+            frames.
         split, audit: how rows were held out, and what stands on both sides.
         held_out: predictions of rows by a model that had not seen their group; NaN for rows not scored.
         fitted, guard: what was learnt from all of them.
@@ -67,19 +68,9 @@ class CalibrationResult:
     seconds: float = 0.0
 
     @property
-    def packed(self) -> PackedSet:
-        """Rows learnt from; those of the untouched sensor only where that was asked for."""
-        return self.learning.packed
-
-    @property
     def data(self) -> TrainingData:
         """Inputs, values and groups of these rows."""
         return self.learning.data
-
-    @property
-    def untouched(self) -> Untouched:
-        """Frames of the untouched sensor."""
-        return self.learning.untouched
 
     @property
     def scored(self) -> Indices:
@@ -105,25 +96,27 @@ def worst_rows(result: CalibrationResult) -> Indices:
     return scored[np.argsort(error)[::-1][:WORST]]
 
 
-def pictures(result: CalibrationResult) -> Iterator[tuple[str, np.ndarray]]:
-    """File names and pictures, RGB or grey, that the report shows."""
+def write_pictures(result: CalibrationResult, folder: Path) -> None:
+    """Write the pictures that the report shows."""
+    packed, untouched = result.learning.packed, result.learning.untouched
     chosen = [(f"worst-{row}.png", int(row)) for row in worst_rows(result)]
-    chosen += [("example.png", len(result.packed) // 2)]
-    for name, row in chosen:
-        yield name, as_picture(result.packed.read(np.array([row]))[0])
-    if len(result.untouched.rows):
-        mean = result.untouched.images[0].transpose(1, 2, 0)
-        yield "reference.png", as_picture(mean.round().astype(np.uint8))
+    for name, row in [*chosen, ("example.png", len(packed) // 2)]:
+        write_picture(folder / name, packed.read(np.array([row]))[0])
+    if len(untouched.rows):
+        mean = untouched.images[0].transpose(1, 2, 0)
+        write_picture(folder / "reference.png", mean.round().astype(np.uint8))
 
 
-def as_picture(prepared: np.ndarray) -> np.ndarray:
-    """A prepared frame ``[h w c]`` as an image file has it: RGB, or grey without a channel axis."""
-    return prepared if prepared.shape[2] == 3 else prepared[..., 0]
+def write_picture(path: Path, prepared: np.ndarray) -> None:
+    """Write a prepared frame ``[h w c]``: RGB, or grey without a channel axis."""
+    image = prepared if prepared.shape[2] == 3 else prepared[..., 0]
+    path.write_bytes(image_files.encode(image).tobytes())
 
 
 def agreement(result: CalibrationResult, model: Path) -> float:
     """Largest difference between exported and trained model, as a share of each target's range."""
-    rows = np.linspace(0, len(result.packed) - 1, min(64, len(result.packed))).astype(np.int64)
+    count = len(result.data.values)
+    rows = np.linspace(0, count - 1, min(64, count)).astype(np.int64)
     inputs = result.data.fetch(rows)
     session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
     (exported,) = session.run(["value"], {"image": inputs})
@@ -173,12 +166,12 @@ def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values
 
 def reference_card(result: CalibrationResult) -> ReferenceCard:
     """Rule by which the untouched sensor was found."""
-    rule = result.untouched.rule
+    rule = result.learning.untouched.rule
     return ReferenceCard(
         column=rule.column if rule else None,
         value=rule.value if rule else None,
         by=rule.by if rule else (),
-        frames=len(result.untouched.rows),
+        frames=len(result.learning.untouched.rows),
         learnt=result.plan.learn_untouched,
     )
 
@@ -242,9 +235,8 @@ def write_certificate(
             result.held_out[scored], data.values[scored], data.groups[scored], result.plan.coverage
         )
         halves = intervals.half_widths(result.held_out[scored])
-        write_predictions(predictions_table(result, halves), folder)
-        for name, image in pictures(result):
-            (folder / name).write_bytes(image_files.encode(image).tobytes())
+        write_table(predictions_table(result, halves), folder / PREDICTIONS_FILE)
+        write_pictures(result, folder)
         constant = _plan_fields(result) if former is None else former.model_dump(exclude={"id"})
         card = sealed(
             constant
@@ -279,26 +271,21 @@ def made_fields(folder: Path) -> dict[str, Any]:
 
 def predictions_table(result: CalibrationResult, halves: Values) -> pd.DataFrame:
     """One row a scored frame: its labels, and for each target the estimate when it was held out."""
-    fold = np.empty(len(result.packed), np.int64)
+    fold = np.empty(len(result.learning.packed), np.int64)
     for k, rows in enumerate(result.split.folds):
         fold[rows] = k
     rows = result.scored
-    names = [result.packed.names[row] for row in rows]
+    names = [result.learning.packed.names[row] for row in rows]
     own = {"row": rows, "frame": names, "held_out_in_fold": fold[rows]}
-    table = with_own(result.packed.table.iloc[rows].reset_index(drop=True), own)
+    table = with_own(result.learning.packed.table.iloc[rows].reset_index(drop=True), own)
     for j, column in enumerate(result.plan.targets):
         table[f"estimate:{column}"] = result.held_out[result.scored, j]
         table[f"half_width:{column}"] = halves[:, j]
     return table
 
 
-def write_predictions(table: pd.DataFrame, folder: Path) -> None:
-    """Write held-out predictions into a calibration's folder; `read_predictions` gives the same numbers."""
-    write_table(table, folder / PREDICTIONS_FILE)
-
-
 def read_predictions(folder: Path, card: Card) -> pd.DataFrame:
-    """The held-out predictions of a calibration, as `write_predictions` had them.
+    """The held-out predictions of a calibration, as they were written.
 
     Raises:
         CertificateError: they are missing, or not those that the card names.
@@ -311,7 +298,7 @@ def read_predictions(folder: Path, card: Card) -> pd.DataFrame:
 
 
 def _plan_fields(result: CalibrationResult) -> dict[str, Any]:
-    plan, preparation = result.plan, result.packed.preparation
+    plan, preparation = result.plan, result.learning.packed.preparation
     return {
         "format": FORMAT,
         "seed": plan.seed,
@@ -337,7 +324,7 @@ def split_card(result: CalibrationResult) -> SplitCard:
         columns=result.split.group_columns,
         groups=len(np.unique(result.data.groups)),
         folds=len(result.split.folds),
-        rows_learnt=len(result.packed) - (len(result.scored) if result.one_fold else 0),
+        rows_learnt=len(result.learning.packed) - (len(result.scored) if result.one_fold else 0),
         rows_scored=len(result.scored),
         clean=result.audit.clean,
         audit=result.audit.text,

@@ -61,31 +61,37 @@ def fit_intervals(predicted: Values, true: Values, groups: np.ndarray, coverage:
     return Intervals(_fit_spread(predicted, errors, terms), quantile, coverage)
 
 
-def coverage_interval(hits: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Clopper-Pearson interval of a rate, from `hits` of `n` independent rows."""
-    interval = binomtest(hits, n).proportion_ci(confidence, method="exact")
+CONFIDENCE = 0.95
+
+
+def coverage_interval(hits: int, n: int) -> tuple[float, float]:
+    """95 % interval of a rate by Clopper and Pearson, from `hits` of `n` independent rows."""
+    interval = binomtest(hits, n).proportion_ci(CONFIDENCE, method="exact")
     return float(interval.low), float(interval.high)
 
 
-def grouped_coverage_interval(
-    inside: np.ndarray, groups: np.ndarray, *, seed: int = 0, confidence: float = 0.95, draws: int = 2000
-) -> tuple[float, float]:
-    """Interval of a rate whose rows come in groups.
+def means_of_redrawn_groups(
+    values: np.ndarray, groups: np.ndarray, *, seed: int = 0, draws: int = 2000
+) -> Float[np.ndarray, " d"]:
+    """Means of values of which whole groups are drawn again with replacement, so many times (bootstrap)."""
+    _, index = np.unique(groups, return_inverse=True)
+    sums, sizes = np.bincount(index, weights=values), np.bincount(index)
+    drawn = np.random.default_rng(seed).integers(0, len(sizes), (draws, len(sizes)))
+    return np.asarray(sums[drawn].sum(axis=1) / sizes[drawn].sum(axis=1))
+
+
+def grouped_coverage_interval(inside: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
+    """95 % interval of a rate whose rows come in groups.
 
     Rows of one group are not independent, so whole groups are drawn again (bootstrap percentile
     interval). Where every row is its own group, or all rows agree, it is Clopper-Pearson's, with the
     groups counted.
     """
-    _, index = np.unique(groups, return_inverse=True)
-    n = int(index.max()) + 1
-    hits, sizes = np.bincount(index, weights=inside), np.bincount(index)
-    rate = hits.sum() / sizes.sum()
+    n, rate = len(np.unique(groups)), inside.sum() / len(inside)
     if n == len(inside) or rate in (0.0, 1.0):
-        return coverage_interval(round(rate * n), n, confidence)
-    drawn = np.random.default_rng(seed).integers(0, n, (draws, n))
-    rates = hits[drawn].sum(axis=1) / sizes[drawn].sum(axis=1)
-    tail = (1 - confidence) / 2
-    low, high = np.quantile(rates, [tail, 1 - tail])
+        return coverage_interval(round(rate * n), n)
+    tail = (1 - CONFIDENCE) / 2
+    low, high = np.quantile(means_of_redrawn_groups(inside, groups), [tail, 1 - tail])
     return float(low), float(high)
 
 

@@ -24,6 +24,7 @@ STRENGTHS = tuple(10.0**power for power in range(-6, 2))
 """Tried in turn; in units of the mean square of a term, which is about 1."""
 
 AS_IT_WAS = "as it was"
+NO_PRESS = -1
 
 Terms = Float[np.ndarray, "n k"]
 
@@ -196,13 +197,13 @@ class _LeavePressOut:
         counts = {"offset": 1, "linear": 1 + t, "quadratic": terms.shape[1]}
         self._kinds = {name: count for name, count in counts.items() if count <= self.presses}
 
-    def chosen(self, without: int | None = None) -> tuple[Choice, ...]:
+    def chosen(self, without: int = NO_PRESS) -> tuple[Choice, ...]:
         """Terms and strength for each target that err least where each press is left out in turn.
 
         Args:
             without: a press that has no part in the choice.
         """
-        rows = self.of != (-1 if without is None else without)
+        rows = self.of != without
         choices, errors = [Choice(AS_IT_WAS)], [np.abs(self.errors[rows]).mean(axis=0)]
         for name, count in self._kinds.items():
             for strength, change in zip(STRENGTHS, self._changes(count, without), strict=True):
@@ -210,9 +211,9 @@ class _LeavePressOut:
                 errors.append(np.abs(self.errors - change)[rows].mean(axis=0))
         return tuple(choices[best] for best in np.argmin(errors, axis=0))
 
-    def weights(self, choices: tuple[Choice, ...], without: int | None = None) -> Float[np.ndarray, "k t"]:
+    def weights(self, choices: tuple[Choice, ...], without: int = NO_PRESS) -> Float[np.ndarray, "k t"]:
         """W of the choices, learnt from all presses but one."""
-        others = np.arange(self.presses) != (-1 if without is None else without)
+        others = np.arange(self.presses) != without
         n, weights = self.rows[others].sum(), np.zeros(self._moments.shape[1:])
         for j, choice in enumerate(choices):
             if choice.strength is not None:
@@ -221,10 +222,10 @@ class _LeavePressOut:
                 weights[:c, j] = np.linalg.solve(squares, self._moments[others, :c, j].sum(axis=0) / n)
         return weights
 
-    def _changes(self, count: int, without: int | None) -> Float[np.ndarray, "s n t"]:
+    def _changes(self, count: int, without: int) -> Float[np.ndarray, "s n t"]:
         """The change of every row at each strength, learnt without its own press and `without`."""
         squares, moments, rows = self._squares[:, :count, :count], self._moments[:, :count], self.rows
-        others = np.arange(self.presses) != (-1 if without is None else without)
+        others = np.arange(self.presses) != without
         n = rows[others].sum() - rows
         n[~others] = rows[others].sum()  # of the press left out itself nothing is asked; any sound sums do
         own = np.where(others, 1.0, 0.0)[:, None, None]

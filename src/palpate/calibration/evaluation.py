@@ -10,7 +10,7 @@ import pandas as pd
 from palpate.calibration.calibration_plan import ReferenceRule
 from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.calibration.training_data import rows_matching
-from palpate.core import LabelError, Readings, Shaped, Values
+from palpate.core import LabelError, Shaped, Values
 from palpate.estimators.certified import Estimator, Zero
 from palpate.estimators.model_card import Card, ScoreCard
 from palpate.estimators.networks.model_interface import Progress, silent
@@ -117,7 +117,9 @@ def predictions(
     whys: list[str] = []
     for i, row in enumerate(rows):
         readings = estimator.read(run.frame(int(row)), zero or zeros.get(int(row)))
-        predicted[i], half[i] = _in_units(card, readings)
+        each = [readings[column] for column in card.columns]
+        predicted[i] = [reading.value for reading in each]
+        half[i] = [(reading.high - reading.low) / 2 for reading in each]
         whys.append("; ".join(sorted({reading.why for reading in readings.values() if reading.why})))
         progress("evaluating", i + 1, len(rows))
     for j, column in enumerate(card.columns):
@@ -140,15 +142,6 @@ def _untouched_rows(card: Card, table: pd.DataFrame) -> np.ndarray:
         return np.flatnonzero(rows_matching(table, rule))
     except LabelError:
         return np.empty(0, np.int64)
-
-
-def _in_units(card: Card, readings: Readings) -> tuple[np.ndarray, np.ndarray]:
-    values, halves = [], []
-    for target in card.targets:
-        reading = readings[target.column]
-        values.append(reading.value)
-        halves.append((reading.high - reading.low) / 2)
-    return np.array(values), np.array(halves)
 
 
 def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str, Any]:

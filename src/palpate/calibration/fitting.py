@@ -22,7 +22,7 @@ from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.certificate import CalibrationResult, write_certificate
 from palpate.calibration.leakage import audit
 from palpate.calibration.model_check import check_plugged_in
-from palpate.calibration.training_data import LearningSet, learning_set, rows_to_learn
+from palpate.calibration.training_data import LearningSet, learning_set, table_to_learn
 from palpate.core import (
     ExistsError,
     Indices,
@@ -109,7 +109,7 @@ def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
     refuse_reserved(list(run.manifest.labels), str(run.path))
     make_model(plan.model, plan.options)
     prepared = preparation_of(run, plan).apply(run.frame(0).image)
-    table = run.labels.iloc[rows_to_learn(run.labels, plan)].reset_index(drop=True)
+    table = table_to_learn(run.labels, plan)
     targets_from(table, plan.targets, str(run.path))
     parts = split(table, plan.split, folds=_folds(plan), seed=plan.seed)
     check_plugged_in(plan, prepared.transpose(2, 0, 1).shape)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -27,6 +26,7 @@ from palpate.core import (
     unit,
 )
 from palpate.estimators.fringe_order import check_loads
+from palpate.estimators.networks.model_interface import Progress
 from palpate.recordings.exchange.image_files import read_image
 from palpate.recordings.labels import FIRST_ROW, read_labels, rows_text
 
@@ -76,7 +76,7 @@ def read_series(
     load_column: str | None,
     parallel: Path | None,
     tone: Tone,
-    progress: Callable[[str, int, int], None],
+    progress: Progress,
 ) -> Series:
     """Read the photographs that a table names; see `fit_stress_optic` for the arguments.
 
@@ -137,12 +137,17 @@ def _newtons(column: str) -> float:
     return one.factor * {"N": 1.0, "kg": STANDARD_GRAVITY}.get(one.si, 0.0)
 
 
-def _loads(table: pd.DataFrame, column: str, source: Path) -> ndarray:
+def _column(table: pd.DataFrame, column: str, source: Path) -> pd.Series:
     if column not in table:
         raise LabelError(f"{source} has no column {column!r}; its columns are {', '.join(table.columns)}")
+    return table[column]
+
+
+def _loads(table: pd.DataFrame, column: str, source: Path) -> ndarray:
+    loads = _column(table, column, source)
     if not _newtons(column):
         raise UnitError(f"column {column!r} is no load; its name ends in _N, _mN, _kgf, _kg or _g")
-    values = pd.to_numeric(table[column], errors="coerce").to_numpy(dtype=np.float64)
+    values = pd.to_numeric(loads, errors="coerce").to_numpy(dtype=np.float64)
     bad = np.flatnonzero(~(np.isfinite(values) & (values >= 0)))
     if bad.size:
         raise LabelError(f"{source}: {column!r} holds no load of 0 or more in {rows_text(bad)}")
@@ -150,9 +155,7 @@ def _loads(table: pd.DataFrame, column: str, source: Path) -> ndarray:
 
 
 def _names(table: pd.DataFrame, column: str, source: Path) -> tuple[str, ...]:
-    if column not in table:
-        raise LabelError(f"{source} has no column {column!r}; its columns are {', '.join(table.columns)}")
-    names = tuple(str(name) for name in table[column])
+    names = tuple(str(name) for name in _column(table, column, source))
     for i, name in enumerate(names):
         if not name or name in names[:i]:
             what = f"{name!r} a second time" if name else "no photograph"

@@ -29,12 +29,12 @@ from onnxruntime.quantization.shape_inference import quant_pre_process
 
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.certificate import (
+    PREDICTIONS_FILE,
     WORST,
-    as_picture,
     interval_fields,
     made_fields,
     read_predictions,
-    write_predictions,
+    write_picture,
 )
 from palpate.calibration.conformal import fit_intervals
 from palpate.calibration.evaluation import groups_in, score
@@ -52,10 +52,10 @@ from palpate.core import (
 from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
 from palpate.estimators.model_card import Card, TargetCard, sealed
 from palpate.estimators.networks.model_interface import Progress, TrainingData, silent
-from palpate.recordings.exchange import image_files
 from palpate.recordings.labels import own_column
 from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.run_reader import Run
+from palpate.recordings.table_files import write_table
 
 ROUNDED = ("Conv", "Relu", "Add")
 
@@ -253,7 +253,7 @@ def quantise(folder: PathText, run: Run, out: PathText, progress: Progress = sil
         shutil.copyfile(checked_file(folder, card.guard), building / "guard.npz")
         estimates = _answers(_running(building / "model.onnx"), material, progress)
         targets, halves = _rescored(card, material, estimates)
-        write_predictions(_predictions(card, material, estimates, halves), building)
+        write_table(_predictions(card, material, estimates, halves), building / PREDICTIONS_FILE)
         _pictures(folder, card, building, material, estimates)
         quantised = _card(card, building, targets, material.largest_change(estimates))
         (building / CARD_FILE).write_text(quantised.model_dump_json(indent=1))
@@ -346,9 +346,10 @@ def _rescored(card: Card, material: _Material, estimates: Values) -> tuple[tuple
 
 def _predictions(card: Card, material: _Material, estimates: Values, halves: Values) -> pd.DataFrame:
     """The held-out rows as before, with the int8 estimates."""
-    columns = {f"estimate:{c}": estimates[:, j] for j, c in enumerate(card.columns)}
-    widths = {f"half_width:{c}": halves[:, j] for j, c in enumerate(card.columns)}
-    return material.predictions.assign(**columns, **widths)
+    kinds = {"estimate": estimates, "half_width": halves}
+    return material.predictions.assign(
+        **{f"{kind}:{c}": of[:, j] for kind, of in kinds.items() for j, c in enumerate(card.columns)}
+    )
 
 
 def _pictures(folder: Path, card: Card, made: Path, material: _Material, estimates: Values) -> None:
@@ -358,8 +359,7 @@ def _pictures(folder: Path, card: Card, made: Path, material: _Material, estimat
             shutil.copyfile(checked_file(folder, part), made / part.file)
     error = np.abs(estimates - material.data.values[material.held]) / np.ptp(material.data.values, axis=0)
     for row in material.held[np.argsort(error.max(axis=1))[::-1][:WORST]].tolist():
-        picture = as_picture(material.packed.read([row])[0])
-        (made / f"worst-{row}.png").write_bytes(image_files.encode(picture).tobytes())
+        write_picture(made / f"worst-{row}.png", material.packed.read([row])[0])
 
 
 def _card(card: Card, made: Path, targets: tuple[TargetCard, ...], change: float) -> Card:

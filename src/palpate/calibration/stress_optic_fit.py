@@ -13,7 +13,6 @@ Reference for the disc: S. Timoshenko and J. N. Goodier, Theory of Elasticity, 3
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from palpate.calibration.load_series import Series, Tone, read_series
 from palpate.core import Float, RangeError, ndarray, sha256_of_all
 from palpate.estimators.fringe_light import Polariscope
 from palpate.estimators.fringe_order import OrderFit, fit_orders
+from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.version import __version__
 
 
@@ -85,7 +85,6 @@ def _positive(name: str, value: float) -> None:
 
 SCALE_STEPS = 401
 UNEVEN = 0.05  # spread of k between patches from which it is remarked
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +101,7 @@ class FringeFit:
 
     Attributes:
         coefficient_per_pa: C [1/Pa].
-        low_per_pa: lower end of its 95 % interval [1/Pa].
-        high_per_pa: upper end [1/Pa].
+        low_per_pa, high_per_pa: its 95 % interval [1/Pa].
         ambiguous: another C fits nearly as well; see `rivals`.
         rivals: the other slopes' C, likeliest first; a likelihood above 0.05 makes the fit ambiguous.
         wavelength_m: at which C holds and orders are counted [m].
@@ -113,8 +111,7 @@ class FringeFit:
         load_n: load of each [N].
         order: of the fitted line at each load.
         seen: order that each photograph shows by itself, near the line.
-        seen_low: lower end of its 95 % interval.
-        seen_high: upper end.
+        seen_low, seen_high: its 95 % interval.
         residual_order: N0, of the line without load.
         r_squared: of `seen` about the line; seen orders are looked for near the line, so this flatters it.
         monotone: `seen` never falls with rising load.
@@ -185,7 +182,7 @@ def fit_stress_optic(
     tone: Tone = "srgb",
     greatest_order: float = 6.0,
     residual_order: float = 0.05,
-    progress: Progress = lambda what, done, total: None,
+    progress: Progress = silent,
 ) -> FringeFit:
     """C of a specimen from photographs at known loads.
 
@@ -228,47 +225,55 @@ def fit_stress_optic(
         residual_order=residual_order,
     )
     progress("fitting", 1, 1)
-    per_slope = polariscope.wavelength_m * specimen.breadth_m
+    settings = {
+        "load_column": series.load_column,
+        "tone": tone,
+        "bright_field": polariscope.bright_field,
+        "dispersion_m2": polariscope.dispersion_m2,
+        "greatest_order": greatest_order,
+        "residual_order": residual_order,
+        "parallel": None if parallel is None else parallel.name,
+    }
     scale = np.linspace(0.0, max(orders.order.max(), orders.own_order.max()), SCALE_STEPS)
-    C, half = orders.slope_per_n * per_slope, orders.half_width_per_n * per_slope
     return FringeFit(
-        coefficient_per_pa=C,
-        low_per_pa=C - half,
-        high_per_pa=C + half,
-        ambiguous=orders.ambiguous,
-        rivals=tuple(CoefficientCandidate(r.slope_per_n * per_slope, r.likelihood) for r in orders.rivals),
+        **_coefficients(orders, polariscope.wavelength_m * specimen.breadth_m),
         wavelength_m=polariscope.wavelength_m,
         lamp=polariscope.lamp,
         specimen=str(specimen),
         images=series.images,
-        load_n=_floats(series.load_n),
-        order=_floats(orders.order),
-        seen=_floats(orders.own_order),
-        seen_low=_floats(orders.own_low),
-        seen_high=_floats(orders.own_high),
+        load_n=tuple(series.load_n.tolist()),
+        order=tuple(orders.order.tolist()),
+        seen=tuple(orders.own_order.tolist()),
+        seen_low=tuple(orders.own_low.tolist()),
+        seen_high=tuple(orders.own_high.tolist()),
         residual_order=orders.residual_order,
-        r_squared=_r_squared(orders),
-        monotone=_monotone(series.load_n, orders.own_order),
         rms=orders.rms,
         spread=orders.spread,
         channels=orders.channels,
+        r_squared=_r_squared(orders),
+        monotone=_monotone(series.load_n, orders.seen),
         observed=series.light.mean(axis=1),
         scale_order=scale,
         scale_light=orders.leak + orders.gain * light.light(scale),
         region_px=region_px,
-        settings={
-            "load_column": series.load_column,
-            "tone": tone,
-            "bright_field": polariscope.bright_field,
-            "dispersion_m2": polariscope.dispersion_m2,
-            "greatest_order": greatest_order,
-            "residual_order": residual_order,
-            "parallel": None if parallel is None else parallel.name,
-        },
+        settings=settings,
         sha256=sha256_of_all(series.paths),
         version=__version__,
         remarks=_remarks(series, orders, polariscope, residual_order),
     )
+
+
+def _coefficients(orders: OrderFit, per_slope: float) -> dict[str, Any]:
+    """C with its interval, and its rivals: slopes [1/N] times l0 b [m^2]."""
+    C, half = orders.slope_per_n * per_slope, orders.half_width_per_n * per_slope
+    rivals = tuple(CoefficientCandidate(r.slope_per_n * per_slope, r.likelihood) for r in orders.rivals)
+    return {
+        "coefficient_per_pa": C,
+        "low_per_pa": C - half,
+        "high_per_pa": C + half,
+        "ambiguous": orders.ambiguous,
+        "rivals": rivals,
+    }
 
 
 def _remarks(
@@ -304,7 +309,3 @@ def _monotone(load_n: ndarray, order: ndarray) -> bool:
     loads = np.unique(load_n)
     means = [order[load_n == load].mean() for load in loads]
     return bool(np.all(np.diff(means) >= 0))
-
-
-def _floats(values: ndarray) -> tuple[float, ...]:
-    return tuple(float(v) for v in values)

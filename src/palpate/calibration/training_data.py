@@ -116,6 +116,11 @@ def rows_to_learn(table: pd.DataFrame, plan: CalibrationPlan) -> Indices:
     return np.flatnonzero(~rows_matching(table, rule))
 
 
+def table_to_learn(table: pd.DataFrame, plan: CalibrationPlan) -> pd.DataFrame:
+    """Labels of these rows, numbered anew."""
+    return table.iloc[rows_to_learn(table, plan)].reset_index(drop=True)
+
+
 def find_untouched(packed: PackedSet, plan: CalibrationPlan) -> Untouched:
     """Find and average the no-contact frames.
 

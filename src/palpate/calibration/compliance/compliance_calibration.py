@@ -8,11 +8,11 @@ fit. The file is one flat set of plain arrays, no pickles, and the calibration's
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from types import UnionType
-from typing import Any, get_args, get_type_hints
+from typing import Any, TypeVar, get_args, get_type_hints
 from zipfile import BadZipFile
 
 import numpy as np
@@ -32,10 +32,12 @@ from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, f
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, follow_press, motion_on_layout
 from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, fit_softness
 from palpate.estimators.networks.model_interface import Progress, silent
-from palpate.recordings.exchange.frame_sequences import open_sequence
-from palpate.recordings.exchange.press_folder import PressFolder, press_folder
+from palpate.recordings.exchange.frame_sequences import FrameSequence, open_sequence
+from palpate.recordings.exchange.press_folder import PressedSpecimen, PressFolder, press_folder
 from palpate.recordings.exchange.press_table import PressTable, read_press_table
 from palpate.version import __version__
+
+T = TypeVar("T")
 
 
 def flat_arrays(record: Any, prefix: str = "") -> dict[str, ndarray]:
@@ -201,10 +203,10 @@ def calibrate_compliance(
     trials = [(i, trial) for i, one in enumerate(references) for trial in one.trials]
     if not trials:
         raise InputError("no reference has a trial; press a rigid plate and a soft specimen, five times each")
-    layout = _layout([trial.press for _, trial in trials])
-    motions_px = [motion_on_layout(trial.press, layout) for _, trial in trials]
-    positions = [trial.press.position_m for _, trial in trials]
-    touch_rows = [touch_row(trial.press, layout, LEVELS_N) for _, trial in trials]
+    presses = [trial.press for _, trial in trials]
+    layout = _layout(presses)
+    motions_px = [motion_on_layout(press, layout) for press in presses]
+    touch_rows = [touch_row(press, layout, LEVELS_N) for press in presses]
     kappa = [one.kappa_n_m for one in references]
     which = np.array([i for i, _ in trials])
 
@@ -213,15 +215,11 @@ def calibrate_compliance(
         return fit_softness(kappa, [stacked[which == i] for i in range(len(references))])
 
     both = None
-    if all(position is not None for position in positions):
-        both = curve(
-            [
-                np.concatenate([row, approach_row(trial.press, LEVELS_N)])
-                for row, (_, trial) in zip(touch_rows, trials, strict=True)
-            ]
-        )
+    if all(press.position_m is not None for press in presses):
+        approach_rows = [approach_row(press, LEVELS_N) for press in presses]
+        both = curve([np.concatenate(rows) for rows in zip(touch_rows, approach_rows, strict=True)])
     motions, area, ring = _areas(trials, motions_px, layout)
-    speeds = [trial.press.speed_m_s for _, trial in trials]
+    speeds = [press.speed_m_s for press in presses]
     return ComplianceCalibration(
         tuple(one.name for one in references),
         layout,
@@ -232,7 +230,7 @@ def calibrate_compliance(
         area,
         ring,
         _finger(references),
-        float(np.sqrt(np.mean([wobble_px(trial.press, layout) ** 2 for _, trial in trials]))),
+        float(np.sqrt(np.mean([wobble_px(press, layout) ** 2 for press in presses]))),
         (float(np.min(speeds)), float(np.max(speeds))),
         tilt_rad,
         note,
@@ -328,24 +326,29 @@ def load_references(folder: PressFolder, progress: Progress = silent) -> list[Re
     Raises:
         InputError: fewer than two have a known stiffness; and as a press cannot be read.
     """
-    known = [one for one in folder.specimens if one.stiffness_n_m is not None]
+    known = {one: one.stiffness_n_m for one in folder.specimens if one.stiffness_n_m is not None}
     if len(known) < 2:
         raise InputError(
             f"{len(known)} of {len(folder.specimens)} specimens in {folder.path} have a known stiffness; "
             "write two or more into specimens.csv: stiffness_N_per_mm, inf for a rigid plate"
         )
-    total, done = sum(len(one.presses) for one in known), 0
-    references = []
-    for one in known:
-        trials = []
+    trials = read_presses(list(known), reference_trial, progress)
+    return [ReferenceSpecimen(one.name, kappa, tuple(trials[one.name])) for one, kappa in known.items()]
+
+
+def read_presses(
+    specimens: Sequence[PressedSpecimen], read: Callable[[FrameSequence, PressTable], T], progress: Progress
+) -> dict[str, list[T]]:
+    """Every press of some specimens, by their names, as `read` gives it from its frames and its table."""
+    done, total = 0, sum(len(one.presses) for one in specimens)
+    results: dict[str, list[T]] = {one.name: [] for one in specimens}
+    for one in specimens:
         for frames, table in one.presses:
             with open_sequence(frames) as sequence:
-                trials.append(reference_trial(sequence, read_press_table(table, len(sequence))))
+                results[one.name].append(read(sequence, read_press_table(table, len(sequence))))
             done += 1
             progress("presses", done, total)
-        assert one.stiffness_n_m is not None
-        references.append(ReferenceSpecimen(one.name, one.stiffness_n_m, tuple(trials)))
-    return references
+    return results
 
 
 def calibrate_folder(

@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from palpate.calibration.compliance.compliance_calibration import ComplianceCalibration, finite_or_none
+from palpate.calibration.compliance.compliance_calibration import (
+    ComplianceCalibration,
+    finite_or_none,
+    read_presses,
+)
 from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.calibration.compliance.press_cues import LATE_N, PressCues, cues_of, reading_record
 from palpate.core import InputError
 from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.psychophysics import bootstrap_interval, compare
-from palpate.recordings.exchange.frame_sequences import open_sequence
-from palpate.recordings.exchange.press_folder import PressFolder, press_folder
-from palpate.recordings.exchange.press_table import read_press_table
+from palpate.recordings.exchange.press_folder import press_folder
 
 BESIDE = ("frames", "series_adjusted_r2")  # in the table, but no cues
 LABELS = {
@@ -69,7 +71,7 @@ def compare_specimens(
     experiment = press_folder(folder)
     if len(experiment.specimens) < 2:
         raise InputError(f"{folder} holds one specimen; two or more can be compared")
-    groups = _read(experiment, progress)
+    groups = read_presses(experiment.specimens, cues_of, progress)
     table = trials_table(groups, known)
     record: dict[str, Any] = {
         "calibration": None if known is None else known.id,
@@ -79,8 +81,10 @@ def compare_specimens(
     }
     if known is not None:
         record["specimens"] = {
-            name: [reading_record(one) for one in read_touch(known, presses, name).readings]
-            for name, presses in {n: [c.trial.press for c in each] for n, each in groups.items()}.items()
+            name: [
+                reading_record(one) for one in read_touch(known, [c.trial.press for c in each], name).readings
+            ]
+            for name, each in groups.items()
         }
     if pooled:
         late = {
@@ -89,17 +93,6 @@ def compare_specimens(
         }
         record["pooled_sums"] = asdict(compare(late, pooled=True))
     return SpecimenComparison(groups, table, known, _plain(record))
-
-
-def _read(experiment: PressFolder, progress: Progress) -> dict[str, list[PressCues]]:
-    total = sum(len(one.presses) for one in experiment.specimens)
-    groups: dict[str, list[PressCues]] = {one.name: [] for one in experiment.specimens}
-    for one in experiment.specimens:
-        for frames, force in one.presses:
-            with open_sequence(frames) as sequence:
-                groups[one.name].append(cues_of(sequence, read_press_table(force, len(sequence))))
-            progress("presses", sum(map(len, groups.values())), total)
-    return groups
 
 
 def trials_table(groups: Groups, calibration: ComplianceCalibration | None) -> pd.DataFrame:
