@@ -352,18 +352,18 @@ def _predictions(card: Card, material: _Material, estimates: Values, halves: Val
     )
 
 
-def _pictures(folder: Path, card: Card, made: Path, material: _Material, estimates: Values) -> None:
+def _pictures(folder: Path, card: Card, building: Path, material: _Material, estimates: Values) -> None:
     """The report's pictures: the usual ones as they were, and the rows that int8 misses most."""
     for part in card.files:
         if part.file in ("example.png", "reference.png"):
-            shutil.copyfile(checked_file(folder, part), made / part.file)
+            shutil.copyfile(checked_file(folder, part), building / part.file)
     error = np.abs(estimates - material.data.values[material.held]) / np.ptp(material.data.values, axis=0)
     for row in material.held[np.argsort(error.max(axis=1))[::-1][:WORST]].tolist():
-        write_picture(made / f"worst-{row}.png", material.packed.read([row])[0])
+        write_picture(building / f"worst-{row}.png", material.packed.read([row])[0])
 
 
-def _card(card: Card, made: Path, targets: tuple[TargetCard, ...], change: float) -> Card:
+def _card(card: Card, building: Path, targets: tuple[TargetCard, ...], change: float) -> Card:
     before = {target.column: float(f"{target.score.mae:.4g}") for target in card.targets}
     options = card.options | {"int8": True, "quantised_from": card.id, "fp32_mae": before}
     changed = {"options": options, "targets": targets, "agreement": change}
-    return sealed(card.model_dump(exclude={"id"}) | made_fields(made) | changed)
+    return sealed(card.model_dump(exclude={"id"}) | made_fields(building) | changed)

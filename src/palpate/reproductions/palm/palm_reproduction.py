@@ -109,7 +109,7 @@ def verdicts(scores: Mapping[str, Any]) -> list[str]:
 def _figures(study: StudyFolder, found: Mapping[str, Any], scores: Mapping[str, Any]) -> dict[str, str]:
     if len(scores) < len(MODELS):
         return {}
-    made = {
+    figures = {
         "force_bars": draw.bars(_bars(scores, FORCE), "F_z mean absolute error [N]"),
         "place_bars": draw.bars(_bars(scores, PLACE), "mean distance of places [mm]"),
         "forces": draw.clouds(_clouds(scores, FORCE), "F_z [N]"),
@@ -117,15 +117,17 @@ def _figures(study: StudyFolder, found: Mapping[str, Any], scores: Mapping[str, 
         "places": _places(scores),
     }
     if "one-frame" in found:
-        made["frame"] = _frame(study, found["one-frame"]["frame"])
+        figures["frame"] = _frame(study, found["one-frame"]["frame"])
     if "noise" in found:
-        made["noise"] = draw.curves(_against(found["noise"], "times"), "noise, over the rig's own")
+        figures["noise"] = draw.curves(_against(found["noise"], "times"), "noise, over the rig's own")
     if "durability" in found:
         panels = _against(found["durability"], "presses")
-        made["durability"] = draw.curves(panels | _stood_by(found["durability"]), "presses", log_across=True)
+        figures["durability"] = draw.curves(
+            panels | _stood_by(found["durability"]), "presses", log_across=True
+        )
     if "sustained" in found:
-        made["sustained"] = _sustained(found["sustained"])
-    return made
+        figures["sustained"] = _sustained(found["sustained"])
+    return figures
 
 
 def _bars(scores: Mapping[str, Any], target: str) -> list[draw.Bar]:

@@ -288,10 +288,10 @@ class StudyFolder:
         if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
             begun = time.monotonic()
-            found = make()
-            held = {"seconds": round(time.monotonic() - begun, 1), "found": found}
+            result = make()
+            document = {"seconds": round(time.monotonic() - begun, 1), "found": result}
             with new_file(path) as temporary:
-                temporary.write_text(json.dumps(held, indent=1, allow_nan=False) + "\n")
+                temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
         return json.loads(path.read_text())["found"]
 
     def seconds(self) -> dict[str, float]:

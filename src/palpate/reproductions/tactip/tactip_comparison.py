@@ -50,13 +50,15 @@ def shares(
     """Shares by every method over disc and contact, from 0.5 to 5 N."""
     results: dict[tuple[str, str], list[float]] = {}
     for seed in seeds:
-        made, _ = recorded(spec, kappa_n_m, seed)
-        press, force = head_on(spec, kappa_n_m).press, made.true_force_n[made.frame_sample]
+        trial, _ = recorded(spec, kappa_n_m, seed)
+        press, force = head_on(spec, kappa_n_m).press, trial.true_force_n[trial.frame_sample]
         circles = {name: circles_px(spec, press, force)[name] for name in ("disc", "contact")}
         true = true_divergence(spec, press, force)
         for method in methods:
             tracked = method == "tracked"
-            series = tracked_divergence(made, circles) if tracked else flow_divergence(made, circles, method)
+            series = (
+                tracked_divergence(trial, circles) if tracked else flow_divergence(trial, circles, method)
+            )
             for region, D in series.items():
                 results.setdefault((method, region), []).append(float(D.sum() / true[region].sum()))
     return tuple(

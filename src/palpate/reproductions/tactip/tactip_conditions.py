@@ -105,38 +105,38 @@ def recorded(
         seed: of seating and noise.
         steps: None for the frames that there are; else that many even steps of approach for any specimen.
     """
-    made = record_press(spec, f"specimen={1e-3 * kappa_n_m:.15g}", seed)
-    force = moving_average(made.raw_n)
+    trial = record_press(spec, f"specimen={1e-3 * kappa_n_m:.15g}", seed)
+    force = moving_average(trial.raw_n)
     samples = within(force, loading(force, LOW_N), LOW_N, HIGH_N)
     if steps is None:
-        at = made.frame_sample[np.isin(made.frame_sample, samples)]
+        at = trial.frame_sample[np.isin(trial.frame_sample, samples)]
     else:
         at = np.rint(np.linspace(samples[0], samples[-1], steps + 1)).astype(np.int64)
-    return replace(made, frame_sample=at), force[at]
+    return replace(trial, frame_sample=at), force[at]
 
 
 def flow_divergence(
-    made: VirtualPress, circles: DivergenceSeries, method: str = "horn-schunck"
+    trial: VirtualPress, circles: DivergenceSeries, method: str = "horn-schunck"
 ) -> DivergenceSeries:
     """Mean divergence by a method of `flow.course`, for every step and region."""
-    far = _from_axis(made)
+    far = _from_axis(trial)
     results: dict[str, list[float]] = {name: [] for name in circles}
-    for j, step in enumerate(course(made.frames(), method)):
+    for j, step in enumerate(course(trial.frames(), method)):
         spreading = divergence(step.field)
         for name, circle in circles.items():
             results[name].append(float(spreading[far < circle[j]].mean(dtype=np.float64)))
     return {name: np.array(values) for name, values in results.items()}
 
 
-def tracked_divergence(made: VirtualPress, circles: DivergenceSeries) -> DivergenceSeries:
+def tracked_divergence(trial: VirtualPress, circles: DivergenceSeries) -> DivergenceSeries:
     """The same from pins that are followed: a line through the outward motion of those near the circle."""
-    frames = made.frames()
+    frames = trial.frames()
     first = find_pins(next(frames))
-    near = NEAR * made.sensor.spec.camera.disc_px / made.sensor.spec.pins.rings
+    near = NEAR * trial.sensor.spec.camera.disc_px / trial.sensor.spec.pins.rings
     places = [first.xy_px, *(pins.xy_px for pins in follow(frames, first))]
     results: dict[str, list[float]] = {name: [] for name in circles if name != "whole"}
     for j, (now, later) in enumerate(pairwise(places)):
-        off = now - _middle(made)
+        off = now - _middle(trial)
         r = np.hypot(*off.T)
         away = ((later - now) * off).sum(axis=1) / np.maximum(r, 1.0)
         for name in results:
@@ -146,13 +146,13 @@ def tracked_divergence(made: VirtualPress, circles: DivergenceSeries) -> Diverge
     return {name: np.array(values) for name, values in results.items()}
 
 
-def _middle(made: VirtualPress) -> Float[ndarray, 2]:
-    return (made.sensor.spec.camera.size_px - 1) / 2 + np.array(made.seating.shift_px)
+def _middle(trial: VirtualPress) -> Float[ndarray, 2]:
+    return (trial.sensor.spec.camera.size_px - 1) / 2 + np.array(trial.seating.shift_px)
 
 
-def _from_axis(made: VirtualPress) -> Float[ndarray, "h w"]:
-    y, x = np.mgrid[: made.sensor.spec.camera.size_px, : made.sensor.spec.camera.size_px]
-    at = _middle(made)
+def _from_axis(trial: VirtualPress) -> Float[ndarray, "h w"]:
+    y, x = np.mgrid[: trial.sensor.spec.camera.size_px, : trial.sensor.spec.camera.size_px]
+    at = _middle(trial)
     return np.hypot(x - at[0], y - at[1])
 
 
@@ -184,19 +184,19 @@ class FlowCues:
 
 def cues(spec: TacTipSpec, kappa_n_m: float, seed: int, steps: int | None = None) -> FlowCues:
     """Cues of one press by Horn and Schunck's flow, and by the true markers."""
-    made, force = recorded(spec, kappa_n_m, seed, steps)
-    press, true_n = head_on(spec, kappa_n_m).press, made.true_force_n[made.frame_sample]
+    trial, force = recorded(spec, kappa_n_m, seed, steps)
+    press, true_n = head_on(spec, kappa_n_m).press, trial.true_force_n[trial.frame_sample]
     circles = circles_px(spec, press, true_n)
     values = {
         (source, region, way): value
         for source, courses in (
-            ("flow", flow_divergence(made, circles)),
+            ("flow", flow_divergence(trial, circles)),
             ("true", true_divergence(spec, press, true_n)),
         )
         for region, D in courses.items()
         for way, value in zip(WAYS, _ways(spec, force, D), strict=True)
     }
-    area = made.true_area_m2[made.frame_sample]
+    area = trial.true_area_m2[trial.frame_sample]
     return FlowCues(kappa_n_m, len(force) - 1, values, spread(force, area, "secant").rate_m2_n)
 
 

@@ -259,7 +259,7 @@ def tactip_page(study: Study, entries: Sequence[StudyEntry]) -> str:
 
 
 def _figures(study: Study) -> dict[str, Any]:
-    made: dict[str, Any] = {
+    figures: dict[str, Any] = {
         "plate": draw.plate_figure(
             {n: _plate_samples(p) for n, p in study.plates.items()},
             {n: [1e-3 * line.slope for line in p.lines] for n, p in study.plates.items()},
@@ -278,8 +278,8 @@ def _figures(study: Study) -> dict[str, Any]:
         for cue in ("spread_rate_mm2_per_N", "divergence_paper_per_N"):
             rows[f"{t}°, line over {CUES[cue].split(' [')[0]}"] = _compared_value(one, cue).new
         printed[f"{t}°, line over {CUES['divergence_paper_per_N'].split(' [')[0]}"] = KAPPA_NEW[t].value
-    made["new"] = draw.forest_figure(rows, KAPPA[NEW].value, printed)
-    return made
+    figures["new"] = draw.forest_figure(rows, KAPPA[NEW].value, printed)
+    return figures
 
 
 def _plate_samples(plate: Plate) -> tuple[Any, Any]:

@@ -68,10 +68,10 @@ def kappa_n_m(name: str) -> float:
     return float("inf") if name == RIGID else 1e3 * KAPPA[name].value
 
 
-def press_table_of(made: VirtualPress) -> PressTable:
+def press_table_of(trial: VirtualPress) -> PressTable:
     """A trial's table, as if read from a file."""
     return PressTable(
-        made.time_s, made.raw_n, made.position_m, made.true_area_m2, made.frame_sample,
+        trial.time_s, trial.raw_n, trial.position_m, trial.true_area_m2, trial.frame_sample,
         "force_raw_N", "actual_mm", "true_area_mm2", False,
     )  # fmt: skip
 
@@ -119,8 +119,8 @@ def press_all(
     for i, (name, count) in enumerate(counts.items()):
         results = []
         for k in range(count):
-            made = record_press(spec, specimens[name], seed=100_000 * seed + 1000 * tilt_deg + 100 * i + k)
-            results.append(cues_of(list(made.frames()), press_table_of(made)))
+            trial = record_press(spec, specimens[name], seed=100_000 * seed + 1000 * tilt_deg + 100 * i + k)
+            results.append(cues_of(list(trial.frames()), press_table_of(trial)))
             done += 1
             progress(f"presses at {tilt_deg} degrees", done, total)
         cues[name] = tuple(results)
