@@ -136,12 +136,11 @@ def _rows_to_score(card: Card, table: pd.DataFrame) -> np.ndarray:
 def _untouched_rows(card: Card, table: pd.DataFrame) -> np.ndarray:
     """Rows that the calibration's own rule says show the untouched sensor; none where it has no rule."""
     rule = ReferenceRule.of_card(card)
-    if rule is None or not {rule.column, *rule.by} <= set(table):
-        return np.empty(0, np.int64)
+    nothing = np.empty(0, np.int64)
     try:
-        return np.flatnonzero(rows_matching(table, rule))
+        return nothing if rule is None else np.flatnonzero(rows_matching(table, rule))
     except LabelError:
-        return np.empty(0, np.int64)
+        return nothing
 
 
 def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str, Any]:

@@ -62,14 +62,7 @@ model can bear: a third of the frame's side and less. More pixels made both wors
 STEP_MM = 0.04
 """Seating goes in the steps in which a rig seeks contact, so that depths repeat and are rendered once."""
 
-LABELS: dict[str, LabelKind] = {
-    "location": "text",
-    "x_mm": "number",
-    "y_mm": "number",
-    "depth_mm": "number",
-    "force_N": "number",
-    "reference": "flag",
-}
+LABELS: dict[str, LabelKind] = {"location": "text", **dict.fromkeys(TARGETS, "number"), "reference": "flag"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,17 +194,10 @@ def _presses(
             reached_m = 1e-3 * STEP_MM * round(seated_mm / STEP_MM)
             contact = palm.press(lit, Pose(1e-3 * x_mm, 1e-3 * y_mm, reached_m))
             force_n = contact.force_n + protocol.force_noise_n * rng.standard_normal()
-            yield (
-                palm.render(contact, lit, rng),
-                {
-                    "location": f"place-{place:02d}",
-                    "x_mm": round(x_mm, 4),
-                    "y_mm": round(y_mm, 4),
-                    "depth_mm": round(depth_mm, 4),
-                    "force_N": round(force_n, 4),
-                    "reference": depth_mm == 0,
-                },
-            )
+            numbers = zip(TARGETS, (x_mm, y_mm, depth_mm, force_n), strict=True)
+            labels: dict[str, float | str | bool] = {"location": f"place-{place:02d}"}
+            labels |= {name: round(value, 4) for name, value in numbers} | {"reference": depth_mm == 0}
+            yield palm.render(contact, lit, rng), labels
 
 
 def _calibrated(folder: Path, name: str, seed: int, progress: Progress) -> dict[str, ScoreCard]:
