@@ -143,7 +143,7 @@ def test_a_series_that_cannot_decide_says_so_with_both_answers(folder) -> None:
 
 
 def test_the_figure_is_drawn_once_and_never_over_another(folder, tmp_path) -> None:
-    from palpate.reports.fringe_fit_figure import headline, write_figure
+    from palpate.reports.fringe_fit_figure import fit_headline, write_figure
 
     found = fit(folder())
     write_figure(found, tmp_path / "fit.png")
@@ -151,8 +151,8 @@ def test_the_figure_is_drawn_once_and_never_over_another(folder, tmp_path) -> No
         assert image.size[0] > 1000
     with pytest.raises(ExistsError):
         write_figure(found, tmp_path / "fit.png")
-    assert "86" in headline(found)  # brewster
-    assert "589.3 nm" in headline(found)
+    assert "86" in fit_headline(found)  # brewster
+    assert "589.3 nm" in fit_headline(found)
 
 
 @pytest.mark.parametrize(
