@@ -251,7 +251,7 @@ def fit_stress_optic(
         spread=orders.spread,
         channels=orders.channels,
         r_squared=_r_squared(orders),
-        monotone=_monotone(series.load_n, orders.seen),
+        monotone=_monotone(series.load_n, orders.own_order),
         observed=series.light.mean(axis=1),
         scale_order=scale,
         scale_light=orders.leak + orders.gain * light.light(scale),
