@@ -134,33 +134,6 @@ class TestS4Replies:
         assert stage.position_m() == pytest.approx((-0.001, 0.001, 0.001))
 
 
-class TestS5ToS7Probing:
-    def test_a_miss_that_alarms_is_a_fault_though_it_says_ok(self, grbl_bench, monkeypatch, fast_clock):
-        bench = grbl_bench(clock=fast_clock(), still_s=1e3, stop_s=1e3)
-        stage = bench.open()
-        send = stage._link.command
-        monkeypatch.setattr(
-            stage._link, "command", lambda line, **how: send(line.replace("G38.3", "G38.2"), **how)
-        )
-        with pytest.raises(DeviceError, match="ALARM:5"):
-            stage.probe_to((-0.050, 0.050, 0.051), 0.01)
-        is_lost(stage)
-
-    @pytest.mark.parametrize("firmware", ["1.1h", "grblHAL"])
-    def test_a_plausible_place_is_not_a_hit(self, grbl_bench, fast_clock, firmware):
-        bench = grbl_bench(
-            GrblModel(firmware=firmware, homed=True), clock=fast_clock(), still_s=1e3, stop_s=1e3
-        )
-        assert bench.open().probe_to((-0.050, 0.050, 0.051), 0.01) is None
-
-    def test_a_probe_triggered_before_is_refused_though_it_says_ok(self, grbl_bench):
-        bench = grbl_bench(GrblModel(homed=True, probe_at_mm=-40.0))
-        stage = bench.open()
-        with pytest.raises(DeviceError, match="ALARM:4"):
-            stage.probe_to((-0.050, 0.050, 0.051), 0.01)
-        assert bench.place_mm == pytest.approx((-50.0, -50.0, -50.0))
-
-
 class TestS8SilenceAfterAnAlarm:
     @pytest.fixture
     def silent(self, grbl_bench):
@@ -256,12 +229,6 @@ class TestS10Modes:
         stage.stop()
         assert b"\x18" in bench.received
         goes_and_comes_back(bench, stage)
-
-    def test_a_probing_move_leaves_no_mode_behind(self, grbl_bench, fast_clock):
-        bench = grbl_bench(GrblModel(homed=True), clock=fast_clock(), still_s=1e3, stop_s=1e3)
-        stage = bench.open()
-        stage.probe_to((-0.050, 0.050, 0.0501), 0.01)
-        assert not bench.firmware._modes.steps
 
 
 class TestS11LostLink:
@@ -390,28 +357,6 @@ class TestS14Unhomed:
         with pytest.raises(ValueError, match="travel"):
             stage.move_to((0.500, 0.050, 0.050), 0.01)
         assert bench.place_mm == pytest.approx((-50.0, -50.0, -50.0))
-
-
-def test_s15_a_stop_during_a_probing_move_keeps_the_position(grbl_bench):
-    bench = grbl_bench(GrblModel(homed=True))
-    stage = bench.open()
-    failures = []
-
-    def probe():
-        try:
-            stage.probe_to((-0.050, 0.050, 0.090), 0.01)
-        except DeviceError as error:
-            failures.append(error)
-
-    prober = threading.Thread(target=probe)
-    prober.start()
-    bench.wait(lambda: bench.speed_mm_s >= 9.9)
-    stage.stop()
-    prober.join()
-    assert failures
-    assert bench.speed_mm_s == 0.0
-    assert stage.position_m() == pytest.approx(metres(bench.place_mm), abs=1e-6)
-    goes_and_comes_back(bench, stage)
 
 
 class TestS16Jumps:

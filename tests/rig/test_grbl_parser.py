@@ -8,7 +8,7 @@ from itertools import pairwise
 import pytest
 from hypothesis import given, strategies as st
 
-from palpate.core.errors import DeviceError, ProtocolError
+from palpate.core.errors import ProtocolError
 from palpate.rig.real.grbl.grbl_parser import (
     MAX_LINE,
     Alarm,
@@ -18,12 +18,10 @@ from palpate.rig.real.grbl.grbl_parser import (
     GrblState,
     GrblStatus,
     Ok,
-    ProbeReport,
     Setting,
     Splitter,
     parse_line,
 )
-from palpate.rig.real.grbl.grbl_stage import probed
 
 SAID = {
     b"ok": Ok(),
@@ -33,8 +31,7 @@ SAID = {
     b"GrblHAL 1.1f ['$' or '$HELP' for help]": Banner("GrblHAL", "1.1f"),
     b"$110=500.000": Setting(110, "500.000"),
     b"[MSG:Caution: Unlocked]": GrblMessage("MSG", "Caution: Unlocked"),
-    b"[PRB:0.000,0.000,-0.872:1]": ProbeReport((0.0, 0.0, -0.872), hit=True),
-    b"[PRB:0.000,0.000,0.000:0]": ProbeReport((0.0, 0.0, 0.0), hit=False),
+    b"[PRB:0.000,0.000,-0.872:1]": GrblMessage("PRB", "0.000,0.000,-0.872:1"),
     b"<Idle|MPos:1.000,-2.500,0.000|Bf:15,128|FS:0,0|Pn:PX|WCO:1.000,0.000,0.000|Ov:100,100,100>": GrblStatus(
         GrblState.IDLE,
         machine_mm=(1.0, -2.5, 0.0),
@@ -71,8 +68,6 @@ def test_what_firmware_says_is_what_is_read(said, meant):
         b"<Idle|MPos:inf,0.000,0.000>",
         b"<Idle|MPos:0.000,0.0",
         b"<|MPos:0.000,0.000,0.000>",
-        b"[PRB:0.000,0.000,0.000]",
-        b"[PRB:,,:1]",
         b"[MSG:cut",
         b"Gr\xffbl 1.1h",
         b"x" * (MAX_LINE + 1),
@@ -138,28 +133,3 @@ def test_a_report_in_the_midst_of_a_reply_costs_neither(stream):
         except ProtocolError:
             assert line == b"\xfe"
     assert sorted(type(line).__name__ for line in heard) == ["GrblStatus", "Ok"]
-
-
-class TestProbingIsJudgedByFlagAndAlarm:
-    HIT, MISS = ProbeReport((1.0, 2.0, -3.0), hit=True), ProbeReport((1.0, 2.0, -3.0), hit=False)
-
-    def test_a_flagged_report_is_a_hit(self):
-        assert probed([self.HIT]) == (1.0, 2.0, -3.0)
-
-    def test_a_plausible_place_without_the_flag_is_a_miss(self):
-        assert probed([self.MISS]) is None
-
-    @pytest.mark.parametrize("code", [4, 5])
-    def test_an_alarm_is_never_an_outcome_whatever_else_is_said(self, code):
-        for pushed in (
-            [Alarm(code)],
-            [Alarm(code), self.MISS],
-            [Alarm(code), self.HIT],
-            [self.HIT, Alarm(code)],
-        ):
-            with pytest.raises(DeviceError, match=f"ALARM:{code}"):
-                probed(pushed)
-
-    def test_silence_is_no_outcome(self):
-        with pytest.raises(DeviceError, match="did not report"):
-            probed([])

@@ -405,33 +405,6 @@ class TestHoming:
             stage.move_to((-0.001, 0.001, 0.001), 0.01)
 
 
-class TestProbing:
-    def test_a_hit_is_where_it_triggered_and_not_where_it_stopped(self, grbl_bench, fast_clock):
-        bench = grbl_bench(GrblModel(homed=True, probe_at_mm=-51.0), clock=fast_clock(), **UNHURRIED)
-        stage = bench.open()
-        hit = stage.probe_to((-0.050, 0.050, 0.053), 0.005)
-        assert hit is not None
-        # Beyond the trigger by one tick of the fake at most.
-        assert hit[2] == pytest.approx(0.051, abs=0.005 * 0.002 + 1e-6)
-        assert bench.place_mm[2] < -51.2  # v^2 / 2a = 0.25 mm
-        assert stage.position_m()[2] == pytest.approx(-bench.place_mm[2] / 1e3, abs=1e-6)
-
-    @pytest.mark.parametrize("firmware", ["1.1h", "grblHAL"])
-    def test_a_miss_is_none_wherever_it_says_that_it_ended(self, grbl_bench, fast_clock, firmware):
-        bench = grbl_bench(GrblModel(firmware=firmware, homed=True), clock=fast_clock(), **UNHURRIED)
-        stage = bench.open()
-        assert stage.probe_to((-0.050, 0.050, 0.051), 0.005) is None
-        assert stage.position_m() == pytest.approx((-0.050, 0.050, 0.051), abs=1e-6)
-
-    def test_one_triggered_before_is_an_alarm(self, grbl_bench):
-        bench = grbl_bench(GrblModel(homed=True, probe_at_mm=0.0))
-        stage = bench.open()
-        with pytest.raises(DeviceError, match="ALARM:4"):
-            stage.probe_to((-0.050, 0.050, 0.051), 0.005)
-        with pytest.raises(DeviceError, match="ALARM:4"):
-            stage.move_to(START, 0.01)
-
-
 class TestPorts:
     def test_a_port_has_one_master(self, grbl_bench):
         bench = grbl_bench()

@@ -180,9 +180,6 @@ class GrblController:
                 self._work = None
                 self._reply(f"error:{refusal.code}")
 
-    def _probe_pressed(self) -> bool:
-        return self.model.probe_at_mm is not None and self._axes.place_mm[2] <= self.model.probe_at_mm
-
     def _realtime(self, byte: int) -> None:
         if byte == ord("?"):
             if not (self._homing or (self._critical and not self._hard_but_answers())):
@@ -276,8 +273,6 @@ class GrblController:
         if mask & 2:
             fields.append(f"Bf:{max(PLANNER - len(self._axes.blocks), 0)},{RX_BYTES - len(self._rx)}")
         fields.append(f"FS:{self.speed_mm_s * 60:.0f},0")
-        if self._probe_pressed():
-            fields.append("Pn:P")
         if self._reports % 10 == 2:
             fields.append(f"WCO:{in_words(offset)}")
         if self.model.firmware == "grblHAL":
@@ -404,32 +399,8 @@ class GrblFirmware(GrblController):
                 self._lock(2)
                 while True:
                     yield
-            yield from (
-                self._probe(block, motion) if motion.startswith("G38") else self._queue(block, jog=False)
-            )
+            yield from self._queue(block, jog=False)
         self._modes = modes
-        if motion.startswith("G38"):
-            self._modes.motion = "G0"
-        return "ok"
-
-    def _probe(self, block: PlannedBlock, motion: str) -> Work:
-        while self._axes.blocks:
-            yield
-        if self._probe_pressed():
-            self._lock(4)
-            return "ok"
-        yield from self._queue(block, jog=False)
-        while self._axes.blocks and not self._probe_pressed():
-            yield
-        hit_mm = self._axes.place_mm if self._probe_pressed() else None
-        while hit_mm and self._axes.speed_mm_s > 0.0:
-            self._axes.holding = True
-            yield
-        self._axes.clear()
-        miss_mm = self._axes.place_mm if self.model.firmware == "grblHAL" else NOWHERE
-        if hit_mm is None and motion == "G38.2":
-            self._lock(5)
-        self._say(f"[PRB:{in_words(hit_mm or miss_mm)}:{1 if hit_mm else 0}]")
         return "ok"
 
     def _queue(self, block: PlannedBlock, *, jog: bool) -> Work:

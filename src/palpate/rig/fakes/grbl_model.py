@@ -22,13 +22,11 @@ class PlannedBlock:
     Attributes:
         start_mm, end_mm: [mm].
         speed_mm_s: cruising speed [mm/s].
-        probing: it ends where the probe triggers.
     """
 
     start_mm: Millimetres
     end_mm: Millimetres
     speed_mm_s: float
-    probing: bool = False
 
     @property
     def length_mm(self) -> float:
@@ -67,10 +65,6 @@ class Axes:
     def end_mm(self) -> Millimetres:
         """Place when all is done [mm]."""
         return self.blocks[-1].end_mm if self.blocks else self._stood_mm
-
-    @property
-    def stands(self) -> bool:
-        return self.speed_mm_s == 0.0 and (self.holding or not self.blocks)
 
     def add(self, block: PlannedBlock) -> None:
         """Queue a block; one of no length is no block."""
@@ -151,7 +145,7 @@ def in_words(place_mm: Millimetres) -> str:
 
 MAX_LINE = 80
 _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))?")
-_CODES = {"G0", "G1", "G4", "G17", "G20", "G21", "G38.2", "G38.3", "G53", "G54", "G90", "G91", "G94"}
+_CODES = {"G0", "G1", "G4", "G17", "G20", "G21", "G53", "G54", "G90", "G91", "G94"}
 _LETTERS = "GXYZFPM"
 MM_PER_INCH = 25.4
 
@@ -189,7 +183,7 @@ class Words:
                 after.inches = code == "G20"
             elif code in ("G90", "G91"):
                 after.steps = code == "G91"
-            elif code in ("G0", "G1", "G38.2", "G38.3"):
+            elif code in ("G0", "G1"):
                 after.motion = code
         if "F" in self.numbers:
             after.feed_mm_min = self.numbers["F"] * (MM_PER_INCH if after.inches else 1.0)
@@ -252,7 +246,6 @@ class GrblModel:
         homed: as if homed before; else it is locked where $22 asks for homing.
         homing_s: how long homing takes [s].
         switches: whether homing finds them.
-        probe_at_mm: machine Z at and below which the probe triggers [mm]; None for never.
         hold_cancels_jog: a hold ends a jog at Idle, and not at Hold:0.
         latency_s: from a byte to its effect, for hold and jog cancel [s].
         offset_mm: of work coordinates [mm].
@@ -265,7 +258,6 @@ class GrblModel:
     homed: bool = False
     homing_s: float = 0.5
     switches: bool = True
-    probe_at_mm: float | None = None
     hold_cancels_jog: bool = True
     latency_s: float = 0.0
     offset_mm: Millimetres = NOWHERE

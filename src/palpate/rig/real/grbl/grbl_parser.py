@@ -138,14 +138,6 @@ class GrblStatus:
 
 
 @dataclass(frozen=True, slots=True)
-class ProbeReport:
-    """End of a probing move, in machine coordinates [mm]. The place means nothing unless it hit."""
-
-    machine_mm: tuple[float, ...]
-    hit: bool
-
-
-@dataclass(frozen=True, slots=True)
 class Setting:
     """Line of the `$$` list."""
 
@@ -161,7 +153,7 @@ class GrblMessage:
     text: str
 
 
-Line = Ok | Failed | Alarm | Banner | GrblStatus | ProbeReport | Setting | GrblMessage
+Line = Ok | Failed | Alarm | Banner | GrblStatus | Setting | GrblMessage
 
 _STATES = {state.value: state for state in GrblState}
 _CODE = re.compile(r"(error|ALARM):(\d{1,3})")
@@ -169,7 +161,6 @@ _BANNER = re.compile(r"(grbl(?:HAL)?) (\d[\w.\-]{0,30})(?: .*)?", re.IGNORECASE)
 _SETTING = re.compile(r"\$(\d{1,4})=(.*)")
 _STATE = re.compile(r"([A-Za-z]{1,16})(?::(\d{1,3}))?")
 _NUMBER = re.compile(r"[-+]?\d{1,9}(?:\.\d{1,9})?")  # fixed point: neither nan, inf nor exponents
-_PROBE = re.compile(r"PRB:([^:]*):([01])")
 _REPLY_BEGUN = re.compile(rb"o|e|er|err|erro|error|error:\d{0,3}")
 
 
@@ -233,15 +224,10 @@ def _status(text: str) -> GrblStatus:
     )
 
 
-def _bracketed(text: str) -> ProbeReport | GrblMessage:
+def _bracketed(text: str) -> GrblMessage:
     if not text.endswith("]"):
         raise ProtocolError(f"{text[:40]!r} is a message cut short")
     inside = text[1:-1]
-    if inside.startswith("PRB:"):
-        probe = _PROBE.fullmatch(inside)
-        if not probe:
-            raise ProtocolError(f"{text[:40]!r} is not the report of a probing move")
-        return ProbeReport(_read_numbers(probe[1]), probe[2] == "1")
     tag, colon, rest = inside.partition(":")
     return GrblMessage(tag, rest.strip()) if colon else GrblMessage("", inside)
 

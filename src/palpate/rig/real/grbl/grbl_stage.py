@@ -13,17 +13,15 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterable
 
 from palpate.core import NS_PER_S, Clock, DeviceError, MonotonicClock, Position, RangeError, Travel
 from palpate.rig.real.grbl.grbl_link import CutOffError, RefusedError, SerialPort, SilenceError, open_port
-from palpate.rig.real.grbl.grbl_parser import Alarm, GrblState, GrblStatus, Line, ProbeReport, alarm_name
+from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, alarm_name
 from palpate.rig.real.grbl.grbl_session import GrblSession
 from palpate.rig.real.grbl.grbl_supervisor import (
     MM_PER_M,
     S_PER_MIN,
     GrblSpec,
-    Millimetres,
     MoveSupervisor,
     check_range,
     feed_mm_min,
@@ -92,7 +90,7 @@ class GrblStage:
         check_range(self.travel, position_m, speed_m_s)
         with self._lock:
             target_mm = self._begin(position_m, speed_m_s).target_mm
-            words = _words(target_mm)
+            words = "".join(f"{axis}{fixed(value)}" for axis, value in zip("XYZ", target_mm, strict=True))
             line = f"$J=G21G90G53{words}F{fixed(feed_mm_min(speed_m_s), 3)}"
             try:
                 self._link.command(line, halts=halts, moves=True)
@@ -177,43 +175,6 @@ class GrblStage:
             self._session.settle(place_mm)
             self._session.found(mount)
 
-    def probe_to(self, position_m: Position, speed_m_s: float) -> Position | None:
-        """Move until the probe input triggers; returns when it stands.
-
-        Args:
-            position_m: where to give up [m].
-            speed_m_s: [m/s].
-
-        Returns:
-            Where the input triggered [m], short of where it stopped; None if it did not.
-
-        Raises:
-            RangeError: a position outside the travel or a speed it cannot run at.
-            DeviceError: the probe was triggered before, is not connected, or the move was stopped.
-        """
-        halts = self._link.halts
-        session = self._session
-        check_range(self.travel, position_m, speed_m_s)
-        with self._lock:
-            move = self._begin(position_m, speed_m_s, probing=True)
-            words = _words(b - a for a, b in zip(move.start_mm, move.target_mm, strict=True))
-            patience_s = math.dist(move.start_mm, move.target_mm) / MM_PER_M / speed_m_s
-            patience_s += self._spec.reply_s + self._spec.still_s
-            # G38.3 takes no machine coordinates, so it goes by steps; a miss locks nothing.
-            line = f"G21G91G94G38.3{words}F{fixed(feed_mm_min(speed_m_s), 3)}"
-            try:
-                pushed = self._link.command(line, timeout_s=patience_s, halts=halts, moves=True)
-            except SilenceError:
-                session.bring_to_stand()
-                raise
-            session.check_alarm()
-            hit_mm = probed(pushed)
-            self._link.command("G90", halts=halts)
-            _, place_mm = session.look()
-            session.check_place(place_mm)
-            session.settle(place_mm)
-            return None if hit_mm is None else session.mount.sensor_m(hit_mm)
-
     def close(self) -> None:
         """Stop, and let go of the port. Closing again does nothing."""
         if self._closed:
@@ -225,7 +186,7 @@ class GrblStage:
         finally:
             self._link.close()
 
-    def _begin(self, position_m: Position, speed_m_s: float, *, probing: bool = False) -> MoveSupervisor:
+    def _begin(self, position_m: Position, speed_m_s: float) -> MoveSupervisor:
         """Everything that must hold before a line that moves is sent."""
         session = self._session
         session.need_known()
@@ -243,13 +204,8 @@ class GrblStage:
             session.machine,
             self._spec.still_s,
             self._clock.now_ns(),
-            beyond_mm=self.travel.overshoot_m(speed_m_s) * MM_PER_M if probing else 0.0,
         )
         return session.move
-
-
-def _words(axes_mm: Iterable[float]) -> str:
-    return "".join(f"{axis}{fixed(value)}" for axis, value in zip("XYZ", axes_mm, strict=True))
 
 
 def _home(session: GrblSession, halts: int) -> None:
@@ -307,33 +263,3 @@ def _await_homed(session: GrblSession, halts: int) -> GrblStatus | None:
             return status
         clock.sleep(spec.poll_s)
     return None
-
-
-def probed(pushed: Iterable[Line]) -> Millimetres | None:
-    """Place where the probe triggered, in machine coordinates [mm]; None if it did not.
-
-    Judged by the flag of the report and by there being no alarm. Not by the `ok`, which comes either way,
-    nor by the place: on a miss one firmware prints zeros or an old place and another the end of the move.
-
-    Args:
-        pushed: what the controller pushed between the line and its answer.
-
-    Raises:
-        DeviceError: there was an alarm, or no report.
-
-    Example:
-        >>> from palpate.rig.real.grbl.grbl_parser import parse_line
-        >>> probed([parse_line(b"[PRB:0.000,0.000,-0.872:1]")])
-        (0.0, 0.0, -0.872)
-    """
-    report: ProbeReport | None = None
-    for line in pushed:
-        if isinstance(line, Alarm):
-            raise DeviceError(f"the probing move ended with {alarm_name(line.code)}; see to the probe")
-        if isinstance(line, ProbeReport):
-            report = line
-    if report is None or len(report.machine_mm) < len("XYZ"):
-        raise DeviceError(
-            "the controller did not report the outcome of the probing move; check the probe input"
-        )
-    return report.machine_mm[:3] if report.hit else None  # type: ignore[return-value]

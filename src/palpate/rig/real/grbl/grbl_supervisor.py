@@ -35,7 +35,7 @@ class GrblSpec:
         boot_s: how long to listen for its banner after opening the port [s].
         reply_s: how long it may take to answer a line or a `?` [s].
         stop_s: how long a stop may take beyond the slowing down itself [s].
-        home_s: how long homing, or one probing move, may take [s].
+        home_s: how long homing may take [s].
         still_s: how long it may stand away from its target, or not come on, before that is a fault [s].
         poll_s: between questions while it waits for the stage [s].
         require_homed: refuse to move unless homing is on and was not bypassed. Without it the place is on
@@ -272,7 +272,6 @@ class MoveSupervisor:
         machine: for tolerance and steps.
         still_s: how long it may stay where it is, short of the target, before that is a fault [s].
         now_ns: when it began.
-        beyond_mm: how far past the target it may slow down, where what ends it is not its target [mm].
     """
 
     def __init__(
@@ -283,7 +282,6 @@ class MoveSupervisor:
         machine: GrblMachine,
         still_s: float,
         now_ns: int,
-        beyond_mm: float = 0.0,
     ) -> None:
         self.start_mm, self.target_mm, self.feed_mm_min = start_mm, target_mm, feed_mm_min
         self.tolerance_mm = machine.tolerance_mm
@@ -291,14 +289,10 @@ class MoveSupervisor:
         # A creeping axis shows no change from one grain to the next: five grains' time is not yet standing.
         self._patience_ns = max(still_s, 5.0 * grain_mm * S_PER_MIN / feed_mm_min) * NS_PER_S
         self._last_mm, self._last_ns = start_mm, now_ns
-        length = math.dist(start_mm, target_mm)
-        further = 1.0 + (beyond_mm / length if length > 0.0 else 0.0)
-        x, y, z = (a + further * (b - a) for a, b in zip(start_mm, target_mm, strict=True))
-        self._end_mm = (x, y, z)
 
     def stray(self, place_mm: Millimetres) -> str:
         """Describe a place off the way by more than the tolerance; empty for one on it."""
-        off = distance_to_segment(place_mm, self.start_mm, self._end_mm)
+        off = distance_to_segment(place_mm, self.start_mm, self.target_mm)
         if off <= self.tolerance_mm:
             return ""
         way = f"from {shown(self.start_mm)} to {shown(self.target_mm)}"
