@@ -9,6 +9,7 @@ import threading
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Generic, TypeVar
 
 from palpate.core import (
     NS_PER_S,
@@ -30,11 +31,20 @@ RATE_S = 2.0  # over which rates are counted
 SENT_S = 1.0  # in which a stage that answers has taken in a move
 
 
-class _Proxy:
-    """Remembers how the last call went."""
+Device = TypeVar("Device", Stage, ForceSensor, FrameSource)
+Sampler = TypeVar("Sampler", ForceSensor, FrameSource)
 
-    def __init__(self) -> None:
+
+class _Proxy(Generic[Device]):
+    """Passes calls on to a device, and remembers how the last one went."""
+
+    def __init__(self, inner: Device) -> None:
+        self._inner: Device = inner
         self.error = ""
+
+    def close(self) -> None:
+        """Let go of the device."""
+        self._inner.close()
 
     @contextmanager
     def _noting_errors(self) -> Iterator[None]:
@@ -46,21 +56,22 @@ class _Proxy:
         self.error = ""
 
 
-class ForceProxy(_Proxy):
-    """Implements `core.ForceSensor`; keeps the last samples that somebody drained."""
-
-    def __init__(self, inner: ForceSensor, clock: Clock) -> None:
-        super().__init__()
-        self._inner = inner
-        self._clock = clock
-        self._lock = threading.Lock()
-        self._recent: deque[Wrench] = deque(maxlen=MAX_SAMPLES)
-        self.newest: Wrench | None = None
-
+class _SamplerProxy(_Proxy[Sampler]):
     @property
     def rate_hz(self) -> float:
         """Samples or frames a second, as the device states them [Hz]."""
         return self._inner.rate_hz
+
+
+class ForceProxy(_SamplerProxy[ForceSensor]):
+    """Implements `core.ForceSensor`; keeps the last samples that somebody drained."""
+
+    def __init__(self, inner: ForceSensor, clock: Clock) -> None:
+        super().__init__(inner)
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._recent: deque[Wrench] = deque(maxlen=MAX_SAMPLES)
+        self.newest: Wrench | None = None
 
     @property
     def range_n(self) -> tuple[float, float, float]:
@@ -84,31 +95,21 @@ class ForceProxy(_Proxy):
                 self._recent.popleft()
         return samples
 
-    def close(self) -> None:
-        """Let go of the device."""
-        self._inner.close()
-
     def recent(self) -> list[Wrench]:
         """The last `KEPT_S` seconds, oldest first."""
         with self._lock:
             return list(self._recent)
 
 
-class CameraProxy(_Proxy):
+class CameraProxy(_SamplerProxy[FrameSource]):
     """Implements `core.FrameSource`; keeps the newest frame, and when the last ones came."""
 
     def __init__(self, inner: FrameSource) -> None:
-        super().__init__()
-        self._inner = inner
+        super().__init__(inner)
         self._turn = threading.Lock()
         self._came: deque[int] = deque(maxlen=1000)
         self.newest: tuple[int, Frame] | None = None
         self.count = 0
-
-    @property
-    def rate_hz(self) -> float:
-        """Samples or frames a second, as the device states them [Hz]."""
-        return self._inner.rate_hz
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -129,10 +130,6 @@ class CameraProxy(_Proxy):
             self._keep(frames)
         return frames
 
-    def close(self) -> None:
-        """Let go of the device."""
-        self._inner.close()
-
     def recent_count(self, now_ns: int) -> int:
         """Number of frames that came in the last `RATE_S` seconds."""
         return sum(now_ns - at <= RATE_S * NS_PER_S for at in tuple(self._came))
@@ -144,12 +141,11 @@ class CameraProxy(_Proxy):
             self.count += len(frames)
 
 
-class StageProxy(_Proxy):
+class StageProxy(_Proxy[Stage]):
     """Implements `core.Stage`; after an emergency stop it moves for nobody until it is released."""
 
     def __init__(self, inner: Stage, clock: Clock) -> None:
-        super().__init__()
-        self._inner = inner
+        super().__init__(inner)
         self._clock = clock
         self._sending = threading.Lock()
         self._sent = 0
@@ -191,10 +187,6 @@ class StageProxy(_Proxy):
         """Bring it to a stand."""
         with self._noting_errors():
             self._inner.stop()
-
-    def close(self) -> None:
-        """Let go of the device."""
-        self._inner.close()
 
     def hold(self) -> int:
         """Emergency stop, past everything else; returns when it stood [ns], and nothing moves it any more.

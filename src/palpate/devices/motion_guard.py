@@ -33,41 +33,25 @@ LEAVING = (OperatorCommand.ESTOP,)
 
 @runtime_checkable
 class Actuator(Protocol):
-    """Goes to a position in straight moves, one at a time, and stops when told; a `core.Stage` is one."""
+    """Goes to a position in straight moves, one at a time, and stops when told: what moves of a `core.Stage`.
+
+    See there for units, errors and what may be called from another thread.
+    """
 
     @property
-    def travel(self) -> Travel:
-        """Its reach, speed and stopping."""
-        ...
-
-    def position_m(self) -> Position:
-        """Position now [m]; raises `DeviceError` where it does not know."""
-        ...
-
-    def move_to(self, position_m: Position, speed_m_s: float) -> None:
-        """Start moving [m, m/s], and return at once."""
-        ...
-
-    def moving(self) -> bool:
-        """True while the last move is under way."""
-        ...
-
-    def stop(self) -> None:
-        """Come to a stand, from any thread; return once it stands."""
-        ...
+    def travel(self) -> Travel: ...
+    def position_m(self) -> Position: ...
+    def move_to(self, position_m: Position, speed_m_s: float) -> None: ...
+    def moving(self) -> bool: ...
+    def stop(self) -> None: ...
 
 
 @runtime_checkable
 class ForceSource(Protocol):
-    """Measures force all the time; a `core.ForceSensor` is one."""
+    """Measures force all the time: what is asked of a `core.ForceSensor`. See there."""
 
-    def latest(self) -> Wrench:
-        """The newest sample; raises `DeviceError` where there is none."""
-        ...
-
-    def drain(self) -> list[Wrench]:
-        """All samples since the last call, oldest first."""
-        ...
+    def latest(self) -> Wrench: ...
+    def drain(self) -> list[Wrench]: ...
 
 
 Until = Callable[[Force], bool]
