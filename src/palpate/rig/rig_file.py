@@ -6,7 +6,6 @@ imported only where the file names them.
 
 from __future__ import annotations
 
-import tomllib
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -25,12 +24,13 @@ from palpate.core import (
     MonotonicClock,
     Position,
     Stage,
-    storage_errors,
 )
 from palpate.core.sensor import sensor as sensor_of
 from palpate.devices.device_plugins import check_kind, open_device
 from palpate.devices.force_bias import Mounting
 from palpate.devices.motion_limits import Limits
+from palpate.rig.plans.plan_files import read_toml
+from palpate.rig.plans.press_places import Positive
 from palpate.rig.rig import Region, Rig
 from palpate.rig.virtual import Fault, virtual_rig
 from palpate.rig.virtual.disturbances import Kind
@@ -40,10 +40,7 @@ if TYPE_CHECKING:
     from palpate.devices.check.interface_check import Role
 
 MM = 1e-3
-_MAX_BYTES = 1 << 20
-
 Three = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class _Part(BaseModel):
@@ -59,6 +56,20 @@ class GrblPart(_Part):
     latency_s: Positive = 0.05
     home: bool = False
 
+    def open(self, clock: Clock) -> Stage:
+        """Open the stage, homed where that is asked for."""
+        from palpate.rig.real.grbl.grbl_stage import GrblStage
+        from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
+
+        stage = GrblStage.open(GrblSpec(self.port, axes=self.axes, latency_s=self.latency_s), clock)
+        if self.home:
+            try:
+                stage.home()
+            except BaseException:
+                stage.close()
+                raise
+        return stage
+
 
 class NetFTPart(_Part):
     """An ATI Net F/T box; `axes` says which of its axes are the skin's, and their signs."""
@@ -68,6 +79,12 @@ class NetFTPart(_Part):
     axes: tuple[str, str, str] = ("x", "y", "z")
     rdt_port: Annotated[int, Field(ge=1, le=65535)] = 49152
     http_port: Annotated[int, Field(ge=1, le=65535)] = 80
+
+    def open(self, clock: Clock) -> ForceSensor:
+        """Open the force sensor."""
+        from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
+
+        return NetFT(self.host, NetFTSettings(rdt_port=self.rdt_port, http_port=self.http_port), clock)
 
 
 class UvcPart(_Part):
@@ -80,6 +97,13 @@ class UvcPart(_Part):
     pixels: Literal["MJPG", "YUYV"] = "MJPG"
     exposure_s: Positive = 0.01
     white_balance_k: int | None = 4600
+
+    def open(self, clock: Clock) -> FrameSource:
+        """Open the camera."""
+        from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
+
+        settings = UvcSettings(**self.model_dump(exclude={"kind", "address"}))
+        return UvcCamera(self.address, settings, clock)
 
 
 class PluginPart(BaseModel):
@@ -240,12 +264,9 @@ def read_rig(path: Path) -> RigFile:
             f"there is no rig {str(path)!r}: no such file, and by name there are "
             f"{', '.join(PREFIX + name for name in SENSORS.names())}"
         )
-    with storage_errors(path):
-        data = path.read_bytes()[:_MAX_BYTES]
+    fields = read_toml(path)
     try:
-        file = RigFile.model_validate(tomllib.loads(data.decode()))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
-        raise InputError(f"{path} is not TOML: {e}") from e
+        file = RigFile.model_validate(fields)
     except ValidationError as e:
         problems = "; ".join(f"{_field(d['loc'])}: {d['msg']}" for d in e.errors())
         raise InputError(f"{path}: {problems}") from e
@@ -268,105 +289,61 @@ def rig_from(file: RigFile) -> Rig:
     if file.virtual is not None:
         if file.stage or file.force or file.camera:
             raise InputError(f"the rig {file.name!r} is virtual and names real devices; leave one out")
-        clock: Clock = MonotonicClock() if file.virtual.real_time else ManualClock()
-        faults = [Fault(one.kind, one.after_s) for one in file.virtual.faults]
-        rig = virtual_rig(
-            file.design,
-            clock=clock,
-            seed=file.virtual.seed,
-            faults=faults,
-            limits=None if file.limits is None else file.limits.limits(),
-            age_s=REAL_TIME_AGE_S if file.virtual.real_time else None,
-            askew_m=_metres(file.virtual.askew_mm),
-        )
-        return replace(rig, name=f"{file.name}, {rig.name}", regions=_regions(file) or rig.regions)
+        return _virtual(file, file.virtual)
     if not (file.stage and file.force and file.camera and file.limits):
         raise InputError(
             f"the rig {file.name!r} needs [stage], [force], [camera] and [limits], or [virtual] instead"
         )
+    clock = MonotonicClock()
     with ExitStack() as opened:
-        rig = _real(file, file.stage, file.force, file.camera, file.limits, opened)
+        force = _open("force", file.force, clock, opened)
+        camera = _open("camera", file.camera, clock, opened)
+        stage = _open("stage", file.stage, clock, opened)
+        rig = Rig(
+            name=file.name,
+            sensor=file.sensor,
+            stage=stage,
+            force=force,
+            camera=camera,
+            limits=file.limits.limits(),
+            origin_m=_metres(file.origin_mm),
+            clock=clock,
+            mounting=Mounting(file.force.axes),
+            regions=_regions(file),
+            licence=file.licence,
+            origin=file.origin,
+            design=sensor_of(file.design),
+        )
         opened.pop_all()
         return rig
 
 
+def _open(role: Role, part: StagePart | ForcePart | CameraPart, clock: Clock, opened: ExitStack) -> Any:
+    """Open a part's device, to be closed again with what else is open."""
+    if isinstance(part, PluginPart):
+        device = open_device(role, part.kind, part.options, clock)
+    else:
+        device = part.open(clock)
+    opened.callback(device.close)
+    return device
+
+
+def _virtual(file: RigFile, part: VirtualPart) -> Rig:
+    clock: Clock = MonotonicClock() if part.real_time else ManualClock()
+    rig = virtual_rig(
+        file.design,
+        clock=clock,
+        seed=part.seed,
+        faults=[Fault(one.kind, one.after_s) for one in part.faults],
+        limits=None if file.limits is None else file.limits.limits(),
+        age_s=REAL_TIME_AGE_S if part.real_time else None,
+        askew_m=_metres(part.askew_mm),
+    )
+    return replace(rig, name=f"{file.name}, {rig.name}", regions=_regions(file) or rig.regions)
+
+
 def _regions(file: RigFile) -> tuple[Region, ...]:
     return tuple(Region(one.name, one.box_px) for one in file.regions)
-
-
-def _real(
-    file: RigFile,
-    stage: StagePart,
-    force: ForcePart,
-    camera: CameraPart,
-    limits: LimitsPart,
-    opened: ExitStack,
-) -> Rig:
-    clock = MonotonicClock()
-    sensor = _force(force, clock)
-    opened.callback(sensor.close)
-    frames = _camera(camera, clock)
-    opened.callback(frames.close)
-    moved = _stage(stage, clock)
-    opened.callback(moved.close)
-    return Rig(
-        name=file.name,
-        sensor=file.sensor,
-        stage=moved,
-        force=sensor,
-        camera=frames,
-        limits=limits.limits(),
-        origin_m=_metres(file.origin_mm),
-        clock=clock,
-        mounting=Mounting(force.axes),
-        regions=_regions(file),
-        licence=file.licence,
-        origin=file.origin,
-        design=sensor_of(file.design),
-    )
-
-
-def _plugin(role: Role, part: PluginPart, clock: Clock) -> Any:
-    return open_device(role, part.kind, part.options, clock)
-
-
-def _stage(part: GrblPart | PluginPart, clock: Clock) -> Stage:
-    if isinstance(part, PluginPart):
-        return _plugin("stage", part, clock)
-    from palpate.rig.real.grbl.grbl_stage import GrblStage
-    from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
-
-    stage = GrblStage.open(GrblSpec(part.port, axes=part.axes, latency_s=part.latency_s), clock)
-    if part.home:
-        try:
-            stage.home()
-        except BaseException:
-            stage.close()
-            raise
-    return stage
-
-
-def _force(part: NetFTPart | ForcePluginPart, clock: Clock) -> ForceSensor:
-    if isinstance(part, PluginPart):
-        return _plugin("force", part, clock)
-    from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
-
-    return NetFT(part.host, NetFTSettings(rdt_port=part.rdt_port, http_port=part.http_port), clock)
-
-
-def _camera(part: UvcPart | PluginPart, clock: Clock) -> FrameSource:
-    if isinstance(part, PluginPart):
-        return _plugin("camera", part, clock)
-    from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
-
-    settings = UvcSettings(
-        size_px=part.size_px,
-        rate_hz=part.rate_hz,
-        pixels=part.pixels,
-        exposure_s=part.exposure_s,
-        white_balance_k=part.white_balance_k,
-    )
-    return UvcCamera(part.address, settings, clock)
 
 
 def _metres(mm: Three) -> Position:

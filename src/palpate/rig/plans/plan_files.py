@@ -43,11 +43,9 @@ class _Plans(Mapping[str, Known]):
     """Plans by name, laid on the usual sensor; a sensor's own plan has its sensor's name before its own."""
 
     def __getitem__(self, name: str) -> Known:
-        if name in _OWN:
-            return _OWN[name].on(sensor_of())
-        if name in SENSORS.names():
-            return plan_of_sensor(name)
-        return plan_from(_plans_of_sensors(name)[name])
+        if (plan := _named(name)) is None:
+            raise KeyError(name)
+        return plan
 
     def __iter__(self) -> Iterator[str]:
         first, *general = _OWN
@@ -58,10 +56,15 @@ class _Plans(Mapping[str, Known]):
         return len(tuple(iter(self)))
 
 
-def _plans_of_sensors(name: str) -> Mapping[str, Mapping[str, Any]]:
-    """The plans of the sensor whose name this one begins with."""
+def _named(name: str, sensor: Sensor | None = None) -> Known | None:
+    """The plan of a name, laid on a sensor unless it is a sensor's own protocol; None where there is none."""
+    if name in _OWN:
+        return _OWN[name].on(sensor or sensor_of())
+    if name in SENSORS.names():
+        return plan_of_sensor(name)
     owner = next((owner for owner in SENSORS.names() if name.startswith(f"{owner}-")), None)
-    return {} if owner is None else plans_of(sensor_of(owner))
+    plans = {} if owner is None else plans_of(sensor_of(owner))
+    return plan_from(plans[name], sensor) if name in plans else None
 
 
 PLANS: Mapping[str, Known] = _Plans()
@@ -107,23 +110,31 @@ def plan_of(text: str | Path, sensor: Sensor | None = None) -> Known:
         InputError: neither; or a field that is not one, or out of range: the message lists them.
         StorageError: the file cannot be read.
     """
-    if str(text) in _OWN:
-        return _OWN[str(text)].on(sensor or sensor_of())
-    if str(text) in SENSORS.names():
-        return plan_of_sensor(str(text))
-    if str(text) in (own := _plans_of_sensors(str(text))):
-        return plan_from(own[str(text)], sensor)
+    if (plan := _named(str(text), sensor)) is not None:
+        return plan
     path = Path(text)
     if not path.exists():
         raise InputError(f"{text} is no file, and none of the plans {', '.join(PLANS)}")
+    fields = read_toml(path)
+    try:
+        return plan_from(fields, sensor)
+    except InputError as e:
+        raise InputError(f"{path}: {e}") from e
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The fields of a file that people write; of its first MiB.
+
+    Raises:
+        InputError: it is not TOML.
+        StorageError: it cannot be read.
+    """
     with storage_errors(path):
         data = path.read_bytes()[:_MAX_BYTES]
     try:
-        return plan_from(tomllib.loads(data.decode()), sensor)
+        return tomllib.loads(data.decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
         raise InputError(f"{path} is not TOML: {e}") from e
-    except InputError as e:
-        raise InputError(f"{path}: {e}") from e
 
 
 def plan_from(fields: Mapping[str, Any], sensor: Sensor | None = None) -> Known:

@@ -13,12 +13,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from palpate.rig.plans.press_places import Positive
 from palpate.rig.plans.recording_plan import (
     LESS,
+    MM,
     Aside,
     Burst,
     Count,
     Depth,
-    Done,
-    Over,
     Pause,
     PlannedPress,
     RecordingPlan,
@@ -26,11 +25,9 @@ from palpate.rig.plans.recording_plan import (
     Shot,
     Steps,
     Sweep,
-    TareStep,
 )
 
 UM = 1000  # micrometres in a millimetre
-MM = 1e-3
 
 
 class Lateral(BaseModel):
@@ -105,35 +102,24 @@ class StepHold(RecordingPlan):
         count = round(self.depth_mm / self.step_mm)
         return tuple(round(self.step_mm * i * UM) for i in range(1, max(1, count) + 1))
 
-    def steps(self, press: PlannedPress, done: Done) -> Steps:
-        """Approach, find contact, descend to the deepest shot that is missing, and record those that are."""
-        missing = self.missing(press, done)
-        if not missing:
-            return
-        place = press.place
-        yield Over(place.x_mm * MM, place.y_mm * MM)
-        yield TareStep()
-        left = dict(missing)
-        for shot in [one for one in left if one.phase == "reference"]:
-            yield Burst(shot, left.pop(shot))
-        if not left:
-            return
+    def _own_steps(self, left: dict[Shot, tuple[int, ...]]) -> Steps:
+        """Find contact, descend to the deepest shot that is missing, and record those that are."""
         yield Seek()
         up = any(shot.phase == "up" for shot in left)
         deepest = max(self.depths_um()) if up else max(shot.depth_um for shot in left)
         for depth in (d for d in self.depths_um() if d <= deepest):
             yield Depth(depth * 1e-6, self.press_mm_s * MM)
-            yield from self._at(depth, "down", left)
+            yield from self._at(depth, False, left)
         for depth in (d for d in reversed(self.depths_um()[:-1]) if up):
             yield Depth(depth * 1e-6, self.press_mm_s * MM)
-            yield from self._at(depth, "up", left)
+            yield from self._at(depth, True, left)
 
-    def _at(self, depth_um: int, phase: str, left: dict[Shot, tuple[int, ...]]) -> Steps:
-        here = {shot: frames for shot, frames in left.items() if shot.depth_um == depth_um}
-        if phase == "up":
-            here = {shot: frames for shot, frames in here.items() if shot.phase == "up"}
-        else:
-            here = {shot: frames for shot, frames in here.items() if shot.phase != "up"}
+    def _at(self, depth_um: int, up: bool, left: dict[Shot, tuple[int, ...]]) -> Steps:
+        here = {
+            shot: frames
+            for shot, frames in left.items()
+            if shot.depth_um == depth_um and (shot.phase == "up") is up
+        }
         if here and self.settle_s:
             yield Pause(self.settle_s)
         shifted = False
@@ -191,19 +177,11 @@ class Ramp(RecordingPlan):
         """None of it, where a force turns it round."""
         return self.depth_mm if self.until_N is None else 0.0
 
-    def steps(self, press: PlannedPress, done: Done) -> Steps:
-        """Over the place, the zero, the sweep, the wait."""
-        missing = self.missing(press, done)
-        if not missing:
-            return
-        yield Over(press.place.x_mm * MM, press.place.y_mm * MM)
-        yield TareStep()
-        for shot, frames in missing.items():
-            if shot.phase == "reference":
-                yield Burst(shot, frames)
-            else:
-                yield Sweep(shot, self.speed_mm_s * MM, self.depth_mm * MM, self.until_N)
-                yield Pause(self.wait_s)
+    def _own_steps(self, left: dict[Shot, tuple[int, ...]]) -> Steps:
+        """The sweep, the wait."""
+        for shot in left:
+            yield Sweep(shot, self.speed_mm_s * MM, self.depth_mm * MM, self.until_N)
+            yield Pause(self.wait_s)
 
     def _shots(self, press: PlannedPress) -> tuple[tuple[Shot, int], ...]:
         return ((Shot(self._named(press), press.cycle, "sweep", round(self.depth_mm * 1000)), 1),)
@@ -227,18 +205,10 @@ class SurfaceProbe(RecordingPlan):
         """Zero: it goes no deeper than contact."""
         return 0.0
 
-    def steps(self, press: PlannedPress, done: Done) -> Steps:
-        """Over the place, the zero, contact, frames."""
-        missing = self.missing(press, done)
-        if not missing:
-            return
-        yield Over(press.place.x_mm * MM, press.place.y_mm * MM)
-        yield TareStep()
-        for shot in [one for one in missing if one.phase == "reference"]:
-            yield Burst(shot, missing.pop(shot))
-        if missing:
-            yield Seek()
-        for shot, frames in missing.items():
+    def _own_steps(self, left: dict[Shot, tuple[int, ...]]) -> Steps:
+        """Contact, frames."""
+        yield Seek()
+        for shot, frames in left.items():
             yield Burst(shot, frames)
 
     def _shots(self, press: PlannedPress) -> tuple[tuple[Shot, int], ...]:

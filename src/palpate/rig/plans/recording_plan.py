@@ -119,6 +119,7 @@ Done = dict[str, frozenset[int]]
 """Shot's key -> which of its frames are recorded."""
 
 
+MM = 1e-3
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
 ROUND_ONE = re.compile(r"(?:sphere|punch|flat):(\d+(?:\.\d+)?)")
 LESS = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -245,8 +246,19 @@ class RecordingPlan(BaseModel):
         return ((reference, self.reference_frames), *own) if self.reference_frames else own
 
     def steps(self, press: PlannedPress, done: Done) -> Steps:
-        """Steps that record the missing frames of a press; none where none is missing."""
-        raise NotImplementedError
+        """Steps that record the missing frames of a press; none where none is missing.
+
+        Over the place, the zero, the frames of the untouched skin, and then what is the kind's own.
+        """
+        left = self.missing(press, done)
+        if not left:
+            return
+        yield Over(press.place.x_mm * MM, press.place.y_mm * MM)
+        yield TareStep()
+        for shot in [one for one in left if one.phase == "reference"]:
+            yield Burst(shot, left.pop(shot))
+        if left:
+            yield from self._own_steps(left)
 
     def missing(self, press: PlannedPress, done: Done) -> dict[Shot, tuple[int, ...]]:
         """The frames that are not recorded yet, by shot."""
@@ -255,6 +267,10 @@ class RecordingPlan(BaseModel):
             for shot, frames in self.shots(press)
             if (left := tuple(sorted(set(range(frames)) - done.get(shot.key, frozenset()))))
         }
+
+    def _own_steps(self, left: dict[Shot, tuple[int, ...]]) -> Steps:
+        """The steps of this kind of plan, with at least one of its shots left."""
+        raise NotImplementedError
 
     def _shots(self, press: PlannedPress) -> tuple[tuple[Shot, int], ...]:
         raise NotImplementedError
