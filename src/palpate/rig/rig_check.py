@@ -55,22 +55,17 @@ def check_rig(
     force = check_force_sensor(rig.force, clock=rig.clock, noise_n=noise_n, close=False)
     results = with_prefix("force", force)
     results += with_prefix("camera", check_camera(rig.camera, clock=rig.clock, close=False))
-    results += with_prefix("rig", [*gather("fitting", _fits(rig))])
-    results += with_prefix(
-        "stage", [*gather("the checks", _stage(rig, clear_m, all(one.ok for one in force)))]
-    )
+    results += with_prefix("rig", gather("fitting", _fits(rig)))
+    sensed = all(one.ok for one in force)
+    results += with_prefix("stage", gather("the checks", _stage(rig, clear_m, sensed)))
     if close:
-        near = rig.origin_m
-        results += with_prefix(
-            "stage",
-            [*gather("close", check_closing(rig.stage, lambda: rig.stage.move_to(near, 1e-4), "move_to"))],
-        )
-        results += with_prefix(
-            "force", [*gather("close", check_closing(rig.force, rig.force.latest, "latest()"))]
-        )
-        results += with_prefix(
-            "camera", [*gather("close", check_closing(rig.camera, rig.camera.grab, "grab()"))]
-        )
+        closings = {
+            "stage": check_closing(rig.stage, lambda: rig.stage.move_to(rig.origin_m, 1e-4), "move_to"),
+            "force": check_closing(rig.force, lambda: rig.force.latest(), "latest()"),
+            "camera": check_closing(rig.camera, lambda: rig.camera.grab(), "grab()"),
+        }
+        for device, closing in closings.items():
+            results += with_prefix(device, gather("close", closing))
     return results
 
 

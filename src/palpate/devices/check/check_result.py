@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,7 +58,7 @@ def measurement(name: str, measured: float, unit: str) -> CheckResult:
     return CheckResult(name, ok, float(measured), None, unit, "" if ok else f"{name}: not a finite number")
 
 
-def with_prefix(device: str, findings: list[CheckResult]) -> list[CheckResult]:
+def with_prefix(device: str, findings: Iterable[CheckResult]) -> list[CheckResult]:
     """Name the device in each of its findings."""
     return [replace(one, name=f"{device}: {one.name}") for one in findings]
 

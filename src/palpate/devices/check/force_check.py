@@ -185,7 +185,6 @@ class ForceStream:
     """Samples that a sensor gave over a time, and how it gave them.
 
     Attributes:
-        start_s, end_s: from when to when [s].
         samples: of all drains, in order.
         repeats: how many came a second time.
         unordered: drains that were not oldest first, or began before the last one's end.
@@ -196,8 +195,6 @@ class ForceStream:
         latest_lost: how often `latest` was in no drain.
     """
 
-    start_s: float = 0.0
-    end_s: float = 0.0
     samples: list[Wrench] = field(default_factory=list)
     repeats: int = 0
     unordered: int = 0
@@ -213,9 +210,9 @@ def listen(sensor: ForceSensor, clock: Clock, time_s: float) -> ForceStream:
     """Listen for a time, asking for the newest sample and for all that are new."""
     sensor.drain()  # what came before is of no interest, and may be too much
     clock.sleep(POLL_S)
-    stream = ForceStream(start_s=seconds(clock))
+    stream, start_s = ForceStream(), seconds(clock)
     counts: Counter[Wrench] = Counter()
-    while (now_s := seconds(clock)) - stream.start_s < time_s:
+    while (now_s := seconds(clock)) - start_s < time_s:
         newest = sensor.latest()
         call_s = seconds(clock)
         drained = sensor.drain()
@@ -224,7 +221,6 @@ def listen(sensor: ForceSensor, clock: Clock, time_s: float) -> ForceStream:
         stream.ages_s.append(call_s - newest.time_ns / NS_PER_S)
         _take(stream, counts, newest, drained, call_s)
         clock.sleep(POLL_S)
-    stream.end_s = seconds(clock)
     return stream
 
 
