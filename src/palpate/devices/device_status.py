@@ -100,12 +100,6 @@ def picture_of(image: Image) -> dict[str, Any]:
     return {"jpeg": base64.b64encode(data.tobytes()).decode(), "size_px": [width, height]}
 
 
-def relative_mm(at_m: Position, origin_m: Position) -> Position:
-    """Position from the layer's centre at its expected surface [mm]."""
-    x, y, z = (1e3 * float(d) for d in np.subtract(at_m, origin_m))
-    return x, y, z
-
-
 KEPT = 500
 Kind = Literal["rig", "operator", "place", "fault"]
 

@@ -138,7 +138,7 @@ class Acquisition:
     def _labels(self, shot: Shot, k: int, time_ns: int, exposure_s: float) -> dict[str, Label]:
         press, force = self._press, self._mean_force(time_ns, exposure_s)
         at = self._guard.position_m()
-        x, y, z = (1e3 * float(d) for d in np.subtract(at, self._rig.origin_m))
+        x, y, z = self._rig.from_origin_mm(at)
         zero = self._motion.zero_m
         depth = 0.0 if zero is None else 1e3 * (at[2] - zero)
         labels: dict[str, Label] = {

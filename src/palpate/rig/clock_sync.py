@@ -98,10 +98,8 @@ class ClockSync:
         force_ns, force = np.array([at for at, _ in self._force]), np.array([n for _, n in self._force])
         if not self._frames:
             raise Tripped(Reason.CAMERA, "not a single frame came while the probe tapped")
-        frame_ns, change = (
-            np.array([at for at, _ in self._frames]),
-            most_telling([p for _, p in self._frames]),
-        )
+        frame_ns = np.array([at for at, _ in self._frames])
+        change = most_telling([pixels for _, pixels in self._frames])
         begun = min(int(force_ns[0]), int(frame_ns[0]))
         try:
             offset = offset_between(

@@ -8,15 +8,13 @@ where it was left without testing the force.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import assert_never
 
-import numpy as np
-
-from palpate.core import DeviceError, PalpateError, PathText, Position, StorageError
+from palpate.core import DeviceError, PalpateError, PathText, StorageError
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.motion_guard import MotionGuard
 from palpate.devices.motion_limits import Reason, Tripped
@@ -95,9 +93,8 @@ class Engine:
     def run(self) -> Outcome:
         """Record all that is missing, or as much as can be; the probe is lifted at the end."""
         self._recorder.event(PLAN, hash=self._plan.hash, plan=self._plan.model_dump(mode="json"))
-        self._recorder.event(
-            "rig", name=self._rig.name, origin_m=self._rig.origin_m, limits=_plain(self._rig)
-        )
+        rig = self._rig
+        self._recorder.event("rig", name=rig.name, origin_m=rig.origin_m, limits=asdict(rig.limits))
         self._turn(State.RUNNING, "begun")
         try:
             for press in self._plan.presses():
@@ -235,7 +232,7 @@ class Engine:
         planned = sum(self._planned)
         status = Status(self._state, self._message, self._shots, planned, self._left_s(now_s))
         with _quietly():
-            force, at = self._guard.force_n, self._relative(self._guard.position_m())
+            force, at = self._guard.force_n, self._rig.from_origin_mm(self._guard.position_m())
             status = replace(status, force_n=force, position_mm=at)
         self._watch(status)
 
@@ -244,23 +241,10 @@ class Engine:
         new = self._shots - before
         return (now_s - begun_s) / new * (sum(self._planned) - self._shots) if new else None
 
-    def _relative(self, at: Position) -> Position:
-        x, y, z = (1e3 * float(d) for d in np.subtract(at, self._rig.origin_m))
-        return x, y, z
 
-
-def _plain(rig: Rig) -> dict[str, object]:
-    limits = rig.limits
-    return {name: getattr(limits, name) for name in limits.__slots__}
-
-
-@contextmanager
-def _quietly() -> Iterator[None]:
+def _quietly() -> AbstractContextManager[None]:
     """Suppress what fails on the way out, so that it hides nothing of why it is left."""
-    try:
-        yield
-    except (PalpateError, OperatorInterrupt):
-        return
+    return suppress(PalpateError, OperatorInterrupt)
 
 
 def record(

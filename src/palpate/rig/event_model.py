@@ -115,30 +115,20 @@ class _Session:
         keys = {name: _data_key(name, value) for name, value in data.items()}
         layout = json.dumps(keys, sort_keys=True)
         if (stream, layout) not in self._descriptors:  # a new kind, or one whose fields have changed
-            made = self._descriptors[stream, layout] = self._uid("descriptor", stream, layout)
-            yield (
-                "descriptor",
-                {
-                    "uid": made,
-                    "run_start": self._start_uid,
-                    "time": time_s,
-                    "name": stream,
-                    "data_keys": keys,
-                },
-            )
+            uid = self._descriptors[stream, layout] = self._uid("descriptor", stream, layout)
+            about = {"uid": uid, "run_start": self._start_uid, "time": time_s}
+            yield "descriptor", {**about, "name": stream, "data_keys": keys}
         self._counts[stream] += 1
-        yield (
-            "event",
-            {
-                "uid": self._uid("event", stream, str(self._counts[stream])),
-                "descriptor": self._descriptors[stream, layout],
-                "time": time_s,
-                "seq_num": self._counts[stream],
-                "data": data,
-                "timestamps": dict.fromkeys(data, time_s),
-                "filled": {},
-            },
-        )
+        event = {
+            "uid": self._uid("event", stream, str(self._counts[stream])),
+            "descriptor": self._descriptors[stream, layout],
+            "time": time_s,
+            "seq_num": self._counts[stream],
+            "data": data,
+            "timestamps": dict.fromkeys(data, time_s),
+            "filled": {},
+        }
+        yield "event", event
 
     def _stop(self, end_ns: int, events: list[tuple[int, str, dict[str, Any]]]) -> dict[str, Any]:
         ended = [

@@ -81,6 +81,11 @@ class Rig:
     known_m: Callable[[str, bool], float] = unlimited
     design: Sensor | None = None
 
+    def from_origin_mm(self, at_m: Position) -> Position:
+        """A place of the stage, from the layer's centre at its expected surface [mm]."""
+        x, y, z = (1e3 * float(at - origin) for at, origin in zip(at_m, self.origin_m, strict=True))
+        return x, y, z
+
     def close(self) -> None:
         """Let go of every device, the stage first; all are tried."""
         failed: list[Exception] = []

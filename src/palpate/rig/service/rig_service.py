@@ -7,8 +7,8 @@ recorded, the devices are read a few times a second.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,9 @@ class RigMonitor:
     Args:
         opened: the rig; closed by `close`.
         paused: whether whoever has the devices wants no frames just now.
+
+    Attributes:
+        turn: a lock, held by whoever has the devices for itself alone.
     """
 
     def __init__(self, opened: ServedRig, paused: Callable[[], bool]) -> None:
@@ -51,18 +54,12 @@ class RigMonitor:
         self.rig = replace(rig, stage=self.stage, force=self.force, camera=self.camera)
         self._opened = opened
         self._paused = paused
-        self._turn = threading.Lock()
+        self.turn = threading.Lock()
         self._closing = threading.Event()
         self._at_mm: Position | None = None
         self._bias: Force | None = None
         self._watcher = threading.Thread(target=self._rest, name="palpate-rig-rest", daemon=True)
         self._watcher.start()
-
-    @contextmanager
-    def taken(self) -> Iterator[None]:
-        """Reserve the devices for the caller alone."""
-        with self._turn:
-            yield
 
     def close(self) -> None:
         """Close the devices."""
@@ -116,11 +113,11 @@ class RigMonitor:
     def _rest(self) -> None:
         looks = 0
         while not self._closing.is_set():
-            if self._turn.acquire(blocking=False):
+            if self.turn.acquire(blocking=False):
                 try:
                     self._look(looks)
                 finally:
-                    self._turn.release()
+                    self.turn.release()
             elif self._opened.real_time and self._paused():
                 self._grab()  # the camera's tap lets one in at a time
             looks += 1
@@ -129,24 +126,16 @@ class RigMonitor:
     def _look(self, looks: int) -> None:
         if not self._opened.real_time:
             self.rig.clock.sleep(LOOK_S)
-        _tried(self.force.drain)
-        _tried(self._where)
+        with suppress(PalpateError):  # the device's proxy reports it, and it is read again
+            self.force.drain()
+        with suppress(PalpateError):
+            self._at_mm = self.rig.from_origin_mm(self.stage.position_m())
         if looks % PICTURE_EVERY == 0:
             self._grab()
 
     def _grab(self) -> None:
-        _tried(lambda: self.camera.grab(GRAB_S))
-
-    def _where(self) -> None:
-        self._at_mm = device_status.relative_mm(self.stage.position_m(), self.rig.origin_m)
-
-
-def _tried(look: Callable[[], object]) -> None:
-    """Read a device; one that fails while the rig rests is reported by its proxy, and read again."""
-    try:
-        look()
-    except PalpateError:
-        return
+        with suppress(PalpateError):
+            self.camera.grab(GRAB_S)
 
 
 BEGIN_S = 15.0  # in which a recording has begun, or has been refused
@@ -319,7 +308,7 @@ class RigService:
 
     def _record(self, plan: AnyPlan, path: Path, control: OperatorControl) -> None:
         try:
-            with self._devices.taken():
+            with self._devices.turn:
                 outcome = record(self._rig, plan, path, control=control, watch=self._update)
         except PalpateError as e:
             self._failed(e)

@@ -24,15 +24,19 @@ class ServedRig:
     real_time: bool = True
 
 
-def open_served_rig(name: str, *, accelerated: bool = False, seed: int = 0) -> ServedRig:
+def open_served_rig(name: str, *, accelerated: bool = False) -> ServedRig:
     """Open a rig.
 
     Args:
         name: "virtual:" and a sensor's name, or the path of a rig's file.
         accelerated: let the virtual rig's time run as fast as the machine can; a file says so itself.
-        seed: of a virtual rig; a file says so itself.
     """
-    return _virtual(name, accelerated, seed) if is_virtual(name) else _of_file(Path(name))
+    if not is_virtual(name):
+        file = read_rig(Path(name))
+        return ServedRig(rig_from(file), file.virtual is None or file.virtual.real_time)
+    clock: Clock = ManualClock() if accelerated else MonotonicClock()
+    rig = virtual_rig(sensor_named(name), clock=clock, age_s=REAL_TIME_AGE_S)
+    return ServedRig(rig, not accelerated)
 
 
 def rig_name(rig: str) -> str:
@@ -42,14 +46,3 @@ def rig_name(rig: str) -> str:
         return rig
     read_rig(Path(rig))
     return str(Path(rig).resolve())
-
-
-def _virtual(name: str, accelerated: bool, seed: int) -> ServedRig:
-    clock: Clock = ManualClock() if accelerated else MonotonicClock()
-    rig = virtual_rig(sensor_named(name), clock=clock, seed=seed, age_s=REAL_TIME_AGE_S)
-    return ServedRig(rig, not accelerated)
-
-
-def _of_file(path: Path) -> ServedRig:
-    file = read_rig(path)
-    return ServedRig(rig_from(file), file.virtual is None or file.virtual.real_time)

@@ -140,7 +140,7 @@ class GrblLink:
         self._writing = threading.RLock()  # held for the bytes of one line, never while waiting
         self._turn, self._asking = threading.RLock(), threading.RLock()
         self._news = threading.Condition()
-        self._dead = ""
+        self.dead = ""  # why nothing can be sent any more; empty while it can
         self._closing = False
         self._replies: deque[Ok | Failed] = deque(maxlen=KEPT)
         self._pushed: deque[Line] = deque(maxlen=KEPT)
@@ -150,16 +150,11 @@ class GrblLink:
         self.banners = 0
         self.firmware = ""  # as the last banner named it
         self.garbage = 0  # lines that are not GRBL's
-        self.alarm: int | None = None  # the last one, until `forget_alarm`; a reset does not undo it
-        self.restless = False  # a line that can move something went out since `settled`
+        self.alarm: int | None = None  # the last one, until it is dealt with; a reset does not undo it
+        self.restless = False  # a line that can move something went out since it was seen to stand
         self.out_of_step = False  # an answer may still come for a line given up
         self._reader = threading.Thread(target=self._read, name="grbl reader", daemon=True)
         self._reader.start()
-
-    @property
-    def dead(self) -> str:
-        """Why nothing can be sent any more; empty while it can."""
-        return self._dead
 
     def command(
         self, line: str, *, timeout_s: float | None = None, halts: int | None = None, moves: bool = False
@@ -224,7 +219,7 @@ class GrblLink:
         """Hold what a line may have set moving, and recall lines not sent yet; waits for no answer.
 
         Returns:
-            Whether a hold was sent: not where nothing that moves was sent since `settled`.
+            Whether a hold was sent: not where nothing that moves was sent since it stood.
         """
         with self._writing:
             self.halts += 1
@@ -237,10 +232,6 @@ class GrblLink:
     def hold(self) -> None:
         """Send a hold."""
         self._write(HOLD)
-
-    def settled(self) -> None:
-        """Note that it stands, with nothing in flight."""
-        self.restless = False
 
     def reset(self) -> bool:
         """Reset the controller, and wait for its banner; answers still due are forgotten.
@@ -264,10 +255,6 @@ class GrblLink:
         """
         return self._wait(lambda: self.banners > 0, timeout_s)
 
-    def forget_alarm(self) -> None:
-        """Take the last alarm as dealt with."""
-        self.alarm = None
-
     def close(self) -> None:
         """End the reading thread and let go of the port. Closing again does nothing."""
         self._closing = True
@@ -279,34 +266,34 @@ class GrblLink:
     def _wait(self, until: Callable[[], object], timeout_s: float | None) -> bool:
         with self._news:
             came = self._news.wait_for(
-                lambda: self._dead or until(), self._reply_s if timeout_s is None else timeout_s
+                lambda: self.dead or until(), self._reply_s if timeout_s is None else timeout_s
             )
-            if self._dead:
-                raise DeviceError(self._dead)
+            if self.dead:
+                raise DeviceError(self.dead)
             return bool(came)
 
     def _write(self, data: bytes) -> None:
         with self._writing:
-            if self._dead:
-                raise DeviceError(self._dead)
+            if self.dead:
+                raise DeviceError(self.dead)
             try:
                 sent = self._port.write(data)
             except Exception as error:  # each system and adapter has its own kinds
                 self._bury(f"the stage's port failed on writing ({error}); check cable and power")
-                raise DeviceError(self._dead) from error
+                raise DeviceError(self.dead) from error
             if sent != len(data):
                 self._bury(f"the stage's port took {sent} of {len(data)} bytes; check cable and power")
-                raise DeviceError(self._dead)
+                raise DeviceError(self.dead)
 
     def _bury(self, why: str) -> None:
         with self._news:
-            self._dead = self._dead or why
+            self.dead = self.dead or why
             self._news.notify_all()
 
     def _read(self) -> None:
         splitter = Splitter()
         try:
-            while not self._closing and not self._dead:
+            while not self._closing and not self.dead:
                 data = self._port.read(min(max(self._port.in_waiting, 1), READ_AT_MOST))
                 for line in splitter.feed(data):
                     self._take(line)

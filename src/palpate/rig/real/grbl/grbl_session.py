@@ -96,7 +96,7 @@ class GrblSession:
     def settle(self, place_mm: Millimetres) -> None:
         """Note that it stands here, with no move in flight."""
         self.move, self._stood_mm, self.homing = None, place_mm, False
-        self.link.settled()
+        self.link.restless = False
 
     def found(self, mount: Mount) -> None:
         """Take its place as known again, in this frame."""
@@ -233,7 +233,7 @@ class GrblSession:
                 self.reset()
         machine = read_machine(self.link)
         self._boots = self.link.banners
-        self.link.forget_alarm()
+        self.link.alarm = None
         return machine
 
     def _check_restart(self) -> None:

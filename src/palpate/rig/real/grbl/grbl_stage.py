@@ -96,7 +96,7 @@ class GrblStage:
                 self._link.command(line, halts=halts, moves=True)
             except RefusedError:
                 self._session.move = None
-                self._link.settled()
+                self._link.restless = False
                 raise
             except CutOffError:
                 if not self._link.restless:  # recalled before it was sent
@@ -219,7 +219,7 @@ def _home(session: GrblSession, halts: int) -> None:
         status = _await_homed(session, halts)
     except RefusedError:
         session.homing = False
-        link.settled()
+        link.restless = False
         raise
     except SilenceError:
         session.bring_to_stand()
@@ -247,7 +247,7 @@ def _clear(session: GrblSession) -> str:
         raise DeviceError(f"the stage is in {status.state}, not idle; stop() it first")
     if status is None or link.out_of_step:  # and some end by a reset alone
         session.reset()
-    link.forget_alarm()
+    link.alarm = None
     return "" if alarm is None else alarm_name(alarm)
 
 
