@@ -8,14 +8,29 @@ from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.recordings.run_reader import Run
 from palpate.rig.plans import Listed, StepHold
 from palpate.rig.rig import Rig
-from palpate.rig.virtual import Fault, virtual_rig
-from palpate.rig.virtual.disturbances import IDEAL
+from palpate.rig.virtual import Fault, Variation, virtual_rig
 from palpate.sensors import palm
 from palpate.sensors.palm.palm_sensor import Palm
 
 SPEC = palm.cropped(palm.palm(), 16, "tiny")
 CLOCK_NS = 100 * NS_PER_S
 CLEARANCE_MM = 0.4
+IDEAL = Variation(
+    seating_m=0.0,
+    place_m=0.0,
+    tilt_rad=(0.0, 0.0),
+    lean=(0.0, 0.0),
+    lean_spread=(0.0, 0.0),
+    lamp=0.0,
+    shift_px=0.0,
+    backlash_m=0.0,
+    force_noise_n=1e-4,
+    force_drift_n=0.0,
+    force_step_n=0.0,
+    frame_jitter_s=0.0,
+    relaxation=(),
+)
+"""Nothing varies: for tests of everything else."""
 
 
 def rig(*faults: Fault, **kwargs: Any) -> Rig:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from tests.rig.rigs import SPEC, plan, rig
+from tests.rig.rigs import IDEAL, SPEC, plan, rig
 
 from palpate.core.errors import InputError, RecordingError
 from palpate.recordings.run_reader import Run
@@ -13,7 +13,6 @@ from palpate.rig import PLANS, State, record
 from palpate.rig.locate_specimen import SpecimenPlacement, locate_specimen
 from palpate.rig.plans import Around
 from palpate.rig.virtual import Variation
-from palpate.rig.virtual.disturbances import IDEAL
 
 AROUND = PLANS["layer"].model_copy(update={"travel_mm_s": 50.0})
 ZERO_MM = 0.12  # from first touch to where 0.05 N is passed, with half a step of the search

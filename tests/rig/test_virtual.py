@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from tests.rig.rigs import IDEAL
 
 from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.core.errors import DeviceError, RangeError
 from palpate.rig.rig import Rig
 from palpate.rig.virtual import Variation, virtual_rig
-from palpate.rig.virtual.disturbances import IDEAL
 from palpate.rig.virtual.straight_motion import Motion
 from palpate.rig.virtual.virtual_world import ViscoelasticSkin
 from palpate.sensors import palm

@@ -107,24 +107,6 @@ class Variation:
     relaxation: tuple[tuple[float, float], ...] = ((0.06, 0.2), (0.05, 5.0))
 
 
-IDEAL = Variation(
-    seating_m=0.0,
-    place_m=0.0,
-    tilt_rad=(0.0, 0.0),
-    lean=(0.0, 0.0),
-    lean_spread=(0.0, 0.0),
-    lamp=0.0,
-    shift_px=0.0,
-    backlash_m=0.0,
-    force_noise_n=1e-4,
-    force_drift_n=0.0,
-    force_step_n=0.0,
-    frame_jitter_s=0.0,
-    relaxation=(),
-)
-"""Nothing varies: for tests of everything else."""
-
-
 @dataclass(frozen=True, slots=True)
 class Approach:
     """Variation of one approach of one place.

@@ -74,30 +74,12 @@ def virtual_rig(
     vary = _variation(made, name) if variation is None else variation
     travel = TRAVEL if made.moves == "probe" else CARRYING
     world = World(made, clock, travel, ORIGIN_M, vary, force_hz, seed, faults, askew_m)
-    force = VirtualForce(world)
     truths = TRUTHS if made.moves == "probe" else (*TRUTHS, AREA)
-
-    def truth(time_ns: int) -> dict[str, float]:
-        """Labels at the middle of the exposure of a frame's time."""
-        touch = world.touch_at(time_ns / 1e9 - TRANSPORT_S - made.exposure_s / 2)
-        if touch is None:
-            return dict.fromkeys(truths, 0.0)
-        area_mm2 = 1e6 * math.pi * world.radius_at(touch.depth_m) ** 2
-        values = (max(touch.depth_m, 0.0) * 1e3, touch.force_n[2], area_mm2)
-        return dict(zip(truths, values, strict=False))
-
-    def fit(indenter: str) -> bool:
-        world.fit(indenter)
-        return True
-
-    def known_m(indenter: str, lateral: bool) -> float:
-        return made.known_depth_m(made.probe(indenter), made.specimen(indenter), lateral=lateral)
-
     return Rig(
         name=name,
         sensor=f"virtual {made.name}",
+        force=VirtualForce(world),  # first: it lets time pass
         stage=VirtualStage(world),
-        force=force,
         camera=VirtualCamera(world),
         limits=limits or _limits(travel, age_s),
         origin_m=ORIGIN_M,
@@ -106,12 +88,22 @@ def virtual_rig(
         licence="CC0-1.0",
         origin="recorded on palpate's virtual rig; virtual, not measured",
         seed=seed,
-        truth=truth,
+        truth=lambda time_ns: _truth(world, truths, time_ns),
         truths=truths,
-        fit=fit,
-        known_m=known_m,
+        fit=world.fit,
+        known_m=world.known_m,
         design=made,
     )
+
+
+def _truth(world: World, truths: tuple[str, ...], time_ns: int) -> dict[str, float]:
+    """Labels at the middle of the exposure of a frame's time."""
+    touch = world.touch_at(time_ns / 1e9 - TRANSPORT_S - world.sensor.exposure_s / 2)
+    if touch is None:
+        return dict.fromkeys(truths, 0.0)
+    area_mm2 = 1e6 * math.pi * world.radius_at(touch.depth_m) ** 2
+    values = (max(touch.depth_m, 0.0) * 1e3, touch.force_n[2], area_mm2)
+    return dict(zip(truths, values, strict=False))
 
 
 def _limits(travel: Travel, age_s: float | None) -> Limits:

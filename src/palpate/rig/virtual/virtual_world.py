@@ -183,13 +183,19 @@ class World:
         self.touches: deque[Touch] = deque()
         self._fresh: deque[Touch] = deque(maxlen=MAX_FRESH)
 
-    def fit(self, indenter: str) -> None:
-        """Change what touches the skin, in the air."""
+    def fit(self, indenter: str) -> bool:
+        """Change what touches the skin, in the air; no person has to."""
         self.probe: Probe = self.sensor.probe(indenter)
         self.specimen: Specimen | None = self.sensor.specimen(indenter)
         self._skin = ViscoelasticSkin(
             force_law(self.sensor, self.probe, self.specimen), self.variation.relaxation
         )
+        return True
+
+    def known_m(self, indenter: str, lateral: bool) -> float:
+        """Depth to which the skin has a law under an indenter, with a lateral load or without [m]."""
+        sensor = self.sensor
+        return sensor.known_depth_m(sensor.probe(indenter), sensor.specimen(indenter), lateral=lateral)
 
     def earlier(self, time_s: float) -> tuple[EarlierPress, ...]:
         """The presses that are over at a time, of those that are remembered."""
