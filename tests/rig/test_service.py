@@ -16,7 +16,7 @@ from palpate.core import InputError, RecordingError
 from palpate.core.errors import DeviceError, ProtocolError, SafetyError
 from palpate.devices.device_proxies import StageProxy
 from palpate.devices.operator_control import OperatorInterrupt
-from palpate.devices.rpc import ASKED_BYTES, Address, Lines, decode, find, hold, publish
+from palpate.devices.rpc import ASKED_BYTES, Address, Lines, decode_message, find, hold, publish
 from palpate.recordings import Run
 from palpate.rig.plans import plan_from
 from palpate.rig.run_progress import done_in
@@ -95,7 +95,7 @@ def replies(connection, count):
     """The next replies; what is pushed is left out."""
     found, lines = [], Lines(1 << 24)
     while len(found) < count and (data := connection.recv(1 << 16)):
-        found += [m for line in lines.feed(data) if line and "push" not in (m := decode(line))]
+        found += [m for line in lines.feed(data) if line and "push" not in (m := decode_message(line))]
     return found
 
 
@@ -214,7 +214,7 @@ def test_any_bytes_from_anybody_leave_the_service_as_it_was(quick, rng):
 @given(st.binary(max_size=300))
 def test_a_line_is_a_message_or_a_protocol_error(data):
     with suppress(ProtocolError):
-        assert isinstance(decode(data), dict)
+        assert isinstance(decode_message(data), dict)
 
 
 def test_who_does_not_say_the_token_moves_nothing_and_is_told_nothing(quick):

@@ -89,7 +89,7 @@ def force_series(force: ForceProxy, mounting: Mounting, bias: Force, now_ns: int
     return ages | {axis: pairs[:, i].tolist() for i, axis in enumerate("xyz")}
 
 
-def picture_of(image: Image) -> dict[str, Any]:
+def jpeg_of(image: Image) -> dict[str, Any]:
     """A JPEG in base64, not wider than `MAX_PX`, with the image's own size [px]."""
     height, width = image.shape[:2]
     rows = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)

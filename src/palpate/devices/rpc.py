@@ -111,7 +111,7 @@ SAID_BYTES = 16 * 1024 * 1024
 """Longest line that a client reads: a large picture."""
 
 
-def encode(message: Mapping[str, Any]) -> bytes:
+def encode_message(message: Mapping[str, Any]) -> bytes:
     """A message as a line.
 
     Raises:
@@ -120,7 +120,7 @@ def encode(message: Mapping[str, Any]) -> bytes:
     return json.dumps(message, allow_nan=False, separators=(",", ":")).encode() + b"\n"
 
 
-def decode(line: bytes) -> dict[str, Any]:
+def decode_message(line: bytes) -> dict[str, Any]:
     """A line as a message.
 
     Raises:

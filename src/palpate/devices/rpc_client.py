@@ -17,7 +17,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from palpate.core import DeviceError, PalpateError, ProtocolError, errors, storage_errors
-from palpate.devices.rpc import SAID_BYTES, Address, Lines, decode, encode, find, path_of
+from palpate.devices.rpc import SAID_BYTES, Address, Lines, decode_message, encode_message, find, path_of
 
 HOST = "127.0.0.1"
 CONNECT_S = 2.0
@@ -129,7 +129,7 @@ class RpcClient:
         return reply["result"]
 
     def _send(self, message: Mapping[str, Any]) -> None:
-        line = encode(message)
+        line = encode_message(message)
         with self._sending:
             if self._socket is None:
                 raise DeviceError(f"the process of the rig {self._name} cannot be reached; is it running?")
@@ -150,13 +150,13 @@ class RpcClient:
     def _stay(self, address: Address) -> None:
         with socket.create_connection((HOST, address.port), CONNECT_S) as connection:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            connection.sendall(encode({"token": address.token, "id": 0}))
+            connection.sendall(encode_message({"token": address.token, "id": 0}))
             lines, admitted = Lines(SAID_BYTES), False
             while data := connection.recv(CHUNK):
                 for line in lines.feed(data):
                     if line is None:
                         continue
-                    message = decode(line)
+                    message = decode_message(line)
                     if not admitted:
                         if not message.get("ok"):
                             raise ProtocolError(str(message.get("error")))
@@ -202,7 +202,7 @@ START_LOOK_S = 0.05
 TAIL = 400  # characters of what the process said
 
 
-def launch(
+def launch_process(
     name: str, words: Sequence[str], folder: Path | None = None
 ) -> tuple[subprocess.Popen[bytes], Address]:
     """Start the process and wait until it can be reached. It outlives its starter, and its terminal.

@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from palpate.core import InputError, PalpateError, ProtocolError
-from palpate.devices.rpc import ASKED_BYTES, Lines, decode, encode
+from palpate.devices.rpc import ASKED_BYTES, Lines, decode_message, encode_message
 
 MAX_REPLIES = 1000  # that a client may leave unread
 
@@ -39,7 +39,7 @@ class Outbox:
 
     def reply(self, message: Mapping[str, Any]) -> None:
         """Send it in order; a client that lets too many lie is dropped."""
-        line = encode(message)
+        line = encode_message(message)
         with self._changed:
             self._replies.append(line)
             full = len(self._replies) > MAX_REPLIES
@@ -180,13 +180,13 @@ class RpcServer:
         if not watching:
             return latest
         self.serial += 1  # before it is looked at: what was done by then is in it
-        status = encode({"push": "status", "serial": self.serial, **self._status()})
+        status = encode_message({"push": "status", "serial": self.serial, **self._status()})
         picture = self._picture(latest if all(out.pictured for out in watching) else -1)
         for out in watching:
             out.push("status", status)
         if picture is None:
             return latest
-        line = encode({"push": "picture", **picture})
+        line = encode_message({"push": "picture", **picture})
         for out in watching:
             out.push("picture", line)
             out.pictured = True
@@ -234,7 +234,7 @@ class _Connection:
         try:
             if line is None:
                 raise ProtocolError(f"a line longer than {ASKED_BYTES} bytes; send shorter ones")
-            request = decode(line)
+            request = decode_message(line)
             if not self.admitted:
                 self._admit(request)
                 self._reply(request, {"rig": self._server.name})
@@ -298,7 +298,7 @@ def _id(request: Mapping[str, Any]) -> int | None:
     return number if isinstance(number, int) and abs(number) < 1 << 53 else None
 
 
-def field_of(request: Mapping[str, Any], name: str, kinds: tuple[type, ...]) -> Any:
+def request_field(request: Mapping[str, Any], name: str, kinds: tuple[type, ...]) -> Any:
     """A field of a request.
 
     Raises:

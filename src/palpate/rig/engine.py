@@ -296,13 +296,13 @@ def manifest_of(rig: Rig, plan: RecordingPlan) -> Manifest:
         licence=rig.licence,
         origin=rig.origin,
         labels={**LABELS, **truths},  # type: ignore[dict-item]
-        targets=targets_of(plan),
+        targets=plan_targets(plan),
         regions=dict(rig.regions),
         seed=rig.seed,
     )
 
 
-def targets_of(plan: RecordingPlan) -> tuple[str, ...]:
+def plan_targets(plan: RecordingPlan) -> tuple[str, ...]:
     """The labels that differ between a plan's presses, and so can be learnt from them."""
     if plan.deepest_mm == 0:
         return ()

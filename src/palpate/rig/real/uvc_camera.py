@@ -168,7 +168,7 @@ class VideoSource(Protocol):
     def release(self) -> None: ...
 
 
-def open_source(where: str | int) -> VideoSource:
+def open_video_source(where: str | int) -> VideoSource:
     """The camera there, by Video4Linux where there is one."""
     return cv2.VideoCapture(where, cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY)
 
@@ -233,7 +233,7 @@ class UvcCamera:
         address: str | int = 0,
         settings: UvcSettings | None = None,
         clock: Clock | None = None,
-        opener: Callable[[str | int], VideoSource] = open_source,
+        opener: Callable[[str | int], VideoSource] = open_video_source,
     ) -> None:
         """Open the camera.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.devices.rpc import Address
-from palpate.devices.rpc_client import RpcClient, launch as launch_process
+from palpate.devices.rpc_client import RpcClient, launch_process
 
 ESTOP_S = 5.0
 

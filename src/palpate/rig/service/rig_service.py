@@ -22,7 +22,7 @@ from palpate.devices.device_status import Kind, Log
 from palpate.devices.force_bias import Force
 from palpate.devices.motion_limits import Tripped
 from palpate.devices.operator_control import OperatorCommand, OperatorControl
-from palpate.devices.rpc_server import Request, RpcServer, field_of
+from palpate.devices.rpc_server import Request, RpcServer, request_field
 from palpate.rig.engine import record
 from palpate.rig.plans import PLANS, Known, StepHold, plan_from, plan_of, size_of
 from palpate.rig.press_motion import check_plan
@@ -101,7 +101,7 @@ class RigMonitor:
         if newest is None or count <= after:
             return None
         time_ns, frame = newest
-        return {"number": count, "time_ns": time_ns, **device_status.picture_of(frame.image)}
+        return {"number": count, "time_ns": time_ns, **device_status.jpeg_of(frame.image)}
 
     def _force_now(self, bias: Force) -> list[float] | None:
         recent = self.force.recent()
@@ -430,8 +430,8 @@ class RigServer(RpcServer):
             "status": lambda _: service.status(),
         }
         slow: dict[str, Request] = {
-            "plan": lambda request: service.plan(field_of(request, "plan", (str, dict))),
-            "start": lambda request: service.start(field_of(request, "out", (str,))),
+            "plan": lambda request: service.plan(request_field(request, "plan", (str, dict))),
+            "start": lambda request: service.start(request_field(request, "out", (str,))),
             "release": lambda _: service.release(),
             "shutdown": lambda _: self._shutdown(),
         }

@@ -66,25 +66,25 @@ def virtual_rig(
         askew_m: where the skin lies, from where the rig believes it to be.
     """
     name = f"{PREFIX}{sensor if isinstance(sensor, str) else sensor.name}"
-    made = for_rig(sensor_of(sensor)) if isinstance(sensor, str) else sensor
-    broken = frame_faults(made)
-    if broken:
-        raise InputError(f"{name} cannot be driven, it breaks its contract: {'; '.join(broken)}")
+    design = for_rig(sensor_of(sensor)) if isinstance(sensor, str) else sensor
+    violations = frame_faults(design)
+    if violations:
+        raise InputError(f"{name} cannot be driven, it breaks its contract: {'; '.join(violations)}")
     clock = clock or ManualClock()
-    vary = _variation(made, name) if variation is None else variation
-    travel = TRAVEL if made.moves == "probe" else CARRYING
-    world = World(made, clock, travel, ORIGIN_M, vary, force_hz, seed, faults, askew_m)
-    truths = TRUTHS if made.moves == "probe" else (*TRUTHS, AREA)
+    vary = _variation(design, name) if variation is None else variation
+    travel = TRAVEL if design.moves == "probe" else CARRYING
+    world = World(design, clock, travel, ORIGIN_M, vary, force_hz, seed, faults, askew_m)
+    truths = TRUTHS if design.moves == "probe" else (*TRUTHS, AREA)
     return Rig(
         name=name,
-        sensor=f"virtual {made.name}",
+        sensor=f"virtual {design.name}",
         force=VirtualForce(world),  # first: it lets time pass
         stage=VirtualStage(world),
         camera=VirtualCamera(world),
         limits=limits or _limits(travel, age_s),
         origin_m=ORIGIN_M,
         clock=clock,
-        regions=tuple(Region(*one) for one in made.regions().items()),
+        regions=tuple(Region(*one) for one in design.regions().items()),
         licence="CC0-1.0",
         origin="recorded on palpate's virtual rig; virtual, not measured",
         seed=seed,
@@ -92,7 +92,7 @@ def virtual_rig(
         truths=truths,
         fit=world.fit,
         known_m=world.known_m,
-        design=made,
+        design=design,
     )
 
 

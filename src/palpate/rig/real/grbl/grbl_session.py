@@ -98,7 +98,7 @@ class GrblSession:
         self.move, self._stood_mm, self.homing = None, place_mm, False
         self.link.restless = False
 
-    def found(self, mount: Mount) -> None:
+    def regain(self, mount: Mount) -> None:
         """Take its place as known again, in this frame."""
         self.lost, self.mount = "", mount
 

@@ -173,7 +173,7 @@ class GrblStage:
             mount = self._session.mount
             mount = mount.at_origin() if position_m is None else mount.placed(place_mm, position_m)
             self._session.settle(place_mm)
-            self._session.found(mount)
+            self._session.regain(mount)
 
     def close(self) -> None:
         """Stop, and let go of the port. Closing again does nothing."""
@@ -232,7 +232,7 @@ def _home(session: GrblSession, halts: int) -> None:
     session.settle(place_mm)
     session.unlocked = False
     session.homed = True if session.homed is None else session.homed
-    session.found(session.mount.at_origin())
+    session.regain(session.mount.at_origin())
 
 
 def _clear(session: GrblSession) -> str:
