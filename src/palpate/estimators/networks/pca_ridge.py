@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import onnx
@@ -45,7 +46,15 @@ class FittedLinear:
 class MeanBaseline:
     """Learns nothing but the mean of the training set: what any other model must beat."""
 
-    def fit(self, data: TrainingData, rows: Indices, **unused: object) -> FittedLinear:
+    def fit(
+        self,
+        data: TrainingData,
+        rows: Indices,
+        *,
+        seed: int,
+        progress: Progress = silent,
+        checkpoint: Path | None = None,
+    ) -> FittedLinear:
         pixels, mean = math.prod(data.shape), data.values[rows].mean(axis=0)
         nothing = np.zeros((pixels, len(mean) + 1), np.float32)
         return FittedLinear(data.shape, nothing[:, 0], nothing[:, 1:], mean)
@@ -91,7 +100,13 @@ class PcaRidge:
     penalties: tuple[float, ...] = tuple(float(p) for p in np.logspace(-4, 4, 17))
 
     def fit(
-        self, data: TrainingData, rows: Indices, *, seed: int, progress: Progress = silent, **unused: object
+        self,
+        data: TrainingData,
+        rows: Indices,
+        *,
+        seed: int,
+        progress: Progress = silent,
+        checkpoint: Path | None = None,
     ) -> FittedLinear:
         rng = np.random.default_rng(seed)
         basis = data.sample(rows, self.basis_frames, rng).reshape(-1, math.prod(data.shape))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import onnx
@@ -74,7 +75,13 @@ class PixelMlp:
     penalty: float = 1e-2
 
     def fit(
-        self, data: TrainingData, rows: Indices, *, seed: int, progress: Progress = silent, **unused: object
+        self,
+        data: TrainingData,
+        rows: Indices,
+        *,
+        seed: int,
+        progress: Progress = silent,
+        checkpoint: Path | None = None,
     ) -> FittedPerceptron:
         rng = np.random.default_rng(seed)
         learn, watch = data.inner_validation(rows, self.watched, rng)
