@@ -5,10 +5,12 @@ from xml.etree import ElementTree
 
 import pytest
 
+from palpate.core import Outline
 from palpate.rig.plans import PLANS, plan_from
 from palpate.studio import page_style, status_text, svg_drawing
 
 SVG = "{http://www.w3.org/2000/svg}"
+PALM = Outline.disc(57e-3)
 
 
 def parsed(text):
@@ -18,7 +20,7 @@ def parsed(text):
 def test_each_place_is_a_circle_as_wide_as_the_probe_and_none_leaves_the_layer():
     plan = PLANS["palm"]
     places = plan.places.places()
-    circles = list(parsed(svg_drawing.grid_svg(places, 57.0, 10.0)).iter(f"{SVG}circle"))
+    circles = list(parsed(svg_drawing.grid_svg(places, PALM, 10.0)).iter(f"{SVG}circle"))
     probes = [c for c in circles if c.get("r") == "5.000" and c.find(f"{SVG}title") is not None]
     assert len(probes) == 37
     for circle in probes:
@@ -32,9 +34,22 @@ def test_the_clearance_is_what_is_left_between_the_probe_and_the_rim():
     assert status_text.clearance_mm(plan) == pytest.approx(0.0)
 
 
+def test_on_a_rectangle_the_clearance_is_to_its_nearest_side_and_it_is_drawn_as_one():
+    # Of 50 by 38 mm: 19 mm up to the long side, of which the probe takes 5 and the place 10.
+    corners = [[-25, -19], [25, -19], [25, 19], [-25, 19]]
+    where = {"kind": "listed", "at_mm": [[0.0, 10.0]], "layer_mm": 62.8, "corners_mm": corners}
+    plan = plan_from({"places": {**where, "probe_mm": 10.0}})
+    assert status_text.clearance_mm(plan) == pytest.approx(4.0)
+    svg = parsed(svg_drawing.grid_svg(plan.places.places(), plan.places.outline, 10.0))
+    points = [
+        tuple(map(float, point.split(","))) for point in svg.find(f"{SVG}polygon").get("points").split()
+    ]
+    assert points == [tuple(map(float, corner)) for corner in corners]
+
+
 def test_places_beyond_the_rim_are_drawn_whole_and_said_to_be_there():
     plan = PLANS["layer"]
-    svg = parsed(svg_drawing.grid_svg(plan.places.places(), 57.0, 10.0))
+    svg = parsed(svg_drawing.grid_svg(plan.places.places(), PALM, 10.0))
     x, _, width, _ = (float(word) for word in svg.get("viewBox").split())
     assert x <= -(28.5 + 2 + 5)
     assert x + width >= 28.5 + 2 + 5
@@ -45,7 +60,7 @@ def test_places_beyond_the_rim_are_drawn_whole_and_said_to_be_there():
 def test_a_name_cannot_become_markup():
     from palpate.rig.plans import Place
 
-    text = svg_drawing.grid_svg([Place("<script>&", 0, 0)], 57.0, 10.0, now="<script>&")
+    text = svg_drawing.grid_svg([Place("<script>&", 0, 0)], PALM, 10.0, now="<script>&")
     assert "<script>" not in text
     assert parsed(text) is not None
     boxes = svg_drawing.regions_svg([{"name": "<b>", "box_px": [0, 0, 8, 8]}], (16, 8))

@@ -67,8 +67,11 @@ class Outline:
 
     def contains(self, x_m: float, y_m: float, probe_radius_m: float = 0.0) -> bool:
         """True where a round probe lies wholly inside."""
-        inside = float(self._signed(np.array([x_m]), np.array([y_m]))[0])
-        return inside + probe_radius_m <= ROUNDING_M
+        return probe_radius_m - self.clearance_m(x_m, y_m) <= ROUNDING_M
+
+    def clearance_m(self, x_m: float, y_m: float) -> float:
+        """Distance from a point inside to the rim; negative outside [m]."""
+        return -float(self._signed(np.array([x_m]), np.array([y_m]))[0])
 
     def beyond_m(self, x_m: Series, y_m: Series) -> Series:
         """Distance outside, 0 inside [m]; past a polygon's corner a little less than that."""

@@ -155,7 +155,8 @@ class PlanPanel:
         self._drawing.set_content(
             svg_drawing.grid_svg(
                 self._plan.places.places(),
-                *self._plan.places.sizes_mm(),
+                self._plan.places.outline,
+                self._plan.places.sizes_mm()[1],
                 done=status_text.done_by_place(self._plan, shots),
                 now=place,
                 at_mm=at,
@@ -166,10 +167,11 @@ class PlanPanel:
 def _laid_out(fields: Mapping[str, Any]) -> tuple[RecordingPlan, str]:
     plan = checked_plan(fields)
     layer, probe = plan.places.sizes_mm()
+    skin = "a polygon within " if plan.places.corners_mm else ""
     facts = (
         f"<b>{escape(status_text.plan_facts(plan, size_of(plan)))}</b><br>"
         f"indenter of {probe:g} mm on a layer of "
-        f"{layer:g} mm: {status_text.clearance(plan)}"
+        f"{skin}{layer:g} mm: {status_text.clearance(plan)}"
     )
     return plan, facts
 

@@ -71,11 +71,10 @@ def done_by_place(plan: RecordingPlan, shots: int) -> dict[str, float]:
 
 
 def clearance_mm(plan: RecordingPlan) -> float:
-    """Between the probe and the layer's rim, at the place where it is least."""
-    places = plan.places
-    layer_mm, probe_mm = places.sizes_mm()
-    reach = (layer_mm - probe_mm) / 2
-    return min(reach - (p.x_mm**2 + p.y_mm**2) ** 0.5 for p in places.places())
+    """Between the probe and the skin's rim, at the place where it is least."""
+    places, outline = plan.places, plan.places.outline
+    nearest_m = min(outline.clearance_m(1e-3 * p.x_mm, 1e-3 * p.y_mm) for p in places.places())
+    return 1e3 * nearest_m - places.sizes_mm()[1] / 2
 
 
 def clearance(plan: RecordingPlan) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
+from palpate.core import Outline
 from palpate.rig.plans.press_places import Place
 from palpate.studio.page_style import ACCENT, AXES, BAD, BAND, INK, LINE, SOFT
 from palpate.studio.status_text import number
@@ -21,30 +22,32 @@ LEFT, RIGHT, TOP, BOTTOM = 52, 10, 12, 26
 
 def grid_svg(
     places: Sequence[Place],
-    layer_mm: float,
+    outline: Outline,
     probe_mm: float,
     *,
     done: Mapping[str, float] | None = None,
     now: str = "",
     at_mm: Sequence[float] | None = None,
 ) -> str:
-    """The layer from above, as the camera sees it: x right, y down, in mm.
+    """The skin from above, as the camera sees it: x right, y down, in mm.
 
     Args:
         places: where the probe comes down.
-        layer_mm, probe_mm: diameters.
+        outline: of the skin.
+        probe_mm: diameter of the probe.
         done: of each place's name, the share of its presses that is recorded.
         now: the place that is pressed.
         at_mm: of the stage.
     """
     done = done or {}
-    half, reach = layer_mm / 2, (layer_mm - probe_mm) / 2
+    layer_mm = 2e3 * outline.radius_m
+    half = layer_mm / 2
     outermost = max((max(abs(p.x_mm), abs(p.y_mm)) for p in places[:MAX_PLACES]), default=0.0)
     edge = max(half, outermost + probe_mm / 2) * 1.06
     dot = max(0.012 * layer_mm, 0.3)
     parts = [
         f'<svg viewBox="{-edge:.2f} {-edge:.2f} {2 * edge:.2f} {2 * edge:.2f}" role="img">',
-        f'<circle r="{half:.3f}" fill="#fff" stroke="{INK}" stroke-width="{layer_mm / 160:.3f}"/>',
+        f'<{_shape(outline)} fill="#fff" stroke="{INK}" stroke-width="{layer_mm / 160:.3f}"/>',
     ]
     for place in places[:MAX_PLACES]:
         share = done.get(place.name, 0.0)
@@ -55,10 +58,7 @@ def grid_svg(
             f'stroke-opacity="0.35" stroke-width="{layer_mm / 300:.3f}">'
             f"<title>{escape(place.name)}</title></circle>"
         )
-    parts.append(
-        f'<circle r="{reach:.3f}" fill="none" stroke="{SOFT}" stroke-width="{layer_mm / 250:.3f}" '
-        f'stroke-dasharray="{layer_mm / 60:.2f} {layer_mm / 60:.2f}"/>'
-    )
+    parts.append(_axis_limit(outline, probe_mm))
     for place in places[:MAX_PLACES]:
         colour = BAD if place.name == now else ACCENT if done.get(place.name, 0.0) >= 1 else SOFT
         size = dot * (1.7 if place.name == now else 1)
@@ -67,6 +67,27 @@ def grid_svg(
         parts.append(_cross(at_mm[0], at_mm[1], probe_mm, layer_mm / 200))
     parts.append("</svg>")
     return "".join(parts)
+
+
+def _shape(outline: Outline, inset_mm: float = 0.0) -> str:
+    """The start of the skin's element, in mm."""
+    if not outline.corners_m:
+        return f'circle r="{1e3 * outline.radius_m - inset_mm:.3f}"'
+    return f'polygon points="{" ".join(f"{1e3 * x:.3f},{1e3 * y:.3f}" for x, y in outline.corners_m)}"'
+
+
+def _axis_limit(outline: Outline, probe_mm: float) -> str:
+    """How far out the probe's axis may lie: a dashed circle, or a polygon's margin as wide as the probe."""
+    layer_mm = 2e3 * outline.radius_m
+    if outline.corners_m:
+        return (
+            f'<clipPath id="skin"><{_shape(outline)}/></clipPath><{_shape(outline)} clip-path="url(#skin)" '
+            f'fill="none" stroke="{SOFT}" stroke-opacity="0.25" stroke-width="{probe_mm:.3f}"/>'
+        )
+    return (
+        f'<{_shape(outline, probe_mm / 2)} fill="none" stroke="{SOFT}" stroke-width="{layer_mm / 250:.3f}" '
+        f'stroke-dasharray="{layer_mm / 60:.2f} {layer_mm / 60:.2f}"/>'
+    )
 
 
 def _cross(x: float, y: float, probe_mm: float, thick: float) -> str:

@@ -81,6 +81,13 @@ class OnSkin(BaseModel):
         return layer, probe
 
     @property
+    def outline(self) -> Outline:
+        """The skin's outline."""
+        if self.corners_mm:
+            return Outline.polygon(tuple((1e-3 * x, 1e-3 * y) for x, y in self.corners_mm))
+        return Outline.disc(1e-3 * self.sizes_mm()[0])
+
+    @property
     def reach_mm(self) -> float:
         """Greatest distance of the probe's axis from the skin's centre."""
         return reach_mm(*self.sizes_mm())
@@ -89,9 +96,7 @@ class OnSkin(BaseModel):
         """Whether the probe lies wholly on the skin."""
         if not self.corners_mm:
             return math.hypot(x_mm, y_mm) <= self.reach_mm + ROUNDING_MM
-        corners = tuple((1e-3 * x, 1e-3 * y) for x, y in self.corners_mm)
-        radius_m = 0.5e-3 * self.sizes_mm()[1]
-        return Outline.polygon(corners).contains(1e-3 * x_mm, 1e-3 * y_mm, radius_m)
+        return self.outline.contains(1e-3 * x_mm, 1e-3 * y_mm, 0.5e-3 * self.sizes_mm()[1])
 
 
 class Grid(OnSkin):
