@@ -52,9 +52,10 @@ def test_specimens_are_ordered_and_the_new_ones_stiffness_found(tip, tilt_deg, w
     ordered = (np.diff(touch, axis=1) < 0).all(axis=1)
     print(
         f"\n{tip} at {tilt_deg} degrees: ordered in {ordered.sum()} of {SEEDS}; new by touch "
-        f"{100 * new.mean():+.1f} % (worst {100 * new[np.abs(new).argmax()]:+.1f} %), by both cues "
-        f"{100 * both.mean():+.1f} % (worst {100 * both[np.abs(both).argmax()]:+.1f} %); the interval by "
-        f"touch holds it in {sum(held for _, _, held in found)} of {SEEDS}"
+        f"{100 * new.mean():+.1f} % (median error {100 * np.median(np.abs(new)):.1f}, worst "
+        f"{100 * new[np.abs(new).argmax()]:+.1f} %), by both cues {100 * both.mean():+.1f} % (worst "
+        f"{100 * both[np.abs(both).argmax()]:+.1f} %); the interval by touch holds it in "
+        f"{sum(held for _, _, held in found)} of {SEEDS}"
     )
     assert ordered.all(), touch[~ordered]
     assert np.abs(new).max() < within

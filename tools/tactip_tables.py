@@ -1,0 +1,204 @@
+"""Make the tables of docs/explanations/tactip.md anew, as Markdown; five minutes of one core.
+
+    python tools/tactip_tables.py                    # every table, and the numbers of the text under it
+    python tools/tactip_tables.py --only flow        # one part
+
+Four numbers in a row are S1 / Snew / S2 / S3, stiffest first.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
+
+import numpy as np
+
+from palpate.reproductions.tactip.energy_contour import ContourGrowth, contour_growths
+from palpate.reproductions.tactip.tactip_comparison import (
+    METHODS,
+    areas_by_friction,
+    linear_error,
+    shares,
+    truth,
+)
+from palpate.reproductions.tactip.tactip_conditions import (
+    KAPPA_N_M,
+    Row,
+    compared,
+    equation_12,
+    order,
+    sensitivity,
+)
+from palpate.sensors.tactip import PINS_127, PINS_331, TacTipSpec
+
+SHOWN_N = (1.0, 3.0, 5.0)
+REGIONS = ("contact", "middle", "disc")
+FLOW = ("as assumed", "wider pins", "tight crop")
+COUNTED = ("as assumed", "half the speed", "twice the speed", "20 frames each", "tight crop, 20 frames each")
+MM2 = 1e6
+
+
+def four(values: Iterable[float], digits: int = 3) -> str:
+    """Values of the specimens, to so many digits."""
+    return " / ".join(shown(value, digits) for value in values)
+
+
+def shown(value: float, digits: int) -> str:
+    """A number without an exponent."""
+    text = f"{float(f'{value:.{digits}g}'):f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def line(*cells: str) -> str:
+    """One row of a table."""
+    return f"| {' | '.join(cells)} |"
+
+
+def true_values() -> Iterator[str]:
+    """What is true, at three forces."""
+    tables = [truth(TacTipSpec(), kappa, SHOWN_N) for kappa in KAPPA_N_M.values()]
+    columns = {
+        "contact area, mm²": [MM2 * one.area_m2 for one in tables],
+        "dA/dF, mm²/N": [MM2 * one.casr_m2_n for one in tables],
+        "flattening of the tip, mm": [1e3 * one.flattening_m for one in tables],
+    }
+    columns |= {f"divergence, {region}": [one.divergence[region] for one in tables] for region in REGIONS}
+    for name, values in columns.items():
+        orders = ", ".join(order([float(v[i]) for v in values]) for i in range(len(SHOWN_N)))
+        yield line(name, *(four(v[i] for v in values) for i in range(len(SHOWN_N))), orders)
+
+
+def sensitivities() -> Iterator[str]:
+    """Orders over tips, pins and refraction."""
+    rows = sensitivity()
+    for region in REGIONS:
+        some = [row for row in rows if row.region == region]
+        counts = (str(sum(row.order == one for row in some)) for one in ("right", "reversed", "mixed"))
+        ratios = [row.mean[-1] / row.mean[0] for row in some]
+        yield line(region, *counts, f"{min(ratios):.2f} to {max(ratios):.2f}")
+
+
+@cache
+def conditions() -> dict[tuple[str, str, str, str], Row]:
+    """Rows by condition, source, region and way; some six seconds a condition."""
+    rows = compared(tuple(dict.fromkeys((*FLOW, *COUNTED))))
+    return {(row.condition, row.source, row.region, row.way): row for row in rows}
+
+
+def cell(row: Row, scale: float = 1.0) -> str:
+    """Means of the specimens, and the concordance of trials."""
+    return f"{four(scale * value for value in row.mean)} ({row.concordance:+.2f})"
+
+
+def flow() -> Iterator[str]:
+    """What flow makes of the presses, and of the whole image with other crops."""
+    rows = conditions()
+    for region in (*REGIONS, "whole"):
+        divergence, regression, paper = (
+            rows["as assumed", "flow", region, way] for way in ("divergence", "regression", "paper")
+        )
+        yield line(region, cell(divergence), cell(regression, MM2), cell(paper, MM2))
+        if region == "whole":
+            sizes = (
+                max(row.spread) * scale for row, scale in ((divergence, 1), (regression, MM2), (paper, MM2))
+            )
+            yield line("its spread over trials, at most", *(f"{size:.1g}" for size in sizes))
+    secant, steps = (
+        rows["as assumed", "truth", "contact", "secant"],
+        rows["as assumed", "camera", "", "steps"],
+    )
+    yield line("true area", "", f"{cell(secant, MM2)}, secant", f"frames: {four(steps.mean)}")
+    for name in FLOW[1:]:
+        yield f"whole image, {name}: {cell(rows[name, 'flow', 'whole', 'divergence'])}"
+
+
+def counted() -> Iterator[str]:
+    """Equation (12) where frames, and not specimens, change."""
+    yield "equation (12) of one straight line: " + four(
+        equation_12(kappa) for kappa in (7600.0, 3100.0, 1100.0)
+    )
+    rows = conditions()
+    for name in COUNTED:
+        yield line(name, *(cell(rows[name, "flow", region, "paper"], MM2) for region in ("contact", "disc")))
+    for region in ("contact", "disc"):
+        for name in COUNTED[:3]:
+            yield f"secant over the {region}, {name}: {cell(rows[name, 'flow', region, 'secant'], MM2)}"
+    for way in ("paper", "secant"):
+        usual, slow = (np.array(rows[name, "flow", "contact", way].mean) for name in COUNTED[:2])
+        yield f"{way} over the contact, at half the speed over that at the full: {four(slow / usual)}"
+    usual, slow = (np.array(rows[name, "flow", "disc", "paper"].mean) for name in COUNTED[:2])
+    yield f"paper over the disc, at half the speed over that at the full: {four(slow / usual)}"
+
+
+def contours() -> Iterator[str]:
+    """Equation (3), at 3 N, and its extremes at all forces."""
+    skin, image = contour_growths(view="skin"), contour_growths(view="image")
+    for of_skin, of_image in zip(skin, image, strict=True):
+        if of_skin.force_n == SHOWN_N[1]:
+            cells = (four(_mm2(of_skin, name)) for name in ("area_m2", "growth_m2_n", "flux_m2_n"))
+            yield line(f"{of_skin.level}, {of_skin.flank}", *cells, four(of_image.carried, 2))
+    true = next(one for one in skin if one.force_n == SHOWN_N[1])
+    yield line("true contact", four(_mm2(true, "true_m2")), four(_mm2(true, "casr_m2_n")), "", "")
+    for name, some in (("skin", skin), ("image", image)):
+        parts = [share for one in some if one.level == "contact" for share in one.carried]
+        yield f"share of the edge's growth in the {name}, 2 to 4 N: {min(parts):.2f} to {max(parts):.2f}"
+
+
+def _mm2(one: ContourGrowth, name: str) -> Sequence[float]:
+    return [MM2 * value for value in getattr(one, name)]
+
+
+def seen_shares() -> Iterator[str]:
+    """How much of the true divergence each method sees, S1 and S3."""
+    ends = (KAPPA_N_M["S1"], KAPPA_N_M["S3"])
+    some = [
+        one for pins in (PINS_127, PINS_331) for kappa in ends for one in shares(TacTipSpec(pins=pins), kappa)
+    ]
+    means = {(one.pins, one.kappa_n_m, one.method, one.region): one.mean for one in some}
+    for method in METHODS:
+        yield line(
+            method,
+            *(
+                ", ".join(f"{means[pins.count, kappa, method, region]:.2f}" for kappa in ends)
+                for pins in (PINS_127, PINS_331)
+                for region in ("disc", "contact")
+            ),
+        )
+
+
+def model_costs() -> Iterator[str]:
+    """Errors of the linear model, and areas by friction at 30 degrees."""
+    for tip in ("base", "even"):
+        for name, kappa in (("rigid", np.inf), ("S3", KAPPA_N_M["S3"])):
+            one = linear_error(tip, kappa, SHOWN_N)
+            errors = (" / ".join(f"{100 * v:+.0f}" for v in values) for values in (one.approach, one.area))
+            motion = " / ".join(f"{100 * v:.0f}" for v in one.motion)
+            yield line(f"{tip}, {name}", *(f"{text} %" for text in errors), f"{motion} %")
+    for friction, areas in areas_by_friction(np.deg2rad(30.0)).items():
+        yield f"area at 30 degrees and 5 N, friction {friction:g}: {four(MM2 * area for area in areas)} mm²"
+
+
+PARTS = {
+    "truth": true_values,
+    "sensitivity": sensitivities,
+    "flow": flow,
+    "counted": counted,
+    "contours": contours,
+    "shares": seen_shares,
+    "costs": model_costs,
+}
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", choices=list(PARTS), action="append")
+    for name in parser.parse_args().only or PARTS:
+        print(f"\n{name}", *PARTS[name](), sep="\n", flush=True)
+
+
+if __name__ == "__main__":
+    main()
