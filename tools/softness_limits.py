@@ -47,7 +47,7 @@ SEEDS = 20
 REFERENCES = {name: kappa for name, kappa in REPORT_N_M.items() if name not in UNKNOWN}
 BETWEEN = ("A=2", "new=5.3", "B=6.5")  # N/mm
 AT_REFERENCES = ("S1=7.6", "S2=3.1", "S3=1.1")
-SHORT_M = 0.75e-3  # lever nearer to a real tip's
+SHORT_M, NEAR_M = 0.75e-3, 36e-3  # lever and camera nearer to a real tip's
 FRAME_YIELD_N_M = 50e3
 ASIDE_M = 0.5e-3  # at most 0.7 mm is modelled: there the face leans by 2 degrees
 BIAS_N, GAIN = 0.05, 1.2
@@ -255,12 +255,17 @@ def ring_error(some: Sequence[ReadPress]) -> float:
 
 
 def levers(seeds: int) -> Iterator[str]:
-    """Another lever of the pins, in calibration and presses alike."""
-    spec = TacTipSpec()
-    spec = replace(spec, pins=replace(spec.pins, length_m=SHORT_M))
-    results = read_all(spec, (*BETWEEN, *AT_REFERENCES), seeds)
-    for one, some in results.items():
-        yield f"levers of {1e3 * SHORT_M:g} mm, {one}: {covered(some, spec)}"
+    """A lever and a camera's height nearer to a real tip's, in calibration and presses alike."""
+    assumed = TacTipSpec()
+    for height_m in (assumed.camera.height_m, NEAR_M):
+        spec = replace(
+            assumed,
+            pins=replace(assumed.pins, length_m=SHORT_M),
+            camera=replace(assumed.camera, height_m=height_m),
+        )
+        for one, some in read_all(spec, (*BETWEEN, *AT_REFERENCES), seeds).items():
+            name = f"levers of {1e3 * SHORT_M:g} mm, camera at {1e3 * height_m:g} mm"
+            yield f"{name}, {one}: {covered(some, spec)}"
 
 
 PARTS = {"faults": faults, "coverage": coverage, "levers": levers}
