@@ -1,6 +1,6 @@
 """Find what a valid reading of softness does not show: altered presses, coverage and other levers.
 
-    python tools/softness_limits.py                     # all, a quarter of an hour of one core
+    python tools/softness_limits.py                     # all, some seven minutes of one core
     python tools/softness_limits.py --only faults       # one part
     python tools/softness_limits.py --seeds 5           # fewer calibrations
 
