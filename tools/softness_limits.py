@@ -29,8 +29,8 @@ from palpate.calibration.compliance.compliance_calibration import (
 )
 from palpate.calibration.compliance.compliance_reading import PressReading, read_touch
 from palpate.core import InputError, Reading
-from palpate.estimators.compliance import spread
 from palpate.estimators.compliance.pin_press import PinPress, follow_press
+from palpate.estimators.compliance.spread_rate import spread
 from palpate.sensors.tactip import TacTipSpec
 from palpate.sensors.tactip.tactip_press import modulus_pa
 from palpate.workflows.tactip_trials import (

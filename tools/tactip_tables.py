@@ -14,7 +14,7 @@ from functools import cache
 
 import numpy as np
 
-from palpate.reproductions.tactip.energy_contour import ContourGrowth, contour_growths
+from palpate.reproductions.tactip.energy_contour import Contour, contours
 from palpate.reproductions.tactip.tactip_comparison import (
     METHODS,
     areas_by_friction,
@@ -131,22 +131,24 @@ def counted() -> Iterator[str]:
     yield f"paper over the disc, at half the speed over that at the full: {four(slow / usual)}"
 
 
-def contours() -> Iterator[str]:
+def growths() -> Iterator[str]:
     """Equation (3), at 3 N, and its extremes at all forces."""
-    skin, image = contour_growths(view="skin"), contour_growths(view="image")
-    for of_skin, of_image in zip(skin, image, strict=True):
-        if of_skin.force_n == SHOWN_N[1]:
-            cells = (four(_mm2(of_skin, name)) for name in ("area_m2", "growth_m2_n", "flux_m2_n"))
-            yield line(f"{of_skin.level}, {of_skin.flank}", *cells, four(of_image.carried, 2))
-    true = next(one for one in skin if one.force_n == SHOWN_N[1])
-    yield line("true contact", four(_mm2(true, "true_m2")), four(_mm2(true, "casr_m2_n")), "", "")
+    count, at = len(KAPPA_N_M), 1  # 3 N, of the forces 2, 3 and 4 N
+    skin, image = contours(view="skin"), contours(view="image")
+    for first in range(0, len(skin), count):
+        some = skin[first : first + count]
+        cells = (_mm2(some, name, at) for name in ("area_m2", "growth_m2_n", "flux_m2_n"))
+        carried = four((float(one.carried[at]) for one in image[first : first + count]), 2)
+        yield line(f"{some[0].level}, {some[0].flank}", *cells, carried)
+    true = skin[:count]
+    yield line("true contact", _mm2(true, "contact_m2", at), _mm2(true, "casr_m2_n", at), "", "")
     for name, some in (("skin", skin), ("image", image)):
         parts = [share for one in some if one.level == "contact" for share in one.carried]
         yield f"share of the edge's growth in the {name}, 2 to 4 N: {min(parts):.2f} to {max(parts):.2f}"
 
 
-def _mm2(one: ContourGrowth, name: str) -> Sequence[float]:
-    return [MM2 * value for value in getattr(one, name)]
+def _mm2(some: Sequence[Contour], name: str, at: int) -> str:
+    return four(MM2 * float(getattr(one, name)[at]) for one in some)
 
 
 def seen_shares() -> Iterator[str]:
@@ -184,7 +186,7 @@ PARTS = {
     "sensitivity": sensitivities,
     "flow": flow,
     "counted": counted,
-    "contours": contours,
+    "contours": growths,
     "shares": seen_shares,
     "costs": model_costs,
 }

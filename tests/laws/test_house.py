@@ -45,6 +45,26 @@ def run_python(code: str, folder: Path) -> str:
     return done.stdout.strip()
 
 
+def imports_of_palpate(path: Path) -> list[tuple[str, str]]:
+    return [
+        (node.module, alias.name)
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "palpate"
+        for alias in node.names
+    ]
+
+
+@pytest.mark.parametrize("folder", ["tools", "benchmarks", "examples"])
+def test_scripts_that_seldom_run_import_only_what_exists(folder: str) -> None:
+    missing = [
+        f"{path.relative_to(REPOSITORY)}: {module}.{name}"
+        for path in sorted((REPOSITORY / folder).rglob("*.py"))
+        for module, name in imports_of_palpate(path)
+        if not hasattr(importlib.import_module(module), name) and f"{module}.{name}" not in MODULES
+    ]
+    assert not missing
+
+
 @pytest.mark.parametrize("room", ROOMS)
 def test_every_room_says_what_it_offers(room: str) -> None:
     module = importlib.import_module(room)
