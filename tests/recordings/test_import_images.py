@@ -100,6 +100,13 @@ def test_progress_counts_checking_and_writing(folder):
     assert told == [(i, 6) for i in range(1, 7)]
 
 
+def test_a_picture_still_being_written_is_no_image_without_a_label(folder):
+    passing = folder / ".plan.png.x1.partial"
+    passing.mkdir()
+    (passing / "plan.png").write_bytes(b"")
+    assert len(imported(folder)[0]) == 3
+
+
 def test_unlabelled_images_are_left_out_only_when_allowed(folder):
     label(folder, "image_file,depth_mm\na.png,1\n")
     refused(folder, LabelError, "2 images", "images/b.png", "no row", "add their rows")

@@ -7,7 +7,7 @@ import pytest
 import tifffile
 
 from palpate.core.errors import ImageError, RangeError
-from palpate.recordings.exchange.frame_sequences import TiffFrames
+from palpate.recordings.exchange.frame_sequences import TiffFrames, write_tiff
 
 
 @pytest.fixture
@@ -29,6 +29,12 @@ def test_pages_come_back_as_they_were_written(tmp_path, frames, how) -> None:
         np.testing.assert_array_equal(read[3], frames[3])
         with pytest.raises(RangeError, match="0 to 6"):
             read[7]
+
+
+def test_a_name_that_microscopes_use_changes_nothing_in_the_file(tmp_path, frames) -> None:
+    write_tiff(tmp_path / "press.tif", frames)
+    write_tiff(tmp_path / "press.ome.tif", frames)
+    assert (tmp_path / "press.ome.tif").read_bytes() == (tmp_path / "press.tif").read_bytes()
 
 
 def test_pages_in_colour_stay_in_colour(tmp_path, rng) -> None:

@@ -34,6 +34,7 @@ from palpate.core.errors import (
 )
 from palpate.core.files import (
     PathText,
+    is_hidden,
     lock,
     new_file,
     new_folder,
@@ -171,6 +172,7 @@ __all__ = [
     "VectorReading",
     "Wrench",
     "has_unit",
+    "is_hidden",
     "is_rigid",
     "lock",
     "ndarray",

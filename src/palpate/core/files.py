@@ -70,6 +70,11 @@ def refuse_existing(path: Path) -> None:
         raise ExistsError(f"{path} exists, and nothing is ever overwritten; name a new path or move it away")
 
 
+def is_hidden(path: Path, folder: Path) -> bool:
+    """Whether its name, or that of a folder between, begins with a dot, as what is being written does."""
+    return any(part.startswith(".") for part in path.relative_to(folder).parts)
+
+
 @contextmanager
 def storage_errors(path: Path) -> Iterator[None]:
     """Turn the operating system's refusals into `StorageError`s that name the path and the remedy."""

@@ -91,7 +91,7 @@ class MeasurementResult:
             raise UnitError(f"{self.quantity} is in {self.unit}, which cannot be shown in {symbol}")
 
         def convert(part: Any) -> Any:
-            if isinstance(part, tuple):
+            if isinstance(part, tuple | list):
                 return tuple(convert(one) for one in part)
             if isinstance(part, Ellipsoid | AlignedBox):
                 return part.scaled(convert(1.0))

@@ -96,8 +96,7 @@ def spread(force_n: Steps, area: Steps, way: Way = "regression") -> SpreadRate:
     at, mean = rising(force_n, area, BIN_N)
     if len(at) < MIN_BINS:
         raise InputError(
-            f"the forces fill {len(at)} bins of {BIN_N:g} N; a spread rate needs {MIN_BINS}: press harder, "
-            "or take narrower bins"
+            f"the forces fill {len(at)} bins of {BIN_N:g} N; a spread rate needs {MIN_BINS}: press harder"
         )
     if way == "regression":
         return SpreadRate(way, float(np.polyfit(at, mean, 1)[0]), len(at))

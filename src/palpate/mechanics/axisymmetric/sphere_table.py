@@ -274,9 +274,9 @@ def press_finite_strain(
 
 def _table_for(ratio: float, friction: float, poisson_ratio: float) -> SphereTable:
     tables = [SphereTable.load(name) for name in shipped()]
-    asked = (ratio, friction, poisson_ratio)
+    asked, atol = (ratio, friction, poisson_ratio), (0.0, SAME, 0.0)  # friction may be 0
     for table in tables:
-        if np.allclose((table.thickness, table.friction, table.poisson_ratio), asked, rtol=SAME, atol=SAME):
+        if np.allclose((table.thickness, table.friction, table.poisson_ratio), asked, rtol=SAME, atol=atol):
             return table
     choices = "; ".join(
         f"{t.thickness:g} R with friction {t.friction:g}, Poisson's ratio {t.poisson_ratio:g}" for t in tables

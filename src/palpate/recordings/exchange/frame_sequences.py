@@ -121,7 +121,7 @@ def write_tiff(path: Path, frames: Iterable[Image]) -> int:
         ImageError: there was none, one is no 8-bit grey or RGB image, or not of the first's size.
     """
     shapes: list[tuple[int, ...]] = []
-    with new_file(path) as building, tifffile.TiffWriter(building) as writer:
+    with new_file(path) as building, tifffile.TiffWriter(building, ome=False) as writer:
         for image in frames:
             shapes.append(Frame(image).image.shape)  # refuses what is no image
             if shapes[-1] != shapes[0]:

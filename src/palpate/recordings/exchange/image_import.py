@@ -20,6 +20,7 @@ from palpate.core import (
     PathText,
     UnitError,
     has_unit,
+    is_hidden,
     new_folder,
     refuse_existing,
     split_column,
@@ -218,8 +219,11 @@ def _check_once(paths: Sequence[Path], source: Path) -> None:
 def _check_no_strays(folder: Path, paths: Sequence[Path], source: Path) -> None:
     named = set(paths)
     images = (path for path in folder.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES)
-    shown = (path for path in images if not path.name.startswith("."))
-    strays = sorted(path.relative_to(folder).as_posix() for path in shown if path.resolve() not in named)
+    strays = sorted(
+        path.relative_to(folder).as_posix()
+        for path in images
+        if not is_hidden(path, folder) and path.resolve() not in named
+    )
     if strays:
         raise LabelError(
             f"{len(strays)} images in {folder} have no row in {source}: {', '.join(strays[:_SHOWN])}; "

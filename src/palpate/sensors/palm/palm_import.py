@@ -20,7 +20,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import numpy as np
 import pandas as pd
 
-from palpate.core import InputError, LabelError, refuse_existing, storage_errors
+from palpate.core import InputError, LabelError, is_hidden, refuse_existing, storage_errors
 from palpate.recordings.exchange.image_import import ImportReport, Progress, import_images
 from palpate.recordings.labels import FIRST_ROW, label_kinds, read_labels
 
@@ -274,7 +274,7 @@ def check_no_strays(shots: Sequence[PalmShot], folder: Path) -> None:
     strays = sorted(
         path.relative_to(folder).as_posix()
         for path in folder.rglob("*")
-        if _is_photo(path) and path.resolve() not in named
+        if _is_photo(path) and not is_hidden(path, folder) and path.resolve() not in named
     )
     if strays:
         raise LabelError(
