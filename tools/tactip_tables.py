@@ -15,13 +15,6 @@ from functools import cache
 import numpy as np
 
 from palpate.reproductions.tactip.energy_contour import Contour, contours
-from palpate.reproductions.tactip.tactip_comparison import (
-    METHODS,
-    areas_by_friction,
-    linear_error,
-    shares,
-    truth,
-)
 from palpate.reproductions.tactip.tactip_conditions import (
     KAPPA_N_M,
     Row,
@@ -29,6 +22,13 @@ from palpate.reproductions.tactip.tactip_conditions import (
     equation_12,
     order,
     sensitivity,
+)
+from palpate.reproductions.tactip.tactip_model_errors import (
+    METHODS,
+    areas_by_friction,
+    divergence_shares,
+    linear_error,
+    press_truth,
 )
 from palpate.sensors.tactip import PINS_127, PINS_331, TacTipSpec
 
@@ -57,7 +57,7 @@ def line(*cells: str) -> str:
 
 def true_values() -> Iterator[str]:
     """What is true, at three forces."""
-    tables = [truth(TacTipSpec(), kappa, SHOWN_N) for kappa in KAPPA_N_M.values()]
+    tables = [press_truth(TacTipSpec(), kappa, SHOWN_N) for kappa in KAPPA_N_M.values()]
     columns = {
         "contact area, mm²": [MM2 * one.area_m2 for one in tables],
         "dA/dF, mm²/N": [MM2 * one.casr_m2_n for one in tables],
@@ -155,7 +155,10 @@ def seen_shares() -> Iterator[str]:
     """How much of the true divergence each method sees, S1 and S3."""
     ends = (KAPPA_N_M["S1"], KAPPA_N_M["S3"])
     some = [
-        one for pins in (PINS_127, PINS_331) for kappa in ends for one in shares(TacTipSpec(pins=pins), kappa)
+        one
+        for pins in (PINS_127, PINS_331)
+        for kappa in ends
+        for one in divergence_shares(TacTipSpec(pins=pins), kappa)
     ]
     means = {(one.pins, one.kappa_n_m, one.method, one.region): one.mean for one in some}
     for method in METHODS:

@@ -11,7 +11,7 @@ from palpate.calibration.evaluation import predictions
 from palpate.core import LabelError, ManualClock
 from palpate.estimators import Estimator
 from palpate.recordings import Manifest, Run, RunWriter
-from palpate.recordings.labels import with_own
+from palpate.recordings.label_tables import with_own
 from palpate.recordings.table_files import read_table
 from palpate.reports import write_report
 

@@ -15,7 +15,7 @@ import pytest
 from palpate.calibration import leakage
 from palpate.calibration.leakage import LeakageAudit, audit
 from palpate.core import ManualClock
-from palpate.recordings.labels import label_kinds
+from palpate.recordings.label_tables import label_kinds
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.preparation import Preparation

@@ -13,7 +13,7 @@ from palpate.devices.check.check_result import CheckResult
 from palpate.devices.check.force_check import check_force_sensor
 from palpate.devices.check.stage_check import check_stage
 from palpate.rig.fakes.grbl_firmware import GrblFirmware
-from palpate.rig.fakes.grbl_model import GrblFaults, GrblModel
+from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.fakes.netft_box import FakeNetFT
 from palpate.rig.fakes.serial_terminal import FakeTerminal
 from palpate.rig.fakes.video_capture import FakeVideoCapture
@@ -34,7 +34,7 @@ def broken(findings: list[CheckResult]) -> list[CheckResult]:
 @pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal needs POSIX")
 def test_the_grbl_driver_keeps_every_law() -> None:
     clock = MonotonicClock()
-    model = GrblModel(homed=True)
+    model = GrblParameters(homed=True)
     with FakeTerminal(GrblFirmware(model, GrblFaults(), clock.now_ns() / 1e9), clock) as terminal:
         spec = GrblSpec(terminal.path, boot_s=0.02, latency_s=0.05)
         with GrblStage.open(spec, clock) as stage:

@@ -5,7 +5,7 @@ import pytest
 
 from palpate.core.device_protocols import Wrench
 from palpate.core.errors import RangeError
-from palpate.devices.force_bias import SAMPLES, ForceBias, Mounting
+from palpate.devices.force_bias import MIN_SAMPLES, ForceBias, Mounting
 from palpate.devices.motion_limits import Reason, Tripped
 
 FORCE, TORQUE = np.array([0.3, -0.2, 1.5]), np.array([0.01, -0.02, 0.04])
@@ -66,12 +66,12 @@ def test_the_noise_is_that_along_z(rng) -> None:
 
 def test_faulty_samples_have_no_part_in_the_tare(rng) -> None:
     tare = ForceBias()
-    tare.measure([*quiet(rng, SAMPLES), *[sample(100 * FORCE, fault="saturated")] * 5])
+    tare.measure([*quiet(rng, MIN_SAMPLES), *[sample(100 * FORCE, fault="saturated")] * 5])
     np.testing.assert_allclose(tare.force_n, FORCE, atol=0.02)
 
 
 def test_too_few_samples_are_refused_for_what_is_wrong_with_the_rest(rng) -> None:
-    few = quiet(rng, SAMPLES - 1)
+    few = quiet(rng, MIN_SAMPLES - 1)
     with pytest.raises(Tripped, match="is the sensor streaming") as missing:
         ForceBias().measure(few)
     assert missing.value.reason is Reason.FORCE_STALE

@@ -19,7 +19,9 @@ DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 
 # A sentence that begins so has no noun: of what, as what, where what?
 NOUNLESS = re.compile(r"(Of|Likewise|As|Where it|What it)\b")
-BOUND = re.compile(r"_?(MOST|LEAST|GREATEST|LONGEST)_")
+# Such a word anywhere in a constant bounds something; what begins with MAX_ or MIN_ may go on as it likes.
+EXTREMES = "MOST|LEAST|GREATEST|LARGEST|LONGEST|SHORTEST|HIGHEST|LOWEST|SMALLEST|STEEPEST|FEWEST|TRIES"
+BOUND = re.compile(rf"(?!_?(?:MAX|MIN)_)_?(?:[A-Z0-9]+_)*(?:{EXTREMES})(?:_[A-Z0-9_]+)?")
 
 
 def trees() -> Iterator[tuple[str, ast.Module]]:
@@ -45,7 +47,7 @@ def bounds(tree: ast.Module) -> list[str]:
         for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
     ]
     names = [name for target in targets for name in ast.walk(target) if isinstance(name, ast.Name)]
-    return [f"{name.lineno} {name.id}" for name in names if BOUND.match(name.id)]
+    return [f"{name.lineno} {name.id}" for name in names if BOUND.fullmatch(name.id)]
 
 
 def shared(places: dict[str, list[str]]) -> dict[str, list[str]]:
@@ -111,7 +113,20 @@ def test_a_docstring_without_a_noun_is_seen(text: str) -> None:
     assert not nounless(ast.parse('def f():\n    """Offset of the stage [m]."""'))
 
 
-@pytest.mark.parametrize("name", ["MOST_N", "_LEAST_PX", "GREATEST_DEPTH", "LONGEST_S"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "MOST_N",
+        "_LEAST_PX",
+        "GREATEST_DEPTH",
+        "LONGEST_S",
+        "MOST",
+        "HAZE_MOST",
+        "SPIKE_LEAST_N",
+        "TRIES",
+        "STOP_TRIES",
+    ],
+)
 def test_a_bound_by_another_word_is_seen(name: str) -> None:
     assert bounds(ast.parse(f"{name}, other = 3, 4"))
-    assert not bounds(ast.parse("MAX_N = MOST = 3"))
+    assert not bounds(ast.parse("MAX_N = MIN_LEAST = _MAX_TRIES = ALMOST = ENTRIES = least = 3"))

@@ -8,7 +8,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.reproductions.tactip.energy_contour import STEP_N, contour, contour_rad, contours
-from palpate.reproductions.tactip.tactip_comparison import areas_by_friction, linear_error, shares, truth
 from palpate.reproductions.tactip.tactip_conditions import (
     CONDITIONS,
     FROM_N,
@@ -23,6 +22,12 @@ from palpate.reproductions.tactip.tactip_conditions import (
     recorded,
     sensitivity,
     true_divergence,
+)
+from palpate.reproductions.tactip.tactip_model_errors import (
+    areas_by_friction,
+    divergence_shares,
+    linear_error,
+    press_truth,
 )
 from palpate.sensors.tactip import PINS_331, TacTipSpec
 from palpate.sensors.tactip.tactip_press import modulus_pa
@@ -63,7 +68,7 @@ def test_concordance_is_1_for_values_apart_and_0_for_equal_ones() -> None:
 
 
 def test_true_contact_area_ranks_and_flattening_ranks_in_reverse(spec) -> None:
-    found = [truth(spec, kappa) for kappa in KAPPA_N_M.values()]
+    found = [press_truth(spec, kappa) for kappa in KAPPA_N_M.values()]
     for i in range(5):
         assert order([t.area_m2[i] for t in found]) == "right"
         assert order([t.casr_m2_n[i] for t in found]) == "right"
@@ -123,7 +128,7 @@ def test_equal_steps_are_as_many_as_asked_for_and_even(spec) -> None:
 
 @pytest.mark.parametrize("pins", [TacTipSpec().pins, PINS_331])
 def test_horn_schunck_sees_a_part_of_the_motion_and_pins_nearly_all(spec, pins) -> None:
-    found = shares(replace(spec, pins=pins), S1, (0,), ("horn-schunck", "tracked"))
+    found = divergence_shares(replace(spec, pins=pins), S1, (0,), ("horn-schunck", "tracked"))
     by = {(s.method, s.region): s.mean for s in found}
     assert 0.1 < by["horn-schunck", "disc"] < 0.6
     assert 0.3 < by["horn-schunck", "contact"] < 0.9

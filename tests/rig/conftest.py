@@ -10,7 +10,7 @@ import pytest
 
 from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.rig.fakes.grbl_firmware import GrblFirmware
-from palpate.rig.fakes.grbl_model import GrblFaults, GrblModel
+from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.fakes.serial_terminal import FakeTerminal
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
@@ -34,7 +34,7 @@ class FastClock:
 class GrblBench:
     """The fake, its terminal and the driver's spec; by default homed, and with limits that fit it."""
 
-    def __init__(self, stack: ExitStack, clock, model: GrblModel, faults: GrblFaults, **spec) -> None:
+    def __init__(self, stack: ExitStack, clock, model: GrblParameters, faults: GrblFaults, **spec) -> None:
         self.clock, self._stack = clock, stack
         self.firmware = GrblFirmware(model, faults, clock.now_ns() / NS_PER_S)
         self.terminal = stack.enter_context(FakeTerminal(self.firmware, clock))
@@ -106,10 +106,14 @@ def grbl_bench():
     with ExitStack() as stack:
 
         def make(
-            model: GrblModel | None = None, faults: GrblFaults | None = None, clock=None, **spec
+            model: GrblParameters | None = None, faults: GrblFaults | None = None, clock=None, **spec
         ) -> GrblBench:
             return GrblBench(
-                stack, clock or ManualClock(), model or GrblModel(homed=True), faults or GrblFaults(), **spec
+                stack,
+                clock or ManualClock(),
+                model or GrblParameters(homed=True),
+                faults or GrblFaults(),
+                **spec,
             )
 
         yield make

@@ -14,12 +14,12 @@ import pytest
 
 from palpate.core.clock import MonotonicClock
 from palpate.core.errors import DeviceError
-from palpate.rig.fakes.grbl_model import GrblFaults, GrblModel
+from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.real.grbl.grbl_link import GrblLink, RefusedError
 
 START = (-0.050, 0.050, 0.050)
 AWAY = (-0.030, 0.050, 0.050)
-HELD = GrblModel(homed=True, hold_cancels_jog=False)
+HELD = GrblParameters(homed=True, hold_cancels_jog=False)
 REAL_TIME = {"still_s": 30.0, "stop_s": 30.0}  # patience on a loaded machine
 SOON_S = 1.0  # for an answer that must not come; each such test waits for it once or twice
 
@@ -46,7 +46,7 @@ def is_lost(stage):
 
 class TestS1Banner:
     def test_one_that_comes_late_is_waited_for(self, grbl_bench):
-        booting = GrblModel(boot_s=0.3, homing_s=0.0)
+        booting = GrblParameters(boot_s=0.3, homing_s=0.0)
         stage = grbl_bench(booting, clock=MonotonicClock(), boot_s=5.0, **REAL_TIME).open(known=False)
         stage.home()
         assert stage.position_m() == pytest.approx((-0.001, 0.001, 0.001))
@@ -62,13 +62,13 @@ class TestS1Banner:
 
     def test_one_still_booting_when_asked_is_met_by_its_banner(self, grbl_bench):
         """Deaf for longer than the first question's time, so that it goes unanswered."""
-        booting = GrblModel(boot_s=1.5, homing_s=0.0)
+        booting = GrblParameters(boot_s=1.5, homing_s=0.0)
         bench = grbl_bench(booting, clock=MonotonicClock(), boot_s=0.0, **(REAL_TIME | {"reply_s": SOON_S}))
         bench.open(known=False).home()
 
 
 def test_s2_a_dump_of_settings_before_the_banner_is_no_answer(grbl_bench):
-    booting = GrblModel(boot_s=0.3, homing_s=0.0)
+    booting = GrblParameters(boot_s=0.3, homing_s=0.0)
     dump = GrblFaults(boot_dump=True)
     bench = grbl_bench(booting, dump, clock=MonotonicClock(), boot_s=5.0, **REAL_TIME)
     stage = bench.open(known=False)
@@ -85,7 +85,7 @@ def test_s3_a_status_in_the_midst_of_a_reply_spoils_neither(grbl_bench):
 class TestS4Replies:
     @pytest.mark.parametrize("cancels", [True, False])
     def test_a_lost_ok_stops_the_move_and_is_said(self, grbl_bench, cancels):
-        bench = grbl_bench(GrblModel(homed=True, hold_cancels_jog=cancels), reply_s=SOON_S)
+        bench = grbl_bench(GrblParameters(homed=True, hold_cancels_jog=cancels), reply_s=SOON_S)
         stage = bench.open()
         bench.spoil(GrblFaults(lose_ok_of="$J"))
         with pytest.raises(DeviceError, match="did not answer"):
@@ -122,7 +122,7 @@ class TestS4Replies:
             link.command("$nonsense")
 
     def test_a_stale_ok_before_the_banner_is_forgotten(self, grbl_bench):
-        bench = grbl_bench(GrblModel(homed=True, homing_s=0.0), reply_s=SOON_S)
+        bench = grbl_bench(GrblParameters(homed=True, homing_s=0.0), reply_s=SOON_S)
         stage = bench.open()
         with pytest.raises(DeviceError):
             stage._link.command("G1X500F600", moves=True, timeout_s=0.2)  # a soft limit: never answered
@@ -137,7 +137,7 @@ class TestS4Replies:
 class TestS8SilenceAfterAnAlarm:
     @pytest.fixture
     def silent(self, grbl_bench):
-        bench = grbl_bench(GrblModel(homed=True, homing_s=0.0), reply_s=SOON_S)
+        bench = grbl_bench(GrblParameters(homed=True, homing_s=0.0), reply_s=SOON_S)
         stage = bench.open()
         bench.say(b"G1X500F600\n")
         bench.wait(lambda: stage._link.alarm is not None)
@@ -180,7 +180,7 @@ def test_s9_a_restart_by_itself_loses_the_position_until_it_is_found(grbl_bench,
     limits = (
         {} if lock else {"least_m": (-0.1, 0.0, 0.0), "greatest_m": (0.0, 0.1, 0.1), "require_homed": False}
     )
-    bench = grbl_bench(GrblModel(homed=True, settings={22: lock, 20: lock}), **limits)
+    bench = grbl_bench(GrblParameters(homed=True, settings={22: lock, 20: lock}), **limits)
     stage = bench.open()
     bench.spoil(GrblFaults(restart_after_mm=3.0))
     stage.move_to(AWAY, 0.01)
@@ -194,7 +194,7 @@ def test_s9_a_restart_by_itself_loses_the_position_until_it_is_found(grbl_bench,
         with pytest.raises(DeviceError):
             stage.reference()
         with bench.terminal.lock:
-            bench.firmware.model = GrblModel(homing_s=0.0)
+            bench.firmware.model = GrblParameters(homing_s=0.0)
         stage.home()
         assert stage.position_m() == pytest.approx((-0.001, 0.001, 0.001))
     else:
@@ -250,7 +250,7 @@ class TestS11LostLink:
 
     @pytest.mark.parametrize("cancels", [True, False])
     def test_opened_anew_it_is_stopped_and_its_position_not_trusted(self, grbl_bench, cancels):
-        bench = grbl_bench(GrblModel(homed=True, hold_cancels_jog=cancels))
+        bench = grbl_bench(GrblParameters(homed=True, hold_cancels_jog=cancels))
         stage = bench.open()
         bench.move_to_speed(stage, AWAY, 0.01)
         bench.terminal.unplug()
@@ -334,7 +334,7 @@ class TestS13Noise:
 
 class TestS14Unhomed:
     def test_an_unhomed_grblhal_is_not_moved(self, grbl_bench):
-        bench = grbl_bench(GrblModel(firmware="grblHAL", homed=True))
+        bench = grbl_bench(GrblParameters(firmware="grblHAL", homed=True))
         stage = bench.open()
         with bench.terminal.lock:
             bench.firmware.homed = False
@@ -343,14 +343,14 @@ class TestS14Unhomed:
         assert b"$J" not in bench.received
 
     def test_it_is_moved_where_the_spec_allows_it(self, grbl_bench):
-        bench = grbl_bench(GrblModel(firmware="grblHAL", homed=True), require_homed=False)
+        bench = grbl_bench(GrblParameters(firmware="grblHAL", homed=True), require_homed=False)
         stage = bench.open()
         with bench.terminal.lock:
             bench.firmware.homed = False
         goes_and_comes_back(bench, stage)
 
     def test_the_host_s_limits_hold_where_the_firmware_s_do_not(self, grbl_bench):
-        bench = grbl_bench(GrblModel(firmware="grblHAL", homed=True), require_homed=False)
+        bench = grbl_bench(GrblParameters(firmware="grblHAL", homed=True), require_homed=False)
         stage = bench.open()
         with bench.terminal.lock:
             bench.firmware.homed = False
@@ -474,7 +474,7 @@ class TestS20TheEndOfTheProgramme:
     @pytest.mark.parametrize("cancels", [True, False])
     @pytest.mark.parametrize("state", STATES)
     def test_ctrl_c_in_every_state_stops_it(self, grbl_bench, state, cancels):
-        bench = grbl_bench(GrblModel(homed=True, hold_cancels_jog=cancels))
+        bench = grbl_bench(GrblParameters(homed=True, hold_cancels_jog=cancels))
         stage = bench.open()
 
         def programme():

@@ -19,7 +19,7 @@ import pytest
 
 from palpate.core.clock import NS_PER_S, MonotonicClock
 from palpate.rig.fakes.grbl_firmware import GrblFirmware
-from palpate.rig.fakes.grbl_model import GrblFaults, GrblModel
+from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.fakes.serial_terminal import FakeTerminal
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
@@ -35,7 +35,7 @@ MOTION = ("$120=50", "$121=50", "$122=50", "$110=1200", "$111=1200", "$112=1200"
 def fake():
     clock = MonotonicClock()
     with FakeTerminal(
-        GrblFirmware(GrblModel(settings={20: 0, 22: 0}), GrblFaults(), clock.now_ns() / NS_PER_S), clock
+        GrblFirmware(GrblParameters(settings={20: 0, 22: 0}), GrblFaults(), clock.now_ns() / NS_PER_S), clock
     ) as terminal:
         yield terminal.path
 

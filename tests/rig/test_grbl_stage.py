@@ -13,7 +13,7 @@ from hypothesis import given, strategies as st
 from palpate.core.clock import MonotonicClock
 from palpate.core.device_protocols import Stage
 from palpate.core.errors import DeviceError, InputError, MissingExtraError, RangeError
-from palpate.rig.fakes.grbl_model import GrblModel
+from palpate.rig.fakes.grbl_parameters import GrblParameters
 from palpate.rig.real.grbl import grbl_link, grbl_stage
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec, Mount, fixed
@@ -23,12 +23,12 @@ START = (-0.050, 0.050, 0.050)
 UNHURRIED = {"still_s": 1e3, "stop_s": 1e3}  # of a clock that runs many times as fast
 STEP_MM = 0.02  # two clock ticks of the fake at 10 mm/s: it takes up a hold no finer than that
 MODELS = {
-    "Grbl": GrblModel(homed=True),
-    "Grbl, jogs held": GrblModel(homed=True, hold_cancels_jog=False),
-    "grblHAL": GrblModel(firmware="grblHAL", homed=True),
-    "work coordinates": GrblModel(homed=True, settings={10: 2}, offset_mm=(3.0, -4.0, 5.0)),
-    "slow to obey": GrblModel(homed=True, latency_s=0.02),
-    "slow to obey, jogs held": GrblModel(homed=True, latency_s=0.02, hold_cancels_jog=False),
+    "Grbl": GrblParameters(homed=True),
+    "Grbl, jogs held": GrblParameters(homed=True, hold_cancels_jog=False),
+    "grblHAL": GrblParameters(firmware="grblHAL", homed=True),
+    "work coordinates": GrblParameters(homed=True, settings={10: 2}, offset_mm=(3.0, -4.0, 5.0)),
+    "slow to obey": GrblParameters(homed=True, latency_s=0.02),
+    "slow to obey, jogs held": GrblParameters(homed=True, latency_s=0.02, hold_cancels_jog=False),
 }
 
 
@@ -107,7 +107,7 @@ def test_a_stop_never_resets_in_motion(grbl_bench, key):
 
 def test_a_hold_that_meets_a_stage_just_arrived_is_not_left_behind(grbl_bench):
     """The first report after the hold still says Idle."""
-    bench = grbl_bench(GrblModel(homed=True, latency_s=0.01))
+    bench = grbl_bench(GrblParameters(homed=True, latency_s=0.01))
     stage = bench.open()
     stage.move_to((-0.0495, 0.050, 0.050), 0.01)
     bench.wait(lambda: bench.firmware.state == "Idle")
@@ -140,7 +140,7 @@ def test_a_stop_from_another_thread_ends_a_move(grbl_bench):
 
 
 def test_stops_from_many_threads_are_one_stop(grbl_bench):
-    bench = grbl_bench(GrblModel(homed=True, hold_cancels_jog=False))
+    bench = grbl_bench(GrblParameters(homed=True, hold_cancels_jog=False))
     stage = bench.open()
     bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
     threads = [threading.Thread(target=stage.stop) for _ in range(4)]
@@ -152,7 +152,7 @@ def test_stops_from_many_threads_are_one_stop(grbl_bench):
 
 
 def test_a_hold_that_meets_a_stage_just_reset_is_cleared_too(grbl_bench, monkeypatch):
-    bench = grbl_bench(GrblModel(homed=True, hold_cancels_jog=False))
+    bench = grbl_bench(GrblParameters(homed=True, hold_cancels_jog=False))
     stage = bench.open()
     bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
     reset, held = stage._session.reset, []
@@ -260,7 +260,7 @@ def test_limits_wider_than_the_machine_are_refused(grbl_bench):
 
 def test_the_travel_is_the_firmware_s(grbl_bench):
     settings = {110: 600.0, 112: 300.0, 121: 20.0, 131: 40.0}
-    travel = grbl_bench(GrblModel(homed=True, settings=settings)).open().travel
+    travel = grbl_bench(GrblParameters(homed=True, settings=settings)).open().travel
     assert travel.least_m == pytest.approx((-0.1, 0.0, 0.0))
     assert travel.greatest_m == pytest.approx((0.0, 0.04, 0.1))
     assert travel.top_speed_m_s == pytest.approx(0.005)
@@ -310,7 +310,7 @@ def test_the_mount_and_back_is_the_same_place(letters, signs, place_m, machine_m
 
 class TestHoming:
     def test_the_position_is_unknown_until_it_is_found(self, grbl_bench):
-        bench = grbl_bench(GrblModel(homing_s=0.0))
+        bench = grbl_bench(GrblParameters(homing_s=0.0))
         stage = bench.open(known=False)
         with pytest.raises(DeviceError, match=r"home\(\)"):
             stage.position_m()
@@ -322,7 +322,7 @@ class TestHoming:
         bench.arrive(stage)
 
     def test_nothing_homes_or_unlocks_by_itself(self, grbl_bench):
-        bench = grbl_bench(GrblModel())
+        bench = grbl_bench(GrblParameters())
         with bench.open(known=False) as stage:
             for attempt in (
                 stage.position_m,
@@ -336,7 +336,7 @@ class TestHoming:
         assert b"$X" not in bench.received
 
     def test_without_switches_it_fails_by_name(self, grbl_bench, fast_clock):
-        bench = grbl_bench(GrblModel(switches=False), clock=fast_clock(100), still_s=1e3, stop_s=1e3)
+        bench = grbl_bench(GrblParameters(switches=False), clock=fast_clock(100), still_s=1e3, stop_s=1e3)
         stage = bench.open(known=False)
         with pytest.raises(DeviceError, match="ALARM:9"):
             stage.home()
@@ -344,7 +344,7 @@ class TestHoming:
             stage.position_m()
 
     def test_homing_that_is_stopped_leaves_the_position_unknown(self, grbl_bench):
-        bench = grbl_bench(GrblModel(homing_s=1e6))
+        bench = grbl_bench(GrblParameters(homing_s=1e6))
         stage = bench.open(known=False)
         failures = []
 
@@ -364,7 +364,7 @@ class TestHoming:
         assert bench.firmware.state == "Alarm"
 
     def test_homing_switched_off_is_said_so(self, grbl_bench):
-        off = GrblModel(settings={22: 0, 20: 0})
+        off = GrblParameters(settings={22: 0, 20: 0})
         with pytest.raises(InputError, match="least_m"):
             grbl_bench(off).open(known=False)
         stage = grbl_bench(off, least_m=(-0.01,) * 3, greatest_m=(0.01,) * 3).open(known=False)
@@ -376,7 +376,7 @@ class TestHoming:
 
     def test_an_unhomed_stage_moves_on_the_caller_s_word(self, grbl_bench):
         bench = grbl_bench(
-            GrblModel(settings={22: 0, 20: 0}),
+            GrblParameters(settings={22: 0, 20: 0}),
             require_homed=False,
             least_m=(-0.01, -0.01, 0.0),
             greatest_m=(0.01, 0.01, 0.02),
@@ -395,7 +395,7 @@ class TestHoming:
             grbl_bench().open().reference(bad)
 
     def test_unlocked_is_not_homed(self, grbl_bench):
-        bench = grbl_bench(GrblModel())
+        bench = grbl_bench(GrblParameters())
         stage = bench.open(known=False)
         stage.unlock()
         with pytest.raises(DeviceError, match="unlocked"):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from palpate.core import Pose
+from palpate.optics.colour import SECOND_RADIATION_M_K, lamp_tint
 from palpate.sensors import palm
 from palpate.sensors.palm import fringe_view
-from palpate.sensors.palm.membrane_wear import SECOND_RADIATION_M_K, lamp_tint, room_light
-from palpate.sensors.palm.palm_render import BACKGROUND
+from palpate.sensors.palm.palm_render import BACKGROUND, room_light
 
 SPEC = palm.debug()
 

@@ -106,7 +106,7 @@ def test_a_lateral_load_to_the_right_is_that_to_the_left_mirrored(coarse):
 def test_finer_planes_slices_and_rays_change_no_8_bit_step(words, lateral_n, monkeypatch):
     contact = layered(words, lateral_n=lateral_n)
     one = fringe_rays.march_contact(SPEC, contact)
-    for name, value in (("PLANES", 40), ("SLICES", 160), ("MORE_SLICES", 80), ("ACROSS_M", 0.05e-3)):
+    for name, value in (("PLANES", 40), ("SLICES", 160), ("MORE_SLICES", 80), ("MAX_ACROSS_M", 0.05e-3)):
         monkeypatch.setattr(fringe_rays, name, value)
     two = fringe_rays.march_contact(SPEC, contact)
     assert rms(below(one - two, 1.1e-3)) < 0.1 * STEP

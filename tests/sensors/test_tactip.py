@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from palpate.core.errors import InputError, RangeError
 from palpate.estimators.compliance.contact_region import Field, ring_px
 from palpate.sensors.tactip import PINS_127, PINS_331, PinLayout, pictured, tactip
-from palpate.sensors.tactip.pin_markers import Turned, head_on, lattice, markers
+from palpate.sensors.tactip.skin_and_markers import LeaningSkin, head_on, lattice, markers
 from palpate.sensors.tactip.tactip_camera import slopes
 
 S1, S3 = 0.2419e6, 0.035e6
@@ -53,7 +53,7 @@ def test_a_lever_shows_tilt_larger_than_displacement(spec) -> None:
 
 def test_a_lean_turns_the_field_towards_it(spec) -> None:
     skin = head_on(spec.table.press(S1), 0.02, 3.0, (0.05, 0.0))
-    assert isinstance(skin, Turned)
+    assert isinstance(skin, LeaningSkin)
     polar, azimuth = np.array([0.3, 0.3]), np.array([0.0, math.pi])
     places, normals = skin.at(polar, azimuth)
     assert places[0, 2] > places[1, 2]  # more pushed in on the side of the lean

@@ -9,7 +9,7 @@ from palpate.mechanics.axisymmetric.tilted_tip import tip_modes, top_modes
 from palpate.mechanics.axisymmetric.tip_table import tip_table
 from palpate.sensors.tactip import inclined_press as module, pictured, tactip
 from palpate.sensors.tactip.inclined_press import Inclined, inclined
-from palpate.sensors.tactip.pin_markers import Turned, lattice
+from palpate.sensors.tactip.skin_and_markers import LeaningSkin, lattice
 
 TILT = float(np.deg2rad(30))
 FORCES = np.array([0.5, 1.0, 2.0, 4.0])
@@ -110,7 +110,7 @@ def test_a_lean_turns_the_whole_field_about_the_domes_centre(tilted) -> None:
     """A lean of 0.03 rad along x moves every place by as much as that turn of the sphere does."""
     specimen = tilted["soft"]
     turned = specimen.skin(0.0, (0.03, 0.0))
-    assert isinstance(turned, Turned)
+    assert isinstance(turned, LeaningSkin)
     at, _ = turned.at(*lattice(tactip().pins, specimen.inner_radius_m))
     still, _ = places(specimen, 0.0)
     assert_allclose(at, still, atol=1e-9)  # the untouched dome looks alike from everywhere

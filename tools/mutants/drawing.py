@@ -70,7 +70,7 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
             "palpate.mechanics.axisymmetric.tilted_tip": ("tests/mechanics/test_tilted_tip.py",),
             "palpate.mechanics.axisymmetric.tip_table": ("tests/mechanics/test_tip_table.py",),
             "palpate.mechanics.resultant": ("tests/mechanics/test_resultant.py",),
-            "palpate.optics.axisymmetric": ("tests/optics/test_axisymmetric.py",),
+            "palpate.optics.axisymmetric_march": ("tests/optics/test_axisymmetric_march.py",),
             "palpate.optics.camera_response": (
                 "tests/optics/test_camera_response.py",
                 "tests/laws/test_noise.py",
@@ -84,7 +84,7 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
                 "tests/laws/test_polariscope.py",
             ),
             "palpate.optics.wall_refraction": ("tests/optics/test_wall_refraction.py",),
-            "palpate.optics.axisymmetric_kernels": ("tests/optics/test_axisymmetric.py",),
+            "palpate.optics.axisymmetric_kernels": ("tests/optics/test_axisymmetric_march.py",),
             "palpate.optics.single_slice": ("tests/optics/test_single_slice.py",),
             "palpate.optics.stress_optic": (
                 "tests/optics/test_stress_optic.py",
@@ -100,8 +100,8 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
             "palpate.recordings.exchange.image_import": ("tests/recordings/test_import_images.py",),
             "palpate.sensors.palm.palm_import": ("tests/sensors/test_palm_import.py",),
             "palpate.recordings.exchange.press_import": ("tests/recordings/test_import_press.py",),
-            "palpate.recordings.labels": (
-                "tests/recordings/test_labels.py",
+            "palpate.recordings.label_tables": (
+                "tests/recordings/test_label_tables.py",
                 "tests/recordings/test_run_reader.py",
             ),
             "palpate.recordings.exchange.press_folder": ("tests/recordings/test_press_folder.py",),

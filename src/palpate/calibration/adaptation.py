@@ -41,7 +41,7 @@ from palpate.estimators.certified import Estimator, Intervals, checked_file, int
 from palpate.estimators.model_card import Card, SplitCard
 from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.estimators.novelty import NoveltyDetector, RenderedImages, fit_novelty_detector
-from palpate.recordings.labels import targets_from
+from palpate.recordings.label_tables import targets_from
 from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.run_reader import Run
 from palpate.recordings.splits import Split, group_names, split
@@ -98,7 +98,7 @@ def _correction_records(result: CalibrationResult, adapted: Adapted, former: Car
 GROUPS = ("press", "location")
 """Label columns that say which rows belong to one press, the first that is there; else each row is one."""
 
-FEWEST = 10
+MIN_PRESSES = 10
 
 
 def adapt(folder: PathText, run: Run, out: PathText, progress: Progress = silent) -> Card:
@@ -187,17 +187,17 @@ def _check(card: Card, run: Run, plan: CalibrationPlan) -> None:
     targets_from(table, plan.targets, str(run.path))
     column = plan.split.partition(":")[2]
     presses = len(table) if column == "row" else len(np.unique(group_names(table, (column,))))
-    if presses < _fewest(card.coverage):
+    if presses < _min_presses(card.coverage):
         what = "rows" if column == "row" else f"groups in its column {column!r}"
         raise InputError(
-            f"{run.path} holds {presses} {what}; adapting takes {_fewest(card.coverage)} presses or more, "
-            f"since fewer cannot set intervals that hold {100 * card.coverage:g} % of new ones"
+            f"{run.path} holds {presses} {what}; adapting takes {_min_presses(card.coverage)} presses or "
+            f"more, since fewer cannot set intervals that hold {100 * card.coverage:g} % of new ones"
         )
 
 
-def _fewest(coverage: float) -> int:
+def _min_presses(coverage: float) -> int:
     """Presses: with n scores, the greatest is exceeded by a new one with probability 1 / (n + 1)."""
-    return max(FEWEST, math.ceil(coverage / (1 - coverage) - 1e-9))
+    return max(MIN_PRESSES, math.ceil(coverage / (1 - coverage) - 1e-9))
 
 
 def _packed(run: Run, work: Path, card: Card, progress: Progress) -> PackedSet:
@@ -234,7 +234,7 @@ def _result(
         audit=audit(learning.packed, parts),
         held_out=adapted.held_out,
         fitted=_CorrectedNetwork(estimator, adapted.correction),
-        guard=_novelty_detector(estimator, learning, parts),
+        novelty=_novelty_detector(estimator, learning, parts),
     )
     return result, adapted
 

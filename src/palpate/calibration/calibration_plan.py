@@ -98,7 +98,7 @@ class CalibrationPlan:
     options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        # Here, since whoever senses reads a `Reference`, and needs neither models nor tables.
+        # Here, since whoever senses reads a `ReferenceRule`, and needs neither models nor tables.
         from palpate.estimators.networks import model_kind
         from palpate.recordings.splits import check_split_text
 

@@ -38,7 +38,7 @@ from palpate.estimators.networks.model_interface import Fitted, TrainingData
 from palpate.estimators.novelty import NoveltyDetector
 from palpate.recordings import Run, Split
 from palpate.recordings.exchange import image_files
-from palpate.recordings.labels import with_own
+from palpate.recordings.label_tables import with_own
 from palpate.recordings.table_files import read_table, write_table
 from palpate.version import __version__
 
@@ -53,7 +53,7 @@ class CalibrationResult:
             frames.
         split, audit: how rows were held out, and what stands on both sides.
         held_out: predictions of rows by a model that had not seen their group; NaN for rows not scored.
-        fitted, guard: what was learnt from all of them.
+        fitted, novelty: what was learnt from all of them.
         seconds: time it took [s].
     """
 
@@ -64,7 +64,7 @@ class CalibrationResult:
     audit: LeakageAudit
     held_out: Values
     fitted: Fitted
-    guard: NoveltyDetector
+    novelty: NoveltyDetector
     seconds: float = 0.0
 
     @property
@@ -230,7 +230,7 @@ def write_certificate(
     with new_folder(out) as folder:
         onnx.save(result.fitted.to_onnx(), str(folder / "model.onnx"))
         agrees = agreement(result, folder / "model.onnx")
-        result.guard.save(folder / "guard.npz")
+        result.novelty.save(folder / "guard.npz")
         intervals = fit(
             result.held_out[scored], data.values[scored], data.groups[scored], result.plan.coverage
         )

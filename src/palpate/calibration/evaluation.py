@@ -14,7 +14,7 @@ from palpate.core import LabelError, Shaped, Values
 from palpate.estimators.certified import Estimator, Zero
 from palpate.estimators.model_card import Card, ScoreCard
 from palpate.estimators.networks.model_interface import Progress, silent
-from palpate.recordings.labels import own_column, targets_from, with_own
+from palpate.recordings.label_tables import own_column, targets_from, with_own
 from palpate.recordings.run_reader import Run
 
 

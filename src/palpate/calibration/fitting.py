@@ -37,7 +37,7 @@ from palpate.estimators.networks import make_model, model_kind
 from palpate.estimators.networks.distributed import ProcessGroup
 from palpate.estimators.networks.model_interface import Fitted, Progress, predict_rows, silent
 from palpate.estimators.novelty import LearnsFromRendered, NoveltyDetector, fit_novelty_detector
-from palpate.recordings.labels import refuse_reserved, targets_from
+from palpate.recordings.label_tables import refuse_reserved, targets_from
 from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.preparation import Preparation
 from palpate.recordings.run_reader import Run

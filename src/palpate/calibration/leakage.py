@@ -12,7 +12,7 @@ import pandas as pd
 from sklearn.neighbors import NearestNeighbors
 
 from palpate.core import has_unit, split_column
-from palpate.recordings.labels import label_kinds
+from palpate.recordings.label_tables import label_kinds
 from palpate.recordings.packed_set import PackedSet
 from palpate.recordings.splits import Split, conventional_groups, group_names
 

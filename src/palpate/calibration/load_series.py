@@ -28,7 +28,7 @@ from palpate.core import (
 from palpate.estimators.fringe_order import check_loads
 from palpate.estimators.networks.model_interface import Progress
 from palpate.recordings.exchange.image_files import read_image
-from palpate.recordings.labels import FIRST_ROW, read_labels, rows_text
+from palpate.recordings.label_tables import FIRST_ROW, read_labels, rows_text
 
 Tone = Literal["srgb", "linear"]
 Region = tuple[int, int, int, int]

@@ -52,7 +52,7 @@ from palpate.core import (
 from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
 from palpate.estimators.model_card import Card, TargetCard, sealed
 from palpate.estimators.networks.model_interface import Progress, TrainingData, silent
-from palpate.recordings.labels import own_column
+from palpate.recordings.label_tables import own_column
 from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.run_reader import Run
 from palpate.recordings.table_files import write_table
@@ -195,7 +195,7 @@ def times_in_turn(
     return seconds
 
 
-SEEN_FOR_SCALES = 512  # rows, at most
+MAX_ROWS_FOR_SCALES = 512  # rows
 AT_ONCE = 32
 REPEATS = 1e-3  # share of a target's range within which the model must repeat its held-out estimates
 
@@ -317,7 +317,7 @@ def _answers(run: Callable[[Tensor], Values], material: _Material, progress: Pro
 
 def _inputs_learnt_from(material: _Material, seed: int, progress: Progress) -> Iterator[Tensor]:
     """Inputs of some of the rows that the network has learnt from, a few at a time."""
-    count, done = min(SEEN_FOR_SCALES, len(material.learnt)), 0
+    count, done = min(MAX_ROWS_FOR_SCALES, len(material.learnt)), 0
     rows = np.sort(np.random.default_rng(seed).choice(material.learnt, count, replace=False))
     for part, inputs in material.data.batches(rows, AT_ONCE):
         yield inputs

@@ -134,9 +134,9 @@ def layer(run: Annotated[Path, Argument(help="A run of the plan layer.")], json_
 
     Example: palpate rig layer layer-run
     """
-    from palpate.rig.locate_specimen import locate_specimen
+    from palpate.rig.locate_skin import locate_skin
 
-    place = locate_specimen(palpate.Run.open(run))
+    place = locate_skin(palpate.Run.open(run))
     at, moved = (", ".join(f"{d:.3f}" for d in three) for three in (place.origin_mm, place.moved_mm))
     text = (
         f"origin_mm = [{at}]\n"

@@ -15,7 +15,7 @@ import numpy as np
 from palpate.core import RangeError, Wrench
 from palpate.devices.motion_limits import Reason, Tripped
 
-SAMPLES = 20  # fewest for a mean that is worth taking off
+MIN_SAMPLES = 20  # for a mean that is worth taking off
 
 Force = tuple[float, float, float]
 
@@ -65,16 +65,17 @@ class ForceBias:
         """Set it from samples taken without contact.
 
         Raises:
-            Tripped: fewer than `SAMPLES` good ones; the reason says whether the rest were faulty or missing.
+            Tripped: fewer than `MIN_SAMPLES` good ones; the reason says whether the rest were faulty or
+                missing.
         """
         good = [one for one in samples if not one.fault]
         faults = {one.fault for one in samples if one.fault}
-        if len(good) < SAMPLES and faults:
+        if len(good) < MIN_SAMPLES and faults:
             raise Tripped(Reason.FORCE_FAULT, f"the force sensor says: {', '.join(sorted(faults))}")
-        if len(good) < SAMPLES:
+        if len(good) < MIN_SAMPLES:
             raise Tripped(
                 Reason.FORCE_STALE,
-                f"{len(good)} good force samples for the zero of {SAMPLES}: is the sensor streaming?",
+                f"{len(good)} good force samples for the zero of {MIN_SAMPLES}: is the sensor streaming?",
             )
         force = np.array([self.mounting.to_skin(one.force_n) for one in good])
         torque = np.array([self.mounting.to_skin(one.torque_nm) for one in good])

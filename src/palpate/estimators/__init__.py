@@ -1,4 +1,4 @@
-"""Frames to readings: certified estimators, the guard around them, the networks inside."""
+"""Frames to readings: certified estimators, the novelty detector around them, the networks inside."""
 
 from palpate.estimators.certified import Estimator, Zero, read_card
 from palpate.estimators.model_card import Card

@@ -36,7 +36,7 @@ from palpate.estimators.model_card import FORMAT, Card, FileCard, TargetCard, ca
 from palpate.estimators.novelty import NoveltyDetector
 from palpate.version import needed_version
 
-LEAST, MOST = 0.2, 5.0
+MIN_RATIO, MAX_RATIO = 0.2, 5.0
 """The spread is held between these multiples of the typical error: a quadratic fitted inside the
 calibrated range must not run away outside it."""
 
@@ -66,7 +66,7 @@ class ErrorSpread:
     def at(self, values: Values) -> Values:
         """The spread at these estimates ``[n t]``, in the targets' units."""
         scaled = np.clip((values - self.centre) / self.scale, -3.0, 3.0)
-        ratio = np.exp(np.clip(design(scaled) @ self.coefficients.T, np.log(LEAST), np.log(MOST)))
+        ratio = np.exp(np.clip(design(scaled) @ self.coefficients.T, np.log(MIN_RATIO), np.log(MAX_RATIO)))
         return self.typical * ratio
 
 
@@ -147,7 +147,7 @@ def checked_file(folder: Path, part: FileCard) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Zero:
-    """An untouched sensor's image: what a differential model subtracts, and how far it has drifted."""
+    """Zero of a touch: an untouched sensor's image: what a differential model subtracts, and how far it has drifted."""
 
     image: PreparedFloat
     drift: Drift | None
@@ -163,12 +163,12 @@ class Estimator:
     """
 
     def __init__(
-        self, folder: Path, card: Card, session: onnxruntime.InferenceSession, guard: NoveltyDetector
+        self, folder: Path, card: Card, session: onnxruntime.InferenceSession, novelty: NoveltyDetector
     ) -> None:
         self.folder = folder
         self.card = card
         self._session = session
-        self._guard = guard
+        self._novelty = novelty
         self._preparation = card.input.preparation
         self._intervals = intervals_of(card)
 
@@ -185,15 +185,15 @@ class Estimator:
         """
         folder = Path(folder)
         card = read_card(folder)
-        guard = NoveltyDetector.load(checked_file(folder, card.guard))
+        novelty = NoveltyDetector.load(checked_file(folder, card.guard))
         session = _session(checked_file(folder, card.model), card, threads)
-        return cls(folder, card, session, guard)
+        return cls(folder, card, session, novelty)
 
     def zero(self, untouched: Image) -> Zero:
         """Take an image of the untouched sensor as reference, and judge its drift by it."""
         self._check_size(untouched)
         prepared = self._preparation.apply(untouched)
-        return Zero(prepared.astype(np.float32), self._guard.drift(prepared))
+        return Zero(prepared.astype(np.float32), self._novelty.drift(prepared))
 
     def values(self, inputs: Tensor) -> Values:
         """Run the network: inputs ``[n c h w]`` to estimates ``[n t]`` in the targets' units."""
@@ -224,7 +224,7 @@ class Estimator:
         if frame.image.shape[:2] != self.card.input.frame_px:
             return self._readings(frame, None, self._size_message(frame.image), zero)
         prepared = self._preparation.apply(frame.image)
-        atypicality = self._guard.atypicality(prepared)
+        atypicality = self._novelty.atypicality(prepared)
         why = "" if atypicality <= 1 else _novelty_reason(atypicality)
         picture = prepared.astype(np.float32)
         difference = picture - zero.image if self.card.input.delta and zero is not None else picture
@@ -327,7 +327,7 @@ def _session(path: Path, card: Card, threads: int) -> onnxruntime.InferenceSessi
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.log_severity_level = 3
-        # Threads that spin while idle take the cores from the guard's arithmetic: asleep, they halve the 95th
+        # Threads that spin while idle take the cores from the novelty detector: asleep, they halve the 95th
         # percentile of a frame's latency on two cores.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         # From bytes, so that nothing beside the file can be drawn in.

@@ -244,11 +244,11 @@ def _axes(thumbs: Kept, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarra
 MAX_KEPT = 2000  # recorded frames
 FALSE_ALARMS = 0.03  # share of good frames that may be turned away
 
-DRIFT_FLOOR_GREY_LEVELS = 0.5
+MIN_DRIFT_SPREAD_GREY_LEVELS = 0.5
 """Two averages of one scene never agree better than this, whatever a few references suggest."""
 
 FEW_REFERENCES = 5
-DRIFT_LIMIT_OF_FEW = 3.0
+MAX_DRIFT_OF_FEW = 3.0
 """Fewer no-contact frames than five say little of how far such frames wander: three times their spread."""
 
 
@@ -402,10 +402,10 @@ def _untouched(untouched: Thumbnails) -> tuple[np.ndarray | None, float, float]:
     """Mean no-contact thumbnail, the spread around it, and the limit: half as far again as the widest."""
     r = len(untouched)
     if r == 0:
-        return None, DRIFT_FLOOR_GREY_LEVELS, DRIFT_LIMIT_OF_FEW
+        return None, MIN_DRIFT_SPREAD_GREY_LEVELS, MAX_DRIFT_OF_FEW
     mean = untouched.mean(axis=0)
     # With r frames the mean follows each of them; r / (r - 1) undoes that.
     moved = np.sqrt(np.mean((untouched - mean) ** 2, axis=1)) * (r / (r - 1) if r > 1 else 1.0)
-    spread = max(float(np.median(moved)), DRIFT_FLOOR_GREY_LEVELS)
+    spread = max(float(np.median(moved)), MIN_DRIFT_SPREAD_GREY_LEVELS)
     widest = 1.5 * max(float(moved.max()) / spread, 1.0)
-    return mean, spread, widest if r >= FEW_REFERENCES else max(widest, DRIFT_LIMIT_OF_FEW)
+    return mean, spread, widest if r >= FEW_REFERENCES else max(widest, MAX_DRIFT_OF_FEW)

@@ -37,7 +37,7 @@ def settle(pixels, row, margin, xy, reach, floor, sums, weight):
     Args:
         pixels, row, margin: an image with a dark margin around, flat, and the length of its rows [px].
         xy: where to start; changed.
-        reach: see `Pins`.
+        reach: see `PinTracks`.
         floor: in parts of a grey level, as all sums here are.
         sums: workspace, two numbers for every column of a window.
         weight: to be filled.

@@ -1,6 +1,6 @@
 """Stress and light to images."""
 
-from palpate.optics.axisymmetric import (
+from palpate.optics.axisymmetric_march import (
     AxisymmetricField,
     MarchedRays,
     Rays,

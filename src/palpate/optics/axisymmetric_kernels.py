@@ -1,4 +1,4 @@
-"""The compiled loops that sample an axisymmetric table on the way; `axisymmetric` has the law and calls them.
+"""The compiled loops that sample an axisymmetric table; `axisymmetric_march` has the law and calls them.
 
 Lengths are in units of the table's last radius, stress in Pa. Graded knots are found from a list of the
 interval in which each of many equal steps begins. A ray that stays in the skin and in the table, as most do,
@@ -54,9 +54,9 @@ def _read(z, r, table):
 @numba.njit(**FAST)
 @no_type_check
 def _sample_deep(rays, j, i, slices, table, frozen, difference, shear):
-    """Slices of ray j, in the skin and in the table all along, into column i; the law is in `axisymmetric`.
+    """Slices of ray j, in the skin and in the table all along, into column i.
 
-    Lengths are in units of the table's last radius. The angle atan(y / scale) turns by equal steps.
+    The law is in `axisymmetric_march`. Lengths are in units of the table's last radius. The angle atan(y / scale) turns by equal steps.
     """
     offset, scale = rays[0, j], rays[4, j]
     first, last = math.atan(rays[2, j] / scale), math.atan(rays[3, j] / scale)

@@ -10,9 +10,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from palpate.core import Float, InputError, UInt8, ndarray
+from palpate.core import Float, Float32, InputError, UInt8, ndarray
 
 Banded = Float[ndarray, "k *n"]
+
+SECOND_RADIATION_M_K = 1.438777e-2
+"""Planck's c2 = hc/k [m K]."""
 
 MIN_BANDS = 31  # fewer cost more than 0.006 in intensity at four fringe orders
 
@@ -84,3 +87,17 @@ def encode_srgb(linear: Float[ndarray, "*n"]) -> UInt8[ndarray, "*n"]:
 
 def _bell(nm: Float[ndarray, " k"], peak: float, width: float) -> Float[ndarray, " k"]:
     return np.asarray(np.exp(-((nm - peak) ** 2) / (2 * width**2)))
+
+
+def lamp_tint(mired: float, spectrum: Spectrum) -> Float32[ndarray, " 3"]:
+    """Each channel's light under a warmer or colder lamp, over that of the lamp the camera is balanced to.
+
+    The lamp's spectrum is multiplied by exp(-c2 m / lambda), which moves a black body of any temperature T to
+    1 / (1/T + m), in Wien's approximation. Green is kept, as an exposure set anew would.
+
+    Args:
+        mired: m, the change of 1e6 K over the colour temperature; positive is warmer.
+        spectrum: of lamp and camera.
+    """
+    filtered = np.exp(-SECOND_RADIATION_M_K * mired * 1e-6 / spectrum.wavelength_m) @ spectrum.weight
+    return np.asarray(filtered / filtered[1], dtype=np.float32)

@@ -82,7 +82,7 @@ def backlight(
     Args:
         strip: the lamp.
         x_m, z_m: columns and rows on the diffuser [m].
-        corner_loss: as in `illumination`.
+        corner_loss: see `uneven_light`.
     """
     lens = uneven_light(len(z_m), len(x_m), corner_loss)
     return (strip_light(strip, x_m, z_m) * lens).astype(np.float32)

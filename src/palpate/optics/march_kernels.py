@@ -1,4 +1,4 @@
-"""Compiled inner loops of `compiled_march` and `axisymmetric`, which alone call them.
+"""Compiled inner loops of `compiled_march` and `axisymmetric_march`, which alone call them.
 
 Rays go in tiles whose quaternions stay in the processor's first cache; the innermost loop runs over the
 contiguous rays of a tile, so that the compiler turns it into vector instructions. With h the half phase of a

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from palpate.recordings.exchange.image_files import read_image
     from palpate.recordings.exchange.image_import import ImportReport, import_images
     from palpate.recordings.integrity import CheckReport, RepairReport, check, repair
-    from palpate.recordings.labels import read_labels
+    from palpate.recordings.label_tables import read_labels
     from palpate.recordings.manifest import Manifest
     from palpate.recordings.packed_set import PackedSet, pack
     from palpate.recordings.run_reader import Run
@@ -28,7 +28,7 @@ _MODULES = {
         "exchange.image_files": ("read_image",),
         "exchange.image_import": ("ImportReport", "import_images"),
         "integrity": ("CheckReport", "RepairReport", "check", "repair"),
-        "labels": ("read_labels",),
+        "label_tables": ("read_labels",),
         "manifest": ("Manifest",),
         "packed_set": ("PackedSet", "pack"),
         "run_reader": ("Run",),

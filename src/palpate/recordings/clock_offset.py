@@ -23,13 +23,13 @@ Series = Float[ndarray, " _"]
 Columns = Float[ndarray, "_ _"]
 
 STEP_S = 4e-3  # of the first, coarse search
-FEWEST = 12  # frames on the flanks of taps, for four unknowns and an interval
+MIN_FRAMES = 12  # frames on the flanks of taps, for four unknowns and an interval
 FLANK = 0.2  # of the greatest slope of the signal, above which a frame counts as on a flank
 SLOPE_S = 10e-3  # to either side, over which the slope is taken: the force's noise is no slope
 SOFT = 0.02  # of the greatest force, added below the root: so near to zero there is nothing but noise
 TOUCHED = 0.2  # of the greatest force, above which a tap is under way
 QUIET = 10.0  # times its noise that the force must rise
-EXPLAINED = 0.8  # of the signal's variance, at least
+MIN_EXPLAINED = 0.8  # of the signal's variance
 RIVAL = 1.5  # times the residual that any other offset must leave
 APART_S = 0.15  # from the best offset, for another one to be a rival
 CONFIDENCE = 0.95
@@ -121,10 +121,11 @@ class _TapSignals:
         most_s: float,
     ) -> None:
         inside = (frame_t - exposure_s - most_s >= force_t[0]) & (frame_t + most_s <= force_t[-1])
-        if np.count_nonzero(inside) < FEWEST:
+        if np.count_nonzero(inside) < MIN_FRAMES:
             raise RangeError(
                 f"{np.count_nonzero(inside)} frames lie inside the force samples' time and {most_s:g} s from "
-                f"its ends; {FEWEST} are needed: record both from before the first tap until after the last"
+                f"its ends; {MIN_FRAMES} are needed: record both from before the first tap until after "
+                "the last"
             )
         self.frame_t, self.change = frame_t[inside], change[inside]
         self._force_t, self._exposure_s = force_t, exposure_s
@@ -177,10 +178,10 @@ def _best(signals: _TapSignals, most_s: float) -> tuple[float, float]:
     best = int(np.argmin(left))
     whole = float(np.sum((signals.change - signals.change.mean()) ** 2))
     explained = 1 - left[best] / whole if whole > 0 else 0.0
-    if not explained >= EXPLAINED:
+    if not explained >= MIN_EXPLAINED:
         raise RangeError(
             f"at no offset up to {most_s:g} s does the signal follow the force: {explained:.0%} of its "
-            f"variance at best, {EXPLAINED:.0%} are needed; do the frames see the taps?"
+            f"variance at best, {MIN_EXPLAINED:.0%} are needed; do the frames see the taps?"
         )
     if best in (0, len(offsets) - 1):
         raise RangeError(f"the offset is {most_s:g} s or more; look further, by most_s")
@@ -206,9 +207,9 @@ def _with_interval(signals: _TapSignals, seconds: float, explained: float, taps:
     error_s = math.sqrt(max(float((bread @ meat @ bread)[0, 0]), 0.0))
     flank = np.abs(slope) > FLANK * np.abs(slope).max()
     frames = int(np.count_nonzero(flank))
-    if frames < FEWEST:
+    if frames < MIN_FRAMES:
         raise RangeError(
-            f"{frames} frames were taken while the force rose or fell; {FEWEST} are needed: tap more "
+            f"{frames} frames were taken while the force rose or fell; {MIN_FRAMES} are needed: tap more "
             "often, or more slowly"
         )
     # Weighted by the slope, since a frame on a flat part tells nothing of its time.
@@ -223,9 +224,10 @@ def _columns(force: Series) -> Columns:
 
 
 def _check_series(times: Series, values: Series, what: str) -> None:
-    if len(times) != len(values) or len(times) < FEWEST:
+    if len(times) != len(values) or len(times) < MIN_FRAMES:
         raise InputError(
-            f"{len(times)} {what} times and {len(values)} values; give as many of each, and at least {FEWEST}"
+            f"{len(times)} {what} times and {len(values)} values; give as many of each, and at least "
+            f"{MIN_FRAMES}"
         )
     if not (np.isfinite(times).all() and np.isfinite(values).all()):
         raise InputError(f"{what} times or values are not finite; leave out what was not measured")

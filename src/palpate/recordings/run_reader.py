@@ -24,7 +24,7 @@ from palpate.core import (
     sha256_of_all,
 )
 from palpate.recordings import message_schema
-from palpate.recordings.labels import Label, finite, label_values
+from palpate.recordings.label_tables import Label, finite, label_values
 from palpate.recordings.manifest import MANIFEST, LabelKind, Manifest
 from palpate.recordings.message_schema import EVENTS, FORCE, LABELS, RAW, STAGE, Channel
 from palpate.recordings.segment_reader import Damage, StoredFrame, StoredSegment

@@ -33,7 +33,7 @@ from palpate.core import (
 )
 from palpate.recordings import message_schema
 from palpate.recordings.exchange import image_files
-from palpate.recordings.labels import Label, finite, label_values
+from palpate.recordings.label_tables import Label, finite, label_values
 from palpate.recordings.manifest import MANIFEST, Manifest
 from palpate.recordings.message_schema import EVENTS, FORCE, FRAMES, LABELS, RAW, RECORDED, STAGE, Channel
 from palpate.recordings.run_reader import Run
@@ -283,7 +283,7 @@ class RunWriter:
             False when the queue was full and the frame was dropped and counted.
 
         Raises:
-            ImageError: not such an image, or larger than `png.MAX_PIXELS`.
+            ImageError: not such an image, or larger than `image_files.MAX_PIXELS`.
             LabelError: a label that the manifest does not list, or of another kind.
             InputError: a time before the previous frame's.
         """

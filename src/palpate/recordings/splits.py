@@ -16,7 +16,7 @@ from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
 from palpate.core import PluginError, SplitError
 from palpate.core.plugins import OWN, PATH, PluginRegistry
-from palpate.recordings.labels import rows_text
+from palpate.recordings.label_tables import rows_text
 
 # Coarsest first: a split by an earlier one also holds apart everything that a later one would.
 CONVENTIONAL_GROUPS: tuple[tuple[str, ...], ...] = (

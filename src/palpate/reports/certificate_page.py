@@ -16,7 +16,7 @@ from palpate.calibration.evaluation import groups_in
 from palpate.core import PathText, new_file
 from palpate.estimators.certified import checked_file, read_card
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard
-from palpate.recordings.labels import OWN, own_column
+from palpate.recordings.label_tables import OWN, own_column
 from palpate.reports.calibration_figures import (
     picture,
     surface_columns,

@@ -12,7 +12,7 @@ from palpate.core import NS_PER_S, DeviceError, Frame, FrameSource, Wrench
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.motion_guard import MotionGuard
 from palpate.devices.motion_limits import Reason, Tripped
-from palpate.recordings.labels import Label
+from palpate.recordings.label_tables import Label
 from palpate.recordings.manifest import LabelKind
 from palpate.rig.plans.recording_plan import Burst, PlannedPress, Shot, Sweep
 from palpate.rig.press_motion import PressMotion
@@ -139,8 +139,8 @@ class Acquisition:
         press, force = self._press, self._mean_force(time_ns, exposure_s)
         at = self._guard.position_m()
         x, y, z = self._rig.from_origin_mm(at)
-        zero = self._motion.zero_m
-        depth = 0.0 if zero is None else 1e3 * (at[2] - zero)
+        contact = self._motion.contact_m
+        depth = 0.0 if contact is None else 1e3 * (at[2] - contact)
         labels: dict[str, Label] = {
             "shot": shot.key,
             "frame_in_shot": float(k),

@@ -99,12 +99,12 @@ class Engine:
         try:
             for press in self._plan.presses():
                 if self._control.command is OperatorCommand.STOP:
-                    return self._over(State.STOPPED, "stopped by the operator")
+                    return self._ended(State.STOPPED, "stopped by the operator")
                 self._finish(press)
         except OperatorInterrupt as interrupt:
             if interrupt.command is OperatorCommand.ESTOP:
-                return self._over(State.ESTOPPED, "emergency stop")
-            return self._over(State.ABORTED, "aborted by the operator")
+                return self._ended(State.ESTOPPED, "emergency stop")
+            return self._ended(State.ABORTED, "aborted by the operator")
         except Tripped as e:
             return self._failed(e.reason, str(e))
         except StorageError as e:
@@ -117,13 +117,13 @@ class Engine:
             self._guard.halt()
             self._lift_if_possible()
             raise
-        return self._over(State.DONE, "all shots are recorded")
+        return self._ended(State.DONE, "all shots are recorded")
 
     def _finish(self, press: PlannedPress) -> None:
         """A press until nothing of it is missing, however often it is paused."""
         while self._plan.missing(press, self._done):
             try:
-                self._fit(press.indenter)
+                self._mount(press.indenter)
                 if self._clocks is None and self._plan.taps:
                     self._set_clocks(press)
                 self._approached(press)
@@ -146,7 +146,7 @@ class Engine:
             case Over(x, y):
                 self._motion.over(x, y)
             case TareStep():
-                self._motion.measure_zero()
+                self._motion.measure_bias()
             case Seek():
                 self._motion.seek()
             case Depth(depth, speed):
@@ -166,15 +166,15 @@ class Engine:
         self._message = f"{press.place.name}: {self._plan.taps} taps, to set the clocks"
         self._motion.begin(press)
         self._motion.over(press.place.x_mm * 1e-3, press.place.y_mm * 1e-3)
-        self._motion.measure_zero()
+        self._motion.measure_bias()
         self._clocks = ClockSync(self._rig, self._plan, self._guard, self._recorder, self._bias).tap()
         self._acquisition.late_s = self._clocks.seconds
 
-    def _fit(self, indenter: str) -> None:
+    def _mount(self, indenter: str) -> None:
         if indenter == self._indenter:
             return
         self._indenter = indenter
-        if not self._rig.fit(indenter) and len(self._plan.indenters) > 1:
+        if not self._rig.mount(indenter) and len(self._plan.indenters) > 1:
             self._wanted = f"fit the indenter {indenter}, then resume"
             self._control.ask(OperatorCommand.PAUSE)
             self._control.check()
@@ -205,13 +205,13 @@ class Engine:
             self._recorder.mute()
         if reason not in UNMOVED:
             self._lift_if_possible()
-        return self._over(State.FAILED, message, reason)
+        return self._ended(State.FAILED, message, reason)
 
     def _lift_if_possible(self) -> None:
         with _quietly():
             self._motion.lift()
 
-    def _over(self, state: State, message: str, reason: Reason | None = None) -> Outcome:
+    def _ended(self, state: State, message: str, reason: Reason | None = None) -> Outcome:
         if state in (State.STOPPED, State.ABORTED, State.DONE):
             self._lift_if_possible()
         with _quietly():

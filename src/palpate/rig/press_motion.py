@@ -21,7 +21,7 @@ class PressMotion:
     """Moves over a place, onto the skin, into it, aside and away, each within the guard.
 
     Attributes:
-        zero_m: height of contact in this press, along the stage's z; None before [m].
+        contact_m: height of contact in this press, along the stage's z; None before [m].
         approach: number of this press among all approaches, from 1.
     """
 
@@ -33,19 +33,19 @@ class PressMotion:
         self._guard = guard
         self._bias = bias
         self._recorder = recorder
-        self.zero_m: float | None = None
+        self.contact_m: float | None = None
         self.approach = 0
 
     def begin(self, press: PlannedPress) -> None:
         """A new approach: whatever was known of the contact is forgotten."""
-        self.zero_m = None
+        self.contact_m = None
         self._place = press.place
         self.approach += 1
 
     def lift(self) -> None:
         """Straight up to the clearance, if the probe is below it; the contact is over."""
         x, y, z = self._guard.position_m()
-        self.zero_m = None
+        self.contact_m = None
         if z > self._clearance_m:
             self._guard.away((x, y, self._clearance_m), self._plan.travel_mm_s * MM)
 
@@ -62,7 +62,7 @@ class PressMotion:
         self._guard.away((x, y, z), speed)
         self._guard.away((x, y, self._clearance_m), speed)
 
-    def measure_zero(self) -> None:
+    def measure_bias(self) -> None:
         """Measure the force sensor's zero, standing in the air.
 
         A zero far from the last one means that the probe touches something.
@@ -110,21 +110,21 @@ class PressMotion:
                 f"no contact down to {plan.seek_mm:g} mm below the expected surface at "
                 f"{self._place.name}; is the layer there, and the force sensor's sign right?",
             )
-        self.zero_m = self._guard.position_m()[2]
+        self.contact_m = self._guard.position_m()[2]
         self._recorder.event(
             ZERO,
             place=self._place.name,
             x_mm=self._place.x_mm,
             y_mm=self._place.y_mm,
-            z_mm=1e3 * (self.zero_m - self._rig.origin_m[2]),
+            z_mm=1e3 * (self.contact_m - self._rig.origin_m[2]),
         )
 
     def to_depth(self, depth_m: float, speed_m_s: float) -> None:
         """Go to a depth below the zero, down or up [m]."""
-        if self.zero_m is None:
+        if self.contact_m is None:
             raise Tripped(Reason.PLAN, "a plan that presses before it has found contact")
         x, y, z = self._guard.position_m()
-        target = (x, y, self.zero_m + depth_m)
+        target = (x, y, self.contact_m + depth_m)
         (self._guard.towards if target[2] > z else self._guard.away)(target, speed_m_s)
 
     def aside(self, x_m: float, y_m: float, speed_m_s: float) -> None:

@@ -56,7 +56,7 @@ class Rig:
         seed: of a virtual rig.
         truth: a virtual rig's own labels at a time, each with its unit in the name.
         truths: the names of those labels.
-        fit: change the indenter; False where a person has to.
+        mount: change the indenter; False where a person has to.
         known_m: how deep an indenter may press, with a lateral load or without: a virtual skin has a law to
             that depth and none beyond [m].
         design: of the sensor, whose outline and probe plans are laid on; None where only its plan knows.
@@ -77,7 +77,7 @@ class Rig:
     seed: int | None = None
     truth: Callable[[int], dict[str, float]] = no_truth
     truths: tuple[str, ...] = ()
-    fit: Callable[[str], bool] = by_hand
+    mount: Callable[[str], bool] = by_hand
     known_m: Callable[[str, bool], float] = unlimited
     design: Sensor | None = None
 

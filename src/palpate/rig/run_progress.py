@@ -15,7 +15,7 @@ from palpate.core import Frame, Position, RecordingError, Wrench
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.motion_limits import Reason
 from palpate.recordings.clock_offset import Offset
-from palpate.recordings.labels import Label
+from palpate.recordings.label_tables import Label
 from palpate.recordings.run_reader import Run
 from palpate.recordings.run_writer import RunWriter
 from palpate.rig.plans.recording_plan import Done, RecordingPlan
@@ -93,7 +93,7 @@ class Outcome:
 
 PLAN = "plan"
 SHOT = "shot"
-ZERO = "zero"
+ZERO = "zero"  # height of contact in one press; the event is called so in runs
 SWEEPS = "sweep"
 
 

@@ -148,7 +148,7 @@ def record_press(spec: TacTipSpec, words: str, seed: int) -> VirtualPress:
     sensor, rate_hz = TacTip(spec), spec.force.rate_hz
     variation = replace(Variation(), **sensor.variation())
     world = World(sensor, ManualClock(), CARRYING, ORIGIN_M, variation, rate_hz, seed, ())
-    world.fit(words)
+    world.mount(words)
     stage, force = VirtualStage(world), VirtualForce(world)
     speed, run_up_m = spec.speed_m_s, spec.speed_m_s**2 / (2 * CARRYING.acceleration_m_s2)
     phase_m = np.random.default_rng(seed).uniform(0, speed / sensor.rate_hz)

@@ -23,7 +23,7 @@ from palpate.estimators.compliance.stiffness_curve import SoftnessCurve
 COVERAGE = 0.9
 AREA_AT_N = 4.0
 MAX_NOVELTY = 5.0  # times what the references' own trials showed
-DRIFT_LIMIT = 4.0
+MAX_DRIFT = 4.0
 SPEED_SHARE = 3.0  # times faster or slower than any reference
 UNLIKE = (
     "the pins move as on no reference ({:.1f} times the references' own scatter, {:g} are allowed): another "
@@ -110,7 +110,7 @@ def read_touch(
         return PressReading(stiffness, both, None, None, None, None, None)
     courses = [_course(calibration, one) for one in presses]
     area, rate = reader.area(courses), reader.rate(courses)
-    modulus, radius = reader.object(courses) if both is not None else (None, None)
+    modulus, radius = reader.modulus_and_radius(courses) if both is not None else (None, None)
     return PressReading(stiffness, both, area, rate, modulus, radius, courses[0])
 
 
@@ -130,7 +130,7 @@ class _PressReader:
     def __init__(self, calibration: ComplianceCalibration, presses: Sequence[PinPress], name: str) -> None:
         self.calibration, self.presses, self.name = calibration, presses, name
         wobble = max(wobble_px(one, calibration.layout_px) for one in presses)
-        self.drift = Drift(wobble / calibration.wobble_px, DRIFT_LIMIT)
+        self.drift = Drift(wobble / calibration.wobble_px, MAX_DRIFT)
         self.flaws = list(dict.fromkeys(flaw for one in presses for flaw in one.flaws))
         if self.drift.drifted:
             self.flaws.append(DRIFTED)
@@ -191,7 +191,7 @@ class _PressReader:
         value = (rate, rate * (1 - relative), rate * (1 + relative))
         return self.reading("spread_rate", value, "m2_per_N", (0.0, float((high - low) / reach)), why)
 
-    def object(self, courses: Sequence[AreaCourse]) -> tuple[Reading | None, Reading | None]:
+    def modulus_and_radius(self, courses: Sequence[AreaCourse]) -> tuple[Reading | None, Reading | None]:
         finger = self.calibration.finger
         if finger is None:
             return None, None

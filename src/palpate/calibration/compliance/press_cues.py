@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,10 @@ from palpate.calibration.compliance.compliance_calibration import (
     reference_trial,
 )
 from palpate.calibration.compliance.compliance_reading import PressReading, read_touch
-from palpate.core import InputError, LabelError, Reading, Shaped, ndarray
+from palpate.calibration.compliance.specimen_stiffness import series
+from palpate.core import Reading, Shaped, ndarray
 from palpate.estimators.compliance.literature_method import AsReported, as_reported, circle_through_pins
-from palpate.estimators.compliance.press_force import CONTACT_N, MAX_N, loading, smoothed, within
-from palpate.psychophysics import Line, bootstrap_interval, fit_line
+from palpate.psychophysics import Line
 from palpate.recordings.exchange.frame_sequences import open_sequence
 from palpate.recordings.exchange.press_table import PressTable, read_press_table
 
@@ -32,8 +32,6 @@ UNCALIBRATED = (
     "no calibration was given: areas are relative and stiffness is that of sensor and specimen in series; "
     "calibrate with `palpate compliance calibrate`"
 )
-MIN_PLATE_R2 = 0.85  # adjusted, of a trial; the report's worst is 0.882
-CURVED = "{}: adjusted R2 {:.3g}, less than {:g}: no line; look at first contact and the plate's seating"
 
 
 @dataclass(frozen=True)
@@ -80,14 +78,6 @@ def cues_of(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -> PressC
     reported = as_reported(frames, table.force_n, table.frame_sample, region=circle)
     line = None if table.position_m is None else series(table)
     return PressCues(trial, line, reported, reported.above(LATE_N))
-
-
-def series(table: PressTable) -> Line:
-    """Force over position between 0.5 and 5 N: the stiffness of all that yields [N/m]."""
-    assert table.position_m is not None
-    force = smoothed(table.force_n)
-    part = within(force, loading(force), CONTACT_N, MAX_N)
-    return fit_line(table.position_m[part], force[part])
 
 
 def read_press(
@@ -172,54 +162,3 @@ def reading_record(reading: Reading) -> dict[str, Any]:
         "calibration": one.calibration,
         "frame": one.frame,
     }
-
-
-def plate_stiffness(
-    tables: Sequence[Path],
-    *,
-    force_column: str | None = None,
-    position_column: str | None = None,
-    rate_hz: float | None = None,
-) -> dict[str, Any]:
-    """Stiffness of a specimen itself: slope of force over the position of a rigid plate, 0.5 to 5 N.
-
-    Args:
-        tables: of force and position, one a trial on the same specimen.
-        force_column, position_column, rate_hz: see `read_press_table`.
-
-    Raises:
-        InputError: no table, or no loading part in one.
-        LabelError: a table that cannot be read, or one without a position.
-    """
-    if not tables:
-        raise InputError("no table; give one a trial, five if you can")
-    lines = {str(path): _plate_line(path, force_column, position_column, rate_hz) for path in tables}
-    slopes = [1e-3 * line.slope for line in lines.values()]
-    low, high = bootstrap_interval(slopes) if len(slopes) > 1 else (None, None)
-    return {
-        "stiffness_N_per_mm": float(np.mean(slopes)),
-        "low_N_per_mm": low,
-        "high_N_per_mm": high,
-        "coverage": 0.95,
-        "trials": [
-            {"table": path, "stiffness_N_per_mm": 1e-3 * line.slope, "adjusted_r2": line.adjusted_r2}
-            for path, line in lines.items()
-        ],
-        "flags": [
-            CURVED.format(path, line.adjusted_r2, MIN_PLATE_R2)
-            for path, line in lines.items()
-            if not line.adjusted_r2 >= MIN_PLATE_R2
-        ],
-    }
-
-
-def _plate_line(path: Path, force: str | None, position: str | None, rate_hz: float | None) -> Line:
-    table = read_press_table(path, None, force_column=force, position_column=position, rate_hz=rate_hz)
-    if table.position_m is None:
-        raise LabelError(
-            f"{path} has no column of position, e.g. actual_mm; stiffness is force over position"
-        )
-    line = series(table)
-    if not line.slope > 0:
-        raise InputError(f"{path}: force falls as the position grows; turn the position's sign")
-    return line

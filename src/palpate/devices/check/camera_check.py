@@ -28,9 +28,9 @@ LAG_S = 0.5  # from the end of an exposure until its frame is here
 EARLY_S = 1e-3  # rounding
 RATE_WITHIN = 0.05  # of what is stated
 JITTER = 0.1  # of a period, standard deviation
-FEWEST = 20
+MIN_FRAMES = 20
 GRAB_PERIODS = 10.0  # to wait for one frame, and a second
-PAUSE_PERIODS = 4.0  # at most, between two grabs; random, so that only the true rate beats with all stamps
+MAX_PAUSE_PERIODS = 4.0  # between two grabs; random, so that only the true rate beats with all stamps
 SIDE = 8.0  # rates are looked for from an eighth of what is stated to twice
 FINE = 0.1  # of the width of a peak
 AS_HIGH = 0.9  # as the highest peak, for a lower rate to be the true one
@@ -64,8 +64,8 @@ def check_camera(camera: object, *, clock: Clock, frames: int = 40, close: bool 
         >>> all(one.ok for one in check_camera(rig.camera, clock=rig.clock))
         True
     """
-    if frames < FEWEST:
-        raise RangeError(f"{frames} frames say too little about a rate; grab {FEWEST} or more")
+    if frames < MIN_FRAMES:
+        raise RangeError(f"{frames} frames say too little about a rate; grab {MIN_FRAMES} or more")
     findings = [*gather("the protocol", camera_interface(camera))]
     if isinstance(camera, Camera) and all(one.ok for one in findings):
         findings += gather("grabbing", _grabbing(camera, clock, frames))
@@ -82,7 +82,7 @@ def _grabbing(camera: Camera, clock: Clock, count: int) -> Part:
         call_s = seconds(clock)
         ended_ns, frame = camera.grab(wait_s)
         grabs.append(GrabbedFrame(call_s, seconds(clock), ended_ns / NS_PER_S, frame))
-        clock.sleep(float(rng.uniform(0, PAUSE_PERIODS)) / camera.rate_hz)
+        clock.sleep(float(rng.uniform(0, MAX_PAUSE_PERIODS)) / camera.rate_hz)
     yield from _pictures(camera, grabs)
     yield from _times(grabs)
     yield from _rate(camera, np.array([one.end_s for one in grabs]))

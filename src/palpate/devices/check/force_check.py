@@ -26,7 +26,7 @@ from palpate.devices.check.interface_check import force_interface
 AGE_S = 0.1  # oldest sample on which the rig moves
 RATE_WITHIN = 0.05  # of what is stated
 AT_ONCE_S = 0.02  # for a call that only hands out what is there
-SAMPLES = 20  # fewest that say anything
+MIN_SAMPLES = 20  # fewer say nothing
 EARLY_S = 1e-3  # by which a stamp may lie ahead of the clock: rounding
 
 
@@ -70,14 +70,14 @@ def _description(sensor: object, time_s: float) -> Part:
     if isinstance(sensor, ForceSensor):
         rate = sensor.rate_hz
         yield verdict(
-            "is listened to for long enough", rate * time_s >= SAMPLES,
-            f"{rate:g} samples a second give fewer than {SAMPLES} in {time_s:g} s; listen for longer",
+            "is listened to for long enough", rate * time_s >= MIN_SAMPLES,
+            f"{rate:g} samples a second give fewer than {MIN_SAMPLES} in {time_s:g} s; listen for longer",
         )  # fmt: skip
 
 
 def _listening(sensor: ForceSensor, clock: Clock, time_s: float, noise_n: float | None) -> Part:
     stream = listen(sensor, clock, time_s)
-    enough = len(stream.samples) >= SAMPLES
+    enough = len(stream.samples) >= MIN_SAMPLES
     yield verdict(
         "measures all the time", enough, f"{len(stream.samples)} samples in {time_s:g} s; is it streaming?"
     )
@@ -155,7 +155,7 @@ def _forces(sensor: ForceSensor, samples: list[Wrench], noise_n: float | None) -
         f"{len(faulty)} samples are faulty, such as {faulty[0].fault if faulty else ''!r}; see to the device",
     )  # fmt: skip
     good = np.array([one.force_n for one in samples if not one.fault])
-    if len(good) < SAMPLES:
+    if len(good) < MIN_SAMPLES:
         return
     beyond = np.abs(good) / np.array(sensor.range_n)
     yield verdict(

@@ -1,6 +1,6 @@
 """Modulus and radius of a touched object from both cues: force over displacement, and over contact area.
 
-In Hertz's contact (`mechanics.pairs`) P^(2/3) = c (d - d0) and A = k P^(2/3), both straight lines. The first
+In Hertz's contact (`hertz_pairs`) P^(2/3) = c (d - d0) and A = k P^(2/3), both straight lines. The first
 gives E sqrt(R), the second R / E, and together
 
     R = c k / pi,    E = 3/4 c^(3/2) / sqrt(R)

@@ -21,7 +21,7 @@ TAPS = 5
 CONTACT_N, MAX_N = 0.5, 5.0
 SPIKE_WINDOW = 7  # samples
 SPIKE_SPREADS = 6.0  # robust standard deviations from the median of its window
-SPIKE_LEAST_N = 0.25  # four steps of a 1/16 N sensor: less is no spike
+MIN_SPIKE_N = 0.25  # four steps of a 1/16 N sensor: less is no spike
 STAYS = 3  # samples that must follow above the threshold, so that a spike is no contact
 PLATEAU = 8  # equal greatest samples in a row: the sensor's range has ended
 
@@ -42,7 +42,7 @@ def spikes(force_n: Samples) -> Bool[ndarray, " s"]:
     middle = median_filter(force_n, SPIKE_WINDOW, mode="nearest")
     off = np.abs(force_n - middle)
     spread = 1.4826 * median_filter(off, SPIKE_WINDOW, mode="nearest")
-    return off > np.maximum(SPIKE_SPREADS * spread, SPIKE_LEAST_N)
+    return off > np.maximum(SPIKE_SPREADS * spread, MIN_SPIKE_N)
 
 
 def without_spikes(force_n: Samples) -> Samples:

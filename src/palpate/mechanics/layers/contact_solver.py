@@ -34,7 +34,7 @@ from palpate.mechanics.layers.surface_grid import Cells, cells
 
 STEPS = 1000
 REFRESHED = 10  # steps after which the displacement is summed anew, so that rounding does not gather in it
-LOWEST = 0.1  # of the indenter, on which a load first rests
+RESTING_SHARE = 0.1  # of the indenter, on which a load first rests
 
 Linear = Callable[[Field], Field]
 
@@ -112,7 +112,7 @@ def _initial_pressure(
 ) -> Field:
     """A plain guess: pressures like the overlap, at the best scale; or the load on the lowest part."""
     if load is not None:
-        resting = gap <= np.quantile(gap[possible], LOWEST)
+        resting = gap <= np.quantile(gap[possible], RESTING_SHARE)
         return np.where(resting, load / np.count_nonzero(resting), 0.0)
     overlap = np.maximum(depth - gap, 0.0)
     return overlap * float((overlap**2).sum() / (overlap * compliance(overlap)).sum())
@@ -122,7 +122,7 @@ MODEL = "rigid indenter, bonded linear elastic layers, small strain, no friction
 TOLERANCE = (
     1e-5  # of the greatest displacement asked for: how far the skin may be from the indenter it touches
 )
-INNER = 0.5  # least part of the touching cells with four touching neighbours: four cells a radius
+MIN_INNER = 0.5  # part of the touching cells with four touching neighbours: four cells a radius
 RIM = (math.pi - 1 + math.log(2)) / 24  # of a cell that each face of the rim counts too much (Yastrebov)
 
 
@@ -266,8 +266,8 @@ def _check_touching(touching: Mask, x_m: Float[ndarray, " nx"], y_m: Float[ndarr
             f"{y_m[0]:g} to {y_m[-1]:g} m along y; give a larger grid, a smaller indenter, or press less"
         )
     inner = binary_erosion(touching)  # cells with four touching neighbours
-    if np.count_nonzero(inner) < INNER * np.count_nonzero(touching):
+    if np.count_nonzero(inner) < MIN_INNER * np.count_nonzero(touching):
         raise RangeError(
             f"the contact covers {np.count_nonzero(touching)} cells, of which {np.count_nonzero(inner)} are "
-            f"not at its rim; {INNER:.0%} at least must be, so give a finer grid"
+            f"not at its rim; {MIN_INNER:.0%} at least must be, so give a finer grid"
         )

@@ -9,7 +9,7 @@ import pandas as pd
 from PIL import Image
 
 from palpate.core import PathText, new_folder
-from palpate.recordings.labels import refuse_formulas
+from palpate.recordings.label_tables import refuse_formulas
 from palpate.recordings.manifest import MANIFEST
 from palpate.recordings.run_reader import Run
 

@@ -27,7 +27,7 @@ from palpate.core import (
 )
 from palpate.recordings.exchange.folder_export import FILE_COLUMN, TIME_COLUMN
 from palpate.recordings.exchange.image_files import IMAGE_SUFFIXES, read_image
-from palpate.recordings.labels import FIRST_ROW, label_kinds, read_labels, rows_text
+from palpate.recordings.label_tables import FIRST_ROW, label_kinds, read_labels, rows_text
 from palpate.recordings.manifest import MANIFEST, Manifest
 from palpate.recordings.run_reader import NAME_COLUMN
 from palpate.recordings.run_writer import RunWriter

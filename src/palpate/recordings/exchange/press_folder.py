@@ -35,7 +35,7 @@ from palpate.core import (
     storage_errors,
 )
 from palpate.recordings.exchange.frame_sequences import TIFFS, write_tiff
-from palpate.recordings.labels import FIRST_ROW, label_kinds, read_labels
+from palpate.recordings.label_tables import FIRST_ROW, label_kinds, read_labels
 from palpate.recordings.manifest import MANIFEST
 
 SPECIMENS = "specimens.csv"

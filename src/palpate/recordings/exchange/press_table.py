@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from palpate.core import Float, Int, LabelError, has_unit, ndarray, split_column
-from palpate.recordings.labels import label_kinds, read_labels, rows_text
+from palpate.recordings.label_tables import label_kinds, read_labels, rows_text
 
 FORCES = ("force_raw_N", "force_N", "Fz_N", "fz_N")
 POSITIONS = ("actual_mm", "position_mm", "depth_mm", "gripper_width_m")

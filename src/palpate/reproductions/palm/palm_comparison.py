@@ -29,7 +29,7 @@ from palpate.reproductions.palm.palm_setup import (
     pressed_rows,
 )
 
-POINTS = 400  # of a figure, at most
+MAX_POINTS = 400  # of a figure
 NEW_PLACES_SEED = 1000  # added to the seed for the places off the grid
 
 
@@ -74,7 +74,7 @@ def headline(study: StudyFolder, model: str) -> dict[str, Any]:
 
 def _points(table: pd.DataFrame, columns: tuple[str, ...]) -> dict[str, list[float]]:
     """Truth and estimate of some frames, spread evenly."""
-    rows = np.unique(np.linspace(0, len(table) - 1, min(POINTS, len(table))).astype(int))
+    rows = np.unique(np.linspace(0, len(table) - 1, min(MAX_POINTS, len(table))).astype(int))
     names = [name for c in columns for name in (c, f"estimate:{c}", f"half_width:{c}")]
     names += [c for c in ("x_mm", "y_mm") if c not in columns]
     return {name: [round(float(v), 5) for v in table[name].iloc[rows]] for name in names}

@@ -33,7 +33,7 @@ from palpate.calibration.conformal import coverage_interval
 from palpate.calibration.evaluation import zeros_of
 from palpate.core import ManualClock
 from palpate.estimators.certified import Estimator
-from palpate.recordings.labels import own_column
+from palpate.recordings.label_tables import own_column
 from palpate.recordings.manifest import LabelKind, Manifest
 from palpate.recordings.run_reader import Run
 from palpate.recordings.run_writer import RunWriter

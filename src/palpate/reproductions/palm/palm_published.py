@@ -114,7 +114,7 @@ def scores_of(table: pd.DataFrame, columns: Sequence[str], group: str = GROUP) -
     """Score every target of a table of labels, estimates and half-widths, and the place as a whole.
 
     Args:
-        table: as `calibration.evaluate.predictions` makes it; rows that could not be read are left out.
+        table: as `calibration.evaluation.predictions` makes it; rows that could not be read are left out.
         columns: the targets.
         group: the column whose values are drawn anew for the intervals.
 

@@ -55,7 +55,7 @@ class Scale:
         name: as it is asked for.
         side_px: of each view, as models see it [px].
         frame_px: of each view, as the camera takes it [px].
-        cycles, step_mm, depth_mm, frames: of the protocol at the grid's 37 places; see `Stepped`.
+        cycles, step_mm, depth_mm, frames: of the protocol at the grid's 37 places; see `StepHold`.
         places: off the grid, pressed once each in a campaign of their own, every `new_step_mm`; for the many
             conditions that are only tested under, every `coarse_step_mm`.
         options: model -> settings that are not its defaults.

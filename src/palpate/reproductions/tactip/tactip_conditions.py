@@ -28,7 +28,7 @@ from palpate.estimators.flow.horn_schunck import divergence
 from palpate.estimators.pins import find_pins, follow
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
 from palpate.sensors.tactip import PINS_331, HeadOn, TacTipSpec
-from palpate.sensors.tactip.pin_markers import HeadOnSkin
+from palpate.sensors.tactip.skin_and_markers import HeadOnSkin
 from palpate.sensors.tactip.tactip_camera import projected
 from palpate.sensors.tactip.tactip_press import modulus_pa, pixels_per_tangent
 from palpate.workflows.tactip_trials import VirtualPress, record_press
@@ -118,7 +118,7 @@ def recorded(
 def flow_divergence(
     trial: VirtualPress, circles: DivergenceSeries, method: str = "horn-schunck"
 ) -> DivergenceSeries:
-    """Mean divergence by a method of `flow.course`, for every step and region."""
+    """Mean divergence by a method of `flow_sequence.course`, for every step and region."""
     far = _from_axis(trial)
     results: dict[str, list[float]] = {name: [] for name in circles}
     for j, step in enumerate(course(trial.frames(), method)):
@@ -214,7 +214,7 @@ class Row:
     """One cue on all specimens, stiffest first.
 
     Attributes:
-        condition, source, region, way: which; see `Cues`.
+        condition, source, region, way: which; see `FlowCues`.
         mean, spread: over trials, of every specimen.
         concordance: over pairs of trials on two specimens, the share in which the softer has the greater
             value less the share in which it has the smaller: 1 is right always, -1 reversed always.

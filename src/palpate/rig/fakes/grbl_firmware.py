@@ -9,22 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Generator
 
-from palpate.rig.fakes.grbl_model import (
-    MAX_LINE,
-    NOWHERE,
-    SETTINGS,
-    Axes,
-    GrblFaults,
-    GrblModel,
-    Millimetres,
-    Modes,
-    PlannedBlock,
-    RefusalError,
-    Words,
-    add_mm,
-    in_words,
-    read_words,
-)
+from palpate.rig.fakes.gcode_words import MAX_LINE, Modes, RefusalError, Words, read_words
+from palpate.rig.fakes.grbl_motion import NOWHERE, Axes, Millimetres, PlannedBlock, add_mm, in_words
+from palpate.rig.fakes.grbl_parameters import SETTINGS, GrblFaults, GrblParameters
 
 PLANNER, RX_BYTES = 15, 128
 Work = Generator[None, None, str]
@@ -42,7 +29,7 @@ class GrblController:
         holds: the true place when each hold came [mm].
     """
 
-    def __init__(self, model: GrblModel, faults: GrblFaults, now_s: float) -> None:
+    def __init__(self, model: GrblParameters, faults: GrblFaults, now_s: float) -> None:
         self.model, self.faults = model, faults
         self.settings = {**SETTINGS, **model.settings}
         self.received = bytearray()

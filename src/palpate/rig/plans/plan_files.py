@@ -11,18 +11,18 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from palpate.core import DEFAULT_SENSOR, SENSORS, InputError, Sensor, storage_errors
 from palpate.core.sensor import plans_of, sensor as sensor_of
-from palpate.rig.plans.plan_kinds import Ramp, StepHold, SurfaceProbe
+from palpate.rig.plans.plan_kinds import Ramp, StepHold, SurfaceSearch
 from palpate.rig.plans.press_places import Around, Listed
 from palpate.rig.plans.recording_plan import RecordingPlan
 
-Known = StepHold | Ramp | SurfaceProbe
+Known = StepHold | Ramp | SurfaceSearch
 AnyPlan = Annotated[Known, Field(discriminator="kind")]
 _ADAPTER: TypeAdapter[Known] = TypeAdapter(AnyPlan)
 _MAX_BYTES = 1 << 20
 
 _CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
 _PLANS: tuple[Known, ...] = (
-    SurfaceProbe(name="layer", kind="touched", places=Around(kind="around"), taps=0),
+    SurfaceSearch(name="layer", kind="touched", places=Around(kind="around"), taps=0),
     Ramp(
         name="tactip-press",
         kind="swept",

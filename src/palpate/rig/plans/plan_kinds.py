@@ -187,7 +187,7 @@ class Ramp(RecordingPlan):
         return ((Shot(self._named(press), press.cycle, "sweep", round(self.depth_mm * 1000)), 1),)
 
 
-class SurfaceProbe(RecordingPlan):
+class SurfaceSearch(RecordingPlan):
     """Search for contact, one at each place and cycle, and a frame or more where it was found.
 
     Attributes:

@@ -90,7 +90,7 @@ def virtual_rig(
         seed=seed,
         truth=lambda time_ns: _truth(world, truths, time_ns),
         truths=truths,
-        fit=world.fit,
+        mount=world.mount,
         known_m=world.known_m,
         design=design,
     )

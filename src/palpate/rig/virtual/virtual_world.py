@@ -165,7 +165,7 @@ class World:
         self.faults = Faults(faults, clock.now_ns())
         # Where the layer lies, which need not be where the rig believes it to be.
         self._origin = tuple(o + a for o, a in zip(origin_m, askew_m, strict=True))
-        self.fit(sensor.default_probe)
+        self.mount(sensor.default_probe)
         self._own_radius_m = self.probe.radius_m
         self._pressed_m = 0.0
         self._step_s = 1.0 / rate_hz
@@ -183,7 +183,7 @@ class World:
         self.touches: deque[Touch] = deque()
         self._fresh: deque[Touch] = deque(maxlen=MAX_FRESH)
 
-    def fit(self, indenter: str) -> bool:
+    def mount(self, indenter: str) -> bool:
         """Change what touches the skin, in the air; no person has to."""
         self.probe: Probe = self.sensor.probe(indenter)
         self.specimen: Specimen | None = self.sensor.specimen(indenter)

@@ -17,7 +17,7 @@ from scipy.interpolate import RegularGridInterpolator
 from palpate.core import Contact, Float, RangeError, ndarray
 from palpate.mechanics.axisymmetric.sphere_table import edge_correction
 from palpate.mechanics.layers.stack_field import field_below
-from palpate.optics.axisymmetric import AxisymmetricField
+from palpate.optics.axisymmetric_march import AxisymmetricField
 from palpate.optics.stress_optic import fringe_order
 from palpate.sensors.palm.fringe_view import sees
 from palpate.sensors.palm.palm_press import field_of, pressed, stack_of, table_of

@@ -29,7 +29,7 @@ PLANES = 20  # of stress, finest at the surface
 SLICES = 64
 MORE_SLICES = 32  # for each place beyond the first that the slices crowd about
 FINE = 400  # points of a ray, between which its slices are laid out
-ACROSS_M = 0.14e-3  # between rays inside that are marched, at most
+MAX_ACROSS_M = 0.14e-3  # between rays inside that are marched
 COLUMNS = 64  # marched together, which bounds the memory
 WIDTH = 0.3  # thicknesses: within which slices are equally fine about a place
 
@@ -64,9 +64,9 @@ class Places(NamedTuple):
 
 
 def _chosen(rays: ColumnRays, seen: ndarray) -> ndarray:
-    """Columns to march: the last, and so many of the others that none are further apart than ACROSS_M."""
+    """Columns to march: the last, and so many of the others that none are further apart than MAX_ACROSS_M."""
     apart = float(np.abs(np.diff(rays.impact_m[seen])).max(initial=0.0))
-    stride = max(1, int(ACROSS_M / apart)) if apart else 1
+    stride = max(1, int(MAX_ACROSS_M / apart)) if apart else 1
     return np.unique(np.append(seen[::stride], seen[-1]))
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from cachetools import LRUCache, cached
 
 from palpate.core import Float, Float32, Probe, ndarray
-from palpate.optics.axisymmetric import Rays, march_axisymmetric
+from palpate.optics.axisymmetric_march import Rays, march_axisymmetric
 from palpate.optics.colour import Spectrum, assumed_camera
 from palpate.optics.polariscope import plane_amplitude, with_leak
 from palpate.optics.stress_optic import frozen_stress

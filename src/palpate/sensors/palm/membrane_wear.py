@@ -1,11 +1,10 @@
-"""Wear of a clear membrane, and light that differs from that at set-up.
+"""Wear of a clear membrane: haze, scratches and yellowing, and what they do to both views.
 
-Light differs by a lamp of another colour, and by room light in the housing. Use leaves a clouded surface,
-scratches and yellowed silicone. Each thins the light that comes straight through and adds some that does
-not, so both regions of the frame become light * keep + add, with two pictures that are made once. Light that
-a surface scatters is taken as spread wide and wholly depolarised: the analyser passes half of it, also where
-the field was dark. Real scratches and haze keep part of the polarisation, so the lifted dark field is an
-upper bound.
+Use leaves a clouded surface, scratches and yellowed silicone. Each thins the light that comes straight
+through and adds some that does not, so both regions of the frame become light * keep + add, with two pictures
+that are made once. Light that a surface scatters is taken as spread wide and wholly depolarised: the analyser
+passes half of it, also where the field was dark. Real scratches and haze keep part of the polarisation, so
+the lifted dark field is an upper bound.
 
 Nobody has measured how this palm wears: its report leaves that to future work. All sizes are assumed.
 """
@@ -14,41 +13,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import uniform_filter
 
 from palpate.core import Bool, Float, Float32, InputError, RangeError, ndarray
 from palpate.optics.colour import Spectrum
-
-SECOND_RADIATION_M_K = 1.438777e-2
-"""Planck's c2 = hc/k [m K]."""
-
-ROOM_FALL = 0.4
-"""By how much less room light there is at the frame's lower right than at its upper left. Assumed."""
-
-
-def lamp_tint(mired: float, spectrum: Spectrum) -> Float32[ndarray, " 3"]:
-    """Each channel's light under a warmer or colder lamp, over that of the lamp the camera is balanced to.
-
-    The lamp's spectrum is multiplied by exp(-c2 m / lambda), which moves a black body of any temperature T to
-    1 / (1/T + m), in Wien's approximation. Green is kept, as an exposure set anew would.
-
-    Args:
-        mired: m, the change of 1e6 K over the colour temperature; positive is warmer.
-        spectrum: of lamp and camera.
-    """
-    filtered = np.exp(-SECOND_RADIATION_M_K * mired * 1e-6 / spectrum.wavelength_m) @ spectrum.weight
-    return np.asarray(filtered / filtered[1], dtype=np.float32)
-
-
-@lru_cache(maxsize=4)
-def room_light(frame_px: tuple[int, int]) -> Float32[ndarray, "h w 1"]:
-    """Over the whole frame: 1 in its upper left corner, falling gently to the lower right."""
-    across, down = (np.linspace(0, ROOM_FALL / 2, size, dtype=np.float32) for size in frame_px)
-    return np.asarray((1 - down[:, None] - across)[..., None])
-
 
 MAX_SCRATCHES = 1000
 
@@ -69,7 +39,7 @@ YELLOW_AT_M, YELLOW_TAIL_M = 450e-9, 60e-9
 """Where `Wear.yellowing` is stated, and the step in wavelength over which absorbance falls e-fold: the tail
 of an absorption in the ultraviolet, as aged polymers have. The step is assumed."""
 
-HAZE_MOST, SCRATCHES_MOST, PRESSES = 0.3, 24, 10_000.0
+MAX_WORN_HAZE, MAX_WORN_SCRATCHES, PRESSES = 0.3, 24, 10_000.0
 """Of `worn`: what very many presses end at, and how many presses make 63 % of it. Assumed, not measured."""
 
 
@@ -136,7 +106,7 @@ def worn(presses: float) -> Wear:
     if not (math.isfinite(presses) and presses >= 0):
         raise RangeError(f"{presses} presses; give a finite number, 0 or more")
     share = -math.expm1(-presses / PRESSES)
-    return Wear(haze=HAZE_MOST * share, scratches=round(SCRATCHES_MOST * share))
+    return Wear(haze=MAX_WORN_HAZE * share, scratches=round(MAX_WORN_SCRATCHES * share))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

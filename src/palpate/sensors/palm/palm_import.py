@@ -22,7 +22,7 @@ import pandas as pd
 
 from palpate.core import InputError, LabelError, is_hidden, refuse_existing, storage_errors
 from palpate.recordings.exchange.image_import import ImportReport, Progress, import_images
-from palpate.recordings.labels import FIRST_ROW, label_kinds, read_labels
+from palpate.recordings.label_tables import FIRST_ROW, label_kinds, read_labels
 
 NEAR_MM = 0.05  # within which two notes of one depth or place agree: half a step
 _TABLE = re.compile(r"Cycle_Indent(\d+(?:\.\d+)?)mm_r(\d{1,3})c(\d{1,3})_(\d{1,4})\.csv", re.ASCII)

@@ -26,7 +26,7 @@ from palpate.mechanics.axisymmetric.sphere_table import (
 from palpate.mechanics.layers.contact_solver import StackContact, press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 from palpate.mechanics.layers.stack_friction import shear_stack
-from palpate.optics.axisymmetric import AxisymmetricField
+from palpate.optics.axisymmetric_march import AxisymmetricField
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import gap_of, reaches_of, upright_ball
 

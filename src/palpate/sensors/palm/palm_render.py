@@ -16,15 +16,14 @@ import numpy as np
 
 from palpate.core import Contact, Float32, Frame, InputError, Pose, Probe, UInt8, UInt16, ndarray
 from palpate.optics.camera_response import CameraResponse, develop, raw_codes, uneven_light
+from palpate.optics.colour import lamp_tint
 from palpate.optics.illumination import LedStrip, backlight
 from palpate.sensors.palm import fringe_rays, fringe_view, mirror_view
 from palpate.sensors.palm.membrane_wear import (
     Film,
     Wear,
     film,
-    lamp_tint,
     passed_by,
-    room_light,
     scratches_over,
     spread,
 )
@@ -40,6 +39,9 @@ WITHIN = 0.7  # of the membrane's radius: a square in which the middles of the m
 
 PROBE_LIGHT = 0.1
 """Light on the probe's side towards the camera, over what there is in the housing. Assumed."""
+
+ROOM_FALL = 0.4
+"""By how much less room light there is at the frame's lower right than at its upper left. Assumed."""
 
 Linear = Float32[ndarray, "h w 3"]
 Below = Float32[ndarray, "u v 3"]
@@ -58,7 +60,7 @@ def render(contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact:
     """The camera's frame of a contact.
 
     Args:
-        contact: of the spec's ball, whose depth and place are drawn; or any that `press` makes.
+        contact: of the spec's ball, whose depth and place are drawn; or any that `palm_press.press` makes.
         spec: the palm.
         rng: for the camera's noise, the only source of chance.
         exact: march and trace everything anew, instead of moving the depth's own picture to the place.
@@ -158,6 +160,13 @@ def _transmitted(contact: Contact, spec: PalmSpec, exact: bool) -> tuple[Linear,
 def is_ball(contact: Contact, spec: PalmSpec) -> bool:
     """Tell whether the finite-strain table has this contact."""
     return contact.probe == Probe("sphere", spec.indenter_radius_m) and contact.shear_pa is None
+
+
+@lru_cache(maxsize=4)
+def room_light(frame_px: tuple[int, int]) -> Float32[ndarray, "h w 1"]:
+    """Over the whole frame: 1 in its upper left corner, falling gently to the lower right."""
+    across, down = (np.linspace(0, ROOM_FALL / 2, size, dtype=np.float32) for size in frame_px)
+    return np.asarray((1 - down[:, None] - across)[..., None])
 
 
 def lamp(spec: PalmSpec) -> Linear:

@@ -122,7 +122,7 @@ class Palm:
     def press(
         self, probe: Probe, pose: Pose, specimen: Specimen | None = None, history: PressHistory = FRESH
     ) -> Contact:
-        """Press a rigid probe; see `press.press`.
+        """Press a rigid probe; see `palm_press.press`.
 
         Raises:
             RangeError: beyond the laws, over the rim, slipping, or a specimen that yields.
@@ -152,7 +152,7 @@ class Palm:
         return force_law_of(self.spec, probe)
 
     def render(self, contact: Contact, rng: np.random.Generator, seating: Seating = SEATED) -> Frame:
-        """The camera's frame; see `render.render`."""
+        """The camera's frame; see `palm_render.render`."""
         gain = self.spec.lamp_gain * seating.light
         if is_ball(contact, self.spec):
             return render(contact, replace(self._stiffened(contact.history), lamp_gain=gain), rng)

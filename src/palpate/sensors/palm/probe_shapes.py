@@ -29,10 +29,10 @@ SIZES = {
     "cylinder": "DIAMETER_MM:LENGTH_MM[:TURN_DEG]",
     "two-points": "DIAMETER_MM:APART_MM[:TURN_DEG]",
 }
-LEAST = {"sphere": 1, "punch": 1, "edge": 1, "cylinder": 2, "two-points": 2}
+MIN_SIZES = {"sphere": 1, "punch": 1, "edge": 1, "cylinder": 2, "two-points": 2}
 POINTS = "points:DIAMETER_MM:X_MM,Y_MM[,HEIGHT_MM];..."
 LEANING = "@TILT_DEG[:TOWARDS_DEG]"
-STEEPEST_DEG = math.degrees(indenters.MAX_TILT)
+MAX_TILT_DEG = math.degrees(indenters.MAX_TILT)
 
 Place = tuple[float, float, float]
 
@@ -73,12 +73,12 @@ def _numbers(words: list[str]) -> list[float]:
 
 def _shaped(text: str, shape: str, words: list[str]) -> Probe:
     sizes = _numbers(words)
-    if shape not in SIZES or not LEAST[shape] <= len(sizes) <= SIZES[shape].count(":") + 1:
+    if shape not in SIZES or not MIN_SIZES[shape] <= len(sizes) <= SIZES[shape].count(":") + 1:
         raise _unknown(text)
-    lengths = sizes[: LEAST[shape]]
+    lengths = sizes[: MIN_SIZES[shape]]
     if not all(math.isfinite(size) for size in sizes) or min(lengths) <= 0:
         raise InputError(f"indenter {text!r}: its sizes must be positive, in mm")
-    turn = math.radians(sizes[LEAST[shape]]) if len(sizes) > LEAST[shape] else 0.0
+    turn = math.radians(sizes[MIN_SIZES[shape]]) if len(sizes) > MIN_SIZES[shape] else 0.0
     if shape == "edge":
         return Probe(shape, 0.0, lengths[0] * 1e-3, turn)
     return Probe(shape, lengths[0] / 2e3, lengths[1] * 1e-3 if len(lengths) > 1 else 0.0, turn)
@@ -116,8 +116,8 @@ def _leaning(text: str, probe: Probe, words: str) -> Probe:
     most = 2 if probe.shape in ("sphere", "punch", "points") else 1
     if not 1 <= len(angles) <= most:
         raise _unknown(text)
-    if not all(map(math.isfinite, angles)) or abs(angles[0]) > STEEPEST_DEG + 1e-9:
-        raise InputError(f"indenter {text!r}: it leans by -{STEEPEST_DEG:g} to {STEEPEST_DEG:g} degrees")
+    if not all(map(math.isfinite, angles)) or abs(angles[0]) > MAX_TILT_DEG + 1e-9:
+        raise InputError(f"indenter {text!r}: it leans by -{MAX_TILT_DEG:g} to {MAX_TILT_DEG:g} degrees")
     turn = math.radians(angles[1]) if len(angles) > 1 else probe.turn_rad
     return upright_ball(replace(probe, turn_rad=turn, tilt_rad=math.radians(angles[0])))
 

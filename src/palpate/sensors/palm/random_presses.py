@@ -163,9 +163,9 @@ LOAD_DEPTH_MM = (0.4, 1.5)
 HELD = 0.8  # of what friction holds, the greatest lateral load and moment, taken together
 TILT_DEG = 10.0
 PUNCHES_MM = (6, 8, 10)
-APART_M = 12e-3  # between balls, at least
+MIN_APART_M = 12e-3  # between balls
 INSIDE_M = 0.5e-3  # of the membrane that stays free between a probe's reach and the rim
-TRIES = 1000  # at places for several balls
+MAX_TRIES = 1000  # at places for several balls
 
 SIZES_M = {
     "sphere": ((4e-3, 0.0), (6e-3, 0.0), (7e-3, 0.0)),
@@ -402,13 +402,13 @@ def _each(contact: Contact, places: list[tuple[float, float, float]]) -> Iterato
 
 def _apart(count: int, room_m: float, rng: np.random.Generator) -> list[tuple[float, float]]:
     """Places spread evenly over a disc, all drawn anew until no two are too near."""
-    for _ in range(TRIES):
+    for _ in range(MAX_TRIES):
         away, angle = room_m * np.sqrt(rng.uniform(size=count)), rng.uniform(0, math.tau, count)
         at = np.stack([away * np.cos(angle), away * np.sin(angle)], axis=1)
         between = np.hypot(*(at[:, None] - at).T) + 1e9 * np.eye(count)
-        if between.min() >= APART_M:
+        if between.min() >= MIN_APART_M:
             return [(float(x), float(y)) for x, y in at]
     raise RangeError(
-        f"no {count} places {APART_M * 1e3:g} mm apart were found within {room_m * 1e3:g} mm of the axis; "
-        "give a larger membrane"
+        f"no {count} places {MIN_APART_M * 1e3:g} mm apart were found within {room_m * 1e3:g} mm of the "
+        "axis; give a larger membrane"
     )

@@ -1,6 +1,6 @@
 """A specimen whose top is inclined: the tip touches it with its side.
 
-The contact is `mechanics.tilted_tip`'s. Its states are solved once for a specimen, over approaches up to the
+The contact is that of `tilted_tip`. Its states are solved once for a specimen, over approaches up to the
 greatest force of a trial, and read between by splines, so that a trial may ask for any.
 """
 
@@ -22,7 +22,7 @@ from palpate.mechanics.axisymmetric.tilted_tip import (
     top_modes,
 )
 from palpate.mechanics.axisymmetric.tip_table import TipTable, tip_table
-from palpate.sensors.tactip.pin_markers import SkinShape, Turned
+from palpate.sensors.tactip.skin_and_markers import LeaningSkin, SkinShape
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
 STATES = 22
@@ -69,7 +69,7 @@ class Inclined:
         points = np.asarray(self._moved(np.clip(approach_m, 0.0, self.deepest_m)))
         moved = NdBSpline((self.knots_rad, self.knots_rad), points, 3)
         radius = self.contact.tip.radius_m
-        return Turned(MovedDome(self.inner_radius_m, radius, moved), radius, lean_rad)
+        return LeaningSkin(MovedDome(self.inner_radius_m, radius, moved), radius, lean_rad)
 
     @cached_property
     def _root(self) -> PchipInterpolator:

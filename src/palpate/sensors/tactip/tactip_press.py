@@ -11,7 +11,7 @@ import numpy as np
 
 from palpate.core import Float, ndarray
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress, TipTable
-from palpate.sensors.tactip.pin_markers import SkinShape, head_on, markers
+from palpate.sensors.tactip.skin_and_markers import SkinShape, head_on, markers
 from palpate.sensors.tactip.tactip_camera import projected
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
 

@@ -41,7 +41,7 @@ from palpate.sensors.tactip.inclined_press import MAX_TILT, inclined
 from palpate.sensors.tactip.tactip_camera import projected, rendered
 from palpate.sensors.tactip.tactip_press import (
     HeadOn,
-    TipOnSpecimen as Pressed,
+    TipOnSpecimen,
     modulus_pa,
     pictured,
     pixels_per_tangent,
@@ -51,7 +51,7 @@ from palpate.sensors.tactip.tactip_spec import TacTipSpec
 REGION = "pins"
 PLATE = "plate"
 MAX_LEAN = math.radians(2.0)
-"""Of a face besides its own tilt: to there the whole field of pins turns with it, see `pins.Turned`."""
+"""Of a face besides its own tilt: to there the whole field of pins turns with it, see `LeaningSkin`."""
 
 REACH = 1.5  # contact radii of the grid about a contact
 CELLS = 64
@@ -146,29 +146,29 @@ class TacTip:
                 f"{math.degrees(MAX_LEAN):g} degrees; touch within "
                 f"{1e3 * self.outline.radius_m:.3g} mm of the apex, or incline the specimen"
             )
-        body = self.body(probe, specimen)
-        if not pose.depth_m <= body.deepest_m:
+        tip = self.tip_on(probe, specimen)
+        if not pose.depth_m <= tip.deepest_m:
             raise RangeError(
                 f"an approach of {1e3 * pose.depth_m:.3g} mm; this contact is known to "
-                f"{1e3 * body.deepest_m:.3g} mm"
+                f"{1e3 * tip.deepest_m:.3g} mm"
             )
         depth = np.array([max(pose.depth_m, 0.0)])
-        force_n = float(body.force_n(depth)[0])
-        radius_m = math.sqrt(float(body.area_m2(np.array([force_n]))[0]) / math.pi)
+        force_n = float(tip.force_n(depth)[0])
+        radius_m = math.sqrt(float(tip.area_m2(np.array([force_n]))[0]) / math.pi)
         return replace(self._contact(probe, pose, force_n, radius_m), specimen=specimen, history=history)
 
     def known_depth_m(
         self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
     ) -> float:
         """The approach at the tables' greatest force; none with a lateral load [m]."""
-        return 0.0 if lateral else self.body(probe, specimen).deepest_m
+        return 0.0 if lateral else self.tip_on(probe, specimen).deepest_m
 
     def force_law(self, probe: Probe, specimen: Specimen | None = None) -> ForceLaw:
         """Along the tip's axis; a shift finds no resistance, as there is no friction in the tables."""
-        body = self.body(probe, specimen)
-        depth = np.linspace(0.0, body.deepest_m, KNOTS)
-        force = body.force_n(depth)
-        return ForceLaw(depth, force, np.sqrt(body.area_m2(force) / math.pi), np.zeros(KNOTS))
+        tip = self.tip_on(probe, specimen)
+        depth = np.linspace(0.0, tip.deepest_m, KNOTS)
+        force = tip.force_n(depth)
+        return ForceLaw(depth, force, np.sqrt(tip.area_m2(force) / math.pi), np.zeros(KNOTS))
 
     def render(self, contact: Contact, rng: np.random.Generator, seating: Seating = SEATED) -> Frame:
         """Discs of the markers, light on dark."""
@@ -179,8 +179,8 @@ class TacTip:
         self, contact: Contact, seating: Seating = SEATED
     ) -> tuple[Float[ndarray, "p 2"], Float[ndarray, " p"]]:
         """True centres (x, y) and radii of the markers in the image, the middle pin first [px]."""
-        body, pose = self.body(contact.probe, contact.specimen), contact.pose
-        return pictured(self.spec, body.skin(max(pose.depth_m, 0.0), self.lean_rad(pose)), seating.shift_px)
+        tip, pose = self.tip_on(contact.probe, contact.specimen), contact.pose
+        return pictured(self.spec, tip.skin(max(pose.depth_m, 0.0), self.lean_rad(pose)), seating.shift_px)
 
     def lean_rad(self, pose: Pose) -> tuple[float, float]:
         """Lean of a face that touches at a place beside the apex, towards +x and -y [rad]."""
@@ -234,17 +234,17 @@ class TacTip:
             "relaxation": (),
         }
 
-    def on(self, words: str) -> Pressed:
+    def on(self, words: str) -> TipOnSpecimen:
         """The tip on the face that words name, see `probe`."""
-        return self.body(self.probe(words), self.specimen(words))
+        return self.tip_on(self.probe(words), self.specimen(words))
 
-    def body(self, probe: Probe, specimen: Specimen | None) -> Pressed:
+    def tip_on(self, probe: Probe, specimen: Specimen | None) -> TipOnSpecimen:
         """The tip on what it is pressed onto."""
         if probe.shape != PLATE:
             raise InputError(f"the TacTip is pressed onto a flat face, not a {probe.shape}; give {WORDS}")
         if probe.turn_rad:
             raise InputError("a face inclined towards another side than +x is not modelled; turn the tip")
-        return _body(self.spec, self._modulus_pa(specimen), probe.tilt_rad)
+        return _tip_on(self.spec, self._modulus_pa(specimen), probe.tilt_rad)
 
     def _modulus_pa(self, specimen: Specimen | None) -> float:
         if specimen is None:
@@ -290,7 +290,7 @@ def tactip(preset: str = "127") -> TacTip:
 
 
 @lru_cache(maxsize=64)
-def _body(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> Pressed:
+def _tip_on(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> TipOnSpecimen:
     if tilt_rad == 0:
         return HeadOn(spec.table.press(specimen_pa), spec.table.radius_m)
     return inclined(spec, specimen_pa, tilt_rad)

@@ -161,5 +161,5 @@ def tactip(pins: int = 127) -> TacTipSpec:
     """
     layouts = {127: PINS_127, 331: PINS_331}
     if pins not in layouts:
-        raise InputError(f"{pins} pins; there are layouts of 127 and 331, and `Pins` for others")
+        raise InputError(f"{pins} pins; there are layouts of 127 and 331, and `PinLayout` for others")
     return replace(TacTipSpec(), pins=layouts[pins])

@@ -34,7 +34,7 @@ WRITE_S = 1.0
 
 @runtime_checkable
 class SerialPort(Protocol):
-    """Serial port, as far as the driver needs it; pyserial's `Serial` is one."""
+    """Serial port, as far as the driver needs it; `serial.Serial` is one."""
 
     @property
     def in_waiting(self) -> int: ...
@@ -108,7 +108,7 @@ def _serial() -> Any:
 HOLD, RESET, ASK = b"!", b"\x18", b"?"
 MAX_SENT = 80  # bytes; the controller refuses longer lines
 KEPT = 512  # push messages between a line and its answer; the longest list of settings has below 300
-READ_AT_MOST = 4096
+MAX_READ_BYTES = 4096
 
 
 class RefusedError(DeviceError):
@@ -294,7 +294,7 @@ class GrblLink:
         splitter = Splitter()
         try:
             while not self._closing and not self.dead:
-                data = self._port.read(min(max(self._port.in_waiting, 1), READ_AT_MOST))
+                data = self._port.read(min(max(self._port.in_waiting, 1), MAX_READ_BYTES))
                 for line in splitter.feed(data):
                     self._take(line)
         except Exception as error:  # each system and adapter has its own kinds; none is swallowed

@@ -203,7 +203,7 @@ class RdtMeasurement:
         return Progress.NEW
 
 
-STOP_TRIES = 5
+MAX_STOP_TRIES = 5
 _RECEIVE_BUFFER = 1 << 20
 _OLDEST_NS = 10 * NS_PER_S  # a datagram that seems to have waited longer shows that the wall clock was set
 _STAMP = struct.Struct("@ll")  # the kernel's struct timespec
@@ -239,7 +239,7 @@ class RdtStream:
         Args:
             quiet_s: how long nothing has to come until it counts as stopped [s].
         """
-        for _ in range(STOP_TRIES):
+        for _ in range(MAX_STOP_TRIES):
             with suppress(OSError):
                 self._socket.send(request(RdtCommand.STOP))
             until_ns = self._clock.now_ns() + round(quiet_s * NS_PER_S)

@@ -104,7 +104,7 @@ def _grid(side: int) -> torch.Tensor:
 
 @dataclass(frozen=True)
 class FittedCompact(FittedPalm):
-    """A trained network, and the rendered presses that it has learnt from, for the guard to know."""
+    """A trained network, and the rendered presses that it has learnt from, for the novelty detector to know."""
 
     rendered_images: RenderedImages | None
 
@@ -120,7 +120,7 @@ class PalmCompact:
         epochs: passes over all of them.
         batch: rows a step.
         learning_rate: Adam's at its greatest; it falls along a cosine.
-        precision: see `Descent`.
+        precision: see `TrainingLoop`.
         processes: how many render, on this machine; what they render does not depend on it. 1 under torchrun.
     """
 

@@ -21,7 +21,7 @@ from palpate.estimators.networks.pixel_mlp import FittedPerceptron, PixelMlp
 from palpate.sensors.palm.networks import FORCES
 from palpate.sensors.palm.networks.palm_training import columns_of, half_width
 
-LARGEST_BATCH = 200
+MAX_BATCH = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,5 +84,5 @@ class PalmMlpDelta:
             return np.ascontiguousarray(data.fetch(chosen)[..., :half])
 
         seen = replace(data, shape=(*data.shape[:2], half), fetch=fringes)
-        perceptron = PixelMlp(**asdict(self), batch=min(LARGEST_BATCH, len(rows)))
+        perceptron = PixelMlp(**asdict(self), batch=min(MAX_BATCH, len(rows)))
         return FittedPalmMlp(perceptron.fit(seen, rows, seed=seed, progress=progress), data.shape)

@@ -95,7 +95,7 @@ class Scales:
         Args:
             data: images and values.
             rows: those learnt from.
-            columns: of `data.values`, in the model's order.
+            columns: of `TrainingData.values`, in the model's order.
             standardised: whether targets are brought to zero mean and unit spread, or left in their units.
             rng: draws the images that are looked at.
         """

@@ -10,7 +10,7 @@ from tests.rig.rigs import IDEAL, SPEC, plan, rig
 from palpate.core.errors import InputError, RecordingError
 from palpate.recordings.run_reader import Run
 from palpate.rig import PLANS, State, record
-from palpate.rig.locate_specimen import SpecimenPlacement, locate_specimen
+from palpate.rig.locate_skin import SkinPlacement, locate_skin
 from palpate.rig.plans import Around
 from palpate.rig.virtual import Variation
 
@@ -18,11 +18,11 @@ AROUND = PLANS["layer"].model_copy(update={"travel_mm_s": 50.0})
 ZERO_MM = 0.12  # from first touch to where 0.05 N is passed, with half a step of the search
 
 
-def found(tmp_path: Path, variation: Variation, askew_mm: tuple[float, float, float]) -> SpecimenPlacement:
+def found(tmp_path: Path, variation: Variation, askew_mm: tuple[float, float, float]) -> SkinPlacement:
     askew_m = tuple(1e-3 * d for d in askew_mm)
     out = tmp_path / "run"
     assert record(rig(variation=variation, askew_m=askew_m), AROUND, out).state is State.DONE
-    return locate_specimen(Run.open(out))
+    return locate_skin(Run.open(out))
 
 
 @pytest.mark.parametrize("askew_mm", [(0.0, 0.0, 0.0), (0.8, -1.2, 0.4), (-1.5, 0.3, -0.6)])
@@ -46,7 +46,7 @@ def test_touching_finds_the_layers_tilt_through_the_spread_of_approaches(tmp_pat
 def test_a_run_of_another_plan_says_nothing_of_the_layer(tmp_path: Path) -> None:
     record(rig(), plan(cycles=1), tmp_path / "run")
     with pytest.raises(RecordingError, match="--plan layer"):
-        locate_specimen(Run.open(tmp_path / "run"))
+        locate_skin(Run.open(tmp_path / "run"))
 
 
 @pytest.mark.parametrize(

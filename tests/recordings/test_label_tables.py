@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from palpate.core import InputError, LabelError, UnitError
-from palpate.recordings.labels import finite, label_kinds, label_values, read_labels, targets_from
+from palpate.recordings.label_tables import finite, label_kinds, label_values, read_labels, targets_from
 
 NO_PYARROW = "needs pyarrow, which reads Parquet"
 

@@ -28,7 +28,7 @@ METHODS = ("horn-schunck", "coarse-to-fine", "dis", "tracked")
 
 
 @dataclass(frozen=True)
-class Share:
+class DivergenceShare:
     """Accumulated divergence by a method over that of the true markers.
 
     Attributes:
@@ -44,9 +44,9 @@ class Share:
     spread: float
 
 
-def shares(
+def divergence_shares(
     spec: TacTipSpec, kappa_n_m: float, seeds: Sequence[int] = range(3), methods: Sequence[str] = METHODS
-) -> tuple[Share, ...]:
+) -> tuple[DivergenceShare, ...]:
     """Shares by every method over disc and contact, from 0.5 to 5 N."""
     results: dict[tuple[str, str], list[float]] = {}
     for seed in seeds:
@@ -62,13 +62,15 @@ def shares(
             for region, D in series.items():
                 results.setdefault((method, region), []).append(float(D.sum() / true[region].sum()))
     return tuple(
-        Share(spec.pins.count, kappa_n_m, *key, float(np.mean(v)), float(np.std(v, ddof=len(v) > 1)))
+        DivergenceShare(
+            spec.pins.count, kappa_n_m, *key, float(np.mean(v)), float(np.std(v, ddof=len(v) > 1))
+        )
         for key, v in results.items()
     )
 
 
 @dataclass(frozen=True)
-class Truth:
+class PressTruth:
     """One specimen at forces, by finite strain; SI.
 
     Attributes:
@@ -85,7 +87,9 @@ class Truth:
     divergence: dict[str, Steps]
 
 
-def truth(spec: TacTipSpec, kappa_n_m: float, force_n: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0)) -> Truth:
+def press_truth(
+    spec: TacTipSpec, kappa_n_m: float, force_n: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0)
+) -> PressTruth:
     """True values of a press, and of its pins."""
     press, at = head_on(spec, kappa_n_m).press, np.array(force_n)
     fine = np.linspace(LOW_N, HIGH_N, FINE_STEPS)
@@ -94,11 +98,11 @@ def truth(spec: TacTipSpec, kappa_n_m: float, force_n: Sequence[float] = (1.0, 2
         name: np.interp(at, fine[1:], np.cumsum(D)) for name, D in true_divergence(spec, press, fine).items()
     }
     flattening, approach = press.at("flattening_m", at), press.at("approach_m", at)
-    return Truth(kappa_n_m, at, area, (above - below) / 0.1, flattening, approach, so_far)
+    return PressTruth(kappa_n_m, at, area, (above - below) / 0.1, flattening, approach, so_far)
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearModelError:
     """The linear model head-on without friction, over finite strain, less 1.
 
     Attributes:
@@ -113,7 +117,9 @@ class Linear:
     motion: Steps
 
 
-def linear_error(tip: str, kappa_n_m: float, force_n: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0)) -> Linear:
+def linear_error(
+    tip: str, kappa_n_m: float, force_n: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0)
+) -> LinearModelError:
     """Error of the linear model at forces; half a minute for a new tip."""
     spec, at = TacTipSpec(tip, friction=0.0), np.array(force_n)
     true = head_on(spec, kappa_n_m)
@@ -129,7 +135,7 @@ def linear_error(tip: str, kappa_n_m: float, force_n: Sequence[float] = (1.0, 2.
             for s, d in ((linear, theirs), (true, ours))
         )
         motion.append(float(np.sqrt(((a - b) ** 2).sum() / (b**2).sum())))
-    return Linear(
+    return LinearModelError(
         tip, kappa_n_m, at, approach / true_approach - 1,
         linear.area_m2(at) / true.press.at("area_m2", at) - 1, np.array(motion),
     )  # fmt: skip

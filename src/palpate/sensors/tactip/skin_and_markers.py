@@ -49,7 +49,7 @@ class HeadOnSkin:
 
 
 @dataclass(frozen=True)
-class Turned:
+class LeaningSkin:
     """A skin whose specimen's top leans a little from where it should be.
 
     A lean turns the whole field about the centre of the dome; that the dome's base does not turn with it is
@@ -76,10 +76,12 @@ class Turned:
         return (places - centre) @ turn.T + centre, normals @ turn.T
 
 
-def head_on(press: HeadOnPress, radius_m: float, force_n: float, lean_rad: tuple[float, float]) -> Turned:
+def head_on(
+    press: HeadOnPress, radius_m: float, force_n: float, lean_rad: tuple[float, float]
+) -> LeaningSkin:
     """The skin at one force [N], the specimen's top leaning a little."""
     inside = press.at("inside_m", np.array([force_n]))[0]
-    return Turned(HeadOnSkin(press.polar_rad, inside), radius_m, lean_rad)
+    return LeaningSkin(HeadOnSkin(press.polar_rad, inside), radius_m, lean_rad)
 
 
 def _lean(about_y: float, about_x: float) -> Float[ndarray, "3 3"]:

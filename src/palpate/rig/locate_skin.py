@@ -23,7 +23,7 @@ MM = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class SpecimenPlacement:
+class SkinPlacement:
     """Place of a layer.
 
     Attributes:
@@ -43,7 +43,7 @@ class SpecimenPlacement:
     off_plane_mm: float
 
 
-def locate_specimen(run: Run) -> SpecimenPlacement:
+def locate_skin(run: Run) -> SkinPlacement:
     """The layer that a run of the plan "layer" has touched.
 
     Raises:
@@ -65,7 +65,7 @@ def locate_specimen(run: Run) -> SpecimenPlacement:
     rims = {way: _rim_mm(touches[f"rim{way}"], plane, plan.places.sizes_mm()[1] / 2) for way in WAYS}
     x, y = (rims["+x"] - rims["-x"]) / 2, (rims["+y"] - rims["-y"]) / 2
     moved = (x, y, float(plane @ (1.0, x, y)))
-    return SpecimenPlacement(
+    return SkinPlacement(
         origin_mm=_from_stage(run, moved),
         moved_mm=moved,
         tilt_mrad=(1e3 * float(plane[1]), 1e3 * float(plane[2])),

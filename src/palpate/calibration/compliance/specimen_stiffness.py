@@ -1,0 +1,76 @@
+"""Stiffness of a specimen itself: slope of force over the position of a rigid plate pressed onto it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.core import InputError, LabelError
+from palpate.estimators.compliance.press_force import CONTACT_N, MAX_N, loading, smoothed, within
+from palpate.psychophysics import Line, bootstrap_interval, fit_line
+from palpate.recordings.exchange.press_table import PressTable, read_press_table
+
+MIN_PLATE_R2 = 0.85  # adjusted, of a trial; the report's worst is 0.882
+CURVED = "{}: adjusted R2 {:.3g}, less than {:g}: no line; look at first contact and the plate's seating"
+
+
+def series(table: PressTable) -> Line:
+    """Force over position between 0.5 and 5 N: the stiffness of all that yields [N/m]."""
+    assert table.position_m is not None
+    force = smoothed(table.force_n)
+    part = within(force, loading(force), CONTACT_N, MAX_N)
+    return fit_line(table.position_m[part], force[part])
+
+
+def plate_stiffness(
+    tables: Sequence[Path],
+    *,
+    force_column: str | None = None,
+    position_column: str | None = None,
+    rate_hz: float | None = None,
+) -> dict[str, Any]:
+    """Stiffness of a specimen itself: slope of force over the position of a rigid plate, 0.5 to 5 N.
+
+    Args:
+        tables: of force and position, one a trial on the same specimen.
+        force_column, position_column, rate_hz: see `read_press_table`.
+
+    Raises:
+        InputError: no table, or no loading part in one.
+        LabelError: a table that cannot be read, or one without a position.
+    """
+    if not tables:
+        raise InputError("no table; give one a trial, five if you can")
+    lines = {str(path): _plate_line(path, force_column, position_column, rate_hz) for path in tables}
+    slopes = [1e-3 * line.slope for line in lines.values()]
+    low, high = bootstrap_interval(slopes) if len(slopes) > 1 else (None, None)
+    return {
+        "stiffness_N_per_mm": float(np.mean(slopes)),
+        "low_N_per_mm": low,
+        "high_N_per_mm": high,
+        "coverage": 0.95,
+        "trials": [
+            {"table": path, "stiffness_N_per_mm": 1e-3 * line.slope, "adjusted_r2": line.adjusted_r2}
+            for path, line in lines.items()
+        ],
+        "flags": [
+            CURVED.format(path, line.adjusted_r2, MIN_PLATE_R2)
+            for path, line in lines.items()
+            if not line.adjusted_r2 >= MIN_PLATE_R2
+        ],
+    }
+
+
+def _plate_line(path: Path, force: str | None, position: str | None, rate_hz: float | None) -> Line:
+    table = read_press_table(path, None, force_column=force, position_column=position, rate_hz=rate_hz)
+    if table.position_m is None:
+        raise LabelError(
+            f"{path} has no column of position, e.g. actual_mm; stiffness is force over position"
+        )
+    line = series(table)
+    if not line.slope > 0:
+        raise InputError(f"{path}: force falls as the position grows; turn the position's sign")
+    return line
