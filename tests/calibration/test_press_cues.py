@@ -5,8 +5,9 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
-from palpate.calibration.compliance.press_cues import cues_of, series
+from palpate.calibration.compliance.press_cues import cues_of
 from palpate.calibration.compliance.specimen_comparison import cue_tests, trials_table
+from palpate.calibration.compliance.specimen_stiffness import series_line
 from palpate.psychophysics import bootstrap_interval
 from palpate.recordings.exchange.press_table import PressTable
 from palpate.reproductions.tactip.tactip_setup import press_table_of
@@ -37,7 +38,7 @@ def test_force_over_position_is_the_stiffness_of_all_that_yields(rng) -> None:
     table = PressTable(
         np.arange(400) / 200, force, depth + 0.7, None, np.arange(400), "force_N", "position_mm", None, False
     )
-    line = series(table)
+    line = series_line(table)
     assert_allclose(line.slope, 2e3, rtol=1e-3)
     assert line.adjusted_r2 > 0.999
 

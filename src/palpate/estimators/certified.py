@@ -147,7 +147,7 @@ def checked_file(folder: Path, part: FileCard) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Zero:
-    """Zero of a touch: an untouched sensor's image: what a differential model subtracts, and how far it has drifted."""
+    """An untouched sensor's image: what a differential model subtracts, and how far it has drifted."""
 
     image: PreparedFloat
     drift: Drift | None

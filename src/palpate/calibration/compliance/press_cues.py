@@ -16,7 +16,7 @@ from palpate.calibration.compliance.compliance_calibration import (
     reference_trial,
 )
 from palpate.calibration.compliance.compliance_reading import PressReading, read_touch
-from palpate.calibration.compliance.specimen_stiffness import series
+from palpate.calibration.compliance.specimen_stiffness import series_line
 from palpate.core import Reading, Shaped, ndarray
 from palpate.estimators.compliance.literature_method import AsReported, as_reported, circle_through_pins
 from palpate.psychophysics import Line
@@ -76,7 +76,7 @@ def cues_of(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -> PressC
     trial = reference_trial(frames, table)
     circle = circle_through_pins(trial.press.untouched_px, *next(iter(frames)).shape[:2])
     reported = as_reported(frames, table.force_n, table.frame_sample, region=circle)
-    line = None if table.position_m is None else series(table)
+    line = None if table.position_m is None else series_line(table)
     return PressCues(trial, line, reported, reported.above(LATE_N))
 
 

@@ -17,7 +17,7 @@ MIN_PLATE_R2 = 0.85  # adjusted, of a trial; the report's worst is 0.882
 CURVED = "{}: adjusted R2 {:.3g}, less than {:g}: no line; look at first contact and the plate's seating"
 
 
-def series(table: PressTable) -> Line:
+def series_line(table: PressTable) -> Line:
     """Force over position between 0.5 and 5 N: the stiffness of all that yields [N/m]."""
     assert table.position_m is not None
     force = smoothed(table.force_n)
@@ -70,7 +70,7 @@ def _plate_line(path: Path, force: str | None, position: str | None, rate_hz: fl
         raise LabelError(
             f"{path} has no column of position, e.g. actual_mm; stiffness is force over position"
         )
-    line = series(table)
+    line = series_line(table)
     if not line.slope > 0:
         raise InputError(f"{path}: force falls as the position grows; turn the position's sign")
     return line

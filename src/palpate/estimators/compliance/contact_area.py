@@ -1,8 +1,8 @@
 """The contact's area from what each frame shows of the pins, from references whose area is known.
 
 log A is a smooth function of a few measures of a frame: of the ring's size and the middle's stretch
-(`contact_region`), or, where the ring is cut by the field's edge as on an inclined specimen, of the motion of all
-pins along the directions in which the references' pins moved most. No force is needed.
+(`contact_region`), or, where the ring is cut by the field's edge as on an inclined specimen, of the motion of
+all pins along the directions in which the references' pins moved most. No force is needed.
 """
 
 from __future__ import annotations

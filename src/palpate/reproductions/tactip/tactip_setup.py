@@ -20,8 +20,9 @@ from palpate.calibration.compliance.compliance_calibration import (
     calibrate_compliance,
 )
 from palpate.calibration.compliance.compliance_reading import PressReading, read_touch
-from palpate.calibration.compliance.press_cues import PressCues, cues_of, series
+from palpate.calibration.compliance.press_cues import PressCues, cues_of
 from palpate.calibration.compliance.specimen_comparison import trials_table
+from palpate.calibration.compliance.specimen_stiffness import series_line
 from palpate.core import Float, ndarray
 from palpate.estimators.networks.model_interface import Progress
 from palpate.psychophysics import Line, fit_line
@@ -151,7 +152,7 @@ def under_plate(spec: TacTipSpec, name: str, trials: int, seed: int) -> Plate:
     lines, tables = [], []
     for k in range(trials):
         tables.append(_plate_table(spec, kappa_n_m(name), np.random.default_rng([seed, k])))
-        lines.append(series(tables[-1]))
+        lines.append(series_line(tables[-1]))
     position = tables[0].position_m
     assert position is not None
     return Plate(tuple(lines), position, tables[0].force_n)

@@ -104,7 +104,7 @@ def _grid(side: int) -> torch.Tensor:
 
 @dataclass(frozen=True)
 class FittedCompact(FittedPalm):
-    """A trained network, and the rendered presses that it has learnt from, for the novelty detector to know."""
+    """A trained network, and the rendered presses it has learnt from, for the novelty detector to know."""
 
     rendered_images: RenderedImages | None
 
