@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from palpate.check import LAWS, check_sensor
+from palpate.check import LAWS, SAME_SCALE, check_sensor, moves_along_its_axes, moves_as_far_as_its_axes_say
 from palpate.core.contact import Contact, Pose
 from palpate.core.errors import InputError, RangeError
 from palpate.core.frame import Frame
@@ -111,6 +112,9 @@ WRONG: dict[str, dict[str, Any]] = {
         )
     },
     "a contact moves in the image as the axes say": {"axes": ImageAxes("mirror", (-1e3, 0.0), (0.0, 866.0))},
+    "a contact moves in the image as far as the axes say": {
+        "axes": replace(SOUND.axes, across=tuple(px / 3 for px in SOUND.axes.across))
+    },
     "its outline holds its own plan's places": {
         "outline": Outline.disc(57e-3),
         "default_plan": lambda: {
@@ -135,6 +139,65 @@ def test_a_sensor_that_breaks_a_law_is_found_out_by_it(law: str) -> None:
     assert findings[law].message
 
 
+def scaled(axes: ImageAxes, across: float, down: float) -> ImageAxes:
+    """Axes that state other distances in the same directions."""
+    (xx, xy), (yx, yy) = axes.across, axes.down
+    return replace(axes, across=(across * xx, across * xy), down=(down * yx, down * yy))
+
+
+FAR = "a contact moves in the image as far as the axes say"
+SMALL_ONES = [sensor(SMALL.get(name, name)) for name in SENSORS.names()]
+
+
+@pytest.mark.parametrize("sound", SMALL_ONES, ids=lambda sound: sound.name)
+@pytest.mark.parametrize(("across", "down"), [(1 / 3, 1.0), (1.0, 1 / 5), (3.0, 1.0), (1.0, 5.0)])
+def test_axes_of_another_scale_are_found_out(sound: Sensor, across: float, down: float) -> None:
+    (finding,) = moves_as_far_as_its_axes_say(
+        cast(Sensor, Broken(sound, axes=scaled(sound.axes, across, down)))
+    )
+    assert finding.name == FAR
+    assert not finding.ok
+    way = r"moved by \(0, " if across == 1 else r", 0\) mm it moves"
+    assert re.search(way, finding.message)
+
+
+@pytest.mark.parametrize("sound", SMALL_ONES, ids=lambda sound: sound.name)
+def test_a_registered_sensors_axes_are_within_the_tolerance_with_margin(sound: Sensor) -> None:
+    (finding,) = moves_as_far_as_its_axes_say(sound)
+    assert finding.measured is not None
+    assert finding.measured < 0.75 * SAME_SCALE
+
+
+@pytest.mark.parametrize(
+    ("otherwise", "says"),
+    [
+        ({"axes": ImageAxes("mirror", (0.0, 0.0), (0.0, 0.0))}, "state by how much a contact moves"),
+        ({"axes": ImageAxes("corner", (1e3, 0.0), (0.0, 1e3))}, "no press is seen in 'corner'"),
+        ({"outline": Outline.disc(10e-3)}, "no room to move"),
+    ],
+)
+def test_axes_of_which_nothing_can_be_seen_do_not_pass(otherwise: dict[str, Any], says: str) -> None:
+    regions = {**SOUND.regions(), "corner": (0, 0, 5, 5)}
+    findings = check_sensor(Broken(SOUND, regions=lambda: regions, **otherwise))  # type: ignore[arg-type]
+    assert [one.ok for one in findings if "moves in the image" in one.name] == [False, False]
+    assert sum(says in one.message for one in findings) == 2
+
+
+def test_a_long_narrow_skin_is_pressed_within_its_outline_alone() -> None:
+    pressed: list[tuple[float, float]] = []
+
+    def press(probe: Any, pose: Pose, *rest: Any, **more: Any) -> Contact:
+        pressed.append((pose.x_m, pose.y_m))
+        return SOUND.press(probe, pose, *rest, **more)
+
+    narrow = Outline.rectangle(50e-3, 12e-3)
+    (finding,) = moves_along_its_axes(cast(Sensor, Broken(SOUND, outline=narrow, press=press)))
+    assert finding.ok
+    assert all(narrow.contains(x_m, y_m, 5e-3) for x_m, y_m in pressed)
+    assert max(x_m for x_m, _ in pressed) == pytest.approx(5e-3, rel=0.02)  # a quarter of its own room
+    assert max(y_m for _, y_m in pressed) == pytest.approx(0.25e-3, rel=0.2)
+
+
 @pytest.mark.parametrize(
     ("otherwise", "says"),
     [
@@ -144,13 +207,14 @@ def test_a_sensor_that_breaks_a_law_is_found_out_by_it(law: str) -> None:
         ({"moves": "both"}, "moves is"),
         ({"spec": {"diameter_m": 1}}, "spec is a frozen dataclass"),
         ({"outline": 57e-3}, "outline is an Outline"),
-        ({"axes": ImageAxes("top", (1, 0), (0, 1))}, "axes are Axes of one of its regions, fringes, mirror"),
+        (
+            {"axes": ImageAxes("top", (1, 0), (0, 1))},
+            "axes are ImageAxes of one of its regions, fringes, mirror",
+        ),
         ({"render": None}, "a sensor has render"),
     ],
 )
 def test_what_can_be_told_without_a_press_is_told_by_its_law(otherwise: dict[str, Any], says: str) -> None:
-    import re
-
     faults = "; ".join(contract_faults(Broken(SOUND, **otherwise)))
     assert re.search(says, faults)
 

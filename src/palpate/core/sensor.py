@@ -114,7 +114,7 @@ class Sensor(Protocol):
 
     @property
     def rectified_px(self) -> tuple[int, int]:
-        """(width, height) of a rectified frame [px]."""
+        """(width, height) of a rectified frame, see `rectify` [px]."""
 
     @property
     def rate_hz(self) -> float:
@@ -134,7 +134,7 @@ class Sensor(Protocol):
 
     @property
     def axes(self) -> ImageAxes:
-        """Directions of the skin in its image."""
+        """Directions of the skin in its image; `palpate.check` alone reads them so far."""
 
     @property
     def default_probe(self) -> str:
@@ -177,7 +177,11 @@ class Sensor(Protocol):
         """The camera's frame of a contact; `rng` is the only source of chance."""
 
     def rectify(self, frame: Frame) -> Frame:
-        """A frame cut and scaled to `rectified_px`: what an estimator of this sensor is given."""
+        """A frame cut and scaled to `rectified_px`, without the distortion of a lens that has one.
+
+        `palpate.check` alone calls it so far. An estimator is given whole frames, and cuts and scales them by
+        its calibration's own `recordings.preparation.Preparation`.
+        """
 
     def default_plan(self) -> Mapping[str, Any]:
         """The fields of a plan that records it by its own protocol, as in a plan's file."""
@@ -210,6 +214,12 @@ def variation_of(sensor: Sensor) -> Mapping[str, Any]:
 def plans_of(sensor: Sensor) -> Mapping[str, Mapping[str, Any]]:
     """Plans beside its default one, by its own `plans()`: name, begun as the sensor's -> a file's fields."""
     return getattr(sensor, "plans", dict)()
+
+
+def own_plans_of(sensor: Sensor) -> Mapping[str, Mapping[str, Any]]:
+    """All plans of a sensor, the default one first: name -> a file's fields."""
+    default = sensor.default_plan()
+    return {str(default.get("name", "plan")): default, **plans_of(sensor)}
 
 
 def for_rig(sensor: Sensor) -> Sensor:
@@ -272,7 +282,7 @@ def _region_faults(design: Sensor) -> Iterator[str]:
         if min(x, y) < 0 or min(w, h) < 1 or x + w > width or y + h > height:
             yield f"its regions lie in its frame of {width} x {height} px; {name} {(x, y, w, h)} does not"
     if not (isinstance(design.axes, ImageAxes) and design.axes.region in regions):
-        yield f"its axes are Axes of one of its regions, {', '.join(regions) or 'of which it has none'}"
+        yield f"its axes are ImageAxes of one of its regions, {', '.join(regions) or 'of which it has none'}"
 
 
 def frame_faults(design: Sensor) -> list[str]:
