@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -101,6 +102,41 @@ def test_a_disc_a_rectangle_and_a_polygon_say_what_lies_inside() -> None:
     assert box.radius_m == pytest.approx(125**0.5 * 1e-3)
     with pytest.raises(InputError, match="convex"):
         Outline.polygon(((0.0, 0.0), (0.0, 1.0), (1.0, 0.0)))
+
+
+def test_a_polygon_goes_once_around_the_skins_centre() -> None:
+    turns = [math.tau * i / 5 for i in range(5)]
+    pentagon = tuple((math.cos(turn), math.sin(turn)) for turn in turns)
+    pentagram = tuple(pentagon[2 * i % 5] for i in range(5))
+    assert Outline.polygon(pentagon).clearance_m(0.0, 0.0) == pytest.approx(math.cos(math.pi / 5))
+    with pytest.raises(InputError, match="its sides cross, as they go 2 times around"):
+        Outline.polygon(pentagram)
+    with pytest.raises(InputError, match="leaves out the skin's centre"):
+        Outline.polygon(tuple((x + 2.0, y) for x, y in pentagon))
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "from dataclasses import dataclass\n@dataclass\nclass make:\n    spec: int = 3\n",
+        "def make(): return None",
+        "def make(size='large'): return None",
+    ],
+)
+def test_a_preset_is_refused_where_the_factory_takes_none(install: Install, code: str) -> None:
+    install("strange", "stranger:make", code)
+    with pytest.raises(
+        InputError, match=r"'strange-small' .stranger:make. .*sensor 'strange' has no presets"
+    ):
+        sensor("strange-small")
+
+
+def test_a_preset_of_another_package_is_what_follows_the_name(install: Install) -> None:
+    code = (
+        "from palpate.sensors.palm.palm_sensor import palm\ndef make(preset='debug'): return palm(preset)\n"
+    )
+    install("strange", "stranger:make", code)
+    assert sensor("strange-small").frame_px == (480, 270)
 
 
 def test_specimens_are_read_from_words() -> None:

@@ -12,6 +12,7 @@ from palpate.core.errors import InputError
 from palpate.core.shapes import Float
 
 ROUNDING_M = 1e-12
+ONCE = 1.5  # turns of all corners together: a convex polygon's are one, a star's at least two
 
 Series = Float[ndarray, " n"]
 Corners = tuple[tuple[float, float], ...]
@@ -48,10 +49,11 @@ class Outline:
 
     @classmethod
     def polygon(cls, corners_m: Corners) -> Outline:
-        """A convex polygon; corners in order, from +x towards +y.
+        """A convex polygon around the skin's centre; corners in order, once around, from +x towards +y.
 
         Raises:
-            InputError: fewer than three corners, or one that points inwards.
+            InputError: fewer than three corners, one that points inwards, sides that cross, or a polygon that
+                leaves out the skin's centre.
         """
         corners = tuple((float(x), float(y)) for x, y in corners_m)
         at = np.array(corners).reshape(-1, 2)
@@ -63,7 +65,19 @@ class Outline:
                 f"a polygon of corners {corners} m; give three or more of a convex one, in order from +x "
                 "towards +y"
             )
-        return cls(float(np.hypot(*at.T).max()), corners)
+        around = np.arctan2(turns, (sides * after).sum(axis=1)).sum() / math.tau
+        if around > ONCE:
+            raise InputError(
+                f"a polygon of corners {corners} m: its sides cross, as they go {round(around)} times "
+                "around; give each corner once, in the order of one way around"
+            )
+        made = cls(float(np.hypot(*at.T).max()), corners)
+        if made.clearance_m(0.0, 0.0) <= 0:
+            raise InputError(
+                f"a polygon of corners {corners} m leaves out the skin's centre, (0, 0); give corners "
+                "counted from the centre, all around it"
+            )
+        return made
 
     def contains(self, x_m: float, y_m: float, probe_radius_m: float = 0.0) -> bool:
         """True where a round probe lies wholly inside."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from inspect import signature
 from typing import Any
 
 from palpate.core.errors import InputError, PalpateError, PluginError
@@ -82,14 +83,20 @@ class PluginRegistry:
         return thing
 
     def make(self, text: str) -> Any:
-        """Call what a name stands for; of ``NAME-PRESET``, with the preset.
+        """Call what a name stands for; of ``NAME-PRESET``, with the preset, if `takes_preset`.
 
         Raises:
             InputError, PluginError: see `find`.
+            InputError: a preset for what takes none.
             PluginError: it cannot be made, or breaks a law of its kind; the message names it and the law.
         """
         name, preset = self._parts(text)
         factory, which = self.find(name), _label(self.kind, text, self.path_of(name))
+        if preset and not takes_preset(factory):
+            raise InputError(
+                f"{which} cannot be made: {self.kind} {name!r} has no presets, as its factory has no first "
+                f"parameter `preset`; give {name!r} alone"
+            )
         try:
             thing = factory(preset) if preset else factory()
         except PalpateError:
@@ -109,6 +116,17 @@ class PluginRegistry:
             if text.startswith(f"{name}-") and len(text) > len(name) + 1:
                 return name, text[len(name) + 1 :]
         return text, ""
+
+
+def takes_preset(factory: Callable[..., Any]) -> bool:
+    """Tell whether the first parameter of a function or class is called `preset`.
+
+    By the name, since a word would else go into whatever stands first, as the first field of a dataclass.
+    """
+    try:
+        return next(iter(signature(factory).parameters), "") == "preset"
+    except ValueError:  # some that are built in tell no parameters
+        return False
 
 
 def installed(group: str) -> tuple[EntryPoint, ...]:
