@@ -9,8 +9,8 @@ import pytest
 from palpate.calibration import CalibrationPlan, calibrate
 from palpate.core import ImageError, InputError
 from palpate.estimators import Estimator
-from palpate.live import open_source, sense
-from palpate.recordings import export_folder
+from palpate.live import frame_sources, open_source, sense
+from palpate.recordings import export_folder, read_image
 
 
 @pytest.fixture
@@ -61,6 +61,20 @@ def test_one_image_is_a_source(estimator, record_spots, tmp_path) -> None:
     cv2.imwrite(str(tmp_path / "one.png"), record_spots("fresh", 1, seed=7).frame(3).image)
     (sensed,) = sense(estimator, open_source(tmp_path / "one.png"))
     assert sensed.frame == "one.png"
+
+
+def test_one_image_is_decoded_once(tmp_path, monkeypatch) -> None:
+    cv2.imwrite(str(tmp_path / "one.png"), np.zeros((8, 8, 3), np.uint8))
+    decoded = []
+
+    def counted(path):
+        decoded.append(path)
+        return read_image(path)
+
+    monkeypatch.setattr(frame_sources, "read_image", counted)
+    (frame,) = open_source(tmp_path / "one.png")
+    assert (frame.name, frame.time_s, frame.image.shape) == ("one.png", 0.0, (8, 8, 3))
+    assert len(decoded) == 1
 
 
 def test_a_lamp_that_has_dimmed_is_seen_as_drift(estimator, record_spots) -> None:

@@ -55,6 +55,19 @@ class ImageFiles:
 
 
 @dataclass(frozen=True, slots=True)
+class OneImage:
+    """A single image, read when it was opened, as what is no image is then refused."""
+
+    frame: Frame
+
+    def __len__(self) -> int:
+        return 1
+
+    def __iter__(self) -> Iterator[Frame]:
+        yield self.frame
+
+
+@dataclass(frozen=True, slots=True)
 class RunFrames:
     """The frames of a recorded run."""
 
@@ -84,5 +97,4 @@ def open_source(path: PathText) -> FrameStream:
         if not images:
             raise InputError(f"{path} holds no images ({', '.join(sorted(IMAGE_SUFFIXES))}) and is not a run")
         return ImageFiles(images)
-    read_image(path)
-    return ImageFiles((path,))
+    return OneImage(Frame(read_image(path), 0.0, name=path.name))
