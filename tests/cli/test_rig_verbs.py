@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -132,6 +133,34 @@ def test_another_plan_or_no_rig_is_refused_in_one_line(tiny: Path, tmp_path: Pat
     code, _, error = typed("record", "--rig", "virtual:hand", "--plan", tiny, "--out", tmp_path / "other")
     assert code == 2
     assert "virtual:palm" in error
+
+
+def test_a_rig_records_its_sensors_own_plan_where_none_is_named(tmp_path: Path) -> None:
+    out = tmp_path / "presses"
+    code, said, error = typed("record", "--rig", "virtual:tactip", "--out", out, "--quiet")
+    assert code == 0, error
+    assert "presses on 5 specimens, as compliance reads them" in said
+    assert typed("compliance", "calibrate", out, "--out", tmp_path / "tip.npz", "--quiet")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("rig", "plan", "says"),
+    [
+        (
+            "virtual:tactip",
+            "palm",
+            "'palm' does not suit .*'sphere:10' is no specimen.*own plans are tactip\n",
+        ),
+        ("virtual:palm", "tactip", "'tactip' does not suit .*own plans are palm, palm-reduced, "),
+    ],
+)
+def test_a_plan_of_another_sensor_is_refused_and_the_own_ones_are_named(
+    rig: str, plan: str, says: str, tmp_path: Path
+) -> None:
+    code, _, error = typed("record", "--rig", rig, "--plan", plan, "--out", tmp_path / "run", "--quiet")
+    assert code == 2
+    assert re.search(says, error)
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_request_to_end_lifts_the_probe_and_leaves_a_run_that_goes_on(tmp_path: Path) -> None:

@@ -9,8 +9,18 @@ import pytest
 from hypothesis import given, strategies as st
 
 from palpate.core.errors import InputError
-from palpate.core.sensor import sensor
-from palpate.rig.plans import PLANS, Grid, Listed, Scattered, StepHold, plan_from, plan_of, size_of
+from palpate.core.sensor import for_rig, sensor
+from palpate.rig.plans import (
+    PLANS,
+    Grid,
+    Listed,
+    Scattered,
+    StepHold,
+    plan_from,
+    plan_of,
+    plan_of_sensor,
+    size_of,
+)
 from palpate.rig.plans.plan_kinds import Dwell, Lateral
 from palpate.rig.plans.recording_plan import Aside, Burst, Depth, Over, Seek, Step, TareStep
 
@@ -183,6 +193,14 @@ def test_places_on_a_rectangle_keep_the_probe_inside_it() -> None:
         kind="scattered", count=40, layer_mm=45.0, probe_mm=10.0, corners_mm=corners
     ).places()
     assert all(abs(p.x_mm) <= 15 and abs(p.y_mm) <= 5 for p in scattered)
+
+
+def test_a_rigs_own_plan_is_that_of_its_sensor() -> None:
+    for name in ("palm", "palm-small"):
+        assert plan_of_sensor(for_rig(sensor(name))) == plan_of("palm", for_rig(sensor(name)))
+    assert plan_of_sensor().hash == PLANS["palm"].hash
+    assert plan_of_sensor("tactip") == PLANS["tactip"]
+    assert plan_of_sensor(sensor("tactip-331")).indenters[1] == "S1=7.6"
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,9 @@ from typer.testing import CliRunner
 import palpate
 from palpate.check import check_sensor
 from palpate.cli import app
+from palpate.core.errors import InputError
 from palpate.recordings import Run
-from palpate.rig.plans import PLANS, plan_from
+from palpate.rig.plans import PLANS, plan_from, plan_of, plan_of_sensor
 
 PAD = '''
 """A square pad of rubber over a camera."""
@@ -133,6 +134,24 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+def test_a_sensor_of_no_name_brings_its_plans_by_its_path(installed: Path) -> None:
+    path = "rubber_pad:Pad"
+    pad = palpate.sensor(path)
+    own = plan_of_sensor(pad)
+    assert own == plan_of(path) == plan_of(path, pad) == plan_of("pad", pad)
+    assert (own.name, own.indenters) == ("pad", ("sphere:8",))
+    with pytest.raises(InputError, match="does not import"):
+        plan_of("rubber_pad:Mat")
+
+
+def test_going_around_a_layer_is_refused_on_a_skin_that_is_not_round(installed: Path) -> None:
+    words = ["record", "--rig", "virtual:pad", "--plan", "layer", "--out", str(installed / "run"), "--quiet"]
+    refused = CliRunner().invoke(app, words)
+    assert refused.exit_code == 2
+    assert "'layer' does not suit the sensor of virtual:pad: only a round skin" in refused.stderr
+    assert "its own plans are pad" in refused.stderr
+
+
 def test_a_sensor_of_one_folder_is_found_checked_recorded_and_calibrated(installed: Path) -> None:
     pad = palpate.sensor("pad")
     assert [one for one in check_sensor(pad) if not one.ok] == []
@@ -141,9 +160,7 @@ def test_a_sensor_of_one_folder_is_found_checked_recorded_and_calibrated(install
     assert len(wide.places.places()) == 9  # the outer ones reach over the pad's edge
 
     run, cal = installed / "run", installed / "cal"
-    recorded = CliRunner().invoke(
-        app, ["record", "--rig", "virtual:pad", "--plan", "pad", "--out", str(run), "--quiet"]
-    )
+    recorded = CliRunner().invoke(app, ["record", "--rig", "virtual:pad", "--out", str(run), "--quiet"])
     assert recorded.exit_code == 0, recorded.output + recorded.stderr
     manifest = Run.open(run).manifest
     assert (manifest.sensor, manifest.regions) == ("virtual pad", {"pad": (0, 0, 48, 48)})

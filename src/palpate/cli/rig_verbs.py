@@ -30,8 +30,11 @@ SHOWN_IN = {"s": (1e3, "ms"), "m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
 def record(
     out: Annotated[Path, Option(help="Run to make, or to go on with.")],
     plan: Annotated[
-        str, Option(help="Plan: a TOML file, or a name such as palm, palm-reduced or tactip.")
-    ] = "palm",
+        str | None,
+        Option(
+            help="Plan: a TOML file, or a name such as palm, palm-reduced or tactip; else the sensor's own."
+        ),
+    ] = None,
     rig: Annotated[
         str, Option(help="Rig: a TOML file, virtual:palm, virtual:tactip or another sensor's.")
     ] = "virtual:palm",
@@ -48,12 +51,12 @@ def record(
     Example: palpate record --rig virtual:palm --plan palm-reduced --out run
     """
     from palpate.devices.operator_control import OperatorControl
-    from palpate.rig import State, plan_of, record as record_plan
+    from palpate.rig import State, plan_of, plan_of_sensor, record as record_plan
     from palpate.rig.rig_file import open_rig
 
     control, opened = OperatorControl(), open_rig(rig, seed=seed)
     try:
-        chosen = plan_of(plan, opened.design)
+        chosen = plan_of_sensor(opened.design) if plan is None else plan_of(plan, opened.design)
         with progress_bar(quiet) as progress, _signals_ask(control):
 
             def watch(status: Status) -> None:

@@ -5,7 +5,7 @@ from palpate.devices.force_bias import Mounting
 from palpate.devices.motion_limits import Limits, Reason, Tripped
 from palpate.devices.operator_control import OperatorCommand, OperatorControl
 from palpate.rig.engine import record
-from palpate.rig.plans import PLANS, plan_of, size_of
+from palpate.rig.plans import PLANS, plan_of, plan_of_sensor, size_of
 from palpate.rig.rig import Rig
 from palpate.rig.rig_file import open_rig
 from palpate.rig.run_progress import Outcome, State, Status, done_in
@@ -26,6 +26,7 @@ __all__ = [
     "done_in",
     "open_rig",
     "plan_of",
+    "plan_of_sensor",
     "record",
     "size_of",
 ]

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from palpate.core import Position
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from palpate.core import InputError, Position
+from palpate.core.sensor import own_plans_of
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.motion_guard import MotionGuard
 from palpate.devices.motion_limits import Reason, Tripped
@@ -139,17 +143,36 @@ def check_plan(rig: Rig, plan: RecordingPlan) -> None:
 
     Raises:
         Tripped: says which.
-        InputError: an indenter that the rig does not know.
+        InputError: places or an indenter that do not suit the rig's sensor; the message names its own plans.
     """
+    with _plan_named(rig, plan):
+        for indenter in plan.indenters:
+            rig.known_m(
+                indenter, False
+            )  # before any bound: an indenter of another sensor is the better reason
+        _check_places(rig, plan)
+        _check_known(rig, plan)
+    for speed in (plan.seek_mm_s, plan.press_mm_s, getattr(plan, "speed_mm_s", plan.press_mm_s)):
+        rig.limits.check_speed(speed * MM, rig.stage.travel)
+
+
+@contextmanager
+def _plan_named(rig: Rig, plan: RecordingPlan) -> Iterator[None]:
+    """Say which plan does not suit the rig's sensor, and which are its own."""
+    try:
+        yield
+    except InputError as e:
+        own = "" if rig.design is None else f"; its own plans are {', '.join(own_plans_of(rig.design))}"
+        raise type(e)(f"the plan {plan.name!r} does not suit the sensor of {rig.name}: {e}{own}") from e
+
+
+def _check_places(rig: Rig, plan: RecordingPlan) -> None:
     lowest = (plan.deepest_mm + plan.seek_mm) * MM
     for place in plan.places.places():
         for dx, dy in _aside_mm(plan):
             x, y = (place.x_mm + dx) * MM, (place.y_mm + dy) * MM
             for z in (-plan.clearance_mm * MM, lowest):
                 rig.limits.check_target(_at(rig, x, y, z))
-    _check_known(rig, plan)
-    for speed in (plan.seek_mm_s, plan.press_mm_s, getattr(plan, "speed_mm_s", plan.press_mm_s)):
-        rig.limits.check_speed(speed * MM, rig.stage.travel)
 
 
 def _check_known(rig: Rig, plan: RecordingPlan) -> None:

@@ -10,7 +10,8 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import Field, TypeAdapter, ValidationError
 
 from palpate.core import DEFAULT_SENSOR, SENSORS, InputError, Sensor, storage_errors
-from palpate.core.sensor import plans_of, sensor as sensor_of
+from palpate.core.plugins import PATH
+from palpate.core.sensor import own_plans_of, plans_of, sensor as sensor_of
 from palpate.rig.plans.plan_kinds import Ramp, StepHold, SurfaceSearch
 from palpate.rig.plans.press_places import Around, Listed
 from palpate.rig.plans.recording_plan import RecordingPlan
@@ -64,6 +65,8 @@ def _named(name: str, sensor: Sensor | None = None) -> Known | None:
         return plan_of_sensor(name)
     owner = next((owner for owner in SENSORS.names() if name.startswith(f"{owner}-")), None)
     plans = {} if owner is None else plans_of(sensor_of(owner))
+    if name not in plans and sensor is not None:
+        plans = own_plans_of(sensor)  # of one that is registered under no name, or another
     return plan_from(plans[name], sensor) if name in plans else None
 
 
@@ -89,21 +92,23 @@ class Size(NamedTuple):
     seconds: float
 
 
-def plan_of_sensor(name: str) -> Known:
-    """The default plan of a sensor.
+def plan_of_sensor(sensor: Sensor | str | None) -> Known:
+    """The default plan of a sensor, or of the sensor of a name; of the usual one where there is none.
 
     Raises:
         InputError: there is no such sensor, or its plan is none.
     """
-    sensor = sensor_of(name)
-    return plan_from(sensor.default_plan(), sensor)
+    named = DEFAULT_SENSOR if sensor is None else sensor
+    design = sensor_of(named) if isinstance(named, str) else named
+    return plan_from(design.default_plan(), design)
 
 
 def plan_of(text: str | Path, sensor: Sensor | None = None) -> Known:
     """A plan by its name, or from a TOML file.
 
     Args:
-        text: a name of `PLANS`, or a file's path.
+        text: a name of `PLANS` or of the sensor's own plans, a file's path, or ``module:Class`` of a sensor,
+            whose default plan is meant.
         sensor: whose outline and probe it is laid on where it gives none; None for the usual one.
 
     Raises:
@@ -114,6 +119,8 @@ def plan_of(text: str | Path, sensor: Sensor | None = None) -> Known:
         return plan
     path = Path(text)
     if not path.exists():
+        if PATH.fullmatch(str(text)):
+            return plan_of_sensor(str(text))
         raise InputError(f"{text} is no file, and none of the plans {', '.join(PLANS)}")
     fields = read_toml(path)
     try:

@@ -24,7 +24,7 @@ from palpate.devices.motion_limits import Tripped
 from palpate.devices.operator_control import OperatorCommand, OperatorControl
 from palpate.devices.rpc_server import Request, RpcServer, request_field
 from palpate.rig.engine import record
-from palpate.rig.plans import PLANS, Known, StepHold, plan_from, plan_of, size_of
+from palpate.rig.plans import PLANS, Known, StepHold, plan_from, plan_of, plan_of_sensor, size_of
 from palpate.rig.press_motion import check_plan
 from palpate.rig.run_progress import Outcome, State, Status
 from palpate.rig.service.served_rig import ServedRig
@@ -382,8 +382,8 @@ SHOWN = 100  # characters of a name
 
 def first_plan(sensor: Sensor | None) -> Known:
     """Choose the plan that a rig is opened with: a short one on the usual sensor, its own on any other."""
-    own = None if sensor is None else plan_from(sensor.default_plan(), sensor)
-    return plan_of(FIRST, sensor) if own is None or own.name == DEFAULT_SENSOR else own
+    own = plan_of_sensor(sensor)
+    return plan_of(FIRST, sensor) if own.name == DEFAULT_SENSOR else own
 
 
 def checked_plan(what: str | Mapping[str, Any], sensor: Sensor | None = None) -> Known:
