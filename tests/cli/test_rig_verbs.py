@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 from palpate.cli import app
 from palpate.recordings import check
 from palpate.recordings.run_reader import Run
+from palpate.sensors.tactip.tactip_sensor import TacTip
 
 TOML = """
 name = "tiny"
@@ -135,7 +136,11 @@ def test_another_plan_or_no_rig_is_refused_in_one_line(tiny: Path, tmp_path: Pat
     assert "virtual:palm" in error
 
 
-def test_a_rig_records_its_sensors_own_plan_where_none_is_named(tmp_path: Path) -> None:
+def test_a_rig_records_its_sensors_own_plan_where_none_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = TacTip.default_plan
+    monkeypatch.setattr(TacTip, "default_plan", lambda tip: {**own(tip), "cycles": 2})  # of 5, for speed
     out = tmp_path / "presses"
     code, said, error = typed("record", "--rig", "virtual:tactip", "--out", out, "--quiet")
     assert code == 0, error
