@@ -92,7 +92,7 @@ class Size(NamedTuple):
     seconds: float
 
 
-def plan_of_sensor(sensor: Sensor | str | None) -> Known:
+def plan_of_sensor(sensor: Sensor | str | None = None) -> Known:
     """The default plan of a sensor, or of the sensor of a name; of the usual one where there is none.
 
     Raises:
