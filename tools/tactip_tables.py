@@ -13,8 +13,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 
 import numpy as np
+from tactip.energy_contour import Contour, contours
+from tactip.tactip_model_errors import (
+    METHODS,
+    areas_by_friction,
+    divergence_shares,
+    linear_error,
+    press_truth,
+)
 
-from palpate.reproductions.tactip.energy_contour import Contour, contours
 from palpate.reproductions.tactip.tactip_conditions import (
     KAPPA_N_M,
     Row,
@@ -22,13 +29,6 @@ from palpate.reproductions.tactip.tactip_conditions import (
     equation_12,
     order,
     sensitivity,
-)
-from palpate.reproductions.tactip.tactip_model_errors import (
-    METHODS,
-    areas_by_friction,
-    divergence_shares,
-    linear_error,
-    press_truth,
 )
 from palpate.sensors.tactip import PINS_127, PINS_331, TacTipSpec
 

@@ -58,7 +58,7 @@ SAME_LAW = 0.03  # by which a force law may miss a press, read between its knots
 BEYOND_NOISE = 2.0  # times as different as two frames of one skin
 MAX_M, MAX_N, MAX_PA = 0.5, 1e4, 1e10  # of anything that a sensor for touch may say
 ASIDE = 0.25  # of the room that a probe has along an axis, by which it is moved to see the contact move
-TRIES = 401  # places along an axis at which the probe is tried for room
+PLACES_TRIED = 401  # places along an axis at which the probe is tried for room
 LIGHT = (0.05, 0.1, 0.2, HALF)  # of the known depth: presses that are tried to see a contact move
 NOT_NOISE = 5.0  # times the noise, from which a pixel's change is counted
 SAME_SCALE = 0.5  # by which the distance of a contact's motion may miss that of the axes
@@ -370,7 +370,7 @@ def _motions(sensor: Sensor) -> list[_Motion]:
 def _room_m(sensor: Sensor, way: tuple[float, float]) -> float:
     """The farthest from the skin's centre, to either side, at which the probe lies on the outline [m]."""
     outline, radius_m = sensor.outline, _own(sensor)[0].radius_m
-    (x, y), tried = way, np.linspace(0.0, outline.radius_m, TRIES)
+    (x, y), tried = way, np.linspace(0.0, outline.radius_m, PLACES_TRIED)
     held = [t for t in tried if all(outline.contains(s * t * x, s * t * y, radius_m) for s in (-1, 1))]
     if not held or held[-1] == 0:
         raise InputError(f"the probe of {1e3 * radius_m:.3g} mm radius has no room to move on the outline")

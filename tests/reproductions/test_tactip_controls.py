@@ -1,13 +1,14 @@
 """What the pins' divergence tells of softness, what the frames' count does, and equation (3) itself."""
 
 import math
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from palpate.reproductions.tactip.energy_contour import STEP_N, contour, contour_rad, contours
 from palpate.reproductions.tactip.tactip_conditions import (
     CONDITIONS,
     FROM_N,
@@ -23,14 +24,18 @@ from palpate.reproductions.tactip.tactip_conditions import (
     sensitivity,
     true_divergence,
 )
-from palpate.reproductions.tactip.tactip_model_errors import (
+from palpate.sensors.tactip import PINS_331, TacTipSpec
+from palpate.sensors.tactip.tactip_press import modulus_pa
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+from tactip.energy_contour import STEP_N, contour, contour_rad, contours
+from tactip.tactip_model_errors import (
     areas_by_friction,
     divergence_shares,
     linear_error,
     press_truth,
 )
-from palpate.sensors.tactip import PINS_331, TacTipSpec
-from palpate.sensors.tactip.tactip_press import modulus_pa
 
 S1, S3 = KAPPA_N_M["S1"], KAPPA_N_M["S3"]
 

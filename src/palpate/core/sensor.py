@@ -208,12 +208,12 @@ def force_law(sensor: Sensor, probe: Probe, specimen: Specimen | None = None) ->
 
 def variation_of(sensor: Sensor) -> Mapping[str, Any]:
     """Variation of a sensor's presses in the virtual rig's words: its own `variation()`, or nothing."""
-    return getattr(sensor, "variation", dict)()
+    return (getattr(sensor, "variation", None) or dict)()
 
 
 def plans_of(sensor: Sensor) -> Mapping[str, Mapping[str, Any]]:
     """Plans beside its default one, by its own `plans()`: name, begun as the sensor's -> a file's fields."""
-    return getattr(sensor, "plans", dict)()
+    return (getattr(sensor, "plans", None) or dict)()
 
 
 def own_plans_of(sensor: Sensor) -> Mapping[str, Mapping[str, Any]]:
@@ -224,7 +224,7 @@ def own_plans_of(sensor: Sensor) -> Mapping[str, Mapping[str, Any]]:
 
 def for_rig(sensor: Sensor) -> Sensor:
     """The same sensor at the size that a virtual rig films: its own `for_rig()`, or itself."""
-    return getattr(sensor, "for_rig", lambda: sensor)()
+    return (getattr(sensor, "for_rig", None) or (lambda: sensor))()
 
 
 def untouched(sensor: Sensor) -> Contact:
