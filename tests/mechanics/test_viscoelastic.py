@@ -1,4 +1,5 @@
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -65,13 +66,33 @@ def test_unloading_is_tings_integral():
 
 
 def test_the_loops_area_is_that_of_brute_force_quadrature():
-    t, d = triangle(81)
+    t, d = triangle(801)
     forces = np.array([brute_force(v)[0] for v in t])
-    found = viscoelastic.ting(t, d, R, SKIN, NU)
+    found = viscoelastic.ting(*triangle(81), R, SKIN, NU)
     assert found.loss_j == pytest.approx(np.trapezoid(forces, d), rel=1e-4)
     # and of the loop itself: 81 samples against 801
-    assert found.loss_j == pytest.approx(viscoelastic.ting(*triangle(801), R, SKIN, NU).loss_j, rel=1e-2)
+    assert found.loss_j == pytest.approx(viscoelastic.ting(t, d, R, SKIN, NU).loss_j, rel=1e-5)
     assert found.loss_j > 0
+
+
+HISTORIES = {
+    "in and out": ([0, 1, 2], [0, TOP, 0]),
+    "in, held and out": ([0, 1, 2, 3], [0, TOP, TOP, 0]),
+    "fast in, held and fast out": ([0, 1e-3, 2, 2.002], [0, TOP, TOP, 0]),
+    "from the air and back": ([0, 1, 2, 4], [-TOP, TOP, TOP, -5 * TOP]),
+}
+
+
+@pytest.mark.parametrize("law", [viscoelastic.ting, viscoelastic.press])
+@pytest.mark.parametrize("name", HISTORIES)
+def test_turning_points_alone_are_the_history_that_many_samples_are(law, name):
+    t, d = (np.array(values, dtype=float) for values in HISTORIES[name])
+    every = np.unique(np.concatenate([np.linspace(*ends, 2001) for ends in pairwise(t)]))
+    fine = viscoelastic.ting(every, np.interp(every, t, d), R, SKIN, NU)
+    found, here = law(t, d, R, SKIN, NU), np.searchsorted(every, t)
+    np.testing.assert_allclose(found.force_n, fine.force_n[here], atol=1e-5 * fine.force_n.max())
+    np.testing.assert_allclose(found.radius_m, fine.radius_m[here], atol=fine.radius_m.max() / 800)
+    assert found.loss_j == pytest.approx(fine.loss_j, rel=1e-5)
 
 
 def test_without_branches_the_force_is_hertzs_both_ways():

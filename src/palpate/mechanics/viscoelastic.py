@@ -45,7 +45,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.core import Bool, Float, RangeError, ndarray
+from palpate.core import Bool, Float, Int, RangeError, ndarray
 from palpate.mechanics.half_space.hertz import contact_radius, positive, reduced_modulus
 
 History = Float[ndarray, " n"]
@@ -215,7 +215,8 @@ def _positive_frequency(angular_frequency: float) -> float:
     return angular_frequency
 
 
-SUBSTEPS = 8  # of each step, along which d^(3/2) is taken as straight
+MIN_SUBSTEPS = 8  # of each step, along which d^(3/2) and the force are taken as straight
+MAX_SHARE = 1e-3  # of the history's duration, and of its greatest depth, that one of them takes
 ELEMENTS = 400  # from the centre to the widest contact
 HALVINGS = 60  # of the bracket of t1: to the last digit
 
@@ -231,17 +232,15 @@ class Indentation:
         depth_m: at them [m].
         force_n: positive in compression, never negative [N].
         radius_m: of the contact, 0 where there is none [m].
+        loss_j: work done by the probe less what came back, the area of the loop if it closes; integrated
+            between the samples too, where the force is not straight [J].
     """
 
     time_s: History
     depth_m: History
     force_n: History
     radius_m: History
-
-    @property
-    def loss_j(self) -> float:
-        """Work done by the probe less what came back [J]: the area of the loop if it closes."""
-        return float(np.trapezoid(self.force_n, self.depth_m))
+    loss_j: float
 
 
 def ting(
@@ -273,8 +272,8 @@ def ting(
         raise RangeError(
             "the depth does not rise once and then fall, as in Ting's law; use press for another history"
         )
-    t, d = _subdivide(time_s, np.maximum(depth_m, 0.0))
-    top *= SUBSTEPS
+    t, d, samples = _subdivide(time_s, depth_m)
+    d, top = np.maximum(d, 0.0), int(samples[top])
     while top + 1 < len(d) and d[top + 1] == d[top]:
         top += 1  # a hold at the greatest depth is part of the rise
     t1, apart = _times_as_wide(_Remembered(skin, t, d), top)
@@ -288,7 +287,8 @@ def ting(
     total = skin.equilibrium_pa * pushed + memory.sum(axis=1)
     total[apart] = 0.0
     K = 4.0 * math.sqrt(radius_m) / (3.0 * (1.0 - poisson_ratio**2))
-    return Indentation(time_s, depth_m, K * np.maximum(total, 0.0)[::SUBSTEPS], wide[::SUBSTEPS])
+    force = K * np.maximum(total, 0.0)
+    return Indentation(time_s, depth_m, force[samples], wide[samples], float(np.trapezoid(force, d)))
 
 
 class _Remembered:
@@ -332,14 +332,15 @@ def press(
 ) -> Indentation:
     """Force and contact radius under any history of depth; arguments as for ``ting``, and slower.
 
-    The force errs by about 1e-5 of its greatest and the radius by 1/800 of its greatest.
+    The force errs by about 1e-5 of its greatest and the radius by 1/800 of its greatest, however few the
+    samples of a history are.
 
     Raises:
         RangeError: the contact becomes a ring, the depth is beyond a/R = 0.5, or an argument is out of range.
     """
     _check(time_s, depth_m, radius_m)
     reduced_modulus(1.0, poisson_ratio)
-    t, d = _subdivide(time_s, depth_m)
+    t, d, samples = _subdivide(time_s, depth_m)
     widest = math.sqrt(radius_m * max(float(depth_m.max()), 0.0))
     dx = widest / ELEMENTS
     x = dx * (np.arange(ELEMENTS) + 0.5)
@@ -365,7 +366,8 @@ def press(
             )
         force[n + 1] = 2.0 * dx * float((skin.equilibrium_pa + stiff) * (rigid - free)[:count].sum())
         width[n + 1] = count * dx
-    return Indentation(time_s, depth_m, force[::SUBSTEPS] / (1.0 - poisson_ratio**2), width[::SUBSTEPS])
+    force /= 1.0 - poisson_ratio**2
+    return Indentation(time_s, depth_m, force[samples], width[samples], float(np.trapezoid(force, d)))
 
 
 def creep_depth(
@@ -388,8 +390,20 @@ def _check(time_s: History, depth_m: History, radius_m: float) -> None:
     contact_radius(max(float(depth_m.max()), 0.0), radius_m)
 
 
-def _subdivide(time_s: History, depth_m: History) -> tuple[Times, Times]:
-    """The same straight pieces, each in equal parts."""
-    n = len(time_s)
-    fine = np.interp(np.arange((n - 1) * SUBSTEPS + 1) / SUBSTEPS, np.arange(n), time_s)
-    return fine, np.interp(fine, time_s, depth_m)
+def _subdivide(time_s: History, depth_m: History) -> tuple[Times, Times, Int[ndarray, " n"]]:
+    """Times and depths of the same straight pieces in short parts, and where among them the samples are.
+
+    First touches between samples are among them, and so the depth over the skin is straight between them too.
+    """
+    before, after, steps = depth_m[:-1], depth_m[1:], np.diff(time_s)
+    through = np.sign(before) * np.sign(after) < 0.0
+    touches = (time_s[:-1] + steps * before / np.where(through, before - after, 1.0))[through]
+    ends = np.union1d(time_s, touches)
+    pushed = np.maximum(np.interp(ends, time_s, depth_m), 0.0)
+    moved = np.abs(np.diff(pushed)) / (pushed.max() or 1.0)
+    lasting = np.diff(ends) / (ends[-1] - ends[0])
+    parts = np.maximum(MIN_SUBSTEPS, np.ceil(np.maximum(moved, lasting) / MAX_SHARE - 1e-9)).astype(int)
+    at = np.append(0, np.cumsum(parts))
+    # rounding may make two of them one
+    fine = np.unique(np.interp(np.arange(at[-1] + 1), at, ends))
+    return fine, np.interp(fine, time_s, depth_m), np.searchsorted(fine, time_s)
