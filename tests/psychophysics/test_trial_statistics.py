@@ -1,11 +1,15 @@
 """Rank tests against their closed forms, and what they must warn of."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.stats import rankdata
 
 from palpate.core.errors import InputError
 from palpate.psychophysics import compare, fit_line
+from palpate.psychophysics.trial_statistics import _rank_sums
 
 
 def single(values) -> list[list[float]]:
@@ -58,6 +62,48 @@ def test_five_trials_against_five_cannot_be_more_significant_than_two_orders_in_
     assert_allclose(pair.least_p, pair.rank_sum_p)
 
 
+TIED = [
+    ([1, 1, 1, 2], [3, 3, 4, 4]),
+    ([1, 1, 1], [1, 2, 2, 2, 2, 3]),
+    ([1, 2, 2, 5], [2, 2, 3]),
+    ([1, 1], [2] * 9),
+]
+
+
+@pytest.mark.parametrize(("a", "b"), TIED)
+def test_with_ties_the_rank_sum_test_of_small_groups_counts_every_order(a, b) -> None:
+    """Every choice of the first group out of all values, one by one."""
+    pair = compare({"a": single(a), "b": single(b)}).pair("a", "b")
+    ranks = rankdata(a + b)
+    sums = [sum(chosen) for chosen in combinations(ranks, len(a))]
+    found = sum(ranks[: len(a)])
+    tail = min(np.mean([one <= found for one in sums]), np.mean([one >= found for one in sums]))
+    assert_allclose(pair.rank_sum_p, min(1, 2 * tail))
+    assert pair.rank_sum_p >= pair.least_p
+
+
+def test_counting_orders_is_what_scipy_does_without_ties(rng) -> None:
+    for n, m in ((3, 4), (5, 5), (8, 12), (8, 40)):
+        a, b = rng.normal(0, 1, n), rng.normal(0.7, 1, m)
+        ranks = rankdata(np.concatenate([a, b]))
+        counted = _rank_sums((2 * ranks).astype(int), n)
+        tails = [counted[: int(2 * ranks[:n].sum()) + 1].sum(), counted[int(2 * ranks[:n].sum()) :].sum()]
+        exact = compare({"a": single(a), "b": single(b)}).pair("a", "b").rank_sum_p
+        assert_allclose(min(1, 2 * min(tails) / counted.sum()), exact)
+
+
+@pytest.mark.parametrize(("n", "m"), [(2, 600), (9, 9), (8, 490)])
+def test_no_rank_sum_p_lies_below_the_least_there_is(n, m) -> None:
+    pair = compare({"a": single([1] * n), "b": single([2] * m)}).pair("a", "b")
+    assert pair.rank_sum_p >= pair.least_p
+
+
+def test_groups_that_are_all_one_value_do_not_differ() -> None:
+    found = compare({"a": single([1, 1, 1]), "b": single([1, 1, 1]), "c": single([1, 1])})
+    assert (found.kruskal_h, found.kruskal_p) == (0, 1)
+    assert all(pair.rank_sum_p == pair.dunn_p == pair.holm_p == 1 for pair in found.pairs)
+
+
 def test_a_trial_is_one_value_however_many_samples_it_has(rng) -> None:
     trials = {name: [rng.normal(k, 1, 100) for _ in range(5)] for k, name in enumerate("ab")}
     assert compare(trials).n == {"a": 5, "b": 5}
@@ -105,6 +151,15 @@ def test_a_line_gives_its_slope_and_what_a_new_point_may_be(rng) -> None:
     assert_allclose(hits / 300, 0.9, atol=0.05)
     exact = fit_line(np.array([0.0, 1.0, 2.0]), np.array([1.0, 3.0, 5.0]))
     assert_allclose([exact.slope, exact.start, exact.adjusted_r2], [2, 1, 1])
+
+
+@pytest.mark.parametrize("y", [2.0, 0.1, 0.0, -1e9])
+def test_values_that_are_all_the_same_make_a_level_line_without_doubt(y) -> None:
+    line = fit_line(np.array([1.0, 2.0, 3.5, 7.0]), np.full(4, y))
+    assert (line.slope, line.slope_low, line.slope_high) == (0, 0, 0)
+    assert line.at(3.0) == (y, y, y)
+    assert np.isnan(line.adjusted_r2)
+    assert np.isnan(fit_line(np.array([0.0, 1.0]), np.full(2, y)).slope_low)
 
 
 def test_two_points_make_a_line_that_promises_nothing() -> None:

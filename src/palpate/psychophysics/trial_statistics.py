@@ -21,12 +21,16 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from palpate.core import Float, InputError, ndarray
+from palpate.core import Float, InputError, Int, ndarray
 
 MIN_FOR_LILLIEFORS = 4
 LILLIEFORS_DRAWS, LILLIEFORS_SEED = 9_999, 1967
 LILLIEFORS_VALUES = 10_000_000  # drawn at a time
 BOOTSTRAP_DRAWS = 2000
+MAX_COUNTED = (
+    8  # values of the smaller of two groups whose orders are all counted, as scipy does without ties
+)
+MAX_COUNTED_IN_ALL = 500  # of both, where there are ties
 POOLED = (
     "{samples} samples of {trials} trials are pooled: those of one trial are not independent, so p-values "
     "are far too small (pseudo-replication); compare one value a trial"
@@ -42,7 +46,8 @@ class Pair:
 
     Attributes:
         first, second: their names.
-        rank_sum_p: Wilcoxon's rank-sum test, two-sided; exact for small groups without ties.
+        rank_sum_p: Wilcoxon's rank-sum test, two-sided; exact where a group has 8 values or fewer (and, with
+            ties, both together 500), else by the normal law; never below `least_p`.
         least_p: the smallest that it can be with groups of these sizes.
         dunn_p: uncorrected.
         holm_p: Dunn's, corrected by Holm for all pairs.
@@ -65,7 +70,7 @@ class Comparison:
         lilliefors_p: of each group; small where it is not Gaussian. NaN for fewer than 4 values.
         standard_normal_p: of Kolmogorov and Smirnov's test of raw values against N(0, 1), as some packages
             run it by default: it asks whether the mean is 0 and the spread 1, and not for a shape.
-        kruskal_h, kruskal_p: of all groups at once.
+        kruskal_h, kruskal_p: of all groups at once; 0 and 1 where all values are the same.
         pairs: every two.
         warnings: what a reader must know before using the p-values.
     """
@@ -101,14 +106,15 @@ def compare(groups: Groups, *, pooled: bool = False) -> Comparison:
     values = {name: _values(name, trials, pooled) for name, trials in groups.items()}
     if len(values) < 2:
         raise InputError(f"{len(values)} groups; two or more can be compared")
-    h, p = stats.kruskal(*values.values())
+    same = np.ptp(np.concatenate(list(values.values()))) == 0
+    h, p = (0.0, 1.0) if same else stats.kruskal(*values.values())
     plain = _dunn(values)
     holm = _holm(plain)
     pairs = tuple(
         Pair(
             a,
             b,
-            float(stats.mannwhitneyu(values[a], values[b], alternative="two-sided").pvalue),
+            _rank_sum_p(values[a], values[b]),
             _least(len(values[a]), len(values[b])),
             plain[a, b],
             holm[a, b],
@@ -146,11 +152,35 @@ def _values(name: str, trials: Sequence[Any], pooled: bool) -> Values:
     return values
 
 
+def _rank_sum_p(a: Values, b: Values) -> float:
+    """Two-sided p of Wilcoxon's rank-sum test: twice the smaller tail over all orders, 1 at most."""
+    few, many = sorted((a, b), key=len)
+    values = np.concatenate([few, many])
+    if len(np.unique(values)) < len(values) <= MAX_COUNTED_IN_ALL and len(few) <= MAX_COUNTED:
+        ranks = np.rint(2 * stats.rankdata(values)).astype(int)  # twice the mean ranks are whole
+        ways, found = _rank_sums(ranks, len(few)), ranks[: len(few)].sum()
+        p = min(1.0, 2 * min(ways[: found + 1].sum(), ways[found:].sum()) / ways.sum())
+    else:
+        p = stats.mannwhitneyu(a, b, alternative="two-sided").pvalue
+    return max(float(p), _least(len(a), len(b)))  # the normal law knows no least
+
+
+def _rank_sums(ranks: Int[ndarray, " n"], count: int) -> Float[ndarray, " sums"]:
+    """Number of ways to choose so many of the ranks, by the sum of those chosen."""
+    ways = np.zeros((count + 1, np.sort(ranks)[-count:].sum() + 1))
+    ways[0, 0] = 1
+    for rank in ranks:
+        ways[1:, rank:] += ways[:-1, :-rank]
+    return np.asarray(ways[count])
+
+
 def _dunn(values: Mapping[str, Values]) -> dict[tuple[str, str], float]:
-    """Dunn's two-sided p of every pair, uncorrected; ties lessen the variance of ranks."""
+    """Dunn's two-sided p of every pair, uncorrected; ties lessen the variance of ranks, to 0 in the end."""
     ranks = stats.rankdata(np.concatenate(list(values.values())))
     n = len(ranks)
     _, tied = np.unique(ranks, return_counts=True)
+    if len(tied) == 1:
+        return dict.fromkeys(combinations(values, 2), 1.0)
     variance = n * (n + 1) / 12 - float(np.sum(tied**3.0 - tied)) / (12 * (n - 1))
     parts = np.split(ranks, np.cumsum([len(v) for v in values.values()])[:-1])
     mean = {name: float(part.mean()) for name, part in zip(values, parts, strict=True)}
@@ -230,7 +260,7 @@ class Line:
 
 
 def fit_line(x: Values, y: Values) -> Line:
-    """Least squares.
+    """Least squares; through values of y that are all the same the level line, without an adjusted R^2 (NaN).
 
     Raises:
         InputError: fewer than two points, all at one x, or one that is not finite.
@@ -240,8 +270,11 @@ def fit_line(x: Values, y: Values) -> Line:
         raise InputError(f"a line needs two points or more at different x; got {len(x)} and {len(y)} values")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise InputError("a line is through finite points; leave out those that are not")
-    fit, n = stats.linregress(x, y), len(x)
-    sxx = float(np.sum((x - x.mean()) ** 2))
+    n, sxx = len(x), float(np.sum((x - x.mean()) ** 2))
+    if np.ptp(y) == 0:
+        unknown = 0.0 if n > 2 else float("nan")
+        return Line(0.0, float(y[0]), unknown, unknown, float("nan"), n, float(x.mean()), sxx, 0.0)
+    fit = stats.linregress(x, y)
     half = float(stats.t.ppf(0.975, n - 2) * fit.stderr) if n > 2 else float("nan")
     adjusted = 1 - (1 - fit.rvalue**2) * (n - 1) / (n - 2) if n > 2 else float("nan")
     return Line(
