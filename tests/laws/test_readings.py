@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 
+import jaxtyping
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -31,6 +34,12 @@ OTHER = {
     "time_s": 0.0,
 }
 ANGLES = st.floats(-1e3, 1e3, allow_nan=False)
+
+
+@pytest.fixture
+def shapes_unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The package as it is outside these tests, where no hook checks shapes before its own code does."""
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
 
 
 def scalar(quantity: str = "depth", unit: str = "m", value: float = 6.2e-4) -> Reading:
@@ -125,6 +134,21 @@ def test_an_arc_of_a_whole_turn_holds_every_angle() -> None:
     assert all(angle(12.0, 180.0).contains(one) for one in (-180.0, 0.0, 77.0, 191.9))
 
 
+@given(value=ANGLES, half=st.floats(0.0, 179.0), turns=st.integers(-3, 3))
+def test_both_ends_of_an_arc_are_on_it_whatever_the_turn(value: float, half: float, turns: int) -> None:
+    reading = angle(value, half)
+    assert reading.contains(reading.low + 360.0 * turns)
+    assert reading.contains(reading.high + 360.0 * turns)
+
+
+def test_an_arc_without_ends_holds_every_angle_and_nothing_else() -> None:
+    endless = angle(10.0, math.inf)
+    assert all(endless.contains(one) for one in (10.0, -170.0, 1e4))
+    assert replace(endless, low=0.0).contains(-1.0)
+    assert not any(endless.contains(one) for one in (math.nan, math.inf))
+    assert not angle(math.nan, 1.0).contains(0.0)
+
+
 def test_an_arc_that_does_not_hold_its_value_is_refused() -> None:
     # 170 to -170 is written as 170 to 190: ends upwards.
     with pytest.raises(InputError, match="run on beyond half a period"):
@@ -172,6 +196,41 @@ def test_a_vector_without_a_value_for_each_component_is_refused() -> None:
         force(AlignedBox(np.ones(2)))
     with pytest.raises(InputError, match="positive definite"):
         Ellipsoid(np.diag([1.0, 0.0]), 2.0)
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+def test_a_covariance_is_symmetric_by_its_own_measure(scale: float) -> None:
+    """By the trace: in N^2 or m^2, whatever the unit's size."""
+    for off in ((0.9, -0.9), (0.9, 0.8999)):
+        with pytest.raises(InputError, match="symmetric"):
+            Ellipsoid(scale * np.array([[1.0, off[0]], [off[1], 1.0]]), 2.0)
+    rounded = np.array([[1.0, 0.9], [np.float32(0.9), 1.0]])
+    assert Ellipsoid(scale * rounded, 2.0).contains(np.zeros(2))
+
+
+@pytest.mark.usefixtures("shapes_unchecked")
+@pytest.mark.parametrize(
+    "covariance", [np.ones(3), np.ones((2, 3)), np.ones((1, 1, 1)), np.ones((0, 0)), np.full((2, 2), np.nan)]
+)
+def test_what_is_no_covariance_is_refused(covariance: np.ndarray) -> None:
+    with pytest.raises(InputError, match="covariance"):
+        Ellipsoid(covariance, 2.0)
+
+
+@pytest.mark.usefixtures("shapes_unchecked")
+@pytest.mark.parametrize("shape", [(2,), (3, 2), (2, 2)])
+def test_a_vector_s_range_has_a_least_and_a_greatest_of_each_component(shape: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match=r"calibrated range .* \(2, 3\)"):
+        replace(force(AlignedBox(np.ones(3))), calibrated_range=np.zeros(shape))
+
+
+def test_an_interval_that_runs_downwards_is_refused() -> None:
+    with pytest.raises(InputError, match="downwards"):
+        replace(scalar(), low=2.0, high=1.0)
+    one = field()
+    with pytest.raises(InputError, match="of 5 nodes run downwards"):
+        replace(one, low=one.high, high=one.low)
+    assert math.isnan(replace(scalar(), value=math.nan, low=math.nan, high=math.nan).low)
 
 
 def test_a_field_s_nodes_hold_one_by_one_and_none_where_there_is_no_value() -> None:

@@ -131,6 +131,12 @@ class Reading(MeasurementResult):
     high: float
     calibrated_range: tuple[float, float]
 
+    def __post_init__(self) -> None:
+        if self.low > self.high:
+            raise InputError(
+                f"{self.quantity}: the interval {self.low} to {self.high} {self.unit} runs downwards"
+            )
+
     def contains(self, truth: float) -> bool:
         """True where a value, in `unit`, lies in the interval."""
         return bool(self.low <= truth <= self.high)
@@ -213,6 +219,9 @@ def wrapped(difference: float, period: float) -> float:
     return (difference + period / 2) % period - period / 2
 
 
+MAX_ROUNDINGS = 4  # units in the last place by which an end of an arc moves when turns are added to it
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class CircularReading(MeasurementResult):
     """A scalar that comes round again, such as an angle of ±180°; the coverage is that of the arc.
@@ -247,8 +256,14 @@ class CircularReading(MeasurementResult):
         return wrapped(self.value - other, self.period)
 
     def contains(self, truth: float) -> bool:
-        """True where a value, in `unit`, lies on the arc."""
-        return bool((truth - self.low) % self.period <= self.high - self.low)
+        """True where a value, in `unit`, lies on the arc, its ends included whatever the turn."""
+        if not math.isfinite(truth):
+            return False
+        if self.high - self.low >= self.period:
+            return True
+        rounding = MAX_ROUNDINGS * np.spacing(max(abs(truth), abs(self.low), abs(self.high), self.period))
+        beyond_low = (truth - self.low + rounding) % self.period
+        return bool(beyond_low <= self.high - self.low + 2 * rounding)
 
     def _numbers(self) -> dict[str, Any]:
         numbers = {n: plain_number(getattr(self, n)) for n in ("value", "low", "high", "period")}
@@ -261,6 +276,9 @@ class CircularReading(MeasurementResult):
             f"{self.quantity} {shown:.3g} {self.unit} ± {half:.2g} {self.unit} "
             f"(modulo {self.period:g} {self.unit}), {self.verdict}"
         )
+
+
+MAX_ASYMMETRY = 1e-5  # of a covariance, over its trace: what numbers of single precision leave
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -276,9 +294,7 @@ class Ellipsoid:
     radius: float
 
     def __post_init__(self) -> None:
-        covariance = self.covariance
-        symmetric = np.allclose(covariance, covariance.T)
-        if not (symmetric and np.linalg.eigvalsh(covariance).min() > 0 and self.radius > 0):
+        if not (_positive_definite(self.covariance) and self.radius > 0):
             raise InputError("a region's covariance is symmetric and positive definite, its radius above 0")
 
     def contains(self, offset: Float[np.ndarray, " k"]) -> bool:
@@ -342,6 +358,11 @@ class VectorReading(MeasurementResult):
             raise InputError(f"{self.quantity}: components {self.components}; name one or more, each once")
         if self.value.shape != (k,) or self.region.half_widths.shape != (k,):
             raise InputError(f"{self.quantity}: {k} components need {k} values and a region of {k} axes")
+        if np.shape(self.calibrated_range) != (2, k):
+            raise InputError(
+                f"{self.quantity}: a calibrated range {np.shape(self.calibrated_range)}; {k} components need "
+                f"the least and the greatest of each, {(2, k)}"
+            )
 
     def contains(self, truth: Float[np.ndarray, " k"]) -> bool:
         """True where a vector, in `unit`, lies in the joint region."""
@@ -433,6 +454,10 @@ class FieldReading(MeasurementResult):
                 f"{self.quantity}: values {self.value.shape}, intervals {self.low.shape} and "
                 f"{self.high.shape}; all lie on the axes' grid {grid}"
             )
+        if (downwards := self.low > self.high).any():
+            raise InputError(
+                f"{self.quantity}: the intervals of {downwards.sum()} nodes run downwards, from low to high"
+            )
 
     def contains(self, truth: Float[np.ndarray, ...]) -> Bool[np.ndarray, ...]:
         """Truth at each node of a field, in `unit`, lying in the interval; False where there is none."""
@@ -485,6 +510,15 @@ class SetReading(MeasurementResult):
     def __str__(self) -> str:
         shown = " or ".join(f"{v:.3g} ± {(high - low) / 2:.2g}" for v, low, high in self.candidates)
         return f"{self.quantity} {shown or 'without a candidate'} {self.unit}, {self.verdict}"
+
+
+def _positive_definite(matrix: np.ndarray) -> bool:
+    """Tell whether it is a square matrix that is finite, symmetric and positive definite."""
+    square = np.ndim(matrix) == 2 and len(matrix) == len(matrix.T) > 0
+    if not (square and np.isfinite(matrix).all()):
+        return False
+    symmetric = np.allclose(matrix, matrix.T, rtol=0, atol=MAX_ASYMMETRY * abs(np.trace(matrix)))
+    return symmetric and bool(np.linalg.eigvalsh(matrix).min() > 0)
 
 
 def provenance(of: MeasurementResult) -> dict[str, Any]:
