@@ -13,7 +13,7 @@ from palpate.calibration.conformal import (
     fit_intervals,
     grouped_coverage_interval,
 )
-from palpate.core.errors import InputError
+from palpate.core.errors import InputError, RangeError
 from palpate.estimators.certified import ErrorSpread
 
 
@@ -64,6 +64,12 @@ def test_the_quantile_is_the_least_score_whose_rank_promises_the_coverage(covera
     for n in range(1, 200):
         enough = [k for k in range(1, n + 1) if Fraction(k, n + 1) >= Fraction(coverage)]
         assert conformal_quantile(np.arange(1.0, n + 1), float(coverage)) == min(enough, default=n)
+
+
+@pytest.mark.parametrize("coverage", [1.2, -0.1, 0.0, math.nan])
+def test_what_is_no_rate_has_no_quantile(coverage: float) -> None:
+    with pytest.raises(RangeError, match="above 0 and at most 1"):
+        conformal_quantile(np.arange(10.0), coverage)
 
 
 def test_ten_scores_promise_nine_in_ten_by_their_largest_only() -> None:

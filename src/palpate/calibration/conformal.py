@@ -16,7 +16,7 @@ from scipy.stats import binomtest
 from sklearn.linear_model import GammaRegressor
 from sklearn.model_selection import GroupKFold
 
-from palpate.core import Float, InputError, Values
+from palpate.core import Float, InputError, RangeError, Values
 from palpate.estimators.certified import ErrorSpread, Intervals, design
 from palpate.estimators.networks.model_interface import Scaler
 
@@ -29,7 +29,13 @@ def conformal_quantile(scores: Float[np.ndarray, " n"], coverage: float) -> floa
 
     The rank is raised by one row, ceil((n + 1) coverage), which is what makes the promise hold for
     finite n; with too few scores for it the largest one is used.
+
+    Raises:
+        InputError: there are no scores.
+        RangeError: the coverage is not above 0 and at most 1.
     """
+    if not 0 < coverage <= 1:
+        raise RangeError(f"coverage is {coverage}; it is a rate above 0 and at most 1, such as 0.9")
     n = len(scores)
     if n == 0:
         raise InputError("no held-out scores to set an interval by; give the calibration at least two folds")
