@@ -1,5 +1,7 @@
 """Head-on tips at finite strain: Hertz where strain is small, another code where it is not."""
 
+import re
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -35,6 +37,17 @@ def test_softer_specimens_have_the_larger_area_and_flatten_the_tip_less() -> Non
     flat = [press.at("flattening_m", np.array([4.0]))[0] for press in presses]
     assert (np.diff(areas) < 0).all()
     assert (np.diff(flat) > 0).all()
+
+
+def test_a_table_ends_at_its_deepest_approach_but_for_rounding() -> None:
+    press = tip_table("base").press(1.3e5)
+    deepest = press.approach_m[-1:]
+    assert press.force_at(deepest * (1 + 1e-7)) == press.force_at(deepest)
+    with pytest.raises(RangeError) as refused:
+        press.force_at(deepest * (1 + 2e-6))
+    asked, end = re.findall(r"[\d.]+(?= mm)", str(refused.value))
+    assert float(asked) > float(end)
+    press.force_at(np.array([1e-3 * float(end)]))  # as printed
 
 
 def test_forces_and_approaches_belong_together() -> None:

@@ -66,6 +66,14 @@ def test_the_deepest_press_is_allowed_and_nothing_beyond():
         pressed(6.001e-3)
 
 
+def test_linear_layers_end_at_their_depth_but_for_rounding():
+    beyond = LINEAR_DEPTH_M * 24 / 24
+    assert beyond > LINEAR_DEPTH_M
+    assert layered("punch:6", beyond).force_n == pytest.approx(layered("punch:6", LINEAR_DEPTH_M).force_n)
+    with pytest.raises(RangeError, match=r"depth 1\.500002 mm .* 0 to 1\.5 mm"):
+        layered("punch:6", 1.500002e-3)
+
+
 @pytest.mark.parametrize("radius_m", [3e-3, 4e-3, 8e-3])
 @pytest.mark.parametrize("depth_m", [0.5e-3, 1.5e-3])
 def test_another_ball_follows_the_exact_sphere_on_a_layer(radius_m, depth_m):

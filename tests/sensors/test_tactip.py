@@ -1,17 +1,20 @@
 """The virtual TacTip: lattice, lever, refraction."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from palpate.core import Pose
 from palpate.core.errors import InputError, RangeError
 from palpate.estimators.compliance.contact_region import Field, ring_px
 from palpate.sensors.tactip import PINS_127, PINS_331, PinLayout, pictured, tactip
 from palpate.sensors.tactip.skin_and_markers import LeaningSkin, head_on, lattice, markers
 from palpate.sensors.tactip.tactip_camera import slopes
+from palpate.sensors.tactip.tactip_sensor import TacTip
 
 S1, S3 = 0.2419e6, 0.035e6
 
@@ -86,3 +89,20 @@ def test_what_cannot_be_built_is_refused(spec) -> None:
         replace(spec, camera=replace(spec.camera, height_m=0.015))
     with pytest.raises(RangeError, match="speed"):
         replace(spec, speed_m_s=0.0)
+
+
+@pytest.mark.parametrize("words", ["rigid", "S1=7.6"])
+def test_a_press_ends_at_the_deepest_approach_as_it_is_printed(spec, words) -> None:
+    tip = TacTip(spec)
+    probe, specimen = tip.probe(words), tip.specimen(words)
+    deepest_m = tip.known_depth_m(probe, specimen)
+    force_n = tip.press(probe, Pose(0.0, 0.0, deepest_m), specimen).force_n
+    with pytest.raises(RangeError) as refused:
+        tip.press(probe, Pose(0.0, 0.0, deepest_m * (1 + 2e-6)), specimen)
+    asked, known = re.findall(r"[\d.]+(?= mm)", str(refused.value))
+    assert float(asked) > float(known)
+    at_known = tip.press(probe, Pose(0.0, 0.0, 1e-3 * float(known)), specimen)
+    assert_allclose(at_known.force_n, force_n, rtol=1e-5)
+    rounded = tip.press(probe, Pose(0.0, 0.0, deepest_m * (1 + 5e-7)), specimen)
+    assert rounded.force_n == force_n
+    assert len(tip.markers_px(rounded)) == len(tip.markers_px(at_known))

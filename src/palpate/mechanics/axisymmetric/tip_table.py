@@ -20,6 +20,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from palpate.core import Float, InputError, RangeError, ndarray
+from palpate.mechanics.axisymmetric.sphere_table import SAME
 
 TURNING_PA = 6e4  # E0: about the tip's own stiffness, so that the curve bends evenly
 FOLDER = "tip_tables"
@@ -67,12 +68,12 @@ class HeadOnPress:
 
     def force_at(self, approach_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
         """Force at approaches; 0 before first touch [N]."""
-        d = np.maximum(approach_m, 0.0)
-        if d.size and d.max() > self.approach_m[-1]:
+        d, deepest = np.maximum(approach_m, 0.0), float(self.approach_m[-1])
+        if d.size and d.max() > deepest * (1 + SAME):
             raise RangeError(
-                f"an approach of {1e3 * d.max():.3g} mm; the table ends at {1e3 * self.approach_m[-1]:.3g} mm"
+                f"an approach of {1e3 * d.max():.7g} mm; the table ends at {1e3 * deepest:.7g} mm"
             )
-        return np.asarray(self._cube_root_of_force(d)) ** 3
+        return np.asarray(self._cube_root_of_force(np.minimum(d, deepest))) ** 3
 
     @cached_property
     def _curves(self) -> dict[str, PchipInterpolator]:

@@ -222,9 +222,9 @@ def press_layers(spec: PalmSpec, pose: Pose, probe: Probe) -> Layered:
     Raises:
         RangeError: the depth lies beyond 0 to 1.5 mm, or the contact reaches over the rim.
     """
-    if not 0 <= pose.depth_m <= LINEAR_DEPTH_M:
+    if not 0 <= pose.depth_m <= LINEAR_DEPTH_M * (1 + SAME):
         raise RangeError(
-            f"depth {pose.depth_m * 1e3:g} mm of a {probe.shape} lies outside 0 to "
+            f"depth {pose.depth_m * 1e3:.7g} mm of a {probe.shape} lies outside 0 to "
             f"{LINEAR_DEPTH_M * 1e3:g} mm, where linear layers hold; press less, or press the palm's own "
             "ball without lateral load"
         )

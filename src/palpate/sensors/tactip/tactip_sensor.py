@@ -36,6 +36,7 @@ from palpate.core import (
     is_rigid,
     ndarray,
 )
+from palpate.mechanics.axisymmetric.sphere_table import SAME
 from palpate.sensors.tactip import tactip_spec as specs
 from palpate.sensors.tactip.inclined_press import MAX_TILT, inclined
 from palpate.sensors.tactip.tactip_camera import projected, rendered
@@ -147,12 +148,13 @@ class TacTip:
                 f"{1e3 * self.outline.radius_m:.3g} mm of the apex, or incline the specimen"
             )
         tip = self.tip_on(probe, specimen)
-        if not pose.depth_m <= tip.deepest_m:
+        if not pose.depth_m <= tip.deepest_m * (1 + SAME):
+            # seven digits: what is printed differs by more than SAME, and the limit as printed is allowed
             raise RangeError(
-                f"an approach of {1e3 * pose.depth_m:.3g} mm; this contact is known to "
-                f"{1e3 * tip.deepest_m:.3g} mm"
+                f"an approach of {1e3 * pose.depth_m:.7g} mm; this contact is known to "
+                f"{1e3 * tip.deepest_m:.7g} mm"
             )
-        depth = np.array([max(pose.depth_m, 0.0)])
+        depth = np.array([min(max(pose.depth_m, 0.0), tip.deepest_m)])
         force_n = float(tip.force_n(depth)[0])
         radius_m = math.sqrt(float(tip.area_m2(np.array([force_n]))[0]) / math.pi)
         return replace(self._contact(probe, pose, force_n, radius_m), specimen=specimen, history=history)
