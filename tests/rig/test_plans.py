@@ -209,3 +209,17 @@ def test_a_rigs_own_plan_is_that_of_its_sensor() -> None:
 )
 def test_a_plan_has_the_hash_that_runs_of_before_hold(name: str, begins: str) -> None:
     assert PLANS[name].hash.startswith(begins)
+
+
+@pytest.mark.parametrize("second", ["S1=5", "S1=5@20", "S1=inf?"])
+def test_one_name_for_two_specimens_is_refused_when_the_plan_is_read(second: str) -> None:
+    fields = PLANS["tactip"].model_dump() | {"indenters": ["rigid", "S1=7.6", second]}
+    with pytest.raises(InputError, match=r"S1=7\.6 and S1=.* two stiffnesses"):
+        plan_from(fields, sensor("tactip"))
+
+
+def test_one_specimen_may_be_pressed_at_several_tilts() -> None:
+    words = ["S1=7.6", "S1=7.6@20", "S1=7.60@30", "rigid", "rigid@20"]
+    plan = plan_from(PLANS["tactip"].model_dump() | {"indenters": words}, sensor("tactip"))
+    keys = [shot.key for press in plan.presses() for shot, _ in plan.shots(press)]
+    assert len(keys) == len(set(keys))

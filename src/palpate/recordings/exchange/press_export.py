@@ -2,13 +2,17 @@
 
 A press is a sweep of the run, down to a force and back. Its table has a row a force sample, and each frame
 belongs to the sample of its own instant: the camera's latency, as the run's taps have told it, is taken off.
+
+An experiment has one folder for every specimen at every tilt, since a tip that touches with its side gives
+another curve: "S1=7.6" is pressed into the folder S1, "S1=7.6@20" into S1-20deg.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,10 +36,10 @@ AREA = "true_area_mm2"
 
 @dataclass(frozen=True)
 class _Press:
-    """Sweep of the run: on what, which, and its frames."""
+    """Sweep of the run: on what, by the plan's words, which, and its frames."""
 
     specimen: Specimen
-    is_known: bool
+    words: str
     name: str
     frames: Int[ndarray, " f"]
 
@@ -59,13 +63,13 @@ def export_presses(run: Run, out: Path | None = None) -> PressFolder | None:
         return None
     out = run.path / PRESSES if out is None else out
     force, stage, late_s = run.force(), run.stage(), latency_s(run)
+    folders = _folders(dict.fromkeys(press.words for press in presses))
     with new_folder(out) as building:
-        stiffness = {p.specimen.name: p.specimen.stiffness_n_m if p.is_known else math.nan for p in presses}
-        write_specimens(building, {name: math.nan if k is None else k for name, k in stiffness.items()})
+        write_specimens(building, {folders[press.words]: _told_n_m(press) for press in presses})
         for press in presses:
             rows = _rows(run, press, force, stage, late_s)
             images = (run.frame(int(i)).image for i in press.frames)
-            write_press(building / press.specimen.name, press.name, images, rows)
+            write_press(building / folders[press.words], press.name, images, rows)
     return press_folder(out)
 
 
@@ -74,6 +78,37 @@ def latency_s(run: Run) -> float:
     events = run.events()
     clocks = [json.loads(text) for text in events.loc[events["kind"] == CLOCKS, "fields"]]
     return float(clocks[-1]["seconds"]) if clocks else 0.0
+
+
+def _folders(indenters: Iterable[str]) -> dict[str, str]:
+    """Folder of every indenter, by its words; numbered from 2 where others before it have the same name.
+
+    Plans with two stiffnesses of one name are refused now; runs of such plans may lie on disks.
+    """
+    folders: dict[str, str] = {}
+    for words in indenters:
+        plain = _folder_of(words)
+        numbered = (f"{plain}-{count}" for count in itertools.count(2))
+        taken = set(folders.values())
+        folders[words] = next(name for name in itertools.chain([plain], numbered) if name not in taken)
+    return folders
+
+
+def _folder_of(words: str) -> str:
+    """Name of a specimen, with its tilt where it leans: S1 of "S1=7.6", S1-20deg of "S1=7.6@20"."""
+    what, _, leaning = words.partition("@")
+    name = Specimen.parse(what).name
+    try:
+        tilt_deg = float(leaning or 0.0)
+    except ValueError:  # a sensor of one's own may say otherwise what follows the @
+        return name
+    return f"{name}-{tilt_deg:g}deg" if tilt_deg else name
+
+
+def _told_n_m(press: _Press) -> float:
+    """Stiffness of what is pressed; NaN where it is not known, or shall not be told [N/m]."""
+    stiffness_n_m = press.specimen.stiffness_n_m
+    return math.nan if stiffness_n_m is None or UNTOLD in press.words else stiffness_n_m
 
 
 def _presses(run: Run) -> Iterator[_Press]:
@@ -90,7 +125,7 @@ def _presses(run: Run) -> Iterator[_Press]:
         last = rows[rows["approach"] == rows["approach"].max()]  # an interrupted sweep was done again
         cycle = int(last["cycle"].iloc[0])
         name = f"{cycle:02d}" if places == 1 else f"{place}-{cycle:02d}"
-        yield _Press(specimen, UNTOLD not in str(words), name, last.index.to_numpy(np.int64))
+        yield _Press(specimen, str(words), name, last.index.to_numpy(np.int64))
 
 
 def _rows(run: Run, press: _Press, force: pd.DataFrame, stage: pd.DataFrame, late_s: float) -> pd.DataFrame:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from palpate.core import InputError, Sensor
+from palpate.core import InputError, Sensor, Specimen
 from palpate.core.sensor import sensor as sensor_of
 from palpate.rig.plans.press_places import Grid, Place, Places, Positive
 
@@ -143,6 +143,22 @@ def _check_width(indenters: tuple[str, ...], probe_mm: float) -> None:
             )
 
 
+def _check_stiffness(indenters: tuple[str, ...]) -> None:
+    """Refuse one name for two specimens, whose presses could not be told apart."""
+    first: dict[str, tuple[str, float | None]] = {}
+    for indenter in indenters:
+        try:
+            specimen = Specimen.parse(indenter.partition("@")[0])
+        except InputError:
+            continue  # a rigid probe; the sensor says later whether it knows it
+        words, stiffness_n_m = first.setdefault(specimen.name, (indenter, specimen.stiffness_n_m))
+        if stiffness_n_m != specimen.stiffness_n_m:
+            raise InputError(
+                f"the indenters {words} and {indenter} give the specimen {specimen.name} two stiffnesses; "
+                "give each specimen a name of its own"
+            )
+
+
 AnyPlan = TypeVar("AnyPlan", bound="RecordingPlan")
 
 
@@ -189,6 +205,7 @@ class RecordingPlan(BaseModel):
 
     @model_validator(mode="after")
     def _check_indenters(self) -> RecordingPlan:
+        _check_stiffness(self.indenters)
         if self.places.probe_mm is not None:
             _check_width(self.indenters, self.places.probe_mm)
         return self
