@@ -46,6 +46,14 @@ def test_linear_layers_and_the_table_agree_on_the_ball_where_both_hold() -> None
     assert other == pytest.approx(one, rel=0.1)
 
 
+def test_an_edge_is_recorded_from_first_touch_to_its_depth(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    outcome = record(rig(), small(indenters=("edge:10",), depth_mm=1.0, step_mm=0.5), out)
+    assert outcome.state is State.DONE, outcome.message
+    force = Run.open(out).labels.query("phase == 'down'")["force_N"]
+    assert force.max() > 20 * 0.05  # many times the threshold that found the skin
+
+
 def test_each_indenter_of_a_plan_is_recorded_and_differs(tmp_path: Path) -> None:
     several = small(indenters=("sphere:10", "punch:6"))
     out = tmp_path / "run"

@@ -7,7 +7,11 @@ import pytest
 from palpate.core import InputError, Pose, Probe, RangeError
 from palpate.mechanics.layers.bonded_layer import punch_force, sphere_force
 from palpate.sensors import palm
-from palpate.sensors.palm.palm_press import FRICTION, LINEAR_DEPTH_M
+from palpate.sensors.palm import narrow_contact
+from palpate.sensors.palm.narrow_contact import press_narrow
+from palpate.sensors.palm.palm_press import FRICTION, LINEAR_DEPTH_M, stack_of
+from palpate.sensors.palm.palm_sensor import force_law_of
+from palpate.sensors.palm.probe_shapes import EDGE_SLOPE_RAD
 
 SPEC = palm.palm()
 E, NU, H = SPEC.youngs_modulus_pa, SPEC.poisson_ratio, SPEC.thickness_m
@@ -218,3 +222,90 @@ def test_a_membrane_that_no_table_holds_is_refused_and_not_taken_for_another(par
     with pytest.raises(RangeError, match="no table"):
         palm.press_to_force(other, 1.0)
     assert palm.press(other, Pose(0.0, 0.0, 1e-3), Probe("sphere", 4e-3)).force_n > 0, "layers need none"
+
+
+EDGES = ("edge:4", "edge:10", "edge:10:30", "edge:20", "edge:10@5")
+SMALL = ("cylinder:6:12", "sphere:5", "punch:6@30:40", "two-points:2:20:30", "points:8:-7,0;7,3,0.2")
+
+
+@pytest.mark.parametrize("words", EDGES + SMALL)
+def test_every_probe_presses_from_first_touch_on(words):
+    forces = [layered(words, depth).force_n for depth in (0.5e-6, 5e-6, 62.5e-6, 187.5e-6, 0.5e-3)]
+    assert forces[0] > 0
+    assert (np.diff(forces) > 0).all()
+
+
+@pytest.mark.parametrize("words", EDGES)
+def test_an_edge_has_a_law_down_to_its_first_touch(words):
+    """Straight edges to 1 % from 0.01 mm on; a leaning one, of which a corner touches first, to 5 %."""
+    law = force_law_of(SPEC, palm.parse_probe(words))
+    for depth in (10e-6, 40e-6, 0.1e-3, 0.3e-3, 0.9e-3):
+        alone = layered(words, depth).force_n
+        found = np.interp(depth, law.depth_m, law.force_n)
+        assert found == pytest.approx(alone, rel=0.05 if "@" in words else 0.01)
+    assert law.force_n[0] == law.radius_m[0] == 0.0
+    assert (np.diff(law.force_n) > 0).all()
+
+
+def line_load(contact):
+    """Force per length in the middle of a probe that lies along x [N/m]."""
+    middle = np.abs(contact.x_m) < 1e-3
+    return contact.pressure_pa[:, middle].mean(axis=1).sum() * (contact.y_m[1] - contact.y_m[0])
+
+
+@pytest.mark.parametrize("depth_m", [5e-6, 20e-6, 62.5e-6])
+def test_the_middle_of_a_long_edge_is_a_wedge_on_a_half_space(depth_m):
+    """Half-width P' / (E* tan slope), by Johnson (1985), sec. 5.2; the area has it at the ends as well."""
+    contact = layered("edge:20", depth_m)
+    half = line_load(contact) / (E / (1 - NU**2) * math.tan(EDGE_SLOPE_RAD))
+    assert math.pi * contact.radius_m**2 == pytest.approx(2 * half * 20e-3, rel=0.05)
+
+
+@pytest.mark.parametrize("depth_m", [5e-6, 20e-6, 62.5e-6])
+def test_the_middle_of_a_lying_cylinder_is_hertz_s_line_contact(depth_m):
+    """Half-width sqrt(4 P' R / (pi E*)), Johnson (1985), sec. 4.2."""
+    contact = layered("cylinder:6:12", depth_m)
+    half = math.sqrt(4 * line_load(contact) * 3e-3 / (math.pi * E / (1 - NU**2)))
+    assert math.pi * contact.radius_m**2 == pytest.approx(2 * half * 12e-3, rel=0.05)
+
+
+@pytest.mark.parametrize("words", ["edge:10:30", "cylinder:6:12", "sphere:5"])
+@pytest.mark.parametrize("depth_m", [5e-6, 62.5e-6, 0.5e-3])
+def test_a_narrow_contact_s_force_is_that_of_cells_half_as_wide(words, depth_m, monkeypatch):
+    probe, pose = palm.parse_probe(words), Pose(0.0, 0.0, depth_m)
+    grid = layered(words, 0.8e-3)
+
+    def force_n():
+        return press_narrow(stack_of(SPEC), probe, pose, grid.x_m, grid.y_m).force_n
+
+    usual = force_n()
+    monkeypatch.setattr(narrow_contact, "ACROSS", 2 * narrow_contact.ACROSS)
+    monkeypatch.setattr(narrow_contact, "PER_CELL", 2 * narrow_contact.PER_CELL)
+    assert usual == pytest.approx(force_n(), rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("words", "depth_m"), [("edge:10", 0.5e-3), ("edge:4", 0.25e-3), ("sphere:5", 0.1e-3)]
+)
+def test_narrow_and_usual_cells_agree_where_both_resolve_the_contact(words, depth_m):
+    usual = layered(words, depth_m)
+    grid = usual.x_m, usual.y_m
+    narrow = press_narrow(stack_of(SPEC), palm.parse_probe(words), Pose(0.0, 0.0, depth_m), *grid)
+    assert narrow.force_n == pytest.approx(usual.force_n, rel=0.01)
+    assert np.abs(narrow.displacement_m - usual.displacement_m).max() < 0.1 * depth_m
+
+
+@pytest.mark.parametrize("words", ["edge:10:30", "edge:10@5", "sphere:5"])
+def test_a_narrow_contact_s_pressure_adds_up_to_its_force_where_it_acts(words):
+    contact = layered(words, 5e-6, 3e-3, -4e-3)
+    force = contact.pressure_pa * cell_of(contact)
+    assert force.sum() == pytest.approx(contact.force_n, rel=1e-9)
+    if "@" not in words:
+        assert (force.sum(axis=0) @ contact.x_m) / force.sum() == pytest.approx(3e-3, abs=1e-6)
+        assert (force.sum(axis=1) @ contact.y_m) / force.sum() == pytest.approx(-4e-3, abs=1e-6)
+
+
+def test_a_narrow_contact_may_be_pulled_sideways():
+    contact = layered("edge:10", 62.5e-6, lateral_n=(0.02, -0.01))
+    total = contact.shear_pa.sum(axis=(1, 2)) * cell_of(contact)
+    assert math.dist(total, (0.02, -0.01)) < 1e-4 * math.hypot(0.02, 0.01)  # what the solver is asked for

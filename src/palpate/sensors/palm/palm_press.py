@@ -27,6 +27,7 @@ from palpate.mechanics.layers.contact_solver import StackContact, press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 from palpate.mechanics.layers.stack_friction import shear_stack
 from palpate.optics.axisymmetric_march import AxisymmetricField
+from palpate.sensors.palm.narrow_contact import press_narrow
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import gap_of, reaches_of, upright_ball
 
@@ -141,10 +142,22 @@ FRICTION = 1.0  # between probe and clean silicone, where a lateral load is aske
 
 
 class Layered(NamedTuple):
-    """A press by linear layers: as the mechanics know it, and as all else does."""
+    """A press by linear layers: as the mechanics know it, and as all else does.
+
+    A narrow one is solved on cells of its own; on the grid its touching cells then cover more than its area.
+    """
 
     pressed: StackContact
     contact: Contact
+    is_narrow: bool = False
+
+    @property
+    def area_m2(self) -> float:
+        """Area of the contact: of the touching cells, or of a narrow one's own [m^2]."""
+        if self.is_narrow:
+            return self.pressed.area_m2
+        x, y = self.contact.x_m, self.contact.y_m
+        return float(self.contact.touching.sum() * (x[1] - x[0]) * (y[1] - y[0]))
 
 
 def press(
@@ -229,17 +242,19 @@ def press_layers(spec: PalmSpec, pose: Pose, probe: Probe) -> Layered:
             "ball without lateral load"
         )
     across, down = _offsets(probe)
-    x, y = pose.x_m + across, pose.y_m + down
-    pressed = press_stack(
-        stack_of(spec), gap_of(probe, x, y, (pose.x_m, pose.y_m)), x, y, depth_m=pose.depth_m
-    )
+    x, y, stack = pose.x_m + across, pose.y_m + down, stack_of(spec)
+    gap, is_narrow = gap_of(probe, x, y, (pose.x_m, pose.y_m)), False
+    try:
+        pressed = press_stack(stack, gap, x, y, depth_m=pose.depth_m)
+    except RangeError:  # too few cells touch; what does not hold on cells of its own either is raised there
+        pressed, is_narrow = press_narrow(stack, probe, pose, x, y), True
     _check_inside(spec, pressed, pose)
-    return Layered(pressed, pressed.as_contact(probe, pose))
+    return Layered(pressed, pressed.as_contact(probe, pose), is_narrow)
 
 
 def pulled(layered: Layered, lateral_n: tuple[float, float], moment_nm: float | None = None) -> Contact:
     """A contact with a lateral load on top; arguments and errors as of `press`."""
-    pressed, contact = layered
+    pressed, contact = layered.pressed, layered.contact
     if not pressed.force_n > 0:
         asked = f"{math.hypot(*lateral_n):g} N" + (f" and {moment_nm:g} N m" if moment_nm else "")
         raise RangeError(f"a lateral load of {asked} on a probe that does not press")

@@ -34,7 +34,7 @@ from palpate.core import (
 from palpate.mechanics.half_space.tangential import tangential_stiffness
 from palpate.recordings.preparation import Preparation
 from palpate.sensors.palm import palm_spec
-from palpate.sensors.palm.palm_press import FRICTION, LINEAR_DEPTH_M, press, table_of
+from palpate.sensors.palm.palm_press import FRICTION, LINEAR_DEPTH_M, press, press_layers, table_of
 from palpate.sensors.palm.palm_render import expose, is_ball, render, render_clean
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import parse_probe
@@ -48,6 +48,7 @@ RECTIFIED_PX = 224
 RIG_PX = 128  # side of both regions on a virtual rig
 KNOTS = 1201  # of depth, between which force is read along straight lines
 PRESSES = 13  # of linear layers, between which a curve is laid
+FIRST = np.array([1 / 16, 1 / 8, 1 / 4, 1 / 2])  # of the first of them, where an edge already carries much
 PICTURES = 64  # under other probes and lateral loads, which are slow to press and to draw
 
 Picture = tuple[Float32[ndarray, "h w 3"], Float32[ndarray, "u v 3"]]
@@ -273,9 +274,10 @@ def _of_table(spec: PalmSpec) -> tuple[ndarray, ndarray, ndarray]:
 
 def _of_layers(spec: PalmSpec, probe: Probe) -> tuple[ndarray, ndarray, ndarray]:
     pressed = np.linspace(0.0, LINEAR_DEPTH_M, PRESSES)
-    contacts = [press(spec, Pose(0.0, 0.0, float(d)), probe) for d in pressed]
-    area = [c.touching.sum() * (c.x_m[1] - c.x_m[0]) * (c.y_m[1] - c.y_m[0]) for c in contacts]
+    if press_layers(spec, Pose(0.0, 0.0, float(pressed[1])), probe).is_narrow:
+        pressed = np.insert(pressed, 1, pressed[1] * FIRST)
+    presses = [press_layers(spec, Pose(0.0, 0.0, float(d)), probe) for d in pressed]
     depth = np.linspace(0.0, LINEAR_DEPTH_M, KNOTS)
-    force = PchipInterpolator(pressed, [c.force_n for c in contacts])(depth)
-    radius = PchipInterpolator(pressed, np.sqrt(np.array(area) / math.pi))(depth)
+    force = PchipInterpolator(pressed, [one.contact.force_n for one in presses])(depth)
+    radius = PchipInterpolator(pressed, np.sqrt(np.array([p.area_m2 for p in presses]) / math.pi))(depth)
     return depth, np.asarray(force), np.asarray(radius)

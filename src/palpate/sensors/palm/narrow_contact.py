@@ -1,0 +1,125 @@
+"""A contact too narrow for the palm's usual grid: solved on cells of its own, then laid onto that grid.
+
+An edge that has just touched presses along a line, a ball at a point; the usual cells, sized for the whole
+probe and the skin around it, do not resolve them. So the press is solved in the probe's own frame, unturned,
+on a box that just holds where probe and undeformed skin overlap: contact is nowhere else. Its cells need not
+be square. Each cell's force then goes to the four usual cells about it, by its distance from them, which
+keeps the force and where it acts; the skin's displacement is that of these forces.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from palpate.core import Bool, Field, Float, Pose, Probe, RangeError, ndarray
+from palpate.mechanics.layers.contact_solver import StackContact, press_stack
+from palpate.mechanics.layers.influence import normal_influence
+from palpate.mechanics.layers.stack import Stack
+from palpate.mechanics.layers.surface_grid import cells
+from palpate.sensors.palm.probe_shapes import gap_of, reaches_of
+
+ACROSS = 64  # least number of cells of the box's side: 16 or so across an edge's contact
+PER_CELL = 4  # least number of them along a usual cell, so that the forces lie evenly on those
+MAX_CELLS = 1 << 20  # of the box, which points far apart need, as small as each is in a wide box
+SAMPLES = 201  # along the side of a box, of which the part is searched that overlaps with the skin
+SHRUNK = 0.9  # of its side: a box that shrinks by less fits
+MAX_ZOOMS = 20
+
+Axis = Float[ndarray, " n"]
+Places = Float[ndarray, "v u"]
+
+
+def press_narrow(
+    stack: Stack, probe: Probe, pose: Pose, x_m: Float[ndarray, " nx"], y_m: Float[ndarray, " ny"]
+) -> StackContact:
+    """Press a probe whose contact is narrower than a few cells of a grid.
+
+    Args:
+        stack: what is pressed.
+        probe, pose: what presses, where, and to which depth, above 0.
+        x_m, y_m: columns and rows of the grid that the contact is given on, which holds all of it [m].
+
+    Returns:
+        The contact. Force, area and misfit are the narrow cells'; pressure, displacement and touching cells
+        the grid's, where the contact covers two cells at least.
+
+    Raises:
+        RangeError: not resolved by the narrow cells either, or deeper than the stack.
+    """
+    narrow = _solved(stack, replace(probe, turn_rad=0.0), pose.depth_m, float(x_m[1] - x_m[0]) / PER_CELL)
+    force_n = narrow.pressure_pa * cells(narrow.x_m, narrow.y_m).area_m2
+    c, s = math.cos(probe.turn_rad), math.sin(probe.turn_rad)
+    u, v = narrow.x_m[None, :], narrow.y_m[:, None]
+    coarse = cells(x_m, y_m)
+    laid_n = _laid(force_n, pose.x_m + c * u - s * v, pose.y_m + s * u + c * v, x_m, y_m)
+    pressure_pa = laid_n / coarse.area_m2
+    return replace(
+        narrow,
+        x_m=x_m,
+        y_m=y_m,
+        pressure_pa=pressure_pa,
+        displacement_m=normal_influence(stack, coarse).apply(0, pressure_pa),
+        touching=pressure_pa > 0.0,
+    )
+
+
+def _solved(stack: Stack, probe: Probe, depth_m: float, cell_m: float) -> StackContact:
+    """Press a probe at the origin on cells of at most a size, or of half of it and so on until they do."""
+    x, y = (_centres(low, high, cell_m) for low, high in _overlap(probe, depth_m))
+    try:
+        return press_stack(stack, gap_of(probe, x, y, (0.0, 0.0)), x, y, depth_m=depth_m)
+    except RangeError:
+        if 4 * len(x) * len(y) > MAX_CELLS:
+            raise
+    return _solved(stack, probe, depth_m, cell_m / 2)
+
+
+def _overlap(probe: Probe, depth_m: float) -> list[tuple[float, float]]:
+    """Least and greatest place along x and y at which a probe at the origin is below the flat skin [m]."""
+    box = [(-reach, reach) for reach in reaches_of(probe)]
+    for _ in range(MAX_ZOOMS):
+        x, y = (np.linspace(low, high, SAMPLES) for low, high in box)
+        inside = gap_of(probe, x, y, (0.0, 0.0)) < depth_m
+        found = [_span(axis, inside.any(axis=other)) for other, axis in enumerate((x, y))]
+        fits = all(_length(new) > SHRUNK * _length(old) for new, old in zip(found, box, strict=True))
+        box = found
+        if fits:
+            return box
+    raise RangeError(f"no contact of a {probe.shape} was found at a depth of {depth_m:g} m; press deeper")
+
+
+def _span(axis: Axis, inside: Bool[ndarray, " n"]) -> tuple[float, float]:
+    """The part of an axis that is inside, with a sample on either side."""
+    at = np.flatnonzero(inside)
+    step = float(axis[1] - axis[0])
+    return float(axis[at[0]]) - step, float(axis[at[-1]]) + step
+
+
+def _length(span: tuple[float, float]) -> float:
+    return span[1] - span[0]
+
+
+def _centres(low: float, high: float, cell_m: float) -> Axis:
+    """Centres of equal cells over a span, of at most a size, with one beyond either end."""
+    count = max(ACROSS, math.ceil((high - low) / cell_m))
+    step = (high - low) / count
+    return (low + high) / 2 + (np.arange(count + 2) - (count + 1) / 2) * step
+
+
+def _laid(
+    values: Places, x: Places, y: Places, x_m: Float[ndarray, " nx"], y_m: Float[ndarray, " ny"]
+) -> Field:
+    """Values at places, summed onto a grid: each to the four points about it, by its distance."""
+    onto = np.zeros((len(y_m), len(x_m)))
+    loaded = values > 0.0
+    column, row = (x[loaded] - x_m[0]) / (x_m[1] - x_m[0]), (y[loaded] - y_m[0]) / (y_m[1] - y_m[0])
+    left, top = np.floor(column).astype(int), np.floor(row).astype(int)
+    right_share, low_share = column - left, row - top
+    for down in (0, 1):
+        for aside in (0, 1):
+            share = np.abs(1 - aside - right_share) * np.abs(1 - down - low_share)
+            np.add.at(onto, (top + down, left + aside), share * values[loaded])
+    return onto
