@@ -305,6 +305,13 @@ def test_a_narrow_contact_s_pressure_adds_up_to_its_force_where_it_acts(words):
         assert (force.sum(axis=1) @ contact.y_m) / force.sum() == pytest.approx(-4e-3, abs=1e-6)
 
 
+@pytest.mark.parametrize("depth_m", [0.5e-6, 3e-6])
+def test_no_ball_of_a_wide_holder_is_missed(depth_m):
+    """Two of 2 mm, so far apart that they do not feel one another, at places that no sample hits."""
+    alone = layered("sphere:2", depth_m).force_n
+    assert layered("points:2:-6.013,0;5.931,0", depth_m).force_n == pytest.approx(2 * alone, rel=0.01)
+
+
 def test_a_narrow_contact_may_be_pulled_sideways():
     contact = layered("edge:10", 62.5e-6, lateral_n=(0.02, -0.01))
     total = contact.shear_pa.sum(axis=(1, 2)) * cell_of(contact)

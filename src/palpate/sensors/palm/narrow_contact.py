@@ -19,7 +19,7 @@ from palpate.mechanics.layers.contact_solver import StackContact, press_stack
 from palpate.mechanics.layers.influence import normal_influence
 from palpate.mechanics.layers.stack import Stack
 from palpate.mechanics.layers.surface_grid import cells
-from palpate.sensors.palm.probe_shapes import gap_of, reaches_of
+from palpate.sensors.palm.probe_shapes import gap_of, parts_of, reaches_of
 
 ACROSS = 64  # least number of cells of the box's side: 16 or so across an edge's contact
 PER_CELL = 4  # least number of them along a usual cell, so that the forces lie evenly on those
@@ -30,6 +30,7 @@ MAX_ZOOMS = 20
 
 Axis = Float[ndarray, " n"]
 Places = Float[ndarray, "v u"]
+Box = list[tuple[float, float]]
 
 
 def press_narrow(
@@ -77,18 +78,33 @@ def _solved(stack: Stack, probe: Probe, depth_m: float, cell_m: float) -> StackC
     return _solved(stack, probe, depth_m, cell_m / 2)
 
 
-def _overlap(probe: Probe, depth_m: float) -> list[tuple[float, float]]:
-    """Least and greatest place along x and y at which a probe at the origin is below the flat skin [m]."""
-    box = [(-reach, reach) for reach in reaches_of(probe)]
+def _overlap(probe: Probe, depth_m: float) -> Box:
+    """Least and greatest place along x and y at which a probe at the origin is below the flat skin [m].
+
+    Its parts are searched one by one: samples over all of several balls might miss one.
+    """
+    boxes = [
+        [(low + at, high + at) for (low, high), at in zip(_zoomed(part, depth_m - up), place, strict=True)]
+        for part, (*place, up) in parts_of(probe)
+        if up < depth_m
+    ]
+    spans = zip(*boxes, strict=True)
+    return [(min(low for low, _ in span), max(high for _, high in span)) for span in spans]
+
+
+def _zoomed(part: Probe, depth_m: float) -> Box:
+    """The same of one body, from all of its reach down to what overlaps."""
+    box = [(-reach, reach) for reach in reaches_of(part)]
     for _ in range(MAX_ZOOMS):
         x, y = (np.linspace(low, high, SAMPLES) for low, high in box)
-        inside = gap_of(probe, x, y, (0.0, 0.0)) < depth_m
-        found = [_span(axis, inside.any(axis=other)) for other, axis in enumerate((x, y))]
+        gap = gap_of(part, x, y, (0.0, 0.0))
+        inside = gap - gap.min() < depth_m
+        found = [_span(x, np.any(inside, axis=0)), _span(y, np.any(inside, axis=1))]
         fits = all(_length(new) > SHRUNK * _length(old) for new, old in zip(found, box, strict=True))
         box = found
         if fits:
             return box
-    raise RangeError(f"no contact of a {probe.shape} was found at a depth of {depth_m:g} m; press deeper")
+    raise RangeError(f"no contact of a {part.shape} was found at a depth of {depth_m:g} m; press deeper")
 
 
 def _span(axis: Axis, inside: Bool[ndarray, " n"]) -> tuple[float, float]:
