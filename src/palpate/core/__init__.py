@@ -33,6 +33,7 @@ from palpate.core.errors import (
     UnitError,
 )
 from palpate.core.files import (
+    Closing,
     PathText,
     is_hidden,
     lock,
@@ -108,6 +109,7 @@ __all__ = [
     "CertificateError",
     "CircularReading",
     "Clock",
+    "Closing",
     "ColumnError",
     "Complex",
     "Complex64",

@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Self
 
 from palpate.core.errors import ExistsError, RecordingError, StorageError
 
@@ -88,6 +88,20 @@ def storage_errors(path: Path) -> Iterator[None]:
                 f"no room left while writing {path} ({e.strerror}); free some space and run again"
             ) from e
         raise StorageError(f"{path}: {e.strerror or e}; check the path and its permissions") from e
+
+
+class Closing:
+    """What a `with` statement closes at its end, by its own `close`."""
+
+    def close(self) -> None:
+        """Let go of what is held open."""
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 def new_folder(path: Path) -> AbstractContextManager[Path]:

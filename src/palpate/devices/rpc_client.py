@@ -16,7 +16,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from palpate.core import DeviceError, PalpateError, ProtocolError, errors, storage_errors
+from palpate.core import Closing, DeviceError, PalpateError, ProtocolError, errors, storage_errors
 from palpate.devices.rpc import SAID_BYTES, Address, Lines, decode_message, encode_message, find, path_of
 
 HOST = "127.0.0.1"
@@ -29,7 +29,7 @@ CHUNK = 1 << 20
 Answer = SimpleQueue[Mapping[str, Any] | None]
 
 
-class RpcClient:
+class RpcClient(Closing):
     """Asks one process that holds devices, and reaches for it again whenever it is gone.
 
     Args:
@@ -54,12 +54,6 @@ class RpcClient:
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="palpate-rpc-client", daemon=True)
         self._thread.start()
-
-    def __enter__(self) -> RpcClient:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Go away; the process goes on."""

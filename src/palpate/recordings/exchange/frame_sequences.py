@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 import tifffile
 
-from palpate.core import Frame, Image, ImageError, InputError, RangeError, new_file, storage_errors
+from palpate.core import Closing, Frame, Image, ImageError, InputError, RangeError, new_file, storage_errors
 from palpate.recordings.exchange.image_files import IMAGE_SUFFIXES, MAX_PIXELS, read_image, refuse_missing
 from palpate.recordings.manifest import MANIFEST
 from palpate.recordings.run_reader import Run
@@ -29,7 +29,7 @@ MAX_PAGES = 100_000  # 83 minutes at 20 frames a second
 _ORDERS = {b"II": "<", b"MM": ">"}
 
 
-class TiffFrames:
+class TiffFrames(Closing):
     """The pages of a TIFF, all of one size and kind; use it in a `with` block, or `close` it.
 
     Attributes:
@@ -88,12 +88,6 @@ class TiffFrames:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-    def __enter__(self) -> TiffFrames:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _checked(self, index: int) -> tifffile.TiffPage:
         """A page whose header says that it is 8-bit grey or RGB, and not too large."""

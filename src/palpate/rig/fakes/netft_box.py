@@ -18,7 +18,7 @@ from socketserver import ThreadingTCPServer
 from threading import Event, Thread
 from typing import NamedTuple
 
-from palpate.core import InputError
+from palpate.core import Closing, InputError
 
 Triple = tuple[float, float, float]
 STOP, START, BIAS = 0x0000, 0x0002, 0x0042
@@ -69,7 +69,7 @@ class ReceivedRequest(NamedTuple):
     source: tuple[str, int]
 
 
-class FakeNetFT:
+class FakeNetFT(Closing):
     """A box that streams a force. Change its attributes while it runs to make it fail.
 
     Attributes:
@@ -165,12 +165,6 @@ class FakeNetFT:
                 thread.join()
             self._http.server_close()
             self._udp.close()
-
-    def __enter__(self) -> FakeNetFT:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def record(self) -> bytes:
         """The next record: counts its sequences on and packs it."""

@@ -19,7 +19,17 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import cv2
 import numpy as np
 
-from palpate.core import NS_PER_S, Clock, DeviceError, Frame, MonotonicClock, RangeError, UInt8, ndarray
+from palpate.core import (
+    NS_PER_S,
+    Clock,
+    Closing,
+    DeviceError,
+    Frame,
+    MonotonicClock,
+    RangeError,
+    UInt8,
+    ndarray,
+)
 
 BY_ID = Path("/dev/v4l/by-id")
 
@@ -214,7 +224,7 @@ class UvcSettings:
             raise RangeError(f"pixels is {self.pixels!r}; give 'MJPG' or 'YUYV'")
 
 
-class UvcCamera:
+class UvcCamera(Closing):
     """A USB camera. Opening it sets and verifies everything, and waits for the first frame.
 
     Use it in a ``with`` block, or close it.
@@ -329,12 +339,6 @@ class UvcCamera:
         self._closing.set()
         self._thread.join(_CLOSE_S)
         self._fail("it was closed; open it anew")
-
-    def __enter__(self) -> UvcCamera:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _open(self) -> None:
         if not self._source.isOpened():

@@ -22,9 +22,6 @@ class RigClient(RpcClient):
         ...     rig.start("first")
     """
 
-    def __enter__(self) -> RigClient:
-        return self
-
     def plan(self, what: str | Mapping[str, Any]) -> dict[str, Any]:
         """Set what is recorded next."""
         return self.ask("plan", plan=what if isinstance(what, str) else dict(what))

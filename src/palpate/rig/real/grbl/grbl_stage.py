@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import threading
 
-from palpate.core import NS_PER_S, Clock, DeviceError, MonotonicClock, Position, RangeError, Travel
+from palpate.core import NS_PER_S, Clock, Closing, DeviceError, MonotonicClock, Position, RangeError, Travel
 from palpate.rig.real.grbl.grbl_link import CutOffError, RefusedError, SerialPort, SilenceError, open_port
 from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, alarm_name
 from palpate.rig.real.grbl.grbl_session import GrblSession
@@ -29,7 +29,7 @@ from palpate.rig.real.grbl.grbl_supervisor import (
 )
 
 
-class GrblStage:
+class GrblStage(Closing):
     """A `palpate.core.Stage`; a context manager that stops it on the way out, also on Ctrl-C.
 
     After opening, its position is not known until `home` or `reference`: opening a port resets many boards.
@@ -55,12 +55,6 @@ class GrblStage:
     def open(cls, spec: GrblSpec, clock: Clock | None = None) -> GrblStage:
         """Open the spec's port and get into step with what is there; a motion found under way is stopped."""
         return cls(spec, open_port(spec.port, spec.baud, dtr=spec.dtr), clock)
-
-    def __enter__(self) -> GrblStage:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @property
     def travel(self) -> Travel:

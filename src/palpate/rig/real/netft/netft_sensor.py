@@ -15,7 +15,16 @@ from dataclasses import asdict, dataclass, fields
 from threading import Event, Lock, Thread
 from typing import Literal
 
-from palpate.core import NS_PER_S, Clock, DeviceError, MonotonicClock, ProtocolError, RangeError, Wrench
+from palpate.core import (
+    NS_PER_S,
+    Clock,
+    Closing,
+    DeviceError,
+    MonotonicClock,
+    ProtocolError,
+    RangeError,
+    Wrench,
+)
 from palpate.rig.real.netft.netft_calibration import NetFTCalibration, Triple, fetch
 from palpate.rig.real.netft.netft_stream import (
     MONITOR_WARNING,
@@ -211,7 +220,7 @@ class _ChangedError(DeviceError):
     """The box is no longer the instrument it was."""
 
 
-class NetFT:
+class NetFT(Closing):
     """A Net F/T box. Opening it reads its page, starts the stream and waits for the first record.
 
     Use it in a ``with`` block, or close it.
@@ -302,12 +311,6 @@ class NetFT:
         self._thread.join()
         with self._lock:
             self._failure = self._failure or "the sensor was closed; open it anew"
-
-    def __enter__(self) -> NetFT:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _refuse_failed(self) -> Wrench:
         if self._failure or self._latest is None:
