@@ -18,17 +18,17 @@ from tactip.tactip_model_errors import (
     METHODS,
     areas_by_friction,
     divergence_shares,
+    equation_12,
     linear_error,
     press_truth,
+    sensitivity,
 )
 
 from palpate.reproductions.tactip.tactip_conditions import (
     KAPPA_N_M,
     Row,
     compared,
-    equation_12,
     order,
-    sensitivity,
 )
 from palpate.sensors.tactip import PINS_127, PINS_331, TacTipSpec
 

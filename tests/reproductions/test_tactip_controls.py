@@ -17,11 +17,9 @@ from palpate.reproductions.tactip.tactip_conditions import (
     compared,
     concordance,
     cues,
-    equation_12,
     head_on,
     order,
     recorded,
-    sensitivity,
     true_divergence,
 )
 from palpate.sensors.tactip import PINS_331, TacTipSpec
@@ -33,8 +31,10 @@ from tactip.energy_contour import STEP_N, contour, contour_rad, contours
 from tactip.tactip_model_errors import (
     areas_by_friction,
     divergence_shares,
+    equation_12,
     linear_error,
     press_truth,
+    sensitivity,
 )
 
 S1, S3 = KAPPA_N_M["S1"], KAPPA_N_M["S3"]

@@ -4,25 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise, product
 
 import numpy as np
 
+from palpate.estimators.compliance.spread_rate import summed_slopes
+from palpate.estimators.pins import find_pins, follow
 from palpate.reproductions.tactip.tactip_conditions import (
+    ASSUMED,
     FINE_STEPS,
+    FROM_N,
     HIGH_N,
     KAPPA_N_M,
     LOW_N,
+    NEAR,
+    TO_N,
+    DivergenceSeries,
+    Row,
     Steps,
     circles_px,
     flow_divergence,
     head_on,
+    middle_px,
     recorded,
-    tracked_divergence,
+    row_of,
     true_divergence,
 )
 from palpate.sensors.tactip import TacTipSpec, pictured
 from palpate.sensors.tactip.inclined_press import inclined
 from palpate.sensors.tactip.tactip_press import modulus_pa
+from palpate.workflows.tactip_trials import VirtualPress
 
 METHODS = ("horn-schunck", "coarse-to-fine", "dis", "tracked")
 
@@ -151,3 +162,45 @@ def areas_by_friction(
         specimens = (inclined(spec, modulus_pa(spec.table, k), tilt_rad) for k in KAPPA_N_M.values())
         results[friction] = tuple(float(s.area_m2(np.array([force_n]))[0]) for s in specimens)
     return results
+
+
+def tracked_divergence(trial: VirtualPress, circles: DivergenceSeries) -> DivergenceSeries:
+    """The same from pins that are followed: a line through the outward motion of those near the circle."""
+    frames = trial.frames()
+    first = find_pins(next(frames))
+    near = NEAR * trial.sensor.spec.camera.disc_px / trial.sensor.spec.pins.rings
+    places = [first.xy_px, *(pins.xy_px for pins in follow(frames, first))]
+    results: dict[str, list[float]] = {name: [] for name in circles if name != "whole"}
+    for j, (now, later) in enumerate(pairwise(places)):
+        off = now - middle_px(trial)
+        r = np.hypot(*off.T)
+        away = ((later - now) * off).sum(axis=1) / np.maximum(r, 1.0)
+        for name in results:
+            c = circles[name][j]
+            here = (np.abs(r - c) < near) & np.isfinite(away)
+            results[name].append(float(2 * np.polyfit(r[here] - c, away[here], 1)[1] / c))
+    return {name: np.array(values) for name, values in results.items()}
+
+
+def sensitivity() -> tuple[Row, ...]:
+    """True markers' divergence from 1 to 4 N: four tips, three lengths of pins, refraction or none."""
+    force = np.linspace(FROM_N, TO_N, FINE_STEPS)
+    rows = []
+    for tip, mm, index in product(("base", "soft-skin", "stiff-skin", "even"), (0.0, 1.0, 2.5), (1.0, 1.41)):
+        pins, camera = replace(ASSUMED.pins, length_m=1e-3 * mm), replace(ASSUMED.camera, gel_index=index)
+        spec = TacTipSpec(tip, pins=pins, camera=camera)
+        results = [true_divergence(spec, head_on(spec, k).press, force) for k in KAPPA_N_M.values()]
+        for region in results[0]:
+            names = (f"{tip}, pins of {mm:g} mm, index {index:g}", "true", region, "divergence")
+            rows.append(row_of(names, [D[region].sum(keepdims=True) for D in results]))
+    return tuple(rows)
+
+
+def equation_12(kappa_n_m: float, slope: float = 10.0, stride_m: float = 0.25e-3) -> float:
+    """Equation (12) where the area is the same function of force on every specimen, a straight line.
+
+    A rigid plate presses at 5 mm/s before 20 frames a second, up to 5 N; what comes out is the slope times
+    the number of steps.
+    """
+    force = np.arange(0.0, HIGH_N, kappa_n_m * stride_m)
+    return summed_slopes(force, 100.0 + slope * force)

@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import BinaryIO, Self
+from typing import BinaryIO, TypeVar
 
 from palpate.core.errors import ExistsError, RecordingError, StorageError
 
@@ -90,6 +90,9 @@ def storage_errors(path: Path) -> Iterator[None]:
         raise StorageError(f"{path}: {e.strerror or e}; check the path and its permissions") from e
 
 
+Opened = TypeVar("Opened", bound="Closing")
+
+
 class Closing:
     """What a `with` statement closes at its end, by its own `close`."""
 
@@ -97,7 +100,7 @@ class Closing:
         """Let go of what is held open."""
         raise NotImplementedError
 
-    def __enter__(self) -> Self:
+    def __enter__(self: Opened) -> Opened:
         return self
 
     def __exit__(self, *_: object) -> None:

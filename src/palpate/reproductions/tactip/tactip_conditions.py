@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -22,10 +22,9 @@ import numpy as np
 from palpate.core import Float, ndarray
 from palpate.estimators.compliance.pin_press import at_forces
 from palpate.estimators.compliance.press_force import loading, moving_average, within
-from palpate.estimators.compliance.spread_rate import area_m2, paper_spread, spread, summed_slopes
+from palpate.estimators.compliance.spread_rate import area_m2, paper_spread, spread
 from palpate.estimators.flow.flow_sequence import course
 from palpate.estimators.flow.horn_schunck import divergence
-from palpate.estimators.pins import find_pins, follow
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
 from palpate.sensors.tactip import PINS_331, HeadOn, TacTipSpec
 from palpate.sensors.tactip.skin_and_markers import HeadOnSkin
@@ -128,31 +127,14 @@ def flow_divergence(
     return {name: np.array(values) for name, values in results.items()}
 
 
-def tracked_divergence(trial: VirtualPress, circles: DivergenceSeries) -> DivergenceSeries:
-    """The same from pins that are followed: a line through the outward motion of those near the circle."""
-    frames = trial.frames()
-    first = find_pins(next(frames))
-    near = NEAR * trial.sensor.spec.camera.disc_px / trial.sensor.spec.pins.rings
-    places = [first.xy_px, *(pins.xy_px for pins in follow(frames, first))]
-    results: dict[str, list[float]] = {name: [] for name in circles if name != "whole"}
-    for j, (now, later) in enumerate(pairwise(places)):
-        off = now - _middle(trial)
-        r = np.hypot(*off.T)
-        away = ((later - now) * off).sum(axis=1) / np.maximum(r, 1.0)
-        for name in results:
-            c = circles[name][j]
-            here = (np.abs(r - c) < near) & np.isfinite(away)
-            results[name].append(float(2 * np.polyfit(r[here] - c, away[here], 1)[1] / c))
-    return {name: np.array(values) for name, values in results.items()}
-
-
-def _middle(trial: VirtualPress) -> Float[ndarray, 2]:
+def middle_px(trial: VirtualPress) -> Float[ndarray, 2]:
+    """The tip's axis in the image of a trial [px]."""
     return (trial.sensor.spec.camera.size_px - 1) / 2 + np.array(trial.seating.shift_px)
 
 
 def _from_axis(trial: VirtualPress) -> Float[ndarray, "h w"]:
     y, x = np.mgrid[: trial.sensor.spec.camera.size_px, : trial.sensor.spec.camera.size_px]
-    at = _middle(trial)
+    at = middle_px(trial)
     return np.hypot(x - at[0], y - at[1])
 
 
@@ -296,38 +278,15 @@ def _rows(name: str, condition: TacTipCondition, seeds: Sequence[int]) -> Iterat
         [cues(condition.spec, kappa, seed, condition.steps) for seed in seeds] for kappa in KAPPA_N_M.values()
     ]
     for key in trials[0][0].values:
-        yield _row((name, *key), [np.array([t.values[key] for t in some]) for some in trials])
-    yield _row((name, "camera", "", "steps"), [np.array([float(t.steps) for t in some]) for some in trials])
-    yield _row(
+        yield row_of((name, *key), [np.array([t.values[key] for t in some]) for some in trials])
+    yield row_of((name, "camera", "", "steps"), [np.array([float(t.steps) for t in some]) for some in trials])
+    yield row_of(
         (name, "truth", "contact", "secant"), [np.array([t.casr_m2_n for t in some]) for some in trials]
     )
 
 
-def _row(names: tuple[str, str, str, str], values: Sequence[Float[ndarray, " t"]]) -> Row:
+def row_of(names: tuple[str, str, str, str], values: Sequence[Float[ndarray, " t"]]) -> Row:
+    """Mean, spread and concordance of a cue over trials; its names are condition, source, region and way."""
     several = len(values[0]) > 1
     sd = tuple(float(v.std(ddof=1)) if several else float("nan") for v in values)
     return Row(*names, tuple(float(v.mean()) for v in values), sd, concordance(values))
-
-
-def sensitivity() -> tuple[Row, ...]:
-    """True markers' divergence from 1 to 4 N: four tips, three lengths of pins, refraction or none."""
-    force = np.linspace(FROM_N, TO_N, FINE_STEPS)
-    rows = []
-    for tip, mm, index in product(("base", "soft-skin", "stiff-skin", "even"), (0.0, 1.0, 2.5), (1.0, 1.41)):
-        pins, camera = replace(ASSUMED.pins, length_m=1e-3 * mm), replace(ASSUMED.camera, gel_index=index)
-        spec = TacTipSpec(tip, pins=pins, camera=camera)
-        results = [true_divergence(spec, head_on(spec, k).press, force) for k in KAPPA_N_M.values()]
-        for region in results[0]:
-            names = (f"{tip}, pins of {mm:g} mm, index {index:g}", "true", region, "divergence")
-            rows.append(_row(names, [D[region].sum(keepdims=True) for D in results]))
-    return tuple(rows)
-
-
-def equation_12(kappa_n_m: float, slope: float = 10.0, stride_m: float = 0.25e-3) -> float:
-    """Equation (12) where the area is the same function of force on every specimen, a straight line.
-
-    A rigid plate presses at 5 mm/s before 20 frames a second, up to 5 N; what comes out is the slope times
-    the number of steps.
-    """
-    force = np.arange(0.0, HIGH_N, kappa_n_m * stride_m)
-    return summed_slopes(force, 100.0 + slope * force)
