@@ -166,6 +166,34 @@ def test_a_value_is_in_range_as_long_as_its_interval_reaches_into_it(calibration
             assert Estimator.open(folder).read(run.frame(1))["x_mm"].valid == valid, (beyond, least)
 
 
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"coefficients": [0.0]}, "x_mm has 1 coefficients, not 6"),
+        ({"least": 3.0, "greatest": 2.0}, "the range of x_mm ends before it begins"),
+        ({"column": "height_mm"}, "height_mm is named twice"),
+    ],
+)
+def test_targets_that_do_not_fit_are_refused_with_the_reason(change, reason, calibration) -> None:
+    _, folder = calibration
+    reseal(folder, lambda card: card["targets"][0].update(change))
+    with pytest.raises(CertificateError, match=reason):
+        Estimator.open(folder)
+
+
+@pytest.mark.parametrize("part", ["limits", "drift"])
+@pytest.mark.parametrize("values", [["a", "b"], [np.nan, 1.0], [np.inf, 1.0], [0.0, 1.0], [1.0]])
+def test_limits_of_a_guard_that_limit_nothing_are_refused(part, values, calibration) -> None:
+    _, folder = calibration
+    path = folder / "guard.npz"
+    with np.load(path) as archive:
+        parts = dict(archive)
+    np.savez(path, **parts | {part: np.array(values)})
+    reseal(folder, lambda card: card["guard"].update(sha256=sha256_of(path)))
+    with pytest.raises(CertificateError, match=r"guard\.npz.*guard"):
+        Estimator.open(folder)
+
+
 def test_a_part_outside_the_folder_cannot_be_named(calibration) -> None:
     _, folder = calibration
     reseal(folder, lambda card: card["model"].update(file="../model.onnx"))

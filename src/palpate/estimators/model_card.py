@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_serializer
+from pydantic import BaseModel, ConfigDict, Field, model_serializer, model_validator
 
 from palpate.recordings.preparation import Preparation
 
@@ -177,6 +177,19 @@ class Card(_CardPart):
     agreement: float
     seconds: float
     adapted_from: str | None = None
+
+    @model_validator(mode="after")
+    def _targets_fit(self) -> Card:
+        t = len(self.targets)
+        terms = 1 + t + t * (t + 1) // 2  # of `estimators.certified.design`
+        for target in self.targets:
+            if self.columns.count(target.column) > 1:
+                raise ValueError(f"target {target.column} is named twice")
+            if target.least > target.greatest:
+                raise ValueError(f"the range of {target.column} ends before it begins")
+            if len(target.coefficients) != terms:
+                raise ValueError(f"{target.column} has {len(target.coefficients)} coefficients, not {terms}")
+        return self
 
     @model_serializer(mode="wrap")
     def _dumped(self, dump: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:

@@ -327,6 +327,11 @@ def _check(path: Path, parts: Mapping[str, np.ndarray]) -> None:
     untouched = reference.size == 0 or reference.shape == thumbs.shape[1:]
     if not fits or not untouched or parts["limits"].shape != (2,):
         raise CertificateError(f"{path}: the guard's arrays do not fit each other; calibrate again")
+    for name in ("left", "centre", "axes", "limits", "reference", "drift"):
+        if parts[name].dtype.kind != "f" or not np.isfinite(parts[name]).all():
+            raise CertificateError(f"{path}: the guard's {name} are not finite numbers; calibrate again")
+    if min(*parts["limits"], *parts["drift"]) <= 0:
+        raise CertificateError(f"{path}: the guard's limits are not above 0; calibrate again")
 
 
 def fit_novelty_detector(
