@@ -34,9 +34,12 @@ def needed_version(text: bytes, own_format: str) -> str | None:
     if not foreign and _numbers(writer) <= _numbers(__version__):
         return None
     reader = f"palpate {writer}" if _numbers(writer) else "the version of palpate that wrote it"
+    remedy = f"open it with {reader:.50}"
+    if _numbers(writer) == _numbers(__version__):
+        remedy = "so the file was altered; restore it, or make it again"
     return (
         f"has the format {layout!s:.40} of palpate {writer or 'of an unknown version':.40}, and this is "
-        f"palpate {__version__}, which reads {own_format}: open it with {reader:.50}"
+        f"palpate {__version__}, which reads {own_format}: {remedy}"
     )
 
 

@@ -261,7 +261,10 @@ def test_a_damaged_manifest_of_this_version_is_called_damaged(tmp_path: Path) ->
 
 @pytest.mark.parametrize(
     "change",
-    [{"format": "palpate-calibration/2"}, {"guards": [], "software": {"palpate": "9.1.0"}}],
+    [
+        {"format": "palpate-calibration/2", "software": {"palpate": "9.1.0"}},
+        {"guards": [], "software": {"palpate": "9.1.0"}},
+    ],
     ids=["another format", "a field that is new"],
 )
 def test_a_certificate_of_a_newer_version_says_which_version_opens_it(
@@ -285,6 +288,13 @@ def test_a_calibration_of_compliance_in_another_format_says_which_is_read(tmp_pa
         "compliance", tmp_path / "press.tif", "--force", "force.csv", "--calibration", tmp_path / "tip.npz"
     )
     assert f"has format 9, and palpate {__version__} reads format 1: open it with the version" in line
+
+
+def test_a_foreign_format_of_this_very_version_is_not_sent_back_to_it() -> None:
+    text = json.dumps({"format": "palpate-run/9", "software": f"palpate {__version__}"}).encode()
+    told = needed_version(text, "palpate-run/1")
+    assert told is not None
+    assert told.endswith("which reads palpate-run/1: so the file was altered; restore it, or make it again")
 
 
 def test_what_a_newer_version_could_read_is_a_sentence_only_where_the_version_is_the_reason() -> None:
