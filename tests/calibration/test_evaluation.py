@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from sklearn import metrics
 
+from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.conformal import coverage_interval
 from palpate.calibration.evaluation import score
+from palpate.core import CertificateError
+from palpate.estimators import Estimator
 
 
 def test_each_number_of_a_score_is_that_of_its_name() -> None:
@@ -39,3 +42,19 @@ def test_the_share_explained_has_no_unit(small: float) -> None:
     whole = score("mm", true, predicted, half, 2.0, groups).r2
     scaled = score("m", small * true, small * predicted, small * half, small * 2.0, groups).r2
     assert scaled == pytest.approx(whole)
+
+
+def test_a_network_that_gives_no_number_is_not_scored_on_the_others(
+    record_spots, tmp_path, monkeypatch
+) -> None:
+    run, values = record_spots("run", 10), Estimator.values
+    plan = CalibrationPlan(("x_mm",), model="mean", split="group:press", size_px=(12, 16))
+    estimator = Estimator.open(calibrate(run, plan, tmp_path / "cal"))
+    bright = np.median([run.frame(row).image.mean() for row in range(len(run))])
+
+    def of_dark_frames(self, inputs):
+        return values(self, inputs) + np.where(inputs.mean() > bright, np.nan, 0)
+
+    monkeypatch.setattr(Estimator, "values", of_dark_frames)
+    with pytest.raises(CertificateError, match="no finite number"):
+        evaluate(estimator, run)

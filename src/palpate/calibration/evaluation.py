@@ -10,7 +10,7 @@ import pandas as pd
 from palpate.calibration.calibration_plan import ReferenceRule
 from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.calibration.training_data import rows_matching
-from palpate.core import LabelError, Shaped, Values
+from palpate.core import CertificateError, LabelError, Shaped, Values
 from palpate.estimators.certified import Estimator, Zero
 from palpate.estimators.model_card import Card, ScoreCard
 from palpate.estimators.networks.model_interface import Progress, silent
@@ -87,11 +87,19 @@ def evaluate(
     Raises:
         LabelError: a target column is missing or unfit.
         ImageError: the calibration is differential and the run has no reference.
+        CertificateError: the network gives no finite number for a frame of its own size.
     """
     card = estimator.card
     rows = _rows_to_score(card, run.labels)
     true = targets_from(run.labels.iloc[rows].reset_index(drop=True), card.columns, str(run.path))
-    return _scores(card, run, true, predictions(estimator, run, zero=zero, progress=progress))
+    table = predictions(estimator, run, zero=zero, progress=progress)
+    finite = np.isfinite(table[[f"estimate:{column}" for column in card.columns]].to_numpy(float)).all(axis=1)
+    if any(run.frame(int(row)).image.shape[:2] == card.input.frame_px for row in rows[~finite]):
+        raise CertificateError(
+            f"{run.path}: calibration {card.id} gives no finite number for some of {np.sum(~finite)} frames, "
+            "which scores would leave out; calibrate again"
+        )
+    return _scores(card, run, true, table)
 
 
 def predictions(
