@@ -1,16 +1,19 @@
 """A calibration: predictions held out by group, resumable, and nothing half-written."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from palpate.calibration import CalibrationPlan, ReferenceRule, calibrate, evaluate
+from palpate.calibration import CalibrationPlan, ReferenceRule, calibrate, evaluate, fitting
 from palpate.calibration.fitting import representative_fold
 from palpate.calibration.training_data import find_untouched
 from palpate.core import ExistsError, InputError, LabelError, SplitError
 from palpate.estimators import Estimator, read_card
-from palpate.recordings import Split
+from palpate.estimators.networks.model_interface import refuse_unfit
+from palpate.estimators.networks.pca_ridge import MeanBaseline
+from palpate.recordings import Split, split
 from palpate.recordings.packed_set import pack
 from palpate.recordings.preparation import Preparation
 from palpate.recordings.table_files import read_table
@@ -77,6 +80,115 @@ def test_an_interrupted_calibration_goes_on_to_the_same_result(record_spots, tmp
     assert not kept.exists()
     first, again = ((tmp_path / name / "predictions.csv.gz").read_bytes() for name in ("whole", "cal"))
     assert first == again
+
+
+def interrupt(run, plan, out, fold: int = 3) -> None:
+    def stop(what: str, done: int, total: int) -> None:
+        if what.startswith(f"fold {fold}"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(run, plan, out, stop)
+
+
+def fitted_folds(run, plan, out) -> list[str]:
+    """Which folds a calibration computes, by its progress."""
+    seen: dict[str, None] = {}
+    calibrate(run, plan, out, lambda what, done, total: seen.setdefault(what.partition(":")[0]))
+    return [what for what in seen if what.startswith("fold")]
+
+
+RIDGE = CalibrationPlan(("x_mm", "height_mm"), model="pca-ridge", split="group:press", size_px=(12, 16))
+
+DAMAGES = {
+    "another shape": lambda path: np.save(path, np.zeros((1, 2))),
+    "no number": lambda path: np.save(path, np.full_like(np.load(path), np.nan)),
+    "cut": lambda path: path.write_bytes(path.read_bytes()[:-9]),
+    "empty": lambda path: path.write_bytes(b""),
+    "pickled": lambda path: np.save(path, np.array([{}], object), allow_pickle=True),
+    "text": lambda path: path.write_bytes(b"\xff no array"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_fold_of_an_interrupted_calibration_is_computed_again(
+    damage, record_spots, tmp_path
+) -> None:
+    run = record_spots("run", 10)
+    interrupt(run, RIDGE, tmp_path / "cal")
+    kept = np.load(tmp_path / ".cal.work" / "fold-0.npy")
+    DAMAGES[damage](tmp_path / ".cal.work" / "fold-0.npy")
+    assert fitted_folds(run, RIDGE, tmp_path / "cal")[0] == "fold 1 of 5"
+    table = read_table(tmp_path / "cal" / "predictions.csv.gz")
+    again = table[table["held_out_in_fold"] == 0][["estimate:x_mm", "estimate:height_mm"]]
+    np.testing.assert_allclose(again, kept, rtol=1e-9)
+
+
+@pytest.mark.parametrize("note", [b"\xff\xfe", b"", b'{"run": '])
+def test_work_whose_note_is_damaged_begins_anew(note, record_spots, tmp_path) -> None:
+    run = record_spots("run", 10)
+    interrupt(run, RIDGE, tmp_path / "cal")
+    (tmp_path / ".cal.work" / "plan.json").write_bytes(note)
+    assert len(fitted_folds(run, RIDGE, tmp_path / "cal")) == 5
+
+
+def test_work_by_another_version_or_with_other_folds_begins_anew(record_spots, tmp_path, monkeypatch) -> None:
+    run = record_spots("run", 10)
+    for name, value in (("__version__", "0.0.9"), ("split", lambda *a, **k: split(*a, **{**k, "seed": 1}))):
+        with monkeypatch.context() as patched:
+            patched.setattr(fitting, name, value)
+            interrupt(run, RIDGE, tmp_path / name)
+        assert len(fitted_folds(run, RIDGE, tmp_path / name)) == 5
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "fold-0", "model.npz"])
+def test_a_work_folder_with_a_file_of_the_user_s_is_not_removed(name, record_spots, tmp_path) -> None:
+    (tmp_path / ".cal.work").mkdir()
+    (tmp_path / ".cal.work" / name).write_text("mine")
+    with pytest.raises(ExistsError, match=f"holds {name}, which is not palpate's; move it away"):
+        calibrate(record_spots("run", 10), RIDGE, tmp_path / "cal")
+    assert (tmp_path / ".cal.work" / name).read_text() == "mine"
+
+
+def test_a_model_that_predicts_no_number_is_refused_by_its_fold(record_spots, tmp_path, monkeypatch) -> None:
+    fit = MeanBaseline.fit
+
+    def lost(self, data, rows, *, seed, **others):
+        fitted = fit(self, data, rows, seed=seed, **others)
+        return replace(fitted, offset=fitted.offset * np.nan) if seed in (2, 4) else fitted
+
+    monkeypatch.setattr(MeanBaseline, "fit", lost)
+    plan = CalibrationPlan(("x_mm",), model="mean", split="group:press", size_px=(12, 16))
+    with pytest.raises(
+        InputError, match=r"mean, fold 2: predict gave .* 10 of 10 rows are no finite numbers"
+    ):
+        calibrate(record_spots("run", 10), plan, tmp_path / "cal")
+
+
+def test_estimates_of_another_shape_are_not_spread_over_rows() -> None:
+    refuse_unfit(np.zeros((3, 2)), (3, 2), "m")
+    for shape in ((1, 2), (3, 1)):
+        with pytest.raises(InputError, match="3 of 3 rows"):
+            refuse_unfit(np.zeros(shape), (3, 2), "m")
+
+
+def test_a_fit_sees_no_labels_of_rows_held_out_and_cannot_change_any(
+    record_spots, tmp_path, monkeypatch
+) -> None:
+    fit, held_out = MeanBaseline.fit, []
+
+    def watched(self, data, rows, **others):
+        others_rows = np.setdiff1d(np.arange(len(data.values)), rows)
+        held_out.append((len(others_rows), bool(np.isnan(data.values[others_rows]).all())))
+        for array in (data.values, data.groups):
+            with pytest.raises(ValueError, match="read-only"):
+                array[:] = array[0]
+        return fit(self, data, rows, **others)
+
+    monkeypatch.setattr(MeanBaseline, "fit", watched)
+    plan = CalibrationPlan(("x_mm",), model="mean", split="group:press", size_px=(12, 16))
+    calibrate(record_spots("run", 10), plan, tmp_path / "cal")
+    assert held_out == [(10, True)] * 5 + [(0, True)]
 
 
 def test_work_towards_another_plan_is_not_taken_over(record_spots, tmp_path) -> None:

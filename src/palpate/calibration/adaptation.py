@@ -39,7 +39,7 @@ from palpate.core import (
 )
 from palpate.estimators.certified import Estimator, Intervals, checked_file, intervals_of
 from palpate.estimators.model_card import Card, SplitCard
-from palpate.estimators.networks.model_interface import Progress, silent
+from palpate.estimators.networks.model_interface import Progress, refuse_unfit, silent
 from palpate.estimators.novelty import NoveltyDetector, RenderedImages, fit_novelty_detector
 from palpate.recordings.label_tables import targets_from
 from palpate.recordings.packed_set import PackedSet, pack
@@ -221,6 +221,7 @@ def _result(
     data = learning.data
     progress("learning the correction", 0, 1)
     estimates = np.concatenate([estimator.values(x) for _, x in data.batches(np.arange(len(data.values)))])
+    refuse_unfit(estimates, data.values.shape, f"of calibration {estimator.card.id}")
     spread = intervals_of(estimator.card).spread
     presses = np.unique(data.groups, return_inverse=True)[1]
     start = Correction.none(spread.centre, spread.scale, estimates)

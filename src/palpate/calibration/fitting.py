@@ -1,7 +1,8 @@
 """Calibration of a model on a run: pack, split, audit, fit, hold out, certify.
 
 Work is kept in a folder beside the result (`.NAME.work`) until it is whole. Interrupted, the same command
-goes on from there: the packed set, every finished fold and a network's last epoch are kept.
+goes on from there: the packed set, every finished fold and a network's last epoch are kept. Where the model's
+code, the folds or palpate's version have changed since, it begins anew.
 
 Where torchrun began several processes, the first does all this, and the others help it to train.
 """
@@ -10,10 +11,14 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
+import sys
 import time
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import ks_2samp
@@ -31,17 +36,19 @@ from palpate.core import (
     Values,
     new_file,
     refuse_existing,
+    sha256_of,
     storage_errors,
 )
 from palpate.estimators.networks import make_model, model_kind
 from palpate.estimators.networks.distributed import ProcessGroup
-from palpate.estimators.networks.model_interface import Fitted, Progress, predict_rows, silent
+from palpate.estimators.networks.model_interface import Fitted, Progress, predict_rows, refuse_unfit, silent
 from palpate.estimators.novelty import LearnsFromRendered, NoveltyDetector, fit_novelty_detector
 from palpate.recordings.label_tables import refuse_reserved, targets_from
 from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.preparation import Preparation
 from palpate.recordings.run_reader import Run
 from palpate.recordings.splits import Split, split
+from palpate.version import __version__
 
 
 def calibrate(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress = silent) -> Path:
@@ -61,8 +68,9 @@ def calibrate(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress
         `out`.
 
     Raises:
-        ExistsError: `out` exists, or work towards another plan lies beside it.
-        LabelError, UnitError, SplitError, InputError: the plan does not fit the run.
+        ExistsError: `out` exists, or work towards another plan, or a file of others, lies in its work folder.
+        LabelError, UnitError, SplitError, InputError: the plan does not fit the run, or the model predicts
+            what is no finite number.
     """
     out = Path(out)
     refuse_existing(out)
@@ -74,7 +82,7 @@ def calibrate(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress
         _fit(learning, parts, plan, _work_path(out), silent, processes)
         processes.wait()
         return out
-    work = _work_folder(run, plan, out)
+    work = _work_folder(run, plan, parts, out)
     with storage_errors(work):
         learning = _learning_set(run, plan, parts, work, progress, processes)
         leakage = audit(learning.packed, parts)
@@ -132,25 +140,45 @@ def preparation_of(run: Run, plan: CalibrationPlan) -> Preparation:
     return Preparation(plan.crop_px, (round(side * tall), round(side / tall)), plan.channels)
 
 
-def _work_folder(run: Run, plan: CalibrationPlan, out: Path) -> Path:
+WORK_FILE = re.compile(r"plan\.json|packed|(kept|fold-\d+)\..+|tmp\w+\.npz|\..+\.partial")
+
+
+def _work_folder(run: Run, plan: CalibrationPlan, parts: Split, out: Path) -> Path:
     """The folder of unfinished work towards this very plan, new or from an interrupted run."""
-    work = _work_path(out)
-    request = json.dumps({"run": run.hash, "plan": plan.to_dict()}, sort_keys=True)
+    work, request = _work_path(out), _request(run, plan, parts)
     note = work / "plan.json"
-    if note.is_file():
-        if note.read_text() != request:
-            raise ExistsError(
-                f"{work} holds unfinished work towards another calibration named {out.name}; "
-                "run that one again to finish it, remove the folder, or choose another --out"
-            )
+    try:
+        earlier = json.loads(note.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        earlier = None
+    if earlier == request:
         return work
+    if isinstance(earlier, dict) and any(earlier.get(key) != request[key] for key in ("run", "plan")):
+        raise ExistsError(
+            f"{work} holds unfinished work towards another calibration named {out.name}; "
+            "run that one again to finish it, remove the folder, or choose another --out"
+        )
     with storage_errors(work):
         if work.exists():
+            others = sorted(path.name for path in work.iterdir() if not WORK_FILE.fullmatch(path.name))
+            if others:
+                raise ExistsError(
+                    f"{work} holds {others[0]}, which is not palpate's; move it away, or choose another --out"
+                )
             shutil.rmtree(work)
         work.mkdir(parents=True)
     with new_file(note) as path:
-        path.write_text(request)
+        path.write_text(json.dumps(request, sort_keys=True))
     return work
+
+
+def _request(run: Run, plan: CalibrationPlan, parts: Split) -> Any:
+    """All that kept work depends on, as JSON gives it back; the folds stand for a split of the user's own."""
+    file_path = getattr(sys.modules[type(make_model(plan.model, plan.options)).__module__], "__file__", None)
+    code = sha256_of(Path(file_path)) if file_path else str(time.time())  # a notebook has no file to compare
+    folds = repr([[rows.tolist() for rows in parts.folds], np.asarray(parts.groups).tolist()])
+    computed_by = {"palpate": __version__, "code": code, "folds": sha256(folds.encode()).hexdigest()}
+    return json.loads(json.dumps({"run": run.hash, "plan": plan.to_dict()} | computed_by))
 
 
 def _work_path(out: Path) -> Path:
@@ -187,17 +215,26 @@ def _fit(
         def labelled(stage: str, done: int, total: int) -> None:
             progress(f"{what}: {stage}", done, total)
 
-        return model.fit(data, rows, seed=seed, progress=labelled, checkpoint=work / f"{name}.npz")
+        learnt = np.isin(np.arange(len(data.values)), rows)[:, None]
+        part = replace(data, values=np.where(learnt, data.values, np.nan))  # held-out labels show themselves
+        return model.fit(part, rows, seed=seed, progress=labelled, checkpoint=work / f"{name}.npz")
+
+    def estimates(fitted: Fitted, k: int) -> Values:
+        found, whose = predict_rows(fitted, data, parts.folds[k]), f"{plan.model}, fold {k + 1}"
+        refuse_unfit(found, (len(parts.folds[k]), data.values.shape[1]), whose)
+        return found
 
     def held_out(k: int) -> Values:
         # All processes see the same here: the first writes it after they have trained this fold together.
         file_path = work / f"fold-{k}.npy"
-        if file_path.exists():
-            return np.asarray(np.load(file_path, allow_pickle=False))
+        kept = _read_fold(file_path, (len(parts.folds[k]), data.values.shape[1]))
+        if kept is not None:
+            return kept
         what = f"fold {k + 1} of {len(parts.folds)}"
         fitted = fit(f"fold-{k}", what, parts.training_rows(k), plan.seed + k + 1)
-        predicted = predict_rows(fitted, data, parts.folds[k])
+        predicted = estimates(fitted, k)
         if processes.first:
+            file_path.unlink(missing_ok=True)
             with new_file(file_path) as path, path.open("wb") as file:
                 np.save(file, predicted)
         return predicted
@@ -209,8 +246,18 @@ def _fit(
     rows = np.arange(len(data.values)) if count > 1 else parts.training_rows(alone)
     fitted = fit("kept", "the model that is kept", rows, plan.seed)
     if count == 1:
-        predicted[parts.folds[alone]] = predict_rows(fitted, data, parts.folds[alone])
+        predicted[parts.folds[alone]] = estimates(fitted, alone)
     return predicted, fitted
+
+
+def _read_fold(path: Path, shape: tuple[int, int]) -> Values | None:
+    """A fold's predictions as an interrupted run kept them; None where they are missing or damaged."""
+    try:
+        with path.open("rb") as file:
+            kept = np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
+    except Exception:  # numpy raises many kinds over damaged bytes
+        return None
+    return kept if kept.shape == shape and np.isfinite(kept).all() else None
 
 
 def representative_fold(parts: Split, values: Values) -> int:

@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import onnx
 
-from palpate.core import Float, Indices, Shaped, Tensor, Values
+from palpate.core import Float, Indices, InputError, Shaped, Tensor, Values
 
 Progress = Callable[[str, int, int], None]
 """Called with (what is being done, how much is done, how much there is)."""
@@ -26,7 +26,7 @@ class TrainingData:
 
     Attributes:
         shape: (channels, height, width) of an input.
-        values: ``[n t]``, in the targets' own units.
+        values: ``[n t]``, in the targets' own units; NaN where a row is held out. Read-only, as `groups`.
         groups: ``[n]`` label of each row's group; rows of one group never stand on both sides.
         fetch: rows -> inputs ``[n c h w]``, grey levels 0 to 255, or their difference from a reference.
         names: of the targets, as quantity_unit; empty where no model asks.
@@ -37,6 +37,9 @@ class TrainingData:
     groups: Shaped[np.ndarray, " n"]
     fetch: Callable[[Indices], Tensor]
     names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.values.flags.writeable = self.groups.flags.writeable = False  # scores are of these very labels
 
     def batches(self, rows: Indices, size: int = 256) -> Iterator[tuple[Indices, Tensor]]:
         """Rows and their inputs, `size` at a time, in the order given."""
@@ -102,6 +105,16 @@ def predict_rows(fitted: Fitted, data: TrainingData, rows: Indices) -> Values:
     """Predict many rows a batch at a time."""
     parts = [fitted.predict(inputs) for _, inputs in data.batches(rows)]
     return np.concatenate(parts) if parts else np.empty((0, data.values.shape[1]))
+
+
+def refuse_unfit(estimates: Values, shape: tuple[int, int], whose: str) -> None:
+    """Refuse, with an InputError, estimates that are not one finite number for each row and target."""
+    fit = np.isfinite(estimates).all(axis=1) if estimates.shape == shape else np.zeros(shape[0], bool)
+    if not fit.all():
+        raise InputError(
+            f"model {whose}: predict gave {list(estimates.shape)} for {list(shape)}, of which "
+            f"{np.sum(~fit)} of {shape[0]} rows are no finite numbers; every row is scored, so mend the model"
+        )
 
 
 @dataclass(frozen=True, slots=True)
