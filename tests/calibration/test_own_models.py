@@ -197,10 +197,14 @@ def test_an_instance_s_settings_are_the_plan_s_options() -> None:
 PLUGIN_FILE = """
 from dataclasses import dataclass
 import numpy as np
-from palpate.estimators.networks.pca_ridge import MeanBaseline
+from palpate.estimators.networks.pca_ridge import MeanBaseline, PcaRidge
 
 @dataclass(frozen=True)
 class Constant(MeanBaseline):
+    pass
+
+@dataclass(frozen=True)
+class Line(PcaRidge):
     pass
 
 def by_press(table, *, folds, seed):
@@ -236,6 +240,64 @@ def test_a_certificate_of_an_own_model_is_opened_without_it(
     monkeypatch.setattr(sys, "path", [p for p in sys.path if not p.endswith("plugins")])
     readings = Estimator.open(tmp_path / "cal").read(run.frame(1).image)
     assert np.isfinite(readings["x_mm"].value)
+
+
+def test_work_of_an_own_model_whose_code_has_changed_begins_anew(plugin, record_spots, tmp_path) -> None:
+    run, seen = record_spots("run", 10), []
+    plan = CalibrationPlan(("x_mm",), model=f"{plugin}:Line", split="group:press", size_px=(12, 16))
+
+    def stop(what: str, done: int, total: int) -> None:
+        seen.append(what)
+        if what.startswith("fold 3"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(run, plan, tmp_path / "cal", stop)
+    file = tmp_path / "plugins" / f"{plugin}.py"
+    file.write_text(file.read_text() + "\n# another line\n")
+    sys.modules.pop(plugin)
+    seen.clear()
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(run, plan, tmp_path / "cal", stop)
+    assert any(what.startswith("fold 1") for what in seen)
+    seen.clear()
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(run, plan, tmp_path / "cal", stop)
+    assert [what.partition(":")[0] for what in seen] == ["fold 3 of 5"]
+
+
+@dataclass(frozen=True)
+class Fixed(Level):
+    """Estimates what it estimates, whatever is asked."""
+
+    kind: ClassVar[Kind] = Kind(side_px=24, targets=("height_mm", "x_mm"))
+
+
+def test_a_model_that_fixes_its_targets_is_not_asked_for_others(record_spots, tmp_path) -> None:
+    check_model(Fixed, **TINY)
+    for targets in (("x_mm",), ("x_mm", "height_mm")):
+        with pytest.raises(
+            InputError, match=rf"Fixed estimates height_mm, x_mm; .*{', '.join(targets)}; ask"
+        ):
+            calibrate(
+                record_spots(f"run-{len(targets)}", 10),
+                CalibrationPlan(targets, model=Fixed),
+                tmp_path / "cal",
+            )
+
+
+@dataclass(frozen=True)
+class Rewrites(Level):
+    """Makes the labels easy to estimate."""
+
+    def fit(self, data, rows, *, seed, progress=silent, checkpoint=None):
+        data.values[:] = 1
+        return super().fit(data, rows, seed=seed)
+
+
+def test_a_model_cannot_rewrite_the_labels() -> None:
+    with pytest.raises(PluginError, match=r"Rewrites: fit.* failed .*read-only"):
+        check_model(Rewrites, **TINY)
 
 
 def test_a_broken_model_is_refused_before_anything_is_packed(record_spots, tmp_path) -> None:

@@ -12,7 +12,7 @@ import onnxruntime
 
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.certificate import AGREEMENT
-from palpate.core import Indices, PalpateError, PluginError, Tensor, Values
+from palpate.core import Indices, InputError, PalpateError, PluginError, Tensor, Values
 from palpate.estimators.networks import MODELS, make_model, model_kind
 from palpate.estimators.networks.model_interface import Fitted, TrainingData
 
@@ -57,6 +57,12 @@ def check_model(
 def check_plugged_in(plan: CalibrationPlan, shape: tuple[int, int, int]) -> None:
     """Check a plan's model where it is not one that palpate brings along."""
     if plan.model not in MODELS:
+        fixed = tuple(model_kind(plan.model).targets)
+        if fixed not in ((), tuple(plan.targets)):
+            raise InputError(
+                f"model {plan.model} estimates {', '.join(fixed)}; asked for were {', '.join(plan.targets)}; "
+                "ask for its own, in its order"
+            )
         check_model(plan.model, plan.options, shape=shape, targets=tuple(plan.targets))
 
 
