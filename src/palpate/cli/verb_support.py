@@ -36,6 +36,11 @@ class Group(TyperGroup):
             end = "stopped; nothing half-written is left, and a calibration goes on where it was"
             typer.echo(f"palpate: {end}", err=True)
             raise typer.Exit(130) from e
+        except SystemExit as e:  # a verb ends by typer.Exit: this is of a plug-in, and may claim success
+            from palpate.core.plugins import told
+
+            typer.echo(f"palpate: a plug-in ended it: {told(e)}", err=True)
+            raise typer.Exit(2) from e
         except Exception as e:
             core = sys.modules.get("palpate.core")  # not imported: it loads NumPy, which no help needs
             if core is None or not isinstance(e, core.PalpateError):

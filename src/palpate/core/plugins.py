@@ -9,11 +9,13 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, distributions, entry_points
 from inspect import signature
 from typing import Any
 
@@ -42,19 +44,26 @@ class PluginRegistry:
     faults: Callable[[Any], Sequence[str]] = lambda thing: ()
 
     def names(self) -> tuple[str, ...]:
-        """All names, palpate's own first."""
-        return (*self.built_in, *sorted({point.name for point in installed(self.group)} - set(self.built_in)))
+        """All names that can be asked for, palpate's own first."""
+        added = {point.name for point in installed(self.group) if ":" not in point.name}
+        return (*self.built_in, *sorted(added - set(self.built_in)))
 
     def path_of(self, name: str) -> str:
         """Path of a name's code, as ``module:Name``.
 
         Raises:
             InputError: nothing of the kind has this name; the message lists what there is.
-            PluginError: an installed package takes a name that exists; the message names both.
+            PluginError: an installed package takes a name that exists; the message names both. Or its entry
+                point is not ``module:Name``.
         """
         if PATH.fullmatch(name):
             return name
         claims = {point.value for point in installed(self.group) if point.name == name}
+        if wrong := sorted(value for value in claims if not PATH.fullmatch(value)):
+            raise PluginError(
+                f"{self.kind} {name!r} of an installed package stands for {wrong[0]!r}; an entry point must be "
+                "module:Name"
+            )
         own = self.built_in.get(name, "")
         paths = [own] * bool(own) + sorted(claims - {own})
         if not paths:
@@ -97,13 +106,9 @@ class PluginRegistry:
                 f"{which} cannot be made: {self.kind} {name!r} has no presets, as its factory has no first "
                 f"parameter `preset`; give {name!r} alone"
             )
-        try:
+        with plugin_calls(f"{which} cannot be made: {ERROR}"):
             thing = factory(preset) if preset else factory()
-        except PalpateError:
-            raise
-        except Exception as e:  # a factory of somebody else's may raise anything
-            raise PluginError(f"{which} cannot be made: {type(e).__name__}: {e}") from e
-        faults = self.faults(thing)
+            faults = self.faults(thing)
         if faults:
             raise PluginError(f"{which} breaks its contract: {'; '.join(faults)}")
         return thing
@@ -136,7 +141,24 @@ def installed(group: str) -> tuple[EntryPoint, ...]:
 
 @lru_cache(maxsize=32)
 def _entry_points(group: str, folders: tuple[tuple[str, int], ...]) -> tuple[EntryPoint, ...]:
-    return tuple(entry_points(group=group))  # looks through all that is installed: tens of milliseconds
+    try:
+        return tuple(entry_points(group=group))  # looks through all that is installed: tens of milliseconds
+    except Exception:  # of one broken package, which need not be one for palpate
+        return tuple(_readable_entry_points(group))
+
+
+def _readable_entry_points(group: str) -> Iterator[EntryPoint]:
+    """Entry points of the packages whose lists can be read; a warning names each of the others."""
+    seen: set[str] = set()
+    for package in distributions():
+        try:
+            name, points = re.sub(r"[-_.]+", "-", package.name).lower(), package.entry_points
+        except Exception as e:
+            folder = getattr(package, "_path", "a package without a folder")
+            warnings.warn(f"{folder} is broken, and its entry points are left out ({told(e)})", stacklevel=2)
+            continue
+        yield from () if name in seen else points.select(group=group)
+        seen.add(name)
 
 
 def _changed_ns(folder: str) -> int:
@@ -144,6 +166,42 @@ def _changed_ns(folder: str) -> int:
         return os.stat(folder or ".").st_mtime_ns
     except OSError:
         return 0
+
+
+ERROR = "{error}"
+"""Place of the error in a message to `plugin_calls`."""
+
+
+@contextmanager
+def plugin_calls(
+    message: str, passed: type[Exception] | tuple[type[Exception], ...] = PalpateError
+) -> Iterator[None]:
+    """Turn whatever a plug-in's code raises, `sys.exit` too, into an error that names it.
+
+    Args:
+        message: what was called, with `ERROR` where the error is told.
+        passed: errors that go through as they are.
+
+    Raises:
+        PluginError: the code within raised something else.
+    """
+    try:
+        yield
+    except passed:
+        raise
+    except (Exception, SystemExit) as e:  # what is somebody else's may raise anything
+        raise PluginError(message.replace(ERROR, told(e), 1)) from e
+
+
+def told(error: BaseException) -> str:
+    """An error's kind and text; of `sys.exit`, which has no text, also who called it."""
+    text, trace = f"{type(error).__name__}: {error}", error.__traceback__
+    while isinstance(error, SystemExit) and trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    if not isinstance(error, SystemExit) or trace is None:
+        return text
+    frame = trace.tb_frame
+    return f"{text}, from {frame.f_globals.get('__name__')}:{frame.f_code.co_qualname}"
 
 
 def import_path(path: str, kind: str, name: str = "") -> Any:
@@ -158,15 +216,11 @@ def import_path(path: str, kind: str, name: str = "") -> Any:
         PluginError: it does not import, whatever its module raises, or has no such name.
     """
     module, _, attributes = path.partition(":")
-    try:
+    remedy = "check its name, and that its folder is on PYTHONPATH or its package installed"
+    with plugin_calls(f"{_label(kind, name, path)} does not import: {ERROR}; {remedy}", ()):
         thing: Any = import_module(module)
         for attribute in attributes.split("."):
             thing = getattr(thing, attribute)
-    except (Exception, SystemExit) as e:  # a module of somebody else's may raise anything
-        raise PluginError(
-            f"{_label(kind, name, path)} does not import: {type(e).__name__}: {e}; check its name, and that "
-            "its folder is on PYTHONPATH or its package installed"
-        ) from e
     return thing
 
 

@@ -12,8 +12,8 @@ from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from palpate.core import Clock, InputError, PalpateError, PluginError
-from palpate.core.plugins import OWN, PluginRegistry
+from palpate.core import Clock, InputError, PluginError
+from palpate.core.plugins import ERROR, OWN, PluginRegistry, plugin_calls
 
 if TYPE_CHECKING:
     from palpate.devices.check.interface_check import Role
@@ -69,7 +69,7 @@ def open_device(role: Role, kind: str, options: Mapping[str, Any], clock: Clock)
     device = _call(role, kind, factory, options, clock)
     fault = next((law for law in check_interface(role, device, clock) if not law.ok), None)
     if fault is not None:
-        with suppress(Exception):  # what lacks a method may well fail to close
+        with suppress(Exception, SystemExit):  # what lacks a method may well fail to close
             device.close()
         raise PluginError(f"{role} {kind!r} breaks the law {fault.name!r}: {fault.message}")
     return device
@@ -90,11 +90,5 @@ def _call(
         raise InputError(
             f"{role} {kind!r} cannot be opened with these options: {e}; it takes {signature}"
         ) from e
-    try:
+    with plugin_calls(f"{role} {kind!r} breaks the law 'opens, or raises DeviceError': {ERROR}"):
         return factory(**arguments)
-    except PalpateError:
-        raise
-    except Exception as e:  # a driver is to raise DeviceError; this one is somebody else's
-        raise PluginError(
-            f"{role} {kind!r} breaks the law 'opens, or raises DeviceError': {type(e).__name__}: {e}"
-        ) from e

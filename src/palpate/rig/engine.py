@@ -14,7 +14,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import assert_never
 
-from palpate.core import DeviceError, PalpateError, PathText, StorageError
+from palpate.core import DeviceError, PalpateError, PathText, RecordingError, StorageError
+from palpate.core.plugins import ERROR, plugin_calls
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.motion_guard import MotionGuard
 from palpate.devices.motion_limits import Reason, Tripped
@@ -269,7 +270,7 @@ def record(
 
     Raises:
         Tripped: the plan leaves the rig's limits; nothing has moved and nothing is written.
-        RecordingError: the run has another plan, or another writer records into it.
+        RecordingError: the run has another plan or seed, or another writer records into it.
         StorageError: the disk refused before anything moved.
     """
     out = Path(out)
@@ -279,12 +280,23 @@ def record(
     if out.exists():
         run = Run.open(out)
         check_same_plan(run, plan)
+        _check_same_seed(run, rig)
         done = done_in(run)
         writer = RunWriter.resume(out, clock=rig.clock, overflow="wait")
     else:
         writer = RunWriter.create(out, manifest_of(rig, plan), clock=rig.clock, overflow="wait")
-    with writer:
+    with writer, plugin_calls(f"a device ended the recording ({ERROR})", Exception):
         return Engine(rig, plan, writer, done, control or OperatorControl(), watch).run()
+
+
+def _check_same_seed(run: Run, rig: Rig) -> None:
+    """Refuse to go on with another seed than the one that the run's manifest keeps for all of it."""
+    begun = run.manifest.seed
+    if None not in (begun, rig.seed) and begun != rig.seed:
+        raise RecordingError(
+            f"{run.path} was begun with seed {begun}, and this rig has seed {rig.seed}; give that one, or name "
+            "a new run"
+        )
 
 
 def manifest_of(rig: Rig, plan: RecordingPlan) -> Manifest:

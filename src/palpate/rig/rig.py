@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from palpate.core import Clock, ForceSensor, FrameSource, Position, Sensor, Stage
+from palpate.core.plugins import ERROR, plugin_calls
 from palpate.devices.force_bias import Mounting
 from palpate.devices.motion_limits import Limits
 
@@ -91,7 +92,8 @@ class Rig:
         failed: list[Exception] = []
         for device in (self.stage, self.force, self.camera):
             try:
-                device.close()
+                with plugin_calls(f"a device did not close ({ERROR})", Exception):
+                    device.close()
             except Exception as e:
                 failed.append(e)
         if failed:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palpate.core import NS_PER_S, Clock, DeviceError
+from palpate.core.plugins import told
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,11 +68,11 @@ def gather(what: str, part: Part) -> Part:
     """Pass on a part's findings; an exception that leaves it becomes one more."""
     try:
         yield from part
-    except Exception as e:  # whatever a driver raises is reported
+    except (Exception, SystemExit) as e:  # whatever a driver raises is reported
         yield verdict(
             f"{what} raises nothing unexpected",
             False,
-            f"{type(e).__name__}: {e}; where a device cannot do what it is asked it raises DeviceError, and "
+            f"{told(e)}; where a device cannot do what it is asked it raises DeviceError, and "
             "here it should have been able to",
         )
 
@@ -90,16 +91,16 @@ def check_closing(device: object, use: Callable[[], object], name: str) -> Part:
     )
 
 
-def refusal(call: Callable[[], object]) -> Exception | None:
+def refusal(call: Callable[[], object]) -> BaseException | None:
     """Call, and return what is raised; None where it goes through."""
     try:
         call()
-    except Exception as e:
+    except (Exception, SystemExit) as e:
         return e
     return None
 
 
-def describe(error: Exception | None) -> str:
+def describe(error: BaseException | None) -> str:
     """Put what `refusal` returned into words."""
     return "went through" if error is None else f"raised {type(error).__name__}: {error}"
 

@@ -147,10 +147,9 @@ def _standing(stage: Any, clock: Clock) -> Part:
 
 def _measuring(sensor: Any, clock: Clock) -> Part:
     sample = _first_sample(sensor, clock)
-    yield verdict(
-        "measures within a second", sample is not None, "latest() raises DeviceError; is it streaming?"
-    )
-    if sample is None:
+    late = isinstance(sample, DeviceError)
+    yield verdict("measures within a second", not late, "latest() raises DeviceError; is it streaming?")
+    if late:
         return
     drained = sensor.drain()
     shaped = isinstance(sample, Wrench) and isinstance(drained, list)
@@ -173,13 +172,14 @@ def _measuring(sensor: Any, clock: Clock) -> Part:
 
 
 def _first_sample(sensor: Any, clock: Clock) -> Any:
+    """What `latest` gives, or the `DeviceError` that it still raises after a second."""
     end_ns = clock.now_ns() + round(FIRST_SAMPLE_S * NS_PER_S)
     while True:
         try:
             return sensor.latest()
-        except DeviceError:
+        except DeviceError as e:
             if clock.now_ns() >= end_ns:
-                return None
+                return e
             clock.sleep(POLL_S)
 
 
