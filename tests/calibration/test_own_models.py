@@ -20,9 +20,9 @@ from typer.testing import CliRunner
 from palpate import core
 from palpate.calibration import CalibrationPlan, calibrate, check_model
 from palpate.cli import app
-from palpate.core import InputError, PluginError
+from palpate.core import InputError, PluginError, SplitError
 from palpate.estimators import Estimator, read_card
-from palpate.estimators.networks import Kind
+from palpate.estimators.networks import REGISTRY as MODEL_NAMES, Kind
 from palpate.estimators.networks.model_interface import silent
 from palpate.estimators.networks.onnx_graph import image_to_value
 from palpate.recordings import Split, split
@@ -119,6 +119,12 @@ BREAKS = {
         "its ONNX model takes",
     ),
     "no onnx": (lambda f, _: Spoilt(f, to_onnx=lambda: b"onnx"), "no model that runs"),
+    "exit in fit": (lambda *_: sys.exit(0), r"fit\(.*failed .*SystemExit: 0, from .*<lambda>"),
+    "exit in predict": (
+        lambda f, _: Spoilt(f, predict=lambda inputs: sys.exit(0)),
+        "predict failed .*SystemExit: 0",
+    ),
+    "exit in to_onnx": (lambda f, _: Spoilt(f, to_onnx=lambda: sys.exit(0)), "to_onnx .*SystemExit: 0"),
 }
 
 
@@ -222,6 +228,66 @@ def plugin(tmp_path, monkeypatch) -> str:
     monkeypatch.syspath_prepend(str(tmp_path / "plugins"))
     yield "my_touch_models"
     sys.modules.pop("my_touch_models", None)
+
+
+@dataclass(frozen=True)
+class Needy(Level):
+    """A setting without a default, one that is worked out, and one that is checked without palpate's errors."""
+
+    gain: float = field(kw_only=True)
+    worked_out: float = field(init=False, default=1.0)
+    table: object = None
+
+    def __post_init__(self) -> None:
+        if self.gain == 0:
+            sys.exit(0)
+        if self.gain < 0:
+            raise ValueError("no gain below 0")
+
+
+@pytest.mark.parametrize(
+    ("model", "options", "says"),
+    [
+        (Needy, {}, "Needy needs the option gain"),
+        (Needy, {"gain": -1.0}, r"Needy with options {'gain': -1.0} cannot be made \(ValueError: no gain"),
+        (Needy, {"gain": 0.0}, r"cannot be made \(SystemExit: 0, from .*:Needy.__post_init__"),
+        (Needy, {"gain": "24"}, "Needy: its option gain is '24'; give float"),
+        (Needy, {"gain": 1.0, "worked_out": 2.0}, "has no option worked_out; it has shrink, gain, table"),
+        (Needy(gain=1.0, table=np.zeros(3)), {}, "Needy: its field table is ndarray that no certificate"),
+        ("pca-ridge", {"components": "abc"}, "pca-ridge: its option components is 'abc'; give int"),
+        ("pca-ridge", {"components": 0}, "components are 1 or more"),
+        ("pixel-mlp", {"hidden": (0,)}, "each of hidden are 1 or more"),
+    ],
+)
+def test_options_that_no_model_can_be_made_with_are_refused_before_training(
+    model, options, says, record_spots, tmp_path
+) -> None:
+    plan = CalibrationPlan(("x_mm",), model=model, options=options)
+    with pytest.raises(InputError, match=says):
+        calibrate(record_spots("run", 10), plan, tmp_path / "cal")
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def test_an_instance_with_a_field_that_is_worked_out_is_made_again() -> None:
+    check_model(Needy(gain=1.0), **TINY)
+
+
+@dataclass(frozen=True)
+class FailsOnMore(Level):
+    """Learns from the made-up rows, and from no real ones."""
+
+    def fit(self, data, rows, *, seed, progress=silent, checkpoint=None):
+        if len(rows) > 30:
+            raise RuntimeError("out of memory")
+        return super().fit(data, rows, seed=seed)
+
+
+def test_a_model_that_fails_on_the_real_rows_is_named_with_its_fold(record_spots, tmp_path) -> None:
+    plan = CalibrationPlan(("x_mm",), model=FailsOnMore)
+    with pytest.raises(
+        PluginError, match="FailsOnMore: fit failed on fold 1 of 5.*RuntimeError: out of memo"
+    ):
+        calibrate(record_spots("run", 10), plan, tmp_path / "cal")
 
 
 def test_a_certificate_of_an_own_model_is_opened_without_it(
@@ -330,6 +396,32 @@ def test_an_entry_point_that_takes_an_existing_name_is_refused(monkeypatch) -> N
         CalibrationPlan(("x_mm",))
 
 
+@pytest.mark.parametrize("value", ["", "good"])
+def test_an_entry_point_that_names_nothing_is_refused_as_such(monkeypatch, value: str) -> None:
+    added(monkeypatch, "palpate.models", level=value)
+    with pytest.raises(PluginError, match=f"'level' .*{value!r}; an entry point must be module:Name"):
+        CalibrationPlan(("x_mm",), model="level")
+
+
+def test_a_name_that_cannot_be_asked_for_is_not_listed(monkeypatch) -> None:
+    added(monkeypatch, "palpate.models", **{"my:level": f"{HERE}:Level", "level": f"{HERE}:Level"})
+    assert "level" in MODEL_NAMES.names()
+    assert "my:level" not in MODEL_NAMES.names()
+
+
+@pytest.mark.parametrize("lines", [b"[console_scripts]\nfoo\n", b"[console_scripts]\nf\xe9 = a:b\n"])
+def test_a_broken_package_is_passed_over_and_named(tmp_path, monkeypatch, lines: bytes) -> None:
+    for name, text in {"wreck": lines, "sound": f"[palpate.models]\nlevel = {HERE}:Level\n".encode()}.items():
+        folder = tmp_path / f"{name}-1.0.dist-info"
+        folder.mkdir()
+        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        (folder / "entry_points.txt").write_bytes(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.warns(UserWarning, match=r"wreck-1\.0\.dist-info is broken.*entry points are left out"):
+        assert CalibrationPlan(("x_mm",)).model == "pca-ridge"
+    assert CalibrationPlan(("x_mm",), model="level").model == "level"
+
+
 TABLE = pd.DataFrame({"press": list("aabbccdd"), "x_mm": np.arange(8.0)})
 
 
@@ -365,6 +457,58 @@ def fails(table, *, folds, seed):
     raise KeyError("place")
 
 
+def leaves(table, *, folds, seed):
+    sys.exit(0)
+
+
+def spoilt(**fields):
+    """A split whose fields are not of the kinds that type checkers ask for."""
+    parts = Split("any", (), None, (np.arange(4), np.arange(4, 8)), "")
+    for name, value in fields.items():
+        object.__setattr__(parts, name, value)
+    return parts
+
+
+def float_folds(table, *, folds, seed):
+    return spoilt(folds=(np.arange(4.0), np.arange(4.0, 8.0)))
+
+
+def ragged_folds(table, *, folds, seed):
+    return spoilt(folds=([[0, 1], [2]], [3]))
+
+
+def no_folds(table, *, folds, seed):
+    return spoilt(folds=None)
+
+
+def mixed(table, *, folds, seed):
+    return spoilt(groups=np.array([1, 1, 1, 1, "b", "b", "b", "b"], object))
+
+
+def no_reason(table, *, folds, seed):
+    return spoilt(reason=None)
+
+
+def no_columns(table, *, folds, seed):
+    return spoilt(group_columns=None)
+
+
+def ragged(table, *, folds, seed):
+    return [["a"], ["a", "b"], *table["press"][2:]]
+
+
+def gaps(table, *, folds, seed):
+    return table["press"].where(table["x_mm"] > 0)
+
+
+def gap_in_a_list(table, *, folds, seed):
+    return ["a", "b", None, float("nan"), *table["press"][4:]]
+
+
+def twogroups(table, *, folds, seed):
+    return np.arange(8) // 4
+
+
 not_a_function = 3
 
 
@@ -385,6 +529,16 @@ def test_a_split_of_one_s_own_gives_groups_or_the_folds_themselves() -> None:
         ("one", "1 folds; there are two or more"),
         ("chance", "give other folds"),
         ("fails", "KeyError: 'place'"),
+        ("leaves", "SystemExit: 0, from .*:leaves"),
+        ("float_folds", "arrays of whole row numbers"),
+        ("ragged_folds", "whole row numbers|ValueError"),
+        ("no_folds", "arrays of whole row numbers"),
+        ("mixed", "must give the label of each row's group.*'<' not supported"),
+        ("no_reason", "its reason a text, not None"),
+        ("no_columns", "a tuple of texts, not None"),
+        ("ragged", "must give the label of each row's group"),
+        ("gaps", "gave no label in row 2; it gives one for each row"),
+        ("gap_in_a_list", "gave no label in rows 4, 5"),
         ("not_a_function", "no class and no function"),
         ("missing", "does not import"),
     ],
@@ -392,6 +546,19 @@ def test_a_split_of_one_s_own_gives_groups_or_the_folds_themselves() -> None:
 def test_a_split_that_breaks_a_law_is_refused_by_its_name_and_the_law(name: str, law: str) -> None:
     with pytest.raises(PluginError, match=rf"{name}.*{law}"):
         split(TABLE, f"{HERE}:{name}", folds=2)
+
+
+def test_folds_may_be_lists_of_row_numbers() -> None:
+    assert [fold.tolist() for fold in split(TABLE, f"{HERE}:lists").folds] == [[0, 1, 2], [3, 4, 5, 6, 7]]
+
+
+def lists(table, *, folds, seed):
+    return spoilt(folds=[[0, 1, 2], [3, 4, 5, 6, 7]])
+
+
+def test_a_split_of_one_s_own_with_too_few_groups_is_not_told_of_another_name() -> None:
+    with pytest.raises(SplitError, match=r"2 groups cannot fill 5 folds; ask for at most 2 folds$"):
+        split(TABLE, f"{HERE}:twogroups")
 
 
 def test_a_lambda_is_no_split() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from palpate.core.clock import MonotonicClock
-from palpate.core.errors import DeviceError, InputError
+from palpate.core.errors import DeviceError, InputError, PluginError
 from palpate.devices import open_device
 from palpate.devices.device_plugins import check_kind
 from palpate.rig import open_rig
@@ -132,6 +132,17 @@ BROKEN = {
         "def grab(self, timeout_s=1.0):\n    raise KeyError('lens')\nBroken.grab = grab",
         "raises nothing unexpected",
     ),
+    "an exit": (
+        "Force",
+        "import sys\nBroken.latest = lambda self: sys.exit(0)",
+        "raises nothing unexpected.*SystemExit: 0, from bench_broken",
+    ),
+    "an exit of the camera": (
+        "Camera",
+        "import sys\nBroken.grab = lambda self, timeout_s=1.0: sys.exit(0)",
+        "raises nothing unexpected.*SystemExit: 0, from bench_broken",
+    ),
+    "no sample": ("Force", "Broken.latest = lambda self: None", "hands out samples.*latest.. is None"),
 }
 ROLES: dict[str, Any] = {"Stage": "stage", "Force": "force", "Camera": "camera"}
 
@@ -209,6 +220,9 @@ def test_a_device_that_says_what_is_wrong_says_it_unchanged(bench: Path) -> None
     (bench / "bench_rude.py").write_text("def stage():\n    raise KeyError('COM3')\n")
     with pytest.raises(InputError, match=r"opens, or raises DeviceError.*KeyError"):
         open_device("stage", "bench_rude:stage", {}, MonotonicClock())
+    (bench / "bench_leaves.py").write_text("import sys\ndef stage():\n    sys.exit(0)\n")
+    with pytest.raises(InputError, match=r"opens, or raises.*SystemExit: 0, from bench_leaves:stage"):
+        open_device("stage", "bench_leaves:stage", {}, MonotonicClock())
 
 
 def test_an_installed_package_registers_a_device_by_a_name(bench: Path) -> None:
@@ -257,6 +271,16 @@ def test_a_rigs_file_names_ones_own_devices_and_their_options(bench: Path) -> No
     assert rig.mounting.axes == ("x", "-y", "-z")
     assert rig.camera.size_px == (64, 48)
     rig.close()
+
+
+def test_a_device_that_leaves_python_when_closed_is_told_and_the_others_are_closed(bench: Path) -> None:
+    path = bench / "rig.toml"
+    path.write_text(FILE)
+    rig = open_rig(str(path))
+    rig.force.close = lambda: sys.exit(0)  # type: ignore[method-assign]
+    with pytest.raises(PluginError, match="did not close .SystemExit: 0, from .*test_device_plugins"):
+        rig.close()
+    assert rig.camera.closed  # type: ignore[attr-defined]
 
 
 def test_the_same_devices_are_named_from_python(bench: Path) -> None:

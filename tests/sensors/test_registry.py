@@ -71,6 +71,7 @@ def test_a_sensor_of_another_package_is_found_and_one_without_a_name_by_its_path
     [
         ("import nothing_of_that_name", "'strange' .stranger:make. does not import: ModuleNotFoundError"),
         ("def make(): raise OSError('no disk')", "cannot be made: OSError: no disk"),
+        ("import sys\ndef make(): sys.exit(0)", "cannot be made: SystemExit: 0, from stranger:make"),
         ("class make: name = 'x'", "breaks its contract: a sensor has spec, frame_px"),
     ],
 )

@@ -179,4 +179,4 @@ def _own_model(model: Any, options: dict[str, Any]) -> tuple[str, dict[str, Any]
     model_class(path)
     if options:
         raise InputError(f"model {path} is an instance with its settings; set {', '.join(options)} there")
-    return path, {f.name: getattr(model, f.name) for f in fields(model)}
+    return path, {f.name: getattr(model, f.name) for f in fields(model) if f.init}

@@ -32,6 +32,7 @@ from palpate.core import (
     ExistsError,
     Indices,
     InputError,
+    PalpateError,
     PathText,
     Values,
     new_file,
@@ -39,7 +40,8 @@ from palpate.core import (
     sha256_of,
     storage_errors,
 )
-from palpate.estimators.networks import make_model, model_kind
+from palpate.core.plugins import ERROR, plugin_calls
+from palpate.estimators.networks import MODELS, make_model, model_kind
 from palpate.estimators.networks.distributed import ProcessGroup
 from palpate.estimators.networks.model_interface import Fitted, Progress, predict_rows, refuse_unfit, silent
 from palpate.estimators.novelty import LearnsFromRendered, NoveltyDetector, fit_novelty_detector
@@ -210,6 +212,7 @@ def _fit(
     model that was scored.
     """
     data, model = learning.data, make_model(plan.model, plan.options)
+    passed = Exception if plan.model in MODELS else PalpateError  # a fault of palpate's is no plug-in's
 
     def fit(name: str, what: str, rows: Indices, seed: int) -> Fitted:
         def labelled(stage: str, done: int, total: int) -> None:
@@ -217,11 +220,13 @@ def _fit(
 
         learnt = np.isin(np.arange(len(data.values)), rows)[:, None]
         part = replace(data, values=np.where(learnt, data.values, np.nan))  # held-out labels show themselves
-        return model.fit(part, rows, seed=seed, progress=labelled, checkpoint=work / f"{name}.npz")
+        with plugin_calls(f"model {plan.model}: fit failed on {what}, {len(rows)} rows ({ERROR})", passed):
+            return model.fit(part, rows, seed=seed, progress=labelled, checkpoint=work / f"{name}.npz")
 
     def estimates(fitted: Fitted, k: int) -> Values:
-        found, whose = predict_rows(fitted, data, parts.folds[k]), f"{plan.model}, fold {k + 1}"
-        refuse_unfit(found, (len(parts.folds[k]), data.values.shape[1]), whose)
+        with plugin_calls(f"model {plan.model}: predict failed on fold {k + 1} ({ERROR})", passed):
+            found = predict_rows(fitted, data, parts.folds[k])
+        refuse_unfit(found, (len(parts.folds[k]), data.values.shape[1]), f"{plan.model}, fold {k + 1}")
         return found
 
     def held_out(k: int) -> Values:

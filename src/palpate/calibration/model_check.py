@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,7 +14,8 @@ import onnxruntime
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.certificate import AGREEMENT
 from palpate.core import Indices, InputError, PalpateError, PluginError, Tensor, Values
-from palpate.estimators.networks import MODELS, make_model, model_kind
+from palpate.core.plugins import ERROR, plugin_calls
+from palpate.estimators.networks import MODELS, make_model, model_kind, settings_of
 from palpate.estimators.networks.model_interface import Fitted, TrainingData
 
 GROUPS, ROWS_A_GROUP = 12, 3
@@ -55,7 +57,20 @@ def check_model(
 
 
 def check_plugged_in(plan: CalibrationPlan, shape: tuple[int, int, int]) -> None:
-    """Check a plan's model where it is not one that palpate brings along."""
+    """Check that a card can tell a model's fields, and all laws where palpate does not bring it along.
+
+    Raises:
+        InputError: a field is nothing that JSON can tell.
+        PluginError: see `check_model`.
+    """
+    for name, value in settings_of(plan.model, plan.options).items():
+        try:
+            json.dumps(value, allow_nan=False)
+        except (TypeError, ValueError) as e:
+            raise InputError(
+                f"model {plan.model}: its field {name} is {type(value).__name__} that no certificate can "
+                f"tell ({e}); give numbers, texts, or lists of these"
+            ) from e
     if plan.model not in MODELS:
         fixed = tuple(model_kind(plan.model).targets)
         if fixed not in ((), tuple(plan.targets)):
@@ -112,15 +127,11 @@ class _MadeUp:
 
 def _fitted(plan: CalibrationPlan, sample: _MadeUp) -> Fitted:
     name, rows = plan.model, sample.learnt.copy()
-    try:
+    with plugin_calls(
+        f"model {name}: fit(data, rows, *, seed, progress, checkpoint) failed on {len(rows)} rows of "
+        f"{list(sample.images.shape[1:])} ({ERROR})"
+    ):
         fitted = make_model(name, plan.options).fit(sample.data, rows, seed=0)
-    except PalpateError:
-        raise
-    except Exception as e:  # somebody else's model may raise anything
-        raise PluginError(
-            f"model {name}: fit(data, rows, *, seed, progress, checkpoint) failed on {len(rows)} rows of "
-            f"{list(sample.images.shape[1:])} ({type(e).__name__}: {e})"
-        ) from e
     if sample.trespass:
         raise PluginError(
             f"model {name} fetched rows it may not learn from: {sample.trespass[:5]}; keep to `rows`"
@@ -133,12 +144,8 @@ def _fitted(plan: CalibrationPlan, sample: _MadeUp) -> Fitted:
 
 
 def _predicted(name: str, fitted: Fitted, inputs: Tensor, count: int) -> Values:
-    try:
+    with plugin_calls(f"model {name}: predict failed on {list(inputs.shape)} ({ERROR})", ()):
         estimates: Any = fitted.predict(inputs)
-    except Exception as e:
-        raise PluginError(
-            f"model {name}: predict failed on {list(inputs.shape)} ({type(e).__name__}: {e})"
-        ) from e
     shape = (len(inputs), count)
     if not isinstance(estimates, np.ndarray) or estimates.shape != shape or estimates.dtype.kind != "f":
         array = isinstance(estimates, np.ndarray)
@@ -170,7 +177,7 @@ def _check_estimates(name: str, fitted: Fitted, sample: _MadeUp) -> None:
 
 def _check_same_again(plan: CalibrationPlan, fitted: Fitted, sample: _MadeUp) -> None:
     again = _fitted(plan, sample)
-    first, second = (one.predict(sample.images) for one in (fitted, again))
+    first, second = (_predicted(plan.model, one, sample.images, len(sample.names)) for one in (fitted, again))
     if not np.allclose(first, second, rtol=1e-6, atol=0):
         raise PluginError(
             f"model {plan.model}: the same rows and seed give other estimates; draw all chance from `seed`"
@@ -179,12 +186,10 @@ def _check_same_again(plan: CalibrationPlan, fitted: Fitted, sample: _MadeUp) ->
 
 def _check_onnx(name: str, fitted: Fitted, sample: _MadeUp) -> None:
     """The ONNX model, which is what senses: its names and shapes, and the same estimates."""
-    try:
+    with plugin_calls(f"model {name}: to_onnx gave no model that runs ({ERROR})", ()):
         model: Any = fitted.to_onnx()
         onnx.checker.check_model(model)
         session = onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
-    except Exception as e:
-        raise PluginError(f"model {name}: to_onnx gave no model that runs ({type(e).__name__}: {e})") from e
     inputs = {one.name: one.shape[1:] for one in session.get_inputs()}
     outputs = {one.name: one.shape[1:] for one in session.get_outputs()}
     expected = {"image": list(sample.images.shape[1:])}, {"value": [len(sample.names)]}

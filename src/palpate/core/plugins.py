@@ -61,8 +61,8 @@ class PluginRegistry:
         claims = {point.value for point in installed(self.group) if point.name == name}
         if wrong := sorted(value for value in claims if not PATH.fullmatch(value)):
             raise PluginError(
-                f"{self.kind} {name!r} of an installed package stands for {wrong[0]!r}; an entry point must be "
-                "module:Name"
+                f"{self.kind} {name!r} of an installed package stands for {wrong[0]!r}; an entry point must "
+                "be module:Name"
             )
         own = self.built_in.get(name, "")
         paths = [own] * bool(own) + sorted(claims - {own})

@@ -15,7 +15,7 @@ import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
 from palpate.core import PluginError, SplitError
-from palpate.core.plugins import OWN, PATH, PluginRegistry
+from palpate.core.plugins import ERROR, OWN, PATH, PluginRegistry, plugin_calls
 from palpate.recordings.label_tables import rows_text
 
 # Coarsest first: a split by an earlier one also holds apart everything that a later one would.
@@ -158,20 +158,45 @@ def _plugged_in(table: pd.DataFrame, spec: str, folds: int, seed: int) -> Split:
 
 
 def _split_by(function: Any, table: pd.DataFrame, spec: str, folds: int, seed: int) -> Split:
-    try:
+    with plugin_calls(f"split {spec} failed on {len(table)} rows ({ERROR})", ()):
         answer = function(table.copy(), folds=folds, seed=seed)
-    except Exception as e:  # somebody else's function may raise anything
-        raise PluginError(f"split {spec} failed on {len(table)} rows ({type(e).__name__}: {e})") from e
-    if isinstance(answer, Split):
-        return replace(answer, kind=spec)
-    groups = np.asarray(answer)
-    if groups.shape != (len(table),):
-        raise PluginError(
-            f"split {spec} gave {type(answer).__name__} of shape {list(groups.shape)} for {len(table)} rows; "
-            f"it gives the label of each row's group, [{len(table)}], or a Split"
-        )
-    groups = groups.astype(str)
+    must = f"the label of each row's group, [{len(table)}], all of one kind, or a Split"
+    with plugin_calls(f"split {spec} must give {must} ({ERROR})"):  # of ragged lists, or labels without order
+        if isinstance(answer, Split):
+            return _normalised(answer, spec, len(table))
+        groups = _labels(answer, spec, len(table)).astype(str)
     return Split(spec, (), groups, _parts(groups, spec, folds, np.random.default_rng(seed)), f"by {spec}")
+
+
+def _normalised(answer: Split, spec: str, rows: int) -> Split:
+    """A plug-in's `Split`, its fields of the kinds that they shall be."""
+    folds = answer.folds if isinstance(answer.folds, tuple | list) else ()
+    parts = tuple(np.asarray(fold) for fold in folds if np.ndim(fold) == 1)
+    if not folds or len(parts) < len(folds) or any(part.dtype.kind not in "iu" for part in parts):
+        raise PluginError(f"split {spec}: its folds are a tuple of arrays of whole row numbers, one a fold")
+    columns = answer.group_columns
+    if not (isinstance(columns, tuple) and all(isinstance(one, str) for one in (*columns, answer.reason))):
+        raise PluginError(
+            f"split {spec}: its group_columns are a tuple of texts, not {columns!r}, and its reason a text, "
+            f"not {answer.reason!r}"
+        )
+    groups = None if answer.groups is None else _labels(answer.groups, spec, rows)
+    np.unique([] if groups is None else groups)  # raises where the groups cannot be told apart
+    return replace(answer, kind=spec, folds=parts, groups=groups)
+
+
+def _labels(answer: Any, spec: str, rows: int) -> np.ndarray:
+    """A label of each row's group ``[n]``, none of them missing."""
+    labels = np.asarray(answer)
+    if labels.shape != (rows,):
+        raise PluginError(
+            f"split {spec} gave {type(answer).__name__} of shape {list(labels.shape)} for {rows} rows; "
+            f"it gives the label of each row's group, [{rows}], or a Split"
+        )
+    missing = np.flatnonzero(pd.isna(np.array([*answer], object)))
+    if len(missing):
+        raise PluginError(f"split {spec} gave no label in {rows_text(missing)}; it gives one for each row")
+    return labels
 
 
 def check_split(parts: Split, rows: int) -> None:
@@ -248,9 +273,11 @@ def _fold_of_group(sizes: np.ndarray, folds: int, spec: str, rng: np.random.Gene
     """Give each group a fold, the largest group first, each to the fold with the fewest rows so far."""
     _check_folds(folds)
     if len(sizes) < folds:
+        kind, _, columns = spec.partition(":")
+        instead = f", or for 'leave-one-out:{columns}'" if kind == "group" else ""
         raise SplitError(
             f"split {spec!r}: {len(sizes)} groups cannot fill {folds} folds; "
-            f"ask for at most {len(sizes)} folds, or for {spec.replace('group', 'leave-one-out', 1)!r}"
+            f"ask for at most {len(sizes)} folds{instead}"
         )
     shuffled = rng.permutation(len(sizes))
     fold_of, rows = np.empty(len(sizes), dtype=np.int64), np.zeros(folds, dtype=np.int64)

@@ -294,8 +294,8 @@ def _check_same_seed(run: Run, rig: Rig) -> None:
     begun = run.manifest.seed
     if None not in (begun, rig.seed) and begun != rig.seed:
         raise RecordingError(
-            f"{run.path} was begun with seed {begun}, and this rig has seed {rig.seed}; give that one, or name "
-            "a new run"
+            f"{run.path} was begun with seed {begun}, and this rig has seed {rig.seed}; give seed {begun}, "
+            "or name a new run"
         )
 
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
+import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass
-from typing import Any
+from contextlib import suppress
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from typing import Any, get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
 
 from palpate.core import InputError, MissingExtraError, PluginError
-from palpate.core.plugins import PluginRegistry, import_path
+from palpate.core.plugins import ERROR, PluginRegistry, import_path, plugin_calls
 from palpate.core.sensor import MODELS_OF_SENSORS
 from palpate.estimators.networks.model_interface import Fitted, Model, Progress, TrainingData, silent
 
@@ -109,8 +114,9 @@ def make_model(name: str, options: Mapping[str, Any]) -> Model:
     """A model by name, or of a user's by ``module:Class``, with some of its fields set.
 
     Raises:
-        InputError: no such model, or no such option; the message lists those there are.
-        PluginError: it is a plug-in that does not import, or is no model.
+        InputError: no such model, or no such option; the message lists those there are. Or an option is
+            missing or not of its field's type, which the message tells.
+        PluginError: it is a plug-in that does not import, or is no model, or cannot be made.
         MissingExtraError: the model needs a package that is not installed.
     """
     path = REGISTRY.path_of(name)
@@ -123,14 +129,42 @@ def make_model(name: str, options: Mapping[str, Any]) -> Model:
                 "'palpate[train]'"
             ) from e
         raise
-    names = [f.name for f in fields(make)]
+    _check_options(name, make, options)
+    with plugin_calls(f"model {name} with options {dict(options)} cannot be made ({ERROR})"):
+        model: Model = make(**options)
+    return model
+
+
+def _check_options(name: str, make: type, options: Mapping[str, Any]) -> None:
+    """Check options by a model's fields: all that it needs, none that it lacks, each of its type."""
+    settable = [f for f in fields(make) if f.init]
+    names = [f.name for f in settable]
     unknown = sorted(set(options) - set(names))
     if unknown:
         raise InputError(
             f"model {name} has no option {', '.join(unknown)}; it has {', '.join(names) or 'none'}"
         )
-    model: Model = make(**options)
-    return model
+    needed = [f.name for f in settable if f.default is MISSING and f.default_factory is MISSING]
+    if missing := [field for field in needed if field not in options]:
+        raise InputError(f"model {name} needs the option {', '.join(missing)}; it has no default")
+    hints: dict[str, Any] = {}
+    with suppress(Exception):  # types that a plug-in names and does not import, say nothing
+        hints = get_type_hints(make)
+    for option in set(options) & set(hints):
+        if not _is_of(hints[option], options[option]):
+            kind = inspect.formatannotation(hints[option])
+            raise InputError(f"model {name}: its option {option} is {options[option]!r}; give {kind}")
+
+
+def _is_of(kind: Any, value: Any) -> bool:
+    """Whether a value is of a type, as JSON tells it; True where either is none that JSON knows."""
+    try:
+        TypeAdapter(kind).validate_json(json.dumps(value), strict=True)
+    except ValidationError:
+        return False
+    except Exception:  # of a type without a schema, or a value such as a function
+        return True
+    return True
 
 
 def settings_of(name: str, options: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from scipy.linalg import eigh
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GroupKFold
 
-from palpate.core import Float, Float32, Indices, Tensor, Values
+from palpate.core import Float, Float32, Indices, InputError, Tensor, Values
 from palpate.estimators.networks.model_interface import Progress, Scaler, TrainingData, silent
 from palpate.estimators.networks.onnx_graph import OnnxGraph
 
@@ -98,6 +98,13 @@ class PcaRidge:
     components: int = 300
     basis_frames: int = 2000
     penalties: tuple[float, ...] = tuple(float(p) for p in np.logspace(-4, 4, 17))
+
+    def __post_init__(self) -> None:
+        if self.components < 1 or self.basis_frames < 2 or not min(self.penalties, default=0) > 0:
+            raise InputError(
+                f"pca-ridge: components is {self.components}, basis_frames {self.basis_frames}; components "
+                "are 1 or more, basis_frames 2 or more, and penalties one or more, each above 0"
+            )
 
     def fit(
         self,

@@ -9,7 +9,7 @@ import numpy as np
 import onnx
 from sklearn.neural_network import MLPRegressor
 
-from palpate.core import Float, Indices, Tensor, Values
+from palpate.core import Float, Indices, InputError, Tensor, Values
 from palpate.estimators.networks.model_interface import Progress, Scaler, TrainingData, scaled_errors, silent
 from palpate.estimators.networks.onnx_graph import OnnxGraph
 
@@ -73,6 +73,14 @@ class PixelMlp:
     batch: int = 64
     learning_rate: float = 5e-4
     penalty: float = 1e-2
+
+    def __post_init__(self) -> None:
+        whole = (self.epochs, self.patience, self.batch, *self.hidden)
+        if min(whole) < 1 or not (0 < self.watched < 1 and self.learning_rate > 0 and self.penalty >= 0):
+            raise InputError(
+                f"{self}: epochs, patience, batch and each of hidden are 1 or more, watched between 0 and 1, "
+                "the learning rate positive, the penalty 0 or more"
+            )
 
     def fit(
         self,
