@@ -232,7 +232,7 @@ def plugin(tmp_path, monkeypatch) -> str:
 
 @dataclass(frozen=True)
 class Needy(Level):
-    """A setting without a default, one that is worked out, and one that is checked without palpate's errors."""
+    """One setting without a default, one that is worked out, one that is checked without palpate's errors."""
 
     gain: float = field(kw_only=True)
     worked_out: float = field(init=False, default=1.0)
@@ -285,7 +285,7 @@ class FailsOnMore(Level):
 def test_a_model_that_fails_on_the_real_rows_is_named_with_its_fold(record_spots, tmp_path) -> None:
     plan = CalibrationPlan(("x_mm",), model=FailsOnMore)
     with pytest.raises(
-        PluginError, match="FailsOnMore: fit failed on fold 1 of 5.*RuntimeError: out of memo"
+        PluginError, match=r"FailsOnMore: fit failed on fold 1 of 5.*RuntimeError: out of memo"
     ):
         calibrate(record_spots("run", 10), plan, tmp_path / "cal")
 

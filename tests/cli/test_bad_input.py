@@ -14,6 +14,8 @@ from typer.testing import CliRunner
 
 from palpate import CalibrationPlan, Manifest, calibrate
 from palpate.cli import app
+from palpate.core import ImageError
+from palpate.live.frame_sources import open_source
 from palpate.version import __version__, needed_version
 
 DEVICES = """
@@ -123,6 +125,16 @@ def refusal(*words: object) -> str:
     assert result.stderr.count("\n") == 1
     assert not result.stdout
     return result.stderr
+
+
+def test_a_plug_in_that_ends_the_process_is_told_and_no_success(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("palpate.rig.rig_file.open_rig", lambda *args, **seed: sys.exit(0))
+    assert "a plug-in ended it: SystemExit: 0, from " in refusal("record", "--out", "nowhere")
+
+
+def test_a_path_that_is_not_there_is_told_as_one_for_runs_and_images(tmp_path: Path) -> None:
+    with pytest.raises(ImageError, match="is not there; give an image, a folder of images or a run"):
+        open_source(tmp_path / "run")
 
 
 OWN = {"stage": "their_devices:Stage", "force": "their_devices:Force", "camera": "their_devices:Camera"}

@@ -278,7 +278,7 @@ def test_a_device_that_leaves_python_when_closed_is_told_and_the_others_are_clos
     path.write_text(FILE)
     rig = open_rig(str(path))
     rig.force.close = lambda: sys.exit(0)  # type: ignore[method-assign]
-    with pytest.raises(PluginError, match="did not close .SystemExit: 0, from .*test_device_plugins"):
+    with pytest.raises(PluginError, match=r"did not close .SystemExit: 0, from .*test_device_plugins"):
         rig.close()
     assert rig.camera.closed  # type: ignore[attr-defined]
 

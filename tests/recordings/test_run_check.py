@@ -13,6 +13,7 @@ from palpate.core import ManualClock, RecordingError
 from palpate.recordings import check
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.run_writer import RunWriter
+from palpate.reports.terminal_text import check_text
 
 SECOND = 1_000_000_000
 LABELS = {"depth_mm": "number", "press": "number", "object": "text", "touching": "flag"}
@@ -69,6 +70,16 @@ def test_a_damaged_run_is_reported_as_not_sound_and_as_far_as_it_can_be_read(tmp
     assert (report.frames, report.sound) == (4, False)
     assert [found.file for found in report.damage] == ["0000-frames.mcap"]
     assert json.loads(json.dumps(report.to_dict()))["damage"][0]["file"] == "0000-frames.mcap"
+
+
+def test_a_recording_that_was_cut_short_is_told_to_go_on_or_to_be_repaired(tmp_path: Path) -> None:
+    record(tmp_path / "run", Manifest.new(sensor="s", labels=LABELS))
+    file = tmp_path / "run/0000-frames.mcap"
+    os.truncate(file, file.stat().st_size - 1)
+    os.truncate(file, check(tmp_path / "run").damage[0].at_byte)  # where the index begins
+    assert check_text(check(tmp_path / "run")).endswith(
+        "into a new run, and the command that recorded it goes on in this one"
+    )
 
 
 def test_a_run_with_nothing_in_it_is_sound(tmp_path: Path) -> None:

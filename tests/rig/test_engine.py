@@ -43,6 +43,11 @@ def test_a_run_is_sound_and_says_what_it_is(whole: Run) -> None:
     assert fields_of(whole, "plan")[0]["hash"] == plan().hash
 
 
+def test_a_run_is_not_gone_on_with_under_another_seed(whole: Run) -> None:
+    with pytest.raises(RecordingError, match=r"begun with seed 5, and this rig has seed 6; give seed 5"):
+        record(rig(variation=Variation(), seed=6), plan(), whole.path)
+
+
 def test_force_in_a_label_is_the_truth_within_the_sensors_noise(whole: Run) -> None:
     labels = whole.labels
     error = labels["force_N"] - labels["true_force_N"]

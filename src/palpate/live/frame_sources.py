@@ -85,9 +85,11 @@ def open_source(path: PathText) -> FrameStream:
 
     Raises:
         InputError: there is nothing to sense there.
-        ImageError: it is one image, and cannot be read.
+        ImageError: it is one image, and cannot be read; or nothing is there.
     """
     path = Path(path)
+    if not path.exists():
+        raise ImageError(f"{path} is not there; give an image, a folder of images or a run")
     if (path / MANIFEST).is_file():
         from palpate.recordings.run_reader import Run  # loads tables, which no image needs
 
