@@ -78,7 +78,7 @@ def check_text(report: CheckReport) -> str:
         lines.append(f"{report.duplicated_frames} frames equal the one before: a frozen camera?")
     lines += [f"damage: {d.file} at byte {d.at_byte}: {d.what}" for d in report.damage]
     remedy = "damaged: `palpate repair` copies what can be read into a new run"
-    if any("interrupted" in d.what for d in report.damage):
+    if any("cut" in d.what for d in report.damage):
         remedy += ", and the command that recorded it goes on in this one"
     lines.append("sound" if report.sound else remedy)
     return "\n".join(lines)

@@ -251,9 +251,9 @@ def stopping_elsewhere(walker: Walker) -> Part:
 
 def _call_elsewhere(
     call: Callable[[], object], meanwhile: Callable[[], object]
-) -> tuple[bool, Exception | None]:
+) -> tuple[bool, BaseException | None]:
     """Call in another thread; returns whether it came back, and what it raised."""
-    errors: list[Exception] = []
+    errors: list[BaseException] = []
 
     def run() -> None:
         error = refusal(call)
