@@ -13,7 +13,7 @@ import onnxruntime
 
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.certificate import AGREEMENT
-from palpate.core import Indices, InputError, PalpateError, PluginError, Tensor, Values
+from palpate.core import Indices, InputError, PluginError, Tensor, Values
 from palpate.core.plugins import ERROR, plugin_calls
 from palpate.estimators.networks import MODELS, make_model, model_kind, settings_of
 from palpate.estimators.networks.model_interface import Fitted, TrainingData
