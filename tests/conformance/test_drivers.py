@@ -6,6 +6,7 @@ import random
 import sys
 
 import pytest
+from tests.rig.serial_terminal import FakeTerminal
 
 from palpate.core import MonotonicClock
 from palpate.devices.check.camera_check import check_camera
@@ -15,7 +16,6 @@ from palpate.devices.check.stage_check import check_stage
 from palpate.rig.fakes.grbl_firmware import GrblFirmware
 from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.fakes.netft_box import FakeNetFT
-from palpate.rig.fakes.serial_terminal import FakeTerminal
 from palpate.rig.fakes.video_capture import FakeVideoCapture
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec

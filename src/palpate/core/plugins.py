@@ -40,7 +40,7 @@ class PluginRegistry:
 
     kind: str
     group: str
-    built_in: Mapping[str, str]
+    built_in: Mapping[Any, Any]  # of text to text; a check of its items would import what lists them
     faults: Callable[[Any], Sequence[str]] = lambda thing: ()
 
     def names(self) -> tuple[str, ...]:
@@ -176,7 +176,7 @@ ERROR = "{error}"
 def plugin_calls(
     message: str, passed: type[Exception] | tuple[type[Exception], ...] = PalpateError
 ) -> Iterator[None]:
-    """Turn whatever a plug-in's code raises, `sys.exit` too, into an error that names it.
+    """Turn whatever a plug-in's code raises, sys.exit too, into an error that names it.
 
     Args:
         message: what was called, with `ERROR` where the error is told.
@@ -194,7 +194,7 @@ def plugin_calls(
 
 
 def told(error: BaseException) -> str:
-    """An error's kind and text; of `sys.exit`, which has no text, also who called it."""
+    """An error's kind and text; of sys.exit, which has no text, also who called it."""
     text, trace = f"{type(error).__name__}: {error}", error.__traceback__
     while isinstance(error, SystemExit) and trace is not None and trace.tb_next is not None:
         trace = trace.tb_next

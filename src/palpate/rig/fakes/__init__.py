@@ -1,3 +1,3 @@
-"""Devices that speak the real protocols over real sockets and terminals, and fail on request."""
+"""Devices that speak the real protocols over real sockets and wires, and fail on request."""
 
 __all__: list[str] = []

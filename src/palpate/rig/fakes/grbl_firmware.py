@@ -1,6 +1,6 @@
 """A fake GRBL controller: bytes and time in, bytes and motion out. It fails as it is told to.
 
-Made from observed behaviour of Grbl 1.1h and grblHAL 1.1f, not from their code. `FakeTerminal` puts it on a
+Made from observed behaviour of Grbl 1.1h and grblHAL 1.1f, not from their code. The tests put it on a
 pseudo-terminal. Simplified: every move starts and ends at a stand, and all axes share one acceleration.
 """
 
