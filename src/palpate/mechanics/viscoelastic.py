@@ -370,19 +370,6 @@ def press(
     return Indentation(time_s, depth_m, force[samples], width[samples], float(np.trapezoid(force, d)))
 
 
-def creep_depth(
-    time_s: History, force_n: float, radius_m: float, skin: Prony, poisson_ratio: float
-) -> History:
-    """Depth (F J(t) / K)^(2/3) [m] at times t >= 0 after a force was put on and held."""
-    if not (force_n >= 0.0 and math.isfinite(force_n)):
-        raise RangeError(f"force {force_n} N is not 0 or more; without adhesion a contact only pushes")
-    contact_radius(0.0, radius_m)
-    K = 4.0 / 3.0 * math.sqrt(radius_m) * reduced_modulus(1.0, poisson_ratio)
-    depth_m = np.cbrt(force_n / K * skin.compliance(time_s)) ** 2
-    contact_radius(float(np.max(depth_m)), radius_m)
-    return np.asarray(depth_m)
-
-
 def _check(time_s: History, depth_m: History, radius_m: float) -> None:
     _steps(time_s, depth_m)
     if depth_m[0] > 0.0:
