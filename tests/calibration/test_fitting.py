@@ -327,9 +327,7 @@ def test_the_fold_that_stands_for_all_is_the_one_most_like_all() -> None:
 
 def test_the_plan_s_name_of_before_still_works_and_says_the_new_one() -> None:
     import palpate
-    import palpate.calibration
 
-    for module in (palpate, palpate.calibration):
-        with pytest.warns(DeprecationWarning, match="CalibrationPlan"):
-            assert module.Plan is CalibrationPlan
+    with pytest.warns(DeprecationWarning, match="CalibrationPlan"):
+        assert palpate.Plan is CalibrationPlan
     assert "Plan" not in palpate.__all__
