@@ -18,9 +18,7 @@ import cv2
 import numpy as np
 
 from palpate.core import ManualClock
-from palpate.recordings.manifest import Manifest
-from palpate.recordings.run_reader import Run
-from palpate.recordings.run_writer import RunWriter
+from palpate.recordings import Manifest, Run, RunWriter
 
 HEIGHT, WIDTH = 480, 640
 Reader = Callable[[int], np.ndarray]

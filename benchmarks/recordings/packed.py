@@ -14,11 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from palpate.core import ManualClock
-from palpate.recordings.manifest import Manifest
-from palpate.recordings.packed_set import PackedSet, pack
+from palpate.recordings import Manifest, PackedSet, Run, RunWriter, pack
 from palpate.recordings.preparation import Preparation
-from palpate.recordings.run_reader import Run
-from palpate.recordings.run_writer import RunWriter
 
 FRAMES, SIDE_PX, READS, BATCH, ROUNDS = 4000, 128, 4000, 32, 15
 

@@ -13,8 +13,7 @@ from palpate.core import ExistsError, InputError, LabelError, SplitError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.networks.model_interface import refuse_unfit
 from palpate.estimators.networks.pca_ridge import MeanBaseline
-from palpate.recordings import Split, split
-from palpate.recordings.packed_set import pack
+from palpate.recordings import Split, pack, split
 from palpate.recordings.preparation import Preparation
 from palpate.recordings.table_files import read_table
 

@@ -15,13 +15,9 @@ import pytest
 from palpate.calibration import leakage
 from palpate.calibration.leakage import LeakageAudit, audit
 from palpate.core import ManualClock
+from palpate.recordings import Manifest, PackedSet, Run, RunWriter, pack, split
 from palpate.recordings.label_tables import label_kinds
-from palpate.recordings.manifest import Manifest
-from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.preparation import Preparation
-from palpate.recordings.run_reader import Run
-from palpate.recordings.run_writer import RunWriter
-from palpate.recordings.splits import split
 
 SIDE = 64
 

@@ -20,10 +20,9 @@ from typer.testing import CliRunner
 from palpate import core
 from palpate.calibration import CalibrationPlan, calibrate, check_model
 from palpate.cli import app
-from palpate.core import InputError, PluginError, SplitError
+from palpate.core import InputError, PluginError, SplitError, silent
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.networks import REGISTRY as MODEL_NAMES, Kind
-from palpate.estimators.networks.model_interface import silent
 from palpate.estimators.networks.onnx_graph import image_to_value
 from palpate.recordings import Split, split
 from palpate.recordings.table_files import read_table

@@ -14,8 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from palpate.cli import app
-from palpate.recordings import check
-from palpate.recordings.run_reader import Run
+from palpate.recordings import Run, check
 from palpate.sensors.tactip.tactip_sensor import TacTip
 
 TOML = """

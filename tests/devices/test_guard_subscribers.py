@@ -12,11 +12,8 @@ from tests.rig.rigs import rig
 from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.core.device_protocols import ForceSensor, Position, Stage, Travel, Wrench
 from palpate.core.errors import StorageError
-from palpate.devices.force_bias import ForceBias
-from palpate.devices.motion_guard import MotionGuard, Subscribers
-from palpate.devices.motion_limits import Limits, Reason, Tripped
-from palpate.devices.operator_control import OperatorControl
-from palpate.recordings.run_reader import Run
+from palpate.devices import ForceBias, Limits, MotionGuard, OperatorControl, Reason, Subscribers, Tripped
+from palpate.recordings import Run
 from palpate.rig import State, Status, record
 from palpate.rig.plans import Listed, Ramp
 from palpate.rig.rig import Rig

@@ -10,10 +10,17 @@ import pytest
 
 from palpate.core import ManualClock
 from palpate.core.device_protocols import Position, Travel, Wrench
-from palpate.devices.force_bias import ForceBias
-from palpate.devices.motion_guard import RISE_N, MotionGuard
-from palpate.devices.motion_limits import Limits, Reason, Tripped
-from palpate.devices.operator_control import OperatorCommand, OperatorControl, OperatorInterrupt
+from palpate.devices import (
+    ForceBias,
+    Limits,
+    MotionGuard,
+    OperatorCommand,
+    OperatorControl,
+    OperatorInterrupt,
+    Reason,
+    Tripped,
+)
+from palpate.devices.motion_guard import RISE_N
 
 TRAVEL = Travel((-20e-3,) * 3, (20e-3,) * 3, 10e-3, 0.5, 0.002)
 LIMITS = Limits((-15e-3,) * 3, (15e-3,) * 3, force_n=5.0, force_rate_n_s=100.0, step_m=0.5e-3)

@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.recordings.manifest import Manifest
-from palpate.recordings.run_writer import RunWriter
+from palpate.recordings import Manifest, RunWriter
 
 
 def picture(number: int) -> np.ndarray:

@@ -10,11 +10,7 @@ import pytest
 from PIL import Image
 
 from palpate.core import ExistsError, LabelError, ManualClock, RecordingError
-from palpate.recordings import import_images
-from palpate.recordings.exchange.folder_export import export_folder
-from palpate.recordings.manifest import Manifest
-from palpate.recordings.run_reader import Run
-from palpate.recordings.run_writer import RunWriter
+from palpate.recordings import Manifest, Run, RunWriter, export_folder, import_images
 
 KINDS = {"depth_mm": "number", "batch": "text", "contact": "flag"}
 

@@ -12,8 +12,7 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.core import ExistsError, ImageError, InputError, LabelError, PalpateError, UnitError
-from palpate.recordings import ImportReport, import_images
-from palpate.recordings.run_reader import Run
+from palpate.recordings import ImportReport, Run, import_images
 
 
 def folder_of(

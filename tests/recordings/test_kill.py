@@ -11,9 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.recordings import repair
-from palpate.recordings.run_reader import Run
-from palpate.recordings.run_writer import RunWriter
+from palpate.recordings import Run, RunWriter, repair
 
 CHILD = Path(__file__).with_name("record_until_killed.py")
 SECOND = 1_000_000_000

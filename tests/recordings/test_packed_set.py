@@ -16,11 +16,8 @@ import pytest
 
 from palpate.core import ExistsError, InputError, ManualClock, RecordingError, StorageError
 from palpate.core.files import sha256_of
-from palpate.recordings import PackedSet, pack
-from palpate.recordings.manifest import Manifest
+from palpate.recordings import Manifest, PackedSet, Run, RunWriter, pack
 from palpate.recordings.preparation import Preparation
-from palpate.recordings.run_reader import Run
-from palpate.recordings.run_writer import RunWriter
 
 KINDS = {"depth_mm": "number", "image_file": "text", "row": "number"}
 SMALL = Preparation(crop_px=(2, 1, 12, 10), size_px=(5, 6), channels=1)

@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 
 from palpate.core import ExistsError, ManualClock, RecordingError
-from palpate.recordings import repair
-from palpate.recordings.manifest import Manifest
-from palpate.recordings.run_reader import Run
-from palpate.recordings.run_writer import RunWriter
+from palpate.recordings import Manifest, Run, RunWriter, repair
 
 SECOND = 1_000_000_000
 

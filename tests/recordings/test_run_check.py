@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 from palpate.core import ManualClock, RecordingError
-from palpate.recordings import check
-from palpate.recordings.manifest import Manifest
-from palpate.recordings.run_writer import RunWriter
+from palpate.recordings import Manifest, RunWriter, check
 from palpate.reports.terminal_text import check_text
 
 SECOND = 1_000_000_000

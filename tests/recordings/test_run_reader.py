@@ -17,11 +17,8 @@ from hypothesis import given, settings, strategies as st
 from mcap.writer import MCAP0_MAGIC
 
 from palpate.core import ImageError, ManualClock, PalpateError, RangeError, RecordingError
-from palpate.recordings import check, message_schema
+from palpate.recordings import Manifest, Run, RunWriter, check, message_schema
 from palpate.recordings.exchange import image_files
-from palpate.recordings.manifest import Manifest
-from palpate.recordings.run_reader import Run
-from palpate.recordings.run_writer import RunWriter
 from palpate.recordings.segment_reader import scan
 
 SECOND = 1_000_000_000

@@ -26,11 +26,8 @@ from palpate.core import (
     RecordingError,
     StorageError,
 )
-from palpate.recordings import check
+from palpate.recordings import Manifest, Run, RunWriter, check
 from palpate.recordings.exchange import image_files
-from palpate.recordings.manifest import Manifest
-from palpate.recordings.run_reader import Run
-from palpate.recordings.run_writer import RunWriter
 
 SECOND = 1_000_000_000
 

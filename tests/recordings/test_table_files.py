@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike
 
 import palpate
 from palpate.core import InputError, MissingExtraError
-from palpate.recordings import table_files
-from palpate.recordings.label_tables import read_labels
+from palpate.recordings import read_labels, table_files
 from palpate.recordings.table_files import read_table, write_table
 
 NO_PYARROW = "needs pyarrow, which reads Parquet"

@@ -11,10 +11,8 @@ from tests.rig.rigs import CLOCK_NS, plan, rig
 
 from palpate.core.clock import ManualClock
 from palpate.core.frame import Frame
-from palpate.devices.motion_limits import Reason
-from palpate.devices.operator_control import OperatorCommand, OperatorControl
-from palpate.recordings.clock_offset import offset_between
-from palpate.recordings.run_reader import Run
+from palpate.devices import OperatorCommand, OperatorControl, Reason
+from palpate.recordings import Run, offset_between
 from palpate.rig import Outcome, State, Status, record
 from palpate.rig.clock_sync import CLOCKS, MAX_S, most_telling
 from palpate.rig.plans import Listed, Ramp

@@ -13,9 +13,8 @@ from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, plan, rig, wanted
 
 from palpate.core.clock import ManualClock
 from palpate.core.errors import RecordingError
-from palpate.devices.operator_control import OperatorCommand, OperatorControl
-from palpate.recordings import check
-from palpate.recordings.run_reader import Run
+from palpate.devices import OperatorCommand, OperatorControl
+from palpate.recordings import Run, check
 from palpate.rig import State, Status, done_in, record
 from palpate.rig.plans import Listed, Ramp
 from palpate.rig.run_progress import fields_of

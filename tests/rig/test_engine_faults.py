@@ -9,9 +9,8 @@ from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, plan, rig, wanted
 
 from palpate.core.clock import ManualClock
 from palpate.core.errors import StorageError
-from palpate.devices.motion_limits import Limits, Reason, Tripped
-from palpate.recordings import check
-from palpate.recordings.run_reader import Run
+from palpate.devices import Limits, Reason, Tripped
+from palpate.recordings import Run, check
 from palpate.rig import State, record
 from palpate.rig.plans import Grid, Listed, Ramp
 from palpate.rig.virtual import Fault, Variation

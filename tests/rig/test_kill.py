@@ -12,8 +12,7 @@ import pytest
 from tests.rig.rigs import rig
 
 from palpate.core.clock import NS_PER_S, ManualClock
-from palpate.recordings import check
-from palpate.recordings.run_reader import Run
+from palpate.recordings import Run, check
 from palpate.rig import State, record
 from palpate.rig.plans import Grid, StepHold
 

@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 from palpate.core import ProtocolError, RangeError
 from palpate.rig.real.netft.netft_stream import (
     MONITOR_WARNING,
-    Progress,
+    Advance,
     RdtCommand,
     RdtMeasurement,
     RdtRecord,
@@ -184,13 +184,13 @@ def test_every_record_is_accepted_duplicate_or_out_of_order_and_the_rest_of_the_
 def test_a_measurement_that_does_not_count_on_stands_still() -> None:
     measurement = RdtMeasurement()
     came = [measurement.progress(n) for n in (0xFFFFFFFF, 0, 0, 0, 70)]
-    assert came == [Progress.NEW, Progress.NEW, Progress.STALLED, Progress.STALLED, Progress.NEW]
+    assert came == [Advance.NEW, Progress.NEW, Progress.STALLED, Progress.STALLED, Progress.NEW]
 
 
 @pytest.mark.parametrize("last", [10_000, 3_000_000_000])  # the second restarts by a step that seems forward
 def test_a_second_record_confirms_a_restart_and_a_single_one_does_not(last: int) -> None:
     measurement = RdtMeasurement(last=last)
-    assert measurement.progress(1) is Progress.BACK
-    assert measurement.progress(last + 1) is Progress.NEW
-    assert measurement.progress(1) is Progress.BACK
-    assert measurement.progress(2) is Progress.RESTARTED
+    assert measurement.progress(1) is Advance.BACK
+    assert measurement.progress(last + 1) is Advance.NEW
+    assert measurement.progress(1) is Advance.BACK
+    assert measurement.progress(2) is Advance.RESTARTED

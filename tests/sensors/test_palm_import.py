@@ -14,8 +14,7 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.core import ExistsError, ImageError, InputError, LabelError, PalpateError
-from palpate.recordings.integrity import check
-from palpate.recordings.run_reader import Run
+from palpate.recordings import Run, check
 from palpate.sensors.palm.palm_import import import_palm
 
 HEADER = "t_s,indent_mm,phase,Fx,Fy,Fz,x_mm,y_mm,image_file\n"

@@ -15,7 +15,7 @@ import psutil
 import pytest
 
 from palpate.core.errors import DeviceError, InputError, MissingExtraError, RangeError
-from palpate.core.parallel import in_parallel
+from palpate.core.long_work import in_parallel
 from palpate.workflows.parameter_sweep import sweep
 
 HAS_DASK = importlib.util.find_spec("distributed") is not None
@@ -163,6 +163,6 @@ def test_a_job_that_fails_on_a_cluster_names_its_item(scheduler) -> None:
 
 @pytest.mark.skipif(not HAS_DASK, reason="the extra `cluster` is not installed")
 def test_an_address_where_no_scheduler_answers_is_refused(monkeypatch) -> None:
-    monkeypatch.setattr("palpate.core.parallel.ANSWERS_WITHIN", "1s")
+    monkeypatch.setattr("palpate.core.long_work.CONNECT_WITHIN", "1s")
     with pytest.raises(InputError, match="no Dask scheduler answers at tcp://127"):
         sweep(mean_of_noise, [1.0], scheduler="tcp://127.0.0.1:1")

@@ -32,19 +32,20 @@ from palpate.core import (
     InputError,
     LabelError,
     PathText,
+    Progress,
     Tensor,
     Values,
     refuse_existing,
+    silent,
     storage_errors,
 )
 from palpate.estimators.certified import Estimator, Intervals, checked_file, intervals_of
 from palpate.estimators.model_card import Card, SplitCard
-from palpate.estimators.networks.model_interface import Progress, refuse_unfit, silent
+from palpate.estimators.networks.model_interface import refuse_unfit
 from palpate.estimators.novelty import NoveltyDetector, RenderedImages, fit_novelty_detector
+from palpate.recordings import PackedSet, Run, Split, pack, split
 from palpate.recordings.label_tables import targets_from
-from palpate.recordings.packed_set import PackedSet, pack
-from palpate.recordings.run_reader import Run
-from palpate.recordings.splits import Split, group_names, split
+from palpate.recordings.splits import group_names
 
 TOGETHER = 12
 """Frames of the former calibration that are held out together: they lie in the order of its presses."""

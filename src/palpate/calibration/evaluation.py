@@ -10,12 +10,11 @@ import pandas as pd
 from palpate.calibration.calibration_plan import ReferenceRule
 from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.calibration.training_data import rows_matching
-from palpate.core import CertificateError, LabelError, Shaped, Values
+from palpate.core import CertificateError, LabelError, Progress, Shaped, Values, silent
 from palpate.estimators.certified import Estimator, Zero
 from palpate.estimators.model_card import Card, ScoreCard
-from palpate.estimators.networks.model_interface import Progress, silent
+from palpate.recordings import Run
 from palpate.recordings.label_tables import own_column, targets_from, with_own
-from palpate.recordings.run_reader import Run
 
 
 def score(

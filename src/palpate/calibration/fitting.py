@@ -34,22 +34,22 @@ from palpate.core import (
     InputError,
     PalpateError,
     PathText,
+    Progress,
     Values,
     new_file,
     refuse_existing,
     sha256_of,
+    silent,
     storage_errors,
 )
 from palpate.core.plugins import ERROR, plugin_calls
 from palpate.estimators.networks import MODELS, make_model, model_kind
 from palpate.estimators.networks.distributed import ProcessGroup
-from palpate.estimators.networks.model_interface import Fitted, Progress, predict_rows, refuse_unfit, silent
+from palpate.estimators.networks.model_interface import Fitted, predict_rows, refuse_unfit
 from palpate.estimators.novelty import LearnsFromRendered, NoveltyDetector, fit_novelty_detector
+from palpate.recordings import PackedSet, Run, Split, pack, split
 from palpate.recordings.label_tables import refuse_reserved, targets_from
-from palpate.recordings.packed_set import PackedSet, pack
 from palpate.recordings.preparation import Preparation
-from palpate.recordings.run_reader import Run
-from palpate.recordings.splits import Split, split
 from palpate.version import __version__
 
 

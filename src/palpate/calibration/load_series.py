@@ -17,6 +17,7 @@ from palpate.core import (
     ImageError,
     InputError,
     LabelError,
+    Progress,
     UInt8,
     Unit,
     UnitError,
@@ -26,9 +27,8 @@ from palpate.core import (
     unit,
 )
 from palpate.estimators.fringe_order import check_loads
-from palpate.estimators.networks.model_interface import Progress
-from palpate.recordings.exchange.image_files import read_image
-from palpate.recordings.label_tables import FIRST_ROW, read_labels, rows_text
+from palpate.recordings import read_image, read_labels
+from palpate.recordings.label_tables import FIRST_ROW, rows_text
 
 Tone = Literal["srgb", "linear"]
 Region = tuple[int, int, int, int]

@@ -44,17 +44,18 @@ from palpate.core import (
     Indices,
     InputError,
     PathText,
+    Progress,
     Tensor,
     Values,
     new_folder,
     refuse_existing,
+    silent,
 )
 from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
 from palpate.estimators.model_card import Card, TargetCard, sealed
-from palpate.estimators.networks.model_interface import Progress, TrainingData, silent
+from palpate.estimators.networks.model_interface import TrainingData
+from palpate.recordings import PackedSet, Run, pack
 from palpate.recordings.label_tables import own_column
-from palpate.recordings.packed_set import PackedSet, pack
-from palpate.recordings.run_reader import Run
 from palpate.recordings.table_files import write_table
 
 ROUNDED = ("Conv", "Relu", "Add")

@@ -20,10 +20,9 @@ from typing import Any
 import numpy as np
 
 from palpate.calibration.load_series import Series, Tone, read_series
-from palpate.core import Float, RangeError, ndarray, sha256_of_all
+from palpate.core import Float, Progress, RangeError, ndarray, sha256_of_all, silent
 from palpate.estimators.fringe_light import Polariscope
 from palpate.estimators.fringe_order import OrderFit, fit_orders
-from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.version import __version__
 
 

@@ -11,10 +11,8 @@ from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.core import Bool, Float32, Indices, InputError, Int, LabelError, Shaped, Tensor
 from palpate.estimators.networks.model_interface import TrainingData
 from palpate.estimators.novelty import thumbnails
+from palpate.recordings import Manifest, PackedSet, Split
 from palpate.recordings.label_tables import targets_from
-from palpate.recordings.manifest import Manifest
-from palpate.recordings.packed_set import PackedSet
-from palpate.recordings.splits import Split
 
 Box = tuple[int, int, int, int]
 

@@ -46,6 +46,7 @@ from palpate.core.files import (
     sync,
 )
 from palpate.core.frame import Frame
+from palpate.core.long_work import Progress, ProgressCount, in_parallel, silent
 from palpate.core.outline import Outline
 from palpate.core.reading import (
     AlignedBox,
@@ -69,7 +70,10 @@ from palpate.core.sensor import (
     ImageAxes,
     Seating,
     Sensor,
+    force_law,
     is_rigid,
+    own_plans_of,
+    untouched,
 )
 from palpate.core.shapes import (
     Bool,
@@ -150,6 +154,8 @@ __all__ = [
     "Position",
     "PressHistory",
     "Probe",
+    "Progress",
+    "ProgressCount",
     "ProtocolError",
     "RangeError",
     "Reading",
@@ -173,18 +179,23 @@ __all__ = [
     "Values",
     "VectorReading",
     "Wrench",
+    "force_law",
     "has_unit",
+    "in_parallel",
     "is_hidden",
     "is_rigid",
     "lock",
     "ndarray",
     "new_file",
     "new_folder",
+    "own_plans_of",
     "refuse_existing",
     "sha256_of",
     "sha256_of_all",
+    "silent",
     "split_column",
     "storage_errors",
     "sync",
     "unit",
+    "untouched",
 ]

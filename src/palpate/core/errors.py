@@ -1,7 +1,5 @@
 """One tree of errors. A message says what was asked, what is allowed, the unit and what to do."""
 
-from __future__ import annotations
-
 
 class PalpateError(Exception):
     """Root of everything palpate raises on purpose."""

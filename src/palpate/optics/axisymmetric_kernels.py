@@ -5,8 +5,6 @@ interval in which each of many equal steps begins. A ray that stays in the skin 
 takes a short loop; one that may cross the surface takes a careful one.
 """
 
-from __future__ import annotations
-
 import math
 from typing import no_type_check
 

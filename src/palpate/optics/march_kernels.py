@@ -9,8 +9,6 @@ precision.
 Kernels release the interpreter's lock and take a range of rays, so that plain threads share one image.
 """
 
-from __future__ import annotations
-
 import math
 from typing import no_type_check
 

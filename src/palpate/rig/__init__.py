@@ -1,9 +1,7 @@
 """Motion, measurement and recording: plans, guards, drivers of real devices and their virtual twin."""
 
 from palpate.core import FrameSource
-from palpate.devices.force_bias import Mounting
-from palpate.devices.motion_limits import Limits, Reason, Tripped
-from palpate.devices.operator_control import OperatorCommand, OperatorControl
+from palpate.devices import Limits, Mounting, OperatorCommand, OperatorControl, Reason, Tripped
 from palpate.rig.engine import record
 from palpate.rig.plans import PLANS, plan_of, plan_of_sensor, size_of
 from palpate.rig.rig import Rig

@@ -9,9 +9,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from palpate.core import NS_PER_S, DeviceError, Frame, FrameSource, Wrench
-from palpate.devices.force_bias import Force, ForceBias
-from palpate.devices.motion_guard import MotionGuard
-from palpate.devices.motion_limits import Reason, Tripped
+from palpate.devices import ForceBias, MotionGuard, Reason, Tripped
+from palpate.devices.force_bias import Force
 from palpate.recordings.label_tables import Label
 from palpate.recordings.manifest import LabelKind
 from palpate.rig.plans.recording_plan import Burst, PlannedPress, Shot, Sweep

@@ -15,10 +15,8 @@ from itertools import islice
 import numpy as np
 
 from palpate.core import NS_PER_S, Float, Frame, InputError, RangeError, UInt8, Wrench, ndarray
-from palpate.devices.force_bias import ForceBias
-from palpate.devices.motion_guard import MotionGuard
-from palpate.devices.motion_limits import Reason, Tripped
-from palpate.recordings.clock_offset import Offset, offset_between
+from palpate.devices import ForceBias, MotionGuard, Reason, Tripped
+from palpate.recordings import Offset, offset_between
 from palpate.rig.acquisition import STARVED_S, check_size, drained
 from palpate.rig.plans.recording_plan import RecordingPlan
 from palpate.rig.rig import Rig

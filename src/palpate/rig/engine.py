@@ -16,14 +16,16 @@ from typing import assert_never
 
 from palpate.core import DeviceError, PalpateError, PathText, RecordingError, StorageError
 from palpate.core.plugins import ERROR, plugin_calls
-from palpate.devices.force_bias import ForceBias
-from palpate.devices.motion_guard import MotionGuard
-from palpate.devices.motion_limits import Reason, Tripped
-from palpate.devices.operator_control import OperatorCommand, OperatorControl, OperatorInterrupt
-from palpate.recordings.clock_offset import Offset
-from palpate.recordings.manifest import Manifest
-from palpate.recordings.run_reader import Run
-from palpate.recordings.run_writer import RunWriter
+from palpate.devices import (
+    ForceBias,
+    MotionGuard,
+    OperatorCommand,
+    OperatorControl,
+    OperatorInterrupt,
+    Reason,
+    Tripped,
+)
+from palpate.recordings import Manifest, Offset, Run, RunWriter
 from palpate.rig.acquisition import LABELS, Acquisition
 from palpate.rig.clock_sync import ClockSync
 from palpate.rig.plans.recording_plan import (

@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from palpate.core import InputError, Position
-from palpate.core.sensor import own_plans_of
-from palpate.devices.force_bias import ForceBias
-from palpate.devices.motion_guard import MotionGuard
-from palpate.devices.motion_limits import Reason, Tripped
+from palpate.core import InputError, Position, own_plans_of
+from palpate.devices import ForceBias, MotionGuard, Reason, Tripped
 from palpate.rig.plans.recording_plan import PlannedPress, RecordingPlan
 from palpate.rig.rig import Rig
 from palpate.rig.run_progress import ZERO, Recorder

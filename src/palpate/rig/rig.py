@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 from palpate.core import Clock, ForceSensor, FrameSource, Position, Sensor, Stage
 from palpate.core.plugins import ERROR, plugin_calls
-from palpate.devices.force_bias import Mounting
-from palpate.devices.motion_limits import Limits
+from palpate.devices import Limits, Mounting
 
 
 class Region(NamedTuple):

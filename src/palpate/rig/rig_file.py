@@ -26,9 +26,8 @@ from palpate.core import (
     Stage,
 )
 from palpate.core.sensor import sensor as sensor_of
-from palpate.devices.device_plugins import check_kind, open_device
-from palpate.devices.force_bias import Mounting
-from palpate.devices.motion_limits import Limits
+from palpate.devices import Limits, Mounting, open_device
+from palpate.devices.device_plugins import check_kind
 from palpate.rig.plans.plan_files import read_toml
 from palpate.rig.plans.press_places import Positive
 from palpate.rig.rig import Region, Rig

@@ -12,12 +12,9 @@ from typing import Any
 import pandas as pd
 
 from palpate.core import Frame, Position, RecordingError, Wrench
-from palpate.devices.force_bias import ForceBias
-from palpate.devices.motion_limits import Reason
-from palpate.recordings.clock_offset import Offset
+from palpate.devices import ForceBias, Reason
+from palpate.recordings import Offset, Run, RunWriter
 from palpate.recordings.label_tables import Label
-from palpate.recordings.run_reader import Run
-from palpate.recordings.run_writer import RunWriter
 from palpate.rig.plans.recording_plan import Done, RecordingPlan
 
 

@@ -6,11 +6,10 @@ from pathlib import Path
 
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.fitting import calibrate
-from palpate.core import PathText
+from palpate.core import PathText, Progress, silent
 from palpate.estimators.certified import read_card
 from palpate.estimators.model_card import Card
-from palpate.estimators.networks.model_interface import Progress, silent
-from palpate.recordings.run_reader import Run
+from palpate.recordings import Run
 from palpate.reports.certificate_page import write_report
 
 REPORT_FILE = "report.html"

@@ -19,15 +19,13 @@ import numpy as np
 
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.evaluation import evaluate
-from palpate.core import Frame, ManualClock, PathText, Pose, new_file, new_folder
+from palpate.core import Frame, ManualClock, PathText, Pose, Progress, new_file, new_folder, silent
 from palpate.estimators.certified import Estimator
 from palpate.estimators.model_card import ScoreCard
-from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.live.frame_sources import RunFrames
 from palpate.live.sensing_loop import sense
-from palpate.recordings.manifest import LabelKind, Manifest
-from palpate.recordings.run_reader import Run
-from palpate.recordings.run_writer import RunWriter
+from palpate.recordings import Manifest, Run, RunWriter
+from palpate.recordings.manifest import LabelKind
 from palpate.reports.terminal_text import scores_table
 from palpate.sensors import palm
 from palpate.sensors.palm import PalmSpec

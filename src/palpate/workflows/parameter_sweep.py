@@ -9,8 +9,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from palpate.core import InputError
-from palpate.core.parallel import Progress, in_parallel
+from palpate.core import InputError, ProgressCount, in_parallel
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -23,7 +22,7 @@ def sweep(
     seed: int = 0,
     processes: int = 1,
     scheduler: str | None = None,
-    progress: Progress = lambda done, total: None,
+    progress: ProgressCount = lambda done, total: None,
 ) -> list[R]:
     """Call a function for every item, with a source of chance that belongs to the item's place.
 

@@ -27,6 +27,7 @@ from palpate.core import (
     Int,
     ManualClock,
     Pose,
+    Progress,
     RangeError,
     Seating,
     Specimen,
@@ -34,8 +35,8 @@ from palpate.core import (
     ndarray,
     new_file,
     new_folder,
+    silent,
 )
-from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.recordings.exchange.press_folder import PressFolder, press_folder, write_press, write_specimens
 from palpate.recordings.exchange.press_import import import_press
 from palpate.recordings.exchange.press_table import press_rows

@@ -21,17 +21,18 @@ from palpate.core import (
     CertificateError,
     Float,
     InputError,
+    Progress,
     Shaped,
     ndarray,
     new_file,
     refuse_existing,
+    silent,
     storage_errors,
 )
 from palpate.estimators.compliance.contact_area import AreaFit, Motions, fit_area, fit_motions, ring_measures
 from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, fit_finger
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, follow_press, motion_on_layout
 from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, fit_softness
-from palpate.estimators.networks.model_interface import Progress, silent
 from palpate.recordings.exchange.frame_sequences import FrameSequence, open_sequence
 from palpate.recordings.exchange.press_folder import PressedSpecimen, PressFolder, press_folder
 from palpate.recordings.exchange.press_table import PressTable, read_press_table

@@ -17,8 +17,7 @@ from palpate.calibration.compliance.compliance_calibration import (
 )
 from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.calibration.compliance.press_cues import LATE_N, PressCues, cues_of, reading_record
-from palpate.core import InputError
-from palpate.estimators.networks.model_interface import Progress, silent
+from palpate.core import InputError, Progress, silent
 from palpate.psychophysics import bootstrap_interval, compare
 from palpate.recordings.exchange.press_folder import press_folder
 

@@ -11,10 +11,10 @@ from typing import Any, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
-from palpate.core import InputError, MissingExtraError, PluginError
+from palpate.core import InputError, MissingExtraError, PluginError, Progress, silent
 from palpate.core.plugins import ERROR, PluginRegistry, import_path, plugin_calls
 from palpate.core.sensor import MODELS_OF_SENSORS
-from palpate.estimators.networks.model_interface import Fitted, Model, Progress, TrainingData, silent
+from palpate.estimators.networks.model_interface import Fitted, Model, TrainingData
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,8 +23,8 @@ from torch import nn
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
 
-from palpate.core import Indices, InputError, Tensor, Values
-from palpate.estimators.networks.model_interface import Progress, Scaler, TrainingData, scaled_errors, silent
+from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
+from palpate.estimators.networks.model_interface import Scaler, TrainingData, scaled_errors
 from palpate.estimators.networks.symmetry import RotationalSymmetry
 from palpate.estimators.networks.torch_export import TorchGraph
 

@@ -10,14 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import onnx
 
-from palpate.core import Float, Indices, InputError, Shaped, Tensor, Values
-
-Progress = Callable[[str, int, int], None]
-"""Called with (what is being done, how much is done, how much there is)."""
-
-
-def silent(what: str, done: int, total: int) -> None:
-    """A `Progress` that shows nothing."""
+from palpate.core import Float, Indices, InputError, Progress, Shaped, Tensor, Values, silent
 
 
 @dataclass(frozen=True)

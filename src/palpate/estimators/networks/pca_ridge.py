@@ -15,8 +15,8 @@ from scipy.linalg import eigh
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GroupKFold
 
-from palpate.core import Float, Float32, Indices, InputError, Tensor, Values
-from palpate.estimators.networks.model_interface import Progress, Scaler, TrainingData, silent
+from palpate.core import Float, Float32, Indices, InputError, Progress, Tensor, Values, silent
+from palpate.estimators.networks.model_interface import Scaler, TrainingData
 from palpate.estimators.networks.onnx_graph import OnnxGraph
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import onnx
 from sklearn.neural_network import MLPRegressor
 
-from palpate.core import Float, Indices, InputError, Tensor, Values
-from palpate.estimators.networks.model_interface import Progress, Scaler, TrainingData, scaled_errors, silent
+from palpate.core import Float, Indices, InputError, Progress, Tensor, Values, silent
+from palpate.estimators.networks.model_interface import Scaler, TrainingData, scaled_errors
 from palpate.estimators.networks.onnx_graph import OnnxGraph
 
 

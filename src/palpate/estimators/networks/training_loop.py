@@ -25,7 +25,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from palpate.core import Float32, Indices, InputError, Tensor
+from palpate.core import Float32, Indices, InputError, Progress, Tensor, silent
 from palpate.estimators.networks.compact_cnn import (
     checkpoint_part,
     cosine_rate,
@@ -35,7 +35,6 @@ from palpate.estimators.networks.compact_cnn import (
     write_checkpoint,
 )
 from palpate.estimators.networks.distributed import ProcessGroup
-from palpate.estimators.networks.model_interface import Progress, silent
 
 Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 PRECISIONS = ("auto", "float32")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
 from PIL import Image
 
-from palpate.core import PathText, new_folder
+from palpate.core import PathText, ProgressCount, new_folder
 from palpate.recordings.label_tables import refuse_formulas
 from palpate.recordings.manifest import MANIFEST
 from palpate.recordings.run_reader import Run
@@ -18,7 +17,7 @@ TIME_COLUMN = "frame_time_s"
 LABELS_NAME = "labels.csv"
 
 
-def export_folder(run: Run, path: PathText, progress: Callable[[int, int], None] | None = None) -> int:
+def export_folder(run: Run, path: PathText, progress: ProgressCount | None = None) -> int:
     """Write a run as a folder of PNG files with tables beside them.
 
     The folder holds ``images/000000.png`` and so on; ``labels.csv``, whose column ``frame_file`` names each

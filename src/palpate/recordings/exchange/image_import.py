@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -18,6 +18,7 @@ from palpate.core import (
     LabelError,
     ManualClock,
     PathText,
+    ProgressCount,
     UnitError,
     has_unit,
     is_hidden,
@@ -33,7 +34,6 @@ from palpate.recordings.run_reader import NAME_COLUMN
 from palpate.recordings.run_writer import RunWriter
 from palpate.recordings.splits import CONVENTIONAL_GROUPS
 
-Progress = Callable[[int, int], None]
 _SHOWN = 5
 _GROUP_NAMES = frozenset(name for columns in CONVENTIONAL_GROUPS for name in columns)
 
@@ -74,7 +74,7 @@ def import_images(
     time_column: str | None = None,
     allow_unlabelled: bool = False,
     strict: bool = False,
-    progress: Progress | None = None,
+    progress: ProgressCount | None = None,
 ) -> ImportReport:
     """Turn a folder of images and a table of labels into a run; row ``i`` of the table becomes frame ``i``.
 
@@ -312,6 +312,6 @@ def _report(table: pd.DataFrame) -> ImportReport:
     )
 
 
-def _tell(progress: Progress | None, done: int, total: int) -> None:
+def _tell(progress: ProgressCount | None, done: int, total: int) -> None:
     if progress is not None:
         progress(done, total)

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.core import NS_PER_S, refuse_existing
+from palpate.core import NS_PER_S, ProgressCount, refuse_existing
 from palpate.recordings.exchange.frame_sequences import FrameSequence, open_sequence
-from palpate.recordings.exchange.image_import import ImportReport, Progress, whole_run
+from palpate.recordings.exchange.image_import import ImportReport, whole_run
 from palpate.recordings.exchange.press_table import PressTable, read_press_table
 from palpate.recordings.manifest import Manifest
 from palpate.recordings.run_writer import RunWriter
@@ -30,7 +30,7 @@ def import_press(
     sensor: str = "",
     licence: str = "",
     origin: str = "",
-    progress: Progress | None = None,
+    progress: ProgressCount | None = None,
 ) -> ImportReport:
     """Turn one press into a run, which appears whole or not at all.
 
@@ -78,7 +78,9 @@ def _samples(writer: RunWriter, table: PressTable) -> None:
             writer.stage((0.0, 0.0, float(table.position_m[i])), time_ns=time_ns)
 
 
-def _frames(writer: RunWriter, table: PressTable, sequence: FrameSequence, progress: Progress | None) -> None:
+def _frames(
+    writer: RunWriter, table: PressTable, sequence: FrameSequence, progress: ProgressCount | None
+) -> None:
     for k, (image, sample) in enumerate(zip(sequence, table.frame_sample, strict=True)):
         labels = {"force_N": float(table.force_n[sample])}
         if table.position_m is not None:

@@ -33,10 +33,9 @@ from palpate.calibration.conformal import coverage_interval
 from palpate.calibration.evaluation import zeros_of
 from palpate.core import ManualClock
 from palpate.estimators.certified import Estimator
+from palpate.recordings import Manifest, Run, RunWriter
 from palpate.recordings.label_tables import own_column
-from palpate.recordings.manifest import LabelKind, Manifest
-from palpate.recordings.run_reader import Run
-from palpate.recordings.run_writer import RunWriter
+from palpate.recordings.manifest import LabelKind
 from palpate.reproductions.palm.palm_comparison import NEW_PLACES_SEED, small_setup
 from palpate.reproductions.palm.palm_published import scores_of
 from palpate.reproductions.palm.palm_setup import CalibrationSetup, Scale, StudyFolder, noisier, pressed_rows

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.core import ExistsError, InputError, new_file, refuse_existing, storage_errors
-from palpate.estimators.networks.model_interface import Progress, silent
+from palpate.core import ExistsError, InputError, Progress, new_file, refuse_existing, silent, storage_errors
 from palpate.reports import study_figures as draw
 from palpate.reports.certificate_page import filled_template
 from palpate.reproductions.palm import palm_comparison as comparison, palm_conditions as cond

@@ -20,11 +20,10 @@ from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.certificate import read_predictions
 from palpate.calibration.evaluation import predictions
 from palpate.calibration.training_data import model_regions
-from palpate.core import DeviceError, Indices, InputError, new_file
+from palpate.core import DeviceError, Indices, InputError, Progress, new_file, silent
 from palpate.estimators.certified import Estimator, read_card
 from palpate.estimators.networks import model_kind
-from palpate.estimators.networks.model_interface import Progress, silent
-from palpate.recordings.run_reader import Run
+from palpate.recordings import Run
 from palpate.reports.certificate_page import write_report
 from palpate.reproductions.palm.palm_published import scores_of
 from palpate.rig import State, record

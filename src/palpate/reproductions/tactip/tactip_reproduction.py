@@ -15,8 +15,7 @@ import numpy as np
 
 from palpate.calibration.compliance.compliance_reading import AreaCourse, read_touch
 from palpate.calibration.compliance.press_cues import PressCues
-from palpate.core import InputError, Reading, new_folder, refuse_existing
-from palpate.estimators.networks.model_interface import Progress, silent
+from palpate.core import InputError, Progress, Reading, new_folder, refuse_existing, silent
 from palpate.psychophysics import Comparison, compare
 from palpate.reports import study_figures as draw
 from palpate.reports.certificate_page import filled_template

@@ -23,8 +23,7 @@ from palpate.calibration.compliance.compliance_reading import PressReading, read
 from palpate.calibration.compliance.press_cues import PressCues, cues_of
 from palpate.calibration.compliance.specimen_comparison import trials_table
 from palpate.calibration.compliance.specimen_stiffness import series_line
-from palpate.core import Float, ndarray
-from palpate.estimators.networks.model_interface import Progress
+from palpate.core import Float, Progress, ndarray
 from palpate.psychophysics import Line, fit_line
 from palpate.recordings.exchange.press_table import PressTable
 from palpate.reproductions.study_results import Published

@@ -16,12 +16,10 @@ from typing import Any
 import numpy as np
 
 from palpate.core import DEFAULT_SENSOR, DeviceError, InputError, PalpateError, Position, SafetyError, Sensor
-from palpate.devices import device_status
+from palpate.devices import OperatorCommand, OperatorControl, Tripped, device_status
 from palpate.devices.device_proxies import CameraProxy, ForceProxy, StageProxy
 from palpate.devices.device_status import Kind, Log
 from palpate.devices.force_bias import Force
-from palpate.devices.motion_limits import Tripped
-from palpate.devices.operator_control import OperatorCommand, OperatorControl
 from palpate.devices.rpc_server import Request, RpcServer, request_field
 from palpate.rig.engine import record
 from palpate.rig.plans import PLANS, Known, StepHold, plan_from, plan_of, plan_of_sensor, size_of

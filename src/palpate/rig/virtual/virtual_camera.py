@@ -7,8 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from palpate.core import NS_PER_S, Contact, DeviceError, Frame, Pose, PressHistory, RangeError, Seating
-from palpate.core.sensor import untouched
+from palpate.core import (
+    NS_PER_S,
+    Contact,
+    DeviceError,
+    Frame,
+    Pose,
+    PressHistory,
+    RangeError,
+    Seating,
+    untouched,
+)
 from palpate.rig.virtual.virtual_world import KEPT_S, Touch, World
 
 TRANSPORT_S = 0.008  # from the end of an exposure to the frame's arrival, which is what stamps it

@@ -35,9 +35,9 @@ from palpate.core import (
     Sensor,
     Specimen,
     Travel,
+    force_law,
     ndarray,
 )
-from palpate.core.sensor import force_law
 from palpate.rig.virtual.disturbances import Approach, Fault, Faults, Variation, approach_of, shift_of
 from palpate.rig.virtual.straight_motion import Motion, standing
 

@@ -20,9 +20,9 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import numpy as np
 import pandas as pd
 
-from palpate.core import InputError, LabelError, is_hidden, refuse_existing, storage_errors
-from palpate.recordings.exchange.image_import import ImportReport, Progress, import_images
-from palpate.recordings.label_tables import FIRST_ROW, label_kinds, read_labels
+from palpate.core import InputError, LabelError, ProgressCount, is_hidden, refuse_existing, storage_errors
+from palpate.recordings import ImportReport, import_images, read_labels
+from palpate.recordings.label_tables import FIRST_ROW, label_kinds
 
 NEAR_MM = 0.05  # within which two notes of one depth or place agree: half a step
 _TABLE = re.compile(r"Cycle_Indent(\d+(?:\.\d+)?)mm_r(\d{1,3})c(\d{1,3})_(\d{1,4})\.csv", re.ASCII)
@@ -291,7 +291,7 @@ def import_palm(
     licence: str = "",
     origin: str = "",
     allow_unlabelled: bool = False,
-    progress: Progress | None = None,
+    progress: ProgressCount | None = None,
 ) -> ImportReport:
     """Turn a folder of the palm's tables and photographs into a run.
 

@@ -18,8 +18,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpate.core import Contact, Float, Float32, InputError, Int, Pose, Probe, RangeError, UInt8, ndarray
-from palpate.core.parallel import in_parallel
+from palpate.core import (
+    Contact,
+    Float,
+    Float32,
+    InputError,
+    Int,
+    Pose,
+    Probe,
+    RangeError,
+    UInt8,
+    in_parallel,
+    ndarray,
+)
 from palpate.mechanics.resultant import resultant_of
 from palpate.sensors.palm.palm_press import (
     greatest_aside,

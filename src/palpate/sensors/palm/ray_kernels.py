@@ -1,7 +1,5 @@
 """The compiled loop that reads stress along rays; `fringe_rays` uses it alone."""
 
-from __future__ import annotations
-
 from typing import no_type_check
 
 import numba

@@ -29,7 +29,7 @@ from palpate.rig.real.netft.netft_calibration import NetFTCalibration, Triple, f
 from palpate.rig.real.netft.netft_stream import (
     MONITOR_WARNING,
     PORT,
-    Progress,
+    Advance,
     RdtMeasurement,
     RdtRecord,
     RdtSequence,
@@ -182,11 +182,11 @@ class Samples:
 
     def _sample(self, record: RdtRecord, time_ns: int) -> Wrench:
         progress = self._measurement.progress(record.ft_sequence)
-        if progress is Progress.NEW:
+        if progress is Advance.NEW:
             self._progress_ns, self._stalled, self._stale = time_ns, 0, 0
-        elif progress is Progress.STALLED:
+        elif progress is Advance.STALLED:
             self._stalled += 1
-        elif progress is Progress.RESTARTED:
+        elif progress is Advance.RESTARTED:
             self.failure = DeviceError("it restarted: its measurement counter began anew; open it anew")
         if not (is_healthy(record.status) or is_only_saturated(record.status)):
             why = status_text(record.status)
@@ -200,11 +200,11 @@ class Samples:
             return Wrench(time_ns, _NOTHING, _NOTHING, fault)
         return Wrench(time_ns, force_n, self.calibration.torque_nm(record.counts))
 
-    def _fault(self, record: RdtRecord, progress: Progress, force_n: Triple) -> str:
+    def _fault(self, record: RdtRecord, progress: Advance, force_n: Triple) -> str:
         """Fault of a sample; empty where its numbers hold."""
         if not is_healthy(record.status):
             return status_text(record.status)
-        if progress is not Progress.NEW:
+        if progress is not Advance.NEW:
             return progress.value
         if any(count in _RAILS for count in record.counts):
             return "counts at their rail"

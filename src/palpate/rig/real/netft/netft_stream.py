@@ -175,7 +175,7 @@ class RdtSequence:
         return step > 0
 
 
-class Progress(Enum):
+class Advance(Enum):
     """Progress of the measurement, by the F/T sequence of a new record."""
 
     NEW = "a new measurement"
@@ -191,16 +191,16 @@ class RdtMeasurement:
     last: int | None = None
     jumped: bool = False
 
-    def progress(self, current: int) -> Progress:
-        """Progress by this record's number, after those before."""
+    def progress(self, current: int) -> Advance:
+        """Advance by this record's number, after those before."""
         step = 1 if self.last is None else ahead(current, self.last)
         if step == 0:
-            return Progress.STALLED
+            return Advance.STALLED
         if not 0 < step <= MAX_JUMP:  # a counter past 2^31 that restarts seems to go far ahead
             confirmed, self.jumped = self.jumped, True
-            return Progress.RESTARTED if confirmed else Progress.BACK
+            return Advance.RESTARTED if confirmed else Advance.BACK
         self.last, self.jumped = current, False
-        return Progress.NEW
+        return Advance.NEW
 
 
 MAX_STOP_TRIES = 5

@@ -21,9 +21,9 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from palpate.core import Indices, InputError, Tensor
+from palpate.core import Indices, InputError, Progress, Tensor, silent
 from palpate.estimators.networks.compact_cnn import seeded
-from palpate.estimators.networks.model_interface import Progress, Scaler, TrainingData, silent
+from palpate.estimators.networks.model_interface import Scaler, TrainingData
 from palpate.estimators.networks.torch_export import TorchGraph
 from palpate.estimators.networks.training_loop import TrainingLoop, TrainingTask
 from palpate.estimators.novelty import RenderedImages, thumbnails

@@ -14,8 +14,8 @@ import numpy as np
 import onnx
 from onnx import helper, numpy_helper
 
-from palpate.core import Indices, InputError, Tensor, Values
-from palpate.estimators.networks.model_interface import Progress, TrainingData, silent
+from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
+from palpate.estimators.networks.model_interface import TrainingData
 from palpate.estimators.networks.onnx_graph import image_to_value
 from palpate.estimators.networks.pixel_mlp import FittedPerceptron, PixelMlp
 from palpate.sensors.palm.networks import FORCES

@@ -22,9 +22,9 @@ import onnx
 import torch
 from torch import nn
 
-from palpate.core import Indices, InputError, Tensor, Values
+from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
 from palpate.estimators.networks.compact_cnn import seeded
-from palpate.estimators.networks.model_interface import Progress, Scaler, TrainingData, silent
+from palpate.estimators.networks.model_interface import Scaler, TrainingData
 from palpate.estimators.networks.resnet import ResNet18, check_weights
 from palpate.estimators.networks.torch_export import TorchGraph
 from palpate.estimators.networks.training_loop import TrainingLoop, TrainingTask

@@ -1,4 +1,4 @@
-"""The same job for many items: here, by several processes, or by the machines of a Dask cluster.
+"""Long work: what it tells meanwhile, and the same job for many items, by processes or a Dask cluster.
 
 Results come in the order of the items and do not depend on who worked, so a job that needs chance takes its
 own generator with its item. Processes are joblib's (loky), as scikit-learn offers them; machines are Dask's.
@@ -19,10 +19,19 @@ from palpate.core.errors import InputError, MissingExtraError, PalpateError
 
 T = TypeVar("T")
 R = TypeVar("R")
-Progress = Callable[[int, int], None]
+
+Progress = Callable[[str, int, int], None]
+"""Called with (what is being done, how much is done, how much there is)."""
+
+ProgressCount = Callable[[int, int], None]
+"""Called with (how much is done, how much there is)."""
 
 SHOWN = 80  # characters of an item, in an error
 CONNECT_WITHIN = "20s"
+
+
+def silent(what: str, done: int, total: int) -> None:
+    """A `Progress` that shows nothing."""
 
 
 def in_parallel(
@@ -31,7 +40,7 @@ def in_parallel(
     *,
     processes: int = 1,
     scheduler: str | None = None,
-    progress: Progress = lambda count, total: None,
+    progress: ProgressCount = lambda count, total: None,
 ) -> Iterator[R]:
     """Results of a function for every item, in their order, each as soon as it and those before it are there.
 
@@ -61,7 +70,11 @@ def in_parallel(
 
 
 def _results(
-    function: Callable[[T], R], items: Sequence[T], processes: int, scheduler: str | None, progress: Progress
+    function: Callable[[T], R],
+    items: Sequence[T],
+    processes: int,
+    scheduler: str | None,
+    progress: ProgressCount,
 ) -> Iterator[R]:
     job = partial(_call, function)
     if scheduler is not None:
