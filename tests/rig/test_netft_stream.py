@@ -184,7 +184,7 @@ def test_every_record_is_accepted_duplicate_or_out_of_order_and_the_rest_of_the_
 def test_a_measurement_that_does_not_count_on_stands_still() -> None:
     measurement = RdtMeasurement()
     came = [measurement.progress(n) for n in (0xFFFFFFFF, 0, 0, 0, 70)]
-    assert came == [Advance.NEW, Progress.NEW, Progress.STALLED, Progress.STALLED, Progress.NEW]
+    assert came == [Advance.NEW, Advance.NEW, Advance.STALLED, Advance.STALLED, Advance.NEW]
 
 
 @pytest.mark.parametrize("last", [10_000, 3_000_000_000])  # the second restarts by a step that seems forward
