@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_serializer, model_validator
 
@@ -15,7 +15,19 @@ FORMAT = "palpate-calibration/1"
 
 
 class _CardPart(BaseModel):
+    """Part of a card.
+
+    Attributes:
+        added: fields that came later; one that is None is left out of the text, so that older cards keep
+            the text that gave their id.
+    """
+
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants")
+    added: ClassVar[tuple[str, ...]] = ()
+
+    @model_serializer(mode="wrap")
+    def _dumped(self, dump: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        return {k: v for k, v in dump(self).items() if v is not None or k not in self.added}
 
 
 class ScoreCard(_CardPart):
@@ -157,6 +169,8 @@ class Card(_CardPart):
             None where it is a calibration of its own.
     """
 
+    added: ClassVar[tuple[str, ...]] = ("adapted_from",)
+
     format: Literal["palpate-calibration/1"]
     id: str
     created_utc: str
@@ -190,14 +204,6 @@ class Card(_CardPart):
             if len(target.coefficients) != terms:
                 raise ValueError(f"{target.column} has {len(target.coefficients)} coefficients, not {terms}")
         return self
-
-    @model_serializer(mode="wrap")
-    def _dumped(self, dump: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        """Without `adapted_from` where there is none: older cards keep the text that gave their id."""
-        content = dump(self)
-        if content.get("adapted_from") is None:
-            content.pop("adapted_from", None)
-        return content
 
     @property
     def columns(self) -> list[str]:
