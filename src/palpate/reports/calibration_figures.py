@@ -15,7 +15,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from palpate.calibration.conformal import coverage_interval
+from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.estimators.model_card import TargetCard
 
 INK, ACCENT, BAND, BAD = "#1b2a33", "#0b7a75", "#cfe8e6", "#c0392b"
@@ -41,13 +41,13 @@ def picture(path: Path) -> str:
     return _address(path.read_bytes())
 
 
-def target_figure(target: TargetCard, table: pd.DataFrame) -> str:
-    """Predicted against true, error against the truth, coverage along the truth."""
+def target_figure(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) -> str:
+    """Predicted against true, error against the truth, coverage along the truth, groups counted as groups."""
     true, guess, half = target_columns(target, table)
     with styled_panels(10.2, 3.1, columns=3) as (figure, (left, middle, right)):
         _predicted(left, target, true, guess, half)
         _errors(middle, target, true, guess, half)
-        _coverage(right, target, true, guess, half)
+        _coverage(right, target, true, np.abs(guess - true) <= half, groups)
         return drawn(figure)
 
 
@@ -100,10 +100,11 @@ def _errors(axes: Axes, target: TargetCard, true: np.ndarray, guess: np.ndarray,
     axes.legend(frameon=False, fontsize=7, loc="upper right", ncols=2)
 
 
-def _coverage(axes: Axes, target: TargetCard, true: np.ndarray, guess: np.ndarray, half: np.ndarray) -> None:
-    inside = np.abs(guess - true) <= half
+def _coverage(
+    axes: Axes, target: TargetCard, true: np.ndarray, inside: np.ndarray, groups: np.ndarray
+) -> None:
     for rows in _bins(true):
-        low, high = coverage_interval(int(inside[rows].sum()), len(rows))
+        low, high = grouped_coverage_interval(inside[rows], groups[rows])
         centre = float(true[rows].mean())
         axes.plot([centre, centre], [100 * low, 100 * high], color=ACCENT, lw=1.4)
         axes.plot(centre, 100 * inside[rows].mean(), "o", color=ACCENT, ms=4)

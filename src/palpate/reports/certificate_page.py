@@ -29,6 +29,8 @@ OUTER_SHARE = 0.1
 """Share of the scored rows, by their truth, that an outer range holds."""
 MIN_OUTER_ROWS = 20
 """Rows that an outer range holds at least; with fewer, a rate of 90 % cannot be told from one of 70 %."""
+MIN_TOLD = 0.7
+"""Rate below which the interval of a range's coverage must not reach, if it shall tell of 90 %."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +83,7 @@ def render_report(calibration: Path, card: Card) -> str:
     return filled_template(
         "certificate.html",
         card=card,
-        figures={target.column: target_figure(target, table) for target in card.targets},
+        figures={target.column: target_figure(target, table, groups) for target in card.targets},
         verdicts={t.column: verdict(t, outer_ranges(t, table, groups)) for t in card.targets},
         surface=surface_figure(card.targets, table, where) if where else "",
         where=where,
@@ -161,11 +163,15 @@ def _promise(s: ScoreCard, ends: tuple[OuterRange, ...]) -> str:
         return f"but not over the whole range: {named}"
     if s.coverage_90_low > 0.9:
         return "more often than they promise: they are wide"
-    return (
-        "as promised, at both ends of the range too"
-        if ends
-        else ("as promised over all rows; these are too few to judge the ends of the range")
+    unsure = [end for end in ends if end.low < MIN_TOLD]
+    if ends and not unsure:
+        return "as promised, at both ends of the range too"
+    seen = "; ".join(
+        f"{end.where} {end.covered} of {end.n}, 95 % interval {100 * end.low:.1f} to {100 * end.high:.1f} %"
+        for end in unsure
     )
+    few = "as promised over all rows; these are too few to judge the ends of the range"
+    return f"{few} ({seen})" if seen else few
 
 
 def _worst(calibration: Path, card: Card, table: pd.DataFrame) -> list[dict[str, str]]:
