@@ -54,7 +54,8 @@ def checked(what):
         if dataclasses.is_dataclass(what) and "__init__" in vars(what):
             what.__init__ = checked(what.__init__)
         return what
-    if not any(map(_has_array, _hints(what))):
+    # A generator's arguments would be checked at its first item, and so perhaps never.
+    if not inspect.isgeneratorfunction(what) and not any(map(_has_array, _hints(what))):
         with contextlib.suppress(beartype.roar.BeartypeDecorHintException):  # as P.args: for jaxtyping alone
             return typed(what)
     return jaxtyped(what, typechecker=typed)

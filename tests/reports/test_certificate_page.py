@@ -11,7 +11,7 @@ from palpate.calibration.evaluation import score
 from palpate.core import CertificateError
 from palpate.estimators import read_card
 from palpate.reports import scores_table, verdict, write_report
-from palpate.reports.certificate_page import outer_ranges
+from palpate.reports.certificate_page import MIN_TOLD, outer_ranges
 from palpate.reports.terminal_text import latency_line
 
 
@@ -103,7 +103,19 @@ def test_an_end_of_few_groups_is_not_called_as_promised(calibration, rng) -> Non
     presses = np.arange(len(table))
     presses[-50:] = len(table) + np.arange(50)[::-1] // 8
     said = verdict(target, outer_ranges(target, table, presses))
-    assert "too few to judge the ends of the range (above 5.41 mm 42 of 50" in said
+    assert "as promised over all rows; too few rows or groups to judge above 5.41 mm: 42 of 50" in said
+
+
+@pytest.mark.parametrize("missed", [0, 1, 3])
+def test_one_press_at_an_end_is_never_enough_to_judge_it(calibration, rng, missed) -> None:
+    target, table = held_out(read_card(calibration), 0, rng)
+    table.loc[table.index[len(table) - missed :], "estimate:depth_mm"] -= 1.0
+    presses = np.minimum(np.arange(len(table)), len(table) - 50)
+    (_, end) = ends = outer_ranges(target, table, presses)
+    assert (end.n, end.covered) == (50, 50 - missed)
+    assert end.low < MIN_TOLD
+    assert end.high > 0.9
+    assert "to judge above 5.41 mm" in verdict(target, ends)
 
 
 def test_rows_of_one_load_stay_in_one_range(calibration, rng) -> None:

@@ -101,6 +101,20 @@ def grouped_coverage_interval(inside: np.ndarray, groups: np.ndarray) -> tuple[f
     return float(low), float(high)
 
 
+def few_groups_coverage_interval(inside: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
+    """95 % interval of a rate in a part of the rows, which may be of few groups.
+
+    Groups drawn again say nothing of how groups differ where there are one or two, so the interval is no
+    narrower than Clopper and Pearson's with the groups counted, each as if its rows were all alike.
+    """
+    n = len(np.unique(groups))
+    of_rows, of_groups = (
+        grouped_coverage_interval(inside, groups),
+        coverage_interval(round(inside.mean() * n), n),
+    )
+    return min(of_rows[0], of_groups[0]), max(of_rows[1], of_groups[1])
+
+
 def _parts(groups: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Rows to fit by and rows to score, whole groups together; a single group is both."""
     every, count = np.arange(len(groups)), len(np.unique(groups))

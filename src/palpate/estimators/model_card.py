@@ -18,8 +18,8 @@ class _CardPart(BaseModel):
     """Part of a card.
 
     Attributes:
-        added: fields that came later; one that is None is left out of the text, so that older cards keep
-            the text that gave their id.
+        added: fields that came later, a parent class's too; one that is None is left out of the text, so
+            that older cards keep the text that gave their id.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants")

@@ -15,7 +15,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from palpate.calibration.conformal import grouped_coverage_interval
+from palpate.calibration.conformal import few_groups_coverage_interval
 from palpate.estimators.model_card import TargetCard
 
 INK, ACCENT, BAND, BAD = "#1b2a33", "#0b7a75", "#cfe8e6", "#c0392b"
@@ -104,7 +104,7 @@ def _coverage(
     axes: Axes, target: TargetCard, true: np.ndarray, inside: np.ndarray, groups: np.ndarray
 ) -> None:
     for rows in _bins(true):
-        low, high = grouped_coverage_interval(inside[rows], groups[rows])
+        low, high = few_groups_coverage_interval(inside[rows], groups[rows])
         centre = float(true[rows].mean())
         axes.plot([centre, centre], [100 * low, 100 * high], color=ACCENT, lw=1.4)
         axes.plot(centre, 100 * inside[rows].mean(), "o", color=ACCENT, ms=4)

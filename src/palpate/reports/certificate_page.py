@@ -11,7 +11,7 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from palpate.calibration.certificate import read_predictions
-from palpate.calibration.conformal import grouped_coverage_interval
+from palpate.calibration.conformal import few_groups_coverage_interval
 from palpate.calibration.evaluation import groups_in
 from palpate.core import PathText, new_file
 from palpate.estimators.certified import checked_file, read_card
@@ -121,7 +121,7 @@ def outer_ranges(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) ->
     ranges = []
     # Rows that share the limit's truth belong to the range too, as with a few dead weights.
     for word, limit, rows in (("below", lowest, true <= lowest), ("above", highest, true >= highest)):
-        low, high = grouped_coverage_interval(inside[rows], groups[rows])
+        low, high = few_groups_coverage_interval(inside[rows], groups[rows])
         where, covered = f"{word} {limit:.3g} {target.unit}", int(inside[rows].sum())
         ranges.append(OuterRange(where, int(rows.sum()), covered, low, high, float(error[rows].mean())))
     return tuple(ranges)
@@ -152,26 +152,25 @@ def verdict(target: TargetCard, ends: tuple[OuterRange, ...] = ()) -> str:
 def _promise(s: ScoreCard, ends: tuple[OuterRange, ...]) -> str:
     """Judgement of the intervals' promise, over all rows and at both ends of the range."""
     failed = [end for end in ends if end.high < 0.9]
+    unsure = [end for end in ends if end.low <= MIN_TOLD and end not in failed]
     named = "; ".join(
-        f"{end.where} only {end.covered} of {end.n} (95 % interval {100 * end.low:.1f} to "
-        f"{100 * end.high:.1f} %), with a mean error of {end.bias:+.3g} {s.unit}"
-        for end in failed
+        f"{end.where} only {_covered(end)}, with a mean error of {end.bias:+.3g} {s.unit}" for end in failed
     )
+    told = f"; too few rows or groups to judge {', '.join(f'{e.where}: {_covered(e)}' for e in unsure)}"
+    more = told if unsure else ""
     if s.coverage_90_high < 0.9:
-        return f"less often than they promise{'; ' if named else ''}{named}"
+        return f"less often than they promise{'; ' if named else ''}{named}{more}"
     if failed:
-        return f"but not over the whole range: {named}"
+        return f"but not over the whole range: {named}{more}"
     if s.coverage_90_low > 0.9:
-        return "more often than they promise: they are wide"
-    unsure = [end for end in ends if end.low < MIN_TOLD]
-    if ends and not unsure:
-        return "as promised, at both ends of the range too"
-    seen = "; ".join(
-        f"{end.where} {end.covered} of {end.n}, 95 % interval {100 * end.low:.1f} to {100 * end.high:.1f} %"
-        for end in unsure
-    )
-    few = "as promised over all rows; these are too few to judge the ends of the range"
-    return f"{few} ({seen})" if seen else few
+        return f"more often than they promise: they are wide{more}"
+    if not ends:
+        return "as promised over all rows; there are too few to judge the ends of the range"
+    return f"as promised over all rows{more}" if unsure else "as promised, at both ends of the range too"
+
+
+def _covered(end: OuterRange) -> str:
+    return f"{end.covered} of {end.n} (95 % interval {100 * end.low:.1f} to {100 * end.high:.1f} %)"
 
 
 def _worst(calibration: Path, card: Card, table: pd.DataFrame) -> list[dict[str, str]]:
