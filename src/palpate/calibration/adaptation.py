@@ -184,6 +184,12 @@ def _check(card: Card, run: Run, plan: CalibrationPlan) -> None:
         raise InputError(
             f"{run.path} is the run that this calibration has learnt from; record presses of your own copy"
         )
+    if circular := [target.column for target in card.targets if target.circular is not None]:
+        raise InputError(
+            f"{', '.join(circular)} is circular, and a correction of directions is not built; "
+            f"calibrate the copy "
+            "by itself, with --circular"
+        )
     table = table_to_learn(run.labels, plan)
     targets_from(table, plan.targets, str(run.path))
     column = plan.split.partition(":")[2]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Literal
 
 from palpate.core import InputError, split_column
 from palpate.core.plugins import import_path_of
+from palpate.estimators.target_layout import FULL_TURN, TargetLayout, default_period
+from palpate.estimators.vector_regions import vector_column
 
 if TYPE_CHECKING:
     from palpate.estimators.model_card import Card
@@ -69,6 +72,9 @@ class CalibrationPlan:
         learn_untouched: learn from (and score) those rows too, as from any other.
         coverage: how often intervals shall hold the truth.
         options: the model's own fields, by name.
+        circular: targets that come round again, and after which period in their unit; None takes a full turn.
+        vectors: name of each vector that is also read as a whole, and its components among the targets, all
+            in one unit.
 
     Raises:
         InputError: a field is not of its kind or out of its range; the message says what is allowed.
@@ -96,6 +102,8 @@ class CalibrationPlan:
     learn_untouched: bool = False
     coverage: float = 0.9
     options: dict[str, Any] = field(default_factory=dict)
+    circular: dict[str, float | None] = field(default_factory=dict)
+    vectors: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         # Here, since whoever senses reads a `ReferenceRule`, and needs neither models nor tables.
@@ -112,6 +120,8 @@ class CalibrationPlan:
             object.__setattr__(self, "split", import_path_of(self.split, "split"))
         check_split_text(self.split)
         self._check_numbers()
+        object.__setattr__(self, "circular", _periods(self.circular, self.targets))
+        object.__setattr__(self, "vectors", _vectors(self.vectors, self.targets, self.circular))
 
     @classmethod
     def of_card(cls, card: Card, reference: ReferenceRule | None, split: str = "auto") -> CalibrationPlan:
@@ -129,7 +139,14 @@ class CalibrationPlan:
             reference=reference,
             learn_untouched=card.reference.learnt,
             coverage=card.coverage,
+            circular={t.column: t.circular.period for t in card.targets if t.circular is not None},
+            vectors={vector.column: vector.columns for vector in card.vectors or ()},
         )
+
+    @property
+    def layout(self) -> TargetLayout:
+        """The order of the model's outputs."""
+        return TargetLayout(tuple(self.circular.get(target) for target in self.targets))
 
     def _check_numbers(self) -> None:
         if self.folds is not None and self.folds < 2:
@@ -150,7 +167,42 @@ class CalibrationPlan:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        return asdict(self)
+        plain = asdict(self)
+        return {k: v for k, v in plain.items() if v or k not in ("circular", "vectors")}
+
+
+def _periods(asked: dict[str, float | None], targets: Sequence[str]) -> dict[str, float | None]:
+    """The period of each circular target, in its unit."""
+    periods: dict[str, float | None] = {}
+    for column, period in asked.items():
+        if column not in targets:
+            raise InputError(f"circular {column} is not among the targets, {', '.join(targets)}")
+        symbol = split_column(column)[1].symbol
+        period = default_period(symbol) if period is None else period
+        turn = FULL_TURN.get(symbol)
+        parts = None if turn is None or not period > 0 else turn / period
+        if not 0 < period < math.inf or (parts is not None and abs(parts - round(parts)) > 1e-6 * parts):
+            allowed = (
+                "above 0" if turn is None else f"a full turn, {turn:.6g} {symbol}, or a whole part of it"
+            )
+            raise InputError(f"circular {column}: a period of {period:g} {symbol}; it is {allowed}")
+        periods[column] = float(period)
+    return periods
+
+
+def _vectors(
+    asked: dict[str, tuple[str, ...]], targets: Sequence[str], circular: dict[str, float | None]
+) -> dict[str, tuple[str, ...]]:
+    """The components of each vector, by the vector's column."""
+    vectors: dict[str, tuple[str, ...]] = {}
+    for name, parts in asked.items():
+        column = vector_column(name, parts, targets)
+        if turning := [part for part in parts if part in circular]:
+            raise InputError(f"vector {name}: {', '.join(turning)} is circular, and an ellipsoid has no turn")
+        if column in vectors:
+            raise InputError(f"two vectors are called {column}; give each a name of its own")
+        vectors[column] = tuple(parts)
+    return vectors
 
 
 def _targets(names: Sequence[str]) -> tuple[str, ...]:

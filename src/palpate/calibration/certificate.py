@@ -6,6 +6,7 @@ import platform
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,9 @@ import pandas as pd
 
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.conformal import fit_intervals
+from palpate.calibration.coverage import range_cards
+from palpate.calibration.coverage.circular_scores import calibrated_arc, mean_of
+from palpate.calibration.coverage.joint_regions import vector_cards
 from palpate.calibration.evaluation import score
 from palpate.calibration.leakage import LeakageAudit
 from palpate.calibration.training_data import LearningSet
@@ -25,8 +29,10 @@ from palpate.estimators.certified import CARD_FILE, Intervals, checked_file
 from palpate.estimators.model_card import (
     FORMAT,
     Card,
+    CircularCard,
     FileCard,
     InputCard,
+    RangeCard,
     ReferenceCard,
     RunCard,
     SplitCard,
@@ -36,6 +42,7 @@ from palpate.estimators.model_card import (
 from palpate.estimators.networks import settings_of
 from palpate.estimators.networks.model_interface import Fitted, TrainingData
 from palpate.estimators.novelty import NoveltyDetector
+from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import Run, Split
 from palpate.recordings.exchange import image_files
 from palpate.recordings.label_tables import with_own
@@ -52,7 +59,8 @@ class CalibrationResult:
         learning: the rows learnt from, those of the untouched sensor only where that was asked for, and its
             frames.
         split, audit: how rows were held out, and what stands on both sides.
-        held_out: predictions of rows by a model that had not seen their group; NaN for rows not scored.
+        held_out: outputs ``[n o]`` for rows by a model that had not seen their group; NaN for rows not
+            scored.
         fitted, novelty: what was learnt from all of them.
         seconds: time it took [s].
     """
@@ -62,7 +70,7 @@ class CalibrationResult:
     learning: LearningSet
     split: Split
     audit: LeakageAudit
-    held_out: Values
+    held_out: Outputs
     fitted: Fitted
     novelty: NoveltyDetector
     seconds: float = 0.0
@@ -82,6 +90,21 @@ class CalibrationResult:
         """True if only one fold was held out, and the kept model has not seen it."""
         return any(np.array_equal(self.scored, np.sort(rows)) for rows in self.split.folds)
 
+    @property
+    def layout(self) -> TargetLayout:
+        """The order of the model's outputs."""
+        return self.plan.layout
+
+    @property
+    def estimates(self) -> Values:
+        """Held-out estimates ``[n t]`` of the outputs `held_out`."""
+        return self.layout.decoded(self.held_out)
+
+    @property
+    def errors(self) -> Values:
+        """Estimates less labels ``[n t]``, the shortest way round where a target is circular."""
+        return self.layout.differences(self.estimates, self.data.values)
+
 
 AGREEMENT = 1e-4
 """Largest allowed difference between the exported and the trained model, as a share of a target's range."""
@@ -92,7 +115,7 @@ WORST = 6
 def worst_rows(result: CalibrationResult) -> Indices:
     """Rows whose error, in units of each target's range, is the largest."""
     span, scored = np.ptp(result.data.values, axis=0), result.scored
-    error = np.max(np.abs(result.held_out[scored] - result.data.values[scored]) / span, axis=1)
+    error = np.max(np.abs(result.errors[scored]) / span, axis=1)
     return scored[np.argsort(error)[::-1][:WORST]]
 
 
@@ -120,7 +143,7 @@ def agreement(result: CalibrationResult, model: Path) -> float:
     inputs = result.data.fetch(rows)
     session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
     (exported,) = session.run(["value"], {"image": inputs})
-    difference = np.abs(exported - result.fitted.predict(inputs)) / np.ptp(result.data.values, axis=0)
+    difference = np.abs(exported - result.fitted.predict(inputs)) / result.layout.spans(result.data.values)
     worst = float(difference.max())
     if not worst <= AGREEMENT:
         raise CertificateError(
@@ -130,38 +153,67 @@ def agreement(result: CalibrationResult, model: Path) -> float:
     return worst
 
 
-def interval_fields(intervals: Intervals, j: int) -> dict[str, Any]:
-    """Fields of a target's card from which `estimators.certified.intervals_of` makes its interval again."""
-    spread = intervals.spread
+def interval_fields(intervals: Intervals, j: int, over_range: RangeCard | None = None) -> dict[str, Any]:
+    """Fields of a target's card from which `estimators.certified.intervals_of` makes its interval again.
+
+    Args:
+        intervals: of all targets.
+        j: which target.
+        over_range: its card over its range.
+    """
+    spread, layout = intervals.spread, intervals.layout
+    outputs, circular = slice(j, j + 1), None
+    if layout is not None and not layout.plain:
+        outputs = layout.outputs_of(j)
+        if (period := layout.periods[j]) is not None:
+            ends = [tuple(map(float, part[outputs])) for part in (spread.centre, spread.scale)]
+            circular = CircularCard(period=period, centre=ends[0], scale=ends[1])
     return {
-        "centre": float(spread.centre[j]),
-        "scale": float(spread.scale[j]),
+        "centre": float(spread.centre[outputs][0]),
+        "scale": float(spread.scale[outputs][0]),
         "typical": float(spread.typical[j]),
         "coefficients": tuple(float(c) for c in spread.coefficients[j]),
         "quantile": float(intervals.quantile[j]),
+        "over_range": over_range,
+        "circular": circular,
     }
 
 
 def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values) -> Iterator[TargetCard]:
     """Ranges, intervals and scores."""
     scored, values, groups = result.scored, result.data.values, result.data.groups
-    mean_of_others = np.empty_like(values)
-    for k, rows in enumerate(result.split.folds):
-        mean_of_others[rows] = values[result.split.training_rows(k)].mean(axis=0)
+    outputs = result.held_out[scored]
+    inside = intervals.hold(outputs, values[scored])
+    over_range = range_cards(intervals, outputs, values[scored], groups[scored])
     for j, column in enumerate(result.plan.targets):
-        (quantity, unit), true, estimate = split_column(column), values[:, j], result.held_out[scored, j]
+        (quantity, unit), true, period = split_column(column), values[:, j], result.layout.periods[j]
+        least, greatest = _range_of(true, period)
+        mean_of_others = np.empty_like(true)
+        for k, rows in enumerate(result.split.folds):
+            mean_of_others[rows] = mean_of(true[result.split.training_rows(k)], period)
         yield TargetCard(
             column=column,
             quantity=quantity,
             unit=unit.symbol,
-            least=float(true.min()),
-            greatest=float(true.max()),
-            training_mean=float(true.mean()),
-            **interval_fields(intervals, j),
+            least=least,
+            greatest=greatest,
+            training_mean=mean_of(true, period),
+            **interval_fields(intervals, j, over_range[j]),
             score=score(
-                unit.symbol, true[scored], estimate, halves[:, j], mean_of_others[scored, j], groups[scored]
+                unit.symbol,
+                true[scored],
+                result.estimates[scored, j],
+                halves[:, j],
+                mean_of_others[scored],
+                groups[scored],
+                inside=inside[:, j],
+                period=period,
             ),
         )
+
+
+def _range_of(true: np.ndarray, period: float | None) -> tuple[float, float]:
+    return (float(true.min()), float(true.max())) if period is None else calibrated_arc(true, period)
 
 
 def reference_card(result: CalibrationResult) -> ReferenceCard:
@@ -202,7 +254,7 @@ def software() -> dict[str, str]:
 PREDICTIONS_FILE, FORMER_PREDICTIONS_FILE = "predictions.csv.gz", "predictions.parquet"
 
 
-IntervalFit = Callable[[Values, Values, np.ndarray, float], Intervals]
+IntervalFit = Callable[..., Intervals]
 
 
 def write_certificate(
@@ -218,7 +270,8 @@ def write_certificate(
     Args:
         result: what was calibrated.
         out: the folder to make.
-        fit: intervals from held-out predictions, labels, groups and coverage.
+        fit: intervals from held-out outputs, labels, groups and coverage, and where a target is circular from
+            the `layout` of the outputs.
         former: card of the calibration that was adapted, whose model and input stay; None for a new one.
         split: how rows were held out; None takes the result's own.
 
@@ -231,11 +284,12 @@ def write_certificate(
         onnx.save(result.fitted.to_onnx(), str(folder / "model.onnx"))
         agrees = agreement(result, folder / "model.onnx")
         result.novelty.save(folder / "guard.npz")
-        intervals = fit(
-            result.held_out[scored], data.values[scored], data.groups[scored], result.plan.coverage
-        )
-        halves = intervals.half_widths(result.held_out[scored])
-        write_table(predictions_table(result, halves), folder / PREDICTIONS_FILE)
+        held_out = (result.held_out[scored], data.values[scored], data.groups[scored])
+        fitted = partial(fit, layout=result.layout) if not result.layout.plain else fit
+        intervals = fitted(*held_out, result.plan.coverage)
+        ends = intervals.ends(held_out[0])
+        halves = (ends[1] - ends[0]) / 2
+        write_table(predictions_table(result, ends), folder / PREDICTIONS_FILE)
         write_pictures(result, folder)
         constant = _plan_fields(result) if former is None else former.model_dump(exclude={"id"})
         card = sealed(
@@ -250,6 +304,8 @@ def write_certificate(
                 "agreement": agrees,
                 "seconds": round(result.seconds, 1),
                 "adapted_from": former and former.id,
+                "vectors": vector_cards(result.plan.vectors, result.plan.targets, intervals, *held_out)
+                or None,
             }
         )
         (folder / CARD_FILE).write_text(card.model_dump_json(indent=1))
@@ -269,8 +325,13 @@ def made_fields(folder: Path) -> dict[str, Any]:
     }
 
 
-def predictions_table(result: CalibrationResult, halves: Values) -> pd.DataFrame:
-    """One row a scored frame: its labels, and for each target the estimate when it was held out."""
+def predictions_table(result: CalibrationResult, ends: tuple[Values, Values]) -> pd.DataFrame:
+    """One row a scored frame: its labels, and for each target the estimate when it was held out.
+
+    Args:
+        result: what was calibrated.
+        ends: of the intervals around the scored rows' estimates ``[n t]``.
+    """
     fold = np.empty(len(result.learning.packed), np.int64)
     for k, rows in enumerate(result.split.folds):
         fold[rows] = k
@@ -279,8 +340,10 @@ def predictions_table(result: CalibrationResult, halves: Values) -> pd.DataFrame
     own = {"row": rows, "frame": names, "held_out_in_fold": fold[rows]}
     table = with_own(result.learning.packed.table.iloc[rows].reset_index(drop=True), own)
     for j, column in enumerate(result.plan.targets):
-        table[f"estimate:{column}"] = result.held_out[result.scored, j]
-        table[f"half_width:{column}"] = halves[:, j]
+        table[f"estimate:{column}"] = result.estimates[result.scored, j]
+        low, high = (end[:, j] for end in ends)
+        table[f"half_width:{column}"] = (high - low) / 2
+        table[f"low:{column}"], table[f"high:{column}"] = low, high
     return table
 
 

@@ -16,9 +16,11 @@ from scipy.stats import binomtest
 from sklearn.linear_model import GammaRegressor
 from sklearn.model_selection import GroupKFold
 
+from palpate.calibration.coverage.range_fit import fit_range_intervals
 from palpate.core import Float, InputError, RangeError, Values
 from palpate.estimators.certified import ErrorSpread, Intervals, design
 from palpate.estimators.networks.model_interface import Scaler
+from palpate.estimators.target_layout import Outputs, TargetLayout
 
 ROWS_PER_COEFFICIENT = 20
 GROUPS_FOR_SPREAD = 20
@@ -43,28 +45,56 @@ def conformal_quantile(scores: Float[np.ndarray, " n"], coverage: float) -> floa
     return float(np.sort(scores)[rank - 1])
 
 
-def fit_intervals(predicted: Values, true: Values, groups: np.ndarray, coverage: float) -> Intervals:
+def fit_intervals(
+    predicted: Outputs,
+    true: Values,
+    groups: np.ndarray,
+    coverage: float,
+    layout: TargetLayout | None = None,
+) -> Intervals:
     """Intervals from held-out predictions.
 
     The spread is a smooth function of the predicted values (a shallow tap tells less about shear than a
     deep one), fitted to the size of the errors: a quadratic, or with fewer rows its linear terms, or with few
     rows or groups one number. A row's own group
-    has no part in the spread that its error is scored by.
+    has no part in the spread that its error is scored by. Where there are groups enough, a target that does
+    not come round again keeps its rate in every part of its range, see `calibration.coverage`.
 
     Args:
-        predicted: held-out predictions ``[n t]``.
+        predicted: held-out outputs of the model ``[n o]``.
         true: the labels ``[n t]``.
         groups: ``[n]`` label of each row's group.
         coverage: how often intervals shall hold the truth, 0 to 1.
+        layout: of the targets in the outputs; None where each is one.
     """
-    errors = np.abs(predicted - true)
-    terms = _terms(errors, groups)
-    scores = np.empty_like(errors)
-    for others, held in _parts(groups):
-        spread = _fit_spread(predicted[others], errors[others], terms)
-        scores[held] = errors[held] / spread.at(predicted[held])
+    layout = layout or TargetLayout((None,) * true.shape[1])
+    estimates = layout.decoded(predicted)
+    errors = np.abs(layout.differences(estimates, true))
+    expected = spread_of_others(predicted, errors, groups)
+    scores = errors / expected
     quantile = np.array([conformal_quantile(column, coverage) for column in scores.T])
-    return Intervals(_fit_spread(predicted, errors, terms), quantile, coverage)
+    by_range = tuple(
+        fit_range_intervals(estimates[:, j], true[:, j], expected[:, j], quantile[j], groups, coverage)
+        if period is None
+        else None
+        for j, period in enumerate(layout.periods)
+    )
+    spread = _fit_spread(predicted, errors, _terms(predicted, groups))
+    return Intervals(spread, quantile, coverage, by_range, layout)
+
+
+def spread_of_others(predicted: Outputs, errors: Values, groups: np.ndarray) -> Values:
+    """Expected size of each row's errors ``[n t]``, learnt from the errors of other groups.
+
+    Args:
+        predicted: held-out outputs of the model ``[n o]``.
+        errors: their absolute errors ``[n t]``.
+        groups: ``[n]`` label of each row's group.
+    """
+    terms, expected = _terms(predicted, groups), np.empty_like(errors)
+    for others, held in _parts(groups):
+        expected[held] = _fit_spread(predicted[others], errors[others], terms).at(predicted[held])
+    return expected
 
 
 CONFIDENCE = 0.95
@@ -123,16 +153,16 @@ def _parts(groups: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     return GroupKFold(min(5, count)).split(every, groups=groups)
 
 
-def _terms(errors: Values, groups: np.ndarray) -> int:
+def _terms(predicted: Outputs, groups: np.ndarray) -> int:
     """Number of terms of `design` that the rows can carry: 1, the linear ones, or all."""
-    n, t = errors.shape
+    n, t = predicted.shape
     if len(np.unique(groups)) < GROUPS_FOR_SPREAD:
         return 1
     wanted = (1 + t + t * (t + 1) // 2, 1 + t, 1)
     return next(terms for terms in wanted if terms == 1 or n >= ROWS_PER_COEFFICIENT * terms)
 
 
-def _fit_spread(predicted: Values, errors: Values, count: int) -> ErrorSpread:
+def _fit_spread(predicted: Outputs, errors: Values, count: int) -> ErrorSpread:
     scaler = Scaler.of(predicted)
     typical = np.maximum(errors.mean(axis=0), np.finfo(np.float32).tiny)
     terms = design(scaler.scaled(predicted))

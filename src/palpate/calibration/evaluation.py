@@ -9,10 +9,13 @@ import pandas as pd
 
 from palpate.calibration.calibration_plan import ReferenceRule
 from palpate.calibration.conformal import grouped_coverage_interval
+from palpate.calibration.coverage import range_scores, target_findings
+from palpate.calibration.coverage.circular_scores import dispersion, shortest
+from palpate.calibration.coverage.joint_regions import joint_score
 from palpate.calibration.training_data import rows_matching
 from palpate.core import CertificateError, LabelError, Progress, Shaped, Values, silent
-from palpate.estimators.certified import Estimator, Zero
-from palpate.estimators.model_card import Card, ScoreCard
+from palpate.estimators.certified import Estimator, Zero, within
+from palpate.estimators.model_card import Card, ScoreCard, TenthCard
 from palpate.recordings import Run
 from palpate.recordings.label_tables import own_column, targets_from, with_own
 
@@ -24,6 +27,9 @@ def score(
     half: Shaped[np.ndarray, " n"],
     mean: float | Shaped[np.ndarray, " n"],
     groups: Shaped[np.ndarray, " n"],
+    *,
+    inside: Shaped[np.ndarray, " n"] | None = None,
+    period: float | None = None,
 ) -> ScoreCard:
     """Score one target.
 
@@ -32,11 +38,14 @@ def score(
         true, predicted, half: labels, estimates and half-widths of their intervals.
         mean: the training mean, as an estimate of every row.
         groups: label of each row's group; rows of one group are not independent.
+        inside: whether each interval held the truth; None where estimates lie in their middles.
+        period: after which the target comes round again, so that errors are the shortest way round, and R² is
+            of their squares; None where it does not.
     """
-    error = predicted - true
-    inside = np.abs(error) <= half
+    error, away = shortest(predicted - true, period), shortest(true - mean, period)
+    inside = np.abs(error) <= half if inside is None else inside
     low, high = grouped_coverage_interval(inside, groups)
-    variance = float(np.var(true))
+    variance = float(np.var(true)) if period is None else dispersion(true, period)
     return ScoreCard(
         unit=unit_,
         n=len(true),
@@ -44,7 +53,7 @@ def score(
         rmse=float(np.sqrt(np.mean(error**2))),
         bias=float(error.mean()),
         r2=1 - float(np.mean(error**2)) / variance if variance > 0 else 0.0,
-        mean_mae=float(np.abs(true - mean).mean()),
+        mean_mae=float(np.abs(away).mean()),
         coverage_90=float(inside.mean()),
         coverage_90_low=low,
         coverage_90_high=high,
@@ -81,7 +90,9 @@ def evaluate(
         progress: called with how far it is.
 
     Returns:
-        ``{"targets": {column: {"unit", "n", "mae", "rmse", "r2", "coverage_90", …}}, …}``.
+        ``{"targets": {column: {"unit", "n", "mae", "rmse", "r2", "coverage_90", …}}, "tenths": {column:
+        scores of the tenths of its range}, "findings": sentences on those that do not keep the promise,
+        "vectors": {column: {"n", "covered", "low", "high"}}, …}``.
 
     Raises:
         LabelError: a target column is missing or unfit.
@@ -110,8 +121,10 @@ def predictions(
 
     Returns:
         The labels of the frames that would be scored, which need not have the targets; of each target
-        ``estimate:COLUMN`` and ``half_width:COLUMN`` in the column's unit, NaN where a frame could not be
-        read; ``own:valid``, and ``own:why`` it is not, also without ``own:`` where no label is called so.
+        ``estimate:COLUMN``, ``half_width:COLUMN``, ``low:COLUMN`` and ``high:COLUMN`` in the column's unit,
+        NaN where a frame could not be read; of each component of a vector ``joint_half_width:COLUMN``, the
+        reach of the joint region; ``own:valid``, and ``own:why`` it is not, also without ``own:`` where no
+        label is called so.
 
     Raises:
         ImageError: the calibration is differential and the run has no reference.
@@ -121,16 +134,25 @@ def predictions(
     table = run.labels.iloc[rows].reset_index(drop=True)
     zeros = {} if zero is not None else zeros_of(estimator, run)
     predicted, half = np.full((2, len(rows), len(card.columns)), np.nan)
+    low, high = np.full((2, len(rows), len(card.columns)), np.nan)
+    joint = {part: np.full(len(rows), np.nan) for vector in card.vectors or () for part in vector.columns}
     whys: list[str] = []
     for i, row in enumerate(rows):
         readings = estimator.read(run.frame(int(row)), zero or zeros.get(int(row)))
         each = [readings[column] for column in card.columns]
         predicted[i] = [reading.value for reading in each]
         half[i] = [(reading.high - reading.low) / 2 for reading in each]
-        whys.append("; ".join(sorted({reading.why for reading in readings.values() if reading.why})))
+        low[i], high[i] = [one.low for one in each], [one.high for one in each]
+        for vector in card.vectors or ():
+            reach = readings[vector.column].region.half_widths
+            for part, reached in zip(vector.columns, reach, strict=True):
+                joint[part][i] = reached
+        whys.append("; ".join(sorted({reading.why for reading in each if reading.why})))
         progress("evaluating", i + 1, len(rows))
     for j, column in enumerate(card.columns):
         table[f"estimate:{column}"], table[f"half_width:{column}"] = predicted[:, j], half[:, j]
+        table[f"low:{column}"], table[f"high:{column}"] = low[:, j], high[:, j]
+    table = table.assign(**{f"joint_half_width:{part}": reached for part, reached in joint.items()})
     return with_own(table, {"valid": [not why for why in whys], "why": whys})
 
 
@@ -151,22 +173,34 @@ def _untouched_rows(card: Card, table: pd.DataFrame) -> np.ndarray:
 
 
 def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str, Any]:
-    predicted, half = (
+    predicted, half, low, high = (
         table[[f"{kind}:{column}" for column in card.columns]].to_numpy(float)
-        for kind in ("estimate", "half_width")
+        for kind in ("estimate", "half_width", "low", "high")
     )
     read = ~np.isnan(predicted).any(axis=1)
     if not read.any():
         raise LabelError(f"{run.path}: no frame could be read, every one is of another size than calibrated")
     groups = groups_in(table, card.split.columns)[read]
-    targets = {
-        t.column: score(
-            t.unit, true[read, j], predicted[read, j], half[read, j], t.training_mean, groups
+    targets, tenths = {}, {}
+    for j, t in enumerate(card.targets):
+        columns = [part[read, j] for part in (true, predicted, half, low, high)]
+        inside = None if t.over_range is None else within(columns[0], *columns[3:])
+        period = t.circular and t.circular.period
+        targets[t.column] = score(
+            t.unit, *columns[:3], t.training_mean, groups, inside=inside, period=period
         ).model_dump()
-        for j, t in enumerate(card.targets)
-    }
+        if inside is not None:
+            error = columns[1] - columns[0]
+            parts = range_scores(columns[0], error, inside, groups, (t.least, t.greatest), card.coverage)
+            tenths[t.column] = [part.model_dump() for part in parts]
     return {
         "targets": targets,
+        "tenths": tenths,
+        "findings": _findings(card, targets, tenths),
+        "vectors": {
+            v.column: joint_score(v, card.columns, table[read], true[read], groups)
+            for v in card.vectors or ()
+        },
         "calibration": card.id,
         "run": {"run_id": run.manifest.run_id, "hash": run.hash, "frames": len(run)},
         "frames_scored": len(table),
@@ -176,6 +210,26 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str
         "group_columns": list(card.split.columns),
         "learnt_from_this_run": run.hash == card.run.hash,
     }
+
+
+def _findings(card: Card, targets: dict[str, Any], tenths: dict[str, list[dict[str, Any]]]) -> list[str]:
+    """Sentences on the targets' ranges, as on the card, by this run's scores."""
+    return [
+        sentence
+        for t in card.targets
+        for sentence in target_findings(
+            t.model_copy(
+                update={
+                    "score": ScoreCard(**targets[t.column]),
+                    "over_range": t.over_range
+                    and t.over_range.model_copy(
+                        update={"tenths": tuple(TenthCard(**part) for part in tenths[t.column])}
+                    ),
+                }
+            ),
+            card.coverage,
+        )
+    ]
 
 
 def groups_in(table: pd.DataFrame, columns: tuple[str, ...]) -> np.ndarray:

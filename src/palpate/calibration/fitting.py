@@ -25,6 +25,7 @@ from scipy.stats import ks_2samp
 
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.certificate import CalibrationResult, write_certificate
+from palpate.calibration.coverage.circular_scores import refuse_no_angles
 from palpate.calibration.leakage import audit
 from palpate.calibration.model_check import check_plugged_in
 from palpate.calibration.training_data import LearningSet, learning_set, table_to_learn
@@ -40,6 +41,7 @@ from palpate.core import (
     refuse_existing,
     sha256_of,
     silent,
+    split_column,
     storage_errors,
 )
 from palpate.core.plugins import ERROR, plugin_calls
@@ -120,7 +122,11 @@ def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
     make_model(plan.model, plan.options)
     prepared = preparation_of(run, plan).apply(run.frame(0).image)
     table = table_to_learn(run.labels, plan)
-    targets_from(table, plan.targets, str(run.path))
+    labels = targets_from(table, plan.targets, str(run.path))
+    for column, period in plan.circular.items():
+        refuse_no_angles(
+            column, labels[:, plan.targets.index(column)], split_column(column)[1].symbol, period
+        )
     parts = split(table, plan.split, folds=_folds(plan), seed=plan.seed)
     check_plugged_in(plan, prepared.transpose(2, 0, 1).shape)
     return parts
@@ -206,12 +212,14 @@ def _fit(
     progress: Progress,
     processes: ProcessGroup,
 ) -> tuple[Values, Fitted]:
-    """Held-out predictions, NaN where a row was in no scored fold, and the model that is kept.
+    """Held-out outputs, NaN where a row was in no scored fold, and the model that is kept.
 
     Where every fold is held out in turn, the one kept has learnt from all rows. Where one is, it is the very
     model that was scored.
     """
-    data, model = learning.data, make_model(plan.model, plan.options)
+    layout, model = plan.layout, make_model(plan.model, plan.options)
+    labels = learning.data
+    data = replace(labels, values=layout.encoded(labels.values), names=layout.names(labels.names))
     passed = Exception if plan.model in MODELS else PalpateError  # a fault of palpate's is no plug-in's
 
     def fit(name: str, what: str, rows: Indices, seed: int) -> Fitted:
@@ -245,7 +253,7 @@ def _fit(
         return predicted
 
     predicted = np.full_like(data.values, np.nan)
-    count, alone = folds_to_score(plan, parts), representative_fold(parts, data.values)
+    count, alone = folds_to_score(plan, parts), representative_fold(parts, labels.values)
     for k in range(count) if count > 1 else ():
         predicted[parts.folds[k]] = held_out(k)
     rows = np.arange(len(data.values)) if count > 1 else parts.training_rows(alone)

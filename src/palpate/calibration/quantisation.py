@@ -37,6 +37,7 @@ from palpate.calibration.certificate import (
     write_picture,
 )
 from palpate.calibration.conformal import fit_intervals
+from palpate.calibration.coverage import range_cards
 from palpate.calibration.evaluation import groups_in, score
 from palpate.calibration.training_data import learning_set, rows_to_learn
 from palpate.core import (
@@ -253,8 +254,8 @@ def quantise(folder: PathText, run: Run, out: PathText, progress: Progress = sil
         onnx.save(int8_model(model, images, Path(work)), str(building / "model.onnx"))
         shutil.copyfile(checked_file(folder, card.guard), building / "guard.npz")
         estimates = _answers(_running(building / "model.onnx"), material, progress)
-        targets, halves = _rescored(card, material, estimates)
-        write_table(_predictions(card, material, estimates, halves), building / PREDICTIONS_FILE)
+        targets, ends = _rescored(card, material, estimates)
+        write_table(_predictions(card, material, estimates, ends), building / PREDICTIONS_FILE)
         _pictures(folder, card, building, material, estimates)
         quantised = _card(card, building, targets, material.largest_change(estimates))
         (building / CARD_FILE).write_text(quantised.model_dump_json(indent=1))
@@ -270,6 +271,12 @@ def _check_asked(card: Card, run: Run) -> None:
         )
     if card.options.get("int8"):
         raise InputError(f"calibration {card.id} is in int8 already")
+    if card.vectors or any(target.circular is not None for target in card.targets):
+        raise InputError(
+            f"calibration {card.id} has circular targets or vectors, which int8 is not measured for; "
+            f"keep it as "
+            "it is, or calibrate without --circular and --vector first"
+        )
     if card.adapted_from is not None:
         raise InputError(
             f"calibration {card.id} is adapted from {card.adapted_from}, and its rows were held out from "
@@ -331,23 +338,32 @@ def _running(model: Path) -> Callable[[Tensor], Values]:
     return lambda inputs: np.asarray(session.run(["value"], {"image": inputs})[0], np.float64)
 
 
-def _rescored(card: Card, material: _Material, estimates: Values) -> tuple[tuple[TargetCard, ...], Values]:
-    """Targets with intervals and scores from the int8 estimates, and the intervals' half-widths."""
+def _rescored(
+    card: Card, material: _Material, estimates: Values
+) -> tuple[tuple[TargetCard, ...], tuple[Values, Values]]:
+    """Targets with intervals and scores from the int8 estimates, and the intervals' ends."""
     held, values = material.held, material.data.values
     groups, true, means = material.data.groups[held], values[held], values[material.learnt].mean(axis=0)
     intervals = fit_intervals(estimates, true, groups, card.coverage)
-    halves = intervals.half_widths(estimates)
+    inside, ends = intervals.hold(estimates, true), intervals.ends(estimates)
+    over_range = range_cards(intervals, estimates, true, groups)
 
     def rescored(j: int, target: TargetCard) -> TargetCard:
-        scores = score(target.unit, true[:, j], estimates[:, j], halves[:, j], float(means[j]), groups)
-        return target.model_copy(update=interval_fields(intervals, j) | {"score": scores})
+        half = (ends[1] - ends[0])[:, j] / 2
+        scores = score(
+            target.unit, true[:, j], estimates[:, j], half, float(means[j]), groups, inside=inside[:, j]
+        )
+        return target.model_copy(update=interval_fields(intervals, j, over_range[j]) | {"score": scores})
 
-    return tuple(rescored(j, target) for j, target in enumerate(card.targets)), halves
+    return tuple(rescored(j, target) for j, target in enumerate(card.targets)), ends
 
 
-def _predictions(card: Card, material: _Material, estimates: Values, halves: Values) -> pd.DataFrame:
+def _predictions(
+    card: Card, material: _Material, estimates: Values, ends: tuple[Values, Values]
+) -> pd.DataFrame:
     """The held-out rows as before, with the int8 estimates."""
-    kinds = {"estimate": estimates, "half_width": halves}
+    low, high = ends
+    kinds = {"estimate": estimates, "half_width": (high - low) / 2, "low": low, "high": high}
     return material.predictions.assign(
         **{f"{kind}:{c}": of[:, j] for kind, of in kinds.items() for j, c in enumerate(card.columns)}
     )

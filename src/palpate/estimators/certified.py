@@ -16,7 +16,9 @@ from google.protobuf.message_factory import GetMessageClass
 from pydantic import ValidationError
 
 from palpate.core import (
+    Bool,
     CertificateError,
+    CircularReading,
     Drift,
     Float,
     Float32,
@@ -26,14 +28,20 @@ from palpate.core import (
     PathText,
     Reading,
     Readings,
+    Shaped,
     StorageError,
     Tensor,
     Values,
+    VectorReading,
     sha256_of,
     unit,
 )
-from palpate.estimators.model_card import FORMAT, Card, FileCard, TargetCard, card_id
+from palpate.estimators.model_card import FORMAT, Card, CellsCard, FileCard, TargetCard, card_id
 from palpate.estimators.novelty import NoveltyDetector
+from palpate.estimators.range_intervals import ErrorCells, RangeIntervals
+from palpate.estimators.reading_rules import doubt
+from palpate.estimators.target_layout import Outputs, TargetLayout
+from palpate.estimators.vector_regions import vector_reading
 from palpate.version import needed_version
 
 MIN_RATIO, MAX_RATIO = 0.2, 5.0
@@ -50,21 +58,23 @@ def design(scaled: Values) -> Float[np.ndarray, "n k"]:
 
 @dataclass(frozen=True, slots=True)
 class ErrorSpread:
-    """Expected size of an estimate's error: log spread is a quadratic in the estimated values.
+    """Expected size of an estimate's error: log spread is a quadratic in the model's outputs.
+
+    The outputs are the estimates, but that a circular target is two of them, see `TargetLayout`.
 
     Attributes:
-        centre, scale: of the estimates, ``[t]`` each.
+        centre, scale: of the outputs, ``[o]`` each.
         typical: mean absolute held-out error ``[t]``.
         coefficients: of the quadratic of log(spread / typical), ``[t k]``, see `design`.
     """
 
-    centre: Float[np.ndarray, " t"]
-    scale: Float[np.ndarray, " t"]
+    centre: Float[np.ndarray, " o"]
+    scale: Float[np.ndarray, " o"]
     typical: Float[np.ndarray, " t"]
     coefficients: Float[np.ndarray, "t k"]
 
-    def at(self, values: Values) -> Values:
-        """The spread at these estimates ``[n t]``, in the targets' units."""
+    def at(self, values: Outputs) -> Values:
+        """The spread ``[n t]`` at these outputs of the model ``[n o]``, in the targets' units."""
         scaled = np.clip((values - self.centre) / self.scale, -3.0, 3.0)
         ratio = np.exp(np.clip(design(scaled) @ self.coefficients.T, np.log(MIN_RATIO), np.log(MAX_RATIO)))
         return self.typical * ratio
@@ -72,21 +82,67 @@ class ErrorSpread:
 
 @dataclass(frozen=True, slots=True)
 class Intervals:
-    """half-width = quantile · spread.
+    """half-width = quantile · spread, or ends that keep the rate over the whole range.
 
     Attributes:
         spread: how the size of the error varies with the estimate.
         quantile: conformal quantile of the scaled held-out errors ``[t]``.
         coverage: how often the intervals hold the truth.
+        by_range: of each target, see `RangeIntervals`; None where it has one quantile for the whole range,
+            and empty where all have.
+        layout: of the targets in the outputs; None where each is one.
     """
 
     spread: ErrorSpread
     quantile: Float[np.ndarray, " t"]
     coverage: float
+    by_range: tuple[RangeIntervals | None, ...] = ()
+    layout: TargetLayout | None = None
 
-    def half_widths(self, values: Values) -> Values:
-        """Half-width of the interval around each estimate ``[n t]``."""
+    def half_widths(self, values: Outputs) -> Values:
+        """Half-width ``[n t]`` of the interval with one quantile, around the estimate of each output."""
         return self.quantile * self.spread.at(values)
+
+    def ends(self, outputs: Outputs) -> tuple[Values, Values]:
+        """Lower and upper ends of the intervals ``[n t]``, in the targets' units.
+
+        Those of a circular target run on beyond half a period.
+        """
+        estimate, spread, half = self.estimates(outputs), self.spread.at(outputs), self.half_widths(outputs)
+        low, high = estimate - half, estimate + half
+        for j, one in enumerate(self.by_range):
+            if one is not None:
+                low[:, j], high[:, j] = one.ends(estimate[:, j], spread[:, j], half[:, j])
+        return low, high
+
+    def estimates(self, outputs: Outputs) -> Values:
+        """Estimates of the outputs ``[n t]``."""
+        return outputs if self.layout is None else self.layout.decoded(outputs)
+
+    def errors(self, outputs: Outputs, true: Values) -> Values:
+        """Estimates less truths ``[n t]``, the shortest way round where a target is circular."""
+        estimate = self.estimates(outputs)
+        return estimate - true if self.layout is None else self.layout.differences(estimate, true)
+
+    def hold(self, outputs: Outputs, true: Values) -> Bool[np.ndarray, "n t"]:
+        """Tell where each interval holds the truth, its ends included."""
+        inside = np.abs(self.errors(outputs, true)) <= self.half_widths(outputs)
+        low, high = self.ends(outputs)
+        for j, one in enumerate(self.by_range):
+            if one is not None:
+                inside[:, j] = within(true[:, j], low[:, j], high[:, j])
+        return inside
+
+
+ROUNDING = 1e-9  # of an interval's length: a truth at its very end, computed another way, counts as held
+
+
+def within(
+    true: Shaped[np.ndarray, " n"], low: Shaped[np.ndarray, " n"], high: Shaped[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Tell which truths lie in their intervals, but for rounding."""
+    slack = ROUNDING * (high - low)
+    return np.asarray((low - slack <= true) & (true <= high + slack))
 
 
 CARD_FILE = "card.json"
@@ -171,6 +227,7 @@ class Estimator:
         self._novelty = novelty
         self._preparation = card.input.preparation
         self._intervals = intervals_of(card)
+        self._layout = layout_of(card)
 
     @classmethod
     def open(cls, folder: PathText, *, threads: int = 0) -> Estimator:
@@ -195,8 +252,11 @@ class Estimator:
         prepared = self._preparation.apply(untouched)
         return Zero(prepared.astype(np.float32), self._novelty.drift(prepared))
 
-    def values(self, inputs: Tensor) -> Values:
-        """Run the network: inputs ``[n c h w]`` to estimates ``[n t]`` in the targets' units."""
+    def values(self, inputs: Tensor) -> Outputs:
+        """Run the network: inputs ``[n c h w]`` to outputs ``[n o]``.
+
+        They are the estimates in the targets' units, but that a circular target is its cosine and its sine.
+        """
         (value,) = self._session.run(["value"], {"image": inputs})
         return np.asarray(value, dtype=np.float64)
 
@@ -236,38 +296,53 @@ class Estimator:
         nothing = Frame(np.zeros((1, 1), np.uint8), time_s, name=name)
         return self._readings(nothing, None, why, None)
 
-    def _readings(self, frame: Frame, values: Values | None, why: str, zero: Zero | None) -> Readings:
-        targets = self.card.targets
-        value = np.full(len(targets), np.nan) if values is None else values[0]
-        half = np.full(len(targets), np.nan) if values is None else self._intervals.half_widths(values)[0]
-        drift = None if zero is None else zero.drift
-        return Readings(
-            {
-                target.column: self._reading(target, float(v), float(w), why, drift, frame)
-                for target, v, w in zip(targets, value, half, strict=True)
-            }
-        )
+    def _readings(self, frame: Frame, outputs: Outputs | None, why: str, zero: Zero | None) -> Readings:
+        targets, drift = self.card.targets, None if zero is None else zero.drift
+        if outputs is None:
+            value = low = high = np.full(len(targets), np.nan)
+        else:
+            value = self._layout.decoded(outputs)[0]
+            low, high = (ends[0] for ends in self._intervals.ends(outputs))
+        read: dict[str, Reading | CircularReading | VectorReading] = {
+            target.column: self._reading(target, (float(v), float(a), float(b)), why, drift, frame)
+            for target, v, a, b in zip(targets, value, low, high, strict=True)
+        }
+        for vector in self.card.vectors or ():
+            parts = [read[column] for column in vector.columns]
+            at = [self.card.columns.index(column) for column in vector.columns]
+            spread = None if outputs is None else self._intervals.spread.at(outputs)[0, at]
+            read[vector.column] = vector_reading(vector, parts, spread)
+        return Readings(read)
 
     def _reading(
-        self, target: TargetCard, value: float, half: float, why: str, drift: Drift | None, frame: Frame
-    ) -> Reading:
-        si = unit(target.unit)
-        why = why or _outside(target, value, half)
-        return Reading(
-            quantity=target.quantity,
-            value=si.to_si(value),
-            low=si.to_si(value - half),
-            high=si.to_si(value + half),
-            unit=si.si,
-            coverage=self.card.coverage,
-            calibrated_range=(si.to_si(target.least), si.to_si(target.greatest)),
-            valid=not why,
-            why=why,
-            drift=drift,
-            calibration=self.card.id,
-            frame=frame.name,
-            time_s=frame.time_s,
-        )
+        self,
+        target: TargetCard,
+        place: tuple[float, float, float],
+        why: str,
+        drift: Drift | None,
+        frame: Frame,
+    ) -> Reading | CircularReading:
+        """The reading of an estimate and the ends of its interval, in the target's unit."""
+        si, (value, low, high) = unit(target.unit), place
+        why = why or doubt(target, value, low, high)
+        common: dict[str, Any] = {
+            "quantity": target.quantity,
+            "value": si.to_si(value),
+            "low": si.to_si(low),
+            "high": si.to_si(high),
+            "unit": si.si,
+            "coverage": self.card.coverage,
+            "calibrated_range": (si.to_si(target.least), si.to_si(target.greatest)),
+            "valid": not why,
+            "why": why,
+            "drift": drift,
+            "calibration": self.card.id,
+            "frame": frame.name,
+            "time_s": frame.time_s,
+        }
+        if target.circular is None:
+            return Reading(**common)
+        return CircularReading(**common, period=si.to_si(target.circular.period))
 
     def __repr__(self) -> str:
         targets = ", ".join(f"{t.column} ± {t.score.half_width:.2g}" for t in self.card.targets)
@@ -293,30 +368,45 @@ class Estimator:
         return f"the image is {columns}x{rows} px, the calibration is for {width}x{height} px"
 
 
+def layout_of(card: Card) -> TargetLayout:
+    """The order of the model's outputs that a card states."""
+    return TargetLayout(tuple(t.circular and t.circular.period for t in card.targets))
+
+
 def intervals_of(card: Card) -> Intervals:
     """The intervals that a card describes."""
     targets = card.targets
+    centres = [(t.centre,) if t.circular is None else t.circular.centre for t in targets]
+    scales = [(t.scale,) if t.circular is None else t.circular.scale for t in targets]
     spread = ErrorSpread(
-        np.array([t.centre for t in targets]),
-        np.array([t.scale for t in targets]),
+        np.concatenate(centres),
+        np.concatenate(scales),
         np.array([t.typical for t in targets]),
         np.array([t.coefficients for t in targets]),
     )
-    return Intervals(spread, np.array([t.quantile for t in targets]), card.coverage)
+    by_range = tuple(map(_range_intervals, targets))
+    return Intervals(
+        spread, np.array([t.quantile for t in targets]), card.coverage, by_range, layout_of(card)
+    )
+
+
+def _range_intervals(target: TargetCard) -> RangeIntervals | None:
+    stated = target.over_range
+    if stated is None or stated.by_truth is None or stated.by_estimate is None:
+        return None
+    return RangeIntervals(_error_cells(stated.by_truth), _error_cells(stated.by_estimate))
+
+
+def _error_cells(stated: CellsCard) -> ErrorCells:
+    return ErrorCells(*(np.array(part, np.float64) for part in (stated.limits, stated.centre, stated.half)))
 
 
 def _novelty_reason(atypicality: float) -> str:
     return f"the image is unlike those calibrated on (distance {atypicality:.1f}, limit 1)"
 
 
-def _outside(target: TargetCard, value: float, half: float) -> str:
-    """Reason not to trust a value: its whole interval lies beyond what the calibration saw."""
-    if target.least - half <= value <= target.greatest + half:
-        return ""
-    return (
-        f"{target.quantity} {value:.3g} {target.unit} lies beyond the calibrated range "
-        f"{target.least:.3g} to {target.greatest:.3g} {target.unit}"
-    )
+def _novelty_reason(atypicality: float) -> str:
+    return f"the image is unlike those calibrated on (distance {atypicality:.1f}, limit 1)"
 
 
 def _session(path: Path, card: Card, threads: int) -> onnxruntime.InferenceSession:
@@ -344,7 +434,7 @@ def _check_shapes(session: onnxruntime.InferenceSession, card: Card, path: Path)
     inputs = {i.name: i.shape[1:] for i in session.get_inputs()}
     outputs = {o.name: o.shape[1:] for o in session.get_outputs()}
     wanted_in = {"image": [card.input.channels, *card.input.size_px]}
-    wanted_out = {"value": [len(card.targets)]}
+    wanted_out = {"value": [layout_of(card).outputs]}
     if inputs != wanted_in or outputs != wanted_out:
         raise CertificateError(
             f"{path} takes {inputs} and gives {outputs}, its card says {wanted_in} and {wanted_out}; "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_serializer, model_validator
@@ -62,6 +63,103 @@ class ScoreCard(_CardPart):
         return self.mae > 0.95 * self.mean_mae
 
 
+class CellsCard(_CardPart):
+    """Bands of the scaled error, one in each cell of a range; see `estimators.range_intervals`.
+
+    Attributes:
+        limits: between the cells, ascending, in the target's unit; the outermost cells have no end.
+        centre, half: of each cell's band, in units of the spread.
+    """
+
+    limits: tuple[float, ...]
+    centre: tuple[float, ...]
+    half: tuple[float, ...]
+
+    @model_validator(mode="after")
+    def _cells_fit(self) -> CellsCard:
+        if not len(self.centre) == len(self.half) == len(self.limits) + 1:
+            raise ValueError(f"{len(self.limits)} limits need {len(self.limits) + 1} bands")
+        if any(after <= before for before, after in pairwise(self.limits)) or min(self.half) < 0:
+            raise ValueError("limits of cells ascend, and half-widths of bands are 0 or more")
+        return self
+
+
+class TenthCard(_CardPart):
+    """Scored rows of one tenth of a target's range, by the truth.
+
+    Attributes:
+        start, end: of the tenth, in the target's unit.
+        n, groups: rows and their groups.
+        covered: rows whose interval held the truth.
+        bias: mean signed error, estimate less truth.
+        p: probability of so few, or fewer, where 5 % less than was promised is covered, groups counted.
+    """
+
+    start: float
+    end: float
+    n: int
+    groups: int
+    covered: int
+    bias: float
+    p: float
+
+
+class RangeCard(_CardPart):
+    """How a target's intervals follow its range, and where a reading counts as beyond it.
+
+    Attributes:
+        by_truth, by_estimate: bands that the intervals are made from; None where groups are too few to set
+            them, and the target's `quantile` holds over the whole range.
+        beyond: how far below and above the range an estimate may lie, in the target's unit.
+        reach: how far below and above the range an interval may reach.
+        tenths: scores of the range's tenths.
+    """
+
+    by_truth: CellsCard | None
+    by_estimate: CellsCard | None
+    beyond: tuple[float, float]
+    reach: tuple[float, float]
+    tenths: tuple[TenthCard, ...]
+
+
+class CircularCard(_CardPart):
+    """A target that comes round again, which the model gives as cosine and sine.
+
+    Attributes:
+        period: after which it does, in the target's unit.
+        centre, scale: of the two outputs, see `estimators.certified.ErrorSpread`.
+    """
+
+    period: float = Field(gt=0)
+    centre: tuple[float, float]
+    scale: tuple[float, float]
+
+
+class VectorCard(_CardPart):
+    """A vector: targets whose joint region covers all of them at once at the stated rate.
+
+    Attributes:
+        column: its name, quantity_unit; the readings' key.
+        columns: of its components, all in one unit.
+        components: their names.
+        correlation: S of the errors, each in units of its own spread, row after row.
+        radius: conformal quantile of sqrt(rᵀ S⁻¹ r).
+        n: rows scored.
+        covered: share of them whose truth lay in the region.
+        low, high: 95 % interval of that share, groups counted as groups.
+    """
+
+    column: str
+    columns: tuple[str, ...] = Field(min_length=2)
+    components: tuple[str, ...]
+    correlation: tuple[tuple[float, ...], ...]
+    radius: float = Field(gt=0)
+    n: int
+    covered: float
+    low: float
+    high: float
+
+
 class TargetCard(_CardPart):
     """One target: what it is, where it was calibrated, how its intervals are made, how it scored.
 
@@ -72,7 +170,12 @@ class TargetCard(_CardPart):
         training_mean: of the labels learnt from, in `unit`.
         centre, scale, typical, coefficients, quantile: see `estimators.certified`.
         score: on held-out folds.
+        over_range: its intervals and its scores along the range; None in cards of before, and where it is
+            circular.
+        circular: how it comes round again; None where it does not.
     """
+
+    added: ClassVar[tuple[str, ...]] = ("over_range", "circular")
 
     column: str
     quantity: str
@@ -86,6 +189,8 @@ class TargetCard(_CardPart):
     coefficients: tuple[float, ...]
     quantile: float = Field(ge=0)
     score: ScoreCard
+    over_range: RangeCard | None = None
+    circular: CircularCard | None = None
 
 
 class FileCard(_CardPart):
@@ -167,9 +272,10 @@ class Card(_CardPart):
         seconds: time the calibration took, since it was last taken up [s].
         adapted_from: id of the calibration whose network this one corrects to another copy of its sensor;
             None where it is a calibration of its own.
+        vectors: targets that are also read together; None where there are none.
     """
 
-    added: ClassVar[tuple[str, ...]] = ("adapted_from",)
+    added: ClassVar[tuple[str, ...]] = ("adapted_from", "vectors")
 
     format: Literal["palpate-calibration/1"]
     id: str
@@ -191,10 +297,11 @@ class Card(_CardPart):
     agreement: float
     seconds: float
     adapted_from: str | None = None
+    vectors: tuple[VectorCard, ...] | None = None
 
     @model_validator(mode="after")
     def _targets_fit(self) -> Card:
-        t = len(self.targets)
+        t = len(self.targets) + sum(target.circular is not None for target in self.targets)
         terms = 1 + t + t * (t + 1) // 2  # of `estimators.certified.design`
         for target in self.targets:
             if self.columns.count(target.column) > 1:
@@ -203,6 +310,12 @@ class Card(_CardPart):
                 raise ValueError(f"the range of {target.column} ends before it begins")
             if len(target.coefficients) != terms:
                 raise ValueError(f"{target.column} has {len(target.coefficients)} coefficients, not {terms}")
+        for vector in self.vectors or ():
+            if not set(vector.columns) <= set(self.columns) or vector.column in self.columns:
+                raise ValueError(f"the vector {vector.column} is not made of targets, or is called as one")
+            k = len(vector.columns)
+            if len(vector.components) != k or [len(row) for row in vector.correlation] != [k] * k:
+                raise ValueError(f"the vector {vector.column} of {k} targets has parts of other lengths")
         return self
 
     @property

@@ -16,6 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from palpate.calibration.conformal import few_groups_coverage_interval
+from palpate.calibration.coverage.circular_scores import shortest
+from palpate.estimators.certified import within
 from palpate.estimators.model_card import TargetCard
 
 INK, ACCENT, BAND, BAD = "#1b2a33", "#0b7a75", "#cfe8e6", "#c0392b"
@@ -45,9 +47,10 @@ def target_figure(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) -
     """Predicted against true, error against the truth, coverage along the truth, groups counted as groups."""
     true, guess, half = target_columns(target, table)
     with styled_panels(10.2, 3.1, columns=3) as (figure, (left, middle, right)):
-        _predicted(left, target, true, guess, half)
-        _errors(middle, target, true, guess, half)
-        _coverage(right, target, true, np.abs(guess - true) <= half, groups)
+        error, inside = errors_of(target, true, guess), held_rows(target, table)
+        _predicted(left, target, true, true + error, inside)
+        _errors(middle, target, true, error, half)
+        _coverage(right, target, true, inside, groups)
         return drawn(figure)
 
 
@@ -69,7 +72,7 @@ def surface_figure(targets: tuple[TargetCard, ...], table: pd.DataFrame, where: 
             axes.set_axis_off()
         for axes, target in zip(panels, targets, strict=False):
             true, guess, _ = target_columns(target, table)
-            _map(figure, axes, target, (x, y), np.abs(guess - true), where)
+            _map(figure, axes, target, (x, y), np.abs(errors_of(target, true, guess)), where)
         return drawn(figure)
 
 
@@ -80,8 +83,22 @@ def target_columns(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray,
     return true, guess, half
 
 
-def _predicted(axes: Axes, target: TargetCard, true: np.ndarray, guess: np.ndarray, half: np.ndarray) -> None:
-    inside = np.abs(guess - true) <= half
+def errors_of(target: TargetCard, true: np.ndarray, guess: np.ndarray) -> np.ndarray:
+    """Estimates less truths, the shortest way round where the target is circular."""
+    return shortest(guess - true, target.circular and target.circular.period)
+
+
+def held_rows(target: TargetCard, table: pd.DataFrame) -> np.ndarray:
+    """Tell which rows' intervals held the truth; by half-widths in tables of before."""
+    true, guess, half = target_columns(target, table)
+    if target.over_range is None or f"low:{target.column}" not in table:
+        return np.abs(errors_of(target, true, guess)) <= half
+    return within(true, *(table[f"{end}:{target.column}"].to_numpy(float) for end in ("low", "high")))
+
+
+def _predicted(
+    axes: Axes, target: TargetCard, true: np.ndarray, guess: np.ndarray, inside: np.ndarray
+) -> None:
     ends = [target.least, target.greatest]
     axes.plot(ends, ends, color=INK, lw=0.8)
     for rows, colour in ((inside, ACCENT), (~inside, BAD)):
@@ -90,9 +107,9 @@ def _predicted(axes: Axes, target: TargetCard, true: np.ndarray, guess: np.ndarr
     axes.set_ylabel(_label(target, "estimated"))
 
 
-def _errors(axes: Axes, target: TargetCard, true: np.ndarray, guess: np.ndarray, half: np.ndarray) -> None:
-    centres, (typical, width) = _binned(true, np.abs(guess - true), half)
-    axes.scatter(true, guess - true, s=7, color=ACCENT, alpha=0.4, linewidths=0)
+def _errors(axes: Axes, target: TargetCard, true: np.ndarray, error: np.ndarray, half: np.ndarray) -> None:
+    centres, (typical, width) = _binned(true, np.abs(error), half)
+    axes.scatter(true, error, s=7, color=ACCENT, alpha=0.4, linewidths=0)
     axes.fill_between(centres, -width, width, color=BAND, zorder=0, label="90 % interval")
     axes.plot(centres, typical, color=INK, lw=1.4, label="mean |error|")
     axes.axhline(0, color=INK, lw=0.6)

@@ -12,12 +12,15 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from palpate.calibration.certificate import read_predictions
 from palpate.calibration.conformal import few_groups_coverage_interval
+from palpate.calibration.coverage import target_findings
 from palpate.calibration.evaluation import groups_in
 from palpate.core import PathText, new_file
 from palpate.estimators.certified import checked_file, read_card
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard
 from palpate.recordings.label_tables import OWN, own_column
 from palpate.reports.calibration_figures import (
+    errors_of,
+    held_rows,
     picture,
     surface_columns,
     surface_figure,
@@ -85,6 +88,7 @@ def render_report(calibration: Path, card: Card) -> str:
         card=card,
         figures={target.column: target_figure(target, table, groups) for target in card.targets},
         verdicts={t.column: verdict(t, outer_ranges(t, table, groups)) for t in card.targets},
+        findings={t.column: target_findings(t, card.coverage) for t in card.targets},
         surface=surface_figure(card.targets, table, where) if where else "",
         where=where,
         worst=_worst(calibration, card, table),
@@ -111,9 +115,9 @@ def outer_ranges(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) ->
         table: the held-out predictions, a row a frame.
         groups: ``[n]`` label of each row's group.
     """
-    true, estimate, half = target_columns(target, table)
-    error = estimate - true
-    inside = np.abs(error) <= half
+    true, estimate, _ = target_columns(target, table)
+    error = errors_of(target, true, estimate)
+    inside = held_rows(target, table)
     count = max(int(OUTER_SHARE * len(true)), MIN_OUTER_ROWS)
     if 2 * count > len(true):
         return ()
@@ -186,7 +190,8 @@ def _worst(calibration: Path, card: Card, table: pd.DataFrame) -> list[dict[str,
 
 
 def _error(row: pd.Series, target: TargetCard) -> float:
-    return abs(float(row[f"estimate:{target.column}"]) - float(row[target.column]))
+    true, estimate = (np.array([float(row[name])]) for name in (target.column, f"estimate:{target.column}"))
+    return abs(float(errors_of(target, true, estimate)[0]))
 
 
 def _estimate_text(row: pd.Series, target: TargetCard) -> str:

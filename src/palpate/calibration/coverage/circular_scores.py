@@ -1,0 +1,86 @@
+"""Errors of quantities that come round again, their mean, and the arc that they cover."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from palpate.core import Float, LabelError
+from palpate.estimators.target_layout import FULL_TURN
+
+Row = Float[np.ndarray, " n"]
+
+
+def shortest(difference: Row, period: float | None) -> Row:
+    """Differences the shortest way round, from -period/2 up to, not including, period/2.
+
+    Args:
+        difference: of two values, in their unit.
+        period: after which they come round again; None leaves the differences as they are.
+    """
+    return difference if period is None else (difference + period / 2) % period - period / 2
+
+
+def mean_direction(values: Row, period: float) -> float:
+    """Direction of the mean of the points on the circle, above -period/2 and up to period/2."""
+    angle = 2 * np.pi * values / period
+    return float(np.arctan2(np.sin(angle).mean(), np.cos(angle).mean()) * period / (2 * np.pi))
+
+
+def mean_of(values: Row, period: float | None) -> float:
+    """Mean of values, or their mean direction where they come round again."""
+    return float(values.mean()) if period is None else mean_direction(values, period)
+
+
+def dispersion(values: Row, period: float) -> float:
+    """Mean squared distance from the mean direction the shortest way round, in the square of the unit.
+
+    It stands where the variance of a plain quantity does; of evenly spread directions it is period² / 12.
+    """
+    return float(np.mean(shortest(values - mean_direction(values, period), period) ** 2))
+
+
+MIN_GAP = 1 / 20
+"""Share of the period that the widest gap between directions leaves free where they cover an arc only."""
+
+
+def calibrated_arc(values: Row, period: float) -> tuple[float, float]:
+    """The arc that directions cover, from the first upwards to the second.
+
+    It is what the widest gap between neighbours leaves, or the whole turn where that gap is narrow.
+    """
+    turned = np.unique(np.mod(values, period))
+    gaps = np.diff(turned, append=turned[0] + period)
+    widest = int(np.argmax(gaps))
+    if gaps[widest] < MIN_GAP * period:
+        return -period / 2, period / 2
+    start = float(turned[(widest + 1) % len(turned)])
+    end = start + period - float(gaps[widest])
+    turns = period * round((start + end) / 2 / period)
+    return start - turns, end - turns
+
+
+MAX_TURNS = 1.5  # of labels: -180 to 180 and 0 to 360 in one column reach over one and a half
+
+
+def refuse_no_angles(column: str, values: Row, symbol: str, period: float) -> None:
+    """Refuse labels of a circular target that are no directions.
+
+    Mixed conventions, as -180 to 180 and 0 to 360 in one column, are the same directions and pass.
+
+    Raises:
+        LabelError: the labels reach over more than one and a half turns, or lie all in one direction.
+    """
+    turn = max(period, FULL_TURN.get(symbol, period))
+    span = float(np.ptp(values))
+    if span > MAX_TURNS * turn * (1 + 1e-9):
+        raise LabelError(
+            f"{column} runs from {values.min():.6g} to {values.max():.6g} {symbol}, over "
+            f"{span / turn:.3g} turns of "
+            f"{turn:.6g} {symbol}: that counts turns and is no direction; leave it out of --circular, "
+            f"or write it "
+            f"modulo {period:.6g}"
+        )
+    if np.ptp(shortest(values - values[0], period)) < 1e-9 * period:
+        raise LabelError(
+            f"{column} is the same direction everywhere, modulo {period:.6g} {symbol}: nothing to learn"
+        )

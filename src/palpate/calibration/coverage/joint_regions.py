@@ -1,0 +1,113 @@
+"""Joint regions of several targets: one ellipsoid that covers all of them at once at the stated rate.
+
+Errors are taken in units of their spread, their second moments are those of the held-out rows, and the
+radius is the conformal quantile of their Mahalanobis distances, groups kept whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from palpate.calibration.conformal import grouped_coverage_interval, spread_of_others
+from palpate.calibration.coverage.range_fit import group_parts, grouped_quantile
+from palpate.core import Float, Values
+from palpate.estimators.certified import Intervals
+from palpate.estimators.model_card import VectorCard
+from palpate.estimators.target_layout import Outputs
+from palpate.estimators.vector_regions import component_names, mahalanobis
+
+RIDGE = 1e-6
+"""Added to a correlation's diagonal: components that err together to the last digit still make an
+ellipsoid."""
+
+MIN_TRACE = float(np.finfo(np.float32).tiny)  # of errors that are all zero
+
+
+def vector_cards(
+    vectors: Mapping[str, Sequence[str]],
+    columns: Sequence[str],
+    intervals: Intervals,
+    outputs: Outputs,
+    true: Values,
+    groups: np.ndarray,
+) -> tuple[VectorCard, ...]:
+    """Joint regions of some vectors, from held-out outputs.
+
+    Args:
+        vectors: name of each, quantity_unit, and its targets.
+        columns: all targets, in the order of the labels.
+        intervals: of the single targets.
+        outputs: of the model ``[n o]``.
+        true: the labels ``[n t]``.
+        groups: label of each row's group.
+    """
+    errors = intervals.errors(outputs, true)
+    scaled = errors / spread_of_others(outputs, np.abs(errors), groups)
+    cards = []
+    for name, parts in vectors.items():
+        at = [list(columns).index(part) for part in parts]
+        correlation, scores = _fitted(scaled[:, at], groups)
+        radius = grouped_quantile(scores, groups, intervals.coverage)
+        inside = scores <= radius
+        low, high = grouped_coverage_interval(inside, groups)
+        cards.append(
+            VectorCard(
+                column=name,
+                columns=tuple(parts),
+                components=component_names(name, parts),
+                correlation=tuple(tuple(map(float, row)) for row in correlation),
+                radius=max(radius, float(np.finfo(np.float32).tiny)),
+                n=len(true),
+                covered=float(inside.mean()),
+                low=low,
+                high=high,
+            )
+        )
+    return tuple(cards)
+
+
+def joint_score(
+    vector: VectorCard, columns: Sequence[str], table: pd.DataFrame, true: Values, groups: np.ndarray
+) -> dict[str, Any]:
+    """How often a vector's region covered all its components at once.
+
+    Args:
+        vector: its card.
+        columns: all targets, in the order of the labels.
+        table: of each component ``estimate:COLUMN`` and ``joint_half_width:COLUMN``.
+        true: the labels ``[n t]``.
+        groups: label of each row's group.
+
+    Returns:
+        ``{"n", "covered", "low", "high"}``: rows, share covered, and its 95 % interval.
+    """
+    at = [list(columns).index(part) for part in vector.columns]
+    estimate, reach = (
+        table[[f"{kind}:{part}" for part in vector.columns]].to_numpy(float)
+        for kind in ("estimate", "joint_half_width")
+    )
+    correlation = np.array(vector.correlation)
+    spread = reach / (vector.radius * np.sqrt(np.diag(correlation)))
+    inside = mahalanobis((estimate - true[:, at]) / spread, correlation) <= vector.radius
+    low, high = grouped_coverage_interval(inside, groups)
+    return {"n": len(inside), "covered": float(inside.mean()), "low": low, "high": high}
+
+
+def _fitted(
+    scaled: Float[np.ndarray, "n k"], groups: np.ndarray
+) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " n"]]:
+    """The second moments of the errors, and each row's distance by those of other groups."""
+    parts, scores = group_parts(groups), np.empty(len(scaled))
+    for part in np.unique(parts):
+        held = parts == part
+        scores[held] = mahalanobis(scaled[held], _moments(scaled[~held] if not held.all() else scaled))
+    return _moments(scaled), scores
+
+
+def _moments(scaled: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k k"]:
+    moments = scaled.T @ scaled / len(scaled)
+    return moments + RIDGE * max(float(np.trace(moments)), MIN_TRACE) * np.eye(len(moments))

@@ -1,0 +1,88 @@
+"""Where a range ends: how far beyond it frames within it are read, which says what is extrapolated.
+
+A frame from the very end of the range is read beyond it half of the time. So an estimate, and an interval's
+end, may lie beyond the range as far as is usual for held-out frames within it: as far as in 97 % of those
+of the outermost tenth, or as in 99 % of all, whichever is farther.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from palpate.calibration.coverage.range_fit import Row, grouped_quantile
+from palpate.calibration.coverage.range_scores import range_scores
+from palpate.core import Values
+from palpate.estimators.certified import Intervals
+from palpate.estimators.model_card import CellsCard, RangeCard
+from palpate.estimators.range_intervals import ErrorCells
+from palpate.estimators.target_layout import Outputs
+
+USUAL_AT_THE_END, USUAL = 0.97, 0.99
+OUTER_SHARE, MIN_OUTER_ROWS = 0.1, 20
+
+
+def usual_reach(true: Row, low: Row, high: Row, groups: np.ndarray) -> tuple[float, float]:
+    """How far below the least and above the greatest truth some values usually lie, 0 or more.
+
+    Args:
+        true: labels of held-out rows.
+        low, high: of each row, what is compared with the least and with the greatest of them: its estimate
+            twice, or its interval's ends.
+        groups: label of each row's group.
+    """
+    count = min(max(int(OUTER_SHARE * len(true)), MIN_OUTER_ROWS), len(true))
+    order = np.argsort(true, kind="stable")
+    below, above = true.min() - low, high - true.max()
+    return _usual(below, order[:count], groups), _usual(above, order[-count:], groups)
+
+
+def _usual(beyond: Row, outermost: np.ndarray, groups: np.ndarray) -> float:
+    at_the_end = grouped_quantile(beyond[outermost], groups[outermost], USUAL_AT_THE_END)
+    return max(at_the_end, grouped_quantile(beyond, groups, USUAL), 0.0)
+
+
+def range_cards(
+    intervals: Intervals, outputs: Outputs, true: Values, groups: np.ndarray
+) -> Sequence[RangeCard | None]:
+    """Each target's card over its range, from held-out outputs; None for a circular one.
+
+    Args:
+        intervals: as they were fitted to these.
+        outputs: of the model ``[n o]``.
+        true: the labels ``[n t]``.
+        groups: label of each row's group.
+    """
+    layout = intervals.layout
+    estimate = outputs if layout is None else layout.decoded(outputs)
+    low, high = intervals.ends(outputs)
+    inside = intervals.hold(outputs, true)
+    return [
+        None
+        if layout is not None and layout.periods[j] is not None
+        else RangeCard(
+            by_truth=_cells_card(intervals, j, "by_truth"),
+            by_estimate=_cells_card(intervals, j, "by_estimate"),
+            beyond=usual_reach(true[:, j], estimate[:, j], estimate[:, j], groups),
+            reach=usual_reach(true[:, j], low[:, j], high[:, j], groups),
+            tenths=range_scores(
+                true[:, j],
+                estimate[:, j] - true[:, j],
+                inside[:, j],
+                groups,
+                (float(true[:, j].min()), float(true[:, j].max())),
+                intervals.coverage,
+            ),
+        )
+        for j in range(true.shape[1])
+    ]
+
+
+def _cells_card(intervals: Intervals, j: int, which: str) -> CellsCard | None:
+    one = intervals.by_range[j] if intervals.by_range else None
+    if one is None:
+        return None
+    cells: ErrorCells = getattr(one, which)
+    plain = {name: tuple(map(float, getattr(cells, name))) for name in ("limits", "centre", "half")}
+    return CellsCard(**plain)

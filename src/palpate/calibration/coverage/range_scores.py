@@ -1,0 +1,117 @@
+"""Coverage in tenths of a target's range, with its groups counted, and sentences where a tenth fails."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import betainc
+
+from palpate.calibration.coverage.range_fit import TENTHS, Row
+from palpate.estimators.model_card import TenthCard
+
+MARGIN = 0.05
+"""How far below its promise a tenth's rate is allowed: 85 % where 90 % is promised."""
+SIGNIFICANCE = 0.05
+"""Probability of naming any tenth of a target whose rate is as allowed (Holm's procedure over the tenths)."""
+
+
+def range_scores(
+    along: Row,
+    error: Row,
+    inside: np.ndarray,
+    groups: np.ndarray,
+    ends: tuple[float, float],
+    coverage: float,
+) -> tuple[TenthCard, ...]:
+    """Score the tenths of a range; those without a row are left out.
+
+    Args:
+        along: the value that says which tenth a row belongs to: its truth, or its estimate.
+        error: estimate less truth.
+        inside: whether each interval held the truth.
+        groups: label of each row's group.
+        ends: least and greatest value of the calibrated range; what lies beyond counts to the outermost
+            tenths.
+        coverage: what was promised.
+    """
+    limits = np.linspace(*ends, TENTHS + 1)
+    at = np.searchsorted(limits[1:-1], along, side="right")
+    return tuple(
+        TenthCard(
+            start=float(limits[k]),
+            end=float(limits[k + 1]),
+            n=int(rows.sum()),
+            groups=len(np.unique(groups[rows])),
+            covered=int(inside[rows].sum()),
+            bias=float(error[rows].mean()),
+            p=chance_of_so_few(inside[rows], groups[rows], coverage - MARGIN),
+        )
+        for k in range(TENTHS)
+        if (rows := at == k).any()
+    )
+
+
+def chance_of_so_few(inside: np.ndarray, groups: np.ndarray, rate: float) -> float:
+    """Probability of as few hits, or fewer, in rows of groups whose hits have this rate.
+
+    It is the binomial one of the effective number of rows: rows over the design effect, which is how much
+    more the mean of whole groups varies than that of independent rows (L. Kish, Survey Sampling, 1965).
+    """
+    n, hits = len(inside), float(inside.sum())
+    effective = n / _design_effect(inside, groups)
+    k = hits * effective / n
+    # P(X <= k) of a binomial, which the incomplete beta function continues to numbers that are not whole.
+    return 1.0 if k >= effective else float(betainc(effective - k, k + 1, 1 - rate))
+
+
+def _design_effect(inside: np.ndarray, groups: np.ndarray) -> float:
+    n, (_, index) = len(inside), np.unique(groups, return_inverse=True)
+    count, rate = int(index.max()) + 1, float(inside.mean())
+    if count == n:
+        return 1.0
+    if count == 1 or rate in (0.0, 1.0):
+        return n / count
+    sums = np.bincount(index, weights=inside - rate)
+    between = float(sums @ sums) * count / (count - 1) / n**2
+    return float(np.clip(between * n / (rate * (1 - rate)), 1.0, n))
+
+
+def failing(parts: Sequence[TenthCard]) -> tuple[TenthCard, ...]:
+    """Parts that cover significantly less often than allowed, by Holm's procedure over all that are given.
+
+    S. Holm, Scand. J. Stat. 6, 65 (1979).
+    """
+    found: list[TenthCard] = []
+    for rank, part in enumerate(sorted(parts, key=lambda one: one.p)):
+        if part.p > SIGNIFICANCE / (len(parts) - rank):
+            break
+        found.append(part)
+    return tuple(part for part in parts if part in found)
+
+
+def range_sentences(parts: Sequence[TenthCard], unit: str, coverage: float) -> tuple[str, ...]:
+    """Sentences on the parts of a range that do not keep the promise; none where all do.
+
+    Example:
+        >>> above = TenthCard(start=12.0, end=18.5, n=20, groups=20, covered=8, bias=-3.0, p=1e-4)
+        >>> range_sentences((above,), "N", 0.9)
+        ('above 12 N it reads 3 N low; 8 of 20 covered where 90 % was promised',)
+    """
+    return tuple(
+        f"{_where(part, parts, unit)} it reads {_lean(part, unit)}; {part.covered} of {part.n} covered where "
+        f"{100 * coverage:g} % was promised"
+        for part in failing(parts)
+    )
+
+
+def _where(part: TenthCard, parts: Sequence[TenthCard], unit: str) -> str:
+    if part.end == max(one.end for one in parts):
+        return f"above {part.start:.3g} {unit}"
+    if part.start == min(one.start for one in parts):
+        return f"below {part.end:.3g} {unit}"
+    return f"from {part.start:.3g} to {part.end:.3g} {unit}"
+
+
+def _lean(part: TenthCard, unit: str) -> str:
+    return f"{abs(part.bias):.2g} {unit} {'low' if part.bias < 0 else 'high'}"

@@ -1,0 +1,80 @@
+"""Rules by which a single reading is refused: beyond the calibrated range, or too wide to tell anything."""
+
+from __future__ import annotations
+
+import math
+
+from palpate.estimators.model_card import RangeCard, TargetCard
+
+
+def doubt(target: TargetCard, value: float, low: float, high: float) -> str:
+    """Reason not to trust a value; empty where there is none.
+
+    An estimate beyond the calibrated range by more than the card allows is extrapolated, and so is one whose
+    interval reaches further beyond it than the card allows. An interval as wide as the range tells nothing.
+
+    Args:
+        target: its card.
+        value, low, high: the estimate and the ends of its interval, in the target's unit; NaN where none.
+    """
+    if target.circular is not None:
+        return _doubt_of_angle(target, value, high - low, target.circular.period)
+    if target.over_range is None:
+        return _wholly_outside(target, value, (high - low) / 2)
+    if high - low >= target.greatest - target.least:
+        return _untold(target, high - low, f"the calibrated range {_range(target)} is no wider")
+    return _extrapolated(target, target.over_range, value, low, high)
+
+
+def _extrapolated(target: TargetCard, over: RangeCard, value: float, low: float, high: float) -> str:
+    """The estimate, or else the interval, lies beyond an end of the range by more than allowed."""
+    what = f"{target.quantity} {value:.3g} {target.unit}"
+    sides = (
+        (target.least - value, target.least - low),
+        (value - target.greatest, high - target.greatest),
+    )
+    for (estimate, end), usual, usual_end in zip(sides, over.beyond, over.reach, strict=True):
+        if estimate > usual:
+            return _beyond(target, f"{what} lies", estimate, usual)
+        if end > usual_end:
+            return _beyond(target, f"the interval of {what} reaches", end, usual_end)
+    return ""
+
+
+def _beyond(target: TargetCard, what: str, far: float, usual: float) -> str:
+    return (
+        f"{what} {far:.2g} {target.unit} beyond the calibrated range {_range(target)}; up to {usual:.2g} "
+        f"{target.unit} is usual for frames within it"
+    )
+
+
+def _doubt_of_angle(target: TargetCard, value: float, width: float, period: float) -> str:
+    if width >= period:
+        return _untold(target, width, f"the whole turn is {period:.3g} {target.unit}")
+    middle, half = (target.least + target.greatest) / 2, (target.greatest - target.least) / 2
+    away = abs((value - middle + period / 2) % period - period / 2) - half
+    if away <= width / 2 or math.isnan(value):
+        return ""
+    return (
+        f"{target.quantity} {value:.3g} {target.unit} lies {away:.2g} {target.unit} outside the calibrated "
+        f"arc {_range(target)}, by more than its interval's half-width"
+    )
+
+
+def _untold(target: TargetCard, width: float, whole: str) -> str:
+    wide = f"its interval is {width:.3g} {target.unit} wide"
+    return f"this frame does not tell {target.quantity}: {wide}, and {whole}"
+
+
+def _range(target: TargetCard) -> str:
+    return f"{target.least:.3g} to {target.greatest:.3g} {target.unit}"
+
+
+def _wholly_outside(target: TargetCard, value: float, half: float) -> str:
+    """The rule of cards that state no other: the whole interval lies beyond what the calibration saw."""
+    if target.least - half <= value <= target.greatest + half:
+        return ""
+    return (
+        f"{target.quantity} {value:.3g} {target.unit} lies beyond the calibrated range "
+        f"{target.least:.3g} to {target.greatest:.3g} {target.unit}"
+    )

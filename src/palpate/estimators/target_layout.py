@@ -1,0 +1,110 @@
+"""Targets and the model's outputs: a plain target is one output, a circular one its cosine and its sine.
+
+A quantity that comes round again has a jump somewhere as a number, which a model cannot learn; the point on
+the unit circle at the angle 2 π y / period has none. The estimate is the direction of the point that the
+model gives (C. M. Bishop, Mixture density networks, 1994, learns directions so; statistics of directions:
+K. V. Mardia and P. E. Jupp, Directional Statistics, 2000, doi:10.1002/9780470316979).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.core import Float, UnitError, Values, unit
+
+Outputs = Float[np.ndarray, "n o"]
+FULL_TURN = {"deg": 360.0, "rad": 2 * math.pi}
+
+
+@dataclass(frozen=True, slots=True)
+class TargetLayout:
+    """Order of a model's outputs.
+
+    Attributes:
+        periods: of each target, in its unit; None where it does not come round again.
+    """
+
+    periods: tuple[float | None, ...]
+
+    @property
+    def plain(self) -> bool:
+        """True where every target is one output, and outputs are the estimates."""
+        return all(period is None for period in self.periods)
+
+    @property
+    def outputs(self) -> int:
+        """Number of the model's outputs."""
+        return sum(1 if period is None else 2 for period in self.periods)
+
+    def outputs_of(self, j: int) -> slice:
+        """Which outputs a target is."""
+        start = TargetLayout(self.periods[:j]).outputs
+        return slice(start, start + (1 if self.periods[j] is None else 2))
+
+    def names(self, columns: Sequence[str]) -> tuple[str, ...]:
+        """Names of the outputs: a plain target's column, or ``COLUMN:cos`` and ``COLUMN:sin``."""
+        named = zip(columns, self.periods, strict=True)
+        return tuple(
+            name
+            for column, period in named
+            for name in ((column,) if period is None else (f"{column}:cos", f"{column}:sin"))
+        )
+
+    def encoded(self, values: Values) -> Outputs:
+        """Outputs that a perfect model gives for these values."""
+        if self.plain:
+            return values
+        columns = []
+        for column, period in zip(values.T, self.periods, strict=True):
+            if period is None:
+                columns.append(column)
+            else:
+                angle = 2 * np.pi * column / period
+                columns += [np.cos(angle), np.sin(angle)]
+        return np.stack(columns, axis=1)
+
+    def decoded(self, outputs: Outputs) -> Values:
+        """Estimates of these outputs; a circular one lies above -period/2 and up to period/2."""
+        if self.plain:
+            return outputs
+        columns = []
+        for j, period in enumerate(self.periods):
+            one = outputs[:, self.outputs_of(j)]
+            turn = None if period is None else period / (2 * np.pi)
+            columns.append(one[:, 0] if turn is None else np.arctan2(one[:, 1], one[:, 0]) * turn)
+        return np.stack(columns, axis=1)
+
+    def differences(self, estimates: Values, true: Values) -> Values:
+        """Estimates less truths, the shortest way round where a target is circular."""
+        difference = estimates - true
+        for j, period in enumerate(self.periods):
+            if period is not None:
+                difference[:, j] = (difference[:, j] + period / 2) % period - period / 2
+        return difference
+
+    def spans(self, values: Values) -> Float[np.ndarray, " o"]:
+        """Length of each output's range; that of a cosine or a sine is 2, whatever angles there are."""
+        spans = np.ptp(self.encoded(values), axis=0)
+        for j, period in enumerate(self.periods):
+            if period is not None:
+                spans[self.outputs_of(j)] = 2.0
+        return spans
+
+
+def default_period(symbol: str) -> float:
+    """A full turn in a unit of angle.
+
+    Raises:
+        UnitError: it is none, so that the period has to be given.
+    """
+    unit(symbol)
+    if symbol not in FULL_TURN:
+        raise UnitError(
+            f"a quantity in {symbol} has no period of its own; give it, as in --circular "
+            f"phase_{symbol}=PERIOD"
+        )
+    return FULL_TURN[symbol]

@@ -1,0 +1,213 @@
+"""Intervals keep their rate in every tenth of the range, and a tenth that does not is named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from palpate.calibration.certificate import interval_fields
+from palpate.calibration.conformal import conformal_quantile, fit_intervals
+from palpate.calibration.coverage import failing, range_cards, range_scores, range_sentences
+from palpate.calibration.coverage.range_fit import cell_limits, grouped_quantile
+from palpate.calibration.coverage.range_limits import usual_reach
+from palpate.calibration.coverage.range_scores import chance_of_so_few
+from palpate.estimators.certified import Intervals, intervals_of
+from palpate.estimators.model_card import Card, ScoreCard, TargetCard, TenthCard
+from palpate.estimators.range_intervals import ErrorCells
+
+SCORE = ScoreCard(
+    unit="mm", n=1, mae=1, rmse=1, bias=0, r2=0, mean_mae=2,
+    coverage_90=1, coverage_90_low=0, coverage_90_high=1, half_width=1,
+)  # fmt: skip
+
+
+def drawn_to_the_middle(
+    rng: np.random.Generator, n: int, per: int, share: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Estimates, truths from 0 to 10, and groups: errors skewed, growing with the truth, alike in a group.
+
+    The estimate keeps a share of the distance from the middle, as one does that the image tells little of.
+    """
+    groups, true = np.repeat(np.arange(n // per), per), rng.uniform(0, 10, (n, 1))
+    noise = rng.standard_normal((n, 1))
+    if per > 1:
+        noise = 0.6 * noise + 0.8 * rng.standard_normal((n // per, 1))[groups]
+    skewed = np.exp(0.7 * noise) - np.exp(0.7**2 / 2)
+    return 5 + share * (true + (0.2 + 0.1 * true) * skewed - 5), true, groups
+
+
+def rates(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Coverage of the tenths of the rows, from the least of some values to the greatest."""
+    return np.array([inside[rows].mean() for rows in np.array_split(np.argsort(values), 10)])
+
+
+@pytest.mark.parametrize(("n", "per", "share"), [(2000, 1, 0.8), (700, 7, 0.8), (2000, 1, 0.05)])
+def test_every_tenth_of_truths_and_of_estimates_is_covered_at_the_stated_rate(n, per, share) -> None:
+    """One width for all is the negative control: it fails at an end by more than 8 %.
+
+    A tenth's rate scatters by sqrt(0.09 / 25) = 6 % or less from one calibration to another, the mean of
+    twelve by 1.7 %.
+    """
+    new, old = [], []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        intervals = fit_intervals(*drawn_to_the_middle(rng, n, per, share), 0.9)
+        fresh, true, _ = drawn_to_the_middle(rng, 7000, per, share)
+        held = intervals.hold(fresh, true)[:, 0]
+        one_width = (np.abs(fresh - true) <= intervals.half_widths(fresh))[:, 0]
+        for inside, found in ((held, new), (one_width, old)):
+            found.append([rates(true[:, 0], inside), rates(fresh[:, 0], inside)])
+    assert np.mean(old, axis=0).min() < 0.82
+    assert np.mean(new, axis=0).min() > 0.9 - 2 * 0.017
+    assert np.mean(new) < 0.97
+
+
+def test_where_one_width_covers_every_tenth_it_stays() -> None:
+    rng = np.random.default_rng(3)
+    true = rng.uniform(0, 10, (4000, 1))
+    noisy = true + 0.2 * rng.standard_normal((4000, 1))
+    intervals = fit_intervals(noisy, true, np.arange(4000), 0.9)
+    low, high = intervals.ends(noisy)
+    half = intervals.half_widths(noisy)
+    widened = (high - low) / (2 * half) - 1
+    # By chance half of twenty cells cover a little less than 90 %, and are given as much as that needs.
+    assert widened.min() >= -1e-12
+    assert widened.mean() < 0.1
+
+
+def test_too_few_groups_keep_one_width() -> None:
+    estimate, true, _ = drawn_to_the_middle(np.random.default_rng(4), 1000, 1, 0.4)
+    few = np.arange(1000) % 24
+    intervals = fit_intervals(estimate, true, few, 0.9)
+    assert intervals.by_range == (None,)
+    low, high = intervals.ends(estimate)
+    np.testing.assert_array_equal(high, estimate + intervals.half_widths(estimate))
+    np.testing.assert_array_equal(low, estimate - intervals.half_widths(estimate))
+
+
+def test_cells_hold_groups_and_rows_enough() -> None:
+    rng = np.random.default_rng(5)
+    values, groups = rng.normal(0, 1, 900) ** 3, np.repeat(np.arange(90), 10)
+    limits = cell_limits(values, groups, float(values.min()), float(values.max()))
+    cells = np.searchsorted(limits, values, side="right")
+    assert len(limits) >= 1
+    for cell in range(len(limits) + 1):
+        assert (cells == cell).sum() >= 60
+        assert len(np.unique(groups[cells == cell])) >= 25
+
+
+def test_truths_that_cells_keep_are_those_found_by_trying_each() -> None:
+    cells = ErrorCells(np.array([2.0, 6.0]), np.array([0.5, -0.2, -3.0]), np.array([1.0, 0.0, 0.5]))
+    estimate, spread = np.linspace(-3, 12, 61), np.linspace(0.2, 2.0, 61)
+    low, high = cells.of_truths(estimate, spread)
+    tried = np.linspace(-30, 40, 70_001)
+    at = cells.cells(tried)
+    for k in range(61):
+        kept = np.abs((tried - estimate[k]) / spread[k] - cells.centre[at]) <= cells.half[at]
+        kept = tried[kept & (cells.half[at] > 0)]
+        if len(kept):
+            assert (low[k], high[k]) == pytest.approx((kept.min(), kept.max()), abs=2e-3)
+        else:
+            assert low[k] > high[k] or high[k] - low[k] < 2e-3
+
+
+def test_groups_of_one_row_give_the_conformal_rank_and_larger_ones_raise_it() -> None:
+    scores = np.arange(1.0, 101.0)
+    for n in range(9, 100):
+        each = scores[:n]
+        assert grouped_quantile(each, np.arange(n), 0.9) == conformal_quantile(each, 0.9)
+    # 100 rows of 20 groups: rank 100 · 0.9 · 21/20 = 94.5; of 5 groups every row, and more would be needed.
+    assert grouped_quantile(scores, np.repeat(np.arange(20), 5), 0.9) == 95
+    assert grouped_quantile(scores, np.repeat(np.arange(5), 20), 0.9) == 100
+
+
+def card_of(intervals: Intervals, estimate: np.ndarray, true: np.ndarray, groups: np.ndarray) -> TargetCard:
+    (over,) = range_cards(intervals, estimate, true, groups)
+    return TargetCard(
+        column="depth_mm", quantity="depth", unit="mm", training_mean=5.0, score=SCORE,
+        least=float(true.min()), greatest=float(true.max()), **interval_fields(intervals, 0, over),
+    )  # fmt: skip
+
+
+def test_a_card_gives_the_same_intervals_again() -> None:
+    data = drawn_to_the_middle(np.random.default_rng(6), 2000, 1, 0.6)
+    intervals = fit_intervals(*data, 0.9)
+    target = TargetCard.model_validate_json(card_of(intervals, *data).model_dump_json())
+    again = intervals_of(Card.model_construct(targets=(target,), coverage=0.9))
+    assert again.by_range[0] is not None
+    for was, now in zip(intervals.ends(data[0]), again.ends(data[0]), strict=True):
+        np.testing.assert_array_equal(was, now)
+
+
+def test_a_card_of_before_says_nothing_of_its_range_and_keeps_its_text() -> None:
+    data = drawn_to_the_middle(np.random.default_rng(6), 2000, 1, 0.6)
+    text = card_of(fit_intervals(*data, 0.9), *data).model_copy(update={"over_range": None}).model_dump()
+    assert "over_range" not in text
+    assert "circular" not in text
+    before = TargetCard(**text)
+    plain = intervals_of(Card.model_construct(targets=(before,), coverage=0.9))
+    low, high = plain.ends(data[0])
+    np.testing.assert_array_equal(high, data[0] + plain.half_widths(data[0]))
+    np.testing.assert_array_equal(low, data[0] - plain.half_widths(data[0]))
+
+
+def test_few_hits_are_as_probable_as_the_binomial_says_and_groups_count_once() -> None:
+    inside = np.arange(40) < 30
+    assert chance_of_so_few(inside, np.arange(40), 0.85) == pytest.approx(binom.cdf(30, 40, 0.85))
+    # Rows that always agree within their groups of four are ten rows, nearly: 7.5 of 10 groups.
+    grouped = chance_of_so_few(np.repeat(np.arange(8) < 6, 5), np.repeat(np.arange(8), 5), 0.85)
+    assert grouped == pytest.approx(binom.cdf(6, 8, 0.85), abs=0.08)
+    assert grouped > 3 * chance_of_so_few(np.arange(40) < 30, np.arange(40), 0.85)
+    assert chance_of_so_few(np.ones(5, bool), np.arange(5), 0.85) == 1
+
+
+def tenth(p: float, start: float = 0.0, bias: float = -3.0) -> TenthCard:
+    return TenthCard(start=start, end=start + 1, n=20, groups=20, covered=14, bias=bias, p=p)
+
+
+def test_holm_names_the_tenths_that_fail_and_no_others() -> None:
+    assert failing([tenth(0.012), tenth(0.2), tenth(0.016), tenth(0.5)]) == (tenth(0.012), tenth(0.016))
+    assert failing([tenth(0.013), tenth(0.2), tenth(0.5), tenth(0.001)]) == (tenth(0.013), tenth(0.001))
+    assert failing([tenth(0.02), tenth(0.2), tenth(0.5), tenth(0.9)]) == ()
+
+
+def test_tenths_that_keep_the_rate_are_seldom_named() -> None:
+    """Of 300 targets whose every tenth covers 85 % no more than 5 % are named, give or take 2.5 %."""
+    rng, named = np.random.default_rng(8), 0
+    for _ in range(300):
+        true, groups = rng.uniform(0, 1, 400), np.repeat(np.arange(100), 4)
+        alike = rng.uniform(size=100)[groups] < 0.85
+        inside = np.where(rng.uniform(size=400) < 0.5, alike, rng.uniform(size=400) < 0.85)
+        named += bool(failing(range_scores(true, true * 0, inside, groups, (0.0, 1.0), 0.9)))
+    assert named / 300 < 0.05 + 0.025
+
+
+def test_a_sentence_says_where_how_far_and_how_often() -> None:
+    low, high = tenth(1e-5), tenth(1e-6, start=9.0, bias=2.0)
+    middle = tenth(1e-4, start=4.0)
+    assert range_sentences((low, middle, high), "N", 0.9) == (
+        "below 1 N it reads 3 N low; 14 of 20 covered where 90 % was promised",
+        "from 4 to 5 N it reads 3 N low; 14 of 20 covered where 90 % was promised",
+        "above 9 N it reads 2 N high; 14 of 20 covered where 90 % was promised",
+    )
+    assert range_sentences((tenth(0.5), tenth(0.6)), "N", 0.9) == ()
+
+
+def test_tenths_hold_every_row_once_also_beyond_the_range() -> None:
+    true = np.array([-1.0, 0.0, 0.95, 1.0, 1.05, 9.99, 10.0, 11.0])
+    parts = range_scores(true, -true, true > 1, np.arange(8), (0.0, 10.0), 0.9)
+    assert [(part.start, part.n, part.covered) for part in parts] == [(0, 3, 0), (1, 2, 1), (9, 3, 3)]
+    assert parts[1].bias == pytest.approx(-1.025)
+
+
+def test_what_is_usual_beyond_an_end_is_what_few_rows_exceed() -> None:
+    rng = np.random.default_rng(9)
+    true = rng.uniform(0, 10, 5000)
+    estimate = true + 0.3 * rng.standard_normal(5000)
+    below, above = usual_reach(true, estimate, estimate, np.arange(5000))
+    for side in (true.min() - estimate[true < 1] > below, estimate[true > 9] - true.max() > above):
+        assert 0.0 < side.mean() < 0.05
+    # Estimates that never leave the range leave none beyond it.
+    drawn = 5 + 0.5 * (true - 5)
+    assert usual_reach(true, drawn, drawn, np.arange(5000)) == (0.0, 0.0)

@@ -1,0 +1,72 @@
+"""A reading is refused beyond the range, by estimate and by interval, and where it tells nothing."""
+
+from __future__ import annotations
+
+import pytest
+
+from palpate.estimators.model_card import CircularCard, RangeCard, ScoreCard, TargetCard
+from palpate.estimators.reading_rules import doubt
+
+OVER = RangeCard(by_truth=None, by_estimate=None, beyond=(0.5, 0.2), reach=(3.0, 2.0), tenths=())
+
+
+def target(over: RangeCard | None = OVER, circular: CircularCard | None = None, least=0.5, greatest=18.5):
+    score = ScoreCard(
+        unit="N", n=1, mae=1, rmse=1, bias=0, r2=0, mean_mae=2,
+        coverage_90=1, coverage_90_low=0, coverage_90_high=1, half_width=1,
+    )  # fmt: skip
+    return TargetCard(
+        column="force_N", quantity="force", unit="N", least=least, greatest=greatest, training_mean=5.0,
+        centre=0.0, scale=1.0, typical=1.0, coefficients=(0.0, 0.0, 0.0), quantile=1.0, score=score,
+        over_range=over, circular=circular,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("place", "why"),
+    [
+        ((18.69, 17.0, 20.4), ""),
+        ((18.71, 17.0, 20.4), "force 18.7 N lies 0.21 N beyond the calibrated range 0.5 to 18.5 N"),
+        ((18.0, 16.0, 20.6), "the interval of force 18 N reaches 2.1 N beyond the calibrated range"),
+        ((0.01, -2.4, 2.0), ""),
+        ((-0.01, -2.4, 2.0), "lies 0.51 N beyond the calibrated range 0.5 to 18.5 N; up to 0.5 N is usual"),
+        ((1.0, -2.6, 2.0), "reaches 3.1 N beyond"),
+        ((9.0, 0.1, 18.2), "this frame does not tell force: its interval is 18.1 N wide, and the calibrated"),
+        ((22.7, 15.4, 30.0), "force 22.7 N lies 4.2 N beyond the calibrated range"),
+    ],
+)
+def test_beyond_what_is_usual_within_the_range_a_reading_is_refused(place, why) -> None:
+    found = doubt(target(), *place)
+    assert why in found
+    assert bool(found) == bool(why)
+
+
+def test_a_card_of_before_refuses_what_lies_wholly_outside_only() -> None:
+    """22.7 N with an interval that reaches back into the range was read, and is with such a card."""
+    assert doubt(target(None), 22.7, 15.4, 30.0) == ""
+    assert "beyond the calibrated range 0.5 to 18.5 N" in doubt(target(None), 22.7, 18.6, 26.8)
+    assert doubt(target(None), 9.0, -20.0, 38.0) == ""
+
+
+@pytest.mark.parametrize(
+    ("place", "refused"),
+    [
+        ((-170.0, -180.0, -160.0), False),
+        ((179.0, 169.0, 189.0), False),
+        ((120.0, 111.0, 129.0), False),
+        ((-120.0, -129.0, -111.0), False),
+        ((-120.0, -121.0, -119.0), True),
+        ((120.0, 119.0, 121.0), True),
+        ((0.0, -10.0, 10.0), True),
+    ],
+)
+def test_an_angle_is_in_its_arc_whichever_way_round(place, refused) -> None:
+    arc = CircularCard(period=360.0, centre=(0.0, 0.0), scale=(1.0, 1.0))
+    assert bool(doubt(target(None, arc, 125.0, 235.0), *place)) == refused
+    assert doubt(target(None, arc, -180.0, 180.0), *place) == ""
+
+
+def test_an_arc_of_the_whole_turn_tells_nothing() -> None:
+    half_turn = CircularCard(period=180.0, centre=(0.0, 0.0), scale=(1.0, 1.0))
+    assert "does not tell force" in doubt(target(None, half_turn, -90.0, 90.0), 0.0, -90.0, 90.0)
+    assert doubt(target(None, half_turn, -90.0, 90.0), 0.0, -80.0, 80.0) == ""
