@@ -18,8 +18,10 @@ from palpate.cli.verb_support import (
     names_of,
     numbers_of,
     options_of,
+    periods_of,
     print_found,
     progress_bar,
+    vectors_of,
 )
 
 Box = tuple[int, int, int, int]
@@ -74,6 +76,13 @@ def calibrate(
     option: Annotated[
         list[str] | None, Option(help="A model's own setting, NAME=VALUE, as in epochs=30.")
     ] = None,
+    circular: Annotated[
+        str, Option(help="Targets that come round again, e.g. angle_deg, or edge_deg=180 after half a turn.")
+    ] = "",
+    vector: Annotated[
+        list[str] | None,
+        Option(help="Targets read as one, e.g. force=force_x_N,force_y_N,force_z_N; may be given again."),
+    ] = None,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -110,6 +119,8 @@ def calibrate(
         reference=ReferenceRule.parse(reference, names_of(reference_by)) if reference else None,
         learn_untouched=learn_untouched,
         options=options_of(option or []),
+        circular=periods_of(circular),
+        vectors=vectors_of(vector or []),
     )
     if not ProcessGroup.of_environment().first:
         palpate.calibrate(recorded, plan, out)
@@ -199,11 +210,21 @@ def report(
 
 
 def _card_text(card: Any, out: Path) -> str:
+    from palpate.calibration.coverage import card_findings
     from palpate.reports.terminal_text import scores_table
 
     lines = [f"calibration {card.id}: {out}", scores_table({t.column: t.score for t in card.targets})]
+    lines += [*card_findings(card), *(_vector_text(vector) for vector in card.vectors or ())]
     lines += [f"audit: {card.split.audit}", f"report: {out / 'report.html'}"]
     return "\n".join(lines)
+
+
+def _vector_text(vector: Any) -> str:
+    return (
+        f"{vector.column}: all of {', '.join(vector.columns)} in their joint region in "
+        f"{100 * vector.covered:.1f} % "
+        f"of rows (95 % interval {100 * vector.low:.1f} to {100 * vector.high:.1f} %)"
+    )
 
 
 def _scores_text(scores: dict[str, Any]) -> str:
@@ -211,6 +232,12 @@ def _scores_text(scores: dict[str, Any]) -> str:
     from palpate.reports.terminal_text import scores_table
 
     table = scores_table({name: ScoreCard(**score) for name, score in scores["targets"].items()})
+    joint = [
+        f"{name}: all components in their joint region in {100 * one['covered']:.1f} % of rows "
+        f"(95 % interval {100 * one['low']:.1f} to {100 * one['high']:.1f} %)"
+        for name, one in scores["vectors"].items()
+    ]
+    table = "\n".join([table, *scores["findings"], *joint])
     valid = f"{scores['frames_valid']} of {scores['frames_scored']} frames gave valid readings throughout"
     learnt = "\nthis is the run it learnt from: these scores say nothing about new presses"
     return f"{table}\n{valid}" + (learnt if scores["learnt_from_this_run"] else "")

@@ -144,6 +144,36 @@ def options_of(pairs: list[str]) -> dict[str, Any]:
     return options
 
 
+def periods_of(text: str) -> dict[str, float | None]:
+    """Circular targets from ``angle_deg,edge_deg=180``, each with its period where one is given."""
+    from palpate.core.errors import InputError
+
+    periods: dict[str, float | None] = {}
+    for part in names_of(text):
+        name, equals, period = part.partition("=")
+        try:
+            periods[name.strip()] = float(period) if equals else None
+        except ValueError as e:
+            raise InputError(f"--circular {part!r} is not COLUMN or COLUMN=PERIOD, as in edge_deg=180") from e
+    return periods
+
+
+def vectors_of(pairs: list[str]) -> dict[str, tuple[str, ...]]:
+    """Vectors from ``force=force_x_N,force_y_N``."""
+    from palpate.core.errors import InputError
+
+    vectors: dict[str, tuple[str, ...]] = {}
+    for pair in pairs:
+        name, equals, parts = pair.partition("=")
+        if not equals or name.strip() in vectors:
+            raise InputError(
+                f"--vector {pair!r} is not NAME=COLUMN,COLUMN with a name of its own, as in "
+                "force=force_x_N,force_y_N"
+            )
+        vectors[name.strip()] = names_of(parts)
+    return vectors
+
+
 def print_found(result: Any, text: str, as_json: bool) -> None:
     """Print what was found, as text or as JSON."""
     typer.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else text)

@@ -1,0 +1,200 @@
+"""Angles are learnt, scored and read modulo their period, whatever convention their labels follow."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from palpate.calibration import CalibrationPlan, calibrate, evaluate
+from palpate.calibration.certificate import read_predictions
+from palpate.calibration.coverage.circular_scores import (
+    calibrated_arc,
+    dispersion,
+    mean_direction,
+    refuse_no_angles,
+)
+from palpate.calibration.evaluation import score
+from palpate.core import CircularReading, InputError, LabelError, ManualClock, UnitError
+from palpate.estimators import Estimator, read_card
+from palpate.estimators.target_layout import TargetLayout
+from palpate.recordings import Manifest, Run, RunWriter
+
+
+def record_edges(path, count: int, *, seed: int = 0, turn: float = 360.0, shift: float = 0.0) -> Run:
+    """Record a bright lobe at an angle around the centre; negative labels of odd rows are a turn more.
+
+    Args:
+        turn: the lobe repeats after this many degrees.
+        shift: added to every label [deg].
+    """
+    rng, clock = np.random.default_rng(seed), ManualClock()
+    rows, columns = np.mgrid[-16:16, -16:16] + 0.5
+    around, away = np.degrees(np.arctan2(rows, columns)), np.hypot(rows, columns)
+    labels = {"angle_deg": "number", "depth_mm": "number"}
+    manifest = Manifest.new(sensor="edges", labels=labels)
+    with RunWriter.create(path, manifest, clock=clock, overflow="wait") as writer:
+        for k in range(count):
+            angle, depth = rng.uniform(-turn / 2, turn / 2), rng.uniform(1, 2)
+            lobe = np.exp(3 * (np.cos(np.radians((around - angle) * 360 / turn)) - 1)) * (away < 14)
+            image = np.clip(30 + 80 * depth * lobe + rng.normal(0, 3, (32, 32)), 0, 255).astype(np.uint8)
+            clock.sleep(0.1)
+            label = (angle + shift) + (turn if k % 2 and angle + shift < 0 else 0.0)
+            writer.frame(image, labels={"angle_deg": label, "depth_mm": depth})
+    return Run.open(path)
+
+
+PLAN = CalibrationPlan(
+    ("depth_mm", "angle_deg"), split="random", size_px=(24, 24), circular={"angle_deg": None}
+)
+
+
+@pytest.fixture(scope="module")
+def edges(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("edges")
+    run = record_edges(folder / "run", 400)
+    calibrate(run, PLAN, folder / "cal")
+    return folder, run
+
+
+def test_an_angle_is_read_across_the_turn_as_well_as_elsewhere(edges) -> None:
+    """The same column as a plain target is the negative control: near ±180° it errs by half a turn."""
+    folder, run = edges
+    card, table = read_card(folder / "cal"), read_predictions(folder / "cal", read_card(folder / "cal"))
+    angle = card.targets[1]
+    assert angle.circular is not None
+    assert angle.circular.period == 360
+    assert (angle.least, angle.greatest) == (-180, 180)
+    assert angle.score.mae < 6
+    assert angle.score.r2 > 0.99
+    assert 0.85 < angle.score.coverage_90 < 0.95
+    true, guess = table["angle_deg"].to_numpy(), table["estimate:angle_deg"].to_numpy()
+    error = np.abs((guess - true + 180) % 360 - 180)
+    assert error.mean() == pytest.approx(angle.score.mae)
+    seam = np.abs(np.abs((true + 180) % 360 - 180) - 180) < 20
+    assert error[seam].mean() < 8
+    plain = CalibrationPlan(("angle_deg",), split="random", size_px=(24, 24))
+    calibrate(run, plain, folder / "plain")
+    assert read_card(folder / "plain").targets[0].score.mae > 5 * angle.score.mae
+
+
+def test_fresh_angles_are_covered_and_read_as_arcs(edges) -> None:
+    folder, _ = edges
+    estimator, fresh = Estimator.open(folder / "cal"), record_edges(folder / "fresh", 200, seed=1)
+    found = evaluate(estimator, fresh)["targets"]["angle_deg"]
+    assert found["mae"] < 6
+    # Two and a half standard errors of 200 rows and 400; the model that is kept has learnt from more rows.
+    assert 0.84 < found["coverage_90"] < 1
+    assert found["half_width"] < 10
+    held = []
+    for i in range(60):
+        reading = estimator.read(fresh.frame(i))["angle_deg"]
+        assert isinstance(reading, CircularReading)
+        assert reading.period == pytest.approx(360)
+        assert reading.valid, reading.why
+        held.append(reading.contains(float(fresh.labels["angle_deg"][i])))
+        assert reading.contains(float(fresh.labels["angle_deg"][i]) + 720) == held[-1]
+    assert np.mean(held) > 0.75
+
+
+def test_conventions_of_labels_do_not_matter(edges, tmp_path) -> None:
+    """All labels a quarter turn on, others a full turn more: the same errors, estimates a quarter turn on."""
+    folder, _ = edges
+    calibrate(record_edges(tmp_path / "run", 400, shift=90.0), PLAN, tmp_path / "cal")
+    before, after = read_card(folder / "cal"), read_card(tmp_path / "cal")
+    assert after.targets[1].score.mae == pytest.approx(before.targets[1].score.mae, rel=1e-3)
+    was, now = (
+        read_predictions(path / "cal", card)["estimate:angle_deg"].to_numpy()
+        for path, card in ((folder, before), (tmp_path, after))
+    )
+    np.testing.assert_allclose((now - was - 90 + 180) % 360 - 180, 0, atol=0.05)
+
+
+def test_half_a_turn_is_a_period_of_its_own(tmp_path) -> None:
+    run = record_edges(tmp_path / "run", 300, turn=180.0)
+    plan = CalibrationPlan(("angle_deg",), split="random", size_px=(24, 24), circular={"angle_deg": 180.0})
+    calibrate(run, plan, tmp_path / "cal")
+    (angle,) = read_card(tmp_path / "cal").targets
+    assert angle.score.mae < 4
+    assert angle.score.mean_mae == pytest.approx(45, rel=0.1)
+    assert Estimator.open(tmp_path / "cal").read(run.frame(3))["angle_deg"].period == pytest.approx(180)
+
+
+def test_outputs_are_cosine_and_sine_in_the_targets_order() -> None:
+    layout = TargetLayout((None, 360.0, 180.0))
+    values = np.array([[3.0, 90.0, -45.0], [4.0, -150.0, 80.0]])
+    outputs = layout.encoded(values)
+    np.testing.assert_allclose(outputs[0], [3, 0, 1, 0, -1], atol=1e-12)
+    np.testing.assert_allclose(layout.decoded(3 * outputs)[:, 1:], values[:, 1:])
+    np.testing.assert_allclose(layout.decoded(outputs)[:, 0], values[:, 0])
+    assert layout.outputs == 5
+    assert [layout.outputs_of(j) for j in range(3)] == [slice(0, 1), slice(1, 3), slice(3, 5)]
+    assert layout.names(("a_mm", "b_deg", "c_deg")) == (
+        "a_mm",
+        "b_deg:cos",
+        "b_deg:sin",
+        "c_deg:cos",
+        "c_deg:sin",
+    )
+    np.testing.assert_allclose(
+        layout.differences(values + np.array([1.0, 350.0, -170.0]), values), [[1, -10, 10], [1, -10, 10]]
+    )
+
+
+def test_circular_scores_are_of_the_shortest_way_round() -> None:
+    true, guess = np.array([179.0, -179.0, 0.0, 90.0]), np.array([-179.0, 179.0, 2.0, 88.0])
+    found = score("deg", true, guess, np.full(4, 3.0), 0.0, np.arange(4), period=360.0)
+    assert found.mae == pytest.approx(2)
+    assert found.bias == pytest.approx(0)
+    assert found.coverage_90 == 1
+    assert found.mean_mae == pytest.approx((179 + 179 + 0 + 90) / 4)
+
+
+def test_even_directions_have_the_dispersion_of_an_even_turn() -> None:
+    assert dispersion(np.arange(0.0, 360.0, 0.01) + 0.005, 360.0) == pytest.approx(360**2 / 12, rel=1e-6)
+    assert abs(mean_direction(np.array([170.0, 190.0, 180.0]), 360.0)) == pytest.approx(180)
+    assert abs(mean_direction(np.array([85.0, -85.0]), 180.0)) == pytest.approx(90)
+
+
+@pytest.mark.parametrize(
+    ("values", "arc"),
+    [
+        (np.linspace(150, 210, 61), (150, 210)),
+        (np.array([-175.0, 170.0, 180.0, -160.0]), (170, 200)),
+        (np.linspace(-30, 20, 51), (-30, 20)),
+        (np.arange(0.0, 360.0, 10.0), (-180, 180)),
+    ],
+)
+def test_the_calibrated_arc_is_what_the_widest_gap_leaves(values, arc) -> None:
+    start, end = calibrated_arc(values, 360.0)
+    assert end - start == pytest.approx(arc[1] - arc[0])
+    assert (start - arc[0]) % 360 == pytest.approx(0)
+
+
+def test_what_counts_turns_or_never_turns_is_refused() -> None:
+    mixed = np.array([-179.0, -10.0, 170.0, 350.0])
+    refuse_no_angles("a_deg", mixed, "deg", 360.0)
+    refuse_no_angles("a_deg", mixed, "deg", 180.0)
+    with pytest.raises(LabelError, match="2 turns of 360 deg"):
+        refuse_no_angles("a_deg", np.array([0.0, 100.0, 720.0]), "deg", 360.0)
+    with pytest.raises(LabelError, match="same direction everywhere"):
+        refuse_no_angles("a_deg", np.array([10.0, 370.0, 10.0]), "deg", 360.0)
+
+
+@pytest.mark.parametrize(
+    ("circular", "error", "message"),
+    [
+        ({"yaw_deg": None}, InputError, "not among the targets, angle_deg, x_mm"),
+        (
+            {"angle_deg": 100.0},
+            InputError,
+            "a period of 100 deg; it is a full turn, 360 deg, or a whole part",
+        ),
+        ({"angle_deg": 720.0}, InputError, "a period of 720 deg"),
+        ({"angle_deg": -360.0}, InputError, "a period of -360 deg"),
+        ({"angle_deg": float("nan")}, InputError, "a period of nan deg"),
+        ({"x_mm": None}, UnitError, "--circular phase_mm=PERIOD"),
+    ],
+)
+def test_a_period_that_does_not_fit_is_refused(circular, error, message) -> None:
+    with pytest.raises(error, match=message):
+        CalibrationPlan(("angle_deg", "x_mm"), circular=circular)
