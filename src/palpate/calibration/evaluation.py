@@ -16,6 +16,7 @@ from palpate.calibration.training_data import rows_matching
 from palpate.core import CertificateError, LabelError, Progress, Shaped, Values, silent
 from palpate.estimators.certified import Estimator, Zero, within
 from palpate.estimators.model_card import Card, ScoreCard, TenthCard
+from palpate.estimators.reading_rules import untold
 from palpate.recordings import Run
 from palpate.recordings.label_tables import own_column, targets_from, with_own
 
@@ -92,7 +93,8 @@ def evaluate(
     Returns:
         ``{"targets": {column: {"unit", "n", "mae", "rmse", "r2", "coverage_90", …}}, "tenths": {column:
         scores of the tenths of its range}, "findings": sentences on those that do not keep the promise,
-        "vectors": {column: {"n", "covered", "low", "high"}}, …}``.
+        "vectors": {column: {"n", "covered", "low", "high"}}, "frames_untold": {column: frames whose
+        interval is as wide as the target's range}, …}``.
 
     Raises:
         LabelError: a target column is missing or unfit.
@@ -123,8 +125,8 @@ def predictions(
         The labels of the frames that would be scored, which need not have the targets; of each target
         ``estimate:COLUMN``, ``half_width:COLUMN``, ``low:COLUMN`` and ``high:COLUMN`` in the column's unit,
         NaN where a frame could not be read; of each component of a vector ``joint_half_width:COLUMN``, the
-        reach of the joint region; ``own:valid``, and ``own:why`` it is not, also without ``own:`` where no
-        label is called so.
+        reach of the joint region; ``own:valid``, as to the targets that the frame tells, and
+        ``own:why`` it is not, also without ``own:`` where no label is called so.
 
     Raises:
         ImageError: the calibration is differential and the run has no reference.
@@ -147,7 +149,8 @@ def predictions(
             reach = readings[vector.column].region.half_widths
             for part, reached in zip(vector.columns, reach, strict=True):
                 joint[part][i] = reached
-        whys.append("; ".join(sorted({reading.why for reading in each if reading.why})))
+        told = [r for r, t in zip(each, card.targets, strict=True) if not untold(t, r.low, r.high)] or each
+        whys.append("; ".join(sorted({reading.why for reading in told if reading.why})))
         progress("evaluating", i + 1, len(rows))
     for j, column in enumerate(card.columns):
         table[f"estimate:{column}"], table[f"half_width:{column}"] = predicted[:, j], half[:, j]
@@ -183,15 +186,15 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str
     groups = groups_in(table, card.split.columns)[read]
     targets, tenths = {}, {}
     for j, t in enumerate(card.targets):
-        columns = [part[read, j] for part in (true, predicted, half, low, high)]
-        inside = None if t.over_range is None else within(columns[0], *columns[3:])
-        period = t.circular and t.circular.period
+        truth, estimate, ends = true[read, j], predicted[read, j], (low[read, j], high[read, j])
+        inside = None if t.over_range is None else within(truth, *ends)
         targets[t.column] = score(
-            t.unit, *columns[:3], t.training_mean, groups, inside=inside, period=period
+            t.unit, truth, estimate, half[read, j], t.training_mean, groups, inside=inside, period=t.period
         ).model_dump()
         if inside is not None:
-            error = columns[1] - columns[0]
-            parts = range_scores(columns[0], error, inside, groups, (t.least, t.greatest), card.coverage)
+            parts = range_scores(
+                truth, estimate - truth, inside, groups, (t.least, t.greatest), card.coverage
+            )
             tenths[t.column] = [part.model_dump() for part in parts]
     return {
         "targets": targets,
@@ -205,6 +208,10 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str
         "run": {"run_id": run.manifest.run_id, "hash": run.hash, "frames": len(run)},
         "frames_scored": len(table),
         "frames_read": int(read.sum()),
+        "frames_untold": {
+            t.column: int(sum(untold(t, *ends) for ends in zip(low[read, j], high[read, j], strict=True)))
+            for j, t in enumerate(card.targets)
+        },
         "frames_valid": int(own_column(table, "valid").sum()),
         "groups": len(np.unique(groups)),
         "group_columns": list(card.split.columns),

@@ -123,10 +123,9 @@ def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
     prepared = preparation_of(run, plan).apply(run.frame(0).image)
     table = table_to_learn(run.labels, plan)
     labels = targets_from(table, plan.targets, str(run.path))
-    for column, period in plan.circular.items():
-        refuse_no_angles(
-            column, labels[:, plan.targets.index(column)], split_column(column)[1].symbol, period
-        )
+    for column, period, values in zip(plan.targets, plan.layout.periods, labels.T, strict=True):
+        if period is not None:
+            refuse_no_angles(column, values, split_column(column)[1].symbol, period)
     parts = split(table, plan.split, folds=_folds(plan), seed=plan.seed)
     check_plugged_in(plan, prepared.transpose(2, 0, 1).shape)
     return parts

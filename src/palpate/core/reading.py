@@ -114,6 +114,9 @@ class MeasurementResult:
         return f"<code>{escape(str(self))}</code>"
 
 
+MAX_LEAN = 0.01  # share of an interval's length by which its two sides differ and it is still written as ±
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Reading(MeasurementResult):
     """One scalar read from one frame.
@@ -147,8 +150,11 @@ class Reading(MeasurementResult):
         return {"value": value, "unit": self.unit, **ends}
 
     def __str__(self) -> str:
-        half = (self.high - self.low) / 2
-        return f"{self.quantity} {self.value:.3g} {self.unit} ± {half:.2g} {self.unit}, {self.verdict}"
+        above, below = self.high - self.value, self.value - self.low
+        around = f"± {(above + below) / 2:.2g}"
+        if abs(above - below) > MAX_LEAN * (above + below):
+            around = f"+{above:.2g} −{below:.2g}"
+        return f"{self.quantity} {self.value:.3g} {self.unit} {around} {self.unit}, {self.verdict}"
 
 
 class Readings(Mapping[str, MeasurementResult]):

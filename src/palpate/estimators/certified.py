@@ -370,7 +370,7 @@ class Estimator:
 
 def layout_of(card: Card) -> TargetLayout:
     """The order of the model's outputs that a card states."""
-    return TargetLayout(tuple(t.circular and t.circular.period for t in card.targets))
+    return TargetLayout(tuple(target.period for target in card.targets))
 
 
 def intervals_of(card: Card) -> Intervals:
@@ -399,10 +399,6 @@ def _range_intervals(target: TargetCard) -> RangeIntervals | None:
 
 def _error_cells(stated: CellsCard) -> ErrorCells:
     return ErrorCells(*(np.array(part, np.float64) for part in (stated.limits, stated.centre, stated.half)))
-
-
-def _novelty_reason(atypicality: float) -> str:
-    return f"the image is unlike those calibrated on (distance {atypicality:.1f}, limit 1)"
 
 
 def _novelty_reason(atypicality: float) -> str:

@@ -192,6 +192,11 @@ class TargetCard(_CardPart):
     over_range: RangeCard | None = None
     circular: CircularCard | None = None
 
+    @property
+    def period(self) -> float | None:
+        """After which the target comes round again, in `unit`; None where it does not."""
+        return None if self.circular is None else self.circular.period
+
 
 class FileCard(_CardPart):
     """A file that belongs to the calibration, and the hash of its bytes."""

@@ -21,9 +21,23 @@ def doubt(target: TargetCard, value: float, low: float, high: float) -> str:
         return _doubt_of_angle(target, value, high - low, target.circular.period)
     if target.over_range is None:
         return _wholly_outside(target, value, (high - low) / 2)
-    if high - low >= target.greatest - target.least:
-        return _untold(target, high - low, f"the calibrated range {_range(target)} is no wider")
+    if untold(target, low, high):
+        return _tells_nothing(target, high - low, f"the calibrated range {_range(target)} is no wider")
     return _extrapolated(target, target.over_range, value, low, high)
+
+
+def untold(target: TargetCard, low: float, high: float) -> bool:
+    """Tell whether an interval is as wide as the target's range, so that the frame says nothing of it.
+
+    Of cards of before, which knew no such rule, it is never so.
+
+    Args:
+        target: its card.
+        low, high: the ends of the interval, in the target's unit.
+    """
+    if target.circular is not None:
+        return bool(high - low >= target.circular.period)
+    return target.over_range is not None and bool(high - low >= target.greatest - target.least)
 
 
 def _extrapolated(target: TargetCard, over: RangeCard, value: float, low: float, high: float) -> str:
@@ -50,7 +64,7 @@ def _beyond(target: TargetCard, what: str, far: float, usual: float) -> str:
 
 def _doubt_of_angle(target: TargetCard, value: float, width: float, period: float) -> str:
     if width >= period:
-        return _untold(target, width, f"the whole turn is {period:.3g} {target.unit}")
+        return _tells_nothing(target, width, f"the whole turn is {period:.3g} {target.unit}")
     middle, half = (target.least + target.greatest) / 2, (target.greatest - target.least) / 2
     away = abs((value - middle + period / 2) % period - period / 2) - half
     if away <= width / 2 or math.isnan(value):
@@ -61,7 +75,7 @@ def _doubt_of_angle(target: TargetCard, value: float, width: float, period: floa
     )
 
 
-def _untold(target: TargetCard, width: float, whole: str) -> str:
+def _tells_nothing(target: TargetCard, width: float, whole: str) -> str:
     wide = f"its interval is {width:.3g} {target.unit} wide"
     return f"this frame does not tell {target.quantity}: {wide}, and {whole}"
 

@@ -85,7 +85,7 @@ def target_columns(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray,
 
 def errors_of(target: TargetCard, true: np.ndarray, guess: np.ndarray) -> np.ndarray:
     """Estimates less truths, the shortest way round where the target is circular."""
-    return shortest(guess - true, target.circular and target.circular.period)
+    return shortest(guess - true, target.period)
 
 
 def held_rows(target: TargetCard, table: pd.DataFrame) -> np.ndarray:
