@@ -166,6 +166,7 @@ def _rule(card: Card, run: Run) -> ReferenceRule | None:
     rule = ReferenceRule.of_card(card)
     if rule is None:
         return None
+    rule = rule.for_columns(run.labels.columns)
     try:
         rows_matching(run.labels, rule)
     except LabelError as e:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from palpate.core import InputError, split_column
@@ -14,6 +14,8 @@ from palpate.estimators.vector_regions import vector_column
 
 if TYPE_CHECKING:
     from palpate.estimators.model_card import Card
+
+SESSION = "session"  # of `recordings.splits`, which would load tables
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +48,11 @@ class ReferenceRule:
         """Rule that a certificate states; None where it has none."""
         rule = card.reference
         return None if rule.column is None or rule.value is None else cls(rule.column, rule.value, rule.by)
+
+    def for_columns(self, columns: Iterable[str]) -> ReferenceRule:
+        """The same rule in a table of these columns: one that names no session is all of one session."""
+        by = tuple(name for name in self.by if name != SESSION or name in set(columns))
+        return replace(self, by=by)
 
 
 @dataclass(frozen=True, slots=True)

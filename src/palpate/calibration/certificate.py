@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -264,6 +264,7 @@ def write_certificate(
     fit: IntervalFit = fit_intervals,
     former: Card | None = None,
     split: SplitCard | None = None,
+    more: Callable[[Path, Intervals], Mapping[str, Any]] | None = None,
 ) -> Card:
     """Write the folder; `out` appears whole or not at all.
 
@@ -274,6 +275,7 @@ def write_certificate(
             the `layout` of the outputs.
         former: card of the calibration that was adapted, whose model and input stay; None for a new one.
         split: how rows were held out; None takes the result's own.
+        more: further fields of the card, from the folder, to which it may add files, and the intervals.
 
     Raises:
         CertificateError: the exported model does not repeat the trained one.
@@ -291,6 +293,7 @@ def write_certificate(
         halves = (ends[1] - ends[0]) / 2
         write_table(predictions_table(result, ends), folder / PREDICTIONS_FILE)
         write_pictures(result, folder)
+        further = {} if more is None else dict(more(folder, intervals))
         constant = _plan_fields(result) if former is None else former.model_dump(exclude={"id"})
         card = sealed(
             constant
@@ -307,6 +310,7 @@ def write_certificate(
                 "vectors": vector_cards(result.plan.vectors, result.plan.targets, intervals, *held_out)
                 or None,
             }
+            | further
         )
         (folder / CARD_FILE).write_text(card.model_dump_json(indent=1))
     return card

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from palpate.calibration.calibration_plan import ReferenceRule
+from palpate.calibration.calibration_plan import SESSION, ReferenceRule
 from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.calibration.coverage import range_scores, target_findings
 from palpate.calibration.coverage.circular_scores import dispersion, shortest
@@ -18,6 +18,7 @@ from palpate.estimators.certified import Estimator, Zero, within
 from palpate.estimators.model_card import Card, ScoreCard, TenthCard
 from palpate.estimators.reading_rules import untold
 from palpate.recordings import Run
+from palpate.recordings.joined_runs import JoinedRun, sessions_of
 from palpate.recordings.label_tables import own_column, targets_from, with_own
 
 
@@ -67,7 +68,9 @@ def zeros_of(estimator: Estimator, run: Run) -> dict[int, Zero]:
 
     Empty where the calibration knows none or the run has none.
     """
-    table, by = run.labels, list(estimator.card.reference.by)
+    table = run.labels
+    rule = ReferenceRule.of_card(estimator.card)
+    by = [] if rule is None else list(rule.for_columns(table.columns).by)
     rows = _untouched_rows(estimator.card, table)
     groups = table.groupby(by, sort=False).ngroup().to_numpy() if by else np.zeros(len(table))
     zeros: dict[int, Zero] = {}
@@ -102,7 +105,7 @@ def evaluate(
         CertificateError: the network gives no finite number for a frame of its own size.
     """
     card = estimator.card
-    rows = _rows_to_score(card, run.labels)
+    rows = rows_to_score(card, run.labels)
     true = targets_from(run.labels.iloc[rows].reset_index(drop=True), card.columns, str(run.path))
     table = predictions(estimator, run, zero=zero, progress=progress)
     finite = np.isfinite(table[[f"estimate:{column}" for column in card.columns]].to_numpy(float)).all(axis=1)
@@ -132,7 +135,7 @@ def predictions(
         ImageError: the calibration is differential and the run has no reference.
     """
     card = estimator.card
-    rows = _rows_to_score(card, run.labels)
+    rows = rows_to_score(card, run.labels)
     table = run.labels.iloc[rows].reset_index(drop=True)
     zeros = {} if zero is not None else zeros_of(estimator, run)
     predicted, half = np.full((2, len(rows), len(card.columns)), np.nan)
@@ -159,7 +162,7 @@ def predictions(
     return with_own(table, {"valid": [not why for why in whys], "why": whys})
 
 
-def _rows_to_score(card: Card, table: pd.DataFrame) -> np.ndarray:
+def rows_to_score(card: Card, table: pd.DataFrame) -> np.ndarray:
     """All rows but those of the untouched sensor, where the calibration did not learn from such."""
     untouched = _untouched_rows(card, table)
     return np.arange(len(table)) if card.reference.learnt else np.setdiff1d(np.arange(len(table)), untouched)
@@ -170,7 +173,9 @@ def _untouched_rows(card: Card, table: pd.DataFrame) -> np.ndarray:
     rule = ReferenceRule.of_card(card)
     nothing = np.empty(0, np.int64)
     try:
-        return nothing if rule is None else np.flatnonzero(rows_matching(table, rule))
+        return (
+            nothing if rule is None else np.flatnonzero(rows_matching(table, rule.for_columns(table.columns)))
+        )
     except LabelError:
         return nothing
 
@@ -215,7 +220,9 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str
         "frames_valid": int(own_column(table, "valid").sum()),
         "groups": len(np.unique(groups)),
         "group_columns": list(card.split.columns),
-        "learnt_from_this_run": run.hash == card.run.hash,
+        "learnt_from_this_run": learnt_from(card, run),
+        "session": sorted(set(sessions_of(run).tolist())),
+        "same_session": same_session(card, run),
     }
 
 
@@ -239,8 +246,45 @@ def _findings(card: Card, targets: dict[str, Any], tenths: dict[str, list[dict[s
     ]
 
 
+def learnt_from(card: Card, run: Run) -> bool:
+    """True if a calibration has learnt from this run, or has set its intervals by it."""
+    return run.hash in _recordings(card)
+
+
+def _recordings(card: Card) -> dict[str, str]:
+    """Hash and id of every recording that a calibration had part of its content from."""
+    runs = [card.run, *(card.sessions.runs if card.sessions else ())]
+    runs += [card.interval_reset.run] if card.interval_reset else []
+    return {one.hash: one.run_id for one in runs}
+
+
+def same_session(card: Card, run: Run) -> str:
+    """Why a run tests no other day than a calibration has learnt from; empty where it is another session.
+
+    A run's name alone does not make it the same: sessions are compared by name where the run labels them.
+    """
+    if learnt_from(card, run):
+        return "it is a run that the calibration has learnt from"
+    parts = run.runs if isinstance(run, JoinedRun) else (run,)
+    if any(part.hash in _recordings(card) for part in parts):
+        return "a part of it is a run that the calibration has learnt from"
+    if {part.manifest.run_id for part in parts} & set(_recordings(card).values()):
+        return "it is another copy of a recording that the calibration has learnt from"
+    known = set(card.sessions.names) if card.sessions and card.sessions.column == SESSION else set()
+    if card.interval_reset:
+        known.add(card.interval_reset.session)
+    both = sorted(known & set(sessions_of(run).tolist())) if SESSION in run.manifest.labels else []
+    if both:
+        return f"session {', '.join(both)} is one that the calibration has learnt from"
+    return ""
+
+
 def groups_in(table: pd.DataFrame, columns: tuple[str, ...]) -> np.ndarray:
-    """A label for each row's group; each row its own where the columns are not all there."""
+    """A label for each row's group; each row its own where the columns are not all there.
+
+    A table that names no session is all of one.
+    """
+    columns = tuple(name for name in columns if name != SESSION or name in table or len(columns) == 1)
     if not columns or not set(columns) <= set(table):
         return np.arange(len(table))
     return table.groupby(list(columns), sort=False, dropna=False).ngroup().to_numpy()

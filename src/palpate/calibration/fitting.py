@@ -15,6 +15,7 @@ import re
 import shutil
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -28,6 +29,14 @@ from palpate.calibration.certificate import CalibrationResult, write_certificate
 from palpate.calibration.coverage.circular_scores import refuse_no_angles
 from palpate.calibration.leakage import audit
 from palpate.calibration.model_check import check_plugged_in
+from palpate.calibration.sessions.order_check import ScoredSplit, order_card, split_beside
+from palpate.calibration.sessions.session_findings import (
+    check_sessions,
+    held_out_sessions,
+    interval_fit,
+    refuse_copied_sessions,
+    session_fields,
+)
 from palpate.calibration.training_data import LearningSet, learning_set, table_to_learn
 from palpate.core import (
     ExistsError,
@@ -45,17 +54,21 @@ from palpate.core import (
     storage_errors,
 )
 from palpate.core.plugins import ERROR, plugin_calls
+from palpate.estimators.certified import Intervals
 from palpate.estimators.networks import MODELS, make_model, model_kind
 from palpate.estimators.networks.distributed import ProcessGroup
 from palpate.estimators.networks.model_interface import Fitted, predict_rows, refuse_unfit
 from palpate.estimators.novelty import LearnsFromRendered, NoveltyDetector, fit_novelty_detector
 from palpate.recordings import PackedSet, Run, Split, pack, split
+from palpate.recordings.joined_runs import joined
 from palpate.recordings.label_tables import refuse_reserved, targets_from
 from palpate.recordings.preparation import Preparation
 from palpate.version import __version__
 
 
-def calibrate(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress = silent) -> Path:
+def calibrate(
+    run: Run | Sequence[Run], plan: CalibrationPlan, out: PathText, progress: Progress = silent
+) -> Path:
     """Calibrate an estimator and write its certificate.
 
     Rows are predicted by a model that has not seen their group; the scores, the intervals and the report
@@ -63,7 +76,7 @@ def calibrate(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress
     and one fold gives scores enough, from all but that fold.
 
     Args:
-        run: frames and their labels.
+        run: frames and their labels; several runs are joined, see `recordings.joined_runs.JoinedRun`.
         plan: what to estimate and how.
         out: the calibration folder to make; must not exist.
         progress: called with what is being done and how far it is.
@@ -73,10 +86,10 @@ def calibrate(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress
 
     Raises:
         ExistsError: `out` exists, or work towards another plan, or a file of others, lies in its work folder.
-        LabelError, UnitError, SplitError, InputError: the plan does not fit the run, or the model predicts
-            what is no finite number.
+        LabelError, UnitError, SplitError, InputError: the plan does not fit the run, runs do not fit each
+            other, or the model predicts what is no finite number.
     """
-    out = Path(out)
+    run, out = joined(run), Path(out)
     refuse_existing(out)
     started = time.monotonic()
     parts = _split_rows(run, plan)
@@ -89,11 +102,20 @@ def calibrate(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress
     work = _work_folder(run, plan, parts, out)
     with storage_errors(work):
         learning = _learning_set(run, plan, parts, work, progress, processes)
+        refuse_copied_sessions(learning.packed, parts.group_columns)
         leakage = audit(learning.packed, parts)
         held_out, fitted = _fit(learning, parts, plan, work, progress, processes)
+        assert fitted is not None
+        beside = _split_beside(learning, parts, plan, work, progress)
         detector = _novelty_detector(learning, parts, fitted, plan, progress)
         result = CalibrationResult(run, plan, learning, parts, leakage, held_out, fitted, detector)
-        write_certificate(replace(result, seconds=time.monotonic() - started), out)
+        result = replace(result, seconds=time.monotonic() - started)
+        sessions = held_out_sessions(learning.packed.table, parts, result.scored)
+
+        def more(_: Path, intervals: Intervals) -> dict[str, Any]:
+            return session_fields(result, sessions, intervals) | _order_fields(result, beside, intervals)
+
+        write_certificate(result, out, fit=interval_fit(sessions), more=more)
         processes.wait()
         shutil.rmtree(work)
     return out
@@ -122,11 +144,12 @@ def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
     make_model(plan.model, plan.options)
     prepared = preparation_of(run, plan).apply(run.frame(0).image)
     table = table_to_learn(run.labels, plan)
-    labels = targets_from(table, plan.targets, str(run.path))
-    for column, period, values in zip(plan.targets, plan.layout.periods, labels.T, strict=True):
+    values = targets_from(table, plan.targets, str(run.path))
+    for column, period, column_values in zip(plan.targets, plan.layout.periods, values.T, strict=True):
         if period is not None:
-            refuse_no_angles(column, values, split_column(column)[1].symbol, period)
+            refuse_no_angles(column, column_values, split_column(column)[1].symbol, period)
     parts = split(table, plan.split, folds=_folds(plan), seed=plan.seed)
+    check_sessions(table, values, plan.targets, parts)
     check_plugged_in(plan, prepared.transpose(2, 0, 1).shape)
     return parts
 
@@ -147,7 +170,7 @@ def preparation_of(run: Run, plan: CalibrationPlan) -> Preparation:
     return Preparation(plan.crop_px, (round(side * tall), round(side / tall)), plan.channels)
 
 
-WORK_FILE = re.compile(r"plan\.json|packed|(kept|fold-\d+)\..+|tmp\w+\.npz|\..+\.partial")
+WORK_FILE = re.compile(r"plan\.json|packed|beside|(kept|fold-\d+)\..+|tmp\w+\.npz|\..+\.partial")
 
 
 def _work_folder(run: Run, plan: CalibrationPlan, parts: Split, out: Path) -> Path:
@@ -210,11 +233,12 @@ def _fit(
     work: Path,
     progress: Progress,
     processes: ProcessGroup,
-) -> tuple[Values, Fitted]:
+    keep: bool = True,
+) -> tuple[Values, Fitted | None]:
     """Held-out outputs, NaN where a row was in no scored fold, and the model that is kept.
 
     Where every fold is held out in turn, the one kept has learnt from all rows. Where one is, it is the very
-    model that was scored.
+    model that was scored. Where none shall be kept, every fold is held out.
     """
     layout, model = plan.layout, make_model(plan.model, plan.options)
     labels = learning.data
@@ -242,7 +266,7 @@ def _fit(
         kept = _read_fold(file_path, (len(parts.folds[k]), data.values.shape[1]))
         if kept is not None:
             return kept
-        what = f"fold {k + 1} of {len(parts.folds)}"
+        what = f"{'' if keep else f'by {parts.kind}, '}fold {k + 1} of {len(parts.folds)}"
         fitted = fit(f"fold-{k}", what, parts.training_rows(k), plan.seed + k + 1)
         predicted = estimates(fitted, k)
         if processes.first:
@@ -252,6 +276,10 @@ def _fit(
         return predicted
 
     predicted = np.full_like(data.values, np.nan)
+    if not keep:
+        for k in range(len(parts.folds)):
+            predicted[parts.folds[k]] = held_out(k)
+        return predicted, None
     count, alone = folds_to_score(plan, parts), representative_fold(parts, labels.values)
     for k in range(count) if count > 1 else ():
         predicted[parts.folds[k]] = held_out(k)
@@ -260,6 +288,44 @@ def _fit(
     if count == 1:
         predicted[parts.folds[alone]] = estimates(fitted, alone)
     return predicted, fitted
+
+
+def _split_beside(
+    learning: LearningSet, parts: Split, plan: CalibrationPlan, work: Path, progress: Progress
+) -> ScoredSplit | None:
+    """Shuffled folds beside blocks, or blocks beside shuffled folds; None where that is left out."""
+    other = split_beside(learning.packed.table, parts, len(parts.folds), plan.seed)
+    if other is None or _left_out(plan, parts):
+        return None
+    folder = work / "beside"
+    folder.mkdir(exist_ok=True)
+    predicted, _ = _fit(learning, other, plan, folder, progress, ProcessGroup(), keep=False)
+    return ScoredSplit(other, predicted)
+
+
+def _left_out(plan: CalibrationPlan, parts: Split) -> str:
+    """Why no other split is scored beside the plan's; empty where it is."""
+    count = folds_to_score(plan, parts)
+    if count == len(parts.folds) and not model_kind(plan.model).costly:
+        return ""
+    other = "Blocks of the order in which rows were taken" if parts.groups is None else "Shuffled folds"
+    return (
+        f"{other} were left out, since {plan.model} is costly to train and {count} of {len(parts.folds)} "
+        f"folds "
+        "were scored; a quick model shows what they would say (--model pca-ridge)."
+    )
+
+
+def _order_fields(
+    result: CalibrationResult, beside: ScoredSplit | None, intervals: Intervals
+) -> dict[str, Any]:
+    """The card's part on order, where rows come one by one."""
+    plan, parts, data = result.plan, result.split, result.data
+    if split_beside(result.learning.packed.table, parts, len(parts.folds), plan.seed) is None:
+        return {}
+    own = ScoredSplit(parts, result.held_out)
+    both = (own,) if beside is None else (own, beside)
+    return {"order": order_card(both, data.values, plan.targets, intervals, _left_out(plan, parts))}
 
 
 def _read_fold(path: Path, shape: tuple[int, int]) -> Values | None:

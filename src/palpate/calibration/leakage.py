@@ -14,7 +14,7 @@ from sklearn.neighbors import NearestNeighbors
 from palpate.core import has_unit, split_column
 from palpate.recordings.label_tables import label_kinds
 from palpate.recordings.packed_set import PackedSet
-from palpate.recordings.splits import Split, conventional_groups, group_names
+from palpate.recordings.splits import Split, conventional_groups, group_names, within_session
 
 _THUMB_PX = 16
 _BATCH = 256
@@ -129,7 +129,7 @@ def _groupings(table: pd.DataFrame, columns: Sequence[str] | None) -> Iterator[t
         chosen = list(dict.fromkeys([*conventional_groups(table), *texts]))
     else:
         chosen = [(name,) for name in columns]
-    for names in chosen:
+    for names in (within_session(table, one) for one in chosen):
         if columns is None and any(
             table[n].isna().any() or (table[n].astype(str) == "").any() for n in names
         ):

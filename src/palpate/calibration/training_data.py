@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
-from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
+from palpate.calibration.calibration_plan import SESSION, CalibrationPlan, ReferenceRule
 from palpate.core import Bool, Float32, Indices, InputError, Int, LabelError, Shaped, Tensor
 from palpate.estimators.networks.model_interface import TrainingData
 from palpate.estimators.novelty import thumbnails
@@ -99,7 +99,26 @@ def _rule(table: pd.DataFrame, plan: CalibrationPlan) -> ReferenceRule | None:
             "a differential calibration needs frames of the untouched sensor; say which rows they are "
             f"with --reference COLUMN=VALUE, or label them in a column {' or '.join(FLAG_COLUMNS)}"
         )
-    return rule
+    return None if rule is None else _rule_by_session(table, rule, plan)
+
+
+def _rule_by_session(table: pd.DataFrame, rule: ReferenceRule, plan: CalibrationPlan) -> ReferenceRule:
+    """The rule, each session with a reference of its own: a sensor that was mounted again rests otherwise.
+
+    Raises:
+        LabelError: the plan is differential, and a session has no frame of the untouched sensor.
+    """
+    if SESSION not in table or SESSION in rule.by:
+        return rule
+    sessions = table[SESSION].astype(str)
+    without = sorted(set(sessions) - set(sessions[rows_matching(table, rule)]))
+    if without and plan.delta:
+        raise LabelError(
+            f"session {without[0]} has no row with {rule.column}={rule.value}; a differential calibration "
+            "needs frames of the untouched sensor from each session: leave the session out, or learn from "
+            "the frames themselves (--raw)"
+        )
+    return rule if without else replace(rule, by=(SESSION, *rule.by))
 
 
 def rows_to_learn(table: pd.DataFrame, plan: CalibrationPlan) -> Indices:

@@ -28,7 +28,9 @@ Box = tuple[int, int, int, int]
 
 
 def calibrate(
-    run: Annotated[Path, Argument(help="Run to learn from.")],
+    runs: Annotated[
+        list[Path], Argument(metavar="RUN...", help="Run to learn from; several are joined, each a session.")
+    ],
     out: NewCalibration,
     targets: Annotated[
         str,
@@ -39,7 +41,11 @@ def calibrate(
         Option(help="mean, pca-ridge, pixel-mlp, compact-cnn, a palm's own, or yours, module:Class."),
     ] = "pca-ridge",
     split: Annotated[
-        str, Option(help="auto, random, group:COLUMN, leave-one-out:COLUMN, or module:function.")
+        str,
+        Option(
+            help="auto, random, session, blocks, blocks:ROWS, group:COLUMN, leave-one-out:COLUMN, or "
+            "module:function."
+        ),
     ] = "auto",
     folds: Annotated[
         int | None, Option(help="Parts the rows are split in; default 5, for a network 8.")
@@ -92,15 +98,17 @@ def calibrate(
     from where it was. Under torchrun, several processes train a network of the palm.
 
     Example: palpate calibrate run --targets depth_mm,force_N --model compact-cnn --out cal
+    Example: palpate calibrate monday tuesday friday --split session --out cal
     """
     from palpate.calibration.calibration_plan import ReferenceRule
     from palpate.calibration.training_data import model_regions
     from palpate.estimators.networks import model_kind
     from palpate.estimators.networks.distributed import ProcessGroup
+    from palpate.recordings.joined_runs import joined
 
     if ":" in model + split:
         sys.path.append(str(Path.cwd()))  # a module of one's own lies where one works
-    recorded, kind = palpate.Run.open(run), model_kind(model)
+    recorded, kind = joined([palpate.Run.open(run) for run in runs]), model_kind(model)
     crops = _crops(crop or [])
     if kind.regions and crops[0] is None:
         crops = model_regions(recorded.manifest, kind.regions)  # type: ignore[assignment]
@@ -144,13 +152,19 @@ def evaluate(
     run: Annotated[Path, Argument(help="Labelled run to score it on.")],
     out: Annotated[Path | None, Option(help="JSON file to write the scores to.")] = None,
     reference: Annotated[Path | None, Option(help="Image of the untouched sensor.")] = None,
+    keep: Annotated[
+        bool, Option("--keep/--no-keep", help="Keep the scores in the calibration's folder, too.")
+    ] = True,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Score a calibration on a labelled run.
+    """Score a calibration on a labelled run, and keep the scores beside its card.
 
-    Example: palpate evaluate cal run-val --out scores.json
+    The file names the card by its id; the card stays as it is.
+
+    Example: palpate evaluate cal run-of-another-day --out scores.json
     """
+    from palpate.calibration.sessions import keep_evaluation
     from palpate.core.files import new_file, refuse_existing
 
     if out is not None:
@@ -163,6 +177,9 @@ def evaluate(
         with new_file(out) as path:
             path.write_text(json.dumps(scores, indent=1, allow_nan=False) + "\n")
     print_found(scores, _scores_text(scores), json_)
+    if keep:
+        kept = keep_evaluation(calibration, scores, reference=reference is not None)
+        typer.echo(f"kept in {kept}", err=json_)
 
 
 def sense(
@@ -213,8 +230,13 @@ def _card_text(card: Any, out: Path) -> str:
     from palpate.calibration.coverage import card_findings
     from palpate.reports.terminal_text import scores_table
 
-    lines = [f"calibration {card.id}: {out}", scores_table({t.column: t.score for t in card.targets})]
+    lines = [f"calibration {card.id}: {out}"]
+    if card.sessions is not None:
+        lines += [card.sessions.text, *card.sessions.findings]
+    lines.append(scores_table({t.column: t.score for t in card.targets}))
     lines += [*card_findings(card), *(_vector_text(vector) for vector in card.vectors or ())]
+    if card.order is not None:
+        lines += [*_splits_table(card.order), card.order.text]
     lines += [f"audit: {card.split.audit}", f"report: {out / 'report.html'}"]
     return "\n".join(lines)
 
@@ -225,6 +247,17 @@ def _vector_text(vector: Any) -> str:
         f"{100 * vector.covered:.1f} % "
         f"of rows (95 % interval {100 * vector.low:.1f} to {100 * vector.high:.1f} %)"
     )
+
+
+def _splits_table(order: Any) -> list[str]:
+    """Each target's error and coverage by each split, where two were scored."""
+    if len(order.splits) < 2:
+        return []
+    lines = ["held out by       " + "".join(f"{one.kind:>24}" for one in order.splits)]
+    for name in order.splits[0].mae:
+        cells = [f"MAE {one.mae[name]:.3g}, {100 * one.coverage[name]:.1f} %" for one in order.splits]
+        lines.append(f"{name:18}" + "".join(f"{cell:>24}" for cell in cells))
+    return lines
 
 
 def _scores_text(scores: dict[str, Any]) -> str:
@@ -239,8 +272,13 @@ def _scores_text(scores: dict[str, Any]) -> str:
     ]
     table = "\n".join([table, *scores["findings"], *joint])
     valid = f"{scores['frames_valid']} of {scores['frames_scored']} frames gave valid readings throughout"
-    learnt = "\nthis is the run it learnt from: these scores say nothing about new presses"
-    return f"{table}\n{valid}" + (learnt if scores["learnt_from_this_run"] else "")
+    named = ", ".join(scores["session"])
+    day = f"another session than was learnt from, by its name: {named}"
+    if scores["learnt_from_this_run"]:
+        day = "this is the run it learnt from: these scores say nothing about new presses"
+    elif scores["same_session"]:
+        day = f"no other day: {scores['same_session']}"
+    return f"{table}\n{valid}\n{day}"
 
 
 HEAD = ("target", "unit", "MAE before", "MAE after", "correction", "90 % interval", "covered")
@@ -250,23 +288,65 @@ def adapt(
     calibration: Annotated[Path, Argument(help="Calibration folder; it is left as it is.")],
     run: Annotated[Path, Argument(help="Labelled run of your own copy, ten presses or more.")],
     out: NewCalibration,
+    intervals_only: Annotated[
+        bool,
+        Option(
+            "--intervals-only", help="Leave the network as it is; set its intervals anew for this session."
+        ),
+    ] = False,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Adapt a calibration to your own copy of its sensor.
+    """Adapt a calibration to your own copy of its sensor, or its intervals to a new session.
 
     Ten to 50 presses are enough.
 
     Example: palpate adapt cal run-of-my-copy --out cal-my-copy
+    Example: palpate adapt cal run-of-today --intervals-only --out cal-today
     """
     from palpate.calibration.adaptation import adapt as take_over
     from palpate.workflows.certification import REPORT_FILE
 
+    if intervals_only:
+        _set_intervals_anew(calibration, run, out, json_, quiet)
+        return
     with progress_bar(quiet) as progress:
         card = take_over(calibration, palpate.Run.open(run), out, progress)
         progress("writing the report", 0, 1)
         palpate.write_report(out, out / REPORT_FILE)
     print_found(card.model_dump(mode="json"), _adapted_text(card, out, REPORT_FILE), json_)
+
+
+def _set_intervals_anew(calibration: Path, run: Path, out: Path, json_: bool, quiet: bool) -> None:
+    from palpate.calibration.sessions import reset_intervals
+    from palpate.estimators.certified import read_card
+    from palpate.workflows.certification import REPORT_FILE
+
+    with progress_bar(quiet) as progress:
+        card = reset_intervals(calibration, palpate.Run.open(run), out, progress)
+        progress("writing the report", 0, 1)
+        palpate.write_report(out, out / REPORT_FILE)
+    former = {target.column: target for target in read_card(calibration).targets}
+    print_found(card.model_dump(mode="json"), _reset_text(card, former, out, REPORT_FILE), json_)
+
+
+def _reset_text(card: Any, former: dict[str, Any], out: Path, report: str) -> str:
+    from palpate.reports.terminal_text import scores_table
+
+    wider = [
+        f"{t.column}: intervals {t.quantile / former[t.column].quantile:.2f} times as wide as before"
+        for t in card.targets
+        if former[t.column].quantile > 0
+    ]
+    table = scores_table({target.column: target.score for target in card.targets})
+    lines = [
+        f"calibration {card.id}: {out}",
+        card.interval_reset.text,
+        table,
+        *wider,
+        f"report: {out / report}",
+    ]
+    return "\n".join(lines)
 
 
 def _adapted_text(card: Any, out: Path, report: str) -> str:

@@ -269,6 +269,132 @@ class RunCard(_CardPart):
     licence: str
 
 
+class SessionErrorCard(_CardPart):
+    """Errors of one target from session to session, in its unit.
+
+    Attributes:
+        between: standard deviation of the sessions' mean errors about no error.
+        within: standard deviation of errors within a session.
+        coverage_least: the lowest coverage of any session that was held out, by the intervals of this card.
+    """
+
+    between: float
+    within: float
+    coverage_least: float
+
+
+class SessionsCard(_CardPart):
+    """Sessions that were learnt from, and what that promises of another one.
+
+    Attributes:
+        column: what tells them apart: ``session``, or ``sensor`` or ``copy`` where copies were held out.
+        names: of the sessions (or copies) learnt from.
+        runs: the recordings, where there are several.
+        held_out: how many were held out whole and scored; 0 where none was.
+        rule: how the intervals were made: ``one session`` (for rows like those of the sessions learnt
+            from), ``parametric`` or ``distribution-free`` (for a new session).
+        rank: of the score among one from each session, where the rule is distribution-free.
+        factor: by which few sessions widen the intervals, where it is parametric.
+        errors: of each target's column, where sessions were held out.
+        findings: what stands against the promise, in sentences.
+        text: the promise, in words.
+    """
+
+    column: str
+    names: tuple[str, ...]
+    runs: tuple[RunCard, ...]
+    held_out: int
+    rule: Literal["one session", "parametric", "distribution-free"]
+    rank: int | None
+    factor: float | None
+    errors: dict[str, SessionErrorCard]
+    findings: tuple[str, ...]
+    text: str
+
+
+class SplitScoreCard(_CardPart):
+    """Scores by one way of holding rows out.
+
+    Attributes:
+        kind: the split, as a person would type it.
+        folds, rows: how many, and how many rows were scored.
+        mae, r2, coverage: of each target's column; the coverage is that of this card's intervals.
+        order_r2: of each target's column, the share of its variance that a row's nearest neighbour in order
+            explains, of those that were trained on: what the clock alone tells.
+        meaningless: targets' columns whose scores by this split say nothing of new rows.
+    """
+
+    kind: str
+    folds: int
+    rows: int
+    mae: dict[str, float]
+    r2: dict[str, float]
+    coverage: dict[str, float]
+    order_r2: dict[str, float]
+    meaningless: tuple[str, ...]
+
+
+class OrderCard(_CardPart):
+    """Shuffled folds and short blocks of the order in which rows were taken, side by side.
+
+    Attributes:
+        splits: scores by each; the first is the card's own.
+        rank_correlation: Spearman's, of each target's column with the row's number.
+        text: what the two say, in words; and what was left out.
+    """
+
+    splits: tuple[SplitScoreCard, ...]
+    rank_correlation: dict[str, float]
+    text: str
+
+
+class IntervalResetCard(_CardPart):
+    """Rows of a new session that set the intervals anew, the network being that of another calibration.
+
+    Attributes:
+        calibration: id of that calibration.
+        run: the recording of the new session.
+        session: its name.
+        rows, groups: how many set the intervals, and how many groups (presses) they are of.
+        rank: of the score, among one from each group.
+        coverage_mean, coverage_low, coverage_high: coverage to expect in that session: its mean over
+            drawings of so many groups, and the range that holds 95 of 100 of them.
+        text: all of it in words.
+    """
+
+    calibration: str
+    run: RunCard
+    session: str
+    rows: int
+    groups: int
+    rank: int
+    coverage_mean: float
+    coverage_low: float
+    coverage_high: float
+    text: str
+
+
+class CopyCard(_CardPart):
+    """Copy of the sensor that a calibration was adapted to, and how its frames are told from the former's.
+
+    Attributes:
+        name: of this copy, and of the `former` one.
+        run_id: of this copy's recording.
+        file: what tells the two apart.
+        refused_own: share of this copy's frames that it turned away, each judged without its own press.
+        refused_former: share of the former copy's frames that it turned away.
+        text: what that means, in words.
+    """
+
+    name: str
+    former: str
+    run_id: str
+    file: FileCard | None
+    refused_own: float
+    refused_former: float
+    text: str
+
+
 class Card(_CardPart):
     """All of it. `id` is a hash of everything else, so no word can change unnoticed.
 
@@ -278,9 +404,15 @@ class Card(_CardPart):
         adapted_from: id of the calibration whose network this one corrects to another copy of its sensor;
             None where it is a calibration of its own.
         vectors: targets that are also read together; None where there are none.
+        sessions: what was learnt from, session by session; None on cards from before they were told apart.
+        order: the split beside another one; None where rows come in groups.
+        interval_reset: what set the intervals anew; None where that were the rows held out.
+        copy_of: the copy adapted to; None where it was not adapted, or before copies were told apart.
     """
 
-    added: ClassVar[tuple[str, ...]] = ("adapted_from", "vectors")
+    added: ClassVar[tuple[str, ...]] = (
+        "adapted_from", "vectors", "sessions", "order", "interval_reset", "copy_of",
+    )  # fmt: skip
 
     format: Literal["palpate-calibration/1"]
     id: str
@@ -303,6 +435,10 @@ class Card(_CardPart):
     seconds: float
     adapted_from: str | None = None
     vectors: tuple[VectorCard, ...] | None = None
+    sessions: SessionsCard | None = None
+    order: OrderCard | None = None
+    interval_reset: IntervalResetCard | None = None
+    copy_of: CopyCard | None = None
 
     @model_validator(mode="after")
     def _targets_fit(self) -> Card:

@@ -18,11 +18,16 @@ from palpate.core import PluginError, SplitError
 from palpate.core.plugins import ERROR, OWN, PATH, PluginRegistry, plugin_calls
 from palpate.recordings.label_tables import rows_text
 
+SESSION = "session"
+"""The label column that says what was recorded without re-mounting the sensor, such as a day's date."""
+
 # Coarsest first: a split by an earlier one also holds apart everything that a later one would.
 CONVENTIONAL_GROUPS: tuple[tuple[str, ...], ...] = (
+    (SESSION,),
     ("object",),
     ("specimen",),
     ("sensor",),
+    ("copy",),
     ("location",),
     ("x_mm", "y_mm"),
     ("row", "col"),
@@ -31,12 +36,20 @@ CONVENTIONAL_GROUPS: tuple[tuple[str, ...], ...] = (
     ("cycle",),
     ("trial",),
 )
-REGISTRY = PluginRegistry("split", "palpate.splits", dict.fromkeys(("auto", "random"), OWN))
+WITHIN_SESSION = ("press", "cycle", "trial")
+"""Columns that count within a session: press 3 of one session is not press 3 of another."""
+
+REGISTRY = PluginRegistry(
+    "split", "palpate.splits", dict.fromkeys(("auto", "random", SESSION, "blocks"), OWN)
+)
 _BY_COLUMNS = ("group", "leave-one-out")
 _KINDS = (
-    "'auto', 'random', 'group:COLUMN[,COLUMN...]', 'leave-one-out:COLUMN[,COLUMN...]', or a function of "
-    "yours as 'module:function'"
+    "'auto', 'random', 'session', 'blocks', 'blocks:ROWS', 'group:COLUMN[,COLUMN...]', "
+    "'leave-one-out:COLUMN[,COLUMN...]', or a function of yours as 'module:function'"
 )
+BLOCKS_A_FOLD = 20
+"""Blocks that each fold holds out where their length is not given: short ones, so that each fold reaches over
+the whole order, and long enough that most rows held out have no neighbour that was trained on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +82,11 @@ def split(table: pd.DataFrame, spec: str, *, folds: int = 5, seed: int = 0) -> S
     Args:
         table: the labels, one row a frame.
         spec: ``auto`` (by the coarsest conventional group that is there, else random), ``random``,
-            ``group:COL[,COL...]``, ``leave-one-out:COL[,COL...]``, or a plug-in, as ``module:function`` or
-            the name of an entry point of the group ``palpate.splits``.
-        folds: how many, 2 or more; leave-one-out has one for each group.
+            ``session`` (one session held out in turn), ``blocks`` or ``blocks:ROWS`` (so many consecutive
+            rows together, dealt to the folds in turn), ``group:COL[,COL...]``,
+            ``leave-one-out:COL[,COL...]``, or a plug-in, as ``module:function`` or the name of an entry point
+            of the group ``palpate.splits``.
+        folds: how many, 2 or more; leave-one-out has one for each group, a session split for each session.
         seed: of the shuffle.
 
     Raises:
@@ -97,15 +112,76 @@ def split(table: pd.DataFrame, spec: str, *, folds: int = 5, seed: int = 0) -> S
             )
         shuffled = np.array_split(rng.permutation(len(table)), folds)
         return Split(spec, (), None, tuple(np.sort(p) for p in shuffled), "random, as asked")
+    if spec == SESSION:
+        return _by_session(table, rng)
+    if kind == "blocks":
+        check_split_text(spec)
+        return _by_blocks(table, int(names) if names else None, folds, rng)
     if kind not in _BY_COLUMNS:
         return _plugged_in(table, spec, folds, seed)
     check_split_text(spec)
     columns = tuple(name.strip() for name in names.split(","))
+    typed, columns = ",".join(columns), within_session(table, columns)
     groups = group_names(table, columns)
     parts = _parts(groups, spec, None if kind == "leave-one-out" else folds, rng)
-    return Split(
-        f"{kind}:{','.join(columns)}", columns, groups, parts, f"by {' and '.join(columns)}, as asked"
-    )
+    return Split(f"{kind}:{typed}", columns, groups, parts, f"by {' and '.join(columns)}, as asked")
+
+
+def within_session(table: pd.DataFrame, columns: tuple[str, ...]) -> tuple[str, ...]:
+    """Columns that name a group, with the session's before those that count anew in each session.
+
+    Example:
+        >>> within_session(pd.DataFrame({"session": ["a", "b"], "press": [1, 1]}), ("press",))
+        ('session', 'press')
+    """
+    counted = columns[0] in WITHIN_SESSION and SESSION in table.columns and SESSION not in columns
+    return (SESSION, *columns) if counted else columns
+
+
+def _by_session(table: pd.DataFrame, rng: np.random.Generator) -> Split:
+    if SESSION not in table.columns:
+        raise SplitError(
+            "split 'session': all rows are of one session, so that none can be held out; give the runs of "
+            f"several days, or label the rows in a column {SESSION!r}"
+        )
+    groups = group_names(table, (SESSION,))
+    if len(np.unique(groups)) < 2:
+        raise SplitError(
+            f"split 'session': all rows are of one session ({groups[0]}), so that none can be held out; give "
+            "the runs of several days, or split otherwise"
+        )
+    parts = _parts(groups, SESSION, None, rng)
+    return Split(SESSION, (SESSION,), groups, parts, "each session held out in turn, as asked")
+
+
+def _by_blocks(table: pd.DataFrame, length: int | None, folds: int, rng: np.random.Generator) -> Split:
+    """Blocks of consecutive rows, none across two sessions; of as many blocks as folds each fold has one."""
+    _check_folds(folds)
+    rows = length or max(2, round(len(table) / (BLOCKS_A_FOLD * folds)))
+    block = _block_numbers(table, rows)
+    count = int(block[-1]) + 1 if len(block) else 0
+    if count < folds:
+        raise SplitError(
+            f"{folds} folds of {len(table)} rows in blocks of {rows}: {count} blocks cannot fill them; ask "
+            "for shorter blocks or fewer folds"
+        )
+    # In an order drawn anew in each round, so that no plan that repeats itself keeps step with the folds.
+    rounds = [rng.permutation(folds) for _ in range(-(-count // folds))]
+    fold = np.concatenate(rounds)[:count][block]
+    parts = tuple(np.flatnonzero(fold == k) for k in range(folds))
+    kind = "blocks" if length is None else f"blocks:{length}"
+    reason = f"blocks of {rows} consecutive rows dealt to {folds} folds in turn, as asked"
+    return Split(kind, (), np.array([f"block {b}" for b in block]), parts, reason)
+
+
+def _block_numbers(table: pd.DataFrame, rows: int) -> np.ndarray:
+    """Number of each row's block ``[n]``; a block ends after so many rows, or where the session does."""
+    begins = np.zeros(len(table), dtype=bool)
+    sessions = group_names(table, (SESSION,)) if SESSION in table.columns else np.zeros(len(table))
+    changes = np.flatnonzero(np.append(True, sessions[1:] != sessions[:-1])[: len(table)])
+    for first, end in zip(changes, [*changes[1:], len(table)], strict=True):
+        begins[first:end:rows] = True
+    return np.cumsum(begins) - 1
 
 
 def _parts(
@@ -131,6 +207,10 @@ def check_split_text(spec: str) -> None:
     """
     kind, colon, names = spec.partition(":")
     if kind in _BY_COLUMNS and any(name.strip() for name in names.split(",")):
+        return
+    if kind == "blocks" and colon:
+        if not (names.isascii() and names.isdigit() and int(names) > 0):
+            raise SplitError(f"split {spec!r}: a block has 1 row or more, as in 'blocks:20'")
         return
     if spec in REGISTRY.built_in:
         REGISTRY.path_of(spec)  # refuses a package that takes the name
@@ -249,7 +329,7 @@ def group_names(table: pd.DataFrame, columns: Sequence[str]) -> np.ndarray:
 
 def _automatic(table: pd.DataFrame, folds: int, seed: int) -> Split:
     for columns in conventional_groups(table):
-        groups = len(np.unique(group_names(table, columns)))
+        groups = len(np.unique(group_names(table, within_session(table, columns))))
         if groups < 2:
             continue  # one object throughout cannot be held out; the next finer group can
         # Fewer groups than folds would be refused; holding out each in turn is the same thing, said
@@ -257,7 +337,7 @@ def _automatic(table: pd.DataFrame, folds: int, seed: int) -> Split:
         kind = "group" if groups >= folds else "leave-one-out"
         chosen = split(table, f"{kind}:{','.join(columns)}", folds=folds, seed=seed)
         reason = f"{' and '.join(columns)} is the coarsest group with more than one member ({groups})"
-        return Split(chosen.kind, columns, chosen.groups, chosen.folds, reason)
+        return Split(chosen.kind, chosen.group_columns, chosen.groups, chosen.folds, reason)
     chosen = split(table, "random", folds=folds, seed=seed)
     return Split(
         "random", (), None, chosen.folds, "there is no column that groups frames, so rows are shuffled"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from palpate.calibration.calibration_plan import CalibrationPlan
@@ -15,7 +16,9 @@ from palpate.reports.certificate_page import write_report
 REPORT_FILE = "report.html"
 
 
-def certify(run: Run, plan: CalibrationPlan, out: PathText, progress: Progress = silent) -> Card:
+def certify(
+    run: Run | Sequence[Run], plan: CalibrationPlan, out: PathText, progress: Progress = silent
+) -> Card:
     """Calibrate, see `calibration.calibrate`, and write the report into the calibration's folder."""
     out = Path(out)
     calibrate(run, plan, out, progress)

@@ -1,0 +1,164 @@
+"""Evaluations kept beside a card: one file each, which names the card and cannot be altered unnoticed.
+
+They lie in the calibration's folder as ``evaluation-RUN.json``, RUN being the first digits of the run's hash.
+The card is not touched. One that is damaged, or of another card, is refused by name.
+"""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from palpate.core import CertificateError, PathText, new_file, storage_errors
+from palpate.estimators.certified import read_card
+from palpate.estimators.model_card import Card, ScoreCard, card_id
+from palpate.version import __version__, needed_version
+
+FORMAT = "palpate-evaluation/1"
+PREFIX, SUFFIX = "evaluation-", ".json"
+MAX_BYTES = 4_000_000
+DIGITS = 12
+"""Of a run's hash, in a file's name."""
+
+
+class EvaluationRecord(BaseModel):
+    """Scores of a calibration on a run, as kept beside its card.
+
+    Attributes:
+        id: hash of everything else here.
+        calibration: id of the card, which is a hash of all that it says.
+        created_utc, software: when and by what it was made.
+        run: ``run_id``, ``hash`` and ``frames`` of the run scored on.
+        session: name of the run's session, or of its sessions.
+        same_session: why this is no other day than was learnt from; empty where it is one.
+        targets: scores of each target's column.
+        frames_scored, frames_read, frames_valid: how many frames were scored, could be read, and gave valid
+            readings throughout.
+        groups: how many groups (presses) these are of.
+        reference: whether one image of the untouched sensor was given for all.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    format: Literal["palpate-evaluation/1"]
+    id: str
+    calibration: str
+    created_utc: str
+    software: str
+    run: dict[str, str | int]
+    session: tuple[str, ...]
+    same_session: str
+    targets: dict[str, ScoreCard]
+    frames_scored: int
+    frames_read: int
+    frames_valid: int
+    groups: int
+    reference: bool
+
+    @property
+    def of_another_session(self) -> bool:
+        """True if it is of a session that the calibration has not learnt from."""
+        return not self.same_session
+
+    def same_as(self, other: EvaluationRecord) -> bool:
+        """True if both are the same scores of the same run, whenever they were made."""
+        when = {"id", "created_utc", "software"}
+        return self.model_dump(exclude=when) == other.model_dump(exclude=when)
+
+
+def keep_evaluation(folder: PathText, scores: dict[str, Any], *, reference: bool = False) -> Path:
+    """Keep the scores of `evaluate` beside the card that they are of.
+
+    The same scores are kept once. Others of the same run, as with another reference, get a file of their own.
+
+    Args:
+        folder: the calibration.
+        scores: what `evaluate` returned for it.
+        reference: whether one image of the untouched sensor was given for all frames.
+
+    Returns:
+        The file that holds them.
+
+    Raises:
+        CertificateError: the scores are of another calibration, or a file that is there is damaged.
+        StorageError: the disk is full or refuses.
+    """
+    folder = Path(folder)
+    card = read_card(folder)
+    if scores["calibration"] != card.id:
+        raise CertificateError(
+            f"these scores are of calibration {scores['calibration']}, and {folder} holds {card.id}; keep "
+            f"them "
+            "with the calibration they are of"
+        )
+    record = _sealed(scores, reference)
+    stem = f"{PREFIX}{str(record.run['hash'])[:DIGITS]}"
+    path, number = folder / f"{stem}{SUFFIX}", 1
+    while path.exists() or path.is_symlink():
+        if read_evaluation(path, card).same_as(record):
+            return path
+        number += 1
+        path = folder / f"{stem}-{number}{SUFFIX}"
+    with new_file(path) as file_path:
+        file_path.write_text(record.model_dump_json(indent=1) + "\n", encoding="utf-8")
+    return path
+
+
+def _sealed(scores: dict[str, Any], reference: bool) -> EvaluationRecord:
+    names = ("calibration", "run", "session", "same_session", "targets", "groups")
+    counts = ("frames_scored", "frames_read", "frames_valid")
+    record = EvaluationRecord(
+        format=FORMAT,
+        id="",
+        created_utc=datetime.now(UTC).isoformat(timespec="seconds"),
+        software=f"palpate {__version__}",
+        reference=reference,
+        **{name: scores[name] for name in (*names, *counts)},
+    )
+    return record.model_copy(update={"id": card_id(json.loads(record.model_dump_json()))})
+
+
+def read_evaluation(path: Path, card: Card) -> EvaluationRecord:
+    """Read and check one evaluation.
+
+    Raises:
+        CertificateError: it is damaged or altered, of another card, or another version of palpate has to
+            read it.
+    """
+    remedy = "move it away, and evaluate again"
+    if path.is_symlink() or not path.is_file() or path.stat().st_size > MAX_BYTES:
+        raise CertificateError(f"{path} is no evaluation that palpate wrote; {remedy}")
+    with storage_errors(path):
+        text = path.read_bytes()
+    try:
+        record = EvaluationRecord.model_validate_json(text)
+    except ValidationError as e:
+        if version := needed_version(text, FORMAT):
+            raise CertificateError(f"{path} {version}") from e
+        first = e.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the text"
+        raise CertificateError(
+            f"{path} cannot be read as an evaluation: {where}: {first['msg']}; {remedy}"
+        ) from e
+    if card_id(json.loads(record.model_dump_json())) != record.id:
+        raise CertificateError(f"{path} was altered: its content no longer gives its id; {remedy}")
+    if record.calibration != card.id:
+        raise CertificateError(
+            f"{path} is of calibration {record.calibration}, and not of {card.id}, whose folder it lies in; "
+            "move it to its own"
+        )
+    return record
+
+
+def read_evaluations(folder: PathText, card: Card) -> tuple[EvaluationRecord, ...]:
+    """All evaluations beside a card, the earliest first.
+
+    Raises:
+        CertificateError: one is damaged, altered, or of another card; the message names it.
+    """
+    paths = sorted(Path(folder).glob(f"{PREFIX}*{SUFFIX}"))
+    return tuple(sorted((read_evaluation(path, card) for path in paths), key=lambda one: one.created_utc))

@@ -1,0 +1,372 @@
+"""Intervals set anew for a session by some tens of its labelled rows, the network being as it was.
+
+The network has seen nothing of the session, so that its errors there are exchangeable with those to come: of
+n rows, a new one's scaled error is below the r-th smallest, r = ceil(c (n + 1)), with probability r / (n +
+1), which is c or little more (V. Vovk, A. Gammerman and G. Shafer, Algorithmic Learning in a Random World,
+Springer 2005, doi:10.1007/b106715). Nothing is assumed of how the session differs. Rows of one press err
+alike; there n is the number of presses, and one row is drawn from each
+(`session_intervals.new_group_quantile`).
+
+That probability is a mean over such sets of rows. With the rows in hand the coverage is one draw of a Beta
+distribution with parameters r and n + 1 - r: for n = 100 at 90 %, r = 91, the mean is 90.1 %, and 95 of 100
+such sets cover 83.6 to 95.2 %. Drawing the rank at random between two neighbours (smoothing) would make the
+mean 90 % to the digit, by at most 1 / (n + 1) narrower in coverage, and leave an interval to chance: it is
+not done.
+"""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import beta
+from sklearn.model_selection import GroupKFold
+
+from palpate.calibration.certificate import (
+    PREDICTIONS_FILE,
+    WORST,
+    interval_fields,
+    made_fields,
+    write_picture,
+)
+from palpate.calibration.evaluation import predictions, rows_to_score, same_session, score
+from palpate.calibration.sessions.session_findings import finest_columns, groups_within
+from palpate.calibration.sessions.session_intervals import (
+    is_distribution_free,
+    new_group_quantile,
+    rank_of_new_group,
+)
+from palpate.core import (
+    Float,
+    ImageError,
+    InputError,
+    PathText,
+    Progress,
+    Values,
+    new_folder,
+    refuse_existing,
+    silent,
+)
+from palpate.estimators.certified import CARD_FILE, Estimator, Intervals, checked_file, intervals_of
+from palpate.estimators.model_card import (
+    Card,
+    IntervalResetCard,
+    RunCard,
+    ScoreCard,
+    SessionsCard,
+    TargetCard,
+    sealed,
+)
+from palpate.estimators.novelty import NoveltyDetector, RenderedImages, fit_novelty_detector, thumbnails
+from palpate.recordings import Run
+from palpate.recordings.joined_runs import sessions_of
+from palpate.recordings.label_tables import targets_from, with_own
+from palpate.recordings.table_files import write_table
+
+FOLDS_OF_GUARD = 10
+TOGETHER = 12  # frames of the former calibration that are held out together
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedCoverage:
+    """Coverage of intervals that the r-th smallest of n exchangeable scores sets.
+
+    Attributes:
+        rank: r.
+        mean: r / (n + 1), over drawings of the n.
+        low, high: 2.5 and 97.5 % of those drawings cover less.
+    """
+
+    rank: int
+    mean: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, n: int, coverage: float) -> ExpectedCoverage:
+        """From so many scores, for intervals of this coverage.
+
+        Example:
+            >>> found = ExpectedCoverage.of(100, 0.9)
+            >>> found.rank, round(found.mean, 3), round(found.low, 3), round(found.high, 3)
+            (91, 0.901, 0.836, 0.952)
+        """
+        rank = rank_of_new_group(n, coverage)
+        low, high = beta.ppf([0.025, 0.975], rank, n + 1 - rank)
+        return cls(rank, rank / (n + 1), float(low), float(high))
+
+
+def intervals_set_anew(former: Intervals, predicted: Values, true: Values, groups: np.ndarray) -> Intervals:
+    """Intervals of a session, from rows that the network has not learnt from.
+
+    How their width follows the estimate stays; how wide they are is what these rows show.
+
+    Args:
+        former: the calibration's.
+        predicted, true: estimates and labels of the rows ``[n t]``.
+        groups: label of each row's group ``[n]``, such as its press.
+
+    Raises:
+        InputError: too few groups for the coverage.
+    """
+    scores = np.abs(predicted - true) / former.spread.at(predicted)
+    quantile = [new_group_quantile(column, groups, former.coverage) for column in scores.T]
+    return replace(former, quantile=np.array(quantile))
+
+
+def reset_intervals(folder: PathText, run: Run, out: PathText, progress: Progress = silent) -> Card:
+    """Set a calibration's intervals anew by some tens of labelled rows of a new session.
+
+    The network stays, to the last byte; the novelty detector learns the session's frames besides those it
+    knew. The calibrated range stays that which the network was scored over.
+
+    Args:
+        folder: the calibration; nothing in it is changed.
+        run: labelled rows of one new session, of nine groups or more at 90 %.
+        out: the calibration folder to make; must not exist, and appears whole.
+        progress: called with what is being done and how far it is.
+
+    Returns:
+        The new calibration's card; `interval_reset` names the calibration and the run that set it.
+
+    Raises:
+        ExistsError: `out` exists.
+        CertificateError: the calibration is damaged.
+        ImageError: frames are of another size, or the untouched sensor is missing where it is subtracted.
+        LabelError: a target is not among the labels.
+        InputError: too few rows, several sessions, or one that the calibration has learnt from.
+    """
+    folder, out = Path(folder), Path(out)
+    refuse_existing(out)
+    started = time.monotonic()
+    estimator = Estimator.open(folder)
+    rows = _SessionRows.read(estimator, run, progress)
+    intervals = intervals_set_anew(intervals_of(estimator.card), rows.predicted, rows.true, rows.groups)
+    halves = intervals.half_widths(rows.predicted)
+    with new_folder(out) as building:
+        shutil.copyfile(checked_file(folder, estimator.card.model), building / "model.onnx")
+        progress("learning what frames look like", 0, 1)
+        _novelty_detector(estimator, run, rows).save(building / "guard.npz")
+        progress("learning what frames look like", 1, 1)
+        table = with_own(
+            rows.table, {"row": rows.rows, "frame": rows.names, "held_out_in_fold": 0 * rows.rows}
+        )
+        for j, column in enumerate(estimator.card.columns):
+            table[f"half_width:{column}"] = halves[:, j]
+        write_table(table, building / PREDICTIONS_FILE)
+        _write_pictures(folder, building, estimator.card, run, rows)
+        card = _card(estimator.card, building, run, rows, intervals, time.monotonic() - started)
+        (building / CARD_FILE).write_text(card.model_dump_json(indent=1))
+        Estimator.open(building)
+    return card
+
+
+@dataclass(frozen=True, slots=True)
+class _SessionRows:
+    """Rows of the new session, as the calibration reads them.
+
+    Attributes:
+        session: its name.
+        rows: of the run ``[n]``, those of the untouched sensor aside.
+        names: of the frames.
+        table: their labels, and the estimates.
+        predicted, true: ``[n t]``.
+        columns: label columns that name a group; none where each row is its own.
+        groups: number of each row's group ``[n]``.
+    """
+
+    session: str
+    rows: np.ndarray
+    names: list[str]
+    table: pd.DataFrame
+    predicted: Values
+    true: Values
+    columns: tuple[str, ...]
+    groups: np.ndarray
+
+    @property
+    def count(self) -> int:
+        return len(np.unique(self.groups))
+
+    @classmethod
+    def read(cls, estimator: Estimator, run: Run, progress: Progress) -> _SessionRows:
+        card = estimator.card
+        session = _new_session(card, run)
+        rows = rows_to_score(card, run.labels)
+        labels = run.labels.iloc[rows].reset_index(drop=True)
+        true = targets_from(labels, card.columns, str(run.path))
+        groups = groups_within(labels)
+        _check_count(len(np.unique(groups)), len(rows), card.coverage, run)
+        height, width = card.input.frame_px
+        for row in rows:
+            shape = run.frame(int(row)).image.shape
+            if shape[:2] != (height, width):
+                raise ImageError(
+                    f"{run.path}: frame {row} is {shape[1]}x{shape[0]} px, the calibration is for "
+                    f"{width}x{height} px; record the session with the same camera settings, or calibrate "
+                    f"anew"
+                )
+        table = predictions(estimator, run, progress=progress)
+        predicted = table[[f"estimate:{column}" for column in card.columns]].to_numpy(np.float64)
+        table = table.drop(columns=[name for name in table if name not in labels and "estimate:" not in name])
+        names = [run.frame(int(row)).name for row in rows]
+        return cls(session, rows, names, table, predicted, true, finest_columns(labels), groups)
+
+
+def _new_session(card: Card, run: Run) -> str:
+    """Name of the one session that a run is of, which the calibration knows nothing of."""
+    if why := same_session(card, run):
+        raise InputError(
+            f"{run.path} sets no interval for another day: {why}; record rows of the new session"
+        )
+    sessions = sorted(set(sessions_of(run).tolist()))
+    if len(sessions) != 1:
+        raise InputError(
+            f"{run.path} holds {len(sessions)} sessions ({', '.join(sessions[:5])}); intervals are set "
+            f"for one: "
+            "give its rows alone, or calibrate on all of them"
+        )
+    return str(sessions[0])
+
+
+def _check_count(groups: int, rows: int, coverage: float, run: Run) -> None:
+    if is_distribution_free(groups, coverage):
+        return
+    least = next(n for n in range(1, 10_000) if is_distribution_free(n, coverage))
+    raise InputError(
+        f"{run.path} holds {rows} labelled rows of {groups} groups; {least} or more set intervals that hold "
+        f"{100 * coverage:g} % of new ones, and some tens set them well"
+    )
+
+
+def _novelty_detector(estimator: Estimator, run: Run, rows: _SessionRows) -> NoveltyDetector:
+    """A detector that knows the frames of the former sessions and of this one, whose limits this one sets."""
+    former = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard))
+    prepare = estimator.card.input.preparation.apply
+    untouched = np.setdiff1d(np.arange(len(run)), rows.rows)
+    seen = thumbnails(prepare(run.frame(int(row)).image) for row in np.append(rows.rows, untouched))
+    _, groups = np.unique(rows.groups, return_inverse=True)
+    folds = [held for _, held in GroupKFold(min(FOLDS_OF_GUARD, rows.count)).split(groups, groups=groups)]
+    rest = np.arange(len(rows.rows), len(seen))
+    folds = [np.append(fold, rest[k :: len(folds)]) for k, fold in enumerate(folds)]
+    kept = former.neighbours.thumbs
+    also = RenderedImages(kept, np.arange(len(kept)) // TOGETHER)
+    detector = fit_novelty_detector(seen, folds, seen[len(rows.rows) :], also=also)
+    if len(untouched):
+        return detector
+    return replace(
+        detector,
+        reference=former.reference,
+        reference_spread=former.reference_spread,
+        drift_limit=former.drift_limit,
+    )
+
+
+def _write_pictures(folder: Path, building: Path, card: Card, run: Run, rows: _SessionRows) -> None:
+    """The usual pictures as they were, and this session's rows that are missed most."""
+    for part in card.files:
+        if part.file in ("example.png", "reference.png"):
+            shutil.copyfile(checked_file(folder, part), building / part.file)
+    span = np.array([target.greatest - target.least for target in card.targets])
+    missed = np.max(np.abs(rows.predicted - rows.true) / np.where(span > 0, span, 1.0), axis=1)
+    for row in rows.rows[np.argsort(missed)[::-1][:WORST]].tolist():
+        write_picture(building / f"worst-{row}.png", card.input.preparation.apply(run.frame(row).image))
+
+
+def _card(
+    former: Card, building: Path, run: Run, rows: _SessionRows, intervals: Intervals, seconds: float
+) -> Card:
+    halves = intervals.half_widths(rows.predicted)
+    expected = ExpectedCoverage.of(rows.count, former.coverage)
+    targets = tuple(
+        target.model_copy(
+            update=interval_fields(intervals, j) | {"score": _score(target, rows, j, halves[:, j], expected)}
+        )
+        for j, target in enumerate(former.targets)
+    )
+    reset = _reset_card(former, run, rows, expected)
+    changed: Mapping[str, Any] = {
+        "targets": targets,
+        "seconds": round(seconds, 1),
+        "interval_reset": reset,
+        "sessions": _sessions(former, rows, reset.text),
+        "order": None,
+        "split": former.split.model_copy(
+            update={
+                "reason": f"{former.split.reason}; the intervals are of session {rows.session}",
+                "columns": rows.columns,
+                "groups": rows.count,
+                "rows_scored": len(rows.rows),
+            }
+        ),
+    }
+    return sealed(former.model_dump(exclude={"id"}) | made_fields(building) | changed)
+
+
+def _score(
+    target: TargetCard,
+    rows: _SessionRows,
+    j: int,
+    half: Float[np.ndarray, " n"],
+    expected: ExpectedCoverage,
+) -> ScoreCard:
+    """Errors in the session; for the coverage what is to be expected, since these rows have set it."""
+    found = score(target.unit, rows.true[:, j], rows.predicted[:, j], half, target.training_mean, rows.groups)
+    return found.model_copy(
+        update={
+            "coverage_90": expected.mean,
+            "coverage_90_low": expected.low,
+            "coverage_90_high": expected.high,
+        }
+    )
+
+
+def _reset_card(former: Card, run: Run, rows: _SessionRows, expected: ExpectedCoverage) -> IntervalResetCard:
+    about = run.manifest
+    what = "rows" if rows.count == len(rows.rows) else f"{' and '.join(rows.columns)} groups"
+    text = (
+        f"The intervals were set anew for session {rows.session} by {len(rows.rows)} labelled rows of it, "
+        f"the network "
+        f"being that of calibration {former.id}: the score of rank {expected.rank} of {rows.count} {what}. "
+        f"They cover {100 * expected.mean:.1f} % of that session's rows on average over such sets of "
+        f"rows; this set, "
+        f"with a probability of 95 %, between {100 * expected.low:.1f} and {100 * expected.high:.1f} %. "
+        f"These rows set "
+        "the coverage and do not test it. Of a third session they say nothing."
+    )
+    return IntervalResetCard(
+        calibration=former.id,
+        run=RunCard(
+            run_id=about.run_id, hash=run.hash, frames=len(run), origin=about.origin, licence=about.licence
+        ),
+        session=rows.session,
+        rows=len(rows.rows),
+        groups=rows.count,
+        rank=expected.rank,
+        coverage_mean=expected.mean,
+        coverage_low=expected.low,
+        coverage_high=expected.high,
+        text=text,
+    )
+
+
+def _sessions(former: Card, rows: _SessionRows, text: str) -> SessionsCard:
+    before = former.sessions
+    return SessionsCard(
+        column=before.column if before else "session",
+        names=before.names if before else (),
+        runs=before.runs if before else (),
+        held_out=0,
+        rule="one session",
+        rank=None,
+        factor=None,
+        errors={},
+        findings=before.findings if before else (),
+        text=text,
+    )

@@ -1,0 +1,171 @@
+"""Shuffled folds beside short blocks of the order in which rows were taken.
+
+Frames that follow one another share light, temperature and wear, and often, since robots move from place to
+place, nearly the same label. Shuffled folds train on the neighbours of every row that they hold out; blocks
+hold neighbours out together. Where the two disagree, the images of neighbours are alike for reasons other
+than touch. Neither notices what changes more slowly than a block is long: that only another session does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy.stats import spearmanr
+
+from palpate.calibration.sessions.session_findings import has_gaps
+from palpate.core import SplitError, Values
+from palpate.estimators.certified import Intervals
+from palpate.estimators.model_card import OrderCard, SplitScoreCard
+from palpate.recordings import Split, split
+from palpate.recordings.splits import conventional_groups, group_names
+
+MAX_TOLD_BY_ORDER = 0.5
+"""Share of a target's variance told by a row's neighbours in order, above which shuffled folds say nothing."""
+
+MAX_GAP, MAX_GAPS = 0.01, 5.0
+"""A split asks for values that it does not train on where the median distance from a held-out label to the
+nearest trained one is more than this share of the range, and so many times what shuffled folds leave."""
+
+
+def split_beside(table: pd.DataFrame, parts: Split, folds: int, seed: int) -> Split | None:
+    """The other of shuffled folds and short blocks; None where rows come in groups or by another split.
+
+    Args:
+        table: labels of the rows learnt from.
+        parts: the split that was asked for.
+        folds: how many.
+        seed: of the draws.
+    """
+    kind = parts.kind.partition(":")[0]
+    if kind not in ("random", "blocks") or _is_grouped(table):
+        return None
+    try:
+        return split(table, "blocks" if kind == "random" else "random", folds=folds, seed=seed)
+    except SplitError:  # too few rows for it
+        return None
+
+
+def _is_grouped(table: pd.DataFrame) -> bool:
+    for columns in conventional_groups(table):
+        if not has_gaps(table, columns) and 1 < len(np.unique(group_names(table, columns))) < len(table):
+            return True
+    return False
+
+
+@dataclass(frozen=True, slots=True)
+class ScoredSplit:
+    """A split, and the estimates of rows that it held out; NaN where a row was in no scored fold."""
+
+    split: Split
+    held_out: Values
+
+
+def order_card(
+    both: Sequence[ScoredSplit], values: Values, columns: Sequence[str], intervals: Intervals, left_out: str
+) -> OrderCard:
+    """The card's part on order.
+
+    Args:
+        both: the card's own split first, then the other where it was scored.
+        values: the targets of all rows ``[n t]``.
+        columns: their names.
+        intervals: the card's, by which both splits' coverage is judged.
+        left_out: why the other split was not scored; empty where it was.
+    """
+    scores = tuple(_scores(one, values, columns, intervals) for one in both)
+    order = np.arange(len(values))
+    correlation = {c: float(spearmanr(order, v).statistic) for c, v in zip(columns, values.T, strict=True)}
+    return OrderCard(
+        splits=scores,
+        rank_correlation=correlation,
+        text=" ".join(filter(None, [_text(scores, correlation), left_out])),
+    )
+
+
+def told_by_order(values: np.ndarray, folds: Sequence[np.ndarray]) -> float:
+    """Share of a target's variance told by the rows nearest in order among those that were trained on (R²).
+
+    Args:
+        values: the target of all rows ``[n]``, in the order in which they were taken.
+        folds: rows held out in each.
+    """
+    every, told = np.arange(len(values)), np.empty(len(values))
+    for fold in folds:
+        others = np.setdiff1d(every, fold)
+        told[fold] = np.interp(fold, others, values[others])
+    variance = float(np.var(values))
+    return 1 - float(np.mean((told - values) ** 2)) / variance if variance > 0 else 0.0
+
+
+def label_gap(values: np.ndarray, folds: Sequence[np.ndarray]) -> float:
+    """Median distance from a held-out label to the nearest trained one, as a share of the range."""
+    gaps = []
+    for fold in folds:
+        others = np.sort(np.delete(values, fold))
+        place = np.searchsorted(others, values[fold])
+        near = [others[np.clip(place + step, 0, len(others) - 1)] for step in (-1, 0)]
+        gaps.append(np.min(np.abs(np.stack(near) - values[fold]), axis=0))
+    return float(np.median(np.concatenate(gaps))) / max(float(np.ptp(values)), np.finfo(float).tiny)
+
+
+def _scores(one: ScoredSplit, values: Values, columns: Sequence[str], intervals: Intervals) -> SplitScoreCard:
+    scored = np.flatnonzero(~np.isnan(one.held_out).any(axis=1))
+    outputs, true = one.held_out[scored], values[scored]
+    error, inside = np.abs(intervals.errors(outputs, true)), intervals.hold(outputs, true)
+    told = [told_by_order(column, one.split.folds) for column in values.T]
+    variance = true.var(axis=0)
+    r2 = np.where(variance > 0, 1 - (error**2).mean(axis=0) / np.where(variance > 0, variance, 1.0), 0.0)
+    meaningless = [_is_meaningless(one.split, v, share) for v, share in zip(values.T, told, strict=True)]
+    return SplitScoreCard(
+        kind=one.split.kind,
+        folds=len(one.split.folds),
+        rows=len(scored),
+        mae=_named(columns, error.mean(axis=0)),
+        r2=_named(columns, r2),
+        coverage=_named(columns, inside.mean(axis=0)),
+        order_r2=_named(columns, told),
+        meaningless=tuple(c for c, bad in zip(columns, meaningless, strict=True) if bad),
+    )
+
+
+def _is_meaningless(parts: Split, values: np.ndarray, told: float) -> bool:
+    """True for shuffled folds of what neighbours tell, and for blocks so long that they only extrapolate."""
+    if parts.groups is None:
+        return told > MAX_TOLD_BY_ORDER
+    count = len(parts.folds)
+    shuffled = np.array_split(np.random.default_rng(0).permutation(len(values)), count)
+    gap = label_gap(values, parts.folds)
+    return gap > MAX_GAP and gap > MAX_GAPS * label_gap(values, shuffled)
+
+
+def _named(columns: Sequence[str], numbers: Sequence[float] | np.ndarray) -> dict[str, float]:
+    return {name: float(number) for name, number in zip(columns, numbers, strict=True)}
+
+
+def _text(scores: Sequence[SplitScoreCard], correlation: dict[str, float]) -> str:
+    """What the splits say of each other, in words."""
+    said = []
+    for one in scores:
+        if not one.meaningless:
+            continue
+        names = ", ".join(one.meaningless)
+        told = min(one.order_r2[name] for name in one.meaningless)
+        sorted_ = max(abs(correlation[name]) for name in one.meaningless)
+        if one.kind == "random":
+            said.append(
+                f"Shuffled folds say nothing of {names}: the rows taken just before and after a held-out one "
+                f"were trained on, and they alone tell {100 * told:.0f} % of its variance or more (rank "
+                f"correlation with the order {sorted_:.2f}). Of the two read the blocks (--split blocks); "
+                "what drifts more slowly than a block passes those too, and only another session shows it."
+            )
+        else:
+            said.append(
+                f"Blocks this long say nothing of {names}: each holds out a part of the range that was not "
+                "trained on, so that they measure extrapolation. Ask for shorter ones (--split blocks)."
+            )
+    return " ".join(said) or (
+        "No target follows the order in which rows were taken: shuffled folds and blocks may be compared."
+    )

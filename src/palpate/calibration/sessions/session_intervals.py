@@ -1,0 +1,228 @@
+"""Intervals for a session that is yet to come, from errors in sessions that were held out.
+
+Rows of one session err together: its mounting, light and temperature are the same. So the promise "90 % of
+the rows of a new session" rests on the number of sessions K, and not on the number of rows.
+
+**Distribution-free**, where K (1 - c) >= c, which is nine sessions at c = 0.9. Draw one score from each of
+the K sessions. They and one of a new session are exchangeable, so that the new one is above the r-th smallest
+with probability 1 - r / (K + 1); r = ceil(c (K + 1)) keeps the promise, whatever the errors' distribution.
+For nine sessions at 90 % that is r = ceil(0.9 * 10) = 9: the greatest of the nine. (R. Dunn, L. Wasserman and
+A. Ramdas, J. Am. Stat. Assoc. 118, 2491 (2023), section 4, doi:10.1080/01621459.2022.2060112.) One drawing
+would leave the interval to chance; its mean over all drawings is computed here instead, in closed form. By
+Jensen's inequality the mean covers at least as often as single drawings do, wherever larger errors are rarer
+than smaller ones.
+
+The quantile of all rows, each session weighted alike, at the level c (K + 1) / K (Y. Lee, R. F. Barber and R.
+Willett, arXiv:2306.06342) promises the same without that condition, but for nine sessions it is the one
+greatest error of all rows: far too wide. It is used beyond 200 sessions, where both are one.
+
+**Parametric**, for two sessions and more up to there: a session's errors are Gaussian about an offset that is
+itself Gaussian between sessions. Each session counts as one observation of the mean squared error, so that
+the half-width is t times its root, t of Student's distribution with K degrees of freedom. Where sessions do
+not differ that is wider than needed, by t over the Gaussian quantile (1.78 for two sessions, 1.22 for five),
+since two sessions that agree do not show that the third will. Nothing is guaranteed where offsets are not
+Gaussian.
+
+Scores are of models that had not seen the session; the model that is kept has seen them all, which is the
+jackknife's premise: that one session more changes it little (R. F. Barber et al., Ann. Statist. 49, 486
+(2021), doi:10.1214/20-AOS1965).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import norm, t as student
+
+from palpate.calibration.conformal import fit_intervals
+from palpate.core import Float, InputError, Values
+from palpate.estimators.certified import Intervals
+from palpate.estimators.target_layout import Outputs, TargetLayout
+
+MAX_GROUPS_TO_DRAW = 200
+"""Beyond so many groups the mean over drawings and the weighted quantile are the same within a row."""
+
+POINTS_AT_ONCE = 4096
+
+
+def rank_of_new_group(groups: int, coverage: float) -> int:
+    """Rank r among one score of each group, which one of a new group stays below with this probability.
+
+    Args:
+        groups: how many, K.
+        coverage: c, 0 to 1.
+
+    Returns:
+        ceil(c (K + 1)); more than K where so few groups cannot promise it.
+
+    Example:
+        >>> rank_of_new_group(9, 0.9), rank_of_new_group(8, 0.9), rank_of_new_group(20, 0.9)
+        (9, 9, 19)
+    """
+    return math.ceil(coverage * (groups + 1) - 1e-9)
+
+
+def is_distribution_free(groups: int, coverage: float) -> bool:
+    """True if so many groups can promise a new one's coverage without knowing the errors' distribution."""
+    return rank_of_new_group(groups, coverage) <= groups
+
+
+def new_group_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, coverage: float) -> float:
+    """Score that one of a new group stays below with this probability, see the module.
+
+    Where each row is a group of its own it is the conformal quantile.
+
+    Args:
+        scores: how far off each row was, 0 or more.
+        groups: label of each row's group ``[n]``.
+        coverage: 0 to 1.
+
+    Raises:
+        InputError: too few groups for this coverage.
+    """
+    names, of = np.unique(groups, return_inverse=True)
+    count, rank = len(names), rank_of_new_group(len(names), coverage)
+    if rank > count:
+        least = math.ceil(coverage / (1 - coverage) - 1e-9)
+        raise InputError(
+            f"{count} groups cannot set an interval that holds {100 * coverage:g} % of a new one's rows "
+            f"whatever the distribution; give {least} or more"
+        )
+    if count == len(scores):
+        return float(np.sort(scores)[rank - 1])
+    if count > MAX_GROUPS_TO_DRAW:
+        return weighted_quantile(scores, of, min(coverage * (count + 1) / count, 1.0))
+    points = np.sort(scores)
+    parts = [np.sort(scores[of == k]) for k in range(count)]
+    at_most = np.concatenate(
+        [
+            _rank_reached(points[i : i + POINTS_AT_ONCE], parts, rank)
+            for i in range(0, len(points), POINTS_AT_ONCE)
+        ]
+    )
+    return float(points @ np.diff(at_most, prepend=0.0))
+
+
+def _rank_reached(points: np.ndarray, parts: Sequence[np.ndarray], rank: int) -> np.ndarray:
+    """Probability that of one score from each part at least `rank` are at or below each point ``[p]``."""
+    below = np.zeros((len(parts) + 1, len(points)))  # how many of the parts so far are: a Poisson binomial
+    below[0] = 1.0
+    for part in parts:
+        share = np.searchsorted(part, points, side="right") / len(part)
+        below[1:] = below[1:] * (1 - share) + below[:-1] * share
+        below[0] *= 1 - share
+    return np.asarray(below[rank:].sum(axis=0))
+
+
+def weighted_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, level: float) -> float:
+    """Quantile of scores where each group has the same weight, however many rows it has.
+
+    Args:
+        scores: of each row.
+        groups: number of each row's group ``[n]``, 0, 1, 2, and so on.
+        level: 0 to 1.
+    """
+    order, weights = np.argsort(scores), 1.0 / np.bincount(groups)[groups]
+    reached = np.cumsum(weights[order]) / weights.sum()
+    return float(scores[order][min(int(np.searchsorted(reached, level - 1e-12)), len(scores) - 1)])
+
+
+def few_sessions_factor(sessions: int, coverage: float) -> float:
+    """Student's over the Gaussian quantile: what so few sessions cost in width.
+
+    Example:
+        >>> [round(few_sessions_factor(count, 0.9), 2) for count in (2, 5, 8)]
+        [1.78, 1.23, 1.13]
+    """
+    level = (1 + coverage) / 2
+    return float(student.ppf(level, sessions) / norm.ppf(level))
+
+
+def parametric_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, coverage: float) -> float:
+    """Score that one of a new group stays below, by the rule for few groups; see the module.
+
+    Never less than that factor times the quantile of the scores themselves, each group weighted alike.
+
+    Args:
+        scores: of each row, signed or not.
+        groups: label of each row's group ``[n]``, of two groups or more.
+        coverage: 0 to 1.
+    """
+    _, of = np.unique(groups, return_inverse=True)
+    counts = np.bincount(of)
+    squares = np.bincount(of, weights=scores**2) / counts
+    gaussian = float(norm.ppf((1 + coverage) / 2) * np.sqrt(squares.mean()))
+    return few_sessions_factor(len(counts), coverage) * max(
+        gaussian, weighted_quantile(np.abs(scores), of, coverage)
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SessionSpread:
+    """How far a target's errors differ from session to session.
+
+    Attributes:
+        between: standard deviation of the sessions' mean errors about no error, less what chance within a
+            session adds [the target's unit].
+        within: standard deviation of errors within a session [the same].
+    """
+
+    between: float
+    within: float
+
+    @classmethod
+    def of(cls, errors: Float[np.ndarray, " n"], groups: np.ndarray) -> SessionSpread:
+        """From signed errors of held-out rows and the label of each row's session ``[n]``."""
+        _, of = np.unique(groups, return_inverse=True)
+        counts = np.bincount(of)
+        means = np.bincount(of, weights=errors) / counts
+        variances = np.bincount(of, weights=(errors - means[of]) ** 2) / np.maximum(counts - 1, 1)
+        between = float(np.mean(means**2 - variances / counts))
+        return cls(math.sqrt(max(between, 0.0)), math.sqrt(float(variances.mean())))
+
+
+def intervals_of_sessions(
+    predicted: Outputs,
+    true: Values,
+    sessions: np.ndarray,
+    groups: np.ndarray,
+    coverage: float,
+    layout: TargetLayout | None = None,
+) -> Intervals:
+    """Intervals that hold the truth at the rate `coverage` in a session not yet seen.
+
+    How their width follows the estimate is learnt as in `conformal.fit_intervals`, for each session's
+    scores from the other sessions.
+
+    Args:
+        predicted: outputs ``[n o]`` of models that had not seen the row's session.
+        true: the labels ``[n t]``.
+        sessions: label of each row's session ``[n]``, two or more.
+        groups: label of each row's group within the sessions ``[n]``, such as its press.
+        coverage: 0 to 1.
+        layout: of the targets in the outputs; None where each is one.
+    """
+    names, of = np.unique(sessions, return_inverse=True)
+    if len(names) < 2:
+        raise InputError("intervals for a new session need two sessions or more that were held out")
+    whole = fit_intervals(predicted, true, groups, coverage, layout).spread
+    errors = Intervals(whole, whole.typical, coverage, layout=layout).errors(predicted, true)
+    scores = np.empty_like(true)
+    for k in range(len(names)):
+        rest, held = of != k, of == k
+        spread = whole
+        if whole.coefficients.any():
+            others = fit_intervals(predicted[rest], true[rest], groups[rest], coverage, layout).spread
+            spread = replace(others, typical=whole.typical)  # one scale for all, which the quantile undoes
+        scores[held] = errors[held] / spread.at(predicted[held])
+    free = is_distribution_free(len(names), coverage)
+    quantile = [
+        new_group_quantile(np.abs(column), of, coverage)
+        if free
+        else parametric_quantile(column, of, coverage)
+        for column in scores.T
+    ]
+    return Intervals(whole, np.array(quantile), coverage, layout=layout)
