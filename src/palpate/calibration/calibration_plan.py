@@ -11,6 +11,7 @@ from palpate.core import InputError, split_column
 from palpate.core.plugins import import_path_of
 from palpate.estimators.target_layout import FULL_TURN, TargetLayout, default_period
 from palpate.estimators.vector_regions import vector_column
+from palpate.recordings.reference_instruments import ReferenceInstrument
 
 if TYPE_CHECKING:
     from palpate.estimators.model_card import Card
@@ -82,6 +83,8 @@ class CalibrationPlan:
         circular: targets that come round again, and after which period in their unit; None takes a full turn.
         vectors: name of each vector that is also read as a whole, and its components among the targets, all
             in one unit.
+        instruments: what label columns were measured with, beside what the run's manifest states; it goes
+            before that.
 
     Raises:
         InputError: a field is not of its kind or out of its range; the message says what is allowed.
@@ -111,6 +114,7 @@ class CalibrationPlan:
     options: dict[str, Any] = field(default_factory=dict)
     circular: dict[str, float | None] = field(default_factory=dict)
     vectors: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    instruments: dict[str, ReferenceInstrument] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         # Here, since whoever senses reads a `ReferenceRule`, and needs neither models nor tables.
@@ -174,8 +178,8 @@ class CalibrationPlan:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        plain = asdict(self)
-        return {k: v for k, v in plain.items() if v or k not in ("circular", "vectors")}
+        plain = asdict(self) | {"instruments": {k: v.model_dump() for k, v in self.instruments.items()}}
+        return {k: v for k, v in plain.items() if v or k not in ("circular", "vectors", "instruments")}
 
 
 def _periods(asked: dict[str, float | None], targets: Sequence[str]) -> dict[str, float | None]:

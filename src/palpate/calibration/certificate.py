@@ -32,6 +32,7 @@ from palpate.estimators.model_card import (
     CircularCard,
     FileCard,
     InputCard,
+    InstrumentCard,
     RangeCard,
     ReferenceCard,
     RunCard,
@@ -42,6 +43,7 @@ from palpate.estimators.model_card import (
 from palpate.estimators.networks import settings_of
 from palpate.estimators.networks.model_interface import Fitted, TrainingData
 from palpate.estimators.novelty import NoveltyDetector
+from palpate.estimators.reference_uncertainty import reference_half_width
 from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import Run, Split
 from palpate.recordings.exchange import image_files
@@ -198,6 +200,7 @@ def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values
             least=least,
             greatest=greatest,
             training_mean=mean_of(true, period),
+            measured_by=_instrument_card(result, column),
             **interval_fields(intervals, j, over_range[j]),
             score=score(
                 unit.symbol,
@@ -214,6 +217,15 @@ def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values
 
 def _range_of(true: np.ndarray, period: float | None) -> tuple[float, float]:
     return (float(true.min()), float(true.max())) if period is None else calibrated_arc(true, period)
+
+
+def _instrument_card(result: CalibrationResult, column: str) -> InstrumentCard | None:
+    """What a column's labels were measured with, by the plan or else by the run's manifest."""
+    stated = result.plan.instruments.get(column) or result.run.manifest.instruments.get(column)
+    if stated is None:
+        return None
+    half_width = reference_half_width(stated.standard_uncertainty, result.plan.coverage)
+    return InstrumentCard(**stated.model_dump(), half_width=half_width)
 
 
 def reference_card(result: CalibrationResult) -> ReferenceCard:

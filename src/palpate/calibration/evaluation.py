@@ -17,6 +17,7 @@ from palpate.core import CertificateError, LabelError, Progress, Shaped, Values,
 from palpate.estimators.certified import Estimator, Zero, within
 from palpate.estimators.model_card import Card, ScoreCard, TenthCard
 from palpate.estimators.reading_rules import untold
+from palpate.estimators.reference_uncertainty import without_reference
 from palpate.recordings import Run
 from palpate.recordings.joined_runs import JoinedRun, sessions_of
 from palpate.recordings.label_tables import own_column, targets_from, with_own
@@ -191,10 +192,12 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str
     groups = groups_in(table, card.split.columns)[read]
     targets, tenths = {}, {}
     for j, t in enumerate(card.targets):
-        truth, estimate, ends = true[read, j], predicted[read, j], (low[read, j], high[read, j])
+        truth, estimate = true[read, j], predicted[read, j]
+        ends = without_reference(t, estimate, low[read, j], high[read, j])  # labels are what it shows
         inside = None if t.over_range is None else within(truth, *ends)
+        of_labels = half[read, j] if t.measured_by is None else (ends[1] - ends[0]) / 2
         targets[t.column] = score(
-            t.unit, truth, estimate, half[read, j], t.training_mean, groups, inside=inside, period=t.period
+            t.unit, truth, estimate, of_labels, t.training_mean, groups, inside=inside, period=t.period
         ).model_dump()
         if inside is not None:
             parts = range_scores(

@@ -63,6 +63,7 @@ from palpate.recordings import PackedSet, Run, Split, pack, split
 from palpate.recordings.joined_runs import joined
 from palpate.recordings.label_tables import refuse_reserved, targets_from
 from palpate.recordings.preparation import Preparation
+from palpate.recordings.reference_instruments import refuse_strangers
 from palpate.version import __version__
 
 
@@ -141,6 +142,7 @@ def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
     if len(run) < 10:
         raise InputError(f"{run.path} holds {len(run)} frames; a calibration needs 10 or more")
     refuse_reserved(list(run.manifest.labels), str(run.path))
+    refuse_strangers(plan.instruments, tuple(run.manifest.labels), str(run.path))
     make_model(plan.model, plan.options)
     prepared = preparation_of(run, plan).apply(run.frame(0).image)
     table = table_to_learn(run.labels, plan)

@@ -89,6 +89,9 @@ def calibrate(
         list[str] | None,
         Option(help="Targets read as one, e.g. force=force_x_N,force_y_N,force_z_N; may be given again."),
     ] = None,
+    instruments: Annotated[
+        Path | None, Option(help="TOML file of what the labels were measured with, a section a column.")
+    ] = None,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -105,6 +108,7 @@ def calibrate(
     from palpate.estimators.networks import model_kind
     from palpate.estimators.networks.distributed import ProcessGroup
     from palpate.recordings.joined_runs import joined
+    from palpate.recordings.reference_instruments import read_instruments
 
     if ":" in model + split:
         sys.path.append(str(Path.cwd()))  # a module of one's own lies where one works
@@ -129,6 +133,7 @@ def calibrate(
         options=options_of(option or []),
         circular=periods_of(circular),
         vectors=vectors_of(vector or []),
+        instruments={} if instruments is None else read_instruments(instruments),
     )
     if not ProcessGroup.of_environment().first:
         palpate.calibrate(recorded, plan, out)

@@ -40,6 +40,7 @@ from palpate.estimators.model_card import FORMAT, Card, CellsCard, FileCard, Tar
 from palpate.estimators.novelty import NoveltyDetector
 from palpate.estimators.range_intervals import ErrorCells, RangeIntervals
 from palpate.estimators.reading_rules import doubt
+from palpate.estimators.reference_uncertainty import with_reference
 from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.estimators.vector_regions import vector_reading
 from palpate.version import needed_version
@@ -311,7 +312,8 @@ class Estimator:
             parts = [read[column] for column in vector.columns]
             at = [self.card.columns.index(column) for column in vector.columns]
             spread = None if outputs is None else self._intervals.spread.at(outputs)[0, at]
-            read[vector.column] = vector_reading(vector, parts, spread)
+            reference = [targets[k].measured_by for k in at]
+            read[vector.column] = vector_reading(vector, parts, spread, reference)
         return Readings(read)
 
     def _reading(
@@ -325,6 +327,7 @@ class Estimator:
         """The reading of an estimate and the ends of its interval, in the target's unit."""
         si, (value, low, high) = unit(target.unit), place
         why = why or doubt(target, value, low, high)
+        low, high = (float(end) for end in with_reference(target, value, low, high))
         common: dict[str, Any] = {
             "quantity": target.quantity,
             "value": si.to_si(value),

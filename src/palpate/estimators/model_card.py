@@ -160,6 +160,27 @@ class VectorCard(_CardPart):
     high: float
 
 
+class InstrumentCard(_CardPart):
+    """What a target's labels were measured with, see `recordings.reference_instruments`; in the target's
+    unit.
+
+    Attributes:
+        instrument, certificate, certified_on, standard_uncertainty, resolution, backlash, bias_removed: as
+            stated by whoever recorded them.
+        half_width: of the interval, at the calibration's coverage, that the standard uncertainty alone would
+            give; it is joined to the model's in every reading.
+    """
+
+    instrument: str
+    certificate: str
+    certified_on: str
+    standard_uncertainty: float = Field(ge=0)
+    resolution: float = Field(ge=0)
+    backlash: float = Field(ge=0)
+    bias_removed: float
+    half_width: float = Field(ge=0)
+
+
 class TargetCard(_CardPart):
     """One target: what it is, where it was calibrated, how its intervals are made, how it scored.
 
@@ -173,9 +194,10 @@ class TargetCard(_CardPart):
         over_range: its intervals and its scores along the range; None in cards of before, and where it is
             circular.
         circular: how it comes round again; None where it does not.
+        measured_by: what its labels come from; None where nothing was stated.
     """
 
-    added: ClassVar[tuple[str, ...]] = ("over_range", "circular")
+    added: ClassVar[tuple[str, ...]] = ("over_range", "circular", "measured_by")
 
     column: str
     quantity: str
@@ -191,6 +213,7 @@ class TargetCard(_CardPart):
     score: ScoreCard
     over_range: RangeCard | None = None
     circular: CircularCard | None = None
+    measured_by: InstrumentCard | None = None
 
     @property
     def period(self) -> float | None:

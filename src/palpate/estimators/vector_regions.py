@@ -8,7 +8,7 @@ import numpy as np
 
 from palpate.core import CircularReading, Float, InputError, Reading, VectorReading, split_column
 from palpate.core.reading import Ellipsoid, provenance
-from palpate.estimators.model_card import VectorCard
+from palpate.estimators.model_card import InstrumentCard, VectorCard
 
 
 def mahalanobis(
@@ -27,6 +27,7 @@ def vector_reading(
     vector: VectorCard,
     parts: Sequence[Reading | CircularReading | VectorReading],
     spread: Float[np.ndarray, " k"] | None,
+    measured_by: Sequence[InstrumentCard | None] = (),
 ) -> VectorReading:
     """The vector of some readings, with its joint region.
 
@@ -34,10 +35,14 @@ def vector_reading(
         vector: its card.
         parts: the readings of its components, in its order, in SI.
         spread: the expected size of each one's error, in the targets' unit; None where nothing was read.
+        measured_by: the instrument of each one's labels, whose uncertainty the region holds as well.
     """
     quantity, unit = split_column(vector.column)
     sizes = np.ones(len(parts)) if spread is None else unit.to_si(spread)
     covariance = np.array(vector.correlation) * np.outer(sizes, sizes)
+    for k, instrument in enumerate(measured_by):
+        if instrument is not None:
+            covariance[k, k] += (unit.to_si(instrument.half_width) / vector.radius) ** 2
     whys = dict.fromkeys(part.why for part in parts if part.why)
     first = provenance(parts[0]) | {"valid": not whys, "why": "; ".join(whys)}
     ranges = [part.calibrated_range for part in parts if isinstance(part, Reading)]

@@ -21,6 +21,7 @@ from palpate.core import (
     storage_errors,
     unit,
 )
+from palpate.recordings.reference_instruments import ReferenceInstrument
 from palpate.version import __version__, needed_version
 
 MANIFEST = "manifest.json"
@@ -47,6 +48,7 @@ class Manifest(BaseModel):
         labels: every label column -> its kind.
         targets: label columns that a calibration estimates where it is told nothing else.
         regions: of the picture that matter, by name, such as "fringes": (x, y, width, height) [px].
+        instruments: what label columns were measured with, see `ReferenceInstrument`.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -65,6 +67,7 @@ class Manifest(BaseModel):
     labels: dict[str, LabelKind]
     targets: tuple[str, ...] = ()
     regions: dict[str, tuple[int, int, int, int]] = Field(default_factory=dict)
+    instruments: dict[str, ReferenceInstrument] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check(self) -> Manifest:
@@ -78,6 +81,8 @@ class Manifest(BaseModel):
             unit(symbol)
         if bare := sorted(set(self.targets) - self.units.keys()):
             raise ValueError(f"targets {bare} are no label columns of numbers with a unit")
+        if strangers := self.instruments.keys() - self.units.keys():
+            raise ValueError(f"instruments are given for {sorted(strangers)}, which are no labels with unit")
         for name, (x, y, width, height) in self.regions.items():
             if min(x, y) < 0 or min(width, height) < 1:
                 raise ValueError(f"the region {name} is {width} x {height} px at ({x}, {y})")
@@ -94,6 +99,7 @@ class Manifest(BaseModel):
         labels: Mapping[str, LabelKind] | None = None,
         targets: tuple[str, ...] = (),
         regions: Mapping[str, tuple[int, int, int, int]] | None = None,
+        instruments: Mapping[str, ReferenceInstrument] | None = None,
         seed: int | None = None,
         clock: Literal["measured", "ordinal"] = "measured",
     ) -> Manifest:
@@ -125,6 +131,7 @@ class Manifest(BaseModel):
                 labels=kinds,
                 targets=targets,
                 regions=dict(regions or {}),
+                instruments=dict(instruments or {}),
             )
         except ValidationError as e:
             raise InputError(f"these do not make a manifest: {_first(e)}") from e
@@ -153,7 +160,8 @@ class Manifest(BaseModel):
     def write(self, run: PathText) -> None:
         """Write the manifest into a run's folder, whole or not at all."""
         with new_file(Path(run) / MANIFEST) as path:
-            path.write_text(self.model_dump_json(indent=2) + "\n", encoding="utf-8")
+            unused = set() if self.instruments else {"instruments"}  # which older versions do not know
+            path.write_text(self.model_dump_json(indent=2, exclude=unused) + "\n", encoding="utf-8")
 
     @property
     def created_ns(self) -> int:
