@@ -130,10 +130,10 @@ def test_outputs_are_cosine_and_sine_in_the_targets_order() -> None:
     assert [layout.outputs_of(j) for j in range(3)] == [slice(0, 1), slice(1, 3), slice(3, 5)]
     assert layout.names(("a_mm", "b_deg", "c_deg")) == (
         "a_mm",
-        "b_deg:cos",
-        "b_deg:sin",
-        "c_deg:cos",
-        "c_deg:sin",
+        "b_cos_ratio",
+        "b_sin_ratio",
+        "c_cos_ratio",
+        "c_sin_ratio",
     )
     np.testing.assert_allclose(
         layout.differences(values + np.array([1.0, 350.0, -170.0]), values), [[1, -10, 10], [1, -10, 10]]
@@ -178,6 +178,13 @@ def test_what_counts_turns_or_never_turns_is_refused() -> None:
         refuse_no_angles("a_deg", np.array([0.0, 100.0, 720.0]), "deg", 360.0)
     with pytest.raises(LabelError, match="same direction everywhere"):
         refuse_no_angles("a_deg", np.array([10.0, 370.0, 10.0]), "deg", 360.0)
+
+
+def test_images_that_are_turned_in_training_are_refused_beside_a_direction() -> None:
+    with pytest.raises(InputError, match="a direction would have to turn with them"):
+        CalibrationPlan(
+            ("angle_deg",), model="compact-cnn", circular={"angle_deg": None}, options={"turns": 6}
+        )
 
 
 @pytest.mark.parametrize(

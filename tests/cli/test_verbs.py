@@ -50,6 +50,26 @@ def taps(tmp_path) -> Path:
     return folder
 
 
+def test_circular_targets_and_vectors_are_asked_for_in_one_line(run, tmp_path) -> None:
+    """The spot goes over half of the period, so that its place is a direction as well."""
+    words = ("calibrate", run, "--targets", "x_mm", "--split", "random", "--size", "16x16", "--quiet")
+    said = palpate(*words, "--circular", "x_mm=4", "--out", tmp_path / "cal").stdout
+    assert "calibration" in said
+    card = json.loads((tmp_path / "cal" / "card.json").read_text())
+    assert card["targets"][0]["circular"]["period"] == 4
+    sensed = palpate("sense", tmp_path / "cal", run, "--json").stdout.splitlines()[0]
+    assert json.loads(sensed)["readings"]["x_mm"]["period"] == 4
+    for option, value, message in (
+        ("--circular", "x_mm=round", "--circular 'x_mm=round' is not COLUMN or COLUMN=PERIOD"),
+        ("--circular", "x_mm", "has no period of its own"),
+        ("--vector", "place", "--vector 'place' is not NAME=COLUMN,COLUMN"),
+        ("--vector", "place=x_mm", "two components or more"),
+        ("--instruments", str(tmp_path / "none.toml"), "is no file of instruments"),
+    ):
+        refused = palpate(*words, option, value, "--out", tmp_path / "no", status=2)
+        assert message in " ".join(refused.output.split())
+
+
 @pytest.fixture
 def run(taps, tmp_path) -> Path:
     palpate(

@@ -132,6 +132,13 @@ class CalibrationPlan:
         check_split_text(self.split)
         self._check_numbers()
         object.__setattr__(self, "circular", _periods(self.circular, self.targets))
+        if self.circular and self.options.get("turns", 1) != 1:
+            raise InputError(
+                f"turns={self.options['turns']} turns training images, and a direction would have to "
+                f"turn with "
+                f"them, which is not built; leave turns out, or calibrate {', '.join(self.circular)} "
+                f"by itself"
+            )
         object.__setattr__(self, "vectors", _vectors(self.vectors, self.targets, self.circular))
 
     @classmethod

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.core import Float, UnitError, Values, unit
+from palpate.core import Float, UnitError, Values, split_column, unit
 
 Outputs = Float[np.ndarray, "n o"]
 FULL_TURN = {"deg": 360.0, "rad": 2 * math.pi}
@@ -46,12 +46,10 @@ class TargetLayout:
         return slice(start, start + (1 if self.periods[j] is None else 2))
 
     def names(self, columns: Sequence[str]) -> tuple[str, ...]:
-        """Names of the outputs: a plain target's column, or ``COLUMN:cos`` and ``COLUMN:sin``."""
+        """Names of the outputs: a plain target's column, or ``QUANTITY_cos_ratio`` and ``…_sin_ratio``."""
         named = zip(columns, self.periods, strict=True)
         return tuple(
-            name
-            for column, period in named
-            for name in ((column,) if period is None else (f"{column}:cos", f"{column}:sin"))
+            name for column, period in named for name in ((column,) if period is None else _point(column))
         )
 
     def encoded(self, values: Values) -> Outputs:
@@ -93,6 +91,11 @@ class TargetLayout:
             if period is not None:
                 spans[self.outputs_of(j)] = 2.0
         return spans
+
+
+def _point(column: str) -> tuple[str, str]:
+    quantity = split_column(column)[0]
+    return f"{quantity}_cos_ratio", f"{quantity}_sin_ratio"
 
 
 def default_period(symbol: str) -> float:
