@@ -136,3 +136,24 @@ def record_spots(tmp_path):
         return Run.open(tmp_path / name)
 
     return record
+
+
+@pytest.fixture
+def rewritten():
+    """Write the frames of a run as a recording of its own, with other labels or images."""
+    from palpate.recordings import Run, RunWriter
+
+    def rewrite(run: Run, out: Path, change=lambda row: row, image=lambda image: image) -> Run:
+        table = [change(dict(row)) for row in run.labels.to_dict("records")]
+        known = run.manifest.labels
+        kinds = {
+            name: known.get(name, "number" if isinstance(value, float) else "text")
+            for name, value in table[0].items()
+        }
+        about = run.manifest.model_copy(update={"run_id": f"of {out.name}", "labels": kinds})
+        with RunWriter.create(out, about, overflow="wait") as writer:
+            for i, row in enumerate(table):
+                writer.frame(image(run.frame(i).image), labels=row)
+        return Run.open(out)
+
+    return rewrite

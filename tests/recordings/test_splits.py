@@ -113,3 +113,51 @@ def test_a_split_that_the_table_cannot_carry_is_refused_with_a_remedy(spec, fold
         split(table, spec, folds=folds)
     for word in words:
         assert word in str(caught.value)
+
+
+def test_blocks_are_consecutive_and_reach_over_the_whole_order_in_each_fold() -> None:
+    table = pd.DataFrame({"x_mm": np.arange(403.0)})
+    found = split(table, "blocks:10", folds=5)
+    assert found.kind == "blocks:10"
+    assert sorted(np.concatenate(found.folds).tolist()) == list(range(403))
+    for fold in found.folds:
+        sizes = np.diff(np.flatnonzero(np.append(np.append(True, np.diff(fold) > 1), True)))
+        assert set(sizes.tolist()) <= {10, 20, 3, 13}  # two of one fold may follow each other; three are left
+        assert (np.diff(np.append(np.append(0, fold), 403)) <= 91).all()  # in each round of five, one
+    assert len(np.unique(found.groups)) == 41
+    again = split(table, "blocks:10", folds=5)
+    assert all(map(np.array_equal, found.folds, again.folds))
+
+
+def test_a_block_ends_with_its_session() -> None:
+    table = pd.DataFrame({"session": ["a"] * 7 + ["b"] * 8})
+    found = split(table, "blocks:5", folds=2)
+    lengths = [int((found.groups == name).sum()) for name in dict.fromkeys(found.groups)]
+    assert lengths == [5, 2, 5, 3]
+
+
+@pytest.mark.parametrize("spec", ["blocks:0", "blocks:", "blocks:2.5", "blocks:-3", "block", "session:a"])
+def test_blocks_of_no_length_are_refused(spec) -> None:
+    with pytest.raises(SplitError):
+        split(pd.DataFrame({"x_mm": np.arange(20.0)}), spec, folds=2)
+
+
+def test_too_few_blocks_are_refused_with_the_remedy() -> None:
+    with pytest.raises(SplitError, match="shorter blocks or fewer folds"):
+        split(pd.DataFrame({"x_mm": np.arange(20.0)}), "blocks:10", folds=5)
+
+
+def test_sessions_are_the_coarsest_group_and_presses_count_within_them() -> None:
+    table = pd.DataFrame({"session": [1, 1, 1, 2, 2, 2], "object": ["a", "b"] * 3, "press": [1, 2, 3] * 2})
+    assert split(table, "auto", folds=2).group_columns == ("session",)
+    by_press = split(table, "leave-one-out:press")
+    assert (by_press.kind, by_press.group_columns) == ("leave-one-out:press", ("session", "press"))
+    assert len(by_press.folds) == 6
+    held = split(table, "session")
+    assert [fold.tolist() for fold in held.folds] == [[0, 1, 2], [3, 4, 5]]
+
+
+@pytest.mark.parametrize("table", [{"x_mm": [1.0, 2.0]}, {"session": ["a", "a"]}])
+def test_a_split_by_session_needs_two(table) -> None:
+    with pytest.raises(SplitError, match="runs of several days"):
+        split(pd.DataFrame(table), "session")

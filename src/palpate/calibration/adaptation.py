@@ -26,6 +26,8 @@ from palpate.calibration.certificate import CalibrationResult, split_card, write
 from palpate.calibration.conformal import GROUPS_FOR_SPREAD, conformal_quantile, fit_intervals
 from palpate.calibration.correction import AS_IT_WAS, Adapted, Correction, correct
 from palpate.calibration.leakage import audit
+from palpate.calibration.sessions.copies import CopiesToldApart, copy_card, tell_apart
+from palpate.calibration.sessions.session_findings import sessions_card
 from palpate.calibration.training_data import LearningSet, learning_set, rows_matching, table_to_learn
 from palpate.core import (
     ImageError,
@@ -138,7 +140,19 @@ def adapt(folder: PathText, run: Run, out: PathText, progress: Progress = silent
             progress("writing the calibration", 0, 1)
             result = replace(result, seconds=time.monotonic() - started)
             held_out = _adapted_split(result, adapted, card)
-            return write_certificate(result, out, fit=intervals_of_presses, former=card, split=held_out)
+            copies = _told_apart(estimator, result)
+
+            def more(folder: Path, _: Intervals) -> dict[str, Any]:
+                own = {"sessions": sessions_card(run, None, {}, card.coverage)}
+                return own | {
+                    "order": None,
+                    "interval_reset": None,
+                    "copy_of": copy_card(copies, card, run, folder),
+                }
+
+            return write_certificate(
+                result, out, fit=intervals_of_presses, former=card, split=held_out, more=more
+            )
 
 
 @dataclass(frozen=True)
@@ -253,6 +267,15 @@ def _split(table: pd.DataFrame, plan: CalibrationPlan) -> Split:
         each = tuple(np.arange(len(table))[:, None])
         return Split(plan.split, (), None, each, "no column says which rows are of one press")
     return split(table, plan.split)
+
+
+def _told_apart(estimator: Estimator, result: CalibrationResult) -> CopiesToldApart:
+    """The copy's frames, untouched ones too, beside those that the former calibration knows."""
+    former = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard)).neighbours.thumbs
+    learning, fold = result.learning, np.zeros(len(result.learning.whole), np.int64)
+    for k, rows in enumerate(learning.folds_of_whole(result.split)):
+        fold[rows] = k
+    return tell_apart(learning.thumbnails(), fold, former, np.arange(len(former)) // TOGETHER)
 
 
 def _novelty_detector(estimator: Estimator, learning: LearningSet, parts: Split) -> NoveltyDetector:

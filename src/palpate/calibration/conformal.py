@@ -79,7 +79,7 @@ def fit_intervals(
         else None
         for j, period in enumerate(layout.periods)
     )
-    spread = _fit_spread(predicted, errors, _terms(predicted, groups))
+    spread = fit_spread(predicted, errors, spread_terms(predicted, groups))
     return Intervals(spread, quantile, coverage, by_range, layout)
 
 
@@ -91,9 +91,9 @@ def spread_of_others(predicted: Outputs, errors: Values, groups: np.ndarray) -> 
         errors: their absolute errors ``[n t]``.
         groups: ``[n]`` label of each row's group.
     """
-    terms, expected = _terms(predicted, groups), np.empty_like(errors)
-    for others, held in _parts(groups):
-        expected[held] = _fit_spread(predicted[others], errors[others], terms).at(predicted[held])
+    terms, expected = spread_terms(predicted, groups), np.empty_like(errors)
+    for others, held in parts_by_group(groups):
+        expected[held] = fit_spread(predicted[others], errors[others], terms).at(predicted[held])
     return expected
 
 
@@ -145,7 +145,7 @@ def few_groups_coverage_interval(inside: np.ndarray, groups: np.ndarray) -> tupl
     return min(of_rows[0], of_groups[0]), max(of_rows[1], of_groups[1])
 
 
-def _parts(groups: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def parts_by_group(groups: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Rows to fit by and rows to score, whole groups together; a single group is both."""
     every, count = np.arange(len(groups)), len(np.unique(groups))
     if count < 2:
@@ -153,7 +153,7 @@ def _parts(groups: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     return GroupKFold(min(5, count)).split(every, groups=groups)
 
 
-def _terms(predicted: Outputs, groups: np.ndarray) -> int:
+def spread_terms(predicted: Outputs, groups: np.ndarray) -> int:
     """Number of terms of `design` that the rows can carry: 1, the linear ones, or all."""
     n, t = predicted.shape
     if len(np.unique(groups)) < GROUPS_FOR_SPREAD:
@@ -162,7 +162,8 @@ def _terms(predicted: Outputs, groups: np.ndarray) -> int:
     return next(terms for terms in wanted if terms == 1 or n >= ROWS_PER_COEFFICIENT * terms)
 
 
-def _fit_spread(predicted: Outputs, errors: Values, count: int) -> ErrorSpread:
+def fit_spread(predicted: Outputs, errors: Values, count: int) -> ErrorSpread:
+    """How the size of errors ``[n t]`` follows the outputs ``[n o]``, by so many terms of `design`."""
     scaler = Scaler.of(predicted)
     typical = np.maximum(errors.mean(axis=0), np.finfo(np.float32).tiny)
     terms = design(scaler.scaled(predicted))

@@ -277,6 +277,12 @@ def _check_asked(card: Card, run: Run) -> None:
             f"keep it as "
             "it is, or calibrate without --circular and --vector first"
         )
+    if card.interval_reset is not None or (card.sessions and card.sessions.rule != "one session"):
+        raise InputError(
+            f"the intervals of calibration {card.id} are for another session than its held-out rows would "
+            "set them for; quantise a calibration of one session, then set its intervals anew "
+            "(palpate adapt --intervals-only)"
+        )
     if card.adapted_from is not None:
         raise InputError(
             f"calibration {card.id} is adapted from {card.adapted_from}, and its rows were held out from "

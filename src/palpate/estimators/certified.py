@@ -36,6 +36,7 @@ from palpate.core import (
     sha256_of,
     unit,
 )
+from palpate.estimators.copy_discriminator import CopyDiscriminator
 from palpate.estimators.model_card import FORMAT, Card, CellsCard, FileCard, TargetCard, card_id
 from palpate.estimators.novelty import NoveltyDetector
 from palpate.estimators.range_intervals import ErrorCells, RangeIntervals
@@ -220,12 +221,18 @@ class Estimator:
     """
 
     def __init__(
-        self, folder: Path, card: Card, session: onnxruntime.InferenceSession, novelty: NoveltyDetector
+        self,
+        folder: Path,
+        card: Card,
+        session: onnxruntime.InferenceSession,
+        novelty: NoveltyDetector,
+        copies: CopyDiscriminator | None = None,
     ) -> None:
         self.folder = folder
         self.card = card
         self._session = session
         self._novelty = novelty
+        self._copies = copies
         self._preparation = card.input.preparation
         self._intervals = intervals_of(card)
         self._layout = layout_of(card)
@@ -245,7 +252,7 @@ class Estimator:
         card = read_card(folder)
         novelty = NoveltyDetector.load(checked_file(folder, card.guard))
         session = _session(checked_file(folder, card.model), card, threads)
-        return cls(folder, card, session, novelty)
+        return cls(folder, card, session, novelty, _copies_of(folder, card, novelty))
 
     def zero(self, untouched: Image) -> Zero:
         """Take an image of the untouched sensor as reference, and judge its drift by it."""
@@ -287,6 +294,8 @@ class Estimator:
         prepared = self._preparation.apply(frame.image)
         atypicality = self._novelty.atypicality(prepared)
         why = "" if atypicality <= 1 else _novelty_reason(atypicality)
+        if not why and self._copies is not None and self._copies.is_of_former(prepared):
+            why = _copy_reason(self.card)
         picture = prepared.astype(np.float32)
         difference = picture - zero.image if self.card.input.delta and zero is not None else picture
         values = self.values(np.ascontiguousarray(difference.transpose(2, 0, 1))[None])
@@ -406,6 +415,21 @@ def _error_cells(stated: CellsCard) -> ErrorCells:
 
 def _novelty_reason(atypicality: float) -> str:
     return f"the image is unlike those calibrated on (distance {atypicality:.1f}, limit 1)"
+
+
+def _copies_of(folder: Path, card: Card, novelty: NoveltyDetector) -> CopyDiscriminator | None:
+    """What tells the copy adapted to from the former one; None where nothing does."""
+    if card.copy_of is None or card.copy_of.file is None:
+        return None
+    return CopyDiscriminator.load(checked_file(folder, card.copy_of.file), novelty.neighbours.thumbs[0].size)
+
+
+def _copy_reason(card: Card) -> str:
+    name, former = (card.copy_of.name, card.copy_of.former) if card.copy_of else ("", "")
+    return (
+        f"the image looks like one of {former}, and this calibration was adapted to {name}; read it with the "
+        "calibration that was adapted from, or adapt anew"
+    )
 
 
 def _session(path: Path, card: Card, threads: int) -> onnxruntime.InferenceSession:

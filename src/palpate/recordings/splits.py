@@ -208,6 +208,8 @@ def check_split_text(spec: str) -> None:
     kind, colon, names = spec.partition(":")
     if kind in _BY_COLUMNS and any(name.strip() for name in names.split(",")):
         return
+    if kind == SESSION and colon:
+        raise SplitError(f"split {spec!r}: 'session' alone holds out each value of the column 'session'")
     if kind == "blocks" and colon:
         if not (names.isascii() and names.isdigit() and int(names) > 0):
             raise SplitError(f"split {spec!r}: a block has 1 row or more, as in 'blocks:20'")

@@ -92,8 +92,7 @@ def keep_evaluation(folder: PathText, scores: dict[str, Any], *, reference: bool
     if scores["calibration"] != card.id:
         raise CertificateError(
             f"these scores are of calibration {scores['calibration']}, and {folder} holds {card.id}; keep "
-            f"them "
-            "with the calibration they are of"
+            f"them with the calibration they are of"
         )
     record = _sealed(scores, reference)
     stem = f"{PREFIX}{str(record.run['hash'])[:DIGITS]}"

@@ -9,7 +9,7 @@ alike; there n is the number of presses, and one row is drawn from each
 
 That probability is a mean over such sets of rows. With the rows in hand the coverage is one draw of a Beta
 distribution with parameters r and n + 1 - r: for n = 100 at 90 %, r = 91, the mean is 90.1 %, and 95 of 100
-such sets cover 83.6 to 95.2 %. Drawing the rank at random between two neighbours (smoothing) would make the
+such sets cover 83.6 to 95.1 %. Drawing the rank at random between two neighbours (smoothing) would make the
 mean 90 % to the digit, by at most 1 / (n + 1) narrower in coverage, and leave an interval to chance: it is
 not done.
 """
@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -95,7 +94,7 @@ class ExpectedCoverage:
         Example:
             >>> found = ExpectedCoverage.of(100, 0.9)
             >>> found.rank, round(found.mean, 3), round(found.low, 3), round(found.high, 3)
-            (91, 0.901, 0.836, 0.952)
+            (91, 0.901, 0.836, 0.951)
         """
         rank = rank_of_new_group(n, coverage)
         low, high = beta.ppf([0.025, 0.975], rank, n + 1 - rank)
@@ -151,6 +150,8 @@ def reset_intervals(folder: PathText, run: Run, out: PathText, progress: Progres
     halves = intervals.half_widths(rows.predicted)
     with new_folder(out) as building:
         shutil.copyfile(checked_file(folder, estimator.card.model), building / "model.onnx")
+        if (copies := estimator.card.copy_of) is not None and copies.file is not None:
+            shutil.copyfile(checked_file(folder, copies.file), building / copies.file.file)
         progress("learning what frames look like", 0, 1)
         _novelty_detector(estimator, run, rows).save(building / "guard.npz")
         progress("learning what frames look like", 1, 1)
@@ -210,11 +211,13 @@ class _SessionRows:
                 raise ImageError(
                     f"{run.path}: frame {row} is {shape[1]}x{shape[0]} px, the calibration is for "
                     f"{width}x{height} px; record the session with the same camera settings, or calibrate "
-                    f"anew"
+                    "anew"
                 )
         table = predictions(estimator, run, progress=progress)
         predicted = table[[f"estimate:{column}" for column in card.columns]].to_numpy(np.float64)
-        table = table.drop(columns=[name for name in table if name not in labels and "estimate:" not in name])
+        table = table.drop(
+            columns=[name for name in table if name not in labels and not str(name).startswith("estimate:")]
+        )
         names = [run.frame(int(row)).name for row in rows]
         return cls(session, rows, names, table, predicted, true, finest_columns(labels), groups)
 
@@ -229,8 +232,7 @@ def _new_session(card: Card, run: Run) -> str:
     if len(sessions) != 1:
         raise InputError(
             f"{run.path} holds {len(sessions)} sessions ({', '.join(sessions[:5])}); intervals are set "
-            f"for one: "
-            "give its rows alone, or calibrate on all of them"
+            f"for one: give its rows alone, or calibrate on all of them"
         )
     return str(sessions[0])
 
@@ -291,7 +293,7 @@ def _card(
         for j, target in enumerate(former.targets)
     )
     reset = _reset_card(former, run, rows, expected)
-    changed: Mapping[str, Any] = {
+    changed: dict[str, Any] = {
         "targets": targets,
         "seconds": round(seconds, 1),
         "interval_reset": reset,
@@ -330,15 +332,13 @@ def _score(
 def _reset_card(former: Card, run: Run, rows: _SessionRows, expected: ExpectedCoverage) -> IntervalResetCard:
     about = run.manifest
     what = "rows" if rows.count == len(rows.rows) else f"{' and '.join(rows.columns)} groups"
+    low, mean, high = (100 * rate for rate in (expected.low, expected.mean, expected.high))
     text = (
         f"The intervals were set anew for session {rows.session} by {len(rows.rows)} labelled rows of it, "
-        f"the network "
-        f"being that of calibration {former.id}: the score of rank {expected.rank} of {rows.count} {what}. "
-        f"They cover {100 * expected.mean:.1f} % of that session's rows on average over such sets of "
-        f"rows; this set, "
-        f"with a probability of 95 %, between {100 * expected.low:.1f} and {100 * expected.high:.1f} %. "
-        f"These rows set "
-        "the coverage and do not test it. Of a third session they say nothing."
+        f"the network being that of calibration {former.id}: the score of rank {expected.rank} of "
+        f"{rows.count} {what}. They cover {mean:.1f} % of that session's rows on average over such sets of "
+        f"rows; this set, with a probability of 95 %, {low:.1f} to {high:.1f} %. These rows set the coverage "
+        "and do not test it. Of a third session they say nothing."
     )
     return IntervalResetCard(
         calibration=former.id,

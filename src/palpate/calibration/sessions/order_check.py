@@ -23,7 +23,7 @@ from palpate.recordings import Split, split
 from palpate.recordings.splits import conventional_groups, group_names
 
 MAX_TOLD_BY_ORDER = 0.5
-"""Share of a target's variance told by a row's neighbours in order, above which shuffled folds say nothing."""
+"""Share of a target's variance told by a row's neighbours, above which shuffled folds say nothing of it."""
 
 MAX_GAP, MAX_GAPS = 0.01, 5.0
 """A split asks for values that it does not train on where the median distance from a held-out label to the
@@ -149,23 +149,37 @@ def _text(scores: Sequence[SplitScoreCard], correlation: dict[str, float]) -> st
     """What the splits say of each other, in words."""
     said = []
     for one in scores:
-        if not one.meaningless:
-            continue
-        names = ", ".join(one.meaningless)
-        told = min(one.order_r2[name] for name in one.meaningless)
-        sorted_ = max(abs(correlation[name]) for name in one.meaningless)
-        if one.kind == "random":
-            said.append(
-                f"Shuffled folds say nothing of {names}: the rows taken just before and after a held-out one "
-                f"were trained on, and they alone tell {100 * told:.0f} % of its variance or more (rank "
-                f"correlation with the order {sorted_:.2f}). Of the two read the blocks (--split blocks); "
-                "what drifts more slowly than a block passes those too, and only another session shows it."
-            )
-        else:
-            said.append(
-                f"Blocks this long say nothing of {names}: each holds out a part of the range that was not "
-                "trained on, so that they measure extrapolation. Ask for shorter ones (--split blocks)."
-            )
+        if one.meaningless:
+            shuffled = one.kind == "random"
+            said.append(_shuffled_text(scores, one, correlation) if shuffled else _blocks_text(one))
     return " ".join(said) or (
-        "No target follows the order in which rows were taken: shuffled folds and blocks may be compared."
+        "No target follows the order of the rows: shuffled folds and blocks may be compared."
+    )
+
+
+def _shuffled_text(
+    scores: Sequence[SplitScoreCard], shuffled: SplitScoreCard, correlation: dict[str, float]
+) -> str:
+    names = ", ".join(shuffled.meaningless)
+    told = min(shuffled.order_r2[name] for name in shuffled.meaningless)
+    sorted_by = min(abs(correlation[name]) for name in shuffled.meaningless)
+    errors = "; ".join(
+        f"{name} {' and '.join(f'{one.mae[name]:.3g} by {one.kind}' for one in scores)}"
+        for name in shuffled.meaningless
+    )
+    return (
+        f"Of {names} shuffled folds are meaningless if the rows were taken in this order: the rows just "
+        f"before and after a held-out one, which were trained on, tell {100 * told:.0f} % of its variance "
+        f"(rank correlation with the order {sorted_by:.2f}), so that an image which shows only the time "
+        f"would pass. Read the blocks (--split blocks), which hold such neighbours out (mean absolute "
+        f"errors: {errors}). What drifts more slowly than a block passes those too: where both agree, only "
+        "another session tells."
+    )
+
+
+def _blocks_text(blocks: SplitScoreCard) -> str:
+    return (
+        f"Of {', '.join(blocks.meaningless)} blocks this long are meaningless: each holds out a part of the "
+        "range that was not trained on, so that they measure extrapolation alone. Ask for shorter ones "
+        "(--split blocks)."
     )

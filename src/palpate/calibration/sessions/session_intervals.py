@@ -37,7 +37,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import norm, t as student
 
-from palpate.calibration.conformal import fit_intervals
+from palpate.calibration.conformal import fit_spread, parts_by_group, spread_terms
 from palpate.core import Float, InputError, Values
 from palpate.estimators.certified import Intervals
 from palpate.estimators.target_layout import Outputs, TargetLayout
@@ -208,15 +208,14 @@ def intervals_of_sessions(
     names, of = np.unique(sessions, return_inverse=True)
     if len(names) < 2:
         raise InputError("intervals for a new session need two sessions or more that were held out")
-    whole = fit_intervals(predicted, true, groups, coverage, layout).spread
-    errors = Intervals(whole, whole.typical, coverage, layout=layout).errors(predicted, true)
+    layout = layout or TargetLayout((None,) * true.shape[1])
+    errors = layout.differences(layout.decoded(predicted), true)
+    terms = spread_terms(predicted, groups)
+    whole = fit_spread(predicted, np.abs(errors), terms)
     scores = np.empty_like(true)
-    for k in range(len(names)):
-        rest, held = of != k, of == k
-        spread = whole
-        if whole.coefficients.any():
-            others = fit_intervals(predicted[rest], true[rest], groups[rest], coverage, layout).spread
-            spread = replace(others, typical=whole.typical)  # one scale for all, which the quantile undoes
+    for rest, held in parts_by_group(of):
+        # With one scale for all, which the quantile undoes: the others' would only add their scatter.
+        spread = replace(fit_spread(predicted[rest], np.abs(errors[rest]), terms), typical=whole.typical)
         scores[held] = errors[held] / spread.at(predicted[held])
     free = is_distribution_free(len(names), coverage)
     quantile = [

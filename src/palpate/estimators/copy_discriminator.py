@@ -1,0 +1,65 @@
+"""Which of two copies of a sensor an image is of: the one adapted to, or the one that the network came from.
+
+An adapted calibration knows frames of both copies as good ones, so that its novelty detector passes both.
+Their thumbnails differ along one axis more than frames of either do: Fisher's discriminant. An image's place
+on it is 0 at the mean of the copy adapted to and 1 at the mean of the former.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from palpate.core import CertificateError, Float
+from palpate.estimators.novelty import Prepared, thumbnail
+
+
+@dataclass(frozen=True, slots=True)
+class CopyDiscriminator:
+    """Judge of which copy an image is of.
+
+    Attributes:
+        axis: of flat thumbnails ``[k]`` [per grey level].
+        offset: what is taken off, so that the mean of the copy adapted to lies at 0.
+        limit: place on the axis beyond which an image is taken for one of the former copy.
+    """
+
+    axis: Float[np.ndarray, " k"]
+    offset: float
+    limit: float
+
+    def place(self, prepared: Prepared) -> float:
+        """Place of a prepared image on the axis: 0 is the mean of this copy, 1 that of the former."""
+        return float(np.dot(self.axis, thumbnail(prepared).ravel())) - self.offset
+
+    def is_of_former(self, prepared: Prepared) -> bool:
+        """True if the image looks like one of the former copy."""
+        return self.place(prepared) > self.limit
+
+    def save(self, path: Path) -> None:
+        """Write it as plain arrays."""
+        np.savez_compressed(path, axis=self.axis, offset=self.offset, limit=self.limit)
+
+    @classmethod
+    def load(cls, path: Path, size: int) -> CopyDiscriminator:
+        """Read what `save` wrote.
+
+        Args:
+            path: the file.
+            size: values of a thumbnail, k.
+
+        Raises:
+            CertificateError: it is no such file, or of thumbnails of another size.
+        """
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+                axis, offset, limit = (np.asarray(archive[name]) for name in ("axis", "offset", "limit"))
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as e:
+            raise CertificateError(f"{path} tells no copies apart ({e}); adapt again") from e
+        numbers = np.concatenate([axis.ravel(), offset.ravel(), limit.ravel()])
+        if axis.shape != (size,) or numbers.dtype != np.float64 or not np.isfinite(numbers).all():
+            raise CertificateError(f"{path} does not fit the calibration's thumbnails; adapt again")
+        return cls(axis, float(offset), float(limit))
