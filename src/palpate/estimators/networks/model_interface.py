@@ -70,6 +70,52 @@ class Fitted(Protocol):
         """The same map as ONNX, from ``image [n c h w]`` to ``value [n t]``, both float32."""
 
 
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One way of learning that a model tried on inner folds.
+
+    Attributes:
+        name: what was tried.
+        error: root mean square error on rows of groups not learnt from, in units of each target's spread, as
+            the geometric mean over the targets: about 1 is what the mean gives. None where it was not tried.
+        seconds: time it took [s].
+        note: why it was not tried, or how far it came.
+    """
+
+    name: str
+    error: float | None
+    seconds: float
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Choice that a model made by its inner folds, and what each way gave.
+
+    Attributes:
+        chosen: name of one of the trials, with what was decided after it.
+        trials: in the order in which they were tried.
+    """
+
+    chosen: str
+    trials: tuple[Trial, ...]
+
+
+@runtime_checkable
+class Chooses(Protocol):
+    """A fitted model that says what it has chosen among; for the card."""
+
+    choice: Choice
+
+
+def typical_error(errors: Float[np.ndarray, " t"]) -> float:
+    """Geometric mean of the targets' errors: one per cent counts alike in a good target and in a poor one."""
+    return float(np.exp(np.log(np.maximum(errors, MIN_ERROR)).mean()))
+
+
+MIN_ERROR = 1e-9  # in units of the spread, below which errors are alike
+
+
 @runtime_checkable
 class Model(Protocol):
     """A recipe that learns."""

@@ -1,0 +1,241 @@
+"""Features of images that a kernel can compare: blurred pixels, and what pins do.
+
+All are linear filters, a rectifier and a division, so that they leave as ONNX with the model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from palpate.core import Float, Float32, ImageError, Int, Tensor
+from palpate.estimators.networks.onnx_graph import OnnxGraph
+from palpate.estimators.pins import FLOOR, REACH, PinTracks, find_pins
+
+GREY = 255.0
+TAIL = 3.0  # standard deviations at which a Gaussian window ends
+
+
+@runtime_checkable
+class ImageFeatures(Protocol):
+    """Map from images to rows of features."""
+
+    @property
+    def name(self) -> str:
+        """What they are, for a card."""
+
+    def compute(self, inputs: Tensor) -> Float32[np.ndarray, "n f"]:
+        """Features of images ``[n c h w]``."""
+
+    def add_to(self, graph: OnnxGraph) -> str:
+        """Add the same map to a graph, from its image on; returns the name of its output ``[n f]``."""
+
+
+def gaussian_window(sigma_px: float) -> Float[np.ndarray, " k"]:
+    """Gaussian window of unit sum and odd length, at least three pixels."""
+    reach = max(1, round(TAIL * sigma_px))
+    window = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_px) ** 2)
+    return np.asarray(window / window.sum())
+
+
+@dataclass(frozen=True, slots=True)
+class BlurredPixels:
+    """Pixels after a Gaussian blur, and only as many as its width needs; beyond the image is black.
+
+    Attributes:
+        channels: of an image.
+        blur_px: standard deviation [px of the input]; 0 leaves the pixels as they are.
+    """
+
+    channels: int
+    blur_px: float
+
+    @property
+    def name(self) -> str:
+        return f"pixels, blurred by {self.blur_px:g} px" if self.blur_px else "pixels"
+
+    @property
+    def step(self) -> int:
+        """Pixels from one sample to the next: a blur's width, which keeps what the blur has left."""
+        return max(1, int(self.blur_px))
+
+    def compute(self, inputs: Tensor) -> Float32[np.ndarray, "n f"]:
+        if not self.blur_px:
+            return inputs.reshape(len(inputs), -1) / np.float32(GREY)
+        window = gaussian_window(self.blur_px)
+        blurred = [[filtered(plane, window, window)[:: self.step, :: self.step] for plane in image]
+                   for image in inputs]  # fmt: skip
+        return np.asarray(blurred, np.float32).reshape(len(inputs), -1) / np.float32(GREY)
+
+    def add_to(self, graph: OnnxGraph) -> str:
+        at = "image"
+        if self.blur_px:
+            window = gaussian_window(self.blur_px)
+            square = np.outer(window, window).astype(np.float32)
+            weights = {"blur": np.repeat(square[None, None], self.channels, axis=0)}
+            pads, strides = [len(window) // 2] * 4, [self.step] * 2
+            at = graph.add("Conv", [at], weights, group=self.channels, pads=pads, strides=strides)
+        return graph.add("Div", [graph.add("Flatten", [at])], {"grey": np.array([GREY], np.float32)})
+
+
+def filtered(
+    plane: Float32[np.ndarray, "h w"], across: Float[np.ndarray, " k"], down: Float[np.ndarray, " k"]
+) -> Float32[np.ndarray, "h w"]:
+    """Correlation of a plane with the outer product of two windows, black beyond its edges."""
+    return cv2.sepFilter2D(plane, cv2.CV_32F, across, down, borderType=cv2.BORDER_CONSTANT)
+
+
+@dataclass(frozen=True, slots=True)
+class PinMoments:
+    """Brightness and its centroid in a window about each place where a pin usually is.
+
+    The centroid is the first moment over the zeroth, so that a lamp that dims moves nothing. A Gaussian
+    window keeps it smooth where a pin leaves the window and its neighbour enters.
+
+    Attributes:
+        height, width: of an image [px].
+        columns, rows: mean places of the pins ``[p]``, to the pixel.
+        window_px: standard deviation of the window [px].
+        pitches: the same in distances from a pin to its nearest neighbour.
+        sign: 1 where pins are brighter than their ground, -1 where they are darker.
+        floor: grey level that counts nothing, and what is beyond it (on the ground's side).
+        typical: mean brightness in a window, over the frames learnt from; what is divided by is never less
+            than a fifth of it.
+    """
+
+    height: int
+    width: int
+    columns: Int[np.ndarray, " p"]
+    rows: Int[np.ndarray, " p"]
+    window_px: float
+    pitches: float
+    sign: int
+    floor: float
+    typical: float = 1.0
+
+    SOFT = 0.2
+
+    @property
+    def name(self) -> str:
+        return f"moments at {len(self.rows)} pins, windows of {self.pitches:g} pitches"
+
+    @property
+    def _windows(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+        """The window, and the window times the place in it, in its own widths."""
+        window = gaussian_window(self.window_px)
+        reach = len(window) // 2
+        return window, window * np.arange(-reach, reach + 1) / self.window_px
+
+    def moments(self, inputs: Tensor) -> Float32[np.ndarray, "n 3 p"]:
+        """Zeroth moment, and first moments across and down, about each place."""
+        flat, sloped = self._windows
+        found = []
+        for (image,) in inputs:
+            bright = np.maximum(self.sign * (image - np.float32(self.floor)), 0) / np.float32(GREY)
+            maps = (filtered(bright, *pair) for pair in ((flat, flat), (sloped, flat), (flat, sloped)))
+            found.append([one[self.rows, self.columns] for one in maps])
+        return np.asarray(found, np.float32).reshape(len(inputs), 3, len(self.rows))
+
+    def compute(self, inputs: Tensor) -> Float32[np.ndarray, "n f"]:
+        moments = self.moments(inputs)
+        weight, typical = moments[:, :1], np.float32(self.typical)
+        centroids = moments[:, 1:] / (weight + np.float32(self.SOFT) * typical)
+        return np.concatenate([weight / typical, centroids], axis=1).reshape(len(inputs), -1)
+
+    def add_to(self, graph: OnnxGraph) -> str:
+        flat, sloped = (window.astype(np.float32) for window in self._windows)
+        above = graph.add("Sub", ["image"], {"floor": np.array([self.floor], np.float32)})
+        bright = graph.add(
+            "Relu", [graph.add("Mul", [above], {"sign": np.array([self.sign / GREY], np.float32)})]
+        )
+        reach = len(flat) // 2
+        across = {"across": np.stack([flat, sloped])[:, None, None]}
+        maps = graph.add("Conv", [bright], across, pads=[0, reach, 0, reach])
+        down = {"down": np.stack([flat, sloped] * 2)[:, None, :, None]}
+        maps = graph.add("Conv", [maps], down, group=2, pads=[reach, 0, reach, 0])
+        lines = graph.add("Reshape", [maps], {"shape": np.array([0, 4, self.height * self.width])})
+        at_pins = graph.add("Gather", [lines], {"at": self.rows * self.width + self.columns}, axis=2)
+        weight = graph.add("Gather", [at_pins], {"zeroth": np.array([0])}, axis=1)
+        first = graph.add("Gather", [at_pins], {"first": np.array([2, 1])}, axis=1)
+        soft = graph.add("Add", [weight], {"soft": np.array([self.SOFT * self.typical], np.float32)})
+        share = graph.add("Div", [weight], {"typical": np.array([self.typical], np.float32)})
+        return graph.add("Flatten", [graph.add("Concat", [share, graph.add("Div", [first, soft])], axis=1)])
+
+
+MAX_FRAMES = 40  # in which pins are looked for
+SAME_COUNT = 0.15  # by which the number of pins may differ from frame to frame
+
+
+def usual_pins(images: Tensor) -> tuple[PinTracks, int] | None:
+    """Pins of images, at their mean places, and 1 where they are bright or -1 where they are dark.
+
+    They are found in the image that is nearest to the mean of all, and each is averaged over the images in
+    which a pin lies within its reach of there.
+
+    Args:
+        images: ``[n c h w]`` grey levels; at most `MAX_FRAMES` of them are looked at.
+
+    Returns:
+        None where the images have several channels, are differences, or show no pins, or not alike many.
+    """
+    if images.shape[1] != 1 or not len(images) or images.min() < 0 or images.max() > GREY:
+        return None
+    planes = images[:, 0]
+    typical = int(np.argmin(((planes - planes.mean(axis=0)) ** 2).sum(axis=(1, 2))))
+    planes = planes[[typical, *range(0, len(planes), -(-len(planes) // MAX_FRAMES))]]
+    for sign in (1, -1):
+        frames = np.round(planes if sign > 0 else GREY - planes).astype(np.uint8)
+        try:
+            pins = [find_pins(frame) for frame in frames]
+        except ImageError:
+            continue
+        counts = np.array([len(one.xy_px) for one in pins])
+        if np.ptp(counts) <= 2 * SAME_COUNT * np.median(counts):
+            return _at_mean_places(pins), sign
+    return None
+
+
+def _at_mean_places(pins: list[PinTracks]) -> PinTracks:
+    first, sums, counts = pins[0], pins[0].xy_px.copy(), np.ones(len(pins[0].xy_px))
+    for one in pins[1:]:
+        apart, nearest = cKDTree(one.xy_px).query(first.xy_px)
+        near = apart < first.reach_px
+        sums[near] += one.xy_px[nearest[near]]
+        counts += near
+    xy = sums / counts[:, None]
+    return PinTracks(xy, first.ground, first.bright, first.reach_px, first.weight)
+
+
+def pin_moments(images: Tensor, windows: tuple[float, ...]) -> list[PinMoments]:
+    """Moments about the pins of images, for windows of so many pitches; none where no pins are found.
+
+    Args:
+        images: ``[n c h w]`` grey levels, of those learnt from.
+        windows: standard deviations in distances from a pin to its nearest neighbour.
+    """
+    found = usual_pins(images)
+    if found is None:
+        return []
+    (pins, sign), (height, width) = found, images.shape[2:]
+    pitch = float(np.median(pins.reach_px)) / REACH
+    floor = pins.ground + FLOOR * (pins.bright - pins.ground)
+    columns, rows = np.round(pins.xy_px).astype(np.int64).T
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    level = floor if sign > 0 else GREY - floor
+    made = []
+    for window in windows:
+        one = PinMoments(
+            height, width, columns[inside], rows[inside], window * pitch, window, sign, float(level)
+        )
+        typical = float(one.moments(images)[:, 0].mean())
+        if typical > 0:
+            made.append(
+                PinMoments(
+                    height, width, one.columns, one.rows, one.window_px, window, sign, one.floor, typical
+                )
+            )
+    return made

@@ -1,0 +1,401 @@
+"""Kernel ridge regression on principal components of image features, which are chosen by inner folds.
+
+What is compared (blurred pixels, or moments about pins), and by which kernel, is decided on rows of groups
+that were not learnt from. Without torch, in seconds.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+from onnx import TensorProto
+from sklearn.model_selection import GroupKFold
+
+from palpate.core import Float, Float32, Indices, InputError, Progress, Tensor, Values, silent
+from palpate.estimators.networks.image_features import BlurredPixels, ImageFeatures, pin_moments
+from palpate.estimators.networks.matern_kernel import Kernel, KernelShape, Scores, learnt_metric, solve
+from palpate.estimators.networks.model_interface import (
+    MIN_ERROR,
+    Choice,
+    Scaler,
+    TrainingData,
+    Trial,
+    typical_error,
+)
+from palpate.estimators.networks.onnx_graph import OnnxGraph
+from palpate.estimators.networks.pca_ridge import principal_axes
+
+Folds = list[tuple[np.ndarray, np.ndarray]]
+
+INNER_FOLDS = 4
+
+
+@dataclass(frozen=True)
+class KernelMap:
+    """value = k(scores, centres) · dual + scores · slopes + offset, with scores = (features - centre) · axes.
+
+    Attributes:
+        columns: of the targets that it gives, in its order.
+    """
+
+    columns: Indices
+    features: ImageFeatures
+    centre: Float32[np.ndarray, " f"]
+    axes: Float32[np.ndarray, "f k"]
+    centres: Float[np.ndarray, "m k"]
+    length: float
+    dual: Float[np.ndarray, "m t"]
+    slopes: Float[np.ndarray, "k t"]
+    offset: Float[np.ndarray, " t"]
+
+    def predict(self, inputs: Tensor) -> Values:
+        """Estimates of its targets."""
+        scores = ((self.features.compute(inputs) - self.centre) @ self.axes).astype(np.float64)
+        near = Kernel(self.length).of(scores, self.centres)
+        return np.asarray(near @ self.dual + scores @ self.slopes + self.offset)
+
+    def add_to(self, graph: OnnxGraph) -> str:
+        """Add the same map to a graph; from the scores on in float64, since large weights cancel there."""
+        centred = graph.add("Sub", [self.features.add_to(graph)], {"centre": self.centre[None]})
+        narrow = graph.add("MatMul", [centred], {"axes": self.axes})
+        scores = graph.add("Cast", [narrow], to=TensorProto.DOUBLE)
+        r = self._add_reach(graph, scores)
+        linear = graph.add("Add", [r], {"one": np.array([1.0])})
+        square = graph.add("Mul", [graph.add("Mul", [r, r])], {"third": np.array([1 / 3])})
+        fall = graph.add("Exp", [graph.add("Neg", [r])])
+        near = graph.add("Mul", [graph.add("Add", [linear, square]), fall])
+        by_kernel = graph.add("MatMul", [near], {"dual": self.dual})
+        by_line = graph.add("MatMul", [scores], {"slopes": self.slopes})
+        return graph.add("Add", [graph.add("Add", [by_kernel, by_line])], {"offset": self.offset[None]})
+
+    def _add_reach(self, graph: OnnxGraph, scores: str) -> str:
+        size = graph.add("ReduceSum", [graph.add("Mul", [scores, scores])], {"along": np.array([1])})
+        product = graph.add("MatMul", [scores], {"centres": -2 * self.centres.T})
+        sizes = {"sizes": (self.centres**2).sum(axis=1)[None]}
+        squares = graph.add("Add", [graph.add("Add", [product, size])], sizes)
+        positive = graph.add("Max", [squares], {"zero": np.array([0.0])})
+        return graph.add("Sqrt", [graph.add("Mul", [positive], {"scale": np.array([5 / self.length**2])})])
+
+
+@dataclass(frozen=True)
+class FittedKernelRidge:
+    """One map for all targets, or one for each of two parts of them."""
+
+    shape: tuple[int, int, int]
+    maps: tuple[KernelMap, ...]
+    choice: Choice
+
+    @property
+    def _order(self) -> Indices:
+        """Where each target stands among what the maps give."""
+        return np.argsort(np.concatenate([one.columns for one in self.maps]))
+
+    def predict(self, inputs: Tensor) -> Values:
+        return np.concatenate([one.predict(inputs) for one in self.maps], axis=1)[:, self._order]
+
+    def to_onnx(self) -> onnx.ModelProto:
+        graph = OnnxGraph()
+        together = graph.add("Concat", [one.add_to(graph) for one in self.maps], axis=1)
+        ordered = graph.add("Gather", [together], {"order": self._order}, axis=1)
+        graph.add("Cast", [ordered], output="value", to=TensorProto.FLOAT)
+        return graph.model(self.shape, len(self._order))
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """Way to learn some of the targets: what is compared, how, and a penalty for each."""
+
+    columns: Indices
+    features: ImageFeatures
+    shape: KernelShape
+    penalties: Float[np.ndarray, " t"]
+
+
+@dataclass(frozen=True, slots=True)
+class KernelRidge:
+    """Kernel ridge regression whose features, kernel and penalties are chosen by inner folds.
+
+    Inner folds keep groups whole. One thing is chosen after another: the features, the kernel's width, its
+    linear share, and whether a metric is learnt; the penalty goes with each, and each target has its own.
+    Targets of which other features leave an error smaller by 2 % or more are learnt from those.
+
+    The choice is made on at most `search_rows` rows. What is kept is fitted on all: up to `centres` rows
+    exactly, beyond that by Nyström's approximation, whose centres are drawn from the rows, so that memory
+    stays as it is and time grows no faster than the rows do.
+
+    Attributes:
+        blurs_px: Gaussian blurs of the pixels that are tried [px of the input].
+        pin_windows: windows about pins that are tried, in distances between pins, where pins are found.
+        widths: of the kernel, in root mean square distances between rows; the first is where features are
+            compared.
+        linear_shares: of the kernel's linear part.
+        metric: whether a learnt metric is tried.
+        penalties: ridge penalties tried, where the kernel of a row with itself is 1.
+        components: principal components, at most.
+        search_rows: rows on which the choice is made, at most.
+        basis_frames: rows that principal components are computed from, at most.
+        centres: rows that an estimate is compared with, at most.
+    """
+
+    blurs_px: tuple[float, ...] = (0.0, 1.5, 3.0, 5.0)
+    pin_windows: tuple[float, ...] = (0.3, 0.6)
+    widths: tuple[float, ...] = (1.0, 0.6, 2.0, 4.0)
+    linear_shares: tuple[float, ...] = (0.0, 1.0)
+    metric: bool = True
+    penalties: tuple[float, ...] = tuple(float(p) for p in np.logspace(1, -5, 13))
+    components: int = 300
+    search_rows: int = 800
+    basis_frames: int = 2000
+    centres: int = 3000
+
+    def __post_init__(self) -> None:
+        whole = (self.components, self.search_rows - 9, self.basis_frames - 1, self.centres - 9)
+        positive = (*self.widths, *self.penalties)
+        if not (self.blurs_px and self.widths and self.linear_shares and self.penalties):
+            raise InputError(f"{self}: give one or more of blurs, widths, linear shares and penalties")
+        if min(whole) < 1 or not min(positive) > 0 or min((*self.blurs_px, *self.linear_shares)) < 0:
+            raise InputError(
+                f"{self}: components are 1 or more, basis_frames 2 or more, search_rows and centres 10 or "
+                "more, widths and penalties above 0, blurs and linear shares 0 or more"
+            )
+        if min(self.pin_windows, default=1.0) <= 0:
+            raise InputError(
+                f"pin_windows are {self.pin_windows}; each is above 0, in distances between pins"
+            )
+
+    def fit(
+        self,
+        data: TrainingData,
+        rows: Indices,
+        *,
+        seed: int,
+        progress: Progress = silent,
+        checkpoint: Path | None = None,
+    ) -> FittedKernelRidge:
+        rng = np.random.default_rng(seed)
+        few = rows if len(rows) <= self.search_rows else np.sort(rng.choice(rows, self.search_rows, False))
+        search = _Search(self, data, few, progress)
+        ways = search.ways()
+        maps = tuple(self._learnt(data, rows, way, rng, progress) for way in ways)
+        return FittedKernelRidge(data.shape, maps, search.choice())
+
+    def _learnt(
+        self, data: TrainingData, rows: Indices, way: _Way, rng: np.random.Generator, progress: Progress
+    ) -> KernelMap:
+        """Learn from all rows as chosen."""
+        basis = (
+            rows if len(rows) <= self.basis_frames else np.sort(rng.choice(rows, self.basis_frames, False))
+        )
+        centre, axes = components_of(features_of(data, basis, way.features), self.components)
+        scores = features_of(data, rows, way.features, (centre, axes), progress).astype(np.float64)
+        values = data.values[np.ix_(rows, way.columns)]
+        scaler = Scaler.of(values)
+        targets, near = scaler.scaled(values), np.arange(len(rows))
+        if len(rows) > self.centres:
+            near = np.sort(rng.choice(len(rows), self.centres, replace=False))
+        if way.shape.metric:
+            turn = learnt_metric(scores[near], targets[near], way.shape, way.penalties)
+            axes, scores = (axes @ turn).astype(np.float32), scores @ turn
+        kernel = Kernel.over(scores, way.shape.width, way.shape.linear)
+        dual = solve(kernel, scores, targets, near, way.penalties, progress) * scaler.scale
+        slopes = kernel.slope * (scores[near].T @ dual)
+        return KernelMap(
+            way.columns, way.features, centre, axes, scores[near], kernel.length, dual, slopes, scaler.mean
+        )
+
+
+def features_of(
+    data: TrainingData,
+    rows: Indices,
+    features: ImageFeatures,
+    onto: tuple[Float32[np.ndarray, " f"], Float32[np.ndarray, "f k"]] | None = None,
+    progress: Progress = silent,
+) -> Float32[np.ndarray, "n _"]:
+    """Features of rows, or their scores along axes from a centre; few images in memory at a time."""
+    parts: list[np.ndarray] = []
+    for _, inputs in data.batches(rows):
+        found = features.compute(inputs)
+        parts.append(found if onto is None else (found - onto[0]) @ onto[1])
+        progress("projecting", sum(map(len, parts)), len(rows))
+    return np.concatenate(parts)
+
+
+def components_of(
+    found: Float32[np.ndarray, "n f"], most: int
+) -> tuple[Float32[np.ndarray, " f"], Float32[np.ndarray, "f k"]]:
+    """Centre and principal axes of rows of features; one axis of zeros where all rows are alike."""
+    centre = found.mean(axis=0)
+    centred = found - centre
+    if not np.abs(centred).max() > 1e-6 * np.abs(found).max():
+        return centre, np.zeros((found.shape[1], 1), np.float32)
+    return centre, principal_axes(centred, most)
+
+
+MIN_GAIN = 0.02  # of a target's error, for which it is learnt from other features than the rest
+
+
+@dataclass
+class _Search:
+    """Choice of features, kernel and penalties on some of the rows, one after another.
+
+    Attributes:
+        trials: what each way gave.
+        chosen: in words.
+        count: how many trials there are, at most.
+    """
+
+    model: KernelRidge
+    data: TrainingData
+    rows: Indices
+    progress: Progress
+    trials: list[Trial] = field(default_factory=list)
+    chosen: str = ""
+    count: int = 0
+
+    def ways(self) -> list[_Way]:
+        """The best way for all targets, or two, each for some of them."""
+        model, candidates, folds = self.model, self._candidates(), self._folds()
+        shape = KernelShape(model.widths[0], model.linear_shares[0])
+        everything = np.arange(self.data.values.shape[1])
+        if not folds:
+            penalty = float(np.exp(np.log(model.penalties).mean()))
+            self.chosen = (
+                f"{candidates[0].name}; {shape}; one group, so that nothing was chosen by holding out"
+            )
+            return [_Way(everything, candidates[0], shape, np.full(len(everything), penalty))]
+        changes = self._changes()
+        self.count = len(candidates) + 2 * len(changes)
+        scores = [self._scores(one) for one in candidates]
+        errors = [
+            self._tried(one.name, found, shape, everything, folds)
+            for one, found in zip(candidates, scores, strict=True)
+        ]
+        parts = _parted(np.array([one.min(axis=0) for one in errors]))
+        ways = []
+        for i, columns in parts:
+            its = errors[i][:, columns]
+            plain = _Way(columns, candidates[i], shape, self._penalties(its))
+            ways.append(self._shaped(plain, scores[i], its, folds))
+        self.progress("choosing", self.count, self.count)
+        self.chosen = "; and ".join(
+            (f"{self._names(way.columns)}: " if len(ways) > 1 else "") + f"{way.features.name}; {way.shape}"
+            for way in ways
+        )
+        return ways
+
+    def choice(self) -> Choice:
+        """The choice, for the card."""
+        return Choice(self.chosen, tuple(self.trials))
+
+    def _names(self, columns: Indices) -> str:
+        return ", ".join(self.data.names[j] if self.data.names else str(j) for j in columns)
+
+    def _candidates(self) -> list[ImageFeatures]:
+        channels, height, width = self.data.shape
+        most = min(height, width) / 4  # a blur of more leaves next to nothing of an image
+        blurs = [blur for blur in self.model.blurs_px if blur <= most] or [0.0]
+        sample = self.data.sample(self.rows, 64, np.random.default_rng(0))
+        pins = pin_moments(sample, self.model.pin_windows) if self.model.pin_windows else []
+        return [*(BlurredPixels(channels, blur) for blur in blurs), *pins]
+
+    def _changes(self) -> list[dict[str, Any]]:
+        """Changes of the kernel's shape, tried one after another."""
+        model = self.model
+        return [
+            *({"width": width} for width in model.widths[1:]),
+            *({"linear": share} for share in model.linear_shares[1:]),
+            *([{"metric": True}] if model.metric else []),
+        ]
+
+    def _folds(self) -> Folds:
+        groups = self.data.groups[self.rows]
+        count = min(INNER_FOLDS, len(np.unique(groups)))
+        return list(GroupKFold(count).split(self.rows, groups=groups)) if count > 1 else []
+
+    def _scores(self, features: ImageFeatures) -> Scores:
+        found = features_of(self.data, self.rows, features)
+        centre, axes = components_of(found, self.model.components)
+        return ((found - centre) @ axes).astype(np.float64)
+
+    def _shaped(self, way: _Way, scores: Scores, errors: Float[np.ndarray, "l t"], folds: Folds) -> _Way:
+        """The way with the best shape of the kernel, and the penalties that go with it."""
+        shape = way.shape
+        for change in self._changes():
+            another = replace(shape, **change)
+            name = f"{way.features.name}; {another}"
+            found = self._tried(name, scores, another, way.columns, folds, self._penalties(errors))
+            if typical_error(found.min(axis=0)) < typical_error(errors.min(axis=0)):
+                shape, errors = another, found
+        return replace(way, shape=shape, penalties=self._penalties(errors))
+
+    def _penalties(self, errors: Float[np.ndarray, "l t"]) -> Float[np.ndarray, " t"]:
+        """The best penalty of each target."""
+        return np.array(self.model.penalties)[errors.argmin(axis=0)]
+
+    def _tried(
+        self,
+        name: str,
+        scores: Scores,
+        shape: KernelShape,
+        columns: Indices,
+        folds: Folds,
+        penalties: Float[np.ndarray, " t"] | None = None,
+    ) -> Float[np.ndarray, "l t"]:
+        """Errors of a way on the inner folds, noted as a trial."""
+        started = time.monotonic()
+        errors = self._held_out(scores, shape, columns, folds, penalties)
+        seconds = time.monotonic() - started
+        whose = f"of {self._names(columns)}" if len(columns) < self.data.values.shape[1] else ""
+        self.trials.append(Trial(name, typical_error(errors.min(axis=0)), seconds, whose))
+        self.progress("choosing", len(self.trials), self.count)
+        return errors
+
+    def _held_out(
+        self,
+        scores: Scores,
+        shape: KernelShape,
+        columns: Indices,
+        folds: Folds,
+        penalties: Float[np.ndarray, " t"] | None,
+    ) -> Float[np.ndarray, "l t"]:
+        """Root mean square errors on held-out rows in units of the spread, for each penalty and target.
+
+        Args:
+            penalties: of the fit that a metric is learnt from.
+        """
+        values = self.data.values[np.ix_(self.rows, columns)]
+        targets = Scaler.of(values).scaled(values)
+        squares = np.zeros((len(self.model.penalties), len(columns)))
+        for learn, watch in folds:
+            mean = targets[learn].mean(axis=0)
+            ours, theirs, wanted = scores[learn], scores[watch], targets[learn] - mean
+            if shape.metric and penalties is not None:
+                turn = learnt_metric(ours, wanted, shape, penalties)
+                ours, theirs = ours @ turn, theirs @ turn
+            kernel = Kernel.over(ours, shape.width, shape.linear)
+            spectrum, axes = np.linalg.eigh(kernel.of(ours, ours))
+            seen, across = axes.T @ wanted, kernel.of(theirs, ours) @ axes
+            for i, penalty in enumerate(self.model.penalties):
+                guess = across @ (seen / (np.maximum(spectrum, 0)[:, None] + penalty)) + mean
+                squares[i] += ((guess - targets[watch]) ** 2).sum(axis=0)
+        return np.sqrt(squares / len(self.rows))
+
+
+def _parted(errors: Float[np.ndarray, "c t"]) -> list[tuple[int, Indices]]:
+    """Candidates and the targets that each is best for: one for all, or a second where it gains enough.
+
+    Args:
+        errors: of each candidate and target.
+    """
+    first = int(np.argmin([typical_error(row) for row in errors]))
+    gains = np.log(np.maximum(errors[first], MIN_ERROR) / np.maximum(errors, MIN_ERROR))
+    worth = np.where(gains > -np.log1p(-MIN_GAIN), gains, 0.0)
+    second = int(np.argmax(worth.sum(axis=1)))
+    moved = worth[second] > 0
+    parts = [(first, np.flatnonzero(~moved)), (second, np.flatnonzero(moved))]
+    return [(i, columns) for i, columns in parts if len(columns)]
