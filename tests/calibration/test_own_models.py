@@ -137,7 +137,7 @@ def test_a_model_that_breaks_a_law_is_refused_by_its_name_and_the_law(broken: st
 def test_a_model_that_keeps_the_laws_passes_as_class_instance_and_text() -> None:
     for model in (Level, Level(shrink=0.9), f"{HERE}:Level"):
         check_model(model, **TINY)
-    for model in ("mean", "pca-ridge", "pixel-mlp"):
+    for model in ("mean", "pca-ridge", "kernel-ridge", "auto", "pixel-mlp"):
         check_model(model, shape=(1, 24, 32))
 
 
@@ -387,8 +387,8 @@ def test_an_installed_package_adds_models_and_splits_by_entry_points(monkeypatch
 
 
 def test_an_entry_point_that_takes_an_existing_name_is_refused(monkeypatch) -> None:
-    added(monkeypatch, "palpate.models", pca_ridge=f"{HERE}:Level")
-    with pytest.raises(PluginError, match=f"'pca-ridge' of {HERE}:Level takes the name of palpate"):
+    added(monkeypatch, "palpate.models", kernel_ridge=f"{HERE}:Level")
+    with pytest.raises(PluginError, match=f"'kernel-ridge' of {HERE}:Level takes the name of palpate"):
         CalibrationPlan(("x_mm",))
     added(monkeypatch, "palpate.splits", auto=f"{HERE}:halves")
     with pytest.raises(PluginError, match=f"split 'auto' of {HERE}:halves takes the name of palpate itself"):
@@ -417,7 +417,7 @@ def test_a_broken_package_is_passed_over_and_named(tmp_path, monkeypatch, lines:
         (folder / "entry_points.txt").write_bytes(text)
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.warns(UserWarning, match=r"wreck-1\.0\.dist-info is broken.*entry points are left out"):
-        assert CalibrationPlan(("x_mm",)).model == "pca-ridge"
+        assert CalibrationPlan(("x_mm",)).model == "kernel-ridge"
     assert CalibrationPlan(("x_mm",), model="level").model == "level"
 
 

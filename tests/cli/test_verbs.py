@@ -164,7 +164,8 @@ def test_an_exported_run_comes_back(run, tmp_path) -> None:
         (["calibrate", "RUN", "--targets", "y_mm", "--out", "OUT"], "y_mm"),
         (["calibrate", "RUN", "--targets", "remark", "--out", "OUT"], "remark"),
         (["calibrate", "RUN", "--targets", "nothing", "--out", "OUT"], "nothing"),
-        (["calibrate", "RUN", "--targets", "x_mm", "--model", "oracle", "--out", "OUT"], "pca-ridge"),
+        (["calibrate", "RUN", "--targets", "x_mm", "--model", "oracle", "--out", "OUT"], "kernel-ridge"),
+        (["calibrate", "RUN", "--targets", "x_mm", "--minutes", "2", "--out", "OUT"], "--model auto"),
         (["calibrate", "RUN", "--targets", "x_mm", "--split", "by luck", "--out", "OUT"], "by luck"),
         (
             [

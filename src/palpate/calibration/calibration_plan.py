@@ -94,11 +94,11 @@ class CalibrationPlan:
 
     Example:
         >>> CalibrationPlan(("depth_mm", "force_N"), split="group:press").model
-        'pca-ridge'
+        'kernel-ridge'
     """
 
     targets: Sequence[str]
-    model: Any = "pca-ridge"
+    model: Any = "kernel-ridge"
     split: Any = "auto"
     folds: int | None = None
     scored_folds: int | None = None

@@ -29,6 +29,7 @@ from palpate.estimators.certified import CARD_FILE, Intervals, checked_file
 from palpate.estimators.model_card import (
     FORMAT,
     Card,
+    ChoiceCard,
     CircularCard,
     FileCard,
     InputCard,
@@ -38,10 +39,11 @@ from palpate.estimators.model_card import (
     RunCard,
     SplitCard,
     TargetCard,
+    TrialCard,
     sealed,
 )
 from palpate.estimators.networks import settings_of
-from palpate.estimators.networks.model_interface import Fitted, TrainingData
+from palpate.estimators.networks.model_interface import Chooses, Fitted, TrainingData
 from palpate.estimators.novelty import NoveltyDetector
 from palpate.estimators.reference_uncertainty import reference_half_width
 from palpate.estimators.target_layout import Outputs, TargetLayout
@@ -384,6 +386,7 @@ def _plan_fields(result: CalibrationResult) -> dict[str, Any]:
         "model_name": plan.model,
         "options": settings_of(plan.model, plan.options),
         "coverage": plan.coverage,
+        "choice": choice_card(result.fitted),
         "input": InputCard(
             frame_px=result.run.frame(0).image.shape[:2],
             size_px=preparation.size_px,
@@ -393,6 +396,17 @@ def _plan_fields(result: CalibrationResult) -> dict[str, Any]:
             delta=plan.delta,
         ),
     }
+
+
+def choice_card(fitted: Fitted) -> ChoiceCard | None:
+    """Choice that a model made by inner folds; None where it made none."""
+    if not isinstance(fitted, Chooses):
+        return None
+    trials = [
+        TrialCard(name=one.name, error=one.error, seconds=round(one.seconds, 2), note=one.note)
+        for one in fitted.choice.trials
+    ]
+    return ChoiceCard(chosen=fitted.choice.chosen, trials=tuple(trials))
 
 
 def split_card(result: CalibrationResult) -> SplitCard:

@@ -57,7 +57,7 @@ from palpate.core.plugins import ERROR, plugin_calls
 from palpate.estimators.certified import Intervals
 from palpate.estimators.networks import MODELS, make_model, model_kind
 from palpate.estimators.networks.distributed import ProcessGroup
-from palpate.estimators.networks.model_interface import Fitted, predict_rows, refuse_unfit
+from palpate.estimators.networks.model_interface import Fitted, TimeBoxed, predict_rows, refuse_unfit
 from palpate.estimators.novelty import LearnsFromRendered, NoveltyDetector, fit_novelty_detector
 from palpate.recordings import PackedSet, Run, Split, pack, split
 from palpate.recordings.joined_runs import joined
@@ -283,6 +283,8 @@ def _fit(
             predicted[parts.folds[k]] = held_out(k)
         return predicted, None
     count, alone = folds_to_score(plan, parts), representative_fold(parts, labels.values)
+    if isinstance(model, TimeBoxed):
+        model = model.shared_among(count + 1 if count > 1 else 1)
     for k in range(count) if count > 1 else ():
         predicted[parts.folds[k]] = held_out(k)
     rows = np.arange(len(data.values)) if count > 1 else parts.training_rows(alone)
@@ -308,13 +310,13 @@ def _split_beside(
 def _left_out(plan: CalibrationPlan, parts: Split) -> str:
     """Why no other split is scored beside the plan's; empty where it is."""
     count = folds_to_score(plan, parts)
-    if count == len(parts.folds) and not model_kind(plan.model).costly:
+    takes_long = model_kind(plan.model).costly or isinstance(make_model(plan.model, plan.options), TimeBoxed)
+    if count == len(parts.folds) and not takes_long:
         return ""
     other = "Blocks of the order in which rows were taken" if parts.groups is None else "Shuffled folds"
     return (
-        f"{other} were left out, since {plan.model} is costly to train and {count} of {len(parts.folds)} "
-        f"folds "
-        "were scored; a quick model shows what they would say (--model pca-ridge)."
+        f"{other} were left out, since {plan.model} takes long and {count} of {len(parts.folds)} folds were "
+        "scored; a quick model shows what they would say (--model pca-ridge)."
     )
 
 

@@ -38,8 +38,13 @@ def calibrate(
     ] = "",
     model: Annotated[
         str,
-        Option(help="mean, pca-ridge, pixel-mlp, compact-cnn, a palm's own, or yours, module:Class."),
-    ] = "pca-ridge",
+        Option(
+            help="kernel-ridge, auto, pca-ridge, pixel-mlp, compact-cnn, mean, a palm's, or module:Class."
+        ),
+    ] = "kernel-ridge",
+    minutes: Annotated[
+        float | None, Option(help="Time that --model auto takes for the whole calibration [min]; default 10.")
+    ] = None,
     split: Annotated[
         str,
         Option(
@@ -130,7 +135,7 @@ def calibrate(
         delta=bool(kind.delta) if delta is None else delta,
         reference=ReferenceRule.parse(reference, names_of(reference_by)) if reference else None,
         learn_untouched=learn_untouched,
-        options=options_of(option or []),
+        options=_model_options(model, option or [], minutes),
         circular=periods_of(circular),
         vectors=vectors_of(vector or []),
         instruments={} if instruments is None else read_instruments(instruments),
@@ -231,6 +236,18 @@ def report(
     print_found({"report": str(page)}, str(page), json_)
 
 
+def _model_options(model: str, pairs: list[str], minutes: float | None) -> dict[str, Any]:
+    """A model's settings, with the time that only `auto` knows what to do with."""
+    from palpate.core import InputError
+
+    options = options_of(pairs)
+    if minutes is None:
+        return options
+    if model != "auto":
+        raise InputError(f"--minutes {minutes:g} is for --model auto, and the model is {model}; drop one")
+    return options | {"minutes": minutes}
+
+
 def _card_text(card: Any, out: Path) -> str:
     from palpate.calibration.coverage import card_findings
     from palpate.reports.terminal_text import scores_table
@@ -240,6 +257,8 @@ def _card_text(card: Any, out: Path) -> str:
         lines += [card.sessions.text, *card.sessions.findings]
     lines.append(scores_table({t.column: t.score for t in card.targets}))
     lines += [*card_findings(card), *(_vector_text(vector) for vector in card.vectors or ())]
+    if card.choice is not None:
+        lines += _choice_lines(card)
     if card.order is not None:
         lines += [*_splits_table(card.order), card.order.text]
     lines += [f"audit: {card.split.audit}", f"report: {out / 'report.html'}"]
@@ -262,6 +281,18 @@ def _splits_table(order: Any) -> list[str]:
     for name in order.splits[0].mae:
         cells = [f"MAE {one.mae[name]:.3g}, {100 * one.coverage[name]:.1f} %" for one in order.splits]
         lines.append(f"{name:18}" + "".join(f"{cell:>24}" for cell in cells))
+    return lines
+
+
+def _choice_lines(card: Any) -> list[str]:
+    """What was chosen, and for `auto` what each model gave."""
+    lines = [f"chosen on inner folds: {card.choice.chosen}"]
+    if card.model_name == "auto":
+        for trial in card.choice.trials:
+            gave = "-" if trial.error is None else f"{trial.error:.3f}"
+            lines.append(
+                f"  {trial.name:14}{gave:>7} of the spread  {trial.seconds:7.1f} s  {trial.note}".rstrip()
+            )
     return lines
 
 

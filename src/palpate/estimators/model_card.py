@@ -418,6 +418,22 @@ class CopyCard(_CardPart):
     text: str
 
 
+class TrialCard(_CardPart):
+    """One way that a model tried on inner folds, see `estimators.networks.model_interface.Trial`."""
+
+    name: str
+    error: float | None
+    seconds: float
+    note: str
+
+
+class ChoiceCard(_CardPart):
+    """Choice that the model that is kept made by inner folds of the rows it learnt from."""
+
+    chosen: str
+    trials: tuple[TrialCard, ...]
+
+
 class Card(_CardPart):
     """All of it. `id` is a hash of everything else, so no word can change unnoticed.
 
@@ -431,10 +447,11 @@ class Card(_CardPart):
         order: the split beside another one; None where rows come in groups.
         interval_reset: what set the intervals anew; None where that were the rows held out.
         copy_of: the copy adapted to; None where it was not adapted, or before copies were told apart.
+        choice: what the model tried, and what it took; None where it had nothing to choose.
     """
 
     added: ClassVar[tuple[str, ...]] = (
-        "adapted_from", "vectors", "sessions", "order", "interval_reset", "copy_of",
+        "adapted_from", "vectors", "sessions", "order", "interval_reset", "copy_of", "choice",
     )  # fmt: skip
 
     format: Literal["palpate-calibration/1"]
@@ -462,6 +479,7 @@ class Card(_CardPart):
     order: OrderCard | None = None
     interval_reset: IntervalResetCard | None = None
     copy_of: CopyCard | None = None
+    choice: ChoiceCard | None = None
 
     @model_validator(mode="after")
     def _targets_fit(self) -> Card:

@@ -2,8 +2,8 @@
 
 k = (1 + r + r²/3) e⁻ʳ + s z·z′ with r = √5 |z - z′| / l (Rasmussen & Williams, Gaussian Processes for Machine
 Learning, MIT Press 2006, ch. 4), so that far from all rows learnt from an estimate goes on along a line or
-back to the mean. Distances may be measured where the targets change, in the metric of a first fit's mean outer
-product of gradients (Radhakrishnan et al., Science 383:1461 (2024), doi:10.1126/science.adi5639).
+back to the mean. Distances may be measured where the targets change: in the metric of a first fit's mean
+outer product of gradients (Radhakrishnan et al., Science 383:1461 (2024), doi:10.1126/science.adi5639).
 """
 
 from __future__ import annotations

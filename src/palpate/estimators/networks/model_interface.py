@@ -108,6 +108,14 @@ class Chooses(Protocol):
     choice: Choice
 
 
+@runtime_checkable
+class TimeBoxed(Protocol):
+    """A model that is given a time for all fits of a calibration together."""
+
+    def shared_among(self, fits: int) -> Model:
+        """The same model, for one of so many fits."""
+
+
 def typical_error(errors: Float[np.ndarray, " t"]) -> float:
     """Geometric mean of the targets' errors: one per cent counts alike in a good target and in a poor one."""
     return float(np.exp(np.log(np.maximum(errors, MIN_ERROR)).mean()))
