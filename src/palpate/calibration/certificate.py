@@ -36,6 +36,7 @@ from palpate.estimators.model_card import (
     InstrumentCard,
     RangeCard,
     ReferenceCard,
+    RobustnessCard,
     RunCard,
     SplitCard,
     TargetCard,
@@ -67,6 +68,7 @@ class CalibrationResult:
             scored.
         fitted, novelty: what was learnt from all of them.
         seconds: time it took [s].
+        robustness: what changes of the camera cost; None where that was not tried.
     """
 
     run: Run
@@ -78,6 +80,7 @@ class CalibrationResult:
     fitted: Fitted
     novelty: NoveltyDetector
     seconds: float = 0.0
+    robustness: RobustnessCard | None = None
 
     @property
     def data(self) -> TrainingData:
@@ -323,6 +326,7 @@ def write_certificate(
                 "adapted_from": former and former.id,
                 "vectors": vector_cards(result.plan.vectors, result.plan.targets, intervals, *held_out)
                 or None,
+                "robustness": result.robustness,
             }
             | further
         )

@@ -29,6 +29,7 @@ from palpate.calibration.certificate import CalibrationResult, write_certificate
 from palpate.calibration.coverage.circular_scores import refuse_no_angles
 from palpate.calibration.leakage import audit
 from palpate.calibration.model_check import check_plugged_in
+from palpate.calibration.robustness import Suite, try_changes
 from palpate.calibration.sessions.order_check import ScoredSplit, order_card, split_beside
 from palpate.calibration.sessions.session_findings import (
     check_sessions,
@@ -109,8 +110,10 @@ def calibrate(
         assert fitted is not None
         beside = _split_beside(learning, parts, plan, work, progress)
         detector = _novelty_detector(learning, parts, fitted, plan, progress)
+        suite = Suite(run, learning, parts, held_out, fitted, plan)
+        detector, robustness = try_changes(suite, detector, progress)
         result = CalibrationResult(run, plan, learning, parts, leakage, held_out, fitted, detector)
-        result = replace(result, seconds=time.monotonic() - started)
+        result = replace(result, seconds=time.monotonic() - started, robustness=robustness)
         sessions = held_out_sessions(learning.packed.table, parts, result.scored)
 
         def more(_: Path, intervals: Intervals) -> dict[str, Any]:

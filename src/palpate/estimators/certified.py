@@ -292,8 +292,8 @@ class Estimator:
         if frame.image.shape[:2] != self.card.input.frame_px:
             return self._readings(frame, None, self._size_message(frame.image), zero)
         prepared = self._preparation.apply(frame.image)
-        atypicality = self._novelty.atypicality(prepared)
-        why = "" if atypicality <= 1 else _novelty_reason(atypicality)
+        verdict = self._novelty.judge(prepared)
+        why = "" if verdict.atypicality <= 1 else verdict.reason
         if not why and self._copies is not None and self._copies.is_of_former(prepared):
             why = _copy_reason(self.card)
         picture = prepared.astype(np.float32)
@@ -411,10 +411,6 @@ def _range_intervals(target: TargetCard) -> RangeIntervals | None:
 
 def _error_cells(stated: CellsCard) -> ErrorCells:
     return ErrorCells(*(np.array(part, np.float64) for part in (stated.limits, stated.centre, stated.half)))
-
-
-def _novelty_reason(atypicality: float) -> str:
-    return f"the image is unlike those calibrated on (distance {atypicality:.1f}, limit 1)"
 
 
 def _copies_of(folder: Path, card: Card, novelty: NoveltyDetector) -> CopyDiscriminator | None:

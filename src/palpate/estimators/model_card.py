@@ -434,6 +434,47 @@ class ChoiceCard(_CardPart):
     trials: tuple[TrialCard, ...]
 
 
+class PerturbationCard(_CardPart):
+    """Held-out frames changed by one kind of perturbation at one size.
+
+    Attributes:
+        kind, size, unit: see `calibration.perturbations`.
+        frames: so many were changed.
+        error_ratio: mean absolute error over that of unchanged frames, the mean over the targets.
+        covered: share of readings whose interval held the truth.
+        beyond: share of readings whose error was beyond twice the half-width.
+        refused: share of frames that the guard refused, by examples of other frames.
+        silent: share of readings beyond twice the half-width and not refused.
+    """
+
+    kind: str
+    size: float
+    unit: str
+    frames: int
+    error_ratio: float
+    covered: float
+    beyond: float
+    refused: float
+    silent: float
+
+
+class RobustnessCard(_CardPart):
+    """What changes of the camera cost the model, and what the guard does about them.
+
+    Attributes:
+        text: of it, or why it was not tried.
+        frames: unchanged held-out frames that all is compared with.
+        refused, beyond: of these, as in `PerturbationCard`.
+        table: a row for each kind and size; empty where frames were too few.
+    """
+
+    text: str
+    frames: int
+    refused: float
+    beyond: float
+    table: tuple[PerturbationCard, ...]
+
+
 class Card(_CardPart):
     """All of it. `id` is a hash of everything else, so no word can change unnoticed.
 
@@ -448,10 +489,11 @@ class Card(_CardPart):
         interval_reset: what set the intervals anew; None where that were the rows held out.
         copy_of: the copy adapted to; None where it was not adapted, or before copies were told apart.
         choice: what the model tried, and what it took; None where it had nothing to choose.
+        robustness: against changes of the camera; None in cards of before, and in adapted ones.
     """
 
     added: ClassVar[tuple[str, ...]] = (
-        "adapted_from", "vectors", "sessions", "order", "interval_reset", "copy_of", "choice",
+        "adapted_from", "vectors", "sessions", "order", "interval_reset", "copy_of", "choice", "robustness",
     )  # fmt: skip
 
     format: Literal["palpate-calibration/1"]
@@ -480,6 +522,7 @@ class Card(_CardPart):
     interval_reset: IntervalResetCard | None = None
     copy_of: CopyCard | None = None
     choice: ChoiceCard | None = None
+    robustness: RobustnessCard | None = None
 
     @model_validator(mode="after")
     def _targets_fit(self) -> Card:

@@ -9,8 +9,9 @@ doi:10.1145/335191.335388); weights that rebuild a point from its neighbours are
 embedding (Roweis and Saul, Science 2000, doi:10.1126/science.290.5500.2323), here without negative ones.
 
 Novelty is two numbers, each with a limit; both limits together are such that a stated share of the
-calibration's frames, each compared with other groups, would have been turned away. Drift of the untouched
-sensor is judged beside it.
+calibration's frames, each compared with other groups, would have been turned away. Where it is known what
+changes of the camera cost the model (`known_changes`), that decides instead. Drift of the untouched sensor is
+judged beside it.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 from palpate.core import CertificateError, Drift, Float, Float16, Float32, Indices, InputError, Int, UInt8
+from palpate.estimators.image_features import frame_features
+from palpate.estimators.known_changes import KnownChanges, Verdict
 
 THUMBNAIL_VALUES = 1024
 """A thumbnail holds about this many values, in one channel or in three."""
@@ -262,6 +265,8 @@ class NoveltyDetector:
         reference: mean thumbnail of the untouched sensor ``[h w c]``; None where none was recorded.
         reference_spread: how far its own no-contact thumbnails lie from their mean [grey levels, rms].
         drift_limit: the drift statistic above which the calibration is stale.
+        changes: what changes of the camera look like and cost the model; None where that was not tried, as in
+            calibrations of before, on few frames and in adapted ones.
     """
 
     neighbours: NeighbourModel
@@ -269,10 +274,23 @@ class NoveltyDetector:
     reference: Thumbnail | None
     reference_spread: float
     drift_limit: float
+    changes: KnownChanges | None = None
 
     def atypicality(self, prepared: Prepared) -> float:
-        """Distance of the image from all that was calibrated on; beyond 1 it should not be trusted."""
-        return float(np.max(self.neighbours.novelty_score(thumbnail(prepared)) / self.limits))
+        """Distance of the image from all that may be trusted; beyond 1 it should not be."""
+        return self.judge(prepared).atypicality
+
+    def judge(self, prepared: Prepared) -> Verdict:
+        """Atypicality of the image, and where it is too great, what the image looks like."""
+        thumb = thumbnail(prepared)
+        novelty = self.novelty(thumb)
+        if self.changes is None:
+            return Verdict(novelty)
+        return self.changes.judge(frame_features(prepared, thumb, self.changes.registration), novelty)
+
+    def novelty(self, thumb: Thumbnail) -> float:
+        """Novelty of a thumbnail over its limit, whatever changes are known."""
+        return float(np.max(self.neighbours.novelty_score(thumb) / self.limits))
 
     def drift(self, untouched: Prepared) -> Drift | None:
         """Drift of the untouched sensor since calibration; None where that had no view of it."""
@@ -293,6 +311,7 @@ class NoveltyDetector:
             limits=self.limits,
             reference=absent if self.reference is None else self.reference,
             drift=np.array([self.reference_spread, self.drift_limit]),
+            **({} if self.changes is None else self.changes.arrays()),
         )
 
     @classmethod
@@ -310,10 +329,11 @@ class NoveltyDetector:
             neighbours = NeighbourModel(parts["thumbs"], parts["left"], parts["centre"], parts["axes"])
             reference = parts["reference"] if parts["reference"].size else None
             spread, limit = (float(v) for v in parts["drift"])
+            changes = KnownChanges.of_arrays(parts)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as e:
             raise CertificateError(f"{path} is not a guard that palpate wrote ({e}); calibrate again") from e
         _ = neighbours.squares  # so that the first frame does not wait for them
-        return cls(neighbours, parts["limits"], reference, spread, limit)
+        return cls(neighbours, parts["limits"], reference, spread, limit, changes)
 
 
 def _check(path: Path, parts: Mapping[str, np.ndarray]) -> None:
@@ -361,9 +381,8 @@ def fit_novelty_detector(
     for k, rows in enumerate(folds):
         fold[rows] = k
     rng = np.random.default_rng(seed)
-    if len(thumbs) > MAX_KEPT:
-        rows_kept = np.sort(rng.choice(len(thumbs), MAX_KEPT, replace=False))
-        thumbs, fold = thumbs[rows_kept], fold[rows_kept]
+    rows_kept = _drawn(len(thumbs), rng)
+    thumbs, fold = thumbs[rows_kept], fold[rows_kept]
     _, fold = np.unique(fold, return_inverse=True)
     if fold.max() == 0:
         raise InputError(
@@ -384,6 +403,17 @@ def fit_novelty_detector(
     ]
     best = int(np.argmin([np.median(grey) for grey in lets_pass]))
     return NoveltyDetector(models[best].model, limits[best], *_untouched(untouched))
+
+
+def kept_rows(count: int, seed: int = 0) -> Indices:
+    """Rows of so many frames whose thumbnails `fit_novelty_detector` keeps, in their order there."""
+    return _drawn(count, np.random.default_rng(seed))
+
+
+def _drawn(count: int, rng: np.random.Generator) -> Indices:
+    if count <= MAX_KEPT:
+        return np.arange(count)
+    return np.sort(rng.choice(count, MAX_KEPT, replace=False))
 
 
 def _joint_folds(fold: Indices, also: RenderedImages) -> Indices:

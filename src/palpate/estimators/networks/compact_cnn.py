@@ -24,6 +24,7 @@ from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
 
 from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
+from palpate.estimators.networks.camera_variation import CameraVariation
 from palpate.estimators.networks.model_interface import Scaler, TrainingData, scaled_errors
 from palpate.estimators.networks.symmetry import RotationalSymmetry
 from palpate.estimators.networks.torch_export import TorchGraph
@@ -112,6 +113,8 @@ class CompactCnn:
         learning_rate: at its peak.
         weight_decay: AdamW's.
         shift_px: each training image is moved by up to this much at random [px of the input].
+        variation: focus, turn, zoom, brightness, width of markers, noise and compression of training images
+            vary by this many times the sizes of `camera_variation.CameraVariation`; 0 varies none of them.
         turns: how often the sensor's markers repeat in a full turn about its axis: 6 for a hexagonal lattice.
             Training images are turned by such steps at random, and their labels with them; 1 turns none.
         averaging: share of the running average kept at each step, at most.
@@ -127,6 +130,7 @@ class CompactCnn:
     learning_rate: float = 2e-3
     weight_decay: float = 1e-2
     shift_px: int = 3
+    variation: float = 1.0
     turns: int = 1
     averaging: float = 0.998
     patience: int = 0
@@ -139,6 +143,8 @@ class CompactCnn:
                 f"{self.learning_rate}: epochs and members are 1 or more, a batch 2 rows or more, the "
                 "learning rate positive"
             )
+        if not 0 <= self.variation <= 2:
+            raise InputError(f"variation {self.variation}: from 0, none, to 2, twice the usual sizes")
 
     def fit(
         self,
@@ -234,7 +240,7 @@ class _Training:
         images, values = self.data.fetch(part), self.data.values[part]
         if self.turns:
             images, values = self.turns.turned(images, values, rng)
-        image = _moved(torch.from_numpy(images), self.plan.shift_px, rng)
+        image = self._varied(images, rng)
         targets = torch.from_numpy(self.scaler.scaled(values).astype(np.float32))
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=fast_bfloat16()):
             guess = self.network.scaled(image.contiguous(memory_format=torch.channels_last))
@@ -243,6 +249,12 @@ class _Training:
         loss.backward()
         self.optimiser.step()
         self.average.update_parameters(self.network)
+
+    def _varied(self, images: Tensor, rng: np.random.Generator) -> torch.Tensor:
+        if not self.plan.variation:
+            return _moved(torch.from_numpy(images), self.plan.shift_px, rng)
+        camera = CameraVariation(shift_px=self.plan.shift_px).scaled(self.plan.variation)
+        return torch.from_numpy(camera.drawn(images, rng))
 
     def _rate(self, number: int) -> float:
         """Up over the first 200 steps (at most a tenth of all), then down a cosine."""

@@ -1,0 +1,329 @@
+"""Perturbation suite: what changes of the camera cost a calibration's model, and a guard that knows it.
+
+Some of the held-out frames are changed by each kind and size of `perturbations.KINDS` and read by the model
+that is kept. A changed frame's estimate is taken to be its held-out one, moved as far as the kept model's
+moves with the change: so errors are those on groups not seen, and the change that of the model that will
+sense.
+
+The number of frames is bounded, so that this takes a few seconds for models that read quickly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palpate.calibration.calibration_plan import CalibrationPlan
+from palpate.calibration.conformal import fit_intervals
+from palpate.calibration.robustness.perturbations import KINDS, kinds_for, perturbed
+from palpate.calibration.training_data import LearningSet
+from palpate.core import Float, Image, Indices, Int, Progress, Shaped, Tensor, UInt8, Values, silent
+from palpate.estimators.certified import Intervals
+from palpate.estimators.image_features import Registration, frame_features
+from palpate.estimators.known_changes import (
+    MAX_HARM,
+    ChangeExamples,
+    cross_fitted,
+    fit_known_changes,
+    rescaled,
+)
+from palpate.estimators.model_card import PerturbationCard, RobustnessCard
+from palpate.estimators.networks.model_interface import Fitted
+from palpate.estimators.novelty import NoveltyDetector, kept_rows, thumbnail
+from palpate.estimators.target_layout import Outputs
+from palpate.recordings import Run, Split
+
+MIN_ROWS = 50
+"""Held-out frames, with fewer of which neither the cost of a change nor false refusals can be told."""
+
+FRAMES_A_CELL = 12
+MIN_FRAMES_A_CELL = 4
+ROWS_A_FRAME = 20  # with fewer held-out frames, each is changed as often
+USUAL_PIXELS = 640 * 480  # of a frame; larger ones are changed less often, in proportion
+MAX_UNCHANGED = 400
+BATCH = 32
+CROSS_FITS = 4
+OWN_STREAM = 1  # folds are drawn by the seed alone: by the same numbers, rows would be those of one fold
+BEYOND = 2.0  # half-widths
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A calibration's frames and its model, to be tried.
+
+    Attributes:
+        run: the recording.
+        learning: the rows learnt from.
+        parts: their folds.
+        held_out: outputs ``[n o]`` for rows by a model that had not seen their group; NaN where not scored.
+        fitted: the model that is kept.
+        plan: its targets, coverage and reference, and the seed of which frames are changed, and how.
+    """
+
+    run: Run
+    learning: LearningSet
+    parts: Split
+    held_out: Outputs
+    fitted: Fitted
+    plan: CalibrationPlan
+
+    def frame(self, row: int) -> Image:
+        """The camera's frame of a row."""
+        return self.run.frame(int(self.learning.rows[row])).image
+
+    def prepared(self, frame: Image) -> UInt8[np.ndarray, "_ _ _"]:
+        """What the model is given of a frame."""
+        return self.learning.whole.preparation.apply(frame)
+
+    def outputs(self, rows: Indices, prepared: list[np.ndarray]) -> Outputs:
+        """Outputs of the model that is kept, for prepared frames of these rows."""
+        parts = [slice(start, start + BATCH) for start in range(0, len(rows), BATCH)]
+        return np.concatenate([self.fitted.predict(self._inputs(rows[p], prepared[p])) for p in parts])
+
+    def _inputs(self, rows: Indices, prepared: list[np.ndarray]) -> Tensor:
+        inputs = np.stack(prepared).transpose(0, 3, 1, 2).astype(np.float32)
+        if self.plan.delta:
+            untouched = self.learning.untouched
+            inputs -= untouched.images[untouched.groups[self.learning.rows[rows]]]
+        return np.ascontiguousarray(inputs)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """Changed frames, and what they did.
+
+    Attributes:
+        row: of which each is ``[m]``.
+        kind, size: of the change ``[m]``.
+        prepared: what the model was given.
+        moved: how far the outputs moved with the change ``[m o]``.
+    """
+
+    row: Int[np.ndarray, " m"]
+    kind: Shaped[np.ndarray, " m"]
+    size: Float[np.ndarray, " m"]
+    prepared: list[np.ndarray]
+    moved: Outputs
+
+
+def try_changes(
+    suite: Suite, detector: NoveltyDetector, progress: Progress = silent
+) -> tuple[NoveltyDetector, RobustnessCard]:
+    """Try what changes of the camera cost, and let the guard know.
+
+    Args:
+        suite: what to try.
+        detector: the guard, fitted to all thumbnails of `suite.learning` with `suite.plan.seed`.
+        progress: called with how far it is.
+
+    Returns:
+        The guard, which refuses what costs the model more than its intervals promise, and what was found.
+    """
+    scored = np.flatnonzero(~np.isnan(suite.held_out).any(axis=1))
+    if len(scored) < MIN_ROWS:
+        return detector, _too_few(len(scored))
+    rng = np.random.default_rng([suite.plan.seed, OWN_STREAM])
+    rows = np.sort(rng.permutation(scored)[:MAX_UNCHANGED])
+    tried = _tried(suite, rows, rng, progress)
+    intervals = fit_intervals(
+        suite.held_out[scored], suite.learning.data.values[scored], suite.learning.data.groups[scored],
+        suite.plan.coverage, suite.plan.layout,
+    )  # fmt: skip
+    unchanged = _errors(suite, intervals, rows, np.zeros((len(rows), 1)))
+    changed = _errors(suite, intervals, tried.row, tried.moved)
+    before = _errors(suite, intervals, tried.row, np.zeros((len(tried.row), 1)))
+    harm = _harm(unchanged.scaled, (changed.error - before.error) / changed.half)
+    progress("learning which changes cost", 0, 1)
+    examples, registration = _examples(suite, detector, rows, tried, harm)
+    verdicts = cross_fitted(examples, registration, _parts(suite, rows))
+    atypicality = np.array([verdict.atypicality for verdict in verdicts])
+    known, factor = rescaled(fit_known_changes(examples, registration), atypicality[: len(rows)])
+    progress("learning which changes cost", 1, 1)
+    found = _card(rows, tried, unchanged, changed, atypicality / factor > 1)
+    return replace(detector, changes=known), found
+
+
+def _parts(suite: Suite, rows: Indices) -> list[Indices]:
+    """Rows dealt to a few parts, whole groups together; of one group alone, row by row."""
+    groups = suite.learning.data.groups[rows]
+    _, of = np.unique(groups if len(np.unique(groups)) > 1 else rows, return_inverse=True)
+    return [rows[of % CROSS_FITS == k] for k in range(min(CROSS_FITS, int(of.max()) + 1))]
+
+
+def _too_few(count: int) -> RobustnessCard:
+    text = (
+        f"{count} held-out frames are too few to tell what changes of the camera cost, {MIN_ROWS} or more "
+        "are needed: nothing is promised of another focus, place, light or storage, and the guard compares "
+        "thumbnails alone"
+    )
+    return RobustnessCard(text=text, frames=count, refused=0.0, beyond=0.0, table=())
+
+
+def _prepared(suite: Suite, rows: Indices) -> Iterator[np.ndarray]:
+    for row in rows:
+        yield suite.learning.packed.read(np.array([row]))[0]
+
+
+def _tried(suite: Suite, rows: Indices, rng: np.random.Generator, progress: Progress) -> Tried:
+    """Change a few of the rows' frames by each kind and size, each frame about as often."""
+    first = suite.frame(int(rows[0]))
+    kinds = kinds_for(first)
+    pixels = first.shape[0] * first.shape[1]
+    most = min(FRAMES_A_CELL, round(FRAMES_A_CELL * USUAL_PIXELS / pixels), len(rows) // ROWS_A_FRAME)
+    count = max(MIN_FRAMES_A_CELL, most)
+    base = np.sort(rng.permutation(rows)[: max(MIN_ROWS, 5 * count)])
+    frames = {row: suite.frame(row) for row in base.tolist()}
+    unchanged = dict(zip(base.tolist(), suite.outputs(base, list(_prepared(suite, base))), strict=True))
+    row, kind, size, prepared, moved = [], [], [], [], []
+    cells = [(name, value) for name in kinds for value in KINDS[name].sizes]
+    for done, (name, value) in enumerate(cells):
+        chosen = rng.choice(base, count, replace=False)
+        images = [suite.prepared(perturbed(frames[int(r)], name, value, rng)) for r in chosen]
+        moved.append(suite.outputs(chosen, images) - np.stack([unchanged[int(r)] for r in chosen]))
+        row.append(chosen)
+        kind += [name] * count
+        size += [value] * count
+        prepared += images
+        progress("trying changes of the camera", done + 1, len(cells))
+    return Tried(np.concatenate(row), np.array(kind), np.array(size, float), prepared, np.concatenate(moved))
+
+
+@dataclass(frozen=True)
+class _Errors:
+    """Signed errors of estimates and the half-widths of their intervals ``[m t]``, in the targets' units."""
+
+    error: Values
+    half: Values
+
+    @property
+    def scaled(self) -> Values:
+        """Errors in half-widths."""
+        return self.error / self.half
+
+    @property
+    def beyond(self) -> np.ndarray:
+        """Readings whose error is beyond twice the half-width."""
+        return np.abs(self.scaled) > BEYOND
+
+
+def _errors(suite: Suite, intervals: Intervals, rows: Indices, moved: Float[np.ndarray, "_ _"]) -> _Errors:
+    """Errors of held-out estimates that a change has moved; one that is no finite number counts as huge."""
+    outputs = suite.held_out[rows] + moved
+    low, high = intervals.ends(outputs)
+    half = np.maximum((high - low) / 2, np.finfo(np.float32).tiny)
+    huge = float(np.finfo(np.float32).max)
+    error = intervals.errors(outputs, suite.learning.data.values[rows])
+    return _Errors(np.nan_to_num(error, nan=huge, posinf=huge), half)
+
+
+def _harm(unchanged: Values, moved: Float[np.ndarray, "m t"]) -> Float[np.ndarray, " m"]:
+    """Rise of the share of readings beyond twice their half-width, were every frame's estimate moved so far.
+
+    Args:
+        unchanged: errors of unchanged frames ``[n t]``, in half-widths.
+        moved: how far a change moves the estimates ``[m t]``, in half-widths.
+    """
+    usual = np.mean(np.abs(unchanged) > BEYOND, axis=0)
+    shares = np.stack([np.mean(np.abs(unchanged + far) > BEYOND, axis=0) for far in np.nan_to_num(moved)])
+    return np.asarray(np.mean(np.maximum(shares - usual, 0.0), axis=1))
+
+
+def _examples(
+    suite: Suite, detector: NoveltyDetector, rows: Indices, tried: Tried, harm: Float[np.ndarray, " m"]
+) -> tuple[ChangeExamples, Registration]:
+    """Features and novelty of unchanged and changed frames, each beside thumbnails of other folds alone."""
+    frame = np.concatenate([rows, tried.row])
+    prepared = [*_prepared(suite, rows), *tried.prepared]
+    thumbs = [thumbnail(image) for image in prepared]
+    registration = Registration.fit(np.stack(thumbs[: len(rows)]))
+    features = [
+        frame_features(image, thumb, registration) for image, thumb in zip(prepared, thumbs, strict=True)
+    ]
+    names = tuple(dict.fromkeys(tried.kind.tolist()))
+    kind = [0] * len(rows) + [names.index(name) + 1 for name in tried.kind]
+    no_harm = np.zeros(len(rows))
+    examples = ChangeExamples(
+        np.stack(features),
+        frame,
+        np.array(kind),
+        np.concatenate([no_harm, harm]),
+        _novelty(suite, detector, frame, thumbs),
+        names,
+    )
+    return examples, registration
+
+
+def _novelty(
+    suite: Suite, detector: NoveltyDetector, frame: Indices, thumbs: list[np.ndarray]
+) -> Float[np.ndarray, " m"]:
+    """Novelty of thumbnails of these rows, beside those that the guard keeps of other folds."""
+    kept, total = kept_rows(len(suite.learning.whole), suite.plan.seed), len(detector.neighbours.thumbs)
+    novelty = np.empty(len(frame))
+    for rows, whole in zip(suite.parts.folds, suite.learning.folds_of_whole(suite.parts), strict=True):
+        own = np.flatnonzero(np.isin(kept, whole))
+        others = replace(detector, neighbours=detector.neighbours.among(np.setdiff1d(np.arange(total), own)))
+        for i in np.flatnonzero(np.isin(frame, rows)):
+            novelty[i] = others.novelty(thumbs[i])
+    return novelty
+
+
+def _card(
+    rows: Indices, tried: Tried, unchanged: _Errors, changed: _Errors, refused: np.ndarray
+) -> RobustnessCard:
+    """The table of errors and refusals, and its sum in a sentence."""
+    own = {int(row): i for i, row in enumerate(rows)}
+    before = np.abs(unchanged.error[[own[int(row)] for row in tried.row]])
+    refused_changed, table = refused[len(rows) :], []
+    for kind, size in dict.fromkeys(zip(tried.kind.tolist(), tried.size.tolist(), strict=True)):
+        cell = (tried.kind == kind) & (tried.size == size)
+        beyond, error = changed.beyond[cell], np.abs(changed.error[cell])
+        usual = np.maximum(before[cell].mean(axis=0), np.finfo(np.float32).tiny)
+        row = PerturbationCard(
+            kind=kind,
+            size=size,
+            unit=KINDS[kind].unit,
+            frames=int(cell.sum()),
+            error_ratio=_rounded(np.mean(error.mean(axis=0) / usual)),
+            covered=_rounded(np.mean(np.abs(changed.scaled[cell]) <= 1)),
+            beyond=_rounded(beyond.mean()),
+            refused=_rounded(refused_changed[cell].mean()),
+            silent=_rounded(np.mean(beyond & ~refused_changed[cell][:, None])),
+        )
+        table.append(row)
+    false, beyond_usually = float(refused[: len(rows)].mean()), float(unchanged.beyond.mean())
+    return RobustnessCard(
+        text=_text(table, len(rows), false, beyond_usually),
+        frames=len(rows),
+        refused=_rounded(false),
+        beyond=_rounded(beyond_usually),
+        table=tuple(table),
+    )
+
+
+def _rounded(value: float | np.floating) -> float:
+    """Four significant digits: more say nothing, and make a card long."""
+    return float(f"{float(value):.4g}")
+
+
+def _text(table: list[PerturbationCard], frames: int, refused: float, beyond: float) -> str:
+    kinds, count = len({cell.kind for cell in table}), table[0].frames
+    silent = float(np.mean([cell.silent for cell in table]))
+    free = [c.refused for c in table if c.error_ratio < COSTS_NOTHING and c.beyond <= beyond + MAX_HARM]
+    accepted = f"{100 * (1 - np.mean(free)):.0f} % of such frames pass" if free else "none was found"
+    passing = [f"{c.kind} of {c.size:g} {c.unit}" for c in table if c.silent > beyond + MAX_SILENT]
+    return (
+        f"{kinds} kinds of change at five sizes were tried on {count} held-out frames a size, beside "
+        f"{frames} unchanged ones, of which the guard refuses {100 * refused:.1f} %. Readings that pass it "
+        f"and err by more than twice their half-width: {100 * silent:.1f} % over all changes, "
+        f"{100 * beyond:.1f} % of unchanged frames. Changes that cost nothing: {accepted}. Changes that pass "
+        f"too often: {', '.join(passing) or 'none was found'}; {count} frames tell a single size's share "
+        "roughly"
+    )
+
+
+COSTS_NOTHING = 1.1
+"""A change whose errors are less than this many times the unchanged frames' costs nothing."""
+MAX_SILENT = 0.02
+"""Readings beyond twice their half-width may pass by this share more often than of unchanged frames."""

@@ -1,0 +1,182 @@
+"""Features of an image that see focus, geometry and light: what a thumbnail is too coarse for.
+
+Differences between neighbouring pixels, in four orientations and several octaves, are the power spectrum in
+bands (mean squares) and tell soft edges from sharp ones (their mean sizes beside it). Grey levels, rows and
+columns, and the markers' number, size and places see light, faults of the camera and where the picture lies.
+How a thumbnail lies on the mean one tells shift, turn and zoom of the whole picture (image registration by
+gradients: Lucas and Kanade, IJCAI 1981, p. 674).
+All are logarithms or shares, so that an image of another size has others, and one of the same size is
+compared number by number.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from palpate.core import Float, Float32, UInt8
+
+OCTAVES = 4
+MAX_MARKER_SIDE_PX = 320  # longer side of the image that markers are found in
+FLOOR = 0.02  # grey levels, below which a mean says nothing
+
+Grey = UInt8[np.ndarray, "h w"]
+Octave = UInt8[np.ndarray, "_ _"]
+
+
+def image_features(prepared: UInt8[np.ndarray, "_ _ c"]) -> Float[np.ndarray, " k"]:
+    """Features of a prepared image, as many for every image with as many channels."""
+    grey = prepared[..., 0] if prepared.shape[2] == 1 else cv2.cvtColor(prepared, cv2.COLOR_RGB2GRAY)
+    octaves = _octaves(grey)
+    markers = _markers(next((each for each in octaves if max(each.shape) <= MAX_MARKER_SIDE_PX), octaves[-1]))
+    parts = (*_bands(octaves), *_levels(grey), *_profiles(grey), *markers, *_tints(prepared))
+    return np.array(parts, dtype=np.float64)
+
+
+def _log(value: float) -> float:
+    return math.log(value + FLOOR)
+
+
+def _octaves(grey: Grey) -> list[Octave]:
+    """The image, and each time half its side."""
+    octaves = [grey]
+    for _ in range(OCTAVES - 1):
+        height, width = (max(1, side // 2) for side in octaves[-1].shape)
+        octaves.append(cv2.resize(octaves[-1], (width, height), interpolation=cv2.INTER_AREA))
+    return octaves
+
+
+def _bands(octaves: list[Octave]) -> list[float]:
+    """Log mean size and log root mean square of differences along, across and along both diagonals."""
+    found = []
+    for one, other in (pair for grey in octaves for pair in _pairs(grey)):
+        found.append(_log(cv2.norm(one, other, cv2.NORM_L1) / one.size))
+        found.append(_log(math.sqrt(cv2.norm(one, other, cv2.NORM_L2SQR) / one.size)))
+    return found
+
+
+def _pairs(grey: Octave) -> tuple[tuple[Octave, Octave], ...]:
+    if min(grey.shape) < 2:
+        return ((grey, grey),) * 4
+    return (
+        (grey[:, 1:], grey[:, :-1]),
+        (grey[1:], grey[:-1]),
+        (grey[1:, 1:], grey[:-1, :-1]),
+        (grey[1:, :-1], grey[:-1, 1:]),
+    )
+
+
+def _levels(grey: Grey) -> list[float]:
+    """Mean, spread, outer levels and median, shares at both ends and between dark and bright."""
+    counts = cv2.calcHist([grey], [0], None, [256], [0, 256]).ravel().astype(np.float64) / grey.size
+    greys = np.arange(256)
+    mean = counts @ greys
+    upto = np.cumsum(counts)
+    low, median, high = np.searchsorted(upto, (0.05, 0.5, 0.95))
+    between = counts[(greys > low + 0.25 * (high - low)) & (greys < high - 0.25 * (high - low))].sum()
+    spread = math.sqrt(counts @ (greys - mean) ** 2)
+    ends = (math.log(share + 1e-4) for share in (counts[0], counts[255], between))
+    return [_log(mean), _log(spread), *((level + 1) / 256 for level in (low, median, high)), *ends]
+
+
+def _profiles(grey: Grey) -> list[float]:
+    """Of the means of columns and of rows: where their middle is, and their steepest and usual kink."""
+    found = []
+    for axis in (0, 1):
+        means = cv2.reduce(grey, axis, cv2.REDUCE_AVG, dtype=cv2.CV_32F).ravel()
+        along = np.linspace(-1, 1, len(means))
+        found.append(float(means @ along / max(means.sum(), FLOOR)))
+        kinks = np.abs(np.diff(means, 2)) if len(means) > 2 else np.zeros(1)
+        found += [_log(float(kinks.max())), _log(float(kinks.mean()))]
+    return found
+
+
+MIN_MARKER_PX = 3
+
+
+def _markers(grey: Octave) -> list[float]:
+    """Of what is brighter than its ground: how many, how large, how unlike, and where; and of lone specks."""
+    level, brighter = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    _, _, boxes, middles = cv2.connectedComponentsWithStatsWithAlgorithm(
+        brighter, 8, cv2.CV_32S, cv2.CCL_BBDT
+    )
+    size, middles = boxes[1:, cv2.CC_STAT_AREA], middles[1:]
+    large = size >= MIN_MARKER_PX
+    specks = math.log1p(int(np.sum(~large)))
+    if not large.any():
+        return [level / 256, specks, *(0.0,) * 7]
+    size = np.log(size[large])
+    height, width = grey.shape
+    away = (middles[large] - ((width - 1) / 2, (height - 1) / 2)) / max(grey.shape)
+    places = (*away.mean(axis=0), math.sqrt(np.mean(away**2)), float(np.mean(away[:, 0] * away[:, 1])))
+    return [level / 256, specks, math.log(len(size)), float(np.median(size)), float(size.std()), *places]
+
+
+def _tints(prepared: UInt8[np.ndarray, "_ _ c"]) -> list[float]:
+    """Log of red and of blue over green; nothing of a grey image."""
+    if prepared.shape[2] == 1:
+        return []
+    red, green, blue, _ = (mean + 1 for mean in cv2.mean(prepared))
+    return [math.log(red / green), math.log(blue / green)]
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Least-squares fit of a thumbnail to a calibration's mean one that was moved, lit and focused a little.
+
+    Pixels count by how little they change from frame to frame, so that what a touch does not move tells
+    most: the rim, a frame, the light.
+
+    Attributes:
+        mean: of the thumbnails, flat.
+        jacobian: change of each pixel with a shift along x and y, a turn, a zoom, gain, offset and blur.
+        inverse: from differences to those seven numbers.
+        weight: of each pixel.
+    """
+
+    mean: Float32[np.ndarray, " p"]
+    jacobian: Float32[np.ndarray, "p 7"]
+    inverse: Float32[np.ndarray, "7 p"]
+    weight: Float32[np.ndarray, " p"]
+
+    @classmethod
+    def fit(cls, thumbs: Float32[np.ndarray, "n h w c"]) -> Registration:
+        """From the thumbnails of a calibration."""
+        grey = thumbs.mean(axis=3, dtype=np.float64)
+        mean, variance = grey.mean(axis=0), grey.var(axis=0)
+        jacobian = _jacobian(mean)
+        # A twentieth of the usual variance is rounding and noise, which no pixel is without.
+        weight = 1 / (variance.ravel() + 0.05 * variance.mean() + 0.25)
+        weighted = jacobian * weight[:, None]
+        normal = jacobian.T @ weighted
+        normal += np.diag(1e-6 * np.diag(normal) + 1e-9)
+        inverse = np.linalg.solve(normal, weighted.T)
+        return cls(*(part.astype(np.float32) for part in (mean.ravel(), jacobian, inverse, weight)))
+
+    def features(self, thumb: Float32[np.ndarray, "h w c"]) -> Float[np.ndarray, " 8"]:
+        """The seven numbers [px of the thumbnail, rad, shares, grey levels], and log of what is left over."""
+        difference = thumb.mean(axis=2).ravel() - self.mean
+        found = self.inverse @ difference
+        left = difference - self.jacobian @ found
+        return np.append(found, _log(math.sqrt(self.weight @ left**2 / len(left)))).astype(np.float64)
+
+
+def _jacobian(mean: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "p 7"]:
+    """Change of an image with its shift along x and y [px], turn [rad], zoom, gain, offset and blur."""
+    padded = np.pad(mean, 1, mode="edge")
+    along_x, along_y = (padded[1:-1, 2:] - padded[1:-1, :-2]) / 2, (padded[2:, 1:-1] - padded[:-2, 1:-1]) / 2
+    sharper = 4 * mean - padded[1:-1, 2:] - padded[1:-1, :-2] - padded[2:, 1:-1] - padded[:-2, 1:-1]
+    y, x = (i - (size - 1) / 2 for i, size in zip(np.indices(mean.shape), mean.shape, strict=True))
+    turn, zoom = y * along_x - x * along_y, -(x * along_x + y * along_y)
+    parts = (-along_x, -along_y, turn, zoom, mean, np.ones_like(mean), -sharper)
+    return np.stack(parts, axis=-1).reshape(-1, 7)
+
+
+def frame_features(
+    prepared: UInt8[np.ndarray, "_ _ c"], thumb: Float32[np.ndarray, "h w c"], registration: Registration
+) -> Float[np.ndarray, " k"]:
+    """All features of a prepared image: its own, and how its thumbnail lies on the calibration's mean one."""
+    return np.concatenate([image_features(prepared), registration.features(thumb)])

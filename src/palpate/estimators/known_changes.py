@@ -1,0 +1,330 @@
+"""Known changes: frames that were changed on purpose, what that cost the model, and so what to refuse.
+
+Held-out frames of a calibration are perturbed (see `calibration.robustness`). Each such example keeps its
+features and its harm: by how much the share of readings rises whose error is beyond twice the half-width
+of their interval. A new frame is placed among the examples, in directions in which changes move the features
+and touches do not (whitened by the unchanged frames, then the principal axes of changed less unchanged:
+Fisher's discriminant, doi:10.1111/j.1469-1809.1936.tb02137.x, for many small classes), and its nearest ones
+foretell the harm (nearest-neighbour regression: Stone, Ann. Stat. 5:595 (1977),
+doi:10.1214/aos/1176343886).
+
+Where the frame is as near to examples as they are to each other, that is what decides, and its thumbnail may
+be as novel as harmless changes make it. Where it is not, nobody knows what it costs, and the thumbnail's
+own limit holds as if no change were known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from palpate.core import Bool, Float, Float32, Indices, Int, Shaped
+from palpate.estimators.image_features import Registration
+
+MAX_HARM = 0.01
+"""A frame is refused where the share of readings beyond twice their half-width would rise by more."""
+MAX_FALSE_REFUSALS = 0.03  # share of unchanged frames, each compared with examples of other frames
+NEIGHBOURS = 12
+DIRECTIONS = 16
+THIRD = 2  # the third nearest tells how near examples are: one twin says little
+KNOWN_SHARE = 0.97  # of examples count as near to the others
+HARMLESS_SHARE = 0.9  # of harmless examples are less novel than what is let pass
+MIN_FEATURE_SPREAD = 0.01
+MIN_VARIANCE = 0.01  # of an axis of the unchanged frames, whose mean variance is about 1
+LINEAR_SPREADS = 3.0  # within which features count in proportion; beyond, by their logarithm
+
+
+@dataclass(frozen=True, slots=True)
+class Signature:
+    """What a kind of change is called, and what to do about it."""
+
+    words: str
+    remedy: str
+
+
+SIGNATURES: Mapping[str, Signature] = {
+    "focus": Signature("a lens out of focus", "refocus the camera"),
+    "softening": Signature(
+        "pictures softened by a codec or a resize", "store and scale frames as those of the calibration"
+    ),
+    "shift": Signature("a camera or skin that has shifted", "seat it again and take a new zero, or adapt"),
+    "turn": Signature("a camera or skin that has turned", "seat it again and take a new zero, or adapt"),
+    "zoom": Signature("a camera nearer or farther", "seat it again and take a new zero, or adapt"),
+    "brightness": Signature("another brightness", "set light and exposure as they were"),
+    "colour": Signature("another order of colours or gamma", "set colours and gamma as they were"),
+    "marker width": Signature("another threshold or exposure", "set exposure and threshold as they were"),
+    "compression": Signature("stronger compression", "store frames as those of the calibration"),
+    "noise": Signature("noise", "give more light, or less gain"),
+    "dust": Signature("dust", "clean lens and skin"),
+    "dead columns": Signature("dead columns of the camera", "exchange the camera"),
+}
+"""By the names of `calibration.perturbations.KINDS`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Judgement of a frame.
+
+    Attributes:
+        atypicality: beyond 1 the frame should not be trusted.
+        kind: of the change that it looks most like, a name in `SIGNATURES`; "" where none is known.
+        known: whether it is as near to known examples as they are to each other.
+        costs: whether it was refused for what such a change costs the model.
+    """
+
+    atypicality: float
+    kind: str = ""
+    known: bool = False
+    costs: bool = False
+
+    @property
+    def reason(self) -> str:
+        """Why a frame beyond the limit is refused, and what to do, in words."""
+        unlike = f"the image is unlike those calibrated on (distance {self.atypicality:.1f}, limit 1)"
+        if self.kind not in SIGNATURES:
+            return unlike
+        sign = SIGNATURES[self.kind]
+        if self.costs:
+            return (
+                f"{unlike}; it looks like {sign.words}, by which this model errs more than its intervals allow: "
+                f"{sign.remedy}, or calibrate with such frames"
+            )
+        if self.known:
+            return f"{unlike}; it looks like {sign.words}: {sign.remedy}, or adapt"
+        return (
+            f"{unlike}, nor like any change that was tried; the nearest is {sign.words}: {sign.remedy}; where "
+            "that is not it, adapt or calibrate again"
+        )
+
+
+@dataclass(frozen=True)
+class ChangeExamples:
+    """Frames of a calibration, as they were and changed.
+
+    Attributes:
+        features: ``[m k]``, see `image_features.frame_features`.
+        frame: which frame each is of; those of one frame are never each other's neighbours.
+        kind: number of its kind among `names`, from 1; 0 where it was not changed.
+        harm: rise of the share of readings beyond twice their half-width; 0 where it was not changed.
+        novelty: of its thumbnail, over the limit that holds where no change is known.
+        names: of the kinds.
+    """
+
+    features: Float[np.ndarray, "m k"]
+    frame: Int[np.ndarray, " m"]
+    kind: Int[np.ndarray, " m"]
+    harm: Float[np.ndarray, " m"]
+    novelty: Float[np.ndarray, " m"]
+    names: tuple[str, ...]
+
+    def only(self, chosen: Bool[np.ndarray, " m"]) -> ChangeExamples:
+        """Some of them."""
+        return ChangeExamples(
+            self.features[chosen],
+            self.frame[chosen],
+            self.kind[chosen],
+            self.harm[chosen],
+            self.novelty[chosen],
+            self.names,
+        )
+
+
+@dataclass(frozen=True)
+class KnownChanges:
+    """Examples of changes, placed where new frames are compared with them.
+
+    Attributes:
+        registration: of thumbnails on the mean one.
+        centre, spread, axes: from features to places ``[k]``, ``[k]``, ``[k d]``.
+        places: of the examples ``[m d]``.
+        spacing: how far the third nearest example of another frame is ``[m]``.
+        harm, novelty, kind, names: see `ChangeExamples`.
+        limits: of harm, of the spacing's ratio, of novelty among known changes, and what all is divided by.
+    """
+
+    registration: Registration
+    centre: Float32[np.ndarray, " k"]
+    spread: Float32[np.ndarray, " k"]
+    axes: Float32[np.ndarray, "k d"]
+    places: Float32[np.ndarray, "m d"]
+    spacing: Float32[np.ndarray, " m"]
+    harm: Float32[np.ndarray, " m"]
+    novelty: Float32[np.ndarray, " m"]
+    kind: Int[np.ndarray, " m"]
+    names: Shaped[np.ndarray, " q"]
+    limits: Float[np.ndarray, " 4"]
+
+    def judge(self, features: Float[np.ndarray, " k"], novelty: float) -> Verdict:
+        """Judge a frame by its features and by how novel its thumbnail is.
+
+        Args:
+            features: see `image_features.frame_features`.
+            novelty: over the limit that holds where no change is known.
+        """
+        at = _places(features, self.centre, self.spread, self.axes)
+        square = np.sum((self.places - at) ** 2, axis=1)
+        near = np.argsort(square)[: min(NEIGHBOURS, len(square))]
+        weight = 1 / (square[near] + 1)
+        max_harm, max_ratio, max_novelty, scale = self.limits
+        harm = float(weight @ self.harm[near] / weight.sum()) / max_harm
+        ratio = _ratio(float(np.sqrt(square[near[min(THIRD, len(near) - 1)]])), self.spacing[near])
+        known = bool(ratio <= max_ratio)
+        tolerated = max(float(max_novelty), float(self.novelty[near].max())) if known else 1.0
+        atypicality = max(harm, novelty / tolerated) / scale
+        costs = bool(harm >= novelty / tolerated)
+        votes = np.bincount(
+            self.kind[near], weight * (self.harm[near] if costs else 1.0), len(self.names) + 1
+        )
+        votes[0] = 0.0
+        best = int(np.argmax(votes))
+        return Verdict(float(atypicality), str(self.names[best - 1]) if votes[best] else "", known, costs)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All of it as plain arrays, by names of their own."""
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "registration"}
+        parts = {f"registration_{f.name}": getattr(self.registration, f.name) for f in fields(Registration)}
+        return {PREFIX + name: part for name, part in (own | parts).items()}
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, np.ndarray]) -> KnownChanges | None:
+        """What `arrays` gave, among others; None where they hold none, as of a guard made before.
+
+        Raises:
+            KeyError: a part is missing.
+            ValueError: the parts do not fit each other.
+        """
+        if PREFIX + "places" not in arrays:
+            return None
+        own = {f.name: arrays[PREFIX + f.name] for f in fields(cls) if f.name != "registration"}
+        parts = {f.name: arrays[f"{PREFIX}registration_{f.name}"] for f in fields(Registration)}
+        _refuse_unfit(own, parts)
+        return cls(registration=Registration(**parts), **own)
+
+
+def _refuse_unfit(own: Mapping[str, np.ndarray], registration: Mapping[str, np.ndarray]) -> None:
+    """Refuse, with a ValueError, arrays that are not those of one `KnownChanges`."""
+    k, d = own["axes"].shape if own["axes"].ndim == 2 else (0, 0)
+    m, p, q = len(own["harm"]), len(registration["mean"]), len(own["names"])
+    wanted = {
+        "centre": (k,), "spread": (k,), "axes": (k, d), "places": (m, d), "spacing": (m,), "harm": (m,),
+        "novelty": (m,), "kind": (m,), "names": (q,), "limits": (4,),
+    }  # fmt: skip
+    wanted_of = {"mean": (p,), "jacobian": (p, 7), "inverse": (7, p), "weight": (p,)}
+    fit = m * k * d * p * q > 0 and own["names"].dtype.kind == "U"
+    for parts, shapes in ((own, wanted), (registration, wanted_of)):
+        fit = fit and all(parts[name].shape == shape for name, shape in shapes.items())
+    numbers = [part for name, part in (own | registration).items() if name not in ("names", "kind")]
+    fit = fit and all(part.dtype.kind == "f" and bool(np.isfinite(part).all()) for part in numbers)
+    if not fit or own["kind"].dtype.kind != "i" or not 0 <= own["kind"].min() <= own["kind"].max() <= q:
+        raise ValueError("its known changes do not fit each other")
+    if min(*own["limits"], *own["spread"]) <= 0:
+        raise ValueError("its limits of known changes are not above 0")
+
+
+PREFIX = "known_"
+
+
+def _places(features: np.ndarray, centre: np.ndarray, spread: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Features, linear within a few spreads and logarithmic beyond, along the axes; rows as given."""
+    scaled = (features - centre) / (LINEAR_SPREADS * spread)
+    return np.asarray(LINEAR_SPREADS * np.arcsinh(scaled) @ axes, dtype=np.float32)
+
+
+def _ratio(away: float, spacing: np.ndarray) -> float:
+    """Distance over the usual one about there, both beside a unit: the scatter of unchanged frames."""
+    return (away + 1.0) / (float(spacing.mean()) + 1.0)
+
+
+def fit_known_changes(examples: ChangeExamples, registration: Registration) -> KnownChanges:
+    """Place the examples, and set what is near and how novel harmless ones are.
+
+    Args:
+        examples: unchanged frames, and changed ones of the same.
+        registration: that their features were made with.
+    """
+    unchanged = examples.kind == 0
+    centre = examples.features[unchanged].mean(axis=0).astype(np.float32)
+    spread = np.maximum(examples.features[unchanged].std(axis=0), MIN_FEATURE_SPREAD).astype(np.float32)
+    axes = _axes(_places(examples.features, centre, spread, np.eye(len(centre))), examples)
+    places = _places(examples.features, centre, spread, axes)
+    spacing, ratio = _spacing(places, examples.frame)
+    harmless = examples.novelty[~unchanged & (examples.harm <= MAX_HARM)]
+    tolerated = max(1.0, float(np.quantile(harmless, HARMLESS_SHARE))) if len(harmless) else 1.0
+    return KnownChanges(
+        registration,
+        centre,
+        spread,
+        axes,
+        places,
+        spacing,
+        examples.harm.astype(np.float32),
+        examples.novelty.astype(np.float32),
+        examples.kind.astype(np.int64),
+        np.array(examples.names, dtype=np.str_),
+        np.array([MAX_HARM, np.quantile(ratio, KNOWN_SHARE), tolerated, 1.0]),
+    )
+
+
+def _axes(scaled: Float32[np.ndarray, "m k"], examples: ChangeExamples) -> Float32[np.ndarray, "k d"]:
+    """Directions in which changes move features most, in units of the unchanged frames' scatter."""
+    # Here, since whoever senses needs no scikit-learn.
+    from sklearn.covariance import LedoitWolf
+
+    unchanged = examples.kind == 0
+    variance, vectors = np.linalg.eigh(LedoitWolf().fit(scaled[unchanged]).covariance_)
+    whitening = vectors / np.sqrt(np.maximum(variance, MIN_VARIANCE))
+    own = dict(zip(examples.frame[unchanged].tolist(), np.flatnonzero(unchanged).tolist(), strict=True))
+    origin = [own[frame] for frame in examples.frame[~unchanged].tolist()]
+    moved = (scaled[~unchanged] - scaled[origin]) @ whitening
+    # A change that is 20 units away counts no more than that: how far is known well enough there.
+    moved /= np.maximum(1.0, np.linalg.norm(moved, axis=1, keepdims=True) / 20)
+    _, _, directions = np.linalg.svd(moved, full_matrices=False)
+    return np.asarray(whitening @ directions[:DIRECTIONS].T, dtype=np.float32)
+
+
+def _spacing(places: np.ndarray, frame: np.ndarray) -> tuple[Float32[np.ndarray, " m"], np.ndarray]:
+    """Distance of each example's third nearest one of another frame, and its ratio to that of those near."""
+    spacing, near = np.empty(len(places), np.float32), []
+    for i, at in enumerate(places):
+        away = np.sqrt(np.sum((places - at) ** 2, axis=1))
+        away[frame == frame[i]] = np.inf
+        nearest = np.argsort(away)[:NEIGHBOURS]
+        nearest = nearest[np.isfinite(away[nearest])]
+        near.append(nearest)
+        spacing[i] = away[nearest[min(THIRD, len(nearest) - 1)]]
+    return spacing, np.array([_ratio(float(spacing[i]), spacing[rows]) for i, rows in enumerate(near)])
+
+
+def cross_fitted(
+    examples: ChangeExamples, registration: Registration, folds: Sequence[Indices]
+) -> list[Verdict]:
+    """Verdict on every example by known changes that were learnt from frames of other folds.
+
+    Args:
+        examples: unchanged and changed frames.
+        registration: that their features were made with.
+        folds: frames of each; every frame of the examples in one, whole groups together.
+    """
+    verdicts = [Verdict(np.inf)] * len(examples.frame)
+    for fold in folds:
+        held = np.isin(examples.frame, fold)
+        if not held.any():
+            continue
+        known = fit_known_changes(examples.only(~held), registration)
+        for i in np.flatnonzero(held):
+            verdicts[i] = known.judge(examples.features[i], float(examples.novelty[i]))
+    return verdicts
+
+
+def rescaled(known: KnownChanges, unchanged: Float[np.ndarray, " n"]) -> tuple[KnownChanges, float]:
+    """The same with limits that let pass all but the share allowed of unchanged frames, and the factor.
+
+    Args:
+        known: changes of a calibration.
+        unchanged: atypicality of its unchanged frames, cross-fitted.
+    """
+    beyond = float(np.quantile(unchanged, 1 - MAX_FALSE_REFUSALS, method="higher"))
+    factor = max(1.0, beyond)
+    return replace(known, limits=known.limits * np.array([1.0, 1.0, 1.0, factor])), factor

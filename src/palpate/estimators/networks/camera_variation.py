@@ -1,0 +1,127 @@
+"""Camera variation: what a camera does from day to day, drawn into a network's training images.
+
+Focus, place, angle, distance, brightness, width of bright markers, noise and compression vary at stated
+sizes, and the labels stay: the touch was the same. A share of the images has none of each, so that those of
+the calibration itself stay well known. What a network then reads depends less on what the camera does
+(noise in the inputs is a penalty on the slope along it: C. M. Bishop, Neural Comput. 7, 108 (1995),
+doi:10.1162/neco.1995.7.1.108).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import cv2
+import numpy as np
+
+from palpate.core import Float32, InputError, Tensor
+
+SHARE = 0.5
+"""Share of the images that each change is drawn for; half as many are compressed, which takes longest."""
+
+Rng = np.random.Generator
+Planes = Float32[np.ndarray, "h w c"]
+
+
+@dataclass(frozen=True, slots=True)
+class CameraVariation:
+    """Greatest size of each change; every drawn size is uniform up to it, and of either sign.
+
+    Attributes:
+        shift_px: each way [px of the input], in parts of a pixel.
+        turn_deg: about the middle [deg].
+        zoom_percent: about the middle.
+        blur_px: sigma of a Gaussian [px of the input].
+        width_px: how far outlines of what is bright move [px of the input].
+        gain_percent: of the grey levels.
+        noise: sigma [grey levels].
+        below_quality_100: how far below 100 the quality of a JPEG may be.
+    """
+
+    shift_px: float = 3.0
+    turn_deg: float = 0.75
+    zoom_percent: float = 0.75
+    blur_px: float = 1.0
+    width_px: float = 0.75
+    gain_percent: float = 15.0
+    noise: float = 4.0
+    below_quality_100: float = 40.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if not 0 <= getattr(self, field.name) < 100:
+                raise InputError(
+                    f"{field.name} is {getattr(self, field.name)}; it is from 0 up to, not including, 100"
+                )
+
+    def scaled(self, strength: float) -> CameraVariation:
+        """All sizes but the shift's this many times as large."""
+        return replace(
+            self, **{f.name: strength * getattr(self, f.name) for f in fields(self) if f.name != "shift_px"}
+        )
+
+    def drawn(self, images: Tensor, rng: Rng) -> Tensor:
+        """Each image with its own changes.
+
+        Args:
+            images: inputs ``[n c h w]``, grey levels, or differences of them, which have no outlines of their
+                own and are not compressed.
+            rng: draws them.
+        """
+        levels = bool(images.min() >= 0)
+        each = (self._changed(image.transpose(1, 2, 0), levels, rng) for image in images)
+        return np.stack([image.transpose(2, 0, 1) for image in each])
+
+    def _changed(self, image: Planes, levels: bool, rng: Rng) -> Planes:
+        channels = image.shape[2]
+        image = self._moved(np.ascontiguousarray(image), rng)
+        if levels and self.width_px and rng.random() < SHARE:
+            image = with_outlines_moved(image, rng.uniform(-self.width_px, self.width_px))
+        if self.blur_px and rng.random() < SHARE:
+            sigma = max(rng.uniform(0, self.blur_px), 0.05)
+            image = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+        image = image.reshape(*image.shape[:2], channels)
+        if self.gain_percent and rng.random() < SHARE:
+            image = image * np.float32(1 + rng.uniform(-1, 1) * self.gain_percent / 100)
+        if self.noise and rng.random() < SHARE:
+            image = image + rng.uniform(0, self.noise) * rng.standard_normal(image.shape, np.float32)
+        if not levels:
+            return image
+        image = np.clip(image, 0, 255)
+        compresses = self.below_quality_100 and rng.random() < SHARE / 2
+        return _compressed(image, 100 - rng.uniform(0, self.below_quality_100)) if compresses else image
+
+    def _moved(self, image: Planes, rng: Rng) -> Planes:
+        """Shifted, turned and zoomed in one step, so that it is interpolated once; or by whole pixels."""
+        height, width, channels = image.shape
+        shift = rng.uniform(-self.shift_px, self.shift_px, 2)
+        matrix = np.array([[1.0, 0, 0], [0, 1, 0]])
+        if (self.turn_deg or self.zoom_percent) and rng.random() < SHARE:
+            turn, zoom = rng.uniform(-1, 1, 2) * (self.turn_deg, self.zoom_percent)
+            middle = ((width - 1) / 2, (height - 1) / 2)
+            matrix = cv2.getRotationMatrix2D(middle, turn, 1 + zoom / 100)
+        else:
+            shift = np.rint(shift)
+        matrix[:, 2] += shift
+        if not shift.any() and matrix[0, 0] == 1:
+            return image
+        moved = cv2.warpAffine(
+            image, matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+        )
+        return moved.reshape(height, width, channels)
+
+
+NEIGHBOURHOOD = np.ones((3, 3), np.uint8)
+
+
+def with_outlines_moved(image: Planes, px: float) -> Planes:
+    """An image whose bright parts reach so many pixels farther, at most one; less far where negative."""
+    reached = (cv2.dilate if px > 0 else cv2.erode)(image, NEIGHBOURHOOD).reshape(image.shape)
+    return np.asarray(image + np.float32(abs(px)) * (reached - image))
+
+
+def _compressed(image: Planes, quality: float) -> Planes:
+    grey_levels = np.rint(image).astype(np.uint8)
+    _, data = cv2.imencode(".jpg", grey_levels, [cv2.IMWRITE_JPEG_QUALITY, round(quality)])
+    kind = cv2.IMREAD_COLOR if image.shape[2] == 3 else cv2.IMREAD_GRAYSCALE
+    return np.reshape(cv2.imdecode(data, kind), image.shape).astype(np.float32)

@@ -1,0 +1,231 @@
+"""A guard that knows its model refuses what costs it and no more, and says what a frame looks like."""
+
+from dataclasses import fields, replace
+
+import cv2
+import numpy as np
+import pytest
+
+from palpate.core import CertificateError
+from palpate.estimators.image_features import Registration, image_features
+from palpate.estimators.known_changes import (
+    SIGNATURES,
+    ChangeExamples,
+    KnownChanges,
+    Verdict,
+    cross_fitted,
+    fit_known_changes,
+    rescaled,
+)
+from palpate.estimators.novelty import NoveltyDetector, fit_novelty_detector, thumbnails
+
+FEATURES = 20
+TOUCH = np.linspace(1, 3, FEATURES)  # what a touch moves
+NAMES = ("focus", "dust")
+COSTLY, FREE = 7, 12  # the feature that a costly change moves, and a free one
+
+
+def examples(rng: np.random.Generator, frames: int = 150, each: int = 120) -> ChangeExamples:
+    """Frames whose features a touch moves together; focus moves one feature and costs, dust another one."""
+    clean = 5 * rng.normal(size=(frames, 1)) * TOUCH + rng.normal(size=(frames, FEATURES))
+    parts, frame, kind, harm, novelty = [clean], [np.arange(frames)], [0] * frames, [0.0] * frames, []
+    novelty += rng.uniform(0.4, 1.0, frames).tolist()
+    for number, feature in ((1, COSTLY), (2, FREE)):
+        chosen, size = rng.integers(0, frames, each), rng.uniform(0, 20, each)
+        changed = clean[chosen] + 0.3 * rng.normal(size=(each, FEATURES))
+        changed[:, feature] += size
+        parts.append(changed)
+        frame.append(chosen)
+        kind += [number] * each
+        harm += (np.maximum(size - 6, 0) / 100 * (number == 1)).tolist()
+        novelty += (0.7 + size / 8).tolist()
+    return ChangeExamples(
+        np.concatenate(parts), np.concatenate(frame), np.array(kind), np.array(harm), np.array(novelty), NAMES
+    )
+
+
+@pytest.fixture(scope="module")
+def registration() -> Registration:
+    return Registration.fit(np.random.default_rng(0).uniform(0, 255, (20, 8, 8, 1)).astype(np.float32))
+
+
+@pytest.fixture(scope="module")
+def known(registration) -> KnownChanges:
+    return fit_known_changes(examples(np.random.default_rng(1)), registration)
+
+
+def changed(rng: np.random.Generator, feature: int, size: float) -> np.ndarray:
+    new = 5 * rng.normal() * TOUCH + rng.normal(size=FEATURES)
+    new[feature] += size
+    return new
+
+
+def verdicts(known: KnownChanges, feature: int, size: float, novelty: float) -> list[Verdict]:
+    rng = np.random.default_rng(2)
+    return [known.judge(changed(rng, feature, size), novelty) for _ in range(60)]
+
+
+def share(found: list[Verdict]) -> float:
+    return float(np.mean([one.atypicality > 1 for one in found]))
+
+
+def test_what_costs_is_refused_and_named_and_as_large_a_change_that_costs_nothing_passes(known) -> None:
+    costly, free = verdicts(known, COSTLY, 15, 2.5), verdicts(known, FREE, 15, 2.5)
+    assert share(costly) >= 0.95
+    assert share(free) <= 0.05
+    assert share(verdicts(known, COSTLY, 0, 0.8)) <= 0.03
+    assert np.mean([one.kind == "focus" and one.costs for one in costly]) >= 0.95
+    assert np.mean([one.kind == "dust" for one in free]) >= 0.95
+
+
+def test_harm_is_the_mean_over_near_examples(known) -> None:
+    """A focus changed by 15 was said to cost 0.09, nine times what is let pass."""
+    found = [one.atypicality for one in verdicts(known, COSTLY, 15, 0.8)]
+    assert np.median(found) == pytest.approx(9, rel=0.2)
+
+
+def test_where_no_example_is_near_the_thumbnails_own_limit_holds(known) -> None:
+    for feature in (3, 17):
+        far = verdicts(known, feature, 40, 1.2)
+        assert not any(one.known for one in far)
+        assert share(far) == 1.0
+        assert share(verdicts(known, feature, 40, 0.9)) <= 0.1
+
+
+def test_a_thumbnail_more_novel_than_harmless_changes_make_it_is_refused(known) -> None:
+    """Dust of up to 20 makes a novelty of up to 3.2."""
+    assert share(verdicts(known, FREE, 15, 6.0)) == 1.0
+
+
+def test_without_harm_the_same_change_passes(registration) -> None:
+    """The negative control: it is what the change costs that counts, not that it is seen."""
+    free = examples(np.random.default_rng(1))
+    unharmed = fit_known_changes(replace(free, harm=np.zeros_like(free.harm)), registration)
+    assert share(verdicts(unharmed, COSTLY, 15, 2.5)) <= 0.05
+
+
+def test_examples_of_a_frame_do_not_vouch_for_each_other(registration) -> None:
+    """One harmful frame, given four times: held out with its own fold, nothing near it is harmful."""
+    many = examples(np.random.default_rng(3))
+    one = int(np.flatnonzero((many.kind == 1) & (many.harm > 0.05))[0])
+    calm = replace(many, harm=np.where(many.frame == many.frame[one], many.harm, 0.0))
+    folds = [np.arange(k, 150, 5) for k in range(5)]
+    assert cross_fitted(calm, registration, folds)[one].atypicality < 5
+    assert len(cross_fitted(calm, registration, folds)) == len(many.frame)
+
+
+def test_limits_let_all_but_the_share_allowed_pass(known) -> None:
+    unchanged = np.linspace(0, 4, 101)
+    wider, factor = rescaled(known, unchanged)
+    assert factor == pytest.approx(3.88)
+    features = np.zeros(FEATURES)
+    assert wider.judge(features, 0.9).atypicality == pytest.approx(
+        known.judge(features, 0.9).atypicality / factor
+    )
+    assert rescaled(known, unchanged / 10)[1] == 1.0
+
+
+def test_reasons_say_what_it_looks_like_and_the_next_step() -> None:
+    plain = "the image is unlike those calibrated on (distance 2.0, limit 1)"
+    assert Verdict(2.0).reason == plain
+    for kind, sign in SIGNATURES.items():
+        for verdict in (Verdict(2.0, kind, known=k, costs=c) for k in (True, False) for c in (True, False)):
+            assert sign.words in verdict.reason
+            assert sign.remedy in verdict.reason
+            assert verdict.reason.startswith(plain)
+    assert "errs more than its intervals allow" in Verdict(2.0, "focus", known=True, costs=True).reason
+    assert "nor like any change that was tried" in Verdict(2.0, "focus").reason
+
+
+def pins(shift: float = 0.0, blur: float = 0.0, turn: float = 0.0, large: float = 1.0) -> np.ndarray:
+    """Bright discs on a dark ground ``[h w 1]``, seen by a camera a little elsewhere; so much larger."""
+    y, x = np.mgrid[0:96, 0:96] * 1.0
+    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    x, y = c * (x - 47.5) + s * (y - 47.5) + 47.5 - shift, -s * (x - 47.5) + c * (y - 47.5) + 47.5
+    across, along = x / large % 16 - 8, y / large % 12 - 6
+    image = 20 + 200 / (1 + np.exp(2 * (np.hypot(across, along) - 3)))
+    image *= np.exp(-((x - 60) ** 2 + (y - 30) ** 2) / 4000)
+    return np.rint(cv2.GaussianBlur(image, (0, 0), blur) if blur else image).astype(np.uint8)[..., None]
+
+
+def test_a_registration_finds_shift_and_turn_in_their_own_units() -> None:
+    """A thumbnail is a third of the image: 0.6 px of 96 are 0.2 of 32.
+
+    Differences across two pixels are too small by sin(k)/k, 4 % where discs are 12 px apart, and more at
+    their edges.
+    """
+    found = Registration.fit(np.repeat(thumbnails([pins(large=3)]), 3, axis=0))
+    moved = found.features(thumbnails([pins(shift=0.6, large=3)])[0])
+    assert moved[0] == pytest.approx(0.2, rel=0.15)
+    assert abs(moved[1]) < 0.02
+    turned = found.features(thumbnails([pins(turn=0.5, large=3)])[0])
+    assert turned[2] == pytest.approx(np.radians(0.5), rel=0.15)
+
+
+def test_a_blur_lowers_the_finest_band_most_and_leaves_the_coarsest() -> None:
+    away = image_features(pins(blur=1.0)) - image_features(pins())
+    rms = away[1:32:2].reshape(4, 4).mean(axis=1)  # octaves from fine to coarse
+    assert rms[0] < -0.2
+    assert (np.diff(rms) > 0).all()
+    assert abs(rms[3]) < 0.15
+
+
+def test_markers_are_counted_and_features_are_as_many_whatever_the_size() -> None:
+    grey, colour = image_features(pins()), image_features(np.repeat(pins(), 3, axis=2))
+    assert len(colour) == len(grey) + 2
+    for image in (np.zeros((3, 5, 1), np.uint8), np.full((480, 640, 1), 255, np.uint8)):
+        features = image_features(image)
+        assert len(features) == len(grey)
+        assert np.isfinite(features).all()
+
+
+def detector(rng: np.random.Generator) -> NoveltyDetector:
+    thumbs = rng.uniform(0, 255, (60, 8, 8, 1)).astype(np.float32)
+    return fit_novelty_detector(thumbs, np.array_split(np.arange(60), 5), thumbs[:0])
+
+
+def guard(known: KnownChanges) -> NoveltyDetector:
+    return replace(detector(np.random.default_rng(5)), changes=known)
+
+
+def test_known_changes_come_back_from_disk_to_the_last_digit(known, tmp_path) -> None:
+    guard(known).save(tmp_path / "guard.npz")
+    again = NoveltyDetector.load(tmp_path / "guard.npz").changes
+    assert again is not None
+    for at in np.random.default_rng(6).normal(0, 10, (20, FEATURES)):
+        assert again.judge(at, 1.5) == known.judge(at, 1.5)
+
+
+def test_a_guard_without_known_changes_is_the_former_one(tmp_path) -> None:
+    plain = detector(np.random.default_rng(5))
+    plain.save(tmp_path / "guard.npz")
+    with np.load(tmp_path / "guard.npz") as held:
+        assert set(held) == {"thumbs", "left", "centre", "axes", "limits", "reference", "drift"}
+    again = NoveltyDetector.load(tmp_path / "guard.npz")
+    assert again.changes is None
+    image = np.random.default_rng(7).integers(0, 255, (8, 8, 1)).astype(np.uint8)
+    assert again.judge(image) == Verdict(plain.novelty(thumbnails([image])[0]))
+
+
+def test_damaged_known_changes_are_refused(known, tmp_path) -> None:
+    guard(known).save(tmp_path / "guard.npz")
+    with np.load(tmp_path / "guard.npz") as held:
+        parts = dict(held)
+    changes = {
+        "cut": {"known_harm": parts["known_harm"][:-1]},
+        "no number": {"known_places": np.full_like(parts["known_places"], np.nan)},
+        "no limit": {"known_limits": np.zeros(4)},
+        "another kind": {"known_kind": parts["known_kind"] + 9},
+        "other axes": {"known_axes": parts["known_axes"][1:]},
+        "flat axes": {"known_axes": parts["known_axes"][0]},
+        "another registration": {"known_registration_mean": parts["known_registration_mean"][1:]},
+    }
+    for change in changes.values():
+        np.savez(tmp_path / "other.npz", **(parts | change))
+        with pytest.raises(CertificateError, match="calibrate again"):
+            NoveltyDetector.load(tmp_path / "other.npz")
+    missing = {key: part for key, part in parts.items() if key != "known_spacing"}
+    np.savez(tmp_path / "other.npz", **missing)
+    with pytest.raises(CertificateError, match="calibrate again"):
+        NoveltyDetector.load(tmp_path / "other.npz")
+    assert {f"known_{f.name}" for f in fields(KnownChanges)} - {"known_registration"} <= set(parts)
