@@ -88,8 +88,8 @@ class Verdict:
         sign = SIGNATURES[self.kind]
         if self.costs:
             return (
-                f"{unlike}; it looks like {sign.words}, by which this model errs more than its intervals allow: "
-                f"{sign.remedy}, or calibrate with such frames"
+                f"{unlike}; it looks like {sign.words}, by which this model errs more than its intervals "
+                f"allow: {sign.remedy}, or calibrate with such frames"
             )
         if self.known:
             return f"{unlike}; it looks like {sign.words}: {sign.remedy}, or adapt"
