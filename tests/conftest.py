@@ -101,6 +101,17 @@ def spots(n: int, rng: np.random.Generator, lamp: float = 0.0) -> tuple[np.ndarr
 @pytest.fixture
 def record_spots(tmp_path):
     """Record spots as a run: five frames a press, and a no-contact frame before each press."""
+    return recorder_of_spots(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def record_spots_module(tmp_path_factory):
+    """The same for a module's own fixtures."""
+    return recorder_of_spots(tmp_path_factory.mktemp("spots"))
+
+
+def recorder_of_spots(folder: Path):
+    """A function that records spots into this folder, by the run's name."""
     from palpate.core import ManualClock
     from palpate.recordings import Manifest, Run, RunWriter
 
@@ -117,7 +128,7 @@ def record_spots(tmp_path):
         rows, columns = np.mgrid[0:48, 0:64]
         ground = 40 + 20 * np.cos(rows / 5) * np.cos(columns / 7) + lamp
         with RunWriter.create(
-            tmp_path / name, Manifest.new(sensor="spots", labels=labels), clock=clock, overflow="wait"
+            folder / name, Manifest.new(sensor="spots", labels=labels), clock=clock, overflow="wait"
         ) as writer:
             for press in range(presses):
                 images, place, height = spots(5, rng, lamp)
@@ -133,7 +144,7 @@ def record_spots(tmp_path):
                         "reference": i == 0,
                     }
                     writer.frame(shown, labels=held)
-        return Run.open(tmp_path / name)
+        return Run.open(folder / name)
 
     return record
 

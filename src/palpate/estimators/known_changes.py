@@ -94,8 +94,8 @@ class Verdict:
         if self.known:
             return f"{unlike}; it looks like {sign.words}: {sign.remedy}, or adapt"
         return (
-            f"{unlike}, nor like any change that was tried; the nearest is {sign.words}: {sign.remedy}; where "
-            "that is not it, adapt or calibrate again"
+            f"{unlike}, nor like any change that was tried; the nearest is {sign.words}: {sign.remedy}; "
+            "where that is not it, adapt or calibrate again"
         )
 
 
@@ -215,7 +215,7 @@ def _refuse_unfit(own: Mapping[str, np.ndarray], registration: Mapping[str, np.n
     fit = m * k * d * p * q > 0 and own["names"].dtype.kind == "U"
     for parts, shapes in ((own, wanted), (registration, wanted_of)):
         fit = fit and all(parts[name].shape == shape for name, shape in shapes.items())
-    numbers = [part for name, part in (own | registration).items() if name not in ("names", "kind")]
+    numbers = [part for name, part in (*own.items(), *registration.items()) if name not in ("names", "kind")]
     fit = fit and all(part.dtype.kind == "f" and bool(np.isfinite(part).all()) for part in numbers)
     if not fit or own["kind"].dtype.kind != "i" or not 0 <= own["kind"].min() <= own["kind"].max() <= q:
         raise ValueError("its known changes do not fit each other")

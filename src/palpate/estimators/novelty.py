@@ -301,18 +301,17 @@ class NoveltyDetector:
 
     def save(self, path: Path) -> None:
         """Write the detector as plain arrays."""
-        absent = np.empty(0, np.float32)
-        np.savez_compressed(
-            path,
-            thumbs=self.neighbours.thumbs,
-            left=self.neighbours.residual,
-            centre=self.neighbours.centre,
-            axes=self.neighbours.axes,
-            limits=self.limits,
-            reference=absent if self.reference is None else self.reference,
-            drift=np.array([self.reference_spread, self.drift_limit]),
-            **({} if self.changes is None else self.changes.arrays()),
-        )
+        parts = {
+            "thumbs": self.neighbours.thumbs,
+            "left": self.neighbours.residual,
+            "centre": self.neighbours.centre,
+            "axes": self.neighbours.axes,
+            "limits": self.limits,
+            "reference": np.empty(0, np.float32) if self.reference is None else self.reference,
+            "drift": np.array([self.reference_spread, self.drift_limit]),
+        }
+        changes = {} if self.changes is None else self.changes.arrays()
+        np.savez_compressed(path, **(parts | changes))  # type: ignore[arg-type]
 
     @classmethod
     def load(cls, path: Path) -> NoveltyDetector:

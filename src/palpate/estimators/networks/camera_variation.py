@@ -124,4 +124,4 @@ def _compressed(image: Planes, quality: float) -> Planes:
     grey_levels = np.rint(image).astype(np.uint8)
     _, data = cv2.imencode(".jpg", grey_levels, [cv2.IMWRITE_JPEG_QUALITY, round(quality)])
     kind = cv2.IMREAD_COLOR if image.shape[2] == 3 else cv2.IMREAD_GRAYSCALE
-    return np.reshape(cv2.imdecode(data, kind), image.shape).astype(np.float32)
+    return np.reshape(np.asarray(cv2.imdecode(data, kind)), image.shape).astype(np.float32)

@@ -1,0 +1,109 @@
+"""What changes of the camera cost is measured on the model that is kept, and told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from palpate.calibration import CalibrationPlan, adapt, calibrate
+from palpate.calibration.robustness import KINDS, perturbed
+from palpate.calibration.robustness.perturbation_suite import MIN_ROWS, _harm
+from palpate.estimators import Estimator, read_card
+from palpate.estimators.model_card import card_id, sealed
+
+PLAN = CalibrationPlan(targets=("x_mm", "height_mm"), split="group:press", size_px=(24, 32))
+
+
+def cells(card) -> dict[tuple[str, float], object]:
+    return {(cell.kind, cell.size): cell for cell in card.robustness.table}
+
+
+@pytest.fixture(scope="module")
+def spots(tmp_path_factory, record_spots_module):
+    folder = tmp_path_factory.mktemp("suite")
+    run = record_spots_module("run", 40)
+    calibrate(run, PLAN, folder / "cal")
+    return run, Estimator.open(folder / "cal")
+
+
+def test_every_change_has_its_row_and_slight_ones_cost_nothing(spots) -> None:
+    table = cells(spots[1].card)
+    assert set(table) == {
+        (kind, size) for kind in {cell.kind for cell in table.values()} for size in KINDS[kind].sizes
+    }
+    assert len(table) == 50
+    for cell in table.values():
+        assert 0 <= cell.silent <= cell.beyond <= 1 - cell.covered <= 1
+        assert cell.unit == KINDS[cell.kind].unit
+    assert table["compression", 5].error_ratio < 1.1
+    assert spots[1].card.robustness.refused <= 0.03
+
+
+def test_a_shift_costs_a_place_what_it_shifts_and_is_refused(spots) -> None:
+    """The target is a place in the image: moved by 8 px of 64, it is misread by as much."""
+    shift = [cells(spots[1].card)["shift", size] for size in KINDS["shift"].sizes]
+    assert shift[-1].error_ratio > 3 > 1.5 > shift[0].error_ratio
+    assert shift[-1].beyond > 0.2
+    assert shift[-1].refused > 0.9
+    assert max(cell.silent for cell in shift) <= 0.1  # ten frames a size: one reading of twenty is 5 %
+
+
+def test_frames_of_another_run_are_judged_as_the_card_says(spots, record_spots, tmp_path) -> None:
+    _, estimator = spots
+    fresh = record_spots("fresh", 30, seed=1)
+    rng = np.random.default_rng(0)
+    frames = [fresh.frame(int(row)).image for row in range(len(fresh)) if row % 6 in (2, 5)]
+    wrong = [estimator.read(frame)["x_mm"].why for frame in frames]
+    assert np.mean(["unlike" in why for why in wrong]) <= 0.1
+    moved = [estimator.read(perturbed(frame, "shift", 8, rng))["x_mm"].why for frame in frames]
+    assert np.mean(["unlike" in why for why in moved]) >= 0.9
+    assert np.mean(["shifted" in why for why in moved]) >= 0.5
+
+
+def test_a_model_that_sees_nothing_is_harmed_by_nothing(spots, tmp_path) -> None:
+    """The negative control: always saying the mean costs no change anything, so that known ones pass."""
+    calibrate(spots[0], replace(PLAN, model="mean"), tmp_path / "cal")
+    table = cells(read_card(tmp_path / "cal")).values()
+    assert {cell.error_ratio for cell in table} == {1.0}
+    assert np.mean([cell.refused for cell in table]) < 0.25
+    seen = np.mean([cell.refused for cell in cells(spots[1].card).values()])
+    assert seen > np.mean([cell.refused for cell in table])
+
+
+def test_harm_is_the_rise_of_the_share_beyond_twice_the_half_width() -> None:
+    """Gaussian errors of a quarter of the half-width: P(|error + d| > 2) by the normal distribution.
+
+    2,000 draws know a share to 1.1 %.
+    """
+    errors = np.random.default_rng(1).normal(0, 0.5, (2000, 1))
+    moved = np.array([0.0, 1.0, 2.0, -2.0, 5.0])
+    want = norm.sf((2 - np.abs(moved)) / 0.5) - norm.sf(4)
+    np.testing.assert_allclose(_harm(errors, moved[:, None]), want, atol=0.03)
+    of_two = _harm(np.repeat(errors, 2, axis=1), np.array([[5.0, 0.0]]))
+    np.testing.assert_allclose(of_two, 0.5, atol=0.01)
+    assert _harm(errors, np.array([[np.nan], [np.inf]]))[1] == pytest.approx(1.0, abs=0.01)
+
+
+def test_too_few_frames_say_what_they_cannot_tell(record_spots, tmp_path) -> None:
+    calibrate(record_spots("run", 8), PLAN, tmp_path / "cal")
+    estimator = Estimator.open(tmp_path / "cal")
+    found = estimator.card.robustness
+    assert found.frames == 40 < MIN_ROWS
+    assert found.table == ()
+    assert "40 held-out frames are too few" in found.text
+    assert "50 or more" in found.text
+
+
+def test_a_card_of_before_keeps_its_id_and_an_adapted_one_claims_nothing(
+    spots, record_spots, tmp_path
+) -> None:
+    _, estimator = spots
+    text = estimator.card.model_dump(mode="json")
+    assert card_id(text) == estimator.card.id
+    former = sealed({k: getattr(estimator.card, k) for k in type(estimator.card).model_fields
+                     if k not in ("id", "robustness")})  # fmt: skip
+    assert "robustness" not in former.model_dump(mode="json")
+    assert former.id != estimator.card.id
+    own = record_spots("own", 15, seed=2)
+    assert adapt(estimator.folder, own, tmp_path / "adapted").robustness is None
