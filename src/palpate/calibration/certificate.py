@@ -191,10 +191,13 @@ def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values
     scored, values, groups = result.scored, result.data.values, result.data.groups
     outputs = result.held_out[scored]
     inside = intervals.hold(outputs, values[scored])
-    over_range = range_cards(intervals, outputs, values[scored], groups[scored])
+    ranges = [
+        _range_of(column, period) for column, period in zip(values.T, result.layout.periods, strict=True)
+    ]
+    over_range = range_cards(intervals, outputs, values[scored], groups[scored], ranges)
     for j, column in enumerate(result.plan.targets):
         (quantity, unit), true, period = split_column(column), values[:, j], result.layout.periods[j]
-        least, greatest = _range_of(true, period)
+        least, greatest = ranges[j]
         mean_of_others = np.empty_like(true)
         for k, rows in enumerate(result.split.folds):
             mean_of_others[rows] = mean_of(true[result.split.training_rows(k)], period)

@@ -352,7 +352,9 @@ def _rescored(
     groups, true, means = material.data.groups[held], values[held], values[material.learnt].mean(axis=0)
     intervals = fit_intervals(estimates, true, groups, card.coverage)
     inside, ends = intervals.hold(estimates, true), intervals.ends(estimates)
-    over_range = range_cards(intervals, estimates, true, groups)
+    over_range = range_cards(
+        intervals, estimates, true, groups, [(target.least, target.greatest) for target in card.targets]
+    )
 
     def rescored(j: int, target: TargetCard) -> TargetCard:
         half = (ends[1] - ends[0])[:, j] / 2

@@ -51,15 +51,12 @@ class ErrorCells:
 
     def of_truths(self, estimate: Row, spread: Row) -> tuple[Row, Row]:
         """Least and greatest truth that its own cell's band keeps; inf and -inf where there is none."""
-        low, high = np.full_like(estimate, np.inf), np.full_like(estimate, -np.inf)
-        starts, ends = np.append(-np.inf, self.limits), np.append(self.limits, np.inf)
-        for start, end, centre, half in zip(starts, ends, self.centre, self.half, strict=True):
-            least = np.maximum(estimate + spread * (centre - half), start)
-            greatest = np.minimum(estimate + spread * (centre + half), end)
-            kept = (least <= greatest) & (half > 0)
-            low = np.where(kept, np.minimum(low, least), low)
-            high = np.where(kept, np.maximum(high, greatest), high)
-        return low, high
+        middle, reach = estimate[:, None] + spread[:, None] * self.centre, spread[:, None] * self.half
+        least, greatest = middle - reach, middle + reach
+        least[:, 1:] = np.maximum(least[:, 1:], self.limits)
+        greatest[:, :-1] = np.minimum(greatest[:, :-1], self.limits)
+        kept = (least <= greatest) & (self.half > 0)
+        return np.where(kept, least, np.inf).min(axis=1), np.where(kept, greatest, -np.inf).max(axis=1)
 
 
 @dataclass(frozen=True, slots=True)

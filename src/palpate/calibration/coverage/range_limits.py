@@ -23,18 +23,21 @@ USUAL_AT_THE_END, USUAL = 0.97, 0.99
 OUTER_SHARE, MIN_OUTER_ROWS = 0.1, 20
 
 
-def usual_reach(true: Row, low: Row, high: Row, groups: np.ndarray) -> tuple[float, float]:
-    """How far below the least and above the greatest truth some values usually lie, 0 or more.
+def usual_reach(
+    true: Row, low: Row, high: Row, groups: np.ndarray, ends: tuple[float, float]
+) -> tuple[float, float]:
+    """How far below and above a range some values of rows within it usually lie, 0 or more.
 
     Args:
         true: labels of held-out rows.
         low, high: of each row, what is compared with the least and with the greatest of them: its estimate
             twice, or its interval's ends.
         groups: label of each row's group.
+        ends: of the calibrated range, of which the rows may not have the very last.
     """
     count = min(max(int(OUTER_SHARE * len(true)), MIN_OUTER_ROWS), len(true))
     order = np.argsort(true, kind="stable")
-    below, above = true.min() - low, high - true.max()
+    below, above = ends[0] - low, high - ends[1]
     return _usual(below, order[:count], groups), _usual(above, order[-count:], groups)
 
 
@@ -44,7 +47,11 @@ def _usual(beyond: Row, outermost: np.ndarray, groups: np.ndarray) -> float:
 
 
 def range_cards(
-    intervals: Intervals, outputs: Outputs, true: Values, groups: np.ndarray
+    intervals: Intervals,
+    outputs: Outputs,
+    true: Values,
+    groups: np.ndarray,
+    ranges: Sequence[tuple[float, float]],
 ) -> Sequence[RangeCard | None]:
     """Each target's card over its range, from held-out outputs; None for a circular one.
 
@@ -53,6 +60,7 @@ def range_cards(
         outputs: of the model ``[n o]``.
         true: the labels ``[n t]``.
         groups: label of each row's group.
+        ranges: least and greatest label of each target, of all rows learnt from.
     """
     layout = intervals.layout
     estimate = outputs if layout is None else layout.decoded(outputs)
@@ -64,14 +72,14 @@ def range_cards(
         else RangeCard(
             by_truth=_cells_card(intervals, j, "by_truth"),
             by_estimate=_cells_card(intervals, j, "by_estimate"),
-            beyond=usual_reach(true[:, j], estimate[:, j], estimate[:, j], groups),
-            reach=usual_reach(true[:, j], low[:, j], high[:, j], groups),
+            beyond=usual_reach(true[:, j], estimate[:, j], estimate[:, j], groups, ranges[j]),
+            reach=usual_reach(true[:, j], low[:, j], high[:, j], groups, ranges[j]),
             tenths=range_scores(
                 true[:, j],
                 estimate[:, j] - true[:, j],
                 inside[:, j],
                 groups,
-                (float(true[:, j].min()), float(true[:, j].max())),
+                ranges[j],
                 intervals.coverage,
             ),
         )
