@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -213,7 +214,7 @@ def test_columns_without_a_unit_are_told_and_refused_where_asked(tmp_path) -> No
     rows = "".join(f"{i}.png,{i},{i},0.5,{i}\n" for i in range(3))
     (folder / "labels.csv").write_text("image_file,press,depth,force_N,row\n" + rows)
     given = {"labels": folder / "labels.csv", "image_column": "image_file"}
-    with pytest.raises(UnitError, match=r"without a unit: depth; .*depth_mm"):
+    with pytest.raises(UnitError, match=r"without a unit: depth; .*--unit depth=mm"):
         import_images(folder, tmp_path / "strict", strict=True, **given)
     assert not (tmp_path / "strict").exists()
     report = import_images(folder, tmp_path / "run", **given)
@@ -224,3 +225,10 @@ def test_columns_without_a_unit_are_told_and_refused_where_asked(tmp_path) -> No
     assert told.exit_code == 0
     assert "no unit in depth: these cannot be targets" in told.stderr
     assert "no unit" not in told.stdout
+    (line,) = [one for one in told.stderr.splitlines() if "no unit in depth" in one]
+    again = shlex.split(line.split("that it is in: palpate ")[1])
+    assert again[-2:] == ["--unit", "depth=mm"]
+    mended = CliRunner().invoke(app, [*again, "--quiet"])
+    assert mended.exit_code == 0
+    assert not mended.stderr
+    assert Run.open(tmp_path / "told-with-units").manifest.units == {"depth_mm": "mm", "force_N": "N"}

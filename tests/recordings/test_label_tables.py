@@ -68,7 +68,7 @@ def test_a_given_kind_that_does_not_fit_is_refused(tmp_path):
         ("file,depth_mm\n", ("no rows",)),
         ("file,depth_mm,depth_mm\na,1,2\n", ("row 1", "'depth_mm'", "more than once", "rename")),
         ("file,\na,1\n", ("row 1", "column 2", "no name")),
-        ("file;depth_mm\na;1\n", ("row 1", "separate columns by commas")),
+        ("file;depth_mm\na;1;2\n", ("row 2", "3 cells", "the header has 2")),
         ("file,depth_mm\na,1\nb,2,3\n", ("row 3", "3 cells", "the header has 2")),
         ("file,depth_mm\na,1\n\nb,2\n", ("row 3", "0 cells")),
         ('file,depth_mm\na,1\n"b,2\n', ("row 3", "quotes")),

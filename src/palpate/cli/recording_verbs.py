@@ -21,8 +21,11 @@ from palpate.cli.verb_support import (
     PositionColumn,
     Quiet,
     group,
+    names_of,
+    pairs_of,
     print_found,
     progress_bar,
+    typed_again,
 )
 
 if TYPE_CHECKING:
@@ -111,8 +114,30 @@ import_app = group("Bring recordings from elsewhere into a run.")
 def import_images(
     folder: Annotated[Path, Argument(help="Folder of images.")],
     run: NewRun,
-    labels: Annotated[Path, Option(help="CSV or Parquet, one row an image; here or in the folder.")],
-    image_column: Annotated[str, Option(help="Label column that names the image file.")] = "image_file",
+    labels: Annotated[
+        Path | None,
+        Option(
+            help="CSV, TSV, JSON, NumPy or Parquet, one row an image; here or in the folder. In quotes, "
+            "'*/labels.csv' takes a table a session, '*.json' a file an image."
+        ),
+    ] = None,
+    image_column: Annotated[
+        str | None, Option(help="Label column that names the image; by default one of a usual name.")
+    ] = None,
+    rename: Annotated[list[str] | None, Option(help="OLD=NEW name of a column, as in Fz=force_N.")] = None,
+    unit: Annotated[
+        list[str] | None, Option(help="COLUMN=UNIT of a column that has none, as in depth=mm.")
+    ] = None,
+    columns: Annotated[
+        str, Option(help="Names of the columns of a file without a header, x_mm,force_N.")
+    ] = "",
+    decimal: Annotated[str, Option(help="What stands before decimals: auto, point or comma.")] = "auto",
+    name_pattern: Annotated[
+        str | None, Option(help="Labels in the images' names, as in 'x{x_mm}_f{force_N}.png'.")
+    ] = None,
+    in_order: Annotated[
+        bool, Option("--in-order", help="Row i belongs to image i, counted by the numbers in their names.")
+    ] = False,
     sensor: Annotated[str, Option(help="What the images are of.")] = "",
     licence: Licence = "",
     origin: Origin = "",
@@ -124,14 +149,25 @@ def import_images(
 ) -> None:
     """Import a folder of labelled images as a run.
 
-    Example: palpate import images taps run --labels labels.csv --image-column image_file
+    Example: palpate import images taps run --labels labels.csv --rename Fz=force_N --unit depth=mm
     """
+    from palpate.core import InputError
+    from palpate.recordings.exchange.label_units import mending_options
+
+    if decimal not in ("auto", "point", "comma"):
+        raise InputError(f"--decimal {decimal!r} is none of auto, point and comma")
     with progress_bar(quiet) as progress:
         report = palpate.import_images(
             folder,
             run,
             labels=labels,
             image_column=image_column,
+            name_pattern=name_pattern,
+            columns=names_of(columns),
+            decimal=decimal,  # type: ignore[arg-type]
+            in_order=in_order,
+            rename=pairs_of(rename or [], "--rename"),
+            units=pairs_of(unit or [], "--unit"),
             sensor=sensor,
             licence=licence,
             origin=origin,
@@ -141,11 +177,30 @@ def import_images(
             progress=partial(progress, "importing"),
         )
     if report.no_targets:
+        given = {
+            "--labels": labels,
+            "--image-column": image_column,
+            "--rename": rename,
+            "--unit": [*(unit or []), *mending_options(report.no_targets)],
+            "--columns": columns,
+            "--decimal": decimal if decimal != "auto" else None,
+            "--name-pattern": name_pattern,
+            "--in-order": in_order,
+            "--sensor": sensor,
+            "--licence": licence,
+            "--origin": origin,
+            "--rate-hz": rate_hz,
+            "--allow-unlabelled": allow_unlabelled,
+        }
         typer.echo(
-            f"palpate: no unit in {', '.join(report.no_targets)}: these cannot be targets; rename such as "
-            "depth to depth_mm and import again if one shall be",
+            f"palpate: no unit in {', '.join(report.no_targets)}: these cannot be targets; if one shall be, "
+            "import "
+            "again, with the unit that it is in: "
+            f"{typed_again('import images', [folder, f'{run}-with-units'], given)}",
             err=True,
         )
+    for doubt in report.doubts:
+        typer.echo(f"palpate: {doubt}", err=True)
     _print_import(run, report, json_)
 
 
@@ -155,7 +210,8 @@ def _print_import(run: Path, report: ImportReport, json_: bool) -> None:
     if report.unitless:
         text += f"; without: {', '.join(report.unitless)}"
     result = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
-    print_found(result | {"unitless": list(report.unitless)}, text, json_)
+    more = {"unitless": list(report.unitless), "doubts": list(report.doubts)}
+    print_found(result | more, text, json_)
 
 
 import_app.command("palm")(palm)

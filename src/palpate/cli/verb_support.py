@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -125,6 +126,35 @@ def numbers_of(text: str | None, count: int, what: str) -> tuple[int, ...] | Non
     if len(numbers) != count:
         raise InputError(f"{what} {text!r} is not {count} whole numbers separated by commas")
     return numbers
+
+
+def pairs_of(words: list[str], what: str) -> dict[str, str]:
+    """Names and what each becomes, from ``name=value``."""
+    from palpate.core.errors import InputError
+
+    pairs: dict[str, str] = {}
+    for word in words:
+        name, equals, value = word.rpartition("=")
+        if not equals or not name or not value:
+            raise InputError(
+                f"{what} {word!r} is not NAME=VALUE, as in --rename Fz=force_N or --unit depth=mm"
+            )
+        if name in pairs:
+            raise InputError(f"{what} names {name!r} twice; say it once")
+        pairs[name] = value
+    return pairs
+
+
+def typed_again(verb: str, arguments: list[Any], options: dict[str, Any]) -> str:
+    """A command line as it is typed: options that were not given are left out, a flag stands alone."""
+    words = ["palpate", *verb.split(), *map(str, arguments)]
+    for option, value in options.items():
+        if value is True:
+            words.append(option)
+        elif value not in (None, False, "", []):
+            each = value if isinstance(value, list) else [value]
+            words += [word for one in each for word in (option, str(one))]
+    return shlex.join(words)
 
 
 def options_of(pairs: list[str]) -> dict[str, Any]:

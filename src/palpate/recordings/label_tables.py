@@ -1,15 +1,16 @@
-"""Labels of frames: tables in CSV or Parquet, kinds of columns, targets as numbers with units."""
+"""Labels of frames: tables of text or Parquet, kinds of columns, targets as numbers with units."""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -20,6 +21,7 @@ from palpate.recordings.manifest import LabelKind
 from palpate.recordings.table_files import pyarrow_for
 
 Label = float | str | bool
+Decimal = Literal["auto", "point", "comma"]
 
 
 def finite(values: Sequence[float] | np.ndarray, count: int, what: str) -> list[float]:
@@ -72,22 +74,34 @@ _SHOWN = 5
 _FLAGS = {"true": True, "false": False}
 
 
-def read_labels(path: PathText, *, kinds: Mapping[str, LabelKind] | None = None) -> pd.DataFrame:
+def read_labels(
+    path: PathText,
+    *,
+    kinds: Mapping[str, LabelKind] | None = None,
+    names: Sequence[str] = (),
+    decimal: Decimal = "auto",
+) -> pd.DataFrame:
     """Read a table of labels, one row an image.
 
     A column becomes ``flag`` where every cell is true or false, ``number`` where every cell is a number or
     empty (NaN), and ``text`` otherwise.
 
     Args:
-        path: a comma-separated UTF-8 file with a header, or a Parquet file (recognised by content).
+        path: a UTF-8 file with a header whose columns are separated by commas, semicolons or tabs, or a
+            Parquet file (recognised by content).
         kinds: of columns where a reader must not guess, e.g. a text column that holds ``007``.
+        names: of the columns of a file without a header; its columns may be separated by spaces as well.
+        decimal: what stands before the decimals of a number. ``auto`` reads a decimal comma where no number
+            could be one with commas between its thousands, and refuses a column that could be either.
 
     Returns:
-        The table, rows in the file's order: row ``i`` is row ``i + 2`` as a person counts.
+        The table, rows in the file's order: row ``i`` is row ``i + 2`` as a person counts, or ``i + 1``
+        where there is no header.
 
     Raises:
         LabelError: the file is missing, empty, undecodable or ragged; a column is nameless or named twice;
-            or a cell holds a formula, which a spreadsheet would run.
+            a comma in a number could mean two things; or a cell holds a formula, which a spreadsheet would
+            run.
         MissingExtraError: it is a Parquet file, and pyarrow is not installed.
     """
     path = Path(path)
@@ -97,9 +111,10 @@ def read_labels(path: PathText, *, kinds: Mapping[str, LabelKind] | None = None)
         data = path.read_bytes()
     if not data.strip():
         raise LabelError(f"{path} is empty; a table of labels has a header and one row an image")
-    columns = (
-        _parquet_columns(path, data) if data.startswith(b"PAR1") else _csv_columns(path, data, kinds or {})
-    )
+    if data.startswith(b"PAR1"):
+        columns = _parquet_columns(path, data)
+    else:
+        columns = _text_columns(path, _decoded(path, data), kinds or {}, tuple(names), decimal)
     table = pd.DataFrame(columns)
     if table.empty:
         raise LabelError(f"{path} has a header and no rows; a table of labels has one row an image")
@@ -238,23 +253,92 @@ def _is_number(cell: str) -> bool:
     return "_" not in cell  # Python reads 1_000, a spreadsheet does not
 
 
-def _csv_columns(path: Path, data: bytes, kinds: Mapping[str, LabelKind]) -> dict[str, pd.Series]:
-    rows = list(_csv_rows(path, _decoded(path, data)))
+def _text_columns(
+    path: Path, text: str, kinds: Mapping[str, LabelKind], given: tuple[str, ...], decimal: Decimal
+) -> dict[str, pd.Series]:
+    rows = list(_cells(path, text, _separator(text, len(given))))
     while rows and not rows[-1]:
         rows.pop()
-    names = [name.strip() for name in rows[0]] if rows else []
-    _check_names(path, names)
+    names = list(given) or [name.strip() for name in rows[0]]
+    check_names(path, names)
     for number, row in enumerate(rows, start=1):
         if len(row) != len(names):
             raise LabelError(
-                f"{path}, row {number} has {len(row)} cells where the header has {len(names)}; "
-                "add or remove commas, or put a text that holds one in double quotes"
+                f"{path}, row {number} has {len(row)} cells where {_expected(given, names)}; "
+                "add or remove separators, or put a text that holds one in double quotes"
             )
-    cells = list(zip(*rows[1:], strict=True)) or [()] * len(names)
+    cells = list(zip(*rows[not given :], strict=True)) or [()] * len(names)
+    columns = with_decimal_points(dict(zip(names, cells, strict=True)), str(path), kinds, decimal)
     try:
-        return {name: _typed(cell, kinds.get(name)) for name, cell in zip(names, cells, strict=True)}
+        return {name: typed_column(cell, kinds.get(name)) for name, cell in columns.items()}
     except (KeyError, ValueError) as e:
         raise LabelError(f"{path}: a cell is not of the kind that its column is said to be ({e})") from e
+
+
+def _expected(given: tuple[str, ...], names: list[str]) -> str:
+    return f"{len(given)} columns are named" if given else f"the header has {len(names)}"
+
+
+def _separator(text: str, count: int) -> str:
+    """The mark that parts the first line into the most cells, or into as many as there are names; a space
+    parts only where names are given and no other mark does.
+    """
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    parts = {mark: len(next(csv.reader([first], delimiter=mark), [])) for mark in SEPARATORS}
+    if count:
+        fitting = [mark for mark, cells in parts.items() if cells == count]
+        return fitting[0] if fitting else "," if max(parts.values()) > 1 else " "
+    return max(SEPARATORS, key=lambda mark: parts[mark])
+
+
+SEPARATORS = (",", ";", "\t")
+
+
+_WITH_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
+_WITH_POINT = re.compile(r"[+-]?\d*\.\d+([eE][+-]?\d+)?")
+
+
+def with_decimal_points(
+    columns: Mapping[str, Sequence[str]], source: str, kinds: Mapping[str, LabelKind], decimal: Decimal
+) -> dict[str, Sequence[str]]:
+    """Write numbers with decimal commas as Python does.
+
+    ``1,5`` can only be one and a half; ``1,234`` is a thousand and some in English, and little more than one
+    elsewhere. A column of such numbers alone is read as what the file's other numbers are, or refused.
+
+    Raises:
+        LabelError: a column could be either.
+    """
+    if decimal == "point":
+        return dict(columns)
+    commas = [name for name in columns if kinds.get(name) != "text" and _has_decimal_commas(columns[name])]
+    sure = [name for name in commas if not all(map(_could_be_thousands, columns[name]))]
+    pointed = any(_WITH_POINT.fullmatch(cell) for cells in columns.values() for cell in cells)
+    open_ = [name for name in commas if name not in sure and (pointed or not sure)]
+    if open_ and decimal == "auto":
+        example = next(cell for cell in columns[open_[0]] if "," in cell)
+        raise LabelError(
+            f"{source}: column {open_[0]!r} holds {example!r}, which is {example.replace(',', '.')} with a "
+            f"decimal comma and {example.replace(',', '')} with a comma between thousands; say --decimal "
+            "comma, "
+            "or write the numbers without commas"
+        )
+    return {
+        name: [cell.replace(",", ".") for cell in cells] if name in commas else cells
+        for name, cells in columns.items()
+    }
+
+
+def _has_decimal_commas(cells: Sequence[str]) -> bool:
+    numbers = [cell for cell in cells if cell]
+    return any("," in cell for cell in numbers) and all(
+        _WITH_COMMA.fullmatch(cell) or (_is_number(cell) and "." not in cell) for cell in numbers
+    )
+
+
+def _could_be_thousands(cell: str) -> bool:
+    return "," not in cell or bool(_THOUSANDS.fullmatch(cell))
 
 
 def _decoded(path: Path, data: bytes) -> str:
@@ -265,19 +349,21 @@ def _decoded(path: Path, data: bytes) -> str:
         raise LabelError(f"{path}, row {row} is not UTF-8 text; save the table as 'CSV UTF-8'") from e
 
 
-def _csv_rows(path: Path, text: str) -> Iterator[list[str]]:
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+def _cells(path: Path, text: str, separator: str) -> Iterator[list[str]]:
+    if separator == " ":
+        yield from (line.split() for line in text.splitlines())
+        return
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
     row = 0
     try:
         for row, cells in enumerate(reader, start=1):  # noqa: B007 -- the error below names the row
             yield cells
     except csv.Error as e:
-        raise LabelError(f"{path}, row {row + 1} is not comma-separated text ({e}); check its quotes") from e
+        raise LabelError(f"{path}, row {row + 1} is not separated text ({e}); check its quotes") from e
 
 
-def _check_names(path: Path, names: Sequence[str]) -> None:
-    if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
-        raise LabelError(f"{path}, row 1: {names[0][:60]!r} is one column; separate columns by commas")
+def check_names(path: Path, names: Sequence[str]) -> None:
+    """Raise if a column has no name, or two have one."""
     if "" in names:
         raise LabelError(f"{path}, row 1: column {names.index('') + 1} has no name; name it or delete it")
     twice = [name for name, count in Counter(names).items() if count > 1]
@@ -287,7 +373,8 @@ def _check_names(path: Path, names: Sequence[str]) -> None:
         )
 
 
-def _typed(cells: Sequence[str], kind: LabelKind | None) -> pd.Series:
+def typed_column(cells: Sequence[str], kind: LabelKind | None = None) -> pd.Series:
+    """A column of flags, numbers or texts, by its cells or as it is said to be."""
     kind = kind or _guessed(cells)
     if kind == "flag":
         return pd.Series([_FLAGS[cell.lower()] for cell in cells], dtype=bool)
@@ -308,7 +395,7 @@ def _parquet_columns(path: Path, data: bytes) -> dict[str, pd.Series]:
         table = pa.parquet.read_table(pa.BufferReader(data))
     except (pa.ArrowException, OSError, ValueError) as e:
         raise LabelError(f"{path} begins as Parquet and cannot be read ({e}); write it again") from e
-    _check_names(path, table.column_names)
+    check_names(path, table.column_names)
     return {name: _arrow_typed(pa, path, name, table.column(name)) for name in table.column_names}
 
 

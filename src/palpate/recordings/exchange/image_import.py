@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,21 +21,27 @@ from palpate.core import (
     ProgressCount,
     UnitError,
     has_unit,
-    is_hidden,
     new_folder,
     refuse_existing,
     split_column,
 )
 from palpate.recordings.exchange.folder_export import FILE_COLUMN, TIME_COLUMN
-from palpate.recordings.exchange.image_files import IMAGE_SUFFIXES, read_image
-from palpate.recordings.label_tables import FIRST_ROW, label_kinds, read_labels, rows_text
+from palpate.recordings.exchange.image_files import read_image
+from palpate.recordings.exchange.label_order import shift_doubt, small_picture
+from palpate.recordings.exchange.label_units import unit_doubts, with_units
+from palpate.recordings.exchange.labelled_images import (
+    LabelLayout,
+    LabelledImages,
+    find_labelled_images,
+    refuse_strays,
+)
+from palpate.recordings.label_tables import Decimal, label_kinds, rows_text
 from palpate.recordings.manifest import MANIFEST, Manifest
 from palpate.recordings.run_reader import NAME_COLUMN
 from palpate.recordings.run_writer import RunWriter
 from palpate.recordings.splits import CONVENTIONAL_GROUPS
 
-_SHOWN = 5
-_GROUP_NAMES = frozenset(name for columns in CONVENTIONAL_GROUPS for name in columns)
+_GROUP_NAMES = frozenset(name for columns in CONVENTIONAL_GROUPS for name in columns) | {"session"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +53,15 @@ class ImportReport:
         columns: labels of the run, in the table's order.
         units: unit of each column of numbers that names one.
         unitless: columns of numbers whose names carry no unit; they can group frames, and cannot be targets.
+        doubts: sentences on units that do not fit their numbers, and on rows that seem shifted against the
+            images.
     """
 
     frames: int
     columns: tuple[str, ...]
     units: Mapping[str, str]
     unitless: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
 
     @property
     def no_targets(self) -> tuple[str, ...]:
@@ -64,8 +73,14 @@ def import_images(
     folder: PathText,
     run: PathText,
     *,
-    labels: PathText,
-    image_column: str,
+    labels: PathText | None = None,
+    image_column: str | None = None,
+    name_pattern: str | None = None,
+    columns: Sequence[str] = (),
+    decimal: Decimal = "auto",
+    in_order: bool = False,
+    rename: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
     sensor: str = "",
     licence: str = "",
     origin: str = "",
@@ -76,7 +91,7 @@ def import_images(
     strict: bool = False,
     progress: ProgressCount | None = None,
 ) -> ImportReport:
-    """Turn a folder of images and a table of labels into a run; row ``i`` of the table becomes frame ``i``.
+    """Turn a folder of images and their labels into a run; row ``i`` of the labels becomes frame ``i``.
 
     Every row and every image is checked before the run is begun, and the run appears whole or not at all.
     What `export_folder` wrote comes back with its frames, times and labels unchanged, and with the sensor,
@@ -85,15 +100,24 @@ def import_images(
     Args:
         folder: where the images are, themselves or in a folder ``images`` of it.
         run: the run to make; must not exist.
-        labels: the table, as given or inside `folder`.
-        image_column: the column that names each row's image, relative to `folder` or to ``folder/images``.
+        labels: file of labels, as given or inside `folder`: text in columns, JSON, a NumPy array or Parquet.
+            A pattern such as ``*/labels.csv`` takes a table a session, whose folder becomes the label
+            ``session``; ``*.json`` takes a file an image.
+        image_column: the column that names each row's image, relative to `folder`, to the table's own folder
+            or to a folder ``images`` of these; None finds one of the usual names, see `IMAGE_COLUMNS`.
+        name_pattern: in place of `labels`: names of the images, as ``x{x_mm}_f{force_N}.png``.
+        columns: names of the columns, where the file has none.
+        decimal: ``point``, ``comma``, or ``auto``, which refuses numbers that could be either.
+        in_order: take row ``i`` for the ``i``-th image, counted by the numbers in their names.
+        rename: a column's name -> the name in the run.
+        units: a column's name, as renamed -> its unit; ``depth`` in ``mm`` becomes ``depth_mm``.
         sensor: which sensor the images are of.
         licence: of the data.
         origin: who recorded it, and where it was had from.
         rig: what the sensor stood on.
         rate_hz: frames a second, where the images are a sequence at a steady rate [Hz]; without it and
             without `time_column` the run's times are ordinal: frame ``i`` is at ``i`` seconds.
-        time_column: the column that holds each frame's time [s], strictly increasing.
+        time_column: the column that holds each frame's time [s], strictly increasing, as renamed.
         allow_unlabelled: leave out images that no row names, rather than refuse the folder.
         strict: refuse columns of numbers whose names carry no unit, unless they are called as groups are,
             such as ``press``. Without it the report's `no_targets` names them, and they cannot be targets.
@@ -101,39 +125,63 @@ def import_images(
 
     Raises:
         ExistsError: `run` exists.
-        LabelError: the table is damaged, lacks the column, names an image twice, or one that is not there or
+        LabelError: labels are damaged, lack the column, name an image twice, or one that is not there or
             not inside `folder`; a number is missing; or an image has no row.
-        UnitError: `strict`, and a column of numbers carries no unit.
+        UnitError: `strict`, and a column of numbers carries no unit; or a unit is not known.
         ImageError: an image cannot be read, or is not of the first one's size and kind.
         InputError: `folder` is none, or `rate_hz` is no rate or given beside `time_column`.
         RecordingError: `folder` was exported and its manifest is damaged.
     """
-    folder, run, labels = Path(folder), Path(run), Path(labels)
+    folder, run = Path(folder), Path(run)
     refuse_existing(run)
-    source = labels if labels.is_file() else folder / labels
-    exported = _exported_manifest(folder, image_column)
-    kinds = exported.labels if exported else {}
-    table = read_labels(source, kinds={**kinds, image_column: "text"})
-    _check_numbers(table, source)
-    paths = _image_paths(table, source, folder, image_column)
+    layout = LabelLayout(
+        None if labels is None else Path(labels),
+        image_column,
+        name_pattern,
+        tuple(columns),
+        decimal,
+        in_order,
+    )
+    found, exported = _found(folder, layout)
     if not allow_unlabelled:
-        _check_no_strays(folder, paths, source)
-    times_ns = _times_ns(table, source, rate_hz, TIME_COLUMN if exported else time_column)
+        refuse_strays(folder, found)
+    kept = with_units(_labels(found), rename or {}, units or {}, found.source)
+    when = found.table if exported else kept
+    times_ns = _times_ns(when, found.source, rate_hz, TIME_COLUMN if exported else time_column)
     timed = exported.clock == "measured" if exported else (rate_hz is not None or time_column is not None)
-    kept = _labels(table, image_column)
     if strict and (bare := _report(kept).no_targets):
         raise UnitError(
-            f"{source}: columns of numbers without a unit: {', '.join(bare)}; name each quantity_unit, as in "
-            "depth_mm or mass_ratio, or import without strict and use them as groups only"
+            f"{found.source}: columns of numbers without a unit: {', '.join(bare)}; give each one, as by "
+            "--unit "
+            "depth=mm (a dimensionless one is a ratio), or import without strict and use them as groups only"
         )
-    for done, _ in enumerate(_same_kind(paths), start=1):
-        _tell(progress, done, 2 * len(paths))
+    pictures = []
+    for done, image in enumerate(_same_kind(found.paths), start=1):
+        pictures.append(small_picture(image))
+        _tell(progress, done, 2 * len(found.paths))
     about = {"sensor": sensor, "rig": rig, "licence": licence, "origin": origin}
     with whole_run(run, _manifest(about, exported, kept, timed)) as writer:
-        for i, image in enumerate(_same_kind(paths)):
+        for i, image in enumerate(_same_kind(found.paths)):
             writer.frame(image, time_ns=int(times_ns[i]), labels=_row(kept, i))
-            _tell(progress, len(paths) + i + 1, 2 * len(paths))
-    return _report(kept)
+            _tell(progress, len(found.paths) + i + 1, 2 * len(found.paths))
+    return _report(kept, (*unit_doubts(kept), *_shift(pictures, kept)))
+
+
+def _found(folder: Path, layout: LabelLayout) -> tuple[LabelledImages, Manifest | None]:
+    """Images and labels, and the manifest of the run that the folder was exported from, where it was."""
+    found = find_labelled_images(folder, layout)
+    if found.image_column != FILE_COLUMN or not (folder / MANIFEST).is_file():
+        return found, None
+    exported = Manifest.read(folder)  # says what CSV cannot, such as that 007 is a text
+    return find_labelled_images(folder, layout, exported.labels), exported
+
+
+def _shift(pictures: Sequence[np.ndarray], kept: pd.DataFrame) -> list[str]:
+    """What the order of the rows gives to doubt."""
+    numbers = [name for name, kind in label_kinds(kept).items() if kind == "number" and has_unit(name)]
+    changing = [name for name in numbers if kept[name].nunique() > 1]
+    text = shift_doubt(pictures, kept[changing].to_numpy(np.float64))
+    return [text] if text else []
 
 
 def _manifest(about: dict[str, str], exported: Manifest | None, kept: pd.DataFrame, timed: bool) -> Manifest:
@@ -163,86 +211,6 @@ def whole_run(run: Path, manifest: Manifest) -> Iterator[RunWriter]:
         inner.rmdir()
 
 
-def _image_paths(table: pd.DataFrame, source: Path, folder: Path, image_column: str) -> list[Path]:
-    if not folder.is_dir():
-        raise InputError(f"{folder} is not a folder of images; check the name")
-    if image_column not in table.columns:
-        raise LabelError(
-            f"{source} has no column {image_column!r}; its columns are {', '.join(table.columns)}"
-        )
-    names = [str(cell) for cell in table[image_column]]
-    paths = [_inside(folder, name, source, row) for row, name in enumerate(names, start=FIRST_ROW)]
-    missing = [i for i, path in enumerate(paths) if path is None]
-    if missing:
-        shown = ", ".join(repr(names[i]) for i in missing[:_SHOWN])
-        raise LabelError(
-            f"{source}, {rows_text(missing)}: no such image in {folder} or {folder / 'images'}: {shown}; "
-            "copy the images there, or remove the rows"
-        )
-    files = [path for path in paths if path is not None]
-    _check_once(files, source)
-    return files
-
-
-def _inside(folder: Path, name: str, source: Path, row: int) -> Path | None:
-    """The image that a cell names; None if it is not there."""
-    if not name:
-        raise LabelError(f"{source}, row {row} names no image; name one, or remove the row")
-    posix, windows = PurePosixPath(name), PureWindowsPath(name)
-    if posix.is_absolute() or windows.drive or windows.root or ".." in windows.parts:
-        raise LabelError(
-            f"{source}, row {row}: image {name!r} does not stay inside {folder}; "
-            "name images relative to the folder, without '..'"
-        )
-    for path in (folder / posix, folder / "images" / posix):
-        if path.exists():
-            if not path.resolve().is_relative_to(folder.resolve()):
-                raise LabelError(
-                    f"{source}, row {row}: image {name!r} is a link that leads out of {folder}; copy the "
-                    f"image there"
-                )
-            return path.resolve()
-    return None
-
-
-def _check_once(paths: Sequence[Path], source: Path) -> None:
-    first: dict[Path, int] = {}
-    for i, path in enumerate(paths):
-        if path in first:
-            raise LabelError(
-                f"{source}: {rows_text([first[path], i])} name the same image, {path.name!r}; keep one of "
-                f"the rows"
-            )
-        first[path] = i
-
-
-def _check_no_strays(folder: Path, paths: Sequence[Path], source: Path) -> None:
-    named = set(paths)
-    images = (path for path in folder.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES)
-    strays = sorted(
-        path.relative_to(folder).as_posix()
-        for path in images
-        if not is_hidden(path, folder) and path.resolve() not in named
-    )
-    if strays:
-        raise LabelError(
-            f"{len(strays)} images in {folder} have no row in {source}: {', '.join(strays[:_SHOWN])}; "
-            "add their rows, move them away, or allow unlabelled images to leave them out"
-        )
-
-
-def _check_numbers(table: pd.DataFrame, source: Path) -> None:
-    for name, kind in label_kinds(table).items():
-        if kind != "number":
-            continue
-        bad = np.flatnonzero(~np.isfinite(table[name].to_numpy()))
-        if bad.size:
-            raise LabelError(
-                f"{source}, {rows_text(bad)}: column {name!r} holds no finite number there; fill it in, or "
-                "remove the rows with their images, or the column"
-            )
-
-
 def _same_kind(paths: Sequence[Path]) -> Iterator[np.ndarray]:
     shape: tuple[int, ...] | None = None
     for path in paths:
@@ -261,7 +229,7 @@ def _shape_text(shape: tuple[int, ...]) -> str:
     return f"{shape[1]} × {shape[0]} px, {'grey' if len(shape) == 2 else 'colour'}"
 
 
-def _times_ns(table: pd.DataFrame, source: Path, rate_hz: float | None, column: str | None) -> np.ndarray:
+def _times_ns(table: pd.DataFrame, source: str, rate_hz: float | None, column: str | None) -> np.ndarray:
     if column is None:
         if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
             raise InputError(f"rate {rate_hz} Hz: a rate is above 0 Hz; leave it out where there is none")
@@ -285,15 +253,16 @@ def _nanoseconds(times_s: np.ndarray) -> np.ndarray:
     return np.asarray(np.rint(times_s * NS_PER_S), dtype=np.int64)
 
 
-def _labels(table: pd.DataFrame, image_column: str) -> pd.DataFrame:
+def _labels(found: LabelledImages) -> pd.DataFrame:
     """Labels that the run keeps: all but the exporter's own columns; image names where runs look for them."""
-    kept = table.drop(columns=[FILE_COLUMN, TIME_COLUMN], errors="ignore")
-    return kept if NAME_COLUMN in kept.columns else kept.rename(columns={image_column: NAME_COLUMN})
-
-
-def _exported_manifest(folder: Path, image_column: str) -> Manifest | None:
-    """The manifest of the run that a folder was exported from, which says what CSV cannot; else None."""
-    return Manifest.read(folder) if image_column == FILE_COLUMN and (folder / MANIFEST).is_file() else None
+    kept = found.table.drop(columns=[FILE_COLUMN, TIME_COLUMN], errors="ignore")
+    if NAME_COLUMN in kept.columns:
+        return kept
+    if found.image_column in kept.columns:
+        return kept.rename(columns={found.image_column: NAME_COLUMN})
+    if found.image_column == FILE_COLUMN:
+        return kept  # as an exported run had none, whose frames are called by their numbers
+    return pd.DataFrame({NAME_COLUMN: list(found.names)}).join(kept)
 
 
 def _row(table: pd.DataFrame, i: int) -> dict[str, Any]:
@@ -302,13 +271,14 @@ def _row(table: pd.DataFrame, i: int) -> dict[str, Any]:
     return {name: cell.item() if isinstance(cell, np.generic) else cell for name, cell in cells.items()}
 
 
-def _report(table: pd.DataFrame) -> ImportReport:
+def _report(table: pd.DataFrame, doubts: tuple[str, ...] = ()) -> ImportReport:
     numbers = [name for name, kind in label_kinds(table).items() if kind == "number"]
     return ImportReport(
         frames=len(table),
         columns=tuple(str(name) for name in table.columns),
         units={name: split_column(name)[1].symbol for name in numbers if has_unit(name)},
         unitless=tuple(name for name in numbers if not has_unit(name)),
+        doubts=doubts,
     )
 
 

@@ -1,0 +1,137 @@
+"""Units at import: given by name, doubted by their numbers; rows that are shifted against the images."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from palpate.core import LabelError, UnitError
+from palpate.recordings.exchange.label_order import MAX_SHIFT, explained_by_shift, shift_doubt
+from palpate.recordings.exchange.label_units import guessed_unit, unit_doubts, with_units
+
+
+def table(**columns: object) -> pd.DataFrame:
+    return pd.DataFrame(columns)
+
+
+def test_columns_get_names_and_units_and_keep_their_values() -> None:
+    given = table(Fz=[1.0, 2.0], depth=[3.0, 4.0], row=[5.0, 6.0])
+    found = with_units(given, {"Fz": "force_N", "depth": "deep"}, {"deep": "mm"}, "labels.csv")
+    assert found.to_dict("list") == {"force_N": [1, 2], "deep_mm": [3, 4], "row": [5, 6]}
+
+
+def test_two_columns_may_change_names() -> None:
+    found = with_units(table(x_mm=[1.0], y_mm=[2.0]), {"x_mm": "y_mm", "y_mm": "x_mm"}, {}, "labels.csv")
+    assert found.to_dict("list") == {"y_mm": [1], "x_mm": [2]}
+
+
+@pytest.mark.parametrize(
+    ("renames", "units", "error", "words"),
+    [
+        ({"F": "force_N"}, {}, LabelError, ("'F'", "depth, load_N")),
+        ({}, {"deep": "mm"}, LabelError, ("'deep'", "depth, load_N")),
+        ({}, {"depth": "inch"}, UnitError, ("'inch'", "mm")),
+        ({}, {"load_N": "mN"}, UnitError, ("N", "--rename load_N=load_mN")),
+        ({"depth": "load_N"}, {}, LabelError, ("two columns", "'load_N'")),
+        ({"depth": "load"}, {"load": "N"}, LabelError, ("two columns", "'load_N'")),
+        ({"depth": " "}, {}, LabelError, ("to nothing",)),
+        ({"depth": "own:depth_mm"}, {}, LabelError, ("rename it",)),
+    ],
+)
+def test_a_name_or_a_unit_that_cannot_be_is_refused(renames, units, error, words) -> None:
+    with pytest.raises(error) as caught:
+        with_units(table(depth=[1.0], load_N=[2.0]), renames, units, "labels.csv")
+    for word in words:
+        assert word in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "says"),
+    [
+        ("depth_mm", (0, 3000), "--rename depth_mm=depth_um"),
+        ("force_N", (0, 5000), "--rename force_N=force_mN"),
+        ("depth_m", (0, 3), "--rename depth_m=depth_mm"),
+        ("depth_mm", (0, 0.003), "--rename depth_mm=depth_m"),
+        ("tilt_deg", (-np.pi, np.pi), "--rename tilt_deg=tilt_rad"),
+        ("yaw_deg", (0, 2 * np.pi), "--rename yaw_deg=yaw_rad"),
+        ("tilt_rad", (-25, 25), "--rename tilt_rad=tilt_deg"),
+        ("torque_Nm", (-300, 300), "--rename torque_Nm=torque_Nmm"),
+        ("mass_kg", (0, 500), "--rename mass_kg=mass_g"),
+    ],
+)
+def test_numbers_in_another_unit_are_doubted_with_the_mending_option(name, values, says) -> None:
+    (doubt,) = unit_doubts(table(**{name: np.linspace(*values, 200)}))
+    assert doubt.startswith(f"column {name} runs from")
+    assert says in doubt
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("depth_mm", (0.5, 6)),
+        ("tilt_x_deg", (-25, 25)),
+        ("twist_deg", (-5, 5)),
+        ("angle_deg", (-180, 180)),
+        ("x_mm", (-800, 800)),
+        ("force_N", (0, 60)),
+        ("force_mN", (0, 4000)),
+        ("at_s", (0, 1.8e9)),
+        ("modulus_Pa", (1e4, 7e10)),
+        ("depth_mm", (0, 0)),
+        ("slip_ratio", (0, 1)),
+    ],
+)
+def test_numbers_that_touch_has_are_not_doubted(name, values) -> None:
+    assert unit_doubts(table(**{name: np.linspace(*values, 200)})) == ()
+
+
+def test_a_column_with_a_unit_that_holds_text_is_told() -> None:
+    (doubt,) = unit_doubts(table(depth_mm=["1.5", "deep", "2"]))
+    assert "'deep' in row 3" in doubt
+
+
+@pytest.mark.parametrize(
+    ("name", "symbol"),
+    [("Fz", "N"), ("depth", "mm"), ("tilt_x", "deg"), ("pose_3", None), ("z", "mm"), ("Tx", "Nmm")],
+)
+def test_a_unit_is_guessed_from_a_name_that_tells(name, symbol) -> None:
+    assert guessed_unit(name) == symbol
+
+
+def scene(rng: np.random.Generator, rows: int, smooth: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Pictures that show two labels linearly, under noise; the third label is not seen."""
+    steps = rng.normal(size=(rows, 3))
+    labels = np.cumsum(steps, axis=0) if smooth else steps
+    shown = labels[:, :2] @ rng.normal(size=(2, 64))
+    return shown + rng.normal(0, 0.5, shown.shape), labels
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+@pytest.mark.parametrize("shift", [-3, -1, 1, 4])
+def test_rows_that_are_shifted_are_told_by_how_many(shift, smooth, rng) -> None:
+    pictures, labels = scene(rng, 308, smooth)
+    pictures, moved = pictures[4:304], labels[4 - shift : 304 - shift]
+    shares = explained_by_shift(pictures, moved)
+    assert max(shares, key=shares.__getitem__) == shift
+    sign = "+" if shift > 0 else "-"
+    assert f"row i {sign} {abs(shift)} beside image i" in shift_doubt(pictures, moved)
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_rows_in_their_places_are_not_doubted(smooth) -> None:
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        pictures, labels = scene(rng, 80, smooth)
+        assert shift_doubt(pictures, labels) == ""
+        blind = rng.normal(size=(80, 64))  # pictures that show nothing of the labels
+        assert shift_doubt(blind, labels) == ""
+
+
+def test_few_rows_and_pictures_that_never_change_are_not_judged(rng) -> None:
+    pictures, labels = scene(rng, 40, False)
+    assert shift_doubt(pictures, np.roll(labels, 1, axis=0)) == ""
+    assert set(explained_by_shift(np.ones((80, 9)), rng.normal(size=(80, 2)))) == set(
+        range(-MAX_SHIFT, MAX_SHIFT + 1)
+    )
+    assert shift_doubt(np.ones((80, 9)), rng.normal(size=(80, 2))) == ""
