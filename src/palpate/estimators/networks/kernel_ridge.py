@@ -122,11 +122,11 @@ class KernelRidge:
 
     Inner folds keep groups whole. One thing is chosen after another: the features, the kernel's width, its
     linear share, and whether a metric is learnt; the penalty goes with each, and each target has its own.
-    Targets of which other features leave an error smaller by 2 % or more are learnt from those.
+    Targets of which other features leave an error smaller by 1 % or more are learnt from those.
 
     The choice is made on at most `search_rows` rows. What is kept is fitted on all: up to `centres` rows
-    exactly, beyond that by Nyström's approximation, whose centres are drawn from the rows, so that memory
-    stays as it is and time grows no faster than the rows do.
+    exactly, beyond that by Nyström's approximation, whose centres are drawn from the rows, so that time grows
+    no faster than the rows do, and memory by some kilobytes a row.
 
     Attributes:
         blurs_px: Gaussian blurs of the pixels that are tried [px of the input].
@@ -236,7 +236,7 @@ def components_of(
     return centre, principal_axes(centred, most)
 
 
-MIN_GAIN = 0.02  # of a target's error, for which it is learnt from other features than the rest
+MIN_GAIN = 0.01  # of a target's error, for which it is learnt from other features than the rest
 
 
 @dataclass
