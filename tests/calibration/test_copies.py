@@ -116,3 +116,4 @@ def test_several_copies_in_one_calibration_are_held_out_whole(record_spots, rewr
     assert card.split.columns == ("copy",)
     assert (card.sessions.column, card.sessions.held_out) == ("copy", 3)
     assert "for a new copy" in card.sessions.text
+    assert card.sessions.text.endswith("not yet tested on another day.")

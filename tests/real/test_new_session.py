@@ -1,4 +1,4 @@
-"""Intervals set anew by 100 taps of a second collection: a stand-in, since no data of our sensors is public."""
+"""Intervals set anew by 100 taps of a second collection: a stand-in, as no data of our sensors is public."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,8 @@ def test_a_hundred_taps_set_intervals_that_cover_the_rest_at_the_stated_rate(rea
     if not source.is_dir():
         pytest.skip(f"no TacTip recordings at {source}")
     for part in ("train", "val"):
-        import_images(source / part, tmp_path / part, labels=source / part / "labels.csv")
+        labels = source / part / "labels.csv"
+        import_images(source / part, tmp_path / part, labels=labels, image_column="image_file")
     train, val = (Run.open(tmp_path / part) for part in ("train", "val"))
     plan = CalibrationPlan(TARGETS, split="random", size_px=(56, 56))
     estimator = Estimator.open(calibrate(train, plan, tmp_path / "cal"))

@@ -26,7 +26,7 @@ from palpate.calibration.certificate import CalibrationResult, split_card, write
 from palpate.calibration.conformal import GROUPS_FOR_SPREAD, conformal_quantile, fit_intervals
 from palpate.calibration.correction import AS_IT_WAS, Adapted, Correction, correct
 from palpate.calibration.leakage import audit
-from palpate.calibration.sessions.copies import CopiesToldApart, copy_card, tell_apart
+from palpate.calibration.sessions.copies import TOGETHER, CopiesToldApart, copy_card, tell_apart
 from palpate.calibration.sessions.session_findings import sessions_card
 from palpate.calibration.training_data import LearningSet, learning_set, rows_matching, table_to_learn
 from palpate.core import (
@@ -48,10 +48,6 @@ from palpate.estimators.novelty import NoveltyDetector, RenderedImages, fit_nove
 from palpate.recordings import PackedSet, Run, Split, pack, split
 from palpate.recordings.label_tables import targets_from
 from palpate.recordings.splits import group_names
-
-TOGETHER = 12
-"""Frames of the former calibration that are held out together: they lie in the order of its presses."""
-
 
 MAX_COVERAGE = 1 - 1e-9
 

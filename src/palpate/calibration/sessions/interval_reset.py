@@ -35,6 +35,7 @@ from palpate.calibration.certificate import (
     write_picture,
 )
 from palpate.calibration.evaluation import predictions, rows_to_score, same_session, score
+from palpate.calibration.sessions.copies import TOGETHER
 from palpate.calibration.sessions.session_findings import finest_columns, groups_within
 from palpate.calibration.sessions.session_intervals import (
     is_distribution_free,
@@ -69,7 +70,6 @@ from palpate.recordings.label_tables import targets_from, with_own
 from palpate.recordings.table_files import write_table
 
 FOLDS_OF_GUARD = 10
-TOGETHER = 12  # frames of the former calibration that are held out together
 
 
 @dataclass(frozen=True, slots=True)

@@ -224,6 +224,9 @@ def sessions_card(
     count = 0 if held is None else held.count
     free = count > 1 and is_distribution_free(count, coverage)
     factor = None if free or count < 2 else few_sessions_factor(count, coverage)
+    text = _promise(column, tuple(map(str, names)), count, coverage, factor)
+    one_day = column != SESSION and len(np.unique(sessions_of(run))) < 2
+    same_day = "All rows are of one session: not yet tested on another day." if one_day else ""
     return SessionsCard(
         column=column,
         names=tuple(str(name) for name in names),
@@ -234,7 +237,7 @@ def sessions_card(
         factor=factor,
         errors={} if held is None else {c: _error_card(held, *pair) for c, pair in errors.items()},
         findings=findings,
-        text=_promise(column, tuple(map(str, names)), count, coverage, factor),
+        text=" ".join(filter(None, [text, same_day])),
     )
 
 
