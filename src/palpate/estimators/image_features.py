@@ -20,7 +20,8 @@ import numpy as np
 from palpate.core import Float, Float32, UInt8
 
 OCTAVES = 4
-MAX_MARKER_SIDE_PX = 320  # longer side of the image that markers are found in
+MAX_MARKER_SIDE_PX = 240  # longer side of the image that markers are found in
+MAX_COUNTED_PIXELS = 2**17  # for grey levels; of larger images every second row or fewer are counted
 FLOOR = 0.02  # grey levels, below which a mean says nothing
 
 Grey = UInt8[np.ndarray, "h w"]
@@ -71,6 +72,7 @@ def _pairs(grey: Octave) -> tuple[tuple[Octave, Octave], ...]:
 
 def _levels(grey: Grey) -> list[float]:
     """Mean, spread, outer levels and median, shares at both ends and between dark and bright."""
+    grey = grey[:: math.ceil(grey.size / MAX_COUNTED_PIXELS)]
     counts = cv2.calcHist([grey], [0], None, [256], [0, 256]).ravel().astype(np.float64) / grey.size
     greys = np.arange(256)
     mean = counts @ greys
