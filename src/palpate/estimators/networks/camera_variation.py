@@ -32,7 +32,7 @@ class CameraVariation:
         turn_deg: about the middle [deg].
         zoom_percent: about the middle.
         blur_px: sigma of a Gaussian [px of the input].
-        width_px: how far outlines of what is bright move [px of the input].
+        width_px: how far outlines of what is bright move along rows and columns [px of the input], up to 1.
         gain_percent: of the grey levels.
         noise: sigma [grey levels].
         below_quality_100: how far below 100 the quality of a JPEG may be.
