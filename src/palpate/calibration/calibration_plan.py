@@ -79,6 +79,8 @@ class CalibrationPlan:
         reference: which rows are that reference.
         learn_untouched: learn from (and score) those rows too, as from any other.
         coverage: how often intervals shall hold the truth.
+        skin_px: (x, y, width, height) of the skin in the frame, beyond which the audit asks what the outside
+            tells [px]; None where it is found by itself.
         options: the model's own fields, by name.
         circular: targets that come round again, and after which period in their unit; None takes a full turn.
         vectors: name of each vector that is also read as a whole, and its components among the targets, all
@@ -111,6 +113,7 @@ class CalibrationPlan:
     reference: ReferenceRule | None = None
     learn_untouched: bool = False
     coverage: float = 0.9
+    skin_px: tuple[int, int, int, int] | None = None
     options: dict[str, Any] = field(default_factory=dict)
     circular: dict[str, float | None] = field(default_factory=dict)
     vectors: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -179,9 +182,10 @@ class CalibrationPlan:
             raise InputError(f"coverage is {self.coverage}; it is a rate from 0.5 up to, not including, 1")
         if self.size_px is not None and min(self.size_px) < 1:
             raise InputError(f"an input of {self.size_px} px; its height and width are 1 px or more")
-        for box in (self.crop_px, self.beside_px):
+        boxes = {"crop": self.crop_px, "second crop": self.beside_px, "skin": self.skin_px}
+        for name, box in boxes.items():
             if box is not None and (min(box[:2]) < 0 or min(box[2:]) < 1):
-                raise InputError(f"crop {box} px; x and y are 0 or more, width and height 1 or more")
+                raise InputError(f"{name} {box} px; x and y are 0 or more, width and height 1 or more")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

@@ -18,6 +18,8 @@ import pandas as pd
 
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.conformal import fit_intervals
+from palpate.calibration.confounds import ConfoundAudit
+from palpate.calibration.confounds.deciding_pixels import MAP_FILE
 from palpate.calibration.coverage import range_cards
 from palpate.calibration.coverage.circular_scores import calibrated_arc, mean_of
 from palpate.calibration.coverage.joint_regions import vector_cards
@@ -69,6 +71,7 @@ class CalibrationResult:
         fitted, novelty: what was learnt from all of them.
         seconds: time it took [s].
         robustness: what changes of the camera cost; None where that was not tried.
+        confounds: what other than touch could have told the labels; None where that was not asked.
     """
 
     run: Run
@@ -81,6 +84,7 @@ class CalibrationResult:
     novelty: NoveltyDetector
     seconds: float = 0.0
     robustness: RobustnessCard | None = None
+    confounds: ConfoundAudit | None = None
 
     @property
     def data(self) -> TrainingData:
@@ -314,6 +318,8 @@ def write_certificate(
         write_table(predictions_table(result, ends), folder / PREDICTIONS_FILE)
         write_pictures(result, folder)
         further = {} if more is None else dict(more(folder, intervals))
+        if result.confounds is not None and result.confounds.pixels is not None:
+            result.confounds.pixels.save(folder / MAP_FILE)
         constant = _plan_fields(result) if former is None else former.model_dump(exclude={"id"})
         card = sealed(
             constant
@@ -330,6 +336,7 @@ def write_certificate(
                 "vectors": vector_cards(result.plan.vectors, result.plan.targets, intervals, *held_out)
                 or None,
                 "robustness": result.robustness,
+                "confounds": result.confounds and result.confounds.card(),
             }
             | further
         )

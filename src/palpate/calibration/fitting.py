@@ -26,6 +26,13 @@ from scipy.stats import ks_2samp
 
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.certificate import CalibrationResult, write_certificate
+from palpate.calibration.confounds import AuditedRows, ConfoundAudit, audit_confounds
+from palpate.calibration.confounds.deciding_pixels import (
+    DecidingPixels,
+    deciding_pixels,
+    mean_input,
+    rows_of_fold,
+)
 from palpate.calibration.coverage.circular_scores import refuse_no_angles
 from palpate.calibration.leakage import audit
 from palpate.calibration.model_check import check_plugged_in
@@ -106,13 +113,16 @@ def calibrate(
         learning = _learning_set(run, plan, parts, work, progress, processes)
         refuse_copied_sessions(learning.packed, parts.group_columns)
         leakage = audit(learning.packed, parts)
-        held_out, fitted = _fit(learning, parts, plan, work, progress, processes)
+        held_out, fitted, pixels = _fit(learning, parts, plan, work, progress, processes)
         assert fitted is not None
         beside = _split_beside(learning, parts, plan, work, progress)
         detector = _novelty_detector(learning, parts, fitted, plan, progress)
         suite = Suite(run, learning, parts, held_out, fitted, plan)
         detector, robustness = try_changes(suite, detector, progress)
-        result = CalibrationResult(run, plan, learning, parts, leakage, held_out, fitted, detector)
+        confounds = _confounds(run, plan, learning, parts, held_out, pixels, progress)
+        result = CalibrationResult(
+            run, plan, learning, parts, leakage, held_out, fitted, detector, confounds=confounds
+        )
         result = replace(result, seconds=time.monotonic() - started, robustness=robustness)
         sessions = held_out_sessions(learning.packed.table, parts, result.scored)
 
@@ -239,8 +249,8 @@ def _fit(
     progress: Progress,
     processes: ProcessGroup,
     keep: bool = True,
-) -> tuple[Values, Fitted | None]:
-    """Held-out outputs, NaN where a row was in no scored fold, and the model that is kept.
+) -> tuple[Values, Fitted | None, DecidingPixels | None]:
+    """Held-out outputs, NaN where a row was in no scored fold, the model that is kept, and its pixels.
 
     Where every fold is held out in turn, the one kept has learnt from all rows. Where one is, it is the very
     model that was scored. Where none shall be kept, every fold is held out.
@@ -265,27 +275,39 @@ def _fit(
         refuse_unfit(found, (len(parts.folds[k]), data.values.shape[1]), f"{plan.model}, fold {k + 1}")
         return found
 
+    def pixels(fitted: Fitted, k: int, folds: int) -> DecidingPixels:
+        nothing = mean_input(data, parts.training_rows(k))
+        with plugin_calls(f"model {plan.model}: predict failed on fold {k + 1} ({ERROR})", passed):
+            return deciding_pixels(
+                fitted, data, parts.folds[k], nothing, rows_of_fold(folds, k), progress=progress
+            )
+
     def held_out(k: int) -> Values:
         # All processes see the same here: the first writes it after they have trained this fold together.
         file_path = work / f"fold-{k}.npy"
         kept = _read_fold(file_path, (len(parts.folds[k]), data.values.shape[1]))
         if kept is not None:
+            maps.append(DecidingPixels.kept(work / f"fold-{k}.pixels.npz"))
             return kept
         what = f"{'' if keep else f'by {parts.kind}, '}fold {k + 1} of {len(parts.folds)}"
         fitted = fit(f"fold-{k}", what, parts.training_rows(k), plan.seed + k + 1)
         predicted = estimates(fitted, k)
         if processes.first:
+            if keep:
+                found = pixels(fitted, k, count)
+                found.keep(work / f"fold-{k}.pixels.npz")
+                maps.append(found)
             file_path.unlink(missing_ok=True)
             with new_file(file_path) as path, path.open("wb") as file:
                 np.save(file, predicted)
         return predicted
 
-    predicted = np.full_like(data.values, np.nan)
+    predicted, maps = np.full_like(data.values, np.nan), list[DecidingPixels | None]()
+    count, alone = folds_to_score(plan, parts), representative_fold(parts, labels.values)
     if not keep:
         for k in range(len(parts.folds)):
             predicted[parts.folds[k]] = held_out(k)
-        return predicted, None
-    count, alone = folds_to_score(plan, parts), representative_fold(parts, labels.values)
+        return predicted, None, None
     if isinstance(model, TimeBoxed):
         model = model.shared_among(count + 1 if count > 1 else 1)
     for k in range(count) if count > 1 else ():
@@ -294,7 +316,33 @@ def _fit(
     fitted = fit("kept", "the model that is kept", rows, plan.seed)
     if count == 1:
         predicted[parts.folds[alone]] = estimates(fitted, alone)
-    return predicted, fitted
+        if processes.first:
+            maps.append(pixels(fitted, alone, 1))
+    return predicted, fitted, DecidingPixels.joined([part for part in maps if part is not None])
+
+
+def _confounds(
+    run: Run,
+    plan: CalibrationPlan,
+    learning: LearningSet,
+    parts: Split,
+    held_out: Values,
+    pixels: DecidingPixels | None,
+    progress: Progress,
+) -> ConfoundAudit:
+    """Audit of what other than touch could have told the labels."""
+    untouched = learning.whole.only(learning.untouched.rows)
+    rows = AuditedRows(
+        packed=learning.packed,
+        values=plan.layout.encoded(learning.data.values),
+        names=plan.layout.names(tuple(plan.targets)),
+        split=parts,
+        held_out=held_out,
+        untouched=untouched,
+        frame_px=run.frame(0).image.shape[:2],
+    )
+    skin_px = plan.skin_px or run.manifest.regions.get("skin")
+    return audit_confounds(rows, skin_px=skin_px, pixels=pixels, progress=progress)
 
 
 def _split_beside(
@@ -306,7 +354,7 @@ def _split_beside(
         return None
     folder = work / "beside"
     folder.mkdir(exist_ok=True)
-    predicted, _ = _fit(learning, other, plan, folder, progress, ProcessGroup(), keep=False)
+    predicted, *_ = _fit(learning, other, plan, folder, progress, ProcessGroup(), keep=False)
     return ScoredSplit(other, predicted)
 
 

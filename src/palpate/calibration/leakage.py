@@ -11,12 +11,23 @@ import numpy as np
 import pandas as pd
 from sklearn.neighbors import NearestNeighbors
 
+from palpate.calibration.confounds.near_copies import NearCopies, find_near_copies
 from palpate.core import has_unit, split_column
 from palpate.recordings.label_tables import label_kinds
 from palpate.recordings.packed_set import PackedSet
 from palpate.recordings.splits import Split, conventional_groups, group_names, within_session
 
 _THUMB_PX = 16
+# Two frames of one scene: their difference at half a cell over its second differences', and what a lamp's
+# flicker and compression add [grey levels].
+_NOISE_ROOM, _UNEVEN = 1.5, 0.4
+_MEDIAN_OF_NORMAL = 0.6745  # of the absolute value, in standard deviations
+_MANY = 0.05  # of the held-out frames, above which look-alikes are no chance
+_AGREEING = 0.02  # of a label's range, within which a copy's label lies
+_AT_REST = 0.002  # of the largest depth and force: a force gauge's untouched reading is seldom exactly 0
+_SMALL_PX = 48
+_SHIFT_PX = 2  # of the prepared frame; a recorded pixel may be more than one
+_MAX_COMPARED = 1500  # held-out frames compared after gain and shift; beyond, every so many
 _BATCH = 256
 _NAMED = 3
 # Area means over cells that differ by less than half a grey level are the same number in 8 bits.
@@ -48,7 +59,8 @@ class LeakageAudit:
             both held out and trained on in some fold; those with none are left out.
         shared_names: a few of these groups by name.
         near_duplicates: how many held-out frames show, within the camera's noise, what a frame trained on
-            shows.
+            shows, or are an altered copy of one: noisier, brighter, or shifted by a pixel.
+        altered_copies: how many of them only the comparison after gain and shift has found.
         examples: names of a few such pairs, held-out frame first.
         checked_pairs: how many pairs were compared.
         limit: largest root-mean-square difference between thumbnails that still counts as the same [grey
@@ -62,6 +74,7 @@ class LeakageAudit:
     shared_groups: dict[str, int]
     shared_names: dict[str, tuple[str, ...]]
     near_duplicates: int
+    altered_copies: int
     examples: tuple[tuple[str, str], ...]
     checked_pairs: int
     limit: float
@@ -106,20 +119,29 @@ def audit(
     resting = _at_rest(table) if at_rest is None else np.asarray(at_rest, dtype=bool)
     held, twin, pairs = _nearest_across(thumbs, split, resting)
     limit = max(_ROUNDING, _NOISE_FACTOR * _noise(packed, thumbs))
-    quiet = ~_looks_like(thumbs, resting, limit)[held] if resting.any() else np.ones(len(held), dtype=bool)
-    same = np.flatnonzero(_alike(thumbs[held], thumbs[twin], limit) & quiet)
+    at_rest_or_alike = _looks_like(thumbs, resting, limit) if resting.any() else resting
+    agreeing = _labels_agree(table, held, twin)
+    same = np.flatnonzero(_alike(thumbs[held], thumbs[twin], limit) & ~at_rest_or_alike[held] & agreeing)
+    same = same[[_by_noise_alone(packed, int(held[i]), int(twin[i])) for i in same]] if same.size else same
+    copies = _near_copies(packed, split, at_rest_or_alike)
+    if len(same) < _MANY * len(held):  # of dense presses some look alike by chance, and as the next do
+        same = same[np.isin(held[same], copies.lone)]
+    agreeing = _labels_agree(table, copies.held, copies.twin)
+    altered = dict(zip(copies.held[agreeing].tolist(), copies.twin[agreeing].tolist(), strict=True))
+    pairs_found = altered | dict(zip(held[same].tolist(), twin[same].tolist(), strict=True))
     counts = {name: len(groups) for name, groups in shared.items()}
-    clean = not same.size and not (split.groups is None and counts)
+    clean = not pairs_found and not (split.groups is None and counts)
     return LeakageAudit(
         shared_groups=counts,
         shared_names={name: tuple(str(g) for g in groups[:_NAMED]) for name, groups in shared.items()},
-        near_duplicates=len(same),
-        examples=tuple((packed.names[held[i]], packed.names[twin[i]]) for i in same[:_NAMED]),
+        near_duplicates=len(pairs_found),
+        altered_copies=len(pairs_found) - len(same),
+        examples=tuple((packed.names[a], packed.names[b]) for a, b in sorted(pairs_found.items())[:_NAMED]),
         checked_pairs=pairs,
         limit=limit,
         at_rest=int(np.count_nonzero(resting)),
         clean=clean,
-        text=_text(split, counts, len(same), len(held)),
+        text=_text(split, counts, len(same), len(pairs_found) - len(same), len(held)),
     )
 
 
@@ -158,7 +180,8 @@ def _at_rest(table: pd.DataFrame) -> np.ndarray:
         if kind == "flag" and name == "contact":
             return np.asarray(table[name].eq(False), dtype=bool)
         if kind == "number" and has_unit(name) and split_column(name)[0].endswith(("depth", "force")):
-            rest &= table[name].to_numpy() == 0
+            size = np.abs(table[name].to_numpy())
+            rest &= size <= _AT_REST * np.nanmax(size, initial=0.0)
             any_column = True
     return rest & any_column
 
@@ -192,6 +215,25 @@ def _nearest_across(
             twin.append(trained[search.kneighbors(thumbs[queries], return_distance=False)[:, 0]])
             pairs += len(queries) * len(trained)
     return np.concatenate(held), np.concatenate(twin), pairs
+
+
+def _near_copies(packed: PackedSet, split: Split, resting: np.ndarray) -> NearCopies:
+    """Held-out rows and the row trained on that each is an altered copy of."""
+    step = 1 + len(packed) // _MAX_COMPARED
+    sides = []
+    for k, fold in enumerate(split.folds):
+        trained = split.training_rows(k)
+        sides.append((fold[~resting[fold]][::step], trained[~resting[trained]]))
+    shift = _SHIFT_PX * _SMALL_PX / max(_SMALL_PX, *packed.shape[:2])
+    return find_near_copies(_small(packed), sides, shift)
+
+
+def _small(packed: PackedSet) -> np.ndarray:
+    """Grey area means of every frame ``[n h w]``, in which noise is averaged and a shift is not lost."""
+    batches = packed.batches(np.arange(len(packed)), _BATCH)
+    small = (_shrunk(batch, _SMALL_PX).mean(axis=-1) for batch in batches)
+    # A shift is seen as a slope times a distance, which sharp edges do not follow.
+    return np.stack([cv2.GaussianBlur(frame, (0, 0), 1.0) for frames in small for frame in frames])
 
 
 def _noise(packed: PackedSet, thumbs: np.ndarray) -> float:
@@ -241,6 +283,26 @@ def _alike(a: np.ndarray, b: np.ndarray, limit: float) -> np.ndarray:
     return alike
 
 
+def _by_noise_alone(packed: PackedSet, a: int, b: int) -> bool:
+    """True if two frames differ as evenly at half a cell as noise does; markers that moved do not."""
+    first, second = (_shrunk(frame[None], 2 * _THUMB_PX)[0] for frame in packed.read([a, b]))
+    apart = first - second
+    rough = cv2.filter2D(apart, -1, _SECOND_DIFFERENCES)
+    noise = float(np.median(np.abs(rough))) / _MEDIAN_OF_NORMAL
+    return bool(apart.std() ** 2 <= (_NOISE_ROOM * noise) ** 2 + _UNEVEN**2)
+
+
+def _labels_agree(table: pd.DataFrame, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Pairs of rows whose labels are nearly equal: touches too light to be seen look alike anywhere."""
+    agree = np.ones(len(a), dtype=bool)
+    for name, kind in label_kinds(table).items():
+        label = kind == "number" and has_unit(name) and split_column(name)[0] != "time"
+        values = table[name].to_numpy(dtype=np.float64) if label else None
+        if values is not None and np.nanmax(values) > np.nanmin(values):
+            agree &= ~(np.abs(values[a] - values[b]) > _AGREEING * (np.nanmax(values) - np.nanmin(values)))
+    return agree
+
+
 def _looks_like(thumbs: np.ndarray, resting: np.ndarray, limit: float) -> np.ndarray:
     """Mask of frames that cannot be told from the skin at rest, touched or not."""
     untouched = np.median(thumbs[resting], axis=0)
@@ -248,8 +310,13 @@ def _looks_like(thumbs: np.ndarray, resting: np.ndarray, limit: float) -> np.nda
     return unseen
 
 
-def _text(split: Split, shared: dict[str, int], twins: int, held: int) -> str:
+def _text(split: Split, shared: dict[str, int], twins: int, altered: int, held: int) -> str:
     findings = []
+    if altered:
+        findings.append(
+            f"{altered} of {held} held-out frames are altered copies of frames trained on, noisier, brighter "
+            "or shifted: take the copies out, or keep them with their originals by a column that groups them"
+        )
     if twins:
         findings.append(
             f"{twins} of {held} held-out frames look the same, within camera noise, as frames trained on: "

@@ -37,6 +37,7 @@ from palpate.calibration.certificate import (
     write_picture,
 )
 from palpate.calibration.conformal import fit_intervals
+from palpate.calibration.confounds.deciding_pixels import MAP_FILE
 from palpate.calibration.coverage import range_cards
 from palpate.calibration.evaluation import groups_in, score
 from palpate.calibration.training_data import learning_set, rows_to_learn
@@ -380,7 +381,7 @@ def _predictions(
 def _pictures(folder: Path, card: Card, building: Path, material: _Material, estimates: Values) -> None:
     """The report's pictures: the usual ones as they were, and the rows that int8 misses most."""
     for part in card.files:
-        if part.file in ("example.png", "reference.png"):
+        if part.file in ("example.png", "reference.png", MAP_FILE):
             shutil.copyfile(checked_file(folder, part), building / part.file)
     error = np.abs(estimates - material.data.values[material.held]) / np.ptp(material.data.values, axis=0)
     for row in material.held[np.argsort(error.max(axis=1))[::-1][:WORST]].tolist():

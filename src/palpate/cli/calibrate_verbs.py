@@ -64,6 +64,10 @@ def calibrate(
         list[str] | None,
         Option(help="X,Y,WIDTH,HEIGHT cut from each frame [px]; given twice, two are laid side by side."),
     ] = None,
+    skin: Annotated[
+        str | None,
+        Option(help="X,Y,WIDTH,HEIGHT of the skin [px], for the audit; by default it is found by itself."),
+    ] = None,
     rgb: Annotated[
         bool | None,
         Option("--rgb/--grey", help="Learn from three colour channels or one; by default the model's own."),
@@ -135,6 +139,7 @@ def calibrate(
         delta=bool(kind.delta) if delta is None else delta,
         reference=ReferenceRule.parse(reference, names_of(reference_by)) if reference else None,
         learn_untouched=learn_untouched,
+        skin_px=numbers_of(skin, 4, "--skin"),  # type: ignore[arg-type]
         options=_model_options(model, option or [], minutes),
         circular=periods_of(circular),
         vectors=vectors_of(vector or []),
@@ -250,9 +255,9 @@ def _model_options(model: str, pairs: list[str], minutes: float | None) -> dict[
 
 def _card_text(card: Any, out: Path) -> str:
     from palpate.calibration.coverage import card_findings
-    from palpate.reports.terminal_text import scores_table
+    from palpate.reports.terminal_text import confounds_text, scores_table
 
-    lines = [f"calibration {card.id}: {out}"]
+    lines = [f"calibration {card.id}: {out}", *confounds_text(card.confounds)]
     if card.sessions is not None:
         lines += [card.sessions.text, *card.sessions.findings]
     lines.append(scores_table({t.column: t.score for t in card.targets}))

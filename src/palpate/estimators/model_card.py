@@ -282,6 +282,75 @@ class SplitCard(_CardPart):
     details: dict[str, Any]
 
 
+class ConfoundFindingCard(_CardPart):
+    """Finding of the confound audit: a sentence, and what to do.
+
+    Attributes:
+        kind: ``rows shifted``, ``outside``, ``burnt in``, ``order`` or ``function``.
+        target: column it is about; empty where it is about all.
+        severity: ``fails`` where scores cannot be relied on, ``warns`` where they say less than they seem to,
+            ``notes`` where nothing came of it.
+        text, remedy: sentences without their full stop.
+    """
+
+    kind: str
+    target: str
+    severity: Literal["fails", "warns", "notes"]
+    text: str
+    remedy: str
+
+
+class TargetConfoundCard(_CardPart):
+    """What other than touch tells of one target, beside the model; shares of variance (R²), held out.
+
+    Attributes:
+        column: of the target.
+        rank_correlation: Spearman's, with the row's number.
+        order_r2: told by a smooth function of order or time.
+        order_level: share of shufflings of whole presses that tell as much.
+        model_r2: told by the model from the whole picture.
+        outside_r2, outside_r2_blocks: told by what lies outside the skin, on the calibration's folds and on
+            short interleaved blocks; None where there is no outside.
+        inside_r2: told by the skin, asked as the outside is.
+    """
+
+    column: str
+    rank_correlation: float
+    order_r2: float
+    order_level: float
+    model_r2: float
+    outside_r2: float | None
+    outside_r2_blocks: float | None
+    inside_r2: float | None
+
+
+class ConfoundCard(_CardPart):
+    """Audit of what other than touch could have told the labels.
+
+    Attributes:
+        failed: whether the scores cannot be relied on.
+        findings: the gravest first.
+        targets: what was asked of each.
+        outside_share: share of the prepared picture that lies outside the skin; None where none was found.
+        outside: how the outside was found, or why there is none.
+        skin_px: box (x, y, width, height) around the skin [px of the recorded frame].
+        row_lag: rows by which labels come later than the images that they fit; 0 as it should be.
+        map_file: array ``[t y x]`` of the growth of each target's mean absolute error, in its unit, where a
+            block of the picture shows nothing; None where there is none.
+        map_rows: held-out rows that it is the mean of.
+    """
+
+    failed: bool
+    findings: tuple[ConfoundFindingCard, ...]
+    targets: tuple[TargetConfoundCard, ...]
+    outside_share: float | None
+    outside: str
+    skin_px: tuple[int, int, int, int] | None
+    row_lag: int
+    map_file: str | None
+    map_rows: int | None
+
+
 class RunCard(_CardPart):
     """Recording that was learnt from."""
 
@@ -490,10 +559,12 @@ class Card(_CardPart):
         copy_of: the copy adapted to; None where it was not adapted, or before copies were told apart.
         choice: what the model tried, and what it took; None where it had nothing to choose.
         robustness: against changes of the camera; None in cards of before, and in adapted ones.
+        confounds: audit of what other than touch could have told the labels; None where none was made.
     """
 
     added: ClassVar[tuple[str, ...]] = (
-        "adapted_from", "vectors", "sessions", "order", "interval_reset", "copy_of", "choice", "robustness",
+        "adapted_from", "vectors", "sessions", "order", "interval_reset", "copy_of", "choice",
+        "robustness", "confounds",
     )  # fmt: skip
 
     format: Literal["palpate-calibration/1"]
@@ -523,6 +594,7 @@ class Card(_CardPart):
     copy_of: CopyCard | None = None
     choice: ChoiceCard | None = None
     robustness: RobustnessCard | None = None
+    confounds: ConfoundCard | None = None
 
     @model_validator(mode="after")
     def _targets_fit(self) -> Card:

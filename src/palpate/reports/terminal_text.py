@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from palpate.estimators.model_card import ScoreCard
+from palpate.estimators.model_card import ConfoundCard, ScoreCard
 
 if TYPE_CHECKING:
     from palpate.recordings.integrity import CheckReport
@@ -52,6 +53,19 @@ def _cells(name: str, s: ScoreCard) -> tuple[str, ...]:
         f"±{s.half_width:.3g}",
         f"{100 * s.coverage_90:.3g} ({100 * s.coverage_90_low:.3g}–{100 * s.coverage_90_high:.3g}) %",
     )
+
+
+def confounds_text(card: ConfoundCard | None) -> list[str]:
+    """Findings that stand before the numbers, each remedy once; none where nothing was found."""
+    found = [] if card is None else [f for f in card.findings if f.severity != "notes"]
+    if card is None or not found:
+        return []
+    head = "the audit failed: do not rely on these scores" if card.failed else "the audit warns"
+    lines = [head]
+    for remedy in dict.fromkeys(f.remedy for f in found):
+        lines += [f"- {f.text}." for f in found if f.remedy == remedy]
+        lines.append(f"  What to do: {remedy}.")
+    return [textwrap.fill(x, COLUMNS, subsequent_indent="  ", break_on_hyphens=False) for x in lines]
 
 
 def latency_line(seconds: Sequence[float]) -> str:

@@ -1,0 +1,224 @@
+"""Findings of an audit: what was found, in a sentence, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from palpate.calibration.confounds.outside_control import TellingCell
+from palpate.calibration.confounds.row_order import OrderCheck, ShiftCheck
+from palpate.calibration.confounds.target_functions import TargetFunction
+
+Severity = Literal["fails", "warns", "notes"]
+SEVERITIES: tuple[Severity, ...] = ("fails", "warns", "notes")
+
+MIN_OUTSIDE_SHARE = 0.1
+"""R² from which what lies outside the skin is said to tell a label; more is asked where presses are few."""
+OUTSIDE_SHARE_PER_UNIT = 4.0
+MIN_CELL_SHARE = 0.3
+MAX_AROUND = 0.5
+"""R² around a place, over its own, up to which it stands alone: light that a press spreads does not."""
+EXACT_SHARE, EXACT_ERROR = 0.98, 0.1
+"""R² of a place from which it is exact, and its squared error over that around: touch fades, a text ends."""
+MIN_BORDER_SHARE = 0.5
+MORE_THAN_SKIN = 0.7
+"""Squared error of what lies far from the skin, over the skin's, up to which touch cannot have spread it."""
+BORDER_ERROR = 2.0
+"""Squared error of a place at the border, over the model's, up to which it tells as much as the model."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that an audit found.
+
+    Attributes:
+        kind: what kind of thing: ``rows shifted``, ``outside``, ``burnt in``, ``order``, ``function``.
+        target: the column it is about; empty where it is about all.
+        severity: ``fails`` where the scores cannot be relied on, ``warns`` where they say less than they seem
+            to, ``notes`` where nothing came of it.
+        text: the finding in a sentence.
+        remedy: what to do, in a sentence.
+    """
+
+    kind: str
+    target: str
+    severity: Severity
+    text: str
+    remedy: str
+
+
+def min_outside_share(units: int) -> float:
+    """R² from which what lies outside the skin tells a label beyond chance, with so many presses."""
+    return MIN_OUTSIDE_SHARE + OUTSIDE_SHARE_PER_UNIT / units
+
+
+@dataclass(frozen=True, slots=True)
+class TargetEvidence:
+    """What was asked about one target.
+
+    Attributes:
+        column: of the target.
+        order: the label against order and time.
+        model: R² of the model's held-out estimates.
+        outside: R² of the outside, held out on the calibration's folds; None where there is no outside.
+        outside_blocks: the same on short interleaved blocks.
+        far: R² of what lies far from the skin; None where nothing does or the outside told nothing.
+        inside: R² of the skin, asked in the same way; None where the outside told nothing.
+        cell: the place by itself that tells most; None where none was asked.
+        cell_outside: whether that place lies outside the skin.
+    """
+
+    column: str
+    order: OrderCheck
+    model: float
+    outside: float | None = None
+    outside_blocks: float | None = None
+    far: float | None = None
+    inside: float | None = None
+    cell: TellingCell | None = None
+    cell_outside: bool = False
+
+    def told_outside(self, units: int) -> bool:
+        """True if the outside tells the label beyond chance."""
+        best = max((r for r in (self.outside, self.outside_blocks) if r is not None), default=0.0)
+        return best >= min_outside_share(units)
+
+
+def ranked(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """The gravest first; of equal ones the order found."""
+    return tuple(sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity)))
+
+
+def outside_findings(evidence: TargetEvidence, units: int, crop: str) -> list[Finding]:
+    """Findings about order, outside and burnt-in labels of one target.
+
+    Args:
+        evidence: what was asked.
+        units: how many presses there are.
+        crop: the remedy that cuts the outside.
+    """
+    order, told = evidence.order, evidence.told_outside(units)
+    found = []
+    if told and order.follows:
+        found.append(_outside(evidence, crop))
+    elif (cell := _lone_cell(evidence)) is not None:
+        found.append(_burnt_in(evidence, cell, crop))
+    elif told and _better_than_the_skin(evidence):
+        found.append(_outside(evidence, crop))
+    if order.follows:
+        found.append(_order(evidence, told))
+    return found
+
+
+def _better_than_the_skin(evidence: TargetEvidence) -> bool:
+    """Light that a press spreads fades with distance and tells less than the skin; a text may tell more."""
+    if evidence.inside is None or evidence.far is None:
+        return False
+    left = 1 - evidence.far
+    return left <= MORE_THAN_SKIN * (1 - evidence.inside) and left <= BORDER_ERROR * (1 - evidence.model)
+
+
+def _lone_cell(evidence: TargetEvidence) -> TellingCell | None:
+    cell = evidence.cell
+    if cell is None:
+        return None
+    if cell.share >= EXACT_SHARE and 1 - cell.share <= EXACT_ERROR * (1 - cell.around):
+        return cell
+    if cell.around > MAX_AROUND * cell.share:
+        return None
+    as_the_model = cell.share >= MIN_BORDER_SHARE and 1 - cell.share <= BORDER_ERROR * (1 - evidence.model)
+    if as_the_model or (evidence.cell_outside and cell.share >= MIN_CELL_SHARE):
+        return cell
+    return None
+
+
+def _outside(evidence: TargetEvidence, crop: str) -> Finding:
+    assert evidence.outside is not None
+    assert evidence.outside_blocks is not None
+    column = evidence.column
+    follows = evidence.order.follows
+    meaning = (
+        f", and {column} follows the order of the rows, so that what drifts with time tells it; the scores "
+        "may be the rim's, not the touch's"
+        if follows
+        else "; as rows are in no order, this is light that presses spread, or something that goes with them"
+    )
+    return Finding(
+        "outside",
+        column,
+        "fails" if follows else "notes",
+        f"what lies outside the skin tells {column} by itself: R² {evidence.outside:.2f} on the "
+        f"calibration's folds and {evidence.outside_blocks:.2f} on short blocks of time, where the model has "
+        f"{evidence.model:.2f} from the whole picture{meaning}",
+        crop,
+    )
+
+
+def _burnt_in(evidence: TargetEvidence, cell: TellingCell, crop: str) -> Finding:
+    column = evidence.column
+    where = "outside the skin" if evidence.cell_outside else "at the border of the picture"
+    return Finding(
+        "burnt in",
+        column,
+        "fails",
+        f"one small place {where} tells {column} by itself (R² {cell.share:.2f}, the model "
+        f"{evidence.model:.2f}), and the places around it do not (R² {cell.around:.2f}): is the label, a "
+        "text or a bar, burnt into the picture there?",
+        crop,
+    )
+
+
+def _order(evidence: TargetEvidence, told_outside: bool) -> Finding:
+    order, column = evidence.order, evidence.column
+    by = "time" if order.by_time else "the order of the rows"
+    text = (
+        f"{column} follows {by}: a smooth function of it tells {100 * order.share:.0f} % of the variance "
+        f"(rank correlation {order.rank_correlation:+.2f}; shuffled presses do as well in "
+        f"{100 * order.level:.1f} % of cases)"
+    )
+    remedy = (
+        "record presses in random order; until then, --split blocks holds out stretches of time, and palpate "
+        "evaluate on another session says what is true of it"
+    )
+    if told_outside:
+        return Finding(
+            "order", column, "fails", f"{text}; anything that drifts with time tells it too", remedy
+        )
+    if evidence.outside is not None:
+        checked = f"{text}; what lies outside the skin does not tell it, so that no drift is seen to help"
+        return Finding("order", column, "notes", checked, remedy)
+    unseen = f"{text}; whether the model reads a drift cannot be seen, as the picture shows no outside"
+    return Finding("order", column, "warns", unseen, remedy)
+
+
+def function_finding(function: TargetFunction, names: Sequence[str]) -> Finding:
+    """Finding about targets that are functions of each other."""
+    of, column = " and ".join(function.of), function.target
+    rest = ",".join(name for name in names if name != column)
+    relation = f"{column} and {of} tell each other" if function.both_ways else f"{column} follows from {of}"
+    return Finding(
+        "function",
+        column,
+        "warns",
+        f"{relation} in this recording: {100 * function.told:.0f} % of the rows of {column} are told within "
+        "2 % of its range without any picture; their scores are not independent evidence, and where the "
+        "relation does not hold neither will this reading",
+        f"calibrate on rows where they vary apart, or leave one out: --targets {rest}",
+    )
+
+
+def shift_finding(shift: ShiftCheck) -> Finding | None:
+    """Finding about labels that belong to other rows' images."""
+    if shift.lag == 0:
+        return None
+    side = "later" if shift.lag > 0 else "earlier"
+    rows = f"{abs(shift.lag)} row{'s' if abs(shift.lag) > 1 else ''}"
+    return Finding(
+        "rows shifted",
+        "",
+        "fails",
+        f"images fit the labels of {rows} {side} better than their own (R² {shift.best:.2f} against "
+        f"{shift.own:.2f}): the table is shifted against the images, or labels lag behind",
+        f"pair each image with the label {rows} {side}, and import again",
+    )

@@ -1,0 +1,147 @@
+"""Copies of frames that were altered: noisier, brighter, shifted by a pixel, mirrored, in any order of rows.
+
+Two frames are compared after the best gain and small shift. What is left between a copy and its
+original is far less than between a frame and any other. How much less chance allows follows from the
+recording itself: in a cloud of D dimensions the distances r₁ < r₂ < … to a point's neighbours have ratios
+with P(r₍ₖ₊₁₎/rₖ > x) = x^(−kD) (E. Facco et al., Sci. Rep. 7, 12140 (2017), doi:10.1038/s41598-017-11873-y),
+and D is taken from the fifth to eighth neighbours, which copies leave alone. So a press series along one
+depth, whose frames are all like their neighbours, holds no copies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from sklearn.neighbors import NearestNeighbors
+
+from palpate.core import Float, Float32, Indices, Int
+
+NEIGHBOURS = 8
+"""Frames most like a held-out one that are compared with it in detail."""
+CLOSE = 3
+"""Nearest neighbours that may be copies; the others say what is usual."""
+LONE_RATIO = 6.0
+MIN_RATIO = 3.0
+"""Ratio of distances, a copy's and the next frame's, below which nothing is called a copy."""
+RATE = 0.005
+"""Expected share of false ones among the frames named (Benjamini and Hochberg)."""
+GAINS = (0.6, 1.6)
+MAX_OFFSET = 2.0
+"""Offset that noise leaves where black and white are clipped; more may be a deeper touch [grey levels]."""
+FLOOR = 0.05
+"""Distance below which small pictures of 8-bit frames are not told apart [grey levels]."""
+MIN_FRAMES = 40
+MAX_DIMENSIONS = 4.0
+"""D taken at most: presses that touch different places differ by as much however far apart they are, which
+looks like many dimensions, and so like few close pairs."""
+
+
+@dataclass(frozen=True)
+class NearCopies:
+    """Held-out rows with an altered copy among the rows trained on.
+
+    Attributes:
+        held, twin: the rows, and the copy of each.
+        dimensions: D, of the cloud of frames.
+        lone: held-out rows with a neighbour at least six times nearer than the next, copy or rare chance.
+    """
+
+    held: Int[np.ndarray, " m"]
+    twin: Int[np.ndarray, " m"]
+    dimensions: float
+    lone: Int[np.ndarray, " l"]
+
+
+def find_near_copies(
+    small: Float32[np.ndarray, "n h w"], sides: Sequence[tuple[Indices, Indices]], most_shift: float
+) -> NearCopies:
+    """Held-out frames that are altered copies of frames trained on.
+
+    Args:
+        small: area means of every frame, grey levels.
+        sides: for each fold, rows held out and rows trained on, those at rest left out.
+        most_shift: largest shift looked for, in pixels of the small pictures; a touch elsewhere shifts more.
+    """
+    nothing = np.empty(0, np.int64)
+    held, others, apart = [], [], []
+    for queries, trained in sides:
+        if len(queries) and len(trained) > NEIGHBOURS:
+            near, distances = _neighbours(small, queries, trained, most_shift)
+            held.append(queries)
+            others.append(near)
+            apart.append(distances)
+    if not held or sum(map(len, held)) < MIN_FRAMES:
+        return NearCopies(nothing, nothing, float("nan"), nothing)
+    rows, near, distances = map(np.concatenate, (held, others, apart))
+    steps = np.log(distances[:, 1:] / distances[:, :-1]) * np.arange(1, NEIGHBOURS)
+    dimensions = _dimensions(steps[:, CLOSE + 1 :], distances)
+    close = steps[:, :CLOSE]
+    place = close.argmax(axis=1)
+    jump = close[np.arange(len(rows)), place]
+    chance = 1 - (1 - np.exp(-dimensions * np.maximum(jump, 0))) ** CLOSE
+    ratio = np.exp(jump / (place + 1))
+    found = _significant(np.where(ratio >= MIN_RATIO, chance, 1.0))
+    return NearCopies(rows[found], near[found, 0], dimensions, rows[ratio >= LONE_RATIO])
+
+
+def _neighbours(
+    small: Float32[np.ndarray, "n h w"], queries: Indices, trained: Indices, most_shift: float
+) -> tuple[Int[np.ndarray, "q k"], Float[np.ndarray, "q k"]]:
+    """The frames trained on that are most like each query once aligned, nearest first."""
+    flat = small.reshape(len(small), -1)
+    even = flat - flat.mean(axis=1, keepdims=True)
+    even = even / np.maximum(np.linalg.norm(even, axis=1, keepdims=True), 1e-6)
+    search = NearestNeighbors(n_neighbors=NEIGHBOURS, algorithm="brute").fit(even[trained])
+    near = trained[search.kneighbors(even[queries], return_distance=False)]
+    distances = np.concatenate(
+        [
+            _aligned_distance(small[queries[part]], small[near[part]], most_shift)
+            for part in np.array_split(np.arange(len(queries)), 1 + len(queries) // 64)
+        ]
+    )
+    order = np.argsort(distances, axis=1, kind="stable")
+    return np.take_along_axis(near, order, axis=1), np.take_along_axis(distances, order, axis=1)
+
+
+def _aligned_distance(
+    frames: Float32[np.ndarray, "q h w"], others: Float32[np.ndarray, "q k h w"], most_shift: float
+) -> Float[np.ndarray, "q k"]:
+    """Root mean square of what is left between frames after gain, small offset and shift of the other.
+
+    A shifted picture is its Taylor series to second order in the shift.
+    """
+    down, across = np.gradient(others, axis=(2, 3))
+    (down_down, down_across), across_across = np.gradient(down, axis=(2, 3)), np.gradient(across, axis=3)
+    terms = (others, np.ones_like(others), across, down, across_across, down_across, down_down)
+    columns = np.stack(terms, axis=2).reshape(*others.shape[:2], len(terms), -1)
+    wanted = np.broadcast_to(frames.reshape(len(frames), 1, -1), (*others.shape[:2], frames[0].size))
+    products = columns @ columns.transpose(0, 1, 3, 2)
+    sizes = np.trace(products, axis1=2, axis2=3)[..., None, None]
+    products = products + 1e-7 * sizes * np.eye(len(terms), dtype=np.float32)
+    factors = np.linalg.solve(products, columns @ wanted[..., None])
+    left = np.sqrt(np.mean((wanted - (factors.transpose(0, 1, 3, 2) @ columns)[:, :, 0]) ** 2, axis=2))
+    plain = np.sqrt(np.mean((wanted - columns[:, :, 0]) ** 2, axis=2))
+    gain, offset, shift = factors[..., 0, 0], factors[..., 1, 0], factors[..., 2:4, 0]
+    usable = (gain >= GAINS[0]) & (gain <= GAINS[1]) & (np.abs(offset) <= MAX_OFFSET)
+    usable &= (np.abs(shift) <= most_shift * np.abs(gain[..., None])).all(axis=-1)
+    return np.maximum(np.where(usable, left, plain), FLOOR).astype(np.float64)
+
+
+def _dimensions(steps: Float[np.ndarray, "q s"], distances: Float[np.ndarray, "q k"]) -> float:
+    """D by the median of k ln(r₍ₖ₊₁₎/rₖ), which is ln 2 / D; the lower of all rows' and the sparser half's.
+
+    Where frames crowd, noise makes all distances alike, as if there were many dimensions.
+    """
+    sparse = distances[:, CLOSE + 1] >= np.median(distances[:, CLOSE + 1])
+    medians = max(float(np.median(steps)), float(np.median(steps[sparse])))
+    return float(min(np.log(2) / max(medians, 1e-3), MAX_DIMENSIONS))
+
+
+def _significant(chances: Float[np.ndarray, " q"]) -> Int[np.ndarray, " m"]:
+    """Places of chances that stand out at the expected share of false ones."""
+    order = np.argsort(chances, kind="stable")
+    passed = chances[order] <= RATE * np.arange(1, len(chances) + 1) / len(chances)
+    count = int(np.flatnonzero(passed).max(initial=-1)) + 1
+    return np.sort(order[:count])

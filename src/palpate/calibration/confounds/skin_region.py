@@ -1,0 +1,136 @@
+"""The part of a picture that changes with touch, and what lies outside it.
+
+Where touch changes a picture it does so from one press to the next; a lamp, a reflection at the rim or the
+background changes slowly, if at all. So pairs of frames a little apart in order are compared: their
+difference shows touch and not drift. Large connected places that change are the skin, one in each view; a
+label burnt into a corner changes too, and is small and apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from palpate.core import Bool, Float, Float32, Int
+
+MAP_PX = 40
+"""Cells along the longer side in which change is averaged: the gaps between markers close."""
+PAIRS = 300
+NEAR = 0.02
+"""Share of the recording that lies between the frames of a pair."""
+ACTIVE = 0.15
+"""Change from which a cell is skin, between the quietest cells (0) and the liveliest (1)."""
+MIN_CONTRAST = 1.5
+"""Change of the liveliest cells over that of the quietest below which nothing is told from noise."""
+SMALL_PLACE = 0.15
+"""Area of a place that changes, over the largest one's, below which it is no skin: a text, a bar."""
+FAR_AWAY = 0.1
+MIN_OUTSIDE = 0.02
+"""Share of the picture below which there is no outside to speak of."""
+
+
+@dataclass(frozen=True)
+class SkinRegion:
+    """The skin in prepared pictures.
+
+    Attributes:
+        outside: ``[h w]`` pixels that surely lie outside the skin.
+        inside: ``[h w]`` pixels of the skin; between the two lies a margin.
+        source: how it was found, in words.
+    """
+
+    outside: Bool[np.ndarray, "h w"]
+    inside: Bool[np.ndarray, "h w"]
+    source: str
+
+    @property
+    def far_outside(self) -> Bool[np.ndarray, "h w"]:
+        """Pixels outside that no light of a press reaches, a tenth of the picture away from the skin."""
+        reach = 2 * round(FAR_AWAY * max(self.inside.shape)) + 1
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
+        far: Bool[np.ndarray, "h w"] = cv2.dilate((~self.outside).astype(np.uint8), disc) == 0
+        return far
+
+    @property
+    def has_outside(self) -> bool:
+        """True if there is an outside to speak of."""
+        return bool(self.outside.mean() >= MIN_OUTSIDE)
+
+    @property
+    def box(self) -> tuple[int, int, int, int]:
+        """(x, y, width, height) that just holds the skin [px of the prepared picture]."""
+        rows, columns = (np.flatnonzero(self.inside.any(axis=axis)) for axis in (1, 0))
+        return int(columns[0]), int(rows[0]), int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1
+
+
+def change_map(
+    images: Float32[np.ndarray, "n h w c"], units: Int[np.ndarray, " n"], seed: int = 0
+) -> Float[np.ndarray, "y x"]:
+    """Mean absolute difference between frames a little apart in order, in cells [grey levels]."""
+    n = len(images)
+    rng = np.random.default_rng(seed)
+    # Beyond the unit a frame belongs to: within a press, frames may differ by noise alone.
+    step = max(1, round(NEAR * n), int(np.median(np.bincount(np.unique(units, return_inverse=True)[1]))))
+    step = min(step, max(1, n // 2))
+    first = np.unique(np.linspace(0, n - 1 - step, min(PAIRS, n - step)).astype(np.int64))
+    second = np.minimum(first + step + rng.integers(0, step + 1, len(first)), n - 1)
+    height, width = images.shape[1:3]
+    scale = MAP_PX / max(height, width)
+    size = (max(1, round(scale * width)), max(1, round(scale * height)))
+    change = np.mean(
+        [np.abs(images[a] - images[b]).max(axis=-1) for a, b in zip(first, second, strict=True)], axis=0
+    )
+    cells = cv2.resize(change.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    return cv2.blur(cells, (3, 3), borderType=cv2.BORDER_REPLICATE).astype(np.float64)
+
+
+def find_skin(
+    images: Float32[np.ndarray, "n h w c"],
+    units: Int[np.ndarray, " n"],
+    untouched: Float32[np.ndarray, "r h w c"] | None = None,
+) -> SkinRegion:
+    """The skin by what changes from press to press.
+
+    Args:
+        images: prepared frames in the order they were taken, grey levels.
+        units: press of each.
+        untouched: frames of the untouched sensor in their order, which show what changes without touch.
+    """
+    change = change_map(images, units)
+    quiet = float(np.quantile(change, 0.02))
+    source = "the part of the picture that changes from press to press"
+    if untouched is not None and len(untouched) >= 4:
+        rest = change_map(untouched, np.arange(len(untouched)))
+        change, quiet = np.maximum(change - rest, 0.0), 0.0
+        source = "the part of the picture that changes more under touch than at rest"
+    lively = float(np.quantile(change, 0.9))
+    height, width = images.shape[1:3]
+    whole = np.ones((height, width), dtype=bool)
+    if lively <= max(MIN_CONTRAST * quiet, 1e-6):
+        return SkinRegion(~whole, whole, "every part of the picture changes alike")
+    return _region(change > quiet + ACTIVE * (lively - quiet), (height, width), source)
+
+
+def _region(active: Bool[np.ndarray, "y x"], shape: tuple[int, int], source: str) -> SkinRegion:
+    """Convex hulls of the places that change, small ones aside, and a margin of a cell around them."""
+    closed = cv2.morphologyEx(active.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    hull = np.zeros(active.shape, np.uint8)
+    for part in 1 + np.flatnonzero(areas >= SMALL_PLACE * areas.max(initial=1)):
+        corners = np.argwhere(parts == part)[:, ::-1].astype(np.int32)
+        cv2.fillConvexPoly(hull, cv2.convexHull(corners), 1)
+    wide = cv2.dilate(hull, np.ones((3, 3), np.uint8))
+    size = shape[::-1]
+    inside, near = (cv2.resize(m, size, interpolation=cv2.INTER_NEAREST) > 0 for m in (hull, wide))
+    return SkinRegion(~near, inside, source)
+
+
+def boxed(shape: tuple[int, int], box: tuple[int, int, int, int], source: str) -> SkinRegion:
+    """A region whose outside is what lies beyond a box, (x, y, width, height) [px of the picture]."""
+    inside = np.zeros(shape, dtype=bool)
+    x, y, width, height = box
+    inside[max(y, 0) : y + height, max(x, 0) : x + width] = True
+    return SkinRegion(~inside, inside, source)

@@ -1,0 +1,123 @@
+"""Targets that are functions of other targets, in either direction: certificates that are not independent."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.calibration.confounds.kernel_regression import Kernels
+from palpate.core import Bool, Float, Int, Values
+
+EXACT = 0.02
+"""Error, as a share of the target's range, within which a row is told."""
+MIN_TOLD = 0.95
+"""Share of rows that are told where a target is a function."""
+MISSED = 2
+"""Rows that may be missed however few there are: a sign jumps between two of them."""
+MAX_LEFT = 0.2
+"""Share of the rows not told, over that by the median alone."""
+MIN_ROWS = 12
+MAX_ROWS, MAX_ROWS_OF_ALL = 600, 240
+
+
+@dataclass(frozen=True, slots=True)
+class TargetFunction:
+    """A target that others tell.
+
+    Attributes:
+        target: its column.
+        of: the columns that tell it.
+        told: share of rows told within 2 % of its range.
+        both_ways: whether the other is told by it, too.
+    """
+
+    target: str
+    of: tuple[str, ...]
+    told: float
+    both_ways: bool
+
+
+def target_functions(
+    values: Values, names: Sequence[str], units: Int[np.ndarray, " n"]
+) -> list[TargetFunction]:
+    """Targets that follow from one other, or else one that follows from all the others together.
+
+    Args:
+        values: ``[n t]``.
+        names: columns of the targets.
+        units: ``[n]`` press of each row; a row is told by rows of other presses only.
+    """
+    values, first = np.unique(values, axis=0, return_index=True)  # a row told by its copy is no function
+    shuffled = np.random.default_rng(0).permutation(len(first))  # so that no order decides between equals
+    values, units = values[shuffled], units[first][shuffled]
+    if len(np.unique(units)) < MIN_ROWS or values.shape[1] < 2:
+        return []
+    rows = np.unique(np.linspace(0, len(values) - 1, min(MAX_ROWS, len(values))).astype(np.int64))
+    values, units = values[rows], units[rows]
+    count = values.shape[1]
+    told = np.zeros((count, count))
+    for of in range(count):
+        for target in range(count):
+            if of != target:
+                guess = _along(values[:, of], values[:, target], units)
+                told[of, target] = _told(values[:, target], guess)
+    found: list[TargetFunction] = []
+    for target in range(count):
+        of = int(told[:, target].argmax())
+        if told[of, target] > 0 and not any(f.both_ways and f.of == (names[target],) for f in found):
+            both = bool(told[target, of] > 0)
+            found.append(TargetFunction(names[target], (names[of],), float(told[of, target]), both))
+    few = np.unique(np.linspace(0, len(values) - 1, min(MAX_ROWS_OF_ALL, len(values))).astype(np.int64))
+    return found or _of_all_others(values[few], names, units[few])
+
+
+def _of_all_others(
+    values: Values, names: Sequence[str], units: Int[np.ndarray, " n"]
+) -> list[TargetFunction]:
+    if values.shape[1] < 3:
+        return []
+    number = np.unique(units, return_inverse=True)[1]
+    folds = [rows for k in range(8) if (rows := np.flatnonzero(number % 8 == k)).size]
+    told = []
+    for target in range(values.shape[1]):
+        others = np.delete(values, target, axis=1)
+        guess = Kernels.of(others / others.std(axis=0)).held_out(values[:, [target]], folds)[:, 0]
+        told.append(_told(values[:, target], guess))
+    best = int(np.argmax(told))
+    rest = tuple(name for name in names if name != names[best])
+    return [TargetFunction(names[best], rest, told[best], False)] if told[best] > 0 else []
+
+
+def _along(
+    of: Float[np.ndarray, " n"], target: Float[np.ndarray, " n"], units: Int[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Each row's target between those of its neighbours along another, of other presses; NaN at the ends."""
+    order = np.argsort(of, kind="stable")
+    before = _last_of_another(units[order])
+    after = len(of) - 1 - _last_of_another(units[order[::-1]])[::-1]
+    inner = np.flatnonzero((before >= 0) & (after < len(of)))
+    x, y, low, high = of[order], target[order], before[inner], after[inner]
+    span = x[high] - x[low]
+    share = np.where(span > 0, (x[inner] - x[low]) / np.where(span > 0, span, 1.0), 0.5)
+    guess = np.full(len(of), np.nan)
+    guess[order[inner]] = y[low] + share * (y[high] - y[low])
+    return guess
+
+
+def _last_of_another(units: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """Place of the last element before each that is of another unit; −1 where there is none."""
+    begins = np.r_[True, units[1:] != units[:-1]]
+    return np.maximum.accumulate(np.where(begins, np.arange(len(units)), 0)) - 1
+
+
+def _told(target: Float[np.ndarray, " n"], guess: Float[np.ndarray, " n"]) -> float:
+    """Share of rows told, 0 where that makes no function of it."""
+    rows = np.isfinite(guess)
+    width = EXACT * np.ptp(target)
+    missed: Bool[np.ndarray, " m"] = np.abs(guess[rows] - target[rows]) > width
+    by_median = float(np.mean(np.abs(target[rows] - np.median(target[rows])) > width))
+    share = float(missed.mean())
+    few = max(1 - MIN_TOLD, MISSED / len(missed))
+    return 1 - share if share <= min(few, MAX_LEFT * by_median) else 0.0
