@@ -13,6 +13,7 @@ from palpate.estimators.networks.image_features import BlurredPixels, PinMoments
 from palpate.estimators.networks.kernel_ridge import KernelRidge
 from palpate.estimators.networks.matern_kernel import Kernel, KernelShape, learnt_metric, solve
 from palpate.estimators.networks.model_interface import predict_rows
+from palpate.estimators.networks.onnx_graph import OnnxGraph
 
 SIDE = 48
 
@@ -236,3 +237,17 @@ def test_blurred_pixels_of_odd_sizes_and_colours_leave_as_they_are(rng) -> None:
 def test_settings_out_of_range_are_refused(options: dict) -> None:
     with pytest.raises(InputError):
         make_model("kernel-ridge", options)
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_moments_about_pins_leave_as_they_are_from_images_that_are_not_square(dark: bool, rng) -> None:
+    images = pin_images(rng.uniform(-3, 3, (6, 2)), dark=dark)[:, :, :40]
+    images = np.concatenate([images, images[..., :10]], axis=3)
+    (moments,) = pin_moments(images, (0.4,))
+    graph = OnnxGraph()
+    graph.add("Identity", [moments.add_to(graph)], output="value")
+    model = graph.model(images.shape[1:], 3 * len(moments.rows)).SerializeToString()
+    session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
+    (found,) = session.run(["value"], {"image": images})
+    assert np.ptp(found, axis=0).max() > 0.1
+    np.testing.assert_allclose(found, moments.compute(images), atol=1e-5)

@@ -89,6 +89,14 @@ def filtered(
     return cv2.sepFilter2D(plane, cv2.CV_32F, across, down, borderType=cv2.BORDER_CONSTANT)
 
 
+def band(window: Float32[np.ndarray, " k"], size: int) -> Float32[np.ndarray, "n n"]:
+    """Matrix that correlates a row of pixels from its left with a window; black beyond the row's ends."""
+    reach, places = len(window) // 2, np.arange(size)
+    apart = places[:, None] - places
+    within = np.abs(apart) <= reach
+    return np.where(within, window[np.where(within, apart + reach, 0)], 0).astype(np.float32)
+
+
 @dataclass(frozen=True, slots=True)
 class PinMoments:
     """Brightness and its centroid in a window about each place where a pin usually is.
@@ -130,6 +138,12 @@ class PinMoments:
         reach = len(window) // 2
         return window, window * np.arange(-reach, reach + 1) / self.window_px
 
+    def _places(self) -> Int[np.ndarray, "3 p"]:
+        """Where the moments about each pin lie in the flat maps of the graph."""
+        line = 2 * self.height  # of one column of the image: both windows down, after one window across
+        zeroth = self.columns * line + self.rows
+        return np.stack([zeroth, zeroth + self.width * line, zeroth + self.height])
+
     def moments(self, inputs: Tensor) -> Float32[np.ndarray, "n 3 p"]:
         """Zeroth moment, and first moments across and down, about each place."""
         flat, sloped = self._windows
@@ -154,13 +168,13 @@ class PinMoments:
         )
         reach = len(flat) // 2
         across = {"across": np.stack([flat, sloped])[:, None, None]}
-        maps = graph.add("Conv", [bright], across, pads=[0, reach, 0, reach])
-        down = {"down": np.stack([flat, sloped] * 2)[:, None, :, None]}
-        maps = graph.add("Conv", [maps], down, group=2, pads=[reach, 0, reach, 0])
-        lines = graph.add("Reshape", [maps], {"shape": np.array([0, 4, self.height * self.width])})
-        at_pins = graph.add("Gather", [lines], {"at": self.rows * self.width + self.columns}, axis=2)
+        lines = graph.add("Conv", [bright], across, pads=[0, reach, 0, reach])
+        columns = graph.add("Transpose", [lines], perm=[0, 1, 3, 2])
+        down = {"down": np.hstack([band(one, self.height) for one in (flat, sloped)])}
+        maps = graph.add("Reshape", [graph.add("MatMul", [columns], down)], {"shape": np.array([0, -1])})
+        at_pins = graph.add("Gather", [maps], {"at": self._places()}, axis=1)
         weight = graph.add("Gather", [at_pins], {"zeroth": np.array([0])}, axis=1)
-        first = graph.add("Gather", [at_pins], {"first": np.array([2, 1])}, axis=1)
+        first = graph.add("Gather", [at_pins], {"first": np.array([1, 2])}, axis=1)
         soft = graph.add("Add", [weight], {"soft": np.array([self.SOFT * self.typical], np.float32)})
         share = graph.add("Div", [weight], {"typical": np.array([self.typical], np.float32)})
         return graph.add("Flatten", [graph.add("Concat", [share, graph.add("Div", [first, soft])], axis=1)])
