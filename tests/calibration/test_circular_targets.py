@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from palpate.calibration import CalibrationPlan, calibrate, evaluate
+from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
 from palpate.calibration.certificate import read_predictions
 from palpate.calibration.coverage.circular_scores import (
     calibrated_arc,
@@ -118,6 +118,22 @@ def test_half_a_turn_is_a_period_of_its_own(tmp_path) -> None:
     assert angle.score.mae < 4
     assert angle.score.mean_mae == pytest.approx(45, rel=0.1)
     assert Estimator.open(tmp_path / "cal").read(run.frame(3))["angle_deg"].period == pytest.approx(180)
+
+
+def test_a_copy_that_is_mounted_turned_is_corrected_by_directions(edges, tmp_path) -> None:
+    """25° of turn in the mount are a rotation of cosine and sine, and linear, so that they are learnt."""
+    folder, _ = edges
+    copy = record_edges(tmp_path / "copy", 40, seed=2, shift=25.0)
+    card = adapt(folder / "cal", copy, tmp_path / "adapted")
+    change = card.split.details["correction"]["angle_deg"]
+    assert change["mae_before"] == pytest.approx(25, abs=1.5)
+    assert change["mae_after"] < 4
+    assert card.targets[1].period == 360
+    fresh = record_edges(tmp_path / "fresh", 100, seed=3, shift=25.0)
+    found = evaluate(Estimator.open(tmp_path / "adapted"), fresh)["targets"]["angle_deg"]
+    assert found["mae"] < 5
+    # 40 presses set the intervals, 100 rows test them: three standard errors of both.
+    assert found["coverage_90"] > 0.9 - 3 * (0.09 / 40 + 0.09 / 100) ** 0.5
 
 
 def test_outputs_are_cosine_and_sine_in_the_targets_order() -> None:

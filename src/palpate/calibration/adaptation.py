@@ -24,7 +24,7 @@ import pandas as pd
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.certificate import CalibrationResult, split_card, write_certificate
 from palpate.calibration.conformal import GROUPS_FOR_SPREAD, conformal_quantile, fit_intervals
-from palpate.calibration.correction import AS_IT_WAS, Adapted, Correction, correct
+from palpate.calibration.correction import AS_IT_WAS, Adapted, Choice, Correction, correct
 from palpate.calibration.leakage import audit
 from palpate.calibration.sessions.copies import TOGETHER, CopiesToldApart, copy_card, tell_apart
 from palpate.calibration.sessions.session_findings import sessions_card
@@ -45,6 +45,7 @@ from palpate.estimators.certified import Estimator, Intervals, checked_file, int
 from palpate.estimators.model_card import Card, SplitCard
 from palpate.estimators.networks.model_interface import refuse_unfit
 from palpate.estimators.novelty import NoveltyDetector, RenderedImages, fit_novelty_detector
+from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import PackedSet, Run, Split, pack, split
 from palpate.recordings.label_tables import targets_from
 from palpate.recordings.splits import group_names
@@ -52,7 +53,13 @@ from palpate.recordings.splits import group_names
 MAX_COVERAGE = 1 - 1e-9
 
 
-def intervals_of_presses(predicted: Values, true: Values, groups: np.ndarray, coverage: float) -> Intervals:
+def intervals_of_presses(
+    predicted: Outputs,
+    true: Values,
+    groups: np.ndarray,
+    coverage: float,
+    layout: TargetLayout | None = None,
+) -> Intervals:
     """Intervals that hold the truth at the rate `coverage` in presses not seen, where few were.
 
     Rows of one press err alike, so that the rank of the quantile is raised by one press and not by one row:
@@ -65,15 +72,16 @@ def intervals_of_presses(predicted: Values, true: Values, groups: np.ndarray, co
     """
     presses = len(np.unique(groups))
     raised = min(coverage * (presses + 1) / presses, MAX_COVERAGE)
-    intervals = replace(fit_intervals(predicted, true, groups, raised), coverage=coverage)
+    intervals = replace(fit_intervals(predicted, true, groups, raised, layout), coverage=coverage)
     if presses >= GROUPS_FOR_SPREAD:
         return intervals
-    scores = np.abs(predicted - true) / intervals.spread.at(predicted)
+    scores = np.abs(intervals.errors(predicted, true)) / intervals.spread.at(predicted)
     return replace(intervals, quantile=np.array([conformal_quantile(column, raised) for column in scores.T]))
 
 
 def _adapted_split(result: CalibrationResult, adapted: Adapted, former: Card) -> SplitCard:
-    changed = [c for c, d in zip(former.columns, adapted.choices, strict=True) if d.terms != AS_IT_WAS]
+    choices = _choices(result, adapted)
+    changed = [c for c, d in zip(former.columns, choices, strict=True) if d.terms != AS_IT_WAS]
     reason = (
         f"adapted from calibration {former.id}, whose network has seen none of this run; scored by "
         "corrections that had not learnt from the press they read; corrected: "
@@ -86,12 +94,24 @@ def _adapted_split(result: CalibrationResult, adapted: Adapted, former: Card) ->
 
 def _correction_records(result: CalibrationResult, adapted: Adapted, former: Card) -> dict[str, Any]:
     """Mean absolute error of each target before and after, in its unit, and the correction chosen."""
-    both = (adapted.estimates, adapted.held_out)
-    before, after = (np.abs(values - result.data.values).mean(axis=0).tolist() for values in both)
+    layout, true, choices = result.layout, result.data.values, _choices(result, adapted)
+    before, after = (
+        np.abs(layout.differences(layout.decoded(outputs), true)).mean(axis=0).tolist()
+        for outputs in (adapted.estimates, adapted.held_out)
+    )
     return {
         column: {"mae_before": was, "mae_after": now, "terms": choice.terms, "strength": choice.strength}
-        for column, was, now, choice in zip(former.columns, before, after, adapted.choices, strict=True)
+        for column, was, now, choice in zip(former.columns, before, after, choices, strict=True)
     }
+
+
+def _choices(result: CalibrationResult, adapted: Adapted) -> tuple[Choice, ...]:
+    """The correction of each target; of a circular one that of its cosine, or else of its sine."""
+    found = []
+    for j in range(len(result.layout.periods)):
+        first, *others = adapted.choices[result.layout.outputs_of(j)]
+        found.append(next((one for one in (first, *others) if one.terms != AS_IT_WAS), first))
+    return tuple(found)
 
 
 GROUPS = ("press", "location")
@@ -195,12 +215,6 @@ def _check(card: Card, run: Run, plan: CalibrationPlan) -> None:
         raise InputError(
             f"{run.path} is the run that this calibration has learnt from; record presses of your own copy"
         )
-    if circular := [target.column for target in card.targets if target.circular is not None]:
-        raise InputError(
-            f"{', '.join(circular)} is circular, and a correction of directions is not built; "
-            f"calibrate the copy "
-            "by itself, with --circular"
-        )
     table = table_to_learn(run.labels, plan)
     targets_from(table, plan.targets, str(run.path))
     column = plan.split.partition(":")[2]
@@ -239,11 +253,16 @@ def _result(
     data = learning.data
     progress("learning the correction", 0, 1)
     estimates = np.concatenate([estimator.values(x) for _, x in data.batches(np.arange(len(data.values)))])
-    refuse_unfit(estimates, data.values.shape, f"of calibration {estimator.card.id}")
+    labels = plan.layout.encoded(data.values)
+    refuse_unfit(estimates, labels.shape, f"of calibration {estimator.card.id}")
     spread = intervals_of(estimator.card).spread
     presses = np.unique(data.groups, return_inverse=True)[1]
     start = Correction.none(spread.centre, spread.scale, estimates)
-    adapted = correct(estimates, data.values, presses, start)
+    periods = enumerate(plan.layout.periods)
+    turning = [
+        k for j, period in periods if period for k in range(labels.shape[1])[plan.layout.outputs_of(j)]
+    ]
+    adapted = correct(estimates, labels, presses, start, linear=tuple(turning))
     progress("learning the correction", 1, 1)
     result = CalibrationResult(
         run=run,

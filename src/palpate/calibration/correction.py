@@ -148,7 +148,9 @@ class Adapted:
     choices: tuple[Choice, ...]
 
 
-def correct(estimates: Values, true: Values, presses: Indices, start: Correction) -> Adapted:
+def correct(
+    estimates: Values, true: Values, presses: Indices, start: Correction, *, linear: tuple[int, ...] = ()
+) -> Adapted:
     """Learn a correction, or keep the estimates where it does not help.
 
     A target's correction is kept only where leaving one press out shows it better than the estimates as they
@@ -159,8 +161,10 @@ def correct(estimates: Values, true: Values, presses: Indices, start: Correction
         true: the labels ``[n t]``, in the same units.
         presses: number of each row's press ``[n]``, 0, 1, 2, and so on.
         start: the identity, with the scales to work in.
+        linear: targets whose correction is linear at most, as for the cosine and the sine of one direction: a
+            quadratic in both, whose squares add up to nearly 1, errs more on new presses than on these.
     """
-    folds = _LeavePressOut(start.terms(estimates), true - estimates, presses)
+    folds = _LeavePressOut(start.terms(estimates), true - estimates, presses, linear)
     held_out, targets = estimates.copy(), range(true.shape[1])
     for press in range(folds.presses):
         rows = presses == press
@@ -185,7 +189,8 @@ def _helps(after: np.ndarray, before: np.ndarray, presses: Indices) -> bool:
 class _LeavePressOut:
     """Ridge regressions without one press, or two, from sums that are made once for each press."""
 
-    def __init__(self, terms: Terms, errors: Values, presses: Indices) -> None:
+    def __init__(self, terms: Terms, errors: Values, presses: Indices, linear: tuple[int, ...] = ()) -> None:
+        self.linear = list(linear)
         self.terms, self.errors, self.of = terms, errors, presses
         self.presses = int(presses.max()) + 1
         self.rows = np.bincount(presses).astype(np.float64)
@@ -209,6 +214,8 @@ class _LeavePressOut:
             for strength, change in zip(STRENGTHS, self._changes(count, without), strict=True):
                 choices.append(Choice(name, count, strength))
                 errors.append(np.abs(self.errors - change)[rows].mean(axis=0))
+                if name == "quadratic":
+                    errors[-1][self.linear] = np.inf
         return tuple(choices[best] for best in np.argmin(errors, axis=0))
 
     def weights(self, choices: tuple[Choice, ...], without: int = NO_PRESS) -> Float[np.ndarray, "k t"]:
