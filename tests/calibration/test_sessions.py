@@ -109,12 +109,12 @@ def test_widths_follow_the_estimate_and_hold_in_a_new_session(count, rng) -> Non
 def test_sessions_that_are_not_gaussian_are_covered_less_than_stated_by_two(rng) -> None:
     # One session in three is far off. Two sessions seldom show it, and the parametric rule does not know.
     found = []
-    for _ in range(400):
+    for _ in range(2000):
         offsets = np.where(rng.random(3) < 1 / 3, 100.0, 0.0)
         errors = [rng.normal(offset, 1, ROWS) for offset in offsets]
         half = parametric_quantile(np.concatenate(errors[:2]), np.repeat([0, 1], ROWS), 0.9)
         found.append(np.mean(np.abs(errors[2]) <= half))
-    assert np.mean(found) < 0.88
+    assert np.mean(found) < 0.89
 
 
 def test_the_rank_of_nine_sessions_at_ninety_percent_is_the_greatest() -> None:
@@ -264,7 +264,7 @@ def test_one_run_in_a_list_is_that_run(days, tmp_path) -> None:
     (run,) = days(1)
     calibrate(run, PLAN, tmp_path / "one")
     calibrate([run], PLAN, tmp_path / "listed")
-    when = {"id", "created_utc", "seconds"}
+    when = {"id": True, "created_utc": True, "seconds": True, "choice": {"trials": {"__all__": {"seconds"}}}}
     one, listed = (read_card(tmp_path / name).model_dump(exclude=when) for name in ("one", "listed"))
     assert one == listed
 
@@ -433,10 +433,11 @@ def test_the_verbs_say_what_day_was_tested(days, tmp_path) -> None:
         return result.output
 
     targets = ("--targets", "x_mm,height_mm", "--size", "24x32")
-    lines = text("calibrate", names[0], *targets, "--out", str(tmp_path / "one")).splitlines()
-    assert lines[1].startswith("Not yet tested on another day")
+    assert "\nNot yet tested on another day" in text(
+        "calibrate", names[0], *targets, "--out", str(tmp_path / "one")
+    )
     two = text("calibrate", *names[:2], *targets, "--out", str(tmp_path / "two"))
-    assert "Tested on 2 sessions" in two.splitlines()[1]
+    assert "\nTested on 2 sessions" in two
     assert "another session" in text("evaluate", str(tmp_path / "two"), names[2])
     assert len(list((tmp_path / "two").glob("evaluation-*.json"))) == 1
     told = run(app, ["evaluate", str(tmp_path / "one"), names[0], "--json", "--no-keep"])
