@@ -15,9 +15,9 @@ from sklearn.model_selection import GroupKFold
 
 from palpate.core import Float, Indices, InputError, MissingExtraError, Progress, Tensor, Values, silent
 from palpate.estimators.networks.model_interface import (
-    Choice,
     Chooses,
     Fitted,
+    ModelChoice,
     Scaler,
     TrainingData,
     Trial,
@@ -37,7 +37,7 @@ class FittedChoice:
     """The candidate that was best, learnt from all rows."""
 
     fitted: Fitted
-    choice: Choice
+    choice: ModelChoice
 
     def predict(self, inputs: Tensor) -> Values:
         return self.fitted.predict(inputs)
@@ -230,4 +230,4 @@ def _learnt(
 
     fitted = make_model(best.name, best.options).fit(data, rows, seed=seed, progress=progress)
     within = f"; {fitted.choice.chosen}" if isinstance(fitted, Chooses) else ""
-    return FittedChoice(fitted, Choice(f"{best.name}{within}", trials))
+    return FittedChoice(fitted, ModelChoice(f"{best.name}{within}", trials))

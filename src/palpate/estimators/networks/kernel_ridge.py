@@ -21,7 +21,7 @@ from palpate.estimators.networks.image_features import BlurredPixels, ImageFeatu
 from palpate.estimators.networks.matern_kernel import Kernel, KernelShape, Scores, learnt_metric, solve
 from palpate.estimators.networks.model_interface import (
     MIN_ERROR,
-    Choice,
+    ModelChoice,
     Scaler,
     TrainingData,
     Trial,
@@ -88,7 +88,7 @@ class FittedKernelRidge:
 
     shape: tuple[int, int, int]
     maps: tuple[KernelMap, ...]
-    choice: Choice
+    choice: ModelChoice
 
     @property
     def _order(self) -> Indices:
@@ -288,9 +288,9 @@ class _Search:
         )
         return ways
 
-    def choice(self) -> Choice:
+    def choice(self) -> ModelChoice:
         """The choice, for the card."""
-        return Choice(self.chosen, tuple(self.trials))
+        return ModelChoice(self.chosen, tuple(self.trials))
 
     def _names(self, columns: Indices) -> str:
         return ", ".join(self.data.names[j] if self.data.names else str(j) for j in columns)

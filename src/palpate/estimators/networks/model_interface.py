@@ -89,7 +89,7 @@ class Trial:
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class ModelChoice:
     """Choice that a model made by its inner folds, and what each way gave.
 
     Attributes:
@@ -105,7 +105,7 @@ class Choice:
 class Chooses(Protocol):
     """A fitted model that says what it has chosen among; for the card."""
 
-    choice: Choice
+    choice: ModelChoice
 
 
 @runtime_checkable
