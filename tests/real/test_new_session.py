@@ -23,7 +23,7 @@ def test_a_hundred_taps_set_intervals_that_cover_the_rest_at_the_stated_rate(rea
         labels = source / part / "labels.csv"
         import_images(source / part, tmp_path / part, labels=labels, image_column="image_file")
     train, val = (Run.open(tmp_path / part) for part in ("train", "val"))
-    plan = CalibrationPlan(TARGETS, split="random", size_px=(56, 56))
+    plan = CalibrationPlan(TARGETS, split="random", scored_folds=1, size_px=(56, 56))
     estimator = Estimator.open(calibrate(train, plan, tmp_path / "cal"))
     former, table = intervals_of(estimator.card), predictions(estimator, val)
     predicted = table[[f"estimate:{column}" for column in TARGETS]].to_numpy()

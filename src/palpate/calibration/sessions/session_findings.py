@@ -276,8 +276,9 @@ def _promise(column: str, names: tuple[str, ...], count: int, coverage: float, f
     rank = rank_of_new_group(count, coverage)
     return (
         f"Tested on {count} {many}, each held out whole. The {rate} intervals are for a new {what}, "
-        f"whatever the errors' distribution: the expected score of rank {rank} among one from each of "
-        f"{count}. The rate is the mean over new {many}: a single one may be covered less often."
+        "whatever the errors' distribution, if larger ones are rarer than smaller ones: the expected score "
+        f"of rank {rank} among one from each of {count}. The rate is the mean over new {many}: a single one "
+        "may be covered less often."
     )
 
 

@@ -10,7 +10,8 @@ For nine sessions at 90 % that is r = ceil(0.9 * 10) = 9: the greatest of the ni
 A. Ramdas, J. Am. Stat. Assoc. 118, 2491 (2023), section 4, doi:10.1080/01621459.2022.2060112.) One drawing
 would leave the interval to chance; its mean over all drawings is computed here instead, in closed form. By
 Jensen's inequality the mean covers at least as often as single drawings do, wherever larger errors are rarer
-than smaller ones.
+than smaller ones. Where they are not, as where rows fail grossly now and then, it is held at the quantile
+of the rows themselves, each session weighted alike.
 
 The quantile of all rows, each session weighted alike, at the level c (K + 1) / K (Y. Lee, R. F. Barber and R.
 Willett, arXiv:2306.06342) promises the same without that condition, but for nine sessions it is the one
@@ -103,7 +104,7 @@ def new_group_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, cove
             for i in range(0, len(points), POINTS_AT_ONCE)
         ]
     )
-    return float(points @ np.diff(at_most, prepend=0.0))
+    return max(float(points @ np.diff(at_most, prepend=0.0)), weighted_quantile(scores, of, coverage))
 
 
 def _rank_reached(points: np.ndarray, parts: Sequence[np.ndarray], rank: int) -> np.ndarray:
