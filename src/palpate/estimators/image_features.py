@@ -85,7 +85,7 @@ def _levels(grey: Grey) -> list[float]:
 
 
 def _profiles(grey: Grey) -> list[float]:
-    """Of the means of columns and of rows: where their middle is, and their steepest and usual kink."""
+    """Middle of the means of columns and of rows, and their steepest and usual kink."""
     found = []
     for axis in (0, 1):
         means = cv2.reduce(grey, axis, cv2.REDUCE_AVG, dtype=cv2.CV_32F).ravel()
@@ -100,7 +100,7 @@ MIN_MARKER_PX = 3
 
 
 def _markers(grey: Octave) -> list[float]:
-    """Of what is brighter than its ground: how many, how large, how unlike, and where; and of lone specks."""
+    """Number, size, spread and places of what is brighter than its ground, and number of lone specks."""
     level, brighter = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     _, _, boxes, middles = cv2.connectedComponentsWithStatsWithAlgorithm(
         brighter, 8, cv2.CV_32S, cv2.CCL_BBDT

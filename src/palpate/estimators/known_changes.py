@@ -60,7 +60,7 @@ SIGNATURES: Mapping[str, Signature] = {
     "dust": Signature("dust", "clean lens and skin"),
     "dead columns": Signature("dead columns of the camera", "exchange the camera"),
 }
-"""By the names of `calibration.perturbations.KINDS`."""
+"""Words for each kind, by the names of `calibration.robustness.KINDS`."""
 
 
 @dataclass(frozen=True, slots=True)

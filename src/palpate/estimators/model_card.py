@@ -507,7 +507,7 @@ class PerturbationCard(_CardPart):
     """Held-out frames changed by one kind of perturbation at one size.
 
     Attributes:
-        kind, size, unit: see `calibration.perturbations`.
+        kind, size, unit: see `calibration.robustness`.
         frames: so many were changed.
         error_ratio: mean absolute error over that of unchanged frames, the mean over the targets.
         covered: share of readings whose interval held the truth.

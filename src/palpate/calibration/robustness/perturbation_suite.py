@@ -115,7 +115,7 @@ def try_changes(
 
     Args:
         suite: what to try.
-        detector: the guard, fitted to all thumbnails of `suite.learning` with `suite.plan.seed`.
+        detector: the guard, fitted to all thumbnails of the suite's frames with its seed.
         progress: called with how far it is.
 
     Returns:
