@@ -416,6 +416,13 @@ def test_rows_of_a_new_session_set_the_intervals_anew_and_the_network_stays(days
     assert card.interval_reset.calibration == former.id
     assert card.interval_reset.run.run_id == few.manifest.run_id
     assert card.run == former.run
+    # What was measured on the former's frames, or is of its intervals, is not this one's.
+    assert any(
+        target.over_range.by_truth is not None or target.over_range.tenths for target in former.targets
+    )
+    assert all(target.over_range is None for target in card.targets)
+    assert former.robustness is not None
+    assert (card.robustness, card.confounds, card.vectors) == (None, None, None)
     expected = ExpectedCoverage.of(25, 0.9)  # presses, since five frames are of one press
     assert (card.interval_reset.groups, card.interval_reset.rank) == (25, expected.rank)
     assert card.targets[0].score.coverage_90 == expected.mean

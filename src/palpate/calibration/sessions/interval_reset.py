@@ -104,7 +104,8 @@ class ExpectedCoverage:
 def intervals_set_anew(former: Intervals, predicted: Values, true: Values, groups: np.ndarray) -> Intervals:
     """Intervals of a session, from rows that the network has not learnt from.
 
-    How their width follows the estimate stays; how wide they are is what these rows show.
+    How their width follows the estimate stays; how wide they are is what these rows show. Bands for parts of
+    the range are the former session's, and go.
 
     Args:
         former: the calibration's.
@@ -116,7 +117,7 @@ def intervals_set_anew(former: Intervals, predicted: Values, true: Values, group
     """
     scores = np.abs(predicted - true) / former.spread.at(predicted)
     quantile = [new_group_quantile(column, groups, former.coverage) for column in scores.T]
-    return replace(former, quantile=np.array(quantile))
+    return replace(former, quantile=np.array(quantile), by_range=())
 
 
 def reset_intervals(folder: PathText, run: Run, out: PathText, progress: Progress = silent) -> Card:
@@ -145,6 +146,7 @@ def reset_intervals(folder: PathText, run: Run, out: PathText, progress: Progres
     refuse_existing(out)
     started = time.monotonic()
     estimator = Estimator.open(folder)
+    _refuse_directions(estimator.card)
     rows = _SessionRows.read(estimator, run, progress)
     intervals = intervals_set_anew(intervals_of(estimator.card), rows.predicted, rows.true, rows.groups)
     halves = intervals.half_widths(rows.predicted)
@@ -237,6 +239,14 @@ def _new_session(card: Card, run: Run) -> str:
     return str(sessions[0])
 
 
+def _refuse_directions(card: Card) -> None:
+    if card.vectors or any(target.circular is not None for target in card.targets):
+        raise InputError(
+            f"calibration {card.id} has circular targets or vectors, whose intervals cannot be set anew yet; "
+            "calibrate on both sessions (palpate calibrate RUN RUN --split session)"
+        )
+
+
 def _check_count(groups: int, rows: int, coverage: float, run: Run) -> None:
     if is_distribution_free(groups, coverage):
         return
@@ -299,6 +309,9 @@ def _card(
         "interval_reset": reset,
         "sessions": _sessions(former, rows, reset.text),
         "order": None,
+        "robustness": None,  # these three are of the former's frames and intervals
+        "confounds": None,
+        "vectors": None,
         "split": former.split.model_copy(
             update={
                 "reason": f"{former.split.reason}; the intervals are of session {rows.session}",
