@@ -173,9 +173,10 @@ def evaluate(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Score a calibration on a labelled run, and keep the scores beside its card.
+    """Score a calibration on a labelled run.
 
-    The file names the card by its id; the card stays as it is.
+    The scores are kept beside the calibration's card, in a file of their own that names the card by its id;
+    the card stays as it is.
 
     Example: palpate evaluate cal run-of-another-day --out scores.json
     """
