@@ -175,8 +175,7 @@ def evaluate(
 ) -> None:
     """Score a calibration on a labelled run.
 
-    The scores are kept beside the calibration's card, in a file of their own that names the card by its id;
-    the card stays as it is.
+    The scores are kept beside the card, in a file that names it; the card stays as it is.
 
     Example: palpate evaluate cal run-of-another-day --out scores.json
     """
@@ -339,9 +338,9 @@ def adapt(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Adapt a calibration to your own copy of its sensor, or its intervals to a new session.
+    """Adapt a calibration to your own copy of its sensor.
 
-    Ten to 50 presses are enough.
+    Ten to 50 presses are enough. With --intervals-only, to another day of the same copy.
 
     Example: palpate adapt cal run-of-my-copy --out cal-my-copy
     Example: palpate adapt cal run-of-today --intervals-only --out cal-today
