@@ -118,7 +118,8 @@ def calibrate(
         beside = _split_beside(learning, parts, plan, work, progress)
         detector = _novelty_detector(learning, parts, fitted, plan, progress)
         suite = Suite(run, learning, parts, held_out, fitted, plan)
-        detector, robustness = try_changes(suite, detector, progress)
+        with plugin_calls(f"model {plan.model}: predict failed on a changed frame ({ERROR})", _passed(plan)):
+            detector, robustness = try_changes(suite, detector, progress)
         confounds = _confounds(run, plan, learning, parts, held_out, pixels, progress)
         result = CalibrationResult(
             run, plan, learning, parts, leakage, held_out, fitted, detector, confounds=confounds
@@ -258,7 +259,7 @@ def _fit(
     layout, model = plan.layout, make_model(plan.model, plan.options)
     labels = learning.data
     data = replace(labels, values=layout.encoded(labels.values), names=layout.names(labels.names))
-    passed = Exception if plan.model in MODELS else PalpateError  # a fault of palpate's is no plug-in's
+    passed = _passed(plan)
 
     def fit(name: str, what: str, rows: Indices, seed: int) -> Fitted:
         def labelled(stage: str, done: int, total: int) -> None:
@@ -381,6 +382,11 @@ def _order_fields(
     own = ScoredSplit(parts, result.held_out)
     both = (own,) if beside is None else (own, beside)
     return {"order": order_card(both, data.values, plan.targets, intervals, _left_out(plan, parts))}
+
+
+def _passed(plan: CalibrationPlan) -> type[Exception]:
+    """Errors that are not a plug-in's: a fault of palpate's own models is no plug-in's."""
+    return Exception if plan.model in MODELS else PalpateError
 
 
 def _read_fold(path: Path, shape: tuple[int, int]) -> Values | None:
