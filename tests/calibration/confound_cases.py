@@ -14,6 +14,9 @@ import cv2
 import numpy as np
 import pandas as pd
 
+import palpate
+from palpate.core import Pose, Probe
+
 
 @dataclass(frozen=True)
 class Case:
@@ -130,6 +133,19 @@ def recorded(folder: Path, name: str, targets: tuple[str, ...], side: int = 240)
     small = [cv2.resize(p, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) for p in pictures]
     kept = table.iloc[rows].drop(columns=["image_file", "row"], errors="ignore").reset_index(drop=True)
     return taken(np.stack(small), kept, name, targets)
+
+
+def virtual_palm(count: int) -> Callable:
+    """A base of rendered frames of the virtual palm, both views in one picture; a second each to render."""
+    sensor, rng = palpate.sensor("palm-small"), np.random.default_rng(0)
+    pictures, labels = [], []
+    for _ in range(count):
+        x, y, depth = *rng.uniform(-6, 6, 2), rng.uniform(0.2, 1.4)
+        contact = sensor.press(Probe("sphere", 5e-3), Pose(1e-3 * x, 1e-3 * y, 1e-3 * depth))
+        frame = sensor.render(contact, rng).image
+        pictures.append(cv2.resize(frame, (240, 135), interpolation=cv2.INTER_AREA))
+        labels.append({"x_mm": x, "y_mm": y, "depth_mm": depth})
+    return taken(np.stack(pictures), pd.DataFrame(labels), "palm", ("depth_mm", "x_mm"))
 
 
 def ordered(case: Case, by: str) -> Case:

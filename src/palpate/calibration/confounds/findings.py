@@ -17,6 +17,8 @@ MIN_OUTSIDE_SHARE = 0.1
 """R² from which what lies outside the skin is said to tell a label; more is asked where presses are few."""
 OUTSIDE_SHARE_PER_UNIT = 4.0
 MIN_CELL_SHARE = 0.3
+CELL_SHARE_PER_UNIT = 8.0
+"""R² over the presses' number that the best of some sixty places may have by chance."""
 MAX_AROUND = 0.5
 """R² around a place, over its own, up to which it stands alone: light that a press spreads does not."""
 EXACT_SHARE, EXACT_ERROR = 0.98, 0.1
@@ -102,7 +104,7 @@ def outside_findings(evidence: TargetEvidence, units: int, crop: str) -> list[Fi
     found = []
     if told and order.follows:
         found.append(_outside(evidence, crop))
-    elif (cell := _lone_cell(evidence)) is not None:
+    elif (cell := _lone_cell(evidence, units)) is not None:
         found.append(_burnt_in(evidence, cell, crop))
     elif told and _better_than_the_skin(evidence):
         found.append(_outside(evidence, crop))
@@ -119,16 +121,19 @@ def _better_than_the_skin(evidence: TargetEvidence) -> bool:
     return left <= MORE_THAN_SKIN * (1 - evidence.inside) and left <= BORDER_ERROR * (1 - evidence.model)
 
 
-def _lone_cell(evidence: TargetEvidence) -> TellingCell | None:
+def _lone_cell(evidence: TargetEvidence, units: int) -> TellingCell | None:
     cell = evidence.cell
-    if cell is None:
+    by_chance = CELL_SHARE_PER_UNIT / units
+    if cell is None or cell.share < MIN_CELL_SHARE + by_chance:
         return None
     if cell.share >= EXACT_SHARE and 1 - cell.share <= EXACT_ERROR * (1 - cell.around):
         return cell
     if cell.around > MAX_AROUND * cell.share:
         return None
-    as_the_model = cell.share >= MIN_BORDER_SHARE and 1 - cell.share <= BORDER_ERROR * (1 - evidence.model)
-    if as_the_model or (evidence.cell_outside and cell.share >= MIN_CELL_SHARE):
+    as_the_model = cell.share >= MIN_BORDER_SHARE + by_chance and 1 - cell.share <= BORDER_ERROR * (
+        1 - evidence.model
+    )
+    if as_the_model or (evidence.cell_outside):
         return cell
     return None
 

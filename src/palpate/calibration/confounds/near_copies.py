@@ -4,8 +4,8 @@ Two frames are compared after the best gain and small shift. What is left betwee
 original is far less than between a frame and any other. How much less chance allows follows from the
 recording itself: in a cloud of D dimensions the distances r₁ < r₂ < … to a point's neighbours have ratios
 with P(r₍ₖ₊₁₎/rₖ > x) = x^(−kD) (E. Facco et al., Sci. Rep. 7, 12140 (2017), doi:10.1038/s41598-017-11873-y),
-and D is taken from the fifth to eighth neighbours, which copies leave alone. So a press series along one
-depth, whose frames are all like their neighbours, holds no copies.
+and D is taken from the fifth to eighth neighbours, which copies leave alone. So few frames of a press series
+along one depth, which are all like their neighbours, are taken for copies.
 """
 
 from __future__ import annotations
@@ -125,6 +125,8 @@ def _aligned_distance(
     plain = np.sqrt(np.mean((wanted - columns[:, :, 0]) ** 2, axis=2))
     gain, offset, shift = factors[..., 0, 0], factors[..., 1, 0], factors[..., 2:4, 0]
     usable = (gain >= GAINS[0]) & (gain <= GAINS[1]) & (np.abs(offset) <= MAX_OFFSET)
+    bends = np.abs(factors[..., 4:, 0]) <= most_shift**2 * np.abs(gain[..., None])
+    usable &= bends.all(axis=-1)
     usable &= (np.abs(shift) <= most_shift * np.abs(gain[..., None])).all(axis=-1)
     return np.maximum(np.where(usable, left, plain), FLOOR).astype(np.float64)
 

@@ -114,14 +114,13 @@ def telling_cells(
     for i in range(rows):
         for j in range(columns):
             block = np.s_[down[i] : down[i + 1], across[j] : across[j + 1]]
-            cell = images[:, block[0], block[1]].reshape(len(images), -1)
-            shares[i, j] = explained_share(values, _linear(cell, values, folds))
-            if far_outside[block].mean() > 0.5:
-                apart[i, j] = far
-            elif region.outside[block].mean() > 0.5:
-                apart[i, j] = near
+            frames, beyond = images[:, block[0], block[1]], region.outside[block]
+            if beyond.mean() > 0.5:
+                apart[i, j] = far if far_outside[block].mean() > 0.5 else near
+                frames = frames[:, beyond]  # the skin in the cell's other half may tell what it likes
             elif i in (0, rows - 1) or j in (0, columns - 1):
                 apart[i, j] = border
+            shares[i, j] = explained_share(values, _linear(frames.reshape(len(frames), -1), values, folds))
     return [_best(shares[..., t], apart, down, across) for t in range(values.shape[1])]
 
 

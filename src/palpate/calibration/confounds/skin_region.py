@@ -24,8 +24,8 @@ ACTIVE = 0.15
 """Change from which a cell is skin, between the quietest cells (0) and the liveliest (1)."""
 MIN_CONTRAST = 1.5
 """Change of the liveliest cells over that of the quietest below which nothing is told from noise."""
-SMALL_PLACE = 0.15
-"""Area of a place that changes, over the largest one's, below which it is no skin: a text, a bar."""
+SMALL_PLACE, SMALL_AT_BORDER = 0.05, 0.15
+"""Area of a place that changes, over the largest's, below which it is no skin; texts are at the border."""
 FAR_AWAY = 0.1
 MIN_OUTSIDE = 0.02
 """Share of the picture below which there is no outside to speak of."""
@@ -117,9 +117,11 @@ def _region(active: Bool[np.ndarray, "y x"], shape: tuple[int, int], source: str
     """Convex hulls of the places that change, small ones aside, and a margin of a cell around them."""
     closed = cv2.morphologyEx(active.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     _, parts, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
-    areas = stats[1:, cv2.CC_STAT_AREA]
+    x, y, wide, tall, areas = stats[1:].T
+    at_border = (np.minimum(x, y) == 0) | (x + wide == active.shape[1]) | (y + tall == active.shape[0])
+    least = np.where(at_border, SMALL_AT_BORDER, SMALL_PLACE) * areas.max(initial=1)
     hull = np.zeros(active.shape, np.uint8)
-    for part in 1 + np.flatnonzero(areas >= SMALL_PLACE * areas.max(initial=1)):
+    for part in 1 + np.flatnonzero(areas >= least):
         corners = np.argwhere(parts == part)[:, ::-1].astype(np.int32)
         cv2.fillConvexPoly(hull, cv2.convexHull(corners), 1)
     wide = cv2.dilate(hull, np.ones((3, 3), np.uint8))

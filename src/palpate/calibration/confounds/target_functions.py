@@ -14,8 +14,8 @@ EXACT = 0.02
 """Error, as a share of the target's range, within which a row is told."""
 MIN_TOLD = 0.95
 """Share of rows that are told where a target is a function."""
-MISSED = 2
-"""Rows that may be missed however few there are: a sign jumps between two of them."""
+MISSED = 3
+"""Presses that may be missed however few there are: a sign jumps between two of them."""
 MAX_LEFT = 0.2
 """Share of the rows not told, over that by the median alone."""
 MIN_ROWS = 12
@@ -62,7 +62,7 @@ def target_functions(
         for target in range(count):
             if of != target:
                 guess = _along(values[:, of], values[:, target], units)
-                told[of, target] = _told(values[:, target], guess)
+                told[of, target] = _told(values[:, target], guess, len(np.unique(units)))
     found: list[TargetFunction] = []
     for target in range(count):
         of = int(told[:, target].argmax())
@@ -84,7 +84,7 @@ def _of_all_others(
     for target in range(values.shape[1]):
         others = np.delete(values, target, axis=1)
         guess = Kernels.of(others / others.std(axis=0)).held_out(values[:, [target]], folds)[:, 0]
-        told.append(_told(values[:, target], guess))
+        told.append(_told(values[:, target], guess, len(np.unique(units))))
     best = int(np.argmax(told))
     rest = tuple(name for name in names if name != names[best])
     return [TargetFunction(names[best], rest, told[best], False)] if told[best] > 0 else []
@@ -112,12 +112,12 @@ def _last_of_another(units: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     return np.maximum.accumulate(np.where(begins, np.arange(len(units)), 0)) - 1
 
 
-def _told(target: Float[np.ndarray, " n"], guess: Float[np.ndarray, " n"]) -> float:
+def _told(target: Float[np.ndarray, " n"], guess: Float[np.ndarray, " n"], units: int) -> float:
     """Share of rows told, 0 where that makes no function of it."""
     rows = np.isfinite(guess)
     width = EXACT * np.ptp(target)
     missed: Bool[np.ndarray, " m"] = np.abs(guess[rows] - target[rows]) > width
     by_median = float(np.mean(np.abs(target[rows] - np.median(target[rows])) > width))
     share = float(missed.mean())
-    few = max(1 - MIN_TOLD, MISSED / len(missed))
+    few = max(1 - MIN_TOLD, MISSED / units)
     return 1 - share if share <= min(few, MAX_LEFT * by_median) else 0.0
