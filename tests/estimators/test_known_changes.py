@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from palpate.core import CertificateError
-from palpate.estimators.image_features import Registration, image_features
+from palpate.estimators.guard_features import Registration, image_features
 from palpate.estimators.known_changes import (
     SIGNATURES,
     ChangeExamples,

@@ -29,7 +29,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from palpate.core import CertificateError, Drift, Float, Float16, Float32, Indices, InputError, Int, UInt8
-from palpate.estimators.image_features import frame_features
+from palpate.estimators.guard_features import frame_features
 from palpate.estimators.known_changes import KnownChanges, Verdict
 
 THUMBNAIL_VALUES = 1024

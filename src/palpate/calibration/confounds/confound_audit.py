@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from palpate.calibration.confounds.deciding_pixels import MAP_FILE, DecidingPixels
-from palpate.calibration.confounds.findings import (
+from palpate.calibration.confounds.confound_findings import (
     Finding,
     TargetEvidence,
     function_finding,
@@ -18,6 +17,7 @@ from palpate.calibration.confounds.findings import (
     ranked,
     shift_finding,
 )
+from palpate.calibration.confounds.deciding_pixels import MAP_FILE, DecidingPixels
 from palpate.calibration.confounds.kernel_regression import (
     Kernels,
     explained_share,

@@ -21,7 +21,7 @@ from palpate.calibration.robustness.perturbations import KINDS, kinds_for, pertu
 from palpate.calibration.training_data import LearningSet
 from palpate.core import Float, Image, Indices, Int, Progress, Shaped, Tensor, UInt8, Values, silent
 from palpate.estimators.certified import Intervals
-from palpate.estimators.image_features import Registration, frame_features
+from palpate.estimators.guard_features import Registration, frame_features
 from palpate.estimators.known_changes import (
     MAX_HARM,
     ChangeExamples,
