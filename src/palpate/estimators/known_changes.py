@@ -104,7 +104,7 @@ class ChangeExamples:
     """Frames of a calibration, as they were and changed.
 
     Attributes:
-        features: ``[m k]``, see `image_features.frame_features`.
+        features: ``[m k]``, see `guard_features.frame_features`.
         frame: which frame each is of; those of one frame are never each other's neighbours.
         kind: number of its kind among `names`, from 1; 0 where it was not changed.
         harm: rise of the share of readings beyond twice their half-width; 0 where it was not changed.
@@ -160,7 +160,7 @@ class KnownChanges:
         """Judge a frame by its features and by how novel its thumbnail is.
 
         Args:
-            features: see `image_features.frame_features`.
+            features: see `guard_features.frame_features`.
             novelty: over the limit that holds where no change is known.
         """
         at = _places(features, self.centre, self.spread, self.axes)
