@@ -65,7 +65,7 @@ def kept(tmp_path_factory) -> Path:
 @pytest.fixture
 def original(kept, record_spots, tmp_path) -> Path:
     if not (kept / "cal").exists():
-        plan = CalibrationPlan(TARGETS, split="group:press", size_px=(24, 32), delta=True)
+        plan = CalibrationPlan(TARGETS, "pca-ridge", "group:press", size_px=(24, 32), delta=True)
         run = record_spots("run", ORIGINAL_PRESSES)
         calibrate(run, plan, kept / "cal")
         shutil.move(run.path, kept / "run")

@@ -354,7 +354,7 @@ def plan_of(case: Case, **changes) -> CalibrationPlan:
 def kinds_named(card: Card) -> set[str]:
     """Kinds of finding that stand before the numbers; near-copies stand with the split."""
     assert card.confounds is not None
-    named = {finding.kind for finding in card.confounds.confound_findings if finding.severity != "notes"}
+    named = {finding.kind for finding in card.confounds.findings if finding.severity != "notes"}
     return named if card.split.clean else named | {"copies"}
 
 
@@ -369,11 +369,11 @@ def test_a_drifting_rim_fails_the_audit_before_the_numbers_and_its_remedy_mends_
     card = read_card(tmp_path / "cal")
     assert card.confounds is not None
     assert card.confounds.failed
-    assert [(f.kind, f.target) for f in card.confounds.confound_findings] == [
+    assert [(f.kind, f.target) for f in card.confounds.findings] == [
         ("outside", "depth_mm"),
         ("order", "depth_mm"),
     ]
-    remedy = card.confounds.confound_findings[0].remedy
+    remedy = card.confounds.findings[0].remedy
     crop = remedy.split("--crop ")[1]
     x, y, width, height = map(int, crop.split(","))
     assert min(x, y, 96 - x - width, 96 - y - height) >= 5

@@ -12,7 +12,7 @@ from palpate.calibration.robustness.perturbation_suite import MIN_ROWS, _harm
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.model_card import card_id, sealed
 
-PLAN = CalibrationPlan(targets=("x_mm", "height_mm"), split="group:press", size_px=(24, 32))
+PLAN = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", split="group:press", size_px=(24, 32))
 
 
 def cells(card) -> dict[tuple[str, float], object]:
