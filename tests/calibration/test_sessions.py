@@ -31,7 +31,7 @@ from palpate.estimators.certified import intervals_of
 from palpate.recordings import Run, RunWriter
 from palpate.recordings.table_files import read_table
 
-PLAN = CalibrationPlan(("x_mm", "height_mm"), size_px=(24, 32))
+PLAN = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", size_px=(24, 32))
 ROWS = 30
 
 
