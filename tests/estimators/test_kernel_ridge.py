@@ -9,9 +9,14 @@ from sklearn.model_selection import GroupKFold
 
 from palpate.core import InputError
 from palpate.estimators.networks import TrainingData, make_model
-from palpate.estimators.networks.image_features import BlurredPixels, PinMoments, pin_moments, usual_pins
-from palpate.estimators.networks.kernel_ridge import KernelRidge
-from palpate.estimators.networks.matern_kernel import Kernel, KernelShape, learnt_metric, solve
+from palpate.estimators.networks.kernel.image_features import (
+    BlurredPixels,
+    PinMoments,
+    pin_moments,
+    usual_pins,
+)
+from palpate.estimators.networks.kernel.kernel_ridge import KernelRidge
+from palpate.estimators.networks.kernel.matern_kernel import Kernel, KernelShape, learnt_metric, solve
 from palpate.estimators.networks.model_interface import predict_rows
 from palpate.estimators.networks.onnx_graph import OnnxGraph
 

@@ -19,7 +19,7 @@ from mcap.writer import MCAP0_MAGIC
 from palpate.core import ImageError, ManualClock, PalpateError, RangeError, RecordingError
 from palpate.recordings import Manifest, Run, RunWriter, check, message_schema
 from palpate.recordings.exchange import image_files
-from palpate.recordings.segment_reader import scan
+from palpate.recordings.segments.segment_reader import scan
 
 SECOND = 1_000_000_000
 FRAMES = 3

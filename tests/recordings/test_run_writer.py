@@ -386,7 +386,7 @@ def test_an_error_of_the_disk_is_raised_by_close_at_the_latest(
     def refuse(*_: object) -> None:
         raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr("palpate.recordings.segment_writer.os.fsync", refuse)
+    monkeypatch.setattr("palpate.recordings.segments.segment_writer.os.fsync", refuse)
     new.frame(picture(0))
     with pytest.raises(StorageError, match="Input/output error"):
         new.close()

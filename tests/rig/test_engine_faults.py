@@ -129,7 +129,7 @@ def test_a_camera_that_gives_no_frames_stops_a_sweep(tmp_path: Path) -> None:
 def test_a_full_disk_stops_and_lifts_and_the_run_stays_readable(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from palpate.recordings import segment_writer
+    from palpate.recordings.segments import segment_writer
 
     real, count = segment_writer._Sink.write, iter(range(10_000_000))
 

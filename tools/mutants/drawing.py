@@ -106,7 +106,7 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
             ),
             "palpate.recordings.exchange.press_folder": ("tests/recordings/test_press_folder.py",),
             "palpate.recordings.exchange.press_table": ("tests/recordings/test_press_table.py",),
-            "palpate.recordings.segment_reader": (
+            "palpate.recordings.segments.segment_reader": (
                 "tests/recordings/test_run_reader.py",
                 "tests/recordings/test_repair.py",
             ),

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from palpate.core import NS_PER_S, PathText, RecordingError, new_folder
-from palpate.recordings import message_schema
 from palpate.recordings.manifest import Manifest
-from palpate.recordings.message_schema import (
+from palpate.recordings.run_reader import Run
+from palpate.recordings.run_writer import DROPPED
+from palpate.recordings.segments import (
     EVENTS,
     FORCE,
     FRAMES,
@@ -23,13 +24,14 @@ from palpate.recordings.message_schema import (
     RECORDED,
     STAGE,
     Channel,
+    Damage,
+    Segment,
+    StoredMessage,
+    StoredSegment,
     decode,
     decode_json,
+    message_schema,
 )
-from palpate.recordings.run_reader import Run
-from palpate.recordings.run_writer import DROPPED
-from palpate.recordings.segment_reader import Damage, StoredMessage, StoredSegment
-from palpate.recordings.segment_writer import Segment
 
 
 @dataclass(frozen=True, slots=True)

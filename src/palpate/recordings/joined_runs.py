@@ -14,7 +14,7 @@ from palpate.core import InputError, LabelError, SplitError
 from palpate.recordings.label_tables import Label
 from palpate.recordings.manifest import LabelKind, Manifest
 from palpate.recordings.run_reader import Run
-from palpate.recordings.segment_reader import Damage
+from palpate.recordings.segments.segment_reader import Damage
 from palpate.recordings.splits import SESSION, group_names
 
 SENSOR = "sensor"

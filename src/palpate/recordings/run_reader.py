@@ -23,12 +23,23 @@ from palpate.core import (
     sha256_of,
     sha256_of_all,
 )
-from palpate.recordings import message_schema
 from palpate.recordings.label_tables import Label, finite, label_values
 from palpate.recordings.manifest import MANIFEST, LabelKind, Manifest
-from palpate.recordings.message_schema import EVENTS, FORCE, LABELS, RAW, STAGE, Channel
-from palpate.recordings.segment_reader import Damage, StoredFrame, StoredSegment
-from palpate.recordings.segment_writer import KINDS, file_name, segment_numbers
+from palpate.recordings.segments import (
+    EVENTS,
+    FORCE,
+    KINDS,
+    LABELS,
+    RAW,
+    STAGE,
+    Channel,
+    Damage,
+    StoredFrame,
+    StoredSegment,
+    file_name,
+    message_schema,
+    segment_numbers,
+)
 
 __all__ = ["Damage", "Run"]
 

@@ -31,13 +31,23 @@ from palpate.core import (
     lock,
     new_folder,
 )
-from palpate.recordings import message_schema
 from palpate.recordings.exchange import image_files
 from palpate.recordings.label_tables import Label, finite, label_values
 from palpate.recordings.manifest import MANIFEST, Manifest
-from palpate.recordings.message_schema import EVENTS, FORCE, FRAMES, LABELS, RAW, RECORDED, STAGE, Channel
 from palpate.recordings.run_reader import Run
-from palpate.recordings.segment_writer import Segment, segment_numbers
+from palpate.recordings.segments import (
+    EVENTS,
+    FORCE,
+    FRAMES,
+    LABELS,
+    RAW,
+    RECORDED,
+    STAGE,
+    Channel,
+    Segment,
+    message_schema,
+    segment_numbers,
+)
 
 Overflow = Literal["drop", "wait"]
 

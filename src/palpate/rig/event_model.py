@@ -26,9 +26,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from palpate.core import NS_PER_S, RecordingError, has_unit, split_column
-from palpate.recordings.message_schema import EVENTS, decode_json
 from palpate.recordings.run_reader import Run
-from palpate.recordings.segment_reader import StoredSegment
+from palpate.recordings.segments import EVENTS, StoredSegment, decode_json
 from palpate.rig.run_progress import PLAN, State
 
 Document = tuple[str, dict[str, Any]]

@@ -17,8 +17,8 @@ from onnx import TensorProto
 from sklearn.model_selection import GroupKFold
 
 from palpate.core import Float, Float32, Indices, InputError, Progress, Tensor, Values, silent
-from palpate.estimators.networks.image_features import BlurredPixels, ImageFeatures, pin_moments
-from palpate.estimators.networks.matern_kernel import Kernel, KernelShape, Scores, learnt_metric, solve
+from palpate.estimators.networks.kernel.image_features import BlurredPixels, ImageFeatures, pin_moments
+from palpate.estimators.networks.kernel.matern_kernel import Kernel, KernelShape, Scores, learnt_metric, solve
 from palpate.estimators.networks.model_interface import (
     MIN_ERROR,
     ModelChoice,

@@ -19,7 +19,7 @@ from mcap.writer import MCAP0_MAGIC
 from palpate.core import Image, ImageError, RecordingError, storage_errors
 from palpate.recordings.exchange import image_files
 from palpate.recordings.manifest import MANIFEST
-from palpate.recordings.message_schema import (
+from palpate.recordings.segments.message_schema import (
     FRAMES,
     SEGMENT,
     Channel,
@@ -28,7 +28,7 @@ from palpate.recordings.message_schema import (
     decode,
     decode_json,
 )
-from palpate.recordings.segment_writer import KINDS, file_name
+from palpate.recordings.segments.segment_writer import KINDS, file_name
 
 MAX_CHUNK_BYTES = 512 << 20  # the largest image that is read, stored without gain, and room to spare
 MAX_INDEX_BYTES = 1 << 30  # some ten million frames

@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 
 from palpate.core import ExistsError, StorageError, sha256_of, storage_errors, sync
 from palpate.recordings.manifest import MANIFEST
-from palpate.recordings.message_schema import (
+from palpate.recordings.segments.message_schema import (
     CHANNELS,
     SEGMENT,
     Channel,
