@@ -9,7 +9,7 @@ from palpate.calibration.sessions import reset_intervals
 from palpate.calibration.sessions.copies import MIN_REFUSED_FORMER, tell_apart
 from palpate.core import CertificateError
 from palpate.estimators import Estimator, read_card
-from palpate.estimators.copy_discriminator import CopyDiscriminator
+from palpate.estimators.guard import CopyDiscriminator
 
 SHAPE = (12, 16, 1)
 

@@ -10,7 +10,8 @@ from palpate.calibration import CalibrationPlan, adapt, calibrate
 from palpate.calibration.robustness import KINDS, perturbed
 from palpate.calibration.robustness.perturbation_suite import MIN_ROWS, _harm
 from palpate.estimators import Estimator, read_card
-from palpate.estimators.model_card import card_id, sealed
+from palpate.estimators.card_ground import card_id
+from palpate.estimators.model_card import sealed
 
 PLAN = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", split="group:press", size_px=(24, 32))
 

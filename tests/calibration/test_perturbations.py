@@ -7,7 +7,7 @@ from scipy.stats import norm
 
 from palpate.calibration.robustness import KINDS, kinds_for, perturbed
 from palpate.core import InputError, RangeError
-from palpate.estimators.known_changes import SIGNATURES
+from palpate.estimators.guard import SIGNATURES
 
 ROWS, COLUMNS = np.mgrid[0:160, 0:200]
 

@@ -11,7 +11,7 @@ from palpate.calibration import CalibrationPlan, calibrate
 from palpate.core import CertificateError, Frame, ImageError
 from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
-from palpate.estimators.model_card import card_id
+from palpate.estimators.card_ground import card_id
 
 
 @pytest.fixture

@@ -7,17 +7,20 @@ import numpy as np
 import pytest
 
 from palpate.core import CertificateError
-from palpate.estimators.guard_features import Registration, image_features
-from palpate.estimators.known_changes import (
+from palpate.estimators.guard import (
     SIGNATURES,
     ChangeExamples,
     KnownChanges,
+    NoveltyDetector,
+    Registration,
     Verdict,
     cross_fitted,
     fit_known_changes,
+    fit_novelty_detector,
+    image_features,
     rescaled,
+    thumbnails,
 )
-from palpate.estimators.novelty import NoveltyDetector, fit_novelty_detector, thumbnails
 
 FEATURES = 20
 TOUCH = np.linspace(1, 3, FEATURES)  # what a touch moves

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.core.errors import CertificateError, InputError
-from palpate.estimators.novelty import (
+from palpate.estimators.guard import (
     NeighbourModel,
     NoveltyDetector,
     RenderedImages,

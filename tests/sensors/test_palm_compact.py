@@ -7,8 +7,8 @@ import onnxruntime
 import pytest
 
 from palpate.core.errors import InputError
+from palpate.estimators.guard import thumbnail
 from palpate.estimators.networks.model_interface import TrainingData
-from palpate.estimators.novelty import thumbnail
 from palpate.sensors import palm
 from palpate.sensors.palm.random_presses import TARGETS, draw_presses
 

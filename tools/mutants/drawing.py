@@ -119,7 +119,7 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
     "guards": (
         14,
         {
-            "palpate.estimators.novelty": ("tests/estimators/test_novelty.py",),
+            "palpate.estimators.guard.novelty": ("tests/estimators/test_novelty.py",),
             "palpate.devices.motion_guard": ("tests/devices/test_motion_guard.py",),
             "palpate.devices.motion_limits": ("tests/devices/test_motion_limits.py",),
             "palpate.devices.force_bias": ("tests/devices/test_force_bias.py",),

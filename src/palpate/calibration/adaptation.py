@@ -22,7 +22,7 @@ import onnx
 import pandas as pd
 
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
-from palpate.calibration.certificate import CalibrationResult, split_card, write_certificate
+from palpate.calibration.certificate import CalibrationResult, intervals_by, split_card, write_certificate
 from palpate.calibration.conformal import GROUPS_FOR_SPREAD, conformal_quantile, fit_intervals
 from palpate.calibration.correction import AS_IT_WAS, Adapted, Choice, Correction, correct
 from palpate.calibration.leakage import audit
@@ -42,9 +42,9 @@ from palpate.core import (
     storage_errors,
 )
 from palpate.estimators.certified import Estimator, Intervals, checked_file, intervals_of
+from palpate.estimators.guard import NoveltyDetector, RenderedImages, fit_novelty_detector
 from palpate.estimators.model_card import Card, SplitCard
 from palpate.estimators.networks.model_interface import refuse_unfit
-from palpate.estimators.novelty import NoveltyDetector, RenderedImages, fit_novelty_detector
 from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import PackedSet, Run, Split, pack, split
 from palpate.recordings.label_tables import targets_from
@@ -158,7 +158,7 @@ def adapt(folder: PathText, run: Run, out: PathText, progress: Progress = silent
             held_out = _adapted_split(result, adapted, card)
             copies = _told_apart(estimator, result)
 
-            def more(folder: Path, _: Intervals) -> dict[str, Any]:
+            def more(folder: Path) -> dict[str, Any]:
                 own = {"sessions": sessions_card(run, None, {}, card.coverage)}
                 return own | {
                     "order": None,
@@ -166,9 +166,7 @@ def adapt(folder: PathText, run: Run, out: PathText, progress: Progress = silent
                     "copy_of": copy_card(copies, card, run, folder),
                 }
 
-            return write_certificate(
-                result, out, fit=intervals_of_presses, former=card, split=held_out, more=more
-            )
+            return write_certificate(result, out, former=card, split=held_out, more=more)
 
 
 @dataclass(frozen=True)
@@ -271,6 +269,7 @@ def _result(
         split=parts,
         audit=audit(learning.packed, parts),
         held_out=adapted.held_out,
+        intervals=intervals_by(intervals_of_presses, adapted.held_out, data, plan),
         fitted=_CorrectedNetwork(estimator, adapted.correction),
         novelty=_novelty_detector(estimator, learning, parts),
     )

@@ -6,7 +6,6 @@ import platform
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ import onnxruntime
 import pandas as pd
 
 from palpate.calibration.calibration_plan import CalibrationPlan
-from palpate.calibration.conformal import fit_intervals
 from palpate.calibration.confounds import ConfoundAudit
 from palpate.calibration.confounds.deciding_pixels import MAP_FILE
 from palpate.calibration.coverage import range_cards
@@ -27,27 +25,24 @@ from palpate.calibration.evaluation import score
 from palpate.calibration.leakage import LeakageAudit
 from palpate.calibration.training_data import LearningSet
 from palpate.core import CertificateError, Indices, Values, new_folder, sha256_of, split_column
+from palpate.estimators.card_ground import FileCard, RunCard
 from palpate.estimators.certified import CARD_FILE, Intervals, checked_file
+from palpate.estimators.finding_cards import ChoiceCard, RobustnessCard, TrialCard
+from palpate.estimators.guard import NoveltyDetector
 from palpate.estimators.model_card import (
     FORMAT,
     Card,
-    ChoiceCard,
     CircularCard,
-    FileCard,
     InputCard,
     InstrumentCard,
     RangeCard,
     ReferenceCard,
-    RobustnessCard,
-    RunCard,
     SplitCard,
     TargetCard,
-    TrialCard,
     sealed,
 )
 from palpate.estimators.networks import settings_of
 from palpate.estimators.networks.model_interface import Chooses, Fitted, TrainingData
-from palpate.estimators.novelty import NoveltyDetector
 from palpate.estimators.reference_uncertainty import reference_half_width
 from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import Run, Split
@@ -68,6 +63,7 @@ class CalibrationResult:
         split, audit: how rows were held out, and what stands on both sides.
         held_out: outputs ``[n o]`` for rows by a model that had not seen their group; NaN for rows not
             scored.
+        intervals: made from these.
         fitted, novelty: what was learnt from all of them.
         seconds: time it took [s].
         robustness: what changes of the camera cost; None where that was not tried.
@@ -80,6 +76,7 @@ class CalibrationResult:
     split: Split
     audit: LeakageAudit
     held_out: Outputs
+    intervals: Intervals
     fitted: Fitted
     novelty: NoveltyDetector
     seconds: float = 0.0
@@ -94,7 +91,7 @@ class CalibrationResult:
     @property
     def scored(self) -> Indices:
         """Rows that were held out once, and predicted."""
-        return np.flatnonzero(~np.isnan(self.held_out).any(axis=1))
+        return scored_rows(self.held_out)
 
     @property
     def one_fold(self) -> bool:
@@ -279,45 +276,54 @@ PREDICTIONS_FILE, FORMER_PREDICTIONS_FILE = "predictions.csv.gz", "predictions.p
 
 
 IntervalFit = Callable[..., Intervals]
+"""Makes intervals from held-out outputs, labels, groups and coverage, and where a target is circular from the
+`layout` of the outputs."""
+
+
+def scored_rows(held_out: Outputs) -> Indices:
+    """Rows that were held out once, and predicted."""
+    return np.flatnonzero(~np.isnan(held_out).any(axis=1))
+
+
+def intervals_by(fit: IntervalFit, held_out: Outputs, data: TrainingData, plan: CalibrationPlan) -> Intervals:
+    """Intervals that a way of making them gives for the rows that were scored."""
+    rows, layout = scored_rows(held_out), plan.layout
+    given = (held_out[rows], data.values[rows], data.groups[rows], plan.coverage)
+    return fit(*given) if layout.plain else fit(*given, layout=layout)
 
 
 def write_certificate(
     result: CalibrationResult,
     out: Path,
     *,
-    fit: IntervalFit = fit_intervals,
     former: Card | None = None,
     split: SplitCard | None = None,
-    more: Callable[[Path, Intervals], Mapping[str, Any]] | None = None,
+    more: Callable[[Path], Mapping[str, Any]] = lambda folder: {},
 ) -> Card:
     """Write the folder; `out` appears whole or not at all.
 
     Args:
         result: what was calibrated.
         out: the folder to make.
-        fit: intervals from held-out outputs, labels, groups and coverage, and where a target is circular from
-            the `layout` of the outputs.
         former: card of the calibration that was adapted, whose model and input stay; None for a new one.
         split: how rows were held out; None takes the result's own.
-        more: further fields of the card, from the folder, to which it may add files, and the intervals.
+        more: further fields of the card, from the folder, to which it may add files.
 
     Raises:
         CertificateError: the exported model does not repeat the trained one.
         ExistsError: `out` exists.
     """
-    data, scored = result.data, result.scored
+    data, scored, intervals = result.data, result.scored, result.intervals
     with new_folder(out) as folder:
         onnx.save(result.fitted.to_onnx(), str(folder / "model.onnx"))
         agrees = agreement(result, folder / "model.onnx")
         result.novelty.save(folder / "guard.npz")
         held_out = (result.held_out[scored], data.values[scored], data.groups[scored])
-        fitted = partial(fit, layout=result.layout) if not result.layout.plain else fit
-        intervals = fitted(*held_out, result.plan.coverage)
         ends = intervals.ends(held_out[0])
         halves = (ends[1] - ends[0]) / 2
         write_table(predictions_table(result, ends), folder / PREDICTIONS_FILE)
         write_pictures(result, folder)
-        further = {} if more is None else dict(more(folder, intervals))
+        further = dict(more(folder))
         if result.confounds is not None and result.confounds.pixels is not None:
             result.confounds.pixels.save(folder / MAP_FILE)
         constant = _plan_fields(result) if former is None else former.model_dump(exclude={"id"})

@@ -22,18 +22,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import ks_2samp
 
 from palpate.calibration.calibration_plan import CalibrationPlan
-from palpate.calibration.certificate import CalibrationResult, write_certificate
+from palpate.calibration.certificate import (
+    CalibrationResult,
+    intervals_by,
+    scored_rows,
+    write_certificate,
+)
 from palpate.calibration.confounds import AuditedRows, ConfoundAudit, audit_confounds
 from palpate.calibration.confounds.deciding_pixels import (
     DecidingPixels,
-    deciding_pixels,
-    mean_input,
-    rows_of_fold,
 )
 from palpate.calibration.coverage.circular_scores import refuse_no_angles
+from palpate.calibration.fold_fits import (
+    FoldFits,
+    ScoredModel,
+    fold_count,
+    folds_to_score,
+    passed_errors,
+    representative_fold,
+)
 from palpate.calibration.leakage import audit
 from palpate.calibration.model_check import check_plugged_in
 from palpate.calibration.robustness import Suite, try_changes
@@ -48,9 +57,7 @@ from palpate.calibration.sessions.session_findings import (
 from palpate.calibration.training_data import LearningSet, learning_set, table_to_learn
 from palpate.core import (
     ExistsError,
-    Indices,
     InputError,
-    PalpateError,
     PathText,
     Progress,
     Values,
@@ -62,11 +69,10 @@ from palpate.core import (
     storage_errors,
 )
 from palpate.core.plugins import ERROR, plugin_calls
-from palpate.estimators.certified import Intervals
-from palpate.estimators.networks import MODELS, make_model, model_kind
+from palpate.estimators.guard import LearnsFromRendered, NoveltyDetector, fit_novelty_detector
+from palpate.estimators.networks import make_model, model_kind
 from palpate.estimators.networks.distributed import ProcessGroup
-from palpate.estimators.networks.model_interface import Fitted, TimeBoxed, predict_rows, refuse_unfit
-from palpate.estimators.novelty import LearnsFromRendered, NoveltyDetector, fit_novelty_detector
+from palpate.estimators.networks.model_interface import Fitted, TimeBoxed
 from palpate.recordings import PackedSet, Run, Split, pack, split
 from palpate.recordings.joined_runs import joined
 from palpate.recordings.label_tables import refuse_reserved, targets_from
@@ -104,8 +110,9 @@ def calibrate(
     parts = _split_rows(run, plan)
     processes = _process_group(plan)
     if not processes.first:  # train along, from the set that the first packs, and write nothing
-        learning = _learning_set(run, plan, parts, _work_path(out), silent, processes)
-        _fit(learning, parts, plan, _work_path(out), silent, processes)
+        work = _work_path(out)
+        learning = _learning_set(run, plan, parts, work, silent, processes)
+        _scored(learning, FoldFits.of(learning.data, parts, plan, work, silent, processes))
         processes.wait()
         return out
     work = _work_folder(run, plan, parts, out)
@@ -113,24 +120,24 @@ def calibrate(
         learning = _learning_set(run, plan, parts, work, progress, processes)
         refuse_copied_sessions(learning.packed, parts.group_columns)
         leakage = audit(learning.packed, parts)
-        held_out, fitted, pixels = _fit(learning, parts, plan, work, progress, processes)
-        assert fitted is not None
-        beside = _split_beside(learning, parts, plan, work, progress)
+        fits = FoldFits.of(learning.data, parts, plan, work, progress, processes)
+        held_out, fitted, pixels = _scored(learning, fits)
+        beside = _split_beside(learning, fits)
+        sessions = held_out_sessions(learning.packed.table, parts, scored_rows(held_out))
+        intervals = intervals_by(interval_fit(sessions), held_out, learning.data, plan)
         detector = _novelty_detector(learning, parts, fitted, plan, progress)
-        suite = Suite(run, learning, parts, held_out, fitted, plan)
-        with plugin_calls(f"model {plan.model}: predict failed on a changed frame ({ERROR})", _passed(plan)):
+        suite = Suite(run, learning, parts, held_out, fitted, plan, intervals)
+        with plugin_calls(
+            f"model {plan.model}: predict failed on a changed frame ({ERROR})", passed_errors(plan)
+        ):
             detector, robustness = try_changes(suite, detector, progress)
         confounds = _confounds(run, plan, learning, parts, held_out, pixels, progress)
         result = CalibrationResult(
-            run, plan, learning, parts, leakage, held_out, fitted, detector, confounds=confounds
-        )
-        result = replace(result, seconds=time.monotonic() - started, robustness=robustness)
-        sessions = held_out_sessions(learning.packed.table, parts, result.scored)
-
-        def more(_: Path, intervals: Intervals) -> dict[str, Any]:
-            return session_fields(result, sessions, intervals) | _order_fields(result, beside, intervals)
-
-        write_certificate(result, out, fit=interval_fit(sessions), more=more)
+            run, plan, learning, parts, leakage, held_out, intervals, fitted, detector,
+            time.monotonic() - started, robustness, confounds,
+        )  # fmt: skip
+        fields = session_fields(result, sessions) | _order_fields(result, beside)
+        write_certificate(result, out, more=lambda _: fields)
         processes.wait()
         shutil.rmtree(work)
     return out
@@ -164,7 +171,7 @@ def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
     for column, period, column_values in zip(plan.targets, plan.layout.periods, values.T, strict=True):
         if period is not None:
             refuse_no_angles(column, column_values, split_column(column)[1].symbol, period)
-    parts = split(table, plan.split, folds=_folds(plan), seed=plan.seed)
+    parts = split(table, plan.split, folds=fold_count(plan), seed=plan.seed)
     check_sessions(table, values, plan.targets, parts)
     check_plugged_in(plan, prepared.transpose(2, 0, 1).shape)
     return parts
@@ -186,7 +193,7 @@ def preparation_of(run: Run, plan: CalibrationPlan) -> Preparation:
     return Preparation(plan.crop_px, (round(side * tall), round(side / tall)), plan.channels)
 
 
-WORK_FILE = re.compile(r"plan\.json|packed|beside|(kept|fold-\d+)\..+|tmp\w+\.npz|\..+\.partial")
+WORK_FILE = re.compile(r"plan\.json|packed|beside|(kept|fold-\d+)[.-].+|tmp\w+\.npz|\..+\.partial")
 
 
 def _work_folder(run: Run, plan: CalibrationPlan, parts: Split, out: Path) -> Path:
@@ -242,86 +249,6 @@ def _learning_set(
     return learning_set(PackedSet.open(folder), plan, parts.groups, str(run.path))
 
 
-def _fit(
-    learning: LearningSet,
-    parts: Split,
-    plan: CalibrationPlan,
-    work: Path,
-    progress: Progress,
-    processes: ProcessGroup,
-    keep: bool = True,
-) -> tuple[Values, Fitted | None, DecidingPixels | None]:
-    """Held-out outputs, NaN where a row was in no scored fold, the model that is kept, and its pixels.
-
-    Where every fold is held out in turn, the one kept has learnt from all rows. Where one is, it is the very
-    model that was scored. Where none shall be kept, every fold is held out.
-    """
-    layout, model = plan.layout, make_model(plan.model, plan.options)
-    labels = learning.data
-    data = replace(labels, values=layout.encoded(labels.values), names=layout.names(labels.names))
-    passed = _passed(plan)
-
-    def fit(name: str, what: str, rows: Indices, seed: int) -> Fitted:
-        def labelled(stage: str, done: int, total: int) -> None:
-            progress(f"{what}: {stage}", done, total)
-
-        learnt = np.isin(np.arange(len(data.values)), rows)[:, None]
-        part = replace(data, values=np.where(learnt, data.values, np.nan))  # held-out labels show themselves
-        with plugin_calls(f"model {plan.model}: fit failed on {what}, {len(rows)} rows ({ERROR})", passed):
-            return model.fit(part, rows, seed=seed, progress=labelled, checkpoint=work / f"{name}.npz")
-
-    def estimates(fitted: Fitted, k: int) -> Values:
-        with plugin_calls(f"model {plan.model}: predict failed on fold {k + 1} ({ERROR})", passed):
-            found = predict_rows(fitted, data, parts.folds[k])
-        refuse_unfit(found, (len(parts.folds[k]), data.values.shape[1]), f"{plan.model}, fold {k + 1}")
-        return found
-
-    def pixels(fitted: Fitted, k: int, folds: int) -> DecidingPixels:
-        nothing = mean_input(data, parts.training_rows(k))
-        with plugin_calls(f"model {plan.model}: predict failed on fold {k + 1} ({ERROR})", passed):
-            return deciding_pixels(
-                fitted, data, parts.folds[k], nothing, rows_of_fold(folds, k), progress=progress
-            )
-
-    def held_out(k: int) -> Values:
-        # All processes see the same here: the first writes it after they have trained this fold together.
-        file_path = work / f"fold-{k}.npy"
-        kept = _read_fold(file_path, (len(parts.folds[k]), data.values.shape[1]))
-        if kept is not None:
-            maps.append(DecidingPixels.kept(work / f"fold-{k}.pixels.npz"))
-            return kept
-        what = f"{'' if keep else f'by {parts.kind}, '}fold {k + 1} of {len(parts.folds)}"
-        fitted = fit(f"fold-{k}", what, parts.training_rows(k), plan.seed + k + 1)
-        predicted = estimates(fitted, k)
-        if processes.first:
-            if keep:
-                found = pixels(fitted, k, count)
-                found.keep(work / f"fold-{k}.pixels.npz")
-                maps.append(found)
-            file_path.unlink(missing_ok=True)
-            with new_file(file_path) as path, path.open("wb") as file:
-                np.save(file, predicted)
-        return predicted
-
-    predicted, maps = np.full_like(data.values, np.nan), list[DecidingPixels | None]()
-    count, alone = folds_to_score(plan, parts), representative_fold(parts, labels.values)
-    if not keep:
-        for k in range(len(parts.folds)):
-            predicted[parts.folds[k]] = held_out(k)
-        return predicted, None, None
-    if isinstance(model, TimeBoxed):
-        model = model.shared_among(count + 1 if count > 1 else 1)
-    for k in range(count) if count > 1 else ():
-        predicted[parts.folds[k]] = held_out(k)
-    rows = np.arange(len(data.values)) if count > 1 else parts.training_rows(alone)
-    fitted = fit("kept", "the model that is kept", rows, plan.seed)
-    if count == 1:
-        predicted[parts.folds[alone]] = estimates(fitted, alone)
-        if processes.first:
-            maps.append(pixels(fitted, alone, 1))
-    return predicted, fitted, DecidingPixels.joined([part for part in maps if part is not None])
-
-
 def _confounds(
     run: Run,
     plan: CalibrationPlan,
@@ -346,17 +273,21 @@ def _confounds(
     return audit_confounds(rows, skin_px=skin_px, pixels=pixels, progress=progress)
 
 
-def _split_beside(
-    learning: LearningSet, parts: Split, plan: CalibrationPlan, work: Path, progress: Progress
-) -> ScoredSplit | None:
+def _scored(learning: LearningSet, fits: FoldFits) -> ScoredModel:
+    count = folds_to_score(fits.plan, fits.parts)
+    return fits.scored(count, representative_fold(fits.parts, learning.data.values))
+
+
+def _split_beside(learning: LearningSet, fits: FoldFits) -> ScoredSplit | None:
     """Shuffled folds beside blocks, or blocks beside shuffled folds; None where that is left out."""
+    plan, parts = fits.plan, fits.parts
     other = split_beside(learning.packed.table, parts, len(parts.folds), plan.seed)
     if other is None or _left_out(plan, parts):
         return None
-    folder = work / "beside"
+    folder = fits.work / "beside"
     folder.mkdir(exist_ok=True)
-    predicted, *_ = _fit(learning, other, plan, folder, progress, ProcessGroup(), keep=False)
-    return ScoredSplit(other, predicted)
+    beside = replace(fits, parts=other, work=folder, processes=ProcessGroup(), named=f"by {other.kind}, ")
+    return ScoredSplit(other, beside.all_held_out())
 
 
 def _left_out(plan: CalibrationPlan, parts: Split) -> str:
@@ -372,59 +303,14 @@ def _left_out(plan: CalibrationPlan, parts: Split) -> str:
     )
 
 
-def _order_fields(
-    result: CalibrationResult, beside: ScoredSplit | None, intervals: Intervals
-) -> dict[str, Any]:
+def _order_fields(result: CalibrationResult, beside: ScoredSplit | None) -> dict[str, Any]:
     """The card's part on order, where rows come one by one."""
     plan, parts, data = result.plan, result.split, result.data
     if split_beside(result.learning.packed.table, parts, len(parts.folds), plan.seed) is None:
         return {}
     own = ScoredSplit(parts, result.held_out)
     both = (own,) if beside is None else (own, beside)
-    return {"order": order_card(both, data.values, plan.targets, intervals, _left_out(plan, parts))}
-
-
-def _passed(plan: CalibrationPlan) -> type[Exception]:
-    """Errors that are not a plug-in's: a fault of palpate's own models is no plug-in's."""
-    return Exception if plan.model in MODELS else PalpateError
-
-
-def _read_fold(path: Path, shape: tuple[int, int]) -> Values | None:
-    """A fold's predictions as an interrupted run kept them; None where they are missing or damaged."""
-    try:
-        with path.open("rb") as file:
-            kept = np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
-    except Exception:  # numpy raises many kinds over damaged bytes
-        return None
-    return kept if kept.shape == shape and np.isfinite(kept).all() else None
-
-
-def representative_fold(parts: Split, values: Values) -> int:
-    """The fold whose targets are distributed most like all rows', since it stands for all.
-
-    It is chosen by the labels alone, before anything is learnt: by the largest gap between the fold's and all
-    rows' cumulative distributions (the Kolmogorov-Smirnov distance), summed over the targets.
-    """
-    gaps = [sum(ks_2samp(v[rows], v).statistic for v in values.T) for rows in parts.folds]
-    return int(np.argmin(gaps))
-
-
-def _folds(plan: CalibrationPlan) -> int:
-    """Number of parts: five, or eight where a costly model shall learn from as many rows as it can."""
-    return plan.folds or (8 if model_kind(plan.model).costly else 5)
-
-
-def folds_to_score(plan: CalibrationPlan, parts: Split) -> int:
-    """Number of folds held out: all, unless the model is costly and the first gives scores enough.
-
-    With 200 scores of 20 groups the rate that 90 % intervals really keep scatters by 2 %.
-    """
-    if plan.scored_folds is not None:
-        return min(plan.scored_folds, len(parts.folds))
-    first = parts.folds[0]
-    groups = len(first) if parts.groups is None else len(np.unique(parts.groups[first]))
-    enough = len(first) >= 200 and groups >= 20
-    return 1 if model_kind(plan.model).costly and enough else len(parts.folds)
+    return {"order": order_card(both, data.values, plan.targets, result.intervals, _left_out(plan, parts))}
 
 
 def _novelty_detector(

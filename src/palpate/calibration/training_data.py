@@ -9,8 +9,8 @@ import pandas as pd
 
 from palpate.calibration.calibration_plan import SESSION, CalibrationPlan, ReferenceRule
 from palpate.core import Bool, Float32, Indices, InputError, Int, LabelError, Shaped, Tensor
+from palpate.estimators.guard import thumbnails
 from palpate.estimators.networks.model_interface import TrainingData
-from palpate.estimators.novelty import thumbnails
 from palpate.recordings import Manifest, PackedSet, Split
 from palpate.recordings.label_tables import targets_from
 

@@ -13,7 +13,6 @@ import onnxruntime
 from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
-from pydantic import ValidationError
 
 from palpate.core import (
     Bool,
@@ -36,15 +35,14 @@ from palpate.core import (
     sha256_of,
     unit,
 )
-from palpate.estimators.copy_discriminator import CopyDiscriminator
-from palpate.estimators.model_card import FORMAT, Card, CellsCard, FileCard, TargetCard, card_id
-from palpate.estimators.novelty import NoveltyDetector
+from palpate.estimators.card_ground import FileCard, sealed_from
+from palpate.estimators.guard import CopyDiscriminator, NoveltyDetector
+from palpate.estimators.model_card import FORMAT, Card, CellsCard, TargetCard
 from palpate.estimators.range_intervals import ErrorCells, RangeIntervals
 from palpate.estimators.reading_rules import doubt
 from palpate.estimators.reference_uncertainty import with_reference
 from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.estimators.vector_regions import vector_reading
-from palpate.version import needed_version
 
 MIN_RATIO, MAX_RATIO = 0.2, 5.0
 """The spread is held between these multiples of the typical error: a quadratic fitted inside the
@@ -169,21 +167,7 @@ def read_card(folder: PathText) -> Card:
     if path.stat().st_size > MAX_CARD_BYTES:
         raise CertificateError(f"{path} is larger than {MAX_CARD_BYTES} bytes; a card never is")
     text = path.read_bytes()
-    try:
-        card = Card.model_validate_json(text)
-    except ValidationError as e:
-        if version := needed_version(text, FORMAT):
-            raise CertificateError(f"{path} {version}") from e
-        first = e.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the text"
-        raise CertificateError(
-            f"{path} cannot be read as a card: {where}: {first['msg']}; restore it or calibrate again"
-        ) from e
-    if card_id(card.model_dump(mode="json")) != card.id:
-        raise CertificateError(
-            f"{path} was altered: its content no longer gives its id {card.id}; restore it or calibrate again"
-        )
-    return card
+    return sealed_from(Card, text, path, FORMAT, "a card", "restore it or calibrate again")
 
 
 def checked_file(folder: Path, part: FileCard) -> Path:

@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_serializer, model_validator
+from pydantic import Field, model_validator
 
+from palpate.estimators.card_ground import CardPart, FileCard, RunCard, SealedCard, card_id
+from palpate.estimators.finding_cards import (
+    ChoiceCard,
+    ConfoundCard,
+    CopyCard,
+    IntervalResetCard,
+    OrderCard,
+    RobustnessCard,
+    SessionsCard,
+)
 from palpate.recordings.preparation import Preparation
 
 FORMAT = "palpate-calibration/1"
 
 
-class _CardPart(BaseModel):
-    """Part of a card.
-
-    Attributes:
-        added: fields that came later, a parent class's too; one that is None is left out of the text, so
-            that older cards keep the text that gave their id.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants")
-    added: ClassVar[tuple[str, ...]] = ()
-
-    @model_serializer(mode="wrap")
-    def _dumped(self, dump: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        return {k: v for k, v in dump(self).items() if v is not None or k not in self.added}
-
-
-class ScoreCard(_CardPart):
+class ScoreCard(CardPart):
     """Scores of one target on held-out rows, in its unit.
 
     Attributes:
@@ -63,7 +55,7 @@ class ScoreCard(_CardPart):
         return self.mae > 0.95 * self.mean_mae
 
 
-class CellsCard(_CardPart):
+class CellsCard(CardPart):
     """Bands of the scaled error, one in each cell of a range; see `estimators.range_intervals`.
 
     Attributes:
@@ -84,7 +76,7 @@ class CellsCard(_CardPart):
         return self
 
 
-class TenthCard(_CardPart):
+class TenthCard(CardPart):
     """Scored rows of one tenth of a target's range, by the truth.
 
     Attributes:
@@ -104,7 +96,7 @@ class TenthCard(_CardPart):
     p: float
 
 
-class RangeCard(_CardPart):
+class RangeCard(CardPart):
     """How a target's intervals follow its range, and where a reading counts as beyond it.
 
     Attributes:
@@ -122,7 +114,7 @@ class RangeCard(_CardPart):
     tenths: tuple[TenthCard, ...]
 
 
-class CircularCard(_CardPart):
+class CircularCard(CardPart):
     """A target that comes round again, which the model gives as cosine and sine.
 
     Attributes:
@@ -135,7 +127,7 @@ class CircularCard(_CardPart):
     scale: tuple[float, float]
 
 
-class VectorCard(_CardPart):
+class VectorCard(CardPart):
     """A vector: targets whose joint region covers all of them at once at the stated rate.
 
     Attributes:
@@ -160,7 +152,7 @@ class VectorCard(_CardPart):
     high: float
 
 
-class InstrumentCard(_CardPart):
+class InstrumentCard(CardPart):
     """What a target's labels were measured with, see `recordings.reference_instruments`; in the target's
     unit.
 
@@ -181,7 +173,7 @@ class InstrumentCard(_CardPart):
     half_width: float = Field(ge=0)
 
 
-class TargetCard(_CardPart):
+class TargetCard(CardPart):
     """One target: what it is, where it was calibrated, how its intervals are made, how it scored.
 
     Attributes:
@@ -221,14 +213,7 @@ class TargetCard(_CardPart):
         return None if self.circular is None else self.circular.period
 
 
-class FileCard(_CardPart):
-    """A file that belongs to the calibration, and the hash of its bytes."""
-
-    file: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")
-    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
-
-
-class InputCard(_CardPart):
+class InputCard(CardPart):
     """Kind of image that is read, and how it becomes the network's input.
 
     Attributes:
@@ -250,7 +235,7 @@ class InputCard(_CardPart):
         return Preparation(self.crop_px, self.size_px, self.channels, self.beside_px)
 
 
-class ReferenceCard(_CardPart):
+class ReferenceCard(CardPart):
     """Rows of a run that show the untouched sensor.
 
     Attributes:
@@ -267,7 +252,7 @@ class ReferenceCard(_CardPart):
     learnt: bool
 
 
-class SplitCard(_CardPart):
+class SplitCard(CardPart):
     """Split by which rows were held out, numbers of rows learnt from and scored, and the audit."""
 
     kind: str
@@ -282,269 +267,7 @@ class SplitCard(_CardPart):
     details: dict[str, Any]
 
 
-class ConfoundFindingCard(_CardPart):
-    """Finding of the confound audit: a sentence, and what to do.
-
-    Attributes:
-        kind: ``rows shifted``, ``outside``, ``burnt in``, ``order`` or ``function``.
-        target: column it is about; empty where it is about all.
-        severity: ``fails`` where scores cannot be relied on, ``warns`` where they say less than they seem to,
-            ``notes`` where nothing came of it.
-        text, remedy: sentences without their full stop.
-    """
-
-    kind: str
-    target: str
-    severity: Literal["fails", "warns", "notes"]
-    text: str
-    remedy: str
-
-
-class TargetConfoundCard(_CardPart):
-    """What other than touch tells of one target, beside the model; shares of variance (R²), held out.
-
-    Attributes:
-        column: of the target.
-        rank_correlation: Spearman's, with the row's number.
-        order_r2: told by a smooth function of order or time.
-        order_level: share of shufflings of whole presses that tell as much.
-        model_r2: told by the model from the whole picture.
-        outside_r2, outside_r2_blocks: told by what lies outside the skin, on the calibration's folds and on
-            short interleaved blocks; None where there is no outside.
-        inside_r2: told by the skin, asked as the outside is.
-    """
-
-    column: str
-    rank_correlation: float
-    order_r2: float
-    order_level: float
-    model_r2: float
-    outside_r2: float | None
-    outside_r2_blocks: float | None
-    inside_r2: float | None
-
-
-class ConfoundCard(_CardPart):
-    """Audit of what other than touch could have told the labels.
-
-    Attributes:
-        failed: whether the scores cannot be relied on.
-        findings: the gravest first.
-        targets: what was asked of each.
-        outside_share: share of the prepared picture that lies outside the skin; None where none was found.
-        outside: how the outside was found, or why there is none.
-        skin_px: box (x, y, width, height) around the skin [px of the recorded frame].
-        row_lag: rows by which labels come later than the images that they fit; 0 as it should be.
-        map_file: array ``[t y x]`` of the growth of each target's mean absolute error, in its unit, where a
-            block of the picture shows nothing; None where there is none.
-        map_rows: held-out rows that it is the mean of.
-    """
-
-    failed: bool
-    findings: tuple[ConfoundFindingCard, ...]
-    targets: tuple[TargetConfoundCard, ...]
-    outside_share: float | None
-    outside: str
-    skin_px: tuple[int, int, int, int] | None
-    row_lag: int
-    map_file: str | None
-    map_rows: int | None
-
-
-class RunCard(_CardPart):
-    """Recording that was learnt from."""
-
-    run_id: str
-    hash: str
-    frames: int
-    origin: str
-    licence: str
-
-
-class SessionErrorCard(_CardPart):
-    """Errors of one target from session to session, in its unit.
-
-    Attributes:
-        between: standard deviation of the sessions' mean errors about no error.
-        within: standard deviation of errors within a session.
-        coverage_least: the lowest coverage of any session that was held out, by the intervals of this card.
-    """
-
-    between: float
-    within: float
-    coverage_least: float
-
-
-class SessionsCard(_CardPart):
-    """Sessions that were learnt from, and what that promises of another one.
-
-    Attributes:
-        column: what tells them apart: ``session``, or ``sensor`` or ``copy`` where copies were held out.
-        names: of the sessions (or copies) learnt from.
-        runs: the recordings, where there are several.
-        held_out: how many were held out whole and scored; 0 where none was.
-        rule: how the intervals were made: ``one session`` (for rows like those of the sessions learnt
-            from), ``parametric`` or ``distribution-free`` (for a new session).
-        rank: of the score among one from each session, where the rule is distribution-free.
-        factor: by which few sessions widen the intervals, where it is parametric.
-        errors: of each target's column, where sessions were held out.
-        findings: what stands against the promise, in sentences.
-        text: the promise, in words.
-    """
-
-    column: str
-    names: tuple[str, ...]
-    runs: tuple[RunCard, ...]
-    held_out: int
-    rule: Literal["one session", "parametric", "distribution-free"]
-    rank: int | None
-    factor: float | None
-    errors: dict[str, SessionErrorCard]
-    findings: tuple[str, ...]
-    text: str
-
-
-class SplitScoreCard(_CardPart):
-    """Scores by one way of holding rows out.
-
-    Attributes:
-        kind: the split, as a person would type it.
-        folds, rows: how many, and how many rows were scored.
-        mae, r2, coverage: of each target's column; the coverage is that of this card's intervals.
-        order_r2: of each target's column, the share of its variance that a row's nearest neighbour in order
-            explains, of those that were trained on: what the clock alone tells.
-        meaningless: targets' columns whose scores by this split say nothing of new rows.
-    """
-
-    kind: str
-    folds: int
-    rows: int
-    mae: dict[str, float]
-    r2: dict[str, float]
-    coverage: dict[str, float]
-    order_r2: dict[str, float]
-    meaningless: tuple[str, ...]
-
-
-class OrderCard(_CardPart):
-    """Shuffled folds and short blocks of the order in which rows were taken, side by side.
-
-    Attributes:
-        splits: scores by each; the first is the card's own.
-        rank_correlation: Spearman's, of each target's column with the row's number.
-        text: what the two say, in words; and what was left out.
-    """
-
-    splits: tuple[SplitScoreCard, ...]
-    rank_correlation: dict[str, float]
-    text: str
-
-
-class IntervalResetCard(_CardPart):
-    """Rows of a new session that set the intervals anew, the network being that of another calibration.
-
-    Attributes:
-        calibration: id of that calibration.
-        run: the recording of the new session.
-        session: its name.
-        rows, groups: how many set the intervals, and how many groups (presses) they are of.
-        rank: of the score, among one from each group.
-        coverage_mean, coverage_low, coverage_high: coverage to expect in that session: its mean over
-            drawings of so many groups, and the range that holds 95 of 100 of them.
-        text: all of it in words.
-    """
-
-    calibration: str
-    run: RunCard
-    session: str
-    rows: int
-    groups: int
-    rank: int
-    coverage_mean: float
-    coverage_low: float
-    coverage_high: float
-    text: str
-
-
-class CopyCard(_CardPart):
-    """Copy of the sensor that a calibration was adapted to, and how its frames are told from the former's.
-
-    Attributes:
-        name: of this copy, and of the `former` one.
-        run_id: of this copy's recording.
-        file: what tells the two apart.
-        refused_own: share of this copy's frames that it turned away, each judged without its own press.
-        refused_former: share of the former copy's frames that it turned away.
-        text: what that means, in words.
-    """
-
-    name: str
-    former: str
-    run_id: str
-    file: FileCard | None
-    refused_own: float
-    refused_former: float
-    text: str
-
-
-class TrialCard(_CardPart):
-    """One way that a model tried on inner folds, see `estimators.networks.model_interface.Trial`."""
-
-    name: str
-    error: float | None
-    seconds: float
-    note: str
-
-
-class ChoiceCard(_CardPart):
-    """Choice that the model that is kept made by inner folds of the rows it learnt from."""
-
-    chosen: str
-    trials: tuple[TrialCard, ...]
-
-
-class PerturbationCard(_CardPart):
-    """Held-out frames changed by one kind of perturbation at one size.
-
-    Attributes:
-        kind, size, unit: see `calibration.robustness`.
-        frames: so many were changed.
-        error_ratio: mean absolute error over that of unchanged frames, the mean over the targets.
-        covered: share of readings whose interval held the truth.
-        beyond: share of readings whose error was beyond twice the half-width.
-        refused: share of frames that the guard refused, by examples of other frames.
-        silent: share of readings beyond twice the half-width and not refused.
-    """
-
-    kind: str
-    size: float
-    unit: str
-    frames: int
-    error_ratio: float
-    covered: float
-    beyond: float
-    refused: float
-    silent: float
-
-
-class RobustnessCard(_CardPart):
-    """What changes of the camera cost the model, and what the guard does about them.
-
-    Attributes:
-        text: of it, or why it was not tried.
-        frames: unchanged held-out frames that all is compared with.
-        refused, beyond: of these, as in `PerturbationCard`.
-        table: a row for each kind and size; empty where frames were too few.
-    """
-
-    text: str
-    frames: int
-    refused: float
-    beyond: float
-    table: tuple[PerturbationCard, ...]
-
-
-class Card(_CardPart):
+class Card(SealedCard):
     """All of it. `id` is a hash of everything else, so no word can change unnoticed.
 
     Attributes:
@@ -619,13 +342,6 @@ class Card(_CardPart):
     def columns(self) -> list[str]:
         """The targets' columns, in the model's order."""
         return [target.column for target in self.targets]
-
-
-def card_id(content: Mapping[str, Any]) -> str:
-    """Twelve hexadecimal digits from the card's content without its `id`."""
-    rest = {key: value for key, value in content.items() if key != "id"}
-    text = json.dumps(rest, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def sealed(content: Mapping[str, Any]) -> Card:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from palpate.estimators.model_card import ConfoundCard, ScoreCard
+from palpate.estimators.finding_cards import ConfoundCard
+from palpate.estimators.model_card import ScoreCard
 
 if TYPE_CHECKING:
     from palpate.recordings.integrity import CheckReport

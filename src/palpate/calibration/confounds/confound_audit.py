@@ -36,7 +36,7 @@ from palpate.calibration.confounds.row_order import (
 from palpate.calibration.confounds.skin_region import SkinRegion, boxed, find_skin
 from palpate.calibration.confounds.target_functions import TargetFunction, target_functions
 from palpate.core import Float32, Indices, Progress, Values, silent
-from palpate.estimators.model_card import ConfoundCard, ConfoundFindingCard, TargetConfoundCard
+from palpate.estimators.finding_cards import ConfoundCard, ConfoundFindingCard, TargetConfoundCard
 from palpate.recordings import PackedSet, Split
 
 MAX_ROWS = 400

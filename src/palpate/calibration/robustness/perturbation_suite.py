@@ -16,22 +16,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palpate.calibration.calibration_plan import CalibrationPlan
-from palpate.calibration.conformal import fit_intervals
 from palpate.calibration.robustness.perturbations import KINDS, kinds_for, perturbed
 from palpate.calibration.training_data import LearningSet
 from palpate.core import Float, Image, Indices, Int, Progress, Shaped, Tensor, UInt8, Values, silent
 from palpate.estimators.certified import Intervals
-from palpate.estimators.guard_features import Registration, frame_features
-from palpate.estimators.known_changes import (
+from palpate.estimators.finding_cards import PerturbationCard, RobustnessCard
+from palpate.estimators.guard import (
     MAX_HARM,
     ChangeExamples,
+    NoveltyDetector,
+    Registration,
     cross_fitted,
     fit_known_changes,
+    frame_features,
+    kept_rows,
     rescaled,
+    thumbnail,
 )
-from palpate.estimators.model_card import PerturbationCard, RobustnessCard
 from palpate.estimators.networks.model_interface import Fitted
-from palpate.estimators.novelty import NoveltyDetector, kept_rows, thumbnail
 from palpate.estimators.target_layout import Outputs
 from palpate.recordings import Run, Split
 
@@ -59,7 +61,8 @@ class Suite:
         parts: their folds.
         held_out: outputs ``[n o]`` for rows by a model that had not seen their group; NaN where not scored.
         fitted: the model that is kept.
-        plan: its targets, coverage and reference, and the seed of which frames are changed, and how.
+        plan: its targets and reference, and the seed of which frames are changed, and how.
+        intervals: those of its certificate.
     """
 
     run: Run
@@ -68,6 +71,7 @@ class Suite:
     held_out: Outputs
     fitted: Fitted
     plan: CalibrationPlan
+    intervals: Intervals
 
     def frame(self, row: int) -> Image:
         """The camera's frame of a row."""
@@ -127,13 +131,9 @@ def try_changes(
     rng = np.random.default_rng([suite.plan.seed, OWN_STREAM])
     rows = np.sort(rng.permutation(scored)[:MAX_UNCHANGED])
     tried = _tried(suite, rows, rng, progress)
-    intervals = fit_intervals(
-        suite.held_out[scored], suite.learning.data.values[scored], suite.learning.data.groups[scored],
-        suite.plan.coverage, suite.plan.layout,
-    )  # fmt: skip
-    unchanged = _errors(suite, intervals, rows, np.zeros((len(rows), 1)))
-    changed = _errors(suite, intervals, tried.row, tried.moved)
-    before = _errors(suite, intervals, tried.row, np.zeros((len(tried.row), 1)))
+    unchanged = _errors(suite, rows, np.zeros((len(rows), 1)))
+    changed = _errors(suite, tried.row, tried.moved)
+    before = _errors(suite, tried.row, np.zeros((len(tried.row), 1)))
     harm = _harm(unchanged.scaled, (changed.error - before.error) / changed.half)
     progress("learning which changes cost", 0, 1)
     examples, registration = _examples(suite, detector, rows, tried, harm)
@@ -208,13 +208,13 @@ class _Errors:
         return np.abs(self.scaled) > BEYOND
 
 
-def _errors(suite: Suite, intervals: Intervals, rows: Indices, moved: Float[np.ndarray, "_ _"]) -> _Errors:
+def _errors(suite: Suite, rows: Indices, moved: Float[np.ndarray, "_ _"]) -> _Errors:
     """Errors of held-out estimates that a change has moved; one that is no finite number counts as huge."""
     outputs = suite.held_out[rows] + moved
-    low, high = intervals.ends(outputs)
+    low, high = suite.intervals.ends(outputs)
     half = np.maximum((high - low) / 2, np.finfo(np.float32).tiny)
     huge = float(np.finfo(np.float32).max)
-    error = intervals.errors(outputs, suite.learning.data.values[rows])
+    error = suite.intervals.errors(outputs, suite.learning.data.values[rows])
     return _Errors(np.nan_to_num(error, nan=huge, posinf=huge), half)
 
 

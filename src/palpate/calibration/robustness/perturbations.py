@@ -233,4 +233,4 @@ KINDS: dict[str, PerturbationKind] = {
     "dust": PerturbationKind("% of the frame", (0.1, 0.2, 0.5, 1, 2), _dust),
     "dead columns": PerturbationKind("columns", (1, 2, 4, 8, 16), _dead_columns),
 }
-"""Every kind of perturbation, by name; `estimators.known_changes.SIGNATURES` has what to do about each."""
+"""Every kind of perturbation, by name; `known_changes.SIGNATURES` has what to do about each."""

@@ -13,8 +13,9 @@ from sklearn.neighbors import NearestNeighbors
 
 from palpate.calibration.certificate import file_card
 from palpate.core import Float, Indices
-from palpate.estimators.copy_discriminator import CopyDiscriminator
-from palpate.estimators.model_card import Card, CopyCard
+from palpate.estimators.finding_cards import CopyCard
+from palpate.estimators.guard import CopyDiscriminator
+from palpate.estimators.model_card import Card
 from palpate.recordings import Run
 from palpate.recordings.joined_runs import SENSOR, run_names
 

@@ -6,17 +6,15 @@ The card is not touched. One that is damaged, or of another card, is refused by 
 
 from __future__ import annotations
 
-import json
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
-
 from palpate.core import CertificateError, PathText, new_file, storage_errors
+from palpate.estimators.card_ground import SealedCard, card_id, sealed_from
 from palpate.estimators.certified import read_card
-from palpate.estimators.model_card import Card, ScoreCard, card_id
-from palpate.version import __version__, needed_version
+from palpate.estimators.model_card import Card, ScoreCard
+from palpate.version import __version__
 
 FORMAT = "palpate-evaluation/1"
 PREFIX, SUFFIX = "evaluation-", ".json"
@@ -25,7 +23,7 @@ DIGITS = 12
 """Of a run's hash, in a file's name."""
 
 
-class EvaluationRecord(BaseModel):
+class EvaluationRecord(SealedCard):
     """Scores of a calibration on a run, as kept beside its card.
 
     Attributes:
@@ -42,10 +40,7 @@ class EvaluationRecord(BaseModel):
         reference: whether one image of the untouched sensor was given for all.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
     format: Literal["palpate-evaluation/1"]
-    id: str
     calibration: str
     created_utc: str
     software: str
@@ -118,7 +113,7 @@ def _sealed(scores: dict[str, Any], reference: bool) -> EvaluationRecord:
         reference=reference,
         **{name: scores[name] for name in (*names, *counts)},
     )
-    return record.model_copy(update={"id": card_id(json.loads(record.model_dump_json()))})
+    return record.model_copy(update={"id": card_id(record.model_dump(mode="json"))})
 
 
 def read_evaluation(path: Path, card: Card) -> EvaluationRecord:
@@ -133,18 +128,7 @@ def read_evaluation(path: Path, card: Card) -> EvaluationRecord:
         raise CertificateError(f"{path} is no evaluation that palpate wrote; {remedy}")
     with storage_errors(path):
         text = path.read_bytes()
-    try:
-        record = EvaluationRecord.model_validate_json(text)
-    except ValidationError as e:
-        if version := needed_version(text, FORMAT):
-            raise CertificateError(f"{path} {version}") from e
-        first = e.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the text"
-        raise CertificateError(
-            f"{path} cannot be read as an evaluation: {where}: {first['msg']}; {remedy}"
-        ) from e
-    if card_id(json.loads(record.model_dump_json())) != record.id:
-        raise CertificateError(f"{path} was altered: its content no longer gives its id; {remedy}")
+    record = sealed_from(EvaluationRecord, text, path, FORMAT, "an evaluation", remedy)
     if record.calibration != card.id:
         raise CertificateError(
             f"{path} is of calibration {record.calibration}, and not of {card.id}, whose folder it lies in; "

@@ -53,17 +53,11 @@ from palpate.core import (
     refuse_existing,
     silent,
 )
+from palpate.estimators.card_ground import RunCard
 from palpate.estimators.certified import CARD_FILE, Estimator, Intervals, checked_file, intervals_of
-from palpate.estimators.model_card import (
-    Card,
-    IntervalResetCard,
-    RunCard,
-    ScoreCard,
-    SessionsCard,
-    TargetCard,
-    sealed,
-)
-from palpate.estimators.novelty import NoveltyDetector, RenderedImages, fit_novelty_detector, thumbnails
+from palpate.estimators.finding_cards import IntervalResetCard, SessionsCard
+from palpate.estimators.guard import NoveltyDetector, RenderedImages, fit_novelty_detector, thumbnails
+from palpate.estimators.model_card import Card, ScoreCard, TargetCard, sealed
 from palpate.recordings import Run
 from palpate.recordings.joined_runs import sessions_of
 from palpate.recordings.label_tables import targets_from, with_own

@@ -21,8 +21,9 @@ from palpate.calibration.sessions.session_intervals import (
     rank_of_new_group,
 )
 from palpate.core import InputError, SplitError, Values
+from palpate.estimators.card_ground import RunCard
 from palpate.estimators.certified import Intervals
-from palpate.estimators.model_card import RunCard, SessionErrorCard, SessionsCard
+from palpate.estimators.finding_cards import SessionErrorCard, SessionsCard
 from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import PackedSet, Run, Split
 from palpate.recordings.joined_runs import JoinedRun, sessions_of
@@ -289,11 +290,14 @@ def _sessions_needed(coverage: float) -> int:
     return count
 
 
-def session_fields(
-    result: CalibrationResult, held: HeldOutSessions | None, intervals: Intervals
-) -> dict[str, Any]:
+def session_fields(result: CalibrationResult, held: HeldOutSessions | None) -> dict[str, Any]:
     """Fields of a card that say what sessions were learnt from."""
-    scored, plan, table = result.scored, result.plan, result.learning.packed.table
+    scored, plan, table, intervals = (
+        result.scored,
+        result.plan,
+        result.learning.packed.table,
+        result.intervals,
+    )
     outputs, true = result.held_out[scored], result.data.values[scored]
     errors, inside = intervals.errors(outputs, true), intervals.hold(outputs, true)
     pairs = {column: (errors[:, j], inside[:, j]) for j, column in enumerate(plan.targets)}

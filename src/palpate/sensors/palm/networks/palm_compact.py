@@ -22,11 +22,11 @@ from torch import nn
 from torch.nn import functional
 
 from palpate.core import Indices, InputError, Progress, Tensor, silent
+from palpate.estimators.guard import RenderedImages, thumbnails
 from palpate.estimators.networks.compact_cnn import seeded
 from palpate.estimators.networks.model_interface import Scaler, TrainingData
 from palpate.estimators.networks.torch_export import TorchGraph
 from palpate.estimators.networks.training_loop import TrainingLoop, TrainingTask
-from palpate.estimators.novelty import RenderedImages, thumbnails
 from palpate.sensors.palm.networks.palm_training import (
     FittedPalm,
     PalmNetwork,

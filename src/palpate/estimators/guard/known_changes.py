@@ -21,7 +21,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from palpate.core import Bool, Float, Float32, Indices, Int, Shaped
-from palpate.estimators.guard_features import Registration
+from palpate.estimators.guard.guard_features import Registration
 
 MAX_HARM = 0.01
 """A frame is refused where the share of readings beyond twice their half-width would rise by more."""

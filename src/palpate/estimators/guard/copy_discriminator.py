@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.core import CertificateError, Float
-from palpate.estimators.novelty import Prepared, thumbnail
+from palpate.estimators.guard.novelty import Prepared, thumbnail
 
 
 @dataclass(frozen=True, slots=True)

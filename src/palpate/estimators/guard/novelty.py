@@ -29,8 +29,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 from palpate.core import CertificateError, Drift, Float, Float16, Float32, Indices, InputError, Int, UInt8
-from palpate.estimators.guard_features import frame_features
-from palpate.estimators.known_changes import KnownChanges, Verdict
+from palpate.estimators.guard.guard_features import frame_features
+from palpate.estimators.guard.known_changes import KnownChanges, Verdict
 
 THUMBNAIL_VALUES = 1024
 """A thumbnail holds about this many values, in one channel or in three."""

@@ -1,0 +1,90 @@
+"""Ground of every card: parts that refuse what they do not know, and documents whose id is their own hash."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_serializer
+
+from palpate.core import CertificateError
+from palpate.version import needed_version
+
+
+class CardPart(BaseModel):
+    """Part of a card.
+
+    Attributes:
+        added: fields that came later, a parent class's too; one that is None is left out of the text, so
+            that older cards keep the text that gave their id.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants")
+    added: ClassVar[tuple[str, ...]] = ()
+
+    @model_serializer(mode="wrap")
+    def _dumped(self, dump: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        return {k: v for k, v in dump(self).items() if v is not None or k not in self.added}
+
+
+class FileCard(CardPart):
+    """A file that belongs to the calibration, and the hash of its bytes."""
+
+    file: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+
+class RunCard(CardPart):
+    """Recording that was learnt from."""
+
+    run_id: str
+    hash: str
+    frames: int
+    origin: str
+    licence: str
+
+
+def card_id(content: Mapping[str, Any]) -> str:
+    """Twelve hexadecimal digits from the card's content without its `id`."""
+    rest = {key: value for key, value in content.items() if key != "id"}
+    text = json.dumps(rest, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+class SealedCard(CardPart):
+    """Document whose `id` is a hash of everything else in it, so that no word can change unnoticed."""
+
+    id: str
+
+
+S = TypeVar("S", bound=SealedCard)
+
+
+def sealed_from(kind: type[S], text: bytes, path: Path, own_format: str, what: str, remedy: str) -> S:
+    """Read a sealed document.
+
+    Args:
+        kind: what it is.
+        text: JSON.
+        path: where it came from, for messages.
+        own_format: that this version of palpate writes.
+        what: it is called, as in "a card".
+        remedy: what to do about one that cannot be read.
+
+    Raises:
+        CertificateError: it is damaged or altered, or another version of palpate has to read it.
+    """
+    try:
+        found = kind.model_validate_json(text)
+    except ValidationError as e:
+        if version := needed_version(text, own_format):
+            raise CertificateError(f"{path} {version}") from e
+        first = e.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the text"
+        raise CertificateError(f"{path} cannot be read as {what}: {where}: {first['msg']}; {remedy}") from e
+    if card_id(found.model_dump(mode="json")) != found.id:
+        raise CertificateError(f"{path} was altered: its content no longer gives its id {found.id}; {remedy}")
+    return found
