@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 import cv2
 import numpy as np
 import pytest
+from tests.oracles.plain_guard_features import features as plain_features
 
 from palpate.core import CertificateError
 from palpate.estimators.guard import (
@@ -180,6 +181,35 @@ def test_markers_are_counted_and_features_are_as_many_whatever_the_size() -> Non
         features = image_features(image)
         assert len(features) == len(grey)
         assert np.isfinite(features).all()
+
+
+def test_features_are_those_of_the_plain_computation_to_1e_9() -> None:
+    """Guards of before hold features computed so; a verdict may not depend on which way it was."""
+    rng = np.random.default_rng(8)
+    grey, colour = pins(blur=1.0), rng.integers(0, 256, (90, 121, 3)).astype(np.uint8)
+    binary = np.where(pins() > 120, 255, 0).astype(np.uint8)
+    drawn = [rng.integers(0, 256, (*shape, 1)).astype(np.uint8) for shape in ((1, 9), (3, 5), (300, 500))]
+    for image in (grey, colour, binary, binary[:, :95], np.zeros((40, 40, 1), np.uint8), *drawn):
+        np.testing.assert_allclose(image_features(image), plain_features(image), rtol=0, atol=1e-9)
+
+
+def test_a_verdict_is_that_of_all_examples_put_in_order(known) -> None:
+    """Distances are sums of float32, known to 2 parts in 10^6 whatever their order."""
+    rng = np.random.default_rng(9)
+    for _ in range(200):
+        at, novelty = changed(rng, COSTLY, rng.uniform(0, 20)), rng.uniform(0.5, 3)
+        place = 3 * np.arcsinh((at - known.centre) / (3 * known.spread)) @ known.axes
+        square = np.sum((known.places - place) ** 2, axis=1)
+        near = np.argsort(square)[:12]
+        weight = 1 / (1 + square[near])
+        harm = weight @ known.harm[near] / weight.sum() / known.limits[0]
+        ratio = (1 + np.sqrt(square[near[2]])) / (1 + known.spacing[near].mean())
+        tolerated = max(known.limits[2], known.novelty[near].max()) if ratio <= known.limits[1] else 1.0
+        verdict = known.judge(at, novelty)
+        assert verdict.atypicality == pytest.approx(
+            max(harm, novelty / tolerated) / known.limits[3], rel=2e-6
+        )
+        assert verdict.known == bool(ratio <= known.limits[1])
 
 
 def detector(rng: np.random.Generator) -> NoveltyDetector:

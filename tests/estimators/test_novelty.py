@@ -11,6 +11,7 @@ from palpate.estimators.guard import (
     fit_novelty_detector,
     thumbnails,
 )
+from palpate.estimators.guard.novelty import _gram
 
 ROWS, COLUMNS = np.mgrid[0:64, 0:64]
 GROUND = 60 + 50 * np.exp(-((ROWS - 20) ** 2 + (COLUMNS - 40) ** 2) / 300)
@@ -260,3 +261,9 @@ def test_the_spread_of_references_is_that_about_a_mean_they_had_no_part_in(count
         for _ in range(5)
     ]
     assert np.mean(spreads) == pytest.approx(3 * np.sqrt(count / (count - 1)), rel=0.03)
+
+
+def test_products_of_differences_are_exact_whatever_the_order_they_are_summed_in() -> None:
+    """Whole grey levels: every sum below 2^24 is a float32, so that blocks of columns change nothing."""
+    apart = np.random.default_rng(3).integers(-120, 121, (24, 1007))
+    np.testing.assert_array_equal(_gram(apart.astype(np.float32)), apart @ apart.T)

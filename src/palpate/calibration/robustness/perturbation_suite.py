@@ -42,7 +42,7 @@ MIN_ROWS = 50
 
 FRAMES_A_CELL = 12
 MIN_FRAMES_A_CELL = 4
-ROWS_A_FRAME = 20  # with fewer held-out frames, each is changed as often
+ROWS_A_FRAME = 5  # with fewer held-out frames, each is changed as often
 USUAL_PIXELS = 640 * 480  # of a frame; larger ones are changed less often, in proportion
 MAX_UNCHANGED = 400
 BATCH = 32

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -70,18 +71,23 @@ def _pairs(grey: Octave) -> tuple[tuple[Octave, Octave], ...]:
     )
 
 
+GREYS = np.arange(256)
+SHARES = np.array([0.05, 0.5, 0.95])
+
+
 def _levels(grey: Grey) -> list[float]:
     """Mean, spread, outer levels and median, shares at both ends and between dark and bright."""
     grey = grey[:: math.ceil(grey.size / MAX_COUNTED_PIXELS)]
     counts = cv2.calcHist([grey], [0], None, [256], [0, 256]).ravel().astype(np.float64) / grey.size
-    greys = np.arange(256)
-    mean = counts @ greys
-    upto = np.cumsum(counts)
-    low, median, high = np.searchsorted(upto, (0.05, 0.5, 0.95))
-    between = counts[(greys > low + 0.25 * (high - low)) & (greys < high - 0.25 * (high - low))].sum()
-    spread = math.sqrt(counts @ (greys - mean) ** 2)
-    ends = (math.log(share + 1e-4) for share in (counts[0], counts[255], between))
-    return [_log(mean), _log(spread), *((level + 1) / 256 for level in (low, median, high)), *ends]
+    mean = float(counts @ GREYS)
+    spread = math.sqrt(counts @ (GREYS - mean) ** 2)
+    upto = counts.cumsum()
+    low, median, high = upto.searchsorted(SHARES).tolist()
+    quarter = 0.25 * (high - low)
+    first, end = math.floor(low + quarter) + 1, math.ceil(high - quarter)
+    between = float(counts[first : max(first, end)].sum())
+    ends = [math.log(share + 1e-4) for share in (float(counts[0]), float(counts[255]), between)]
+    return [_log(mean), _log(spread), (low + 1) / 256, (median + 1) / 256, (high + 1) / 256, *ends]
 
 
 def _profiles(grey: Grey) -> list[float]:
@@ -89,11 +95,17 @@ def _profiles(grey: Grey) -> list[float]:
     found = []
     for axis in (0, 1):
         means = cv2.reduce(grey, axis, cv2.REDUCE_AVG, dtype=cv2.CV_32F).ravel()
-        along = np.linspace(-1, 1, len(means))
-        found.append(float(means @ along / max(means.sum(), FLOOR)))
-        kinks = np.abs(np.diff(means, 2)) if len(means) > 2 else np.zeros(1)
+        found.append(float(means @ _along(len(means))) / max(float(means.sum()), FLOOR))
+        steps = means[1:] - means[:-1]
+        kinks = np.abs(steps[1:] - steps[:-1]) if len(means) > 2 else np.zeros(1)
         found += [_log(float(kinks.max())), _log(float(kinks.mean()))]
     return found
+
+
+@lru_cache(maxsize=16)
+def _along(count: int) -> Float[np.ndarray, " k"]:
+    """So many places from -1 to 1."""
+    return np.linspace(-1, 1, count)
 
 
 MIN_MARKER_PX = 3
@@ -105,16 +117,20 @@ def _markers(grey: Octave) -> list[float]:
     _, _, boxes, middles = cv2.connectedComponentsWithStatsWithAlgorithm(
         brighter, 8, cv2.CV_32S, cv2.CCL_BBDT
     )
-    size, middles = boxes[1:, cv2.CC_STAT_AREA], middles[1:]
+    size = boxes[1:, cv2.CC_STAT_AREA]
     large = size >= MIN_MARKER_PX
-    specks = math.log1p(int(np.sum(~large)))
-    if not large.any():
+    count = int(np.count_nonzero(large))
+    specks = math.log1p(len(size) - count)
+    if not count:
         return [level / 256, specks, *(0.0,) * 7]
-    size = np.log(size[large])
+    logs = np.sort(np.log(size[large]))
+    usual = (logs[(count - 1) // 2] + logs[count // 2]) / 2
+    spread = math.sqrt(np.sum((logs - logs.sum() / count) ** 2) / count)
     height, width = grey.shape
-    away = (middles[large] - ((width - 1) / 2, (height - 1) / 2)) / max(grey.shape)
-    places = (*away.mean(axis=0), math.sqrt(np.mean(away**2)), float(np.mean(away[:, 0] * away[:, 1])))
-    return [level / 256, specks, math.log(len(size)), float(np.median(size)), float(size.std()), *places]
+    x, y = ((middles[1:][large] - ((width - 1) / 2, (height - 1) / 2)) / max(grey.shape)).T
+    about = math.sqrt((x @ x + y @ y) / (2 * count))
+    places = (float(x.sum()) / count, float(y.sum()) / count, about, float(x @ y) / count)
+    return [level / 256, specks, math.log(count), float(usual), spread, *places]
 
 
 def _tints(prepared: UInt8[np.ndarray, "_ _ c"]) -> list[float]:

@@ -164,8 +164,11 @@ class KnownChanges:
             novelty: over the limit that holds where no change is known.
         """
         at = _places(features, self.centre, self.spread, self.axes)
-        square = np.sum((self.places - at) ** 2, axis=1)
-        near = np.argsort(square)[: min(NEIGHBOURS, len(square))]
+        away = self.places - at
+        square = np.einsum("md,md->m", away, away)
+        count = min(NEIGHBOURS, len(square))
+        near = square.argpartition(count - 1)[:count]
+        near = near[square[near].argsort()]
         weight = 1 / (square[near] + 1)
         max_harm, max_ratio, max_novelty, scale = self.limits
         harm = float(weight @ self.harm[near] / weight.sum()) / max_harm

@@ -206,8 +206,8 @@ def _expected_residual(around: Float16[np.ndarray, "r m"]) -> Float[np.ndarray, 
 def _ratios(
     residual: Float[np.ndarray, " m"], expected: Float[np.ndarray, " m"], channels: int
 ) -> Float[np.ndarray, " 2"]:
-    blocks, level = np.split(residual / expected, [-channels])
-    return np.sqrt(np.array([blocks.mean(), level.max()], np.float64))
+    ratios = residual / expected
+    return np.sqrt(np.array([ratios[:-channels].mean(), ratios[-channels:].max()], np.float64))
 
 
 def _weights(apart: Float32[np.ndarray, "r k"]) -> Float[np.ndarray, " r"]:
@@ -215,12 +215,31 @@ def _weights(apart: Float32[np.ndarray, "r k"]) -> Float[np.ndarray, " r"]:
 
     Least squares of [L' ; s 1'] w = [0 ; s] with w >= 0 and LL' = G gives that very w up to its length.
     """
-    gram = np.einsum("rk,qk->rq", apart, apart).astype(np.float64)
-    size = np.trace(gram) / len(gram) + 1e-6
-    gram[np.diag_indices_from(gram)] += RIDGE * size
-    system = np.vstack([np.linalg.cholesky(gram).T, np.full(len(gram), math.sqrt(size))])
-    w, _ = nnls(system, np.append(np.zeros(len(gram)), math.sqrt(size)))
+    gram = _gram(apart).astype(np.float64)
+    count = len(gram)
+    size = float(gram.trace()) / count + 1e-6
+    gram.flat[:: count + 1] += RIDGE * size
+    system, wanted = np.empty((count + 1, count)), np.zeros(count + 1)
+    system[:count], system[count], wanted[count] = (
+        np.linalg.cholesky(gram).T,
+        math.sqrt(size),
+        math.sqrt(size),
+    )
+    w, _ = nnls(system, wanted)
     return np.asarray(w / w.sum(), dtype=np.float32)
+
+
+COLUMNS_AT_ONCE = 256  # few enough for BLAS to take one thread: see `NeighbourModel.reconstruct`
+
+
+def _gram(apart: Float32[np.ndarray, "r k"]) -> Float32[np.ndarray, "r r"]:
+    """Products of each two rows.
+
+    Differences of grey levels are whole numbers, so that float32 holds their sums exactly, whatever the
+    order, up to 2^24: thumbnails that lie 128 grey levels apart.
+    """
+    parts = (apart[:, at : at + COLUMNS_AT_ONCE] for at in range(0, apart.shape[1], COLUMNS_AT_ONCE))
+    return np.asarray(sum(part @ part.T for part in parts))
 
 
 @lru_cache(maxsize=4)
