@@ -2,9 +2,9 @@
 
 Run ``OMP_NUM_THREADS=1 python benchmarks/estimators/guard_latency.py``. Frames are 445 x 440 px grey, in
 memory; discs on a grid move with two labels. Calibrations are of `kernel-ridge` at 128 px a side and of
-`pca-ridge` at 224, the side of `compact-cnn`, each of 400 frames. A whole reading is scaling, guard, model and
-intervals. Before anything is timed, sizes of differences among the guard's features must be those of numpy. No
-time is judged, only printed.
+`pca-ridge` at 224, the side of `compact-cnn`, each of 400 frames. A whole reading is scaling, guard, model
+and intervals. Before anything is timed, sizes of differences among the guard's features must be those of
+numpy. No time is judged, only printed.
 """
 
 from __future__ import annotations

@@ -222,3 +222,15 @@ def test_images_that_are_turned_in_training_are_refused_beside_a_direction() -> 
 def test_a_period_that_does_not_fit_is_refused(circular, error, message) -> None:
     with pytest.raises(error, match=message):
         CalibrationPlan(("angle_deg", "x_mm"), circular=circular)
+
+
+def test_what_a_change_costs_an_angle_does_not_depend_on_where_its_zero_lies(edges, tmp_path) -> None:
+    """Half a turn on, what was read at the seam is read in the middle: each change costs as much."""
+    folder, _ = edges
+    calibrate(record_edges(tmp_path / "run", 400, shift=180.0), PLAN, tmp_path / "cal")
+    tables = [read_card(path / "cal").robustness.table for path in (folder, tmp_path)]
+    for was, now in zip(*tables, strict=True):
+        assert (was.kind, was.size) == (now.kind, now.size)
+        assert now.error_ratio == pytest.approx(was.error_ratio, rel=0.02)
+        assert now.beyond == pytest.approx(was.beyond, abs=0.05)
+        assert now.refused == pytest.approx(was.refused, abs=0.1)

@@ -80,10 +80,28 @@ def test_harm_is_the_rise_of_the_share_beyond_twice_the_half_width() -> None:
     errors = np.random.default_rng(1).normal(0, 0.5, (2000, 1))
     moved = np.array([0.0, 1.0, 2.0, -2.0, 5.0])
     want = norm.sf((2 - np.abs(moved)) / 0.5) - norm.sf(4)
-    np.testing.assert_allclose(_harm(errors, moved[:, None]), want, atol=0.03)
-    of_two = _harm(np.repeat(errors, 2, axis=1), np.array([[5.0, 0.0]]))
+    np.testing.assert_allclose(_harm(errors, moved[:, None], never(5, 1)), want, atol=0.03)
+    of_two = _harm(np.repeat(errors, 2, axis=1), np.array([[5.0, 0.0]]), never(1, 2))
     np.testing.assert_allclose(of_two, 0.5, atol=0.01)
-    assert _harm(errors, np.array([[np.nan], [np.inf]]))[1] == pytest.approx(1.0, abs=0.01)
+    no_numbers = _harm(errors, np.array([[np.nan], [np.inf]]), never(2, 1))
+    assert no_numbers[1] == pytest.approx(1.0, abs=0.01)
+
+
+def never(m: int, t: int) -> np.ndarray:
+    """Errors that do not come round again."""
+    return np.full((m, t), np.inf)
+
+
+def test_an_angle_moved_by_all_but_a_degree_of_a_turn_is_harmed_as_by_a_degree() -> None:
+    """A half-width of 10 degrees: 359 degrees are 35.9, a turn 36. A plain number is harmed by all of it."""
+    errors = np.random.default_rng(1).normal(0, 0.5, (2000, 1))
+    moved = np.array([[35.9], [-35.9], [0.1], [18.0], [36.0 * 3 + 1]])
+    harm = _harm(errors, moved, np.full((5, 1), 36.0))
+    np.testing.assert_allclose(harm[[0, 1]], harm[2], atol=0.002)
+    assert harm[2] < 0.002
+    assert harm[3] == pytest.approx(1.0, abs=0.01)
+    assert harm[4] == pytest.approx(_harm(errors, np.array([[1.0]]), never(1, 1))[0], abs=1e-9)
+    assert (_harm(errors, moved[:2], never(2, 1)) > 0.99).all()
 
 
 def test_too_few_frames_say_what_they_cannot_tell(record_spots, tmp_path) -> None:

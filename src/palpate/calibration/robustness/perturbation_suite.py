@@ -34,7 +34,7 @@ from palpate.estimators.guard import (
     thumbnail,
 )
 from palpate.estimators.networks.model_interface import Fitted
-from palpate.estimators.target_layout import Outputs
+from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import Run, Split
 
 MIN_ROWS = 50
@@ -134,7 +134,8 @@ def try_changes(
     unchanged = _errors(suite, rows, np.zeros((len(rows), 1)))
     changed = _errors(suite, tried.row, tried.moved)
     before = _errors(suite, tried.row, np.zeros((len(tried.row), 1)))
-    harm = _harm(unchanged.scaled, (changed.error - before.error) / changed.half)
+    turns = _turns(suite.plan.layout, changed)
+    harm = _harm(unchanged.scaled, (changed.error - before.error) / changed.half, turns)
     progress("learning which changes cost", 0, 1)
     examples, registration = _examples(suite, detector, rows, tried, harm)
     verdicts = cross_fitted(examples, registration, _parts(suite, rows))
@@ -218,16 +219,37 @@ def _errors(suite: Suite, rows: Indices, moved: Float[np.ndarray, "_ _"]) -> _Er
     return _Errors(np.nan_to_num(error, nan=huge, posinf=huge), half)
 
 
-def _harm(unchanged: Values, moved: Float[np.ndarray, "m t"]) -> Float[np.ndarray, " m"]:
+def _turns(layout: TargetLayout, changed: _Errors) -> Values:
+    """Each target's period in half-widths ``[m t]``; infinite where an error does not come round again.
+
+    That is so of plain targets, and of an estimate that is no number.
+    """
+    period = np.array([np.inf if one is None else one for one in layout.periods])
+    return np.where(np.abs(changed.error) <= period, period / changed.half, np.inf)
+
+
+def _harm(
+    unchanged: Values, moved: Float[np.ndarray, "m t"], turns: Float[np.ndarray, "m t"]
+) -> Float[np.ndarray, " m"]:
     """Rise of the share of readings beyond twice their half-width, were every frame's estimate moved so far.
 
     Args:
         unchanged: errors of unchanged frames ``[n t]``, in half-widths.
         moved: how far a change moves the estimates ``[m t]``, in half-widths.
+        turns: after what an error comes round again ``[m t]``, in half-widths; infinite where it does not.
     """
     usual = np.mean(np.abs(unchanged) > BEYOND, axis=0)
-    shares = np.stack([np.mean(np.abs(unchanged + far) > BEYOND, axis=0) for far in np.nan_to_num(moved)])
+    pairs = zip(np.nan_to_num(moved), turns, strict=True)
+    shares = np.stack([np.mean(_shortest(unchanged + far, turn) > BEYOND, axis=0) for far, turn in pairs])
     return np.asarray(np.mean(np.maximum(shares - usual, 0.0), axis=1))
+
+
+def _shortest(error: Values, turn: Float[np.ndarray, " t"]) -> Values:
+    """Size of errors the shortest way round ``[n t]``: 359 degrees off is 1 degree off."""
+    whole = np.isfinite(turn)
+    size = np.abs(error)
+    size[:, whole] = np.abs((error[:, whole] + turn[whole] / 2) % turn[whole] - turn[whole] / 2)
+    return size
 
 
 def _examples(
