@@ -146,6 +146,7 @@ def adapt(folder: PathText, run: Run, out: PathText, progress: Progress = silent
     started = time.monotonic()
     estimator = Estimator.open(folder)
     card = estimator.card
+    _refuse_classes(card)
     plan = CalibrationPlan.of_card(card, _rule(card, run), _grouping(run))
     _check(card, run, plan)
     with storage_errors(out):
@@ -183,6 +184,14 @@ class _CorrectedNetwork:
         card = self.estimator.card
         model = onnx.load(str(self.estimator.folder / card.model.file), load_external_data=False)
         return self.correction.appended(model, f"adapted-{card.id}")
+
+
+def _refuse_classes(card: Card) -> None:
+    if card.classes:
+        raise InputError(
+            f"calibration {card.id} tells classes ({', '.join(one.column for one in card.classes)}), which a "
+            "correction from a few presses is not built for; calibrate on presses of your own copy"
+        )
 
 
 def _grouping(run: Run) -> str:

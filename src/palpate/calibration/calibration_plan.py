@@ -87,6 +87,8 @@ class CalibrationPlan:
             in one unit.
         instruments: what label columns were measured with, beside what the run's manifest states; it goes
             before that.
+        classes: label columns whose values are classes or counts, and what these shall be called, in
+            ascending order; no names for the values themselves.
 
     Raises:
         InputError: a field is not of its kind or out of its range; the message says what is allowed.
@@ -118,13 +120,14 @@ class CalibrationPlan:
     circular: dict[str, float | None] = field(default_factory=dict)
     vectors: dict[str, tuple[str, ...]] = field(default_factory=dict)
     instruments: dict[str, ReferenceInstrument] = field(default_factory=dict)
+    classes: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         # Here, since whoever senses reads a `ReferenceRule`, and needs neither models nor tables.
         from palpate.estimators.networks import model_kind
         from palpate.recordings.splits import check_split_text
 
-        object.__setattr__(self, "targets", _targets(self.targets))
+        object.__setattr__(self, "targets", _targets(self.targets, classes=bool(self.classes)))
         if not isinstance(self.model, str):
             name, options = _own_model(self.model, self.options)
             object.__setattr__(self, "model", name)
@@ -134,6 +137,7 @@ class CalibrationPlan:
             object.__setattr__(self, "split", import_path_of(self.split, "split"))
         check_split_text(self.split)
         self._check_numbers()
+        _check_classes(self)
         object.__setattr__(self, "circular", _periods(self.circular, self.targets))
         if self.circular and self.options.get("turns", 1) != 1:
             raise InputError(
@@ -162,6 +166,7 @@ class CalibrationPlan:
             coverage=card.coverage,
             circular={t.column: t.circular.period for t in card.targets if t.circular is not None},
             vectors={vector.column: vector.columns for vector in card.vectors or ()},
+            classes={one.column: one.names for one in card.classes or ()},
         )
 
     @property
@@ -190,7 +195,8 @@ class CalibrationPlan:
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
         plain = asdict(self) | {"instruments": {k: v.model_dump() for k, v in self.instruments.items()}}
-        return {k: v for k, v in plain.items() if v or k not in ("circular", "vectors", "instruments")}
+        later = ("circular", "vectors", "instruments", "classes")
+        return {k: v for k, v in plain.items() if v or k not in later}
 
 
 def _periods(asked: dict[str, float | None], targets: Sequence[str]) -> dict[str, float | None]:
@@ -198,7 +204,7 @@ def _periods(asked: dict[str, float | None], targets: Sequence[str]) -> dict[str
     periods: dict[str, float | None] = {}
     for column, period in asked.items():
         if column not in targets:
-            raise InputError(f"circular {column} is not among the targets, {', '.join(targets)}")
+            raise InputError(f"circular {column} is not among the targets, {', '.join(targets) or 'none'}")
         symbol = split_column(column)[1].symbol
         period = default_period(symbol) if period is None else period
         turn = FULL_TURN.get(symbol)
@@ -227,13 +233,35 @@ def _vectors(
     return vectors
 
 
-def _targets(names: Sequence[str]) -> tuple[str, ...]:
-    """The targets' names, each once and with a unit."""
+def _check_classes(plan: CalibrationPlan) -> None:
+    """Refuse columns of classes that are something else as well, or are named in a way that reads twice."""
+    from palpate.estimators.networks import model_kind
+
+    for column, names in plan.classes.items():
+        if column in plan.circular:
+            raise InputError(
+                f"{column} is circular and a class at once: an angle is no class; say one of both"
+            )
+        if column in plan.targets or column in plan.vectors:
+            raise InputError(f"{column} is named as a target and as a class; say one of both")
+        if len(set(names)) < len(names) or not all(name.strip() and "|" not in name for name in names):
+            raise InputError(
+                f"classes of {column}: {', '.join(names)}; each has a name of its own, without |"
+            )
+    if plan.classes and model_kind(plan.model).targets:
+        raise InputError(
+            f"model {plan.model} was made for {', '.join(model_kind(plan.model).targets)} alone, and "
+            "learns no classes; take another, such as kernel-ridge"
+        )
+
+
+def _targets(names: Sequence[str], *, classes: bool = False) -> tuple[str, ...]:
+    """The targets' names, each once and with a unit; none where there are classes to learn."""
     if isinstance(names, str):
         hint = ", ".join(repr(name.strip()) for name in names.split(","))
         raise InputError(f"targets are a tuple of names, not the text {names!r}; give ({hint},)")
     targets = tuple(names)
-    if not targets:
+    if not targets and not classes:
         raise InputError("no target to calibrate; name label columns, as in --targets depth_mm,force_N")
     repeated = sorted({t for t in targets if targets.count(t) > 1})
     if repeated:

@@ -16,6 +16,7 @@ import onnxruntime
 import pandas as pd
 
 from palpate.calibration.calibration_plan import CalibrationPlan
+from palpate.calibration.classes import HeldOutClasses
 from palpate.calibration.confounds import ConfoundAudit
 from palpate.calibration.confounds.deciding_pixels import MAP_FILE
 from palpate.calibration.coverage import range_cards
@@ -68,6 +69,7 @@ class CalibrationResult:
         seconds: time it took [s].
         robustness: what changes of the camera cost; None where that was not tried.
         confounds: what other than touch could have told the labels; None where that was not asked.
+        classes: labels of classes, their outputs and their sets; None where there are none.
     """
 
     run: Run
@@ -82,6 +84,7 @@ class CalibrationResult:
     seconds: float = 0.0
     robustness: RobustnessCard | None = None
     confounds: ConfoundAudit | None = None
+    classes: HeldOutClasses | None = None
 
     @property
     def data(self) -> TrainingData:
@@ -91,7 +94,7 @@ class CalibrationResult:
     @property
     def scored(self) -> Indices:
         """Rows that were held out once, and predicted."""
-        return scored_rows(self.held_out)
+        return scored_rows(self.held_out if self.classes is None else self.classes.outputs)
 
     @property
     def one_fold(self) -> bool:
@@ -121,8 +124,10 @@ WORST = 6
 
 
 def worst_rows(result: CalibrationResult) -> Indices:
-    """Rows whose error, in units of each target's range, is the largest."""
+    """Rows whose error, in units of each target's range, is the largest; without a target, by their class."""
     span, scored = np.ptp(result.data.values, axis=0), result.scored
+    if not len(span) and result.classes is not None:
+        return scored[np.argsort(result.classes.shortfalls(scored))[::-1][:WORST]]
     error = np.max(np.abs(result.errors[scored]) / span, axis=1)
     return scored[np.argsort(error)[::-1][:WORST]]
 
@@ -151,7 +156,10 @@ def agreement(result: CalibrationResult, model: Path) -> float:
     inputs = result.data.fetch(rows)
     session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
     (exported,) = session.run(["value"], {"image": inputs})
-    difference = np.abs(exported - result.fitted.predict(inputs)) / result.layout.spans(result.data.values)
+    spans = result.layout.spans(result.data.values)
+    if result.classes is not None:
+        spans = np.append(spans, np.ones(result.classes.outputs.shape[1]))
+    difference = np.abs(exported - result.fitted.predict(inputs)) / spans
     worst = float(difference.max())
     if not worst <= AGREEMENT:
         raise CertificateError(
@@ -343,6 +351,7 @@ def write_certificate(
                 or None,
                 "robustness": result.robustness,
                 "confounds": result.confounds and result.confounds.card(),
+                "classes": result.classes and result.classes.cards,
             }
             | further
         )
@@ -382,7 +391,7 @@ def predictions_table(result: CalibrationResult, ends: tuple[Values, Values]) ->
         low, high = (end[:, j] for end in ends)
         table[f"half_width:{column}"] = (high - low) / 2
         table[f"low:{column}"], table[f"high:{column}"] = low, high
-    return table
+    return table if result.classes is None else result.classes.with_answers(table, rows)
 
 
 def read_predictions(folder: Path, card: Card) -> pd.DataFrame:

@@ -8,6 +8,13 @@ import numpy as np
 import pandas as pd
 
 from palpate.calibration.calibration_plan import SESSION, ReferenceRule
+from palpate.calibration.classes import (
+    SEPARATOR,
+    class_findings,
+    known_codes,
+    score_of_run,
+    target_values,
+)
 from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.calibration.coverage import range_scores, target_findings
 from palpate.calibration.coverage.circular_scores import dispersion, shortest
@@ -20,7 +27,7 @@ from palpate.estimators.reading_rules import untold
 from palpate.estimators.reference_uncertainty import without_reference
 from palpate.recordings import Run
 from palpate.recordings.joined_runs import JoinedRun, sessions_of
-from palpate.recordings.label_tables import own_column, targets_from, with_own
+from palpate.recordings.label_tables import own_column, with_own
 
 
 def score(
@@ -98,18 +105,21 @@ def evaluate(
         ``{"targets": {column: {"unit", "n", "mae", "rmse", "r2", "coverage_90", …}}, "tenths": {column:
         scores of the tenths of its range}, "findings": sentences on those that do not keep the promise,
         "vectors": {column: {"n", "covered", "low", "high"}}, "frames_untold": {column: frames whose
-        interval is as wide as the target's range}, …}``.
+        interval is as wide as the target's range}, "classes": {column: scores of its classes}, …}``.
 
     Raises:
-        LabelError: a target column is missing or unfit.
+        LabelError: a target column is missing or unfit, or a row is of a class that was not calibrated.
         ImageError: the calibration is differential and the run has no reference.
         CertificateError: the network gives no finite number for a frame of its own size.
     """
     card = estimator.card
     rows = rows_to_score(card, run.labels)
-    true = targets_from(run.labels.iloc[rows].reset_index(drop=True), card.columns, str(run.path))
+    labels = run.labels.iloc[rows].reset_index(drop=True)
+    true = target_values(labels, card.columns, str(run.path))
+    for one in card.classes or ():
+        known_codes(labels, one.column, one.values, str(run.path))
     table = predictions(estimator, run, zero=zero, progress=progress)
-    finite = np.isfinite(table[[f"estimate:{column}" for column in card.columns]].to_numpy(float)).all(axis=1)
+    finite = _read_rows(card, table)
     if any(run.frame(int(row)).image.shape[:2] == card.input.frame_px for row in rows[~finite]):
         raise CertificateError(
             f"{run.path}: calibration {card.id} gives no finite number for some of {np.sum(~finite)} frames, "
@@ -130,7 +140,8 @@ def predictions(
         ``estimate:COLUMN``, ``half_width:COLUMN``, ``low:COLUMN`` and ``high:COLUMN`` in the column's unit,
         NaN where a frame could not be read; of each component of a vector ``joint_half_width:COLUMN``, the
         reach of the joint region; ``own:valid``, as to the targets that the frame tells, and
-        ``own:why`` it is not, also without ``own:`` where no label is called so.
+        ``own:why`` it is not, also without ``own:`` where no label is called so; of each label of classes
+        ``estimate:COLUMN`` and ``set:COLUMN``, the names in the set with ``|`` between them.
 
     Raises:
         ImageError: the calibration is differential and the run has no reference.
@@ -142,6 +153,7 @@ def predictions(
     predicted, half = np.full((2, len(rows), len(card.columns)), np.nan)
     low, high = np.full((2, len(rows), len(card.columns)), np.nan)
     joint = {part: np.full(len(rows), np.nan) for vector in card.vectors or () for part in vector.columns}
+    classes: dict[str, list[str]] = {f"{k}:{c.column}": [] for c in card.classes or () for k in CLASS_KINDS}
     whys: list[str] = []
     for i, row in enumerate(rows):
         readings = estimator.read(run.frame(int(row)), zero or zeros.get(int(row)))
@@ -153,14 +165,32 @@ def predictions(
             reach = readings[vector.column].region.half_widths
             for part, reached in zip(vector.columns, reach, strict=True):
                 joint[part][i] = reached
-        told = [r for r, t in zip(each, card.targets, strict=True) if not untold(t, r.low, r.high)] or each
-        whys.append("; ".join(sorted({reading.why for reading in told if reading.why})))
+        for one in card.classes or ():
+            classes[f"estimate:{one.column}"].append(readings[one.column].value)
+            classes[f"set:{one.column}"].append(SEPARATOR.join(readings[one.column].members))
+        named = [readings[one.column] for one in card.classes or ()]
+        told = [r for r, t in zip(each, card.targets, strict=True) if not untold(t, r.low, r.high)]
+        told += [one for one in named if 0 < len(one.members) < len(one.classes)]
+        whys.append("; ".join(sorted({reading.why for reading in told or each + named if reading.why})))
         progress("evaluating", i + 1, len(rows))
     for j, column in enumerate(card.columns):
         table[f"estimate:{column}"], table[f"half_width:{column}"] = predicted[:, j], half[:, j]
         table[f"low:{column}"], table[f"high:{column}"] = low[:, j], high[:, j]
-    table = table.assign(**{f"joint_half_width:{part}": reached for part, reached in joint.items()})
+    table = table.assign(
+        **{f"joint_half_width:{part}": reached for part, reached in joint.items()}, **classes
+    )
     return with_own(table, {"valid": [not why for why in whys], "why": whys})
+
+
+CLASS_KINDS = ("estimate", "set")  # of a label of classes, before the colon of its columns in `predictions`
+
+
+def _read_rows(card: Card, table: pd.DataFrame) -> np.ndarray:
+    """Rows for which the network gave finite numbers, as a mask."""
+    read = np.isfinite(table[[f"estimate:{column}" for column in card.columns]].to_numpy(float)).all(axis=1)
+    for one in card.classes or ():
+        read &= (table[f"estimate:{one.column}"] != "").to_numpy()
+    return read
 
 
 def rows_to_score(card: Card, table: pd.DataFrame) -> np.ndarray:
@@ -186,7 +216,7 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str
         table[[f"{kind}:{column}" for column in card.columns]].to_numpy(float)
         for kind in ("estimate", "half_width", "low", "high")
     )
-    read = ~np.isnan(predicted).any(axis=1)
+    read = _read_rows(card, table)
     if not read.any():
         raise LabelError(f"{run.path}: no frame could be read, every one is of another size than calibrated")
     groups = groups_in(table, card.split.columns)[read]
@@ -204,10 +234,19 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str
                 truth, estimate - truth, inside, groups, (t.least, t.greatest), card.coverage
             )
             tenths[t.column] = [part.model_dump() for part in parts]
+    classes = {
+        one.column: score_of_run(one, table[read], groups, str(run.path)) for one in card.classes or ()
+    }
+    about_classes = [
+        sentence
+        for one in card.classes or ()
+        for sentence in class_findings(one, classes[one.column], card.coverage)
+    ]
     return {
         "targets": targets,
         "tenths": tenths,
-        "findings": _findings(card, targets, tenths),
+        "classes": {column: found.model_dump() for column, found in classes.items()},
+        "findings": [*_findings(card, targets, tenths), *about_classes],
         "vectors": {
             v.column: joint_score(v, card.columns, table[read], true[read], groups)
             for v in card.vectors or ()

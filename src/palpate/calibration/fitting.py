@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.certificate import (
@@ -30,6 +31,8 @@ from palpate.calibration.certificate import (
     scored_rows,
     write_certificate,
 )
+from palpate.calibration.classes import ClassLabels, class_labels, target_values, with_classes
+from palpate.calibration.classes.prediction_sets import check_learnable, held_out_classes
 from palpate.calibration.confounds import AuditedRows, ConfoundAudit, audit_confounds
 from palpate.calibration.confounds.deciding_pixels import (
     DecidingPixels,
@@ -60,7 +63,6 @@ from palpate.core import (
     InputError,
     PathText,
     Progress,
-    Values,
     new_file,
     refuse_existing,
     sha256_of,
@@ -73,9 +75,10 @@ from palpate.estimators.guard import LearnsFromRendered, NoveltyDetector, fit_no
 from palpate.estimators.networks import make_model, model_kind
 from palpate.estimators.networks.distributed import ProcessGroup
 from palpate.estimators.networks.model_interface import Fitted, TimeBoxed
+from palpate.estimators.target_layout import Outputs
 from palpate.recordings import PackedSet, Run, Split, pack, split
 from palpate.recordings.joined_runs import joined
-from palpate.recordings.label_tables import refuse_reserved, targets_from
+from palpate.recordings.label_tables import refuse_reserved
 from palpate.recordings.preparation import Preparation
 from palpate.recordings.reference_instruments import refuse_strangers
 from palpate.version import __version__
@@ -112,7 +115,8 @@ def calibrate(
     if not processes.first:  # train along, from the set that the first packs, and write nothing
         work = _work_path(out)
         learning = _learning_set(run, plan, parts, work, silent, processes)
-        _scored(learning, FoldFits.of(learning.data, parts, plan, work, silent, processes))
+        labels = _classes(run, plan, learning.packed.table)
+        _scored(learning, FoldFits.of(learning.data, parts, plan, work, silent, processes, classes=labels))
         processes.wait()
         return out
     work = _work_folder(run, plan, parts, out)
@@ -120,10 +124,15 @@ def calibrate(
         learning = _learning_set(run, plan, parts, work, progress, processes)
         refuse_copied_sessions(learning.packed, parts.group_columns)
         leakage = audit(learning.packed, parts)
-        fits = FoldFits.of(learning.data, parts, plan, work, progress, processes)
-        held_out, fitted, pixels = _scored(learning, fits)
+        labels = _classes(run, plan, learning.packed.table)
+        fits = FoldFits.of(learning.data, parts, plan, work, progress, processes, classes=labels)
+        outputs, fitted, pixels = _scored(learning, fits)
+        held_out, of_classes = np.split(outputs, [plan.layout.outputs], axis=1)
+        classes = None
+        if labels:
+            classes = held_out_classes(labels, of_classes, learning.data.groups, parts, plan.coverage)
         beside = _split_beside(learning, fits)
-        sessions = held_out_sessions(learning.packed.table, parts, scored_rows(held_out))
+        sessions = held_out_sessions(learning.packed.table, parts, scored_rows(outputs))
         intervals = intervals_by(interval_fit(sessions), held_out, learning.data, plan)
         detector = _novelty_detector(learning, parts, fitted, plan, progress)
         suite = Suite(run, learning, parts, held_out, fitted, plan, intervals)
@@ -131,10 +140,10 @@ def calibrate(
             f"model {plan.model}: predict failed on a changed frame ({ERROR})", passed_errors(plan)
         ):
             detector, robustness = try_changes(suite, detector, progress)
-        confounds = _confounds(run, plan, learning, parts, held_out, pixels, progress)
+        confounds = _confounds(run, plan, learning, parts, outputs, labels, pixels, progress)
         result = CalibrationResult(
             run, plan, learning, parts, leakage, held_out, intervals, fitted, detector,
-            time.monotonic() - started, robustness, confounds,
+            time.monotonic() - started, robustness, confounds, classes,
         )  # fmt: skip
         fields = session_fields(result, sessions) | _order_fields(result, beside)
         write_certificate(result, out, more=lambda _: fields)
@@ -167,14 +176,28 @@ def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
     make_model(plan.model, plan.options)
     prepared = preparation_of(run, plan).apply(run.frame(0).image)
     table = table_to_learn(run.labels, plan)
-    values = targets_from(table, plan.targets, str(run.path))
+    values = target_values(table, plan.targets, str(run.path))
     for column, period, column_values in zip(plan.targets, plan.layout.periods, values.T, strict=True):
         if period is not None:
             refuse_no_angles(column, column_values, split_column(column)[1].symbol, period)
-    parts = split(table, plan.split, folds=fold_count(plan), seed=plan.seed)
-    check_sessions(table, values, plan.targets, parts)
+    classes = _classes(run, plan, table)
+    others = table.drop(columns=list(plan.classes)) if plan.split == "auto" else table
+    parts = split(others, plan.split, folds=fold_count(plan), seed=plan.seed)
+    check_learnable(classes, parts)
+    names = tuple(name for one in classes for name in one.output_names)
+    check_sessions(table, with_classes(values, classes), (*plan.targets, *names), parts)
     check_plugged_in(plan, prepared.transpose(2, 0, 1).shape)
     return parts
+
+
+def _classes(run: Run, plan: CalibrationPlan, table: pd.DataFrame) -> tuple[ClassLabels, ...]:
+    """The classes of the rows to learn from."""
+    hint = (
+        ""
+        if len(table) == len(run)
+        else " (rows of the untouched sensor are learnt from by --learn-untouched)"
+    )
+    return class_labels(table, plan.classes, str(run.path), hint=hint)
 
 
 def preparation_of(run: Run, plan: CalibrationPlan) -> Preparation:
@@ -254,7 +277,8 @@ def _confounds(
     plan: CalibrationPlan,
     learning: LearningSet,
     parts: Split,
-    held_out: Values,
+    outputs: Outputs,
+    classes: tuple[ClassLabels, ...],
     pixels: DecidingPixels | None,
     progress: Progress,
 ) -> ConfoundAudit:
@@ -262,10 +286,11 @@ def _confounds(
     untouched = learning.whole.only(learning.untouched.rows)
     rows = AuditedRows(
         packed=learning.packed,
-        values=plan.layout.encoded(learning.data.values),
-        names=plan.layout.names(tuple(plan.targets)),
+        values=with_classes(plan.layout.encoded(learning.data.values), classes),
+        names=plan.layout.names(tuple(plan.targets)) + tuple(n for one in classes for n in one.output_names),
         split=parts,
-        held_out=held_out,
+        held_out=outputs,
+        classes=outputs.shape[1] - plan.layout.outputs,
         untouched=untouched,
         frame_px=run.frame(0).image.shape[:2],
     )
@@ -275,19 +300,20 @@ def _confounds(
 
 def _scored(learning: LearningSet, fits: FoldFits) -> ScoredModel:
     count = folds_to_score(fits.plan, fits.parts)
-    return fits.scored(count, representative_fold(fits.parts, learning.data.values))
+    values = fits.data.values if fits.plan.classes else learning.data.values
+    return fits.scored(count, representative_fold(fits.parts, values))
 
 
 def _split_beside(learning: LearningSet, fits: FoldFits) -> ScoredSplit | None:
     """Shuffled folds beside blocks, or blocks beside shuffled folds; None where that is left out."""
     plan, parts = fits.plan, fits.parts
     other = split_beside(learning.packed.table, parts, len(parts.folds), plan.seed)
-    if other is None or _left_out(plan, parts):
+    if other is None or not plan.targets or _left_out(plan, parts):
         return None
     folder = fits.work / "beside"
     folder.mkdir(exist_ok=True)
     beside = replace(fits, parts=other, work=folder, processes=ProcessGroup(), named=f"by {other.kind}, ")
-    return ScoredSplit(other, beside.all_held_out())
+    return ScoredSplit(other, beside.all_held_out()[:, : plan.layout.outputs])
 
 
 def _left_out(plan: CalibrationPlan, parts: Split) -> str:
@@ -306,7 +332,8 @@ def _left_out(plan: CalibrationPlan, parts: Split) -> str:
 def _order_fields(result: CalibrationResult, beside: ScoredSplit | None) -> dict[str, Any]:
     """The card's part on order, where rows come one by one."""
     plan, parts, data = result.plan, result.split, result.data
-    if split_beside(result.learning.packed.table, parts, len(parts.folds), plan.seed) is None:
+    other = split_beside(result.learning.packed.table, parts, len(parts.folds), plan.seed)
+    if other is None or not plan.targets:
         return {}
     own = ScoredSplit(parts, result.held_out)
     both = (own,) if beside is None else (own, beside)

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.stats import ks_2samp
 
 from palpate.calibration.calibration_plan import CalibrationPlan
+from palpate.calibration.classes import ClassLabels, with_classes
 from palpate.calibration.confounds.deciding_pixels import (
     DecidingPixels,
     deciding_pixels,
@@ -82,10 +83,13 @@ class FoldFits:
         progress: Progress,
         processes: ProcessGroup,
         named: str = "",
+        classes: tuple[ClassLabels, ...] = (),
     ) -> FoldFits:
-        """Fits on rows labelled with the targets ``[n t]``."""
+        """Fits on rows labelled with the targets ``[n t]``, and with classes, whose outputs come last."""
         layout = plan.layout
-        data = replace(labels, values=layout.encoded(labels.values), names=layout.names(labels.names))
+        values = with_classes(layout.encoded(labels.values), classes)
+        names = layout.names(labels.names) + tuple(name for one in classes for name in one.output_names)
+        data = replace(labels, values=values, names=names)
         model = make_model(plan.model, plan.options)
         return cls(data, parts, plan, model, work, progress, processes, named)
 

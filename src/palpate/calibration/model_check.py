@@ -78,7 +78,8 @@ def check_plugged_in(plan: CalibrationPlan, shape: tuple[int, int, int]) -> None
                 f"model {plan.model} estimates {', '.join(fixed)}; asked for were {', '.join(plan.targets)}; "
                 "ask for its own, in its order"
             )
-        check_model(plan.model, plan.options, shape=shape, targets=tuple(plan.targets))
+        asked = (*plan.targets, *(f"{column}_ratio" for column in plan.classes))
+        check_model(plan.model, plan.options, shape=shape, targets=asked)
 
 
 @dataclass

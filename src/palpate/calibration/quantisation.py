@@ -272,11 +272,10 @@ def _check_asked(card: Card, run: Run) -> None:
         )
     if card.options.get("int8"):
         raise InputError(f"calibration {card.id} is in int8 already")
-    if card.vectors or any(target.circular is not None for target in card.targets):
+    if card.vectors or card.classes or any(target.circular is not None for target in card.targets):
         raise InputError(
-            f"calibration {card.id} has circular targets or vectors, which int8 is not measured for; "
-            f"keep it as "
-            "it is, or calibrate without --circular and --vector first"
+            f"calibration {card.id} has circular targets, vectors or classes, which int8 is not measured "
+            "for; keep it as it is, or calibrate without --circular, --vector and --classes first"
         )
     if card.interval_reset is not None or (card.sessions and card.sessions.rule != "one session"):
         raise InputError(

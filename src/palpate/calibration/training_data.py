@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 
 from palpate.calibration.calibration_plan import SESSION, CalibrationPlan, ReferenceRule
+from palpate.calibration.classes import target_values
 from palpate.core import Bool, Float32, Indices, InputError, Int, LabelError, Shaped, Tensor
 from palpate.estimators.guard import thumbnails
 from palpate.estimators.networks.model_interface import TrainingData
 from palpate.recordings import Manifest, PackedSet, Split
-from palpate.recordings.label_tables import targets_from
 
 Box = tuple[int, int, int, int]
 
@@ -225,7 +225,7 @@ def learning_set(
             inputs -= untouched.images[references[chosen]]
         return np.ascontiguousarray(inputs)
 
-    values = targets_from(packed.table, plan.targets, source)
+    values = target_values(packed.table, plan.targets, source)
     groups = np.arange(len(rows)) if groups is None else groups
     data = TrainingData(packed.preparation.shape, values, groups, fetch, tuple(plan.targets))
     return LearningSet(whole, rows, packed, untouched, data)

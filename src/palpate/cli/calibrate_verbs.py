@@ -15,6 +15,7 @@ from palpate.cli.verb_support import (
     Json,
     NewCalibration,
     Quiet,
+    classes_of,
     names_of,
     numbers_of,
     options_of,
@@ -34,7 +35,9 @@ def calibrate(
     out: NewCalibration,
     targets: Annotated[
         str,
-        Option(help="Label columns to estimate, e.g. depth_mm,force_N; by default those the run names."),
+        Option(
+            help="Label columns to estimate, e.g. depth_mm,force_N; by default those the run names, or none."
+        ),
     ] = "",
     model: Annotated[
         str,
@@ -98,6 +101,12 @@ def calibrate(
         list[str] | None,
         Option(help="Targets read as one, e.g. force=force_x_N,force_y_N,force_z_N; may be given again."),
     ] = None,
+    classes: Annotated[
+        str,
+        Option(
+            help="Label columns of classes or counts, e.g. touched, or grade=soft/medium/hard to name them."
+        ),
+    ] = "",
     instruments: Annotated[
         Path | None, Option(help="TOML file of what the labels were measured with, a section a column.")
     ] = None,
@@ -111,6 +120,7 @@ def calibrate(
 
     Example: palpate calibrate run --targets depth_mm,force_N --model compact-cnn --out cal
     Example: palpate calibrate monday tuesday friday --split session --out cal
+    Example: palpate calibrate run --targets none --classes object --split group:press --out cal
     """
     from palpate.calibration.calibration_plan import ReferenceRule
     from palpate.calibration.training_data import model_regions
@@ -125,8 +135,9 @@ def calibrate(
     crops = _crops(crop or [])
     if kind.regions and crops[0] is None:
         crops = model_regions(recorded.manifest, kind.regions)  # type: ignore[assignment]
+    named, told_apart = names_of(targets) or kind.targets, classes_of(classes)
     plan = palpate.CalibrationPlan(
-        targets=names_of(targets) or kind.targets or recorded.manifest.targets,
+        targets=() if named == ("none",) else named or _others(recorded.manifest.targets, told_apart),
         model=model,
         split=split,
         folds=folds,
@@ -144,6 +155,7 @@ def calibrate(
         circular=periods_of(circular),
         vectors=vectors_of(vector or []),
         instruments={} if instruments is None else read_instruments(instruments),
+        classes=told_apart,
     )
     if not ProcessGroup.of_environment().first:
         palpate.calibrate(recorded, plan, out)
@@ -151,6 +163,10 @@ def calibrate(
     with progress_bar(quiet) as progress:
         card = palpate.certify(recorded, plan, out, progress)
     print_found(card.model_dump(mode="json"), _card_text(card, out), json_)
+
+
+def _others(targets: tuple[str, ...], classes: dict[str, tuple[str, ...]]) -> tuple[str, ...]:
+    return tuple(name for name in targets if name not in classes)
 
 
 def _crops(words: list[str]) -> tuple[Box | None, Box | None]:
@@ -191,7 +207,7 @@ def evaluate(
     if out is not None:
         with new_file(out) as path:
             path.write_text(json.dumps(scores, indent=1, allow_nan=False) + "\n")
-    print_found(scores, _scores_text(scores), json_)
+    print_found(scores, _scores_text(scores, estimator.card), json_)
     if keep:
         kept = keep_evaluation(calibration, scores, reference=reference is not None)
         typer.echo(f"kept in {kept}", err=json_)
@@ -255,12 +271,16 @@ def _model_options(model: str, pairs: list[str], minutes: float | None) -> dict[
 
 def _card_text(card: Any, out: Path) -> str:
     from palpate.calibration.coverage import card_findings
+    from palpate.reports.class_section import class_lines
     from palpate.reports.terminal_text import confounds_text, scores_table
 
     lines = [f"calibration {card.id}: {out}", *confounds_text(card.confounds)]
     if card.sessions is not None:
         lines += [card.sessions.text, *card.sessions.findings]
-    lines.append(scores_table({t.column: t.score for t in card.targets}))
+    if card.targets:
+        lines.append(scores_table({t.column: t.score for t in card.targets}))
+    for one in card.classes or ():
+        lines += [*class_lines(one, one.score, card.coverage), *one.findings]
     lines += [*card_findings(card), *(_vector_text(vector) for vector in card.vectors or ())]
     if card.choice is not None:
         lines += _choice_lines(card)
@@ -301,17 +321,24 @@ def _choice_lines(card: Any) -> list[str]:
     return lines
 
 
-def _scores_text(scores: dict[str, Any]) -> str:
+def _scores_text(scores: dict[str, Any], card: Any) -> str:
+    from palpate.estimators.class_sets import ClassScoreCard
     from palpate.estimators.model_card import ScoreCard
+    from palpate.reports.class_section import class_lines
     from palpate.reports.terminal_text import scores_table
 
-    table = scores_table({name: ScoreCard(**score) for name, score in scores["targets"].items()})
+    lines = []
+    if scores["targets"]:
+        lines.append(scores_table({name: ScoreCard(**score) for name, score in scores["targets"].items()}))
+    for one in card.classes or ():
+        found = ClassScoreCard(**scores["classes"][one.column])
+        lines += class_lines(one, found, card.coverage)
     joint = [
         f"{name}: all components in their joint region in {100 * one['covered']:.1f} % of rows "
         f"(95 % interval {100 * one['low']:.1f} to {100 * one['high']:.1f} %)"
         for name, one in scores["vectors"].items()
     ]
-    table = "\n".join([table, *scores["findings"], *joint])
+    table = "\n".join([*lines, *scores["findings"], *joint])
     valid = f"{scores['frames_valid']} of {scores['frames_scored']} frames gave valid readings throughout"
     named = ", ".join(scores["session"])
     day = f"another session than was learnt from, by its name: {named}"

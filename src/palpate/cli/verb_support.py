@@ -188,6 +188,22 @@ def periods_of(text: str) -> dict[str, float | None]:
     return periods
 
 
+def classes_of(text: str) -> dict[str, tuple[str, ...]]:
+    """Columns of classes from ``touched,grade=soft/medium/hard``, each with its names where given."""
+    from palpate.core.errors import InputError
+
+    classes: dict[str, tuple[str, ...]] = {}
+    for part in names_of(text):
+        column, equals, names = (piece.strip() for piece in part.partition("="))
+        if not column or column in classes or (equals and not names):
+            raise InputError(
+                f"--classes {part!r} is not COLUMN or COLUMN=NAME/NAME, each column once, as in "
+                "touched,grade=soft/medium/hard"
+            )
+        classes[column] = tuple(name.strip() for name in names.split("/")) if equals else ()
+    return classes
+
+
 def vectors_of(pairs: list[str]) -> dict[str, tuple[str, ...]]:
     """Vectors from ``force=force_x_N,force_y_N``."""
     from palpate.core.errors import InputError

@@ -1,5 +1,6 @@
 """The nouns that every room speaks in: shapes, units, errors, the clock, files."""
 
+from palpate.core.class_reading import ClassReading
 from palpate.core.clock import NS_PER_S, Clock, ManualClock, MonotonicClock
 from palpate.core.contact import (
     FRESH,
@@ -99,8 +100,9 @@ from palpate.core.units import UNITS, Unit, has_unit, split_column, unit
 
 __all__ = [
     "DEFAULT_SENSOR", "FRESH", "NS_PER_S", "RIGID", "SEATED", "SENSORS", "UNITS", "UNTOLD", "AlignedBox",
-    "Bool", "Box", "Camera", "CertificateError", "CircularReading", "Clock", "Closing", "ColumnError",
-    "Complex", "Complex64", "Contact", "DeviceError", "Drift", "EarlierPress", "Ellipsoid", "ExistsError",
+    "Bool", "Box", "Camera", "CertificateError", "CircularReading", "ClassReading", "Clock", "Closing",
+    "ColumnError", "Complex", "Complex64", "Contact", "DeviceError", "Drift", "EarlierPress", "Ellipsoid",
+    "ExistsError",
     "Field", "FieldReading", "Float", "Float16", "Float32", "ForceLaw", "ForceSensor", "Frame",
     "FrameSource", "GridAxis", "Image", "ImageAxes", "ImageError", "Images", "Indices", "InputError",
     "Int", "LabelError", "ManualClock", "Mask", "MeasurementResult", "MissingExtraError",

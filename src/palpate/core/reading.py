@@ -180,9 +180,10 @@ class Readings(Mapping[str, MeasurementResult]):
 
     def __getitem__(self, key: str) -> Any:
         if key in self._by_column:
-            return self._by_column[key].in_unit(split_column(key)[1].symbol)
+            own = self._by_column[key]
+            return own.in_unit(split_column(key)[1].symbol) if own.unit else own  # a class has no unit
         quantity, target = split_column(key) if has_unit(key) else (key, None)
-        alike = [one for one in self._by_column.values() if one.quantity in (key, quantity)]
+        alike = [one for one in self._by_column.values() if one.unit and one.quantity in (key, quantity)]
         if target is not None:
             alike = [one for one in alike if one.quantity == key or unit(one.unit).si == target.si]
         if len(alike) != 1:

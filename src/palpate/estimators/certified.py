@@ -18,6 +18,7 @@ from palpate.core import (
     Bool,
     CertificateError,
     CircularReading,
+    ClassReading,
     Drift,
     Float,
     Float32,
@@ -36,6 +37,7 @@ from palpate.core import (
     unit,
 )
 from palpate.estimators.card_ground import FileCard, sealed_from
+from palpate.estimators.class_sets import class_count, class_readings
 from palpate.estimators.guard import CopyDiscriminator, NoveltyDetector
 from palpate.estimators.model_card import FORMAT, Card, CellsCard, TargetCard
 from palpate.estimators.range_intervals import ErrorCells, RangeIntervals
@@ -248,6 +250,7 @@ class Estimator:
         """Run the network: inputs ``[n c h w]`` to outputs ``[n o]``.
 
         They are the estimates in the targets' units, but that a circular target is its cosine and its sine.
+        Those for classes stand behind them.
         """
         (value,) = self._session.run(["value"], {"image": inputs})
         return np.asarray(value, dtype=np.float64)
@@ -292,6 +295,8 @@ class Estimator:
 
     def _readings(self, frame: Frame, outputs: Outputs | None, why: str, zero: Zero | None) -> Readings:
         targets, drift = self.card.targets, None if zero is None else zero.drift
+        whole = outputs
+        outputs = None if outputs is None or not targets else outputs[:, : self._layout.outputs]
         if outputs is None:
             value = low = high = np.full(len(targets), np.nan)
         else:
@@ -307,7 +312,22 @@ class Estimator:
             spread = None if outputs is None else self._intervals.spread.at(outputs)[0, at]
             reference = [targets[k].measured_by for k in at]
             read[vector.column] = vector_reading(vector, parts, spread, reference)
-        return Readings(read)
+        return Readings({**read, **self._classes(frame, whole, why, drift)})
+
+    def _classes(
+        self, frame: Frame, outputs: Outputs | None, why: str, drift: Drift | None
+    ) -> dict[str, ClassReading]:
+        """The classes of a frame, from all outputs of the network."""
+        return class_readings(
+            self.card.classes or (),
+            None if outputs is None else outputs[:, self._layout.outputs :],
+            why,
+            coverage=self.card.coverage,
+            drift=drift,
+            calibration=self.card.id,
+            frame=frame.name,
+            time_s=frame.time_s,
+        )
 
     def _reading(
         self,
@@ -341,7 +361,10 @@ class Estimator:
         return CircularReading(**common, period=si.to_si(target.circular.period))
 
     def __repr__(self) -> str:
-        targets = ", ".join(f"{t.column} ± {t.score.half_width:.2g}" for t in self.card.targets)
+        targets = ", ".join(
+            [f"{t.column} ± {t.score.half_width:.2g}" for t in self.card.targets]
+            + [f"{c.column} of {len(c.names)} classes" for c in self.card.classes or ()]
+        )
         return f"<Estimator {self.card.id} of {self.card.sensor or 'a sensor'}: {targets}>"
 
     def _repr_html_(self) -> str:
@@ -372,8 +395,8 @@ def layout_of(card: Card) -> TargetLayout:
 def intervals_of(card: Card) -> Intervals:
     """The intervals that a card describes."""
     targets = card.targets
-    centres = [(t.centre,) if t.circular is None else t.circular.centre for t in targets]
-    scales = [(t.scale,) if t.circular is None else t.circular.scale for t in targets]
+    centres = [(), *((t.centre,) if t.circular is None else t.circular.centre for t in targets)]
+    scales = [(), *((t.scale,) if t.circular is None else t.circular.scale for t in targets)]
     spread = ErrorSpread(
         np.concatenate(centres),
         np.concatenate(scales),
@@ -437,7 +460,7 @@ def _check_shapes(session: onnxruntime.InferenceSession, card: Card, path: Path)
     inputs = {i.name: i.shape[1:] for i in session.get_inputs()}
     outputs = {o.name: o.shape[1:] for o in session.get_outputs()}
     wanted_in = {"image": [card.input.channels, *card.input.size_px]}
-    wanted_out = {"value": [layout_of(card).outputs]}
+    wanted_out = {"value": [layout_of(card).outputs + class_count(card.classes)]}
     if inputs != wanted_in or outputs != wanted_out:
         raise CertificateError(
             f"{path} takes {inputs} and gives {outputs}, its card says {wanted_in} and {wanted_out}; "

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from palpate.estimators.card_ground import CardPart, FileCard, RunCard, SealedCard, card_id
+from palpate.estimators.class_sets import ClassCard
 from palpate.estimators.finding_cards import (
     ChoiceCard,
     ConfoundCard,
@@ -283,11 +284,12 @@ class Card(SealedCard):
         choice: what the model tried, and what it took; None where it had nothing to choose.
         robustness: against changes of the camera; None in cards of before, and in adapted ones.
         confounds: audit of what other than touch could have told the labels; None where none was made.
+        classes: labels of classes, whose outputs stand behind the targets'; None where there are none.
     """
 
     added: ClassVar[tuple[str, ...]] = (
         "adapted_from", "vectors", "sessions", "order", "interval_reset", "copy_of", "choice",
-        "robustness", "confounds",
+        "robustness", "confounds", "classes",
     )  # fmt: skip
 
     format: Literal["palpate-calibration/1"]
@@ -300,7 +302,7 @@ class Card(SealedCard):
     options: dict[str, Any]
     coverage: float = Field(gt=0, lt=1)
     input: InputCard
-    targets: tuple[TargetCard, ...] = Field(min_length=1)
+    targets: tuple[TargetCard, ...]
     model: FileCard
     guard: FileCard
     files: tuple[FileCard, ...]
@@ -318,6 +320,16 @@ class Card(SealedCard):
     choice: ChoiceCard | None = None
     robustness: RobustnessCard | None = None
     confounds: ConfoundCard | None = None
+    classes: tuple[ClassCard, ...] | None = None
+
+    @model_validator(mode="after")
+    def _classes_fit(self) -> Card:
+        names = [card.column for card in self.classes or ()] + self.columns
+        if not names:
+            raise ValueError("it has neither a target nor a class")
+        if len(set(names)) < len(names):
+            raise ValueError("a class is named as a target or another class is")
+        return self
 
     @model_validator(mode="after")
     def _targets_fit(self) -> Card:

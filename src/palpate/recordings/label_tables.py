@@ -150,7 +150,9 @@ def targets_from(table: pd.DataFrame, columns: Sequence[str], source: str) -> Va
 
 
 OWN = "own:"
-RESERVED = (OWN, "estimate:", "half_width:", "low:", "high:", "joint_half_width:", "frame:")
+RESERVED = (
+    OWN, "estimate:", "half_width:", "low:", "high:", "joint_half_width:", "frame:", "set:", "output:",
+)  # fmt: skip
 """Prefixes of columns that the code adds to a table of labels; no label may begin so."""
 
 

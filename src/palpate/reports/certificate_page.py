@@ -27,6 +27,7 @@ from palpate.reports.calibration_figures import (
     target_columns,
     target_figure,
 )
+from palpate.reports.class_section import class_answer, class_section
 
 OUTER_SHARE = 0.1
 """Share of the scored rows, by their truth, that an outer range holds."""
@@ -89,7 +90,8 @@ def render_report(calibration: Path, card: Card) -> str:
         figures={target.column: target_figure(target, table, groups) for target in card.targets},
         verdicts={t.column: verdict(t, outer_ranges(t, table, groups)) for t in card.targets},
         findings={t.column: target_findings(t, card.coverage) for t in card.targets},
-        surface=surface_figure(card.targets, table, where) if where else "",
+        surface=surface_figure(card.targets, table, where) if where and card.targets else "",
+        classes=class_section(card),
         where=where,
         worst=_worst(calibration, card, table),
         example=picture(example) if example.exists() else "",
@@ -182,11 +184,16 @@ def _worst(calibration: Path, card: Card, table: pd.DataFrame) -> list[dict[str,
     frames = []
     for number in sorted(int(path.stem.split("-")[1]) for path in calibration.glob("worst-*.png")):
         row = table[own_column(table, "row") == number].iloc[0]
-        target = max(card.targets, key=lambda t: _error(row, t) / (t.greatest - t.least))
         name = str(row[f"{OWN}frame" if f"{OWN}frame" in row else "frame"])
         shown = picture(calibration / f"worst-{number}.png")
-        frames.append({"picture": shown, "frame": name, "said": _estimate_text(row, target)})
+        frames.append({"picture": shown, "frame": name, "said": _said(row, card)})
     return frames
+
+
+def _said(row: pd.Series, card: Card) -> str:
+    if not card.targets:
+        return class_answer(row, card)
+    return _estimate_text(row, max(card.targets, key=lambda t: _error(row, t) / (t.greatest - t.least)))
 
 
 def _error(row: pd.Series, target: TargetCard) -> float:

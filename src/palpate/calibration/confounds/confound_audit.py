@@ -123,6 +123,7 @@ class AuditedRows:
         held_out: ``[n t]`` estimates by models that had not seen the rows; NaN where there are none.
         untouched: prepared frames of the untouched sensor, in their order; none where there are none.
         frame_px: (height, width) of the recorded frames [px].
+        classes: how many of the last are outputs for classes, which follow from each other by what they are.
     """
 
     packed: PackedSet
@@ -132,6 +133,7 @@ class AuditedRows:
     held_out: Values
     untouched: PackedSet | None
     frame_px: tuple[int, int]
+    classes: int = 0
 
 
 def audit_confounds(
@@ -158,7 +160,8 @@ def audit_confounds(
 
     values, units = rows.values, units_of(rows.values, rows.split.groups)
     orders = order_checks(values, units, rows.packed.times_s)
-    functions = tuple(target_functions(values, rows.names, units))
+    plain = len(rows.names) - rows.classes
+    functions = tuple(target_functions(values[:, :plain], rows.names[:plain], units))
     step()
     chosen = sampled(len(values), MAX_ROWS)
     images = small_pictures(rows.packed, chosen)

@@ -1,0 +1,200 @@
+"""Label columns whose values are classes or counts, and the outputs that a model learns of them.
+
+Each class is an output of its own, 1 in the rows of that class and 0 in all others. The least squares
+estimate of it is the probability of the class given the image (C. M. Bishop, Pattern Recognition and Machine
+Learning, Springer 2006, section 4.1.3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from palpate.core import Float, Indices, LabelError, Values
+from palpate.estimators.class_sets import ClassCard, ClassOutputs, Members, class_parts
+from palpate.recordings.label_tables import label_kinds, rows_text, targets_from
+
+MAX_CLASSES = 20
+"""Distinct values that a column of classes holds at most; more are a quantity, or names of rows."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClassLabels:
+    """The classes of some rows.
+
+    Attributes:
+        column: where they stand.
+        values: the classes as the labels have them: numbers ascending, texts in alphabetic order.
+        names: what they are called.
+        codes: which of them each row is ``[n]``.
+    """
+
+    column: str
+    values: tuple[str, ...]
+    names: tuple[str, ...]
+    codes: Indices
+
+    @property
+    def one_hot(self) -> Float[np.ndarray, "n k"]:
+        """Outputs that a perfect model gives."""
+        return np.eye(len(self.values))[self.codes]
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of these outputs, each a quantity and its unit as a target's is."""
+        return tuple(f"{self.column}_{name}_ratio" for name in self.names)
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOutClasses:
+    """Classes of a calibration's rows, and what models that had not seen a row gave for it.
+
+    Attributes:
+        labels: of all rows, a column after the other.
+        outputs: for all their classes ``[n k]``; NaN for rows not scored.
+        cards: of each column.
+        members: of each column, which classes are in the sets of the scored rows ``[m k]``, by thresholds
+            that the row's own group had no part in.
+    """
+
+    labels: tuple[ClassLabels, ...]
+    outputs: ClassOutputs
+    cards: tuple[ClassCard, ...]
+    members: tuple[Members, ...]
+
+    @property
+    def parts(self) -> list[ClassOutputs]:
+        """The outputs of each column."""
+        return [self.outputs[:, part] for part in class_parts([len(one.names) for one in self.labels])]
+
+    def shortfalls(self, rows: Indices) -> Float[np.ndarray, " m"]:
+        """By how much the true classes' outputs fall short of 1 in some rows, at most over the columns."""
+        each = [1 - part[rows, one.codes[rows]] for one, part in zip(self.labels, self.parts, strict=True)]
+        return np.max(each, axis=0)
+
+    def with_answers(self, table: pd.DataFrame, rows: Indices) -> pd.DataFrame:
+        """A table of the scored rows with ``estimate:COLUMN``, ``set:COLUMN`` and ``output:COLUMN=CLASS``."""
+        more: dict[str, np.ndarray | list[str]] = {}
+        for one, part, members in zip(self.labels, self.parts, self.members, strict=True):
+            more[f"estimate:{one.column}"] = np.array(one.names)[np.argmax(part[rows], axis=1)]
+            more[f"set:{one.column}"] = set_text(one.names, members)
+            more |= {f"output:{one.column}={n}": v for n, v in zip(one.names, part[rows].T, strict=True)}
+        return table.assign(**more)
+
+
+SEPARATOR = "|"  # between the names in a set, in tables
+
+
+def set_text(names: Sequence[str], members: Members) -> list[str]:
+    """Names of the classes in each row's set, for a table."""
+    return [SEPARATOR.join(np.array(names)[row]) for row in members]
+
+
+def class_labels(
+    table: pd.DataFrame, asked: Mapping[str, tuple[str, ...]], source: str, *, hint: str = ""
+) -> tuple[ClassLabels, ...]:
+    """Take columns of classes out of a table of labels.
+
+    Args:
+        table: the labels, one row a frame.
+        asked: of each column what its classes shall be called, in their order; none for the values.
+        source: what the table came from, for the messages.
+        hint: what else may be done where only one class is there.
+
+    Raises:
+        LabelError: a column is missing, has gaps, holds one class only, more than 20, or numbers that are not
+            whole, or there are not as many names as classes.
+    """
+    return tuple(_class_labels(table, column, names, source, hint) for column, names in asked.items())
+
+
+def _class_labels(
+    table: pd.DataFrame, column: str, names: tuple[str, ...], source: str, hint: str
+) -> ClassLabels:
+    cells = _cells(table, column, source)
+    found = pd.unique(cells)
+    values = sorted(found.tolist(), key=_place)
+    if len(values) > MAX_CLASSES:
+        raise LabelError(
+            f"{source}: {column!r} holds {len(values)} distinct values in {len(cells)} rows; classes are "
+            f"{MAX_CLASSES} at most: calibrate a quantity as a target, or label what it shall be told as"
+        )
+    if len(values) < 2:
+        raise LabelError(
+            f"{source}: {column!r} is {values[0]} in every row: one class alone can be told from nothing"
+            f"{hint}; record the others too"
+        )
+    if names and len(names) != len(values):
+        raise LabelError(
+            f"{source}: {len(names)} names for the {len(values)} classes of {column!r}, which are "
+            f"{', '.join(values)}; name each, in this order"
+        )
+    codes = pd.Categorical(cells, categories=values).codes.astype(np.int64)
+    return ClassLabels(column, tuple(values), names or tuple(values), codes)
+
+
+def known_codes(table: pd.DataFrame, column: str, values: Sequence[str], source: str) -> Indices:
+    """Which of the calibrated classes each row of another recording is ``[n]``.
+
+    Raises:
+        LabelError: a row is of a class that was not calibrated; the message names it.
+    """
+    cells = _cells(table, column, source)
+    if strangers := sorted(set(cells) - set(values), key=_place):
+        count = int(np.isin(cells, strangers).sum())
+        raise LabelError(
+            f"{source}: {column!r} is {', '.join(strangers)} in {count} of {len(cells)} rows, which the "
+            f"calibration does not know; it tells {', '.join(values)}. Leave these rows out, or calibrate on "
+            "them too"
+        )
+    return np.asarray(pd.Categorical(cells, categories=list(values)).codes.astype(np.int64))
+
+
+def _cells(table: pd.DataFrame, column: str, source: str) -> np.ndarray:
+    """Texts of a column's cells, whole numbers without decimals ``[n]``."""
+    if column not in table.columns:
+        raise LabelError(
+            f"{source} has no column {column!r} of classes; its label columns are "
+            f"{', '.join(map(str, table.columns))}"
+        )
+    cells, kind = table[column], label_kinds(table[[column]])[column]
+    gaps = np.flatnonzero((cells.isna() | (cells.astype(str) == "")).to_numpy())
+    if gaps.size:
+        raise LabelError(
+            f"{source}: {column!r} names no class in {rows_text(gaps)}; fill these in, or remove the rows"
+        )
+    if kind != "number":
+        return cells.astype(str).str.lower().to_numpy(str) if kind == "flag" else cells.to_numpy(str)
+    numbers = cells.to_numpy(np.float64)
+    if odd := [number for number in numbers if number != np.floor(number)]:
+        raise LabelError(
+            f"{source}: {column!r} holds {len(np.unique(numbers))} distinct values such as {odd[0]:g}: a "
+            "quantity that runs on, and no class; calibrate it as a target (--targets), or number classes "
+            "0, 1, 2"
+        )
+    return np.array([f"{number:.0f}" for number in numbers])
+
+
+def _place(value: str) -> tuple[float, str]:
+    """Key by which classes are sorted: numbers by their size, before texts."""
+    try:
+        return float(value), value
+    except ValueError:
+        return np.inf, value
+
+
+def with_classes(values: Values, classes: Sequence[ClassLabels]) -> Values:
+    """Columns of numbers with the classes' outputs behind them ``[n t+k]``."""
+    return np.column_stack([values, *(one.one_hot for one in classes)]) if classes else values
+
+
+def target_values(table: pd.DataFrame, columns: Sequence[str], source: str) -> Values:
+    """Targets out of a table of labels ``[n t]``; no column where classes alone are learnt.
+
+    Raises:
+        LabelError, UnitError: see `recordings.label_tables.targets_from`.
+    """
+    return targets_from(table, columns, source) if columns else np.empty((len(table), 0))

@@ -1,0 +1,161 @@
+"""Prediction sets that hold the true class at the stated rate in each class by itself.
+
+A row's score is how far the output of its true class falls short of 1. Each class has a threshold of its own,
+set by the scores of its own held-out rows, so that the rate holds for a rare class as for a frequent one
+(label-conditional, or Mondrian, conformal prediction: V. Vovk, A. Gammerman and G. Shafer, Algorithmic
+Learning in a Random World, Springer 2005, doi:10.1007/b106715; the score: M. Sadinle, J. Lei and L.
+Wasserman, J. Am. Stat. Assoc. 114, 223 (2019), doi:10.1080/01621459.2017.1395341). One threshold for all
+keeps the rate over all rows only, and covers the rare class less.
+
+Rows of one press err alike: each press counts once, as for intervals of a new group
+(`sessions.session_intervals`). Where a class has too few groups for the rate, which is below nine at 90 %, no
+threshold can promise it: the class is then in every set, which holds it always and tells nothing of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import count
+
+import numpy as np
+from sklearn.model_selection import GroupKFold
+
+from palpate.calibration.classes.class_labels import ClassLabels, HeldOutClasses
+from palpate.calibration.classes.class_scores import ClassAnswers, class_findings, class_score
+from palpate.calibration.sessions.session_intervals import is_distribution_free, new_group_quantile
+from palpate.core import Float, Indices, SplitError
+from palpate.estimators.class_sets import ClassCard, ClassOutputs, Members, class_parts, members_of
+from palpate.recordings import Split
+
+MAX_PARTS = 50
+"""Parts in which groups are left out when sets are scored: a fiftieth hardly moves a threshold."""
+
+
+def fit_thresholds(
+    outputs: ClassOutputs, codes: Indices, groups: np.ndarray, coverage: float
+) -> tuple[float | None, ...]:
+    """Least output of each class with which it is in the set.
+
+    Args:
+        outputs: of models that had not seen the row's group.
+        codes: which class each row is ``[n]``.
+        groups: label of each row's group ``[n]``.
+        coverage: how often sets shall hold the true class, 0 to 1.
+
+    Returns:
+        A threshold for each class; None where its groups are too few for the rate.
+    """
+    return tuple(
+        _threshold(1 - outputs[codes == k, k], groups[codes == k], coverage) for k in range(outputs.shape[1])
+    )
+
+
+def _threshold(scores: Float[np.ndarray, " n"], groups: np.ndarray, coverage: float) -> float | None:
+    if not is_distribution_free(len(np.unique(groups)), coverage):
+        return None
+    return 1 - new_group_quantile(scores, groups, coverage)
+
+
+def members_without_own_group(
+    outputs: ClassOutputs, codes: Indices, groups: np.ndarray, coverage: float
+) -> Members:
+    """Sets of held-out rows by thresholds in which the row's own group had no part.
+
+    Args: as of `fit_thresholds`.
+    """
+    members = np.empty(outputs.shape, bool)
+    parts = min(MAX_PARTS, len(np.unique(groups)))
+    for rest, held in GroupKFold(parts).split(outputs, groups=groups):
+        thresholds = fit_thresholds(outputs[rest], codes[rest], groups[rest], coverage)
+        members[held] = members_of(outputs[held], thresholds)
+    return members
+
+
+def held_out_classes(
+    labels: tuple[ClassLabels, ...], outputs: ClassOutputs, groups: np.ndarray, parts: Split, coverage: float
+) -> HeldOutClasses:
+    """Sets and scores of some columns of classes.
+
+    Args:
+        labels: of all rows.
+        outputs: for all their classes by models that had not seen the row's group ``[n k]``; NaN where it was
+            not scored.
+        groups: label of each row's group ``[n]``.
+        parts: how rows were held out.
+        coverage: how often sets shall hold the true class, 0 to 1.
+    """
+    scored = np.flatnonzero(~np.isnan(outputs).any(axis=1))
+    cards, sets = [], []
+    for one, part in zip(labels, class_parts([len(one.names) for one in labels]), strict=True):
+        given = (outputs[scored, part], one.codes[scored], groups[scored], coverage)
+        members = members_without_own_group(*given)
+        frequent = _most_frequent_of_others(one, parts)[scored]
+        answers = ClassAnswers(given[1], np.argmax(given[0], axis=1), members, given[2], frequent == given[1])
+        cards.append(_card(one, fit_thresholds(*given), answers, coverage))
+        sets.append(members)
+    return HeldOutClasses(labels, outputs, tuple(cards), tuple(sets))
+
+
+def check_learnable(labels: tuple[ClassLabels, ...], parts: Split) -> None:
+    """Refuse a split that holds out every class whole.
+
+    Raises:
+        SplitError: each class is of one group, so that none is known when it is asked for.
+    """
+    if parts.groups is None:
+        return
+    for one in labels:
+        groups = [len(np.unique(parts.groups[one.codes == k])) for k in range(len(one.values))]
+        if max(groups) < 2:
+            raise SplitError(
+                f"split {parts.kind} holds out each class of {one.column!r} whole, so that none was "
+                "learnt when it is asked for; record each class in several groups, or split by what repeats "
+                "within a class, as in --split group:press"
+            )
+
+
+def _most_frequent_of_others(one: ClassLabels, parts: Split) -> Indices:
+    """The most frequent class of the rows that were trained on when each row was held out ``[n]``."""
+    found = np.empty(len(one.codes), np.int64)
+    for k, rows in enumerate(parts.folds):
+        found[rows] = _most_frequent(one.codes[parts.training_rows(k)])
+    return found
+
+
+def _most_frequent(codes: Indices) -> int:
+    return int(np.argmax(np.bincount(codes)))
+
+
+def _card(
+    one: ClassLabels, thresholds: tuple[float | None, ...], answers: ClassAnswers, coverage: float
+) -> ClassCard:
+    score = class_score(answers)
+    groups = tuple(part.groups for part in score.coverage)
+    card = ClassCard(
+        column=one.column,
+        values=one.values,
+        names=one.names,
+        thresholds=thresholds,
+        groups=groups,
+        most_frequent=one.names[_most_frequent(one.codes)],
+        score=score,
+        findings=(),
+    )
+    findings = (*_unpromised(card, coverage), *class_findings(card, score, coverage))
+    return card.model_copy(update={"findings": findings})
+
+
+def _unpromised(card: ClassCard, coverage: float) -> Iterator[str]:
+    """A sentence on the classes that too few groups show for a threshold."""
+    few = [
+        f"{name} ({groups})"
+        for name, least, groups in zip(card.names, card.thresholds, card.groups, strict=True)
+        if least is None
+    ]
+    if few:
+        needed = next(n for n in count(1) if is_distribution_free(n, coverage))
+        yield (
+            f"{card.column}: too few held-out groups to rule a class out, {needed} or more are needed to "
+            f"promise {100 * coverage:g} %: {', '.join(few)}; "
+            f"{'they are' if len(few) > 1 else 'it is'} in every set, whatever the frame shows"
+        )

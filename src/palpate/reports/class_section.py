@@ -1,0 +1,68 @@
+"""Classes on the terminal and in a calibration's report: right beside the baseline, confusion, sets."""
+
+from __future__ import annotations
+
+import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from palpate.estimators.class_sets import ClassCard, ClassCoverageCard, ClassScoreCard
+from palpate.estimators.model_card import Card
+
+
+def class_lines(card: ClassCard, score: ClassScoreCard, coverage: float) -> list[str]:
+    """Lines on one column of classes: a sentence, and a table with a line a class.
+
+    Args:
+        card: of the column.
+        score: its own, or that of another run.
+        coverage: that the sets promise.
+    """
+    widths = [max(len(name), 5) for name in card.names]
+    head = max(len("true class"), *map(len, card.names))
+    columns = "  ".join(name.rjust(width) for name, width in zip(card.names, widths, strict=True))
+    lines = [
+        f"{card.column}: {summary(card, score)}",
+        f"{'true class':{head}}  {columns}  in its set ({100 * coverage:g} % asked)",
+    ]
+    for name, counts, covered in zip(card.names, score.confusion, score.coverage, strict=True):
+        cells = "  ".join(f"{count:{width}d}" for count, width in zip(counts, widths, strict=True))
+        lines.append(f"{name:{head}}  {cells}  {_covered(covered)}")
+    return lines
+
+
+def summary(card: ClassCard, score: ClassScoreCard) -> str:
+    """Accuracy beside the baseline's, and the size of the sets, in a sentence."""
+    return (
+        f"{100 * score.accuracy:.1f} % of {score.n} rows right (95 % interval "
+        f"{100 * score.accuracy_low:.1f} to {100 * score.accuracy_high:.1f} %), where always saying "
+        f"{card.most_frequent} gives {100 * score.baseline:.1f} %; sets hold {score.set_size:.2f} of "
+        f"{len(card.names)} classes on average, all in {100 * score.whole:.1f} % and none in {100 * score.empty:.1f} % of rows"
+    )
+
+
+def _covered(one: ClassCoverageCard) -> str:
+    if not one.rows:
+        return "no rows"
+    return (
+        f"{100 * one.covered / one.rows:.1f} % ({100 * one.low:.1f} to {100 * one.high:.1f} %; "
+        f"{one.groups} groups)"
+    )
+
+
+def class_section(card: Card) -> Markup:
+    """The classes' part of a report, as HTML; empty where there are none."""
+    environment = Environment(
+        loader=PackageLoader("palpate.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    template = environment.get_template("class_section.html")
+    return Markup(  # noqa: S704 -- the template escapes what stands in it
+        template.render(card=card, summary=summary, covered=_covered)
+    )
+
+
+def class_answer(row: pd.Series, card: Card) -> str:
+    """Classes that a row was told as, and what it was."""
+    return "; ".join(
+        f"{one.column} {row[f'estimate:{one.column}']}, truth {row[one.column]}" for one in card.classes or ()
+    )
