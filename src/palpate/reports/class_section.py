@@ -37,7 +37,8 @@ def summary(card: ClassCard, score: ClassScoreCard) -> str:
         f"{100 * score.accuracy:.1f} % of {score.n} rows right (95 % interval "
         f"{100 * score.accuracy_low:.1f} to {100 * score.accuracy_high:.1f} %), where always saying "
         f"{card.most_frequent} gives {100 * score.baseline:.1f} %; sets hold {score.set_size:.2f} of "
-        f"{len(card.names)} classes on average, all in {100 * score.whole:.1f} % and none in {100 * score.empty:.1f} % of rows"
+        f"{len(card.names)} classes on average, all in {100 * score.whole:.1f} % and "
+        f"none in {100 * score.empty:.1f} % of rows"
     )
 
 
