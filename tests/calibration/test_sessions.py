@@ -11,17 +11,19 @@ from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.conformal import conformal_quantile, fit_intervals
+from palpate.calibration.coverage.group_quantiles import (
+    is_distribution_free,
+    new_group_quantile,
+    rank_of_new_group,
+    weighted_quantile,
+)
 from palpate.calibration.sessions import keep_evaluation, read_evaluations, reset_intervals
 from palpate.calibration.sessions.interval_reset import ExpectedCoverage, intervals_set_anew
 from palpate.calibration.sessions.session_intervals import (
     SessionSpread,
     few_sessions_factor,
     intervals_of_sessions,
-    is_distribution_free,
-    new_group_quantile,
     parametric_quantile,
-    rank_of_new_group,
-    weighted_quantile,
 )
 from palpate.cli import app
 from palpate.core import CertificateError, ExistsError, InputError, LabelError, SplitError

@@ -130,7 +130,7 @@ def calibrate(
         held_out, of_classes = np.split(outputs, [plan.layout.outputs], axis=1)
         classes = None
         if labels:
-            classes = held_out_classes(labels, of_classes, learning.data.groups, parts, plan.coverage)
+            classes = held_out_classes(labels, of_classes, learning.data.groups, plan.coverage)
         beside = _split_beside(learning, fits)
         sessions = held_out_sessions(learning.packed.table, parts, scored_rows(outputs))
         intervals = intervals_by(interval_fit(sessions), held_out, learning.data, plan)

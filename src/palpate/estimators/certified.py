@@ -271,11 +271,7 @@ class Estimator:
             ImageError: the calibration is differential and no `zero` was given, or it is no such image.
         """
         frame = frame if isinstance(frame, Frame) else Frame(frame)
-        if self.card.input.delta and zero is None:
-            raise ImageError(
-                "this calibration is differential: it needs an image of the untouched sensor; "
-                "give one with --reference FRAME"
-            )
+        self._check_zero(zero)
         if frame.image.shape[:2] != self.card.input.frame_px:
             return self._readings(frame, None, self._size_message(frame.image), zero)
         prepared = self._preparation.apply(frame.image)
@@ -283,10 +279,27 @@ class Estimator:
         why = "" if verdict.atypicality <= 1 else verdict.reason
         if not why and self._copies is not None and self._copies.is_of_former(prepared):
             why = _copy_reason(self.card)
+        return self._readings(frame, self._outputs(prepared, zero), why, zero)
+
+    def outputs(self, frame: Frame | Image, zero: Zero | None = None) -> Outputs:
+        """Outputs of the network for one frame ``[1 o]``, see `values`.
+
+        Args:
+            frame: of the size calibrated on.
+            zero: the untouched sensor; needed where the calibration is differential.
+
+        Raises:
+            ImageError: the frame is of another size, or there is no `zero` where one is needed.
+        """
+        image = frame.image if isinstance(frame, Frame) else Frame(frame).image
+        self._check_size(image)
+        self._check_zero(zero)
+        return self._outputs(self._preparation.apply(image), zero)
+
+    def _outputs(self, prepared: Image, zero: Zero | None) -> Outputs:
         picture = prepared.astype(np.float32)
         difference = picture - zero.image if self.card.input.delta and zero is not None else picture
-        values = self.values(np.ascontiguousarray(difference.transpose(2, 0, 1))[None])
-        return self._readings(frame, values, why, zero)
+        return self.values(np.ascontiguousarray(difference.transpose(2, 0, 1))[None])
 
     def unread(self, name: str, time_s: float, why: str) -> Readings:
         """Readings of a frame that could not be opened: no values, not valid, and the reason."""
@@ -377,6 +390,13 @@ class Estimator:
         head = "".join(f"<th>{name}</th>" for name in heads)
         return f"<table><caption>{escape(repr(self)[1:-1])}</caption><tr>{head}</tr>{rows}</table>"
 
+    def _check_zero(self, zero: Zero | None) -> None:
+        if self.card.input.delta and zero is None:
+            raise ImageError(
+                "this calibration is differential: it needs an image of the untouched sensor; "
+                "give one with --reference FRAME"
+            )
+
     def _check_size(self, image: Image) -> None:
         if image.shape[:2] != self.card.input.frame_px:
             raise ImageError(self._size_message(image))
@@ -401,7 +421,7 @@ def intervals_of(card: Card) -> Intervals:
         np.concatenate(centres),
         np.concatenate(scales),
         np.array([t.typical for t in targets]),
-        np.array([t.coefficients for t in targets]),
+        np.array([t.coefficients for t in targets]) if targets else np.empty((0, 1)),
     )
     by_range = tuple(map(_range_intervals, targets))
     return Intervals(

@@ -42,7 +42,7 @@ class ClassScoreCard(CardPart):
         n: rows scored.
         accuracy: share of rows whose likeliest class was the true one.
         accuracy_low, accuracy_high: 95 % interval of that share, groups counted as groups.
-        baseline: the same share if the most frequent class of the rows learnt from is always said.
+        baseline: the same share if the most frequent class of all rows learnt from is always said.
         confusion: rows, by the true class and then by the likeliest one.
         coverage: of each class.
         set_size: mean number of classes in the set.

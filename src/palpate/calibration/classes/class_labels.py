@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from palpate.core import Float, Indices, LabelError, Values
+from palpate.core import Bool, Float, Indices, LabelError, Values
 from palpate.estimators.class_sets import ClassCard, ClassOutputs, Members, class_parts
 from palpate.recordings.label_tables import label_kinds, rows_text, targets_from
 
@@ -63,10 +63,10 @@ class HeldOutClasses:
     labels: tuple[ClassLabels, ...]
     outputs: ClassOutputs
     cards: tuple[ClassCard, ...]
-    members: tuple[Members, ...]
+    members: tuple[Bool[np.ndarray, "m _"], ...]
 
     @property
-    def parts(self) -> list[ClassOutputs]:
+    def parts(self) -> list[Float[np.ndarray, "n _"]]:
         """The outputs of each column."""
         return [self.outputs[:, part] for part in class_parts([len(one.names) for one in self.labels])]
 
@@ -186,7 +186,7 @@ def _place(value: str) -> tuple[float, str]:
         return np.inf, value
 
 
-def with_classes(values: Values, classes: Sequence[ClassLabels]) -> Values:
+def with_classes(values: Values, classes: Sequence[ClassLabels]) -> Float[np.ndarray, "n _"]:
     """Columns of numbers with the classes' outputs behind them ``[n t+k]``."""
     return np.column_stack([values, *(one.one_hot for one in classes)]) if classes else values
 

@@ -8,7 +8,7 @@ Wasserman, J. Am. Stat. Assoc. 114, 223 (2019), doi:10.1080/01621459.2017.139534
 keeps the rate over all rows only, and covers the rare class less.
 
 Rows of one press err alike: each press counts once, as for intervals of a new group
-(`sessions.session_intervals`). Where a class has too few groups for the rate, which is below nine at 90 %, no
+(`coverage.group_quantiles`). Where a class has too few groups for the rate, which is below nine at 90 %, no
 threshold can promise it: the class is then in every set, which holds it always and tells nothing of it.
 """
 
@@ -22,7 +22,7 @@ from sklearn.model_selection import GroupKFold
 
 from palpate.calibration.classes.class_labels import ClassLabels, HeldOutClasses
 from palpate.calibration.classes.class_scores import ClassAnswers, class_findings, class_score
-from palpate.calibration.sessions.session_intervals import is_distribution_free, new_group_quantile
+from palpate.calibration.coverage.group_quantiles import is_distribution_free, new_group_quantile
 from palpate.core import Float, Indices, SplitError
 from palpate.estimators.class_sets import ClassCard, ClassOutputs, Members, class_parts, members_of
 from palpate.recordings import Split
@@ -72,7 +72,7 @@ def members_without_own_group(
 
 
 def held_out_classes(
-    labels: tuple[ClassLabels, ...], outputs: ClassOutputs, groups: np.ndarray, parts: Split, coverage: float
+    labels: tuple[ClassLabels, ...], outputs: ClassOutputs, groups: np.ndarray, coverage: float
 ) -> HeldOutClasses:
     """Sets and scores of some columns of classes.
 
@@ -81,7 +81,6 @@ def held_out_classes(
         outputs: for all their classes by models that had not seen the row's group ``[n k]``; NaN where it was
             not scored.
         groups: label of each row's group ``[n]``.
-        parts: how rows were held out.
         coverage: how often sets shall hold the true class, 0 to 1.
     """
     scored = np.flatnonzero(~np.isnan(outputs).any(axis=1))
@@ -89,8 +88,8 @@ def held_out_classes(
     for one, part in zip(labels, class_parts([len(one.names) for one in labels]), strict=True):
         given = (outputs[scored, part], one.codes[scored], groups[scored], coverage)
         members = members_without_own_group(*given)
-        frequent = _most_frequent_of_others(one, parts)[scored]
-        answers = ClassAnswers(given[1], np.argmax(given[0], axis=1), members, given[2], frequent == given[1])
+        baseline = given[1] == _most_frequent(one.codes)
+        answers = ClassAnswers(given[1], np.argmax(given[0], axis=1), members, given[2], baseline)
         cards.append(_card(one, fit_thresholds(*given), answers, coverage))
         sets.append(members)
     return HeldOutClasses(labels, outputs, tuple(cards), tuple(sets))
@@ -112,14 +111,6 @@ def check_learnable(labels: tuple[ClassLabels, ...], parts: Split) -> None:
                 "learnt when it is asked for; record each class in several groups, or split by what repeats "
                 "within a class, as in --split group:press"
             )
-
-
-def _most_frequent_of_others(one: ClassLabels, parts: Split) -> Indices:
-    """The most frequent class of the rows that were trained on when each row was held out ``[n]``."""
-    found = np.empty(len(one.codes), np.int64)
-    for k, rows in enumerate(parts.folds):
-        found[rows] = _most_frequent(one.codes[parts.training_rows(k)])
-    return found
 
 
 def _most_frequent(codes: Indices) -> int:

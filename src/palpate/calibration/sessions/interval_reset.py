@@ -5,7 +5,7 @@ n rows, a new one's scaled error is below the r-th smallest, r = ceil(c (n + 1))
 1), which is c or little more (V. Vovk, A. Gammerman and G. Shafer, Algorithmic Learning in a Random World,
 Springer 2005, doi:10.1007/b106715). Nothing is assumed of how the session differs. Rows of one press err
 alike; there n is the number of presses, and one row is drawn from each
-(`session_intervals.new_group_quantile`).
+(`coverage.group_quantiles`).
 
 That probability is a mean over such sets of rows. With the rows in hand the coverage is one draw of a Beta
 distribution with parameters r and n + 1 - r: for n = 100 at 90 %, r = 91, the mean is 90.1 %, and 95 of 100
@@ -34,14 +34,16 @@ from palpate.calibration.certificate import (
     made_fields,
     write_picture,
 )
-from palpate.calibration.evaluation import predictions, rows_to_score, same_session, score
-from palpate.calibration.sessions.copies import TOGETHER
-from palpate.calibration.sessions.session_findings import finest_columns, groups_within
-from palpate.calibration.sessions.session_intervals import (
+from palpate.calibration.classes import ClassLabels, known_codes, target_values
+from palpate.calibration.classes.prediction_sets import held_out_classes
+from palpate.calibration.coverage.group_quantiles import (
     is_distribution_free,
     new_group_quantile,
     rank_of_new_group,
 )
+from palpate.calibration.evaluation import predictions, rows_to_score, same_session, score, zeros_of
+from palpate.calibration.sessions.copies import TOGETHER
+from palpate.calibration.sessions.session_findings import finest_columns, groups_within
 from palpate.core import (
     Float,
     ImageError,
@@ -54,13 +56,23 @@ from palpate.core import (
     silent,
 )
 from palpate.estimators.card_ground import RunCard
-from palpate.estimators.certified import CARD_FILE, Estimator, Intervals, checked_file, intervals_of
+from palpate.estimators.certified import (
+    CARD_FILE,
+    Estimator,
+    Intervals,
+    checked_file,
+    intervals_of,
+    layout_of,
+)
+from palpate.estimators.class_sets import ClassCard, ClassOutputs
 from palpate.estimators.finding_cards import IntervalResetCard, SessionsCard
 from palpate.estimators.guard import NoveltyDetector, RenderedImages, fit_novelty_detector, thumbnails
-from palpate.estimators.model_card import Card, ScoreCard, TargetCard, sealed
+from palpate.estimators.model_card import Card, ScoreCard, TargetCard, VectorCard, sealed
+from palpate.estimators.target_layout import Outputs
+from palpate.estimators.vector_regions import mahalanobis
 from palpate.recordings import Run
 from palpate.recordings.joined_runs import sessions_of
-from palpate.recordings.label_tables import targets_from, with_own
+from palpate.recordings.label_tables import with_own
 from palpate.recordings.table_files import write_table
 
 FOLDS_OF_GUARD = 10
@@ -95,7 +107,7 @@ class ExpectedCoverage:
         return cls(rank, rank / (n + 1), float(low), float(high))
 
 
-def intervals_set_anew(former: Intervals, predicted: Values, true: Values, groups: np.ndarray) -> Intervals:
+def intervals_set_anew(former: Intervals, outputs: Outputs, true: Values, groups: np.ndarray) -> Intervals:
     """Intervals of a session, from rows that the network has not learnt from.
 
     How their width follows the estimate stays; how wide they are is what these rows show. Bands for parts of
@@ -103,15 +115,40 @@ def intervals_set_anew(former: Intervals, predicted: Values, true: Values, group
 
     Args:
         former: the calibration's.
-        predicted, true: estimates and labels of the rows ``[n t]``.
+        outputs: of the model for the rows ``[n o]``.
+        true: the labels ``[n t]``; errors of a circular target are taken the shortest way round.
         groups: label of each row's group ``[n]``, such as its press.
 
     Raises:
         InputError: too few groups for the coverage.
     """
-    scores = np.abs(predicted - true) / former.spread.at(predicted)
+    scores = np.abs(former.errors(outputs, true)) / former.spread.at(outputs)
     quantile = [new_group_quantile(column, groups, former.coverage) for column in scores.T]
     return replace(former, quantile=np.array(quantile), by_range=())
+
+
+def radius_set_anew(
+    correlation: Float[np.ndarray, "k k"],
+    scaled: Float[np.ndarray, "n k"],
+    groups: np.ndarray,
+    coverage: float,
+) -> float:
+    """Radius of a vector's joint region in a session, from rows that the network has not learnt from.
+
+    The ellipsoid's shape stays, as the width's dependence on the estimate does: the distances by it of these
+    rows and of those to come are exchangeable.
+
+    Args:
+        correlation: of the former session's errors, in units of their spread.
+        scaled: signed errors of the rows, in these units.
+        groups: label of each row's group ``[n]``.
+        coverage: how often the region shall hold all components at once.
+
+    Raises:
+        InputError: too few groups for the coverage.
+    """
+    radius = new_group_quantile(mahalanobis(scaled, correlation), groups, coverage)
+    return max(radius, float(np.finfo(np.float32).tiny))
 
 
 def reset_intervals(folder: PathText, run: Run, out: PathText, progress: Progress = silent) -> Card:
@@ -140,10 +177,9 @@ def reset_intervals(folder: PathText, run: Run, out: PathText, progress: Progres
     refuse_existing(out)
     started = time.monotonic()
     estimator = Estimator.open(folder)
-    _refuse_directions(estimator.card)
     rows = _SessionRows.read(estimator, run, progress)
-    intervals = intervals_set_anew(intervals_of(estimator.card), rows.predicted, rows.true, rows.groups)
-    halves = intervals.half_widths(rows.predicted)
+    intervals = intervals_set_anew(intervals_of(estimator.card), rows.outputs, rows.true, rows.groups)
+    halves = intervals.half_widths(rows.outputs)
     with new_folder(out) as building:
         shutil.copyfile(checked_file(folder, estimator.card.model), building / "model.onnx")
         if (copies := estimator.card.copy_of) is not None and copies.file is not None:
@@ -173,6 +209,8 @@ class _SessionRows:
         rows: of the run ``[n]``, those of the untouched sensor aside.
         names: of the frames.
         table: their labels, and the estimates.
+        outputs: of the network for the targets ``[n o]``.
+        of_classes: those for classes ``[n k]``.
         predicted, true: ``[n t]``.
         columns: label columns that name a group; none where each row is its own.
         groups: number of each row's group ``[n]``.
@@ -182,6 +220,8 @@ class _SessionRows:
     rows: np.ndarray
     names: list[str]
     table: pd.DataFrame
+    outputs: Outputs
+    of_classes: ClassOutputs
     predicted: Values
     true: Values
     columns: tuple[str, ...]
@@ -197,7 +237,9 @@ class _SessionRows:
         session = _new_session(card, run)
         rows = rows_to_score(card, run.labels)
         labels = run.labels.iloc[rows].reset_index(drop=True)
-        true = targets_from(labels, card.columns, str(run.path))
+        true = target_values(labels, card.columns, str(run.path))
+        for one in card.classes or ():
+            known_codes(labels, one.column, one.values, str(run.path))
         groups = groups_within(labels)
         _check_count(len(np.unique(groups)), len(rows), card.coverage, run)
         height, width = card.input.frame_px
@@ -210,12 +252,17 @@ class _SessionRows:
                     "anew"
                 )
         table = predictions(estimator, run, progress=progress)
-        predicted = table[[f"estimate:{column}" for column in card.columns]].to_numpy(np.float64)
+        zeros, layout = zeros_of(estimator, run), layout_of(card)
+        every = np.concatenate([estimator.outputs(run.frame(int(row)), zeros.get(int(row))) for row in rows])
+        outputs, of_classes = np.split(every, [layout.outputs], axis=1)
         table = table.drop(
             columns=[name for name in table if name not in labels and not str(name).startswith("estimate:")]
         )
         names = [run.frame(int(row)).name for row in rows]
-        return cls(session, rows, names, table, predicted, true, finest_columns(labels), groups)
+        return cls(
+            session, rows, names, table, outputs, of_classes, layout.decoded(outputs), true,
+            finest_columns(labels), groups,
+        )  # fmt: skip
 
 
 def _new_session(card: Card, run: Run) -> str:
@@ -231,14 +278,6 @@ def _new_session(card: Card, run: Run) -> str:
             f"for one: give its rows alone, or calibrate on all of them"
         )
     return str(sessions[0])
-
-
-def _refuse_directions(card: Card) -> None:
-    if card.vectors or any(target.circular is not None for target in card.targets):
-        raise InputError(
-            f"calibration {card.id} has circular targets or vectors, whose intervals cannot be set anew yet; "
-            "calibrate on both sessions (palpate calibrate RUN RUN --split session)"
-        )
 
 
 def _check_count(groups: int, rows: int, coverage: float, run: Run) -> None:
@@ -280,7 +319,10 @@ def _write_pictures(folder: Path, building: Path, card: Card, run: Run, rows: _S
         if part.file in ("example.png", "reference.png"):
             shutil.copyfile(checked_file(folder, part), building / part.file)
     span = np.array([target.greatest - target.least for target in card.targets])
-    missed = np.max(np.abs(rows.predicted - rows.true) / np.where(span > 0, span, 1.0), axis=1)
+    if not len(span):
+        return
+    errors = layout_of(card).differences(rows.predicted, rows.true)
+    missed = np.max(np.abs(errors) / np.where(span > 0, span, 1.0), axis=1)
     for row in rows.rows[np.argsort(missed)[::-1][:WORST]].tolist():
         write_picture(building / f"worst-{row}.png", card.input.preparation.apply(run.frame(row).image))
 
@@ -288,7 +330,7 @@ def _write_pictures(folder: Path, building: Path, card: Card, run: Run, rows: _S
 def _card(
     former: Card, building: Path, run: Run, rows: _SessionRows, intervals: Intervals, seconds: float
 ) -> Card:
-    halves = intervals.half_widths(rows.predicted)
+    halves = intervals.half_widths(rows.outputs)
     expected = ExpectedCoverage.of(rows.count, former.coverage)
     targets = tuple(
         target.model_copy(
@@ -303,9 +345,10 @@ def _card(
         "interval_reset": reset,
         "sessions": _sessions(former, rows, reset.text),
         "order": None,
-        "robustness": None,  # these three are of the former's frames and intervals
+        "robustness": None,  # these two are of the former's frames and intervals
         "confounds": None,
-        "vectors": None,
+        "vectors": former.vectors and tuple(_vector(v, former, rows, expected) for v in former.vectors),
+        "classes": former.classes and _classes(former, rows),
         "split": former.split.model_copy(
             update={
                 "reason": f"{former.split.reason}; the intervals are of session {rows.session}",
@@ -326,7 +369,10 @@ def _score(
     expected: ExpectedCoverage,
 ) -> ScoreCard:
     """Errors in the session; for the coverage what is to be expected, since these rows have set it."""
-    found = score(target.unit, rows.true[:, j], rows.predicted[:, j], half, target.training_mean, rows.groups)
+    found = score(
+        target.unit, rows.true[:, j], rows.predicted[:, j], half, target.training_mean, rows.groups,
+        period=target.period,
+    )  # fmt: skip
     return found.model_copy(
         update={
             "coverage_90": expected.mean,
@@ -334,6 +380,25 @@ def _score(
             "coverage_90_high": expected.high,
         }
     )
+
+
+def _vector(vector: VectorCard, former: Card, rows: _SessionRows, expected: ExpectedCoverage) -> VectorCard:
+    """A vector whose region these rows have set; its coverage is what is to be expected."""
+    at, own = [former.columns.index(part) for part in vector.columns], intervals_of(former)
+    scaled = own.errors(rows.outputs, rows.true) / own.spread.at(rows.outputs)
+    radius = radius_set_anew(np.array(vector.correlation), scaled[:, at], rows.groups, former.coverage)
+    rate = {"covered": expected.mean, "low": expected.low, "high": expected.high}
+    return vector.model_copy(update={"radius": radius, "n": len(rows.rows)} | rate)
+
+
+def _classes(former: Card, rows: _SessionRows) -> tuple[ClassCard, ...]:
+    """The classes, whose thresholds these rows have set, scored without each row's own group."""
+    labels = tuple(
+        ClassLabels(c.column, c.values, c.names, known_codes(rows.table, c.column, c.values, rows.session))
+        for c in former.classes or ()
+    )
+    found = held_out_classes(labels, rows.of_classes, rows.groups, former.coverage)
+    return found.cards
 
 
 def _reset_card(former: Card, run: Run, rows: _SessionRows, expected: ExpectedCoverage) -> IntervalResetCard:

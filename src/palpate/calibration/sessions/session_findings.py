@@ -13,12 +13,11 @@ import pandas as pd
 
 from palpate.calibration.certificate import CalibrationResult, IntervalFit
 from palpate.calibration.conformal import fit_intervals
+from palpate.calibration.coverage.group_quantiles import is_distribution_free, rank_of_new_group
 from palpate.calibration.sessions.session_intervals import (
     SessionSpread,
     few_sessions_factor,
     intervals_of_sessions,
-    is_distribution_free,
-    rank_of_new_group,
 )
 from palpate.core import InputError, SplitError, Values
 from palpate.estimators.card_ground import RunCard

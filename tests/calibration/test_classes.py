@@ -1,0 +1,362 @@
+"""Classes and counts are told by sets that hold each class at the stated rate, the rare ones too."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
+from palpate.calibration.certificate import read_predictions
+from palpate.calibration.classes import ClassAnswers, ClassLabels, class_score
+from palpate.calibration.classes.prediction_sets import (
+    fit_thresholds,
+    held_out_classes,
+    members_without_own_group,
+)
+from palpate.cli import app
+from palpate.core import ClassReading, InputError, LabelError, ManualClock, SplitError, UnitError
+from palpate.estimators import Estimator, read_card
+from palpate.estimators.class_sets import class_readings, members_of
+from palpate.recordings import Manifest, Run, RunWriter
+
+COMMON = {"coverage": 0.9, "drift": None, "calibration": "c", "frame": "f", "time_s": 0.0}
+SHARES = (0.72, 0.2, 0.08)
+
+
+def world(rng: np.random.Generator, presses: int, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Outputs for three classes, the truth, and presses of several rows, which err alike.
+
+    The rare class is told worst, as least squares makes it.
+    """
+    groups = np.repeat(np.arange(presses), rows)
+    codes = rng.choice(3, presses, p=SHARES)[groups]
+    shared = rng.normal(0, 0.25, (presses, 3))[groups] + rng.normal(0, 0.15, (len(groups), 3))
+    return np.eye(3)[codes] * np.array([0.9, 0.7, 0.4]) + shared, codes, groups
+
+
+def rates(members: np.ndarray, codes: np.ndarray) -> list[float]:
+    """Share of each class's rows whose set holds it."""
+    return [float(members[codes == k, k].mean()) for k in range(members.shape[1])]
+
+
+def test_sets_hold_each_class_at_the_stated_rate() -> None:
+    """300 random splits; one threshold for all classes is the negative control: it covers the rare less."""
+    rng = np.random.default_rng(0)
+    outputs, codes, _ = world(rng, 2400, 1)
+    own, one_for_all = [], []
+    for _ in range(300):
+        order = rng.permutation(len(codes))
+        fit, new = order[:1200], order[1200:]
+        thresholds = fit_thresholds(outputs[fit], codes[fit], fit, 0.9)
+        own.append(rates(members_of(outputs[new], thresholds), codes[new]))
+        marginal = float(np.quantile(outputs[fit, codes[fit]], 0.1))
+        one_for_all.append(rates(members_of(outputs[new], [marginal] * 3), codes[new]))
+    np.testing.assert_allclose(np.mean(own, axis=0), 0.9, atol=0.015)
+    assert np.mean(one_for_all, axis=0)[2] < 0.6
+    assert np.mean(one_for_all, axis=0)[0] > 0.93
+
+
+def test_sets_hold_each_class_of_new_presses_whose_rows_err_alike() -> None:
+    """With rows taken as independent, the negative control, twelve presses of a class promise too much."""
+    grouped, row_by_row = [], []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        codes = np.repeat([0, 1, 2], 12 * 6)
+        groups = np.repeat(np.arange(36), 6)
+        noise = rng.normal(0, 0.25, (36, 3))[groups] + rng.normal(0, 0.02, (len(codes), 3))
+        fresh = 0.7 * np.eye(3)[np.repeat([0, 1, 2], 400)] + rng.normal(0, 0.25, (1200, 3))
+        truth = np.repeat([0, 1, 2], 400)
+        outputs = 0.7 * np.eye(3)[codes] + noise
+        thresholds = fit_thresholds(outputs, codes, groups, 0.9)
+        grouped.append(rates(members_of(fresh, thresholds), truth))
+        thresholds = fit_thresholds(outputs, codes, np.arange(len(codes)), 0.9)
+        row_by_row.append(rates(members_of(fresh, thresholds), truth))
+    assert np.mean(grouped, axis=0) == pytest.approx(12 / 13, abs=0.015)
+    assert np.mean(row_by_row) < 0.885
+
+
+def test_a_press_counts_once_however_many_rows_it_has() -> None:
+    rng = np.random.default_rng(1)
+    outputs, codes, groups = world(rng, 300, 2)
+    first = groups == 0
+    again = (np.repeat(part[first], 40, axis=0) for part in (outputs, codes, groups))
+    longer = [np.concatenate(pair) for pair in zip((outputs, codes, groups), again, strict=True)]
+    assert fit_thresholds(*longer, 0.9) == pytest.approx(fit_thresholds(outputs, codes, groups, 0.9))
+
+
+@pytest.mark.parametrize(("presses", "rank"), [(9, 9), (19, 18), (20, 19), (99, 90)])
+def test_a_threshold_is_the_output_of_the_promised_rank(presses: int, rank: int) -> None:
+    """Of outputs 1 - k/100, k = 1, 2 and so on, it is the one of rank ceil(0.9 (n + 1))."""
+    scores = np.arange(1, presses + 1) / 100
+    outputs = np.concatenate([np.stack([1 - scores, scores], axis=1), np.full((8, 2), 0.5)])
+    codes = np.repeat([0, 1], [presses, 8])
+    least, none = fit_thresholds(outputs, codes, np.arange(len(codes)), 0.9)
+    assert least == pytest.approx(1 - rank / 100)
+    assert none is None  # eight groups promise 8/9 at most
+    assert members_of(np.array([[1 - rank / 100 + 1e-9, -5.0]]), (least, none)).tolist() == [[True, True]]
+    assert members_of(np.array([[1 - rank / 100 - 1e-9, -5.0]]), (least, none)).tolist() == [[False, True]]
+
+
+def test_scored_sets_owe_nothing_to_the_rows_own_press() -> None:
+    """A press far worse than nineteen others is not held by the threshold that those set, as a new one."""
+    outputs = np.stack([np.r_[np.full(19, 0.9), -3.0], np.zeros(20)], axis=1)
+    codes, groups = np.zeros(20, np.int64), np.arange(20)
+    both = np.concatenate([outputs, outputs[:, ::-1]]), np.r_[codes, codes + 1], np.r_[groups, groups + 20]
+    members = members_without_own_group(*both, 0.9)
+    assert not members[19, 0]
+    assert members[:19, 0].all()
+
+
+def test_scores_are_counts_of_rows() -> None:
+    true, likeliest = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 0, 1, 1, 1, 1])
+    members = np.array([[1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 1, 0], [1, 1, 1], [0, 0, 0]], bool)
+    score = class_score(ClassAnswers(true, likeliest, members, np.arange(6), true == 0))
+    assert score.confusion == ((2, 1, 0), (0, 2, 0), (0, 1, 0))
+    assert (score.accuracy, score.baseline) == (4 / 6, 3 / 6)
+    assert [(one.rows, one.covered) for one in score.coverage] == [(3, 2), (2, 2), (1, 0)]
+    assert (score.set_size, score.empty, score.whole) == (8 / 6, 1 / 6, 1 / 6)
+
+
+def record_blobs(path, presses: int, *, seed: int = 0, kinds=SHARES, kind=None, noise: float = 0.5) -> Run:
+    """Record blobs of three widths, three frames a press; a press is of one width."""
+    rng, clock = np.random.default_rng(seed), ManualClock()
+    rows, columns = np.mgrid[0:32, 0:32]
+    labels = {
+        "press": "text", "kind": "number", "object": "text", "wide": "flag", "x_mm": "number",
+        "angle_deg": "number",
+    }  # fmt: skip
+    about = Manifest.new(sensor="blobs", labels=labels)
+    with RunWriter.create(path, about, clock=clock, overflow="wait") as w:
+        for press in range(presses):
+            k = int(rng.choice(3, p=kinds)) if kind is None else kind
+            for _ in range(3):
+                x, wide = rng.uniform(-4, 4), 3 + 1.5 * k + noise * rng.normal()
+                blob = np.exp(-((rows - 16) ** 2 + (columns - 16 - x) ** 2) / (2 * wide**2))
+                image = np.clip(40 + 100 * blob + rng.normal(0, 3, (32, 32)), 0, 255).astype(np.uint8)
+                clock.sleep(0.1)
+                told = {"press": f"p{press}", "kind": float(k + 1), "object": "abc"[k], "wide": k > 0}
+                w.frame(image, labels=told | {"x_mm": x, "angle_deg": 10 * x})
+    return Run.open(path)
+
+
+NAMES = {"kind": ("small", "middle", "large"), "wide": ()}
+PLAN = CalibrationPlan(("x_mm",), model="pca-ridge", split="group:press", size_px=(24, 24), classes=NAMES)
+
+
+@pytest.fixture(scope="module")
+def blobs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("blobs")
+    run = record_blobs(folder / "run", 160, kinds=(0.6, 0.25, 0.15))
+    calibrate(run, PLAN, folder / "cal")
+    return folder, run
+
+
+def test_classes_are_read_beside_quantities_and_hold_in_fresh_presses(blobs, tmp_path) -> None:
+    folder, _ = blobs
+    card, fresh = read_card(folder / "cal"), record_blobs(tmp_path / "fresh", 160, seed=1)
+    kind, wide = card.classes
+    assert (kind.values, kind.names) == (("1", "2", "3"), NAMES["kind"])
+    assert wide.names == ("false", "true")
+    assert kind.score.accuracy_low > kind.score.baseline
+    assert sum(map(sum, kind.score.confusion)) == kind.score.n == 480
+    found = evaluate(Estimator.open(folder / "cal"), fresh)
+    assert set(found["targets"]) == {"x_mm"}
+    for one in found["classes"].values():
+        assert one["accuracy"] > one["baseline"] + 0.05
+        for part in one["coverage"]:
+            assert part["high"] > 0.9 - 2.5 * (0.09 / part["groups"]) ** 0.5
+
+
+def test_a_reading_is_the_cards_sets_of_the_networks_outputs(blobs) -> None:
+    folder, run = blobs
+    estimator = Estimator.open(folder / "cal")
+    prepared = np.stack([estimator.card.input.preparation.apply(run.frame(i).image) for i in range(30)])
+    outputs = estimator.values(prepared.astype(np.float32).transpose(0, 3, 1, 2))
+    assert outputs.shape == (30, 1 + 3 + 2)
+    kind, wide = estimator.card.classes
+    for i in range(30):
+        readings = estimator.read(run.frame(i))
+        for card, part in ((kind, outputs[i, 1:4]), (wide, outputs[i, 4:6])):
+            one = readings[card.column]
+            assert isinstance(one, ClassReading)
+            assert one.value == card.names[int(part.argmax())]
+            inside = [n for n, v, t in zip(card.names, part, card.thresholds, strict=True) if v >= t]
+            assert list(one.members) == inside
+        assert readings["x_mm"].value == pytest.approx(outputs[i, 0])
+        assert readings["x_um"].value == pytest.approx(1000 * outputs[i, 0])
+
+
+def test_predictions_say_what_each_row_was_told_as(blobs) -> None:
+    folder, _ = blobs
+    card = read_card(folder / "cal")
+    table = read_predictions(folder / "cal", card)
+    kind = card.classes[0]
+    truth = np.array(kind.names)[table["kind"].to_numpy(int) - 1]
+    assert (table["estimate:kind"] == truth).mean() == pytest.approx(kind.score.accuracy)
+    held = [name in str(text).split("|") for name, text in zip(truth, table["set:kind"], strict=True)]
+    assert sum(held) == sum(part.covered for part in kind.score.coverage)
+    outputs = table[[f"output:kind={name}" for name in kind.names]].to_numpy()
+    np.testing.assert_array_equal(np.array(kind.names)[outputs.argmax(axis=1)], table["estimate:kind"])
+
+
+def test_classes_alone_make_a_calibration(blobs, tmp_path) -> None:
+    """The label `object` groups rows where nothing else is said; as a class it must not hold itself out."""
+    folder, run = blobs
+    calibrate(
+        run,
+        CalibrationPlan((), model="pca-ridge", size_px=(24, 24), classes={"object": ()}),
+        tmp_path / "cal",
+    )
+    card = read_card(tmp_path / "cal")
+    assert card.targets == ()
+    assert card.split.columns == ("press",)
+    assert card.classes[0].names == ("a", "b", "c")
+    assert card.classes[0].score.accuracy == pytest.approx(
+        read_card(folder / "cal").classes[0].score.accuracy, abs=0.03
+    )
+    assert "classes only" in card.robustness.text
+    found = evaluate(Estimator.open(tmp_path / "cal"), record_blobs(tmp_path / "fresh", 20, seed=2))
+    assert found["frames_read"] == 60
+    assert list(Estimator.open(tmp_path / "cal").read(run.frame(0))) == ["object"]
+
+
+def test_a_class_of_few_presses_is_in_every_set_and_named(blobs, tmp_path) -> None:
+    run = record_blobs(tmp_path / "run", 40, kinds=(0.5, 0.42, 0.08))
+    calibrate(run, PLAN, tmp_path / "cal")
+    kind = read_card(tmp_path / "cal").classes[0]
+    assert kind.groups[2] < 9
+    assert kind.thresholds[2] is None
+    assert min(kind.groups[:2]) >= 9
+    assert None not in kind.thresholds[:2]
+    assert f"large ({kind.groups[2]}); it is in every set" in " ".join(kind.findings)
+    estimator = Estimator.open(tmp_path / "cal")
+    assert all("large" in estimator.read(run.frame(i))["kind"].members for i in range(0, 120, 10))
+
+
+@pytest.mark.parametrize(
+    ("outputs", "valid", "why"),
+    [
+        ([0.9, 0.1, 0.0], True, ""),
+        ([0.6, 0.6, 0.0], True, ""),
+        ([0.7, 0.6, 0.5], False, "leaves all classes"),
+        ([0.2, 0.1, 0.0], False, "their set is empty"),
+        ([0.45, 0.0, 0.4], False, "is not in the set"),
+        ([np.nan, 0.6, 0.5], False, "their set is empty"),
+    ],
+)
+def test_a_reading_is_valid_where_its_set_rules_something_out(blobs, outputs, valid, why) -> None:
+    folder, _ = blobs
+    card = read_card(folder / "cal").classes[0].model_copy(update={"thresholds": (0.5, 0.5, 0.3)})
+    reading = class_readings([card], np.array([outputs]), "", **COMMON)["kind"]
+    assert reading.valid is valid
+    assert why in reading.why
+    assert bool(reading.why) is not valid
+    refused = class_readings([card], np.array([outputs]), "a frame of another kind", **COMMON)["kind"]
+    assert (refused.valid, refused.why) == (False, "a frame of another kind")
+    assert json.loads(json.dumps(reading.to_dict()))["set"] == list(reading.members)
+
+
+def test_a_class_has_no_unit(blobs) -> None:
+    folder, run = blobs
+    reading = Estimator.open(folder / "cal").read(run.frame(0))["kind"]
+    assert reading.column == "kind"
+    assert reading.in_unit("") is reading
+    with pytest.raises(UnitError, match="a class, which cannot be shown in mm"):
+        reading.in_unit("mm")
+
+
+def test_the_baseline_is_the_most_frequent_class_of_all_rows() -> None:
+    """By the rows trained on it would be 0 where a row is held out alone: its class is rarest just then."""
+    codes = np.array([0, 0, 1, 1, 1, 0, 0])
+    labels = (ClassLabels("c", ("0", "1"), ("no", "yes"), codes),)
+    found = held_out_classes(labels, np.eye(2)[codes], np.arange(7), 0.9)
+    assert found.cards[0].most_frequent == "no"
+    assert found.cards[0].score.baseline == 4 / 7
+    assert found.cards[0].score.accuracy == 1.0
+
+
+def plan_of(**changes) -> CalibrationPlan:
+    return CalibrationPlan(**({"targets": ("x_mm",), "model": "mean", "split": "group:press"} | changes))
+
+
+def test_what_is_no_class_is_refused(blobs, tmp_path) -> None:
+    _, run = blobs
+    out = tmp_path / "cal"
+    with pytest.raises(LabelError, match=r"'x_mm' holds 480 distinct values.*a quantity that runs on"):
+        calibrate(run, plan_of(targets=("angle_deg",), classes={"x_mm": ()}), out)
+    with pytest.raises(LabelError, match=r"'press' holds 160 distinct values"):
+        calibrate(run, plan_of(classes={"press": ()}), out)
+    with pytest.raises(LabelError, match="no column 'colour' of classes"):
+        calibrate(run, plan_of(classes={"colour": ()}), out)
+    with pytest.raises(LabelError, match="2 names for the 3 classes of 'kind', which are 1, 2, 3"):
+        calibrate(run, plan_of(classes={"kind": ("a", "b")}), out)
+    with pytest.raises(SplitError, match="holds out each class of 'object' whole"):
+        calibrate(run, plan_of(classes={"object": ()}, split="leave-one-out:object"), out)
+    alone = record_blobs(tmp_path / "alone", 12, kind=1)
+    with pytest.raises(LabelError, match="'kind' is 2 in every row: one class alone"):
+        calibrate(alone, plan_of(classes={"kind": ()}), out)
+    assert not out.exists()
+
+
+def test_a_column_is_one_thing_at_once() -> None:
+    with pytest.raises(InputError, match="angle_deg is circular and a class at once"):
+        CalibrationPlan(("angle_deg",), circular={"angle_deg": None}, classes={"angle_deg": ()})
+    with pytest.raises(InputError, match="x_mm is named as a target and as a class"):
+        CalibrationPlan(("x_mm",), classes={"x_mm": ()})
+    with pytest.raises(InputError, match="each has a name of its own"):
+        CalibrationPlan(("x_mm",), classes={"kind": ("a", "a")})
+    with pytest.raises(InputError, match="learns no classes"):
+        CalibrationPlan((), model="palm-compact", classes={"kind": ()})
+    with pytest.raises(InputError, match="no target to calibrate"):
+        CalibrationPlan(())
+
+
+def test_a_class_that_was_not_calibrated_is_named_and_refused(blobs, tmp_path) -> None:
+    _, run = blobs
+    two = record_blobs(tmp_path / "two", 40, kinds=(0.5, 0.5, 0.0))
+    calibrate(two, plan_of(classes={"object": ()}), tmp_path / "cal")
+    with pytest.raises(LabelError, match=r"'object' is c in \d+ of 480 rows, which the calibration"):
+        evaluate(Estimator.open(tmp_path / "cal"), run)
+    with pytest.raises(InputError, match=r"tells classes \(object\)"):
+        adapt(tmp_path / "cal", run, tmp_path / "adapted")
+
+
+def test_a_model_that_tells_nothing_is_said_to(blobs, tmp_path) -> None:
+    """The mean says the most frequent class always: as many are right as by the baseline."""
+    _, run = blobs
+    calibrate(run, plan_of(classes={"kind": ()}), tmp_path / "cal")
+    (kind,) = read_card(tmp_path / "cal").classes
+    assert kind.score.accuracy == kind.score.baseline
+    assert kind.score.says_nothing
+    assert "do not tell from" in kind.findings[0]
+
+
+def test_the_verbs_show_classes(blobs, tmp_path) -> None:
+    folder, run = blobs
+    runner = CliRunner()
+    words = ["calibrate", str(run.path), "--model", "pca-ridge", "--size", "24x24", "--split", "group:press"]
+    words += [
+        "--targets",
+        "none",
+        "--classes",
+        "kind=small/middle/large,wide",
+        "--out",
+        str(tmp_path / "cal"),
+    ]
+    said = runner.invoke(app, [*words, "--quiet"])
+    assert said.exit_code == 0, said.output
+    assert "where always saying small gives" in said.output
+    assert "true class" in said.output
+    page = (tmp_path / "cal" / "report.html").read_text()
+    assert "said middle" in page
+    assert "promised in each class" in page
+    sensed = runner.invoke(app, ["sense", str(tmp_path / "cal"), str(run.path), "--json"])
+    first = json.loads(sensed.output.splitlines()[0])["readings"]["kind"]
+    assert set(first) == {"value", "set", "classes", "valid", "why"}
+    scored = runner.invoke(app, ["evaluate", str(folder / "cal"), str(run.path), "--no-keep", "--quiet"])
+    assert "wide: " in scored.output
+    refused = runner.invoke(app, [*words[:-3], "kind=,wide", "--out", str(tmp_path / "no")])
+    assert refused.exit_code != 0
