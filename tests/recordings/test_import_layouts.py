@@ -207,6 +207,18 @@ def test_a_pattern_that_cannot_tell_labels_apart_is_refused(pattern, tmp_path) -
 def test_an_image_that_the_pattern_does_not_fit_is_named(tmp_path) -> None:
     picture(taps(tmp_path) / "odd.png", 1)
     refused(tmp_path, "'0.png'", name_pattern="x{x_mm}.png")
+    picture(tmp_path / "taps" / "x2.5.png", 7)
+    refused(tmp_path, "4 of 5", name_pattern="x{x_mm}.png")
+    given = {"name_pattern": "x{x_mm}.png", "allow_unlabelled": True}
+    import_images(tmp_path / "taps", tmp_path / "run", **given)
+    assert Run.open(tmp_path / "run").labels["x_mm"].tolist() == [2.5]
+
+
+def test_a_file_whose_name_looks_like_a_pattern_is_that_file(tmp_path) -> None:
+    folder = taps(tmp_path)
+    (folder / "labels[1].csv").write_text("file,x_mm\n0.png,1\n1.png,2\n2.png,3\n")
+    import_images(folder, tmp_path / "run", labels="labels[1].csv")
+    assert len(Run.open(tmp_path / "run")) == 3
 
 
 def test_tables_of_sessions_with_other_columns_are_refused(tmp_path) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
-from palpate.core import InputError, LabelError, PathText, Values, split_column, storage_errors
+from palpate.core import InputError, LabelError, PathText, UnitError, Values, split_column, storage_errors
 from palpate.recordings.manifest import LabelKind
 from palpate.recordings.table_files import pyarrow_for
 
@@ -216,7 +216,10 @@ def _target(table: pd.DataFrame, name: str, source: str) -> np.ndarray:
     if name not in table.columns:
         numbers = [c for c, kind in label_kinds(table).items() if kind == "number"]
         raise LabelError(f"{source} has no column {name!r}; its columns of numbers are {', '.join(numbers)}")
-    split_column(name)
+    try:
+        split_column(name)
+    except UnitError as e:
+        raise UnitError(f"{source}: {e}; `palpate import images` gives it one: --unit {name}=mm") from e
     column = table[name]
     if _kind(column) != "number":
         odd = [i for i, cell in enumerate(column) if not _is_number(str(cell))]

@@ -141,6 +141,7 @@ def import_images(
         tuple(columns),
         decimal,
         in_order,
+        allow_unlabelled,
     )
     found, exported = _found(folder, layout)
     if not allow_unlabelled:

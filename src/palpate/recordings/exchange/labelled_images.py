@@ -55,6 +55,7 @@ class LabelLayout:
         columns: names of the columns, where the file has none.
         decimal: what stands before decimals, see `read_labels`.
         in_order: whether row ``i`` belongs to the ``i``-th image, counted by the numbers in their names.
+        allow_unlabelled: whether images that the pattern does not fit are left out.
     """
 
     labels: Path | None
@@ -63,6 +64,7 @@ class LabelLayout:
     columns: tuple[str, ...] = ()
     decimal: Decimal = "auto"
     in_order: bool = False
+    allow_unlabelled: bool = False
 
     def __post_init__(self) -> None:
         if (self.labels is None) == (self.name_pattern is None):
@@ -111,10 +113,11 @@ def find_labelled_images(
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder of images; check the name")
     if layout.name_pattern is not None:
-        found = _by_names(folder, layout.name_pattern)
+        found = _by_names(folder, layout.name_pattern, allow_unlabelled=layout.allow_unlabelled)
     else:
-        files = _label_files(folder, Path(layout.labels or ""))
-        if glob.has_magic(str(layout.labels)) and all(map(holds_one_object, files)):
+        labels = Path(layout.labels or "")
+        files = _label_files(folder, labels)
+        if _is_pattern(folder, labels) and all(map(holds_one_object, files)):
             found = _by_files(folder, layout, files)
         else:
             found = _by_tables(folder, layout, files, kinds or {})
@@ -134,11 +137,14 @@ def natural_order(path: Path, folder: Path) -> list[tuple[int, int, str]]:
     return [(1, int(part), part) if part.isdecimal() else (0, 0, part) for part in parts]
 
 
+def _is_pattern(folder: Path, labels: Path) -> bool:
+    there = labels.is_file() or (folder / labels).is_file()
+    return glob.has_magic(str(labels)) and not there
+
+
 def _label_files(folder: Path, labels: Path) -> list[Path]:
-    if labels.is_file():
-        return [labels]
-    if not glob.has_magic(str(labels)):
-        return [folder / labels]
+    if not _is_pattern(folder, labels):
+        return [labels if labels.is_file() else folder / labels]
     if labels.is_absolute() or ".." in labels.parts:
         raise LabelError(
             f"the pattern {labels} does not stay inside {folder}; write it relative to that folder"
@@ -282,25 +288,25 @@ def _by_files(folder: Path, layout: LabelLayout, files: Sequence[Path]) -> Label
     return LabelledImages(table, tuple(paths), shown, f"{len(files)} files in {folder}", given or "")
 
 
-def _by_names(folder: Path, pattern: str) -> LabelledImages:
+def _by_names(folder: Path, pattern: str, *, allow_unlabelled: bool) -> LabelledImages:
     """Labels from the images' own names."""
     fields, expression = name_expression(pattern)
-    paths = images_in(folder)
-    names = [path.relative_to(folder).as_posix() for path in paths]
-    found = [_match(expression, name) for name in names]
-    strange = [names[i] for i, match in enumerate(found) if match is None]
-    if strange or not paths:
+    every = [(path, path.relative_to(folder).as_posix()) for path in images_in(folder)]
+    found = [(path, name, match) for path, name in every if (match := _match(expression, name))]
+    if not found or (len(found) < len(every) and not allow_unlabelled):
+        fitting = {name for _, name, _ in found}
+        strange = [name for _, name in every if name not in fitting]
+        shown = ", ".join(map(repr, strange[:_SHOWN])) or "none is there"
         raise LabelError(
-            f"{len(strange)} of {len(paths)} images in {folder} are not named {pattern!r}, e.g. "
-            f"{', '.join(map(repr, strange[:_SHOWN])) or 'none is there'}; write the whole name, with "
-            f"{{NAME}} for each label"
+            f"{len(strange)} of {len(every)} images in {folder} are not named {pattern!r}, e.g. {shown}; "
+            "write the whole name, with {NAME} for each label, or allow unlabelled images to leave them out"
         )
-    cells = [match.groups() for match in found if match is not None]
-    columns = {name: typed_column([row[k] for row in cells]) for k, name in enumerate(fields)}
+    columns = {name: typed_column([m.groups()[k] for _, _, m in found]) for k, name in enumerate(fields)}
     table = pd.DataFrame(columns)
     refuse_formulas(table, folder)
-    resolved = tuple(path.resolve() for path in paths)
-    return LabelledImages(table, resolved, tuple(names), f"names in {folder}", "")
+    refuse_gaps(table, f"names in {folder}")
+    paths, names = tuple(path.resolve() for path, _, _ in found), tuple(name for _, name, _ in found)
+    return LabelledImages(table, paths, names, f"names in {folder}", "")
 
 
 def name_expression(pattern: str) -> tuple[list[str], re.Pattern[str]]:
