@@ -304,7 +304,7 @@ def test_a_key_says_the_unit_of_its_value() -> None:
     assert readings["depth"].value == readings["depth_m"].value == 6.2e-4
     for key, reading in readings.items():
         assert reading.column == key
-    assert repr(readings) == "<Readings depth 0.62 mm ± 0.04 mm, inside the calibrated range>"
+    assert repr(readings) == "<Readings depth 0.620 mm ± 0.040 mm, inside the calibrated range>"
     assert "depth_mm" in readings._repr_html_()
 
 

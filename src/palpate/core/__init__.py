@@ -96,7 +96,16 @@ from palpate.core.shapes import (
     Values,
     ndarray,
 )
-from palpate.core.units import UNITS, Unit, has_unit, split_column, unit
+from palpate.core.units import (
+    UNITS,
+    Unit,
+    half_width_text,
+    has_unit,
+    interval_text,
+    rounded,
+    split_column,
+    unit,
+)
 
 __all__ = [
     "DEFAULT_SENSOR", "FRESH", "NS_PER_S", "RIGID", "SEATED", "SENSORS", "UNITS", "UNTOLD", "AlignedBox",
@@ -104,13 +113,13 @@ __all__ = [
     "ColumnError", "Complex", "Complex64", "Contact", "DeviceError", "Drift", "EarlierPress", "Ellipsoid",
     "ExistsError",
     "Field", "FieldReading", "Float", "Float16", "Float32", "ForceLaw", "ForceSensor", "Frame",
-    "FrameSource", "GridAxis", "Image", "ImageAxes", "ImageError", "Images", "Indices", "InputError",
-    "Int", "LabelError", "ManualClock", "Mask", "MeasurementResult", "MissingExtraError",
-    "MonotonicClock", "Outline", "PalpateError", "PathText", "PluginError", "Pose", "Position",
-    "PressHistory", "Probe", "Progress", "ProgressCount", "ProtocolError", "RangeError", "Reading",
-    "Readings", "RecordingError", "SafetyError", "Seating", "Sensor", "SetReading", "Shaped", "Specimen",
-    "SplitError", "Stage", "StorageError", "Tensor", "Travel", "UInt8", "UInt16", "Unit", "UnitError",
-    "Values", "VectorReading", "Wrench", "force_law", "has_unit", "in_parallel", "is_hidden", "is_rigid",
-    "lock", "ndarray", "new_file", "new_folder", "own_plans_of", "refuse_existing", "sha256_of",
-    "sha256_of_all", "silent", "split_column", "storage_errors", "sync", "unit", "untouched",
+    "FrameSource", "GridAxis", "Image", "ImageAxes", "ImageError", "Images", "Indices", "InputError", "Int",
+    "LabelError", "ManualClock", "Mask", "MeasurementResult", "MissingExtraError", "MonotonicClock",
+    "Outline", "PalpateError", "PathText", "PluginError", "Pose", "Position", "PressHistory", "Probe",
+    "Progress", "ProgressCount", "ProtocolError", "RangeError", "Reading", "Readings", "RecordingError",
+    "SafetyError", "Seating", "Sensor", "SetReading", "Shaped", "Specimen", "SplitError", "Stage",
+    "StorageError", "Tensor", "Travel", "UInt8", "UInt16", "Unit", "UnitError", "Values", "VectorReading",
+    "Wrench", "force_law", "half_width_text", "has_unit", "in_parallel", "interval_text", "is_hidden",
+    "is_rigid", "lock", "ndarray", "new_file", "new_folder", "own_plans_of", "refuse_existing", "rounded",
+    "sha256_of", "sha256_of_all", "silent", "split_column", "storage_errors", "sync", "unit", "untouched",
 ]  # fmt: skip

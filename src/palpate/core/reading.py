@@ -16,7 +16,7 @@ import numpy as np
 
 from palpate.core.errors import ColumnError, InputError, UnitError
 from palpate.core.shapes import Bool, Float
-from palpate.core.units import has_unit, split_column, unit
+from palpate.core.units import half_width_text, has_unit, interval_text, rounded, split_column, unit
 
 Same = TypeVar("Same", bound="MeasurementResult")
 
@@ -114,9 +114,6 @@ class MeasurementResult:
         return f"<code>{escape(str(self))}</code>"
 
 
-MAX_LEAN = 0.01  # share of an interval's length by which its two sides differ and it is still written as ±
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Reading(MeasurementResult):
     """One scalar read from one frame.
@@ -150,11 +147,8 @@ class Reading(MeasurementResult):
         return {"value": value, "unit": self.unit, **ends}
 
     def __str__(self) -> str:
-        above, below = self.high - self.value, self.value - self.low
-        around = f"± {(above + below) / 2:.2g}"
-        if abs(above - below) > MAX_LEAN * (above + below):
-            around = f"+{above:.2g} −{below:.2g}"
-        return f"{self.quantity} {self.value:.3g} {self.unit} {around} {self.unit}, {self.verdict}"
+        value, around = interval_text(self.value, self.low, self.high)
+        return f"{self.quantity} {value} {self.unit} {around} {self.unit}, {self.verdict}"
 
 
 class Readings(Mapping[str, MeasurementResult]):
@@ -280,7 +274,7 @@ class CircularReading(MeasurementResult):
         half = min(self.high - self.low, self.period) / 2
         shown = wrapped(self.value, self.period)
         return (
-            f"{self.quantity} {shown:.3g} {self.unit} ± {half:.2g} {self.unit} "
+            f"{self.quantity} {rounded(shown, half)} {self.unit} ± {half_width_text(half)} {self.unit} "
             f"(modulo {self.period:g} {self.unit}), {self.verdict}"
         )
 
@@ -411,7 +405,7 @@ class VectorReading(MeasurementResult):
 
     def __str__(self) -> str:
         each = zip(self.components, self.value, self.region.half_widths, strict=True)
-        shown = ", ".join(f"{name} {value:.3g} ± {half:.2g}" for name, value, half in each)
+        shown = ", ".join(f"{name} {rounded(v, half)} ± {half_width_text(half)}" for name, v, half in each)
         return f"{self.quantity} ({shown}) {self.unit} together, {self.verdict}"
 
 
@@ -515,7 +509,8 @@ class SetReading(MeasurementResult):
         return {"candidates": candidates, "unit": self.unit, "range": _plain(self.calibrated_range)}
 
     def __str__(self) -> str:
-        shown = " or ".join(f"{v:.3g} ± {(high - low) / 2:.2g}" for v, low, high in self.candidates)
+        halves = [(value, (high - low) / 2) for value, low, high in self.candidates]
+        shown = " or ".join(f"{rounded(value, half)} ± {half_width_text(half)}" for value, half in halves)
         return f"{self.quantity} {shown or 'without a candidate'} {self.unit}, {self.verdict}"
 
 

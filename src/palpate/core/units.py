@@ -1,7 +1,8 @@
 """Units live in names at the edges (`depth_mm`) and are SI inside.
 
 A label column, a target and a JSON key are written ``quantity_unit``. `split_column` takes such a
-name apart, `Unit.to_si` and `Unit.from_si` convert.
+name apart, `Unit.to_si` and `Unit.from_si` convert, and `rounded` writes a value as far as its interval bears
+it out.
 """
 
 from __future__ import annotations
@@ -114,3 +115,62 @@ def has_unit(name: str) -> bool:
     except UnitError:
         return False
     return True
+
+
+DIGITS = 2
+"""Significant digits of an uncertainty: JCGM 100:2008 (GUM), 7.2.6, https://doi.org/10.59161/JCGM100-2008E."""
+
+
+def decimals_for(half_width: float) -> int | None:
+    """Decimals at which a half-width has two significant digits; negative for tens, None where it has none.
+
+    Example:
+        >>> decimals_for(0.0137), decimals_for(0.62), decimals_for(0.0996), decimals_for(340.0)
+        (3, 2, 2, -1)
+    """
+    if not (math.isfinite(half_width) and half_width > 0):
+        return None
+    place = DIGITS - 1 - math.floor(math.log10(half_width))
+    # 0.0996 has two digits as 0.10: rounding may carry into the place before.
+    return DIGITS - 1 - math.floor(math.log10(round(half_width, place)))
+
+
+def rounded(value: float | None, half_width: float) -> str:
+    """A value to the decimal place of its interval's half-width; three digits where there is none.
+
+    Example:
+        >>> rounded(1.83456, 0.2137), rounded(12345.0, 340.0), rounded(1.5, 0.0), rounded(None, 0.1)
+        ('1.83', '12340', '1.5', '–')
+    """
+    if value is None or not math.isfinite(value):
+        return "–"
+    decimals = decimals_for(half_width)
+    if decimals is None:
+        return f"{value:.3g}"
+    shown = f"{round(value, decimals):.{max(decimals, 0)}f}"
+    return shown.removeprefix("-") if float(shown) == 0 else shown
+
+
+def half_width_text(half_width: float) -> str:
+    """A half-width to its own two digits."""
+    return rounded(half_width, half_width)
+
+
+MAX_LEAN = 0.01  # share of an interval's length by which its two sides differ and it is still written as ±
+
+
+def interval_text(value: float, low: float, high: float) -> tuple[str, str]:
+    """A value, and its interval around it: ± where its two sides are alike, and else each side by itself.
+
+    All are written to the place of half the interval's length.
+
+    Example:
+        >>> interval_text(1.1234, 0.9, 1.3468), interval_text(1.1234, 0.575, 1.62)
+        (('1.12', '± 0.22'), ('1.12', '+0.50 −0.55'))
+    """
+    above, below, half = high - value, value - low, (high - low) / 2
+    if abs(above - below) <= MAX_LEAN * (above + below):
+        return rounded(value, half), f"± {half_width_text(half)}"
+    if not math.isfinite(half):
+        return rounded(value, half), "± –"
+    return rounded(value, half), f"+{rounded(above, half)} −{rounded(below, half)}"

@@ -33,6 +33,8 @@ from palpate.core import (
     Tensor,
     Values,
     VectorReading,
+    half_width_text,
+    rounded,
     sha256_of,
     unit,
 )
@@ -375,16 +377,18 @@ class Estimator:
 
     def __repr__(self) -> str:
         targets = ", ".join(
-            [f"{t.column} ± {t.score.half_width:.2g}" for t in self.card.targets]
+            [f"{t.column} ± {half_width_text(t.score.half_width)}" for t in self.card.targets]
             + [f"{c.column} of {len(c.names)} classes" for c in self.card.classes or ()]
         )
         return f"<Estimator {self.card.id} of {self.card.sensor or 'a sensor'}: {targets}>"
 
     def _repr_html_(self) -> str:
         rows = "".join(
-            f"<tr><td>{escape(t.column)}</td><td>{t.least:.3g} to {t.greatest:.3g} {t.unit}</td>"
-            f"<td>{t.score.mae:.2g} {t.unit}</td><td>± {t.score.half_width:.2g} {t.unit}</td></tr>"
+            f"<tr><td>{escape(t.column)}</td><td>{rounded(t.least, half)} to {rounded(t.greatest, half)} "
+            f"{t.unit}</td><td>{rounded(t.score.mae, half)} {t.unit}</td><td>± {half_width_text(half)} "
+            f"{t.unit}</td></tr>"
             for t in self.card.targets
+            for half in (t.score.half_width,)
         )
         heads = ("target", "range", "mean absolute error", f"{100 * self.card.coverage:g} % interval")
         head = "".join(f"<th>{name}</th>" for name in heads)

@@ -8,8 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from palpate.core import half_width_text, rounded
 from palpate.estimators.finding_cards import ConfoundCard
 from palpate.estimators.model_card import ScoreCard
+from palpate.reports.score_intervals import (
+    MIN_R2_HALF_WIDTH,
+    explained_half_width,
+    mean_error_half_width,
+    percent,
+)
 
 if TYPE_CHECKING:
     from palpate.recordings.integrity import CheckReport
@@ -44,15 +51,17 @@ def scores_table(scores: Mapping[str, ScoreCard]) -> str:
 
 
 def _cells(name: str, s: ScoreCard) -> tuple[str, ...]:
+    off, ends = mean_error_half_width(s, s.n), (s.coverage_90_low, s.coverage_90_high)
+    covered, low, high = (percent(share, *ends) for share in (s.coverage_90, *ends))
     return (
         name,
         s.unit,
-        f"{s.mae:.3g}",
-        f"{s.mean_mae:.3g}",
-        f"{s.rmse:.3g}",
-        f"{s.r2:.3f}",
-        f"±{s.half_width:.3g}",
-        f"{100 * s.coverage_90:.3g} ({100 * s.coverage_90_low:.3g}–{100 * s.coverage_90_high:.3g}) %",
+        rounded(s.mae, off),
+        rounded(s.mean_mae, off),
+        rounded(s.rmse, off),
+        rounded(s.r2, max(explained_half_width(s, s.n), MIN_R2_HALF_WIDTH)),
+        f"±{half_width_text(s.half_width)}",
+        f"{covered} ({low}–{high}) %",
     )
 
 

@@ -1,0 +1,39 @@
+"""Half-widths of the 95 % intervals of scores, to which a report rounds them."""
+
+from __future__ import annotations
+
+import math
+
+from palpate.core import rounded
+from palpate.estimators.model_card import ScoreCard
+
+CONFIDENT = 1.96  # standard deviations on either side of a mean, for 95 %
+MIN_SHARE_HALF_WIDTH = 1.0
+"""Half-width of a share in percent that is written at least: one decimal is enough of any rate."""
+MIN_R2_HALF_WIDTH = 1e-3
+"""Half-width of R² that is written at least: a fourth decimal of it tells nobody anything."""
+
+
+def mean_error_half_width(score: ScoreCard, groups: int) -> float:
+    """Half-width of a mean absolute error's 95 % interval, groups counted as groups.
+
+    Errors of one group are taken for one: of n groups the mean has the n-th root of the spread of |error|,
+    whose square is the mean square less the square of the mean.
+    """
+    spread = math.sqrt(max(score.rmse**2 - score.mae**2, 0.0))
+    return CONFIDENT * spread / math.sqrt(max(min(groups, score.n), 1))
+
+
+def explained_half_width(score: ScoreCard, groups: int) -> float:
+    """Half-width of the 95 % interval of R², groups counted as groups.
+
+    1 - R² is a ratio of two variances, each of which varies by the root of 2/n of itself where errors and
+    truths are normal.
+    """
+    n = max(min(groups, score.n), 1)
+    return CONFIDENT * abs(1 - score.r2) * math.sqrt(4 / n)
+
+
+def percent(share: float, low: float, high: float) -> str:
+    """A share, to the place of its own interval, in percent and without the sign."""
+    return rounded(100 * share, max(50 * (high - low), MIN_SHARE_HALF_WIDTH))
