@@ -19,6 +19,7 @@ from palpate.estimators.finding_cards import (
     RobustnessCard,
     SessionsCard,
 )
+from palpate.estimators.reading_steps import StepsCard, reading_steps
 from palpate.recordings.preparation import Preparation
 
 FORMAT = "palpate-calibration/1"
@@ -285,11 +286,12 @@ class Card(SealedCard):
         robustness: against changes of the camera; None in cards of before, and in adapted ones.
         confounds: audit of what other than touch could have told the labels; None where none was made.
         classes: labels of classes, whose outputs stand behind the targets'; None where there are none.
+        steps: from a camera's pixels to a reading; None on a card from before it said so.
     """
 
     added: ClassVar[tuple[str, ...]] = (
         "adapted_from", "vectors", "sessions", "order", "interval_reset", "copy_of", "choice",
-        "robustness", "confounds", "classes",
+        "robustness", "confounds", "classes", "steps",
     )  # fmt: skip
 
     format: Literal["palpate-calibration/1"]
@@ -321,6 +323,7 @@ class Card(SealedCard):
     robustness: RobustnessCard | None = None
     confounds: ConfoundCard | None = None
     classes: tuple[ClassCard, ...] | None = None
+    steps: StepsCard | None = None
 
     @model_validator(mode="after")
     def _classes_fit(self) -> Card:
@@ -357,6 +360,7 @@ class Card(SealedCard):
 
 
 def sealed(content: Mapping[str, Any]) -> Card:
-    """A card with its id set from its content (given as keyword values, without `id`)."""
-    unsealed = Card(id="", **content)
+    """A card with its steps and its id set from its content (given as keyword values, without `id`)."""
+    told = Card(id="", **content)
+    unsealed = told.model_copy(update={"steps": reading_steps(told)})
     return unsealed.model_copy(update={"id": card_id(unsealed.model_dump(mode="json"))})

@@ -1,0 +1,252 @@
+"""Every step from a camera's pixels to a reading, in words and numbers, for another laboratory's program.
+
+What stands here is what `recordings.preparation`, `estimators.certified`, `range_intervals`, `reading_rules`
+and `reference_uncertainty` do; a test runs the reader on the page `read-without-palpate.md`, which knows the
+card alone, against them. A card whose readings are made by other steps names another rule, so that a reader
+of this one refuses it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from palpate.estimators.card_ground import CardPart
+
+if TYPE_CHECKING:
+    from palpate.estimators.model_card import Card, InputCard, TargetCard
+
+RULE = "palpate-steps/1"
+GREY_WEIGHTS, GREY_ROUNDING, GREY_SHIFT = (9798, 19235, 3735), 16384, 15
+"""Red, green and blue's parts of grey in 1/32768: ITU-R BT.601's 0.299, 0.587 and 0.114, as OpenCV rounds
+them."""
+SMALLER, LARGER = "INTER_AREA", "INTER_LINEAR"
+CLIP = 3.0
+MIN_SPREAD, MAX_SPREAD = 0.2, 5.0
+
+
+class StepsCard(CardPart):
+    """Steps from a camera's pixels to a reading.
+
+    Attributes:
+        rule: which steps these are; a reader that does not know the rule refuses the card.
+        grey_weights, grey_rounding, grey_shift: (weights . (red, green, blue) + rounding) >> shift is grey.
+        smaller, larger: OpenCV's interpolation where no side grows, and where one does.
+        clip: bound of the scaled outputs in the spread's terms.
+        min_spread, max_spread: bounds of the spread, in units of `TargetCard.typical`.
+        words: every step as a sentence, in order.
+    """
+
+    rule: str
+    grey_weights: tuple[int, int, int]
+    grey_rounding: int
+    grey_shift: int
+    smaller: str
+    larger: str
+    clip: float
+    min_spread: float
+    max_spread: float
+    words: tuple[str, ...]
+
+
+def reading_steps(card: Card) -> StepsCard:
+    """The steps by which readings of a card are made: the numbers by name, and each step as a sentence."""
+    return StepsCard(
+        rule=RULE,
+        grey_weights=GREY_WEIGHTS,
+        grey_rounding=GREY_ROUNDING,
+        grey_shift=GREY_SHIFT,
+        smaller=SMALLER,
+        larger=LARGER,
+        clip=CLIP,
+        min_spread=MIN_SPREAD,
+        max_spread=MAX_SPREAD,
+        words=(*_picture(card.input), *_network(card), *_interval(card), *_verdict(card), *_refusals(card)),
+    )
+
+
+def _picture(given: InputCard) -> tuple[str, ...]:
+    height, width = given.frame_px
+    boxes = [box for box in (given.crop_px, given.beside_px) if box is not None]
+    frame = (
+        f"Take a frame of {width} x {height} px, 8 bits a channel, grey or red, green, blue in this order, "
+        "the rows from the top; a frame of another size is not read."
+    )
+    places = " and ".join(f"columns {x} to {x + w - 1}, rows {y} to {y + h - 1}" for x, y, w, h in boxes)
+    cut = (f"Cut out {places}, counted from 0 at the top left.",) if boxes else ()
+    return (frame, *cut, _channels(given), _scaling(given, boxes or [(0, 0, width, height)]))
+
+
+def _channels(given: InputCard) -> str:
+    if given.channels == 3:
+        return "Keep the three channels; of a grey frame each of them is its grey."
+    red, green, blue = GREY_WEIGHTS
+    return (
+        f"Make colour grey by ITU-R BT.601 in whole numbers: ({red} red + {green} green + {blue} blue + "
+        f"{GREY_ROUNDING}) >> {GREY_SHIFT}; a grey frame stays as it is."
+    )
+
+
+def _scaling(given: InputCard, boxes: list[tuple[int, int, int, int]]) -> str:
+    height, width = given.size_px[0], given.size_px[1] // len(boxes)
+    ways = " or ".join(sorted({_way(w, h, width, height) for _, _, w, h in boxes}))
+    if len(boxes) == 1:
+        return f"Bring it to {width} x {height} px, {ways}."
+    return f"Bring each part to {width} x {height} px, {ways}, and lay the second to the right of the first."
+
+
+def _way(w: int, h: int, width: int, height: int) -> str:
+    if (w, h) == (width, height):
+        return "which it has already"
+    if width <= w and height <= h:
+        return f"by OpenCV's {SMALLER}: each pixel is the mean of the area that it covers, rounded"
+    return f"by OpenCV's {LARGER}, linear interpolation, since a side grows"
+
+
+def _network(card: Card) -> tuple[str, ...]:
+    given = card.input
+    shape = f"[1, {given.channels}, {given.size_px[0]}, {given.size_px[1]}]"
+    numbers = "Take the grey levels as they are, 0 to 255, as 32-bit floating point numbers"
+    less = ", less those of an image of the untouched sensor, brought to this form in the same way"
+    outputs = [name for target in card.targets for name in _outputs_of(target)]
+    network = (
+        f"Give them to {card.model.file} (ONNX) as its input `image`, {shape}: one frame, channels, rows, "
+        f"columns. Its output `value` has {len(outputs)} numbers: {', '.join(outputs)}."
+    )
+    circular = tuple(
+        f"The estimate of {target.column} is atan2(sine, cosine) times {target.period:g} / (2 pi), above "
+        f"-{target.period / 2:g} and up to {target.period / 2:g} {target.unit}; it comes round again after "
+        f"{target.period:g} {target.unit}."
+        for target in card.targets
+        if target.period is not None
+    )
+    return (f"{numbers}{less if given.delta else ''}.", network, *circular)
+
+
+def _outputs_of(target: TargetCard) -> tuple[str, ...]:
+    if target.circular is None:
+        return (f"the estimate of {target.column} in {target.unit}",)
+    return (f"the cosine of {target.column}", f"its sine ({target.column})")
+
+
+def _interval(card: Card) -> tuple[str, ...]:
+    circular = any(target.circular is not None for target in card.targets)
+    scale = (
+        ", each with its own centre and scale (a cosine and a sine with the pairs in `circular`)"
+        if circular
+        else ""
+    )
+    terms = (
+        f"For each output of the model take s = (output - centre) / scale{scale}, held between -{CLIP:g} and "
+        f"{CLIP:g}; for all outputs together the terms 1, then each s, then each product s_i s_j with i <= "
+        "j, in the order 11, 12, ..., 22, 23, ...."
+    )
+    spread = (
+        "The spread of a target is typical times exp(coefficients . terms), where the exponential is held "
+        f"between {MIN_SPREAD:g} and {MAX_SPREAD:g}."
+    )
+    interval = (
+        "Half is quantile times the spread. The interval reaches from estimate - half to estimate + half, "
+        f"and is made to hold the truth in {100 * card.coverage:g} % of readings."
+    )
+    banded = [target.column for target in card.targets if _has_bands(target)]
+    return (terms, spread, interval, *_bands(banded))
+
+
+def _has_bands(target: TargetCard) -> bool:
+    over = target.over_range
+    return over is not None and over.by_truth is not None and over.by_estimate is not None
+
+
+def _bands(columns: list[str]) -> tuple[str, ...]:
+    if not columns:
+        return ()
+    named = ", ".join(columns)
+    truths = (
+        f"The interval of {named} is lengthened to cover every part of the range. `over_range.by_truth` "
+        "divides the range at its limits into cells. Of each cell whose half is above 0 take estimate + "
+        "spread (centre - half) to estimate + spread (centre + half), cut to the cell, the outermost cells "
+        "having no end; what is left of it, if anything, belongs to the interval."
+    )
+    estimates = (
+        "Of `over_range.by_estimate` take the one cell that the estimate lies in (a limit belongs to the "
+        "cell above it); where its half is above 0, the same piece, not cut, belongs to the interval. The "
+        "interval's ends are the least and the greatest of all these, so that it need not lie evenly around "
+        "the estimate."
+    )
+    return (truths, estimates)
+
+
+def _verdict(card: Card) -> tuple[str, ...]:
+    plain = [t for t in card.targets if t.circular is None and t.over_range is not None]
+    before = [t for t in card.targets if t.circular is None and t.over_range is None]
+    circular = [t for t in card.targets if t.circular is not None]
+    said: list[str] = []
+    if plain:
+        said.append(
+            f"A reading of {_named(plain)} is not valid where its interval is as long as the calibrated "
+            "range, greatest - least, or longer."
+        )
+        said.append(
+            "Nor is it where it is extrapolated, by the pairs `over_range.beyond` and `reach` (below, "
+            "above): where the estimate lies below least, or above greatest, by more than beyond; or where "
+            "the interval reaches below least, or above greatest, by more than reach."
+        )
+    if before:
+        said.append(
+            f"A reading of {_named(before)} is not valid where the whole interval lies beyond least to "
+            "greatest: estimate < least - half or estimate > greatest + half."
+        )
+    if circular:
+        said.append(
+            f"A reading of {_named(circular)} is not valid where its interval is as long as the period, or "
+            "where the estimate lies outside the arc from least to greatest, the shorter way round, by "
+            "more than half."
+        )
+    return (*said, *_reference(card), *_vectors(card))
+
+
+def _named(targets: list[TargetCard]) -> str:
+    return ", ".join(target.column for target in targets)
+
+
+def _reference(card: Card) -> tuple[str, ...]:
+    measured = [t for t in card.targets if t.measured_by is not None and t.measured_by.half_width > 0]
+    if not measured:
+        return ()
+    last = (
+        f"Last, each side of the interval of {_named(measured)} becomes the root of its square plus the "
+        "square of `measured_by.half_width`, which is what the labels' own instrument leaves open; the "
+        "rules above were for the interval before."
+    )
+    return (last,)
+
+
+def _vectors(card: Card) -> tuple[str, ...]:
+    return tuple(
+        f"{v.column} is {', '.join(v.columns)} together. Its region holds the differences d for which "
+        "d . inverse(C) d <= radius squared, where C is correlation_ij times spread_i spread_j"
+        f"{_with_instruments(card, v.columns)}; it is valid where all of them are."
+        for v in card.vectors or ()
+    )
+
+
+def _with_instruments(card: Card, columns: tuple[str, ...]) -> str:
+    stated = any(t.measured_by is not None for t in card.targets if t.column in columns)
+    return ", and (measured_by.half_width / radius) squared more on its diagonal" if stated else ""
+
+
+def _refusals(card: Card) -> tuple[str, ...]:
+    guard = (
+        f"No reading is valid where the frame is unlike those calibrated on. {card.guard.file} judges that, "
+        "and palpate reads it: by the distance of the frame's thumbnail from those calibrated on, beside "
+        "what is usual among them, and, where changes of the camera were tried, by what the changes that "
+        "the frame looks most like cost this model. A program without that check does not know when a "
+        "picture is not to be trusted."
+    )
+    copy = (
+        f"Nor where the frame looks like one of {card.copy_of.former} rather than of {card.copy_of.name}, "
+        f"which {card.copy_of.file.file} tells apart."
+        if card.copy_of is not None and card.copy_of.file is not None
+        else ""
+    )
+    return (guard, copy) if copy else (guard,)

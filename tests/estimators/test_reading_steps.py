@@ -1,0 +1,254 @@
+"""The reader on the page, which knows only the card and the model's file, reads what palpate reads."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from palpate.calibration import CalibrationPlan, calibrate
+from palpate.calibration.training_data import ReferenceRule
+from palpate.core import Image
+from palpate.estimators import Estimator, read_card
+from palpate.estimators.certified import intervals_of
+from palpate.estimators.model_card import CellsCard, InstrumentCard, RangeCard, TargetCard, sealed
+from palpate.estimators.reading_rules import doubt
+from palpate.estimators.reading_steps import GREY_ROUNDING, GREY_SHIFT, GREY_WEIGHTS, reading_steps
+from palpate.estimators.reference_uncertainty import with_reference
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "read-without-palpate.md"
+WITHOUT_PALPATE = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.M | re.S)[0]
+TOGETHER = 1e-9  # of a target's range: floating point of the interval, and the same float32 network
+
+CASES: dict[str, dict[str, Any]] = {
+    "grey": {"size_px": (24, 32)},
+    "colour-made-grey": {"size_px": (24, 32), "colour": True},
+    "colour": {"size_px": (24, 32), "channels": 3, "colour": True},
+    "grey-in-three-channels": {"size_px": (24, 32), "channels": 3},
+    "crop": {"size_px": (16, 16), "crop_px": (7, 3, 41, 37)},
+    "two-crops": {
+        "size_px": (13, 22),
+        "crop_px": (0, 5, 30, 31),
+        "beside_px": (20, 2, 44, 40),
+        "colour": True,
+    },
+    "difference": {"size_px": (24, 32), "delta": True},
+    "sizes-that-do-not-divide": {"size_px": (17, 23), "crop_px": (1, 1, 61, 45), "colour": True},
+    "enlarged": {"size_px": (60, 80)},
+    "one-side-enlarged": {"size_px": (60, 20), "colour": True},
+    "as-it-is": {"size_px": (48, 64)},
+    "one-target": {"size_px": (24, 32), "targets": ("x_mm",)},
+}
+"""Calibrations to compare on; another kind of card is another row."""
+
+
+def colourful(image: Image) -> Image:
+    """A frame whose channels differ, so that their order counts."""
+    return np.stack([image, 255 - image, (image.astype(int) * 3 % 256).astype(np.uint8)], axis=2)
+
+
+@pytest.fixture(params=CASES)
+def compared(request, record_spots, tmp_path, monkeypatch):
+    """The page's names after it was run beside a calibration, palpate's estimator, and frames."""
+    case = dict(CASES[request.param])
+    colour, targets = case.pop("colour", False), case.pop("targets", ("x_mm", "height_mm"))
+    run = record_spots("run", 16, colour=colour)
+    rule = ReferenceRule("reference", "true")
+    calibrate(
+        run,
+        CalibrationPlan(targets, "pca-ridge", split="group:press", reference=rule, **case),
+        tmp_path / "cal",
+    )
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(WITHOUT_PALPATE, names)
+    rng = np.random.default_rng(3)
+    like = run.frame(0).image
+    strange = [np.zeros_like(like), np.full_like(like, 255), rng.integers(0, 256, like.shape, np.uint8)]
+    frames = [run.frame(i).image for i in range(0, len(run), 5)] + strange
+    return names, Estimator.open("cal"), [colourful(one) for one in frames if one.ndim == 2][:4] + frames
+
+
+def words_say_the_numbers(estimator: Estimator) -> None:
+    given, words = estimator.card.input, " ".join(estimator.card.steps.words)
+    height, width = given.frame_px
+    assert f"{width} x {height} px" in words
+    assert ("BT.601" in words) == (given.channels == 1)
+    assert ("untouched" in words) == given.delta
+    for x, y, w, h in filter(None, (given.crop_px, given.beside_px)):
+        assert f"columns {x} to {x + w - 1}, rows {y} to {y + h - 1}" in words
+    for part in (
+        "float",
+        "quantile",
+        "between 0.2 and 5",
+        "-3 and 3",
+        "90 %",
+        "least",
+        "guard.npz",
+        "beyond",
+    ):
+        assert part in words
+    assert estimator.card.steps == reading_steps(estimator.card)
+
+
+def test_the_page_s_reader_reads_what_palpate_reads(compared) -> None:
+    names, estimator, frames = compared
+    targets = estimator.card.targets
+    words_say_the_numbers(estimator)
+    zero = estimator.zero(frames[0]) if estimator.card.input.delta else None
+    ranges = intervals_of(estimator.card)
+    allowed = set()
+    for frame in frames:
+        mine, readings = names["read"](frame, frames[0]), estimator.read(frame, zero)
+        assert list(mine) == list(readings)
+        value = np.array([[mine[target.column][0] for target in targets]])
+        low, high = (ends[0] for ends in ranges.ends(value))
+        for target, own_low, own_high in zip(targets, low, high, strict=True):
+            reading, (estimate, *ends, meets) = readings[target.column], mine[target.column]
+            near = TOGETHER * (target.greatest - target.least)
+            assert [estimate, *ends] == pytest.approx(
+                [reading.value, reading.low, reading.high], rel=1e-12, abs=near
+            )
+            assert bool(meets) == (not doubt(target, estimate, own_low, own_high))
+            allowed.add(bool(meets))
+            if reading.valid:
+                assert meets
+    assert True in allowed
+
+
+def a_card_of_bands(target: TargetCard, rng: np.random.Generator) -> TargetCard:
+    """The target with bands in ten cells, some of them none, limits that bind, and an instrument."""
+    span = target.greatest - target.least
+
+    def cells() -> CellsCard:
+        limits = np.sort(rng.uniform(target.least, target.greatest, 9))
+        half = 10 ** rng.uniform(-1, 2, 10) * (rng.random(10) < 0.7)
+        return CellsCard(limits=tuple(limits), centre=tuple(rng.normal(0, 2, 10)), half=tuple(half))
+
+    over = RangeCard(
+        by_truth=cells(), by_estimate=cells(), beyond=tuple(rng.uniform(-0.4, 0.1, 2) * span),
+        reach=tuple(rng.uniform(-0.2, 0.2, 2) * span), tenths=(),
+    )  # fmt: skip
+    instrument = InstrumentCard(
+        instrument="scale", certificate="", certified_on="", standard_uncertainty=0.02, resolution=0.0,
+        backlash=0.0, bias_removed=0.0, half_width=float(rng.uniform(0, 0.1) * span),
+    )  # fmt: skip
+    return target.model_copy(update={"over_range": over, "measured_by": instrument})
+
+
+def test_uneven_intervals_and_the_range_s_rule_are_those_of_the_card(
+    record_spots, tmp_path, monkeypatch
+) -> None:
+    """Bands, limits of the range and an instrument drawn at random: each of them binds somewhere."""
+    plan = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", split="group:press", size_px=(24, 32))
+    run = record_spots("run", 16)
+    card = read_card(calibrate(run, plan, tmp_path / "cal"))
+    monkeypatch.chdir(tmp_path)
+    rng, refused, uneven, lengthened = np.random.default_rng(7), set(), 0, 0
+    for _ in range(25):
+        targets = tuple(a_card_of_bands(target, rng) for target in card.targets)
+        changed = sealed(card.model_dump(exclude={"id"}) | {"targets": targets})
+        (tmp_path / "cal" / "card.json").write_text(changed.model_dump_json())
+        names: dict[str, Any] = {}
+        exec(WITHOUT_PALPATE, names)
+        estimator = Estimator.open("cal")
+        ranges = intervals_of(estimator.card)
+        for i in range(0, len(run), 7):
+            frame = run.frame(i).image
+            mine, readings = names["read"](frame), estimator.read(frame)
+            value = np.array([[mine[target.column][0] for target in targets]])
+            half = ranges.half_widths(value)[0]
+            for j, target in enumerate(targets):
+                reading, (estimate, low, high, meets) = readings[target.column], mine[target.column]
+                near = TOGETHER * (target.greatest - target.least)
+                assert [low, high] == pytest.approx([reading.low, reading.high], rel=1e-12, abs=near)
+                own = tuple(float(ends[0][j]) for ends in ranges.ends(value))
+                assert bool(meets) == (not doubt(target, estimate, *own))
+                assert (low, high) == pytest.approx(with_reference(target, estimate, *own))
+                refused.add(doubt(target, estimate, *own).split(" ")[0])
+                uneven += abs((high - estimate) - (estimate - low)) > 0.1 * (high - low)
+                lengthened += own[1] - own[0] > 2.1 * half[j]
+    assert refused == {"", "this", "the", "x", "height"}  # valid; tells nothing; interval, estimates too far
+    assert uneven > 50
+    assert lengthened > 50
+
+
+def test_a_reader_that_knows_no_circle_stops_at_one(record_spots, tmp_path, monkeypatch) -> None:
+    run = record_spots("run", 16)
+    plan = CalibrationPlan(("x_mm",), "pca-ridge", circular={"x_mm": 8.0}, size_px=(24, 32))
+    words = " ".join(read_card(calibrate(run, plan, tmp_path / "cal")).steps.words)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(AssertionError):
+        exec(WITHOUT_PALPATE, {})
+    assert "atan2(sine, cosine) times 8 / (2 pi)" in words
+    assert "as long as the period" in words
+    assert "value` has 2 numbers" in words
+
+
+SPREADS = {
+    "clipped": ({"scale": 1e-6}, (0.0, 0.2, 0.0), "clip"),
+    "wide": ({}, (3.0, 0.0, 0.0), "max_spread"),
+    "narrow": ({}, (-3.0, 0.0, 0.0), "min_spread"),
+}
+
+
+@pytest.mark.parametrize("case", SPREADS)
+def test_the_bounds_of_the_spread_are_those_that_the_card_states(
+    case, record_spots, tmp_path, monkeypatch
+) -> None:
+    """Where they bind, which few frames do, another number on the card would give another interval."""
+    changes, coefficients, name = SPREADS[case]
+    calibrate(
+        record_spots("run", 16), CalibrationPlan(("x_mm",), "pca-ridge", size_px=(24, 32)), tmp_path / "cal"
+    )
+    card = read_card(tmp_path / "cal")
+    target = card.targets[0].model_copy(update={**changes, "coefficients": coefficients})
+    changed = sealed(card.model_dump(exclude={"id"}) | {"targets": (target,)})
+    (tmp_path / "cal" / "card.json").write_text(changed.model_dump_json())
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(WITHOUT_PALPATE, names)
+    estimator, frame = Estimator.open("cal"), np.full((48, 64), 90, np.uint8)
+    assert names["read"](frame)["x_mm"][2] == pytest.approx(estimator.read(frame)["x_mm"].high, abs=TOGETHER)
+    names["steps"][name] *= 0.9
+    assert abs(names["read"](frame)["x_mm"][2] - estimator.read(frame)["x_mm"].high) > 1e-3
+
+
+def test_grey_is_the_card_s_whole_numbers_for_every_colour() -> None:
+    """All 16.8 million of them; OpenCV's arithmetic is not floating point, and not of 14 bits."""
+    red, green = np.meshgrid(np.arange(256), np.arange(256), indexing="ij")
+    for blue in range(256):
+        image = np.stack([red, green, np.full_like(red, blue)], axis=2)
+        by_card = (image @ np.array(GREY_WEIGHTS) + GREY_ROUNDING) >> GREY_SHIFT
+        assert np.array_equal(cv2.cvtColor(image.astype(np.uint8), cv2.COLOR_RGB2GRAY), by_card)
+
+
+def test_a_reader_of_one_rule_stops_at_another(record_spots, tmp_path, monkeypatch) -> None:
+    plan = CalibrationPlan(("x_mm",), "pca-ridge", size_px=(24, 32))
+    path = calibrate(record_spots("run", 16), plan, tmp_path / "cal") / "card.json"
+    monkeypatch.chdir(tmp_path)
+    exec(WITHOUT_PALPATE, {})
+    path.write_text(path.read_text().replace("palpate-steps/1", "palpate-steps/2"))
+    with pytest.raises(AssertionError):
+        exec(WITHOUT_PALPATE, {})
+
+
+def overlaps(old: int, new: int) -> np.ndarray:
+    """Share of each new pixel's length that each old pixel covers ``[new old]``."""
+    edges = np.arange(new + 1) * old / new
+    begin, end = edges[:-1, None], edges[1:, None]
+    length = np.clip(np.minimum(end, np.arange(old) + 1) - np.maximum(begin, np.arange(old)), 0, None)
+    return length * new / old
+
+
+@pytest.mark.parametrize("size", [(24, 32), (17, 23), (48, 20), (13, 64), (2, 3)])
+def test_area_averaging_is_what_the_card_says(size, rng) -> None:
+    """The mean over the area that a pixel covers, parts of pixels as parts, then rounded."""
+    image = rng.integers(0, 256, (48, 64), np.uint8)
+    exact = overlaps(48, size[0]) @ image @ overlaps(64, size[1]).T
+    found = cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA)
+    assert np.abs(found - exact).max() <= 0.5 + 1e-4  # and single precision before it rounds
