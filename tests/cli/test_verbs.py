@@ -23,6 +23,7 @@ VERBS = (
     ["evaluate"],
     ["sense"],
     ["report"],
+    ["compare"],
     ["demo"],
 )
 

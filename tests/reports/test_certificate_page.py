@@ -11,7 +11,7 @@ from palpate.calibration.evaluation import score
 from palpate.core import CertificateError
 from palpate.estimators import read_card
 from palpate.reports import scores_table, verdict, write_report
-from palpate.reports.certificate_page import MIN_TOLD, outer_ranges
+from palpate.reports.target_verdicts import MIN_TOLD, outer_ranges
 from palpate.reports.terminal_text import latency_line
 
 
@@ -25,10 +25,12 @@ def test_the_page_shows_every_target_and_the_audit(calibration, tmp_path) -> Non
     page = write_report(calibration, tmp_path / "page.html").read_text()
     card = read_card(calibration)
     for target in card.targets:
-        assert verdict(target).split(":")[0][:30] in page
+        assert verdict(target, groups=16).split(":")[0][:30] in page
     assert card.split.audit in html.unescape(page)
-    assert page.count("data:image/png") >= len(card.targets) + 6
+    assert page.count("<svg") >= 3 * len(card.targets)
+    assert page.count("data:image/png") >= 6 + 2  # worst cases, an example and the untouched sensor
     assert "<script" not in page
+    assert "http" not in page
 
 
 def test_a_page_is_not_written_from_altered_predictions(calibration, tmp_path) -> None:

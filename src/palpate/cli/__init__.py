@@ -30,6 +30,7 @@ HEADINGS: dict[str, dict[str, str]] = {
         "calibrate": "calibrate_verbs:calibrate",
         "evaluate": "calibrate_verbs:evaluate",
         "report": "calibrate_verbs:report",
+        "compare": "calibrate_verbs:compare",
         "adapt": "calibrate_verbs:adapt",
         "quantise": "calibrate_verbs:quantise",
     },

@@ -1,4 +1,4 @@
-"""Verbs on calibrations: calibrate, evaluate, sense, report, adapt, quantise."""
+"""Verbs on calibrations: calibrate, evaluate, sense, report, compare, adapt, quantise."""
 
 from __future__ import annotations
 
@@ -246,15 +246,51 @@ def report(
         Path | None,
         Option(help="HTML file to make; must not exist. By default beside the folder, of its name."),
     ] = None,
+    steps: Annotated[
+        bool, Option("--steps", help="Print every step from pixels to a reading instead; make no page.")
+    ] = False,
     json_: Json = False,
 ) -> None:
     """Write a calibration's report as one self-contained HTML page.
 
     Example: palpate report cal --out cal.html
     """
+    if steps:
+        from palpate.estimators.certified import read_card
+        from palpate.estimators.reading_steps import reading_steps
+
+        card = read_card(calibration)
+        found = card.steps or reading_steps(card)
+        words = [f"{i}. {sentence}" for i, sentence in enumerate(found.words, start=1)]
+        print_found(found.model_dump(mode="json"), "\n".join(words), json_)
+        return
     page = out or calibration.parent / f"{calibration.resolve().name}.html"
     palpate.write_report(calibration, page)
     print_found({"report": str(page)}, str(page), json_)
+
+
+def compare(
+    first: Annotated[Path, Argument(help="Calibration folder.")],
+    second: Annotated[Path, Argument(help="Another one, that reads some of the same targets.")],
+    out: Annotated[Path | None, Option(help="HTML file to make; must not exist.")] = None,
+    json_: Json = False,
+) -> None:
+    """Set two calibrations side by side.
+
+    Says whether their scores can be compared: on the same rows they are, row by row, with an interval.
+
+    Example: palpate compare cal-ridge cal-cnn --out compared.html
+    """
+    from palpate.core.files import refuse_existing
+    from palpate.reports.comparison_page import compare_calibrations, comparison_text, write_comparison
+
+    if out is not None:
+        refuse_existing(out)
+    comparison = compare_calibrations(first, second)
+    if out is not None:
+        write_comparison(comparison, out)
+    page = {"page": None if out is None else str(out)}
+    print_found(comparison.to_dict() | page, comparison_text(comparison), json_)
 
 
 def _model_options(model: str, pairs: list[str], minutes: float | None) -> dict[str, Any]:
@@ -443,15 +479,19 @@ def _adapted_text(card: Any, out: Path, report: str) -> str:
 
 
 def _cells(target: Any, corrections: dict[str, Any]) -> tuple[str, ...]:
+    from palpate.core import half_width_text, rounded
+    from palpate.reports.score_intervals import mean_error_half_width, percent
+
     change, score = corrections[target.column], target.score
+    off = mean_error_half_width(score, score.n)
     return (
         target.column,
         target.unit,
-        f"{change['mae_before']:.3g}",
-        f"{change['mae_after']:.3g}",
+        rounded(change["mae_before"], off),
+        rounded(change["mae_after"], off),
         change["terms"],
-        f"±{score.half_width:.3g}",
-        f"{100 * score.coverage_90:.1f} %",
+        f"±{half_width_text(score.half_width)}",
+        f"{percent(score.coverage_90, score.coverage_90_low, score.coverage_90_high)} %",
     )
 
 

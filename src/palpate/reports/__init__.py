@@ -7,7 +7,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from palpate.reports.certificate_page import render_report, verdict, write_report
+    from palpate.reports.certificate_page import render_report, write_report
+    from palpate.reports.target_verdicts import verdict
     from palpate.reports.terminal_text import check_text, latency_line, scores_table
 
 _MODULES = {
@@ -15,11 +16,18 @@ _MODULES = {
     "latency_line": "terminal_text",
     "render_report": "certificate_page",
     "scores_table": "terminal_text",
-    "verdict": "certificate_page",
+    "verdict": "target_verdicts",
     "write_report": "certificate_page",
 }
 
-__all__ = ["check_text", "latency_line", "render_report", "scores_table", "verdict", "write_report"]
+__all__ = [
+    "check_text",
+    "latency_line",
+    "render_report",
+    "scores_table",
+    "verdict",
+    "write_report",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,32 +1,42 @@
-"""The pictures of a calibration, each as a PNG in a data address."""
+"""The pictures of a calibration: PNG in a data address, or SVG that takes the page's own colours."""
 
 from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterator
+import pathlib
+import re
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
+from markupsafe import Markup
 from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch, Rectangle
+from matplotlib.path import Path
 
 from palpate.calibration.conformal import few_groups_coverage_interval
 from palpate.calibration.coverage.circular_scores import shortest
+from palpate.core import Bool, Float
 from palpate.estimators.certified import within
 from palpate.estimators.model_card import TargetCard
 
 INK, ACCENT, BAND, BAD = "#1b2a33", "#0b7a75", "#cfe8e6", "#c0392b"
+DECIDES = "#b2381f"
 STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
+    "text.color": INK,
+    "axes.titlecolor": INK,
     "xtick.color": INK,
     "ytick.color": INK,
     "axes.titlesize": 10,
@@ -38,20 +48,44 @@ SURFACES = (("x_mm", "y_mm"), ("contact_x_mm", "contact_y_mm"), ("tilt_x_deg", "
 """Pairs of label columns that say where on the skin a press was; a tilt says where on a dome."""
 
 
-def picture(path: Path) -> str:
+def picture(path: pathlib.Path) -> str:
     """A PNG file as a data address."""
     return _address(path.read_bytes())
 
 
-def target_figure(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) -> str:
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One drawing of a page.
+
+    Attributes:
+        title: what it shows, in words.
+        drawing: SVG to stand in the page.
+    """
+
+    title: str
+    drawing: Markup
+
+
+PANEL_INCH = (3.4, 2.9)
+
+
+def target_panels(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) -> tuple[Panel, ...]:
     """Predicted against true, error against the truth, coverage along the truth, groups counted as groups."""
-    true, guess, half = target_columns(target, table)
-    with styled_panels(10.2, 3.1, columns=3) as (figure, (left, middle, right)):
-        error, inside = errors_of(target, true, guess), held_rows(target, table)
-        _predicted(left, target, true, true + error, inside)
-        _errors(middle, target, true, error, half)
-        _coverage(right, target, true, inside, groups)
-        return drawn(figure)
+    true, guess, _ = target_columns(target, table)
+    error, inside = errors_of(target, true, guess), held_rows(target, table)
+    sides = _sides(target, table)
+    return (
+        _panel("held-out estimate against truth", _predicted, target, true, true + error, inside),
+        _panel("error against truth", _errors, target, true, error, sides, inside),
+        _panel("rows inside their interval", _coverage, target, true, inside, groups),
+    )
+
+
+def _panel(title: str, draw: Callable[..., None], *arguments: Any) -> Panel:
+    with styled_panels(*PANEL_INCH) as (figure, (axes,)):
+        draw(axes, *arguments)
+        axes.set_title(title)
+        return Panel(title, sketched(figure))
 
 
 def surface_columns(table: pd.DataFrame) -> tuple[str, str] | None:
@@ -62,18 +96,65 @@ def surface_columns(table: pd.DataFrame) -> tuple[str, str] | None:
     return None
 
 
-def surface_figure(targets: tuple[TargetCard, ...], table: pd.DataFrame, where: tuple[str, str]) -> str:
+def surface_figure(
+    targets: tuple[TargetCard, ...], table: pd.DataFrame, where: tuple[str, str]
+) -> tuple[Panel, ...]:
     """Mean absolute error over the skin, a map for each target."""
     x, y = (table[c].to_numpy(float) for c in where)
-    columns = min(len(targets), 3)
-    rows = -(-len(targets) // columns)
-    with styled_panels(3.4 * columns, 2.9 * rows, rows, columns) as (figure, panels):
-        for axes in panels[len(targets) :]:
-            axes.set_axis_off()
-        for axes, target in zip(panels, targets, strict=False):
-            true, guess, _ = target_columns(target, table)
-            _map(figure, axes, target, (x, y), np.abs(errors_of(target, true, guess)), where)
-        return drawn(figure)
+    panels = []
+    for target in targets:
+        true, guess, _ = target_columns(target, table)
+        title = target.quantity.replace("_", " ")
+        panels.append(_panel(title, _map, target, (x, y), np.abs(errors_of(target, true, guess)), where))
+    return tuple(panels)
+
+
+def deciding_panel(
+    title: str,
+    unit: str,
+    image: np.ndarray,
+    growth: Float[np.ndarray, "y x"],
+    edges: tuple[np.ndarray, np.ndarray],
+) -> Panel:
+    """The prepared picture, and over it how much the error grows where a block of it shows nothing.
+
+    Args:
+        title: of the panel.
+        unit: of the growth.
+        image: the prepared picture, grey from 0 to 1 ``[h w]``.
+        growth: of the mean absolute error.
+        edges: limits of the blocks down and across [px].
+    """
+    return _panel(title, _deciding, unit, image, growth, edges)
+
+
+def _deciding(
+    axes: Axes, unit: str, image: np.ndarray, growth: np.ndarray, edges: tuple[np.ndarray, np.ndarray]
+) -> None:
+    down, across = edges
+    # Paler, so that the blocks stand out by their darkness alone.
+    axes.imshow(image * 0.45 + 0.55, cmap="gray", vmin=0, vmax=1, extent=(0, across[-1], down[-1], 0))
+    most = max(float(growth.max()), np.finfo(np.float32).tiny)
+    shades = ListedColormap([(*to_rgb(DECIDES), 0.85 * part) for part in np.linspace(0, 1, 128)])
+    shown = axes.pcolormesh(across, down, np.clip(growth, 0, None), cmap=shades, vmin=0, vmax=float(most))
+    for row, column in np.argwhere(deciding_blocks(growth)):
+        corner = (across[column], down[row])
+        size = (across[column + 1] - across[column], down[row + 1] - down[row])
+        axes.add_patch(Rectangle(corner, *size, fill=False, ec="#000000", lw=0.9))
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    figure.colorbar(shown, ax=axes, label=f"growth of mean |error| [{unit}]").outline.set_edgecolor(INK)
+    axes.set(xlim=(0, across[-1]), ylim=(down[-1], 0), xlabel="[px]", aspect="equal")
+
+
+def deciding_blocks(growth: Float[np.ndarray, "y x"]) -> Bool[np.ndarray, "y x"]:
+    """The fewest blocks that hold half of all growth; none where nothing grows."""
+    gains = np.clip(growth, 0, None)
+    order = np.argsort(gains, axis=None)[::-1]
+    before = np.concatenate([[0.0], np.cumsum(gains.ravel()[order])[:-1]])
+    chosen = np.zeros(growth.size, bool)
+    chosen[order[before < gains.sum() / 2]] = True
+    return chosen.reshape(growth.shape) & (gains > 0)
 
 
 def target_columns(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -96,57 +177,95 @@ def held_rows(target: TargetCard, table: pd.DataFrame) -> np.ndarray:
     return within(true, *(table[f"{end}:{target.column}"].to_numpy(float) for end in ("low", "high")))
 
 
+def interval_ends(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of each row's interval; by half-widths in tables of before."""
+    _, guess, half = target_columns(target, table)
+    if f"low:{target.column}" not in table:
+        return guess - half, guess + half
+    return table[f"low:{target.column}"].to_numpy(float), table[f"high:{target.column}"].to_numpy(float)
+
+
+def _sides(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest error, estimate less truth, that each row's interval allows for."""
+    (low, high), guess = interval_ends(target, table), target_columns(target, table)[1]
+    return guess - high, guess - low
+
+
 def _predicted(
     axes: Axes, target: TargetCard, true: np.ndarray, guess: np.ndarray, inside: np.ndarray
 ) -> None:
     ends = [target.least, target.greatest]
     axes.plot(ends, ends, color=INK, lw=0.8)
-    for rows, colour in ((inside, ACCENT), (~inside, BAD)):
-        axes.scatter(true[rows], guess[rows], s=7, color=colour, alpha=0.55, linewidths=0)
-    axes.set(title="held-out estimate against truth", xlabel=_label(target, "true"))
-    axes.set_ylabel(_label(target, "estimated"))
+    _marks(axes, true, guess, inside)
+    axes.set(xlabel=_label(target, "true"), ylabel=_label(target, "estimated"))
 
 
-def _errors(axes: Axes, target: TargetCard, true: np.ndarray, error: np.ndarray, half: np.ndarray) -> None:
-    centres, (typical, width) = _binned(true, np.abs(error), half)
-    axes.scatter(true, error, s=7, color=ACCENT, alpha=0.4, linewidths=0)
-    axes.fill_between(centres, -width, width, color=BAND, zorder=0, label="90 % interval")
+def _errors(
+    axes: Axes,
+    target: TargetCard,
+    true: np.ndarray,
+    error: np.ndarray,
+    sides: tuple[np.ndarray, np.ndarray],
+    inside: np.ndarray,
+) -> None:
+    centres, (typical, least, greatest) = _binned(true, np.abs(error), *sides)
+    _marks(axes, true, error, inside)
+    axes.fill_between(centres, least, greatest, color=BAND, zorder=0, label="90 % interval")
     axes.plot(centres, typical, color=INK, lw=1.4, label="mean |error|")
     axes.axhline(0, color=INK, lw=0.6)
-    axes.set(title="error against truth", xlabel=_label(target, "true"), ylabel=f"error [{target.unit}]")
+    axes.set(xlabel=_label(target, "true"), ylabel=f"error [{target.unit}]")
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.12 * (high - low))  # room for the legend
     axes.legend(frameon=False, fontsize=7, loc="upper right", ncols=2)
+
+
+def _marks(axes: Axes, x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> None:
+    """Dots where the interval held the truth, crosses where it did not: by shape, for who sees no colour.
+
+    All dots are one path of strokes without length and with round ends, a tenth of the text of single marks.
+    """
+    ends = np.repeat(np.column_stack([x, y])[inside], 2, axis=0)
+    dots = Path(ends, np.tile([Path.MOVETO, Path.LINETO], len(ends) // 2), closed=False)
+    dots.should_simplify = False
+    axes.add_patch(PathPatch(dots, fill=False, lw=2.6, ec=ACCENT, alpha=0.55, capstyle="round"))
+    axes.scatter(x[~inside], y[~inside], s=14, color=BAD, marker="x", linewidths=0.9)
+    axes.update_datalim(np.column_stack([x, y]))
+    axes.autoscale_view()
 
 
 def _coverage(
     axes: Axes, target: TargetCard, true: np.ndarray, inside: np.ndarray, groups: np.ndarray
 ) -> None:
+    least = 40.0
     for rows in _bins(true):
         low, high = few_groups_coverage_interval(inside[rows], groups[rows])
-        centre = float(true[rows].mean())
+        centre, covered = float(true[rows].mean()), 100 * float(inside[rows].mean())
         axes.plot([centre, centre], [100 * low, 100 * high], color=ACCENT, lw=1.4)
-        axes.plot(centre, 100 * inside[rows].mean(), "o", color=ACCENT, ms=4)
+        axes.plot(centre, covered, "o", color=ACCENT, ms=4)
+        least = min(least, covered - 3)
     axes.axhline(90, color=INK, lw=0.8, ls="--")
-    axes.set(title="rows whose interval covers the truth", ylabel="[%], bars: 95 % interval", ylim=(40, 102))
+    axes.set(ylabel="[%], bars: 95 % interval", ylim=(least, 102))
     axes.set_xlabel(_label(target, "true"))
 
 
 def _map(
-    figure: Figure,
     axes: Axes,
     target: TargetCard,
     at: tuple[np.ndarray, np.ndarray],
     error: np.ndarray,
     where: tuple[str, str],
 ) -> None:
-    drawn: Any
     places = pd.DataFrame({"x": at[0], "y": at[1], "error": error})
+    drawn: Any
     if len(places.drop_duplicates(["x", "y"])) <= 300:
         means = places.groupby(["x", "y"], as_index=False)["error"].mean()
-        drawn = axes.scatter(means["x"], means["y"], c=means["error"], s=70, cmap="viridis", vmin=0)
+        drawn = axes.scatter(means["x"], means["y"], c=means["error"], s=50, cmap="viridis", vmin=0)
     else:
         drawn = axes.hexbin(*at, C=error, gridsize=14, mincnt=1, cmap="viridis", vmin=0, linewidths=0.1)
-    figure.colorbar(drawn, ax=axes, label=f"mean |error| [{target.unit}]")
-    axes.set(title=target.quantity, xlabel=_axis(where[0]), ylabel=_axis(where[1]))
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    figure.colorbar(drawn, ax=axes, label=f"mean |error| [{target.unit}]").outline.set_edgecolor(INK)
+    axes.set(xlabel=_axis(where[0]), ylabel=_axis(where[1]))
 
 
 def _binned(true: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
@@ -184,6 +303,22 @@ def drawn(figure: Figure) -> str:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     return _address(buffer.getvalue())
+
+
+_IN_PAGE = ((INK, "currentColor"), (ACCENT, "var(--accent)"), (BAND, "var(--band)"), (BAD, "var(--bad)"))
+_NOT_IN_PAGE = re.compile(r"<metadata>.*?</metadata>|\sxmlns(:\w+)?=\"[^\"]*\"", re.DOTALL)
+
+
+def sketched(figure: Figure) -> Markup:
+    """A figure as SVG to stand in a page: its colours are the page's, and so light or dark as the page is."""
+    buffer = io.StringIO()
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "palpate"}):
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+    text = buffer.getvalue()
+    text = _NOT_IN_PAGE.sub("", text[text.index("<svg") :]).replace("xlink:href", "href")
+    for colour, name in _IN_PAGE:
+        text = text.replace(colour, name)
+    return Markup(text)  # noqa: S704 -- of our own figures; matplotlib escapes the words in them
 
 
 def _address(png: bytes) -> str:

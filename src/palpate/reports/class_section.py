@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import pandas as pd
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 
 from palpate.estimators.class_sets import ClassCard, ClassCoverageCard, ClassScoreCard
 from palpate.estimators.model_card import Card
@@ -22,16 +20,16 @@ def class_lines(card: ClassCard, score: ClassScoreCard, coverage: float) -> list
     head = max(len("true class"), *map(len, card.names))
     columns = "  ".join(name.rjust(width) for name, width in zip(card.names, widths, strict=True))
     lines = [
-        f"{card.column}: {summary(card, score)}",
+        f"{card.column}: {classes_told(card, score)}",
         f"{'true class':{head}}  {columns}  in its set ({100 * coverage:g} % asked)",
     ]
     for name, counts, covered in zip(card.names, score.confusion, score.coverage, strict=True):
         cells = "  ".join(f"{count:{width}d}" for count, width in zip(counts, widths, strict=True))
-        lines.append(f"{name:{head}}  {cells}  {_covered(covered)}")
+        lines.append(f"{name:{head}}  {cells}  {class_covered(covered)}")
     return lines
 
 
-def summary(card: ClassCard, score: ClassScoreCard) -> str:
+def classes_told(card: ClassCard, score: ClassScoreCard) -> str:
     """Accuracy beside the baseline's, and the size of the sets, in a sentence."""
     return (
         f"{100 * score.accuracy:.1f} % of {score.n} rows right (95 % interval "
@@ -42,23 +40,13 @@ def summary(card: ClassCard, score: ClassScoreCard) -> str:
     )
 
 
-def _covered(one: ClassCoverageCard) -> str:
+def class_covered(one: ClassCoverageCard) -> str:
+    """Share of a class's rows whose set held it, with the interval of that share."""
     if not one.rows:
         return "no rows"
     return (
         f"{100 * one.covered / one.rows:.1f} % ({100 * one.low:.1f} to {100 * one.high:.1f} %; "
         f"{one.groups} groups)"
-    )
-
-
-def class_section(card: Card) -> Markup:
-    """The classes' part of a report, as HTML; empty where there are none."""
-    environment = Environment(
-        loader=PackageLoader("palpate.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    template = environment.get_template("class_section.html")
-    return Markup(  # noqa: S704 -- the template escapes what stands in it
-        template.render(card=card, summary=summary, covered=_covered)
     )
 
 

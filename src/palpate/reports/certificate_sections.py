@@ -1,0 +1,348 @@
+"""Sections of a calibration's page: a function here and a template of its name in `templates/certificate`.
+
+A section is shown where its function returns values for its template, and left out where it returns None, as
+where a card or folder lacks what it would show. To add one, write both and name it in `SECTIONS`, in the
+order in which a reader needs them: what forbids trust, answers, pictures, tables, where it came from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from palpate.calibration.certificate import read_predictions
+from palpate.calibration.conformal import few_groups_coverage_interval
+from palpate.calibration.coverage import target_findings
+from palpate.calibration.evaluation import groups_in
+from palpate.calibration.sessions import EvaluationRecord
+from palpate.calibration.sessions.evaluation_record import PREFIX, SUFFIX, read_evaluation
+from palpate.core import CertificateError, interval_text, rounded
+from palpate.estimators.certified import layout_of
+from palpate.estimators.finding_cards import ConfoundFindingCard
+from palpate.estimators.model_card import Card, TargetCard
+from palpate.estimators.reading_steps import reading_steps
+from palpate.recordings.label_tables import OWN, own_column
+from palpate.reports.calibration_figures import (
+    errors_of,
+    held_rows,
+    interval_ends,
+    picture,
+    surface_columns,
+    surface_figure,
+    target_panels,
+)
+from palpate.reports.class_section import class_answer, classes_told
+from palpate.reports.evidence_sections import (
+    audit,
+    choice,
+    deciding,
+    evaluations,
+    instruments,
+    order,
+    robustness,
+    sessions,
+)
+from palpate.reports.target_verdicts import (
+    OuterRange,
+    answer,
+    fails,
+    not_read,
+    others,
+    outer_ranges,
+    reading_half_width,
+    tested_text,
+    verdict,
+)
+
+
+@dataclass(frozen=True)
+class ReportedCalibration:
+    """A calibration as the page's sections see it.
+
+    Attributes:
+        folder: where it is.
+        card: what it says of itself.
+    """
+
+    folder: Path
+    card: Card
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """Its held-out predictions, a row a frame."""
+        return read_predictions(self.folder, self.card)
+
+    @cached_property
+    def groups(self) -> np.ndarray:
+        """``[n]`` number of each row's group."""
+        return groups_in(self.table, self.card.split.columns)
+
+    @property
+    def scored_groups(self) -> int:
+        """How many groups were scored."""
+        return len(np.unique(self.groups))
+
+    @cached_property
+    def targets(self) -> tuple[TargetCard, ...]:
+        """Its targets; where groups are few, with an interval of the coverage that takes each for one row."""
+        if self.scored_groups >= MIN_GROUPS:
+            return self.card.targets
+        return tuple(_judged_by_few(target, self.table, self.groups) for target in self.card.targets)
+
+    @cached_property
+    def ends(self) -> dict[str, tuple[OuterRange, ...]]:
+        """Outer ranges of each target, by its column."""
+        return {t.column: outer_ranges(t, self.table, self.groups) for t in self.card.targets}
+
+    @property
+    def evaluations(self) -> tuple[EvaluationRecord, ...]:
+        """Scores of this very calibration on other recordings, the earliest first."""
+        return self._kept[0]
+
+    @property
+    def refused_evaluations(self) -> tuple[str, ...]:
+        """What is wrong with each file beside the card that looks like an evaluation and is none of its."""
+        return self._kept[1]
+
+    @cached_property
+    def _kept(self) -> tuple[tuple[EvaluationRecord, ...], tuple[str, ...]]:
+        found, refused = [], []
+        for path in sorted(self.folder.glob(f"{PREFIX}*{SUFFIX}")):
+            try:
+                found.append(read_evaluation(path, self.card))
+            except CertificateError as e:
+                refused.append(str(e).replace(str(path), path.name))  # the page goes to other people
+        return tuple(sorted(found, key=lambda one: one.created_utc)), tuple(refused)
+
+
+MIN_GROUPS = 10
+"""Groups below which drawing them again says too little of how a coverage scatters among them."""
+
+
+def _judged_by_few(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) -> TargetCard:
+    low, high = few_groups_coverage_interval(held_rows(target, table), groups)
+    ends = {"coverage_90_low": low, "coverage_90_high": high}
+    return target.model_copy(update={"score": target.score.model_copy(update=ends)})
+
+
+Values = dict[str, Any]
+
+
+def findings(report: ReportedCalibration) -> Values | None:
+    """What the audits found, where they found anything: it stands before the numbers."""
+    card = report.card
+    told = [f for f in (card.confounds.findings if card.confounds else ()) if f.severity != "notes"]
+    remedies = {
+        remedy: [f for f in told if f.remedy == remedy] for remedy in dict.fromkeys(f.remedy for f in told)
+    }
+    sentences = [] if card.split.clean else [card.split.audit]
+    sentences += [f"{sentence}." for sentence in (card.sessions.findings if card.sessions else ())]
+    if not told and not sentences:
+        return None
+    failed = not card.split.clean or bool(card.confounds and card.confounds.failed)
+    return {"failed": failed, "head": _head(card, failed), "remedies": remedies, "sentences": sentences}
+
+
+def _head(card: Card, failed: bool) -> str:
+    """What the findings come to, and of which targets."""
+    if not failed:
+        return "The audit warns"
+    named = [t.quantity.replace("_", " ") for t in card.targets if not_relied_on(card, t)]
+    if len(named) in (0, len(card.targets)):
+        return "The audit failed: do not rely on these scores"
+    return f"The audit failed: do not rely on the scores of {', '.join(named)}"
+
+
+def answers(report: ReportedCalibration) -> Values:
+    """One sentence a target, and on which day it was tested."""
+    return {
+        "answers": [_answer(report, target) for target in report.targets],
+        "vectors": report.card.vectors or (),
+        "classes": [
+            {
+                "text": f"{one.column.replace('_', ' ')}: {classes_told(one, one.score)}",
+                "bad": one.score.says_nothing,
+            }
+            for one in report.card.classes or ()
+        ],
+        "day": _day(report),
+        "untested": _untested(report),
+    }
+
+
+def _answer(report: ReportedCalibration, target: TargetCard) -> dict[str, str]:
+    card, ends, name = report.card, report.ends[target.column], target.quantity.replace("_", " ")
+    tested = tested_text(card, target, report.evaluations)
+    sentences = [answer(card, target, ends, report.scored_groups, tested)]
+    if not not_read(target):
+        sentences += [one.removeprefix(f"{name}: ") for one in target_findings(target, card.coverage)]
+    joined = reading_half_width(target, report.table)
+    if joined is not None and target.measured_by is not None:
+        own = rounded(target.measured_by.half_width, joined)
+        sentences.append(
+            f"readings say ±{rounded(joined, joined)} {target.unit} on average, since they hold the ±{own} "
+            f"{target.unit} of what the labels were measured with, too"
+        )
+    if not_relied_on(card, target):
+        sentences.append("do not rely on this: the audit failed, see above")
+    bad = not_read(target) or not_relied_on(card, target)
+    warned = fails(card, target, ends, report.evaluations)
+    return {"text": ". ".join(one[0].upper() + one[1:] for one in sentences[1:]), "first": sentences[0],
+            "style": "bad" if bad else "warn" if warned else ""}  # fmt: skip
+
+
+def not_relied_on(card: Card, target: TargetCard) -> bool:
+    """True where an audit failed over a target, or over all."""
+    j, layout = card.columns.index(target.column), layout_of(card)
+    own = {target.column, *layout.names(card.columns)[layout.outputs_of(j)], ""}
+    found: tuple[ConfoundFindingCard, ...] = card.confounds.findings if card.confounds else ()
+    return not card.split.clean or any(f.severity == "fails" and f.target in own for f in found)
+
+
+def _day(report: ReportedCalibration) -> str:
+    """The card's sentence on the day that its numbers are of, unless an evaluation has said more."""
+    card = report.card
+    if card.interval_reset is not None:
+        return card.interval_reset.text
+    if card.sessions is None or (card.sessions.held_out < 2 and others(report.evaluations)):
+        return ""
+    return card.sessions.text
+
+
+def _untested(report: ReportedCalibration) -> bool:
+    """True for a card from before sessions were told apart, and not evaluated since."""
+    return report.card.sessions is None and not others(report.evaluations)
+
+
+def targets(report: ReportedCalibration) -> Values | None:
+    """Figures of each target, with its verdict and the tenths of its range."""
+    if not report.targets:
+        return None
+    return {
+        "targets": [
+            {
+                "name": target.quantity.replace("_", " "),
+                "verdict": verdict(target, report.ends[target.column], report.scored_groups),
+                "bad": not_read(target),
+                "findings": target_findings(target, report.card.coverage),
+                "panels": target_panels(target, report.table, report.groups),
+                "card": target,
+                "one_width": target.over_range is not None and target.over_range.by_truth is None,
+            }
+            for target in report.targets
+        ],
+        "coverage": report.card.coverage,
+    }
+
+
+def classes(report: ReportedCalibration) -> Values | None:
+    """Confusion and sets of each column of classes."""
+    told = report.card.classes
+    return {"classes": told, "coverage": report.card.coverage} if told else None
+
+
+def surface(report: ReportedCalibration) -> Values | None:
+    """Maps of the error over the skin, where the labels say where it was pressed."""
+    where = surface_columns(report.table)
+    if where is None or not report.targets:
+        return None
+    return {"where": where, "maps": surface_figure(report.card.targets, report.table, where)}
+
+
+def scores(report: ReportedCalibration) -> Values | None:
+    """The table of scores."""
+    if not report.targets:
+        return None
+    few = report.scored_groups < MIN_GROUPS
+    return {"card": report.card, "targets": report.targets, "groups": report.scored_groups, "few": few}
+
+
+def split(report: ReportedCalibration) -> Values:
+    """How rows were held out."""
+    return {"split": report.card.split}
+
+
+def worst(report: ReportedCalibration) -> Values | None:
+    """Picture, name and estimate of each frame that was missed most."""
+    frames = []
+    paths = report.folder.glob("worst-*.png")
+    for number in sorted(int(path.stem.split("-")[1]) for path in paths):
+        row = report.table[own_column(report.table, "row") == number].iloc[0]
+        name = str(row[f"{OWN}frame" if f"{OWN}frame" in row else "frame"])
+        shown = picture(report.folder / f"worst-{number}.png")
+        frames.append({"picture": shown, "frame": name, "said": _said(row, report.card)})
+    return {"worst": frames} if frames else None
+
+
+def _said(row: pd.Series, card: Card) -> str:
+    if not card.targets:
+        return class_answer(row, card)
+    return _estimate_text(row, max(card.targets, key=lambda t: _error(row, t) / (t.greatest - t.least)))
+
+
+def _error(row: pd.Series, target: TargetCard) -> float:
+    true, estimate = (np.array([float(row[name])]) for name in (target.column, f"estimate:{target.column}"))
+    return abs(float(errors_of(target, true, estimate)[0]))
+
+
+def _estimate_text(row: pd.Series, target: TargetCard) -> str:
+    (low,), (high,) = interval_ends(target, row.to_frame().T)
+    value, around = interval_text(float(row[f"estimate:{target.column}"]), float(low), float(high))
+    true = rounded(float(row[target.column]), (high - low) / 2)
+    return f"{target.quantity.replace('_', ' ')} {value} {around} {target.unit}, truth {true} {target.unit}"
+
+
+def source(report: ReportedCalibration) -> Values:
+    """Recording, input, model and software."""
+    example, reference = report.folder / "example.png", report.folder / "reference.png"
+    return {
+        "card": report.card,
+        "example": picture(example) if example.exists() else "",
+        "reference": picture(reference) if reference.exists() else "",
+    }
+
+
+def steps(report: ReportedCalibration) -> Values:
+    """Every step from the camera's pixels to a reading; of a card from before they stood on it, derived."""
+    return {"words": steps_of(report.card)}
+
+
+def steps_of(card: Card) -> tuple[str, ...]:
+    """A card's steps in words; of a card from before it said them, those it was made for."""
+    return (card.steps or reading_steps(card)).words
+
+
+def use(report: ReportedCalibration) -> Values:
+    """How to use it, and what it does not promise."""
+    before = all(target.over_range is None for target in report.card.targets)
+    return {"card": report.card, "before": before}
+
+
+SECTIONS: tuple[Callable[[ReportedCalibration], Values | None], ...] = (
+    findings,
+    answers,
+    targets,
+    classes,
+    deciding,
+    surface,
+    scores,
+    sessions,
+    evaluations,
+    order,
+    audit,
+    split,
+    robustness,
+    instruments,
+    choice,
+    worst,
+    source,
+    steps,
+    use,
+)
+"""In the order of the page; the name of each is that of its template."""

@@ -1,0 +1,348 @@
+"""Two calibrations side by side: what each says of a target, and whether the two can be compared at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from palpate.calibration.certificate import read_predictions
+from palpate.calibration.conformal import means_of_redrawn_groups
+from palpate.calibration.evaluation import groups_in
+from palpate.calibration.sessions import EvaluationRecord
+from palpate.core import (
+    CertificateError,
+    InputError,
+    PathText,
+    half_width_text,
+    new_file,
+    rounded,
+)
+from palpate.estimators.certified import checked_file, read_card
+from palpate.estimators.model_card import Card, TargetCard
+from palpate.recordings.label_tables import own_column
+from palpate.reports.calibration_figures import errors_of
+from palpate.reports.certificate_page import filled_template
+from palpate.reports.certificate_sections import ReportedCalibration, not_relied_on
+from palpate.reports.score_intervals import mean_error_half_width, percent
+from palpate.reports.target_verdicts import tested_text
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorDifference:
+    """Difference of two mean absolute errors on the same held-out rows, the second's less the first's.
+
+    Attributes:
+        rows, groups: on which.
+        difference: of the means [the target's unit]; negative where the second is better.
+        low, high: its 95 % interval, groups drawn again whole, both calibrations' errors together.
+    """
+
+    rows: int
+    groups: int
+    difference: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedTarget:
+    """One target of two calibrations.
+
+    Attributes:
+        column: its label column.
+        first, second: what each card says of it.
+        paired: their errors on the rows that both held out; None where these differ.
+    """
+
+    column: str
+    first: TargetCard
+    second: TargetCard
+    paired: ErrorDifference | None
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationComparison:
+    """Two calibrations, target by target.
+
+    Attributes:
+        cards: of both.
+        targets: those that both have.
+        only: columns that one has and the other has not, of each.
+        obstacles: why the scores of the two cannot be compared, a sentence each; empty where they can.
+        evaluations: kept beside each card, the earliest first.
+    """
+
+    cards: tuple[Card, Card]
+    targets: tuple[ComparedTarget, ...]
+    only: tuple[tuple[str, ...], tuple[str, ...]]
+    obstacles: tuple[str, ...]
+    evaluations: tuple[tuple[EvaluationRecord, ...], tuple[EvaluationRecord, ...]]
+
+    @property
+    def shared_runs(self) -> tuple[tuple[EvaluationRecord, EvaluationRecord], ...]:
+        """Evaluations of both on one and the same run, the latest of each."""
+        latest = [{str(one.run["hash"]): one for one in kept} for kept in self.evaluations]
+        return tuple((latest[0][run], latest[1][run]) for run in latest[0] if run in latest[1])
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Which scores not to rely on, a sentence each: a confound makes errors small, too."""
+        return tuple(
+            f"The audit of {card.id} failed: do not rely on its scores of {', '.join(failed)}."
+            for card in self.cards
+            if (failed := [t.column for t in card.targets if not_relied_on(card, t)])
+        )
+
+    def tested(self, column: str) -> tuple[str, str]:
+        """On which days each was tested."""
+        return tuple(  # type: ignore[return-value]
+            tested_text(card, next(t for t in card.targets if t.column == column), kept)
+            for card, kept in zip(self.cards, self.evaluations, strict=True)
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it as JSON can hold it."""
+        return {
+            "calibrations": [card.id for card in self.cards],
+            "comparable": not self.obstacles,
+            "obstacles": list(self.obstacles),
+            "warnings": list(self.warnings),
+            "only": [list(columns) for columns in self.only],
+            "sessions": [
+                None if card.sessions is None else card.sessions.model_dump(mode="json")
+                for card in self.cards
+            ],
+            "evaluations": [[one.model_dump(mode="json") for one in kept] for kept in self.evaluations],
+            "targets": {
+                one.column: {
+                    "unit": one.first.unit,
+                    "range": [[t.least, t.greatest] for t in (one.first, one.second)],
+                    "mae": [t.score.mae for t in (one.first, one.second)],
+                    "half_width": [t.score.half_width for t in (one.first, one.second)],
+                    "coverage_90": [t.score.coverage_90 for t in (one.first, one.second)],
+                    "tested": list(self.tested(one.column)),
+                    "paired": one.paired
+                    and {
+                        "rows": one.paired.rows,
+                        "groups": one.paired.groups,
+                        "mae_difference": one.paired.difference,
+                        "low": one.paired.low,
+                        "high": one.paired.high,
+                    },
+                }
+                for one in self.targets
+            },
+        }
+
+
+def compare_calibrations(first: PathText, second: PathText) -> CalibrationComparison:
+    """Set two calibrations side by side.
+
+    Raises:
+        CertificateError: a folder is no calibration, or damaged.
+        InputError: the two have no target in common, or have it in other units.
+        MissingExtraError: a table of predictions is Parquet, and pyarrow is not installed.
+    """
+    folders = Path(first), Path(second)
+    cards = read_card(folders[0]), read_card(folders[1])
+    for folder, card in zip(folders, cards, strict=True):
+        for part in card.files:
+            checked_file(folder, part)
+    both = [column for column in cards[0].columns if column in cards[1].columns]
+    if not both:
+        raise InputError(
+            f"{first} reads {', '.join(cards[0].columns)} and {second} {', '.join(cards[1].columns)}: no "
+            f"target in common{_other_units(cards)}; compare calibrations that read the same column"
+        )
+    tables = tuple(_by_frame(folder, card) for folder, card in zip(folders, cards, strict=True))
+    obstacles = _obstacles(cards, tables, both)
+    only = tuple(tuple(c for c in card.columns if c not in both) for card in cards)
+    targets = tuple(_compared(column, cards, tables, paired=not obstacles) for column in both)
+    kept = tuple(ReportedCalibration(*each).evaluations for each in zip(folders, cards, strict=True))
+    return CalibrationComparison(cards, targets, (only[0], only[1]), obstacles, (kept[0], kept[1]))
+
+
+def _other_units(cards: tuple[Card, Card]) -> str:
+    """Quantities that both have, each in a unit of its own, in words; empty where there is none."""
+    units = [{t.quantity: t.unit for t in card.targets} for card in cards]
+    both = [f"{name} is in {units[0][name]} and in {units[1][name]}" for name in units[0] if name in units[1]]
+    return f" ({', '.join(both)})" if both else ""
+
+
+def _by_frame(folder: Path, card: Card) -> pd.DataFrame:
+    """Held-out predictions by the row of the run that they are of."""
+    table = read_predictions(folder, card)
+    row = own_column(table, "row")
+    if row.duplicated().any():
+        raise CertificateError(f"{folder} has more than one prediction for some rows; calibrate again")
+    return table.set_index(pd.Index(row.to_numpy(int)))
+
+
+def _obstacles(
+    cards: tuple[Card, Card], tables: tuple[pd.DataFrame, ...], columns: list[str]
+) -> tuple[str, ...]:
+    """Reasons why two sets of scores say nothing about which calibration is the better one."""
+    a, b = cards
+    if a.run.hash != b.run.hash:
+        elsewhere = (
+            f"They were scored on different recordings, {a.run.run_id} and {b.run.run_id}: a smaller error "
+            "may be an easier recording. Calibrate both on one, or score both on a third by palpate evaluate."
+        )
+        return (elsewhere,)
+    found = [
+        f"{column} comes round again in one and is a plain number in the other: their errors are not of one "
+        "kind. Calibrate both with or without --circular."
+        for column in columns
+        if len({t.period for card in cards for t in card.targets if t.column == column}) > 1
+    ]
+    if a.split.kind != b.split.kind:
+        found.append(
+            f"Their rows were held out in different ways, {a.split.kind} and {b.split.kind}: the one that "
+            "keeps more apart has the harder test. Calibrate both with the same --split."
+        )
+    if set(tables[0].index) != set(tables[1].index):
+        common = len(set(tables[0].index) & set(tables[1].index))
+        found.append(
+            f"They were scored on different rows: {len(tables[0])} and {len(tables[1])}, of which {common} "
+            "are the same. Calibrate both with the same --split, --folds, --scored-folds and --seed."
+        )
+    elif not _same_folds(tables):
+        found.append(
+            "The same rows were held out, but together with others: the folds differ, and so does what each "
+            "was trained on. Calibrate both with the same --folds and --seed."
+        )
+    elif not _alike([table[columns] for table in tables]):
+        found.append("Their rows hold different labels for the same frames; look at how each was made.")
+    return tuple(found)
+
+
+def _same_folds(tables: tuple[pd.DataFrame, ...]) -> bool:
+    return _alike([own_column(table, "held_out_in_fold") for table in tables])
+
+
+def _alike(two: Sequence[pd.DataFrame | pd.Series[Any]]) -> bool:
+    """True where two tables or columns hold the same of the same rows."""
+    return bool(np.array_equal(two[0].sort_index().to_numpy(), two[1].sort_index().to_numpy()))
+
+
+def _compared(
+    column: str, cards: tuple[Card, Card], tables: tuple[pd.DataFrame, ...], *, paired: bool
+) -> ComparedTarget:
+    first, second = (next(t for t in card.targets if t.column == column) for card in cards)
+    difference = _difference(first, cards[0], tables) if paired else None
+    return ComparedTarget(column, first, second, difference)
+
+
+def _difference(target: TargetCard, card: Card, tables: tuple[pd.DataFrame, ...]) -> ErrorDifference:
+    sorted_ = [table.sort_index() for table in tables]
+    names = (target.column, f"estimate:{target.column}")
+    errors = [np.abs(errors_of(target, *(t[name].to_numpy(float) for name in names))) for t in sorted_]
+    change, groups = errors[1] - errors[0], groups_in(sorted_[0], card.split.columns)
+    low, high = np.quantile(means_of_redrawn_groups(change, groups), [0.025, 0.975])
+    return ErrorDifference(len(change), len(np.unique(groups)), float(change.mean()), float(low), float(high))
+
+
+def judgement(one: ComparedTarget) -> str:
+    """Which calibration reads a target better, in a sentence, or that these rows do not tell."""
+    name, pair = one.first.quantity.replace("_", " "), one.paired
+    if pair is None:
+        return f"{name}: not comparable, see above."
+    width, unit = (pair.high - pair.low) / 2, one.first.unit
+    if pair.low <= 0 <= pair.high:
+        ends = f"{rounded(pair.low, width)} to {rounded(pair.high, width)} {unit}"
+        interval = f"95 % interval of the difference {ends}, {pair.groups} groups"
+        return f"{name}: these rows do not tell which errs less ({interval})."
+    better, sign = ("second", -1.0) if pair.difference < 0 else ("first", 1.0)
+    low, high = sorted((sign * pair.low, sign * pair.high))
+    interval = f"95 % interval {rounded(low, width)} to {rounded(high, width)} {unit}, {pair.groups} groups"
+    by = rounded(sign * pair.difference, width)
+    return f"{name}: the {better} errs less, by {by} {unit} on average ({interval})."
+
+
+def comparison_text(comparison: CalibrationComparison) -> str:
+    """The comparison for a terminal."""
+    cards = comparison.cards
+    only = zip(cards, comparison.only, strict=True)
+    lines = [
+        "calibrations " + " and ".join(f"{card.id} ({card.model_name})" for card in cards),
+        *(f"NOT COMPARABLE: {obstacle}" for obstacle in comparison.obstacles),
+        *comparison.warnings,
+        *_table([HEAD, *(_cells(one, cards) for one in comparison.targets)]),
+        *(judgement(one) for one in comparison.targets if one.paired),
+        *_days(comparison),
+        *(f"only {card.id} reads {', '.join(columns)}" for card, columns in only if columns),
+    ]
+    return "\n".join(lines)
+
+
+def _days(comparison: CalibrationComparison) -> list[str]:
+    """On which other day each was tested, said once where all targets say the same."""
+    lines = []
+    for k, card in enumerate(comparison.cards):
+        said = {one.column: comparison.tested(one.column)[k] for one in comparison.targets}
+        if len(set(said.values())) == 1:
+            lines.append(f"{card.id}: {next(iter(said.values()))}")
+        else:
+            lines += [f"{card.id}, {column}: {text}" for column, text in said.items()]
+    return lines
+
+
+HEAD = ("target", "unit", "MAE", "", "90 %", "", "covered", "")
+
+
+def _cells(one: ComparedTarget, cards: tuple[Card, Card]) -> tuple[str, ...]:
+    scores = (one.first.score, one.second.score)
+    pairs = zip(scores, cards, strict=True)
+    maes = [rounded(s.mae, mean_error_half_width(s, card.split.groups)) for s, card in pairs]
+    halves = [f"±{half_width_text(s.half_width)}" for s in scores]
+    shares = [f"{percent(s.coverage_90, s.coverage_90_low, s.coverage_90_high)} %" for s in scores]
+    return (one.column, one.first.unit, *maes, *halves, *shares)
+
+
+def _table(rows: list[tuple[str, ...]]) -> list[str]:
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.ljust(width) if i < 2 else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
+def write_comparison(comparison: CalibrationComparison, out: PathText) -> Path:
+    """Write a comparison as one HTML page.
+
+    Raises:
+        ExistsError: `out` exists.
+    """
+    text = filled_template(
+        "comparison.html",
+        comparison=comparison,
+        judgements={one.column: judgement(one) for one in comparison.targets},
+        sessions=[_sessions_text(card) for card in comparison.cards],
+        confounds=[_confounds_text(card) for card in comparison.cards],
+    )
+    out = Path(out)
+    with new_file(out) as path:
+        path.write_text(text, encoding="utf-8")
+    return out
+
+
+def _sessions_text(card: Card) -> str:
+    if card.sessions is None:
+        return "not told apart"
+    return f"{len(card.sessions.names)}, of which {card.sessions.held_out} were held out whole"
+
+
+def _confounds_text(card: Card) -> str:
+    if card.confounds is None:
+        return "not made"
+    if card.confounds.failed:
+        return "failed"
+    return "warns" if any(f.severity == "warns" for f in card.confounds.findings) else "nothing found"

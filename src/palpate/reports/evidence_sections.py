@@ -1,0 +1,156 @@
+"""Sections of a calibration's page on what stands behind its promise: days, audits, changes, instruments.
+
+A section is as those of `certificate_sections`: values for the template of its name, or None where the card
+has nothing of the kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.image import imread
+
+from palpate.calibration.conformal import few_groups_coverage_interval
+from palpate.calibration.confounds.deciding_pixels import MAP_FILE, block_edges
+from palpate.calibration.robustness.perturbation_suite import MAX_SILENT
+from palpate.estimators.certified import layout_of
+from palpate.estimators.finding_cards import PerturbationCard
+from palpate.estimators.model_card import TargetCard
+from palpate.reports.calibration_figures import Panel, deciding_panel, errors_of, held_rows, target_columns
+from palpate.reports.score_intervals import mean_error_half_width
+from palpate.reports.target_verdicts import reading_half_width
+
+if TYPE_CHECKING:
+    from palpate.reports.certificate_sections import ReportedCalibration
+
+Values = dict[str, Any]
+
+
+def sessions(report: ReportedCalibration) -> Values | None:
+    """Scores of each session that was learnt from, and what few of them promise."""
+    found = report.card.sessions
+    if found is None or len(found.names) < 2 or found.column not in report.table:
+        return None
+    names = report.table[found.column].astype(str).to_numpy()
+    rows = [_session_row(report, name, names == name) for name in found.names if (names == name).any()]
+    return {"sessions": found, "rows": rows, "targets": report.card.targets, "mixed": not found.held_out}
+
+
+def _session_row(report: ReportedCalibration, name: str, rows: np.ndarray) -> Values:
+    cells = []
+    for target in report.card.targets:
+        true, guess, _ = (part[rows] for part in target_columns(target, report.table))
+        error, inside = errors_of(target, true, guess), held_rows(target, report.table)[rows]
+        low, high = few_groups_coverage_interval(inside, _groups_within(report, rows))
+        mae, scatter = float(np.abs(error).mean()), float(np.abs(error).std())
+        cells.append(
+            {
+                "target": target, "mae": mae, "mae_half": 1.96 * scatter / max(len(error), 1) ** 0.5,
+                "covered": float(inside.mean()), "low": low, "high": high,
+            }
+        )  # fmt: skip
+    return {"name": name, "n": int(rows.sum()), "cells": cells}
+
+
+def _groups_within(report: ReportedCalibration, rows: np.ndarray) -> np.ndarray:
+    """Presses within a session, where rows name them; else each row is its own."""
+    for column in ("press", "cycle", "trial"):
+        if column in report.table:
+            return report.table[column].to_numpy()[rows]
+    return np.arange(int(rows.sum()))
+
+
+def evaluations(report: ReportedCalibration) -> Values | None:
+    """Scores on other recordings, target by target, beside the card's own; and files that are not of it."""
+    if not report.evaluations and not report.refused_evaluations:
+        return None
+    rows = [
+        {"found": found, "scores": [(t, found.targets[t.column]) for t in report.card.targets]}
+        for found in report.evaluations
+    ]
+    return {"evaluations": rows, "refused": report.refused_evaluations, "coverage": report.card.coverage}
+
+
+def order(report: ReportedCalibration) -> Values | None:
+    """Shuffled folds and blocks of the rows' order side by side."""
+    if report.card.order is None:
+        return None
+    errors = {t.column: mean_error_half_width(t.score, report.scored_groups) for t in report.card.targets}
+    return {"order": report.card.order, "targets": report.card.targets, "errors": errors}
+
+
+def audit(report: ReportedCalibration) -> Values | None:
+    """What other than touch tells the labels, beside the model."""
+    found = report.card.confounds
+    if found is None:
+        return None
+    return {"audit": found, "notes": [f for f in found.findings if f.severity == "notes"]}
+
+
+def deciding(report: ReportedCalibration) -> Values | None:
+    """Maps of the pixels that decide each target, over the prepared picture."""
+    card, folder = report.card, report.folder
+    example = folder / "example.png"
+    known = card.confounds is not None and card.confounds.map_file == MAP_FILE
+    if not known or card.confounds is None or not (folder / MAP_FILE).exists() or not example.exists():
+        return None
+    growth = np.load(folder / MAP_FILE, allow_pickle=False).astype(np.float64)
+    edges, layout = block_edges(card.input.size_px), layout_of(card)
+    blocks = (len(edges[0]) - 1, len(edges[1]) - 1)
+    if not card.targets or len(growth) < layout.outputs or growth.shape[1:] != blocks:
+        return None
+    image = np.atleast_3d(imread(example))[..., :3].mean(axis=2)
+    maps = [growth[layout.outputs_of(j)].mean(axis=0) for j in range(len(card.targets))]
+    panels = [_map_panel(t, image, one, edges) for t, one in zip(card.targets, maps, strict=True)]
+    return {
+        "panels": panels,
+        "rows": card.confounds.map_rows,
+        "circular": any(t.circular for t in card.targets),
+        "undecided": [t for t, one in zip(card.targets, maps, strict=True) if not _stands_out(one)],
+    }
+
+
+def _map_panel(
+    target: TargetCard, image: np.ndarray, growth: np.ndarray, edges: tuple[np.ndarray, np.ndarray]
+) -> Panel:
+    name = target.quantity.replace("_", " ")
+    unit = target.unit if target.circular is None else "ratio"
+    return deciding_panel(name, unit, image, growth, edges)
+
+
+def _stands_out(growth: np.ndarray) -> bool:
+    """True where some block costs more than chance takes away elsewhere."""
+    return float(growth.max()) > 2 * abs(float(growth.min()))
+
+
+def robustness(report: ReportedCalibration) -> Values | None:
+    """Error and refusal against each change of the camera."""
+    found = report.card.robustness
+    if found is None:
+        return None
+    kinds = [(kind, list(rows)) for kind, rows in groupby(found.table, key=lambda row: row.kind)]
+    return {"robustness": found, "kinds": kinds, "passes": _passing(found.table, found.beyond)}
+
+
+def _passing(table: Sequence[PerturbationCard], beyond: float) -> set[tuple[str, float]]:
+    """Changes that pass the guard and err too often, as the card's sentence names them."""
+    return {(row.kind, row.size) for row in table if row.silent > beyond + MAX_SILENT}
+
+
+def choice(report: ReportedCalibration) -> Values | None:
+    """What the model tried on inner folds, and what it took."""
+    return None if report.card.choice is None else {"choice": report.card.choice}
+
+
+def instruments(report: ReportedCalibration) -> Values | None:
+    """What the labels were measured with, and its part of every interval beside the model's."""
+    if not any(target.measured_by for target in report.card.targets):
+        return None
+    rows = [
+        {"target": t, "by": t.measured_by, "reading": reading_half_width(t, report.table)}
+        for t in report.card.targets
+    ]
+    return {"rows": rows}
