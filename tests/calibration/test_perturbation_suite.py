@@ -11,7 +11,9 @@ from palpate.calibration.robustness import KINDS, perturbed
 from palpate.calibration.robustness.perturbation_suite import MIN_ROWS, _harm
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.card_ground import card_id
+from palpate.estimators.guard import NoveltyDetector
 from palpate.estimators.model_card import sealed
+from palpate.recordings import Run, RunWriter
 
 PLAN = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", split="group:press", size_px=(24, 32))
 
@@ -114,9 +116,7 @@ def test_too_few_frames_say_what_they_cannot_tell(record_spots, tmp_path) -> Non
     assert "50 or more" in found.text
 
 
-def test_a_card_of_before_keeps_its_id_and_an_adapted_one_claims_nothing(
-    spots, record_spots, tmp_path
-) -> None:
+def test_a_card_of_before_keeps_its_id(spots) -> None:
     _, estimator = spots
     text = estimator.card.model_dump(mode="json")
     assert card_id(text) == estimator.card.id
@@ -124,5 +124,52 @@ def test_a_card_of_before_keeps_its_id_and_an_adapted_one_claims_nothing(
                      if k not in ("id", "robustness")})  # fmt: skip
     assert "robustness" not in former.model_dump(mode="json")
     assert former.id != estimator.card.id
-    own = record_spots("own", 15, seed=2)
-    assert adapt(estimator.folder, own, tmp_path / "adapted").robustness is None
+
+
+@pytest.fixture(scope="module")
+def adapted(spots, tmp_path_factory, record_spots_module) -> Estimator:
+    """The same camera, whose lamp is darker: another copy of the sensor."""
+    folder = tmp_path_factory.mktemp("adapted")
+    adapt(spots[1].folder, record_spots_module("own", 20, seed=2, lamp=-15.0), folder / "cal")
+    return Estimator.open(folder / "cal")
+
+
+def test_an_adapted_guard_knows_what_a_change_costs_on_its_own_copy(adapted) -> None:
+    found = adapted.card.robustness
+    assert found.frames == 100
+    table = cells(adapted.card)
+    assert len(table) == 50
+    assert found.refused <= 0.03
+    assert table["shift", 8].error_ratio > 3
+    assert table["shift", 8].refused > 0.9
+    assert table["compression", 5].error_ratio < 1.1
+    assert table["compression", 5].refused <= 0.25
+    assert np.mean([cell.silent for cell in table.values()]) <= found.beyond + 0.02
+
+
+def test_an_adapted_guard_judges_fresh_frames_of_its_copy_as_its_card_says(
+    adapted, spots, record_spots
+) -> None:
+    """The former guard is the negative control: it takes the copy's own frames for strange."""
+    fresh = record_spots("fresh", 30, seed=4, lamp=-15.0)
+    frames = [fresh.frame(row).image for row in range(len(fresh)) if row % 6 in (2, 5)]
+    rng = np.random.default_rng(0)
+
+    def refused(estimator: Estimator, images: list[np.ndarray]) -> float:
+        return float(np.mean(["unlike" in estimator.read(image)["x_mm"].why for image in images]))
+
+    assert refused(adapted, frames) <= 0.15
+    assert refused(spots[1], frames) >= 0.5
+    assert refused(adapted, [perturbed(frame, "shift", 8, rng) for frame in frames]) >= 0.9
+
+
+def test_an_adapted_card_says_where_its_frames_are_too_few_for_that(spots, record_spots, tmp_path) -> None:
+    own = record_spots("own", 12, seed=2)
+    with RunWriter.create(tmp_path / "few", own.manifest, overflow="wait") as writer:
+        for i, row in enumerate(own.labels.to_dict("records")):
+            if i % 6 != 5:
+                writer.frame(own.frame(i).image, labels=row)
+    card = adapt(spots[1].folder, Run.open(tmp_path / "few"), tmp_path / "cal")
+    assert card.robustness.table == ()
+    assert "48 held-out frames are too few" in card.robustness.text
+    assert NoveltyDetector.load(tmp_path / "cal" / "guard.npz").changes is None

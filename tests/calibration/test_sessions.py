@@ -30,6 +30,7 @@ from palpate.core import CertificateError, ExistsError, InputError, LabelError, 
 from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.certified import intervals_of
+from palpate.estimators.guard import NoveltyDetector
 from palpate.recordings import Run, RunWriter
 from palpate.recordings.table_files import read_table
 
@@ -423,8 +424,14 @@ def test_rows_of_a_new_session_set_the_intervals_anew_and_the_network_stays(days
         target.over_range.by_truth is not None or target.over_range.tenths for target in former.targets
     )
     assert all(target.over_range is None for target in card.targets)
+    assert (card.confounds, card.vectors) == (None, None)
     assert former.robustness is not None
-    assert (card.robustness, card.confounds, card.vectors) == (None, None, None)
+    assert card.robustness is not None
+    assert card.robustness.frames == 125
+    assert len(card.robustness.table) == len(former.robustness.table) == 50
+    assert card.robustness.table != former.robustness.table
+    assert card.robustness.refused <= 0.03
+    assert NoveltyDetector.load(tmp_path / "anew" / "guard.npz").changes is not None
     expected = ExpectedCoverage.of(25, 0.9)  # presses, since five frames are of one press
     assert (card.interval_reset.groups, card.interval_reset.rank) == (25, expected.rank)
     assert card.targets[0].score.coverage_90 == expected.mean

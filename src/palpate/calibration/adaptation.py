@@ -26,9 +26,10 @@ from palpate.calibration.certificate import CalibrationResult, intervals_by, spl
 from palpate.calibration.conformal import GROUPS_FOR_SPREAD, conformal_quantile, fit_intervals
 from palpate.calibration.correction import AS_IT_WAS, Adapted, Choice, Correction, correct
 from palpate.calibration.leakage import audit
+from palpate.calibration.robustness import CertifiedModel, Suite, adapted_guard
 from palpate.calibration.sessions.copies import TOGETHER, CopiesToldApart, copy_card, tell_apart
 from palpate.calibration.sessions.session_findings import sessions_card
-from palpate.calibration.training_data import LearningSet, learning_set, rows_matching, table_to_learn
+from palpate.calibration.training_data import learning_set, rows_matching, table_to_learn
 from palpate.core import (
     ImageError,
     InputError,
@@ -42,7 +43,7 @@ from palpate.core import (
     storage_errors,
 )
 from palpate.estimators.certified import Estimator, Intervals, checked_file, intervals_of
-from palpate.estimators.guard import NoveltyDetector, RenderedImages, fit_novelty_detector
+from palpate.estimators.guard import NoveltyDetector, RenderedImages
 from palpate.estimators.model_card import Card, SplitCard
 from palpate.estimators.networks.model_interface import refuse_unfit
 from palpate.estimators.target_layout import Outputs, TargetLayout
@@ -181,9 +182,8 @@ class _CorrectedNetwork:
         return self.correction.at(self.estimator.values(inputs))
 
     def to_onnx(self) -> onnx.ModelProto:
-        card = self.estimator.card
-        model = onnx.load(str(self.estimator.folder / card.model.file), load_external_data=False)
-        return self.correction.appended(model, f"adapted-{card.id}")
+        model = CertifiedModel(self.estimator).to_onnx()
+        return self.correction.appended(model, f"adapted-{self.estimator.card.id}")
 
 
 def _refuse_classes(card: Card) -> None:
@@ -271,6 +271,10 @@ def _result(
     ]
     adapted = correct(estimates, labels, presses, start, linear=tuple(turning))
     progress("learning the correction", 1, 1)
+    fitted = _CorrectedNetwork(estimator, adapted.correction)
+    intervals = intervals_by(intervals_of_presses, adapted.held_out, data, plan)
+    suite = Suite(run, learning, parts, adapted.held_out, fitted, plan, intervals)
+    novelty, robustness = adapted_guard(suite, _former_frames(estimator), progress)
     result = CalibrationResult(
         run=run,
         plan=plan,
@@ -278,9 +282,10 @@ def _result(
         split=parts,
         audit=audit(learning.packed, parts),
         held_out=adapted.held_out,
-        intervals=intervals_by(intervals_of_presses, adapted.held_out, data, plan),
-        fitted=_CorrectedNetwork(estimator, adapted.correction),
-        novelty=_novelty_detector(estimator, learning, parts),
+        intervals=intervals,
+        fitted=fitted,
+        novelty=novelty,
+        robustness=robustness,
     )
     return result, adapted
 
@@ -294,22 +299,14 @@ def _split(table: pd.DataFrame, plan: CalibrationPlan) -> Split:
 
 def _told_apart(estimator: Estimator, result: CalibrationResult) -> CopiesToldApart:
     """The copy's frames, untouched ones too, beside those that the former calibration knows."""
-    former = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard)).neighbours.thumbs
+    former = _former_frames(estimator)
     learning, fold = result.learning, np.zeros(len(result.learning.whole), np.int64)
     for k, rows in enumerate(learning.folds_of_whole(result.split)):
         fold[rows] = k
-    return tell_apart(learning.thumbnails(), fold, former, np.arange(len(former)) // TOGETHER)
+    return tell_apart(learning.thumbnails(), fold, former.thumbs, former.groups)
 
 
-def _novelty_detector(estimator: Estimator, learning: LearningSet, parts: Split) -> NoveltyDetector:
-    """A detector that knows the frames of both copies and judges drift by the new one's untouched frames.
-
-    Its limits let the copy's frames pass, each compared with the former calibration and the copy's other
-    presses. Where the former frames are too unlike the copy's to help, they are left out.
-    """
+def _former_frames(estimator: Estimator) -> RenderedImages:
+    """Frames that the former calibration's guard keeps, those of neighbouring presses together."""
     former = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard)).neighbours.thumbs
-    also = RenderedImages(former, np.arange(len(former)) // TOGETHER)
-    thumbs = learning.thumbnails()
-    return fit_novelty_detector(
-        thumbs, learning.folds_of_whole(parts), thumbs[learning.untouched.rows], also=also
-    )
+    return RenderedImages(former, np.arange(len(former)) // TOGETHER)

@@ -17,6 +17,7 @@ not done.
 from __future__ import annotations
 
 import shutil
+import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +28,7 @@ import pandas as pd
 from scipy.stats import beta
 from sklearn.model_selection import GroupKFold
 
+from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.certificate import (
     PREDICTIONS_FILE,
     WORST,
@@ -42,12 +44,15 @@ from palpate.calibration.coverage.group_quantiles import (
     rank_of_new_group,
 )
 from palpate.calibration.evaluation import predictions, rows_to_score, same_session, score, zeros_of
+from palpate.calibration.robustness import CertifiedModel, Suite, adapted_guard
 from palpate.calibration.sessions.copies import TOGETHER
 from palpate.calibration.sessions.session_findings import finest_columns, groups_within
+from palpate.calibration.training_data import learning_set, rows_matching, table_to_learn
 from palpate.core import (
     Float,
     ImageError,
     InputError,
+    LabelError,
     PathText,
     Progress,
     Values,
@@ -65,12 +70,12 @@ from palpate.estimators.certified import (
     layout_of,
 )
 from palpate.estimators.class_sets import ClassCard, ClassOutputs
-from palpate.estimators.finding_cards import IntervalResetCard, SessionsCard
-from palpate.estimators.guard import NoveltyDetector, RenderedImages, fit_novelty_detector, thumbnails
+from palpate.estimators.finding_cards import IntervalResetCard, RobustnessCard, SessionsCard
+from palpate.estimators.guard import NoveltyDetector, RenderedImages
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard, VectorCard, sealed
 from palpate.estimators.target_layout import Outputs
 from palpate.estimators.vector_regions import mahalanobis
-from palpate.recordings import Run
+from palpate.recordings import Run, Split, pack
 from palpate.recordings.joined_runs import sessions_of
 from palpate.recordings.label_tables import with_own
 from palpate.recordings.table_files import write_table
@@ -184,9 +189,8 @@ def reset_intervals(folder: PathText, run: Run, out: PathText, progress: Progres
         shutil.copyfile(checked_file(folder, estimator.card.model), building / "model.onnx")
         if (copies := estimator.card.copy_of) is not None and copies.file is not None:
             shutil.copyfile(checked_file(folder, copies.file), building / copies.file.file)
-        progress("learning what frames look like", 0, 1)
-        _novelty_detector(estimator, run, rows).save(building / "guard.npz")
-        progress("learning what frames look like", 1, 1)
+        detector, robustness = _guard(estimator, run, intervals, out, progress)
+        detector.save(building / "guard.npz")
         table = with_own(
             rows.table, {"row": rows.rows, "frame": rows.names, "held_out_in_fold": 0 * rows.rows}
         )
@@ -194,7 +198,7 @@ def reset_intervals(folder: PathText, run: Run, out: PathText, progress: Progres
             table[f"half_width:{column}"] = halves[:, j]
         write_table(table, building / PREDICTIONS_FILE)
         _write_pictures(folder, building, estimator.card, run, rows)
-        card = _card(estimator.card, building, run, rows, intervals, time.monotonic() - started)
+        card = _card(estimator.card, building, run, rows, intervals, robustness, time.monotonic() - started)
         (building / CARD_FILE).write_text(card.model_dump_json(indent=1))
         Estimator.open(building)
     return card
@@ -290,27 +294,61 @@ def _check_count(groups: int, rows: int, coverage: float, run: Run) -> None:
     )
 
 
-def _novelty_detector(estimator: Estimator, run: Run, rows: _SessionRows) -> NoveltyDetector:
-    """A detector that knows the frames of the former sessions and of this one, whose limits this one sets."""
+def _guard(
+    estimator: Estimator, run: Run, intervals: Intervals, beside: Path, progress: Progress
+) -> tuple[NoveltyDetector, RobustnessCard]:
+    """A guard that knows the frames of the former sessions and of this one, whose limits this one sets.
+
+    What changes of the camera cost is tried on this one's frames, by the intervals that it has set.
+
+    Args:
+        estimator: the calibration.
+        run: rows of the new session.
+        intervals: set by them.
+        beside: path next to which work may lie.
+        progress: called with how far it is.
+    """
     former = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard))
-    prepare = estimator.card.input.preparation.apply
-    untouched = np.setdiff1d(np.arange(len(run)), rows.rows)
-    seen = thumbnails(prepare(run.frame(int(row)).image) for row in np.append(rows.rows, untouched))
-    _, groups = np.unique(rows.groups, return_inverse=True)
-    folds = [held for _, held in GroupKFold(min(FOLDS_OF_GUARD, rows.count)).split(groups, groups=groups)]
-    rest = np.arange(len(rows.rows), len(seen))
-    folds = [np.append(fold, rest[k :: len(folds)]) for k, fold in enumerate(folds)]
-    kept = former.neighbours.thumbs
-    also = RenderedImages(kept, np.arange(len(kept)) // TOGETHER)
-    detector = fit_novelty_detector(seen, folds, seen[len(rows.rows) :], also=also)
-    if len(untouched):
-        return detector
-    return replace(
+    prefix = f".{beside.name}."
+    with tempfile.TemporaryDirectory(prefix=prefix, suffix=".work", dir=beside.parent) as work:
+        suite = _suite(estimator, run, intervals, Path(work))
+        kept = former.neighbours.thumbs
+        also = RenderedImages(kept, np.arange(len(kept)) // TOGETHER)
+        detector, robustness = adapted_guard(suite, also, progress)
+    if len(suite.learning.untouched.rows):
+        return detector, robustness
+    detector = replace(
         detector,
         reference=former.reference,
         reference_spread=former.reference_spread,
         drift_limit=former.drift_limit,
     )
+    return detector, robustness
+
+
+def _suite(estimator: Estimator, run: Run, intervals: Intervals, work: Path) -> Suite:
+    """The session's frames, whole groups in a fold, with what the network gives for them."""
+    card = estimator.card
+    whole = pack(run, work / "packed", card.input.preparation)
+    plan = CalibrationPlan.of_card(card, _rule(card, run))
+    groups = groups_within(table_to_learn(run.labels, plan))
+    count = min(FOLDS_OF_GUARD, len(np.unique(groups)))
+    folds = tuple(held for _, held in GroupKFold(count).split(groups, groups=groups))
+    learning = learning_set(whole, plan, groups, str(run.path))
+    outputs = [estimator.values(x) for _, x in learning.data.batches(np.arange(len(groups)))]
+    held_out = np.concatenate(outputs)[:, : plan.layout.outputs]
+    parts = Split("session", (), groups, folds, "whole groups of the new session")
+    return Suite(run, learning, parts, held_out, CertifiedModel(estimator), plan, intervals)
+
+
+def _rule(card: Card, run: Run) -> ReferenceRule | None:
+    """The calibration's rule of the untouched sensor; None where it has none, or the run no such rows."""
+    rule = ReferenceRule.of_card(card)
+    rule = rule and rule.for_columns(run.labels.columns)
+    try:
+        return rule if rule is not None and rows_matching(run.labels, rule).any() else None
+    except LabelError:
+        return None
 
 
 def _write_pictures(folder: Path, building: Path, card: Card, run: Run, rows: _SessionRows) -> None:
@@ -328,7 +366,13 @@ def _write_pictures(folder: Path, building: Path, card: Card, run: Run, rows: _S
 
 
 def _card(
-    former: Card, building: Path, run: Run, rows: _SessionRows, intervals: Intervals, seconds: float
+    former: Card,
+    building: Path,
+    run: Run,
+    rows: _SessionRows,
+    intervals: Intervals,
+    robustness: RobustnessCard,
+    seconds: float,
 ) -> Card:
     halves = intervals.half_widths(rows.outputs)
     expected = ExpectedCoverage.of(rows.count, former.coverage)
@@ -345,8 +389,8 @@ def _card(
         "interval_reset": reset,
         "sessions": _sessions(former, rows, reset.text),
         "order": None,
-        "robustness": None,  # these two are of the former's frames and intervals
-        "confounds": None,
+        "robustness": robustness,
+        "confounds": None,  # it was of the former's frames
         "vectors": former.vectors and tuple(_vector(v, former, rows, expected) for v in former.vectors),
         "classes": former.classes and _classes(former, rows),
         "split": former.split.model_copy(
