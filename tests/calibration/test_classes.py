@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
 from palpate.calibration.certificate import read_predictions
-from palpate.calibration.classes import ClassAnswers, ClassLabels, class_score
+from palpate.calibration.classes import ClassAnswers, ClassLabels, class_findings, class_score
 from palpate.calibration.classes.prediction_sets import (
     fit_thresholds,
     held_out_classes,
@@ -113,7 +113,7 @@ def test_scored_sets_owe_nothing_to_the_rows_own_press() -> None:
 def test_scores_are_counts_of_rows() -> None:
     true, likeliest = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 0, 1, 1, 1, 1])
     members = np.array([[1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 1, 0], [1, 1, 1], [0, 0, 0]], bool)
-    score = class_score(ClassAnswers(true, likeliest, members, np.arange(6), true == 0))
+    score = class_score(ClassAnswers(true, likeliest, members, np.arange(6), true == 0), 0.9)
     assert score.confusion == ((2, 1, 0), (0, 2, 0), (0, 1, 0))
     assert (score.accuracy, score.baseline) == (4 / 6, 3 / 6)
     assert [(one.rows, one.covered) for one in score.coverage] == [(3, 2), (2, 2), (1, 0)]
@@ -360,3 +360,21 @@ def test_the_verbs_show_classes(blobs, tmp_path) -> None:
     assert "wide: " in scored.output
     refused = runner.invoke(app, [*words[:-3], "kind=,wide", "--out", str(tmp_path / "no")])
     assert refused.exit_code != 0
+
+
+def test_a_class_that_is_held_too_seldom_is_named_and_one_that_is_not_is_left_alone(blobs) -> None:
+    """Of 100 rows 73 are far from 90 %; 84 may be chance where 85 % is allowed."""
+    folder, _ = blobs
+    card = read_card(folder / "cal").classes[0]
+
+    def findings(*covered: int) -> tuple[str, ...]:
+        true = np.repeat([0, 1, 2], 100)
+        members = np.eye(3, dtype=bool)[true]
+        for k, count in enumerate(covered):
+            members[100 * k + count : 100 * (k + 1), k] = False
+        score = class_score(ClassAnswers(true, true, members, np.arange(300), true == 0), 0.9)
+        return class_findings(card, score, 0.9)
+
+    assert findings(90, 88, 84) == ()
+    (one,) = findings(90, 88, 73)
+    assert "sets held large in 73 of 100 of its rows, where 90 % was promised" in one

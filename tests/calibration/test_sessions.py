@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,9 @@ from palpate.calibration.coverage.group_quantiles import (
     rank_of_new_group,
     weighted_quantile,
 )
+from palpate.calibration.coverage.joint_regions import vector_cards
 from palpate.calibration.sessions import keep_evaluation, read_evaluations, reset_intervals
-from palpate.calibration.sessions.interval_reset import ExpectedCoverage, intervals_set_anew
+from palpate.calibration.sessions.interval_reset import ExpectedCoverage, intervals_set_anew, radius_set_anew
 from palpate.calibration.sessions.session_intervals import (
     SessionSpread,
     few_sessions_factor,
@@ -31,6 +33,8 @@ from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.certified import intervals_of
 from palpate.estimators.guard import NoveltyDetector
+from palpate.estimators.target_layout import TargetLayout
+from palpate.estimators.vector_regions import mahalanobis
 from palpate.recordings import Run, RunWriter
 from palpate.recordings.table_files import read_table
 
@@ -471,3 +475,79 @@ def test_the_verbs_say_what_day_was_tested(days, tmp_path) -> None:
     assert not list((tmp_path / "one").glob("evaluation-*.json"))
     anew = text("adapt", str(tmp_path / "one"), more, "--intervals-only", "--out", str(tmp_path / "anew"))
     assert "set anew for session day4 by 60 labelled rows" in anew
+
+
+def test_angles_and_vectors_of_a_new_session_are_covered_at_the_rate_that_its_rows_set() -> None:
+    """Twice the errors of the day before, over 300 drawings of 60 rows; the former intervals fail.
+
+    The outputs are a target, an angle's cosine and sine, and two components that err together.
+    """
+    rng, layout = np.random.default_rng(0), TargetLayout((None, 360.0, None, None))
+
+    def rows(n: int, size: float) -> tuple[np.ndarray, np.ndarray]:
+        outputs = rng.uniform(-1, 1, (n, 5))
+        angle = rng.uniform(-np.pi, np.pi, n)
+        outputs[:, 1:3] = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        errors = size * (0.3 + np.abs(outputs[:, :1])) * rng.standard_normal((n, 4)) * [0.2, 9.0, 0.2, 0.2]
+        errors[:, 3] += errors[:, 2]
+        return outputs, layout.decoded(outputs) - errors
+
+    outputs, true = rows(1500, 1.0)
+    former = replace(fit_intervals(outputs, true, np.arange(1500), 0.9, layout), by_range=())
+    columns = ("d_mm", "a_deg", "x_mm", "y_mm")
+    (vector,) = vector_cards({"p_mm": ("x_mm", "y_mm")}, columns, former, outputs, true, np.arange(1500))
+    correlation, radius = np.array(vector.correlation), vector.radius
+
+    def scaled(outputs: np.ndarray, true: np.ndarray) -> np.ndarray:
+        return (former.errors(outputs, true) / former.spread.at(outputs))[:, 2:]
+
+    fresh = rows(4000, 2.0)
+    covered, joint, reach = [], [], []
+    for _ in range(300):
+        few = rows(60, 2.0)
+        anew = intervals_set_anew(former, *few, np.arange(60))
+        covered.append(anew.hold(*fresh).mean(axis=0))
+        reach.append(np.max(anew.half_widths(fresh[0])[:, 1]))
+        own = radius_set_anew(correlation, scaled(*few), np.arange(60), 0.9)
+        joint.append(np.mean(mahalanobis(scaled(*fresh), correlation) <= own))
+    expected = ExpectedCoverage.of(60, 0.9).mean
+    np.testing.assert_allclose(np.mean(covered, axis=0), expected, atol=0.01)
+    assert np.mean(joint) == pytest.approx(expected, abs=0.01)
+    assert np.median(reach) < 90  # an error of a whole turn, were it counted, would open the arc
+    assert (former.hold(*fresh).mean(axis=0) < 0.7).all()
+    assert np.mean(mahalanobis(scaled(*fresh), correlation) <= radius) < 0.6
+
+
+def test_a_calibration_of_angles_vectors_and_classes_is_set_anew_whole(days, tmp_path, rewritten) -> None:
+    """The network stays, and so do the period and the shape of the ellipsoid; new rows are read by them."""
+
+    def turned(run: Run, name: str, scale: float = 1.0) -> Run:
+        def change(row: dict) -> dict:
+            place = row["x_mm"] * scale
+            return {**row, "x_mm": place, "angle_deg": 90 * place + 170, "right": str(row["x_mm"] > 0)}
+
+        return rewritten(run, tmp_path / name, change)
+
+    first, few, fresh = (turned(run, f"run{k}") for k, run in enumerate(days(3, presses=30)))
+    plan = CalibrationPlan(
+        ("x_mm", "height_mm", "angle_deg"), model="pca-ridge", split="group:press", size_px=(24, 32),
+        circular={"angle_deg": None}, vectors={"p": ("x_mm", "height_mm")}, classes={"right": ()},
+    )  # fmt: skip
+    calibrate(first, plan, tmp_path / "cal")
+    former, card = read_card(tmp_path / "cal"), reset_intervals(tmp_path / "cal", few, tmp_path / "anew")
+    assert card.model == former.model
+    assert card.targets[2].circular == former.targets[2].circular
+    assert card.targets[2].score.mae < 60
+    (before,), (now,) = former.vectors, card.vectors
+    assert now.correlation == before.correlation
+    assert now.radius > before.radius  # the lamp has changed
+    assert now.covered == ExpectedCoverage.of(30, 0.9).mean
+    (was,), (told,) = former.classes, card.classes
+    assert told.names == was.names
+    assert min(told.groups) > 20  # of 30 presses, in each of which nearly always both are
+    assert told.thresholds != was.thresholds
+    estimator = Estimator.open(tmp_path / "anew")
+    found = evaluate(estimator, fresh)
+    assert evaluate(Estimator.open(tmp_path / "cal"), few)["vectors"]["p_mm"]["covered"] < 0.8
+    assert set(found["classes"]) == {"right"}
+    assert estimator.read(fresh.frame(1))["angle_deg"].period == pytest.approx(360)

@@ -235,7 +235,8 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str
             )
             tenths[t.column] = [part.model_dump() for part in parts]
     classes = {
-        one.column: score_of_run(one, table[read], groups, str(run.path)) for one in card.classes or ()
+        one.column: score_of_run(one, table[read], groups, card.coverage, str(run.path))
+        for one in card.classes or ()
     }
     about_classes = [
         sentence

@@ -435,6 +435,7 @@ def _set_intervals_anew(calibration: Path, run: Path, out: Path, json_: bool, qu
 
 
 def _reset_text(card: Any, former: dict[str, Any], out: Path, report: str) -> str:
+    from palpate.reports.class_section import class_lines
     from palpate.reports.terminal_text import scores_table
 
     wider = [
@@ -442,12 +443,17 @@ def _reset_text(card: Any, former: dict[str, Any], out: Path, report: str) -> st
         for t in card.targets
         if former[t.column].quantile > 0
     ]
-    table = scores_table({target.column: target.score for target in card.targets})
+    classes = [
+        line
+        for one in card.classes or ()
+        for line in (*class_lines(one, one.score, card.coverage), *one.findings)
+    ]
     lines = [
         f"calibration {card.id}: {out}",
         card.interval_reset.text,
-        table,
+        *([scores_table({target.column: target.score for target in card.targets})] if card.targets else ()),
         *wider,
+        *classes,
         f"report: {out / report}",
     ]
     return "\n".join(lines)

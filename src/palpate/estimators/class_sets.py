@@ -26,6 +26,7 @@ class ClassCoverageCard(CardPart):
         rows, groups: of the class.
         covered: rows whose set held it; thresholds were set without the row's own group.
         low, high: 95 % interval of the share covered, groups counted as groups.
+        p: probability of so few, or fewer, where 5 % less than was promised is covered, groups counted.
     """
 
     rows: int
@@ -33,6 +34,7 @@ class ClassCoverageCard(CardPart):
     covered: int
     low: float
     high: float
+    p: float
 
 
 class ClassScoreCard(CardPart):

@@ -120,7 +120,7 @@ def _most_frequent(codes: Indices) -> int:
 def _card(
     one: ClassLabels, thresholds: tuple[float | None, ...], answers: ClassAnswers, coverage: float
 ) -> ClassCard:
-    score = class_score(answers)
+    score = class_score(answers, coverage)
     groups = tuple(part.groups for part in score.coverage)
     card = ClassCard(
         column=one.column,

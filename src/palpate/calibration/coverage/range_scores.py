@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import betainc
 
 from palpate.calibration.coverage.range_fit import TENTHS
+from palpate.estimators.class_sets import ClassCoverageCard
 from palpate.estimators.model_card import TenthCard
 from palpate.estimators.range_intervals import Row
 
@@ -78,12 +80,15 @@ def _design_effect(inside: np.ndarray, groups: np.ndarray) -> float:
     return float(np.clip(between * n / (rate * (1 - rate)), 1.0, n))
 
 
-def failing(parts: Sequence[TenthCard]) -> tuple[TenthCard, ...]:
+Part = TypeVar("Part", TenthCard, ClassCoverageCard)
+
+
+def failing(parts: Sequence[Part]) -> tuple[Part, ...]:
     """Parts that cover significantly less often than allowed, by Holm's procedure over all that are given.
 
     S. Holm, Scand. J. Stat. 6, 65 (1979).
     """
-    found: list[TenthCard] = []
+    found: list[Part] = []
     for rank, part in enumerate(sorted(parts, key=lambda one: one.p)):
         if part.p > SIGNIFICANCE / (len(parts) - rank):
             break
