@@ -107,6 +107,8 @@ def telling_cells(
     """
     down, across = _edges(images.shape[1:3])
     rows, columns = len(down) - 1, len(across) - 1
+    inside = np.sort(np.concatenate(list(folds)))
+    parts = [(fold, np.setdiff1d(inside, fold)) for fold in folds]
     shares = np.zeros((rows, columns, values.shape[1]))
     border, near, far = 1, 2, 3
     apart = np.zeros((rows, columns), dtype=np.int64)
@@ -120,7 +122,7 @@ def telling_cells(
                 frames = frames[:, beyond]  # the skin in the cell's other half may tell what it likes
             elif i in (0, rows - 1) or j in (0, columns - 1):
                 apart[i, j] = border
-            shares[i, j] = explained_share(values, _linear(frames.reshape(len(frames), -1), values, folds))
+            shares[i, j] = explained_share(values, _linear(frames.reshape(len(frames), -1), values, parts))
     return [_best(shares[..., t], apart, down, across) for t in range(values.shape[1])]
 
 
@@ -160,23 +162,20 @@ def _distance(shape: tuple[int, ...], i: int, j: int) -> Int[np.ndarray, "y x"]:
     return np.maximum(np.abs(rows - i), np.abs(columns - j))
 
 
-def _linear(cell: Float32[np.ndarray, "n p"], values: Values, folds: Sequence[Indices]) -> Values:
+def _linear(
+    cell: Float32[np.ndarray, "n p"], values: Values, parts: Sequence[tuple[Indices, Indices]]
+) -> Values:
     """Held-out estimates by ridge regression on a cell's main components; the best of a few penalties."""
     centred = (cell - cell.mean(axis=0)).astype(np.float64)
     vectors, sizes, _ = np.linalg.svd(centred, full_matrices=False)
     if not sizes[0] > 0:
         return np.broadcast_to(values.mean(axis=0), values.shape)
     scores = (vectors * (sizes / sizes[0]))[:, :COMPONENTS] * np.sqrt(len(cell))
-    inside = np.sort(np.concatenate(list(folds)))
-    best, least = np.full(values.shape, np.nan), np.full(values.shape[1], np.inf)
-    for penalty in CELL_PENALTIES * len(cell):
-        guess = np.full(values.shape, np.nan)
-        for fold in folds:
-            learnt = np.setdiff1d(inside, fold)
-            mean, x = values[learnt].mean(axis=0), scores[learnt]
-            weights = np.linalg.solve(x.T @ x + penalty * np.eye(x.shape[1]), x.T @ (values[learnt] - mean))
-            guess[fold] = mean + scores[fold] @ weights
-        error = np.nanmean((guess - values) ** 2, axis=0)
-        better = error < least
-        least[better], best[:, better] = error[better], guess[:, better]
-    return best
+    penalties = (CELL_PENALTIES * len(cell))[:, None, None] * np.eye(scores.shape[1])
+    guess = np.full((len(penalties), *values.shape), np.nan)
+    for fold, learnt in parts:
+        mean, x = values[learnt].mean(axis=0), scores[learnt]
+        weights = np.linalg.solve(x.T @ x + penalties, x.T @ (values[learnt] - mean))
+        guess[:, fold] = mean + scores[fold] @ weights
+    least = np.nanmean((guess - values) ** 2, axis=1).argmin(axis=0)
+    return np.take_along_axis(guess, least[None, None], axis=0)[0]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.calibration.confounds.kernel_regression import Kernels
-from palpate.core import Bool, Float, Int, Values
+from palpate.core import Bool, Float, Indices, Int, Values
 
 EXACT = 0.02
 """Error, as a share of the target's range, within which a row is told."""
@@ -20,6 +20,7 @@ MAX_LEFT = 0.2
 """Share of the rows not told, over that by the median alone."""
 MIN_ROWS = 12
 MAX_ROWS, MAX_ROWS_OF_ALL = 600, 240
+FOLDS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,16 +79,32 @@ def _of_all_others(
 ) -> list[TargetFunction]:
     if values.shape[1] < 3:
         return []
-    number = np.unique(units, return_inverse=True)[1]
-    folds = [rows for k in range(8) if (rows := np.flatnonzero(number % 8 == k)).size]
-    told = []
-    for target in range(values.shape[1]):
-        others = np.delete(values, target, axis=1)
-        guess = Kernels.of(others / others.std(axis=0)).held_out(values[:, [target]], folds)[:, 0]
-        told.append(_told(values[:, target], guess, len(np.unique(units))))
+    told = [_told_by_others(values, target, units) for target in range(values.shape[1])]
     best = int(np.argmax(told))
     rest = tuple(name for name in names if name != names[best])
     return [TargetFunction(names[best], rest, told[best], False)] if told[best] > 0 else []
+
+
+def _told_by_others(values: Values, target: int, units: Int[np.ndarray, " n"]) -> float:
+    """Share of a target's rows told by all others together, presses held out; 0 where that is no function.
+
+    It ends with the first presses that miss more rows than a function may: most targets are none.
+    """
+    number = np.unique(units, return_inverse=True)[1]
+    others, column = np.delete(values, target, axis=1), values[:, target]
+    kernels = Kernels.of(others / others.std(axis=0))
+    guess, most = np.full(len(values), np.nan), _most_missed(column, len(np.unique(units)))
+    missed = 0
+    for k in range(FOLDS):
+        fold = np.flatnonzero(number % FOLDS == k)
+        if not fold.size:
+            continue
+        rest = np.flatnonzero(number % FOLDS != k)
+        guess[fold] = kernels.regressed(values[:, [target]], rest, fold)[:, 0]
+        missed += int(np.sum(_misses(column, guess, fold)))
+        if missed > most * len(values):
+            return 0.0
+    return 1 - missed / len(values)
 
 
 def _along(
@@ -114,10 +131,20 @@ def _last_of_another(units: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
 
 def _told(target: Float[np.ndarray, " n"], guess: Float[np.ndarray, " n"], units: int) -> float:
     """Share of rows told, 0 where that makes no function of it."""
-    rows = np.isfinite(guess)
-    width = EXACT * np.ptp(target)
-    missed: Bool[np.ndarray, " m"] = np.abs(guess[rows] - target[rows]) > width
-    by_median = float(np.mean(np.abs(target[rows] - np.median(target[rows])) > width))
-    share = float(missed.mean())
-    few = max(1 - MIN_TOLD, MISSED / units)
-    return 1 - share if share <= min(few, MAX_LEFT * by_median) else 0.0
+    rows = np.flatnonzero(np.isfinite(guess))
+    share = float(_misses(target, guess, rows).mean())
+    return 1 - share if share <= _most_missed(target, units, rows) else 0.0
+
+
+def _misses(
+    target: Float[np.ndarray, " n"], guess: Float[np.ndarray, " n"], rows: Indices
+) -> Bool[np.ndarray, " m"]:
+    missed: Bool[np.ndarray, " m"] = np.abs(guess[rows] - target[rows]) > EXACT * np.ptp(target)
+    return missed
+
+
+def _most_missed(target: Float[np.ndarray, " n"], units: int, rows: Indices | None = None) -> float:
+    """Share of the rows that may be missed where a target is a function."""
+    asked = target if rows is None else target[rows]
+    by_median = float(np.mean(np.abs(asked - np.median(asked)) > EXACT * np.ptp(target)))
+    return min(max(1 - MIN_TOLD, MISSED / units), MAX_LEFT * by_median)
