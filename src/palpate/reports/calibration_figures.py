@@ -134,7 +134,7 @@ def _deciding(
     down, across = edges
     # Paler, so that the blocks stand out by their darkness alone.
     axes.imshow(image * 0.45 + 0.55, cmap="gray", vmin=0, vmax=1, extent=(0, across[-1], down[-1], 0))
-    most = max(float(growth.max()), np.finfo(np.float32).tiny)
+    most = float(max(growth.max(), np.finfo(np.float32).tiny))
     shades = ListedColormap([(*to_rgb(DECIDES), 0.85 * part) for part in np.linspace(0, 1, 128)])
     shown = axes.pcolormesh(across, down, np.clip(growth, 0, None), cmap=shades, vmin=0, vmax=most)
     for row, column in np.argwhere(deciding_blocks(growth)):
