@@ -11,7 +11,7 @@ from palpate.calibration.evaluation import score
 from palpate.core import CertificateError
 from palpate.estimators import read_card
 from palpate.reports import scores_table, verdict, write_report
-from palpate.reports.target_verdicts import MIN_TOLD, outer_ranges
+from palpate.reports.sections import MIN_TOLD, outer_ranges
 from palpate.reports.terminal_text import latency_line
 
 

@@ -22,8 +22,15 @@ from palpate.estimators.model_card import Card, InstrumentCard, sealed
 from palpate.recordings.joined_runs import joined
 from palpate.reports import calibration_figures, write_report
 from palpate.reports.calibration_figures import deciding_blocks, held_rows, target_panels
-from palpate.reports.certificate_sections import MIN_GROUPS, SECTIONS, ReportedCalibration
-from palpate.reports.target_verdicts import NOT_TESTED, answer, outer_ranges, reading_half_width
+from palpate.reports.sections import (
+    MIN_GROUPS,
+    NOT_TESTED,
+    SECTIONS,
+    ReportedCalibration,
+    answer,
+    outer_ranges,
+    reading_half_width,
+)
 
 TEMPLATES = Path(calibration_figures.__file__).parent / "templates"
 

@@ -307,7 +307,7 @@ def _model_options(model: str, pairs: list[str], minutes: float | None) -> dict[
 
 def _card_text(card: Any, out: Path) -> str:
     from palpate.calibration.coverage import card_findings
-    from palpate.reports.class_section import class_lines
+    from palpate.reports.class_text import class_lines
     from palpate.reports.terminal_text import confounds_text, scores_table
 
     lines = [f"calibration {card.id}: {out}", *confounds_text(card.confounds)]
@@ -360,7 +360,7 @@ def _choice_lines(card: Any) -> list[str]:
 def _scores_text(scores: dict[str, Any], card: Any) -> str:
     from palpate.estimators.class_sets import ClassScoreCard
     from palpate.estimators.model_card import ScoreCard
-    from palpate.reports.class_section import class_lines
+    from palpate.reports.class_text import class_lines
     from palpate.reports.terminal_text import scores_table
 
     lines = []
@@ -435,7 +435,7 @@ def _set_intervals_anew(calibration: Path, run: Path, out: Path, json_: bool, qu
 
 
 def _reset_text(card: Any, former: dict[str, Any], out: Path, report: str) -> str:
-    from palpate.reports.class_section import class_lines
+    from palpate.reports.class_text import class_lines
     from palpate.reports.terminal_text import scores_table
 
     wider = [

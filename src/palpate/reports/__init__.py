@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from palpate.reports.certificate_page import render_report, write_report
-    from palpate.reports.target_verdicts import verdict
+    from palpate.reports.sections import verdict
     from palpate.reports.terminal_text import check_text, latency_line, scores_table
 
 _MODULES = {
@@ -16,7 +16,7 @@ _MODULES = {
     "latency_line": "terminal_text",
     "render_report": "certificate_page",
     "scores_table": "terminal_text",
-    "verdict": "target_verdicts",
+    "verdict": "sections",
     "write_report": "certificate_page",
 }
 

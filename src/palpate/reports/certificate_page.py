@@ -10,14 +10,14 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from palpate.core import PathText, half_width_text, new_file, rounded
 from palpate.estimators.certified import checked_file, read_card
 from palpate.estimators.model_card import Card
-from palpate.reports.certificate_sections import SECTIONS, ReportedCalibration
-from palpate.reports.class_section import class_covered, classes_told
+from palpate.reports.class_text import class_covered, classes_told
 from palpate.reports.score_intervals import (
     MIN_R2_HALF_WIDTH,
     explained_half_width,
     mean_error_half_width,
     percent,
 )
+from palpate.reports.sections import SECTIONS, ReportedCalibration
 
 
 def write_report(calibration: PathText, out: PathText) -> Path:

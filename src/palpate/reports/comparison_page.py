@@ -27,9 +27,8 @@ from palpate.estimators.model_card import Card, TargetCard
 from palpate.recordings.label_tables import own_column
 from palpate.reports.calibration_figures import errors_of
 from palpate.reports.certificate_page import filled_template
-from palpate.reports.certificate_sections import ReportedCalibration, not_relied_on
 from palpate.reports.score_intervals import mean_error_half_width, percent
-from palpate.reports.target_verdicts import tested_text
+from palpate.reports.sections import ReportedCalibration, not_relied_on, tested_text
 
 
 @dataclass(frozen=True, slots=True)

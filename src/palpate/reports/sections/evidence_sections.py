@@ -21,10 +21,10 @@ from palpate.estimators.finding_cards import PerturbationCard
 from palpate.estimators.model_card import TargetCard
 from palpate.reports.calibration_figures import Panel, deciding_panel, errors_of, held_rows, target_columns
 from palpate.reports.score_intervals import mean_error_half_width
-from palpate.reports.target_verdicts import reading_half_width
+from palpate.reports.sections.target_verdicts import reading_half_width
 
 if TYPE_CHECKING:
-    from palpate.reports.certificate_sections import ReportedCalibration
+    from palpate.reports.sections.certificate_sections import ReportedCalibration
 
 Values = dict[str, Any]
 

@@ -1,4 +1,4 @@
-"""Classes on the terminal and in a calibration's report: right beside the baseline, confusion, sets."""
+"""Classes in words: how many were told right beside the baseline, the confusion table, the sets."""
 
 from __future__ import annotations
 

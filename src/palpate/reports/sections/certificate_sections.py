@@ -37,8 +37,8 @@ from palpate.reports.calibration_figures import (
     surface_figure,
     target_panels,
 )
-from palpate.reports.class_section import class_answer, classes_told
-from palpate.reports.evidence_sections import (
+from palpate.reports.class_text import class_answer, classes_told
+from palpate.reports.sections.evidence_sections import (
     audit,
     choice,
     deciding,
@@ -48,7 +48,7 @@ from palpate.reports.evidence_sections import (
     robustness,
     sessions,
 )
-from palpate.reports.target_verdicts import (
+from palpate.reports.sections.target_verdicts import (
     OuterRange,
     answer,
     fails,

@@ -1,0 +1,31 @@
+"""Sections of a calibration's page, the sentences that stand in them, and how far their numbers hold."""
+
+from palpate.reports.sections.certificate_sections import (
+    MIN_GROUPS,
+    SECTIONS,
+    ReportedCalibration,
+    not_relied_on,
+)
+from palpate.reports.sections.target_verdicts import (
+    MIN_TOLD,
+    NOT_TESTED,
+    answer,
+    outer_ranges,
+    reading_half_width,
+    tested_text,
+    verdict,
+)
+
+__all__ = [
+    "MIN_GROUPS",
+    "MIN_TOLD",
+    "NOT_TESTED",
+    "SECTIONS",
+    "ReportedCalibration",
+    "answer",
+    "not_relied_on",
+    "outer_ranges",
+    "reading_half_width",
+    "tested_text",
+    "verdict",
+]
