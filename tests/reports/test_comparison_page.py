@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from palpate.calibration import CalibrationPlan, calibrate
+from palpate.calibration import CalibrationPlan, calibrate, evaluate
+from palpate.calibration.sessions import keep_evaluation
 from palpate.cli import app
 from palpate.core import ExistsError, InputError
+from palpate.estimators import Estimator, read_card
+from palpate.estimators.finding_cards import ConfoundFindingCard
+from palpate.estimators.model_card import sealed
 from palpate.recordings.table_files import read_table
 from palpate.reports.comparison_page import compare_calibrations, comparison_text, judgement, write_comparison
 
@@ -23,7 +27,8 @@ def calibrated(record_spots, tmp_path):
     def make(out: str, run: str = "run", **changes):
         if run not in runs:
             runs[run] = record_spots(run, 16, seed=len(runs))
-        plan = {"targets": ("x_mm", "height_mm"), "split": "group:press", "size_px": (24, 32)} | changes
+        plan = {"targets": ("x_mm", "height_mm"), "model": "pca-ridge", "split": "group:press"}
+        plan |= {"size_px": (24, 32)} | changes
         return calibrate(runs[run], CalibrationPlan(**plan), tmp_path / out)
 
     return make
@@ -83,6 +88,75 @@ def test_calibrations_without_a_target_in_common_are_refused(calibrated) -> None
     first, second = calibrated("one", targets=("x_mm",)), calibrated("two", targets=("height_mm",))
     with pytest.raises(InputError, match="no target in common"):
         compare_calibrations(first, second)
+
+
+def test_a_quantity_in_another_unit_is_refused_with_both_units(calibrated, tmp_path) -> None:
+    first, second = calibrated("one", targets=("x_mm",)), calibrated("two", targets=("x_mm",))
+    card = read_card(second)
+    other = card.targets[0].model_copy(update={"column": "x_um", "unit": "um"})
+    text = sealed(card.model_dump(exclude={"id"}) | {"targets": (other,)}).model_dump_json()
+    (second / "card.json").write_text(text)
+    with pytest.raises(InputError, match="x is in mm and in um"):
+        compare_calibrations(first, second)
+
+
+def test_errors_of_an_angle_and_of_a_plain_number_are_not_compared(calibrated) -> None:
+    found = compare_calibrations(
+        calibrated("one", targets=("x_mm",)), calibrated("two", targets=("x_mm",), circular={"x_mm": 9.0})
+    )
+    assert "comes round again in one" in " ".join(found.obstacles)
+    assert found.targets[0].paired is None
+
+
+def test_errors_of_angles_are_compared_the_shortest_way_round(calibrated, tmp_path) -> None:
+    """Truths just below the turn that are read just above it are near misses."""
+    plan = {"targets": ("x_mm",), "circular": {"x_mm": 9.0}}
+    found = compare_calibrations(calibrated("one", **plan), calibrated("two", model="mean", **plan))
+    pair = found.targets[0].paired
+    means = []
+    for name in ("one", "two"):
+        table = read_table(tmp_path / name / "predictions.csv.gz")
+        error = (table["estimate:x_mm"] - table["x_mm"]).to_numpy()
+        means.append(np.abs((error + 4.5) % 9.0 - 4.5).mean())
+    assert pair.difference == pytest.approx(means[1] - means[0])
+
+
+def test_what_both_gave_on_another_run_and_whose_audit_failed_is_shown(
+    calibrated, record_spots, tmp_path
+) -> None:
+    folders = [calibrated("one"), calibrated("two", seed=5)]
+    other = record_spots("other", 10, seed=8)
+    for folder in folders:
+        keep_evaluation(folder, evaluate(Estimator.open(folder), other))
+    keep_evaluation(folders[1], evaluate(Estimator.open(folders[1]), record_spots("own", 10, seed=9)))
+    found = compare_calibrations(*folders)
+    ((first, second),) = found.shared_runs
+    assert first.run == second.run
+    assert first.run["hash"] == other.hash
+    assert [len(kept) for kept in found.to_dict()["evaluations"]] == [1, 2]
+    assert found.to_dict()["sessions"][0]["names"] == ["run"]
+    assert "tested on another session" in comparison_text(found)
+    assert found.warnings == ()
+    page = write_comparison(found, tmp_path / "compared.html").read_text()
+    assert "On the same recording" in page
+    card = read_card(folders[0])
+    finding = ConfoundFindingCard(
+        kind="outside", target="x_mm", severity="fails", text="the rim tells it", remedy="crop"
+    )
+    confounds = card.confounds.model_copy(update={"findings": (finding,), "failed": True})
+    text = sealed(card.model_dump(exclude={"id"}) | {"confounds": confounds}).model_dump_json()
+    (folders[0] / "card.json").write_text(text)
+    for path in folders[0].glob("evaluation-*.json"):
+        path.unlink()
+    (warning,) = compare_calibrations(*folders).warnings
+    assert "do not rely on its scores of x_mm" in warning
+
+
+def test_that_neither_reads_a_target_is_said_before_which_errs_less(calibrated) -> None:
+    found = compare_calibrations(calibrated("one", model="mean"), calibrated("two", model="mean"))
+    assert {judgement(one).split(": ")[1] for one in found.targets} == {
+        "neither reads it, both are no better than always saying the mean."
+    }
 
 
 def test_the_verb_prints_and_writes_the_comparison_once(calibrated, tmp_path) -> None:

@@ -321,7 +321,7 @@ def _card_text(card: Any, out: Path) -> str:
     if card.choice is not None:
         lines += _choice_lines(card)
     if card.order is not None:
-        lines += [*_splits_table(card.order), card.order.text]
+        lines += [*_splits_table(card), card.order.text]
     lines += [f"audit: {card.split.audit}", f"report: {out / 'report.html'}"]
     return "\n".join(lines)
 
@@ -334,13 +334,18 @@ def _vector_text(vector: Any) -> str:
     )
 
 
-def _splits_table(order: Any) -> list[str]:
+def _splits_table(card: Any) -> list[str]:
     """Each target's error and coverage by each split, where two were scored."""
-    if len(order.splits) < 2:
+    from palpate.core import rounded
+    from palpate.reports.score_intervals import mean_error_half_width
+
+    splits = card.order.splits
+    if len(splits) < 2:
         return []
-    lines = ["held out by       " + "".join(f"{one.kind:>24}" for one in order.splits)]
-    for name in order.splits[0].mae:
-        cells = [f"MAE {one.mae[name]:.3g}, {100 * one.coverage[name]:.1f} %" for one in order.splits]
+    lines = ["held out by       " + "".join(f"{one.kind:>24}" for one in splits)]
+    for target in card.targets:
+        name, off = target.column, mean_error_half_width(target.score, target.score.n)
+        cells = [f"MAE {rounded(one.mae[name], off)}, {100 * one.coverage[name]:.1f} %" for one in splits]
         lines.append(f"{name:18}" + "".join(f"{cell:>24}" for cell in cells))
     return lines
 

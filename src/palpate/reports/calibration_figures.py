@@ -134,7 +134,7 @@ def _deciding(
     down, across = edges
     # Paler, so that the blocks stand out by their darkness alone.
     axes.imshow(image * 0.45 + 0.55, cmap="gray", vmin=0, vmax=1, extent=(0, across[-1], down[-1], 0))
-    most = float(max(growth.max(), np.finfo(np.float32).tiny))
+    most = max(float(growth.max()), float(np.finfo(np.float32).tiny))
     shades = ListedColormap([(*to_rgb(DECIDES), 0.85 * part) for part in np.linspace(0, 1, 128)])
     shown = axes.pcolormesh(across, down, np.clip(growth, 0, None), cmap=shades, vmin=0, vmax=most)
     for row, column in np.argwhere(deciding_blocks(growth)):
@@ -143,7 +143,9 @@ def _deciding(
         axes.add_patch(Rectangle(corner, *size, fill=False, ec="#000000", lw=0.9))
     figure = axes.get_figure(root=True)
     assert figure is not None
-    figure.colorbar(shown, ax=axes, label=f"growth of mean |error| [{unit}]").outline.set_edgecolor(INK)
+    tall = min(1.0, max(0.5, 1.2 * float(down[-1] / across[-1])))
+    bar = figure.colorbar(shown, ax=axes, shrink=tall, label=f"growth [{unit}]")
+    bar.outline.set_edgecolor(INK)
     axes.set(xlim=(0, across[-1]), ylim=(down[-1], 0), xlabel="[px]", aspect="equal")
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 from palpate.core import PathText, half_width_text, new_file, rounded
 from palpate.estimators.certified import checked_file, read_card
@@ -66,6 +68,7 @@ def filled_template(name: str, **values: Any) -> str:
     environment.filters["r"] = _two_decimals
     environment.filters["joint"] = lambda v, part="covered": percent(getattr(v, part), v.low, v.high)
     environment.filters["share"] = lambda c: percent(c["covered"], c["low"], c["high"])
+    environment.filters["code"] = _with_code
     environment.filters["setting"] = _setting_text
     environment.filters["to"] = rounded
     environment.filters["half"] = half_width_text
@@ -81,6 +84,11 @@ def filled_template(name: str, **values: Any) -> str:
     environment.filters["classes_told"] = lambda card: classes_told(card, card.score)
     environment.filters["class_covered"] = class_covered
     return environment.get_template(name).render(**values)
+
+
+def _with_code(text: str) -> Markup:
+    """Text with what stands between backticks as code."""
+    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))  # noqa: S704 -- escaped before
 
 
 def _two_decimals(value: float | None) -> str:

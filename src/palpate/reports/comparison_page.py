@@ -161,9 +161,10 @@ def compare_calibrations(first: PathText, second: PathText) -> CalibrationCompar
     tables = tuple(_by_frame(folder, card) for folder, card in zip(folders, cards, strict=True))
     obstacles = _obstacles(cards, tables, both)
     only = tuple(tuple(c for c in card.columns if c not in both) for card in cards)
-    targets = tuple(_compared(column, cards, tables, paired=not obstacles) for column in both)
-    kept = tuple(ReportedCalibration(*each).evaluations for each in zip(folders, cards, strict=True))
-    return CalibrationComparison(cards, targets, (only[0], only[1]), obstacles, (kept[0], kept[1]))
+    reports = tuple(ReportedCalibration(*each) for each in zip(folders, cards, strict=True))
+    targets = tuple(_compared(column, reports, tables, paired=not obstacles) for column in both)
+    kept = (reports[0].evaluations, reports[1].evaluations)
+    return CalibrationComparison(cards, targets, (only[0], only[1]), obstacles, kept)
 
 
 def _other_units(cards: tuple[Card, Card]) -> str:
@@ -230,10 +231,14 @@ def _alike(two: Sequence[pd.DataFrame | pd.Series[Any]]) -> bool:
 
 
 def _compared(
-    column: str, cards: tuple[Card, Card], tables: tuple[pd.DataFrame, ...], *, paired: bool
+    column: str,
+    reports: tuple[ReportedCalibration, ...],
+    tables: tuple[pd.DataFrame, ...],
+    *,
+    paired: bool,
 ) -> ComparedTarget:
-    first, second = (next(t for t in card.targets if t.column == column) for card in cards)
-    difference = _difference(first, cards[0], tables) if paired else None
+    first, second = (next(t for t in report.targets if t.column == column) for report in reports)
+    difference = _difference(first, reports[0].card, tables) if paired else None
     return ComparedTarget(column, first, second, difference)
 
 
@@ -251,6 +256,8 @@ def judgement(one: ComparedTarget) -> str:
     name, pair = one.first.quantity.replace("_", " "), one.paired
     if pair is None:
         return f"{name}: not comparable, see above."
+    if one.first.score.says_nothing and one.second.score.says_nothing:
+        return f"{name}: neither reads it, both are no better than always saying the mean."
     width, unit = (pair.high - pair.low) / 2, one.first.unit
     if pair.low <= 0 <= pair.high:
         ends = f"{rounded(pair.low, width)} to {rounded(pair.high, width)} {unit}"
@@ -336,7 +343,8 @@ def write_comparison(comparison: CalibrationComparison, out: PathText) -> Path:
 def _sessions_text(card: Card) -> str:
     if card.sessions is None:
         return "not told apart"
-    return f"{len(card.sessions.names)}, of which {card.sessions.held_out} were held out whole"
+    many = len(card.sessions.names)
+    return "1" if many == 1 else f"{many}, of which {card.sessions.held_out} were held out whole"
 
 
 def _confounds_text(card: Card) -> str:

@@ -35,5 +35,15 @@ def explained_half_width(score: ScoreCard, groups: int) -> float:
 
 
 def percent(share: float, low: float, high: float) -> str:
-    """A share, to the place of its own interval, in percent and without the sign."""
-    return rounded(100 * share, max(50 * (high - low), MIN_SHARE_HALF_WIDTH))
+    """A share, to the place of its own interval, in percent and without the sign.
+
+    Only all is written as 100, and only none as 0.
+
+    Example:
+        >>> percent(0.8963, 0.86, 0.92), percent(0.998, 0.16, 1.0), percent(1.0, 0.16, 1.0)
+        ('89.6', '99.8', '100')
+    """
+    shown = rounded(100 * share, max(50 * (high - low), MIN_SHARE_HALF_WIDTH))
+    if 0 < share < 1 and float(shown) in (0, 100):
+        return f"{min(max(100 * share, 0.1), 99.9):.1f}"
+    return shown
