@@ -327,10 +327,10 @@ class Card(SealedCard):
 
     @model_validator(mode="after")
     def _classes_fit(self) -> Card:
-        names = [card.column for card in self.classes or ()] + self.columns
-        if not names:
+        names = [card.column for card in self.classes or ()]
+        if not names and not self.targets:
             raise ValueError("it has neither a target nor a class")
-        if len(set(names)) < len(names):
+        if len(set(names)) < len(names) or set(names) & set(self.columns):
             raise ValueError("a class is named as a target or another class is")
         return self
 
