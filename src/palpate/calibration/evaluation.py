@@ -115,7 +115,7 @@ def evaluate(
     card = estimator.card
     rows = rows_to_score(card, run.labels)
     labels = run.labels.iloc[rows].reset_index(drop=True)
-    true = target_values(labels, card.columns, str(run.path))
+    true = target_values(labels, card.columns, str(run.path), constant=True)
     for one in card.classes or ():
         known_codes(labels, one.column, one.values, str(run.path))
     table = predictions(estimator, run, zero=zero, progress=progress)

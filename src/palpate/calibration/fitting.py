@@ -63,6 +63,7 @@ from palpate.core import (
     InputError,
     PathText,
     Progress,
+    SplitError,
     new_file,
     refuse_existing,
     sha256_of,
@@ -82,6 +83,9 @@ from palpate.recordings.label_tables import refuse_reserved
 from palpate.recordings.preparation import Preparation
 from palpate.recordings.reference_instruments import refuse_strangers
 from palpate.version import __version__
+
+MIN_LEARNT = 5
+"""Rows that each fold has to learn from, at least."""
 
 
 def calibrate(
@@ -186,6 +190,7 @@ def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
     check_learnable(classes, parts)
     names = tuple(name for one in classes for name in one.output_names)
     check_sessions(table, with_classes(values, classes), (*plan.targets, *names), parts)
+    _refuse_few_to_learn(parts, len(table))
     check_plugged_in(plan, prepared.transpose(2, 0, 1).shape)
     return parts
 
@@ -198,6 +203,17 @@ def _classes(run: Run, plan: CalibrationPlan, table: pd.DataFrame) -> tuple[Clas
         else " (rows of the untouched sensor are learnt from by --learn-untouched)"
     )
     return class_labels(table, plan.classes, str(run.path), hint=hint)
+
+
+def _refuse_few_to_learn(parts: Split, rows: int) -> None:
+    """Raise where a fold leaves next to nothing to learn from, as where all but one row is one session."""
+    largest = max(len(fold) for fold in parts.folds)
+    if rows - largest < MIN_LEARNT:
+        raise SplitError(
+            f"split {parts.kind}: one fold holds out {largest} of {rows} rows, and {rows - largest} are left "
+            f"to learn from; {MIN_LEARNT} or more are needed: record more of the other groups, or split "
+            "otherwise"
+        )
 
 
 def preparation_of(run: Run, plan: CalibrationPlan) -> Preparation:
@@ -293,6 +309,11 @@ def _confounds(
         classes=outputs.shape[1] - plan.layout.outputs,
         untouched=untouched,
         frame_px=run.frame(0).image.shape[:2],
+        columns=tuple(
+            column
+            for column, period in zip(plan.targets, plan.layout.periods, strict=True)
+            for _ in range(1 if period is None else 2)
+        ),
     )
     skin_px = plan.skin_px or run.manifest.regions.get("skin")
     return audit_confounds(rows, skin_px=skin_px, pixels=pixels, progress=progress)

@@ -15,6 +15,7 @@ from palpate.calibration.confounds.near_copies import NearCopies, find_near_copi
 from palpate.core import has_unit, split_column
 from palpate.recordings.label_tables import label_kinds
 from palpate.recordings.packed_set import PackedSet
+from palpate.recordings.run_reader import NAME_COLUMN
 from palpate.recordings.splits import Split, conventional_groups, group_names, within_session
 
 _THUMB_PX = 16
@@ -25,7 +26,7 @@ _MEDIAN_OF_NORMAL = 0.6745  # of the absolute value, in standard deviations
 _MANY = 0.05  # of the held-out frames, above which look-alikes are no chance
 _AGREEING = 0.02  # of a label's range, within which a copy's label lies
 _AT_REST = 0.002  # of the largest depth and force: a force gauge's untouched reading is seldom exactly 0
-_SMALL_PX = 48
+_SMALL_PX, _SMALL_BLUR = 48, 1.5
 _SHIFT_PX = 2  # of the prepared frame; a recorded pixel may be more than one
 _MAX_COMPARED = 1500  # held-out frames compared after gain and shift; beyond, every so many
 _BATCH = 256
@@ -147,7 +148,8 @@ def audit(
 
 def _groupings(table: pd.DataFrame, columns: Sequence[str] | None) -> Iterator[tuple[str, np.ndarray]]:
     if columns is None:
-        texts = [(name,) for name, kind in label_kinds(table).items() if kind == "text"]
+        # Images of two runs may well have one name.
+        texts = [(n,) for n, kind in label_kinds(table).items() if kind == "text" and n != NAME_COLUMN]
         chosen = list(dict.fromkeys([*conventional_groups(table), *texts]))
     else:
         chosen = [(name,) for name in columns]
@@ -225,15 +227,20 @@ def _near_copies(packed: PackedSet, split: Split, resting: np.ndarray) -> NearCo
         trained = split.training_rows(k)
         sides.append((fold[~resting[fold]][::step], trained[~resting[trained]]))
     shift = _SHIFT_PX * _SMALL_PX / max(_SMALL_PX, *packed.shape[:2])
-    return find_near_copies(_small(packed), sides, shift)
+    return find_near_copies(_small(packed), sides, shift, _changing_labels(packed.table))
 
 
 def _small(packed: PackedSet) -> np.ndarray:
-    """Grey area means of every frame ``[n h w]``, in which noise is averaged and a shift is not lost."""
+    """Grey area means of every frame ``[n h w]``, in which noise is averaged and a shift is not lost.
+
+    A shift is seen as a slope times a distance, which sharp edges do not follow. They are blurred before the
+    frame is made small: a shift by a part of a small pixel would change its aliases otherwise.
+    """
+    blur = _SMALL_BLUR * max(1.0, max(packed.shape[:2]) / _SMALL_PX)
     batches = packed.batches(np.arange(len(packed)), _BATCH)
-    small = (_shrunk(batch, _SMALL_PX).mean(axis=-1) for batch in batches)
-    # A shift is seen as a slope times a distance, which sharp edges do not follow.
-    return np.stack([cv2.GaussianBlur(frame, (0, 0), 1.0) for frames in small for frame in frames])
+    greys = (frame.astype(np.float32).mean(axis=-1) for batch in batches for frame in batch)
+    blurred = (cv2.GaussianBlur(grey, (0, 0), blur)[None, ..., None] for grey in greys)
+    return np.concatenate([_shrunk(grey, _SMALL_PX)[..., 0] for grey in blurred])
 
 
 def _noise(packed: PackedSet, thumbs: np.ndarray) -> float:
@@ -294,13 +301,21 @@ def _by_noise_alone(packed: PackedSet, a: int, b: int) -> bool:
 
 def _labels_agree(table: pd.DataFrame, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Pairs of rows whose labels are nearly equal: touches too light to be seen look alike anywhere."""
-    agree = np.ones(len(a), dtype=bool)
-    for name, kind in label_kinds(table).items():
-        label = kind == "number" and has_unit(name) and split_column(name)[0] != "time"
-        values = table[name].to_numpy(dtype=np.float64) if label else None
-        if values is not None and np.nanmax(values) > np.nanmin(values):
-            agree &= ~(np.abs(values[a] - values[b]) > _AGREEING * (np.nanmax(values) - np.nanmin(values)))
+    values = _changing_labels(table)
+    widths = _AGREEING * (np.nanmax(values, axis=0) - np.nanmin(values, axis=0))
+    agree: np.ndarray = ~(np.abs(values[a] - values[b]) > widths).any(axis=1)
     return agree
+
+
+def _changing_labels(table: pd.DataFrame) -> np.ndarray:
+    """Labels with a unit that are not the same everywhere ``[n k]``, times aside."""
+    columns = [np.empty((len(table), 0))]
+    for name, kind in label_kinds(table).items():
+        if kind == "number" and has_unit(name) and split_column(name)[0] != "time":
+            values = table[name].to_numpy(dtype=np.float64)
+            if np.nanmax(values) > np.nanmin(values):
+                columns.append(values[:, None])
+    return np.concatenate(columns, axis=1)
 
 
 def _looks_like(thumbs: np.ndarray, resting: np.ndarray, limit: float) -> np.ndarray:
@@ -315,7 +330,8 @@ def _text(split: Split, shared: dict[str, int], twins: int, altered: int, held: 
     if altered:
         findings.append(
             f"{altered} of {held} held-out frames are altered copies of frames trained on, noisier, brighter "
-            "or shifted: take the copies out, or keep them with their originals by a column that groups them"
+            "or shifted, or the same press again: take them out, or keep them with their originals by a "
+            "column that groups them"
         )
     if twins:
         findings.append(
@@ -328,7 +344,7 @@ def _text(split: Split, shared: dict[str, int], twins: int, altered: int, held: 
             f"the random split puts frames of one group on both sides: {names}; split by one of these"
         )
     elif shared:
-        held_out, names = " and ".join(split.group_columns), ", ".join(shared)
+        held_out, names = " and ".join(split.group_columns) or "stretches of rows", ", ".join(shared)
         findings.append(f"the test is of new {held_out}; of new {names} it says nothing, being on both sides")
     if not findings:
         return "No held-out frame looks the same as one trained on, and no group stands on both sides."

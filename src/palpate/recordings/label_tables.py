@@ -127,13 +127,16 @@ def label_kinds(table: pd.DataFrame) -> dict[str, LabelKind]:
     return {str(name): _kind(table[name]) for name in table.columns}
 
 
-def targets_from(table: pd.DataFrame, columns: Sequence[str], source: str) -> Values:
+def targets_from(
+    table: pd.DataFrame, columns: Sequence[str], source: str, *, constant: bool = False
+) -> Values:
     """Take the columns to be learnt out of a table of labels.
 
     Args:
         table: the labels, one row a frame.
         columns: which of its columns, in the order wanted; each name ends in its unit.
         source: what the table came from, for the messages.
+        constant: whether a column may hold one value only, as where a run is scored and not learnt from.
 
     Returns:
         ``[n t]``, each column in the unit that its name ends in.
@@ -146,7 +149,7 @@ def targets_from(table: pd.DataFrame, columns: Sequence[str], source: str) -> Va
     twice = [name for name, count in Counter(columns).items() if count > 1]
     if twice or not columns:
         raise LabelError(f"targets {list(columns)}: name at least one column, and each once")
-    return np.column_stack([_target(table, name, source) for name in columns])
+    return np.column_stack([_target(table, name, source, constant) for name in columns])
 
 
 OWN = "own:"
@@ -212,7 +215,7 @@ def _is_formula(cell: str) -> bool:
     return len(cell) > 1 and cell[0] in "+-" and not _is_number(cell)
 
 
-def _target(table: pd.DataFrame, name: str, source: str) -> np.ndarray:
+def _target(table: pd.DataFrame, name: str, source: str, constant: bool) -> np.ndarray:
     if name not in table.columns:
         numbers = [c for c, kind in label_kinds(table).items() if kind == "number"]
         raise LabelError(f"{source} has no column {name!r}; its columns of numbers are {', '.join(numbers)}")
@@ -234,7 +237,7 @@ def _target(table: pd.DataFrame, name: str, source: str) -> np.ndarray:
             f"{source}: target {name!r} holds no finite number in {rows_text(bad)}; "
             "fill these in, or remove the rows and their images"
         )
-    if np.ptp(values) == 0:
+    if np.ptp(values) == 0 and not constant:
         raise LabelError(
             f"{source}: target {name!r} is {values[0]:g} everywhere: there is nothing to learn from"
         )

@@ -191,10 +191,14 @@ def with_classes(values: Values, classes: Sequence[ClassLabels]) -> Float[np.nda
     return np.column_stack([values, *(one.one_hot for one in classes)]) if classes else values
 
 
-def target_values(table: pd.DataFrame, columns: Sequence[str], source: str) -> Values:
+def target_values(
+    table: pd.DataFrame, columns: Sequence[str], source: str, *, constant: bool = False
+) -> Values:
     """Targets out of a table of labels ``[n t]``; no column where classes alone are learnt.
+
+    Args: as of `recordings.label_tables.targets_from`.
 
     Raises:
         LabelError, UnitError: see `recordings.label_tables.targets_from`.
     """
-    return targets_from(table, columns, source) if columns else np.empty((len(table), 0))
+    return targets_from(table, columns, source, constant=constant) if columns else np.empty((len(table), 0))

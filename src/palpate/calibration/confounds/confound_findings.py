@@ -197,10 +197,12 @@ def _order(evidence: TargetEvidence, told_outside: bool) -> Finding:
     return Finding("order", column, "warns", unseen, remedy)
 
 
-def function_finding(function: TargetFunction, names: Sequence[str]) -> Finding:
-    """Finding about targets that are functions of each other."""
+def function_finding(function: TargetFunction, names: Sequence[str], columns: Sequence[str] = ()) -> Finding:
+    """Finding about targets that are functions of each other; `columns` are those that are calibrated."""
+    columns = columns or names
+    own = dict(zip(names, columns, strict=True))[function.target]
     of, column = " and ".join(function.of), function.target
-    rest = ",".join(name for name in names if name != column)
+    rest = ",".join(dict.fromkeys(name for name in columns if name != own))
     relation = f"{column} and {of} tell each other" if function.both_ways else f"{column} follows from {of}"
     return Finding(
         "function",

@@ -5,7 +5,9 @@ original is far less than between a frame and any other. How much less chance al
 recording itself: in a cloud of D dimensions the distances r₁ < r₂ < … to a point's neighbours have ratios
 with P(r₍ₖ₊₁₎/rₖ > x) = x^(−kD) (E. Facco et al., Sci. Rep. 7, 12140 (2017), doi:10.1038/s41598-017-11873-y),
 and D is taken from the fifth to eighth neighbours, which copies leave alone. So few frames of a press series
-along one depth, which are all like their neighbours, are taken for copies.
+along one depth, which are all like their neighbours, are taken for copies. Labels tell too: a copy has its
+original's to the last digit. How often chance does that, the other neighbours show; in a series of few depths
+often, among presses at drawn places never.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from sklearn.neighbors import NearestNeighbors
 
-from palpate.core import Float, Float32, Indices, Int
+from palpate.core import Float, Float32, Indices, Int, Values
 
 NEIGHBOURS = 8
 """Frames most like a held-out one that are compared with it in detail."""
@@ -25,6 +27,10 @@ CLOSE = 3
 LONE_RATIO = 6.0
 MIN_RATIO = 3.0
 """Ratio of distances, a copy's and the next frame's, below which nothing is called a copy."""
+MIN_RATIO_OF_EQUALS = 1.5
+"""The same where all labels are equal, and other neighbours' are not."""
+MAX_EQUAL = 0.01
+"""Share of other neighbours with equal labels, above which equal labels tell no copy."""
 RATE = 0.005
 """Expected share of false ones among the frames named (Benjamini and Hochberg)."""
 GAINS = (0.6, 1.6)
@@ -32,6 +38,8 @@ MAX_OFFSET = 2.0
 """Offset that noise leaves where black and white are clipped; more may be a deeper touch [grey levels]."""
 FLOOR = 0.05
 """Distance below which small pictures of 8-bit frames are not told apart [grey levels]."""
+MARGIN = 0.06
+"""Share of the longer side along the border that is left out: a shift brings in what was not there."""
 MIN_FRAMES = 40
 MAX_DIMENSIONS = 4.0
 """D taken at most: presses that touch different places differ by as much however far apart they are, which
@@ -55,7 +63,10 @@ class NearCopies:
 
 
 def find_near_copies(
-    small: Float32[np.ndarray, "n h w"], sides: Sequence[tuple[Indices, Indices]], most_shift: float
+    small: Float32[np.ndarray, "n h w"],
+    sides: Sequence[tuple[Indices, Indices]],
+    most_shift: float,
+    labels: Values | None = None,
 ) -> NearCopies:
     """Held-out frames that are altered copies of frames trained on.
 
@@ -63,12 +74,13 @@ def find_near_copies(
         small: area means of every frame, grey levels.
         sides: for each fold, rows held out and rows trained on, those at rest left out.
         most_shift: largest shift looked for, in pixels of the small pictures; a touch elsewhere shifts more.
+        labels: ``[n k]`` of every frame, where copies may be known by equal ones.
     """
     nothing = np.empty(0, np.int64)
     held, others, apart = [], [], []
     for queries, trained in sides:
         if len(queries) and len(trained) > NEIGHBOURS:
-            near, distances = _neighbours(small, queries, trained, most_shift)
+            near, distances = _neighbours(small, queries, trained, most_shift, labels)
             held.append(queries)
             others.append(near)
             apart.append(distances)
@@ -82,12 +94,22 @@ def find_near_copies(
     jump = close[np.arange(len(rows)), place]
     chance = 1 - (1 - np.exp(-dimensions * np.maximum(jump, 0))) ** CLOSE
     ratio = np.exp(jump / (place + 1))
-    found = _significant(np.where(ratio >= MIN_RATIO, chance, 1.0))
+    least = np.full(len(rows), MIN_RATIO)
+    if labels is not None and labels.shape[1]:
+        equal = (labels[near] == labels[rows][:, None]).all(axis=2)
+        by_chance = (1 + equal[:, 1:].sum()) / (1 + equal[:, 1:].size)
+        chance = np.where(equal[:, 0], chance * by_chance, chance)
+        least = np.where(equal[:, 0] & (by_chance <= MAX_EQUAL), MIN_RATIO_OF_EQUALS, MIN_RATIO)
+    found = _significant(np.where(ratio >= least, chance, 1.0))
     return NearCopies(rows[found], near[found, 0], dimensions, rows[ratio >= LONE_RATIO])
 
 
 def _neighbours(
-    small: Float32[np.ndarray, "n h w"], queries: Indices, trained: Indices, most_shift: float
+    small: Float32[np.ndarray, "n h w"],
+    queries: Indices,
+    trained: Indices,
+    most_shift: float,
+    labels: Values | None,
 ) -> tuple[Int[np.ndarray, "q k"], Float[np.ndarray, "q k"]]:
     """The frames trained on that are most like each query once aligned, nearest first."""
     flat = small.reshape(len(small), -1)
@@ -95,6 +117,8 @@ def _neighbours(
     even = even / np.maximum(np.linalg.norm(even, axis=1, keepdims=True), 1e-6)
     search = NearestNeighbors(n_neighbors=NEIGHBOURS, algorithm="brute").fit(even[trained])
     near = trained[search.kneighbors(even[queries], return_distance=False)]
+    if labels is not None and labels.shape[1]:
+        near = _with_equals(near, queries, trained, labels)
     distances = np.concatenate(
         [
             _aligned_distance(small[queries[part]], small[near[part]], most_shift)
@@ -103,6 +127,18 @@ def _neighbours(
     )
     order = np.argsort(distances, axis=1, kind="stable")
     return np.take_along_axis(near, order, axis=1), np.take_along_axis(distances, order, axis=1)
+
+
+def _with_equals(
+    near: Int[np.ndarray, "q k"], queries: Indices, trained: Indices, labels: Values
+) -> Int[np.ndarray, "q k"]:
+    """The same, with a frame of equal labels for the last where none is among them: a shift may hide it."""
+    equal = {labels[row].tobytes(): row for row in trained}
+    for place, query in enumerate(queries):
+        twin = equal.get(labels[query].tobytes())
+        if twin is not None and twin not in near[place]:
+            near[place, -1] = twin
+    return near
 
 
 def _aligned_distance(
@@ -115,8 +151,11 @@ def _aligned_distance(
     down, across = np.gradient(others, axis=(2, 3))
     (down_down, down_across), across_across = np.gradient(down, axis=(2, 3)), np.gradient(across, axis=3)
     terms = (others, np.ones_like(others), across, down, across_across, down_across, down_down)
-    columns = np.stack(terms, axis=2).reshape(*others.shape[:2], len(terms), -1)
-    wanted = np.broadcast_to(frames.reshape(len(frames), 1, -1), (*others.shape[:2], frames[0].size))
+    inner = _inner(frames.shape[1:])
+    columns = np.stack([term[:, :, *inner] for term in terms], axis=2)
+    columns = columns.reshape(*others.shape[:2], len(terms), -1)
+    asked = frames[:, *inner].reshape(len(frames), 1, -1)
+    wanted = np.broadcast_to(asked, (*others.shape[:2], asked.shape[2]))
     products = columns @ columns.transpose(0, 1, 3, 2)
     sizes = np.trace(products, axis1=2, axis2=3)[..., None, None]
     products = products + 1e-7 * sizes * np.eye(len(terms), dtype=np.float32)
@@ -129,6 +168,12 @@ def _aligned_distance(
     usable &= bends.all(axis=-1)
     usable &= (np.abs(shift) <= most_shift * np.abs(gain[..., None])).all(axis=-1)
     return np.maximum(np.where(usable, left, plain), FLOOR).astype(np.float64)
+
+
+def _inner(shape: tuple[int, ...]) -> tuple[slice, ...]:
+    """The part of a small picture that its border has no share in; all of one that is very small."""
+    margin = round(MARGIN * max(shape))
+    return tuple(slice(margin, side - margin) if side > 4 * margin else slice(None) for side in shape)
 
 
 def _dimensions(steps: Float[np.ndarray, "q s"], distances: Float[np.ndarray, "q k"]) -> float:

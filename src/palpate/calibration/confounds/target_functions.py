@@ -41,7 +41,10 @@ class TargetFunction:
 
 
 def target_functions(
-    values: Values, names: Sequence[str], units: Int[np.ndarray, " n"]
+    values: Values,
+    names: Sequence[str],
+    units: Int[np.ndarray, " n"],
+    columns: Sequence[str] | None = None,
 ) -> list[TargetFunction]:
     """Targets that follow from one other, or else one that follows from all the others together.
 
@@ -49,7 +52,10 @@ def target_functions(
         values: ``[n t]``.
         names: columns of the targets.
         units: ``[n]`` press of each row; a row is told by rows of other presses only.
+        columns: label column that each target is of, where several are of one: a direction's cosine and sine
+            tell each other over an arc, which is no finding. By default each is its own.
     """
+    columns = tuple(columns or names)
     values, first = np.unique(values, axis=0, return_index=True)  # a row told by its copy is no function
     shuffled = np.random.default_rng(0).permutation(len(first))  # so that no order decides between equals
     values, units = values[shuffled], units[first][shuffled]
@@ -61,7 +67,7 @@ def target_functions(
     told = np.zeros((count, count))
     for of in range(count):
         for target in range(count):
-            if of != target:
+            if columns[of] != columns[target]:
                 guess = _along(values[:, of], values[:, target], units)
                 told[of, target] = _told(values[:, target], guess, len(np.unique(units)))
     found: list[TargetFunction] = []
@@ -71,7 +77,8 @@ def target_functions(
             both = bool(told[target, of] > 0)
             found.append(TargetFunction(names[target], (names[of],), float(told[of, target]), both))
     few = np.unique(np.linspace(0, len(values) - 1, min(MAX_ROWS_OF_ALL, len(values))).astype(np.int64))
-    return found or _of_all_others(values[few], names, units[few])
+    alone = len(set(columns)) == len(columns)
+    return found or (_of_all_others(values[few], names, units[few]) if alone else [])
 
 
 def _of_all_others(

@@ -28,7 +28,7 @@ def target_findings(target: TargetCard, coverage: float) -> tuple[str, ...]:
     tenths = () if target.over_range is None else target.over_range.tenths
     found = [f"{name}: {sentence}" for sentence in range_sentences(tenths, target.unit, coverage)]
     width, span = 2 * target.score.half_width, target.greatest - target.least
-    if target.over_range is not None and width >= span:
+    if (target.over_range is not None or target.circular is not None) and width >= span:
         found.append(
             f"{name} is not read: its intervals are {width:.3g} {target.unit} wide on average, and "
             f"the range is "

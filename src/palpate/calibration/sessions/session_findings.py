@@ -19,6 +19,12 @@ from palpate.calibration.sessions.session_intervals import (
     few_sessions_factor,
     intervals_of_sessions,
 )
+from palpate.calibration.sessions.session_labels import (
+    alike_sessions,
+    label_findings,
+    refuse_no_sessions,
+    unlabelled_runs,
+)
 from palpate.core import InputError, SplitError, Values
 from palpate.estimators.card_ground import RunCard
 from palpate.estimators.certified import Intervals
@@ -34,6 +40,9 @@ HELD_OUT_WHOLE = (SESSION, "sensor", "copy")
 MAX_COPIES = 0.05
 """Share of a session's touched frames that may be another's to the last byte, as of a sensor that is dark at
 a light touch; more are one recording under two names."""
+
+MAX_ALTERED = 0.5
+"""Share of the scored frames that are altered copies of another session's, from which it is no other."""
 
 MAX_SHARE_OF_VARIANCE = 0.9
 """Share of a target's variance that lies between sessions, above which the session tells the target."""
@@ -135,15 +144,17 @@ def check_sessions(
         split: of the rows.
 
     Raises:
-        SplitError: a target has one value in each session, and sessions are to be held out: each would be
-            asked for values that the others do not show.
+        SplitError: sessions are to be held out, and their labels cannot name sessions, or a target has one
+            value in each: each would be asked for values that the others do not show.
     """
     if SESSION not in table:
         return ()
     sessions = group_names(table, (SESSION,))
     if len(np.unique(sessions)) < 2:
         return ()
-    findings = []
+    if SESSION in split.group_columns:
+        refuse_no_sessions(table, columns)
+    findings = label_findings(table, values, columns)
     for column, target in zip(columns, values.T, strict=True):
         share = share_between(target, sessions)
         if share > 1 - 1e-9 and SESSION in split.group_columns:
@@ -300,5 +311,33 @@ def session_fields(result: CalibrationResult, held: HeldOutSessions | None) -> d
     outputs, true = result.held_out[scored], result.data.values[scored]
     errors, inside = intervals.errors(outputs, true), intervals.hold(outputs, true)
     pairs = {column: (errors[:, j], inside[:, j]) for j, column in enumerate(plan.targets)}
-    findings = check_sessions(table, result.data.values, plan.targets, result.split)
+    findings = (
+        *_copied(result),
+        *_alike(result, table),
+        *unlabelled_runs(result.run),
+        *check_sessions(table, result.data.values, plan.targets, result.split),
+    )
     return {"sessions": sessions_card(result.run, held, pairs, plan.coverage, findings)}
+
+
+def _copied(result: CalibrationResult) -> list[str]:
+    """A sentence where most frames of held-out sessions are altered copies of others'."""
+    copies, scored = result.audit.near_duplicates, len(result.scored)
+    if SESSION not in result.split.group_columns or copies < MAX_ALTERED * scored:
+        return []
+    text = (
+        f"{copies} of {scored} frames look the same as frames of another session, within camera noise or but "
+        "for a shift or light: that is one session under two names, which tests no other day; give it once"
+    )
+    return [text]
+
+
+def _alike(result: CalibrationResult, table: pd.DataFrame) -> list[str]:
+    """Sentences on sessions whose frames cannot be told apart; none where there is one session."""
+    if SESSION not in table or SESSION not in result.split.group_columns:
+        return []
+    sessions = group_names(table, (SESSION,))
+    if len(np.unique(sessions)) < 2:
+        return []
+    pictures = result.learning.thumbnails()[result.learning.rows]
+    return alike_sessions(pictures, sessions, groups_within(table))

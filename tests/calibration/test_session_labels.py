@@ -1,0 +1,141 @@
+"""Columns that name no sessions are refused; sessions that show nothing of another day are said to."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from palpate.calibration import CalibrationPlan, calibrate, evaluate
+from palpate.calibration.sessions.session_labels import (
+    alike_sessions,
+    label_findings,
+    refuse_no_sessions,
+)
+from palpate.core import SplitError
+from palpate.estimators import Estimator, read_card
+
+PLAN = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", "session", size_px=(24, 32))
+
+
+def table_of(sessions, rng) -> pd.DataFrame:
+    return pd.DataFrame({"session": sessions, "x_mm": rng.uniform(-1, 1, len(sessions))})
+
+
+def test_a_session_that_repeats_a_target_is_refused_by_its_name(rng) -> None:
+    depths = np.repeat([0.5, 1.0, 1.5], 20)
+    table = table_of(depths, rng).assign(depth_mm=depths)
+    with pytest.raises(SplitError, match="holds the values of target 'depth_mm'"):
+        refuse_no_sessions(table, ["x_mm", "depth_mm"])
+    refuse_no_sessions(table, ["x_mm"])
+
+
+def test_a_session_in_each_row_is_refused_and_one_in_every_third_is_not(rng) -> None:
+    with pytest.raises(SplitError, match="60 values in 60 rows"):
+        refuse_no_sessions(table_of([f"s{i}" for i in range(60)], rng), ["x_mm"])
+    refuse_no_sessions(table_of([f"s{i // 3}" for i in range(60)], rng), ["x_mm"])
+
+
+@pytest.mark.parametrize(
+    ("names", "day"),
+    [
+        (("2026-11-21", "21.11.2026"), "2026-11-21"),
+        (("2026-11-21", "11/21/2026"), "2026-11-21"),
+        (("20261121", "2026-11-21"), "2026-11-21"),
+        (("2026-11-21", "21 Nov 2026"), "2026-11-21"),
+        (("2026-04-03", "04/03/2026"), "2026-04-03"),
+    ],
+)
+def test_one_day_written_in_two_ways_is_refused(names, day, rng) -> None:
+    with pytest.raises(SplitError, match=f"may both be {day}"):
+        refuse_no_sessions(table_of(np.repeat(names, 20), rng), ["x_mm"])
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("2026-11-21", "2026-11-22"),
+        ("03/04/2026", "04/03/2026"),  # written in one way, whichever that is
+        ("21.11.2026", "2026-11-22"),
+        ("monday", "2026-11-21"),
+        ("day1", "day2"),
+    ],
+)
+def test_other_days_are_sessions(names, rng) -> None:
+    refuse_no_sessions(table_of(np.repeat(names, 20), rng), ["x_mm"])
+
+
+def findings(sessions, rng, **columns) -> str:
+    table = table_of(sessions, rng).assign(**columns)
+    targets = ["x_mm", *columns]
+    return " ".join(label_findings(table, table[targets].to_numpy(float), targets))
+
+
+def test_what_speaks_against_sessions_is_said_and_nothing_of_two_good_days(rng) -> None:
+    two = np.repeat(["mon", "tue"], 30)
+    assert findings(two, rng) == ""
+    assert "session wed has 1 row: too few" in findings([*two, "wed"], rng)
+    assert "alternate 59 times" in findings(["mon", "tue"] * 30, rng)
+    still = np.r_[np.ones(30), rng.uniform(0, 5, 30)]
+    assert "force_N has one value throughout session mon" in findings(two, rng, force_N=still)
+    angle = np.r_[rng.uniform(-180, 180, 30), rng.uniform(-np.pi, np.pi, 30)]
+    assert "is it in another unit there?" in findings(two, rng, angle_deg=angle)
+
+
+def frames(rng, count: int, lamp: float) -> np.ndarray:
+    """Spots at drawn places under a lamp, small."""
+    rows, columns = np.mgrid[:16, :16]
+    x, y = rng.uniform(3, 13, (2, count, 1, 1))
+    spot = 80 * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / 8)
+    return (100 + lamp + spot + rng.normal(0, 1, spot.shape))[..., None].astype(np.float32)
+
+
+def test_two_halves_of_one_session_cannot_be_told_apart_and_two_lamps_can() -> None:
+    named = {0.0: 0, 2.0: 0}
+    for lamp in named:
+        for seed in range(20):
+            rng = np.random.default_rng(seed)
+            pictures = np.concatenate([frames(rng, 40, 0), frames(rng, 40, lamp)])
+            found = alike_sessions(pictures, np.repeat(["mon", "tue"], 40), np.arange(80))
+            named[lamp] += len(found)
+    assert named[0.0] >= 17  # a level of 5 % of 20
+    assert named[2.0] == 0
+
+
+def test_presses_and_not_frames_are_what_is_shuffled(rng) -> None:
+    """Forty frames of ten presses a session differ between sessions as ten presses do."""
+    pictures = np.repeat(frames(rng, 20, 0), 4, axis=0)
+    sessions, units = np.repeat(["mon", "tue"], 40), np.repeat(np.arange(20), 4)
+    assert len(alike_sessions(pictures, sessions, units)) == 1
+
+
+def test_all_but_one_row_in_a_session_leave_nothing_to_learn_from_and_are_refused(
+    record_spots, rewritten, tmp_path
+) -> None:
+    run = record_spots("long", 10)
+    sessions = iter(["mon"] * (len(run) - 1) + ["tue"])
+    uneven = rewritten(run, tmp_path / "uneven", lambda row: {**row, "session": next(sessions)})
+    with pytest.raises(SplitError, match="holds out 49 of 50 rows, and 1 are left to learn from"):
+        calibrate(uneven, PLAN, tmp_path / "cal")
+
+
+def test_one_session_under_two_names_is_said_on_the_card(record_spots, rewritten, tmp_path) -> None:
+    """Frames of one mounting with other noise, which are no copies to the last byte."""
+    rng = np.random.default_rng(0)
+    first = record_spots("monday", 12)
+
+    def noisy(image):
+        return np.clip(image + rng.integers(-1, 2, image.shape), 0, 255).astype(np.uint8)
+
+    second = rewritten(first, tmp_path / "again", image=noisy)
+    card = read_card(calibrate([first, second], PLAN, tmp_path / "cal"))
+    assert any("one session under two names" in finding for finding in card.sessions.findings)
+
+
+def test_a_run_with_one_value_of_a_target_is_scored(record_spots, rewritten, tmp_path) -> None:
+    run = record_spots("day", 20)
+    estimator = Estimator.open(calibrate(run, CalibrationPlan(("x_mm",), "pca-ridge"), tmp_path / "cal"))
+    still = rewritten(run, tmp_path / "still", lambda row: {**row, "x_mm": 0.5})
+    found = evaluate(estimator, still)["targets"]["x_mm"]
+    assert found["r2"] == 0
+    assert np.isfinite(found["mae"])
