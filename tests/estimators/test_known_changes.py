@@ -18,10 +18,13 @@ from palpate.estimators.guard import (
     cross_fitted,
     fit_known_changes,
     fit_novelty_detector,
+    frame_features,
     image_features,
     rescaled,
     thumbnails,
 )
+from palpate.estimators.guard.guard_features import LOCAL_FEATURES
+from palpate.estimators.guard.novelty import _weights
 
 FEATURES = 20
 TOUCH = np.linspace(1, 3, FEATURES)  # what a touch moves
@@ -166,6 +169,40 @@ def test_a_registration_finds_shift_and_turn_in_their_own_units() -> None:
     assert turned[2] == pytest.approx(np.radians(0.5), rel=0.15)
 
 
+def test_what_is_unlike_the_neighbours_is_registered_with_turn_and_zoom_in_px_at_the_rim() -> None:
+    thumbs = thumbnails([pins(large=3), pins(shift=0.6, large=3), pins(turn=0.5, large=3)])
+    found = Registration.fit(np.repeat(thumbs[:1], 3, axis=0))
+    whole, local = found.features(thumbs[1]), found.local_features(thumbs[1] - thumbs[0])
+    assert len(local) == LOCAL_FEATURES
+    np.testing.assert_allclose(local[[0, 1, 4, 5, 6]], whole[[0, 1, 4, 5, 6]], atol=1e-5)
+    turned = found.local_features(thumbs[2] - thumbs[0])
+    assert turned[2] == pytest.approx(16 * np.radians(0.5), rel=0.15)  # 32 px a side
+
+
+def test_features_beside_the_neighbours_tell_what_those_of_the_whole_picture_do_not(registration) -> None:
+    """The costly feature is lost in the scatter of frames; beside its neighbours a frame shows it alone."""
+    rng = np.random.default_rng(1)
+    plain = examples(rng)
+    hidden = plain.features.copy()
+    hidden[:, COSTLY] = rng.normal(size=len(hidden))
+    beside = rng.normal(size=(len(hidden), LOCAL_FEATURES))
+    beside[:, 0] += 300 * plain.harm
+    whole = replace(plain, features=np.concatenate([hidden, beside], axis=1), local=True)
+    assert whole.without_local().features.shape == plain.features.shape
+    assert not whole.without_local().local
+    assert plain.without_local() is plain
+    folds = [np.arange(k, 150, 5) for k in range(5)]
+    costly = plain.harm > 0.03
+    refused = [
+        np.array([one.atypicality > 1 and one.costs for one in cross_fitted(each, registration, folds)])
+        for each in (whole, whole.without_local())
+    ]
+    assert refused[0][costly].mean() > 0.95
+    assert refused[0][plain.kind == 0].mean() < 0.05
+    told = [one[costly].mean() - one[plain.kind == 0].mean() for one in refused]
+    assert told[1] < 0.5 < 0.9 < told[0]
+
+
 def test_a_blur_lowers_the_finest_band_most_and_leaves_the_coarsest() -> None:
     away = image_features(pins(blur=1.0)) - image_features(pins())
     rms = away[1:32:2].reshape(4, 4).mean(axis=1)  # octaves from fine to coarse
@@ -229,6 +266,41 @@ def test_known_changes_come_back_from_disk_to_the_last_digit(known, tmp_path) ->
         assert again.judge(at, 1.5) == known.judge(at, 1.5)
 
 
+def test_a_guard_asks_for_features_beside_neighbours_where_it_has_learnt_them(tmp_path) -> None:
+    """A guard of before has none in its file, and judges without."""
+    rng = np.random.default_rng(5)
+    plain = detector(rng)
+    images = [rng.integers(0, 255, (8, 8, 1)).astype(np.uint8) for _ in range(40)]
+    thumbs = thumbnails(images)
+    found = Registration.fit(thumbs)
+    unlike = [plain.novelty(thumb)[1] for thumb in thumbs]
+    rows = zip(images, thumbs, unlike, strict=True)
+    features = np.stack([frame_features(image, thumb, found, other) for image, thumb, other in rows])
+    kind = np.repeat([0, 1], 20)
+    every = ChangeExamples(
+        features, np.tile(np.arange(20), 2), kind, 0.02 * kind, np.ones(40), ("focus",), local=True
+    )
+    for each, columns in ((every, features), (every.without_local(), features[:, :-LOCAL_FEATURES])):
+        known = fit_known_changes(each, found)
+        path = tmp_path / f"{each.local}.npz"
+        replace(plain, changes=known).save(path)
+        again = NoveltyDetector.load(path)
+        assert again.changes is not None
+        assert again.changes.local == each.local
+        with np.load(path) as held:
+            assert ("known_local" in held) == each.local
+        assert again.judge(images[3]) == known.judge(columns[3], plain.novelty(thumbs[3])[0])
+        np.testing.assert_allclose(unlike[3], thumbs[3] - rebuilt(plain, thumbs[3]), atol=1e-3)
+
+
+def rebuilt(plain: NoveltyDetector, thumb: np.ndarray) -> np.ndarray:
+    """The mean of the nearest thumbnails whose weights are not negative and that lies nearest."""
+    near = plain.neighbours.reconstruct(thumb).rows
+    apart = plain.neighbours.thumbs[near].reshape(len(near), -1).astype(float)
+    weights = _weights((apart - thumb.ravel()).astype(np.float32))
+    return (weights @ apart).reshape(thumb.shape)
+
+
 def test_a_guard_without_known_changes_is_the_former_one(tmp_path) -> None:
     plain = detector(np.random.default_rng(5))
     plain.save(tmp_path / "guard.npz")
@@ -237,7 +309,7 @@ def test_a_guard_without_known_changes_is_the_former_one(tmp_path) -> None:
     again = NoveltyDetector.load(tmp_path / "guard.npz")
     assert again.changes is None
     image = np.random.default_rng(7).integers(0, 255, (8, 8, 1)).astype(np.uint8)
-    assert again.judge(image) == Verdict(plain.novelty(thumbnails([image])[0]))
+    assert again.judge(image) == Verdict(plain.novelty(thumbnails([image])[0])[0])
 
 
 def test_damaged_known_changes_are_refused(known, tmp_path) -> None:
@@ -261,4 +333,5 @@ def test_damaged_known_changes_are_refused(known, tmp_path) -> None:
     np.savez(tmp_path / "other.npz", **missing)
     with pytest.raises(CertificateError, match="calibrate again"):
         NoveltyDetector.load(tmp_path / "other.npz")
-    assert {f"known_{f.name}" for f in fields(KnownChanges)} - {"known_registration"} <= set(parts)
+    own = {f"known_{f.name}" for f in fields(KnownChanges)} - {"known_registration", "known_local"}
+    assert own <= set(parts)

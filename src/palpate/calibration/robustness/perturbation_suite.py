@@ -140,12 +140,17 @@ def try_changes(
     turns = _turns(suite.plan.layout, changed)
     harm = _harm(unchanged.scaled, (changed.error - before.error) / changed.half, turns)
     progress("learning which changes cost", 0, 1)
-    examples, registration = _examples(suite, detector, rows, tried, harm)
-    verdicts = cross_fitted(examples, registration, _parts(suite, rows))
-    atypicality = np.array([verdict.atypicality for verdict in verdicts])
-    known, factor = rescaled(fit_known_changes(examples, registration), atypicality[: len(rows)])
+    every, registration = _examples(suite, detector, rows, tried, harm)
+    for examples in (every.without_local(), every):
+        verdicts = cross_fitted(examples, registration, _parts(suite, rows))
+        atypicality = np.array([verdict.atypicality for verdict in verdicts])
+        known, factor = rescaled(fit_known_changes(examples, registration), atypicality[: len(rows)])
+        refused = atypicality / factor > 1
+        silent_share = np.mean(changed.beyond & ~refused[len(rows) :, None])
+        if silent_share <= unchanged.beyond.mean() + MAX_SILENT:
+            break  # what sees more also takes a good session for another one more often
     progress("learning which changes cost", 1, 1)
-    found = _card(rows, tried, unchanged, changed, atypicality / factor > 1)
+    found = _card(rows, tried, unchanged, changed, refused)
     return replace(detector, changes=known), found
 
 
@@ -272,8 +277,10 @@ def _examples(
     prepared = [*_prepared(suite, rows), *tried.prepared]
     thumbs = [thumbnail(image) for image in prepared]
     registration = Registration.fit(np.stack(thumbs[: len(rows)]))
+    novelty, unlike = _novelty(suite, detector, frame, thumbs)
     features = [
-        frame_features(image, thumb, registration) for image, thumb in zip(prepared, thumbs, strict=True)
+        frame_features(image, thumb, registration, other)
+        for image, thumb, other in zip(prepared, thumbs, unlike, strict=True)
     ]
     names = tuple(dict.fromkeys(tried.kind.tolist()))
     kind = [0] * len(rows) + [names.index(name) + 1 for name in tried.kind]
@@ -283,24 +290,25 @@ def _examples(
         frame,
         np.array(kind),
         np.concatenate([no_harm, harm]),
-        _novelty(suite, detector, frame, thumbs),
+        novelty,
         names,
+        local=True,
     )
     return examples, registration
 
 
 def _novelty(
     suite: Suite, detector: NoveltyDetector, frame: Indices, thumbs: list[np.ndarray]
-) -> Float[np.ndarray, " m"]:
-    """Novelty of thumbnails of these rows, beside those that the guard keeps of other folds."""
+) -> tuple[Float[np.ndarray, " m"], list[np.ndarray]]:
+    """Novelty of thumbnails of these rows, and what is unlike those that the guard keeps of other folds."""
     kept, total = kept_rows(len(suite.learning.whole), suite.plan.seed), len(detector.neighbours.thumbs)
-    novelty = np.empty(len(frame))
+    novelty, unlike = np.empty(len(frame)), [np.empty(0)] * len(frame)
     for rows, whole in zip(suite.parts.folds, suite.learning.folds_of_whole(suite.parts), strict=True):
         own = np.flatnonzero(np.isin(kept, whole))
         others = replace(detector, neighbours=detector.neighbours.among(np.setdiff1d(np.arange(total), own)))
         for i in np.flatnonzero(np.isin(frame, rows)):
-            novelty[i] = others.novelty(thumbs[i])
-    return novelty
+            novelty[i], unlike[i] = others.novelty(thumbs[i])
+    return novelty, unlike
 
 
 def _card(

@@ -23,6 +23,8 @@ from palpate.core import Float, Float32, UInt8
 OCTAVES = 4
 MAX_MARKER_SIDE_PX = 240  # longer side of the image that markers are found in
 MAX_COUNTED_PIXELS = 2**17  # for grey levels; of larger images every second row or fewer are counted
+LOCAL_FEATURES = 8
+"""Features of a thumbnail beside its neighbours, the last ones."""
 FLOOR = 0.02  # grey levels, below which a mean says nothing
 
 Grey = UInt8[np.ndarray, "h w"]
@@ -176,7 +178,19 @@ class Registration:
 
     def features(self, thumb: Float32[np.ndarray, "h w c"]) -> Float[np.ndarray, " 8"]:
         """The seven numbers [px of the thumbnail, rad, shares, grey levels], and log of what is left over."""
-        difference = thumb.mean(axis=2).ravel() - self.mean
+        return self._fitted(thumb.mean(axis=2).ravel() - self.mean)
+
+    def local_features(self, unlike: Float32[np.ndarray, "h w c"]) -> Float[np.ndarray, " 8"]:
+        """The same of a thumbnail less what its neighbours make of it, turn and zoom in px at the rim.
+
+        Where frames of one calibration differ much from each other, a slight change is small beside that; and
+        large beside what a frame differs from those most like it.
+        """
+        found, side = self._fitted(unlike.mean(axis=2).ravel()), max(unlike.shape[:2])
+        found[2:4] *= side / 2
+        return found
+
+    def _fitted(self, difference: Float32[np.ndarray, " p"]) -> Float[np.ndarray, " 8"]:
         found = self.inverse @ difference
         left = difference - self.jacobian @ found
         return np.append(found, _log(math.sqrt(self.weight @ left**2 / len(left)))).astype(np.float64)
@@ -194,7 +208,19 @@ def _jacobian(mean: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "p 7"]:
 
 
 def frame_features(
-    prepared: UInt8[np.ndarray, "_ _ c"], thumb: Float32[np.ndarray, "h w c"], registration: Registration
+    prepared: UInt8[np.ndarray, "_ _ c"],
+    thumb: Float32[np.ndarray, "h w c"],
+    registration: Registration,
+    unlike: Float32[np.ndarray, "h w c"] | None = None,
 ) -> Float[np.ndarray, " k"]:
-    """All features of a prepared image: its own, and how its thumbnail lies on the calibration's mean one."""
-    return np.concatenate([image_features(prepared), registration.features(thumb)])
+    """All features of a prepared image: its own, and how its thumbnail lies on the calibration's mean one.
+
+    Args:
+        prepared: the image.
+        thumb: its thumbnail.
+        registration: on the mean one.
+        unlike: the thumbnail less what its neighbours make of it; None where that is not asked, as by guards
+            of before.
+    """
+    parts = [image_features(prepared), registration.features(thumb)]
+    return np.concatenate(parts if unlike is None else [*parts, registration.local_features(unlike)])

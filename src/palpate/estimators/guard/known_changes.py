@@ -21,7 +21,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from palpate.core import Bool, Float, Float32, Indices, Int, Shaped
-from palpate.estimators.guard.guard_features import Registration
+from palpate.estimators.guard.guard_features import LOCAL_FEATURES, Registration
 
 MAX_HARM = 0.01
 """A frame is refused where the share of readings beyond twice their half-width would rise by more."""
@@ -110,6 +110,7 @@ class ChangeExamples:
         harm: rise of the share of readings beyond twice their half-width; 0 where it was not changed.
         novelty: of its thumbnail, over the limit that holds where no change is known.
         names: of the kinds.
+        local: whether the features have those of the thumbnail beside its neighbours.
     """
 
     features: Float[np.ndarray, "m k"]
@@ -118,6 +119,7 @@ class ChangeExamples:
     harm: Float[np.ndarray, " m"]
     novelty: Float[np.ndarray, " m"]
     names: tuple[str, ...]
+    local: bool = False
 
     def only(self, chosen: Bool[np.ndarray, " m"]) -> ChangeExamples:
         """Some of them."""
@@ -128,7 +130,14 @@ class ChangeExamples:
             self.harm[chosen],
             self.novelty[chosen],
             self.names,
+            self.local,
         )
+
+    def without_local(self) -> ChangeExamples:
+        """The same examples without the features of a thumbnail beside its neighbours."""
+        if not self.local:
+            return self
+        return replace(self, features=self.features[:, :-LOCAL_FEATURES], local=False)
 
 
 @dataclass(frozen=True)
@@ -142,6 +151,7 @@ class KnownChanges:
         spacing: how far the third nearest example of another frame is ``[m]``.
         harm, novelty, kind, names: see `ChangeExamples`.
         limits: of harm, of the spacing's ratio, of novelty among known changes, and what all is divided by.
+        local: whether features have those of the thumbnail beside its neighbours; guards of before have none.
     """
 
     registration: Registration
@@ -155,6 +165,7 @@ class KnownChanges:
     kind: Int[np.ndarray, " m"]
     names: Shaped[np.ndarray, " q"]
     limits: Float[np.ndarray, " 4"]
+    local: bool = False
 
     def judge(self, features: Float[np.ndarray, " k"], novelty: float) -> Verdict:
         """Judge a frame by its features and by how novel its thumbnail is.
@@ -186,7 +197,9 @@ class KnownChanges:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """All of it as plain arrays, by names of their own."""
-        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "registration"}
+        own = {name: getattr(self, name) for name in OWN_ARRAYS}
+        if self.local:
+            own["local"] = np.array(True)
         parts = {f"registration_{f.name}": getattr(self.registration, f.name) for f in fields(Registration)}
         return {PREFIX + name: part for name, part in (own | parts).items()}
 
@@ -200,10 +213,10 @@ class KnownChanges:
         """
         if PREFIX + "places" not in arrays:
             return None
-        own = {f.name: arrays[PREFIX + f.name] for f in fields(cls) if f.name != "registration"}
+        own = {name: arrays[PREFIX + name] for name in OWN_ARRAYS}
         parts = {f.name: arrays[f"{PREFIX}registration_{f.name}"] for f in fields(Registration)}
         _refuse_unfit(own, parts)
-        return cls(registration=Registration(**parts), **own)
+        return cls(registration=Registration(**parts), **own, local=PREFIX + "local" in arrays)
 
 
 def _refuse_unfit(own: Mapping[str, np.ndarray], registration: Mapping[str, np.ndarray]) -> None:
@@ -227,6 +240,7 @@ def _refuse_unfit(own: Mapping[str, np.ndarray], registration: Mapping[str, np.n
 
 
 PREFIX = "known_"
+OWN_ARRAYS = tuple(f.name for f in fields(KnownChanges) if f.name not in ("registration", "local"))
 
 
 def _places(features: np.ndarray, centre: np.ndarray, spread: np.ndarray, axes: np.ndarray) -> np.ndarray:
@@ -267,6 +281,7 @@ def fit_known_changes(examples: ChangeExamples, registration: Registration) -> K
         examples.kind.astype(np.int64),
         np.array(examples.names, dtype=np.str_),
         np.array([MAX_HARM, np.quantile(ratio, KNOWN_SHARE), tolerated, 1.0]),
+        examples.local,
     )
 
 

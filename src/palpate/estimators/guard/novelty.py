@@ -84,9 +84,11 @@ class NeighbourModel:
         The first is the root mean square over blocks of the mean of all channels. The second is the largest
         over the channels, each as a whole: light that is brighter, darker or of another colour.
         """
-        rebuilt = self.reconstruct(thumb)
-        expected = _expected_residual(self.residual[rebuilt.rows])
-        return _ratios(rebuilt.residual, expected, thumb.shape[2])
+        return self.novelty_of(self.reconstruct(thumb), thumb.shape[2])
+
+    def novelty_of(self, rebuilt: Reconstruction, channels: int) -> Float[np.ndarray, " 2"]:
+        """The same of a thumbnail that was rebuilt."""
+        return _ratios(rebuilt.residual, _expected_residual(self.residual[rebuilt.rows]), channels)
 
     def reconstruct(self, thumb: Thumbnail) -> Reconstruction:
         """Rebuild a thumbnail from its nearest ones."""
@@ -99,7 +101,8 @@ class NeighbourModel:
         rows = np.argpartition(away, count - 1)[:count]
         apart = self.thumbs[rows].reshape(count, -1) - flat
         error = np.einsum("r,rk->k", _weights(apart), apart)
-        return Reconstruction(rows, np.einsum("k,km->m", error, _means(thumb.shape)) ** 2)
+        residual = np.einsum("k,km->m", error, _means(thumb.shape)) ** 2
+        return Reconstruction(rows, residual, -error.reshape(thumb.shape))
 
     def among(self, rows: Indices) -> NeighbourModel:
         """A model of some of the thumbnails alone."""
@@ -133,10 +136,12 @@ class Reconstruction(NamedTuple):
     Attributes:
         rows: of the neighbours.
         residual: squared means, as in `NeighbourModel.residual`.
+        unlike: the thumbnail less what its neighbours make of it.
     """
 
     rows: Int[np.ndarray, " r"]
     residual: Float[np.ndarray, " m"]
+    unlike: Thumbnail
 
 
 @dataclass(frozen=True)
@@ -302,14 +307,17 @@ class NoveltyDetector:
     def judge(self, prepared: Prepared) -> Verdict:
         """Atypicality of the image, and where it is too great, what the image looks like."""
         thumb = thumbnail(prepared)
-        novelty = self.novelty(thumb)
+        novelty, unlike = self.novelty(thumb)
         if self.changes is None:
             return Verdict(novelty)
-        return self.changes.judge(frame_features(prepared, thumb, self.changes.registration), novelty)
+        asked = unlike if self.changes.local else None
+        return self.changes.judge(frame_features(prepared, thumb, self.changes.registration, asked), novelty)
 
-    def novelty(self, thumb: Thumbnail) -> float:
-        """Novelty of a thumbnail over its limit, whatever changes are known."""
-        return float(np.max(self.neighbours.novelty_score(thumb) / self.limits))
+    def novelty(self, thumb: Thumbnail) -> tuple[float, Thumbnail]:
+        """Novelty of a thumbnail over its limit, whatever is known, and what is unlike its neighbours."""
+        rebuilt = self.neighbours.reconstruct(thumb)
+        score = self.neighbours.novelty_of(rebuilt, thumb.shape[2])
+        return float(np.max(score / self.limits)), rebuilt.unlike
 
     def drift(self, untouched: Prepared) -> Drift | None:
         """Drift of the untouched sensor since calibration; None where that had no view of it."""
