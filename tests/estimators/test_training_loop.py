@@ -51,6 +51,37 @@ def stop_after(epoch: int):
     return told
 
 
+def brighter(image: np.ndarray, seed: tuple[int, ...]) -> np.ndarray:
+    return image + np.random.default_rng(seed).normal(0, 1, (1, 1, 1, 1)).astype(np.float32)
+
+
+def test_varied_inputs_are_learnt_from_with_a_seed_of_their_own_and_watched_ones_stay(rng) -> None:
+    lesson, seeds = levels(rng), []
+
+    def noted(image: np.ndarray, seed: tuple[int, ...]) -> np.ndarray:
+        seeds.append(seed)
+        return brighter(image, seed)
+
+    varied = replace(lesson, vary=noted)
+    plan = TrainingLoop(4, 8, 1e-2, 0, "float32")
+    first = plan.train(small_network(), varied, seed=5)
+    assert len(set(seeds)) == len(seeds) == 4 * 36  # rows, once an epoch
+    assert {row for _, _, row in seeds} == set(lesson.learn.tolist())
+    assert same(first, plan.train(small_network(), replace(lesson, vary=brighter), seed=5))
+    assert not same(first, plan.train(small_network(), lesson, seed=5))
+    run = TrainingRun(plan, small_network(), varied, 5)
+    assert run.watched_loss() == TrainingRun(plan, small_network(), lesson, 5).watched_loss()
+
+
+def test_varied_training_interrupted_and_resumed_reaches_the_same_weights(rng, tmp_path) -> None:
+    lesson, plan = replace(levels(rng), vary=brighter), TrainingLoop(4, 8, 1e-2, 0, "float32")
+    whole = plan.train(small_network(), lesson, seed=5)
+    kept = tmp_path / "kept.npz"
+    with pytest.raises(Interrupted):
+        plan.train(small_network(), lesson, seed=5, progress=stop_after(2), checkpoint=kept)
+    assert same(plan.train(small_network(), lesson, seed=5, checkpoint=kept), whole)
+
+
 @pytest.mark.parametrize("patience", [0, 3])
 @pytest.mark.parametrize("precision", ["auto", "float32"])
 def test_interrupted_and_resumed_it_reaches_the_same_weights(rng, tmp_path, patience, precision) -> None:

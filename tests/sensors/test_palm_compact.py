@@ -16,6 +16,7 @@ torch = pytest.importorskip("torch", reason="the network trains with torch")
 
 from palpate.estimators.networks.training_loop import TrainingLoop  # noqa: E402
 from palpate.sensors.palm.networks.palm_compact import PalmCompact, _Union  # noqa: E402
+from palpate.sensors.palm.networks.palm_training import two_view_variation  # noqa: E402
 
 SIDE = 32
 SPEC = palm.cropped(palm.palm(), SIDE, "test")
@@ -112,7 +113,35 @@ def test_without_rendered_presses_it_learns_from_the_recorded_alone(data):
     assert np.isfinite(fitted.predict(data.fetch(np.arange(4)))).all()
 
 
-@pytest.mark.parametrize("options", [{"rendered": -1}, {"palm": "hand"}, {"epochs": 0}])
+def test_one_camera_moves_both_views_alike_and_nothing_from_one_into_the_other(data) -> None:
+    vary = two_view_variation(1.0, SIDE)
+    left, changed = data.fetch(np.array([30]))[..., :SIDE], []
+    for seed in range(12):
+        twice = vary(np.concatenate([left, left], axis=3), (0, seed))
+        np.testing.assert_array_equal(twice[..., :SIDE], twice[..., SIDE:])
+        changed.append(not np.array_equal(twice[..., :SIDE], left))
+        apart = vary(np.concatenate([left - 500, left + 500], axis=3), (0, seed))
+        assert apart[..., :SIDE].max() < 0 < apart[..., SIDE:].min()
+    assert sum(changed) >= 8, "half of the images have none of each change"
+    again = [vary(np.concatenate([left, left], axis=3), (0, 3)) for _ in range(2)]
+    np.testing.assert_array_equal(*again)
+
+
+def test_a_varied_camera_changes_what_is_learnt_and_none_changes_nothing(data) -> None:
+    rows = np.arange(48)
+    plain, none, varied = (
+        PalmCompact(rendered=0, epochs=1, batch=16, **options).fit(data, rows, seed=0)
+        for options in ({}, {"variation": 0.0}, {"variation": 1.0})
+    )
+    inputs = data.fetch(rows)
+    np.testing.assert_array_equal(plain.predict(inputs), none.predict(inputs))
+    assert np.abs(plain.predict(inputs) - varied.predict(inputs)).max() > 1e-3
+    assert two_view_variation(0.0, SIDE) is None
+
+
+@pytest.mark.parametrize(
+    "options", [{"rendered": -1}, {"palm": "hand"}, {"epochs": 0}, {"variation": -1.0}, {"variation": 3.0}]
+)
 def test_settings_that_cannot_be_are_refused(options):
     with pytest.raises(InputError):
         PalmCompact(**options)

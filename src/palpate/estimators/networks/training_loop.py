@@ -37,6 +37,7 @@ from palpate.estimators.networks.compact_cnn import (
 from palpate.estimators.networks.distributed import ProcessGroup
 
 Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+Vary = Callable[[Tensor, tuple[int, ...]], Tensor]
 PRECISIONS = ("auto", "float32")
 WATCHED_AT_ONCE = 64
 RISING = 100  # steps
@@ -52,6 +53,8 @@ class TrainingTask:
         loss: of answers ``[n t]`` and what was wanted; a mean over the rows.
         learn: the rows learnt from.
         watch: rows by which it is decided when to stop; none where training goes on to its last epoch.
+        vary: changes an input ``[1 c h w]`` as a camera would, by a seed; None where inputs are learnt from
+            as they are. Watched rows are never changed.
     """
 
     fetch: Callable[[Indices], Tensor]
@@ -59,6 +62,7 @@ class TrainingTask:
     loss: Loss
     learn: Indices
     watch: Indices
+    vary: Vary | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +197,7 @@ class TrainingRun:
         for group in self.optimiser.param_groups:
             group["lr"] = self.plan.rate(*at)
         with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self._uses_bfloat16()):
-            answer = spread(self._inputs(mine))
+            answer = spread(self._on_device(self._varied(mine, at[0])))
         loss = weight * self.task.loss(answer.float(), self._wanted(mine))
         self.optimiser.zero_grad()
         loss.backward()
@@ -201,9 +205,19 @@ class TrainingRun:
         self.optimiser.step()
         return loss.detach()
 
+    def _varied(self, part: Indices, step: int) -> Tensor:
+        """Inputs, each changed by a seed of its own: whichever process sees a row changes it alike."""
+        inputs, vary = self.task.fetch(part), self.task.vary
+        if vary is None:
+            return inputs
+        each = zip(inputs, part.tolist(), strict=True)
+        return np.concatenate([vary(image[None], (self.seed, step, row)) for image, row in each])
+
     def _inputs(self, part: Indices) -> torch.Tensor:
-        image = torch.from_numpy(self.task.fetch(part)).to(self.device)
-        return image.contiguous(memory_format=torch.channels_last)
+        return self._on_device(self.task.fetch(part))
+
+    def _on_device(self, inputs: Tensor) -> torch.Tensor:
+        return torch.from_numpy(inputs).to(self.device).contiguous(memory_format=torch.channels_last)
 
     def _wanted(self, part: Indices) -> torch.Tensor:
         return torch.from_numpy(self.task.wanted[part]).to(self.device)

@@ -28,12 +28,14 @@ from palpate.estimators.networks.model_interface import Scaler, TrainingData
 from palpate.estimators.networks.torch_export import TorchGraph
 from palpate.estimators.networks.training_loop import TrainingLoop, TrainingTask
 from palpate.sensors.palm.networks.palm_training import (
+    SIDE_PX,
     FittedPalm,
     PalmNetwork,
     Scales,
     columns_of,
     dense,
     half_width,
+    two_view_variation,
 )
 from palpate.sensors.palm.palm_spec import cropped, preset
 from palpate.sensors.palm.random_presses import TARGETS, Presses, draw_presses
@@ -122,6 +124,8 @@ class PalmCompact:
         learning_rate: Adam's at its greatest; it falls along a cosine.
         precision: see `TrainingLoop`.
         processes: how many render, on this machine; what they render does not depend on it. 1 under torchrun.
+        variation: strength of what a camera does from day to day, drawn into training images, see
+            `two_view_variation`; 0 draws none.
     """
 
     rendered: int = 16_000
@@ -131,6 +135,7 @@ class PalmCompact:
     learning_rate: float = 2e-3
     precision: str = "auto"
     processes: int = 1
+    variation: float = 0.0
 
     targets: ClassVar[tuple[str, ...]] = TARGETS
 
@@ -141,6 +146,7 @@ class PalmCompact:
                 "none, and one of processes, 1 or more"
             )
         preset(self.palm)
+        two_view_variation(self.variation, SIDE_PX)
         self.descent()
 
     def descent(self) -> TrainingLoop:
@@ -171,7 +177,8 @@ class PalmCompact:
         wanted = scales.targets.scaled(values).astype(np.float32)
         with seeded(seed):
             network = CompactPalmNetwork(data.shape[0], side, scales)
-        lesson = TrainingTask(union.fetch, wanted, _loss, learn, rows[:0])
+        vary = two_view_variation(self.variation, side)
+        lesson = TrainingTask(union.fetch, wanted, _loss, learn, rows[:0], vary)
         trained = self.descent().train(network, lesson, seed=seed, progress=progress, checkpoint=checkpoint)
         also = None if drawn is None else _seen(drawn, data.shape[0])
         return FittedCompact(trained, data.shape, also)

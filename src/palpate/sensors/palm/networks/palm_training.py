@@ -23,11 +23,12 @@ import torch
 from torch import nn
 
 from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
+from palpate.estimators.networks.camera_variation import CameraVariation
 from palpate.estimators.networks.compact_cnn import seeded
 from palpate.estimators.networks.model_interface import Scaler, TrainingData
 from palpate.estimators.networks.resnet import ResNet18, check_weights
 from palpate.estimators.networks.torch_export import TorchGraph
-from palpate.estimators.networks.training_loop import TrainingLoop, TrainingTask
+from palpate.estimators.networks.training_loop import TrainingLoop, TrainingTask, Vary
 
 MAGNITUDE = "force_magnitude_N"
 DEPTH = "depth_mm"
@@ -61,6 +62,42 @@ def columns_of(targets: Sequence[str], asked: Sequence[str], model: str) -> Indi
             f"{', '.join(asked) or 'targets without names'}; ask for all of those, in any order"
         )
     return np.array([list(asked).index(name) for name in targets])
+
+
+MAX_VARIATION = 2.0
+SIDE_PX = 64  # of a view, for which the sizes in px are stated
+
+
+def two_view_variation(strength: float, side_px: int) -> Vary | None:
+    """Changes of the one camera that sees both views, for inputs with the views side by side.
+
+    Both are moved, lit and focused alike, each about its own middle, and nothing is moved from one into the
+    other. In differences from the untouched sensor that is a camera that had changed when the zero was taken,
+    too; one that has changed since is not to be learnt from differences.
+
+    Args:
+        strength: of shift, turn, zoom, blur, brightness and noise; 0 gives None.
+        side_px: of a view.
+
+    Raises:
+        InputError: the strength is not from 0 to 2.
+    """
+    if not 0 <= strength <= MAX_VARIATION:
+        raise InputError(f"variation {strength}: from 0, none, to {MAX_VARIATION:g}, twice the usual sizes")
+    if strength == 0:
+        return None
+    px = side_px / SIDE_PX
+    camera = CameraVariation(
+        shift_px=strength * px, turn_deg=0.5, zoom_percent=0.5, blur_px=0.6 * px, width_px=0.0,
+        gain_percent=10.0, noise=2.0, below_quality_100=0.0,
+    ).scaled(strength)  # fmt: skip
+
+    def vary(image: Tensor, seed: tuple[int, ...]) -> Tensor:
+        views = np.split(image, 2, axis=3)
+        drawn = [camera.drawn(np.ascontiguousarray(view), np.random.default_rng(seed)) for view in views]
+        return np.concatenate(drawn, axis=3)
+
+    return vary
 
 
 @dataclass(frozen=True)
@@ -221,6 +258,8 @@ class PalmModel(ABC):
         precision: "auto" multiplies in bfloat16 where that is fast, "float32" never.
         patience: epochs without gain on watched groups before it stops; 0 trains to the end on all rows.
         watched: share of the groups watched, where `patience` is not 0.
+        variation: strength of what a camera does from day to day, drawn into training images, see
+            `two_view_variation`; 0 draws none.
     """
 
     epochs: int = 30
@@ -231,10 +270,12 @@ class PalmModel(ABC):
     precision: str = "auto"
     patience: int = 0
     watched: float = 0.1
+    variation: float = 0.0
 
     targets: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
+        two_view_variation(self.variation, SIDE_PX)
         if self.weights:
             check_weights(Path(self.weights))
         self.descent()
@@ -267,7 +308,8 @@ class PalmModel(ABC):
         learn, watch = data.inner_validation(rows, self.watched, rng) if self.patience else (rows, rows[:0])
         scales = Scales.of(data, learn, columns, self.standardised, rng)
         wanted = scales.targets.scaled(data.values[:, columns]).astype(np.float32)
-        lesson = TrainingTask(data.fetch, wanted, self.loss, learn, watch)
+        vary = two_view_variation(self.variation, data.shape[1])
+        lesson = TrainingTask(data.fetch, wanted, self.loss, learn, watch, vary)
         network = self._begun(data.shape[0], scales, seed)
         begun = f"from {Path(self.weights).name}" if self.weights else "from scratch"
 
