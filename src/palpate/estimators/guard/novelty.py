@@ -290,7 +290,7 @@ class NoveltyDetector:
         reference_spread: how far its own no-contact thumbnails lie from their mean [grey levels, rms].
         drift_limit: the drift statistic above which the calibration is stale.
         changes: what changes of the camera look like and cost the model; None where that was not tried, as in
-            calibrations of before, on few frames and in adapted ones.
+            calibrations of before and on few frames.
     """
 
     neighbours: NeighbourModel
