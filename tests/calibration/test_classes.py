@@ -101,13 +101,16 @@ def test_a_threshold_is_the_output_of_the_promised_rank(presses: int, rank: int)
 
 
 def test_scored_sets_owe_nothing_to_the_rows_own_press() -> None:
-    """A press far worse than nineteen others is not held by the threshold that those set, as a new one."""
-    outputs = np.stack([np.r_[np.full(19, 0.9), -3.0], np.zeros(20)], axis=1)
-    codes, groups = np.zeros(20, np.int64), np.arange(20)
-    both = np.concatenate([outputs, outputs[:, ::-1]]), np.r_[codes, codes + 1], np.r_[groups, groups + 20]
-    members = members_without_own_group(*both, 0.9)
-    assert not members[19, 0]
-    assert members[:19, 0].all()
+    """Of ten presses the worst sets the threshold, by rank 10 of 10; the nine others do not hold it.
+
+    They set theirs by rank 9 of 9, the worst, so that they hold each other, the second worst too.
+    """
+    own = np.r_[0.9 - 0.01 * np.arange(9), -3.0]
+    outputs = np.concatenate([np.stack([own, 0 * own], axis=1), np.stack([0 * own, own], axis=1)])
+    codes, groups = np.repeat([0, 1], 10), np.arange(20)
+    assert fit_thresholds(outputs, codes, groups, 0.9) == pytest.approx((-3.0, -3.0))
+    members = members_without_own_group(outputs, codes, groups, 0.9)
+    assert members[np.arange(20), codes].tolist() == [*[True] * 9, False] * 2
 
 
 def test_scores_are_counts_of_rows() -> None:
