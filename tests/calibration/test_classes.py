@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
+from palpate.calibration import CalibrationPlan, ReferenceRule, adapt, calibrate, evaluate
 from palpate.calibration.certificate import read_predictions
 from palpate.calibration.classes import ClassAnswers, ClassLabels, class_findings, class_score
 from palpate.calibration.classes.prediction_sets import (
@@ -301,6 +301,9 @@ def test_what_is_no_class_is_refused(blobs, tmp_path) -> None:
     alone = record_blobs(tmp_path / "alone", 12, kind=1)
     with pytest.raises(LabelError, match="'kind' is 2 in every row: one class alone"):
         calibrate(alone, plan_of(classes={"kind": ()}), out)
+    untouched = ReferenceRule("wide", "false")
+    with pytest.raises(LabelError, match=r"'wide' is true in every row.*--learn-untouched"):
+        calibrate(run, plan_of(classes={"wide": ()}, reference=untouched), out)
     assert not out.exists()
 
 

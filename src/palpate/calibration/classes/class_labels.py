@@ -105,8 +105,8 @@ def class_labels(
         hint: what else may be done where only one class is there.
 
     Raises:
-        LabelError: a column is missing, has gaps, holds one class only, more than 20, or numbers that are not
-            whole, or there are not as many names as classes.
+        LabelError: a column is missing, has gaps, holds one class only, more than 20, numbers that are not
+            whole or a text with a bar in it, or there are not as many names as classes.
     """
     return tuple(_class_labels(table, column, names, source, hint) for column, names in asked.items())
 
@@ -131,6 +131,11 @@ def _class_labels(
         raise LabelError(
             f"{source}: {len(names)} names for the {len(values)} classes of {column!r}, which are "
             f"{', '.join(values)}; name each, in this order"
+        )
+    if odd := [name for name in names or values if SEPARATOR in name]:
+        raise LabelError(
+            f"{source}: {column!r} holds {odd[0]!r}, and {SEPARATOR} stands between the classes of a set; "
+            "name them, as in --classes grade=soft/hard"
         )
     codes = pd.Categorical(cells, categories=values).codes.astype(np.int64)
     return ClassLabels(column, tuple(values), names or tuple(values), codes)
