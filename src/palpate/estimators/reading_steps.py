@@ -162,13 +162,13 @@ def _bands(columns: list[str]) -> tuple[str, ...]:
         return ()
     named = ", ".join(columns)
     truths = (
-        f"The interval of {named} is lengthened to cover every part of the range. `over_range.by_truth` "
+        f"The interval of {named} is lengthened to cover every part of the range. `by_truth` of over_range "
         "divides the range at its limits into cells. Of each cell whose half is above 0 take estimate + "
         "spread (centre - half) to estimate + spread (centre + half), cut to the cell, the outermost cells "
         "having no end; what is left of it, if anything, belongs to the interval."
     )
     estimates = (
-        "Of `over_range.by_estimate` take the one cell that the estimate lies in (a limit belongs to the "
+        "Of `by_estimate` of over_range take the one cell that the estimate lies in (a limit belongs to the "
         "cell above it); where its half is above 0, the same piece, not cut, belongs to the interval. The "
         "interval's ends are the least and the greatest of all these, so that it need not lie evenly around "
         "the estimate."
@@ -187,7 +187,7 @@ def _verdict(card: Card) -> tuple[str, ...]:
             "range, greatest - least, or longer."
         )
         said.append(
-            "Nor is it where it is extrapolated, by the pairs `over_range.beyond` and `reach` (below, "
+            "Nor is it where it is extrapolated, by the pairs `beyond` and `reach` of over_range (below, "
             "above): where the estimate lies below least, or above greatest, by more than beyond; or where "
             "the interval reaches below least, or above greatest, by more than reach."
         )
@@ -215,7 +215,7 @@ def _reference(card: Card) -> tuple[str, ...]:
         return ()
     last = (
         f"Last, each side of the interval of {_named(measured)} becomes the root of its square plus the "
-        "square of `measured_by.half_width`, which is what the labels' own instrument leaves open; the "
+        "square of `half_width` of measured_by, which is what the labels' own instrument leaves open; the "
         "rules above were for the interval before."
     )
     return (last,)

@@ -265,7 +265,7 @@ def scores(report: ReportedCalibration) -> Values | None:
 
 def split(report: ReportedCalibration) -> Values:
     """How rows were held out."""
-    return {"split": report.card.split}
+    return {"split": report.card.split, "reset": report.card.interval_reset}
 
 
 def worst(report: ReportedCalibration) -> Values | None:
