@@ -284,3 +284,45 @@ def clean_case(seed: int, bases: tuple[Callable, ...], n: int = 160) -> Case:
     rng = np.random.default_rng([seed, 2])
     case = bases[seed % len(bases)](rng, int(rng.integers(40, 2 * n)))
     return lit(case, DRIFTS[seed // 3 % len(DRIFTS)], rng) if seed % 3 == 2 else case
+
+
+def rim_drifted(case: Case, kind: str, rng: np.random.Generator) -> Case:
+    """Rows in the order of a label, rising or falling, while the picture's outer part alone drifts."""
+    case = ordered(case, case.targets[0])
+    if rng.random() < 0.5:  # the order mirrored
+        case = replace(case, images=case.images[::-1], table=case.table.iloc[::-1].reset_index(drop=True))
+    images = case.images.astype(np.float32)
+    if images.ndim == 3 and kind == "colour of the rim":
+        images = np.repeat(images[..., None], 3, axis=3)
+    n, height, width = images.shape[:3]
+    rows, columns = _grid(height, width)
+    radius = np.hypot(2 * columns / width - 1, 2 * rows / height - 1) / np.sqrt(2)
+    rim = np.clip((radius - 0.6) / 0.3, 0, 1).reshape((height, width) + (1,) * (images.ndim - 3))
+    for i, time in enumerate(np.linspace(0, 1, n)):
+        if kind == "colour of the rim":
+            images[i] += 14 * rim * (np.array([1, 0, -1]) * (time - 0.5) + 0.5)
+        elif kind == "vignetting":
+            images[i] = (images[i] + 10) * (1 - 0.35 * time * rim)
+        elif kind == "moving shadow":
+            angle = 2 * np.pi * time
+            shadow = np.exp(-((columns / width - 0.5 - 0.48 * np.cos(angle)) ** 2) / 0.03)
+            shadow *= np.exp(-((rows / height - 0.5 - 0.48 * np.sin(angle)) ** 2) / 0.03)
+            images[i] = (images[i] + 15) * (1 - 0.4 * rim * shadow.reshape(rim.shape))
+        elif kind == "focus of the rim":
+            soft = cv2.GaussianBlur(images[i], (0, 0), 0.3 + 2.5 * time)
+            images[i] += rim * (soft.reshape(images[i].shape) - images[i])
+        elif kind == "exposure in steps":
+            images[i] = (images[i] + 10 * rim) * (1 + 0.05 * np.floor(5 * time))
+    return replace(
+        case, name=f"{case.name}, {kind} drifts", images=eight_bit(images), wanted=("outside", "order")
+    )
+
+
+RIMS = ("colour of the rim", "vignetting", "moving shadow", "focus of the rim", "exposure in steps")
+
+
+def own_case(seed: int, bases: tuple[Callable, ...], n: int = 160) -> Case:
+    """Case `seed` with a rim that drifts: every kind in turn, each on every base."""
+    rng = np.random.default_rng([seed, 3])
+    case = bases[seed // len(RIMS) % len(bases)](rng, n)
+    return rim_drifted(case, RIMS[seed % len(RIMS)], rng)

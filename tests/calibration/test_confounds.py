@@ -10,11 +10,13 @@ import pytest
 from tests.calibration.confound_cases import (
     CONFOUNDS,
     DRAWN,
+    RIMS,
     Case,
     clean_case,
     confounded_case,
     drifted,
     lit,
+    own_case,
     pins,
     recorded,
     shifted,
@@ -243,6 +245,37 @@ def test_rows_of_one_press_do_not_make_one_target_a_function_of_another(rng) -> 
     assert not target_functions(values, "xy", np.repeat(np.arange(30), 5))
 
 
+def test_cosine_and_sine_of_one_direction_are_no_function_of_each_other(rng) -> None:
+    """Over a quarter turn each tells the other to the last digit, and one reading has both."""
+    angle, depth = rng.uniform(0, np.pi / 2, 200), rng.uniform(0, 1, 200)
+    values = np.column_stack([np.cos(angle), np.sin(angle), depth])
+    names, units = ("angle_cos_ratio", "angle_sin_ratio", "depth_mm"), np.arange(200)
+    assert target_functions(values, names, units)
+    assert not target_functions(values, names, units, ("angle_deg", "angle_deg", "depth_mm"))
+    values[:, 2] = np.cos(angle) ** 2
+    told = target_functions(values, names, units, ("angle_deg", "angle_deg", "depth_mm"))
+    assert any("depth_mm" in (found.target, *found.of) for found in told)
+
+
+def test_a_copy_shifted_by_a_pixel_is_known_by_its_labels_too(rng) -> None:
+    """Presses in three dimensions, a tenth of them again and shifted: by pictures alone too few stand out."""
+    rows, columns = np.mgrid[:32, :32]
+    x, y, depth = rng.uniform(8, 24, 120), rng.uniform(8, 24, 120), rng.uniform(0.3, 1, 120)
+    x, y, depth = (np.r_[values, values[:12]] for values in (x, y, depth))
+    moved = np.r_[np.zeros(120), np.full(12, 0.4)][:, None, None]
+    spot = np.exp(-((columns - moved - x[:, None, None]) ** 2 + (rows - y[:, None, None]) ** 2) / 18)
+    images = (80 + 90 * depth[:, None, None] * spot + rng.normal(0, 0.1, spot.shape)).astype(np.float32)
+    labels = np.column_stack([x, y, depth])
+    sides = [(np.arange(120, 132), np.arange(120)), (np.arange(60), np.arange(60, 120))]
+    found = find_near_copies(images, sides, 0.6, labels).held
+    assert found.size >= 10
+    assert found.min() >= 120
+    # Where equal labels are usual, they tell no more than the pictures do.
+    coarse = np.round(labels[:, 2:])
+    alone = find_near_copies(images, sides, 0.6).held.size
+    assert find_near_copies(images, sides, 0.6, coarse).held.size <= alone < found.size
+
+
 def two_sides(n: int) -> list[tuple[np.ndarray, np.ndarray]]:
     return [(fold, np.setdiff1d(np.arange(n), fold)) for fold in thirds(n)]
 
@@ -424,6 +457,13 @@ def test_a_dozen_rows_are_audited_without_alarm(tmp_path, rng) -> None:
 @pytest.mark.parametrize("seed", range(len(CONFOUNDS)))
 def test_a_confound_of_each_kind_is_named(tmp_path, seed) -> None:
     case = confounded_case(seed, (pins, spread), 120)
+    card = read_card(calibrate(run_of(case, tmp_path), plan_of(case), tmp_path / "cal"))
+    assert kinds_named(card) & set(case.wanted), case.name
+
+
+@pytest.mark.parametrize("seed", range(len(RIMS)))
+def test_a_rim_that_drifts_is_named_whatever_of_it_does(tmp_path, seed) -> None:
+    case = own_case(seed, (pins,), 100)
     card = read_card(calibrate(run_of(case, tmp_path), plan_of(case), tmp_path / "cal"))
     assert kinds_named(card) & set(case.wanted), case.name
 

