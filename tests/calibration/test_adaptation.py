@@ -16,7 +16,8 @@ from palpate.cli import app
 from palpate.core import ExistsError, ImageError, InputError, LabelError
 from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
-from palpate.estimators.certified import Zero, intervals_of
+from palpate.estimators.certified import Zero
+from palpate.estimators.intervals import intervals_of
 from palpate.recordings import Run, RunWriter
 from palpate.recordings.table_files import read_table
 from palpate.reports.certificate_page import write_report

@@ -14,7 +14,7 @@ from palpate.calibration.conformal import (
     grouped_coverage_interval,
 )
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.certified import ErrorSpread
+from palpate.estimators.intervals import ErrorSpread
 
 
 def world(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ from palpate.calibration.conformal import fit_intervals
 from palpate.calibration.coverage.joint_regions import vector_cards
 from palpate.core import InputError, VectorReading
 from palpate.estimators import Estimator, read_card
-from palpate.estimators.vector_regions import component_names, mahalanobis
+from palpate.estimators.intervals import component_names, mahalanobis
 
 VECTOR = {"place_mm": ("x_mm", "y_mm", "z_mm")}
 

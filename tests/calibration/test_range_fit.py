@@ -12,9 +12,8 @@ from palpate.calibration.coverage import failing, range_cards, range_scores, ran
 from palpate.calibration.coverage.range_fit import cell_limits, grouped_quantile
 from palpate.calibration.coverage.range_limits import usual_reach
 from palpate.calibration.coverage.range_scores import chance_of_so_few
-from palpate.estimators.certified import Intervals, intervals_of
+from palpate.estimators.intervals import ErrorCells, Intervals, intervals_of
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard, TenthCard
-from palpate.estimators.range_intervals import ErrorCells
 
 SCORE = ScoreCard(
     unit="mm", n=1, mae=1, rmse=1, bias=0, r2=0, mean_mae=2,

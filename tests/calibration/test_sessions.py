@@ -31,10 +31,9 @@ from palpate.cli import app
 from palpate.core import CertificateError, ExistsError, InputError, LabelError, SplitError
 from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
-from palpate.estimators.certified import intervals_of
 from palpate.estimators.guard import NoveltyDetector
+from palpate.estimators.intervals import intervals_of, mahalanobis
 from palpate.estimators.target_layout import TargetLayout
-from palpate.estimators.vector_regions import mahalanobis
 from palpate.recordings import Run, RunWriter
 from palpate.recordings.table_files import read_table
 

@@ -14,7 +14,7 @@ from palpate.calibration import CalibrationPlan, calibrate
 from palpate.calibration.training_data import ReferenceRule
 from palpate.core import Image
 from palpate.estimators import Estimator, read_card
-from palpate.estimators.certified import intervals_of
+from palpate.estimators.intervals import intervals_of
 from palpate.estimators.model_card import CellsCard, InstrumentCard, RangeCard, TargetCard, sealed
 from palpate.estimators.reading_rules import doubt
 from palpate.estimators.reading_steps import GREY_ROUNDING, GREY_SHIFT, GREY_WEIGHTS, reading_steps

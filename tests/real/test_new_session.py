@@ -9,7 +9,7 @@ from palpate.calibration import CalibrationPlan, calibrate
 from palpate.calibration.evaluation import predictions
 from palpate.calibration.sessions.interval_reset import intervals_set_anew
 from palpate.estimators import Estimator
-from palpate.estimators.certified import intervals_of
+from palpate.estimators.intervals import intervals_of
 from palpate.recordings import Run, import_images
 
 TARGETS = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "twist_deg")

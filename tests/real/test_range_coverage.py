@@ -9,7 +9,7 @@ from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.coverage import failing, range_scores
 from palpate.calibration.evaluation import groups_in, predictions
 from palpate.estimators import Estimator
-from palpate.estimators.certified import intervals_of
+from palpate.estimators.intervals import intervals_of
 from palpate.estimators.model_card import TenthCard
 from palpate.recordings import Run, import_images
 from palpate.workflows.palm_demo import TARGETS, WAYS, DemoProtocol, record_demo

@@ -42,8 +42,9 @@ from palpate.core import (
     silent,
     storage_errors,
 )
-from palpate.estimators.certified import Estimator, Intervals, checked_file, intervals_of
+from palpate.estimators.certified import Estimator, checked_file
 from palpate.estimators.guard import NoveltyDetector, RenderedImages
+from palpate.estimators.intervals import Intervals, intervals_of
 from palpate.estimators.model_card import Card, SplitCard
 from palpate.estimators.networks.model_interface import refuse_unfit
 from palpate.estimators.target_layout import Outputs, TargetLayout

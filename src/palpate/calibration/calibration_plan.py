@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from palpate.core import InputError, split_column
 from palpate.core.plugins import import_path_of
+from palpate.estimators.intervals import vector_column
 from palpate.estimators.target_layout import FULL_TURN, TargetLayout, default_period
-from palpate.estimators.vector_regions import vector_column
 from palpate.recordings.reference_instruments import ReferenceInstrument
 
 if TYPE_CHECKING:

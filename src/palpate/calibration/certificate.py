@@ -27,9 +27,10 @@ from palpate.calibration.leakage import LeakageAudit
 from palpate.calibration.training_data import LearningSet
 from palpate.core import CertificateError, Indices, Values, new_folder, sha256_of, split_column
 from palpate.estimators.card_ground import FileCard, RunCard
-from palpate.estimators.certified import CARD_FILE, Intervals, checked_file
+from palpate.estimators.certified import CARD_FILE, checked_file
 from palpate.estimators.finding_cards import ChoiceCard, RobustnessCard, TrialCard
 from palpate.estimators.guard import NoveltyDetector
+from palpate.estimators.intervals import Intervals
 from palpate.estimators.model_card import (
     FORMAT,
     Card,
@@ -170,7 +171,7 @@ def agreement(result: CalibrationResult, model: Path) -> float:
 
 
 def interval_fields(intervals: Intervals, j: int, over_range: RangeCard | None = None) -> dict[str, Any]:
-    """Fields of a target's card from which `estimators.certified.intervals_of` makes its interval again.
+    """Fields of a target's card from which `estimators.intervals.intervals_of` makes its interval again.
 
     Args:
         intervals: of all targets.

@@ -18,7 +18,7 @@ from sklearn.model_selection import GroupKFold
 
 from palpate.calibration.coverage.range_fit import fit_range_intervals
 from palpate.core import Float, InputError, RangeError, Values
-from palpate.estimators.certified import ErrorSpread, Intervals, design
+from palpate.estimators.intervals import ErrorSpread, Intervals, design
 from palpate.estimators.networks.model_interface import Scaler
 from palpate.estimators.target_layout import Outputs, TargetLayout
 

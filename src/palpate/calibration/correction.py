@@ -18,7 +18,7 @@ import onnx
 from onnx import helper, numpy_helper
 
 from palpate.core import Float, Indices, Values
-from palpate.estimators.certified import design
+from palpate.estimators.intervals import design
 
 STRENGTHS = tuple(10.0**power for power in range(-6, 2))
 """Tried in turn; in units of the mean square of a term, which is about 1."""

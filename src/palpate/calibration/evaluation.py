@@ -21,7 +21,8 @@ from palpate.calibration.coverage.circular_scores import dispersion, shortest
 from palpate.calibration.coverage.joint_regions import joint_score
 from palpate.calibration.training_data import rows_matching
 from palpate.core import CertificateError, LabelError, Progress, Shaped, Values, silent
-from palpate.estimators.certified import Estimator, Zero, within
+from palpate.estimators.certified import Estimator, Zero
+from palpate.estimators.intervals import within
 from palpate.estimators.model_card import Card, ScoreCard, TenthCard
 from palpate.estimators.reading_rules import untold
 from palpate.estimators.reference_uncertainty import without_reference

@@ -58,7 +58,7 @@ class ScoreCard(CardPart):
 
 
 class CellsCard(CardPart):
-    """Bands of the scaled error, one in each cell of a range; see `estimators.range_intervals`.
+    """Bands of the scaled error, one in each cell of a range; see `estimators.intervals`.
 
     Attributes:
         limits: between the cells, ascending, in the target's unit; the outermost cells have no end.

@@ -24,7 +24,7 @@ from matplotlib.path import Path
 from palpate.calibration.conformal import few_groups_coverage_interval
 from palpate.calibration.coverage.circular_scores import shortest
 from palpate.core import Bool, Float
-from palpate.estimators.certified import within
+from palpate.estimators.intervals import within
 from palpate.estimators.model_card import TargetCard
 
 INK, ACCENT, BAND, BAD = "#1b2a33", "#0b7a75", "#cfe8e6", "#c0392b"

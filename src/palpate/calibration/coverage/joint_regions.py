@@ -15,10 +15,9 @@ import pandas as pd
 from palpate.calibration.conformal import grouped_coverage_interval, spread_of_others
 from palpate.calibration.coverage.range_fit import group_parts, grouped_quantile
 from palpate.core import Float, Values
-from palpate.estimators.certified import Intervals
+from palpate.estimators.intervals import Intervals, component_names, mahalanobis
 from palpate.estimators.model_card import VectorCard
 from palpate.estimators.target_layout import Outputs
-from palpate.estimators.vector_regions import component_names, mahalanobis
 
 RIDGE = 1e-6
 """Added to a correlation's diagonal: components that err together to the last digit still make an

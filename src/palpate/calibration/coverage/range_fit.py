@@ -17,7 +17,7 @@ import numpy as np
 from sklearn.model_selection import GroupKFold
 
 from palpate.core import Float, Int
-from palpate.estimators.range_intervals import ErrorCells, RangeIntervals, Row
+from palpate.estimators.intervals import ErrorCells, RangeIntervals, Row
 
 TENTHS = 10
 MIN_GROUPS = 25

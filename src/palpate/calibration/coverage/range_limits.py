@@ -14,9 +14,8 @@ import numpy as np
 from palpate.calibration.coverage.range_fit import grouped_quantile
 from palpate.calibration.coverage.range_scores import range_scores
 from palpate.core import Values
-from palpate.estimators.certified import Intervals
+from palpate.estimators.intervals import ErrorCells, Intervals, Row
 from palpate.estimators.model_card import CellsCard, RangeCard
-from palpate.estimators.range_intervals import ErrorCells, Row
 from palpate.estimators.target_layout import Outputs
 
 USUAL_AT_THE_END, USUAL = 0.97, 0.99

@@ -10,8 +10,8 @@ from scipy.special import betainc
 
 from palpate.calibration.coverage.range_fit import TENTHS
 from palpate.estimators.class_sets import ClassCoverageCard
+from palpate.estimators.intervals import Row
 from palpate.estimators.model_card import TenthCard
-from palpate.estimators.range_intervals import Row
 
 MARGIN = 0.05
 """How far below its promise a tenth's rate is allowed: 85 % where 90 % is promised."""

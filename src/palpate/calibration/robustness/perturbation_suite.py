@@ -19,7 +19,6 @@ from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.robustness.perturbations import KINDS, kinds_for, perturbed
 from palpate.calibration.training_data import LearningSet
 from palpate.core import Float, Image, Indices, Int, Progress, Shaped, Tensor, UInt8, Values, silent
-from palpate.estimators.certified import Intervals
 from palpate.estimators.finding_cards import PerturbationCard, RobustnessCard
 from palpate.estimators.guard import (
     MAX_HARM,
@@ -33,6 +32,7 @@ from palpate.estimators.guard import (
     rescaled,
     thumbnail,
 )
+from palpate.estimators.intervals import Intervals
 from palpate.estimators.networks.model_interface import Fitted
 from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import Run, Split

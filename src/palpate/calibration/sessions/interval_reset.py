@@ -61,20 +61,13 @@ from palpate.core import (
     silent,
 )
 from palpate.estimators.card_ground import RunCard
-from palpate.estimators.certified import (
-    CARD_FILE,
-    Estimator,
-    Intervals,
-    checked_file,
-    intervals_of,
-    layout_of,
-)
+from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
 from palpate.estimators.class_sets import ClassCard, ClassOutputs
 from palpate.estimators.finding_cards import IntervalResetCard, RobustnessCard, SessionsCard
 from palpate.estimators.guard import NoveltyDetector, RenderedImages
+from palpate.estimators.intervals import Intervals, intervals_of, layout_of, mahalanobis
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard, VectorCard, sealed
 from palpate.estimators.target_layout import Outputs
-from palpate.estimators.vector_regions import mahalanobis
 from palpate.recordings import Run, Split, pack
 from palpate.recordings.joined_runs import sessions_of
 from palpate.recordings.label_tables import with_own

@@ -17,8 +17,8 @@ from scipy.stats import spearmanr
 
 from palpate.calibration.sessions.session_findings import has_gaps
 from palpate.core import SplitError, Values
-from palpate.estimators.certified import Intervals
 from palpate.estimators.finding_cards import OrderCard, SplitScoreCard
+from palpate.estimators.intervals import Intervals
 from palpate.recordings import Split, split
 from palpate.recordings.splits import conventional_groups, group_names
 

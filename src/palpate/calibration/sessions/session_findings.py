@@ -27,8 +27,8 @@ from palpate.calibration.sessions.session_labels import (
 )
 from palpate.core import InputError, SplitError, Values
 from palpate.estimators.card_ground import RunCard
-from palpate.estimators.certified import Intervals
 from palpate.estimators.finding_cards import SessionErrorCard, SessionsCard
+from palpate.estimators.intervals import Intervals
 from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import PackedSet, Run, Split
 from palpate.recordings.joined_runs import JoinedRun, sessions_of

@@ -44,7 +44,7 @@ from palpate.calibration.coverage.group_quantiles import (
     weighted_quantile,
 )
 from palpate.core import Float, InputError, Values
-from palpate.estimators.certified import Intervals
+from palpate.estimators.intervals import Intervals
 from palpate.estimators.target_layout import Outputs, TargetLayout
 
 

@@ -23,8 +23,8 @@ from palpate.calibration.evaluation import groups_in
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.calibration.sessions.evaluation_record import PREFIX, SUFFIX, read_evaluation
 from palpate.core import CertificateError, interval_text, rounded
-from palpate.estimators.certified import layout_of
 from palpate.estimators.finding_cards import ConfoundFindingCard
+from palpate.estimators.intervals import layout_of
 from palpate.estimators.model_card import Card, TargetCard
 from palpate.estimators.reading_steps import reading_steps
 from palpate.recordings.label_tables import OWN, own_column

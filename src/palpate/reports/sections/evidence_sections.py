@@ -16,8 +16,8 @@ from matplotlib.image import imread
 from palpate.calibration.conformal import few_groups_coverage_interval
 from palpate.calibration.confounds.deciding_pixels import MAP_FILE, block_edges
 from palpate.calibration.robustness.perturbation_suite import MAX_SILENT
-from palpate.estimators.certified import layout_of
 from palpate.estimators.finding_cards import PerturbationCard
+from palpate.estimators.intervals import layout_of
 from palpate.estimators.model_card import TargetCard
 from palpate.reports.calibration_figures import Panel, deciding_panel, errors_of, held_rows, target_columns
 from palpate.reports.score_intervals import mean_error_half_width
