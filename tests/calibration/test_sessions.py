@@ -426,7 +426,15 @@ def test_rows_of_a_new_session_set_the_intervals_anew_and_the_network_stays(days
     assert any(
         target.over_range.by_truth is not None or target.over_range.tenths for target in former.targets
     )
-    assert all(target.over_range is None for target in card.targets)
+    for own, of_former in zip(card.targets, former.targets, strict=True):
+        assert (own.over_range.by_truth, own.over_range.by_estimate) == (None, None)
+        assert sum(tenth.n for tenth in own.over_range.tenths) == 125
+        for limit in ("beyond", "reach"):
+            assert np.all(
+                np.array(getattr(own.over_range, limit)) >= np.array(getattr(of_former.over_range, limit))
+            )
+    # The new intervals are three times as long, and reach farther beyond the range than the former's did.
+    assert max(card.targets[1].over_range.reach) > max(former.targets[1].over_range.reach)
     assert (card.confounds, card.vectors) == (None, None)
     assert former.robustness is not None
     assert card.robustness is not None

@@ -123,7 +123,8 @@ class AuditedRows:
         held_out: ``[n t]`` estimates by models that had not seen the rows; NaN where there are none.
         untouched: prepared frames of the untouched sensor, in their order; none where there are none.
         frame_px: (height, width) of the recorded frames [px].
-        columns: label column of each target: a direction's cosine and sine are of one; by default the names.
+        columns: label column of each target but classes: a direction's cosine and sine are of one; by default the
+            names.
         classes: how many of the last are outputs for classes, which follow from each other by what they are.
     """
 
@@ -163,9 +164,7 @@ def audit_confounds(
     values, units = rows.values, units_of(rows.values, rows.split.groups)
     orders = order_checks(values, units, rows.packed.times_s)
     plain = len(rows.names) - rows.classes
-    functions = tuple(
-        target_functions(values[:, :plain], rows.names[:plain], units, rows.columns[:plain] or None)
-    )
+    functions = tuple(target_functions(values[:, :plain], rows.names[:plain], units, rows.columns or None))
     step()
     chosen = sampled(len(values), MAX_ROWS)
     images = small_pictures(rows.packed, chosen)
@@ -177,7 +176,7 @@ def audit_confounds(
     count = len(np.unique(units))
     crop = _crop_remedy(rows, images, region, chosen, units, evidence)
     found = [f for e in evidence for f in outside_findings(e, count, crop)]
-    found += [function_finding(f, rows.names, rows.columns) for f in functions]
+    found += [function_finding(f, rows.names[:plain], rows.columns) for f in functions]
     shifted = shift_finding(shift)
     step()
     return ConfoundAudit(

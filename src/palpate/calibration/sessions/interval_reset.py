@@ -38,6 +38,7 @@ from palpate.calibration.certificate import (
 )
 from palpate.calibration.classes import ClassLabels, known_codes, target_values
 from palpate.calibration.classes.prediction_sets import held_out_classes
+from palpate.calibration.coverage import range_cards
 from palpate.calibration.coverage.group_quantiles import (
     is_distribution_free,
     new_group_quantile,
@@ -66,7 +67,7 @@ from palpate.estimators.class_sets import ClassCard, ClassOutputs
 from palpate.estimators.finding_cards import IntervalResetCard, RobustnessCard, SessionsCard
 from palpate.estimators.guard import NoveltyDetector, RenderedImages
 from palpate.estimators.intervals import Intervals, intervals_of, layout_of, mahalanobis
-from palpate.estimators.model_card import Card, ScoreCard, TargetCard, VectorCard, sealed
+from palpate.estimators.model_card import Card, RangeCard, ScoreCard, TargetCard, VectorCard, sealed
 from palpate.estimators.target_layout import Outputs
 from palpate.recordings import Run, Split, pack
 from palpate.recordings.joined_runs import sessions_of
@@ -367,11 +368,12 @@ def _card(
     robustness: RobustnessCard,
     seconds: float,
 ) -> Card:
-    halves = intervals.half_widths(rows.outputs)
+    halves, over_range = intervals.half_widths(rows.outputs), _over_range(former, rows, intervals)
     expected = ExpectedCoverage.of(rows.count, former.coverage)
     targets = tuple(
         target.model_copy(
-            update=interval_fields(intervals, j) | {"score": _score(target, rows, j, halves[:, j], expected)}
+            update=interval_fields(intervals, j, over_range[j])
+            | {"score": _score(target, rows, j, halves[:, j], expected)}
         )
         for j, target in enumerate(former.targets)
     )
@@ -415,6 +417,23 @@ def _score(
             "coverage_90": expected.mean,
             "coverage_90_low": expected.low,
             "coverage_90_high": expected.high,
+        }
+    )
+
+
+def _over_range(former: Card, rows: _SessionRows, intervals: Intervals) -> list[RangeCard | None]:
+    """Where the range ends for the new intervals: as far as the former's rows or these usually go."""
+    ranges = [(target.least, target.greatest) for target in former.targets]
+    own = range_cards(intervals, rows.outputs, rows.true, rows.groups, ranges)
+    return [_farther(one, target.over_range) for one, target in zip(own, former.targets, strict=True)]
+
+
+def _farther(one: RangeCard | None, former: RangeCard | None) -> RangeCard | None:
+    if one is None or former is None:
+        return one
+    return one.model_copy(
+        update={
+            name: tuple(map(max, getattr(one, name), getattr(former, name))) for name in ("beyond", "reach")
         }
     )
 
