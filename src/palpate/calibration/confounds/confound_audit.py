@@ -123,8 +123,8 @@ class AuditedRows:
         held_out: ``[n t]`` estimates by models that had not seen the rows; NaN where there are none.
         untouched: prepared frames of the untouched sensor, in their order; none where there are none.
         frame_px: (height, width) of the recorded frames [px].
-        columns: label column of each target but classes: a direction's cosine and sine are of one; by default the
-            names.
+        columns: label column of each target but classes: a direction's cosine and sine are of one; the names
+            by default.
         classes: how many of the last are outputs for classes, which follow from each other by what they are.
     """
 
