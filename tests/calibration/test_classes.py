@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, ReferenceRule, adapt, calibrate, evaluate
 from palpate.calibration.certificate import read_predictions
-from palpate.calibration.classes import ClassAnswers, ClassLabels, class_findings, class_score
+from palpate.calibration.classes import ClassAnswers, ClassLabels, class_findings, class_labels, class_score
 from palpate.calibration.classes.prediction_sets import (
     fit_thresholds,
     held_out_classes,
@@ -285,6 +286,38 @@ def plan_of(**changes) -> CalibrationPlan:
     return CalibrationPlan(**({"targets": ("x_mm",), "model": "mean", "split": "group:press"} | changes))
 
 
+def test_a_text_is_called_as_it_is_labelled_and_names_give_the_order() -> None:
+    """Names given to sorted texts would call hard what is labelled soft."""
+    grades = pd.DataFrame({"grade": ["soft", "hard", "medium", "hard"], "level": [0, 2, 1, 2]})
+    names = ("soft", "medium", "hard")
+    for column in ("grade", "level"):
+        (found,) = class_labels(grades, {column: names}, "run")
+        assert np.array(found.names)[found.codes].tolist() == grades["grade"].tolist()
+        assert found.names == names
+    with pytest.raises(LabelError, match="texts are called as they are labelled"):
+        class_labels(grades, {"grade": ("soft", "middle", "hard")}, "run")
+
+
+@pytest.mark.parametrize(
+    "cells",
+    [["Soft", "hard", "soft"], ["yes", "1", "no"], ["True ", "true", "false"], ["no", "0", "yes"]],
+)
+def test_one_class_written_in_two_ways_is_refused(cells) -> None:
+    with pytest.raises(LabelError, match="one class written in two ways"):
+        class_labels(pd.DataFrame({"kind": cells}), {"kind": ()}, "run")
+
+
+def test_numbers_that_floats_cannot_tell_apart_are_no_classes() -> None:
+    with pytest.raises(LabelError, match=r"beyond 2\^53"):
+        class_labels(pd.DataFrame({"kind": [2**53, 2**53 + 2]}), {"kind": ()}, "run")
+
+
+def test_classes_are_no_groups_that_leak(blobs) -> None:
+    folder, run = blobs
+    calibrate(run, plan_of(classes={"object": ()}, split="random"), folder / "random")
+    assert "object" not in read_card(folder / "random").split.audit
+
+
 def test_what_is_no_class_is_refused(blobs, tmp_path) -> None:
     _, run = blobs
     out = tmp_path / "cal"
@@ -294,7 +327,7 @@ def test_what_is_no_class_is_refused(blobs, tmp_path) -> None:
         calibrate(run, plan_of(classes={"press": ()}), out)
     with pytest.raises(LabelError, match="no column 'colour' of classes"):
         calibrate(run, plan_of(classes={"colour": ()}), out)
-    with pytest.raises(LabelError, match="2 names for the 3 classes of 'kind', which are 1, 2, 3"):
+    with pytest.raises(LabelError, match="'kind': 2 names for the 3 classes, which are 1, 2, 3"):
         calibrate(run, plan_of(classes={"kind": ("a", "b")}), out)
     with pytest.raises(SplitError, match="holds out each class of 'object' whole"):
         calibrate(run, plan_of(classes={"object": ()}, split="leave-one-out:object"), out)

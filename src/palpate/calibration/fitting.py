@@ -127,7 +127,7 @@ def calibrate(
     with storage_errors(work):
         learning = _learning_set(run, plan, parts, work, progress, processes)
         refuse_copied_sessions(learning.packed, parts.group_columns)
-        leakage = audit(learning.packed, parts)
+        leakage = audit(learning.packed, parts, classes=plan.classes)
         labels = _classes(run, plan, learning.packed.table)
         fits = FoldFits.of(learning.data, parts, plan, work, progress, processes, classes=labels)
         outputs, fitted, pixels = _scored(learning, fits)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -94,6 +94,7 @@ def audit(
     *,
     group_columns: Sequence[str] | None = None,
     at_rest: np.ndarray | None = None,
+    classes: Collection[str] = (),
 ) -> LeakageAudit:
     """Look for groups and frames that stand on both sides of a split.
 
@@ -110,12 +111,13 @@ def audit(
             text column in which a text recurs.
         at_rest: which rows show the untouched skin ``[n]``; by default those whose labels say so by a flag
             ``contact`` or by a depth and force of 0.
+        classes: columns that the model shall tell, which stand on both sides as any target does.
 
     So a random split of a recording with 25 frames a press holds out frames whose twins it trains on.
     """
     table = packed.table
     shared = {name: _shared(groups, split) for name, groups in _groupings(table, group_columns)}
-    shared = {name: groups for name, groups in shared.items() if groups.size}
+    shared = {name: groups for name, groups in shared.items() if groups.size and name not in classes}
     thumbs = _thumbnails(packed)
     resting = _at_rest(table) if at_rest is None else np.asarray(at_rest, dtype=bool)
     held, twin, pairs = _nearest_across(thumbs, split, resting)

@@ -104,7 +104,7 @@ def calibrate(
     classes: Annotated[
         str,
         Option(
-            help="Label columns of classes or counts, e.g. touched, or grade=soft/medium/hard to name them."
+            help="Label columns of classes or counts, e.g. touched, or grade=soft/firm/hard to name 0, 1, 2."
         ),
     ] = "",
     instruments: Annotated[

@@ -85,6 +85,7 @@ class HeldOutClasses:
         return table.assign(**more)
 
 
+MAX_EXACT = 2.0**53
 SEPARATOR = "|"  # between the names in a set, in tables
 
 
@@ -127,11 +128,12 @@ def _class_labels(
             f"{source}: {column!r} is {values[0]} in every row: one class alone can be told from nothing"
             f"{hint}; record the others too"
         )
-    if names and len(names) != len(values):
+    if alike := _written_alike(values):
         raise LabelError(
-            f"{source}: {len(names)} names for the {len(values)} classes of {column!r}, which are "
-            f"{', '.join(values)}; name each, in this order"
+            f"{source}: {column!r} holds {alike[0]!r} and {alike[1]!r}, which look like one class written in "
+            "two ways; write it in one way"
         )
+    values, names = _in_order(values, names, f"{source}: {column!r}")
     if odd := [name for name in names or values if SEPARATOR in name]:
         raise LabelError(
             f"{source}: {column!r} holds {odd[0]!r}, and {SEPARATOR} stands between the classes of a set; "
@@ -139,6 +141,52 @@ def _class_labels(
         )
     codes = pd.Categorical(cells, categories=values).codes.astype(np.int64)
     return ClassLabels(column, tuple(values), names or tuple(values), codes)
+
+
+def _in_order(values: list[str], names: tuple[str, ...], column: str) -> tuple[list[str], tuple[str, ...]]:
+    """Values in the order of the outputs, and what they are called.
+
+    Numbers and flags are called by the names in ascending order. Texts have names already: what is given
+    orders them, so that no class is called as another one is labelled.
+    """
+    if not names:
+        return values, names
+    if sorted(names) == sorted(values):
+        return list(names), names
+    if not all(_is_number_or_flag(value) for value in values):
+        raise LabelError(
+            f"{column} is labelled {', '.join(values)}, and texts are called as they are labelled: leave the "
+            f"names out, or give these in the order wanted ({', '.join(names)} was asked)"
+        )
+    if len(names) != len(values):
+        raise LabelError(
+            f"{column}: {len(names)} names for the {len(values)} classes, which are {', '.join(values)}; "
+            "name each, in this order"
+        )
+    return values, names
+
+
+FLAGS = ("false", "true")
+
+
+def _is_number_or_flag(value: str) -> bool:
+    return value in FLAGS or _place(value)[0] < np.inf
+
+
+MEANINGS = {"yes": "true", "no": "false", "1": "true", "0": "false"}
+
+
+def _written_alike(values: Sequence[str]) -> tuple[str, str] | None:
+    """Two values that differ in how they are written only; None where there are none."""
+    folded = [value.strip().casefold() for value in values]
+    if {"yes", "no", *FLAGS} & set(folded):
+        folded = [MEANINGS.get(one, one) for one in folded]
+    first: dict[str, str] = {}
+    for value, one in zip(values, folded, strict=True):
+        if one in first:
+            return first[one], value
+        first[one] = value
+    return None
 
 
 def known_codes(table: pd.DataFrame, column: str, values: Sequence[str], source: str) -> Indices:
@@ -179,6 +227,11 @@ def _cells(table: pd.DataFrame, column: str, source: str) -> np.ndarray:
             f"{source}: {column!r} holds {len(np.unique(numbers))} distinct values such as {odd[0]:g}: a "
             "quantity that runs on, and no class; calibrate it as a target (--targets), or number classes "
             "0, 1, 2"
+        )
+    if np.abs(numbers).max(initial=0.0) > MAX_EXACT:
+        raise LabelError(
+            f"{source}: {column!r} holds {np.abs(numbers).max():.0f}; whole numbers beyond 2^53 cannot "
+            "be told apart: write the classes as text"
         )
     return np.array([f"{number:.0f}" for number in numbers])
 

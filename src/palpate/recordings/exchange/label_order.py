@@ -79,6 +79,8 @@ def shift_doubt(pictures: Iterable[np.ndarray], labels: Values) -> str:
     if len(rows) < MIN_ROWS or not labels.shape[1]:
         return ""
     shares = explained_by_shift(rows, labels)
+    if not np.isfinite(list(shares.values())).all():  # numbers too large to be squared
+        return ""
     best = max(shares, key=lambda shift: shares[shift])
     if best == 0 or shares[best] - max(shares[0], 0.0) < MIN_GAIN + GAIN_BY_CHANCE / len(rows) ** 0.5:
         return ""
