@@ -17,8 +17,9 @@ from hypothesis import given, settings, strategies as st
 from mcap.writer import MCAP0_MAGIC
 
 from palpate.core import ImageError, ManualClock, PalpateError, RangeError, RecordingError
-from palpate.recordings import Manifest, Run, RunWriter, check, message_schema
+from palpate.recordings import Manifest, Run, RunWriter, check
 from palpate.recordings.exchange import image_files
+from palpate.recordings.segments import message_schema
 from palpate.recordings.segments.segment_reader import scan
 
 SECOND = 1_000_000_000
