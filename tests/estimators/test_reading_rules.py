@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from palpate.estimators.model_card import CircularCard, RangeCard, ScoreCard, TargetCard
-from palpate.estimators.reading_rules import doubt
+from palpate.estimators.reading_rules import doubt, untold
 
 OVER = RangeCard(by_truth=None, by_estimate=None, beyond=(0.5, 0.2), reach=(3.0, 2.0), tenths=())
 
@@ -70,3 +70,25 @@ def test_an_arc_of_the_whole_turn_tells_nothing() -> None:
     half_turn = CircularCard(period=180.0, centre=(0.0, 0.0), scale=(1.0, 1.0))
     assert "does not tell force" in doubt(target(None, half_turn, -90.0, 90.0), 0.0, -90.0, 90.0)
     assert doubt(target(None, half_turn, -90.0, 90.0), 0.0, -80.0, 80.0) == ""
+
+
+@pytest.mark.parametrize(
+    ("poor", "why"),
+    [
+        ({"mae": 1.91}, "does not read force: its error, 1.91 N on average, is no better"),
+        ({"half_width": 9.0}, "does not read force: its intervals are 18 N wide on average"),
+        ({"mae": 1.89, "half_width": 8.99}, ""),
+    ],
+)
+def test_of_a_target_that_is_not_read_no_reading_is_valid(poor, why) -> None:
+    def scored(one: TargetCard) -> TargetCard:
+        return one.model_copy(update={"score": one.score.model_copy(update=poor)})
+
+    place, turn = (9.0, 8.0, 10.0), CircularCard(period=18.0, centre=(0.0, 0.0), scale=(1.0, 1.0))
+    for one in (target(), target(None, turn)):
+        found = doubt(scored(one), *place)
+        assert why in found
+        assert bool(found) == bool(why) == untold(scored(one), *place[1:])
+    before = scored(target(None))
+    assert doubt(before, *place) == ""
+    assert not untold(before, *place[1:])

@@ -177,6 +177,34 @@ def test_uneven_intervals_and_the_range_s_rule_are_those_of_the_card(
     assert lengthened > 50
 
 
+@pytest.mark.parametrize("poor", [{"mae": 1.0, "mean_mae": 1.0}, {"half_width": 1e3}])
+def test_the_page_s_reader_gives_no_valid_reading_of_what_is_not_read(
+    poor, record_spots, tmp_path, monkeypatch
+) -> None:
+    plan = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", split="group:press", size_px=(24, 32))
+    run = record_spots("run", 16)
+    card = read_card(calibrate(run, plan, tmp_path / "cal"))
+    assert "Of this card that is none." in " ".join(card.steps.words)
+    x, height = card.targets
+    unread = x.model_copy(update={"score": x.score.model_copy(update=poor)})
+    changed = sealed(card.model_dump(exclude={"id"}) | {"targets": (unread, height)})
+    (tmp_path / "cal" / "card.json").write_text(changed.model_dump_json())
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(WITHOUT_PALPATE, names)
+    estimator = Estimator.open("cal")
+    assert "Of this card that is x_mm." in " ".join(estimator.card.steps.words)
+    whys = set()
+    for i in range(0, len(run), 9):
+        frame = run.frame(i).image
+        mine, readings = names["read"](frame), estimator.read(frame)
+        whys.add(readings["x_mm"].why.split(":")[0])
+        assert not mine["x_mm"][3]
+        assert not readings["x_mm"].valid
+        assert mine["height_mm"][3] or not readings["height_mm"].valid
+    assert "this calibration does not read x" in whys
+
+
 def test_a_reader_that_knows_no_circle_stops_at_one(record_spots, tmp_path, monkeypatch) -> None:
     run = record_spots("run", 16)
     plan = CalibrationPlan(("x_mm",), "pca-ridge", circular={"x_mm": 8.0}, size_px=(24, 32))

@@ -214,6 +214,27 @@ class TargetCard(CardPart):
         """After which the target comes round again, in `unit`; None where it does not."""
         return None if self.circular is None else self.circular.period
 
+    @property
+    def has_range_rule(self) -> bool:
+        """False on cards of before, which refuse only what lies wholly beyond the range."""
+        return self.over_range is not None or self.circular is not None
+
+    @property
+    def is_as_unsure_as_its_range(self) -> bool:
+        """True if its intervals are as long as the range or turn on average; never on cards of before."""
+        span = self.greatest - self.least if self.period is None else self.period
+        return self.has_range_rule and 2 * self.score.half_width >= span
+
+    @property
+    def is_read(self) -> bool:
+        """False where the model does not tell it: no better than the mean, or as unsure as the range."""
+        return not (self.score.says_nothing or self.is_as_unsure_as_its_range)
+
+    @property
+    def is_never_valid(self) -> bool:
+        """True where no reading of it is valid, since it is not read; cards of before have no such rule."""
+        return self.has_range_rule and not self.is_read
+
 
 class InputCard(CardPart):
     """Kind of image that is read, and how it becomes the network's input.

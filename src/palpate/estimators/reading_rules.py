@@ -10,13 +10,16 @@ from palpate.estimators.model_card import RangeCard, TargetCard
 def doubt(target: TargetCard, value: float, low: float, high: float) -> str:
     """Reason not to trust a value; empty where there is none.
 
-    An estimate beyond the calibrated range by more than the card allows is extrapolated, and so is one whose
-    interval reaches further beyond it than the card allows. An interval as wide as the range tells nothing.
+    A target that the calibration does not read has no valid reading. An estimate beyond the calibrated range
+    by more than the card allows is extrapolated, and so is one whose interval reaches further beyond it than
+    the card allows. An interval as wide as the range tells nothing.
 
     Args:
         target: its card.
         value, low, high: the estimate and the ends of its interval, in the target's unit; NaN where none.
     """
+    if target.is_never_valid:
+        return _not_read(target)
     if target.circular is not None:
         return _doubt_of_angle(target, value, high - low, target.circular.period)
     if target.over_range is None:
@@ -27,7 +30,7 @@ def doubt(target: TargetCard, value: float, low: float, high: float) -> str:
 
 
 def untold(target: TargetCard, low: float, high: float) -> bool:
-    """Tell whether an interval is as wide as the target's range, so that the frame says nothing of it.
+    """Tell whether a frame says nothing of a target: its interval is as wide as the range, or it is not read.
 
     Of cards of before, which knew no such rule, it is never so.
 
@@ -35,6 +38,8 @@ def untold(target: TargetCard, low: float, high: float) -> bool:
         target: its card.
         low, high: the ends of the interval, in the target's unit.
     """
+    if target.is_never_valid:
+        return True
     if target.circular is not None:
         return bool(high - low >= target.circular.period)
     return target.over_range is not None and bool(high - low >= target.greatest - target.least)
@@ -73,6 +78,16 @@ def _doubt_of_angle(target: TargetCard, value: float, width: float, period: floa
         f"{target.quantity} {value:.3g} {target.unit} lies {away:.2g} {target.unit} outside the calibrated "
         f"arc {_range(target)}, by more than its interval's half-width"
     )
+
+
+def _not_read(target: TargetCard) -> str:
+    score, name = target.score, target.quantity.replace("_", " ")
+    if score.says_nothing:
+        off = f"its error, {score.mae:.3g} {target.unit} on average, is no better than always saying the mean"
+        return f"this calibration does not read {name}: {off} ({score.mean_mae:.3g} {target.unit})"
+    wide = f"its intervals are {2 * score.half_width:.3g} {target.unit} wide on average"
+    whole = f"the calibrated range {_range(target)} is" if target.period is None else "the whole turn is"
+    return f"this calibration does not read {name}: {wide}, and {whole} no wider"
 
 
 def _tells_nothing(target: TargetCard, width: float, whole: str) -> str:

@@ -202,7 +202,22 @@ def _verdict(card: Card) -> tuple[str, ...]:
             "where the estimate lies outside the arc from least to greatest, the shorter way round, by "
             "more than half."
         )
-    return (*said, *_reference(card), *_vectors(card))
+    return (*_unread(card), *said, *_reference(card), *_vectors(card))
+
+
+def _unread(card: Card) -> tuple[str, ...]:
+    """The rule for targets that the calibration does not read, and which these are."""
+    ruled = [target for target in card.targets if target.has_range_rule]
+    if not ruled:
+        return ()
+    unread = _named([target for target in ruled if not target.is_read])
+    rule = (
+        f"No reading of {_named(ruled)} is valid where the calibration does not read it: where `mae` of its "
+        "score is above 0.95 times `mean_mae`, or where twice `half_width` of its score is as long as the "
+        "calibrated range, greatest - least (of a target that comes round again, the period), or longer. Of "
+        f"this card that is {unread or 'none'}."
+    )
+    return (rule,)
 
 
 def _named(targets: list[TargetCard]) -> str:
