@@ -8,9 +8,10 @@ from scipy.stats import norm
 
 from palpate.calibration import CalibrationPlan, adapt, calibrate
 from palpate.calibration.robustness import KINDS, perturbed
-from palpate.calibration.robustness.perturbation_suite import MIN_ROWS, _harm
+from palpate.calibration.robustness.perturbation_suite import MIN_ROWS, _harm, _text
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.card_ground import card_id
+from palpate.estimators.finding_cards import PerturbationCard
 from palpate.estimators.guard import NoveltyDetector
 from palpate.estimators.model_card import sealed
 from palpate.recordings import Run, RunWriter
@@ -41,6 +42,18 @@ def test_every_change_has_its_row_and_slight_ones_cost_nothing(spots) -> None:
         assert cell.unit == KINDS[cell.kind].unit
     assert table["compression", 5].error_ratio < 1.1
     assert spots[1].card.robustness.refused <= 0.03
+
+
+def test_the_sentence_says_that_slight_changes_cost_less_than_a_tenth() -> None:
+    def cell(ratio: float, refused: float) -> PerturbationCard:
+        return PerturbationCard(
+            kind="zoom", size=0.25, unit="%", frames=12, error_ratio=ratio, covered=0.9, beyond=0.0,
+            refused=refused, silent=0.0,
+        )  # fmt: skip
+
+    said = _text([cell(1.09, 0.25), cell(1.11, 0.75)], 400, 0.01, 0.003)
+    assert "Changes that raise the error by less than 10 %: 75 % of such frames pass." in said
+    assert "nothing" not in said
 
 
 def test_a_shift_costs_a_place_what_it_shifts_and_is_refused(spots) -> None:

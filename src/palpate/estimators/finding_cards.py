@@ -225,10 +225,11 @@ class PerturbationCard(CardPart):
         kind, size, unit: see `calibration.robustness`.
         frames: so many were changed.
         error_ratio: mean absolute error over that of unchanged frames, the mean over the targets.
-        covered: share of readings whose interval held the truth.
+        covered: share of readings whose error was at most the half-width.
         beyond: share of readings whose error was beyond twice the half-width.
-        refused: share of frames that the guard refused, by examples of other frames.
-        silent: share of readings beyond twice the half-width and not refused.
+        refused: share of frames that the guard alone refused, by examples of other frames; the range's rule
+            and intervals as long as the range are not counted.
+        silent: share of readings beyond twice the half-width and not refused by the guard.
     """
 
     kind: str

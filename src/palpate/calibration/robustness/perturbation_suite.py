@@ -352,20 +352,20 @@ def _rounded(value: float | np.floating) -> float:
 def _text(table: list[PerturbationCard], frames: int, refused: float, beyond: float) -> str:
     kinds, count = len({cell.kind for cell in table}), table[0].frames
     silent = float(np.mean([cell.silent for cell in table]))
-    free = [c.refused for c in table if c.error_ratio < COSTS_NOTHING and c.beyond <= beyond + MAX_HARM]
+    free = [c.refused for c in table if c.error_ratio < MAX_SLIGHT and c.beyond <= beyond + MAX_HARM]
     accepted = f"{100 * (1 - np.mean(free)):.0f} % of such frames pass" if free else "none was found"
     passing = [f"{c.kind} of {c.size:g} {c.unit}" for c in table if c.silent > beyond + MAX_SILENT]
     return (
         f"{kinds} kinds of change at five sizes were tried on {count} held-out frames a size, beside "
         f"{frames} unchanged ones, of which the guard refuses {100 * refused:.1f} %. Readings that pass it "
         f"and err by more than twice their half-width: {100 * silent:.1f} % over all changes, "
-        f"{100 * beyond:.1f} % of unchanged frames. Changes that cost nothing: {accepted}. Changes that pass "
-        f"too often: {', '.join(passing) or 'none was found'}; {count} frames tell a single size's share "
-        "roughly"
+        f"{100 * beyond:.1f} % of unchanged frames. Changes that raise the error by less than 10 %: "
+        f"{accepted}. Changes that pass too often: {', '.join(passing) or 'none was found'}; {count} "
+        "frames tell a single size's share roughly"
     )
 
 
-COSTS_NOTHING = 1.1
-"""A change whose errors are less than this many times the unchanged frames' costs nothing."""
+MAX_SLIGHT = 1.1
+"""A change whose errors are less than this many times the unchanged frames' costs less than 10 %."""
 MAX_SILENT = 0.02
 """Readings beyond twice their half-width may pass by this share more often than of unchanged frames."""
