@@ -49,8 +49,8 @@ MAX_SHARE_OF_VARIANCE = 0.9
 
 NOT_YET_TESTED = (
     "Not yet tested on another day: all rows are of one session ({name}). Where that was measured "
-    "elsewhere, 90 % intervals covered 53 to 87 % in the next session. Record a second one and `palpate "
-    "evaluate` on it."
+    "elsewhere, 90 % intervals covered between 53 and 95 % of the next session, in most cases less than "
+    "90 %. Record a second one and `palpate evaluate` on it."
 )
 
 
@@ -274,8 +274,8 @@ def _promise(column: str, names: tuple[str, ...], count: int, coverage: float, f
         return (
             f"Not yet tested on another day: rows of each of {len(names)} sessions were trained on when "
             "others of the same were held out, so that the intervals are for rows of these sessions, and "
-            "cover less on another (elsewhere 53 to 87 % where 90 % was promised). Hold sessions out "
-            "(--split session)."
+            "may cover less on another (elsewhere between 53 and 95 % where 90 % was promised, in most cases "
+            "less than 90 %). Hold sessions out (--split session)."
         )
     if factor is not None:
         return (
