@@ -13,15 +13,22 @@ import pytest
 from tests.reports.test_certificate_page import held_out
 from typer.testing import CliRunner
 
-from palpate.calibration import CalibrationPlan, calibrate
+from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.confounds.deciding_pixels import block_edges
+from palpate.calibration.sessions import keep_evaluation, read_evaluations
+from palpate.calibration.sessions.evaluation_record import read_evaluation
 from palpate.cli import app
-from palpate.estimators import read_card
+from palpate.cli.calibrate_verbs import _card_text
+from palpate.estimators import Estimator, read_card
+from palpate.estimators.card_ground import card_id
 from palpate.estimators.finding_cards import ConfoundFindingCard, OrderCard, SplitScoreCard
 from palpate.estimators.model_card import Card, InstrumentCard, sealed
 from palpate.recordings.joined_runs import joined
 from palpate.reports import calibration_figures, write_report
 from palpate.reports.calibration_figures import deciding_blocks, held_rows, target_panels
+from palpate.reports.comparison_page import compare_calibrations, comparison_text
+from palpate.reports.evaluation_text import frames_of, frames_text
+from palpate.reports.order_verdicts import order_sentences, order_verdicts
 from palpate.reports.sections import (
     MIN_GROUPS,
     NOT_TESTED,
@@ -86,8 +93,8 @@ def test_a_sentence_says_error_interval_range_and_day(calibration, rng) -> None:
     target = target.model_copy(update={"least": 0.0, "greatest": 6.0})
     ends = outer_ranges(target, table, table.index.to_numpy())
     assert answer(card, target, ends, 500, NOT_TESTED) == (
-        "depth: 0.048 mm typical, 90 % within ±0.10 mm on average, from 0.00 to 6.00 mm; not yet tested on "
-        "another day"
+        "depth: 0.048 mm typical; its own intervals, ±0.10 mm on average, held 90.0 % from 0.00 to 6.00 mm; "
+        "not yet tested on another day"
     )
 
 
@@ -102,11 +109,9 @@ def test_a_sentence_names_an_end_that_fails_and_a_rate_that_is_another(calibrati
         score = target.score.model_copy(update=ends)
         return answer(card, target.model_copy(update={"score": score}), (), 500, NOT_TESTED)
 
-    assert "only 84.0 % within ±0.10 mm" in by(0.84, 0.805, 0.871)
-    assert "90 %" not in by(0.84, 0.805, 0.871)
-    assert "; 90 % within" not in by(0.98, 0.96, 0.99)
-    assert "90 % or more within" in by(0.98, 0.96, 0.99)
-    assert "90 % within" in by(0.92, 0.89, 0.95)
+    assert "its own intervals, ±0.10 mm on average, held only 84.0 %" in by(0.84, 0.805, 0.871)
+    assert "on average, held 98.0 %" in by(0.98, 0.96, 0.99)
+    assert "on average, held 92.0 %" in by(0.92, 0.89, 0.95)
 
 
 def test_a_target_that_is_not_read_promises_nothing(calibration) -> None:
@@ -160,7 +165,7 @@ def test_one_session_is_said_to_be_untested_and_what_that_has_cost(calibration) 
     assert all(NOT_TESTED in one for one in answers_of(page))
     told = re.sub("</?code>", "`", section_of(page, "answers"))
     assert read_card(calibration).sessions.text in told
-    assert "53 to 87 %" in told
+    assert "between 53 and 95 % of the next session, in most cases less than 90 %" in told
     assert 'id="sessions"' not in page
 
 
@@ -255,6 +260,120 @@ def test_order_stands_side_by_side_with_what_is_meaningless(calibration) -> None
     assert re.search(r"<td>height \[mm\]</td><td>0.01", told)
     assert "MAE, random" in told
     assert "MAE, blocks" in told
+
+
+def in_order(calibration: Path, *meaningless: tuple[str, ...]) -> Card:
+    each = {"x_mm": 0.3, "height_mm": 0.01}
+    splits = tuple(
+        SplitScoreCard(
+            kind=kind, folds=5, rows=80, mae={name: k * value for name, value in each.items()}, r2=each,
+            coverage=each, order_r2=each, meaningless=void,
+        )
+        for k, (kind, void) in enumerate(zip(("random", "blocks"), meaningless, strict=False), 1)
+    )  # fmt: skip
+    return changed(calibration, order=OrderCard(splits=splits, rank_correlation={}, text="In order."))
+
+
+def test_a_verdict_on_order_stands_before_the_numbers_and_in_that_target_s_answer_only(calibration) -> None:
+    card = in_order(calibration, ("x_mm",), ())
+    (said,) = order_sentences(card)
+    assert re.fullmatch(
+        r"x: shuffled folds 0\.30* mm, blocks 0\.60* mm: rows lie in order of x, so read the blocks", said
+    )
+    told = section_of(page_of(calibration), "answers")
+    assert told.index("X: shuffled folds") < told.index("<ul")
+    x, height = answers_of(page_of(calibration, "again.html"))
+    assert "Shuffled folds 0.3" in x
+    assert "huffled" not in height
+    lines = _card_text(card, calibration).split("\n")
+    assert lines.index(said) < next(i for i, line in enumerate(lines) if line.startswith("target"))
+    both = order_verdicts(in_order(calibration, ("x_mm",), ("x_mm",)))["x_mm"]
+    assert "each block holds out a part of its range" in both
+    assert "read the blocks" not in both
+    assert "calibrate with --split blocks" in order_verdicts(in_order(calibration, ("x_mm",)))["x_mm"]
+    assert order_verdicts(in_order(calibration, (), ("x_mm",))) == {}
+
+
+def test_a_target_that_is_not_read_is_never_valid_and_the_evaluation_says_so(
+    calibration, record_spots
+) -> None:
+    other = record_spots("other", 12, seed=4)
+    before = evaluated(calibration, other.path)
+    assert before["frames_untold"] == {"x_mm": 0, "height_mm": 0}
+    x, height = read_card(calibration).targets
+    poor = x.model_copy(update={"score": x.score.model_copy(update={"mae": x.score.mean_mae})})
+    for path in calibration.glob("evaluation-*.json"):
+        path.unlink()
+    card = changed(calibration, targets=(poor, height))
+    found = evaluated(calibration, other.path)
+    n = found["frames_scored"]
+    assert found["frames_untold"] == {"x_mm": n, "height_mm": 0}
+    readings = [Estimator.open(calibration).read(other.frame(i)) for i in range(len(other))]
+    assert not any(one["x_mm"].valid for one in readings)
+    assert found["frames_all_valid"] == found["frames_valid"] >= before["frames_valid"]
+    assert 0 < found["frames_valid"] <= sum(one["height_mm"].valid for one in readings)
+    (kept,) = read_evaluations(calibration, card)
+    assert (kept.frames_untold, kept.frames_all_valid) == (found["frames_untold"], found["frames_all_valid"])
+    said = frames_of(card, kept)
+    assert "this calibration does not read x; " in said
+    assert f"{found['frames_all_valid']} gave valid readings of all that it reads" in said
+    assert said in section_of(page_of(calibration), "evaluations")
+
+
+def test_frames_that_do_not_tell_a_target_are_counted_beside_those_refused(calibration) -> None:
+    card = read_card(calibration)
+    assert frames_text(card, 400, 376, {"x_mm": 268, "height_mm": 11}, 112) == (
+        "376 of 400 frames tell something and are refused by neither guard nor range rule; not told is x in "
+        "268, height in 11 of all frames; 112 gave valid readings throughout"
+    )
+    none = dict.fromkeys(card.columns, 0)
+    assert frames_text(card, 400, 376, none, 376) == "376 of 400 frames gave valid readings throughout"
+    assert "throughout" not in frames_text(card, 400, 376, None, None)
+
+
+def test_where_another_session_failed_stands_in_that_answer_and_files_of_before_open(
+    calibration, record_spots
+) -> None:
+    other = record_spots("other", 12, seed=4)
+    scores = evaluate(Estimator.open(calibration), other)
+    sentence = "x: above 3.96 mm it reads 1.2 mm low; 13 of 25 covered where 90 % was promised"
+    keep_evaluation(calibration, scores | {"findings_of": {}})
+    (path,) = calibration.glob("evaluation-*.json")
+    card = read_card(calibration)
+    old = read_evaluation(path, card).model_dump(
+        mode="json", exclude={"frames_untold", "frames_all_valid", "findings"}
+    )
+    old["id"] = card_id(old)
+    path.write_text(json.dumps(old))
+    assert read_evaluation(path, card).findings is None
+    assert "13 of 25" not in page_of(calibration, "before.html")
+    keep_evaluation(calibration, scores | {"findings_of": {"x_mm": [sentence]}})
+    assert len(list(calibration.glob("evaluation-*.json"))) == 2
+    (kept,) = read_evaluations(calibration, card)  # the one of before says less of the same scores
+    assert kept.findings == {"x_mm": (sentence,)}
+    page = page_of(calibration)
+    x, height = answers_of(page)
+    assert "On other above 3.96 mm it reads 1.2 mm low; 13 of 25 covered" in x
+    assert "3.96" not in height
+    assert "2 recordings" not in x
+    assert f"✗ {sentence}." in section_of(page, "evaluations")
+    assert "3.96 mm it reads 1.2 mm low" in comparison_text(compare_calibrations(calibration, calibration))
+
+
+def test_the_page_says_what_is_not_stated_and_a_whole_frame_once(calibration) -> None:
+    card = read_card(calibration)
+    height, width = card.input.frame_px
+    whole = card.confounds.model_copy(update={"skin_px": (0, 0, width, height)})
+    changed(calibration, confounds=whole, run=card.run.model_copy(update={"origin": "", "licence": ""}))
+    page = page_of(calibration)
+    assert "<dd>not stated</dd>" in section_of(page, "source")
+    assert "The box around the skin is the whole frame." in section_of(page, "audit")
+    assert "It lies in the box" not in page
+    part = card.confounds.model_copy(update={"skin_px": (0, 0, width, height - 1)})
+    changed(calibration, confounds=part, run=card.run.model_copy(update={"origin": "a rig", "licence": ""}))
+    page = page_of(calibration, "part.html")
+    assert "It lies in the box" in page
+    assert "<dd>a rig; licence not stated</dd>" in page
 
 
 def test_the_control_s_share_stands_beside_the_model_s(calibration) -> None:

@@ -16,7 +16,13 @@ from palpate.estimators import Estimator, read_card
 from palpate.estimators.finding_cards import ConfoundFindingCard
 from palpate.estimators.model_card import sealed
 from palpate.recordings.table_files import read_table
-from palpate.reports.comparison_page import compare_calibrations, comparison_text, judgement, write_comparison
+from palpate.reports.comparison_page import (
+    _confounds_text,
+    compare_calibrations,
+    comparison_text,
+    judgement,
+    write_comparison,
+)
 
 
 @pytest.fixture
@@ -172,3 +178,16 @@ def test_the_verb_prints_and_writes_the_comparison_once(calibrated, tmp_path) ->
     assert CliRunner().invoke(app, [*words, "--out", str(tmp_path / "page.html")]).exit_code == 2
     with pytest.raises(ExistsError):
         write_comparison(compare_calibrations(words[1], words[2]), tmp_path / "page.html")
+
+
+def test_an_audit_that_notes_something_did_not_find_nothing(calibrated) -> None:
+    card = read_card(calibrated("one"))
+    note = ConfoundFindingCard(
+        kind="order", target="x_mm", severity="notes", text="in order", remedy="shuffle"
+    )
+    for severity, said in (("notes", "notes"), ("warns", "warns")):
+        found = (note, note.model_copy(update={"severity": severity}))
+        confounds = card.confounds.model_copy(update={"findings": found, "failed": False})
+        assert _confounds_text(card.model_copy(update={"confounds": confounds})) == said
+    nothing = card.confounds.model_copy(update={"findings": (), "failed": False})
+    assert _confounds_text(card.model_copy(update={"confounds": nothing})) == "nothing found"

@@ -105,8 +105,11 @@ def evaluate(
     Returns:
         ``{"targets": {column: {"unit", "n", "mae", "rmse", "r2", "coverage_90", …}}, "tenths": {column:
         scores of the tenths of its range}, "findings": sentences on those that do not keep the promise,
-        "vectors": {column: {"n", "covered", "low", "high"}}, "frames_untold": {column: frames whose
-        interval is as wide as the target's range}, "classes": {column: scores of its classes}, …}``.
+        "findings_of": {column: those on this target}, "vectors": {column: {"n", "covered", "low", "high"}},
+        "classes": {column: scores of its classes}, "frames_valid": frames that tell some target, and of which
+        neither guard nor range rule refuses a reading of a target that they tell, "frames_untold": {column:
+        frames that do not tell this target, the interval being as wide as its range; all where it is not
+        read}, "frames_all_valid": frames of which every reading is valid of what the calibration reads, …}``.
 
     Raises:
         LabelError: a target column is missing or unfit, or a row is of a class that was not calibrated.
@@ -140,9 +143,10 @@ def predictions(
         The labels of the frames that would be scored, which need not have the targets; of each target
         ``estimate:COLUMN``, ``half_width:COLUMN``, ``low:COLUMN`` and ``high:COLUMN`` in the column's unit,
         NaN where a frame could not be read; of each component of a vector ``joint_half_width:COLUMN``, the
-        reach of the joint region; ``own:valid``, as to the targets that the frame tells, and
-        ``own:why`` it is not, also without ``own:`` where no label is called so; of each label of classes
-        ``estimate:COLUMN`` and ``set:COLUMN``, the names in the set with ``|`` between them.
+        reach of the joint region; ``own:valid``, as to the targets that the frame tells, ``own:all_valid``,
+        as to all that the calibration reads, and ``own:why`` it is not valid, also without ``own:`` where no
+        label is called so; of each label of classes ``estimate:COLUMN`` and ``set:COLUMN``, the names in the
+        set with ``|`` between them.
 
     Raises:
         ImageError: the calibration is differential and the run has no reference.
@@ -155,7 +159,9 @@ def predictions(
     low, high = np.full((2, len(rows), len(card.columns)), np.nan)
     joint = {part: np.full(len(rows), np.nan) for vector in card.vectors or () for part in vector.columns}
     classes: dict[str, list[str]] = {f"{k}:{c.column}": [] for c in card.classes or () for k in CLASS_KINDS}
+    asked = [k for k, t in enumerate(card.targets) if not t.is_never_valid]
     whys: list[str] = []
+    all_valid: list[bool] = []
     for i, row in enumerate(rows):
         readings = estimator.read(run.frame(int(row)), zero or zeros.get(int(row)))
         each = [readings[column] for column in card.columns]
@@ -170,6 +176,8 @@ def predictions(
             classes[f"estimate:{one.column}"].append(readings[one.column].value)
             classes[f"set:{one.column}"].append(SEPARATOR.join(readings[one.column].members))
         named = [readings[one.column] for one in card.classes or ()]
+        of_read = [*(each[k] for k in asked), *named]
+        all_valid.append(bool(of_read) and all(reading.valid for reading in of_read))
         told = [r for r, t in zip(each, card.targets, strict=True) if not untold(t, r.low, r.high)]
         told += [one for one in named if 0 < len(one.members) < len(one.classes)]
         whys.append("; ".join(sorted({reading.why for reading in told or each + named if reading.why})))
@@ -180,7 +188,9 @@ def predictions(
     table = table.assign(
         **{f"joint_half_width:{part}": reached for part, reached in joint.items()}, **classes
     )
-    return with_own(table, {"valid": [not why for why in whys], "why": whys})
+    return with_own(
+        table, {"valid": [not why for why in whys], "why": whys, "all_valid": np.array(all_valid, bool)}
+    )
 
 
 CLASS_KINDS = ("estimate", "set")  # of a label of classes, before the colon of its columns in `predictions`
@@ -244,11 +254,13 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str
         for one in card.classes or ()
         for sentence in class_findings(one, classes[one.column], card.coverage)
     ]
+    findings_of = _findings(card, targets, tenths)
     return {
         "targets": targets,
         "tenths": tenths,
         "classes": {column: found.model_dump() for column, found in classes.items()},
-        "findings": [*_findings(card, targets, tenths), *about_classes],
+        "findings": [*(one for of_target in findings_of.values() for one in of_target), *about_classes],
+        "findings_of": findings_of,
         "vectors": {
             v.column: joint_score(v, card.columns, table[read], true[read], groups)
             for v in card.vectors or ()
@@ -262,6 +274,7 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str
             for j, t in enumerate(card.targets)
         },
         "frames_valid": int(own_column(table, "valid").sum()),
+        "frames_all_valid": int(own_column(table, "all_valid").sum()),
         "groups": len(np.unique(groups)),
         "group_columns": list(card.split.columns),
         "learnt_from_this_run": learnt_from(card, run),
@@ -270,24 +283,18 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str
     }
 
 
-def _findings(card: Card, targets: dict[str, Any], tenths: dict[str, list[dict[str, Any]]]) -> list[str]:
-    """Sentences on the targets' ranges, as on the card, by this run's scores."""
-    return [
-        sentence
-        for t in card.targets
-        for sentence in target_findings(
-            t.model_copy(
-                update={
-                    "score": ScoreCard(**targets[t.column]),
-                    "over_range": t.over_range
-                    and t.over_range.model_copy(
-                        update={"tenths": tuple(TenthCard(**part) for part in tenths[t.column])}
-                    ),
-                }
-            ),
-            card.coverage,
-        )
-    ]
+def _findings(
+    card: Card, targets: dict[str, Any], tenths: dict[str, list[dict[str, Any]]]
+) -> dict[str, list[str]]:
+    """Sentences on each target's range, as on the card, by this run's scores; only where there are some."""
+    found = {}
+    for t in card.targets:
+        scored: dict[str, Any] = {"score": ScoreCard(**targets[t.column])}
+        if t.over_range is not None:
+            parts = tuple(TenthCard(**part) for part in tenths[t.column])
+            scored["over_range"] = t.over_range.model_copy(update={"tenths": parts})
+        found[t.column] = list(target_findings(t.model_copy(update=scored), card.coverage))
+    return {column: sentences for column, sentences in found.items() if sentences}
 
 
 def learnt_from(card: Card, run: Run) -> bool:

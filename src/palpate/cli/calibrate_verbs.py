@@ -308,9 +308,10 @@ def _model_options(model: str, pairs: list[str], minutes: float | None) -> dict[
 def _card_text(card: Any, out: Path) -> str:
     from palpate.calibration.coverage import card_findings
     from palpate.reports.class_text import class_lines
+    from palpate.reports.order_verdicts import order_sentences
     from palpate.reports.terminal_text import confounds_text, scores_table
 
-    lines = [f"calibration {card.id}: {out}", *confounds_text(card.confounds)]
+    lines = [f"calibration {card.id}: {out}", *confounds_text(card.confounds), *order_sentences(card)]
     if card.sessions is not None:
         lines += [card.sessions.text, *card.sessions.findings]
     if card.targets:
@@ -366,6 +367,7 @@ def _scores_text(scores: dict[str, Any], card: Any) -> str:
     from palpate.estimators.class_sets import ClassScoreCard
     from palpate.estimators.model_card import ScoreCard
     from palpate.reports.class_text import class_lines
+    from palpate.reports.evaluation_text import frames_text
     from palpate.reports.terminal_text import scores_table
 
     lines = []
@@ -380,7 +382,8 @@ def _scores_text(scores: dict[str, Any], card: Any) -> str:
         for name, one in scores["vectors"].items()
     ]
     table = "\n".join([*lines, *scores["findings"], *joint])
-    valid = f"{scores['frames_valid']} of {scores['frames_scored']} frames gave valid readings throughout"
+    counts = (scores[f"frames_{name}"] for name in ("scored", "valid", "untold", "all_valid"))
+    valid = frames_text(card, *counts)
     named = ", ".join(scores["session"])
     day = f"another session than was learnt from, by its name: {named}"
     if scores["learnt_from_this_run"]:

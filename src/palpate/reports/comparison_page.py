@@ -27,8 +27,9 @@ from palpate.estimators.model_card import Card, TargetCard
 from palpate.recordings.label_tables import own_column
 from palpate.reports.calibration_figures import errors_of
 from palpate.reports.certificate_page import filled_template
+from palpate.reports.evaluation_text import frames_of
 from palpate.reports.score_intervals import mean_error_half_width, percent
-from palpate.reports.sections import ReportedCalibration, not_relied_on, tested_text
+from palpate.reports.sections import ReportedCalibration, found_elsewhere, not_relied_on, tested_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,11 +99,14 @@ class CalibrationComparison:
         )
 
     def tested(self, column: str) -> tuple[str, str]:
-        """On which days each was tested."""
-        return tuple(  # type: ignore[return-value]
-            tested_text(card, next(t for t in card.targets if t.column == column), kept)
+        """On which days each was tested, and where in its range it did not keep its promise there."""
+        first, second = (
+            "; ".join([tested_text(card, target, kept), *found_elsewhere(target, kept)])
             for card, kept in zip(self.cards, self.evaluations, strict=True)
+            for target in card.targets
+            if target.column == column
         )
+        return first, second
 
     def to_dict(self) -> dict[str, Any]:
         """All of it as JSON can hold it."""
@@ -331,6 +335,10 @@ def write_comparison(comparison: CalibrationComparison, out: PathText) -> Path:
         "comparison.html",
         comparison=comparison,
         judgements={one.column: judgement(one) for one in comparison.targets},
+        frames=[
+            [frames_of(card, one) for card, one in zip(comparison.cards, pair, strict=True)]
+            for pair in comparison.shared_runs
+        ],
         sessions=[_sessions_text(card) for card in comparison.cards],
         confounds=[_confounds_text(card) for card in comparison.cards],
     )
@@ -352,4 +360,5 @@ def _confounds_text(card: Card) -> str:
         return "not made"
     if card.confounds.failed:
         return "failed"
-    return "warns" if any(f.severity == "warns" for f in card.confounds.findings) else "nothing found"
+    found = {finding.severity for finding in card.confounds.findings}
+    return next((severity for severity in ("warns", "notes") if severity in found), "nothing found")

@@ -6,9 +6,10 @@ The card is not touched. One that is damaged, or of another card, is refused by 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from palpate.core import CertificateError, PathText, new_file, storage_errors
 from palpate.estimators.card_ground import SealedCard, card_id, sealed_from
@@ -34,11 +35,18 @@ class EvaluationRecord(SealedCard):
         session: name of the run's session, or of its sessions.
         same_session: why this is no other day than was learnt from; empty where it is one.
         targets: scores of each target's column.
-        frames_scored, frames_read, frames_valid: how many frames were scored, could be read, and gave valid
-            readings throughout.
+        frames_scored, frames_read: how many frames were scored, and could be read.
+        frames_valid: how many tell some target, and have no reading of a target that they tell refused by
+            guard or range rule.
+        frames_untold: how many frames do not tell a target, by its column; all where it is not read.
+        frames_all_valid: how many gave a valid reading of everything that the calibration reads.
+        findings: sentences on each target's column whose intervals do not keep the promise here; these three
+            are None in files of before.
         groups: how many groups (presses) these are of.
         reference: whether one image of the untouched sensor was given for all.
     """
+
+    added: ClassVar[tuple[str, ...]] = ("frames_untold", "frames_all_valid", "findings")
 
     format: Literal["palpate-evaluation/1"]
     calibration: str
@@ -53,6 +61,19 @@ class EvaluationRecord(SealedCard):
     frames_valid: int
     groups: int
     reference: bool
+    frames_untold: dict[str, int] | None = None
+    frames_all_valid: int | None = None
+    findings: dict[str, tuple[str, ...]] | None = None
+
+    def findings_of(self, column: str) -> tuple[str, ...]:
+        """Sentences on a target whose intervals do not keep the promise here, with its name."""
+        return (self.findings or {}).get(column, ())
+
+    def tells_less_than(self, other: EvaluationRecord) -> bool:
+        """True for a file of before, without findings, if the other has the same scores of the same run."""
+        same = ("run", "targets", "reference", "frames_scored")
+        alike = all(getattr(self, name) == getattr(other, name) for name in same)
+        return self.findings is None and other.findings is not None and alike
 
     @property
     def of_another_session(self) -> bool:
@@ -104,13 +125,14 @@ def keep_evaluation(folder: PathText, scores: dict[str, Any], *, reference: bool
 
 def _sealed(scores: dict[str, Any], reference: bool) -> EvaluationRecord:
     names = ("calibration", "run", "session", "same_session", "targets", "groups")
-    counts = ("frames_scored", "frames_read", "frames_valid")
+    counts = ("frames_scored", "frames_read", "frames_valid", "frames_untold", "frames_all_valid")
     record = EvaluationRecord(
         format=FORMAT,
         id="",
         created_utc=datetime.now(UTC).isoformat(timespec="seconds"),
         software=f"palpate {__version__}",
         reference=reference,
+        findings=scores["findings_of"],
         **{name: scores[name] for name in (*names, *counts)},
     )
     return record.model_copy(update={"id": card_id(record.model_dump(mode="json"))})
@@ -144,4 +166,10 @@ def read_evaluations(folder: PathText, card: Card) -> tuple[EvaluationRecord, ..
         CertificateError: one is damaged, altered, or of another card; the message names it.
     """
     paths = sorted(Path(folder).glob(f"{PREFIX}*{SUFFIX}"))
-    return tuple(sorted((read_evaluation(path, card) for path in paths), key=lambda one: one.created_utc))
+    return in_order([read_evaluation(path, card) for path in paths])
+
+
+def in_order(found: Sequence[EvaluationRecord]) -> tuple[EvaluationRecord, ...]:
+    """Evaluations, the earliest first, but for files of before whose scores another tells with findings."""
+    told = [one for one in found if not any(one.tells_less_than(other) for other in found)]
+    return tuple(sorted(told, key=lambda one: one.created_utc))

@@ -21,7 +21,7 @@ from palpate.calibration.conformal import few_groups_coverage_interval
 from palpate.calibration.coverage import target_findings
 from palpate.calibration.evaluation import groups_in
 from palpate.calibration.sessions import EvaluationRecord
-from palpate.calibration.sessions.evaluation_record import PREFIX, SUFFIX, read_evaluation
+from palpate.calibration.sessions.evaluation_record import PREFIX, SUFFIX, in_order, read_evaluation
 from palpate.core import CertificateError, interval_text, rounded
 from palpate.estimators.finding_cards import ConfoundFindingCard
 from palpate.estimators.intervals import layout_of
@@ -38,6 +38,7 @@ from palpate.reports.calibration_figures import (
     target_panels,
 )
 from palpate.reports.class_text import class_answer, classes_told
+from palpate.reports.order_verdicts import order_sentences, order_verdicts
 from palpate.reports.sections.evidence_sections import (
     audit,
     choice,
@@ -52,6 +53,7 @@ from palpate.reports.sections.target_verdicts import (
     OuterRange,
     answer,
     fails,
+    found_elsewhere,
     not_read,
     others,
     outer_ranges,
@@ -118,7 +120,7 @@ class ReportedCalibration:
                 found.append(read_evaluation(path, self.card))
             except CertificateError as e:
                 refused.append(str(e).replace(str(path), path.name))  # the page goes to other people
-        return tuple(sorted(found, key=lambda one: one.created_utc)), tuple(refused)
+        return in_order(found), tuple(refused)
 
 
 MIN_GROUPS = 10
@@ -171,6 +173,7 @@ def answers(report: ReportedCalibration) -> Values:
             }
             for one in report.card.classes or ()
         ],
+        "order": order_sentences(report.card),
         "day": _day(report),
         "untested": _untested(report),
     }
@@ -179,9 +182,12 @@ def answers(report: ReportedCalibration) -> Values:
 def _answer(report: ReportedCalibration, target: TargetCard) -> dict[str, str]:
     card, ends, name = report.card, report.ends[target.column], target.quantity.replace("_", " ")
     tested = tested_text(card, target, report.evaluations)
+    in_order = [sentence for column, sentence in order_verdicts(card).items() if column == target.column]
     sentences = [answer(card, target, ends, report.scored_groups, tested)]
     if not not_read(target):
         sentences += [one.removeprefix(f"{name}: ") for one in target_findings(target, card.coverage)]
+        sentences += found_elsewhere(target, report.evaluations)
+        sentences += in_order
     joined = reading_half_width(target, report.table)
     if joined is not None and target.measured_by is not None:
         own = rounded(target.measured_by.half_width, joined)
@@ -192,7 +198,7 @@ def _answer(report: ReportedCalibration, target: TargetCard) -> dict[str, str]:
     if not_relied_on(card, target):
         sentences.append("do not rely on this: the audit failed, see above")
     bad = not_read(target) or not_relied_on(card, target)
-    warned = fails(card, target, ends, report.evaluations)
+    warned = bool(in_order) or fails(card, target, ends, report.evaluations)
     return {"text": ". ".join(one[0].upper() + one[1:] for one in sentences[1:]), "first": sentences[0],
             "style": "bad" if bad else "warn" if warned else ""}  # fmt: skip
 

@@ -20,6 +20,7 @@ from palpate.estimators.finding_cards import PerturbationCard
 from palpate.estimators.intervals import layout_of
 from palpate.estimators.model_card import TargetCard
 from palpate.reports.calibration_figures import Panel, deciding_panel, errors_of, held_rows, target_columns
+from palpate.reports.evaluation_text import frames_of
 from palpate.reports.score_intervals import mean_error_half_width
 from palpate.reports.sections.target_verdicts import reading_half_width
 
@@ -68,7 +69,12 @@ def evaluations(report: ReportedCalibration) -> Values | None:
     if not report.evaluations and not report.refused_evaluations:
         return None
     rows = [
-        {"found": found, "scores": [(t, found.targets[t.column]) for t in report.card.targets]}
+        {
+            "found": found,
+            "frames": frames_of(report.card, found),
+            "scores": [(t, found.targets[t.column]) for t in report.card.targets],
+            "findings": [one for t in report.card.targets for one in found.findings_of(t.column)],
+        }
         for found in report.evaluations
     ]
     return {"evaluations": rows, "refused": report.refused_evaluations, "coverage": report.card.coverage}
@@ -87,7 +93,9 @@ def audit(report: ReportedCalibration) -> Values | None:
     found = report.card.confounds
     if found is None:
         return None
-    return {"audit": found, "notes": [f for f in found.findings if f.severity == "notes"]}
+    notes = [f for f in found.findings if f.severity == "notes"]
+    height, width = report.card.input.frame_px
+    return {"audit": found, "notes": notes, "whole": found.skin_px == (0, 0, width, height)}
 
 
 def deciding(report: ReportedCalibration) -> Values | None:

@@ -79,13 +79,7 @@ def others(evaluations: Sequence[EvaluationRecord]) -> tuple[EvaluationRecord, .
 
 def not_read(target: TargetCard) -> bool:
     """True where the model does not tell the target: no better than the mean, or as unsure as the range."""
-    return target.score.says_nothing or _as_wide_as_the_range(target)
-
-
-def _as_wide_as_the_range(target: TargetCard) -> bool:
-    span = target.greatest - target.least if target.period is None else target.period
-    known = target.over_range is not None or target.circular is not None  # cards of before have no such rule
-    return known and 2 * target.score.half_width >= span
+    return not target.is_read
 
 
 def fails(
@@ -97,6 +91,17 @@ def fails(
         any(one.coverage_90_high < card.coverage for one in scores)
         or any(end.high < card.coverage for end in ends)
         or bool(target_findings(target, card.coverage))
+        or bool(found_elsewhere(target, evaluations))
+    )
+
+
+def found_elsewhere(target: TargetCard, evaluations: Sequence[EvaluationRecord]) -> tuple[str, ...]:
+    """Where a target did not keep its promise on sessions that were not learnt from, a sentence each."""
+    name = target.quantity.replace("_", " ")
+    return tuple(
+        f"on {', '.join(one.session)} {sentence.removeprefix(f'{name}: ')}"
+        for one in others(evaluations)
+        for sentence in one.findings_of(target.column)
     )
 
 
@@ -119,14 +124,14 @@ def answer(card: Card, target: TargetCard, ends: Sequence[OuterRange], groups: i
             f"{name}: not read by this model: {typical} {s.unit} off on average, no better than always "
             "saying the mean"
         )
-    if _as_wide_as_the_range(target):
+    if target.is_as_unsure_as_its_range:
         return (
             f"{name}: not read by this model: its intervals, ±{half} {s.unit} on average, are as long as "
             "the range"
         )
-    held = f"{_held(s, card.coverage)} within ±{half} {s.unit} on average"
+    held = f"its own intervals, ±{half} {s.unit} on average, held {_held(s, card.coverage)}"
     but = _but(s, ends, card.coverage)
-    return f"{name}: {typical} {s.unit} typical, {held}, {_where(target)}{but}; {tested}"
+    return f"{name}: {typical} {s.unit} typical; {held} {_where(target)}{but}; {tested}"
 
 
 def _where(target: TargetCard) -> str:
@@ -137,10 +142,9 @@ def _where(target: TargetCard) -> str:
 
 
 def _held(s: ScoreCard, coverage: float) -> str:
-    """The share that the intervals hold: as made, or as measured where that is another."""
-    if s.coverage_90_high < coverage:
-        return f"only {percent(s.coverage_90, s.coverage_90_low, s.coverage_90_high)} %"
-    return f"{100 * coverage:g} %{' or more' if s.coverage_90_low > coverage else ''}"
+    """The share of the rows that the intervals held."""
+    share = percent(s.coverage_90, s.coverage_90_low, s.coverage_90_high)
+    return f"{'only ' if s.coverage_90_high < coverage else ''}{share} %"
 
 
 def _but(s: ScoreCard, ends: Sequence[OuterRange], coverage: float) -> str:

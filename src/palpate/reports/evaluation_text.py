@@ -1,0 +1,48 @@
+"""Frames of an evaluation in words: how many were refused, and which target how many of them do not tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from palpate.calibration.sessions import EvaluationRecord
+from palpate.estimators.model_card import Card
+
+
+def frames_text(
+    card: Card, scored: int, valid: int, untold: Mapping[str, int] | None, all_valid: int | None
+) -> str:
+    """Sentence on the frames of an evaluation.
+
+    Args:
+        card: of the calibration.
+        scored: frames scored.
+        valid: those that tell some target and are refused neither by the guard nor by the range's rule.
+        untold: frames that do not tell a target, by its column; None in files of before.
+        all_valid: frames of which every reading is valid of what the calibration reads; None likewise.
+    """
+    judged = f"{valid} of {scored} frames tell something and are refused by neither guard nor range rule"
+    if untold is None or all_valid is None:
+        return judged
+    unread = [_name(t.quantity) for t in card.targets if t.is_never_valid]
+    seldom = [
+        f"{_name(t.quantity)} in {untold[t.column]}"
+        for t in card.targets
+        if untold[t.column] and not t.is_never_valid
+    ]
+    if not unread and not seldom and valid == all_valid:
+        return f"{valid} of {scored} frames gave valid readings throughout"
+    told = f"not told is {', '.join(seldom)} of all frames" if seldom else ""
+    never = f"this calibration does not read {', '.join(unread)}" if unread else ""
+    of_what = "of all that it reads" if unread else "throughout"
+    return "; ".join(filter(None, [judged, told, never, f"{all_valid} gave valid readings {of_what}"]))
+
+
+def frames_of(card: Card, found: EvaluationRecord) -> str:
+    """Sentence on the frames of an evaluation that was kept."""
+    return frames_text(
+        card, found.frames_scored, found.frames_valid, found.frames_untold, found.frames_all_valid
+    )
+
+
+def _name(quantity: str) -> str:
+    return quantity.replace("_", " ")
