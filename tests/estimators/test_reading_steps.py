@@ -135,7 +135,7 @@ def a_card_of_bands(target: TargetCard, rng: np.random.Generator) -> TargetCard:
     )  # fmt: skip
     instrument = InstrumentCard(
         instrument="scale", certificate="", certified_on="", standard_uncertainty=0.02, resolution=0.0,
-        backlash=0.0, bias_removed=0.0, half_width=float(rng.uniform(0, 0.1) * span),
+        backlash=0.0, bias_removed=0.0, half_width=float(rng.uniform(0, 0.6) * span),
     )  # fmt: skip
     return target.model_copy(update={"over_range": over, "measured_by": instrument})
 
@@ -148,7 +148,7 @@ def test_uneven_intervals_and_the_range_s_rule_are_those_of_the_card(
     run = record_spots("run", 16)
     card = read_card(calibrate(run, plan, tmp_path / "cal"))
     monkeypatch.chdir(tmp_path)
-    rng, refused, uneven, lengthened = np.random.default_rng(7), set(), 0, 0
+    rng, refused, uneven, lengthened, by_instrument = np.random.default_rng(7), set(), 0, 0, 0
     for _ in range(25):
         targets = tuple(a_card_of_bands(target, rng) for target in card.targets)
         changed = sealed(card.model_dump(exclude={"id"}) | {"targets": targets})
@@ -170,11 +170,14 @@ def test_uneven_intervals_and_the_range_s_rule_are_those_of_the_card(
                 assert bool(meets) == (not doubt(target, estimate, *own))
                 assert (low, high) == pytest.approx(with_reference(target, estimate, *own))
                 refused.add(doubt(target, estimate, *own).split(" ")[0])
+                bare = target.model_copy(update={"measured_by": None})
+                by_instrument += bool(doubt(target, estimate, *own)) and not doubt(bare, estimate, *own)
                 uneven += abs((high - estimate) - (estimate - low)) > 0.1 * (high - low)
                 lengthened += own[1] - own[0] > 2.1 * half[j]
     assert refused == {"", "this", "the", "x", "height"}  # valid; tells nothing; interval, estimates too far
     assert uneven > 50
     assert lengthened > 50
+    assert by_instrument > 10
 
 
 @pytest.mark.parametrize("poor", [{"mae": 1.0, "mean_mae": 1.0}, {"half_width": 1e3}])
@@ -260,7 +263,7 @@ def test_a_reader_of_one_rule_stops_at_another(record_spots, tmp_path, monkeypat
     path = calibrate(record_spots("run", 16), plan, tmp_path / "cal") / "card.json"
     monkeypatch.chdir(tmp_path)
     exec(WITHOUT_PALPATE, {})
-    path.write_text(path.read_text().replace("palpate-steps/1", "palpate-steps/2"))
+    path.write_text(path.read_text().replace("palpate-steps/1", "palpate-steps/3"))
     with pytest.raises(AssertionError):
         exec(WITHOUT_PALPATE, {})
 

@@ -22,7 +22,7 @@ from palpate.calibration.coverage.joint_regions import joint_score
 from palpate.calibration.training_data import rows_matching
 from palpate.core import CertificateError, LabelError, Progress, Shaped, Values, silent
 from palpate.estimators.certified import Estimator, Zero
-from palpate.estimators.intervals import within
+from palpate.estimators.intervals import intervals_of, layout_of, within
 from palpate.estimators.model_card import Card, ScoreCard, TenthCard
 from palpate.estimators.reading_rules import untold
 from palpate.estimators.reference_uncertainty import without_reference
@@ -122,14 +122,14 @@ def evaluate(
     true = target_values(labels, card.columns, str(run.path), constant=True)
     for one in card.classes or ():
         known_codes(labels, one.column, one.values, str(run.path))
-    table = predictions(estimator, run, zero=zero, progress=progress)
+    table, spread = _read_run(estimator, run, zero, progress)
     finite = _read_rows(card, table)
     if any(run.frame(int(row)).image.shape[:2] == card.input.frame_px for row in rows[~finite]):
         raise CertificateError(
             f"{run.path}: calibration {card.id} gives no finite number for some of {np.sum(~finite)} frames, "
             "which scores would leave out; calibrate again"
         )
-    return _scores(card, run, true, table)
+    return _scores(card, run, true, table, spread)
 
 
 def predictions(
@@ -151,19 +151,30 @@ def predictions(
     Raises:
         ImageError: the calibration is differential and the run has no reference.
     """
+    return _read_run(estimator, run, zero, progress)[0]
+
+
+def _read_run(
+    estimator: Estimator, run: Run, zero: Zero | None, progress: Progress
+) -> tuple[pd.DataFrame, Values]:
+    """The table of `predictions`, and the expected size of each target's error ``[n t]`` in its unit."""
     card = estimator.card
     rows = rows_to_score(card, run.labels)
+    error_spread, count = intervals_of(card).spread, layout_of(card).outputs
     table = run.labels.iloc[rows].reset_index(drop=True)
     zeros = {} if zero is not None else zeros_of(estimator, run)
     predicted, half = np.full((2, len(rows), len(card.columns)), np.nan)
     low, high = np.full((2, len(rows), len(card.columns)), np.nan)
+    spread = np.full((len(rows), len(card.columns)), np.nan)
     joint = {part: np.full(len(rows), np.nan) for vector in card.vectors or () for part in vector.columns}
     classes: dict[str, list[str]] = {f"{k}:{c.column}": [] for c in card.classes or () for k in CLASS_KINDS}
     asked = [k for k, t in enumerate(card.targets) if not t.is_never_valid]
     whys: list[str] = []
     all_valid: list[bool] = []
     for i, row in enumerate(rows):
-        readings = estimator.read(run.frame(int(row)), zero or zeros.get(int(row)))
+        readings, outputs = estimator.read_with_outputs(run.frame(int(row)), zero or zeros.get(int(row)))
+        if outputs is not None and card.targets:
+            spread[i] = error_spread.at(outputs[:, :count])[0]
         each = [readings[column] for column in card.columns]
         predicted[i] = [reading.value for reading in each]
         half[i] = [(reading.high - reading.low) / 2 for reading in each]
@@ -188,9 +199,8 @@ def predictions(
     table = table.assign(
         **{f"joint_half_width:{part}": reached for part, reached in joint.items()}, **classes
     )
-    return with_own(
-        table, {"valid": [not why for why in whys], "why": whys, "all_valid": np.array(all_valid, bool)}
-    )
+    own = {"valid": [not why for why in whys], "why": whys, "all_valid": np.array(all_valid, bool)}
+    return with_own(table, own), spread
 
 
 CLASS_KINDS = ("estimate", "set")  # of a label of classes, before the colon of its columns in `predictions`
@@ -222,7 +232,7 @@ def _untouched_rows(card: Card, table: pd.DataFrame) -> np.ndarray:
         return nothing
 
 
-def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str, Any]:
+def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame, spread: Values) -> dict[str, Any]:
     predicted, half, low, high = (
         table[[f"{kind}:{column}" for column in card.columns]].to_numpy(float)
         for kind in ("estimate", "half_width", "low", "high")
@@ -262,7 +272,7 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame) -> dict[str
         "findings": [*(one for of_target in findings_of.values() for one in of_target), *about_classes],
         "findings_of": findings_of,
         "vectors": {
-            v.column: joint_score(v, card.columns, table[read], true[read], groups)
+            v.column: joint_score(v, card.columns, predicted[read] - true[read], spread[read], groups)
             for v in card.vectors or ()
         },
         "calibration": card.id,

@@ -260,7 +260,9 @@ def report(
         from palpate.estimators.reading_steps import reading_steps
 
         card = read_card(calibration)
-        found = card.steps or reading_steps(card)
+        found = reading_steps(card)
+        if card.steps is not None and card.steps.rule == found.rule:
+            found = card.steps
         words = [f"{i}. {sentence}" for i, sentence in enumerate(found.words, start=1)]
         print_found(found.model_dump(mode="json"), "\n".join(words), json_)
         return
@@ -309,13 +311,13 @@ def _card_text(card: Any, out: Path) -> str:
     from palpate.calibration.coverage import card_findings
     from palpate.reports.class_text import class_lines
     from palpate.reports.order_verdicts import order_sentences
-    from palpate.reports.terminal_text import confounds_text, scores_table
+    from palpate.reports.terminal_text import confounds_text, instrument_lines, scores_table
 
     lines = [f"calibration {card.id}: {out}", *confounds_text(card.confounds), *order_sentences(card)]
     if card.sessions is not None:
         lines += [card.sessions.text, *card.sessions.findings]
     if card.targets:
-        lines.append(scores_table({t.column: t.score for t in card.targets}))
+        lines += [scores_table({t.column: t.score for t in card.targets}), *instrument_lines(card.targets)]
     for one in card.classes or ():
         lines += [*class_lines(one, one.score, card.coverage), *one.findings]
     lines += [*card_findings(card), *(_vector_text(vector) for vector in card.vectors or ())]
@@ -444,7 +446,7 @@ def _set_intervals_anew(calibration: Path, run: Path, out: Path, json_: bool, qu
 
 def _reset_text(card: Any, former: dict[str, Any], out: Path, report: str) -> str:
     from palpate.reports.class_text import class_lines
-    from palpate.reports.terminal_text import scores_table
+    from palpate.reports.terminal_text import instrument_lines, scores_table
 
     wider = [
         f"{t.column}: intervals {t.quantile / former[t.column].quantile:.2f} times as wide as before"
@@ -460,6 +462,7 @@ def _reset_text(card: Any, former: dict[str, Any], out: Path, report: str) -> st
         f"calibration {card.id}: {out}",
         card.interval_reset.text,
         *([scores_table({target.column: target.score for target in card.targets})] if card.targets else ()),
+        *instrument_lines(card.targets),
         *wider,
         *classes,
         f"report: {out / report}",
@@ -468,6 +471,8 @@ def _reset_text(card: Any, former: dict[str, Any], out: Path, report: str) -> st
 
 
 def _adapted_text(card: Any, out: Path, report: str) -> str:
+    from palpate.reports.terminal_text import instrument_lines
+
     lines = [HEAD, *(_cells(target, card.split.details["correction"]) for target in card.targets)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(HEAD))]
     table = [
@@ -485,6 +490,7 @@ def _adapted_text(card: Any, out: Path, report: str) -> str:
         [
             f"calibration {card.id}: {out}, adapted from {card.adapted_from}",
             *table,
+            *instrument_lines(card.targets),
             scored,
             f"audit: {card.split.audit}",
             f"report: {out / report}",

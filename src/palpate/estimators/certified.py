@@ -166,16 +166,29 @@ class Estimator:
         Raises:
             ImageError: the calibration is differential and no `zero` was given, or it is no such image.
         """
+        return self.read_with_outputs(frame, zero)[0]
+
+    def read_with_outputs(
+        self, frame: Frame | Image, zero: Zero | None = None
+    ) -> tuple[Readings, Outputs | None]:
+        """Read a frame, and keep what the network gave for it.
+
+        Args, Raises: as of `read`.
+
+        Returns:
+            The readings, and the outputs ``[1 o]``, see `values`; None where the frame is of another size.
+        """
         frame = frame if isinstance(frame, Frame) else Frame(frame)
         self._check_zero(zero)
         if frame.image.shape[:2] != self.card.input.frame_px:
-            return self._readings(frame, None, self._size_message(frame.image), zero)
+            return self._readings(frame, None, self._size_message(frame.image), zero), None
         prepared = self._preparation.apply(frame.image)
         verdict = self._novelty.judge(prepared)
         why = "" if verdict.atypicality <= 1 else verdict.reason
         if not why and self._copies is not None and self._copies.is_of_former(prepared):
             why = _copy_reason(self.card)
-        return self._readings(frame, self._outputs(prepared, zero), why, zero)
+        outputs = self._outputs(prepared, zero)
+        return self._readings(frame, outputs, why, zero), outputs
 
     def outputs(self, frame: Frame | Image, zero: Zero | None = None) -> Outputs:
         """Outputs of the network for one frame ``[1 o]``, see `values`.

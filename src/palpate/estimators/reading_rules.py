@@ -5,27 +5,31 @@ from __future__ import annotations
 import math
 
 from palpate.estimators.model_card import RangeCard, TargetCard
+from palpate.estimators.reference_uncertainty import with_reference
 
 
 def doubt(target: TargetCard, value: float, low: float, high: float) -> str:
     """Reason not to trust a value; empty where there is none.
 
-    A target that the calibration does not read has no valid reading. An estimate beyond the calibrated range
-    by more than the card allows is extrapolated, and so is one whose interval reaches further beyond it than
-    the card allows. An interval as wide as the range tells nothing.
+    A target that the calibration does not read has no valid reading. An estimate beyond the calibrated range by more
+    than the card allows is extrapolated, and so is one whose interval reaches further beyond it than the card allows: what is usual is known of labels, so that this
+    interval is the one for what their instrument shows. One that with the instrument's own uncertainty is as
+    wide as the range tells nothing.
 
     Args:
         target: its card.
-        value, low, high: the estimate and the ends of its interval, in the target's unit; NaN where none.
+        value, low, high: the estimate and the ends of its interval before `with_reference`, in the target's
+            unit; NaN where none.
     """
     if target.is_never_valid:
         return _not_read(target)
+    ends = with_reference(target, value, low, high)
+    if untold(target, *ends):
+        return _tells_nothing(target, ends[1] - ends[0])
     if target.circular is not None:
-        return _doubt_of_angle(target, value, high - low, target.circular.period)
+        return _outside_arc(target, value, (high - low) / 2, target.circular.period)
     if target.over_range is None:
         return _wholly_outside(target, value, (high - low) / 2)
-    if untold(target, low, high):
-        return _tells_nothing(target, high - low, f"the calibrated range {_range(target)} is no wider")
     return _extrapolated(target, target.over_range, value, low, high)
 
 
@@ -36,7 +40,7 @@ def untold(target: TargetCard, low: float, high: float) -> bool:
 
     Args:
         target: its card.
-        low, high: the ends of the interval, in the target's unit.
+        low, high: the ends of the reading's interval, in the target's unit.
     """
     if target.is_never_valid:
         return True
@@ -67,12 +71,10 @@ def _beyond(target: TargetCard, what: str, far: float, usual: float) -> str:
     )
 
 
-def _doubt_of_angle(target: TargetCard, value: float, width: float, period: float) -> str:
-    if width >= period:
-        return _tells_nothing(target, width, f"the whole turn is {period:.3g} {target.unit}")
+def _outside_arc(target: TargetCard, value: float, half_width: float, period: float) -> str:
     middle, half = (target.least + target.greatest) / 2, (target.greatest - target.least) / 2
     away = abs((value - middle + period / 2) % period - period / 2) - half
-    if away <= width / 2 or math.isnan(value):
+    if away <= half_width or math.isnan(value):
         return ""
     return (
         f"{target.quantity} {value:.3g} {target.unit} lies {away:.2g} {target.unit} outside the calibrated "
@@ -90,7 +92,12 @@ def _not_read(target: TargetCard) -> str:
     return f"this calibration does not read {name}: {wide}, and {whole} no wider"
 
 
-def _tells_nothing(target: TargetCard, width: float, whole: str) -> str:
+def _tells_nothing(target: TargetCard, width: float) -> str:
+    whole = (
+        f"the calibrated range {_range(target)} is no wider"
+        if target.circular is None
+        else f"the whole turn is {target.circular.period:.3g} {target.unit}"
+    )
     wide = f"its interval is {width:.3g} {target.unit} wide"
     return f"this frame does not tell {target.quantity}: {wide}, and {whole}"
 

@@ -11,11 +11,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from palpate.estimators.card_ground import CardPart
+from palpate.estimators.joint_reach import joint_reach
 
 if TYPE_CHECKING:
     from palpate.estimators.model_card import Card, InputCard, TargetCard
 
-RULE = "palpate-steps/1"
+RULE, RULE_OF_INSTRUMENTS = "palpate-steps/1", "palpate-steps/2"
+"""The second is that of cards whose labels' instruments widen readings: of such, the first joined the
+instrument to a vector's region as to a single interval, and judged an interval's length without it."""
 GREY_WEIGHTS, GREY_ROUNDING, GREY_SHIFT = (9798, 19235, 3735), 16384, 15
 """Red, green and blue's parts of grey in 1/32768: ITU-R BT.601's 0.299, 0.587 and 0.114, as OpenCV rounds
 them."""
@@ -51,7 +54,7 @@ class StepsCard(CardPart):
 def reading_steps(card: Card) -> StepsCard:
     """The steps by which readings of a card are made: the numbers by name, and each step as a sentence."""
     return StepsCard(
-        rule=RULE,
+        rule=RULE_OF_INSTRUMENTS if _measured(card) else RULE,
         grey_weights=GREY_WEIGHTS,
         grey_rounding=GREY_ROUNDING,
         grey_shift=GREY_SHIFT,
@@ -224,14 +227,19 @@ def _named(targets: list[TargetCard]) -> str:
     return ", ".join(target.column for target in targets)
 
 
+def _measured(card: Card) -> list[TargetCard]:
+    """Targets whose instrument widens their intervals."""
+    return [t for t in card.targets if t.measured_by is not None and t.measured_by.half_width > 0]
+
+
 def _reference(card: Card) -> tuple[str, ...]:
-    measured = [t for t in card.targets if t.measured_by is not None and t.measured_by.half_width > 0]
+    measured = _measured(card)
     if not measured:
         return ()
     last = (
         f"Last, each side of the interval of {_named(measured)} becomes the root of its square plus the "
         "square of `half_width` of measured_by, which is what the labels' own instrument leaves open; the "
-        "rules above were for the interval before."
+        "rule of its length is for this interval, those of where it lies were for the interval before."
     )
     return (last,)
 
@@ -246,8 +254,13 @@ def _vectors(card: Card) -> tuple[str, ...]:
 
 
 def _with_instruments(card: Card, columns: tuple[str, ...]) -> str:
-    stated = any(t.measured_by is not None for t in card.targets if t.column in columns)
-    return ", and (measured_by.half_width / radius) squared more on its diagonal" if stated else ""
+    if not any(target.column in columns for target in _measured(card)):
+        return ""
+    reach = joint_reach(len(columns), card.coverage)
+    return (
+        f", and ({reach:.6g} standard_uncertainty / radius) squared more on its diagonal, with that of "
+        "measured_by where there is one"
+    )
 
 
 def _refusals(card: Card) -> tuple[str, ...]:

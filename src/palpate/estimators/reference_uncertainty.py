@@ -6,8 +6,9 @@ quadrature (JCGM 100:2008, GUM, eq. 10), on each side of the estimate,
 
     side = sqrt(side_model² + (k u)²)
 
-with k of the normal distribution at the interval's coverage. What varies from row to row, such as
-resolution, is in the held-out errors already and is not counted twice.
+with k of the normal distribution at the interval's coverage. A region of several quantities together takes k
+of the chi distribution with as many degrees of freedom, which is larger (`joint_reach`). What varies from row
+to row, such as resolution, is in the held-out errors already and is not counted twice.
 """
 
 from __future__ import annotations

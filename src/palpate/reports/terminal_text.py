@@ -10,7 +10,7 @@ import numpy as np
 
 from palpate.core import half_width_text, rounded
 from palpate.estimators.finding_cards import ConfoundCard
-from palpate.estimators.model_card import ScoreCard
+from palpate.estimators.model_card import ScoreCard, TargetCard
 from palpate.reports.score_intervals import (
     MIN_R2_HALF_WIDTH,
     explained_half_width,
@@ -63,6 +63,16 @@ def _cells(name: str, s: ScoreCard) -> tuple[str, ...]:
         f"±{half_width_text(s.half_width)}",
         f"{covered} ({low}–{high}) %",
     )
+
+
+def instrument_lines(targets: Sequence[TargetCard]) -> list[str]:
+    """One line a target whose labels' instrument is in its readings' intervals, beside the model's errors."""
+    return [
+        f"{t.column}: ±{half_width_text(t.measured_by.half_width)} {t.unit} of its labels' instrument "
+        f"({t.measured_by.instrument}) joins each reading's interval, as a root of squares"
+        for t in targets
+        if t.measured_by is not None and t.measured_by.half_width > 0
+    ]
 
 
 def confounds_text(card: ConfoundCard | None) -> list[str]:

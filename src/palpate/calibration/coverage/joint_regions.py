@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from palpate.calibration.conformal import grouped_coverage_interval, spread_of_others
 from palpate.calibration.coverage.range_fit import group_parts, grouped_quantile
@@ -70,28 +69,25 @@ def vector_cards(
 
 
 def joint_score(
-    vector: VectorCard, columns: Sequence[str], table: pd.DataFrame, true: Values, groups: np.ndarray
+    vector: VectorCard, columns: Sequence[str], errors: Values, spread: Values, groups: np.ndarray
 ) -> dict[str, Any]:
     """How often a vector's region covered all its components at once.
+
+    The region is that for what the labels' instruments show: their own uncertainty is not in it.
 
     Args:
         vector: its card.
         columns: all targets, in the order of the labels.
-        table: of each component ``estimate:COLUMN`` and ``joint_half_width:COLUMN``.
-        true: the labels ``[n t]``.
+        errors: estimates less labels ``[n t]``, in the targets' units.
+        spread: the errors' expected sizes ``[n t]``, see `estimators.intervals.ErrorSpread`.
         groups: label of each row's group.
 
     Returns:
         ``{"n", "covered", "low", "high"}``: rows, share covered, and its 95 % interval.
     """
     at = [list(columns).index(part) for part in vector.columns]
-    estimate, reach = (
-        table[[f"{kind}:{part}" for part in vector.columns]].to_numpy(float)
-        for kind in ("estimate", "joint_half_width")
-    )
-    correlation = np.array(vector.correlation)
-    spread = reach / (vector.radius * np.sqrt(np.diag(correlation)))
-    inside = mahalanobis((estimate - true[:, at]) / spread, correlation) <= vector.radius
+    scaled = errors[:, at] / spread[:, at]
+    inside = mahalanobis(scaled, np.array(vector.correlation)) <= vector.radius
     low, high = grouped_coverage_interval(inside, groups)
     return {"n": len(inside), "covered": float(inside.mean()), "low": low, "high": high}
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from palpate.core import CircularReading, Float, InputError, Reading, VectorReading, split_column
 from palpate.core.reading import Ellipsoid, provenance
+from palpate.estimators.joint_reach import joint_reach
 from palpate.estimators.model_card import InstrumentCard, VectorCard
 
 
@@ -41,8 +42,9 @@ def vector_reading(
     sizes = np.ones(len(parts)) if spread is None else unit.to_si(spread)
     covariance = np.array(vector.correlation) * np.outer(sizes, sizes)
     for k, instrument in enumerate(measured_by):
-        if instrument is not None:
-            covariance[k, k] += (unit.to_si(instrument.half_width) / vector.radius) ** 2
+        if instrument is not None and instrument.standard_uncertainty > 0:
+            reach = joint_reach(len(parts), parts[0].coverage)  # of all of them: more than that of one
+            covariance[k, k] += (reach * unit.to_si(instrument.standard_uncertainty) / vector.radius) ** 2
     whys = dict.fromkeys(part.why for part in parts if part.why)
     first = provenance(parts[0]) | {"valid": not whys, "why": "; ".join(whys)}
     ranges = [part.calibrated_range for part in parts if isinstance(part, Reading)]
