@@ -49,6 +49,7 @@ from palpate.estimators.model_card import Card, SplitCard
 from palpate.estimators.networks.model_interface import refuse_unfit
 from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import PackedSet, Run, Split, pack, split
+from palpate.recordings.joined_runs import refuse_partly_measured
 from palpate.recordings.label_tables import targets_from
 from palpate.recordings.splits import group_names
 
@@ -149,7 +150,8 @@ def adapt(folder: PathText, run: Run, out: PathText, progress: Progress = silent
     estimator = Estimator.open(folder)
     card = estimator.card
     _refuse_classes(card)
-    plan = CalibrationPlan.of_card(card, _rule(card, run), _grouping(run))
+    refuse_partly_measured(run, card.columns)
+    plan = CalibrationPlan.of_card(card, _rule(card, run), _grouping(run), run.manifest.instruments)
     _check(card, run, plan)
     with storage_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -149,9 +149,24 @@ class CalibrationPlan:
         object.__setattr__(self, "vectors", _vectors(self.vectors, self.targets, self.circular))
 
     @classmethod
-    def of_card(cls, card: Card, reference: ReferenceRule | None, split: str = "auto") -> CalibrationPlan:
-        """Plan that prepares images and rows as they were for a certificate; the model is not its own."""
+    def of_card(
+        cls,
+        card: Card,
+        reference: ReferenceRule | None,
+        split: str = "auto",
+        instruments: Mapping[str, ReferenceInstrument] | None = None,
+    ) -> CalibrationPlan:
+        """Plan that prepares images and rows as they were for a certificate; the model is not its own.
+
+        Args:
+            card: the certificate's.
+            reference: rule of the untouched sensor.
+            split: how rows are held out.
+            instruments: what the labels of a new run were measured with; where it states none, the
+                certificate's instrument stands.
+        """
         image = card.input
+        former = {t.column: t.measured_by for t in card.targets if t.measured_by is not None}
         return cls(
             targets=tuple(card.columns),
             split=split,
@@ -166,6 +181,13 @@ class CalibrationPlan:
             coverage=card.coverage,
             circular={t.column: t.circular.period for t in card.targets if t.circular is not None},
             vectors={vector.column: vector.columns for vector in card.vectors or ()},
+            instruments={
+                **{
+                    column: ReferenceInstrument(**one.model_dump(exclude={"half_width"}))
+                    for column, one in former.items()
+                },
+                **{column: one for column, one in (instruments or {}).items() if column in card.columns},
+            },
             classes={one.column: one.names for one in card.classes or ()},
         )
 

@@ -50,6 +50,7 @@ from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import Run, Split
 from palpate.recordings.exchange import image_files
 from palpate.recordings.label_tables import with_own
+from palpate.recordings.reference_instruments import ReferenceInstrument
 from palpate.recordings.table_files import read_table, write_table
 from palpate.version import __version__
 
@@ -218,7 +219,10 @@ def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values
             least=least,
             greatest=greatest,
             training_mean=mean_of(true, period),
-            measured_by=_instrument_card(result, column),
+            measured_by=instrument_card(
+                result.plan.instruments.get(column) or result.run.manifest.instruments.get(column),
+                result.plan.coverage,
+            ),
             **interval_fields(intervals, j, over_range[j]),
             score=score(
                 unit.symbol,
@@ -237,12 +241,11 @@ def _range_of(true: np.ndarray, period: float | None) -> tuple[float, float]:
     return (float(true.min()), float(true.max())) if period is None else calibrated_arc(true, period)
 
 
-def _instrument_card(result: CalibrationResult, column: str) -> InstrumentCard | None:
-    """What a column's labels were measured with, by the plan or else by the run's manifest."""
-    stated = result.plan.instruments.get(column) or result.run.manifest.instruments.get(column)
+def instrument_card(stated: ReferenceInstrument | None, coverage: float) -> InstrumentCard | None:
+    """What a column's labels were measured with, and its part of intervals of this coverage."""
     if stated is None:
         return None
-    half_width = reference_half_width(stated.standard_uncertainty, result.plan.coverage)
+    half_width = reference_half_width(stated.standard_uncertainty, coverage)
     return InstrumentCard(**stated.model_dump(), half_width=half_width)
 
 

@@ -78,7 +78,7 @@ from palpate.estimators.networks.distributed import ProcessGroup
 from palpate.estimators.networks.model_interface import Fitted, TimeBoxed
 from palpate.estimators.target_layout import Outputs
 from palpate.recordings import PackedSet, Run, Split, pack, split
-from palpate.recordings.joined_runs import joined
+from palpate.recordings.joined_runs import joined, refuse_partly_measured
 from palpate.recordings.label_tables import refuse_reserved
 from palpate.recordings.preparation import Preparation
 from palpate.recordings.reference_instruments import refuse_strangers
@@ -177,6 +177,7 @@ def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
         raise InputError(f"{run.path} holds {len(run)} frames; a calibration needs 10 or more")
     refuse_reserved(list(run.manifest.labels), str(run.path))
     refuse_strangers(plan.instruments, tuple(run.manifest.labels), str(run.path))
+    refuse_partly_measured(run, [name for name in plan.targets if name not in plan.instruments])
     make_model(plan.model, plan.options)
     prepared = preparation_of(run, plan).apply(run.frame(0).image)
     table = table_to_learn(run.labels, plan)

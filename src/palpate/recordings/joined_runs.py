@@ -13,6 +13,7 @@ import pandas as pd
 from palpate.core import InputError, LabelError, SplitError
 from palpate.recordings.label_tables import Label
 from palpate.recordings.manifest import LabelKind, Manifest
+from palpate.recordings.reference_instruments import ReferenceInstrument
 from palpate.recordings.run_reader import Run
 from palpate.recordings.segments.segment_reader import Damage
 from palpate.recordings.splits import SESSION, group_names
@@ -24,8 +25,9 @@ class JoinedRun(Run):
     """Several runs as one, in the order given.
 
     Its labels are the columns that all runs have, and ``session``: a run's own column of that name, else the
-    run's name. One value in two runs is one session. Where the runs are of sensors of different names and no
-    label says which, a column ``sensor`` does. Times count from the beginning of the earliest run.
+    run's name. A column's instrument is the least certain of the runs'; none where a run states none, see
+    `refuse_partly_measured`. One value in two runs is one session. Where the runs are of sensors of different
+    names and no label says which, a column ``sensor`` does. Times count from the beginning of the earliest.
 
     Attributes:
         runs: the runs.
@@ -186,8 +188,39 @@ def _manifest(runs: Sequence[Run], shared: Sequence[str]) -> Manifest:
             "units": {name: unit for name, unit in first.units.items() if name in shared and name != SESSION},
             "labels": labels,
             "targets": tuple(name for name in first.targets if name in shared),
+            "instruments": {
+                name: _least_certain([one.instruments[name] for one in about])
+                for name in shared
+                if all(name in one.instruments for one in about)
+            },
         }
     )
+
+
+def _least_certain(stated: Sequence[ReferenceInstrument]) -> ReferenceInstrument:
+    """The instrument of the largest standard uncertainty, which says so where the runs' are several."""
+    worst = max(stated, key=lambda one: one.standard_uncertainty)
+    names = list(dict.fromkeys(one.instrument for one in stated))
+    if len(names) == 1:
+        return worst
+    return worst.model_copy(
+        update={"instrument": f"{worst.instrument}, the least certain of {'; '.join(names)}"}
+    )
+
+
+def refuse_partly_measured(run: Run, columns: Sequence[str]) -> None:
+    """Raise a LabelError if only some of a joined run's parts state what a column was measured with.
+
+    An interval for all of them would lack an instrument, or have one that some were not measured with.
+    """
+    parts = run.runs if isinstance(run, JoinedRun) else ()
+    for column in columns:
+        without = [part for part in parts if column not in part.manifest.instruments]
+        if 0 < len(without) < len(parts):
+            raise LabelError(
+                f"{column}: {', '.join(run_names(without))} states no instrument for it, and the others do; "
+                f"state one for all in a file, as [{column}] in --instruments FILE, or leave these runs out"
+            )
 
 
 def _listed(words: Iterable[str]) -> str:

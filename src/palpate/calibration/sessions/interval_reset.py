@@ -32,6 +32,7 @@ from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.certificate import (
     PREDICTIONS_FILE,
     WORST,
+    instrument_card,
     interval_fields,
     made_fields,
     write_picture,
@@ -67,10 +68,18 @@ from palpate.estimators.class_sets import ClassCard, ClassOutputs
 from palpate.estimators.finding_cards import IntervalResetCard, RobustnessCard, SessionsCard
 from palpate.estimators.guard import NoveltyDetector, RenderedImages
 from palpate.estimators.intervals import Intervals, intervals_of, layout_of, mahalanobis
-from palpate.estimators.model_card import Card, RangeCard, ScoreCard, TargetCard, VectorCard, sealed
+from palpate.estimators.model_card import (
+    Card,
+    InstrumentCard,
+    RangeCard,
+    ScoreCard,
+    TargetCard,
+    VectorCard,
+    sealed,
+)
 from palpate.estimators.target_layout import Outputs
 from palpate.recordings import Run, Split, pack
-from palpate.recordings.joined_runs import sessions_of
+from palpate.recordings.joined_runs import refuse_partly_measured, sessions_of
 from palpate.recordings.label_tables import with_own
 from palpate.recordings.table_files import write_table
 
@@ -176,6 +185,7 @@ def reset_intervals(folder: PathText, run: Run, out: PathText, progress: Progres
     refuse_existing(out)
     started = time.monotonic()
     estimator = Estimator.open(folder)
+    refuse_partly_measured(run, estimator.card.columns)
     rows = _SessionRows.read(estimator, run, progress)
     intervals = intervals_set_anew(intervals_of(estimator.card), rows.outputs, rows.true, rows.groups)
     halves = intervals.half_widths(rows.outputs)
@@ -374,6 +384,7 @@ def _card(
         target.model_copy(
             update=interval_fields(intervals, j, over_range[j])
             | {"score": _score(target, rows, j, halves[:, j], expected)}
+            | {"measured_by": _instrument(target, run, former.coverage)}
         )
         for j, target in enumerate(former.targets)
     )
@@ -398,6 +409,11 @@ def _card(
         ),
     }
     return sealed(former.model_dump(exclude={"id"}) | made_fields(building) | changed)
+
+
+def _instrument(target: TargetCard, run: Run, coverage: float) -> InstrumentCard | None:
+    """Instrument of the session's labels, which set the width; the former one where none is stated."""
+    return instrument_card(run.manifest.instruments.get(target.column), coverage) or target.measured_by
 
 
 def _score(

@@ -1,0 +1,91 @@
+"""The instrument of labels is neither lost nor taken for another's, and judges an interval's length."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
+from palpate.calibration.sessions import reset_intervals
+from palpate.core import LabelError
+from palpate.estimators import Estimator, read_card
+from palpate.recordings import Run
+from palpate.recordings.joined_runs import joined
+from palpate.recordings.reference_instruments import ReferenceInstrument
+from palpate.reports.terminal_text import instrument_lines
+
+FORMER = {"x_mm": ReferenceInstrument(instrument="stage A", standard_uncertainty=0.2)}
+OTHER = {"x_mm": ReferenceInstrument(instrument="laser B", standard_uncertainty=0.5)}
+FINE = {"x_mm": ReferenceInstrument(instrument="fine C", standard_uncertainty=0.01)}
+PLAN = {"targets": ("x_mm",), "split": "group:press", "size_px": (24, 32), "model": "pca-ridge"}
+
+
+def stating(run: Run, instruments: dict[str, ReferenceInstrument]) -> Run:
+    """The run, whose manifest states these instruments."""
+    path = run.path / "manifest.json"
+    found = run.manifest.model_copy(update={"instruments": instruments})
+    path.unlink()
+    found.write(run.path)
+    return Run.open(run.path)
+
+
+def named(card) -> list[tuple[str, float]]:
+    return [(t.measured_by.instrument, t.measured_by.standard_uncertainty) for t in card.targets]
+
+
+@pytest.mark.parametrize("take_over", [adapt, reset_intervals])
+def test_a_new_run_s_instrument_goes_before_the_former_which_stands_where_none_is_stated(
+    take_over, record_spots, tmp_path
+) -> None:
+    calibrate(record_spots("run", 20), CalibrationPlan(**PLAN, instruments=FORMER), tmp_path / "cal")
+    silent, stated = record_spots("silent", 12, seed=1), stating(record_spots("stated", 12, seed=2), OTHER)
+    take_over(tmp_path / "cal", silent, tmp_path / "kept")
+    take_over(tmp_path / "cal", stated, tmp_path / "taken")
+    assert named(read_card(tmp_path / "kept")) == [("stage A", 0.2)]
+    assert named(read_card(tmp_path / "taken")) == [("laser B", 0.5)]
+    assert read_card(tmp_path / "taken").targets[0].measured_by.half_width == pytest.approx(1.6448536 * 0.5)
+    assert "x_mm" in read_card(tmp_path / "kept").steps.words[-2]
+    (line,) = instrument_lines(read_card(tmp_path / "taken").targets)
+    assert re.match(r"x_mm: ±0\.82 mm of its labels' instrument \(laser B\)", line)
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_joined_runs_have_the_least_certain_instrument_in_whichever_order(order, record_spots) -> None:
+    runs = [stating(record_spots("a", 3), FINE), stating(record_spots("b", 3, seed=1), OTHER)]
+    found = joined([runs[k] for k in order]).manifest.instruments["x_mm"]
+    assert found.standard_uncertainty == 0.5
+    assert found.instrument.startswith("laser B, the least certain of ")
+    assert "fine C" in found.instrument
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_runs_of_which_some_state_no_instrument_are_refused_until_one_is_stated_for_all(
+    order, record_spots, tmp_path
+) -> None:
+    runs = [record_spots("a", 8), stating(record_spots("b", 8, seed=1), OTHER)]
+    both = joined([runs[k] for k in order])
+    with pytest.raises(LabelError, match=r"x_mm: a states no instrument .* \[x_mm\] in --instruments FILE"):
+        calibrate(both, CalibrationPlan(**PLAN), tmp_path / "cal")
+    assert not (tmp_path / "cal").exists()
+    calibrate(both, CalibrationPlan(**PLAN, instruments=FORMER), tmp_path / "cal")
+    assert named(read_card(tmp_path / "cal")) == [("stage A", 0.2)]
+    calibrate(both, CalibrationPlan(**PLAN | {"targets": ("height_mm",)}), tmp_path / "other")
+
+
+def test_an_interval_that_is_as_long_as_the_range_with_its_instrument_tells_nothing(
+    record_spots, tmp_path
+) -> None:
+    wide = {"x_mm": ReferenceInstrument(instrument="ruler", standard_uncertainty=5.0)}
+    run, fresh = record_spots("run", 20), record_spots("fresh", 6, seed=1)
+    rows = {}
+    for name, instruments in (("bare", {}), ("traced", wide)):
+        calibrate(run, CalibrationPlan(**PLAN, instruments=instruments), tmp_path / name)
+        estimator = Estimator.open(tmp_path / name)
+        rows[name] = evaluate(estimator, fresh)
+        reading = estimator.read(fresh.frame(2))["x_mm"]
+        assert reading.valid == (name == "bare")
+        assert ("this frame does not tell x" in reading.why) == (name == "traced")
+    assert rows["bare"]["frames_untold"]["x_mm"] == 0 < rows["bare"]["frames_valid"]
+    assert rows["traced"]["frames_untold"]["x_mm"] == rows["traced"]["frames_scored"]
+    assert rows["traced"]["frames_valid"] == 0
