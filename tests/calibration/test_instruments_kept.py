@@ -5,11 +5,14 @@ from __future__ import annotations
 import re
 
 import pytest
+from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
 from palpate.calibration.sessions import reset_intervals
+from palpate.cli import app
 from palpate.core import LabelError
 from palpate.estimators import Estimator, read_card
+from palpate.estimators.card_ground import card_id
 from palpate.recordings import Run
 from palpate.recordings.joined_runs import joined
 from palpate.recordings.reference_instruments import ReferenceInstrument
@@ -89,3 +92,22 @@ def test_an_interval_that_is_as_long_as_the_range_with_its_instrument_tells_noth
     assert rows["bare"]["frames_untold"]["x_mm"] == 0 < rows["bare"]["frames_valid"]
     assert rows["traced"]["frames_untold"]["x_mm"] == rows["traced"]["frames_scored"]
     assert rows["traced"]["frames_valid"] == 0
+
+
+def test_a_card_of_an_instrument_that_names_the_former_rule_is_told_as_it_is_read(
+    record_spots, tmp_path
+) -> None:
+    run, told = record_spots("run", 16), {}
+    for name, instruments in (("bare", {}), ("traced", FORMER)):
+        calibrate(run, CalibrationPlan(**PLAN, instruments=instruments), tmp_path / name)
+        card = read_card(tmp_path / name)
+        assert card.steps.rule == {"bare": "palpate-steps/1", "traced": "palpate-steps/2"}[name]
+        former = card.steps.model_copy(update={"rule": "palpate-steps/1", "words": ("as it was",)})
+        before = card.model_copy(update={"steps": former})
+        sealed = before.model_copy(update={"id": card_id(before.model_dump(mode="json"))})
+        (tmp_path / name / "card.json").write_text(sealed.model_dump_json())
+        found = CliRunner().invoke(app, ["report", str(tmp_path / name), "--steps"])
+        assert found.exit_code == 0, found.output
+        told[name] = found.output
+    assert told["bare"] == "1. as it was\n"
+    assert "rule of its length is for this interval" in told["traced"]
