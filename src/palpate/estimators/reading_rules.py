@@ -11,10 +11,11 @@ from palpate.estimators.reference_uncertainty import with_reference
 def doubt(target: TargetCard, value: float, low: float, high: float) -> str:
     """Reason not to trust a value; empty where there is none.
 
-    A target that the calibration does not read has no valid reading. An estimate beyond the calibrated range by more
-    than the card allows is extrapolated, and so is one whose interval reaches further beyond it than the card allows: what is usual is known of labels, so that this
-    interval is the one for what their instrument shows. One that with the instrument's own uncertainty is as
-    wide as the range tells nothing.
+    A target that the calibration does not read has no valid reading. An estimate beyond the calibrated
+    range by more than the card allows is extrapolated, and so is one whose interval reaches further
+    beyond it than the card allows: what is usual is known of labels, so that this interval is the one for
+    what their instrument shows. One that with the instrument's own uncertainty is as wide as the range
+    tells nothing.
 
     Args:
         target: its card.
