@@ -26,7 +26,13 @@ from tests.calibration.confound_cases import (
 from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, calibrate
-from palpate.calibration.confounds.confound_findings import Finding, ranked
+from palpate.calibration.confounds.confound_findings import (
+    Finding,
+    TargetEvidence,
+    function_finding,
+    outside_findings,
+    ranked,
+)
 from palpate.calibration.confounds.deciding_pixels import (
     BLOCKS,
     MAX_ROWS,
@@ -39,9 +45,9 @@ from palpate.calibration.confounds.deciding_pixels import (
 from palpate.calibration.confounds.kernel_regression import Kernels, explained_share, interleaved_blocks
 from palpate.calibration.confounds.near_copies import find_near_copies
 from palpate.calibration.confounds.outside_control import outside_control, telling_cells
-from palpate.calibration.confounds.row_order import order_checks, shift_check, units_of
+from palpate.calibration.confounds.row_order import OrderCheck, order_checks, shift_check, units_of
 from palpate.calibration.confounds.skin_region import boxed, find_skin
-from palpate.calibration.confounds.target_functions import target_functions
+from palpate.calibration.confounds.target_functions import TargetFunction, target_functions
 from palpate.cli import app
 from palpate.core import ManualClock
 from palpate.estimators import read_card
@@ -255,6 +261,19 @@ def test_cosine_and_sine_of_one_direction_are_no_function_of_each_other(rng) -> 
     values[:, 2] = np.cos(angle) ** 2
     told = target_functions(values, names, units, ("angle_deg", "angle_deg", "depth_mm"))
     assert any("depth_mm" in (found.target, *found.of) for found in told)
+
+
+def test_findings_name_the_label_column_of_a_direction() -> None:
+    names, columns = (
+        ("angle_cos_ratio", "angle_sin_ratio", "depth_mm"),
+        ("angle_deg", "angle_deg", "depth_mm"),
+    )
+    found = function_finding(TargetFunction("depth_mm", ("angle_cos_ratio",), 1.0, True), names, columns)
+    assert "depth_mm and the cosine of angle_deg tell each other" in found.text
+    order = OrderCheck(rank_correlation=1.0, share=1.0, level=0.0, by_time=False)
+    (found,) = outside_findings(TargetEvidence("angle_sin_ratio", order, 0.9, label="angle_deg"), 50, "")
+    assert found.text.startswith("the sine of angle_deg follows")
+    assert found.target == "angle_deg"
 
 
 def test_a_copy_shifted_by_a_pixel_is_known_by_its_labels_too(rng) -> None:

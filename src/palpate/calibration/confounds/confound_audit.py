@@ -247,9 +247,10 @@ def _evidence(
     """What order, outside and single places tell of each target, beside what the model does."""
     values, folds = rows.values[chosen], folds_among(rows.split.folds, chosen)
     model = explained_share(rows.values, rows.held_out)
+    labels = rows.columns + rows.names[len(rows.columns) :]
     evidence = [
-        TargetEvidence(name, order, float(r2))
-        for name, order, r2 in zip(rows.names, orders, model, strict=True)
+        TargetEvidence(name, order, float(r2), label=label)
+        for name, label, order, r2 in zip(rows.names, labels, orders, model, strict=True)
     ]
     if len(chosen) < MIN_ROWS:
         return tuple(evidence)

@@ -60,7 +60,7 @@ class TargetEvidence:
     """What was asked about one target.
 
     Attributes:
-        column: of the target.
+        column: of the target, or the name of one of a direction's two outputs.
         order: the label against order and time.
         model: R² of the model's held-out estimates.
         outside: R² of the outside, held out on the calibration's folds; None where there is no outside.
@@ -69,6 +69,7 @@ class TargetEvidence:
         inside: R² of the skin, asked in the same way; None where the outside told nothing.
         cell: the place by itself that tells most; None where none was asked.
         cell_outside: whether that place lies outside the skin.
+        label: label column that it is of; empty where that is `column`.
     """
 
     column: str
@@ -80,11 +81,34 @@ class TargetEvidence:
     inside: float | None = None
     cell: TellingCell | None = None
     cell_outside: bool = False
+    label: str = ""
+
+    @property
+    def about(self) -> str:
+        """Label column that it is of."""
+        return self.label or self.column
+
+    @property
+    def said(self) -> str:
+        """What a sentence calls it."""
+        return output_in_words(self.column, self.about)
 
     def told_outside(self, units: int) -> bool:
         """True if the outside tells the label beyond chance."""
         best = max((r for r in (self.outside, self.outside_blocks) if r is not None), default=0.0)
         return best >= min_outside_share(units)
+
+
+def output_in_words(name: str, label: str) -> str:
+    """A target as a sentence calls it: by its label column, or as the cosine or the sine of that.
+
+    Example:
+        >>> output_in_words("angle_cos_ratio", "angle_deg")
+        'the cosine of angle_deg'
+    """
+    if name == label:
+        return label
+    return f"the {'cosine' if name.endswith('_cos_ratio') else 'sine'} of {label}"
 
 
 def ranked(findings: Sequence[Finding]) -> tuple[Finding, ...]:
@@ -141,7 +165,7 @@ def _lone_cell(evidence: TargetEvidence, units: int) -> TellingCell | None:
 def _outside(evidence: TargetEvidence, crop: str) -> Finding:
     assert evidence.outside is not None
     assert evidence.outside_blocks is not None
-    column = evidence.column
+    column = evidence.said
     follows = evidence.order.follows
     meaning = (
         f", and {column} follows the order of the rows, so that what drifts with time tells it; the scores "
@@ -151,7 +175,7 @@ def _outside(evidence: TargetEvidence, crop: str) -> Finding:
     )
     return Finding(
         "outside",
-        column,
+        evidence.about,
         "fails" if follows else "notes",
         f"what lies outside the skin tells {column} by itself: R² {evidence.outside:.2f} on the "
         f"calibration's folds and {evidence.outside_blocks:.2f} on short blocks of time, where the model has "
@@ -161,11 +185,11 @@ def _outside(evidence: TargetEvidence, crop: str) -> Finding:
 
 
 def _burnt_in(evidence: TargetEvidence, cell: TellingCell, crop: str) -> Finding:
-    column = evidence.column
+    column = evidence.said
     where = "outside the skin" if evidence.cell_outside else "at the border of the picture"
     return Finding(
         "burnt in",
-        column,
+        evidence.about,
         "fails",
         f"one small place {where} tells {column} by itself (R² {cell.share:.2f}, the model "
         f"{evidence.model:.2f}), and the places around it do not (R² {cell.around:.2f}): is the label, a "
@@ -175,7 +199,7 @@ def _burnt_in(evidence: TargetEvidence, cell: TellingCell, crop: str) -> Finding
 
 
 def _order(evidence: TargetEvidence, told_outside: bool) -> Finding:
-    order, column = evidence.order, evidence.column
+    order, column = evidence.order, evidence.said
     by = "time" if order.by_time else "the order of the rows"
     text = (
         f"{column} follows {by}: a smooth function of it tells {100 * order.share:.0f} % of the variance "
@@ -188,25 +212,27 @@ def _order(evidence: TargetEvidence, told_outside: bool) -> Finding:
     )
     if told_outside:
         return Finding(
-            "order", column, "fails", f"{text}; anything that drifts with time tells it too", remedy
+            "order", evidence.about, "fails", f"{text}; anything that drifts with time tells it too", remedy
         )
     if evidence.outside is not None:
         checked = f"{text}; what lies outside the skin does not tell it, so that no drift is seen to help"
-        return Finding("order", column, "notes", checked, remedy)
+        return Finding("order", evidence.about, "notes", checked, remedy)
     unseen = f"{text}; whether the model reads a drift cannot be seen, as the picture shows no outside"
-    return Finding("order", column, "warns", unseen, remedy)
+    return Finding("order", evidence.about, "warns", unseen, remedy)
 
 
 def function_finding(function: TargetFunction, names: Sequence[str], columns: Sequence[str] = ()) -> Finding:
     """Finding about targets that are functions of each other; `columns` are those that are calibrated."""
     columns = columns or names
-    own = dict(zip(names, columns, strict=True))[function.target]
-    of, column = " and ".join(function.of), function.target
+    labels = dict(zip(names, columns, strict=True))
+    own = labels[function.target]
+    of = " and ".join(output_in_words(name, labels[name]) for name in function.of)
+    column = output_in_words(function.target, own)
     rest = ",".join(dict.fromkeys(name for name in columns if name != own))
     relation = f"{column} and {of} tell each other" if function.both_ways else f"{column} follows from {of}"
     return Finding(
         "function",
-        column,
+        own,
         "warns",
         f"{relation} in this recording: {100 * function.told:.0f} % of the rows of {column} are told within "
         "2 % of its range without any picture; their scores are not independent evidence, and where the "
