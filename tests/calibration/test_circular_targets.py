@@ -12,6 +12,7 @@ from palpate.calibration.coverage.circular_scores import (
     dispersion,
     mean_direction,
     refuse_no_angles,
+    uninformative_width,
 )
 from palpate.calibration.evaluation import score
 from palpate.core import CircularReading, InputError, LabelError, ManualClock, UnitError
@@ -179,12 +180,43 @@ def test_even_directions_have_the_dispersion_of_an_even_turn() -> None:
         (np.array([-175.0, 170.0, 180.0, -160.0]), (170, 200)),
         (np.linspace(-30, 20, 51), (-30, 20)),
         (np.arange(0.0, 360.0, 10.0), (-180, 180)),
+        (np.arange(0.0, 360.0, 30.0), (-180, 180)),
+        (np.arange(0.0, 360.0, 45.0), (-180, 180)),
+        (np.repeat(np.arange(0.0, 360.0, 45.0), 3) + np.tile([-2.0, 0, 1], 8), (-180, 180)),
+        (2 * np.arange(0.0, 180.0, 15.0), (-180, 180)),
+        (np.arange(0.0, 271.0, 30.0), (0, 270)),
+        (np.arange(0.0, 271.0, 45.0), (0, 270)),
+        (np.r_[0.0:91.0, 180.0:271.0], (-180, 90)),
     ],
 )
 def test_the_calibrated_arc_is_what_the_widest_gap_leaves(values, arc) -> None:
     start, end = calibrated_arc(values, 360.0)
     assert end - start == pytest.approx(arc[1] - arc[0])
     assert (start - arc[0]) % 360 == pytest.approx(0)
+    assert -180 <= start < 180
+    assert calibrated_arc(values / 2, 180.0) == pytest.approx((start / 2, end / 2))
+
+
+@pytest.mark.parametrize("span", [180.0, 10.0])
+def test_widths_around_guesses_tell_nothing_and_around_readings_something(span, rng) -> None:
+    """Spread by chance makes some shorter than the share; a fifth told well makes the others count."""
+    guessed = 0.9 * 2 * span * np.exp(rng.normal(0, 0.1, 200))
+    assert uninformative_width(guessed, 2 * span, 0.9) == 0
+    some = np.where(np.arange(200) % 5 == 0, 0.05 * span, 4 * span)
+    assert uninformative_width(some, 2 * span, 0.9) == pytest.approx(1.8 * span)
+
+
+def test_an_angle_that_the_image_tells_nothing_of_is_never_valid(edges, tmp_path, rewritten) -> None:
+    folder, run = edges
+    drawn = np.random.default_rng(5)
+    noise = rewritten(run, tmp_path / "run", lambda row: {**row, "angle_deg": drawn.uniform(-180, 180)})
+    calibrate(noise, PLAN, tmp_path / "cal")
+    assert read_card(folder / "cal").targets[1].circular.untold_width == pytest.approx(324)
+    assert read_card(tmp_path / "cal").targets[1].circular.untold_width == 0
+    estimator = Estimator.open(tmp_path / "cal")
+    readings = [estimator.read(run.frame(i)) for i in range(40)]
+    assert not any(one["angle_deg"].valid for one in readings)
+    assert any(one["depth_mm"].valid for one in readings)
 
 
 def test_what_counts_turns_or_never_turns_is_refused() -> None:

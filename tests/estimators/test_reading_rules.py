@@ -66,6 +66,19 @@ def test_an_angle_is_in_its_arc_whichever_way_round(place, refused) -> None:
     assert doubt(target(None, arc, -180.0, 180.0), *place) == ""
 
 
+def test_an_angle_is_untold_from_the_width_that_its_card_states() -> None:
+    arc = CircularCard(period=360.0, centre=(0.0, 0.0), scale=(1.0, 1.0), untold_width=99.0)
+    one = target(None, arc, 125.0, 235.0)
+    assert doubt(one, 180.0, 131.0, 229.0) == ""
+    why = doubt(one, 180.0, 130.0, 230.0)
+    assert "its interval is 100 N wide, and 99 N are 90 % of the calibrated arc 125 to 235 N" in why
+    nothing = target(None, arc.model_copy(update={"untold_width": 0.0}), 125.0, 235.0)
+    assert "this calibration does not tell force" in doubt(nothing, 180.0, 179.0, 181.0)
+    before = arc.model_copy(update={"untold_width": None})
+    assert "untold_width" not in before.model_dump()
+    assert doubt(target(None, before, 125.0, 235.0), 180.0, 80.0, 280.0) == ""
+
+
 def test_an_arc_of_the_whole_turn_tells_nothing() -> None:
     half_turn = CircularCard(period=180.0, centre=(0.0, 0.0), scale=(1.0, 1.0))
     assert "does not tell force" in doubt(target(None, half_turn, -90.0, 90.0), 0.0, -90.0, 90.0)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from palpate.calibration import CalibrationPlan, calibrate
+from palpate.calibration.sessions import reset_intervals
 from palpate.calibration.training_data import ReferenceRule
 from palpate.core import Image
 from palpate.estimators import Estimator, read_card
@@ -211,13 +212,58 @@ def test_the_page_s_reader_gives_no_valid_reading_of_what_is_not_read(
 def test_a_reader_that_knows_no_circle_stops_at_one(record_spots, tmp_path, monkeypatch) -> None:
     run = record_spots("run", 16)
     plan = CalibrationPlan(("x_mm",), "pca-ridge", circular={"x_mm": 8.0}, size_px=(24, 32))
-    words = " ".join(read_card(calibrate(run, plan, tmp_path / "cal")).steps.words)
+    card = read_card(calibrate(run, plan, tmp_path / "cal"))
+    words = " ".join(card.steps.words)
     monkeypatch.chdir(tmp_path)
     with pytest.raises(AssertionError):
         exec(WITHOUT_PALPATE, {})
     assert "atan2(sine, cosine) times 8 / (2 pi)" in words
-    assert "as long as the period" in words
+    assert "`untold_width`" in words
     assert "value` has 2 numbers" in words
+    (angle,) = card.targets
+    for period, width, said in (
+        (2 * np.pi, None, "its interval is as long as the period"),
+        (2 * np.pi, 5.5, "its interval is 5.5 mm long (its `untold_width`) or longer"),
+        (2 * np.pi, 0.0, "No reading of x_mm is valid"),
+    ):
+        circular = angle.circular.model_copy(update={"period": period, "untold_width": width})
+        one = angle.model_copy(update={"circular": circular})
+        words = " ".join(reading_steps(card.model_copy(update={"targets": (one,)})).words)
+        assert said in words
+        assert "times 6.283185307179586 / (2 pi), above -3.141592653589793 and" in words
+
+
+@pytest.mark.parametrize("reset", [False, True])
+def test_a_reader_passes_classes_over_and_reads_a_reset_card(
+    reset, record_spots, tmp_path, monkeypatch, rewritten
+) -> None:
+    """A network with two outputs for classes behind one target's; intervals of another recording."""
+
+    def told(name: str, seed: int):
+        run = record_spots(f"{name}-plain", 16, seed=seed)
+        return rewritten(
+            run, tmp_path / name, lambda row: {**row, "session": name, "right": str(row["x_mm"] > 0)}
+        )
+
+    run = told("day0", 0)
+    plan = CalibrationPlan(
+        ("x_mm",), "pca-ridge", split="group:press", size_px=(24, 32), classes={"right": ()}
+    )
+    calibrate(run, plan, tmp_path / "cal")
+    if reset:
+        (tmp_path / "cal").rename(tmp_path / "former")
+        reset_intervals(tmp_path / "former", told("day1", 1), tmp_path / "cal")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(WITHOUT_PALPATE, names)
+    estimator, words = Estimator.open("cal"), " ".join(read_card("cal").steps.words)
+    for i in (1, 8, 15):
+        frame = run.frame(i).image
+        reading = estimator.read(frame)["x_mm"]
+        assert names["read"](frame)["x_mm"][:3] == pytest.approx((reading.value, reading.low, reading.high))
+    assert "value` has 3 numbers: the estimate of x_mm in mm, the output for" in words
+    assert "for all the targets' outputs together" in words
+    assert "The prediction set of right holds each class whose output reaches" in words
 
 
 SPREADS = {

@@ -20,7 +20,7 @@ from palpate.calibration.classes import HeldOutClasses
 from palpate.calibration.confounds import ConfoundAudit
 from palpate.calibration.confounds.deciding_pixels import MAP_FILE
 from palpate.calibration.coverage import range_cards
-from palpate.calibration.coverage.circular_scores import calibrated_arc, mean_of
+from palpate.calibration.coverage.circular_scores import calibrated_arc, mean_of, uninformative_width
 from palpate.calibration.coverage.joint_regions import vector_cards
 from palpate.calibration.evaluation import score
 from palpate.calibration.leakage import LeakageAudit
@@ -171,13 +171,16 @@ def agreement(result: CalibrationResult, model: Path) -> float:
     return worst
 
 
-def interval_fields(intervals: Intervals, j: int, over_range: RangeCard | None = None) -> dict[str, Any]:
+def interval_fields(
+    intervals: Intervals, j: int, over_range: RangeCard | None = None, untold_width: float | None = None
+) -> dict[str, Any]:
     """Fields of a target's card from which `estimators.intervals.intervals_of` makes its interval again.
 
     Args:
         intervals: of all targets.
         j: which target.
         over_range: its card over its range.
+        untold_width: width from which on its interval tells nothing, where it is circular.
     """
     spread, layout = intervals.spread, intervals.layout
     outputs, circular = slice(j, j + 1), None
@@ -185,7 +188,7 @@ def interval_fields(intervals: Intervals, j: int, over_range: RangeCard | None =
         outputs = layout.outputs_of(j)
         if (period := layout.periods[j]) is not None:
             ends = [tuple(map(float, part[outputs])) for part in (spread.centre, spread.scale)]
-            circular = CircularCard(period=period, centre=ends[0], scale=ends[1])
+            circular = CircularCard(period=period, centre=ends[0], scale=ends[1], untold_width=untold_width)
     return {
         "centre": float(spread.centre[outputs][0]),
         "scale": float(spread.scale[outputs][0]),
@@ -212,6 +215,17 @@ def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values
         mean_of_others = np.empty_like(true)
         for k, rows in enumerate(result.split.folds):
             mean_of_others[rows] = mean_of(true[result.split.training_rows(k)], period)
+        scores = score(
+            unit.symbol,
+            true[scored],
+            result.estimates[scored, j],
+            halves[:, j],
+            mean_of_others[scored],
+            groups[scored],
+            inside=inside[:, j],
+            period=period,
+        )
+        untold = uninformative_width(2 * halves[:, j], greatest - least, intervals.coverage)
         yield TargetCard(
             column=column,
             quantity=quantity,
@@ -223,17 +237,8 @@ def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values
                 result.plan.instruments.get(column) or result.run.manifest.instruments.get(column),
                 result.plan.coverage,
             ),
-            **interval_fields(intervals, j, over_range[j]),
-            score=score(
-                unit.symbol,
-                true[scored],
-                result.estimates[scored, j],
-                halves[:, j],
-                mean_of_others[scored],
-                groups[scored],
-                inside=inside[:, j],
-                period=period,
-            ),
+            **interval_fields(intervals, j, over_range[j], 0.0 if scores.says_nothing else untold),
+            score=scores,
         )
 
 

@@ -199,7 +199,11 @@ def _read_run(
     table = table.assign(
         **{f"joint_half_width:{part}": reached for part, reached in joint.items()}, **classes
     )
-    own = {"valid": [not why for why in whys], "why": whys, "all_valid": np.array(all_valid, bool)}
+    own: dict[str, Any] = {
+        "valid": [not why for why in whys],
+        "why": whys,
+        "all_valid": np.array(all_valid, bool),
+    }
     return with_own(table, own), spread
 
 

@@ -122,11 +122,17 @@ class CircularCard(CardPart):
     Attributes:
         period: after which it does, in the target's unit.
         centre, scale: of the two outputs, see `estimators.certified.ErrorSpread`.
+        untold_width: width from which on an interval tells nothing, in the target's unit: the coverage's
+            share of the calibrated arc, or 0 where rows held out were told no more than always saying the
+            mean tells; None in cards of before, where it is the period.
     """
+
+    added: ClassVar[tuple[str, ...]] = ("untold_width",)
 
     period: float = Field(gt=0)
     centre: tuple[float, float]
     scale: tuple[float, float]
+    untold_width: float | None = Field(default=None, ge=0)
 
 
 class VectorCard(CardPart):
@@ -220,10 +226,21 @@ class TargetCard(CardPart):
         return self.over_range is not None or self.circular is not None
 
     @property
+    def untold_width(self) -> float | None:
+        """Least width of an interval that tells nothing, in `unit`; None on cards of before.
+
+        It is the length of the range. Intervals around directions drawn at random need only the coverage's
+        share of the arc to hold as many truths as they promise, so that for an angle the card states it.
+        """
+        if self.circular is None:
+            return None if self.over_range is None else self.greatest - self.least
+        stated = self.circular.untold_width
+        return self.circular.period if stated is None else stated
+
+    @property
     def is_as_unsure_as_its_range(self) -> bool:
-        """True if its intervals are as long as the range or turn on average; never on cards of before."""
-        span = self.greatest - self.least if self.period is None else self.period
-        return self.has_range_rule and 2 * self.score.half_width >= span
+        """True if its intervals tell nothing on average, by their width; never on cards of before."""
+        return self.untold_width is not None and 2 * self.score.half_width >= self.untold_width
 
     @property
     def is_read(self) -> bool:

@@ -45,9 +45,7 @@ def untold(target: TargetCard, low: float, high: float) -> bool:
     """
     if target.is_never_valid:
         return True
-    if target.circular is not None:
-        return bool(high - low >= target.circular.period)
-    return target.over_range is not None and bool(high - low >= target.greatest - target.least)
+    return target.untold_width is not None and bool(high - low >= target.untold_width)
 
 
 def _extrapolated(target: TargetCard, over: RangeCard, value: float, low: float, high: float) -> str:
@@ -88,19 +86,29 @@ def _not_read(target: TargetCard) -> str:
     if score.says_nothing:
         off = f"its error, {score.mae:.3g} {target.unit} on average, is no better than always saying the mean"
         return f"this calibration does not read {name}: {off} ({score.mean_mae:.3g} {target.unit})"
+    if target.untold_width == 0:
+        return f"this calibration does not read {name}: held out, it told no more than always saying the mean"
     wide = f"its intervals are {2 * score.half_width:.3g} {target.unit} wide on average"
-    whole = f"the calibrated range {_range(target)} is" if target.period is None else "the whole turn is"
-    return f"this calibration does not read {name}: {wide}, and {whole} no wider"
+    return f"this calibration does not read {name}: {wide}, and {_whole(target)}"
+
+
+def _whole(target: TargetCard) -> str:
+    """What an interval is too wide beside: the range, the turn, or what holds as many directions anyway."""
+    if target.circular is None:
+        return f"the calibrated range {_range(target)} is no wider"
+    stated = target.circular.untold_width
+    if stated is None:
+        return f"the whole turn is {target.circular.period:.3g} {target.unit}"
+    share = 100 * stated / (target.greatest - target.least)
+    return (
+        f"{stated:.3g} {target.unit} are {share:.3g} % of the calibrated arc {_range(target)}, whatever the "
+        "frame shows"
+    )
 
 
 def _tells_nothing(target: TargetCard, width: float) -> str:
-    whole = (
-        f"the calibrated range {_range(target)} is no wider"
-        if target.circular is None
-        else f"the whole turn is {target.circular.period:.3g} {target.unit}"
-    )
     wide = f"its interval is {width:.3g} {target.unit} wide"
-    return f"this frame does not tell {target.quantity}: {wide}, and {whole}"
+    return f"this frame does not tell {target.quantity}: {wide}, and {_whole(target)}"
 
 
 def _range(target: TargetCard) -> str:

@@ -14,7 +14,7 @@ from palpate.estimators.card_ground import CardPart
 from palpate.estimators.joint_reach import joint_reach
 
 if TYPE_CHECKING:
-    from palpate.estimators.model_card import Card, InputCard, TargetCard
+    from palpate.estimators.model_card import Card, CircularCard, InputCard, TargetCard
 
 RULE, RULE_OF_INSTRUMENTS = "palpate-steps/1", "palpate-steps/2"
 """The second is that of cards whose labels' instruments widen readings: of such, the first joined the
@@ -111,18 +111,24 @@ def _network(card: Card) -> tuple[str, ...]:
     numbers = "Take the grey levels as they are, 0 to 255, as 32-bit floating point numbers"
     less = ", less those of an image of the untouched sensor, brought to this form in the same way"
     outputs = [name for target in card.targets for name in _outputs_of(target)]
+    outputs += [f"the output for {name} of {one.column}" for one in card.classes or () for name in one.names]
     network = (
         f"Give them to {card.model.file} (ONNX) as its input `image`, {shape}: one frame, channels, rows, "
         f"columns. Its output `value` has {len(outputs)} numbers: {', '.join(outputs)}."
     )
     circular = tuple(
-        f"The estimate of {target.column} is atan2(sine, cosine) times {target.period:g} / (2 pi), above "
-        f"-{target.period / 2:g} and up to {target.period / 2:g} {target.unit}; it comes round again after "
-        f"{target.period:g} {target.unit}."
+        f"The estimate of {target.column} is atan2(sine, cosine) times {_digits(target.period)} / (2 pi), "
+        f"above -{_digits(target.period / 2)} and up to {_digits(target.period / 2)} {target.unit}; it comes "
+        f"round again after {_digits(target.period)} {target.unit}."
         for target in card.targets
         if target.period is not None
     )
     return (f"{numbers}{less if given.delta else ''}.", network, *circular)
+
+
+def _digits(number: float) -> str:
+    """All digits of a number that another program shall use."""
+    return repr(float(number)).removesuffix(".0")
 
 
 def _outputs_of(target: TargetCard) -> tuple[str, ...]:
@@ -132,6 +138,8 @@ def _outputs_of(target: TargetCard) -> tuple[str, ...]:
 
 
 def _interval(card: Card) -> tuple[str, ...]:
+    if not card.targets:
+        return ()
     circular = any(target.circular is not None for target in card.targets)
     scale = (
         ", each with its own centre and scale (a cosine and a sine with the pairs in `circular`)"
@@ -139,9 +147,9 @@ def _interval(card: Card) -> tuple[str, ...]:
         else ""
     )
     terms = (
-        f"For each output of the model take s = (output - centre) / scale{scale}, held between -{CLIP:g} and "
-        f"{CLIP:g}; for all outputs together the terms 1, then each s, then each product s_i s_j with i <= "
-        "j, in the order 11, 12, ..., 22, 23, ...."
+        f"For each of the targets' outputs take s = (output - centre) / scale{scale}, held between -{CLIP:g} "
+        f"and {CLIP:g}; for all the targets' outputs together the terms 1, then each s, then each product "
+        "s_i s_j with i <= j, in the order 11, 12, ..., 22, 23, ...."
     )
     spread = (
         "The spread of a target is typical times exp(coefficients . terms), where the exponential is held "
@@ -182,7 +190,6 @@ def _bands(columns: list[str]) -> tuple[str, ...]:
 def _verdict(card: Card) -> tuple[str, ...]:
     plain = [t for t in card.targets if t.circular is None and t.over_range is not None]
     before = [t for t in card.targets if t.circular is None and t.over_range is None]
-    circular = [t for t in card.targets if t.circular is not None]
     said: list[str] = []
     if plain:
         said.append(
@@ -199,13 +206,8 @@ def _verdict(card: Card) -> tuple[str, ...]:
             f"A reading of {_named(before)} is not valid where the whole interval lies beyond least to "
             "greatest: estimate < least - half or estimate > greatest + half."
         )
-    if circular:
-        said.append(
-            f"A reading of {_named(circular)} is not valid where its interval is as long as the period, or "
-            "where the estimate lies outside the arc from least to greatest, the shorter way round, by "
-            "more than half."
-        )
-    return (*_unread(card), *said, *_reference(card), *_vectors(card))
+    said += [_verdict_of_angle(target, target.circular) for target in card.targets if target.circular]
+    return (*_unread(card), *said, *_reference(card), *_vectors(card), *_classes(card))
 
 
 def _unread(card: Card) -> tuple[str, ...]:
@@ -217,10 +219,36 @@ def _unread(card: Card) -> tuple[str, ...]:
     rule = (
         f"No reading of {_named(ruled)} is valid where the calibration does not read it: where `mae` of its "
         "score is above 0.95 times `mean_mae`, or where twice `half_width` of its score is as long as the "
-        "calibrated range, greatest - least (of a target that comes round again, the period), or longer. Of "
-        f"this card that is {unread or 'none'}."
+        "calibrated range, greatest - least (of a target that comes round again, its `untold_width`, or the "
+        f"period where it has none), or longer. Of this card that is {unread or 'none'}."
     )
     return (rule,)
+
+
+def _verdict_of_angle(target: TargetCard, circular: CircularCard) -> str:
+    if circular.untold_width == 0:
+        return (
+            f"No reading of {target.column} is valid (its `untold_width` is 0): on rows held out, it told no "
+            "more than always saying the mean."
+        )
+    long = (
+        "as long as the period"
+        if circular.untold_width is None
+        else f"{_digits(circular.untold_width)} {target.unit} long (its `untold_width`) or longer"
+    )
+    return (
+        f"A reading of {target.column} is not valid where its interval is {long}, or where the estimate lies "
+        "outside the arc from least to greatest, the shorter way round, by more than half."
+    )
+
+
+def _classes(card: Card) -> tuple[str, ...]:
+    return tuple(
+        f"The prediction set of {one.column} holds each class whose output reaches its own number in "
+        "`thresholds` of classes, and each class that has none there (null); the value is the class with the "
+        "greatest output, and it is not valid where the set is empty, holds every class or does not hold it."
+        for one in card.classes or ()
+    )
 
 
 def _named(targets: list[TargetCard]) -> str:

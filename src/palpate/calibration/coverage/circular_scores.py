@@ -41,22 +41,50 @@ def dispersion(values: Row, period: float) -> float:
 
 MIN_GAP = 1 / 20
 """Share of the period that the widest gap between directions leaves free where they cover an arc only."""
+ALIKE, MIN_EVEN = 3 / 4, 2 / 3
+"""Gaps of at least `ALIKE` of the widest are alike. Where such gaps, two or more, are `MIN_EVEN` of the turn
+together, the directions are evenly spaced, and the widest gap is a step of theirs."""
 
 
 def calibrated_arc(values: Row, period: float) -> tuple[float, float]:
     """The arc that directions cover, from the first upwards to the second.
 
-    It is what the widest gap between neighbours leaves, or the whole turn where that gap is narrow.
+    It is what the widest gap between neighbours leaves, or the whole turn where that gap is narrow or the
+    directions are evenly spaced. It begins at -period/2 or above, and below period/2.
     """
     turned = np.unique(np.mod(values, period))
     gaps = np.diff(turned, append=turned[0] + period)
     widest = int(np.argmax(gaps))
-    if gaps[widest] < MIN_GAP * period:
+    if gaps[widest] < MIN_GAP * period or _evenly_spaced(gaps, period):
         return -period / 2, period / 2
     start = float(turned[(widest + 1) % len(turned)])
     end = start + period - float(gaps[widest])
-    turns = period * round((start + end) / 2 / period)
-    return start - turns, end - turns
+    turns = period * np.floor(start / period + 0.5)
+    return float(start - turns), float(end - turns)
+
+
+def _evenly_spaced(gaps: Row, period: float) -> bool:
+    alike = gaps[gaps >= ALIKE * gaps.max()]
+    return len(alike) > 1 and bool(alike.sum() >= MIN_EVEN * period)
+
+
+NEARLY = 0.95
+
+
+def uninformative_width(widths: Row, arc: float, coverage: float) -> float:
+    """Width from which on an interval around a direction tells nothing, in its unit.
+
+    Where the image tells nothing of a direction, intervals around guesses of it need the coverage's share of
+    the arc to hold as many truths as they promise. A spread that follows chance makes some of them shorter;
+    their mean stays as long, so that then every width tells nothing.
+
+    Args:
+        widths: of the intervals of rows held out.
+        arc: length of the calibrated arc.
+        coverage: what the intervals promise.
+    """
+    least = coverage * arc
+    return 0.0 if np.minimum(widths, arc).mean() >= NEARLY * least else least
 
 
 MAX_TURNS = 1.5  # of labels: -180 to 180 and 0 to 360 in one column reach over one and a half

@@ -27,14 +27,9 @@ def target_findings(target: TargetCard, coverage: float) -> tuple[str, ...]:
     name = target.quantity.replace("_", " ")
     tenths = () if target.over_range is None else target.over_range.tenths
     found = [f"{name}: {sentence}" for sentence in range_sentences(tenths, target.unit, coverage)]
-    width, span = 2 * target.score.half_width, target.greatest - target.least
-    if (target.over_range is not None or target.circular is not None) and width >= span:
-        found.append(
-            f"{name} is not read: its intervals are {width:.3g} {target.unit} wide on average, and "
-            f"the range is "
-            f"{span:.3g} {target.unit}"
-        )
-    turn = FULL_TURN.get(target.unit)
+    if why := _not_read(target):
+        found.append(f"{name} is not read: {why}")
+    turn, span = FULL_TURN.get(target.unit), target.greatest - target.least
     if turn is not None and target.circular is None and span >= NEARLY_A_TURN * turn:
         found.append(
             f"{name} covers {span:.4g} {target.unit}, a whole turn, as a plain number: where the turn "
@@ -42,3 +37,19 @@ def target_findings(target: TargetCard, coverage: float) -> tuple[str, ...]:
             f"readings are off by up to a turn; calibrate with --circular {target.column}"
         )
     return tuple(found)
+
+
+def _not_read(target: TargetCard) -> str:
+    """Why the target is not read, by the width of its intervals; empty where they tell something."""
+    width, span, unit = 2 * target.score.half_width, target.greatest - target.least, target.unit
+    stated = None if target.circular is None else target.circular.untold_width
+    if stated == 0:
+        return "on rows held out of the calibration, it told no more than always saying the mean"
+    known = target.over_range is not None or target.circular is not None  # cards of before have no such rule
+    if not known or width < (span if stated is None else stated):
+        return ""
+    wide = f"its intervals are {width:.3g} {unit} wide on average, and"
+    if stated is None:
+        return f"{wide} the range is {span:.3g} {unit}"
+    share = f"{stated:.3g} {unit} are {100 * stated / span:.3g} % of the calibrated arc"
+    return f"{wide} {share}, whatever the image shows"

@@ -382,7 +382,7 @@ def _card(
     expected = ExpectedCoverage.of(rows.count, former.coverage)
     targets = tuple(
         target.model_copy(
-            update=interval_fields(intervals, j, over_range[j])
+            update=interval_fields(intervals, j, over_range[j], _untold_width(target, former.coverage))
             | {"score": _score(target, rows, j, halves[:, j], expected)}
             | {"measured_by": _instrument(target, run, former.coverage)}
         )
@@ -442,6 +442,14 @@ def _over_range(former: Card, rows: _SessionRows, intervals: Intervals) -> list[
     ranges = [(target.least, target.greatest) for target in former.targets]
     own = range_cards(intervals, rows.outputs, rows.true, rows.groups, ranges)
     return [_farther(one, target.over_range) for one, target in zip(own, former.targets, strict=True)]
+
+
+def _untold_width(target: TargetCard, coverage: float) -> float | None:
+    """Width from which on an arc tells nothing: the network tells no more than it did, or as little."""
+    if target.circular is None:
+        return None
+    nothing = target.circular.untold_width == 0
+    return 0.0 if nothing else coverage * (target.greatest - target.least)
 
 
 def _farther(one: RangeCard | None, former: RangeCard | None) -> RangeCard | None:

@@ -125,13 +125,21 @@ def answer(card: Card, target: TargetCard, ends: Sequence[OuterRange], groups: i
             "saying the mean"
         )
     if target.is_as_unsure_as_its_range:
-        return (
-            f"{name}: not read by this model: its intervals, ±{half} {s.unit} on average, are as long as "
-            "the range"
-        )
+        return f"{name}: not read by this model: {_width_of(target, half)}"
     held = f"its own intervals, ±{half} {s.unit} on average, held {_held(s, card.coverage)}"
     but = _but(s, ends, card.coverage)
     return f"{name}: {typical} {s.unit} typical; {held} {_where(target)}{but}; {tested}"
+
+
+def _width_of(target: TargetCard, half: str) -> str:
+    """Why intervals that are too wide on average tell nothing."""
+    width = f"its intervals, ±{half} {target.unit} on average,"
+    stated = None if target.circular is None else target.circular.untold_width
+    if stated is None:
+        return f"{width} are as long as the range"
+    if stated == 0:
+        return "on rows held out of the calibration, it told no more than always saying the mean"
+    return f"{width} hold no more than as long a part of the calibrated arc does whatever the image shows"
 
 
 def _where(target: TargetCard) -> str:
