@@ -45,7 +45,8 @@ from palpate.calibration.confounds.deciding_pixels import (
 from palpate.calibration.confounds.kernel_regression import Kernels, explained_share, interleaved_blocks
 from palpate.calibration.confounds.near_copies import find_near_copies
 from palpate.calibration.confounds.outside_control import outside_control, telling_cells
-from palpate.calibration.confounds.row_order import OrderCheck, order_checks, shift_check, units_of
+from palpate.calibration.confounds.recorded_units import RecordedUnits
+from palpate.calibration.confounds.row_order import OrderCheck, order_checks, shift_check
 from palpate.calibration.confounds.skin_region import boxed, find_skin
 from palpate.calibration.confounds.target_functions import TargetFunction, target_functions
 from palpate.cli import app
@@ -89,12 +90,16 @@ def test_interleaved_blocks_hold_each_row_once_and_no_unit_in_parts(units) -> No
         assert np.sum(np.diff(fold) > 1) >= 6  # eight stretches each, spread over the whole recording
 
 
+def one_session(units: np.ndarray) -> RecordedUnits:
+    return RecordedUnits(units, np.zeros(len(units), np.int64), "presses")
+
+
 @pytest.mark.parametrize(
     "sorted_label", [np.linspace(0, 1, 150), np.sin(np.linspace(0, 6, 150)), np.abs(np.linspace(-1, 1, 150))]
 )
 def test_a_label_in_order_is_found_and_the_same_label_shuffled_is_not(rng, sorted_label) -> None:
     values = np.column_stack([sorted_label, rng.permutation(sorted_label)])
-    ordered, other = order_checks(values, np.arange(150), np.arange(150.0))
+    ordered, other = order_checks(values, one_session(np.arange(150)), np.arange(150.0))
     assert ordered.follows
     assert ordered.share > 0.95
     assert ordered.level == pytest.approx(1 / 500)
@@ -103,7 +108,9 @@ def test_a_label_in_order_is_found_and_the_same_label_shuffled_is_not(rng, sorte
 
 def test_the_rank_correlation_is_spearman_s() -> None:
     checks = order_checks(
-        np.column_stack([np.arange(40.0) ** 3, -np.arange(40.0)]), np.arange(40), np.arange(40.0)
+        np.column_stack([np.arange(40.0) ** 3, -np.arange(40.0)]),
+        one_session(np.arange(40)),
+        np.arange(40.0),
     )
     assert [check.rank_correlation for check in checks] == pytest.approx([1, -1])
 
@@ -111,28 +118,25 @@ def test_the_rank_correlation_is_spearman_s() -> None:
 def test_time_is_another_scale_than_order_where_recording_paused(rng) -> None:
     times = np.r_[np.arange(100.0), 5000 + np.arange(100.0)]
     values = (times > 2500)[:, None] + rng.normal(0, 0.3, (200, 1))
-    assert order_checks(values, np.arange(200), times)[0].by_time
-    assert not order_checks(np.linspace(0, 1, 200)[:, None], np.arange(200), np.arange(200.0))[0].by_time
+    assert order_checks(values, one_session(np.arange(200)), times)[0].by_time
+    assert not order_checks(np.linspace(0, 1, 200)[:, None], one_session(np.arange(200)), np.arange(200.0))[
+        0
+    ].by_time
 
 
 def test_twenty_rows_and_few_presses_that_lie_in_order_do_not_alarm(rng) -> None:
     """The level is 1 %: of 200 random tables of 20 rows two are expected, and seven in less than 0.5 %."""
     alarms = sum(
-        order_checks(rng.normal(size=(20, 1)), np.arange(20), np.arange(20.0), seed=i)[0].follows
+        order_checks(rng.normal(size=(20, 1)), one_session(np.arange(20)), np.arange(20.0), seed=i)[0].follows
         for i in range(200)
     )
     assert alarms <= 6
     few = np.repeat(np.arange(4), 30)
     in_order = few[:, None] + rng.normal(0, 0.01, (120, 1))
-    assert order_checks(in_order, np.arange(120), np.arange(120.0))[0].follows
-    assert not order_checks(in_order, few, np.arange(120.0))[0].follows  # 4 presses lie so once in 12 times
-
-
-def test_units_are_the_groups_or_stretches_of_equal_labels() -> None:
-    values = np.array([[1.0], [1.0], [2.0], [1.0]])
-    assert units_of(values, None).tolist() == [0, 0, 1, 2]
-    assert units_of(values, np.array(["b", "a", "b", "a"])).tolist() == [1, 0, 1, 0]
-    assert units_of(values, np.arange(4)).tolist() == [0, 0, 1, 2]
+    assert order_checks(in_order, one_session(np.arange(120)), np.arange(120.0))[0].follows
+    assert not order_checks(in_order, one_session(few), np.arange(120.0))[
+        0
+    ].follows  # 4 presses lie so once in 12 times
 
 
 @pytest.mark.parametrize("lag", [-3, -1, 0, 2])

@@ -54,6 +54,8 @@ from palpate.calibration.sessions.session_findings import (
     check_sessions,
     held_out_sessions,
     interval_fit,
+    presses_of,
+    recordings_of,
     refuse_copied_sessions,
     session_fields,
 )
@@ -301,6 +303,7 @@ def _confounds(
 ) -> ConfoundAudit:
     """Audit of what other than touch could have told the labels."""
     untouched = learning.whole.only(learning.untouched.rows)
+    table = learning.packed.table
     rows = AuditedRows(
         packed=learning.packed,
         values=with_classes(plan.layout.encoded(learning.data.values), classes),
@@ -315,6 +318,9 @@ def _confounds(
             for column, period in zip(plan.targets, plan.layout.periods, strict=True)
             for _ in range(1 if period is None else 2)
         ),
+        presses=presses_of(table, parts),
+        sessions=recordings_of(table),
+        untouched_sessions=recordings_of(untouched.table),
     )
     skin_px = plan.skin_px or run.manifest.regions.get("skin")
     return audit_confounds(rows, skin_px=skin_px, pixels=pixels, progress=progress)

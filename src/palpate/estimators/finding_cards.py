@@ -30,9 +30,11 @@ class TargetConfoundCard(CardPart):
 
     Attributes:
         column: of the target.
-        rank_correlation: Spearman's, with the row's number.
-        order_r2: told by a smooth function of order or time.
-        order_level: share of shufflings of whole presses that tell as much.
+        rank_correlation: Spearman's, with the row's number, both within their session.
+        order_r2: told by a smooth function of order or time, of the variance within sessions.
+        order_level: share of shufflings that tell as much, of whole presses (of rows, or stretches of nearly
+            equal labels, where no column says) within their session. Older cards whose split holds
+            sessions out shuffled whole sessions, over all rows joined.
         model_r2: told by the model from the whole picture.
         outside_r2, outside_r2_blocks: told by what lies outside the skin, on the calibration's folds and on
             short interleaved blocks; None where there is no outside.

@@ -13,6 +13,7 @@ from palpate.calibration.confounds.confound_findings import (
     TargetEvidence,
     function_finding,
     min_outside_share,
+    order_not_asked,
     outside_findings,
     ranked,
     shift_finding,
@@ -24,6 +25,7 @@ from palpate.calibration.confounds.kernel_regression import (
     interleaved_blocks,
 )
 from palpate.calibration.confounds.outside_control import outside_control, telling_cells
+from palpate.calibration.confounds.recorded_units import recorded_units
 from palpate.calibration.confounds.row_order import (
     OrderCheck,
     ShiftCheck,
@@ -31,7 +33,6 @@ from palpate.calibration.confounds.row_order import (
     order_checks,
     sampled,
     shift_check,
-    units_of,
 )
 from palpate.calibration.confounds.skin_region import SkinRegion, boxed, find_skin
 from palpate.calibration.confounds.target_functions import TargetFunction, target_functions
@@ -126,6 +127,9 @@ class AuditedRows:
         columns: label column of each target but classes: a direction's cosine and sine are of one; the names
             by default.
         classes: how many of the last are outputs for classes, which follow from each other by what they are.
+        presses: ``[n]`` label of what was recorded at one go, within its session; None where no column says.
+        sessions: ``[n]`` label of each row's session or copy; None where there is one.
+        untouched_sessions: the same of each untouched frame.
     """
 
     packed: PackedSet
@@ -137,6 +141,9 @@ class AuditedRows:
     frame_px: tuple[int, int]
     columns: tuple[str, ...] = ()
     classes: int = 0
+    presses: np.ndarray | None = None
+    sessions: np.ndarray | None = None
+    untouched_sessions: np.ndarray | None = None
 
 
 def audit_confounds(
@@ -161,22 +168,23 @@ def audit_confounds(
         done += 1
         progress("looking for confounds", done, steps)
 
-    values, units = rows.values, units_of(rows.values, rows.split.groups)
-    orders = order_checks(values, units, rows.packed.times_s)
+    values, recorded = rows.values, recorded_units(rows.values, rows.presses, rows.sessions)
+    units, count = recorded.of, recorded.count
+    orders = order_checks(values, recorded, rows.packed.times_s)
     plain = len(rows.names) - rows.classes
     functions = tuple(target_functions(values[:, :plain], rows.names[:plain], units, rows.columns or None))
     step()
     chosen = sampled(len(values), MAX_ROWS)
     images = small_pictures(rows.packed, chosen)
-    region = _region(rows, images, units[chosen], skin_px)
+    region = _region(rows, images, units[chosen], recorded.sessions[chosen], skin_px)
     shift = shift_check(Kernels.of(images.reshape(len(images), -1)), values, chosen)
     step()
     evidence = _evidence(rows, orders, images, region, chosen, units)
     step()
-    count = len(np.unique(units))
-    crop = _crop_remedy(rows, images, region, chosen, units, evidence)
+    crop = _crop_remedy(rows, images, region, chosen, count, evidence)
     found = [f for e in evidence for f in outside_findings(e, count, crop)]
     found += [function_finding(f, rows.names[:plain], rows.columns) for f in functions]
+    found += order_not_asked(recorded)
     shifted = shift_finding(shift)
     step()
     return ConfoundAudit(
@@ -215,19 +223,27 @@ def _one_view(rows: AuditedRows) -> bool:
 
 
 def _region(
-    rows: AuditedRows, images: Float32[np.ndarray, "n h w c"], units: np.ndarray, skin_px: Box | None
+    rows: AuditedRows,
+    images: Float32[np.ndarray, "n h w c"],
+    units: np.ndarray,
+    sessions: np.ndarray,
+    skin_px: Box | None,
 ) -> SkinRegion:
     """The skin in small pictures: as given, or as found, in each view by itself."""
     if skin_px is not None and _one_view(rows):
         return boxed(images.shape[1:3], _in_small(skin_px, images.shape, rows), "the box that was given")
-    untouched = None
+    untouched = rest = None
     if rows.untouched is not None and len(rows.untouched) >= 4:
-        untouched = small_pictures(rows.untouched, sampled(len(rows.untouched), 100))
+        asked = sampled(len(rows.untouched), 100)
+        untouched = small_pictures(rows.untouched, asked)
+        rest = None if rows.untouched_sessions is None else rows.untouched_sessions[asked]
     if _one_view(rows):
-        return find_skin(images, units, untouched)
+        return find_skin(images, units, untouched, sessions, rest)
     half = images.shape[2] // 2
     views = [
-        find_skin(images[:, :, part], units, None if untouched is None else untouched[:, :, part])
+        find_skin(
+            images[:, :, part], units, None if untouched is None else untouched[:, :, part], sessions, rest
+        )
         for part in (slice(0, half), slice(half, None))
     ]
     outside, inside = (
@@ -287,11 +303,10 @@ def _crop_remedy(
     images: Float32[np.ndarray, "n h w c"],
     region: SkinRegion,
     chosen: Indices,
-    units: np.ndarray,
+    count: int,
     evidence: Sequence[TargetEvidence],
 ) -> str:
     """The largest crop about the skin within which the outside tells none of the labels it told."""
-    count = len(np.unique(units))
     told = [j for j, e in enumerate(evidence) if e.told_outside(count)]
     again = "record it anew without, or cut it away"
     if not _one_view(rows):
@@ -301,7 +316,7 @@ def _crop_remedy(
     box = region.box
     for shrink in SHRINKS:
         box = _shrunk(region.box, shrink)
-        if not told or _silent(images, region, box, rows, chosen, units, told):
+        if not told or _silent(images, region, box, rows, chosen, count, told):
             break
     x, y, width, height = _in_frame(box, images.shape, rows)
     return f"cut it away, calibrate again and compare: --crop {x},{y},{width},{height}"
@@ -319,7 +334,7 @@ def _silent(
     box: Box,
     rows: AuditedRows,
     chosen: Indices,
-    units: np.ndarray,
+    count: int,
     told: Sequence[int],
 ) -> bool:
     """True if what is left of the outside within a crop tells none of these labels."""
@@ -331,7 +346,6 @@ def _silent(
     pixels = images[:, part[0], part[1]][:, beyond].reshape(len(images), -1)
     values, folds = rows.values[chosen][:, list(told)], folds_among(rows.split.folds, chosen)
     shares = explained_share(values, Kernels.of(pixels).held_out(values, folds))
-    count = len(np.unique(units))
     return all(float(r2) < min_outside_share(count) for r2 in shares)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from palpate.calibration.confounds.outside_control import TellingCell
+from palpate.calibration.confounds.recorded_units import RecordedUnits
 from palpate.calibration.confounds.row_order import OrderCheck, ShiftCheck
 from palpate.calibration.confounds.target_functions import TargetFunction
 
@@ -28,6 +29,9 @@ MORE_THAN_SKIN = 0.7
 """Squared error of what lies far from the skin, over the skin's, up to which touch cannot have spread it."""
 BORDER_ERROR = 2.0
 """Squared error of a place at the border, over the model's, up to which it tells as much as the model."""
+
+
+NAME_PRESSES = "if they were, label which rows are of one press in a column press"
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,14 +205,16 @@ def _burnt_in(evidence: TargetEvidence, cell: TellingCell, crop: str) -> Finding
 def _order(evidence: TargetEvidence, told_outside: bool) -> Finding:
     order, column = evidence.order, evidence.said
     by = "time" if order.by_time else "the order of the rows"
+    by += " in its session" if order.sessions > 1 else ""
     text = (
         f"{column} follows {by}: a smooth function of it tells {100 * order.share:.0f} % of the variance "
-        f"(rank correlation {order.rank_correlation:+.2f}; shuffled presses do as well in "
+        f"(rank correlation {order.rank_correlation:+.2f}; shuffled {order.units} do as well in "
         f"{100 * order.level:.1f} % of cases)"
     )
+    named = "" if order.units == "presses" else f"; {NAME_PRESSES}"
     remedy = (
-        "record presses in random order; until then, --split blocks holds out stretches of time, and palpate "
-        "evaluate on another session says what is true of it"
+        f"record presses in random order{named}; until then, --split blocks holds out stretches of time, and "
+        "palpate evaluate on another session says what is true of it"
     )
     if told_outside:
         return Finding(
@@ -219,6 +225,22 @@ def _order(evidence: TargetEvidence, told_outside: bool) -> Finding:
         return Finding("order", evidence.about, "notes", checked, remedy)
     unseen = f"{text}; whether the model reads a drift cannot be seen, as the picture shows no outside"
     return Finding("order", evidence.about, "warns", unseen, remedy)
+
+
+def order_not_asked(units: RecordedUnits) -> list[Finding]:
+    """Note that the order of the rows could not be asked, where there are too few units; else none."""
+    if units.can_be_ordered:
+        return []
+    sessions = len(units.in_sessions)
+    where = f" in {sessions} sessions" if sessions > 1 else ""
+    text = (
+        f"order could not be asked: {units.count} {units.kind}{where} lie in any order too often by chance, "
+        "so that labels which follow the order of the rows, and a drift that tells them, would not be found"
+    )
+    remedy = "record more presses, 6 or more in a session, in random order"
+    if units.kind != "presses":
+        remedy += f"; {NAME_PRESSES}"
+    return [Finding("order", "", "notes", text, remedy)]
 
 
 def function_finding(function: TargetFunction, names: Sequence[str], columns: Sequence[str] = ()) -> Finding:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.stats import rankdata
 
 from palpate.calibration.confounds.kernel_regression import Kernels, explained_share, interleaved_blocks
+from palpate.calibration.confounds.recorded_units import Kind, RecordedUnits
 from palpate.core import Float, Indices, Int, Values
 
 MAX_WAVES = 8
@@ -28,94 +30,138 @@ class OrderCheck:
     """What the order of the rows tells of one label.
 
     Attributes:
-        rank_correlation: Spearman's, of the label with the row's number [-1, 1].
-        share: of the label's variance that a smooth function of order or time tells, adjusted for its
-            freedom.
-        level: share of shufflings of whole presses that tell as much.
+        rank_correlation: Spearman's, of the label with the row's number, both within their session [-1, 1].
+        share: of the label's variance within sessions that a smooth function of order or time tells, adjusted
+            for its freedom.
+        level: share of shufflings of whole units within their session that tell as much.
         by_time: whether time tells more than the row's number.
+        units: what was shuffled.
+        asked: whether there are units enough for their order to be a finding.
+        sessions: how many there are, in each of which order counts anew.
     """
 
     rank_correlation: float
     share: float
     level: float
     by_time: bool
+    units: Kind = "presses"
+    asked: bool = True
+    sessions: int = 1
 
     @property
     def follows(self) -> bool:
         """True if order tells the label, beyond chance and by enough to matter."""
-        return self.level <= LEVEL and self.share >= MIN_SHARE
-
-
-def units_of(values: Values, groups: np.ndarray | None) -> Int[np.ndarray, " n"]:
-    """Number of the unit that each row belongs to: what was recorded at one go, and is shuffled whole.
-
-    Args:
-        values: ``[n t]`` labels; without groups, neighbouring rows with equal labels are one unit.
-        groups: ``[n]`` label of each row's group; None where each row is its own.
-    """
-    if groups is not None and len(np.unique(groups)) < len(groups):
-        return np.unique(groups, return_inverse=True)[1].astype(np.int64)
-    return np.r_[0, np.cumsum(np.any(values[1:] != values[:-1], axis=1))].astype(np.int64)
+        return self.asked and self.level <= LEVEL and self.share >= MIN_SHARE
 
 
 def order_checks(
-    values: Values, units: Int[np.ndarray, " n"], times_s: Float[np.ndarray, " n"], seed: int = 0
+    values: Values, units: RecordedUnits, times_s: Float[np.ndarray, " n"], seed: int = 0
 ) -> list[OrderCheck]:
     """Each label against the order of rows, and against time where it is another scale than order.
 
-    The level is that of shuffling whole units: twenty rows, or five presses of a hundred frames, that happen
-    to lie in order are no finding.
+    Order counts anew in each session, since a lamp warms up anew: labels are taken less their session's mean,
+    and are told by one course that all sessions share, or by one of each session's own.
+    The level is that of shuffling whole units within their session: twenty rows, or five presses of a hundred
+    frames, that happen to lie in order are no finding.
 
     Args:
         values: ``[n t]``.
-        units: of each row, see `units_of`.
-        times_s: of each row, not decreasing [s].
+        units: of the rows.
+        times_s: of each row, not decreasing within a session [s].
         seed: of the shufflings.
     """
-    n = len(values)
-    rank = (np.arange(n) + 0.5) / n
-    places = [rank]
-    span = float(np.ptp(times_s))
-    if span > 0 and abs(np.corrcoef(rank, times_s)[0, 1]) < 0.999:
-        places.append((times_s - times_s.min()) / span)
-    bases = [_waves(place, min(MAX_WAVES, max(1, len(np.unique(units)) // 5))) for place in places]
-    orders = _shuffled(units, np.random.default_rng(seed))
+    by_session = np.argsort(units.sessions, kind="stable")
+    values, of, times_s = values[by_session], units.of[by_session], times_s[by_session]
+    sessions = units.sessions[by_session]
+    parts = [np.flatnonzero(sessions == s) for s in range(int(sessions[-1]) + 1)]
+    rank, time = np.empty(len(values)), np.empty(len(values))
+    for part in parts:
+        rank[part] = (np.arange(len(part)) + 0.5) / len(part)
+        span = float(np.ptp(times_s[part]))
+        time[part] = (times_s[part] - times_s[part].min()) / span if span > 0 else rank[part]
+    other_scale = np.ptp(times_s) > 0 and abs(np.corrcoef(rank, time)[0, 1]) < 0.999
+    places = [rank, time] if other_scale else [rank]
+    bases = [basis for place in places for basis in _bases(place, parts, units.in_sessions)]
+    of_time = len(bases) // len(places)
+    orders = _shuffled(of, sessions, np.random.default_rng(seed))
+    check = partial(OrderCheck, units=units.kind, asked=units.can_be_ordered, sessions=len(parts))
     checks = []
     for column in values.T:
-        if not np.ptp(column) > 0:
-            checks.append(OrderCheck(0.0, 0.0, 1.0, False))
+        centred, ranks = _within(column, parts), _within(column, parts, ranked=True)
+        if not np.ptp(centred) > 0:
+            checks.append(check(0.0, 0.0, 1.0, False))
             continue
-        forms = np.column_stack([_standard(column), _standard(rankdata(column))])
-        shares = [_share(basis, forms).max() for basis in bases]
-        chance = np.max([_share(basis, form[orders].T) for basis in bases for form in forms.T], axis=0)
+        forms = np.column_stack([_standard(centred), _standard(ranks)])
+        shares = [_share(basis, forms, len(parts)).max() for basis in bases]
+        chance = np.max(
+            [_share(basis, form[orders].T, len(parts)) for basis in bases for form in forms.T], axis=0
+        )
         level = (1 + np.sum(chance >= max(shares) - 1e-12)) / (1 + len(chance))
-        correlation = float(np.corrcoef(rank, rankdata(column))[0, 1])
-        checks.append(OrderCheck(correlation, float(max(shares)), float(level), bool(np.argmax(shares))))
+        correlation = float(np.corrcoef(rank, ranks)[0, 1])
+        by_time = bool(np.argmax(shares) >= of_time)
+        checks.append(check(correlation, float(max(shares)), float(level), by_time))
     return checks
 
 
-def _waves(place: Float[np.ndarray, " n"], count: int) -> Float[np.ndarray, "n k"]:
-    """Orthonormal cosines over the recording, less their means."""
+def _bases(
+    place: Float[np.ndarray, " n"], parts: Sequence[Indices], units: Int[np.ndarray, " s"]
+) -> list[Float[np.ndarray, "n k"]]:
+    """Waves that all sessions share, and, of several sessions, waves of each one's own."""
+    shared = _waves(place, _wave_count(int(units.sum())), parts)
+    if len(parts) == 1:
+        return [shared]
+    own = []
+    for part, count in zip(parts, units, strict=True):
+        if count > 1:
+            waves = np.zeros((len(place), _wave_count(int(count))))
+            waves[part] = _waves(place[part], waves.shape[1], [np.arange(len(part))])
+            own.append(waves)
+    return [shared, np.concatenate(own, axis=1)] if own else [shared]
+
+
+def _wave_count(units: int) -> int:
+    return min(MAX_WAVES, max(1, units // 5))
+
+
+def _waves(place: Float[np.ndarray, " n"], count: int, parts: Sequence[Indices]) -> Float[np.ndarray, "n k"]:
+    """Orthonormal cosines over each session, less their means in it."""
     waves = np.cos(np.pi * np.arange(1, count + 1) * place[:, None])
-    return np.linalg.qr(waves - waves.mean(axis=0))[0]
+    for part in parts:
+        waves[part] -= waves[part].mean(axis=0)
+    return np.linalg.qr(waves)[0]
 
 
-def _share(basis: Float[np.ndarray, "n k"], columns: Float[np.ndarray, "n m"]) -> Float[np.ndarray, " m"]:
-    """Adjusted R² of standardised columns on the basis."""
+def _within(
+    column: Float[np.ndarray, " n"], parts: Sequence[Indices], ranked: bool = False
+) -> Float[np.ndarray, " n"]:
+    """A label, or its rank as a share of the rows, less its session's mean."""
+    within = np.empty(len(column))
+    for part in parts:
+        own = rankdata(column[part]) / len(part) if ranked else column[part]
+        within[part] = own - own.mean()
+    return within
+
+
+def _share(
+    basis: Float[np.ndarray, "n k"], columns: Float[np.ndarray, "n m"], sessions: int
+) -> Float[np.ndarray, " m"]:
+    """Adjusted R² of standardised columns, less their sessions' means, on the basis."""
     n, k = basis.shape
     told = np.sum((basis.T @ columns) ** 2, axis=0) / n
-    return 1 - (1 - told) * (n - 1) / max(n - k - 1, 1)
+    return 1 - (1 - told) * (n - sessions) / max(n - k - sessions, 1)
 
 
 def _standard(column: np.ndarray) -> Float[np.ndarray, " n"]:
     return (column - column.mean()) / column.std()
 
 
-def _shuffled(units: Int[np.ndarray, " n"], rng: np.random.Generator) -> Int[np.ndarray, "s n"]:
-    """Rows in shuffled orders of their units, each unit's rows staying together in their order."""
+def _shuffled(
+    units: Int[np.ndarray, " n"], sessions: Int[np.ndarray, " n"], rng: np.random.Generator
+) -> Int[np.ndarray, "s n"]:
+    """Rows in shuffled orders of their units within each session, a unit's rows staying in their order."""
     count = int(units.max()) + 1
     keys = rng.random((SHUFFLES, count)).argsort(axis=1).argsort(axis=1)
-    return np.argsort(keys[:, units], axis=1, kind="stable")
+    return np.argsort(keys[:, units] + count * sessions, axis=1, kind="stable")
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ MAP_PX = 40
 """Cells along the longer side in which change is averaged: the gaps between markers close."""
 PAIRS = 300
 NEAR = 0.02
-"""Share of the recording that lies between the frames of a pair."""
+"""Share of a session that lies between the frames of a pair, which are never of two sessions."""
 ACTIVE = 0.15
 """Change from which a cell is skin, between the quietest cells (0) and the liveliest (1)."""
 MIN_CONTRAST = 1.5
@@ -66,16 +66,25 @@ class SkinRegion:
 
 
 def change_map(
-    images: Float32[np.ndarray, "n h w c"], units: Int[np.ndarray, " n"], seed: int = 0
+    images: Float32[np.ndarray, "n h w c"],
+    units: Int[np.ndarray, " n"],
+    seed: int = 0,
+    sessions: Int[np.ndarray, " n"] | None = None,
 ) -> Float[np.ndarray, "y x"]:
     """Mean absolute difference between frames a little apart in order, in cells [grey levels]."""
     n = len(images)
+    sessions = np.zeros(n, np.int64) if sessions is None else sessions
+    by_session = np.argsort(sessions, kind="stable")
     rng = np.random.default_rng(seed)
     # Beyond the unit a frame belongs to: within a press, frames may differ by noise alone.
-    step = max(1, round(NEAR * n), int(np.median(np.bincount(np.unique(units, return_inverse=True)[1]))))
+    near = round(NEAR * n / len(np.unique(sessions)))
+    step = max(1, near, int(np.median(np.bincount(np.unique(units, return_inverse=True)[1]))))
     step = min(step, max(1, n // 2))
     first = np.unique(np.linspace(0, n - 1 - step, min(PAIRS, n - step)).astype(np.int64))
     second = np.minimum(first + step + rng.integers(0, step + 1, len(first)), n - 1)
+    first, second = by_session[first], by_session[second]
+    if (same := sessions[first] == sessions[second]).any():
+        first, second = first[same], second[same]
     height, width = images.shape[1:3]
     scale = MAP_PX / max(height, width)
     size = (max(1, round(scale * width)), max(1, round(scale * height)))
@@ -90,6 +99,8 @@ def find_skin(
     images: Float32[np.ndarray, "n h w c"],
     units: Int[np.ndarray, " n"],
     untouched: Float32[np.ndarray, "r h w c"] | None = None,
+    sessions: Int[np.ndarray, " n"] | None = None,
+    rest_sessions: Int[np.ndarray, " r"] | None = None,
 ) -> SkinRegion:
     """The skin by what changes from press to press.
 
@@ -97,12 +108,13 @@ def find_skin(
         images: prepared frames in the order they were taken, grey levels.
         units: press of each.
         untouched: frames of the untouched sensor in their order, which show what changes without touch.
+        sessions, rest_sessions: session of each image and of each untouched frame; None where there is one.
     """
-    change = change_map(images, units)
+    change = change_map(images, units, sessions=sessions)
     quiet = float(np.quantile(change, 0.02))
     source = "the part of the picture that changes from press to press"
     if untouched is not None and len(untouched) >= 4:
-        rest = change_map(untouched, np.arange(len(untouched)))
+        rest = change_map(untouched, np.arange(len(untouched)), sessions=rest_sessions)
         change, quiet = np.maximum(change - rest, 0.0), 0.0
         source = "the part of the picture that changes more under touch than at rest"
     lively = float(np.quantile(change, 0.9))

@@ -116,6 +116,30 @@ def groups_within(table: pd.DataFrame) -> np.ndarray:
     return np.unique(group_names(table, columns), return_inverse=True)[1]
 
 
+def presses_of(table: pd.DataFrame, split: Split) -> np.ndarray | None:
+    """Number of what each row was recorded in at one go ``[n]``; None where no column says.
+
+    A split's own groups tell it too, unless they are whole sessions, or blocks that only cut the order.
+
+    Args:
+        table: labels of the rows learnt from.
+        split: of these rows.
+    """
+    named = [groups_within(table)] if finest_columns(table) else []
+    fine = split.groups is not None and split.kind.partition(":")[0] != "blocks"
+    if fine and (not split.group_columns or set(split.group_columns) - set(HELD_OUT_WHOLE)):
+        named.append(np.unique(np.asarray(split.groups), return_inverse=True)[1])
+    if not named:
+        return None
+    return np.unique(np.column_stack(named), axis=0, return_inverse=True)[1].ravel()
+
+
+def recordings_of(table: pd.DataFrame) -> np.ndarray | None:
+    """Name of the session, sensor and copy that each row is of ``[n]``; None where no column says."""
+    columns = tuple(c for c in HELD_OUT_WHOLE if c in table and not has_gaps(table, (c,)))
+    return group_names(table, columns) if columns else None
+
+
 def interval_fit(held: HeldOutSessions | None) -> IntervalFit:
     """How intervals are made: for new sessions where such were held out, else as always."""
     return fit_intervals if held is None else partial(_for_sessions, held)

@@ -1,0 +1,169 @@
+"""Rows recorded at one go are told from rows in order, and order is asked within each session."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from palpate.calibration.confounds.confound_findings import order_not_asked
+from palpate.calibration.confounds.recorded_units import recorded_units
+from palpate.calibration.confounds.row_order import OrderCheck, order_checks
+from palpate.calibration.sessions.session_findings import presses_of, recordings_of
+from palpate.cli import app
+from palpate.core import ManualClock
+from palpate.recordings import Manifest, RunWriter
+from palpate.recordings.label_tables import label_kinds
+from palpate.recordings.splits import split
+
+
+def checked(
+    label: np.ndarray, sessions: np.ndarray | None = None, presses: np.ndarray | None = None, seed: int = 0
+) -> OrderCheck:
+    values = label[:, None]
+    units = recorded_units(values, presses, sessions)
+    return order_checks(values, units, np.arange(float(len(label))), seed)[0]
+
+
+def held(rng: np.random.Generator, presses: int, rows: int) -> np.ndarray:
+    """Presses held at 1 to 10 N in random order, each row with a jitter of 0.03 N."""
+    return np.repeat(rng.uniform(1, 10, presses), rows) + rng.normal(0, 0.03, presses * rows)
+
+
+def test_units_are_the_groups_or_stretches_of_equal_labels() -> None:
+    values = np.array([[1.0], [1.0], [2.0], [1.0]])
+    assert recorded_units(values).of.tolist() == [0, 0, 1, 2]
+    assert recorded_units(values, np.array(["b", "a", "b", "a"])).of.tolist() == [1, 0, 1, 0]
+    assert recorded_units(values, np.arange(4)).of.tolist() == [0, 0, 1, 2]
+    assert recorded_units(values, np.array(["b", "a", "b", "a"])).kind == "presses"
+
+
+def test_no_unit_is_of_two_sessions_even_where_they_alternate() -> None:
+    values = np.array([[1.0], [5.0], [1.0], [5.0], [2.0], [5.0]])
+    alternating = recorded_units(values, None, np.array(["a", "b"] * 3))
+    assert alternating.of.tolist() == [0, 2, 0, 2, 1, 2]
+    assert alternating.in_sessions.tolist() == [2, 1]
+    assert recorded_units(np.ones((4, 1)), np.array([7, 7, 7, 8]), np.array([0, 0, 1, 1])).count == 3
+
+
+@pytest.mark.parametrize(("presses", "rows"), [(10, 30), (20, 20), (60, 5)])
+def test_held_presses_in_random_order_need_no_column_to_raise_no_alarm(presses, rows) -> None:
+    """At a level of 1 %, 3 or more of 60 alarm in 2 % of tests that are right."""
+    rng = np.random.default_rng(3)
+    checks = [checked(held(rng, presses, rows), seed=i) for i in range(60)]
+    assert sum(check.follows for check in checks) <= 2
+    counts = [recorded_units(held(rng, presses, rows)[:, None]).count for _ in range(20)]
+    assert 0.9 * presses <= np.mean(counts) <= presses
+    assert {check.units for check in checks} == {"stretches of nearly equal labels"}
+
+
+@pytest.mark.parametrize("n", [20, 80, 300])
+def test_single_rows_in_order_are_no_holds(n) -> None:
+    """However they lie: evenly, crowded at small forces, or in two clusters."""
+    rng = np.random.default_rng(4)
+    even, clusters = rng.uniform(1, 10, n), np.r_[rng.uniform(1, 2, n // 2), rng.uniform(8, 9, n - n // 2)]
+    for label in (even, clusters, rng.lognormal(0, 1, n)):
+        check = checked(np.sort(label))
+        assert check.follows
+        assert check.units == "rows"
+    assert not checked(rng.permutation(even)).follows
+
+
+def test_held_presses_in_order_are_found() -> None:
+    rng = np.random.default_rng(5)
+    force = np.repeat(np.linspace(1, 10, 12), 20) + rng.normal(0, 0.03, 240)
+    assert recorded_units(force[:, None]).count == 12
+    assert checked(force).follows
+
+
+@pytest.mark.parametrize("sessions", range(1, 10))
+def test_labels_in_order_in_each_session_are_found_and_others_are_not(sessions) -> None:
+    """A saw-tooth rises in each session; a zigzag rises in one and falls in the next."""
+    rng = np.random.default_rng(sessions)
+    of = np.repeat(np.arange(sessions), 30)
+    rising = np.concatenate([np.sort(rng.uniform(1, 10, 30)) for _ in range(sessions)])
+    zigzag = np.concatenate([rising[of == k][:: 1 - 2 * (k % 2)] for k in range(sessions)])
+    for label in (rising, zigzag, rising + 5 * of):
+        check = checked(label, of)
+        assert check.follows
+        assert check.share > 0.9
+    assert checked(rising + 100 * of, of).rank_correlation == pytest.approx(1)
+    assert checked(rising, of).share == pytest.approx(checked(rising + 50 * of, of).share)
+    alarms = [checked(rng.uniform(1, 10, len(of)) + 5 * of, of, seed=i).follows for i in range(12)]
+    assert sum(alarms) <= 1
+
+
+def test_of_a_hundred_clean_recordings_of_three_sessions_one_alarms_at_most() -> None:
+    """Of single rows; of 24 presses, whose few orders a level of 1 % lets by, four alarm in 2 % of tests."""
+    rng = np.random.default_rng(6)
+    offsets = np.repeat(rng.normal(0, 2, (100, 3)), 40, axis=1)
+    rows = [
+        checked(rng.uniform(1, 10, 120) + offsets[i], np.repeat(np.arange(3), 40), seed=i) for i in range(100)
+    ]
+    assert sum(check.follows for check in rows) <= 1
+    of = np.repeat(np.arange(24), 5)
+    presses = [checked(rng.uniform(1, 10, 24)[of] + offsets[i], of // 8, of, i) for i in range(100)]
+    assert sum(check.follows for check in presses) <= 3
+
+
+def test_order_is_asked_from_six_presses_of_one_session_on() -> None:
+    """Five have 120 orders; two sessions of five have 14,400."""
+    for presses, sessions, asked in ((5, 1, False), (6, 1, True), (5, 2, True), (3, 2, False)):
+        of = np.repeat(np.arange(presses * sessions), 10)
+        label, session = (of % presses).astype(float), of // presses
+        check = checked(label, session, of)
+        assert check.asked == check.follows == asked
+        notes = order_not_asked(recorded_units(label[:, None], of, session))
+        assert [note.severity for note in notes] == [] if asked else ["notes"]
+        assert all("order could not be asked" in note.text for note in notes)
+
+
+def test_sessions_and_blocks_are_no_presses_and_what_a_split_names_otherwise_is() -> None:
+    table = pd.DataFrame({"session": list("aaabbb"), "press": [1, 1, 2, 1, 2, 2], "grip": list("xxyyzz")})
+    assert recordings_of(table).tolist() == list("aaabbb")
+    assert recordings_of(table[["press"]]) is None
+    assert presses_of(table, split(table, "session")).tolist() == [0, 0, 1, 2, 3, 3]
+    bare = table[["session", "grip"]]
+    assert presses_of(bare, split(bare, "session")) is None
+    assert presses_of(bare, split(bare, "blocks:2", folds=2)) is None
+    assert presses_of(bare, split(bare, "group:grip", folds=2)).tolist() == [0, 0, 1, 1, 2, 2]
+
+
+def drifting_rim(folder: Path, seed: int, ordered: bool) -> None:
+    """A session whose blob says nothing of the force, while the rim grows brighter from row to row."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:48, :48]
+    rim = (x < 6) | (x > 41) | (y < 6) | (y > 41)
+    force = rng.uniform(1, 10, 60)
+    manifest = Manifest.new(sensor="s1", labels=label_kinds(pd.DataFrame({"force_N": force})))
+    with RunWriter.create(folder, manifest, clock=ManualClock(), overflow="wait") as writer:
+        for i, one in enumerate(np.sort(force) if ordered else force):
+            blob = 12 * rng.uniform(1, 9) * np.exp(-((x - 24) ** 2 + (y - 24) ** 2) / 50)
+            picture = 60 + blob + rng.normal(0, 1.5, x.shape) + 30 * i / 60 * rim
+            image = np.clip(picture, 0, 255).astype(np.uint8)
+            writer.frame(image, time_ns=i * 10**9, labels={"force_N": float(one)})
+
+
+@pytest.mark.parametrize("sessions", [2, 3])
+@pytest.mark.parametrize("ordered", [True, False])
+def test_a_rim_that_drifts_in_each_session_fails_where_sessions_are_held_out(
+    tmp_path, sessions, ordered
+) -> None:
+    runs = [str(tmp_path / f"day-{k}") for k in range(sessions)]
+    for k, run in enumerate(runs):
+        drifting_rim(Path(run), k, ordered)
+    options = ["--targets", "force_N", "--split", "session", "--model", "pca-ridge", "--json"]
+    printed = CliRunner().invoke(app, ["calibrate", *runs, "--out", str(tmp_path / "cal"), *options])
+    assert printed.exit_code == 0, printed.output
+    confounds = json.loads(printed.stdout)["confounds"]
+    assert confounds["failed"] == ordered
+    failing = [f["kind"] for f in confounds["findings"] if f["severity"] == "fails"]
+    assert failing == (["outside", "order"] if ordered else [])
+    if ordered:
+        (order,) = [f for f in confounds["findings"] if f["kind"] == "order"]
+        assert "shuffled rows do as well" in order["text"]
+        assert "column press" in order["remedy"]
