@@ -13,7 +13,7 @@ from palpate.core import Bool, Float, Int, Values
 MIN_ORDERS = 200
 """Orders of the units from which the one that lies there can be told from chance, at a level of 1 % and with
 each order as good as its mirror image: 6 units of one session have 720, and 5 have 120."""
-MOST = 2 / 3
+JITTER_SHARE = 2 / 3
 """Share of the changes from row to row, the least ones, that are taken for jitter within a hold."""
 JUMP = 9.0
 """A change over the mean of these that begins another hold: six standard deviations of normal jitter."""
@@ -103,7 +103,7 @@ def _beginnings(values: Values, sessions: Int[np.ndarray, " n"]) -> tuple[Bool[n
 
 def _jitter_limits(values: Values, changes: Float[np.ndarray, "m t"]) -> Float[np.ndarray, " t"]:
     """Change of each label up to which a hold goes on; 0 of a label whose changes are no jitter."""
-    least = np.sort(changes, axis=0)[: max(1, int(MOST * len(changes)))]
+    least = np.sort(changes, axis=0)[: max(1, int(JITTER_SHARE * len(changes)))]
     if not len(changes):
         return np.zeros(values.shape[1])
     jitter = least.mean(axis=0)
