@@ -417,3 +417,15 @@ def test_a_class_that_is_held_too_seldom_is_named_and_one_that_is_not_is_left_al
     assert findings(90, 88, 84) == ()
     (one,) = findings(90, 88, 73)
     assert "sets held large in 73 of 100 of its rows, where 90 % was promised" in one
+
+
+def test_a_column_is_not_said_to_be_told_by_one_group() -> None:
+    """54 of 100 rows right, 52 by the most frequent class: of one group, or of a hundred rows, that is none."""
+    true = np.arange(100) >= 52
+    right = np.arange(100) % 50 < 27
+    likeliest = np.where(right, true, ~true).astype(int)
+    for groups in (np.zeros(100), np.arange(100)):
+        answers = ClassAnswers(true.astype(int), likeliest, np.ones((100, 2), bool), groups, ~true)
+        score = class_score(answers, 0.9)
+        assert score.accuracy > score.baseline
+        assert score.says_nothing

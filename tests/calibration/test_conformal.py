@@ -4,6 +4,7 @@ import math
 from fractions import Fraction
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import binomtest
 
@@ -113,6 +114,35 @@ def test_a_rate_of_one_over_groups_counts_groups() -> None:
     groups = np.repeat(np.arange(5), 30)
     low, high = grouped_coverage_interval(np.ones(150, bool), groups)
     assert (low, high) == pytest.approx(coverage_interval(5, 5))
+
+
+@pytest.mark.parametrize("correlation", [0.02, 0.1, 0.3])
+@pytest.mark.parametrize("count", [2, 3, 5, 8, 15, 30])
+def test_the_interval_of_a_rate_holds_it_however_few_groups_there_are(count: int, correlation: float) -> None:
+    """Groups drawn again hold it in 59 to 68 % with two groups; 400 draws tell 96 % from 92 %."""
+    rng, held, widths = np.random.default_rng(count), [], []
+    groups, own = np.repeat(np.arange(count), 40), (1 - correlation) / correlation
+    for _ in range(400):
+        rates = rng.beta(0.9 * own, 0.1 * own, count)[groups]
+        low, high = grouped_coverage_interval(rng.random(len(groups)) < rates, groups)
+        held.append(low <= 0.9 <= high)
+        widths.append(high - low)
+    assert np.mean(held) >= 0.94
+    assert np.mean(widths) < (0.22 if count >= 15 else 0.95)
+
+
+def test_one_group_tells_nothing_of_others_and_two_hardly_more() -> None:
+    one = grouped_coverage_interval(np.arange(60) < 52, np.zeros(60))
+    assert one[0] < 0.05
+    assert one[1] > 0.95
+    low, high = grouped_coverage_interval(np.tile(np.arange(30) < 26, 2), np.repeat([0, 1], 30))
+    assert high - low > 0.8
+
+
+def test_within_one_session_presses_are_counted_and_else_rows() -> None:
+    table = pd.DataFrame({"session": ["a"] * 4, "press": [7, 7, 9, 9]})
+    assert groups_within(table).tolist() == [0, 0, 1, 1]
+    assert groups_within(table[["session"]]).tolist() == [0, 1, 2, 3]
 
 
 def test_with_fewer_rows_only_the_linear_terms_are_fitted() -> None:

@@ -182,6 +182,29 @@ def test_tenths_that_keep_the_rate_are_seldom_named() -> None:
     assert named / 300 < 0.05 + 0.025
 
 
+@pytest.mark.parametrize(("count", "per", "correlation"), [(15, 100, 0.1), (40, 50, 0.1), (20, 30, 0.2)])
+def test_tenths_of_few_presses_that_keep_the_rate_are_seldom_named(count, per, correlation) -> None:
+    """A tenth has two to four presses: their own scatter as the design effect names up to 20 % of targets."""
+    rng, own, named = np.random.default_rng(count), (1 - correlation) / correlation, 0
+    for _ in range(300):
+        rates, true = rng.beta(0.85 * own, 0.15 * own, count), rng.uniform(0, 1, count)
+        true, groups = np.repeat(true, per), np.repeat(np.arange(count), per)
+        inside = rng.uniform(size=count * per) < rates[groups]
+        named += bool(failing(range_scores(true, true * 0, inside, groups, (0.0, 1.0), 0.9)))
+    assert named / 300 <= 0.06
+
+
+def test_a_tenth_that_covers_half_is_named_where_presses_tell_it() -> None:
+    rng, named = np.random.default_rng(3), 0
+    for _ in range(100):
+        true, groups = np.repeat(rng.uniform(0, 1, 100), 20), np.repeat(np.arange(100), 20)
+        rates = np.repeat(rng.beta(9 * 0.9, 9 * 0.1, 100), 20)
+        inside = rng.uniform(size=2000) < np.where(true > 0.9, 0.5, rates)
+        found = failing(range_scores(true, true * 0, inside, groups, (0.0, 1.0), 0.9))
+        named += [part.start for part in found] == [pytest.approx(0.9)]
+    assert named >= 90
+
+
 def test_a_sentence_says_where_how_far_and_how_often() -> None:
     low, high = tenth(1e-5), tenth(1e-6, start=9.0, bias=2.0)
     middle = tenth(1e-4, start=4.0)

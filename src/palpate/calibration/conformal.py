@@ -16,6 +16,7 @@ from scipy.stats import binomtest
 from sklearn.linear_model import GammaRegressor
 from sklearn.model_selection import GroupKFold
 
+from palpate.calibration.coverage.grouped_rates import cautious_correlation, effective_rows, rate_interval
 from palpate.calibration.coverage.range_fit import fit_range_intervals
 from palpate.core import Float, InputError, RangeError, Values
 from palpate.estimators.intervals import ErrorSpread, Intervals, design
@@ -117,32 +118,16 @@ def means_of_redrawn_groups(
 
 
 def grouped_coverage_interval(inside: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
-    """95 % interval of a rate whose rows come in groups.
+    """95 % interval of a rate over groups, seen and not, from rows that come in groups.
 
-    Rows of one group are not independent, so whole groups are drawn again (bootstrap percentile
-    interval). Where every row is its own group, or all rows agree, it is Clopper-Pearson's, with the
-    groups counted.
+    It is Clopper and Pearson's of as many rows as these are worth (E. Korn and B. Graubard, Survey
+    Methodology 24, 193 (1998)): of all where each is its own group, of one or two where there are no more
+    groups, since these do not tell how groups differ. See `coverage.grouped_rates`.
     """
-    n, rate = len(np.unique(groups)), inside.sum() / len(inside)
-    if n == len(inside) or rate in (0.0, 1.0):
-        return coverage_interval(round(rate * n), n)
-    tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(means_of_redrawn_groups(inside, groups), [tail, 1 - tail])
-    return float(low), float(high)
-
-
-def few_groups_coverage_interval(inside: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
-    """95 % interval of a rate in a part of the rows, which may be of few groups.
-
-    Groups drawn again say nothing of how groups differ where there are one or two, so the interval is no
-    narrower than Clopper and Pearson's with the groups counted, each as if its rows were all alike.
-    """
-    n = len(np.unique(groups))
-    of_rows, of_groups = (
-        grouped_coverage_interval(inside, groups),
-        coverage_interval(round(inside.mean() * n), n),
-    )
-    return min(of_rows[0], of_groups[0]), max(of_rows[1], of_groups[1])
+    if len(np.unique(groups)) == len(inside):
+        return coverage_interval(int(inside.sum()), len(inside))
+    n = effective_rows(groups, cautious_correlation(inside, groups))
+    return rate_interval(float(inside.mean()) * n, n, CONFIDENCE)
 
 
 def parts_by_group(groups: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -245,6 +245,8 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame, spread: Val
     if not read.any():
         raise LabelError(f"{run.path}: no frame could be read, every one is of another size than calibrated")
     groups = groups_in(table, card.split.columns)[read]
+    if len(np.unique(groups)) == 1:
+        groups = groups_within(table)[read]
     targets, tenths = {}, {}
     for j, t in enumerate(card.targets):
         truth, estimate = true[read, j], predicted[read, j]
@@ -289,7 +291,7 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame, spread: Val
         },
         "frames_valid": int(own_column(table, "valid").sum()),
         "frames_all_valid": int(own_column(table, "all_valid").sum()),
-        "groups": len(np.unique(groups)),
+        "groups": len(np.unique(groups_in(table, card.split.columns)[read])),
         "group_columns": list(card.split.columns),
         "learnt_from_this_run": learnt_from(card, run),
         "session": sorted(set(sessions_of(run).tolist())),
@@ -353,3 +355,15 @@ def groups_in(table: pd.DataFrame, columns: tuple[str, ...]) -> np.ndarray:
     if not columns or not set(columns) <= set(table):
         return np.arange(len(table))
     return table.groupby(list(columns), sort=False, dropna=False).ngroup().to_numpy()
+
+
+PRESS_COLUMNS = ("press", "cycle", "trial")
+
+
+def groups_within(table: pd.DataFrame) -> np.ndarray:
+    """A label for each row's press within one group, as a session; each row its own where none is named.
+
+    One session does not tell how sessions differ. How well its own rate is known, its presses tell.
+    """
+    named = next((column for column in PRESS_COLUMNS if column in table), None)
+    return np.arange(len(table)) if named is None else groups_in(table, (named,))

@@ -392,6 +392,9 @@ def _scores_text(scores: dict[str, Any], card: Any) -> str:
         day = "this is the run it learnt from: these scores say nothing about new presses"
     elif scores["same_session"]:
         day = f"no other day: {scores['same_session']}"
+    if scores["groups"] == 1 and scores["frames_read"] > 1:
+        column = "/".join(scores["group_columns"])
+        day += f"\nall of one {column}: the 95 % intervals are of its own rate, not of how others may differ"
     return f"{table}\n{valid}\n{day}"
 
 

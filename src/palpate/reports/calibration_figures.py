@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch, Rectangle
 from matplotlib.path import Path
 
-from palpate.calibration.conformal import few_groups_coverage_interval
+from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.calibration.coverage.circular_scores import shortest
 from palpate.core import Bool, Float
 from palpate.estimators.intervals import within
@@ -240,7 +240,7 @@ def _coverage(
 ) -> None:
     least = 40.0
     for rows in _bins(true):
-        low, high = few_groups_coverage_interval(inside[rows], groups[rows])
+        low, high = grouped_coverage_interval(inside[rows], groups[rows])
         centre, covered = float(true[rows].mean()), 100 * float(inside[rows].mean())
         axes.plot([centre, centre], [100 * low, 100 * high], color=ACCENT, lw=1.4)
         axes.plot(centre, covered, "o", color=ACCENT, ms=4)

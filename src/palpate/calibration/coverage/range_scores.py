@@ -8,6 +8,11 @@ from typing import TypeVar
 import numpy as np
 from scipy.special import betainc
 
+from palpate.calibration.coverage.grouped_rates import (
+    cautious_correlation,
+    effective_rows,
+    within_group_correlation,
+)
 from palpate.calibration.coverage.range_fit import TENTHS
 from palpate.estimators.class_sets import ClassCoverageCard
 from palpate.estimators.intervals import Row
@@ -40,6 +45,8 @@ def range_scores(
     """
     limits = np.linspace(*ends, TENTHS + 1)
     at = np.searchsorted(limits[1:-1], along, side="right")
+    # A tenth has too few groups to tell how alike their rows are: all tenths tell it together.
+    alike = within_group_correlation(inside, np.unique(groups, return_inverse=True)[1] * TENTHS + at)
     return tuple(
         TenthCard(
             start=float(limits[k]),
@@ -48,36 +55,31 @@ def range_scores(
             groups=len(np.unique(groups[rows])),
             covered=int(inside[rows].sum()),
             bias=float(error[rows].mean()),
-            p=chance_of_so_few(inside[rows], groups[rows], coverage - MARGIN),
+            p=chance_of_so_few(inside[rows], groups[rows], coverage - MARGIN, alike),
         )
         for k in range(TENTHS)
         if (rows := at == k).any()
     )
 
 
-def chance_of_so_few(inside: np.ndarray, groups: np.ndarray, rate: float) -> float:
+def chance_of_so_few(
+    inside: np.ndarray, groups: np.ndarray, rate: float, correlation: float | None = None
+) -> float:
     """Probability of as few hits, or fewer, in rows of groups whose hits have this rate.
 
-    It is the binomial one of the effective number of rows: rows over the design effect, which is how much
-    more the mean of whole groups varies than that of independent rows (L. Kish, Survey Sampling, 1965).
+    It is the binomial one of as many rows as these are worth, see `coverage.grouped_rates`.
+
+    Args:
+        inside: whether each row is a hit.
+        groups: label of each row's group.
+        rate: that hits are thought to have.
+        correlation: of rows of the same group, from more rows than these; None takes these rows' own.
     """
-    n, hits = len(inside), float(inside.sum())
-    effective = n / _design_effect(inside, groups)
-    k = hits * effective / n
+    alike = cautious_correlation(inside, groups) if correlation is None else correlation
+    effective = effective_rows(groups, alike)
+    k = float(inside.mean()) * effective
     # P(X <= k) of a binomial, which the incomplete beta function continues to numbers that are not whole.
-    return 1.0 if k >= effective else float(betainc(effective - k, k + 1, 1 - rate))
-
-
-def _design_effect(inside: np.ndarray, groups: np.ndarray) -> float:
-    n, (_, index) = len(inside), np.unique(groups, return_inverse=True)
-    count, rate = int(index.max()) + 1, float(inside.mean())
-    if count == n:
-        return 1.0
-    if count == 1 or rate in (0.0, 1.0):
-        return n / count
-    sums = np.bincount(index, weights=inside - rate)
-    between = float(sums @ sums) * count / (count - 1) / n**2
-    return float(np.clip(between * n / (rate * (1 - rate)), 1.0, n))
+    return 1.0 if inside.all() else float(betainc(effective - k, k + 1, 1 - rate))
 
 
 Part = TypeVar("Part", TenthCard, ClassCoverageCard)

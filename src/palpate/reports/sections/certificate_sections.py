@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from palpate.calibration.certificate import read_predictions
-from palpate.calibration.conformal import few_groups_coverage_interval
+from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.calibration.coverage import target_findings
 from palpate.calibration.evaluation import groups_in
 from palpate.calibration.sessions import EvaluationRecord
@@ -92,7 +92,7 @@ class ReportedCalibration:
 
     @cached_property
     def targets(self) -> tuple[TargetCard, ...]:
-        """Its targets; where groups are few, with an interval of the coverage that takes each for one row."""
+        """Its targets; where groups are few, with an interval of the coverage that allows for it."""
         if self.scored_groups >= MIN_GROUPS:
             return self.card.targets
         return tuple(_judged_by_few(target, self.table, self.groups) for target in self.card.targets)
@@ -124,11 +124,11 @@ class ReportedCalibration:
 
 
 MIN_GROUPS = 10
-"""Groups below which drawing them again says too little of how a coverage scatters among them."""
+"""Groups below which a card's interval of the coverage is counted again: of before, it was too narrow."""
 
 
 def _judged_by_few(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) -> TargetCard:
-    low, high = few_groups_coverage_interval(held_rows(target, table), groups)
+    low, high = grouped_coverage_interval(held_rows(target, table), groups)
     ends = {"coverage_90_low": low, "coverage_90_high": high}
     return target.model_copy(update={"score": target.score.model_copy(update=ends)})
 

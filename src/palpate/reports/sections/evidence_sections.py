@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.image import imread
 
-from palpate.calibration.conformal import few_groups_coverage_interval
+from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.calibration.confounds.deciding_pixels import MAP_FILE, block_edges
+from palpate.calibration.evaluation import groups_within
 from palpate.calibration.robustness.perturbation_suite import MAX_SILENT
 from palpate.estimators.finding_cards import PerturbationCard
 from palpate.estimators.intervals import layout_of
@@ -45,7 +46,7 @@ def _session_row(report: ReportedCalibration, name: str, rows: np.ndarray) -> Va
     for target in report.card.targets:
         true, guess, _ = (part[rows] for part in target_columns(target, report.table))
         error, inside = errors_of(target, true, guess), held_rows(target, report.table)[rows]
-        low, high = few_groups_coverage_interval(inside, _groups_within(report, rows))
+        low, high = grouped_coverage_interval(inside, groups_within(report.table[rows]))
         mae, scatter = float(np.abs(error).mean()), float(np.abs(error).std())
         cells.append(
             {
@@ -54,14 +55,6 @@ def _session_row(report: ReportedCalibration, name: str, rows: np.ndarray) -> Va
             }
         )  # fmt: skip
     return {"name": name, "n": int(rows.sum()), "cells": cells}
-
-
-def _groups_within(report: ReportedCalibration, rows: np.ndarray) -> np.ndarray:
-    """Presses within a session, where rows name them; else each row is its own."""
-    for column in ("press", "cycle", "trial"):
-        if column in report.table:
-            return report.table[column].to_numpy()[rows]
-    return np.arange(int(rows.sum()))
 
 
 def evaluations(report: ReportedCalibration) -> Values | None:

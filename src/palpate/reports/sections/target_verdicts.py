@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from palpate.calibration.conformal import few_groups_coverage_interval
+from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.calibration.coverage import target_findings
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.core import half_width_text, rounded
@@ -65,7 +65,7 @@ def outer_ranges(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) ->
     ranges = []
     # Rows that share the limit's truth belong to the range too, as with a few dead weights.
     for word, limit, rows in (("below", lowest, true <= lowest), ("above", highest, true >= highest)):
-        low, high = few_groups_coverage_interval(inside[rows], groups[rows])
+        low, high = grouped_coverage_interval(inside[rows], groups[rows])
         at = rounded(limit, target.score.half_width)
         where, covered = f"{word} {at} {target.unit}", int(inside[rows].sum())
         ranges.append(OuterRange(where, int(rows.sum()), covered, low, high, float(error[rows].mean())))

