@@ -420,7 +420,7 @@ def test_a_class_that_is_held_too_seldom_is_named_and_one_that_is_not_is_left_al
 
 
 def test_a_column_is_not_said_to_be_told_by_one_group() -> None:
-    """54 of 100 rows right, 52 by the most frequent class: of one group, or of a hundred rows, that is none."""
+    """54 of 100 rows right, 52 by the most frequent class: one group, or 100 rows, do not tell these."""
     true = np.arange(100) >= 52
     right = np.arange(100) % 50 < 27
     likeliest = np.where(right, true, ~true).astype(int)

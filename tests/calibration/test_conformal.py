@@ -14,6 +14,7 @@ from palpate.calibration.conformal import (
     fit_intervals,
     grouped_coverage_interval,
 )
+from palpate.calibration.evaluation import groups_within
 from palpate.core.errors import InputError, RangeError
 from palpate.estimators.intervals import ErrorSpread
 

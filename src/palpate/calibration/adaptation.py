@@ -23,7 +23,7 @@ import pandas as pd
 
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.certificate import CalibrationResult, intervals_by, split_card, write_certificate
-from palpate.calibration.conformal import GROUPS_FOR_SPREAD, conformal_quantile, fit_intervals
+from palpate.calibration.conformal import GROUPS_FOR_SPREAD, fit_intervals, pooled_quantile
 from palpate.calibration.correction import AS_IT_WAS, Adapted, Choice, Correction, correct
 from palpate.calibration.leakage import audit
 from palpate.calibration.robustness import CertifiedModel, Suite, adapted_guard
@@ -79,7 +79,9 @@ def intervals_of_presses(
     if presses >= GROUPS_FOR_SPREAD:
         return intervals
     scores = np.abs(intervals.errors(predicted, true)) / intervals.spread.at(predicted)
-    return replace(intervals, quantile=np.array([conformal_quantile(column, raised) for column in scores.T]))
+    return replace(
+        intervals, quantile=np.array([pooled_quantile(column, groups, raised) for column in scores.T])
+    )
 
 
 def _adapted_split(result: CalibrationResult, adapted: Adapted, former: Card) -> SplitCard:

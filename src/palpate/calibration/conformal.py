@@ -16,7 +16,13 @@ from scipy.stats import binomtest
 from sklearn.linear_model import GammaRegressor
 from sklearn.model_selection import GroupKFold
 
-from palpate.calibration.coverage.grouped_rates import cautious_correlation, effective_rows, rate_interval
+from palpate.calibration.coverage.group_quantiles import weighted_quantile
+from palpate.calibration.coverage.grouped_rates import (
+    cautious_correlation,
+    effective_rows,
+    group_sizes,
+    rate_interval,
+)
 from palpate.calibration.coverage.range_fit import fit_range_intervals
 from palpate.core import Float, InputError, RangeError, Values
 from palpate.estimators.intervals import ErrorSpread, Intervals, design
@@ -46,6 +52,20 @@ def conformal_quantile(scores: Float[np.ndarray, " n"], coverage: float) -> floa
     return float(np.sort(scores)[rank - 1])
 
 
+def pooled_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, coverage: float) -> float:
+    """The score that a row of a new group stays below, each group with the same weight.
+
+    Where groups are of one size it is the conformal quantile of the rows. Else the level is raised by one of
+    as many rows as their weights are worth (Kish), so that few long groups do not set it.
+    """
+    sizes, index = group_sizes(groups)
+    if (sizes == sizes[0]).all():
+        return conformal_quantile(scores, coverage)
+    weights = 1.0 / sizes[index]
+    worth = float(weights.sum() ** 2 / (weights @ weights))
+    return weighted_quantile(scores, index, min(coverage * (worth + 1) / worth, 1.0))
+
+
 def fit_intervals(
     predicted: Outputs,
     true: Values,
@@ -73,7 +93,7 @@ def fit_intervals(
     errors = np.abs(layout.differences(estimates, true))
     expected = spread_of_others(predicted, errors, groups)
     scores = errors / expected
-    quantile = np.array([conformal_quantile(column, coverage) for column in scores.T])
+    quantile = np.array([pooled_quantile(column, groups, coverage) for column in scores.T])
     by_range = tuple(
         fit_range_intervals(estimates[:, j], true[:, j], expected[:, j], quantile[j], groups, coverage)
         if period is None

@@ -2,8 +2,8 @@
 
 Rows of one group agree more than rows of different ones. How much is their correlation, and n rows count as
 n over the design effect (L. Kish, Survey Sampling, 1965). With few groups their scatter is known poorly, and
-most samples of a rate near 1 hold none of the few bad groups: there the correlation is raised towards 1, as if
-two groups more had been seen whose rows all agree. With two groups or one, a group is worth one row.
+most samples of a rate near 1 hold none of the few bad groups: there the correlation is raised towards 1, as
+if two groups more had been seen whose rows all agree. With two groups or one, a group is worth one row.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def within_group_correlation(inside: np.ndarray, groups: np.ndarray) -> float:
         inside: whether each row is a hit ``[n]``.
         groups: label of each row's group ``[n]``.
     """
-    sizes, index = _group_sizes(groups)
+    sizes, index = group_sizes(groups)
     n, rate, most = len(inside), float(inside.mean()), _largest_effect(sizes)
     if most == 1:
         return 0.0
@@ -53,7 +53,7 @@ def effective_rows(groups: np.ndarray, correlation: float) -> float:
         >>> effective_rows(np.repeat([0, 1, 2, 3], 10), 1.0), effective_rows(np.repeat([0, 1], 10), 0.0)
         (4.0, 20.0)
     """
-    sizes, _ = _group_sizes(groups)
+    sizes, _ = group_sizes(groups)
     return float(sizes.sum() / (1 + (_largest_effect(sizes) - 1) * correlation))
 
 
@@ -76,7 +76,8 @@ def rate_interval(hits: float, n: float, confidence: float) -> tuple[float, floa
     return low, high
 
 
-def _group_sizes(groups: np.ndarray) -> tuple[Int[np.ndarray, " g"], Int[np.ndarray, " n"]]:
+def group_sizes(groups: np.ndarray) -> tuple[Int[np.ndarray, " g"], Int[np.ndarray, " n"]]:
+    """Rows of each group, and the number of each row's group."""
     _, index = np.unique(groups, return_inverse=True)
     return np.bincount(index), index
 

@@ -16,6 +16,8 @@ from __future__ import annotations
 import numpy as np
 from sklearn.model_selection import GroupKFold
 
+from palpate.calibration.coverage.group_quantiles import weighted_quantile
+from palpate.calibration.coverage.grouped_rates import group_sizes
 from palpate.core import Float, Int
 from palpate.estimators.intervals import ErrorCells, RangeIntervals, Row
 
@@ -84,13 +86,17 @@ def group_parts(groups: np.ndarray) -> Int[np.ndarray, " n"]:
 def grouped_quantile(scores: Row, groups: np.ndarray, coverage: float) -> float:
     """The score below which a row of a new group lies with probability `coverage`.
 
-    Of n rows in G groups it is the one of rank n · coverage · (G + 1) / G, rounded up, which is the usual
-    rank where each row is its own group (pooled distributions of groups: R. Dunn, L. Wasserman and A.
-    Ramdas, J. Am. Stat. Assoc. 118, 2491 (2023), doi:10.1080/01621459.2022.2060112); the largest where
-    there are too few.
+    Each group has the same weight, however many rows it has. Of G groups the level is coverage · (G + 1) / G,
+    which is the usual rank where each row is its own group (pooled distributions of groups: R. Dunn, L.
+    Wasserman and A. Ramdas, J. Am. Stat. Assoc. 118, 2491 (2023), doi:10.1080/01621459.2022.2060112); the
+    largest where there are too few.
     """
-    n, g = len(scores), len(np.unique(groups))
-    rank = min(int(np.ceil(n * min(coverage * (g + 1) / g, MAX_LEVEL) - 1e-9)), n)
+    n, sizes, index = len(scores), *group_sizes(groups)
+    g = len(sizes)
+    level = min(coverage * (g + 1) / g, MAX_LEVEL)
+    if (sizes != sizes[0]).any():
+        return weighted_quantile(scores, index, level)
+    rank = min(int(np.ceil(n * level - 1e-9)), n)
     return float(np.sort(scores)[rank - 1])
 
 
