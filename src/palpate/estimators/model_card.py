@@ -121,11 +121,11 @@ class CircularCard(CardPart):
 
     Attributes:
         period: after which it does, in the target's unit.
-        centre, scale: of the two outputs, see `estimators.certified.ErrorSpread`.
+            centre, scale: of the two outputs, see `estimators.intervals.ErrorSpread`.
         untold_width: width from which on an interval tells nothing, in the target's unit: the coverage's
             share of the calibrated arc, or 0 where rows held out were told no more than always saying the
             mean tells; None in cards of before, where it is the period.
-    """
+        """
 
     added: ClassVar[tuple[str, ...]] = ("untold_width",)
 
@@ -375,7 +375,7 @@ class Card(SealedCard):
     @model_validator(mode="after")
     def _targets_fit(self) -> Card:
         t = len(self.targets) + sum(target.circular is not None for target in self.targets)
-        terms = 1 + t + t * (t + 1) // 2  # of `estimators.certified.design`
+        terms = 1 + t + t * (t + 1) // 2  # of `estimators.intervals.design`
         for target in self.targets:
             if self.columns.count(target.column) > 1:
                 raise ValueError(f"target {target.column} is named twice")
