@@ -125,7 +125,7 @@ class CircularCard(CardPart):
         untold_width: width from which on an interval tells nothing, in the target's unit: the coverage's
             share of the calibrated arc, or 0 where rows held out were told no more than always saying the
             mean tells; None in cards of before, where it is the period.
-        """
+    """
 
     added: ClassVar[tuple[str, ...]] = ("untold_width",)
 
