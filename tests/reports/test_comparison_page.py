@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.sessions import keep_evaluation
 from palpate.cli import app
-from palpate.core import ExistsError, InputError
+from palpate.core import CertificateError, ExistsError, InputError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.finding_cards import ConfoundFindingCard
 from palpate.estimators.model_card import sealed
@@ -152,10 +152,18 @@ def test_what_both_gave_on_another_run_and_whose_audit_failed_is_shown(
     confounds = card.confounds.model_copy(update={"findings": (finding,), "failed": True})
     text = sealed(card.model_dump(exclude={"id"}) | {"confounds": confounds}).model_dump_json()
     (folders[0] / "card.json").write_text(text)
-    for path in folders[0].glob("evaluation-*.json"):
-        path.unlink()
-    (warning,) = compare_calibrations(*folders).warnings
+    warning, left_out = compare_calibrations(*folders).warnings
     assert "do not rely on its scores of x_mm" in warning
+    assert left_out.startswith("Left out: ")  # the evaluation names the card as it was
+    assert next(folders[0].glob("evaluation-*.json")).name in left_out
+
+
+def test_a_calibration_whose_network_was_altered_is_not_compared(calibrated) -> None:
+    folders = [calibrated("one"), calibrated("two", model="mean")]
+    network = folders[1] / "model.onnx"
+    network.write_bytes(network.read_bytes()[:-1] + b"x")
+    with pytest.raises(CertificateError, match="is not the file this card was made with"):
+        compare_calibrations(*folders)
 
 
 def test_that_neither_reads_a_target_is_said_before_which_errs_less(calibrated) -> None:

@@ -75,6 +75,7 @@ class CalibrationComparison:
         only: columns that one has and the other has not, of each.
         obstacles: why the scores of the two cannot be compared, a sentence each; empty where they can.
         evaluations: kept beside each card, the earliest first.
+        left_out: what is wrong with each file beside the cards that is no evaluation of theirs.
     """
 
     cards: tuple[Card, Card]
@@ -82,6 +83,7 @@ class CalibrationComparison:
     only: tuple[tuple[str, ...], tuple[str, ...]]
     obstacles: tuple[str, ...]
     evaluations: tuple[tuple[EvaluationRecord, ...], tuple[EvaluationRecord, ...]]
+    left_out: tuple[str, ...] = ()
 
     @property
     def shared_runs(self) -> tuple[tuple[EvaluationRecord, EvaluationRecord], ...]:
@@ -92,11 +94,12 @@ class CalibrationComparison:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Which scores not to rely on, a sentence each: a confound makes errors small, too."""
-        return tuple(
+        failed = tuple(
             f"The audit of {card.id} failed: do not rely on its scores of {', '.join(failed)}."
             for card in self.cards
             if (failed := [t.column for t in card.targets if not_relied_on(card, t)])
         )
+        return failed + tuple(f"Left out: {why}." for why in self.left_out)
 
     def tested(self, column: str) -> tuple[str, str]:
         """On which days each was tested, and where in its range it did not keep its promise there."""
@@ -154,7 +157,7 @@ def compare_calibrations(first: PathText, second: PathText) -> CalibrationCompar
     folders = Path(first), Path(second)
     cards = read_card(folders[0]), read_card(folders[1])
     for folder, card in zip(folders, cards, strict=True):
-        for part in card.files:
+        for part in (card.model, card.guard, *card.files):
             checked_file(folder, part)
     both = [column for column in cards[0].columns if column in cards[1].columns]
     if not both:
@@ -168,7 +171,8 @@ def compare_calibrations(first: PathText, second: PathText) -> CalibrationCompar
     reports = tuple(ReportedCalibration(*each) for each in zip(folders, cards, strict=True))
     targets = tuple(_compared(column, reports, tables, paired=not obstacles) for column in both)
     kept = (reports[0].evaluations, reports[1].evaluations)
-    return CalibrationComparison(cards, targets, (only[0], only[1]), obstacles, kept)
+    left_out = reports[0].refused_evaluations + reports[1].refused_evaluations
+    return CalibrationComparison(cards, targets, (only[0], only[1]), obstacles, kept, left_out)
 
 
 def _other_units(cards: tuple[Card, Card]) -> str:
