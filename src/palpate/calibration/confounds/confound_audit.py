@@ -236,7 +236,8 @@ def _region(
     if rows.untouched is not None and len(rows.untouched) >= 4:
         asked = sampled(len(rows.untouched), 100)
         untouched = small_pictures(rows.untouched, asked)
-        rest = None if rows.untouched_sessions is None else rows.untouched_sessions[asked]
+        if rows.untouched_sessions is not None:
+            rest = np.unique(rows.untouched_sessions[asked], return_inverse=True)[1]
     if _one_view(rows):
         return find_skin(images, units, untouched, sessions, rest)
     half = images.shape[2] // 2
