@@ -73,7 +73,7 @@ def test_an_angle_is_untold_from_the_width_that_its_card_states() -> None:
     why = doubt(one, 180.0, 130.0, 230.0)
     assert "its interval is 100 N wide, and 99 N are 90 % of the calibrated arc 125 to 235 N" in why
     nothing = target(None, arc.model_copy(update={"untold_width": 0.0}), 125.0, 235.0)
-    assert "this calibration does not tell force" in doubt(nothing, 180.0, 179.0, 181.0)
+    assert "this calibration does not read force" in doubt(nothing, 180.0, 179.0, 181.0)
     before = arc.model_copy(update={"untold_width": None})
     assert "untold_width" not in before.model_dump()
     assert doubt(target(None, before, 125.0, 235.0), 180.0, 80.0, 280.0) == ""
