@@ -74,7 +74,8 @@ def a_file_an_image(home: Path) -> Truth:
         (home / "frames" / f"tap_{k}.json").write_text(json.dumps(about))
         picture(home / "wrenches" / "image" / f"img{k}.png", k)
         (home / "wrenches" / "wrench").mkdir(exist_ok=True)
-        np.save(home / "wrenches" / "wrench" / f"w_{k}.npy", np.array([[0, 0, -0.5 * k, 1, 2, 3]]))
+        wrench = np.array([0, 0, -0.5 * k, 1, 2, 3])
+        np.save(home / "wrenches" / "wrench" / f"w_{k}.npy", wrench if k % 2 else wrench[None])
     column = "force_N"
     return {"level": [10 * k for k in range(12)], column: [-0.5 * k for k in range(12)]}
 

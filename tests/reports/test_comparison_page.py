@@ -20,6 +20,7 @@ from palpate.reports.comparison_page import (
     _confounds_text,
     compare_calibrations,
     comparison_text,
+    headline,
     judgement,
     write_comparison,
 )
@@ -152,8 +153,14 @@ def test_what_both_gave_on_another_run_and_whose_audit_failed_is_shown(
     confounds = card.confounds.model_copy(update={"findings": (finding,), "failed": True})
     text = sealed(card.model_dump(exclude={"id"}) | {"confounds": confounds}).model_dump_json()
     (folders[0] / "card.json").write_text(text)
-    warning, left_out = compare_calibrations(*folders).warnings
+    again = compare_calibrations(*folders)
+    warning, left_out = again.warnings
     assert "do not rely on its scores of x_mm" in warning
+    assert again.targets[0].column == "x_mm"
+    assert f"held-out errors cannot decide, as the audit of {read_card(folders[0]).id} failed" in headline(
+        again, again.targets[0]
+    )
+    assert headline(again, again.targets[1]) == judgement(again.targets[1])
     assert left_out.startswith("Left out: ")  # the evaluation names the card as it was
     assert next(folders[0].glob("evaluation-*.json")).name in left_out
 

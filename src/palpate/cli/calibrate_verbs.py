@@ -383,7 +383,13 @@ def _scores_text(scores: dict[str, Any], card: Any) -> str:
         f"(95 % interval {100 * one['low']:.1f} to {100 * one['high']:.1f} %)"
         for name, one in scores["vectors"].items()
     ]
-    table = "\n".join([*lines, *scores["findings"], *joint])
+    short = [
+        f"{name}: {100 * one['coverage_90']:.1f} % of rows lay within their intervals, less than the "
+        f"{100 * card.coverage:g} % promised"
+        for name, one in scores["targets"].items()
+        if one["coverage_90_high"] < card.coverage
+    ]
+    table = "\n".join([*lines, *short, *scores["findings"], *joint])
     counts = (scores[f"frames_{name}"] for name in ("scored", "valid", "untold", "all_valid"))
     valid = frames_text(card, *counts)
     named = ", ".join(scores["session"])

@@ -278,6 +278,21 @@ def judgement(one: ComparedTarget) -> str:
     return f"{name}: the {better} errs less, by {by} {unit} on average ({interval})."
 
 
+def headline(comparison: CalibrationComparison, one: ComparedTarget) -> str:
+    """What decides between the two: held-out errors, unless an audit failed: a confound makes them small."""
+    pairs = zip(comparison.cards, (one.first, one.second), strict=True)
+    failed = [card.id for card, target in pairs if not_relied_on(card, target)]
+    if not failed:
+        return judgement(one)
+    name = one.first.quantity.replace("_", " ")
+    instead = (
+        "see what both gave on the same recording, below"
+        if comparison.shared_runs
+        else "run `palpate evaluate` of both on another session"
+    )
+    return f"{name}: held-out errors cannot decide, as the audit of {' and '.join(failed)} failed; {instead}."
+
+
 def comparison_text(comparison: CalibrationComparison) -> str:
     """The comparison for a terminal."""
     cards = comparison.cards
@@ -287,7 +302,7 @@ def comparison_text(comparison: CalibrationComparison) -> str:
         *(f"NOT COMPARABLE: {obstacle}" for obstacle in comparison.obstacles),
         *comparison.warnings,
         *_table([HEAD, *(_cells(one, cards) for one in comparison.targets)]),
-        *(judgement(one) for one in comparison.targets if one.paired),
+        *(headline(comparison, one) for one in comparison.targets if one.paired),
         *_days(comparison),
         *(f"only {card.id} reads {', '.join(columns)}" for card, columns in only if columns),
     ]
@@ -338,7 +353,7 @@ def write_comparison(comparison: CalibrationComparison, out: PathText) -> Path:
     text = filled_template(
         "comparison.html",
         comparison=comparison,
-        judgements={one.column: judgement(one) for one in comparison.targets},
+        judgements={one.column: headline(comparison, one) for one in comparison.targets},
         frames=[
             [frames_of(card, one) for card, one in zip(comparison.cards, pair, strict=True)]
             for pair in comparison.shared_runs

@@ -218,7 +218,8 @@ def _columns_of(path: Path, name: str, array: np.ndarray, names: tuple[str, ...]
         return {field: array[field] for field in array.dtype.names}
     if array.ndim == 1 and name:
         return {name: array}
-    table = array[:, None] if array.ndim == 1 else array
+    is_one_row = array.ndim == 1 and len(names) == array.size > 1
+    table = array[None] if is_one_row else array[:, None] if array.ndim == 1 else array
     if table.ndim != 2:
         raise LabelError(f"{path} holds an array of shape {list(array.shape)}; labels are [rows, columns]")
     if name:
