@@ -8,12 +8,8 @@ import pandas as pd
 import pytest
 from scipy.stats import binomtest
 
-from palpate.calibration.conformal import (
-    conformal_quantile,
-    coverage_interval,
-    fit_intervals,
-    grouped_coverage_interval,
-)
+from palpate.calibration.coverage.conformal import conformal_quantile, fit_intervals
+from palpate.calibration.coverage.grouped_rates import coverage_interval, grouped_coverage_interval
 from palpate.calibration.evaluation import groups_within
 from palpate.core.errors import InputError, RangeError
 from palpate.estimators.intervals import ErrorSpread

@@ -431,7 +431,7 @@ def test_a_drifting_rim_fails_the_audit_before_the_numbers_and_its_remedy_mends_
         ("order", "depth_mm"),
     ]
     remedy = card.confounds.findings[0].remedy
-    crop = remedy.split("--crop ")[1]
+    crop = remedy.split("`--crop ")[1].split("`")[0]
     x, y, width, height = map(int, crop.split(","))
     assert min(x, y, 96 - x - width, 96 - y - height) >= 5
     assert min(width, height) >= 40

@@ -5,7 +5,7 @@ import pytest
 from sklearn import metrics
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
-from palpate.calibration.conformal import coverage_interval
+from palpate.calibration.coverage.grouped_rates import coverage_interval
 from palpate.calibration.evaluation import score
 from palpate.core import CertificateError
 from palpate.estimators import Estimator

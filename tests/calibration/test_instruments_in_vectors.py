@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
-from palpate.calibration.conformal import fit_intervals
+from palpate.calibration.coverage.conformal import fit_intervals
 from palpate.calibration.coverage.joint_regions import vector_cards
 from palpate.core import Reading
 from palpate.estimators import Estimator

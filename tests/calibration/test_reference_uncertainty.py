@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
-from palpate.calibration.conformal import fit_intervals
+from palpate.calibration.coverage.conformal import fit_intervals
 from palpate.core import InputError, LabelError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.model_card import InstrumentCard, TargetCard

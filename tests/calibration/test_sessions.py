@@ -11,7 +11,7 @@ from scipy.stats import beta, norm, t as student
 from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
-from palpate.calibration.conformal import conformal_quantile, fit_intervals
+from palpate.calibration.coverage.conformal import conformal_quantile, fit_intervals
 from palpate.calibration.coverage.group_quantiles import (
     is_distribution_free,
     new_group_quantile,

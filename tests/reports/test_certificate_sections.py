@@ -124,7 +124,7 @@ def test_a_target_that_is_not_read_promises_nothing(calibration) -> None:
     changed(calibration, targets=(first, second))
     x, height = answers_of(page_of(calibration))
     assert x.startswith("x: not read by this model: 1.0 mm off")
-    assert height.startswith("height: not read by this model: its intervals, ±50 mm on average")
+    assert height.startswith("height: not read by this model: its intervals are 100 mm wide on average")
     assert "90 %" not in x + height
 
 

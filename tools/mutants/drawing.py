@@ -140,7 +140,7 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
                 "tests/calibration/test_evaluation.py",
                 "tests/calibration/test_fitting.py",
             ),
-            "palpate.calibration.conformal": ("tests/calibration/test_conformal.py",),
+            "palpate.calibration.coverage.conformal": ("tests/calibration/test_conformal.py",),
             "palpate.estimators.compliance.stiffness_curve": ("tests/estimators/test_stiffness_curve.py",),
             "palpate.estimators.certified": (
                 "tests/estimators/test_certified.py",
@@ -153,7 +153,7 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
 # Found by hand in a review of the tests before the list was drawn.
 NAMED = (
     (
-        "palpate.calibration.conformal",
+        "palpate.calibration.coverage.conformal",
         "conformal_quantile",
         "rank = min(int(np.ceil((n + 1) * coverage)), n)",
         "rank = min(int(np.ceil(n * coverage)), n)",

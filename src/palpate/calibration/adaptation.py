@@ -23,8 +23,8 @@ import pandas as pd
 
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.certificate import CalibrationResult, intervals_by, split_card, write_certificate
-from palpate.calibration.conformal import GROUPS_FOR_SPREAD, fit_intervals, pooled_quantile
 from palpate.calibration.correction import AS_IT_WAS, Adapted, Choice, Correction, correct
+from palpate.calibration.coverage.conformal import GROUPS_FOR_SPREAD, fit_intervals, pooled_quantile
 from palpate.calibration.leakage import audit
 from palpate.calibration.robustness import CertifiedModel, Suite, adapted_guard
 from palpate.calibration.sessions.copies import TOGETHER, CopiesToldApart, copy_card, tell_apart

@@ -15,9 +15,9 @@ from palpate.calibration.classes import (
     score_of_run,
     target_values,
 )
-from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.calibration.coverage import range_scores, target_findings
 from palpate.calibration.coverage.circular_scores import dispersion, shortest
+from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.coverage.joint_regions import joint_score
 from palpate.calibration.training_data import rows_matching
 from palpate.core import CertificateError, LabelError, Progress, Shaped, Values, silent

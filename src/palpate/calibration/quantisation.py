@@ -36,9 +36,9 @@ from palpate.calibration.certificate import (
     read_predictions,
     write_picture,
 )
-from palpate.calibration.conformal import fit_intervals
 from palpate.calibration.confounds.deciding_pixels import MAP_FILE
 from palpate.calibration.coverage import range_cards
+from palpate.calibration.coverage.conformal import fit_intervals
 from palpate.calibration.evaluation import groups_in, score
 from palpate.calibration.training_data import learning_set, rows_to_learn
 from palpate.core import (

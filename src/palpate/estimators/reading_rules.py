@@ -82,14 +82,21 @@ def _outside_arc(target: TargetCard, value: float, half_width: float, period: fl
 
 
 def _not_read(target: TargetCard) -> str:
-    score, name = target.score, target.quantity.replace("_", " ")
+    score, why = target.score, too_unsure(target)
     if score.says_nothing:
         off = f"its error, {score.mae:.3g} {target.unit} on average, is no better than always saying the mean"
-        return f"this calibration does not read {name}: {off} ({score.mean_mae:.3g} {target.unit})"
+        why = f"{off} ({score.mean_mae:.3g} {target.unit})"
+    return f"this calibration does not read {target.quantity.replace('_', ' ')}: {why}"
+
+
+def too_unsure(target: TargetCard) -> str:
+    """Why a target is not read, by the width of its intervals; empty where they tell something."""
+    if not target.is_as_unsure_as_its_range:
+        return ""
     if target.untold_width == 0:
-        return f"this calibration does not read {name}: held out, it told no more than always saying the mean"
-    wide = f"its intervals are {2 * score.half_width:.3g} {target.unit} wide on average"
-    return f"this calibration does not read {name}: {wide}, and {_whole(target)}"
+        return "on rows held out of the calibration, it told no more than always saying the mean"
+    wide = f"its intervals are {2 * target.score.half_width:.3g} {target.unit} wide on average"
+    return f"{wide}, and {_whole(target)}"
 
 
 def _whole(target: TargetCard) -> str:

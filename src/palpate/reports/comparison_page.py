@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from palpate.calibration.certificate import read_predictions
-from palpate.calibration.conformal import means_of_redrawn_groups
+from palpate.calibration.coverage.grouped_rates import means_of_redrawn_groups
 from palpate.calibration.evaluation import groups_in
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.core import (

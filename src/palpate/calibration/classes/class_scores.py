@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from palpate.calibration.classes.class_labels import SEPARATOR, known_codes
-from palpate.calibration.conformal import grouped_coverage_interval
+from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.coverage.range_scores import MARGIN, chance_of_so_few, failing
 from palpate.core import Bool, Indices
 from palpate.estimators.class_sets import ClassCard, ClassCoverageCard, ClassScoreCard, Members

@@ -311,16 +311,19 @@ def _crop_remedy(
     told = [j for j, e in enumerate(evidence) if e.told_outside(count)]
     again = "record it anew without, or cut it away"
     if not _one_view(rows):
-        return f"crop both views closer to the skin (--crop X,Y,WIDTH,HEIGHT twice); {again}"
+        return f"crop both views closer to the skin (`--crop X,Y,WIDTH,HEIGHT` twice); {again}"
     if not region.has_outside:
-        return f"cut the place away (--crop X,Y,WIDTH,HEIGHT), and calibrate again; {again}"
+        return f"cut the place away (`--crop X,Y,WIDTH,HEIGHT`), and calibrate again; {again}"
     box = region.box
     for shrink in SHRINKS:
         box = _shrunk(region.box, shrink)
         if not told or _silent(images, region, box, rows, chosen, count, told):
             break
     x, y, width, height = _in_frame(box, images.shape, rows)
-    return f"cut it away, calibrate again and compare: --crop {x},{y},{width},{height}"
+    return (
+        f"cut it away by `--crop {x},{y},{width},{height}`, calibrate again, and `palpate evaluate` both on "
+        "another session"
+    )
 
 
 def _shrunk(box: Box, factor: float) -> Box:

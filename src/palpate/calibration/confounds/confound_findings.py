@@ -213,8 +213,8 @@ def _order(evidence: TargetEvidence, told_outside: bool) -> Finding:
     )
     named = "" if order.units == "presses" else f"; {NAME_PRESSES}"
     remedy = (
-        f"record presses in random order{named}; until then, --split blocks holds out stretches of time, and "
-        "palpate evaluate on another session says what is true of it"
+        f"record presses in random order{named}; until then, `--split blocks` holds out stretches of time, "
+        "and `palpate evaluate` on another session says what is true of it"
     )
     if told_outside:
         return Finding(

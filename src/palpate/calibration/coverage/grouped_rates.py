@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import betaincinv
 
-from palpate.core import Int
+from palpate.core import Float, Int
 
 GROUPS_ADDED = 2
 """Groups with rows that all agree, which are added to those seen where rows are few. With two, the intervals
@@ -74,6 +74,35 @@ def rate_interval(hits: float, n: float, confidence: float) -> tuple[float, floa
     low = float(betaincinv(hits, misses + 1, tail)) if hits > 0 else 0.0
     high = float(betaincinv(hits + 1, misses, 1 - tail)) if misses > 0 else 1.0
     return low, high
+
+
+CONFIDENCE = 0.95
+
+
+def coverage_interval(hits: int, n: int) -> tuple[float, float]:
+    """95 % interval of a rate by Clopper and Pearson, from `hits` of `n` independent rows."""
+    return rate_interval(hits, n, CONFIDENCE)
+
+
+def grouped_coverage_interval(inside: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
+    """95 % interval of a rate over groups, seen and not, from rows that come in groups.
+
+    It is Clopper and Pearson's of as many rows as these are worth (E. Korn and B. Graubard, Survey
+    Methodology 24, 193 (1998)): of all where each is its own group, of one or two where there are no more
+    groups, since these do not tell how groups differ.
+    """
+    n = effective_rows(groups, cautious_correlation(inside, groups))
+    return rate_interval(float(inside.mean()) * n, n, CONFIDENCE)
+
+
+def means_of_redrawn_groups(
+    values: np.ndarray, groups: np.ndarray, *, seed: int = 0, draws: int = 2000
+) -> Float[np.ndarray, " d"]:
+    """Means of values of which whole groups are drawn again with replacement, so many times (bootstrap)."""
+    _, index = np.unique(groups, return_inverse=True)
+    sums, sizes = np.bincount(index, weights=values), np.bincount(index)
+    drawn = np.random.default_rng(seed).integers(0, len(sizes), (draws, len(sizes)))
+    return np.asarray(sums[drawn].sum(axis=1) / sizes[drawn].sum(axis=1))
 
 
 def group_sizes(groups: np.ndarray) -> tuple[Int[np.ndarray, " g"], Int[np.ndarray, " n"]]:

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.calibration.conformal import grouped_coverage_interval, spread_of_others
+from palpate.calibration.coverage.conformal import spread_of_others
+from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.coverage.range_fit import group_parts, grouped_quantile
 from palpate.core import Float, Values
 from palpate.estimators.intervals import Intervals, component_names, mahalanobis

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from palpate.calibration.coverage.range_scores import range_sentences
 from palpate.estimators.model_card import Card, TargetCard
+from palpate.estimators.reading_rules import too_unsure
 from palpate.estimators.target_layout import FULL_TURN
 
 NEARLY_A_TURN = 350 / 360
@@ -27,7 +28,7 @@ def target_findings(target: TargetCard, coverage: float) -> tuple[str, ...]:
     name = target.quantity.replace("_", " ")
     tenths = () if target.over_range is None else target.over_range.tenths
     found = [f"{name}: {sentence}" for sentence in range_sentences(tenths, target.unit, coverage)]
-    if why := _not_read(target):
+    if why := too_unsure(target):
         found.append(f"{name} is not read: {why}")
     turn, span = FULL_TURN.get(target.unit), target.greatest - target.least
     if turn is not None and target.circular is None and span >= NEARLY_A_TURN * turn:
@@ -37,19 +38,3 @@ def target_findings(target: TargetCard, coverage: float) -> tuple[str, ...]:
             f"readings are off by up to a turn; calibrate with --circular {target.column}"
         )
     return tuple(found)
-
-
-def _not_read(target: TargetCard) -> str:
-    """Why the target is not read, by the width of its intervals; empty where they tell something."""
-    width, span, unit = 2 * target.score.half_width, target.greatest - target.least, target.unit
-    stated = None if target.circular is None else target.circular.untold_width
-    if stated == 0:
-        return "on rows held out of the calibration, it told no more than always saying the mean"
-    known = target.over_range is not None or target.circular is not None  # cards of before have no such rule
-    if not known or width < (span if stated is None else stated):
-        return ""
-    wide = f"its intervals are {width:.3g} {unit} wide on average, and"
-    if stated is None:
-        return f"{wide} the range is {span:.3g} {unit}"
-    share = f"{stated:.3g} {unit} are {100 * stated / span:.3g} % of the calibrated arc"
-    return f"{wide} {share}, whatever the image shows"

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from palpate.calibration.certificate import CalibrationResult, IntervalFit
-from palpate.calibration.conformal import fit_intervals
+from palpate.calibration.coverage.conformal import fit_intervals
 from palpate.calibration.coverage.group_quantiles import is_distribution_free, rank_of_new_group
 from palpate.calibration.sessions.session_intervals import (
     SessionSpread,

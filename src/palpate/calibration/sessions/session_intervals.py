@@ -37,7 +37,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import norm, t as student
 
-from palpate.calibration.conformal import fit_spread, parts_by_group, spread_terms
+from palpate.calibration.coverage.conformal import fit_spread, parts_by_group, spread_terms
 from palpate.calibration.coverage.group_quantiles import (
     is_distribution_free,
     new_group_quantile,

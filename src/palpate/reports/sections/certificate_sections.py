@@ -17,8 +17,8 @@ import numpy as np
 import pandas as pd
 
 from palpate.calibration.certificate import read_predictions
-from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.calibration.coverage import target_findings
+from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.evaluation import groups_in
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.calibration.sessions.evaluation_record import PREFIX, SUFFIX, in_order, read_evaluation
@@ -54,7 +54,6 @@ from palpate.reports.sections.target_verdicts import (
     answer,
     fails,
     found_elsewhere,
-    not_read,
     others,
     outer_ranges,
     reading_half_width,
@@ -184,7 +183,7 @@ def _answer(report: ReportedCalibration, target: TargetCard) -> dict[str, str]:
     tested = tested_text(card, target, report.evaluations)
     in_order = [sentence for column, sentence in order_verdicts(card).items() if column == target.column]
     sentences = [answer(card, target, ends, report.scored_groups, tested)]
-    if not not_read(target):
+    if target.is_read:
         sentences += [one.removeprefix(f"{name}: ") for one in target_findings(target, card.coverage)]
         sentences += found_elsewhere(target, report.evaluations)
         sentences += in_order
@@ -197,7 +196,7 @@ def _answer(report: ReportedCalibration, target: TargetCard) -> dict[str, str]:
         )
     if not_relied_on(card, target):
         sentences.append("do not rely on this: the audit failed, see above")
-    bad = not_read(target) or not_relied_on(card, target)
+    bad = not target.is_read or not_relied_on(card, target)
     warned = bool(in_order) or fails(card, target, ends, report.evaluations)
     return {"text": ". ".join(one[0].upper() + one[1:] for one in sentences[1:]), "first": sentences[0],
             "style": "bad" if bad else "warn" if warned else ""}  # fmt: skip
@@ -235,7 +234,7 @@ def targets(report: ReportedCalibration) -> Values | None:
             {
                 "name": target.quantity.replace("_", " "),
                 "verdict": verdict(target, report.ends[target.column], report.scored_groups),
-                "bad": not_read(target),
+                "bad": not target.is_read,
                 "findings": target_findings(target, report.card.coverage),
                 "panels": target_panels(target, report.table, report.groups),
                 "card": target,

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.image import imread
 
-from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.calibration.confounds.deciding_pixels import MAP_FILE, block_edges
+from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.evaluation import groups_within
 from palpate.calibration.robustness.perturbation_suite import MAX_SILENT
 from palpate.estimators.finding_cards import PerturbationCard

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from palpate.calibration.conformal import grouped_coverage_interval
 from palpate.calibration.coverage import target_findings
+from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.core import half_width_text, rounded
 from palpate.estimators.finding_cards import SessionsCard
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard
+from palpate.estimators.reading_rules import too_unsure
 from palpate.estimators.reference_uncertainty import with_reference
 from palpate.reports.calibration_figures import errors_of, held_rows, interval_ends, target_columns
 from palpate.reports.score_intervals import mean_error_half_width, percent
@@ -77,11 +78,6 @@ def others(evaluations: Sequence[EvaluationRecord]) -> tuple[EvaluationRecord, .
     return tuple(one for one in evaluations if one.of_another_session)
 
 
-def not_read(target: TargetCard) -> bool:
-    """True where the model does not tell the target: no better than the mean, or as unsure as the range."""
-    return not target.is_read
-
-
 def fails(
     card: Card, target: TargetCard, ends: Sequence[OuterRange], evaluations: Sequence[EvaluationRecord]
 ) -> bool:
@@ -124,22 +120,11 @@ def answer(card: Card, target: TargetCard, ends: Sequence[OuterRange], groups: i
             f"{name}: not read by this model: {typical} {s.unit} off on average, no better than always "
             "saying the mean"
         )
-    if target.is_as_unsure_as_its_range:
-        return f"{name}: not read by this model: {_width_of(target, half)}"
+    if why := too_unsure(target):
+        return f"{name}: not read by this model: {why}"
     held = f"its own intervals, ±{half} {s.unit} on average, held {_held(s, card.coverage)}"
     but = _but(s, ends, card.coverage)
     return f"{name}: {typical} {s.unit} typical; {held} {_where(target)}{but}; {tested}"
-
-
-def _width_of(target: TargetCard, half: str) -> str:
-    """Why intervals that are too wide on average tell nothing."""
-    width = f"its intervals, ±{half} {target.unit} on average,"
-    stated = None if target.circular is None else target.circular.untold_width
-    if stated is None:
-        return f"{width} are as long as the range"
-    if stated == 0:
-        return "on rows held out of the calibration, it told no more than always saying the mean"
-    return f"{width} hold no more than as long a part of the calibrated arc does whatever the image shows"
 
 
 def _where(target: TargetCard) -> str:

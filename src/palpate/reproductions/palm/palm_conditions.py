@@ -29,7 +29,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from palpate.calibration.adaptation import adapt
-from palpate.calibration.conformal import coverage_interval
+from palpate.calibration.coverage.grouped_rates import coverage_interval
 from palpate.calibration.evaluation import zeros_of
 from palpate.core import ManualClock
 from palpate.estimators.certified import Estimator

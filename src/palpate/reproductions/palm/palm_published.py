@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from palpate.calibration.conformal import grouped_coverage_interval, means_of_redrawn_groups
+from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval, means_of_redrawn_groups
 from palpate.core import Float, InputError, Shaped, ndarray, split_column
 from palpate.estimators.networks import model_kind
 from palpate.reproductions.study_results import Published

@@ -12,17 +12,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.stats import binomtest
 from sklearn.linear_model import GammaRegressor
 from sklearn.model_selection import GroupKFold
 
 from palpate.calibration.coverage.group_quantiles import weighted_quantile
-from palpate.calibration.coverage.grouped_rates import (
-    cautious_correlation,
-    effective_rows,
-    group_sizes,
-    rate_interval,
-)
+from palpate.calibration.coverage.grouped_rates import group_sizes
 from palpate.calibration.coverage.range_fit import fit_range_intervals
 from palpate.core import Float, InputError, RangeError, Values
 from palpate.estimators.intervals import ErrorSpread, Intervals, design
@@ -116,38 +110,6 @@ def spread_of_others(predicted: Outputs, errors: Values, groups: np.ndarray) -> 
     for others, held in parts_by_group(groups):
         expected[held] = fit_spread(predicted[others], errors[others], terms).at(predicted[held])
     return expected
-
-
-CONFIDENCE = 0.95
-
-
-def coverage_interval(hits: int, n: int) -> tuple[float, float]:
-    """95 % interval of a rate by Clopper and Pearson, from `hits` of `n` independent rows."""
-    interval = binomtest(hits, n).proportion_ci(CONFIDENCE, method="exact")
-    return float(interval.low), float(interval.high)
-
-
-def means_of_redrawn_groups(
-    values: np.ndarray, groups: np.ndarray, *, seed: int = 0, draws: int = 2000
-) -> Float[np.ndarray, " d"]:
-    """Means of values of which whole groups are drawn again with replacement, so many times (bootstrap)."""
-    _, index = np.unique(groups, return_inverse=True)
-    sums, sizes = np.bincount(index, weights=values), np.bincount(index)
-    drawn = np.random.default_rng(seed).integers(0, len(sizes), (draws, len(sizes)))
-    return np.asarray(sums[drawn].sum(axis=1) / sizes[drawn].sum(axis=1))
-
-
-def grouped_coverage_interval(inside: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
-    """95 % interval of a rate over groups, seen and not, from rows that come in groups.
-
-    It is Clopper and Pearson's of as many rows as these are worth (E. Korn and B. Graubard, Survey
-    Methodology 24, 193 (1998)): of all where each is its own group, of one or two where there are no more
-    groups, since these do not tell how groups differ. See `coverage.grouped_rates`.
-    """
-    if len(np.unique(groups)) == len(inside):
-        return coverage_interval(int(inside.sum()), len(inside))
-    n = effective_rows(groups, cautious_correlation(inside, groups))
-    return rate_interval(float(inside.mean()) * n, n, CONFIDENCE)
 
 
 def parts_by_group(groups: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
