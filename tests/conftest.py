@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import inspect
 import os
 import typing
@@ -40,6 +41,32 @@ typed = beartype.beartype(
 )
 jaxtyped = jaxtyping.jaxtyped
 
+CHECKED_CALLS = 25
+"""Calls of a function whose shapes are checked in each test: those of a loop after them would tell nothing
+new, and took a third of a calibration's time."""
+tests_begun = [0]
+
+
+def begins_checked(function, with_shapes):
+    """The function with its shapes checked at the first calls in each test."""
+    test = calls = 0
+
+    @functools.wraps(function)
+    def call(*args, **kwargs):
+        nonlocal test, calls
+        if test != tests_begun[0]:
+            test, calls = tests_begun[0], 0
+        calls += 1
+        return (with_shapes if calls <= CHECKED_CALLS else function)(*args, **kwargs)
+
+    return call
+
+
+@pytest.fixture(autouse=True)
+def shapes_checked_anew() -> None:
+    """Count calls anew, so that each test checks shapes."""
+    tests_begun[0] += 1
+
 
 def checked(what):
     """What jaxtyping's hook decorates, with shapes checked where there are any and types everywhere.
@@ -58,7 +85,8 @@ def checked(what):
     if not inspect.isgeneratorfunction(what) and not any(map(_has_array, _hints(what))):
         with contextlib.suppress(beartype.roar.BeartypeDecorHintException):  # as P.args: for jaxtyping alone
             return typed(what)
-    return jaxtyped(what, typechecker=typed)
+    with_shapes = jaxtyped(what, typechecker=typed)
+    return begins_checked(what, with_shapes) if inspect.isfunction(what) else with_shapes
 
 
 # Before any test imports palpate: what was imported earlier would go unchecked.

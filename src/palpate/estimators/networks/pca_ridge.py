@@ -152,7 +152,12 @@ class PcaRidge:
             return float(np.median(self.penalties))
         errors = np.zeros(len(self.penalties))
         for learn, watch in GroupKFold(folds).split(scores, groups=groups):
+            centre, mean = scores[learn].mean(axis=0), targets[learn].mean(axis=0)
+            # One decomposition serves all penalties: weights are V s / (s^2 + penalty) U^T y.
+            left, s, right = np.linalg.svd(scores[learn] - centre, full_matrices=False)
+            told = left.T @ (targets[learn] - mean)
+            ways = (scores[watch] - centre) @ right.T
             for i, penalty in enumerate(self.penalties):
-                guess = Ridge(alpha=penalty).fit(scores[learn], targets[learn]).predict(scores[watch])
-                errors[i] += float(np.sum((guess.reshape(len(watch), -1) - targets[watch]) ** 2))
+                guess = mean + (ways * (s / (s**2 + penalty))) @ told
+                errors[i] += float(np.sum((guess - targets[watch]) ** 2))
         return self.penalties[int(np.argmin(errors))]
