@@ -53,6 +53,38 @@ def test_a_new_run_s_instrument_goes_before_the_former_which_stands_where_none_i
     assert re.match(r"x_mm: ±0\.82 mm of its labels' instrument \(laser B\)", line)
 
 
+@pytest.mark.parametrize("words", [(), ("--intervals-only",)])
+def test_a_file_of_instruments_goes_before_the_run_s_and_the_former_one_when_adapting(
+    words, record_spots, tmp_path
+) -> None:
+    calibrate(record_spots("run", 20), CalibrationPlan(**PLAN, instruments=FORMER), tmp_path / "cal")
+    stated, file = stating(record_spots("stated", 12, seed=2), OTHER), tmp_path / "labels.toml"
+    file.write_text('[x_mm]\ninstrument = "fine C"\nstandard_uncertainty = 0.01\n')
+    asked = ["adapt", tmp_path / "cal", stated.path, *words, "--quiet", "--instruments"]
+    found = CliRunner().invoke(app, [*map(str, asked), str(file), "--out", str(tmp_path / "own")])
+    assert found.exit_code == 0, found.output
+    assert named(read_card(tmp_path / "own")) == [("fine C", 0.01)]
+    file.write_text('[force_N]\ninstrument = "none such"\n')
+    found = CliRunner().invoke(app, [*map(str, asked), str(file), "--out", str(tmp_path / "no")])
+    assert found.exit_code == 2
+    assert "instruments are given for force_N, and the label columns are" in " ".join(found.output.split())
+    assert not (tmp_path / "no").exists()
+
+
+@pytest.mark.parametrize("take_over", [adapt, reset_intervals])
+def test_runs_partly_measured_are_adapted_to_once_an_instrument_is_stated_for_all(
+    take_over, record_spots, tmp_path
+) -> None:
+    calibrate(record_spots("run", 20), CalibrationPlan(**PLAN), tmp_path / "cal")
+    parts = [record_spots("a", 12, seed=1), stating(record_spots("b", 12, seed=2), OTHER)]
+    both = joined(parts)
+    with pytest.raises(LabelError, match="x_mm: a states no instrument"):
+        take_over(tmp_path / "cal", both, tmp_path / "own")
+    if take_over is adapt:  # intervals are set for one session alone
+        take_over(tmp_path / "cal", both, tmp_path / "own", instruments=FINE)
+        assert named(read_card(tmp_path / "own")) == [("fine C", 0.01)]
+
+
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_joined_runs_have_the_least_certain_instrument_in_whichever_order(order, record_spots) -> None:
     runs = [stating(record_spots("a", 3), FINE), stating(record_spots("b", 3, seed=1), OTHER)]

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import tempfile
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -49,8 +50,9 @@ from palpate.estimators.model_card import Card, SplitCard
 from palpate.estimators.networks.model_interface import refuse_unfit
 from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import PackedSet, Run, Split, pack, split
-from palpate.recordings.joined_runs import refuse_partly_measured
+from palpate.recordings.joined_runs import check_instruments
 from palpate.recordings.label_tables import targets_from
+from palpate.recordings.reference_instruments import ReferenceInstrument
 from palpate.recordings.splits import group_names
 
 MAX_COVERAGE = 1 - 1e-9
@@ -125,7 +127,14 @@ GROUPS = ("press", "location")
 MIN_PRESSES = 10
 
 
-def adapt(folder: PathText, run: Run, out: PathText, progress: Progress = silent) -> Card:
+def adapt(
+    folder: PathText,
+    run: Run,
+    out: PathText,
+    progress: Progress = silent,
+    *,
+    instruments: Mapping[str, ReferenceInstrument] | None = None,
+) -> Card:
     """Adapt a calibration to another copy of its sensor.
 
     Args:
@@ -134,6 +143,8 @@ def adapt(folder: PathText, run: Run, out: PathText, progress: Progress = silent
             untouched copy marked by the calibration's own rule.
         out: the calibration folder to make; must not exist, and appears whole.
         progress: called with what is being done and how far it is.
+        instruments: what label columns were measured with; it goes before what the run's manifest states, and
+            that before the former calibration's.
 
     Returns:
         The new calibration's card. Its scores are of presses that the correction had not learnt from;
@@ -143,7 +154,8 @@ def adapt(folder: PathText, run: Run, out: PathText, progress: Progress = silent
         ExistsError: `out` exists.
         CertificateError: the calibration is damaged.
         ImageError: frames are of another size.
-        LabelError: a target, or the untouched sensor, is not among the labels.
+        LabelError: a target, or the untouched sensor, is not among the labels; an instrument is given for
+            what is none of them.
         InputError: too few presses, or the very run that the calibration has learnt from.
     """
     out = Path(out)
@@ -152,8 +164,9 @@ def adapt(folder: PathText, run: Run, out: PathText, progress: Progress = silent
     estimator = Estimator.open(folder)
     card = estimator.card
     _refuse_classes(card)
-    refuse_partly_measured(run, card.columns)
-    plan = CalibrationPlan.of_card(card, _rule(card, run), _grouping(run), run.manifest.instruments)
+    check_instruments(run, card.columns, instruments or {})
+    stated = run.manifest.instruments | dict(instruments or {})
+    plan = CalibrationPlan.of_card(card, _rule(card, run), _grouping(run), stated)
     _check(card, run, plan)
     with storage_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)

@@ -26,6 +26,9 @@ from palpate.cli.verb_support import (
 )
 
 Box = tuple[int, int, int, int]
+Instruments = Annotated[
+    Path | None, Option(help="TOML file of what the labels were measured with, a section a column.")
+]
 
 
 def calibrate(
@@ -107,9 +110,7 @@ def calibrate(
             help="Label columns of classes or counts, e.g. touched, or grade=soft/firm/hard to name 0, 1, 2."
         ),
     ] = "",
-    instruments: Annotated[
-        Path | None, Option(help="TOML file of what the labels were measured with, a section a column.")
-    ] = None,
+    instruments: Instruments = None,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -417,6 +418,7 @@ def adapt(
             "--intervals-only", help="Leave the network as it is; set its intervals anew for this session."
         ),
     ] = False,
+    instruments: Instruments = None,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -428,25 +430,29 @@ def adapt(
     Example: palpate adapt cal run-of-today --intervals-only --out cal-today
     """
     from palpate.calibration.adaptation import adapt as take_over
+    from palpate.recordings.reference_instruments import read_instruments
     from palpate.workflows.certification import REPORT_FILE
 
+    stated = {} if instruments is None else read_instruments(instruments)
     if intervals_only:
-        _set_intervals_anew(calibration, run, out, json_, quiet)
+        _set_intervals_anew(calibration, run, out, stated, json_, quiet)
         return
     with progress_bar(quiet) as progress:
-        card = take_over(calibration, palpate.Run.open(run), out, progress)
+        card = take_over(calibration, palpate.Run.open(run), out, progress, instruments=stated)
         progress("writing the report", 0, 1)
         palpate.write_report(out, out / REPORT_FILE)
     print_found(card.model_dump(mode="json"), _adapted_text(card, out, REPORT_FILE), json_)
 
 
-def _set_intervals_anew(calibration: Path, run: Path, out: Path, json_: bool, quiet: bool) -> None:
+def _set_intervals_anew(
+    calibration: Path, run: Path, out: Path, instruments: dict[str, Any], json_: bool, quiet: bool
+) -> None:
     from palpate.calibration.sessions import reset_intervals
     from palpate.estimators.certified import read_card
     from palpate.workflows.certification import REPORT_FILE
 
     with progress_bar(quiet) as progress:
-        card = reset_intervals(calibration, palpate.Run.open(run), out, progress)
+        card = reset_intervals(calibration, palpate.Run.open(run), out, progress, instruments=instruments)
         progress("writing the report", 0, 1)
         palpate.write_report(out, out / REPORT_FILE)
     former = {target.column: target for target in read_card(calibration).targets}

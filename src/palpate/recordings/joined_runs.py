@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -13,7 +13,7 @@ import pandas as pd
 from palpate.core import InputError, LabelError, SplitError
 from palpate.recordings.label_tables import Label
 from palpate.recordings.manifest import LabelKind, Manifest
-from palpate.recordings.reference_instruments import ReferenceInstrument
+from palpate.recordings.reference_instruments import ReferenceInstrument, refuse_strangers
 from palpate.recordings.run_reader import Run
 from palpate.recordings.segments.segment_reader import Damage
 from palpate.recordings.splits import SESSION, group_names
@@ -206,6 +206,22 @@ def _least_certain(stated: Sequence[ReferenceInstrument]) -> ReferenceInstrument
     return worst.model_copy(
         update={"instrument": f"{worst.instrument}, the least certain of {'; '.join(names)}"}
     )
+
+
+def check_instruments(run: Run, columns: Sequence[str], stated: Mapping[str, ReferenceInstrument]) -> None:
+    """Check what is stated, beside a run, of what its columns were measured with.
+
+    Args:
+        run: with its labels.
+        columns: what is learnt or scored of them.
+        stated: instruments by column; they go before those that the run states.
+
+    Raises:
+        LabelError: one is stated for what is no label column, or a column has none of its own and only some
+            of a joined run's parts state one.
+    """
+    refuse_strangers(stated, tuple(run.manifest.labels), str(run.path))
+    refuse_partly_measured(run, [column for column in columns if column not in stated])
 
 
 def refuse_partly_measured(run: Run, columns: Sequence[str]) -> None:

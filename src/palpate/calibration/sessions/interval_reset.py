@@ -19,6 +19,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -79,8 +80,9 @@ from palpate.estimators.model_card import (
 )
 from palpate.estimators.target_layout import Outputs
 from palpate.recordings import Run, Split, pack
-from palpate.recordings.joined_runs import refuse_partly_measured, sessions_of
+from palpate.recordings.joined_runs import check_instruments, sessions_of
 from palpate.recordings.label_tables import with_own
+from palpate.recordings.reference_instruments import ReferenceInstrument
 from palpate.recordings.table_files import write_table
 
 FOLDS_OF_GUARD = 10
@@ -159,7 +161,14 @@ def radius_set_anew(
     return max(radius, float(np.finfo(np.float32).tiny))
 
 
-def reset_intervals(folder: PathText, run: Run, out: PathText, progress: Progress = silent) -> Card:
+def reset_intervals(
+    folder: PathText,
+    run: Run,
+    out: PathText,
+    progress: Progress = silent,
+    *,
+    instruments: Mapping[str, ReferenceInstrument] | None = None,
+) -> Card:
     """Set a calibration's intervals anew by some tens of labelled rows of a new session.
 
     The network stays, to the last byte; the novelty detector learns the session's frames besides those it
@@ -170,6 +179,8 @@ def reset_intervals(folder: PathText, run: Run, out: PathText, progress: Progres
         run: labelled rows of one new session, of nine groups or more at 90 %.
         out: the calibration folder to make; must not exist, and appears whole.
         progress: called with what is being done and how far it is.
+        instruments: what label columns were measured with; it goes before what the run's manifest states, and
+            that before the former calibration's.
 
     Returns:
         The new calibration's card; `interval_reset` names the calibration and the run that set it.
@@ -178,14 +189,15 @@ def reset_intervals(folder: PathText, run: Run, out: PathText, progress: Progres
         ExistsError: `out` exists.
         CertificateError: the calibration is damaged.
         ImageError: frames are of another size, or the untouched sensor is missing where it is subtracted.
-        LabelError: a target is not among the labels.
+        LabelError: a target is not among the labels, or an instrument is given for what is none of them.
         InputError: too few rows, several sessions, or one that the calibration has learnt from.
     """
     folder, out = Path(folder), Path(out)
     refuse_existing(out)
     started = time.monotonic()
     estimator = Estimator.open(folder)
-    refuse_partly_measured(run, estimator.card.columns)
+    check_instruments(run, estimator.card.columns, instruments or {})
+    stated = run.manifest.instruments | dict(instruments or {})
     rows = _SessionRows.read(estimator, run, progress)
     intervals = intervals_set_anew(intervals_of(estimator.card), rows.outputs, rows.true, rows.groups)
     halves = intervals.half_widths(rows.outputs)
@@ -202,7 +214,8 @@ def reset_intervals(folder: PathText, run: Run, out: PathText, progress: Progres
             table[f"half_width:{column}"] = halves[:, j]
         write_table(table, building / PREDICTIONS_FILE)
         _write_pictures(folder, building, estimator.card, run, rows)
-        card = _card(estimator.card, building, run, rows, intervals, robustness, time.monotonic() - started)
+        seconds = time.monotonic() - started
+        card = _card(estimator.card, building, run, rows, stated, intervals, robustness, seconds)
         (building / CARD_FILE).write_text(card.model_dump_json(indent=1))
         Estimator.open(building)
     return card
@@ -374,6 +387,7 @@ def _card(
     building: Path,
     run: Run,
     rows: _SessionRows,
+    instruments: Mapping[str, ReferenceInstrument],
     intervals: Intervals,
     robustness: RobustnessCard,
     seconds: float,
@@ -384,7 +398,7 @@ def _card(
         target.model_copy(
             update=interval_fields(intervals, j, over_range[j], _untold_width(target, former.coverage))
             | {"score": _score(target, rows, j, halves[:, j], expected)}
-            | {"measured_by": _instrument(target, run, former.coverage)}
+            | {"measured_by": _instrument(target, instruments, former.coverage)}
         )
         for j, target in enumerate(former.targets)
     )
@@ -411,9 +425,11 @@ def _card(
     return sealed(former.model_dump(exclude={"id"}) | made_fields(building) | changed)
 
 
-def _instrument(target: TargetCard, run: Run, coverage: float) -> InstrumentCard | None:
+def _instrument(
+    target: TargetCard, stated: Mapping[str, ReferenceInstrument], coverage: float
+) -> InstrumentCard | None:
     """Instrument of the session's labels, which set the width; the former one where none is stated."""
-    return instrument_card(run.manifest.instruments.get(target.column), coverage) or target.measured_by
+    return instrument_card(stated.get(target.column), coverage) or target.measured_by
 
 
 def _score(
