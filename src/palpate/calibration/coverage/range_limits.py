@@ -1,8 +1,14 @@
 """Where a range ends: how far beyond it frames within it are read, which says what is extrapolated.
 
 A frame from the very end of the range is read beyond it half of the time. So an estimate, and an interval's
-end, may lie beyond the range as far as is usual for held-out frames within it: as far as in 97 % of those
-of the outermost tenth, or as in 99 % of all, whichever is farther.
+end, may lie beyond the range as far as is usual for held-out frames within it: as far as in 97 % of the
+outermost tenth of them, in 97 % of those in the outermost tenth of the range, or in 99 % of all, whichever is
+farthest.
+
+An outermost tenth of few groups says little: four rows that are read within the range would let nothing
+beyond it. Where no rank of its groups promises 97 %, all rows tell how far a value lies beyond its own label:
+a frame within the range lies no farther beyond the range's end, so that 97 % are let go there, too, if errors
+at that end are like the others.
 """
 
 from __future__ import annotations
@@ -11,6 +17,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from palpate.calibration.coverage.group_quantiles import is_distribution_free
 from palpate.calibration.coverage.range_fit import grouped_quantile
 from palpate.calibration.coverage.range_scores import range_scores
 from palpate.core import Values
@@ -34,15 +41,28 @@ def usual_reach(
         groups: label of each row's group.
         ends: of the calibrated range, of which the rows may not have the very last.
     """
-    count = min(max(int(OUTER_SHARE * len(true)), MIN_OUTER_ROWS), len(true))
-    order = np.argsort(true, kind="stable")
-    below, above = ends[0] - low, high - ends[1]
-    return _usual(below, order[:count], groups), _usual(above, order[-count:], groups)
+    length = ends[1] - ends[0]
+    below = _usual(true - ends[0], ends[0] - low, length, groups)
+    above = _usual(ends[1] - true, high - ends[1], length, groups)
+    return below, above
 
 
-def _usual(beyond: Row, outermost: np.ndarray, groups: np.ndarray) -> float:
-    at_the_end = grouped_quantile(beyond[outermost], groups[outermost], USUAL_AT_THE_END)
-    return max(at_the_end, grouped_quantile(beyond, groups, USUAL), 0.0)
+def _usual(within: Row, beyond: Row, length: float, groups: np.ndarray) -> float:
+    """How far beyond one end values usually lie, 0 or more.
+
+    Args:
+        within: how far within that end each row's label lies.
+        beyond: how far beyond it its value lies; negative where within.
+        length: of the range, in the same unit.
+        groups: label of each row's group.
+    """
+    count = min(max(int(OUTER_SHARE * len(within)), MIN_OUTER_ROWS), len(within))
+    tenths = np.argsort(within, kind="stable")[:count], np.flatnonzero(within <= OUTER_SHARE * length)
+    found = [0.0, grouped_quantile(beyond, groups, USUAL)]
+    found += [grouped_quantile(beyond[rows], groups[rows], USUAL_AT_THE_END) for rows in tenths if len(rows)]
+    if not all(is_distribution_free(len(np.unique(groups[rows])), USUAL_AT_THE_END) for rows in tenths):
+        found.append(grouped_quantile(within + beyond, groups, USUAL_AT_THE_END))
+    return max(found)
 
 
 def range_cards(
