@@ -17,6 +17,7 @@ from palpate.recordings import Split, pack, split
 from palpate.recordings.preparation import Preparation
 from palpate.recordings.table_files import read_table
 
+TWO = ("x_mm", "height_mm")
 PLAN = CalibrationPlan(targets=("x_mm", "height_mm"), split="group:press", size_px=(24, 32))
 
 
@@ -218,6 +219,15 @@ def test_what_exists_is_never_overwritten(record_spots, tmp_path) -> None:
         (CalibrationPlan(("flat_mm",)), LabelError, "flat_mm"),
         (CalibrationPlan(("x_mm",), split="group:nothing"), SplitError, "press"),
         (CalibrationPlan(("x_mm",), split="group:press", folds=50), SplitError, "at most 10 folds"),
+        (
+            CalibrationPlan(("x_mm",), folds=11),
+            SplitError,
+            "11 folds were asked for, and split 'auto' makes 10 here, by 10 groups of press: ask for at most",
+        ),
+        (CalibrationPlan(TWO, vectors={"p q": TWO}), InputError, "'p q_mm': its name has"),
+        (CalibrationPlan(TWO, vectors={"p/q": TWO}), InputError, "'p/q_mm': its name has"),
+        (CalibrationPlan(TWO, vectors={"_mm": TWO}), InputError, "'_mm': its name has"),
+        (CalibrationPlan(TWO, vectors={"flat": TWO}), InputError, "has a label column of that name"),
         (CalibrationPlan(("x_mm",), reference=ReferenceRule("weight_g", "0")), LabelError, "weight_g"),
         (CalibrationPlan(("x_mm",), reference=ReferenceRule("press", "none")), LabelError, "press=none"),
     ],
@@ -229,6 +239,12 @@ def test_a_plan_that_does_not_fit_is_refused_and_leaves_nothing(
     with pytest.raises(error, match=says):
         calibrate(run, plan, tmp_path / "cal")
     assert left_over(tmp_path) == []
+
+
+@pytest.mark.parametrize(("folds", "made"), [(None, 4), (4, 4), (2, 2)])
+def test_folds_are_as_many_as_asked_and_by_default_as_the_groups_allow(folds, made, record_spots) -> None:
+    parts = fitting._split_rows(record_spots("run", 4), CalibrationPlan(("x_mm",), folds=folds))
+    assert len(parts.folds) == made
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,10 @@ def test_circular_targets_and_vectors_are_asked_for_in_one_line(run, tmp_path) -
         ("--circular", "x_mm=round", "--circular 'x_mm=round' is not COLUMN or COLUMN=PERIOD"),
         ("--circular", "x_mm", "has no period of its own"),
         ("--vector", "place", "--vector 'place' is not NAME=COLUMN,COLUMN"),
+        ("--circular", "x_mm=4,x_mm=4", "--circular names 'x_mm' twice"),
+        ("--circular", "x_mm=4, x_mm", "--circular names 'x_mm' twice"),
         ("--vector", "place=x_mm", "two components or more"),
+        ("--vector", "=x_mm,y_mm", "--vector '=x_mm,y_mm' is not NAME=COLUMN,COLUMN"),
         ("--instruments", str(tmp_path / "none.toml"), "is no file of instruments"),
     ):
         refused = palpate(*words, option, value, "--out", tmp_path / "no", status=2)

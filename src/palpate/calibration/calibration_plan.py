@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal
@@ -147,6 +148,10 @@ class CalibrationPlan:
                 f"by itself"
             )
         object.__setattr__(self, "vectors", _vectors(self.vectors, self.targets, self.circular))
+        if both := sorted(self.vectors.keys() & self.classes.keys()):
+            raise InputError(
+                f"{', '.join(both)} is a vector and a class at once; give the vector another name"
+            )
 
     @classmethod
     def of_card(
@@ -255,6 +260,35 @@ def _vectors(
     return vectors
 
 
+VECTOR_NAME = re.compile(r"[^\W_][\w.-]*")
+
+
+def check_vector_names(vectors: Iterable[str], labels: Iterable[str], source: str) -> None:
+    """Check the columns that vectors get in a new calibration.
+
+    They stand as columns of tables and keys of readings, beside those of the labels.
+
+    Args:
+        vectors: their columns, with the unit.
+        labels: label columns of the run.
+        source: the run, for messages.
+
+    Raises:
+        InputError: one has other characters than a name's, or is a label column's.
+    """
+    for column in vectors:
+        if not VECTOR_NAME.fullmatch(column):
+            raise InputError(
+                f"vector {column!r}: its name has letters, digits, _, - and . alone, and begins with a "
+                "letter or a digit, as in force"
+            )
+        if column in labels:
+            raise InputError(
+                f"vector {column}: {source} has a label column of that name; give the vector a name "
+                "of its own"
+            )
+
+
 def _check_classes(plan: CalibrationPlan) -> None:
     """Refuse columns of classes that are something else as well, or are named in a way that reads twice."""
     from palpate.estimators.networks import model_kind
@@ -264,7 +298,7 @@ def _check_classes(plan: CalibrationPlan) -> None:
             raise InputError(
                 f"{column} is circular and a class at once: an angle is no class; say one of both"
             )
-        if column in plan.targets or column in plan.vectors:
+        if column in plan.targets:
             raise InputError(f"{column} is named as a target and as a class; say one of both")
         if len(set(names)) < len(names) or not all(name.strip() and "|" not in name for name in names):
             raise InputError(

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from palpate.calibration.calibration_plan import CalibrationPlan
+from palpate.calibration.calibration_plan import CalibrationPlan, check_vector_names
 from palpate.calibration.certificate import (
     CalibrationResult,
     intervals_by,
@@ -80,10 +80,9 @@ from palpate.estimators.networks.distributed import ProcessGroup
 from palpate.estimators.networks.model_interface import Fitted, TimeBoxed
 from palpate.estimators.target_layout import Outputs
 from palpate.recordings import PackedSet, Run, Split, pack, split
-from palpate.recordings.joined_runs import joined, refuse_partly_measured
+from palpate.recordings.joined_runs import check_instruments, joined
 from palpate.recordings.label_tables import refuse_reserved
 from palpate.recordings.preparation import Preparation
-from palpate.recordings.reference_instruments import refuse_strangers
 from palpate.version import __version__
 
 MIN_LEARNT = 5
@@ -178,8 +177,8 @@ def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
     if len(run) < 10:
         raise InputError(f"{run.path} holds {len(run)} frames; a calibration needs 10 or more")
     refuse_reserved(list(run.manifest.labels), str(run.path))
-    refuse_strangers(plan.instruments, tuple(run.manifest.labels), str(run.path))
-    refuse_partly_measured(run, [name for name in plan.targets if name not in plan.instruments])
+    check_instruments(run, plan.targets, plan.instruments)
+    check_vector_names(plan.vectors, run.manifest.labels, str(run.path))
     make_model(plan.model, plan.options)
     prepared = preparation_of(run, plan).apply(run.frame(0).image)
     table = table_to_learn(run.labels, plan)
@@ -190,6 +189,7 @@ def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
     classes = _classes(run, plan, table)
     others = table.drop(columns=list(plan.classes)) if plan.split == "auto" else table
     parts = split(others, plan.split, folds=fold_count(plan), seed=plan.seed)
+    _refuse_fewer_folds(plan, parts)
     check_learnable(classes, parts)
     names = tuple(name for one in classes for name in one.output_names)
     check_sessions(table, with_classes(values, classes), (*plan.targets, *names), parts)
@@ -206,6 +206,17 @@ def _classes(run: Run, plan: CalibrationPlan, table: pd.DataFrame) -> tuple[Clas
         else " (rows of the untouched sensor are learnt from by --learn-untouched)"
     )
     return class_labels(table, plan.classes, str(run.path), hint=hint)
+
+
+def _refuse_fewer_folds(plan: CalibrationPlan, parts: Split) -> None:
+    """Raise where a split makes fewer folds than were asked for; the default takes what there is."""
+    made = len(parts.folds)
+    if plan.folds is not None and plan.folds > made:
+        column = f" of {' and '.join(parts.group_columns)}" if parts.group_columns else ""
+        raise SplitError(
+            f"{plan.folds} folds were asked for, and split {plan.split!r} makes {made} here, by {made} "
+            f"groups{column}: ask for at most {made}, for none in particular, or for another split"
+        )
 
 
 def _refuse_few_to_learn(parts: Split, rows: int) -> None:

@@ -180,9 +180,14 @@ def periods_of(text: str) -> dict[str, float | None]:
 
     periods: dict[str, float | None] = {}
     for part in names_of(text):
-        name, equals, period = part.partition("=")
+        name, equals, period = (piece.strip() for piece in part.partition("="))
+        if name in periods:
+            raise InputError(
+                f"--circular names {name!r} twice; a target comes round after one period: name it once, "
+                "as in edge_deg=180"
+            )
         try:
-            periods[name.strip()] = float(period) if equals else None
+            periods[name] = float(period) if equals else None
         except ValueError as e:
             raise InputError(f"--circular {part!r} is not COLUMN or COLUMN=PERIOD, as in edge_deg=180") from e
     return periods
@@ -210,13 +215,12 @@ def vectors_of(pairs: list[str]) -> dict[str, tuple[str, ...]]:
 
     vectors: dict[str, tuple[str, ...]] = {}
     for pair in pairs:
-        name, equals, parts = pair.partition("=")
-        if not equals or name.strip() in vectors:
-            raise InputError(
-                f"--vector {pair!r} is not NAME=COLUMN,COLUMN with a name of its own, as in "
-                "force=force_x_N,force_y_N"
-            )
-        vectors[name.strip()] = names_of(parts)
+        name, equals, parts = (piece.strip() for piece in pair.partition("="))
+        if not equals or not name:
+            raise InputError(f"--vector {pair!r} is not NAME=COLUMN,COLUMN, as in force=force_x_N,force_y_N")
+        if name in vectors:
+            raise InputError(f"--vector is given twice for {name!r}; give each vector a name of its own")
+        vectors[name] = names_of(parts)
     return vectors
 
 

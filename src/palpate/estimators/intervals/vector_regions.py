@@ -78,9 +78,11 @@ def vector_column(name: str, parts: Sequence[str], targets: Sequence[str]) -> st
         targets: all targets of the calibration.
 
     Raises:
-        InputError: fewer than two components, one twice, one that is no target, several units, or a name that
-            a target has.
+        InputError: fewer than two components, one twice, one that is no target, several units, no name, or
+            one that a target has.
     """
+    if not name:
+        raise InputError(f"a vector of {', '.join(parts)} has no name; give it one, such as force")
     if len(parts) < 2 or len(set(parts)) < len(parts):
         raise InputError(f"vector {name}: {', '.join(parts)}; it has two components or more, each once")
     if strangers := [part for part in parts if part not in targets]:
@@ -94,6 +96,6 @@ def vector_column(name: str, parts: Sequence[str], targets: Sequence[str]) -> st
         )
     (symbol,) = units
     column = name if name.endswith(f"_{symbol}") else f"{name}_{symbol}"
-    if column in targets or not name:
+    if column in targets:
         raise InputError(f"vector {name}: {column} is a target already; give the vector a name of its own")
     return column
