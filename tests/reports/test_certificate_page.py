@@ -1,13 +1,16 @@
 """The page says what the card says, and says when a model does not read a target."""
 
 import html
+import json
 
 import numpy as np
 import pandas as pd
 import pytest
+from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, calibrate
 from palpate.calibration.evaluation import score
+from palpate.cli import app
 from palpate.core import CertificateError
 from palpate.estimators import read_card
 from palpate.reports import scores_table, verdict, write_report
@@ -39,6 +42,38 @@ def test_a_page_is_not_written_from_altered_predictions(calibration, tmp_path) -
     with pytest.raises(CertificateError, match=r"predictions.csv.gz"):
         write_report(calibration, tmp_path / "page.html")
     assert not (tmp_path / "page.html").exists()
+
+
+def test_a_calibration_whose_network_or_guard_was_altered_is_not_reported(calibration, tmp_path) -> None:
+    page = tmp_path / "page.html"
+    for name in ("model.onnx", "guard.npz"):
+        whole = (calibration / name).read_bytes()
+        (calibration / name).write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+        for words in (("--steps",), ("--out", str(page))):
+            found = CliRunner().invoke(app, ["report", str(calibration), *words])
+            assert found.exit_code == 2, (name, words)
+            assert f"{name} is not the file this card was made with" in found.stderr
+            assert (found.stdout, page.exists()) == ("", False)
+        (calibration / name).write_bytes(whole)
+    assert CliRunner().invoke(app, ["report", str(calibration), "--out", str(page)]).exit_code == 0
+    assert page.exists()
+
+
+def test_an_evaluation_that_is_left_out_is_told_in_one_line_on_stderr(calibration, tmp_path) -> None:
+    asked = {
+        "report": ["report", str(calibration), "--out", str(tmp_path / "page.html")],
+        "compare": ["compare", str(calibration), str(calibration), "--json"],
+    }
+    (calibration / "evaluation-0123456789ab.json").write_text("{}")
+    for verb, words in asked.items():
+        found = CliRunner().invoke(app, words)
+        assert found.exit_code == 0, found.output
+        lines = found.stderr.splitlines()
+        assert len(lines) == {"report": 1, "compare": 2}[verb]  # it is compared with itself
+        assert all(line.startswith("left out: evaluation-0123456789ab.json") for line in lines)
+        assert verb == "report" or json.loads(found.stdout)["warnings"]
+    (calibration / "evaluation-0123456789ab.json").unlink()
+    assert CliRunner().invoke(app, asked["compare"]).stderr == ""
 
 
 def test_a_target_that_the_model_does_not_read_is_called_so(record_spots, tmp_path) -> None:

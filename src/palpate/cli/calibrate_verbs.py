@@ -256,19 +256,24 @@ def report(
 
     Example: palpate report cal --out cal.html
     """
+    from palpate.estimators.certified import check_files, read_card
+
     if steps:
-        from palpate.estimators.certified import read_card
         from palpate.estimators.reading_steps import reading_steps
 
         card = read_card(calibration)
+        check_files(calibration, card)
         found = reading_steps(card)
         if card.steps is not None and card.steps.rule == found.rule:
             found = card.steps
         words = [f"{i}. {sentence}" for i, sentence in enumerate(found.words, start=1)]
         print_found(found.model_dump(mode="json"), "\n".join(words), json_)
         return
+    from palpate.reports.sections import ReportedCalibration
+
     page = out or calibration.parent / f"{calibration.resolve().name}.html"
     palpate.write_report(calibration, page)
+    _tell_left_out(ReportedCalibration(calibration, read_card(calibration)).refused_evaluations)
     print_found({"report": str(page)}, str(page), json_)
 
 
@@ -292,8 +297,15 @@ def compare(
     comparison = compare_calibrations(first, second)
     if out is not None:
         write_comparison(comparison, out)
+    _tell_left_out(comparison.left_out)
     page = {"page": None if out is None else str(out)}
     print_found(comparison.to_dict() | page, comparison_text(comparison), json_)
+
+
+def _tell_left_out(why: tuple[str, ...]) -> None:
+    """A line on stderr for each evaluation that was refused, so that its absence is seen without the page."""
+    for one in why:
+        typer.echo(f"left out: {' '.join(one.split())}", err=True)
 
 
 def _model_options(model: str, pairs: list[str], minutes: float | None) -> dict[str, Any]:

@@ -85,6 +85,18 @@ def checked_file(folder: Path, part: FileCard) -> Path:
     return path
 
 
+def check_files(folder: PathText, card: Card) -> None:
+    """Check that all that a card names lies in its folder as it was made.
+
+    Raises:
+        CertificateError: a file is missing, a link, or of other bytes; the message names it.
+    """
+    of_copy = None if card.copy_of is None else card.copy_of.file
+    for part in (card.model, card.guard, of_copy, *card.files):
+        if part is not None:
+            checked_file(Path(folder), part)
+
+
 @dataclass(frozen=True, slots=True)
 class Zero:
     """An untouched sensor's image: what a differential model subtracts, and how far it has drifted."""

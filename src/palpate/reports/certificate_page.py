@@ -10,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from palpate.core import PathText, half_width_text, new_file, rounded
-from palpate.estimators.certified import checked_file, read_card
+from palpate.estimators.certified import check_files, read_card
 from palpate.estimators.model_card import Card
 from palpate.reports.class_text import class_covered, classes_told
 from palpate.reports.score_intervals import (
@@ -30,14 +30,14 @@ def write_report(calibration: PathText, out: PathText) -> Path:
         out: the HTML file to make; must not exist.
 
     Raises:
-        CertificateError: the folder is damaged.
+        CertificateError: the folder is damaged, or its network or another file is not the one that the card
+            was made with.
         ExistsError: `out` exists.
         MissingExtraError: its predictions were written as Parquet, and pyarrow is not installed.
     """
     calibration, out = Path(calibration), Path(out)
     card = read_card(calibration)
-    for part in card.files:
-        checked_file(calibration, part)
+    check_files(calibration, card)
     text = render_report(calibration, card)
     with new_file(out) as path:
         path.write_text(text, encoding="utf-8")

@@ -22,7 +22,7 @@ from palpate.core import (
     new_file,
     rounded,
 )
-from palpate.estimators.certified import checked_file, read_card
+from palpate.estimators.certified import check_files, read_card
 from palpate.estimators.model_card import Card, TargetCard
 from palpate.recordings.label_tables import own_column
 from palpate.reports.calibration_figures import errors_of
@@ -157,8 +157,7 @@ def compare_calibrations(first: PathText, second: PathText) -> CalibrationCompar
     folders = Path(first), Path(second)
     cards = read_card(folders[0]), read_card(folders[1])
     for folder, card in zip(folders, cards, strict=True):
-        for part in (card.model, card.guard, *card.files):
-            checked_file(folder, part)
+        check_files(folder, card)
     both = [column for column in cards[0].columns if column in cards[1].columns]
     if not both:
         raise InputError(
