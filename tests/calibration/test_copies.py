@@ -9,6 +9,7 @@ from palpate.calibration.sessions import reset_intervals
 from palpate.calibration.sessions.copies import MIN_REFUSED_FORMER, tell_apart
 from palpate.core import CertificateError
 from palpate.estimators import Estimator, read_card
+from palpate.estimators.certified import check_files
 from palpate.estimators.guard import CopyDiscriminator
 
 SHAPE = (12, 16, 1)
@@ -103,6 +104,8 @@ def test_a_damaged_discriminator_is_refused_and_intervals_set_anew_keep_it(
     (adapted / "copy.npz").write_bytes(b"")
     with pytest.raises(CertificateError, match=r"copy\.npz"):
         Estimator.open(adapted)
+    with pytest.raises(CertificateError, match=r"copy\.npz is not the file this card was made with"):
+        check_files(adapted, read_card(adapted))
 
 
 def test_several_copies_in_one_calibration_are_held_out_whole(record_spots, rewritten, tmp_path) -> None:
