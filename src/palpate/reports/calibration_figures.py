@@ -132,8 +132,8 @@ def _deciding(
     axes: Axes, unit: str, image: np.ndarray, growth: np.ndarray, edges: tuple[np.ndarray, np.ndarray]
 ) -> None:
     down, across = edges
-    # Paler, so that the blocks stand out by their darkness alone.
-    axes.imshow(image * 0.45 + 0.55, cmap="gray", vmin=0, vmax=1, extent=(0, across[-1], down[-1], 0))
+    pale = image * 0.45 + 0.55  # so that the blocks' red stands out, on a light page and on a dark one
+    axes.imshow(pale, cmap="gray", vmin=0, vmax=1, extent=(0, across[-1], down[-1], 0))
     most = max(float(growth.max()), float(np.finfo(np.float32).tiny))
     shades = ListedColormap([(*to_rgb(DECIDES), 0.85 * part) for part in np.linspace(0, 1, 128)])
     shown = axes.pcolormesh(across, down, np.clip(growth, 0, None), cmap=shades, vmin=0, vmax=most)
@@ -146,6 +146,8 @@ def _deciding(
     tall = min(1.0, max(0.5, 1.2 * float(down[-1] / across[-1])))
     bar = figure.colorbar(shown, ax=axes, shrink=tall, label=f"growth [{unit}]")
     bar.outline.set_edgecolor(INK)
+    # The reds let through what lies beneath: in the bar the picture's mean grey, and not the page.
+    bar.ax.axhspan(0, most, color=str(float(pale.mean())), lw=0, zorder=0)
     axes.set(xlim=(0, across[-1]), ylim=(down[-1], 0), xlabel="[px]", aspect="equal")
 
 
