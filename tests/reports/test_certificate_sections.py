@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
+from matplotlib.image import imread
 from tests.reports.test_certificate_page import held_out
 from typer.testing import CliRunner
 
@@ -22,13 +24,13 @@ from palpate.cli.calibrate_verbs import _card_text
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.card_ground import card_id
 from palpate.estimators.finding_cards import ConfoundFindingCard, OrderCard, SplitScoreCard
-from palpate.estimators.model_card import Card, InstrumentCard, sealed
+from palpate.estimators.model_card import Card, InstrumentCard, RangeCard, TenthCard, sealed
 from palpate.recordings.joined_runs import joined
 from palpate.reports import calibration_figures, write_report
 from palpate.reports.calibration_figures import deciding_blocks, held_rows, target_panels
 from palpate.reports.comparison_page import compare_calibrations, comparison_text
 from palpate.reports.evaluation_text import frames_of, frames_text
-from palpate.reports.order_verdicts import order_sentences, order_verdicts
+from palpate.reports.order_verdicts import order_sentences, order_verdicts, remaining_remedy
 from palpate.reports.sections import (
     MIN_GROUPS,
     NOT_TESTED,
@@ -291,7 +293,56 @@ def test_a_verdict_on_order_stands_before_the_numbers_and_in_that_target_s_answe
     assert "each block holds out a part of its range" in both
     assert "read the blocks" not in both
     assert "calibrate with --split blocks" in order_verdicts(in_order(calibration, ("x_mm",)))["x_mm"]
+    assert "--split blocks:ROWS" in both
     assert order_verdicts(in_order(calibration, (), ("x_mm",))) == {}
+
+
+ORDER = ConfoundFindingCard(
+    kind="order", target="x_mm", severity="warns", text="x_mm follows the order of the rows",
+    remedy="record presses in random order; until then, `--split blocks` holds out stretches of time, and "
+    "`palpate evaluate` on another session says what is true of it",
+)  # fmt: skip
+
+
+def test_what_was_done_about_an_order_is_not_asked_for_again(calibration) -> None:
+    """Blocks that were scored, as the card's own or beside them, and another session take their part away."""
+
+    def asked(card: Card, elsewhere: bool = False) -> tuple[bool, ...]:
+        said = remaining_remedy(card, ORDER, elsewhere)
+        return tuple(part in said for part in ("in random order", "--split blocks", "palpate evaluate"))
+
+    card = read_card(calibration)
+    assert card.order is None
+    assert remaining_remedy(card, ORDER) == ORDER.remedy
+    assert asked(in_order(calibration, ("x_mm",))) == (True, True, True)
+    assert asked(in_order(calibration, ("x_mm",), ())) == (True, False, True)
+    for kind in ("blocks", "blocks:20"):
+        by_blocks = card.model_copy(update={"split": card.split.model_copy(update={"kind": kind})})
+        assert asked(by_blocks) == (True, False, True)
+    assert asked(card, elsewhere=True) == (True, False, False)
+    other = ORDER.model_copy(update={"kind": "outside", "remedy": "cut it; until then, wait"})
+    assert remaining_remedy(card, other, elsewhere=True) == other.remedy
+
+
+def test_sessions_held_out_whole_leave_random_order_to_be_asked_for(by_sessions) -> None:
+    said = remaining_remedy(read_card(by_sessions), ORDER)
+    assert "in random order" in said
+    assert "palpate evaluate" not in said
+
+
+def test_page_and_terminal_ask_for_the_same(calibration, record_spots) -> None:
+    audit = read_card(calibration).confounds
+    assert audit is not None
+    in_order(calibration, ("x_mm",), ())
+    card = changed(calibration, confounds=audit.model_copy(update={"findings": (ORDER,)}))
+    told = section_of(page_of(calibration), "findings")
+    lines = " ".join(_card_text(card, calibration).replace("\n  ", " ").split("\n"))
+    for said in (told.replace("<code>", "`").replace("</code>", "`"), lines):
+        assert "record presses in random order; until then, `palpate evaluate` on another" in said
+        assert "--split blocks" not in said.split("shuffled folds")[0]
+    evaluated(calibration, record_spots("other", 12, seed=4).path)
+    told = section_of(page_of(calibration, "again.html"), "findings")
+    assert "rely only on what was found on other sessions" in told
 
 
 def test_a_target_that_is_not_read_is_never_valid_and_the_evaluation_says_so(
@@ -400,14 +451,20 @@ def test_every_change_of_the_camera_has_its_row(calibration) -> None:
     assert f"✗ {100 * row.silent:.0f} %" in told
 
 
+def with_instrument(calibration: Path) -> Card:
+    """The card whose first target was measured with twice as wide an interval as the model's."""
+    first, second = read_card(calibration).targets
+    instrument = InstrumentCard(
+        instrument="stage 7", certificate="DKD 12", certified_on="2026-01-02",
+        standard_uncertainty=first.score.half_width, resolution=0.001, backlash=0.0, bias_removed=0.0,
+        half_width=2 * first.score.half_width,
+    )  # fmt: skip
+    return changed(calibration, targets=(first.model_copy(update={"measured_by": instrument}), second))
+
+
 def test_an_instrument_s_part_stands_beside_the_model_s_and_in_the_answer(calibration) -> None:
     half = read_card(calibration).targets[0].score.half_width
-    instrument = InstrumentCard(
-        instrument="stage 7", certificate="DKD 12", certified_on="2026-01-02", standard_uncertainty=half,
-        resolution=0.001, backlash=0.0, bias_removed=0.0, half_width=2 * half,
-    )  # fmt: skip
-    first, second = read_card(calibration).targets
-    card = changed(calibration, targets=(first.model_copy(update={"measured_by": instrument}), second))
+    card = with_instrument(calibration)
     joined_half = reading_half_width(card.targets[0], ReportedCalibration(calibration, card).table)
     assert joined_half == pytest.approx(np.hypot(half, 2 * half), rel=0.05)
     page = page_of(calibration)
@@ -418,7 +475,7 @@ def test_an_instrument_s_part_stands_beside_the_model_s_and_in_the_answer(calibr
     assert "Readings say" not in height
 
 
-def test_the_map_darkens_and_outlines_the_blocks_that_decide(calibration) -> None:
+def test_the_map_reddens_and_outlines_the_patches_that_decide(calibration) -> None:
     card = read_card(calibration)
     edges = block_edges(card.input.size_px)
     growth = np.zeros((2, len(edges[0]) - 1, len(edges[1]) - 1), np.float32)
@@ -433,6 +490,11 @@ def test_the_map_darkens_and_outlines_the_blocks_that_decide(calibration) -> Non
     assert [target.column for target in found["undecided"]] == ["height_mm"]
     drawings = [str(panel.drawing) for panel in found["panels"]]
     assert [one.count("stroke: #000000; stroke-width: 0.9") for one in drawings] == [1, 0]
+    image = np.atleast_3d(imread(calibration / "example.png"))[..., :3]
+    ground = to_hex(str(0.55 + 0.45 * float(image.mean())))
+    assert all(f"fill: {ground}" in one for one in drawings), "the bar lies on the map's ground"
+    words = (TEMPLATES / "certificate" / "deciding.html").read_text()
+    assert not re.search("dark|bright|light", words), "true on a light page and on a dark one"
 
 
 def test_every_section_has_its_template_and_no_template_is_left() -> None:
@@ -518,5 +580,52 @@ def test_the_page_fits_a_phone(calibration, tmp_path) -> None:
         )
         assert tab.run(widest) <= 390
         assert tab.run("getComputedStyle(document.body).colorScheme") == "light dark"
+    finally:
+        browser.close()
+
+
+DECIDES = {"scores": "rows covered", "targets": "rows covered", "evaluations": "rows covered here",
+           "instruments": "half-width of a reading"}  # fmt: skip
+"""What decides of each table, which stands beside the name."""
+
+
+def with_tables(calibration: Path, record_spots) -> Card:
+    """The card with an instrument and tenths, and an evaluation beside it: so that all tables are shown."""
+    tenth = TenthCard(start=0.0, end=0.5, n=20, groups=10, covered=18, bias=-0.01, p=0.6)
+    first, second = with_instrument(calibration).targets
+    ranges = RangeCard(by_truth=None, by_estimate=None, beyond=(0, 0), reach=(0, 0), tenths=(tenth,) * 10)
+    card = changed(calibration, targets=(first.model_copy(update={"over_range": ranges}), second))
+    evaluated(calibration, record_spots("other", 12, seed=4).path)
+    return card
+
+
+def test_what_decides_stands_beside_the_name(calibration, record_spots) -> None:
+    with_tables(calibration, record_spots)
+    page = page_of(calibration)
+    for name, column in DECIDES.items():
+        assert re.findall(r"<th>(.*?)</th>", section_of(page, name))[1] == column
+    assert re.search(r"<td>0\.0\d* to 0\.50*</td><td>18 of 20</td>", section_of(page, "targets"))
+    s = read_card(calibration).targets[1].score
+    first = re.search(r"<td>height \[mm\]</td><td>([\d.]+) %</td>", section_of(page, "scores"))
+    assert first is not None
+    assert float(first.group(1)) == pytest.approx(100 * s.coverage_90, abs=0.5)
+
+
+def test_what_decides_is_seen_on_a_phone_without_scrolling(calibration, record_spots, tmp_path) -> None:
+    pytest.importorskip("websockets", reason="nothing else drives the browser")
+    from tests.studio import devtools
+
+    if devtools.chromium() is None:
+        pytest.skip("there is no Chromium to look with")
+    with_tables(calibration, record_spots)
+    page = write_report(calibration, tmp_path / "page.html")
+    browser = devtools.Browser(tmp_path / "profile")
+    try:
+        tab = browser.open(page.as_uri(), size=(390, 800))
+        assert tab.wait("document.querySelectorAll('svg').length >= 6")
+        tab.run("document.querySelectorAll('details').forEach(d => d.open = true)")
+        for name in DECIDES:
+            right = f"document.querySelector('#{name} td:nth-child(2)').getBoundingClientRect().right"
+            assert 0 < tab.run(right) <= 390, name
     finally:
         browser.close()

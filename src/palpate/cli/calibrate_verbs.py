@@ -326,7 +326,7 @@ def _card_text(card: Any, out: Path) -> str:
     from palpate.reports.order_verdicts import order_sentences
     from palpate.reports.terminal_text import confounds_text, instrument_lines, scores_table
 
-    lines = [f"calibration {card.id}: {out}", *confounds_text(card.confounds), *order_sentences(card)]
+    lines = [f"calibration {card.id}: {out}", *confounds_text(card), *order_sentences(card)]
     if card.sessions is not None:
         lines += [card.sessions.text, *card.sessions.findings]
     if card.targets:

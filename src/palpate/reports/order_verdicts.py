@@ -1,9 +1,9 @@
-"""Verdict on the order of the rows: of which targets the card's score says nothing, and which one does."""
+"""Verdict on the order of the rows: which scores say nothing, which do, and what is left to do."""
 
 from __future__ import annotations
 
 from palpate.core import rounded
-from palpate.estimators.finding_cards import SplitScoreCard
+from palpate.estimators.finding_cards import ConfoundFindingCard, SplitScoreCard
 from palpate.estimators.model_card import Card, TargetCard
 from palpate.reports.score_intervals import mean_error_half_width
 
@@ -30,18 +30,53 @@ def order_sentences(card: Card) -> list[str]:
     return [f"{names[column]}: {sentence}" for column, sentence in order_verdicts(card).items()]
 
 
+SHORTER = "ask for shorter ones (--split blocks:ROWS)"
+"""What to do about blocks that are too long."""
+UNTIL = "; until then"
+"""Between what mends an order for good, in a finding's remedy, and what helps meanwhile."""
+
+
+def remaining_remedy(card: Card, finding: ConfoundFindingCard, elsewhere: bool = False) -> str:
+    """What a finding asks for, less what has been done: blocks that were scored, another session.
+
+    Args:
+        card: of the calibration.
+        finding: of its audit; only of an order can a part have been done.
+        elsewhere: whether it was evaluated on another session.
+    """
+    for_good, until, _ = finding.remedy.partition(UNTIL)
+    if finding.kind != "order" or not until:
+        return finding.remedy
+    if elsewhere or _tested_on_sessions(card):
+        return f"{for_good}{UNTIL}, rely only on what was found on other sessions"
+    if _has_blocks(card):
+        return f"{for_good}{UNTIL}, `palpate evaluate` on another session says what is true of it"
+    return finding.remedy
+
+
+def _tested_on_sessions(card: Card) -> bool:
+    """True where whole sessions were held out."""
+    return card.sessions is not None and card.sessions.held_out > 1 and card.sessions.column == "session"
+
+
+def _has_blocks(card: Card) -> bool:
+    """True where blocks were held out, or were scored beside what was."""
+    kinds = [card.split.kind, *(one.kind for one in (card.order.splits if card.order else ()))]
+    return any(kind.partition(":")[0] == "blocks" for kind in kinds)
+
+
 def _verdict(target: TargetCard, own: SplitScoreCard, beside: SplitScoreCard | None) -> str:
     mine, name = _scored(target, own), target.quantity.replace("_", " ")
     if own.kind != "random":
         return (
             f"{mine}: each block holds out a part of the range of {name} that was not trained on, so that "
-            "this measures extrapolation alone; ask for shorter ones (--split blocks)"
+            f"this measures extrapolation alone; {SHORTER}"
         )
     if beside is None:
         return f"{mine}: rows lie in order of {name}, so calibrate with --split blocks and read those"
     both = f"{mine}, {_scored(target, beside)}: rows lie in order of {name}"
     if target.column in beside.meaningless:
-        return f"{both}, and each block holds out a part of its range; ask for shorter ones (--split blocks)"
+        return f"{both}, and each block holds out a part of its range; {SHORTER}"
     return f"{both}, so read the blocks"
 
 

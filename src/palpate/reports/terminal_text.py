@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from palpate.core import half_width_text, rounded
-from palpate.estimators.finding_cards import ConfoundCard
-from palpate.estimators.model_card import ScoreCard, TargetCard
+from palpate.estimators.model_card import Card, ScoreCard, TargetCard
+from palpate.reports.order_verdicts import remaining_remedy
 from palpate.reports.score_intervals import (
     MIN_R2_HALF_WIDTH,
     explained_half_width,
@@ -75,15 +75,16 @@ def instrument_lines(targets: Sequence[TargetCard]) -> list[str]:
     ]
 
 
-def confounds_text(card: ConfoundCard | None) -> list[str]:
+def confounds_text(card: Card) -> list[str]:
     """Findings that stand before the numbers, each remedy once; none where nothing was found."""
-    found = [] if card is None else [f for f in card.findings if f.severity != "notes"]
-    if card is None or not found:
+    audit = card.confounds
+    found = [f for f in audit.findings if f.severity != "notes"] if audit is not None else []
+    if audit is None or not found:
         return []
-    head = "the audit failed: do not rely on these scores" if card.failed else "the audit warns"
-    lines = [head]
-    for remedy in dict.fromkeys(f.remedy for f in found):
-        lines += [f"- {f.text}." for f in found if f.remedy == remedy]
+    lines = ["the audit failed: do not rely on these scores" if audit.failed else "the audit warns"]
+    remedies = [remaining_remedy(card, f) for f in found]
+    for remedy in dict.fromkeys(remedies):
+        lines += [f"- {f.text}." for f, own in zip(found, remedies, strict=True) if own == remedy]
         lines.append(f"  What to do: {remedy}.")
     return [textwrap.fill(x, COLUMNS, subsequent_indent="  ", break_on_hyphens=False) for x in lines]
 

@@ -167,13 +167,13 @@ def _shuffled_text(
         f"{name} {' and '.join(f'{one.mae[name]:.3g} by {one.kind}' for one in scores)}"
         for name in shuffled.meaningless
     )
+    blocks = "Read the blocks" if len(scores) > 1 else "Calibrate with blocks (--split blocks)"
     return (
         f"Of {names} shuffled folds are meaningless if the rows were taken in this order: the rows just "
         f"before and after a held-out one, which were trained on, tell {100 * told:.0f} % of its variance "
         f"(rank correlation with the order {sorted_by:.2f}), so that an image which shows only the time "
-        f"would pass. Read the blocks (--split blocks), which hold such neighbours out (mean absolute "
-        f"errors: {errors}). What drifts more slowly than a block passes those too: where both agree, only "
-        "another session tells."
+        f"would pass. {blocks}, which hold such neighbours out (mean absolute errors: {errors}). What drifts "
+        "more slowly than a block passes those too: where both agree, only another session tells."
     )
 
 
@@ -181,5 +181,5 @@ def _blocks_text(blocks: SplitScoreCard) -> str:
     return (
         f"Of {', '.join(blocks.meaningless)} blocks this long are meaningless: each holds out a part of the "
         "range that was not trained on, so that they measure extrapolation alone. Ask for shorter ones "
-        "(--split blocks)."
+        "(--split blocks:ROWS)."
     )

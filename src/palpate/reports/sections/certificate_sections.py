@@ -38,7 +38,7 @@ from palpate.reports.calibration_figures import (
     target_panels,
 )
 from palpate.reports.class_text import class_answer, classes_told
-from palpate.reports.order_verdicts import order_sentences, order_verdicts
+from palpate.reports.order_verdicts import order_sentences, order_verdicts, remaining_remedy
 from palpate.reports.sections.evidence_sections import (
     audit,
     choice,
@@ -139,9 +139,9 @@ def findings(report: ReportedCalibration) -> Values | None:
     """What the audits found, where they found anything: it stands before the numbers."""
     card = report.card
     told = [f for f in (card.confounds.findings if card.confounds else ()) if f.severity != "notes"]
-    remedies = {
-        remedy: [f for f in told if f.remedy == remedy] for remedy in dict.fromkeys(f.remedy for f in told)
-    }
+    elsewhere, remedies = bool(others(report.evaluations)), {}
+    for finding in told:
+        remedies.setdefault(remaining_remedy(card, finding, elsewhere), []).append(finding)
     sentences = [] if card.split.clean else [card.split.audit]
     sentences += [f"{sentence}." for sentence in (card.sessions.findings if card.sessions else ())]
     if not told and not sentences:
