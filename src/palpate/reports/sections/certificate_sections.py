@@ -139,7 +139,8 @@ def findings(report: ReportedCalibration) -> Values | None:
     """What the audits found, where they found anything: it stands before the numbers."""
     card = report.card
     told = [f for f in (card.confounds.findings if card.confounds else ()) if f.severity != "notes"]
-    elsewhere, remedies = bool(others(report.evaluations)), {}
+    elsewhere = bool(others(report.evaluations))
+    remedies: dict[str, list[ConfoundFindingCard]] = {}
     for finding in told:
         remedies.setdefault(remaining_remedy(card, finding, elsewhere), []).append(finding)
     sentences = [] if card.split.clean else [card.split.audit]
