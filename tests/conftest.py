@@ -7,6 +7,7 @@ import dataclasses
 import functools
 import inspect
 import os
+import shutil
 import typing
 from pathlib import Path
 
@@ -175,6 +176,26 @@ def recorder_of_spots(folder: Path):
         return Run.open(folder / name)
 
     return record
+
+
+@pytest.fixture(scope="session")
+def calibrate_spots(tmp_path_factory):
+    """Calibrate recorded spots, each plan once; what is given is a copy, to be changed at will."""
+    from palpate.calibration import CalibrationPlan, calibrate
+
+    folder = tmp_path_factory.mktemp("calibrated")
+    record, runs, made = recorder_of_spots(folder), {}, {}
+
+    def give(out: Path, presses: int = 16, run_seed: int = 0, colour: bool = False, **plan):
+        shown = (presses, run_seed, colour)
+        if shown not in runs:
+            runs[shown] = record("-".join(map(str, ("run", *shown))), presses, seed=run_seed, colour=colour)
+        asked = (*shown, repr(sorted(plan.items())))
+        if asked not in made:
+            made[asked] = calibrate(runs[shown], CalibrationPlan(**plan), folder / f"calibration-{len(made)}")
+        return runs[shown], Path(shutil.copytree(made[asked], out))
+
+    return give
 
 
 @pytest.fixture

@@ -1,5 +1,7 @@
 """Copies told apart: frames of the former copy are refused, those of the one adapted to are not."""
 
+import shutil
+
 import numpy as np
 import pytest
 
@@ -67,12 +69,21 @@ def test_an_axis_of_another_size_or_no_archive_is_refused(tmp_path) -> None:
         CopyDiscriminator.load(tmp_path / "copy.npz", 4)
 
 
-@pytest.fixture
-def adapted(record_spots, tmp_path):
-    """A calibration, adapted to a copy whose lamp is a little darker."""
+@pytest.fixture(scope="module")
+def kept(record_spots_module, tmp_path_factory):
+    """A folder with a calibration, adapted to a copy whose lamp is a little darker."""
+    folder = tmp_path_factory.mktemp("kept")
     plan = CalibrationPlan(("x_mm", "height_mm"), split="group:press", size_px=(24, 32), delta=True)
-    calibrate(record_spots("run", 25), plan, tmp_path / "cal")
-    adapt(tmp_path / "cal", record_spots("few", 20, seed=1, lamp=-0.5), tmp_path / "adapted")
+    calibrate(record_spots_module("run", 25), plan, folder / "cal")
+    adapt(folder / "cal", record_spots_module("few", 20, seed=1, lamp=-0.5), folder / "adapted")
+    return folder
+
+
+@pytest.fixture
+def adapted(kept, tmp_path):
+    """A copy of both; the adapted one."""
+    for name in ("cal", "adapted"):
+        shutil.copytree(kept / name, tmp_path / name)
     return tmp_path / "adapted"
 
 

@@ -358,10 +358,18 @@ def test_a_target_that_is_the_session_is_refused_and_one_that_nearly_is_is_named
     assert read_card(tmp_path / "sound").sessions.findings == ()
 
 
+@pytest.fixture(scope="module")
+def kept(record_spots_module, tmp_path_factory) -> Path:
+    """One day's calibration, for all tests to copy."""
+    lamp = float(np.random.default_rng(5).normal(0, 6, 40)[0])
+    return calibrate(
+        record_spots_module("day0", 20, seed=0, lamp=lamp), PLAN, tmp_path_factory.mktemp("kept") / "cal"
+    )
+
+
 @pytest.fixture
-def calibrated(days, tmp_path) -> Path:
-    calibrate(days(1, presses=20)[0], PLAN, tmp_path / "cal")
-    return tmp_path / "cal"
+def calibrated(kept, tmp_path) -> Path:
+    return Path(shutil.copytree(kept, tmp_path / "cal"))
 
 
 def test_an_evaluation_stands_beside_the_card_which_stays(calibrated, days) -> None:

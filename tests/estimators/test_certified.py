@@ -15,10 +15,9 @@ from palpate.estimators.card_ground import card_id
 
 
 @pytest.fixture
-def calibration(record_spots, tmp_path):
-    run = record_spots("run", 20)
-    plan = CalibrationPlan(("x_mm", "height_mm"), split="group:press", size_px=(24, 32))
-    return run, calibrate(run, plan, tmp_path / "cal")
+def calibration(calibrate_spots, tmp_path):
+    plan = {"targets": ("x_mm", "height_mm"), "split": "group:press", "size_px": (24, 32)}
+    return calibrate_spots(tmp_path / "cal", 20, **plan)
 
 
 def reseal(folder, change) -> None:

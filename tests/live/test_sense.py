@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.calibration import CalibrationPlan, calibrate
 from palpate.core import ImageError, InputError
 from palpate.estimators import Estimator
 from palpate.live import frame_sources, open_source, sense
@@ -14,11 +13,9 @@ from palpate.recordings import export_folder, read_image
 
 
 @pytest.fixture
-def estimator(record_spots, tmp_path):
-    run = record_spots("run", 16)
-    return Estimator.open(
-        calibrate(run, CalibrationPlan(("x_mm",), split="group:press", size_px=(24, 32)), tmp_path / "cal")
-    )
+def estimator(calibrate_spots, tmp_path):
+    plan = {"targets": ("x_mm",), "split": "group:press", "size_px": (24, 32)}
+    return Estimator.open(calibrate_spots(tmp_path / "cal", **plan)[1])
 
 
 def test_a_run_and_its_exported_images_are_read_alike(estimator, record_spots, tmp_path) -> None:

@@ -19,9 +19,9 @@ from palpate.reports.terminal_text import latency_line
 
 
 @pytest.fixture
-def calibration(record_spots, tmp_path):
-    plan = CalibrationPlan(("x_mm", "height_mm"), split="group:press", size_px=(24, 32), channels=3)
-    return calibrate(record_spots("run", 16, colour=True), plan, tmp_path / "cal")
+def calibration(calibrate_spots, tmp_path):
+    plan = {"targets": ("x_mm", "height_mm"), "split": "group:press", "size_px": (24, 32), "channels": 3}
+    return calibrate_spots(tmp_path / "cal", colour=True, **plan)[1]
 
 
 def test_the_page_shows_every_target_and_the_audit(calibration, tmp_path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from palpate.calibration import CalibrationPlan, calibrate, evaluate
+from palpate.calibration import evaluate
 from palpate.calibration.sessions import keep_evaluation
 from palpate.cli import app
 from palpate.core import CertificateError, ExistsError, InputError
@@ -27,16 +27,14 @@ from palpate.reports.comparison_page import (
 
 
 @pytest.fixture
-def calibrated(record_spots, tmp_path):
+def calibrated(calibrate_spots, tmp_path):
     """A function that calibrates on a run of a name, with changes to the plan."""
-    runs = {}
+    runs = {"run": 0}
 
     def make(out: str, run: str = "run", **changes):
-        if run not in runs:
-            runs[run] = record_spots(run, 16, seed=len(runs))
         plan = {"targets": ("x_mm", "height_mm"), "model": "pca-ridge", "split": "group:press"}
         plan |= {"size_px": (24, 32)} | changes
-        return calibrate(runs[run], CalibrationPlan(**plan), tmp_path / out)
+        return calibrate_spots(tmp_path / out, run_seed=runs.setdefault(run, len(runs)), **plan)[1]
 
     return make
 
@@ -141,7 +139,7 @@ def test_what_both_gave_on_another_run_and_whose_audit_failed_is_shown(
     assert first.run == second.run
     assert first.run["hash"] == other.hash
     assert [len(kept) for kept in found.to_dict()["evaluations"]] == [1, 2]
-    assert found.to_dict()["sessions"][0]["names"] == ["run"]
+    assert found.to_dict()["sessions"][0]["names"] == ["run-16-0-False"]
     assert "tested on another session" in comparison_text(found)
     assert found.warnings == ()
     page = write_comparison(found, tmp_path / "compared.html").read_text()
