@@ -57,7 +57,7 @@ def compared(request, record_spots, tmp_path, monkeypatch):
     """The page's names after it was run beside a calibration, palpate's estimator, and frames."""
     case = dict(CASES[request.param])
     colour, targets = case.pop("colour", False), case.pop("targets", ("x_mm", "height_mm"))
-    run = record_spots("run", 16, colour=colour)
+    run = record_spots("run", 9, colour=colour)  # too few rows to try changes of the camera
     rule = ReferenceRule("reference", "true")
     calibrate(
         run,

@@ -91,8 +91,9 @@ def test_the_stage_never_goes_deeper_than_the_plan(whole: Run) -> None:
 @pytest.mark.parametrize("after_shots", [0, 1, 5, 11])
 @pytest.mark.parametrize("wish", [OperatorCommand.ABORT, OperatorCommand.ESTOP, OperatorCommand.STOP])
 def test_what_was_ended_goes_on_at_the_first_missing_shot(
-    tmp_path: Path, after_shots: int, wish: OperatorCommand
+    tmp_path: Path, after_shots: int, wish: OperatorCommand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("palpate.rig.engine.TOLD_EVERY_S", 0.0)  # at each shot, however fast the machine is
     control = OperatorControl()
 
     def watch(status: Status) -> None:
