@@ -214,7 +214,7 @@ def test_a_sweep_that_was_cut_is_done_again_and_the_cut_one_does_not_count(tmp_p
         taps=0,
         places=Listed(kind="listed", at_mm=((0.0, 0.0),)),
         cycles=2,
-        speed_mm_s=1.0,
+        speed_mm_s=2.0,
         depth_mm=2.0,
     )
     out = tmp_path / "run"
