@@ -1,14 +1,17 @@
 """A target's score says what its names say, by independent formulas."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from sklearn import metrics
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.coverage.grouped_rates import coverage_interval
-from palpate.calibration.evaluation import score
+from palpate.calibration.evaluation import counted_groups, counted_text, held_out_groups, score
 from palpate.core import CertificateError
 from palpate.estimators import Estimator
+from palpate.estimators.model_card import Card, SplitCard
+from palpate.recordings import split
 
 
 def test_each_number_of_a_score_is_that_of_its_name() -> None:
@@ -58,3 +61,38 @@ def test_a_network_that_gives_no_number_is_not_scored_on_the_others(
     monkeypatch.setattr(Estimator, "values", of_dark_frames)
     with pytest.raises(CertificateError, match="no finite number"):
         evaluate(estimator, run)
+
+
+def card_of(kind: str, columns: tuple[str, ...] = (), reason: str = "") -> Card:
+    """A card of a split; there is nothing else that groups are told by."""
+    about = SplitCard.model_construct(kind=kind, columns=columns, reason=reason)
+    return Card.model_construct(split=about, interval_reset=None)
+
+
+@pytest.mark.parametrize("spec", ["blocks:20", "blocks:7", "blocks"])
+@pytest.mark.parametrize("folds_scored", [5, 2])
+def test_held_out_blocks_are_found_again_from_the_predictions(spec, folds_scored) -> None:
+    """Those that the split made, of two sessions in rows of any order."""
+    sessions = np.repeat(["a", "b"], [187, 213])
+    parts = split(pd.DataFrame({"session": sessions}), spec, seed=3)
+    folds = np.concatenate([np.full(len(rows), k) for k, rows in enumerate(parts.folds[:folds_scored])])
+    rows = np.concatenate(parts.folds[:folds_scored])
+    table = pd.DataFrame({"session": sessions[rows], "row": rows, "held_out_in_fold": folds})
+    table = table.sample(frac=1, random_state=0)
+    groups, by = held_out_groups(card_of(spec, reason=parts.reason), table)
+    assert by == "held-out block"
+    pairs = set(zip(groups.tolist(), np.array(parts.groups)[table["row"]].tolist(), strict=True))
+    assert len(pairs) == len(set(groups.tolist())) == len(np.unique(np.array(parts.groups)[rows]))
+
+
+def test_a_split_that_names_no_group_counts_presses_where_rows_name_them() -> None:
+    """Press 3 of one session is not press 3 of another; rows count by themselves where nothing is named."""
+    table = pd.DataFrame({"session": ["a"] * 8 + ["b"] * 4, "press": [1, 1, 2, 2, 3, 3, 4, 4, 1, 1, 2, 2]})
+    for card in (card_of("blocks:20"), card_of("random"), card_of("group:location", ("location",))):
+        groups, by = counted_groups(card, table)
+        assert groups.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
+        assert by == "press"
+        groups, by = counted_groups(card, table[["session"]])
+        assert counted_text(len(np.unique(groups)), by) == "12 rows, each its own group"
+    groups, by = counted_groups(card_of("session", ("session",)), table)
+    assert (len(np.unique(groups)), by) == (2, "session")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,6 +64,19 @@ def test_a_calibration_beside_its_twin_is_not_called_better(calibrated) -> None:
     found = compare_calibrations(calibrated("one"), calibrated("two"))
     assert found.obstacles == ()
     assert "do not tell which errs less" in judgement(found.targets[0])
+    few = replace(found.targets[0].paired, groups=2, difference=-1.0, low=None, high=None)
+    told = judgement(replace(found.targets[0], paired=few))
+    assert told == "x: these rows cannot tell which errs less (2 groups of press; 3 or more are needed)."
+
+
+def test_two_sessions_or_blocks_of_rows_are_counted_as_such(calibrated) -> None:
+    """Of two groups the errors' difference has no interval, whatever their rows; rows are no blocks."""
+    pairs = {}
+    for kind in ("blocks:20", "random"):
+        folders = (calibrated(f"{kind[:2]}-{m}", split=kind, model=m, folds=2) for m in ("pca-ridge", "mean"))
+        pairs[kind] = compare_calibrations(*folders).targets[0].paired
+    assert (pairs["blocks:20"].groups, pairs["blocks:20"].counted_by) == (4, "held-out block")
+    assert (pairs["random"].groups, pairs["random"].counted_by) == (16, "press")
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from palpate.estimators.reference_uncertainty import without_reference
 from palpate.recordings import Run
 from palpate.recordings.joined_runs import JoinedRun, sessions_of
 from palpate.recordings.label_tables import own_column, with_own
+from palpate.recordings.splits import within_session
 
 
 def score(
@@ -244,9 +246,10 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame, spread: Val
     read = _read_rows(card, table)
     if not read.any():
         raise LabelError(f"{run.path}: no frame could be read, every one is of another size than calibrated")
-    groups = groups_in(table, card.split.columns)[read]
+    counted, counted_by = counted_groups(card, table[read])
+    groups = counted
     if len(np.unique(groups)) == 1:
-        groups = groups_within(table)[read]
+        groups, counted_by = groups_within(table[read]), press_column(table) or ROW
     targets, tenths = {}, {}
     for j, t in enumerate(card.targets):
         truth, estimate = true[read, j], predicted[read, j]
@@ -291,8 +294,10 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame, spread: Val
         },
         "frames_valid": int(own_column(table, "valid").sum()),
         "frames_all_valid": int(own_column(table, "all_valid").sum()),
-        "groups": len(np.unique(groups_in(table, card.split.columns)[read])),
+        "groups": len(np.unique(counted)),
         "group_columns": list(card.split.columns),
+        "counted_groups": len(np.unique(groups)),
+        "counted_by": counted_by,
         "learnt_from_this_run": learnt_from(card, run),
         "session": sorted(set(sessions_of(run).tolist())),
         "same_session": same_session(card, run),
@@ -365,5 +370,69 @@ def groups_within(table: pd.DataFrame) -> np.ndarray:
 
     One session does not tell how sessions differ. How well its own rate is known, its presses tell.
     """
-    named = next((column for column in PRESS_COLUMNS if column in table), None)
-    return np.arange(len(table)) if named is None else groups_in(table, (named,))
+    named = press_column(table)
+    return np.arange(len(table)) if named is None else groups_in(table, within_session(table, (named,)))
+
+
+def press_column(table: pd.DataFrame) -> str | None:
+    """The column that says which rows are of one press; None where none does."""
+    return next((column for column in PRESS_COLUMNS if column in table), None)
+
+
+ROW, BLOCK = "row", "held-out block"
+
+
+def counted_groups(card: Card, table: pd.DataFrame) -> tuple[np.ndarray, str]:
+    """A label for each row's group, and what such a group is: rows of one group are not independent.
+
+    By the columns that the calibration was split by, where the table has them. Else by the press, also after
+    a split that took rows apart without regard to it; each row is its own only where no press is named.
+
+    Args:
+        card: of the calibration.
+        table: labels of any rows.
+    """
+    columns = tuple(c for c in card.split.columns if c != SESSION or c in table)
+    if columns and set(columns) <= set(table):
+        return groups_in(table, columns), "/".join(columns)
+    return groups_within(table), press_column(table) or ROW
+
+
+def held_out_groups(card: Card, table: pd.DataFrame) -> tuple[np.ndarray, str]:
+    """As `counted_groups`, of a calibration's own held-out rows: where blocks were held out, by the block.
+
+    Args:
+        card: of the calibration.
+        table: its held-out predictions.
+    """
+    if card.split.columns or card.interval_reset or card.split.kind.partition(":")[0] != "blocks":
+        return counted_groups(card, table)
+    return _held_out_blocks(card, table), BLOCK
+
+
+def _held_out_blocks(card: Card, table: pd.DataFrame) -> np.ndarray:
+    """Number of each row's block: a fold's stretches of rows without a gap, cut after each block's length."""
+    stated = re.search(r"\d+", card.split.kind) or re.match(r"blocks of (\d+)", card.split.reason)
+    length = int(stated[stated.re.groups]) if stated else len(table)
+    rows, folds = (own_column(table, name).to_numpy(np.int64) for name in ("row", "held_out_in_fold"))
+    sessions = groups_in(table, (SESSION,)) if SESSION in table else np.zeros(len(table), np.int64)
+    order, place = np.argsort(rows), np.arange(len(table))
+    begins = np.append(True, np.diff(rows[order]) > 1)[: len(table)]
+    for part in (folds, sessions):
+        begins[1:] |= np.diff(part[order]) != 0
+    numbers = np.empty(len(table), np.int64)
+    first = np.maximum.accumulate(np.where(begins, place, 0))
+    numbers[order] = np.cumsum((place - first) % length == 0) - 1
+    return numbers
+
+
+def counted_text(count: int, by: str) -> str:
+    """So many groups in words.
+
+    Example:
+        >>> counted_text(9, "held-out block"), counted_text(16, "press"), counted_text(80, "row")
+        ('9 held-out blocks', '16 groups of press', '80 rows, each its own group')
+    """
+    if by == ROW:
+        return f"{count} rows, each its own group"
+    return f"{count} {BLOCK}s" if by == BLOCK else f"{count} groups of {by}"

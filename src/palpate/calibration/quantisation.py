@@ -39,7 +39,7 @@ from palpate.calibration.certificate import (
 from palpate.calibration.confounds.deciding_pixels import MAP_FILE
 from palpate.calibration.coverage import range_cards
 from palpate.calibration.coverage.conformal import fit_intervals
-from palpate.calibration.evaluation import groups_in, score
+from palpate.calibration.evaluation import held_out_groups, score
 from palpate.calibration.training_data import learning_set, rows_to_learn
 from palpate.core import (
     CertificateError,
@@ -301,10 +301,11 @@ def _material(folder: Path, card: Card, run: Run, work: Path, progress: Progress
             "rows, and none that it has not seen can tell what int8 costs; calibrate with one fold held out "
             "(--scored-folds 1)"
         )
-    groups = groups_in(whole.table.iloc[rows], card.split.columns)
-    learning = learning_set(whole, plan, groups, str(run.path))
     table = read_predictions(folder, card)
     held = own_column(table, "row").to_numpy(np.int64)
+    groups = np.full(len(rows), -1)  # of those learnt from none is asked
+    groups[held] = held_out_groups(card, table)[0]
+    learning = learning_set(whole, plan, groups, str(run.path))
     return _Material(learning.packed, learning.data, table, held, np.setdiff1d(np.arange(len(rows)), held))
 
 

@@ -379,6 +379,7 @@ def _choice_lines(card: Any) -> list[str]:
 
 
 def _scores_text(scores: dict[str, Any], card: Any) -> str:
+    from palpate.calibration.evaluation import counted_text
     from palpate.estimators.class_sets import ClassScoreCard
     from palpate.estimators.model_card import ScoreCard
     from palpate.reports.class_text import class_lines
@@ -414,7 +415,8 @@ def _scores_text(scores: dict[str, Any], card: Any) -> str:
     if scores["groups"] == 1 and scores["frames_read"] > 1:
         column = "/".join(scores["group_columns"])
         day += f"\nall of one {column}: the 95 % intervals are of its own rate, not of how others may differ"
-    return f"{table}\n{valid}\n{day}"
+    counted = f"95 % intervals count {counted_text(scores['counted_groups'], scores['counted_by'])}"
+    return f"{table}\n{valid}\n{counted}\n{day}"
 
 
 HEAD = ("target", "unit", "MAE before", "MAE after", "correction", "90 % interval", "covered")

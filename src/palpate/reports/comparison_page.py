@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 
 from palpate.calibration.certificate import read_predictions
-from palpate.calibration.coverage.grouped_rates import means_of_redrawn_groups
-from palpate.calibration.evaluation import groups_in
+from palpate.calibration.coverage.grouped_rates import MIN_GROUPS_OF_MEAN, grouped_mean_interval
+from palpate.calibration.evaluation import counted_text, held_out_groups
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.core import (
     CertificateError,
@@ -38,15 +38,17 @@ class ErrorDifference:
 
     Attributes:
         rows, groups: on which.
+        counted_by: what such a group is, see `calibration.evaluation.held_out_groups`.
         difference: of the means [the target's unit]; negative where the second is better.
-        low, high: its 95 % interval, groups drawn again whole, both calibrations' errors together.
+        low, high: its 95 % interval, groups counted as groups; None where these are too few to tell.
     """
 
     rows: int
     groups: int
     difference: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
+    counted_by: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +138,7 @@ class CalibrationComparison:
                     and {
                         "rows": one.paired.rows,
                         "groups": one.paired.groups,
+                        "counted_by": one.paired.counted_by,
                         "mae_difference": one.paired.difference,
                         "low": one.paired.low,
                         "high": one.paired.high,
@@ -253,9 +256,9 @@ def _difference(target: TargetCard, card: Card, tables: tuple[pd.DataFrame, ...]
     sorted_ = [table.sort_index() for table in tables]
     names = (target.column, f"estimate:{target.column}")
     errors = [np.abs(errors_of(target, *(t[name].to_numpy(float) for name in names))) for t in sorted_]
-    change, groups = errors[1] - errors[0], groups_in(sorted_[0], card.split.columns)
-    low, high = np.quantile(means_of_redrawn_groups(change, groups), [0.025, 0.975])
-    return ErrorDifference(len(change), len(np.unique(groups)), float(change.mean()), float(low), float(high))
+    change, (groups, by) = errors[1] - errors[0], held_out_groups(card, sorted_[0])
+    low, high = grouped_mean_interval(change, groups) or (None, None)
+    return ErrorDifference(len(change), len(np.unique(groups)), float(change.mean()), low, high, by)
 
 
 def judgement(one: ComparedTarget) -> str:
@@ -265,14 +268,20 @@ def judgement(one: ComparedTarget) -> str:
         return f"{name}: not comparable, see above."
     if one.first.score.says_nothing and one.second.score.says_nothing:
         return f"{name}: neither reads it, both are no better than always saying the mean."
+    if not one.first.is_read and not one.second.is_read:
+        return f"{name}: neither reads it: each card says why."
+    counted = counted_text(pair.groups, pair.counted_by)
+    if pair.low is None or pair.high is None:
+        why = f"{counted}; {MIN_GROUPS_OF_MEAN} or more are needed"
+        return f"{name}: these rows cannot tell which errs less ({why})."
     width, unit = (pair.high - pair.low) / 2, one.first.unit
     if pair.low <= 0 <= pair.high:
         ends = f"{rounded(pair.low, width)} to {rounded(pair.high, width)} {unit}"
-        interval = f"95 % interval of the difference {ends}, {pair.groups} groups"
+        interval = f"95 % interval of the difference {ends}, {counted}"
         return f"{name}: these rows do not tell which errs less ({interval})."
     better, sign = ("second", -1.0) if pair.difference < 0 else ("first", 1.0)
     low, high = sorted((sign * pair.low, sign * pair.high))
-    interval = f"95 % interval {rounded(low, width)} to {rounded(high, width)} {unit}, {pair.groups} groups"
+    interval = f"95 % interval {rounded(low, width)} to {rounded(high, width)} {unit}, {counted}"
     by = rounded(sign * pair.difference, width)
     return f"{name}: the {better} errs less, by {by} {unit} on average ({interval})."
 

@@ -9,9 +9,9 @@ if two groups more had been seen whose rows all agree. With two groups or one, a
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import betaincinv
+from scipy.special import betaincinv, stdtrit
 
-from palpate.core import Float, Int
+from palpate.core import Int
 
 GROUPS_ADDED = 2
 """Groups with rows that all agree, which are added to those seen where rows are few. With two, the intervals
@@ -95,14 +95,26 @@ def grouped_coverage_interval(inside: np.ndarray, groups: np.ndarray) -> tuple[f
     return rate_interval(float(inside.mean()) * n, n, CONFIDENCE)
 
 
-def means_of_redrawn_groups(
-    values: np.ndarray, groups: np.ndarray, *, seed: int = 0, draws: int = 2000
-) -> Float[np.ndarray, " d"]:
-    """Means of values of which whole groups are drawn again with replacement, so many times (bootstrap)."""
-    _, index = np.unique(groups, return_inverse=True)
-    sums, sizes = np.bincount(index, weights=values), np.bincount(index)
-    drawn = np.random.default_rng(seed).integers(0, len(sizes), (draws, len(sizes)))
-    return np.asarray(sums[drawn].sum(axis=1) / sizes[drawn].sum(axis=1))
+MIN_GROUPS_OF_MEAN = 3
+"""Groups that an interval of a mean takes: two differ by too little chance to tell how groups differ."""
+
+
+def grouped_mean_interval(values: np.ndarray, groups: np.ndarray) -> tuple[float, float] | None:
+    """95 % interval of a mean over groups, seen and not, from rows that come in groups; None of fewer than 3.
+
+    It is Student's, with as many degrees of freedom as groups less one, around the cluster-robust standard
+    error (K.-Y. Liang and S. Zeger, Biometrika 73, 13 (1986), doi:10.1093/biomet/73.1.13). Groups drawn again
+    with replacement scatter too little where they are few: of five groups whose true mean is 0, such an
+    interval leaves 0 out in 15 of 100 draws instead of in 5.
+    """
+    sizes, index = group_sizes(groups)
+    count, mean = len(sizes), float(values.mean())
+    if count < MIN_GROUPS_OF_MEAN:
+        return None
+    sums = np.bincount(index, weights=values - mean)
+    error = float(np.sqrt(sums @ sums * count / (count - 1))) / len(values)
+    half = float(stdtrit(count - 1, (1 + CONFIDENCE) / 2)) * error
+    return mean - half, mean + half
 
 
 def group_sizes(groups: np.ndarray) -> tuple[Int[np.ndarray, " g"], Int[np.ndarray, " n"]]:

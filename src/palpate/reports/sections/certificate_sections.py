@@ -19,7 +19,7 @@ import pandas as pd
 from palpate.calibration.certificate import read_predictions
 from palpate.calibration.coverage import target_findings
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
-from palpate.calibration.evaluation import groups_in
+from palpate.calibration.evaluation import held_out_groups, press_column
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.calibration.sessions.evaluation_record import PREFIX, SUFFIX, in_order, read_evaluation
 from palpate.core import CertificateError, interval_text, rounded
@@ -82,7 +82,7 @@ class ReportedCalibration:
     @cached_property
     def groups(self) -> np.ndarray:
         """``[n]`` number of each row's group."""
-        return groups_in(self.table, self.card.split.columns)
+        return held_out_groups(self.card, self.table)[0]
 
     @property
     def scored_groups(self) -> int:
@@ -91,10 +91,15 @@ class ReportedCalibration:
 
     @cached_property
     def targets(self) -> tuple[TargetCard, ...]:
-        """Its targets; where groups are few, with an interval of the coverage that allows for it."""
-        if self.scored_groups >= MIN_GROUPS:
+        """Its targets; with an interval of the coverage that allows for few groups, or rows of one press."""
+        if self.scored_groups >= MIN_GROUPS and not self._took_presses_apart:
             return self.card.targets
         return tuple(_judged_by_few(target, self.table, self.groups) for target in self.card.targets)
+
+    @property
+    def _took_presses_apart(self) -> bool:
+        """True after a random split, which counted rows of one press each by itself."""
+        return self.card.split.kind == "random" and press_column(self.table) is not None
 
     @cached_property
     def ends(self) -> dict[str, tuple[OuterRange, ...]]:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval, means_of_redrawn_groups
+from palpate.calibration.coverage.grouped_rates import group_sizes, grouped_coverage_interval
 from palpate.core import Float, InputError, Shaped, ndarray, split_column
 from palpate.estimators.networks import model_kind
 from palpate.reproductions.study_results import Published
@@ -174,6 +174,9 @@ def interval_of_mean(
     values: Column, groups: Shaped[ndarray, " n"], *, seed: int = 0, draws: int = DRAWS
 ) -> tuple[float, float]:
     """95 % percentile interval of a mean, from whole groups drawn again with replacement."""
-    means = means_of_redrawn_groups(values, groups, seed=seed, draws=draws)
+    sizes, index = group_sizes(groups)
+    sums = np.bincount(index, weights=values)
+    drawn = np.random.default_rng(seed).integers(0, len(sizes), (draws, len(sizes)))
+    means = sums[drawn].sum(axis=1) / sizes[drawn].sum(axis=1)
     low, high = np.quantile(means, [0.025, 0.975])
     return float(low), float(high)
