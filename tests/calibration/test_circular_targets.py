@@ -14,11 +14,15 @@ from palpate.calibration.coverage.circular_scores import (
     refuse_no_angles,
     uninformative_width,
 )
+from palpate.calibration.coverage.conformal import fit_intervals
 from palpate.calibration.evaluation import score
 from palpate.core import CircularReading, InputError, LabelError, ManualClock, UnitError
 from palpate.estimators import Estimator, read_card
+from palpate.estimators.model_card import CircularCard, TargetCard
+from palpate.estimators.reading_rules import too_unsure
 from palpate.estimators.target_layout import TargetLayout
 from palpate.recordings import Manifest, Run, RunWriter
+from palpate.reports import scores_table, verdict
 
 
 def record_edges(path, count: int, *, seed: int = 0, turn: float = 360.0, shift: float = 0.0) -> Run:
@@ -266,3 +270,41 @@ def test_what_a_change_costs_an_angle_does_not_depend_on_where_its_zero_lies(edg
         assert now.error_ratio == pytest.approx(was.error_ratio, rel=0.02)
         assert now.beyond == pytest.approx(was.beyond, abs=0.05)
         assert now.refused == pytest.approx(was.refused, abs=0.1)
+
+
+def told_target(half_width: float, untold_width: float, period: float = 360.0) -> TargetCard:
+    """An angle of a whole turn, read better than by always saying the mean, by intervals so wide."""
+    nothing = TargetCard.model_construct(
+        column="angle_deg", quantity="angle", unit="deg", least=-period / 2, greatest=period / 2,
+        over_range=None, measured_by=None,
+    )  # fmt: skip
+    circular = CircularCard(period=period, centre=(0, 0), scale=(1, 1), untold_width=untold_width)
+    scored = score("deg", np.zeros(9), np.full(9, 80.0), np.full(9, half_width), 105.0, np.arange(9))
+    return nothing.model_copy(update={"circular": circular, "score": scored})
+
+
+def test_an_angle_that_half_turns_spoil_is_not_said_to_be_read_no_better_than_by_the_mean() -> None:
+    """Errors of 80° where the mean's are 105°: what speaks against it is its width, and half of its turn."""
+    rng, layout = np.random.default_rng(0), TargetLayout((360.0,))
+    true = rng.uniform(-180, 180, 600)
+    angle = np.radians(true + 180 * (rng.random(600) < 0.2) + rng.normal(0, 4, 600))
+    outputs = np.column_stack([np.cos(angle), np.sin(angle)])
+    intervals = fit_intervals(outputs, true[:, None], np.arange(600), 0.9, layout)
+    halves = intervals.half_widths(outputs)[:, 0]
+    assert np.median(np.abs(intervals.errors(outputs, true[:, None]))) < 5
+    assert uninformative_width(2 * halves, 360.0, 0.9) == 0
+    why = too_unsure(told_target(float(halves.mean()), 0.0))
+    assert "mean" not in why
+    assert "as wide as directions drawn at random need" in why
+    assert why.endswith("if errors pile up at 180 deg, calibrate with --circular angle_deg=180")
+    assert "random guesses" in too_unsure(told_target(60.0, 0.0))  # of other rows
+
+
+def test_no_interval_of_an_angle_is_said_to_be_longer_than_its_turn() -> None:
+    target = told_target(200.0, 324.0)
+    assert too_unsure(target).startswith("its intervals are the whole turn on average")
+    scores = {target.column: target.score}
+    assert "±200" in scores_table(scores, {})
+    assert "±200" not in scores_table(scores, {target.column: 360.0})
+    assert "the whole turn" in scores_table(scores, {target.column: 360.0})
+    assert "intervals are the whole turn wide on average" in verdict(target)

@@ -8,8 +8,10 @@ import pytest
 from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
-from palpate.calibration.sessions import reset_intervals
+from palpate.calibration.sessions import keep_evaluation, reset_intervals
+from palpate.calibration.sessions.evaluation_record import read_evaluation
 from palpate.cli import app
+from palpate.cli.calibrate_verbs import _scores_text
 from palpate.core import LabelError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.card_ground import card_id
@@ -31,6 +33,11 @@ def stating(run: Run, instruments: dict[str, ReferenceInstrument]) -> Run:
     path.unlink()
     found.write(run.path)
     return Run.open(run.path)
+
+
+def kept_instruments(folder, scores) -> dict[str, str] | None:
+    """What the file beside a card says of instruments."""
+    return read_evaluation(keep_evaluation(folder, scores), read_card(folder)).instruments
 
 
 def named(card) -> list[tuple[str, float]]:
@@ -124,6 +131,21 @@ def test_an_interval_that_is_as_long_as_the_range_with_its_instrument_tells_noth
     assert rows["bare"]["frames_untold"]["x_mm"] == 0 < rows["bare"]["frames_valid"]
     assert rows["traced"]["frames_untold"]["x_mm"] == rows["traced"]["frames_scored"]
     assert rows["traced"]["frames_valid"] == 0
+    # Scores leave the instrument out; of labels by another one, or one not stated, that is said.
+    assert rows["bare"]["instruments"] == rows["bare"]["coverage_with_instrument"] == {}
+    assert rows["traced"]["coverage_with_instrument"] == {"x_mm": 1.0}  # ±8 mm hold all of a range of 4 mm
+    assert rows["traced"]["targets"]["x_mm"] == rows["bare"]["targets"]["x_mm"] | {
+        "half_width": pytest.approx(rows["bare"]["targets"]["x_mm"]["half_width"])
+    }
+    said = rows["traced"]["instruments"]["x_mm"]
+    assert said.startswith("x: scored without the ±8.2 mm of ruler, while the labels are by an instrument")
+    assert said.endswith("100.0 % of rows lay within their intervals")
+    printed = _scores_text(rows["traced"], estimator.card)
+    assert said in printed
+    assert "95 % intervals count 6 groups of press" in printed
+    assert kept_instruments(tmp_path / "traced", rows["traced"]) == {"x_mm": said}
+    assert "are by laser B" in evaluate(estimator, stating(fresh, OTHER))["instruments"]["x_mm"]
+    assert evaluate(estimator, stating(fresh, wide))["instruments"] == {}
 
 
 def test_a_card_of_an_instrument_that_names_the_former_rule_is_told_as_it_is_read(

@@ -20,7 +20,12 @@ from palpate.calibration.coverage.group_quantiles import (
 )
 from palpate.calibration.coverage.joint_regions import vector_cards
 from palpate.calibration.sessions import keep_evaluation, read_evaluations, reset_intervals
-from palpate.calibration.sessions.interval_reset import ExpectedCoverage, intervals_set_anew, radius_set_anew
+from palpate.calibration.sessions.interval_reset import (
+    ExpectedCoverage,
+    _half_turns_at_most,
+    intervals_set_anew,
+    radius_set_anew,
+)
 from palpate.calibration.sessions.session_intervals import (
     SessionSpread,
     few_sessions_factor,
@@ -28,6 +33,7 @@ from palpate.calibration.sessions.session_intervals import (
     parametric_quantile,
 )
 from palpate.cli import app
+from palpate.cli.calibrate_verbs import _reset_text
 from palpate.core import CertificateError, ExistsError, InputError, LabelError, SplitError
 from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
@@ -36,6 +42,7 @@ from palpate.estimators.intervals import intervals_of, mahalanobis
 from palpate.estimators.target_layout import TargetLayout
 from palpate.recordings import Run, RunWriter
 from palpate.recordings.table_files import read_table
+from palpate.reports.sections import ReportedCalibration
 
 PLAN = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", size_px=(24, 32))
 ROWS = 30
@@ -453,7 +460,32 @@ def test_rows_of_a_new_session_set_the_intervals_anew_and_the_network_stays(days
     assert NoveltyDetector.load(tmp_path / "anew" / "guard.npz").changes is not None
     expected = ExpectedCoverage.of(25, 0.9)  # presses, since five frames are of one press
     assert (card.interval_reset.groups, card.interval_reset.rank) == (25, expected.rank)
-    assert card.targets[0].score.coverage_90 == expected.mean
+    assert card.interval_reset.coverage_mean == expected.mean
+    assert (
+        "drawn from each group, the expected score of rank 24 of 25 press groups" in card.interval_reset.text
+    )
+    # The card's rates are counted, and so is how much wider the intervals are: rows and not rules say it.
+    table, was = read_table(tmp_path / "anew" / "predictions.csv.gz"), intervals_of(former)
+    for j, target in enumerate(card.targets):
+        true, name = table[target.column].to_numpy(), target.column
+        low, high = (table[f"{end}:{name}"].to_numpy() for end in ("low", "high"))
+        assert target.score.coverage_90 == pytest.approx(np.mean((low <= true) & (true <= high)), abs=0.009)
+        assert target.score.coverage_90 * 125 == pytest.approx(round(target.score.coverage_90 * 125))
+        np.testing.assert_allclose(high - low, 2 * table[f"half_width:{name}"])
+        before = was.ends(table[[f"estimate:{c}" for c in card.columns]].to_numpy())
+        assert card.interval_reset.former_half_widths[name] == pytest.approx(
+            np.mean(before[1] - before[0], axis=0)[j] / 2
+        )
+        ratio = target.score.half_width / card.interval_reset.former_half_widths[name]
+        said = f"{name}: intervals {ratio:.2f} times as wide as before, on average over these rows"
+        assert said in _reset_text(card, tmp_path / "anew", "report.html")
+    # A card of before states what is to be expected; its report counts, and so says the same.
+    reset = card.interval_reset.model_copy(update={"former_half_widths": None})
+    expects = {"coverage_90": expected.mean, "coverage_90_low": expected.low}
+    older = [t.model_copy(update={"score": t.score.model_copy(update=expects)}) for t in card.targets]
+    before = card.model_copy(update={"interval_reset": reset, "targets": tuple(older)})
+    counted = ReportedCalibration(tmp_path / "anew", before).targets
+    assert [t.score for t in counted] == [t.score for t in card.targets]
     assert evaluate(Estimator.open(tmp_path / "anew"), few)["learnt_from_this_run"]
     # The lamp has changed: the former intervals fail, the new ones are wider and hold.
     spread = intervals_of(card).quantile / intervals_of(former).quantile
@@ -512,6 +544,8 @@ def test_angles_and_vectors_of_a_new_session_are_covered_at_the_rate_that_its_ro
     columns = ("d_mm", "a_deg", "x_mm", "y_mm")
     (vector,) = vector_cards({"p_mm": ("x_mm", "y_mm")}, columns, former, outputs, true, np.arange(1500))
     correlation, radius = np.array(vector.correlation), vector.radius
+    capped = _half_turns_at_most(former, np.tile([[200.0]], (2, 4)))
+    assert capped.tolist() == [[200.0, 180.0, 200.0, 200.0]] * 2  # an angle is off by half a turn at most
 
     def scaled(outputs: np.ndarray, true: np.ndarray) -> np.ndarray:
         return (former.errors(outputs, true) / former.spread.at(outputs))[:, 2:]
@@ -556,7 +590,12 @@ def test_a_calibration_of_angles_vectors_and_classes_is_set_anew_whole(days, tmp
     (before,), (now,) = former.vectors, card.vectors
     assert now.correlation == before.correlation
     assert now.radius > before.radius  # the lamp has changed
-    assert now.covered == ExpectedCoverage.of(30, 0.9).mean
+    assert now.covered * now.n == pytest.approx(round(now.covered * now.n))  # counted, as all scores are
+    printed = _reset_text(card, tmp_path / "anew", "report.html")
+    assert "p_mm: all of x_mm, height_mm in their joint region in" in printed
+    table = read_table(tmp_path / "anew" / "predictions.csv.gz")
+    assert {"low:angle_deg", "high:angle_deg", "set:right", "output:right=True"} <= set(table)
+    assert set(table["estimate:right"].astype(str)) <= {"True", "False"}
     (was,), (told,) = former.classes, card.classes
     assert told.names == was.names
     assert min(told.groups) > 20  # of 30 presses, in each of which nearly always both are

@@ -21,10 +21,10 @@ from palpate.calibration.coverage.circular_scores import dispersion, shortest
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.coverage.joint_regions import joint_score
 from palpate.calibration.training_data import rows_matching
-from palpate.core import CertificateError, LabelError, Progress, Shaped, Values, silent
+from palpate.core import CertificateError, LabelError, Progress, Shaped, Values, half_width_text, silent
 from palpate.estimators.certified import Estimator, Zero
 from palpate.estimators.intervals import intervals_of, layout_of, within
-from palpate.estimators.model_card import Card, ScoreCard, TenthCard
+from palpate.estimators.model_card import Card, ScoreCard, TargetCard, TenthCard
 from palpate.estimators.reading_rules import untold
 from palpate.estimators.reference_uncertainty import without_reference
 from palpate.recordings import Run
@@ -107,11 +107,15 @@ def evaluate(
     Returns:
         ``{"targets": {column: {"unit", "n", "mae", "rmse", "r2", "coverage_90", …}}, "tenths": {column:
         scores of the tenths of its range}, "findings": sentences on those that do not keep the promise,
-        "findings_of": {column: those on this target}, "vectors": {column: {"n", "covered", "low", "high"}},
-        "classes": {column: scores of its classes}, "frames_valid": frames that tell some target, and of which
-        neither guard nor range rule refuses a reading of a target that they tell, "frames_untold": {column:
-        frames that do not tell this target, the interval being as wide as its range; all where it is not
-        read}, "frames_all_valid": frames of which every reading is valid of what the calibration reads, …}``.
+        "findings_of": {column: those on this target}, "coverage_with_instrument" and "instruments": {column:
+        the share that readings' intervals hold, and a sentence on it} where the labels are of another
+        instrument than the card's or of none that is stated, "vectors": {column: {"n", "covered", "low",
+        "high"}}, "classes": {column: scores of its classes}, "frames_valid": frames that tell some target,
+        and of which neither guard nor range rule refuses a reading of a target that they tell, "frames_untold":
+        {column: frames that do not tell this target, the interval being as wide as its range; all where it is not
+        read}, "frames_all_valid": frames of which every reading is valid of what the calibration reads,
+        "counted_groups" and "counted_by": groups that the intervals of the rates count, and what they are,
+        …}``.
 
     Raises:
         LabelError: a target column is missing or unfit, or a row is of a class that was not calibrated.
@@ -251,6 +255,7 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame, spread: Val
     if len(np.unique(groups)) == 1:
         groups, counted_by = groups_within(table[read]), press_column(table) or ROW
     targets, tenths = {}, {}
+    with_instrument: dict[str, float] = {}
     for j, t in enumerate(card.targets):
         truth, estimate = true[read, j], predicted[read, j]
         ends = without_reference(t, estimate, low[read, j], high[read, j])  # labels are what it shows
@@ -259,6 +264,10 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame, spread: Val
         targets[t.column] = score(
             t.unit, truth, estimate, of_labels, t.training_mean, groups, inside=inside, period=t.period
         ).model_dump()
+        if _stated_by_others(card, t, run) is not None:
+            error = shortest(truth - estimate, t.period)
+            own = within(error, low[read, j] - estimate, high[read, j] - estimate)
+            with_instrument[t.column] = float(own.mean())
         if inside is not None:
             parts = range_scores(
                 truth, estimate - truth, inside, groups, (t.least, t.greatest), card.coverage
@@ -280,6 +289,12 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame, spread: Val
         "classes": {column: found.model_dump() for column, found in classes.items()},
         "findings": [*(one for of_target in findings_of.values() for one in of_target), *about_classes],
         "findings_of": findings_of,
+        "coverage_with_instrument": with_instrument,
+        "instruments": {
+            t.column: _instrument_sentence(card, t, run, with_instrument[t.column])
+            for t in card.targets
+            if t.column in with_instrument
+        },
         "vectors": {
             v.column: joint_score(v, card.columns, predicted[read] - true[read], spread[read], groups)
             for v in card.vectors or ()
@@ -316,6 +331,32 @@ def _findings(
             scored["over_range"] = t.over_range.model_copy(update={"tenths": parts})
         found[t.column] = list(target_findings(t.model_copy(update=scored), card.coverage))
     return {column: sentences for column, sentences in found.items() if sentences}
+
+
+def _stated_by_others(card: Card, target: TargetCard, run: Run) -> str | None:
+    """Instrument of a run's labels, empty where it states none; None where the card's own measured them.
+
+    Or where the card's adds nothing to intervals, so that they are the same with and without it.
+    """
+    own, stated = target.measured_by, run.manifest.instruments.get(target.column)
+    if own is None or own.half_width == 0 or learnt_from(card, run):
+        return None
+    if stated is None:
+        return ""
+    same = own.instrument == stated.instrument or own.instrument.startswith(f"{stated.instrument}, the least")
+    return None if same else stated.instrument
+
+
+def _instrument_sentence(card: Card, target: TargetCard, run: Run, share: float) -> str:
+    """How a target was scored on labels of another instrument, whose difference is in no held-out error."""
+    own, other = target.measured_by, _stated_by_others(card, target, run)
+    assert own is not None
+    half = f"±{half_width_text(own.half_width)} {target.unit}"
+    return (
+        f"{target.quantity.replace('_', ' ')}: scored without the {half} of {own.instrument}, while the "
+        f"labels are by {other or 'an instrument that is not stated'}; with it, as readings have it, "
+        f"{100 * share:.1f} % of rows lay within their intervals"
+    )
 
 
 def learnt_from(card: Card, run: Run) -> bool:

@@ -324,13 +324,13 @@ def _card_text(card: Any, out: Path) -> str:
     from palpate.calibration.coverage import card_findings
     from palpate.reports.class_text import class_lines
     from palpate.reports.order_verdicts import order_sentences
-    from palpate.reports.terminal_text import confounds_text, instrument_lines, scores_table
+    from palpate.reports.terminal_text import confounds_text, instrument_lines
 
     lines = [f"calibration {card.id}: {out}", *confounds_text(card), *order_sentences(card)]
     if card.sessions is not None:
         lines += [card.sessions.text, *card.sessions.findings]
     if card.targets:
-        lines += [scores_table({t.column: t.score for t in card.targets}), *instrument_lines(card.targets)]
+        lines += [_card_scores(card), *instrument_lines(card.targets)]
     for one in card.classes or ():
         lines += [*class_lines(one, one.score, card.coverage), *one.findings]
     lines += [*card_findings(card), *(_vector_text(vector) for vector in card.vectors or ())]
@@ -340,6 +340,13 @@ def _card_text(card: Any, out: Path) -> str:
         lines += [*_splits_table(card), card.order.text]
     lines += [f"audit: {card.split.audit}", f"report: {out / 'report.html'}"]
     return "\n".join(lines)
+
+
+def _card_scores(card: Any) -> str:
+    from palpate.reports.terminal_text import scores_table
+
+    periods = {t.column: t.period for t in card.targets}
+    return scores_table({t.column: t.score for t in card.targets}, periods)
 
 
 def _vector_text(vector: Any) -> str:
@@ -388,7 +395,8 @@ def _scores_text(scores: dict[str, Any], card: Any) -> str:
 
     lines = []
     if scores["targets"]:
-        lines.append(scores_table({name: ScoreCard(**score) for name, score in scores["targets"].items()}))
+        periods = {t.column: t.period for t in card.targets}
+        lines.append(scores_table({c: ScoreCard(**score) for c, score in scores["targets"].items()}, periods))
     for one in card.classes or ():
         found = ClassScoreCard(**scores["classes"][one.column])
         lines += class_lines(one, found, card.coverage)
@@ -403,7 +411,7 @@ def _scores_text(scores: dict[str, Any], card: Any) -> str:
         for name, one in scores["targets"].items()
         if one["coverage_90_high"] < card.coverage
     ]
-    table = "\n".join([*lines, *short, *scores["findings"], *joint])
+    table = "\n".join([*lines, *short, *scores["instruments"].values(), *scores["findings"], *joint])
     counts = (scores[f"frames_{name}"] for name in ("scored", "valid", "untold", "all_valid"))
     valid = frames_text(card, *counts)
     named = ", ".join(scores["session"])
@@ -462,25 +470,26 @@ def _set_intervals_anew(
     calibration: Path, run: Path, out: Path, instruments: dict[str, Any], json_: bool, quiet: bool
 ) -> None:
     from palpate.calibration.sessions import reset_intervals
-    from palpate.estimators.certified import read_card
     from palpate.workflows.certification import REPORT_FILE
 
     with progress_bar(quiet) as progress:
         card = reset_intervals(calibration, palpate.Run.open(run), out, progress, instruments=instruments)
         progress("writing the report", 0, 1)
         palpate.write_report(out, out / REPORT_FILE)
-    former = {target.column: target for target in read_card(calibration).targets}
-    print_found(card.model_dump(mode="json"), _reset_text(card, former, out, REPORT_FILE), json_)
+    print_found(card.model_dump(mode="json"), _reset_text(card, out, REPORT_FILE), json_)
 
 
-def _reset_text(card: Any, former: dict[str, Any], out: Path, report: str) -> str:
+def _reset_text(card: Any, out: Path, report: str) -> str:
+    from palpate.calibration.coverage import card_findings
     from palpate.reports.class_text import class_lines
-    from palpate.reports.terminal_text import instrument_lines, scores_table
+    from palpate.reports.terminal_text import instrument_lines
 
+    former = card.interval_reset.former_half_widths
     wider = [
-        f"{t.column}: intervals {t.quantile / former[t.column].quantile:.2f} times as wide as before"
+        f"{t.column}: intervals {t.score.half_width / former[t.column]:.2f} times as wide as before, on "
+        "average over these rows"
         for t in card.targets
-        if former[t.column].quantile > 0
+        if former[t.column] > 0
     ]
     classes = [
         line
@@ -490,10 +499,12 @@ def _reset_text(card: Any, former: dict[str, Any], out: Path, report: str) -> st
     lines = [
         f"calibration {card.id}: {out}",
         card.interval_reset.text,
-        *([scores_table({target.column: target.score for target in card.targets})] if card.targets else ()),
+        *([_card_scores(card)] if card.targets else ()),
         *instrument_lines(card.targets),
         *wider,
         *classes,
+        *card_findings(card),
+        *(_vector_text(vector) for vector in card.vectors or ()),
         f"report: {out / report}",
     ]
     return "\n".join(lines)

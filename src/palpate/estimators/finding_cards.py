@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from palpate.estimators.card_ground import CardPart, FileCard, RunCard
 
@@ -169,7 +169,12 @@ class IntervalResetCard(CardPart):
         coverage_mean, coverage_low, coverage_high: coverage to expect in that session: its mean over
             drawings of so many groups, and the range that holds 95 of 100 of them.
         text: all of it in words.
+        former_half_widths: of each target's column, the mean over these rows of the half-widths that the
+            former intervals have there; None in cards of before, whose scores state the coverage to expect in
+            the place of the share that was counted.
     """
+
+    added: ClassVar[tuple[str, ...]] = ("former_half_widths",)
 
     calibration: str
     run: RunCard
@@ -181,6 +186,7 @@ class IntervalResetCard(CardPart):
     coverage_low: float
     coverage_high: float
     text: str
+    former_half_widths: dict[str, float] | None = None
 
 
 class CopyCard(CardPart):

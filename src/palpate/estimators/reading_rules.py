@@ -93,10 +93,23 @@ def too_unsure(target: TargetCard) -> str:
     """Why a target is not read, by the width of its intervals; empty where they tell something."""
     if not target.is_as_unsure_as_its_range:
         return ""
-    if target.untold_width == 0:
-        return "on rows held out of the calibration, it told no more than always saying the mean"
-    wide = f"its intervals are {2 * target.score.half_width:.3g} {target.unit} wide on average"
-    return f"{wide}, and {_whole(target)}"
+    wide = f"its intervals are {_wide(target, 2 * target.score.half_width)} on average"
+    return f"{wide}, {_as_random(target)}" if target.untold_width == 0 else f"{wide}, and {_whole(target)}"
+
+
+ABOUT = 0.85
+"""Share of the arc from which on intervals are as wide as guesses need for 90 %: 0.9, but for chance."""
+
+
+def _as_random(target: TargetCard) -> str:
+    """Why a circular target tells nothing whatever the width: that of its intervals, as it was calibrated."""
+    circular = target.circular
+    if circular is None or 2 * target.score.half_width < ABOUT * (target.greatest - target.least):
+        return "but on rows held out of the calibration they, or its errors, were those of random guesses"
+    return (
+        f"as wide as directions drawn at random need; if errors pile up at {circular.period / 2:.4g} "
+        f"{target.unit}, calibrate with --circular {target.column}={circular.period / 2:.4g}"
+    )
 
 
 def _whole(target: TargetCard) -> str:
@@ -114,8 +127,14 @@ def _whole(target: TargetCard) -> str:
 
 
 def _tells_nothing(target: TargetCard, width: float) -> str:
-    wide = f"its interval is {width:.3g} {target.unit} wide"
+    wide = f"its interval is {_wide(target, width)}"
     return f"this frame does not tell {target.quantity}: {wide}, and {_whole(target)}"
+
+
+def _wide(target: TargetCard, width: float) -> str:
+    """A width in words; no interval around a direction is wider than the whole turn."""
+    whole = target.circular is not None and width >= target.circular.period
+    return "the whole turn" if whole else f"{width:.3g} {target.unit} wide"
 
 
 def _range(target: TargetCard) -> str:

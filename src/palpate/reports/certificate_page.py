@@ -18,6 +18,7 @@ from palpate.reports.score_intervals import (
     explained_half_width,
     mean_error_half_width,
     percent,
+    width_text,
 )
 from palpate.reports.sections import SECTIONS, ReportedCalibration
 
@@ -71,6 +72,7 @@ def filled_template(name: str, **values: Any) -> str:
     environment.filters["code"] = _with_code
     environment.filters["setting"] = _setting_text
     environment.filters["to"] = rounded
+    environment.filters["wide"] = width_text
     environment.filters["half"] = half_width_text
     environment.filters["mae"] = lambda s, groups, part="mae": rounded(
         getattr(s, part), mean_error_half_width(s, groups)

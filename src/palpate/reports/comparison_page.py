@@ -18,7 +18,6 @@ from palpate.core import (
     CertificateError,
     InputError,
     PathText,
-    half_width_text,
     new_file,
     rounded,
 )
@@ -28,7 +27,7 @@ from palpate.recordings.label_tables import own_column
 from palpate.reports.calibration_figures import errors_of
 from palpate.reports.certificate_page import filled_template
 from palpate.reports.evaluation_text import frames_of
-from palpate.reports.score_intervals import mean_error_half_width, percent
+from palpate.reports.score_intervals import mean_error_half_width, percent, width_text
 from palpate.reports.sections import ReportedCalibration, found_elsewhere, not_relied_on, tested_text
 
 
@@ -336,7 +335,7 @@ def _cells(one: ComparedTarget, cards: tuple[Card, Card]) -> tuple[str, ...]:
     scores = (one.first.score, one.second.score)
     pairs = zip(scores, cards, strict=True)
     maes = [rounded(s.mae, mean_error_half_width(s, card.split.groups)) for s, card in pairs]
-    halves = [f"±{half_width_text(s.half_width)}" for s in scores]
+    halves = [width_text(t.score.half_width, t.period) for t in (one.first, one.second)]
     shares = [f"{percent(s.coverage_90, s.coverage_90_low, s.coverage_90_high)} %" for s in scores]
     return (one.column, one.first.unit, *maes, *halves, *shares)
 

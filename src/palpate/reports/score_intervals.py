@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from palpate.core import rounded
+from palpate.core import half_width_text, rounded
 from palpate.estimators.model_card import ScoreCard
 
 CONFIDENT = 1.96  # standard deviations on either side of a mean, for 95 %
@@ -32,6 +32,18 @@ def explained_half_width(score: ScoreCard, groups: int) -> float:
     """
     n = max(min(groups, score.n), 1)
     return CONFIDENT * abs(1 - score.r2) * math.sqrt(4 / n)
+
+
+def width_text(half_width: float, period: float | None = None, unit: str = "") -> str:
+    """Half-width of an interval to its own two digits, or that it is the whole turn of a circular target.
+
+    Example:
+        >>> width_text(0.523), width_text(12.3, 360.0, "deg"), width_text(200.0, 360.0, "deg")
+        ('±0.52', '±12 deg', 'the whole turn')
+    """
+    if period is not None and 2 * half_width >= period:
+        return "the whole turn"
+    return f"±{half_width_text(half_width)} {unit}".rstrip()
 
 
 def percent(share: float, low: float, high: float) -> str:

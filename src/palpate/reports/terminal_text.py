@@ -16,6 +16,7 @@ from palpate.reports.score_intervals import (
     explained_half_width,
     mean_error_half_width,
     percent,
+    width_text,
 )
 
 if TYPE_CHECKING:
@@ -25,13 +26,17 @@ COLUMNS = 80  # of a terminal
 HEAD = ("target", "unit", "MAE", "of mean", "RMSE", "R2", "90 %", "covered (95 %)")
 
 
-def scores_table(scores: Mapping[str, ScoreCard]) -> str:
+def scores_table(scores: Mapping[str, ScoreCard], periods: Mapping[str, float | None] | None = None) -> str:
     """One line a target, and a sentence for those that the model does not read; 80 columns at most.
 
     After the mean absolute error stands that of always saying the mean; after the half-width of the 90 %
     intervals the share of the truths they covered, and the 95 % interval of that share.
+
+    Args:
+        scores: of each target's column.
+        periods: after which some of them come round again.
     """
-    lines = [HEAD, *(_cells(name, score) for name, score in scores.items())]
+    lines = [HEAD, *(_cells(name, score, (periods or {}).get(name)) for name, score in scores.items())]
     widths = [max(len(line[i]) for line in lines) for i in range(len(HEAD))]
     gap = "  " if sum(widths) + 2 * len(HEAD) - 2 <= COLUMNS else " "
     text = [
@@ -50,7 +55,7 @@ def scores_table(scores: Mapping[str, ScoreCard]) -> str:
     return "\n".join(text)
 
 
-def _cells(name: str, s: ScoreCard) -> tuple[str, ...]:
+def _cells(name: str, s: ScoreCard, period: float | None) -> tuple[str, ...]:
     off, ends = mean_error_half_width(s, s.n), (s.coverage_90_low, s.coverage_90_high)
     covered, low, high = (percent(share, *ends) for share in (s.coverage_90, *ends))
     return (
@@ -60,7 +65,7 @@ def _cells(name: str, s: ScoreCard) -> tuple[str, ...]:
         rounded(s.mean_mae, off),
         rounded(s.rmse, off),
         rounded(s.r2, max(explained_half_width(s, s.n), MIN_R2_HALF_WIDTH)),
-        f"±{half_width_text(s.half_width)}",
+        width_text(s.half_width, period),
         f"{covered} ({low}–{high}) %",
     )
 

@@ -42,11 +42,13 @@ class EvaluationRecord(SealedCard):
         frames_all_valid: how many gave a valid reading of everything that the calibration reads.
         findings: sentences on each target's column whose intervals do not keep the promise here; these three
             are None in files of before.
+        instruments: a sentence on each target's column whose labels are of another instrument than the
+            card's; None where there is none, and in files of before.
         groups: how many groups (presses) these are of.
         reference: whether one image of the untouched sensor was given for all.
     """
 
-    added: ClassVar[tuple[str, ...]] = ("frames_untold", "frames_all_valid", "findings")
+    added: ClassVar[tuple[str, ...]] = ("frames_untold", "frames_all_valid", "findings", "instruments")
 
     format: Literal["palpate-evaluation/1"]
     calibration: str
@@ -64,6 +66,7 @@ class EvaluationRecord(SealedCard):
     frames_untold: dict[str, int] | None = None
     frames_all_valid: int | None = None
     findings: dict[str, tuple[str, ...]] | None = None
+    instruments: dict[str, str] | None = None
 
     def findings_of(self, column: str) -> tuple[str, ...]:
         """Sentences on a target whose intervals do not keep the promise here, with its name."""
@@ -133,6 +136,7 @@ def _sealed(scores: dict[str, Any], reference: bool) -> EvaluationRecord:
         software=f"palpate {__version__}",
         reference=reference,
         findings=scores["findings_of"],
+        instruments=scores["instruments"] or None,
         **{name: scores[name] for name in (*names, *counts)},
     )
     return record.model_copy(update={"id": card_id(record.model_dump(mode="json"))})

@@ -38,7 +38,7 @@ from palpate.calibration.certificate import (
     made_fields,
     write_picture,
 )
-from palpate.calibration.classes import ClassLabels, known_codes, target_values
+from palpate.calibration.classes import ClassLabels, HeldOutClasses, known_codes, target_values
 from palpate.calibration.classes.prediction_sets import held_out_classes
 from palpate.calibration.coverage import range_cards
 from palpate.calibration.coverage.group_quantiles import (
@@ -46,6 +46,7 @@ from palpate.calibration.coverage.group_quantiles import (
     new_group_quantile,
     rank_of_new_group,
 )
+from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.evaluation import predictions, rows_to_score, same_session, score, zeros_of
 from palpate.calibration.robustness import CertifiedModel, Suite, adapted_guard
 from palpate.calibration.sessions.copies import TOGETHER
@@ -68,7 +69,7 @@ from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
 from palpate.estimators.class_sets import ClassCard, ClassOutputs
 from palpate.estimators.finding_cards import IntervalResetCard, RobustnessCard, SessionsCard
 from palpate.estimators.guard import NoveltyDetector, RenderedImages
-from palpate.estimators.intervals import Intervals, intervals_of, layout_of, mahalanobis
+from palpate.estimators.intervals import Intervals, intervals_of, layout_of, mahalanobis, within
 from palpate.estimators.model_card import (
     Card,
     InstrumentCard,
@@ -200,7 +201,8 @@ def reset_intervals(
     stated = run.manifest.instruments | dict(instruments or {})
     rows = _SessionRows.read(estimator, run, progress)
     intervals = intervals_set_anew(intervals_of(estimator.card), rows.outputs, rows.true, rows.groups)
-    halves = intervals.half_widths(rows.outputs)
+    halves = _half_turns_at_most(intervals, intervals.half_widths(rows.outputs))
+    classes = _classes(estimator.card, rows)
     with new_folder(out) as building:
         shutil.copyfile(checked_file(folder, estimator.card.model), building / "model.onnx")
         if (copies := estimator.card.copy_of) is not None and copies.file is not None:
@@ -211,11 +213,16 @@ def reset_intervals(
             rows.table, {"row": rows.rows, "frame": rows.names, "held_out_in_fold": 0 * rows.rows}
         )
         for j, column in enumerate(estimator.card.columns):
-            table[f"half_width:{column}"] = halves[:, j]
+            estimate, half = rows.predicted[:, j], halves[:, j]
+            table[f"half_width:{column}"] = half
+            table[f"low:{column}"], table[f"high:{column}"] = estimate - half, estimate + half
+        if classes is not None:
+            table = classes.with_answers(table, np.arange(len(table)))
         write_table(table, building / PREDICTIONS_FILE)
         _write_pictures(folder, building, estimator.card, run, rows)
+        cards = None if classes is None else classes.cards
         seconds = time.monotonic() - started
-        card = _card(estimator.card, building, run, rows, stated, intervals, robustness, seconds)
+        card = _card(estimator.card, building, run, rows, stated, intervals, cards, robustness, seconds)
         (building / CARD_FILE).write_text(card.model_dump_json(indent=1))
         Estimator.open(building)
     return card
@@ -389,15 +396,17 @@ def _card(
     rows: _SessionRows,
     instruments: Mapping[str, ReferenceInstrument],
     intervals: Intervals,
+    classes: tuple[ClassCard, ...] | None,
     robustness: RobustnessCard,
     seconds: float,
 ) -> Card:
-    halves, over_range = intervals.half_widths(rows.outputs), _over_range(former, rows, intervals)
+    halves = _half_turns_at_most(intervals, intervals.half_widths(rows.outputs))
+    errors, over_range = intervals.errors(rows.outputs, rows.true), _over_range(former, rows, intervals)
     expected = ExpectedCoverage.of(rows.count, former.coverage)
     targets = tuple(
         target.model_copy(
             update=interval_fields(intervals, j, over_range[j], _untold_width(target, former.coverage))
-            | {"score": _score(target, rows, j, halves[:, j], expected)}
+            | {"score": _score(target, rows, j, halves[:, j], errors[:, j])}
             | {"measured_by": _instrument(target, instruments, former.coverage)}
         )
         for j, target in enumerate(former.targets)
@@ -411,8 +420,8 @@ def _card(
         "order": None,
         "robustness": robustness,
         "confounds": None,  # it was of the former's frames
-        "vectors": former.vectors and tuple(_vector(v, former, rows, expected) for v in former.vectors),
-        "classes": former.classes and _classes(former, rows),
+        "vectors": former.vectors and tuple(_vector(v, former, rows) for v in former.vectors),
+        "classes": classes,
         "split": former.split.model_copy(
             update={
                 "reason": f"{former.split.reason}; the intervals are of session {rows.session}",
@@ -437,20 +446,19 @@ def _score(
     rows: _SessionRows,
     j: int,
     half: Float[np.ndarray, " n"],
-    expected: ExpectedCoverage,
+    error: Float[np.ndarray, " n"],
 ) -> ScoreCard:
-    """Errors in the session; for the coverage what is to be expected, since these rows have set it."""
-    found = score(
+    """Errors in the session, and the share held of the rows that set the width, as on any card."""
+    return score(
         target.unit, rows.true[:, j], rows.predicted[:, j], half, target.training_mean, rows.groups,
-        period=target.period,
+        inside=within(error, -half, half), period=target.period,
     )  # fmt: skip
-    return found.model_copy(
-        update={
-            "coverage_90": expected.mean,
-            "coverage_90_low": expected.low,
-            "coverage_90_high": expected.high,
-        }
-    )
+
+
+def _half_turns_at_most(intervals: Intervals, halves: Values) -> Values:
+    """Half-widths ``[n t]``, none of a circular target beyond half its turn: nothing lies farther off."""
+    periods = (None,) * halves.shape[1] if intervals.layout is None else intervals.layout.periods
+    return np.minimum(halves, [np.inf if period is None else period / 2 for period in periods])
 
 
 def _over_range(former: Card, rows: _SessionRows, intervals: Intervals) -> list[RangeCard | None]:
@@ -478,35 +486,45 @@ def _farther(one: RangeCard | None, former: RangeCard | None) -> RangeCard | Non
     )
 
 
-def _vector(vector: VectorCard, former: Card, rows: _SessionRows, expected: ExpectedCoverage) -> VectorCard:
-    """A vector whose region these rows have set; its coverage is what is to be expected."""
+def _vector(vector: VectorCard, former: Card, rows: _SessionRows) -> VectorCard:
+    """A vector whose region these rows have set, and the share of them that it holds."""
     at, own = [former.columns.index(part) for part in vector.columns], intervals_of(former)
     scaled = own.errors(rows.outputs, rows.true) / own.spread.at(rows.outputs)
-    radius = radius_set_anew(np.array(vector.correlation), scaled[:, at], rows.groups, former.coverage)
-    rate = {"covered": expected.mean, "low": expected.low, "high": expected.high}
+    correlation = np.array(vector.correlation)
+    radius = radius_set_anew(correlation, scaled[:, at], rows.groups, former.coverage)
+    inside = mahalanobis(scaled[:, at], correlation) <= radius
+    low, high = grouped_coverage_interval(inside, rows.groups)
+    rate = {"covered": float(inside.mean()), "low": low, "high": high}
     return vector.model_copy(update={"radius": radius, "n": len(rows.rows)} | rate)
 
 
-def _classes(former: Card, rows: _SessionRows) -> tuple[ClassCard, ...]:
+def _classes(former: Card, rows: _SessionRows) -> HeldOutClasses | None:
     """The classes, whose thresholds these rows have set, scored without each row's own group."""
+    if not former.classes:
+        return None
     labels = tuple(
         ClassLabels(c.column, c.values, c.names, known_codes(rows.table, c.column, c.values, rows.session))
-        for c in former.classes or ()
+        for c in former.classes
     )
-    found = held_out_classes(labels, rows.of_classes, rows.groups, former.coverage)
-    return found.cards
+    return held_out_classes(labels, rows.of_classes, rows.groups, former.coverage)
 
 
 def _reset_card(former: Card, run: Run, rows: _SessionRows, expected: ExpectedCoverage) -> IntervalResetCard:
     about = run.manifest
     what = "rows" if rows.count == len(rows.rows) else f"{' and '.join(rows.columns)} groups"
     low, mean, high = (100 * rate for rate in (expected.low, expected.mean, expected.high))
+    own = rows.count == len(rows.rows)
+    drawn = "the" if own else "one row being drawn from each group, the expected"
+    circa, at_least = ("", "") if own else ("about ", " or more")
+    before = intervals_of(former)
+    low_before, high_before = before.ends(rows.outputs)
+    were = _half_turns_at_most(before, (high_before - low_before) / 2).mean(axis=0)
     text = (
         f"The intervals were set anew for session {rows.session} by {len(rows.rows)} labelled rows of it, "
-        f"the network being that of calibration {former.id}: the score of rank {expected.rank} of "
-        f"{rows.count} {what}. They cover {mean:.1f} % of that session's rows on average over such sets of "
-        f"rows; this set, with a probability of 95 %, {low:.1f} to {high:.1f} %. These rows set the coverage "
-        "and do not test it. Of a third session they say nothing."
+        f"the network being that of calibration {former.id}: {drawn} score of rank "
+        f"{expected.rank} of {rows.count} {what}. They cover {circa}{mean:.1f} % of that session's rows on "
+        f"average over such sets of rows; this set, with a probability of 95 %{at_least}, {low:.1f} to "
+        f"{high:.1f} %. These rows set the coverage and do not test it. Of a third session they say nothing."
     )
     return IntervalResetCard(
         calibration=former.id,
@@ -521,6 +539,7 @@ def _reset_card(former: Card, run: Run, rows: _SessionRows, expected: ExpectedCo
         coverage_low=expected.low,
         coverage_high=expected.high,
         text=text,
+        former_half_widths=dict(zip(former.columns, were.tolist(), strict=True)),
     )
 
 

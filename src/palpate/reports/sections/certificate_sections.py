@@ -92,9 +92,17 @@ class ReportedCalibration:
     @cached_property
     def targets(self) -> tuple[TargetCard, ...]:
         """Its targets; with an interval of the coverage that allows for few groups, or rows of one press."""
+        if self.expects:
+            return tuple(_counted(target, self.table, self.groups) for target in self.card.targets)
         if self.scored_groups >= MIN_GROUPS and not self._took_presses_apart:
             return self.card.targets
         return tuple(_judged_by_few(target, self.table, self.groups) for target in self.card.targets)
+
+    @property
+    def expects(self) -> bool:
+        """True for a card of before whose rates are those to expect of the rows that set its intervals."""
+        reset = self.card.interval_reset
+        return reset is not None and reset.former_half_widths is None
 
     @property
     def _took_presses_apart(self) -> bool:
@@ -137,6 +145,18 @@ def _judged_by_few(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) 
     return target.model_copy(update={"score": target.score.model_copy(update=ends)})
 
 
+def _counted(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) -> TargetCard:
+    """A target with the share that its intervals held."""
+    held = {"coverage_90": float(held_rows(target, table).mean())}
+    counted = target.model_copy(update={"score": target.score.model_copy(update=held)})
+    return _judged_by_few(counted, table, groups)
+
+
+def _lay(report: ReportedCalibration) -> str:
+    """Verb of the truths in a joint region: counted, or of a card that says what is to be expected."""
+    return "should lie" if report.expects else "lay"
+
+
 Values = dict[str, Any]
 
 
@@ -171,6 +191,7 @@ def answers(report: ReportedCalibration) -> Values:
     return {
         "answers": [_answer(report, target) for target in report.targets],
         "vectors": report.card.vectors or (),
+        "lay": _lay(report),
         "classes": [
             {
                 "text": f"{one.column.replace('_', ' ')}: {classes_told(one, one.score)}",
@@ -193,6 +214,8 @@ def _answer(report: ReportedCalibration, target: TargetCard) -> dict[str, str]:
         sentences += [one.removeprefix(f"{name}: ") for one in target_findings(target, card.coverage)]
         sentences += found_elsewhere(target, report.evaluations)
         sentences += in_order
+    elsewhere = [one.instruments or {} for one in others(report.evaluations)]
+    sentences += [one[target.column].removeprefix(f"{name}: ") for one in elsewhere if target.column in one]
     joined = reading_half_width(target, report.table)
     if joined is not None and target.measured_by is not None:
         own = rounded(target.measured_by.half_width, joined)
@@ -271,7 +294,8 @@ def scores(report: ReportedCalibration) -> Values | None:
     if not report.targets:
         return None
     few = report.scored_groups < MIN_GROUPS
-    return {"card": report.card, "targets": report.targets, "groups": report.scored_groups, "few": few}
+    counted = {"targets": report.targets, "groups": report.scored_groups, "lay": _lay(report)}
+    return {"card": report.card, "few": few} | counted
 
 
 def split(report: ReportedCalibration) -> Values:

@@ -66,7 +66,10 @@ def evaluations(report: ReportedCalibration) -> Values | None:
             "found": found,
             "frames": frames_of(report.card, found),
             "scores": [(t, found.targets[t.column]) for t in report.card.targets],
-            "findings": [one for t in report.card.targets for one in found.findings_of(t.column)],
+            "findings": [
+                *(one for t in report.card.targets for one in found.findings_of(t.column)),
+                *(found.instruments or {}).values(),
+            ],
         }
         for found in report.evaluations
     ]

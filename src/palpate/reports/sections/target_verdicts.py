@@ -12,13 +12,13 @@ import pandas as pd
 from palpate.calibration.coverage import target_findings
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.sessions import EvaluationRecord
-from palpate.core import half_width_text, rounded
+from palpate.core import rounded
 from palpate.estimators.finding_cards import SessionsCard
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard
 from palpate.estimators.reading_rules import too_unsure
 from palpate.estimators.reference_uncertainty import with_reference
 from palpate.reports.calibration_figures import errors_of, held_rows, interval_ends, target_columns
-from palpate.reports.score_intervals import mean_error_half_width, percent
+from palpate.reports.score_intervals import mean_error_half_width, percent, width_text
 
 OUTER_SHARE = 0.1
 """Share of the scored rows, by their truth, that an outer range holds."""
@@ -114,7 +114,7 @@ def answer(card: Card, target: TargetCard, ends: Sequence[OuterRange], groups: i
     s, name = target.score, target.quantity.replace("_", " ")
     # Two digits are enough of a sentence, and fewer where the groups bear out no more.
     typical = rounded(s.mae, max(s.mae, mean_error_half_width(s, groups)))
-    half = half_width_text(s.half_width)
+    wide = width_text(s.half_width, target.period, s.unit)
     if s.says_nothing:
         return (
             f"{name}: not read by this model: {typical} {s.unit} off on average, no better than always "
@@ -122,7 +122,7 @@ def answer(card: Card, target: TargetCard, ends: Sequence[OuterRange], groups: i
         )
     if why := too_unsure(target):
         return f"{name}: not read by this model: {why}"
-    held = f"its own intervals, ±{half} {s.unit} on average, held {_held(s, card.coverage)}"
+    held = f"its own intervals, {wide} on average, held {_held(s, card.coverage)}"
     but = _but(s, ends, card.coverage)
     return f"{name}: {typical} {s.unit} typical; {held} {_where(target)}{but}; {tested}"
 
@@ -169,7 +169,7 @@ def verdict(target: TargetCard, ends: Sequence[OuterRange] = (), groups: int | N
     covered, low, high = (percent(share, *ends_of) for share in (s.coverage_90, *ends_of))
     return (
         f"Off by {mae} {s.unit} on average{_times(s)}. The 90 % intervals are "
-        f"±{half_width_text(s.half_width)} {s.unit} wide on average and covered the truth in "
+        f"{width_text(s.half_width, target.period, s.unit)} wide on average and covered the truth in "
         f"{covered} % of rows (95 % interval {low} to {high} %), {_promise(target, ends)}."
     )
 
