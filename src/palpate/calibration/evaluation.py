@@ -111,9 +111,10 @@ def evaluate(
         the share that readings' intervals hold, and a sentence on it} where the labels are of another
         instrument than the card's or of none that is stated, "vectors": {column: {"n", "covered", "low",
         "high"}}, "classes": {column: scores of its classes}, "frames_valid": frames that tell some target,
-        and of which neither guard nor range rule refuses a reading of a target that they tell, "frames_untold":
-        {column: frames that do not tell this target, the interval being as wide as its range; all where it is not
-        read}, "frames_all_valid": frames of which every reading is valid of what the calibration reads,
+        and of which neither guard nor range rule refuses a reading of a target that they tell,
+        "frames_untold": {column: frames that do not tell this target, the interval being as wide as its
+        range; all where it is not read}, "frames_all_valid": frames of which every reading is valid
+        of what the calibration reads,
         "counted_groups" and "counted_by": groups that the intervals of the rates count, and what they are,
         …}``.
 
