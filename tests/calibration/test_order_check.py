@@ -5,10 +5,17 @@ import pandas as pd
 import pytest
 
 from palpate.calibration import CalibrationPlan, calibrate
-from palpate.calibration.sessions.order_check import label_gap, split_beside, told_by_order
+from palpate.calibration.coverage.conformal import fit_intervals
+from palpate.calibration.sessions.order_check import (
+    ScoredSplit,
+    label_gap,
+    order_card,
+    split_beside,
+    told_by_order,
+)
 from palpate.core import ManualClock
 from palpate.estimators import read_card
-from palpate.recordings import Manifest, Run, RunWriter, split
+from palpate.recordings import Manifest, Run, RunWriter, Split, split
 
 N = 200
 
@@ -36,11 +43,13 @@ def test_a_sorted_label_makes_shuffled_folds_meaningless_and_the_card_says_so(tm
     shuffled, blocks = order.splits
     assert (shuffled.kind, blocks.kind) == ("random", "blocks")
     assert shuffled.meaningless == ("depth_mm",)
-    assert blocks.meaningless == ()
+    assert blocks.meaningless == ("depth_mm",)
     assert shuffled.r2["depth_mm"] > 0.9  # a certificate of the clock
     assert order.rank_correlation["depth_mm"] == pytest.approx(1)
     assert "shuffled folds are meaningless" in order.text
-    assert "only another session tells" in order.text
+    assert "Of depth_mm blocks are meaningless, too" in order.text
+    assert "only another session does" in order.text
+    assert "Read the blocks" not in order.text
 
 
 def test_a_shuffled_label_leaves_both_comparable(tmp_path, rng) -> None:
@@ -71,6 +80,49 @@ def test_what_is_costly_to_train_leaves_the_other_split_out_and_says_so(tmp_path
     order = read_card(tmp_path / "cal").order
     assert len(order.splits) == 1
     assert "Blocks of the order in which rows were taken were left out" in order.text
+
+
+@pytest.mark.parametrize("kind", ["random", "blocks"])
+def test_a_clock_passes_every_split_that_neighbours_pass_and_no_other(kind, rng) -> None:
+    """A cubic in the row's number, without any picture: it reads a ramp by blocks as by shuffled folds.
+
+    Of a label that comes and goes within a few blocks, and of noise, it reads nothing.
+    """
+    n, each = np.arange(400.0), {}
+    for name, values in {"ramp": n, "noise": rng.normal(size=400)}.items():
+        parts = split(pd.DataFrame({"x": values}), kind, folds=5, seed=0)
+        held_out = np.empty((400, 1))
+        for fold in parts.folds:
+            rest = np.setdiff1d(np.arange(400), fold)
+            held_out[fold, 0] = np.polyval(np.polyfit(n[rest] / 400, values[rest], 3), n[fold] / 400)
+        intervals = fit_intervals(held_out, values[:, None], np.arange(400), 0.9)
+        order = order_card([ScoredSplit(parts, held_out)], values[:, None], ["x"], intervals, "")
+        each[name] = order.splits[0]
+    assert each["ramp"].r2["x"] > 0.999
+    assert each["ramp"].meaningless == ("x",)
+    assert each["noise"].r2["x"] < 0.1
+    assert each["noise"].meaningless == ()
+
+
+def test_blocks_are_to_be_read_where_they_hide_what_neighbours_tell() -> None:
+    """A label that comes and goes within a block: shuffled folds are passed by neighbours, blocks are not."""
+    values = np.sin(2 * np.pi * np.arange(400) / 16)[:, None]
+    table = pd.DataFrame({"x": values[:, 0]})
+    blocks = Split("blocks:20", (), np.arange(400) // 20, tuple(np.arange(400).reshape(20, 20)), "")
+    both = [ScoredSplit(parts, 0.9 * values) for parts in (split(table, "random", folds=5), blocks)]
+    intervals = fit_intervals(0.9 * values, values, np.arange(400), 0.9)
+    order = order_card(both, values, ["x"], intervals, "")
+    assert [one.meaningless for one in order.splits] == [("x",), ()]
+    assert "Read the blocks" in order.text
+
+
+def test_what_is_sorted_is_not_sent_to_blocks_that_were_not_scored() -> None:
+    values = np.arange(400.0)[:, None]
+    alone = [ScoredSplit(split(pd.DataFrame({"x": values[:, 0]}), "random", folds=5), values + 1)]
+    intervals = fit_intervals(values + 1, values, np.arange(400), 0.9)
+    said = order_card(alone, values, ["x"], intervals, "").text
+    assert "Blocks would not tell either" in said
+    assert "Read the blocks" not in said
 
 
 def test_the_neighbours_tell_a_ramp_and_not_noise(rng) -> None:

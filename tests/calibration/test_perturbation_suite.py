@@ -7,13 +7,15 @@ import pytest
 from scipy.stats import norm
 
 from palpate.calibration import CalibrationPlan, adapt, calibrate
+from palpate.calibration.coverage.told_targets import told_targets
 from palpate.calibration.robustness import KINDS, perturbed
-from palpate.calibration.robustness.perturbation_suite import MIN_ROWS, _harm, _text
+from palpate.calibration.robustness.perturbation_suite import MIN_ROWS, _harm, _more_often, _text
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.card_ground import card_id
 from palpate.estimators.finding_cards import PerturbationCard
 from palpate.estimators.guard import NoveltyDetector
 from palpate.estimators.model_card import sealed
+from palpate.estimators.target_layout import TargetLayout
 from palpate.recordings import Run, RunWriter
 
 PLAN = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", split="group:press", size_px=(24, 32))
@@ -52,8 +54,40 @@ def test_the_sentence_says_that_slight_changes_cost_less_than_a_tenth() -> None:
         )  # fmt: skip
 
     said = _text([cell(1.09, 0.25), cell(1.11, 0.75)], 400, 0.01, 0.003)
-    assert "Changes that raise the error by less than 10 %: 75 % of such frames pass." in said
+    assert (
+        "raise the error by less than 10 %, and the share of such readings by no more than 1 %: 75 % of"
+        in said
+    )
     assert "nothing" not in said
+
+
+def test_one_frame_misread_in_a_dozen_names_no_change_and_three_do() -> None:
+    """Of 400 unchanged frames 3 are misread: one of 12 has a chance of 11 %, and 55 changes are tried."""
+    frames = [12] * 55
+    assert not any(_more_often([1] * 9 + [0] * 46, frames, 3, 400))
+    assert _more_often([4] + [1] * 54, frames, 3, 400) == [True] + [False] * 54
+    assert not any(_more_often([4] + [1] * 54, frames, 60, 400)), "as often as unchanged ones"
+
+
+def test_chance_alone_names_a_change_in_one_card_of_twenty(rng) -> None:
+    """The negative control: 55 changes that cost nothing, 12 frames each, where 2 % are misread anyway."""
+    drawn = [(rng.binomial(12, 0.02, 55), rng.binomial(400, 0.02)) for _ in range(100)]
+    named = [any(_more_often(wrong.tolist(), [12] * 55, int(usual), 400)) for wrong, usual in drawn]
+    assert np.mean(named) <= 0.11  # 5 %, and thrice the scatter of a hundred
+
+
+def test_targets_that_are_not_read_do_not_count(rng) -> None:
+    """The second is noise that the model answers with its mean; an angle likewise with any direction."""
+    true = np.column_stack([rng.uniform(0, 10, 400), rng.uniform(0, 1, 400), rng.uniform(-180, 180, 400)])
+    angles = np.deg2rad(rng.uniform(-180, 180, 400))
+    outputs = np.column_stack(
+        [true[:, 0] + rng.normal(0, 0.1, 400), np.full(400, 0.5), np.cos(angles), np.sin(angles)]
+    )
+    layout, widths = TargetLayout((None, None, 360.0)), np.tile([0.4, 0.9, 320.0], (400, 1))
+    told = told_targets(outputs, true, true, widths, layout, 0.9)
+    assert told.tolist() == [True, False, False]
+    wide = np.tile([10.0, 0.9, 320.0], (400, 1))
+    assert not told_targets(outputs, true, true, wide, layout, 0.9).any()
 
 
 def test_a_shift_costs_a_place_what_it_shifts_and_is_refused(spots) -> None:

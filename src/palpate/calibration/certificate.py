@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -25,7 +25,7 @@ from palpate.calibration.coverage.joint_regions import vector_cards
 from palpate.calibration.evaluation import score
 from palpate.calibration.leakage import LeakageAudit
 from palpate.calibration.training_data import LearningSet
-from palpate.core import CertificateError, Indices, Values, new_folder, sha256_of, split_column
+from palpate.core import CertificateError, Float, Indices, Values, new_folder, sha256_of, split_column
 from palpate.estimators.card_ground import FileCard, RunCard
 from palpate.estimators.certified import CARD_FILE, checked_file
 from palpate.estimators.finding_cards import ChoiceCard, RobustnessCard, TrialCard
@@ -125,19 +125,32 @@ AGREEMENT = 1e-4
 WORST = 6
 
 
-def worst_rows(result: CalibrationResult) -> Indices:
-    """Rows whose error, in units of each target's range, is the largest; without a target, by their class."""
+def worst_rows(result: CalibrationResult, read: Sequence[bool]) -> Indices:
+    """Rows that are missed most, see `most_missed`; without a target, by their class."""
     span, scored = np.ptp(result.data.values, axis=0), result.scored
     if not len(span) and result.classes is not None:
         return scored[np.argsort(result.classes.shortfalls(scored))[::-1][:WORST]]
-    error = np.max(np.abs(result.errors[scored]) / span, axis=1)
-    return scored[np.argsort(error)[::-1][:WORST]]
+    return scored[most_missed(result.errors[scored], span, read)]
 
 
-def write_pictures(result: CalibrationResult, folder: Path) -> None:
-    """Write the pictures that the report shows."""
+def most_missed(errors: Values, span: Float[np.ndarray, " t"], read: Sequence[bool]) -> Indices:
+    """Rows whose error, in units of each target's range, is the largest, the worst first.
+
+    Args:
+        errors: signed, or their sizes ``[n t]``.
+        span: lengths of the targets' ranges; 0 counts as 1.
+        read: of each target, whether it is read: errors of the others say nothing of the frame. Where none
+            is, all count.
+    """
+    counted = np.array(read, bool) if any(read) else np.ones(len(span), bool)
+    shares = np.abs(errors) / np.where(span > 0, span, 1.0)
+    return np.argsort(shares[:, counted].max(axis=1))[::-1][:WORST]
+
+
+def write_pictures(result: CalibrationResult, folder: Path, read: Sequence[bool]) -> None:
+    """Write the pictures that the report shows; `read` as of `worst_rows`."""
     packed, untouched = result.learning.packed, result.learning.untouched
-    chosen = [(f"worst-{row}.png", int(row)) for row in worst_rows(result)]
+    chosen = [(f"worst-{row}.png", int(row)) for row in worst_rows(result, read)]
     for name, row in [*chosen, ("example.png", len(packed) // 2)]:
         write_picture(folder / name, packed.read(np.array([row]))[0])
     if len(untouched.rows):
@@ -339,7 +352,8 @@ def write_certificate(
         ends = intervals.ends(held_out[0])
         halves = (ends[1] - ends[0]) / 2
         write_table(predictions_table(result, ends), folder / PREDICTIONS_FILE)
-        write_pictures(result, folder)
+        targets = tuple(target_cards(result, intervals, halves))
+        write_pictures(result, folder, [target.is_read for target in targets])
         further = dict(more(folder))
         if result.confounds is not None and result.confounds.pixels is not None:
             result.confounds.pixels.save(folder / MAP_FILE)
@@ -349,7 +363,7 @@ def write_certificate(
             | {"sensor": result.run.manifest.sensor}
             | made_fields(folder)
             | {
-                "targets": tuple(target_cards(result, intervals, halves)),
+                "targets": targets,
                 "reference": reference_card(result),
                 "split": split or split_card(result),
                 "run": run_card(result),

@@ -21,8 +21,18 @@ from palpate.calibration.coverage.circular_scores import dispersion, shortest
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.coverage.joint_regions import joint_score
 from palpate.calibration.training_data import rows_matching
-from palpate.core import CertificateError, LabelError, Progress, Shaped, Values, half_width_text, silent
+from palpate.core import (
+    Bool,
+    CertificateError,
+    LabelError,
+    Progress,
+    Shaped,
+    Values,
+    half_width_text,
+    silent,
+)
 from palpate.estimators.certified import Estimator, Zero
+from palpate.estimators.finding_cards import ValidScoreCard
 from palpate.estimators.intervals import intervals_of, layout_of, within
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard, TenthCard
 from palpate.estimators.reading_rules import untold
@@ -74,6 +84,32 @@ def score(
     )
 
 
+def valid_score(
+    error: Shaped[np.ndarray, " n"],
+    inside: Shaped[np.ndarray, " n"],
+    groups: Shaped[np.ndarray, " n"],
+    valid: Shaped[np.ndarray, " n"],
+) -> ValidScoreCard:
+    """Score the valid readings of one target alone: those that a user is told to use.
+
+    Args:
+        error: sizes of the errors.
+        inside: whether each interval held the truth.
+        groups: label of each row's group.
+        valid: whether each reading is valid.
+    """
+    if not valid.any():
+        return ValidScoreCard(n=0)
+    low, high = grouped_coverage_interval(inside[valid], groups[valid])
+    return ValidScoreCard(
+        n=int(valid.sum()),
+        mae=float(error[valid].mean()),
+        covered=float(inside[valid].mean()),
+        low=low,
+        high=high,
+    )
+
+
 def zeros_of(estimator: Estimator, run: Run) -> dict[int, Zero]:
     """No-contact references found in a run by the calibration's own rule: row -> reference.
 
@@ -105,7 +141,8 @@ def evaluate(
         progress: called with how far it is.
 
     Returns:
-        ``{"targets": {column: {"unit", "n", "mae", "rmse", "r2", "coverage_90", …}}, "tenths": {column:
+        ``{"targets": {column: {"unit", "n", "mae", "rmse", "r2", "coverage_90", …}}, "valid_readings":
+        {column: {"n", "mae", "covered", "low", "high"} of its valid readings alone}, "tenths": {column:
         scores of the tenths of its range}, "findings": sentences on those that do not keep the promise,
         "findings_of": {column: those on this target}, "coverage_with_instrument" and "instruments": {column:
         the share that readings' intervals hold, and a sentence on it} where the labels are of another
@@ -129,14 +166,14 @@ def evaluate(
     true = target_values(labels, card.columns, str(run.path), constant=True)
     for one in card.classes or ():
         known_codes(labels, one.column, one.values, str(run.path))
-    table, spread = _read_run(estimator, run, zero, progress)
+    table, spread, valid = _read_run(estimator, run, zero, progress)
     finite = _read_rows(card, table)
     if any(run.frame(int(row)).image.shape[:2] == card.input.frame_px for row in rows[~finite]):
         raise CertificateError(
             f"{run.path}: calibration {card.id} gives no finite number for some of {np.sum(~finite)} frames, "
             "which scores would leave out; calibrate again"
         )
-    return _scores(card, run, true, table, spread)
+    return _scores(card, run, true, table, spread, valid)
 
 
 def predictions(
@@ -163,8 +200,10 @@ def predictions(
 
 def _read_run(
     estimator: Estimator, run: Run, zero: Zero | None, progress: Progress
-) -> tuple[pd.DataFrame, Values]:
-    """The table of `predictions`, and the expected size of each target's error ``[n t]`` in its unit."""
+) -> tuple[pd.DataFrame, Values, Bool[np.ndarray, "n t"]]:
+    """The table of `predictions`, the expected size of each target's error ``[n t]`` in its unit, and whether
+    its reading is valid ``[n t]``.
+    """
     card = estimator.card
     rows = rows_to_score(card, run.labels)
     error_spread, count = intervals_of(card).spread, layout_of(card).outputs
@@ -173,6 +212,7 @@ def _read_run(
     predicted, half = np.full((2, len(rows), len(card.columns)), np.nan)
     low, high = np.full((2, len(rows), len(card.columns)), np.nan)
     spread = np.full((len(rows), len(card.columns)), np.nan)
+    valid = np.zeros(spread.shape, bool)
     joint = {part: np.full(len(rows), np.nan) for vector in card.vectors or () for part in vector.columns}
     classes: dict[str, list[str]] = {f"{k}:{c.column}": [] for c in card.classes or () for k in CLASS_KINDS}
     asked = [k for k, t in enumerate(card.targets) if not t.is_never_valid]
@@ -184,6 +224,7 @@ def _read_run(
             spread[i] = error_spread.at(outputs[:, :count])[0]
         each = [readings[column] for column in card.columns]
         predicted[i] = [reading.value for reading in each]
+        valid[i] = [reading.valid for reading in each]
         half[i] = [(reading.high - reading.low) / 2 for reading in each]
         low[i], high[i] = [one.low for one in each], [one.high for one in each]
         for vector in card.vectors or ():
@@ -211,7 +252,7 @@ def _read_run(
         "why": whys,
         "all_valid": np.array(all_valid, bool),
     }
-    return with_own(table, own), spread
+    return with_own(table, own), spread, valid
 
 
 CLASS_KINDS = ("estimate", "set")  # of a label of classes, before the colon of its columns in `predictions`
@@ -243,7 +284,9 @@ def _untouched_rows(card: Card, table: pd.DataFrame) -> np.ndarray:
         return nothing
 
 
-def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame, spread: Values) -> dict[str, Any]:
+def _scores(
+    card: Card, run: Run, true: Values, table: pd.DataFrame, spread: Values, valid: Bool[np.ndarray, "n t"]
+) -> dict[str, Any]:
     predicted, half, low, high = (
         table[[f"{kind}:{column}" for column in card.columns]].to_numpy(float)
         for kind in ("estimate", "half_width", "low", "high")
@@ -255,13 +298,16 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame, spread: Val
     groups = counted
     if len(np.unique(groups)) == 1:
         groups, counted_by = groups_within(table[read]), press_column(table) or ROW
-    targets, tenths = {}, {}
+    targets, tenths, of_valid = {}, {}, {}
     with_instrument: dict[str, float] = {}
     for j, t in enumerate(card.targets):
         truth, estimate = true[read, j], predicted[read, j]
         ends = without_reference(t, estimate, low[read, j], high[read, j])  # labels are what it shows
         inside = None if t.over_range is None else within(truth, *ends)
         of_labels = half[read, j] if t.measured_by is None else (ends[1] - ends[0]) / 2
+        error = np.abs(shortest(estimate - truth, t.period))
+        held = error <= of_labels if inside is None else inside
+        of_valid[t.column] = valid_score(error, held, groups, valid[read, j]).model_dump()
         targets[t.column] = score(
             t.unit, truth, estimate, of_labels, t.training_mean, groups, inside=inside, period=t.period
         ).model_dump()
@@ -286,6 +332,7 @@ def _scores(card: Card, run: Run, true: Values, table: pd.DataFrame, spread: Val
     findings_of = _findings(card, targets, tenths)
     return {
         "targets": targets,
+        "valid_readings": of_valid,
         "tenths": tenths,
         "classes": {column: found.model_dump() for column, found in classes.items()},
         "findings": [*(one for of_target in findings_of.values() for one in of_target), *about_classes],
@@ -441,7 +488,7 @@ def counted_groups(card: Card, table: pd.DataFrame) -> tuple[np.ndarray, str]:
 
 
 def held_out_groups(card: Card, table: pd.DataFrame) -> tuple[np.ndarray, str]:
-    """As `counted_groups`, of a calibration's own held-out rows: where blocks were held out, by the block.
+    """Groups of a calibration's own held-out rows, as by `counted_groups`; blocks where blocks were held out.
 
     Args:
         card: of the calibration.

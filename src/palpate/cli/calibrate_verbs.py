@@ -388,9 +388,10 @@ def _choice_lines(card: Any) -> list[str]:
 def _scores_text(scores: dict[str, Any], card: Any) -> str:
     from palpate.calibration.evaluation import counted_text
     from palpate.estimators.class_sets import ClassScoreCard
+    from palpate.estimators.finding_cards import ValidScoreCard
     from palpate.estimators.model_card import ScoreCard
     from palpate.reports.class_text import class_lines
-    from palpate.reports.evaluation_text import frames_text
+    from palpate.reports.evaluation_text import frames_text, valid_readings_text
     from palpate.reports.terminal_text import scores_table
 
     lines = []
@@ -411,6 +412,8 @@ def _scores_text(scores: dict[str, Any], card: Any) -> str:
         for name, one in scores["targets"].items()
         if one["coverage_90_high"] < card.coverage
     ]
+    of_valid = {name: ValidScoreCard(**one) for name, one in scores["valid_readings"].items()}
+    lines += valid_readings_text(card, of_valid)
     table = "\n".join([*lines, *short, *scores["instruments"].values(), *scores["findings"], *joint])
     counts = (scores[f"frames_{name}"] for name in ("scored", "valid", "untold", "all_valid"))
     valid = frames_text(card, *counts)

@@ -121,6 +121,28 @@ class SessionsCard(CardPart):
     text: str
 
 
+class ValidScoreCard(CardPart):
+    """Scores of one target's valid readings alone, on a run that a calibration was evaluated on.
+
+    Attributes:
+        n: how many were valid.
+        mae: their mean absolute error, in the target's unit.
+        covered: share of them whose interval held the truth.
+        low, high: 95 % interval of that share, groups counted as groups; all four are None where none was
+            valid.
+    """
+
+    n: int
+    mae: float | None = None
+    covered: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+
+MAX_TOLD_BY_ORDER = 0.5
+"""Share of a target's variance told by the rows nearest in order, above which a split says nothing of it."""
+
+
 class SplitScoreCard(CardPart):
     """Scores by one way of holding rows out.
 
@@ -142,6 +164,10 @@ class SplitScoreCard(CardPart):
     order_r2: dict[str, float]
     meaningless: tuple[str, ...]
 
+    def tells_by_order(self, column: str) -> bool:
+        """True where the rows nearest in order tell more than half of a target, without any picture."""
+        return self.order_r2[column] > MAX_TOLD_BY_ORDER
+
 
 class OrderCard(CardPart):
     """Shuffled folds and short blocks of the order in which rows were taken, side by side.
@@ -155,6 +181,11 @@ class OrderCard(CardPart):
     splits: tuple[SplitScoreCard, ...]
     rank_correlation: dict[str, float]
     text: str
+
+
+def is_sorted(rank_correlation: float) -> bool:
+    """True of a target so nearly sorted by the rows' order that no length of blocks hides it."""
+    return rank_correlation**2 > MAX_TOLD_BY_ORDER
 
 
 class IntervalResetCard(CardPart):
@@ -232,13 +263,18 @@ class PerturbationCard(CardPart):
     Attributes:
         kind, size, unit: see `calibration.robustness`.
         frames: so many were changed.
-        error_ratio: mean absolute error over that of unchanged frames, the mean over the targets.
+        error_ratio: mean absolute error over that of unchanged frames, the mean over the targets that are
+            read (on cards of before over all, as all shares here).
         covered: share of readings whose error was at most the half-width.
         beyond: share of readings whose error was beyond twice the half-width.
         refused: share of frames that the guard alone refused, by examples of other frames; the range's rule
             and intervals as long as the range are not counted.
         silent: share of readings beyond twice the half-width and not refused by the guard.
+        passes: whether frames pass wrong significantly more often than unchanged ones; None on cards of
+            before, which name every change whose `silent` is above theirs by more than 2 %.
     """
+
+    added: ClassVar[tuple[str, ...]] = ("passes",)
 
     kind: str
     size: float
@@ -249,6 +285,7 @@ class PerturbationCard(CardPart):
     beyond: float
     refused: float
     silent: float
+    passes: bool | None = None
 
 
 class RobustnessCard(CardPart):

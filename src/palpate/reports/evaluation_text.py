@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from palpate.calibration.sessions import EvaluationRecord
+from palpate.estimators.finding_cards import ValidScoreCard
 from palpate.estimators.model_card import Card
+from palpate.reports.score_intervals import percent
 
 
 def frames_text(
@@ -42,6 +44,30 @@ def frames_of(card: Card, found: EvaluationRecord) -> str:
     return frames_text(
         card, found.frames_scored, found.frames_valid, found.frames_untold, found.frames_all_valid
     )
+
+
+def valid_readings_text(card: Card, found: Mapping[str, ValidScoreCard] | None) -> list[str]:
+    """Sentence on the valid readings alone: how many there were of each target, and how often they were held.
+
+    They are what a user is told to use, and need not be held more often than all.
+
+    Args:
+        card: of the calibration.
+        found: their scores, by column; None in files of before.
+    """
+    told = [
+        f"{_name(t.quantity)} {_covered(found[t.column])}"
+        for t in card.targets
+        if found is not None and not t.is_never_valid
+    ]
+    return [f"covered, valid readings only: {', '.join(told)}"] if told else []
+
+
+def _covered(one: ValidScoreCard) -> str:
+    if one.covered is None or one.low is None or one.high is None:
+        return "none was valid"
+    share, low, high = (percent(part, one.low, one.high) for part in (one.covered, one.low, one.high))
+    return f"{share} % of {one.n} ({low} to {high} %)"
 
 
 def _name(quantity: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from palpate.core import rounded
-from palpate.estimators.finding_cards import ConfoundFindingCard, SplitScoreCard
+from palpate.estimators.finding_cards import ConfoundFindingCard, OrderCard, SplitScoreCard, is_sorted
 from palpate.estimators.model_card import Card, TargetCard
 from palpate.reports.score_intervals import mean_error_half_width
 
@@ -18,9 +18,10 @@ def order_verdicts(card: Card) -> dict[str, str]:
         return {}
     own, *beside = card.order.splits
     return {
-        t.column: _verdict(t, own, beside[0] if beside else None)
+        t.column: _told(t, card.order) or _verdict(t, own, beside[0] if beside else None)
         for t in card.targets
         if t.column in own.meaningless
+        or own.tells_by_order(t.column)  # cards of before named no blocks for it
     }
 
 
@@ -84,3 +85,23 @@ def _scored(target: TargetCard, one: SplitScoreCard) -> str:
     by = "shuffled folds" if one.kind == "random" else "blocks"
     off = mean_error_half_width(target.score, target.score.n)
     return f"{by} {rounded(one.mae[target.column], off)} {target.unit}"
+
+
+def _told(target: TargetCard, order: OrderCard) -> str:
+    """Sentence on a target that the rows' order alone tells by every split; empty where one hides it."""
+    column, name = target.column, target.quantity.replace("_", " ")
+    if not all(one.tells_by_order(column) for one in order.splits):
+        return ""
+    scored = ", ".join(_scored(target, one) for one in order.splits)
+    if len(order.splits) > 1:
+        share = 100 * min(one.order_r2[column] for one in order.splits)
+        return (
+            f"{scored}: rows lie in order of {name}, which alone tells {share:.0f} % of it by either split: "
+            "neither says what the images tell; only another session does (palpate evaluate)"
+        )
+    if order.splits[0].kind == "random" and not is_sorted(order.rank_correlation.get(column, 0.0)):
+        return ""
+    return (
+        f"{scored}: rows lie in order of {name}, which alone tells most of it by shuffled folds and by "
+        "blocks: neither says what the images tell; only another session does (palpate evaluate)"
+    )

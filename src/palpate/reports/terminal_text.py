@@ -10,6 +10,7 @@ import numpy as np
 
 from palpate.core import half_width_text, rounded
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard
+from palpate.reports.audit_head import audit_head
 from palpate.reports.order_verdicts import remaining_remedy
 from palpate.reports.score_intervals import (
     MIN_R2_HALF_WIDTH,
@@ -86,7 +87,7 @@ def confounds_text(card: Card) -> list[str]:
     found = [f for f in audit.findings if f.severity != "notes"] if audit is not None else []
     if audit is None or not found:
         return []
-    lines = ["the audit failed: do not rely on these scores" if audit.failed else "the audit warns"]
+    lines = [audit_head(card)]
     remedies = [remaining_remedy(card, f) for f in found]
     for remedy in dict.fromkeys(remedies):
         lines += [f"- {f.text}." for f, own in zip(found, remedies, strict=True) if own == remedy]

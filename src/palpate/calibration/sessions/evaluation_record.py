@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Literal
 from palpate.core import CertificateError, PathText, new_file, storage_errors
 from palpate.estimators.card_ground import SealedCard, card_id, sealed_from
 from palpate.estimators.certified import read_card
+from palpate.estimators.finding_cards import ValidScoreCard
 from palpate.estimators.model_card import Card, ScoreCard
 from palpate.version import __version__
 
@@ -44,11 +45,18 @@ class EvaluationRecord(SealedCard):
             are None in files of before.
         instruments: a sentence on each target's column whose labels are of another instrument than the
             card's; None where there is none, and in files of before.
+        valid_readings: scores of each target's valid readings alone; None in files of before.
         groups: how many groups (presses) these are of.
         reference: whether one image of the untouched sensor was given for all.
     """
 
-    added: ClassVar[tuple[str, ...]] = ("frames_untold", "frames_all_valid", "findings", "instruments")
+    added: ClassVar[tuple[str, ...]] = (
+        "frames_untold",
+        "frames_all_valid",
+        "findings",
+        "instruments",
+        "valid_readings",
+    )
 
     format: Literal["palpate-evaluation/1"]
     calibration: str
@@ -67,16 +75,20 @@ class EvaluationRecord(SealedCard):
     frames_all_valid: int | None = None
     findings: dict[str, tuple[str, ...]] | None = None
     instruments: dict[str, str] | None = None
+    valid_readings: dict[str, ValidScoreCard] | None = None
 
     def findings_of(self, column: str) -> tuple[str, ...]:
         """Sentences on a target whose intervals do not keep the promise here, with its name."""
         return (self.findings or {}).get(column, ())
 
     def tells_less_than(self, other: EvaluationRecord) -> bool:
-        """True for a file of before, without findings, if the other has the same scores of the same run."""
+        """True for a file of before, without findings or scores of valid readings, if the other has these
+        and the same scores of the same run.
+        """
         same = ("run", "targets", "reference", "frames_scored")
         alike = all(getattr(self, name) == getattr(other, name) for name in same)
-        return self.findings is None and other.findings is not None and alike
+        later = ("findings", "valid_readings")
+        return alike and any(getattr(self, k) is None and getattr(other, k) is not None for k in later)
 
     @property
     def of_another_session(self) -> bool:
@@ -127,7 +139,7 @@ def keep_evaluation(folder: PathText, scores: dict[str, Any], *, reference: bool
 
 
 def _sealed(scores: dict[str, Any], reference: bool) -> EvaluationRecord:
-    names = ("calibration", "run", "session", "same_session", "targets", "groups")
+    names = ("calibration", "run", "session", "same_session", "targets", "groups", "valid_readings")
     counts = ("frames_scored", "frames_read", "frames_valid", "frames_untold", "frames_all_valid")
     record = EvaluationRecord(
         format=FORMAT,

@@ -32,10 +32,10 @@ from sklearn.model_selection import GroupKFold
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.certificate import (
     PREDICTIONS_FILE,
-    WORST,
     instrument_card,
     interval_fields,
     made_fields,
+    most_missed,
     write_picture,
 )
 from palpate.calibration.classes import ClassLabels, HeldOutClasses, known_codes, target_values
@@ -384,8 +384,8 @@ def _write_pictures(folder: Path, building: Path, card: Card, run: Run, rows: _S
     if not len(span):
         return
     errors = layout_of(card).differences(rows.predicted, rows.true)
-    missed = np.max(np.abs(errors) / np.where(span > 0, span, 1.0), axis=1)
-    for row in rows.rows[np.argsort(missed)[::-1][:WORST]].tolist():
+    worst = most_missed(errors, span, [target.is_read for target in card.targets])
+    for row in rows.rows[worst].tolist():
         write_picture(building / f"worst-{row}.png", card.input.preparation.apply(run.frame(row).image))
 
 

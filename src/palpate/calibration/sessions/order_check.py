@@ -3,7 +3,8 @@
 Frames that follow one another share light, temperature and wear, and often, since robots move from place to
 place, nearly the same label. Shuffled folds train on the neighbours of every row that they hold out; blocks
 hold neighbours out together. Where the two disagree, the images of neighbours are alike for reasons other
-than touch. Neither notices what changes more slowly than a block is long: that only another session does.
+than touch. Neither notices what changes more slowly than a block is long: that only another session does. Of
+a label that itself changes so slowly, both are passed by an image that shows nothing but the time.
 """
 
 from __future__ import annotations
@@ -17,13 +18,10 @@ from scipy.stats import spearmanr
 
 from palpate.calibration.sessions.session_findings import has_gaps
 from palpate.core import SplitError, Values
-from palpate.estimators.finding_cards import OrderCard, SplitScoreCard
+from palpate.estimators.finding_cards import MAX_TOLD_BY_ORDER, OrderCard, SplitScoreCard, is_sorted
 from palpate.estimators.intervals import Intervals
 from palpate.recordings import Split, split
 from palpate.recordings.splits import conventional_groups, group_names
-
-MAX_TOLD_BY_ORDER = 0.5
-"""Share of a target's variance told by a row's neighbours, above which shuffled folds say nothing of it."""
 
 MAX_GAP, MAX_GAPS = 0.01, 5.0
 """A split asks for values that it does not train on where the median distance from a held-out label to the
@@ -81,7 +79,9 @@ def order_card(
     return OrderCard(
         splits=scores,
         rank_correlation=correlation,
-        text=" ".join(filter(None, [_text(scores, correlation), left_out])),
+        text=" ".join(
+            filter(None, [_text(scores, _stretched(both, values, columns), correlation), left_out])
+        ),
     )
 
 
@@ -118,7 +118,10 @@ def _scores(one: ScoredSplit, values: Values, columns: Sequence[str], intervals:
     told = [told_by_order(column, one.split.folds) for column in values.T]
     variance = true.var(axis=0)
     r2 = np.where(variance > 0, 1 - (error**2).mean(axis=0) / np.where(variance > 0, variance, 1.0), 0.0)
-    meaningless = [_is_meaningless(one.split, v, share) for v, share in zip(values.T, told, strict=True)]
+    meaningless = [
+        share > MAX_TOLD_BY_ORDER or _is_stretched(one.split, v)
+        for v, share in zip(values.T, told, strict=True)
+    ]
     return SplitScoreCard(
         kind=one.split.kind,
         folds=len(one.split.folds),
@@ -131,10 +134,20 @@ def _scores(one: ScoredSplit, values: Values, columns: Sequence[str], intervals:
     )
 
 
-def _is_meaningless(parts: Split, values: np.ndarray, told: float) -> bool:
-    """True for shuffled folds of what neighbours tell, and for blocks so long that they only extrapolate."""
+def _stretched(both: Sequence[ScoredSplit], values: Values, columns: Sequence[str]) -> tuple[str, ...]:
+    """Targets of which blocks hold out a part of the range that is not trained on."""
+    return tuple(
+        column
+        for one in both
+        for column, value in zip(columns, values.T, strict=True)
+        if _is_stretched(one.split, value)
+    )
+
+
+def _is_stretched(parts: Split, values: np.ndarray) -> bool:
+    """True for blocks so long that they only extrapolate."""
     if parts.groups is None:
-        return told > MAX_TOLD_BY_ORDER
+        return False
     count = len(parts.folds)
     shuffled = np.array_split(np.random.default_rng(0).permutation(len(values)), count)
     gap = label_gap(values, parts.folds)
@@ -145,41 +158,70 @@ def _named(columns: Sequence[str], numbers: Sequence[float] | np.ndarray) -> dic
     return {name: float(number) for name, number in zip(columns, numbers, strict=True)}
 
 
-def _text(scores: Sequence[SplitScoreCard], correlation: dict[str, float]) -> str:
+def _text(scores: Sequence[SplitScoreCard], stretched: Sequence[str], correlation: dict[str, float]) -> str:
     """What the splits say of each other, in words."""
     said = []
     for one in scores:
-        if one.meaningless:
-            shuffled = one.kind == "random"
-            said.append(_shuffled_text(scores, one, correlation) if shuffled else _blocks_text(one))
+        told = [name for name in one.meaningless if one.tells_by_order(name)]
+        if told:
+            said.append((_shuffled_text if one.kind == "random" else _told_text)(scores, told, correlation))
+    if stretched:
+        said.append(_stretched_text(stretched))
     return " ".join(said) or (
         "No target follows the order of the rows: shuffled folds and blocks may be compared."
     )
 
 
 def _shuffled_text(
-    scores: Sequence[SplitScoreCard], shuffled: SplitScoreCard, correlation: dict[str, float]
+    scores: Sequence[SplitScoreCard], told: Sequence[str], correlation: dict[str, float]
 ) -> str:
-    names = ", ".join(shuffled.meaningless)
-    told = min(shuffled.order_r2[name] for name in shuffled.meaningless)
-    sorted_by = min(abs(correlation[name]) for name in shuffled.meaningless)
-    errors = "; ".join(
-        f"{name} {' and '.join(f'{one.mae[name]:.3g} by {one.kind}' for one in scores)}"
-        for name in shuffled.meaningless
+    shuffled = next(one for one in scores if one.kind == "random")
+    beside = [one for one in scores if one is not shuffled]
+    share = min(shuffled.order_r2[name] for name in told)
+    sorted_by = min(abs(correlation[name]) for name in told)
+    said = (
+        f"Of {', '.join(told)} shuffled folds are meaningless if the rows were taken in this order: the rows "
+        f"just before and after a held-out one, which were trained on, tell {100 * share:.0f} % of its "
+        f"variance (rank correlation with the order {sorted_by:.2f}), so that an image which shows only the "
+        "time would pass."
     )
-    blocks = "Read the blocks" if len(scores) > 1 else "Calibrate with blocks (--split blocks)"
+    hidden = [
+        name
+        for name in told
+        if not (any(one.tells_by_order(name) for one in beside) if beside else is_sorted(correlation[name]))
+    ]
+    if hidden:
+        of = "" if len(hidden) == len(told) else f" of {', '.join(hidden)}"
+        blocks = f"Read the blocks{of}" if beside else f"Calibrate{of} with blocks (--split blocks)"
+        said += (
+            f" {blocks}, which hold such neighbours out (mean absolute errors: {_errors(scores, hidden)}). "
+            "What drifts more slowly than a block passes those too: where both agree, only another session "
+            "tells."
+        )
+    if not beside and len(hidden) < len(told):
+        said += " Blocks would not tell either of what is sorted: only another session does."
+    return said
+
+
+def _told_text(scores: Sequence[SplitScoreCard], told: Sequence[str], _: dict[str, float]) -> str:
+    blocks = next(one for one in scores if one.kind != "random")
+    share = min(blocks.order_r2[name] for name in told)
     return (
-        f"Of {names} shuffled folds are meaningless if the rows were taken in this order: the rows just "
-        f"before and after a held-out one, which were trained on, tell {100 * told:.0f} % of its variance "
-        f"(rank correlation with the order {sorted_by:.2f}), so that an image which shows only the time "
-        f"would pass. {blocks}, which hold such neighbours out (mean absolute errors: {errors}). What drifts "
-        "more slowly than a block passes those too: where both agree, only another session tells."
+        f"Of {', '.join(told)} blocks are meaningless, too: the rows nearest in order beyond a block's ends "
+        f"tell {100 * share:.0f} % of its variance without any picture (mean absolute errors: "
+        f"{_errors(scores, told)}). Neither split tells; only another session does."
     )
 
 
-def _blocks_text(blocks: SplitScoreCard) -> str:
+def _errors(scores: Sequence[SplitScoreCard], names: Sequence[str]) -> str:
+    return "; ".join(
+        f"{name} {' and '.join(f'{one.mae[name]:.3g} by {one.kind}' for one in scores)}" for name in names
+    )
+
+
+def _stretched_text(names: Sequence[str]) -> str:
     return (
-        f"Of {', '.join(blocks.meaningless)} blocks this long are meaningless: each holds out a part of the "
-        "range that was not trained on, so that they measure extrapolation alone. Ask for shorter ones "
+        f"Of {', '.join(names)} blocks this long are meaningless: each holds out a part of the range that "
+        "was not trained on, so that they measure extrapolation alone. Ask for shorter ones "
         "(--split blocks:ROWS)."
     )

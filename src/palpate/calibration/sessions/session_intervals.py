@@ -20,7 +20,7 @@ greatest error of all rows: far too wide. It is used beyond 200 sessions, where 
 **Parametric**, for two sessions and more up to there: a session's errors are Gaussian about an offset that is
 itself Gaussian between sessions. Each session counts as one observation of the mean squared error, so that
 the half-width is t times its root, t of Student's distribution with K degrees of freedom. Where sessions do
-not differ that is wider than needed, by t over the Gaussian quantile (1.78 for two sessions, 1.22 for five),
+not differ that is wider than needed, by t over the Gaussian quantile (1.78 for two sessions, 1.23 for five),
 since two sessions that agree do not show that the third will. Nothing is guaranteed where offsets are not
 Gaussian.
 

@@ -1,11 +1,7 @@
 """Sections of a calibration's page, the sentences that stand in them, and how far their numbers hold."""
 
-from palpate.reports.sections.certificate_sections import (
-    MIN_GROUPS,
-    SECTIONS,
-    ReportedCalibration,
-    not_relied_on,
-)
+from palpate.reports.audit_head import not_relied_on
+from palpate.reports.sections.certificate_sections import MIN_GROUPS, SECTIONS, ReportedCalibration
 from palpate.reports.sections.target_verdicts import (
     MIN_TOLD,
     NOT_TESTED,

@@ -24,10 +24,10 @@ from palpate.calibration.sessions import EvaluationRecord
 from palpate.calibration.sessions.evaluation_record import PREFIX, SUFFIX, in_order, read_evaluation
 from palpate.core import CertificateError, interval_text, rounded
 from palpate.estimators.finding_cards import ConfoundFindingCard
-from palpate.estimators.intervals import layout_of
 from palpate.estimators.model_card import Card, TargetCard
 from palpate.estimators.reading_steps import reading_steps
 from palpate.recordings.label_tables import OWN, own_column
+from palpate.reports.audit_head import audit_head, not_relied_on
 from palpate.reports.calibration_figures import (
     errors_of,
     held_rows,
@@ -173,17 +173,7 @@ def findings(report: ReportedCalibration) -> Values | None:
     if not told and not sentences:
         return None
     failed = not card.split.clean or bool(card.confounds and card.confounds.failed)
-    return {"failed": failed, "head": _head(card, failed), "remedies": remedies, "sentences": sentences}
-
-
-def _head(card: Card, failed: bool) -> str:
-    """What the findings come to, and of which targets."""
-    if not failed:
-        return "The audit warns"
-    named = [t.quantity.replace("_", " ") for t in card.targets if not_relied_on(card, t)]
-    if len(named) in (0, len(card.targets)):
-        return "The audit failed: do not rely on these scores"
-    return f"The audit failed: do not rely on the scores of {', '.join(named)}"
+    return {"failed": failed, "head": audit_head(card), "remedies": remedies, "sentences": sentences}
 
 
 def answers(report: ReportedCalibration) -> Values:
@@ -208,12 +198,11 @@ def answers(report: ReportedCalibration) -> Values:
 def _answer(report: ReportedCalibration, target: TargetCard) -> dict[str, str]:
     card, ends, name = report.card, report.ends[target.column], target.quantity.replace("_", " ")
     tested = tested_text(card, target, report.evaluations)
-    in_order = [sentence for column, sentence in order_verdicts(card).items() if column == target.column]
+    in_order = target.column in order_verdicts(card)  # which stands above all answers
     sentences = [answer(card, target, ends, report.scored_groups, tested)]
     if target.is_read:
         sentences += [one.removeprefix(f"{name}: ") for one in target_findings(target, card.coverage)]
         sentences += found_elsewhere(target, report.evaluations)
-        sentences += in_order
     elsewhere = [one.instruments or {} for one in others(report.evaluations)]
     sentences += [one[target.column].removeprefix(f"{name}: ") for one in elsewhere if target.column in one]
     joined = reading_half_width(target, report.table)
@@ -226,17 +215,9 @@ def _answer(report: ReportedCalibration, target: TargetCard) -> dict[str, str]:
     if not_relied_on(card, target):
         sentences.append("do not rely on this: the audit failed, see above")
     bad = not target.is_read or not_relied_on(card, target)
-    warned = bool(in_order) or fails(card, target, ends, report.evaluations)
+    warned = in_order or fails(card, target, ends, report.evaluations)
     return {"text": ". ".join(one[0].upper() + one[1:] for one in sentences[1:]), "first": sentences[0],
             "style": "bad" if bad else "warn" if warned else ""}  # fmt: skip
-
-
-def not_relied_on(card: Card, target: TargetCard) -> bool:
-    """True where an audit failed over a target, or over all."""
-    j, layout = card.columns.index(target.column), layout_of(card)
-    own = {target.column, *layout.names(card.columns)[layout.outputs_of(j)], ""}
-    found: tuple[ConfoundFindingCard, ...] = card.confounds.findings if card.confounds else ()
-    return not card.split.clean or any(f.severity == "fails" and f.target in own for f in found)
 
 
 def _day(report: ReportedCalibration) -> str:
@@ -318,7 +299,8 @@ def worst(report: ReportedCalibration) -> Values | None:
 def _said(row: pd.Series, card: Card) -> str:
     if not card.targets:
         return class_answer(row, card)
-    return _estimate_text(row, max(card.targets, key=lambda t: _error(row, t) / (t.greatest - t.least)))
+    read = [t for t in card.targets if t.is_read] or card.targets
+    return _estimate_text(row, max(read, key=lambda t: _error(row, t) / (t.greatest - t.least)))
 
 
 def _error(row: pd.Series, target: TargetCard) -> float:
