@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from palpate.core import ManualClock, RecordingError
 from palpate.recordings import Manifest, RunWriter, check
+from palpate.recordings.segments.segment_reader import scan
 from palpate.reports.terminal_text import check_text
 
 SECOND = 1_000_000_000
@@ -77,6 +79,40 @@ def test_a_recording_that_was_cut_short_is_told_to_go_on_or_to_be_repaired(tmp_p
     assert check_text(check(tmp_path / "run")).endswith(
         "into a new run, and the command that recorded it goes on in this one"
     )
+
+
+@pytest.mark.parametrize("cut", ["frames", "signals"])
+def test_frames_without_a_record_and_records_without_a_frame_are_told_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: str
+) -> None:
+    monkeypatch.setattr("palpate.recordings.run_writer.SYNC_EVERY_S", 0.0)  # a chunk for each message
+    with RunWriter.create(tmp_path / "run", Manifest.new(sensor="s", labels=LABELS)) as new:
+        for k in range(9):
+            new.frame(np.full((4, 5), k, np.uint8), labels={"depth_mm": k} if k % 2 else None)
+            while new._buffer._items:
+                time.sleep(0.001)
+    whole = check(tmp_path / "run")
+    assert (whole.orphan_frames, whole.orphan_records) == (0, 0)
+    file = tmp_path / f"run/0000-{cut}.mcap"
+    counts = []
+    for chunk in reversed(scan(file).chunks):
+        os.truncate(file, chunk.offset)
+        report = check(tmp_path / "run")
+        assert (report.orphan_frames == 0) or cut == "signals"
+        assert (report.orphan_records == 0) or cut == "frames"
+        counts.append(report.orphan_frames + report.orphan_records)
+    assert counts[0] == 1
+    assert counts == sorted(counts)
+    assert counts[-1] == 9
+    said = check_text(report)
+    assert ("9 frames have no record" in said) == (cut == "signals")
+    assert ("9 records of labels have no frame" in said) == (cut == "frames")
+
+
+def test_frames_that_were_recorded_without_labels_are_no_orphans(tmp_path: Path) -> None:
+    with RunWriter.create(tmp_path / "run", Manifest.new(sensor="s")) as new:
+        new.frame(np.zeros((4, 5), np.uint8))
+    assert (check(tmp_path / "run").orphan_frames, check(tmp_path / "run").orphan_records) == (0, 0)
 
 
 def test_a_run_with_nothing_in_it_is_sound(tmp_path: Path) -> None:

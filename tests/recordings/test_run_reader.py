@@ -7,7 +7,10 @@ import os
 import pickle
 import shutil
 import struct
+import warnings
 import zlib
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import cv2
@@ -17,9 +20,9 @@ from hypothesis import given, settings, strategies as st
 from mcap.writer import MCAP0_MAGIC
 
 from palpate.core import ImageError, ManualClock, PalpateError, RangeError, RecordingError
-from palpate.recordings import Manifest, Run, RunWriter, check
+from palpate.recordings import Manifest, Run, RunWriter, check, repair
 from palpate.recordings.exchange import image_files
-from palpate.recordings.segments import message_schema
+from palpate.recordings.segments import Segment, message_schema, segment_writer
 from palpate.recordings.segments.segment_reader import scan
 
 SECOND = 1_000_000_000
@@ -191,14 +194,121 @@ def test_a_run_without_segments_is_empty_and_says_so(run: Path) -> None:
         empty.frame_at(0)
 
 
-def test_a_manifest_changed_afterwards_is_told(run: Path) -> None:
+def spoilt(name: str) -> Callable[[Path], None]:
+    """A way to spoil the manifest of a run."""
+
+    def one_byte(path: Path) -> None:
+        data = bytearray(path.read_bytes())
+        data[len(data) // 3] ^= 0x80
+        path.write_bytes(data)
+
+    ways: dict[str, Callable[[Path], object]] = {
+        "one byte is broken": one_byte,
+        "another unit": lambda path: path.write_text(path.read_text().replace('"mm"', '"um"')),
+        "another identity": lambda path: path.write_text(
+            path.read_text().replace('"run_id": "', '"run_id": "0')
+        ),
+        "another beginning": lambda path: path.write_text(path.read_text().replace("T", " ", 1)),
+        "it is empty": lambda path: path.write_bytes(b""),
+        "it is gone": Path.unlink,
+        "it is huge": lambda path: os.truncate(path, 1 << 40),
+    }
+    return lambda run: (ways[name](run / "manifest.json"), None)[1]
+
+
+SPOILT = (
+    "one byte is broken",
+    "another unit",
+    "another identity",
+    "another beginning",
+    "it is empty",
+    "it is gone",
+    "it is huge",
+)
+
+
+@pytest.mark.parametrize("how", SPOILT)
+def test_a_run_whose_manifest_is_spoilt_is_read_by_the_copy_in_its_segments(
+    written: Path, run: Path, tmp_path: Path, how: str
+) -> None:
+    sound = Run.open(written)
+    spoilt(how)(run)
+    before = {path: path.read_bytes() for path in run.glob("*.mcap")}
+    with pytest.warns(
+        UserWarning, match=r"manifest\.json at byte 0: .*the copy in segment 0 is read instead"
+    ):
+        read = Run.open(run)
+    assert read.manifest == sound.manifest
+    assert assert_nothing_altered(read) == FRAMES
+    assert read.hash == sound.hash, "it is the same data, and certificates name it so"
+    with pytest.warns(UserWarning, match="instead"):
+        report = check(run)
+    assert [found.file for found in report.damage] == ["manifest.json"]
+    assert not report.sound
+    with pytest.warns(UserWarning, match="instead"):
+        repair(run, tmp_path / "mended")
+    assert check(tmp_path / "mended").sound
+    assert {path: path.read_bytes() for path in run.glob("*.mcap")} == before
+
+
+@pytest.mark.parametrize("how", SPOILT)
+def test_a_run_whose_manifest_is_spoilt_goes_on_and_loses_nothing(run: Path, how: str) -> None:
+    spoilt(how)(run)
+    size = (run / "manifest.json").stat().st_size if (run / "manifest.json").exists() else None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with RunWriter.resume(run, clock=ManualClock(9 * SECOND)) as new:
+            new.frame(picture(9), labels={"depth_mm": 9.5})
+        again = Run.open(run)
+    assert len(again) == FRAMES + 1
+    assert again.segments[1].manifest == again.segments[0].manifest
+    if size is not None:
+        assert (run / "manifest.json").stat().st_size == size, "what is there is not overwritten"
+    else:
+        assert check(run).sound, "a manifest that is gone is written again"
+
+
+def test_without_a_copy_a_spoilt_manifest_is_an_error(run: Path) -> None:
+    spoilt("one byte is broken")(run)
+    for path in run.glob("*.mcap"):
+        path.unlink()
+    with pytest.raises(RecordingError, match=r"manifest\.json is damaged"):
+        Run.open(run)
+
+
+def test_one_damaged_file_of_a_segment_does_not_cost_the_copy(run: Path) -> None:
+    for name in ("0000-frames.mcap", "0000-signals.mcap"):
+        spoilt("it is gone")(run) if (run / "manifest.json").exists() else None
+        data = (run / name).read_bytes()
+        (run / name).write_bytes(data[:30] + b"\0\0\0" + data[33:])
+        with pytest.warns(UserWarning, match="instead"):
+            assert Run.open(run).manifest.sensor == "s"
+        (run / name).write_bytes(data)
+
+
+def as_written_before(run: Path) -> None:
+    """Write the run anew as palpate wrote it before segments held the manifest."""
+    before = Run.open(run)
+    real = Segment.claim.__func__  # type: ignore[attr-defined]
+    with pytest.MonkeyPatch.context() as patch:
+        encode = segment_writer.encode_json
+        known = {"run_id", "segment", "manifest_sha256", "clock_ns"}
+        patch.setattr(
+            segment_writer, "encode_json", lambda about: encode({k: about[k] for k in known & about.keys()})
+        )
+        for path in run.glob("*.mcap"):
+            path.unlink()
+        with closing(real(Segment, run, 0, before.stored_manifest, begin_ns=1, clock_ns=1)) as segment:
+            segment.frames.write(message_schema.FRAMES, 2, 0, b"frame")
+
+
+def test_a_run_of_before_whose_manifest_was_changed_is_read_by_it_as_it_was(run: Path) -> None:
+    as_written_before(run)
     text = (run / "manifest.json").read_text()
     (run / "manifest.json").write_text(text.replace('"sensor": "s"', '"sensor": "t"'))
     changed = Run.open(run)
-    assert len(changed) == FRAMES
-    assert [str(found) for found in changed.damage] == [
-        "manifest.json at byte 0: has changed since segment 0 was recorded"
-    ]
+    assert changed.manifest.sensor == "t"
+    assert "manifest.json at byte 0: has changed since segment 0 was recorded" in map(str, changed.damage)
 
 
 def test_a_segment_of_another_run_is_left_out_and_told(run: Path, tmp_path: Path) -> None:

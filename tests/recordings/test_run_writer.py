@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
-import textwrap
 import threading
 import time
 from collections.abc import Callable
@@ -334,50 +331,6 @@ def test_a_closed_writer_takes_nothing_and_closes_again_in_peace(tmp_path: Path,
         new.frame(picture(0))
 
 
-FULL_DISK = """
-    import resource, sys
-    from pathlib import Path
-    import numpy as np
-    from palpate.core import StorageError
-    from palpate.recordings.manifest import Manifest
-    from palpate.recordings.run_writer import RunWriter
-
-    rng = np.random.default_rng(0)
-    writer = RunWriter.create(Path(sys.argv[1]), Manifest.new(sensor="s"), overflow="wait")
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))  # no file may outgrow it
-    try:
-        for k in range(1000):
-            writer.frame(rng.integers(0, 256, (60, 80), np.uint8))
-            writer.force([k] * 6)
-    except StorageError as e:
-        print(k, e)
-    try:
-        writer.close()
-    except StorageError as e:
-        print("closed:", e)
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="needs a limit on the size of files")
-def test_a_full_disk_reaches_the_caller_and_leaves_all_before_it_readable(tmp_path: Path) -> None:
-    path = tmp_path / "run"
-    child = [sys.executable, "-c", textwrap.dedent(FULL_DISK), str(path)]
-    said = subprocess.run(child, check=True, capture_output=True, text=True).stdout.splitlines()
-    assert "no room left" in said[0]
-    assert "0000-frames.mcap" in said[0]
-    assert said[1].startswith("closed: no room left")
-    run = Run.open(path)
-    rng = np.random.default_rng(0)
-    last = run.segments[0].frames[-1].chunk
-    assert last.offset + 2 * last.length > 100_000, "one more frame would not have fitted"
-    for frame in run.frames():
-        np.testing.assert_array_equal(frame.image, rng.integers(0, 256, (60, 80), np.uint8))
-    assert run.force()["fx_N"].tolist()[: len(run)] == list(range(len(run)))
-    assert [found.file for found in run.damage] == ["0000-frames.mcap"], (
-        "the signals had room and were closed"
-    )
-
-
 def test_an_error_of_the_disk_is_raised_by_close_at_the_latest(
     tmp_path: Path, manifest: Manifest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -386,7 +339,7 @@ def test_an_error_of_the_disk_is_raised_by_close_at_the_latest(
     def refuse(*_: object) -> None:
         raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr("palpate.recordings.segments.segment_writer.os.fsync", refuse)
+    monkeypatch.setattr("palpate.recordings.segments.mcap_file.os.fsync", refuse)
     new.frame(picture(0))
     with pytest.raises(StorageError, match="Input/output error"):
         new.close()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +14,11 @@ import pytest
 from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, plan, rig, wanted
 
 from palpate.core.clock import ManualClock
-from palpate.core.errors import RecordingError
+from palpate.core.errors import DeviceError, RecordingError
 from palpate.devices import OperatorCommand, OperatorControl
-from palpate.recordings import Run, check
+from palpate.recordings import Run, RunWriter, check
 from palpate.rig import State, Status, done_in, record
+from palpate.rig.engine import manifest_of
 from palpate.rig.plans import Listed, Ramp
 from palpate.rig.run_progress import fields_of
 from palpate.rig.virtual import Fault, Variation
@@ -131,6 +134,92 @@ def test_another_plan_does_not_go_on_with_a_run(tmp_path: Path) -> None:
     record(rig(), plan(), out)
     with pytest.raises(RecordingError, match="another plan"):
         record(rig(), plan(frames=3), out)
+
+
+def begun(out: Path, recorded: Callable[[RunWriter], object] = lambda writer: None) -> None:
+    """A run as a kill leaves it before the engine has written its plan, with what was recorded into it."""
+    with RunWriter.create(out, manifest_of(rig(), plan())) as writer:
+        recorded(writer)
+
+
+WAYS = {
+    "only its manifest": lambda out: [path.unlink() for path in out.glob("*.mcap")],
+    "one file of a segment": lambda out: (out / "0000-signals.mcap").unlink(),
+    "empty files": lambda out: [os.truncate(path, 0) for path in out.glob("*.mcap")],
+    "a segment without its end": lambda out: [os.truncate(path, 900) for path in out.glob("*.mcap")],
+    "a whole segment": lambda out: None,
+}
+
+
+@pytest.mark.parametrize("left", WAYS)
+def test_a_run_without_frames_is_begun_again_by_the_same_call(tmp_path: Path, left: str) -> None:
+    out, small = tmp_path / "run", plan(cycles=1)
+    begun(out)
+    WAYS[left](out)
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    outcome = record(rig(), small, out)
+    assert outcome.state is State.DONE
+    assert sorted(keys(Run.open(out))) == sorted(wanted(small))
+    assert {path: path.read_bytes() for path in before} == before, "nothing is overwritten"
+
+
+def test_a_run_without_frames_is_not_begun_again_as_of_another_rig(tmp_path: Path) -> None:
+    begun(tmp_path / "run")
+    with pytest.raises(RecordingError, match=r"its targets is .*name a new run"):
+        record(rig(), plan(places=Listed(kind="listed", at_mm=((0.0, 0.0),))), tmp_path / "run")
+
+
+def test_frames_of_an_unknown_plan_are_not_gone_on_with(tmp_path: Path) -> None:
+    begun(
+        tmp_path / "run",
+        lambda writer: writer.frame(np.zeros((4, 4), np.uint8), labels={"shot": "l0/1/down/400/0"}),
+    )
+    with pytest.raises(RecordingError, match="cannot be read any more"):
+        record(rig(), plan(), tmp_path / "run")
+
+
+def test_frames_without_a_record_hold_up_nothing(tmp_path: Path) -> None:
+    """A kill may leave frames whose labels, and whose plan, were not on disk yet."""
+    begun(tmp_path / "run", lambda writer: writer.frame(np.zeros((4, 4), np.uint8)))
+    assert record(rig(), plan(cycles=1), tmp_path / "run").state is State.DONE
+
+
+def test_the_plan_is_on_disk_before_anything_moves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("palpate.recordings.run_writer.SYNC_EVERY_S", 1e6)  # by itself it comes to disk late
+    out, seen, made = tmp_path / "run", [], rig()
+    move = made.stage.move_to
+
+    def first_move(position_m: tuple[float, float, float], speed_m_s: float) -> None:
+        if not seen:
+            run = Run.open(out)
+            seen.extend(str(fields["hash"]) for fields in fields_of(run, "plan"))
+            seen.extend(str(segment.note["plan"]) for segment in run.segments)
+            raise DeviceError("far enough")
+        move(position_m, speed_m_s)
+
+    monkeypatch.setattr(made.stage, "move_to", first_move)
+    record(made, plan(), out)
+    assert seen == [plan().hash] * 2
+
+
+def test_a_run_whose_plan_event_is_damaged_goes_on(tmp_path: Path) -> None:
+    """The plan is told by its hash at the beginning of both files too."""
+    control, out = OperatorControl(), tmp_path / "run"
+
+    def watch(status: Status) -> None:
+        if status.shots >= 3:
+            control.ask(OperatorCommand.ABORT)
+
+    record(rig(), plan(), out, control=control, watch=watch)
+    path = out / "0000-signals.mcap"
+    data = bytearray(path.read_bytes())
+    data[data.index(b'"kind":"plan"')] ^= 1
+    path.write_bytes(data)
+    assert not fields_of(Run.open(out), "plan")
+    with pytest.raises(RecordingError, match="another plan"):
+        record(rig(), plan(frames=3), out)
+    assert record(rig(clock=ManualClock(3 * CLOCK_NS)), plan(), out).state is State.DONE
+    assert sorted(keys(Run.open(out))) == sorted(wanted(plan()))
 
 
 def test_an_interrupted_run_is_the_uninterrupted_one_shot_by_shot(whole: Run, tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,8 +13,10 @@ from palpate.core.clock import ManualClock
 from palpate.core.errors import StorageError
 from palpate.devices import Limits, Reason, Tripped
 from palpate.recordings import Run, check
+from palpate.recordings.segments import mcap_file
 from palpate.rig import State, record
 from palpate.rig.plans import Grid, Listed, Ramp
+from palpate.rig.run_progress import fields_of
 from palpate.rig.virtual import Fault, Variation
 from palpate.rig.virtual.virtual_bench import TRAVEL
 
@@ -126,28 +130,51 @@ def test_a_camera_that_gives_no_frames_stops_a_sweep(tmp_path: Path) -> None:
     assert stalled.stage.position_m()[2] < 0, "the probe is lifted"
 
 
-def test_a_full_disk_stops_and_lifts_and_the_run_stays_readable(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from palpate.recordings.segments import segment_writer
+def refused_writes(patch: pytest.MonkeyPatch) -> None:
+    """No byte fits any more after some writes, not even the end's."""
+    real, count = mcap_file.HeldFile.write, iter(range(10_000_000))
 
-    real, count = segment_writer._Sink.write, iter(range(10_000_000))
-
-    def filling(self: object, data: bytes) -> int:
+    def filling(self: mcap_file.HeldFile, data: bytes) -> None:
         if next(count) > 60:
             raise OSError(28, "No space left on device")
-        return real(self, data)  # type: ignore[arg-type]
+        real(self, data)
 
-    monkeypatch.setattr(segment_writer._Sink, "write", filling)
-    small, seen = rig(), []
+    patch.setattr(mcap_file.HeldFile, "write", filling)
+
+
+def refused_room(patch: pytest.MonkeyPatch) -> None:
+    """A disk with some 150 kB for each file."""
+    real = os.posix_fallocate
+
+    def small(handle: int, at: int, count: int) -> None:
+        if at + count > 150_000:
+            raise OSError(28, "No space left on device")
+        real(handle, at, count)
+
+    patch.setattr(mcap_file.os, "posix_fallocate", small)
+
+
+@pytest.mark.parametrize("full", [refused_writes, refused_room])
+def test_a_full_disk_stops_and_lifts_and_the_run_stays_readable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, full: Callable[[pytest.MonkeyPatch], None]
+) -> None:
+    if full is refused_room and not hasattr(os, "posix_fallocate"):
+        pytest.skip("this system holds no room on a disk")
+    full(monkeypatch)
+    small, seen, out = rig(), [], tmp_path / "run"
     # The engine ends with a named state; closing the segment then says once more that the disk is full.
-    with pytest.raises(StorageError, match=r"full|space"):
-        record(small, plan(), tmp_path / "run", watch=seen.append)
+    with pytest.raises(StorageError, match=r"full|space|room"):
+        record(small, plan(), out, watch=seen.append)
     assert seen[-1].state is State.FAILED
     monkeypatch.undo()
     assert small.stage.position_m()[2] <= -CLEARANCE_MM * 1e-3 + 1e-9
-    run = Run.open(tmp_path / "run")
+    run = Run.open(out)
     held = keys(run)
     assert len(held) == len(set(held))
-    assert record(rig(clock=ManualClock(3 * CLOCK_NS)), plan(), tmp_path / "run").state is State.DONE
-    assert sorted(keys(Run.open(tmp_path / "run"))) == sorted(wanted(plan()))
+    if full is refused_room:
+        assert check(out).sound, "both files have their end"
+        last = fields_of(run, "state")[-1]
+        assert last["state"] == "failed"
+        assert "no room left" in str(last["message"])
+    assert record(rig(clock=ManualClock(3 * CLOCK_NS)), plan(), out).state is State.DONE
+    assert sorted(keys(Run.open(out))) == sorted(wanted(plan()))

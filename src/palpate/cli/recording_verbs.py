@@ -222,6 +222,8 @@ import_app.command("video", help=VIDEO)(press)
 def check(run: Annotated[Path, Argument(help="Run to look through.")], json_: Json = False) -> None:
     """Look through a run: counts, rates, gaps, drops, damage. Ends with status 1 if it is damaged.
 
+    Also counts frames without the record of their labels, and records without a frame, as a kill leaves them.
+
     Example: palpate check run
     """
     from palpate.recordings import check as look_through

@@ -11,7 +11,7 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import BinaryIO, TypeVar
@@ -169,9 +169,15 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def sha256_of_all(paths: Iterable[Path]) -> str:
-    """One SHA-256 over the names and the bytes of several files, in the order given."""
+def sha256_of_all(paths: Iterable[Path], known: Mapping[str, str] | None = None) -> str:
+    """One SHA-256 over the names and the bytes of several files, in the order given.
+
+    Args:
+        paths: of the files.
+        known: name -> checksum of files that come before them and are not read.
+    """
     total = hashlib.sha256()
-    for path in paths:
-        total.update(f"{path.name}\0{sha256_of(path)}\0".encode())
+    checksums = [*(known or {}).items(), *((path.name, sha256_of(path)) for path in paths)]
+    for name, checksum in checksums:
+        total.update(f"{name}\0{checksum}\0".encode())
     return total.hexdigest()

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from palpate.core import NS_PER_S, PathText, RecordingError, new_folder
-from palpate.recordings.manifest import Manifest
+from palpate.recordings.manifest import Manifest, StoredManifest
 from palpate.recordings.run_reader import Run
 from palpate.recordings.run_writer import DROPPED
 from palpate.recordings.segments import (
@@ -65,6 +65,8 @@ class CheckReport:
         labels: column -> unit symbol; None for a number without a unit, a text or a flag.
         missing_labels: column -> how many frames lack it; only columns that some lack.
         duplicated_frames: how many frames equal the one before, as of a camera that froze.
+        orphan_frames: how many frames have no record of their labels, as after a kill between the two.
+        orphan_records: how many such records have no frame.
         damage: what is not as it was written.
         sound: whether nothing is damaged.
     """
@@ -80,6 +82,8 @@ class CheckReport:
     labels: dict[str, str | None]
     missing_labels: dict[str, int]
     duplicated_frames: int
+    orphan_frames: int
+    orphan_records: int
     damage: tuple[Damage, ...]
     sound: bool
 
@@ -99,6 +103,7 @@ def check(path: PathText) -> CheckReport:
     measured = run.manifest.clock == "measured"
     dropped = _dropped(run)
     missing = run.labels.isna().sum()
+    orphans = [_orphans(segment) for segment in run.segments]
     return CheckReport(
         path=str(path),
         run_id=run.manifest.run_id,
@@ -114,6 +119,8 @@ def check(path: PathText) -> CheckReport:
         labels={name: run.manifest.units.get(name) for name in run.manifest.labels},
         missing_labels={str(name): int(count) for name, count in missing.items() if count},
         duplicated_frames=_duplicated(run),
+        orphan_frames=sum(frames for frames, _ in orphans),
+        orphan_records=sum(records for _, records in orphans),
         damage=run.damage,
         sound=not run.damage,
     )
@@ -167,6 +174,17 @@ def _duplicated(run: Run) -> int:
     return count
 
 
+def _orphans(segment: StoredSegment) -> tuple[int, int]:
+    """Count of frames without a record, and of records without a frame.
+
+    Before segments held the manifest, frames without labels had none; where no frame has one, none is missed.
+    """
+    frames = {frame.sequence for frame in segment.frames}
+    records = {decode_json(message.data, LABELS)["frame"] for message in segment.messages(LABELS)}
+    every_frame_has_one = "manifest" in segment.about or records
+    return len(frames - records) if every_frame_has_one else 0, len(records - frames)
+
+
 @dataclass(frozen=True, slots=True)
 class RepairReport:
     """Report of what a repair carried over.
@@ -199,10 +217,17 @@ def repair(run_path: PathText, new_path: PathText) -> RepairReport:
     with new_folder(Path(new_path)) as folder:
         manifest = _manifest(run)
         manifest.write(folder)
+        stored = StoredManifest.of(manifest)
         for number, segment in enumerate(run.segments):
             begin_ns = manifest.created_ns if segment.begin_ns is None else segment.begin_ns
-            clock_ns = segment.about.get("clock_ns")
-            claimed = Segment.claim(folder, number, manifest.run_id, begin_ns=begin_ns, clock_ns=clock_ns)
+            claimed = Segment.claim(
+                folder,
+                number,
+                stored,
+                begin_ns=begin_ns,
+                clock_ns=segment.about.get("clock_ns"),
+                note=segment.note,
+            )
             with closing(claimed) as new:
                 sequences, unread = _copy_frames(segment, new)
                 frames += len(sequences)

@@ -12,7 +12,7 @@ import pandas as pd
 
 from palpate.core import InputError, LabelError, SplitError
 from palpate.recordings.label_tables import Label
-from palpate.recordings.manifest import LabelKind, Manifest
+from palpate.recordings.manifest import LabelKind, Manifest, StoredManifest
 from palpate.recordings.reference_instruments import ReferenceInstrument, refuse_strangers
 from palpate.recordings.run_reader import Run
 from palpate.recordings.segments.segment_reader import Damage
@@ -48,7 +48,7 @@ class JoinedRun(Run):
         self.left_out = tuple(sorted(every - set(shared)))
         segments = tuple(segment for run in runs for segment in run.segments)
         path = Path(" + ".join(str(run.path) for run in runs))
-        super().__init__(path, _manifest(runs, shared), segments)
+        super().__init__(path, StoredManifest.of(_manifest(runs, shared)), segments)
 
     @cached_property
     def hash(self) -> str:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import uuid
 from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Literal
@@ -143,6 +145,39 @@ class Manifest(BaseModel):
         Raises:
             RecordingError: there is none, it is damaged, or another version of palpate has to read it.
         """
+        return StoredManifest.read(run).manifest
+
+    def write(self, run: PathText) -> None:
+        """Write the manifest into a run's folder, whole or not at all."""
+        StoredManifest.of(self).write(run)
+
+    @property
+    def created_ns(self) -> int:
+        """`created_utc` since 1970 [ns], what the segments' times count from."""
+        return _nanoseconds(self.created_utc)
+
+
+@dataclass(frozen=True, slots=True)
+class StoredManifest:
+    """Manifest as stored: its very text, which each segment keeps a copy of.
+
+    Attributes:
+        manifest: what the text says.
+        text: in UTF-8.
+    """
+
+    manifest: Manifest
+    text: bytes
+
+    @classmethod
+    def of(cls, manifest: Manifest) -> StoredManifest:
+        """The text that a manifest is written as."""
+        unused = set() if manifest.instruments else {"instruments"}  # which older versions do not know
+        return cls(manifest, (manifest.model_dump_json(indent=2, exclude=unused) + "\n").encode())
+
+    @classmethod
+    def read(cls, run: PathText) -> StoredManifest:
+        """The one beside a run's segments; errors as of `Manifest.read`."""
         path = Path(run) / MANIFEST
         if not path.is_file():
             raise RecordingError(f"{run} is not a run: it holds no {MANIFEST}; name a run's folder")
@@ -151,22 +186,33 @@ class Manifest(BaseModel):
                 raise RecordingError(f"{path} is no manifest: it is larger than {MAX_MANIFEST_BYTES} bytes")
             text = path.read_bytes()
         try:
-            return cls.model_validate_json(text)
+            return cls(Manifest.model_validate_json(text), text)
         except ValidationError as e:
             if version := needed_version(text, FORMAT):
                 raise RecordingError(f"{path} {version}") from e
             raise RecordingError(f"{path} is damaged: {_first(e)}; restore it from a copy of the run") from e
 
+    @classmethod
+    def copied(cls, text: object, sha256: object) -> StoredManifest | None:
+        """The copy in a segment; None where there is none, or it is not what the checksum is of."""
+        if not isinstance(text, str) or len(text) > MAX_MANIFEST_BYTES:
+            return None
+        data = text.encode("utf-8", "surrogatepass")
+        try:
+            stored = cls(Manifest.model_validate_json(data), data)
+        except ValidationError:
+            return None
+        return stored if stored.sha256 == sha256 else None
+
     def write(self, run: PathText) -> None:
-        """Write the manifest into a run's folder, whole or not at all."""
+        """Write it into a run's folder, whole or not at all, and never over another."""
         with new_file(Path(run) / MANIFEST) as path:
-            unused = set() if self.instruments else {"instruments"}  # which older versions do not know
-            path.write_text(self.model_dump_json(indent=2, exclude=unused) + "\n", encoding="utf-8")
+            path.write_bytes(self.text)
 
     @property
-    def created_ns(self) -> int:
-        """`created_utc` since 1970 [ns], what the segments' times count from."""
-        return _nanoseconds(self.created_utc)
+    def sha256(self) -> str:
+        """Checksum of the text, as 64 hexadecimal digits."""
+        return hashlib.sha256(self.text).hexdigest()
 
 
 def _nanoseconds(iso: str) -> int:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import warnings
 from array import array
+from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from html import escape
@@ -17,14 +19,14 @@ from palpate.core import (
     NS_PER_S,
     Frame,
     InputError,
+    PalpateError,
     PathText,
     RangeError,
     RecordingError,
-    sha256_of,
     sha256_of_all,
 )
 from palpate.recordings.label_tables import Label, finite, label_values
-from palpate.recordings.manifest import MANIFEST, LabelKind, Manifest
+from palpate.recordings.manifest import MANIFEST, LabelKind, StoredManifest
 from palpate.recordings.segments import (
     EVENTS,
     FORCE,
@@ -59,15 +61,23 @@ class Run:
 
     Attributes:
         path: the folder.
-        manifest: what the run is of.
+        manifest: what the run is of; `stored_manifest` has its very text.
         segments: what can be read of each.
     """
 
-    def __init__(self, path: Path, manifest: Manifest, segments: tuple[StoredSegment, ...]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        stored: StoredManifest,
+        segments: tuple[StoredSegment, ...],
+        damage: tuple[Damage, ...] = (),
+    ) -> None:
         """Use `open`, which makes runs."""
         self.path = path
-        self.manifest = manifest
+        self.stored_manifest = stored
+        self.manifest = stored.manifest
         self.segments = segments
+        self._manifest_damage = damage
         self._frames: list[StoredFrame] = [frame for segment in segments for frame in segment.frames]
         self._checked = bytearray(len(self._frames))
 
@@ -75,16 +85,18 @@ class Run:
     def open(cls, path: PathText) -> Run:
         """Open a run, whole or damaged.
 
+        Where the manifest beside the segments is damaged, gone or altered, the copy that the segments hold is
+        read instead; that is warned of, and told as damage.
+
         Raises:
             RecordingError: not a run, or one without a readable manifest.
         """
         path = Path(path)
-        manifest = Manifest.read(path)
-        sha256 = sha256_of(path / MANIFEST)
-        numbers = segment_numbers(path)
-        return cls(
-            path, manifest, tuple(StoredSegment.open(path, n, manifest.run_id, sha256) for n in numbers)
-        )
+        segments = _segments(path)
+        stored, damage = _believed(path, segments)
+        for one in damage:
+            warnings.warn(f"{path}: {one}", stacklevel=2)
+        return cls(path, stored, tuple(segment.of_run(stored) for segment in segments), damage)
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -181,12 +193,17 @@ class Run:
         numbers = [segment.number for segment in self.segments]
         missing = sorted(set(range(max(numbers, default=0) + 1)) - set(numbers))
         gone = [Damage(file_name(n, kind), 0, "is missing") for n in missing for kind in KINDS]
-        return (*gone, *(fault for segment in self.segments for fault in segment.verify()))
+        return (
+            *self._manifest_damage,
+            *gone,
+            *(fault for segment in self.segments for fault in segment.verify()),
+        )
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 over the manifest and the segments, which names this very data."""
-        return sha256_of_all(self.files)
+        """SHA-256 over the manifest that is read and the segments, which names this very data."""
+        segments = [path for path in self.files if path.name != MANIFEST]
+        return sha256_of_all(segments, {MANIFEST: self.stored_manifest.sha256})
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -241,6 +258,33 @@ class Run:
                 rows.extend(values(message_schema.decode(message.data, channel)))
         table = np.frombuffer(rows, np.float64) if rows else np.empty(0)
         return pd.DataFrame(table.reshape(-1, 1 + len(columns)), columns=["time_s", *columns])
+
+
+def _segments(path: Path) -> tuple[StoredSegment, ...]:
+    """The segments in a folder; none where it is no folder."""
+    numbers = segment_numbers(path) if path.is_dir() else []
+    return tuple(StoredSegment.open(path, number) for number in numbers)
+
+
+def _believed(path: Path, segments: tuple[StoredSegment, ...]) -> tuple[StoredManifest, tuple[Damage, ...]]:
+    """The manifest beside the segments where one of them has its checksum; else the copy that most hold."""
+    try:
+        stored: StoredManifest | None = StoredManifest.read(path)
+        why = "has changed since the run was recorded"
+    except PalpateError as e:
+        stored, why, unreadable = None, str(e).removeprefix(f"{path / MANIFEST} "), e
+    noted = {about.get("manifest_sha256") for segment in segments for about in segment.abouts}
+    if stored is not None and stored.sha256 in noted:
+        return stored, ()
+    copies = [(one.number, copy) for one in segments if (copy := one.manifest) is not None]
+    if not copies:
+        if stored is None:
+            raise unreadable
+        return stored, ()
+    (text, _), *_ = Counter(copy.text for _, copy in copies).most_common(1)
+    number, copy = next(one for one in copies if one[1].text == text)
+    what = f"{why.partition(';')[0]}; the copy in segment {number} is read instead"
+    return copy, (Damage(MANIFEST, 0, what),)
 
 
 def _column(values: list[Label | None], kind: LabelKind) -> pd.Series[Any]:

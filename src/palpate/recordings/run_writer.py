@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from numbers import Integral
 from pathlib import Path
-from threading import Condition, Lock, Thread
+from threading import Condition, Event, Lock, Thread
 from types import MappingProxyType, TracebackType
 from typing import Any, BinaryIO, Literal
 
@@ -28,6 +28,7 @@ from palpate.core import (
     PalpateError,
     PathText,
     RecordingError,
+    StorageError,
     lock,
     new_folder,
 )
@@ -77,7 +78,7 @@ class Buffer:
     """
 
     def __init__(self, frames: int, overflow: Overflow) -> None:
-        self._items: deque[Item] = deque()
+        self._items: deque[Item | Event] = deque()
         self._changed = Condition()
         self._max_frames = frames
         self._overflow = overflow
@@ -101,8 +102,14 @@ class Buffer:
             self._changed.notify_all()
             return True
 
-    def take(self, timeout_s: float) -> Item | None:
-        """The oldest item; None when none came in time [s] or none can come."""
+    def mark(self, reached: Event) -> None:
+        """Queue a mark behind all that is inside, for which there is always room."""
+        with self._changed:
+            self._items.append(reached)
+            self._changed.notify_all()
+
+    def take(self, timeout_s: float) -> Item | Event | None:
+        """The oldest item or mark; None when none came in time [s] or none can come."""
         with self._changed:
             self._changed.wait_for(lambda: self._closed or self._items, timeout_s)
             if not self._items:
@@ -130,8 +137,8 @@ class Buffer:
         fits = self._frame_bytes + item.data.nbytes <= MAX_FRAME_BYTES
         return self._frames < self._max_frames and (fits or self._frames == 0)
 
-    def _count(self, item: Item, step: int) -> None:
-        if not isinstance(item.data, bytes):
+    def _count(self, item: Item | Event, step: int) -> None:
+        if isinstance(item, Item) and not isinstance(item.data, bytes):
             self._frames += step
             self._frame_bytes += step * item.data.nbytes
 
@@ -155,15 +162,17 @@ class OpenedSegment:
     zero_ns: int
 
 
-def open_segment(path: Path, now_ns: int) -> OpenedSegment:
+def open_segment(path: Path, now_ns: int, note: Mapping[str, Any] | None) -> OpenedSegment:
     """Claim the next segment of a run; it begins when the clock reads `now_ns`."""
-    Manifest.read(path)
+    if not (path / MANIFEST).is_file():
+        Run.open(path).stored_manifest.write(path)  # it was lost, and a segment has kept a copy
     with ExitStack() as undo:
         lock_file = undo.enter_context(lock(path / MANIFEST))
         run = Run.open(path)
         number = max(segment_numbers(path), default=-1) + 1
         start_ns = _start(run, now_ns)
-        segment = Segment.claim(path, number, run.manifest.run_id, begin_ns=start_ns, clock_ns=now_ns)
+        stored = run.stored_manifest
+        segment = Segment.claim(path, number, stored, begin_ns=start_ns, clock_ns=now_ns, note=note)
         undo.pop_all()
     return OpenedSegment(run.manifest, segment, lock_file, start_ns, start_ns - now_ns)
 
@@ -195,7 +204,8 @@ class RunWriter:
     segment, also after an exception.
 
     Every call raises `StorageError` once the disk has refused a write; all that was written before stays
-    readable.
+    readable. Where the disk is full, `event` is still taken: room is held for what is said of a run's end,
+    and for the segment's index.
 
     Example:
         >>> import tempfile
@@ -221,6 +231,7 @@ class RunWriter:
         self._reported = dict(buffer.dropped)
         self._stored = 0
         self._failure: BaseException | None = None
+        self._full = False
         self._closed = False
         self._thread = Thread(target=self._work, name="palpate-run-writer", daemon=True)
         self._thread.start()
@@ -234,6 +245,7 @@ class RunWriter:
         clock: Clock = _MACHINE_CLOCK,
         queue_frames: int = 64,
         overflow: Overflow = "drop",
+        note: Mapping[str, Any] | None = None,
     ) -> RunWriter:
         """Begin a run in a new folder; its time starts now.
 
@@ -243,6 +255,7 @@ class RunWriter:
             clock: what stamps messages that come without a time.
             queue_frames: how many frames may wait to be written.
             overflow: drop and count what finds the queue full, or let its caller wait.
+            note: what the segment's files begin with, on disk before this returns; of JSON's types.
 
         Raises:
             ExistsError: `path` exists.
@@ -251,7 +264,7 @@ class RunWriter:
         path, now_ns = Path(path), clock.now_ns()
         with new_folder(path) as folder:
             manifest.write(folder)
-        return cls(open_segment(path, now_ns), clock, buffer)
+        return cls(open_segment(path, now_ns, note), clock, buffer)
 
     @classmethod
     def resume(
@@ -261,6 +274,7 @@ class RunWriter:
         clock: Clock = _MACHINE_CLOCK,
         queue_frames: int = 64,
         overflow: Overflow = "drop",
+        note: Mapping[str, Any] | None = None,
     ) -> RunWriter:
         """Begin the next segment of a run; nothing that is there is touched.
 
@@ -271,7 +285,7 @@ class RunWriter:
             RecordingError: not a run, or another writer is recording into it.
         """
         buffer = _buffer(queue_frames, overflow)
-        return cls(open_segment(Path(path), clock.now_ns()), clock, buffer)
+        return cls(open_segment(Path(path), clock.now_ns(), note), clock, buffer)
 
     def frame(
         self,
@@ -337,7 +351,7 @@ class RunWriter:
         return self._put(STAGE, time_ns, lambda at_ns: message_schema.encode_point(values, at_ns))
 
     def event(self, kind: str, **fields: Any) -> bool:
-        """Record that something happened; False when dropped.
+        """Record that something happened; False when dropped. A full disk still has room for some.
 
         Raises:
             InputError: fields that JSON cannot hold, or the kind ``dropped``, which is the writer's own.
@@ -346,6 +360,19 @@ class RunWriter:
             raise InputError(f"events of kind {DROPPED!r} are the writer's own; choose another kind")
         data = message_schema.encode_json({"kind": kind, "fields": fields})
         return self._put(EVENTS, None, lambda _: data)
+
+    def sync(self) -> None:
+        """Wait until the disk holds all that was accepted so far.
+
+        Raises:
+            StorageError: it does not.
+        """
+        self._refuse_if_over()
+        mark = Event()
+        self._buffer.mark(mark)
+        while not mark.wait(SYNC_EVERY_S):
+            self._refuse_if_over()
+        self._raise_failure()
 
     @property
     def dropped(self) -> Mapping[str, int]:
@@ -387,16 +414,17 @@ class RunWriter:
         data: Callable[[int], bytes | Image],
         about: dict[str, object] | None = None,
     ) -> bool:
-        self._refuse_if_over()
+        self._refuse_if_over(channel)
         with self._locks[channel]:
             at_ns = self._stamp(channel, time_ns)
             accepted = self._buffer.put(Item(channel, at_ns, data(at_ns), about))
         if not accepted:
-            self._refuse_if_over()
+            self._refuse_if_over(channel)
         return accepted
 
-    def _refuse_if_over(self) -> None:
-        self._raise_failure()
+    def _refuse_if_over(self, channel: Channel | None = None) -> None:
+        if not (self._full and channel is EVENTS):
+            self._raise_failure()
         if self._closed:
             raise RecordingError("this writer is closed; resume the run to record more")
 
@@ -438,23 +466,39 @@ class RunWriter:
         due_s = 0.0
         while not self._buffer.drained:
             item = self._buffer.take(max(0.0, due_s - _now_s()))
-            if item is not None:
-                self._store(item)
+            if isinstance(item, Event):
+                self._segment.sync()
+                item.set()
+            elif item is not None:
+                self._store_if_room(item)
             if _now_s() >= due_s:
                 self._report_drops()
                 self._segment.sync()
                 due_s = _now_s() + SYNC_EVERY_S
         self._report_drops()
 
+    def _store_if_room(self, item: Item) -> None:
+        """Store an item; once the disk is full, the events of the run's end alone."""
+        if self._full and item.channel is not EVENTS:
+            return
+        try:
+            self._store(item)
+        except StorageError as e:
+            if self._segment.broken:
+                raise
+            self._failure, self._full = self._failure or e, True
+            if item.channel is EVENTS:
+                self._store(item)
+
     def _store(self, item: Item) -> None:
         if isinstance(item.data, bytes):
-            self._segment.signals.write(item.channel, item.time_ns, 0, item.data)
+            self._segment.signals.write(item.channel, item.time_ns, 0, item.data, last=self._full)
             return
         image = message_schema.encode_image(image_files.encode(item.data), item.time_ns)
+        about = message_schema.encode_json({"frame": self._stored, **(item.about or {})})
+        self._segment.signals.hold(len(about))  # first, so that no frame is left without its record
         self._segment.frames.write(FRAMES, item.time_ns, self._stored, image)
-        if item.about:
-            about = message_schema.encode_json({"frame": self._stored, **item.about})
-            self._segment.signals.write(LABELS, item.time_ns, 0, about)
+        self._segment.signals.write(LABELS, item.time_ns, 0, about)
         self._stored += 1
 
     def _report_drops(self) -> None:
@@ -464,7 +508,7 @@ class RunWriter:
                 at_ns = max(self._latest[EVENTS], self._clock.now_ns() + self._opened.zero_ns)
                 fields = {"channel": name, "count": count}
                 data = message_schema.encode_json({"kind": DROPPED, "fields": fields})
-                self._segment.signals.write(EVENTS, at_ns, 0, data)
+                self._store_if_room(Item(EVENTS, at_ns, data))
                 self._reported[name] = count
 
 

@@ -117,6 +117,13 @@ def check_text(report: CheckReport) -> str:
     lines += [f"  {name} is missing in {count} frames" for name, count in report.missing_labels.items()]
     if report.duplicated_frames:
         lines.append(f"{report.duplicated_frames} frames equal the one before: a frozen camera?")
+    if report.orphan_frames:
+        lines.append(
+            f"{report.orphan_frames} frames have no record of their labels, as after a kill between the two: "
+            "nothing counts them, and a plan that goes on records them anew"
+        )
+    if report.orphan_records:
+        lines.append(f"{report.orphan_records} records of labels have no frame: their frames are lost")
     lines += [f"damage: {d.file} at byte {d.at_byte}: {d.what}" for d in report.damage]
     remedy = "damaged: `palpate repair` copies what can be read into a new run"
     if any("cut" in d.what for d in report.damage):

@@ -44,7 +44,16 @@ from palpate.rig.plans.recording_plan import (
 )
 from palpate.rig.press_motion import PressMotion, check_plan
 from palpate.rig.rig import Rig
-from palpate.rig.run_progress import PLAN, Outcome, Recorder, State, Status, check_same_plan, done_in
+from palpate.rig.run_progress import (
+    PLAN,
+    Outcome,
+    Recorder,
+    State,
+    Status,
+    check_same_plan,
+    done_in,
+    note_of,
+)
 
 UNMOVED = (Reason.STAGE, Reason.STAGE_LATE, Reason.SOFT_LIMIT)
 """After these nothing is lifted: the stage is not to be trusted."""
@@ -73,6 +82,7 @@ class Engine:
         self._rig = rig
         self._plan = plan
         self._done = dict(done)
+        self._alike: dict[frozenset[int], frozenset[int]] = {}  # sets of frames, one of each kept in memory
         self._control = control
         self._watch = watch
         bias = self._bias = ForceBias(rig.mounting)
@@ -98,6 +108,7 @@ class Engine:
         self._recorder.event(PLAN, hash=self._plan.hash, plan=self._plan.model_dump(mode="json"))
         rig = self._rig
         self._recorder.event("rig", name=rig.name, origin_m=rig.origin_m, limits=asdict(rig.limits))
+        self._recorder.sync()  # before anything moves
         self._turn(State.RUNNING, "begun")
         try:
             for press in self._plan.presses():
@@ -195,7 +206,8 @@ class Engine:
 
     def _mark(self, key: str, frame: int, whole: bool) -> None:
         """A frame is recorded; with it, perhaps, its shot is whole."""
-        self._done[key] = self._done.get(key, frozenset()) | {frame}
+        frames = self._done.get(key, frozenset()) | {frame}
+        self._done[key] = self._alike.setdefault(frames, frames)
         self._shots += whole
         self._tell()
 
@@ -261,7 +273,8 @@ def record(
     """Record all of a plan that a run does not hold yet.
 
     A new run is begun where there is none. Where there is one of the same plan, the next segment begins at
-    its first missing shot; what is there is never touched, repeated or skipped.
+    its first missing shot; what is there is never touched, repeated or skipped. A run that was killed before
+    it held a frame is gone on with likewise.
 
     Args:
         rig: the devices; the caller closes them.
@@ -281,12 +294,13 @@ def record(
     done: Done = {}
     if out.exists():
         run = Run.open(out)
-        check_same_plan(run, plan)
+        check_same_plan(run, plan, manifest_of(rig, plan))
         _check_same_seed(run, rig)
         done = done_in(run)
-        writer = RunWriter.resume(out, clock=rig.clock, overflow="wait")
+        writer = RunWriter.resume(out, clock=rig.clock, overflow="wait", note=note_of(plan))
     else:
-        writer = RunWriter.create(out, manifest_of(rig, plan), clock=rig.clock, overflow="wait")
+        manifest = manifest_of(rig, plan)
+        writer = RunWriter.create(out, manifest, clock=rig.clock, overflow="wait", note=note_of(plan))
     with writer, plugin_calls(f"a device ended the recording ({ERROR})", Exception):
         return Engine(rig, plan, writer, done, control or OperatorControl(), watch).run()
 

@@ -13,7 +13,7 @@ import pandas as pd
 
 from palpate.core import Frame, Position, RecordingError, Wrench
 from palpate.devices import ForceBias, Reason
-from palpate.recordings import Offset, Run, RunWriter
+from palpate.recordings import Manifest, Offset, Run, RunWriter
 from palpate.recordings.label_tables import Label
 from palpate.rig.plans.recording_plan import Done, RecordingPlan
 
@@ -29,7 +29,7 @@ class Recorder:
         self._muted = False
 
     def mute(self) -> None:
-        """Record nothing more: the disk has refused, and the probe is still to be lifted."""
+        """Record events alone from now on: the disk has refused, and the probe is still to be lifted."""
         self._muted = True
 
     def force(self, samples: Sequence[Wrench]) -> None:
@@ -51,8 +51,11 @@ class Recorder:
 
     def event(self, kind: str, **fields: Any) -> None:
         """Record that something happened."""
-        if not self._muted:
-            self._writer.event(kind, **fields)
+        self._writer.event(kind, **fields)
+
+    def sync(self) -> None:
+        """Wait until the disk holds all that was recorded so far."""
+        self._writer.sync()
 
 
 class State(StrEnum):
@@ -133,15 +136,43 @@ def done_in(run: Run) -> Done:
     return {key: frozenset(frames) for key, frames in recorded.items()}
 
 
-def check_same_plan(run: Run, plan: RecordingPlan) -> None:
-    """Refuse to go on with another plan than the one that a run was begun with."""
-    begun = fields_of(run, PLAN)
+def note_of(plan: RecordingPlan) -> dict[str, str]:
+    """What each segment's files begin with, before anything is recorded into them."""
+    return {PLAN: plan.hash}
+
+
+def check_same_plan(run: Run, plan: RecordingPlan, manifest: Manifest) -> None:
+    """Refuse to go on with another plan than the one that a run was begun with.
+
+    A run that was cut before it held its plan or a frame of one is gone on with if it is of the same sensor,
+    rig and labels; `manifest` is what it would be begun with now.
+    """
+    begun = [str(segment.note[PLAN]) for segment in run.segments if PLAN in segment.note]
+    begun += [str(fields["hash"]) for fields in fields_of(run, PLAN)]
     if not begun:
-        raise RecordingError(f"{run.path} was not recorded by a plan; name a new run")
-    if begun[0]["hash"] != plan.hash:
+        _check_same_beginning(run, manifest)
+    elif begun[0] != plan.hash:
         raise RecordingError(
-            f"{run.path} was begun with another plan ({str(begun[0]['hash'])[:12]}) than this one, "
+            f"{run.path} was begun with another plan ({begun[0][:12]}) than this one, "
             f"{plan.name!r} ({plan.hash[:12]}); give that one, or name a new run"
+        )
+
+
+OWN_FIELDS = {"run_id", "created_utc", "software", "seed"}
+"""Fields of a manifest in which two recordings of one plan on one rig may differ; a seed is judged apart."""
+
+
+def _check_same_beginning(run: Run, manifest: Manifest) -> None:
+    if "shot" in run.labels and run.labels["shot"].notna().any():
+        raise RecordingError(
+            f"{run.path} holds frames of a plan that cannot be read any more, so that nothing says which it "
+            "was; name a new run"
+        )
+    there, here = (one.model_dump(exclude=OWN_FIELDS) for one in (run.manifest, manifest))
+    if other := [name for name in here if there[name] != here[name]]:
+        raise RecordingError(
+            f"{run.path} was not recorded by a plan, or by another: its {other[0]} is "
+            f"{there[other[0]]!r:.60}, and of this rig and plan it is {here[other[0]]!r:.60}; name a new run"
         )
 
 

@@ -18,7 +18,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from palpate.core import Image, ImageError, RecordingError, storage_errors
 from palpate.recordings.exchange import image_files
-from palpate.recordings.manifest import MANIFEST
+from palpate.recordings.manifest import MANIFEST, StoredManifest
 from palpate.recordings.segments.message_schema import (
     FRAMES,
     SEGMENT,
@@ -166,7 +166,7 @@ def _by_walking(file: BinaryIO, size: int, name: str) -> tuple[tuple[Chunk, ...]
     while True:
         file.seek(at)
         head = file.read(_RECORD.size)
-        if len(head) < _RECORD.size:
+        if len(head) < _RECORD.size or not any(head):  # zeros: room that a killed writer held
             damage.append(Damage(name, at, "ends without an index: interrupted while written, or cut"))
             break
         opcode, length = _RECORD.unpack(head)
@@ -336,7 +336,7 @@ class StoredSegment:
         number: of the segment in its run.
         frames: its frames, in order.
         signals: the file of its signals, all of whose chunks have been checked.
-        about: what the writer noted at its beginning; empty where that is lost.
+        abouts: what the writer noted at the beginning of each file, where that is readable.
         begin_ns: when it began [ns since 1970]; None where that is lost.
         damage: what is wrong as far as was looked.
     """
@@ -345,34 +345,54 @@ class StoredSegment:
     frames: tuple[StoredFrame, ...]
     frames_file: SegmentScan
     signals_file: SegmentScan
-    about: dict[str, Any]
+    abouts: tuple[dict[str, Any], ...]
     begin_ns: int | None
     damage: tuple[Damage, ...]
 
     @classmethod
-    def open(cls, run: Path, number: int, run_id: str, manifest_sha256: str) -> StoredSegment:
-        """Look through a segment of the run that has this id and manifest."""
+    def open(cls, run: Path, number: int) -> StoredSegment:
+        """Look through a segment, of whatever run; `of_run` then judges whether it belongs there."""
         frames, signals = (_scanned(run, number, kind) for kind in KINDS)
         signals = _checked(signals)
         begun = [message for file in (frames, signals) for message in _beginning(file)]
-        abouts = [decode_json(message.data, SEGMENT) for message in begun]
-        damage = (*frames.damage, *signals.damage)
-        if any(about.get("run_id") != run_id for about in abouts):
-            what = "belongs to another run, so it is left out; move both files of the segment away"
-            stranger = Damage(frames.path.name, 0, what)
-            frames, signals = replace(frames, chunks=()), replace(signals, chunks=())
-            damage = (stranger,)
-        elif any(about.get("manifest_sha256") != manifest_sha256 for about in abouts):
-            damage = (*damage, Damage(MANIFEST, 0, f"has changed since segment {number} was recorded"))
+        abouts = tuple(decode_json(message.data, SEGMENT) for message in begun)
         return cls(
             number,
             tuple(_frames(frames)),
             frames,
             signals,
-            abouts[0] if abouts else {},
+            abouts,
             begun[0].time_ns if begun else None,
-            damage,
+            (*frames.damage, *signals.damage),
         )
+
+    def of_run(self, manifest: StoredManifest) -> StoredSegment:
+        """The same as a segment of the run with this manifest; left out where it is of another."""
+        if any(about.get("run_id") != manifest.manifest.run_id for about in self.abouts):
+            what = "belongs to another run, so it is left out; move both files of the segment away"
+            frames, signals = (replace(file, chunks=()) for file in (self.frames_file, self.signals_file))
+            damage: tuple[Damage, ...] = (Damage(frames.path.name, 0, what),)
+            return replace(self, frames=(), frames_file=frames, signals_file=signals, damage=damage)
+        if any(about.get("manifest_sha256") != manifest.sha256 for about in self.abouts):
+            what = f"has changed since segment {self.number} was recorded"
+            return replace(self, damage=(*self.damage, Damage(MANIFEST, 0, what)))
+        return self
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What the writer noted at its beginning; empty where that is lost."""
+        return self.abouts[0] if self.abouts else {}
+
+    @property
+    def note(self) -> dict[str, Any]:
+        """What else the recorder began it with; empty where there is none."""
+        note = self.about.get("note")
+        return note if isinstance(note, dict) else {}
+
+    @property
+    def manifest(self) -> StoredManifest | None:
+        """The copy of the run's manifest that it begins with; None where it has none, or that is lost."""
+        return StoredManifest.copied(self.about.get("manifest"), self.about.get("manifest_sha256"))
 
     def messages(self, channel: Channel) -> Iterator[StoredMessage]:
         """The messages on one channel of the signals, in order."""

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mcap.writer import CompressionType, Writer
-
-from palpate.core import ExistsError, StorageError, sha256_of, storage_errors, sync
-from palpate.recordings.manifest import MANIFEST
+from palpate.core import ExistsError, StorageError, storage_errors, sync
+from palpate.recordings.manifest import StoredManifest
+from palpate.recordings.segments.mcap_file import HeldFile, McapFile
 from palpate.recordings.segments.message_schema import (
     CHANNELS,
     SEGMENT,
@@ -28,6 +27,7 @@ from palpate.version import __version__
 KINDS: tuple[FileKind, ...] = ("frames", "signals")
 # A frame is a chunk, so that reading it decodes nothing else. Signals share chunks, which time closes too.
 _CHUNK_BYTES: dict[FileKind, int] = {"frames": 0, "signals": 64 * 1024}
+LAST_BYTES = 64 * 1024  # held for what is said of a run's end, when the disk takes nothing else
 _NAME = re.compile(r"([0-9]{4,9})-(?:frames|signals)\.mcap")
 
 
@@ -43,52 +43,30 @@ def segment_numbers(run: Path) -> list[int]:
         return sorted({int(match[1]) for match in matches if match})
 
 
-class _Sink:
-    """An unbuffered file that writes everything it is given, or raises."""
-
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("xb", buffering=0)
-        self._size = 0
-
-    def write(self, data: bytes) -> int:
-        rest = memoryview(data)
-        while rest:
-            done = self._file.write(rest)
-            self._size += done
-            rest = rest[done:]
-        return len(data)
-
-    def tell(self) -> int:
-        return self._size
-
-    def flush(self) -> None:
-        """Nothing is held back."""
-
-    def sync(self) -> None:
-        os.fsync(self._file.fileno())
-
-    def close(self) -> None:
-        self._file.close()
-
-
 class SegmentFile:
     """File of a segment, open for appending.
 
-    Every method raises `StorageError` when the disk refuses. The file then takes nothing more: what is
-    whole in it stays readable.
+    Every method raises `StorageError` when the disk refuses. A message for which the disk has no room is
+    refused before anything of it is written, and the file can still be ended: room for that is held. After
+    any other refusal the file takes nothing more; what is whole in it stays readable.
+
+    Attributes:
+        broken: whether a write has failed, so that nothing may follow it.
     """
 
     def __init__(self, path: Path, kind: FileKind, about: dict[str, Any], time_ns: int) -> None:
         self._path = path
         self._kind = kind
         self._dirty = True
-        self._broken = False
+        self.broken = False
         with storage_errors(path):
-            self._sink = _Sink(path)
-        self._mcap = Writer(
-            self._sink, chunk_size=_CHUNK_BYTES[kind], compression=CompressionType.NONE, enable_data_crcs=True
-        )
-        self._begin(about, time_ns)
+            self._sink = HeldFile(path)
+        self._mcap = McapFile(self._sink, _CHUNK_BYTES[kind])
+        try:
+            self._begin(about, time_ns)
+        except BaseException:
+            self._sink.close()
+            raise
 
     def _begin(self, about: dict[str, Any], time_ns: int) -> None:
         with self._writing():
@@ -97,8 +75,8 @@ class SegmentFile:
         for channel in CHANNELS[self._kind]:
             if channel.type not in schemas:
                 text = definition(channel)
-                schemas[channel.type] = self._mcap.register_schema(channel.type, "ros2msg", text)
-            self._mcap.register_channel(channel.topic, "cdr", schemas[channel.type])
+                schemas[channel.type] = self._mcap.add_schema(channel.type, "ros2msg", text)
+            self._mcap.add_channel(channel.topic, "cdr", schemas[channel.type])
         self.write(SEGMENT, time_ns, 0, encode_json(about))
         self.sync()
 
@@ -108,19 +86,27 @@ class SegmentFile:
             with storage_errors(self._path):
                 yield
         except BaseException:
-            self._broken = True  # half a record may stand at the end: nothing may follow it
+            self.broken = True  # half a record may stand at the end: nothing may follow it
             raise
 
-    def write(self, channel: Channel, time_ns: int, sequence: int, data: bytes) -> None:
-        """Append one message, stamped [ns since 1970]; a full chunk goes to the file."""
+    def hold(self, message_bytes: int, *, last: bool = False) -> None:
+        """Have room on the disk for a message of so many bytes, and for the file's end after it.
+
+        Args:
+            message_bytes: of its data.
+            last: it is one of the run's last messages, for which room was held until now.
+        """
+        spare = 0 if last else LAST_BYTES
+        with storage_errors(self._path):
+            self._sink.hold(self._mcap.bytes_to_end(message_bytes) + spare)
+
+    def write(
+        self, channel: Channel, time_ns: int, sequence: int, data: bytes, *, last: bool = False
+    ) -> None:
+        """Append one message, stamped [ns since 1970]; a full chunk goes to the file. `last` as in `hold`."""
+        self.hold(len(data), last=last)
         with self._writing():
-            self._mcap.add_message(
-                channel_id=channel_id(self._kind, channel),
-                log_time=time_ns,
-                publish_time=time_ns,
-                sequence=sequence,
-                data=data,
-            )
+            self._mcap.add_message(channel_id(self._kind, channel), time_ns, sequence, data)
         self._dirty = True
 
     def sync(self) -> None:
@@ -134,12 +120,13 @@ class SegmentFile:
     def close(self) -> None:
         """Append the index, unless a write failed before, and close."""
         try:
-            if not self._broken:
+            if not self.broken:
                 with self._writing():
                     self._mcap.finish()
                     self._sink.sync()
         finally:
-            self._sink.close()
+            with storage_errors(self._path):
+                self._sink.close()
 
 
 @dataclass(frozen=True)
@@ -150,21 +137,33 @@ class Segment:
     signals: SegmentFile
 
     @classmethod
-    def claim(cls, run: Path, number: int, run_id: str, *, begin_ns: int, clock_ns: int | None) -> Segment:
-        """Create a segment that nobody else can then create.
+    def claim(
+        cls,
+        run: Path,
+        number: int,
+        manifest: StoredManifest,
+        *,
+        begin_ns: int,
+        clock_ns: int | None,
+        note: Mapping[str, Any] | None = None,
+    ) -> Segment:
+        """Create a segment that nobody else can then create; the disk holds what opens both files.
 
         Args:
-            run: folder, which holds the manifest.
+            run: folder.
             number: of the segment.
-            run_id: as the manifest has it.
+            manifest: of the run; each file begins with a copy of it.
             begin_ns: its first instant [ns since 1970].
             clock_ns: what the writer's clock read then [ns]; None where that is lost.
+            note: what else both files begin with, of JSON's types.
         """
         about = {
-            "run_id": run_id,
+            "run_id": manifest.manifest.run_id,
             "segment": number,
-            "manifest_sha256": sha256_of(run / MANIFEST),
+            "manifest_sha256": manifest.sha256,
+            "manifest": manifest.text.decode(),
             "clock_ns": clock_ns,
+            "note": dict(note or {}),
         }
         with ExitStack() as opened:
             files = []
@@ -175,6 +174,11 @@ class Segment:
                 sync(run)
             opened.pop_all()
         return cls(*files)
+
+    @property
+    def broken(self) -> bool:
+        """Whether a write into either file has failed."""
+        return self.frames.broken or self.signals.broken
 
     def sync(self) -> None:
         """Have the disk hold everything in both files."""
