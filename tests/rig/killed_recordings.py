@@ -1,0 +1,213 @@
+"""Recordings that are killed -9 at random moments and begun again by the same call, until each is whole.
+
+    python -m tests.rig.killed_recordings 1000 killed     # from the repository's root
+
+A recording is a forked child, so that its first moments are the engine's and not those of Python's imports.
+Three quarters of the kills are uniform over a recording's whole length, one quarter over its first tenth,
+from before its folder is there. Moments are of the child's own processor time, so that a machine with other
+work kills at the same places; a few milliseconds of the clock follow, so that waits for the disk are hit too.
+What lay on disk at one kill must lie there at the next.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import resource
+import shutil
+import signal
+import sys
+import time
+import traceback
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.core import ManualClock
+from palpate.recordings import Run, check
+from palpate.rig import State, record
+from palpate.rig.plans import Listed, StepHold
+from palpate.rig.rig import Rig
+from palpate.rig.virtual import Variation, virtual_rig
+from palpate.sensors import palm
+from palpate.sensors.palm.palm_sensor import Palm
+
+FIRST = 0.1
+SHARE_FIRST = 0.25
+MAX_WAIT_S = 0.01
+SPEC = palm.cropped(palm.palm(), 16, "tiny")
+
+
+def small_plan() -> StepHold:
+    """Two places, two cycles, three depths and a reference each: 16 shots, 48 frames."""
+    return StepHold(
+        name="killed",
+        places=Listed(kind="listed", at_mm=((0.0, 0.0), (6.0, -4.0))),
+        cycles=2,
+        depth_mm=1.2,
+        step_mm=0.4,
+        frames=3,
+        reference_frames=3,
+        clearance_mm=0.4,
+        travel_mm_s=50.0,
+        taps=0,
+    )
+
+
+def small_rig() -> Rig:
+    """A rig of tiny frames that runs as fast as it is asked to."""
+    variation = Variation(force_noise_n=1e-4, frame_jitter_s=0.0, relaxation=())
+    return virtual_rig(Palm(SPEC), clock=ManualClock(time.monotonic_ns()), variation=variation)
+
+
+@dataclass
+class Tally:
+    """Tally of what the kills met.
+
+    Attributes:
+        kills: recordings that were killed; early: those in the first tenth of its length.
+        unbegun: kills before the run's folder was there.
+        empty: kills that left a run without a frame.
+        runs: recordings that came to their end, each compared with its plan.
+        wrong: what was not as it should be.
+    """
+
+    kills: int = 0
+    early: int = 0
+    unbegun: int = 0
+    empty: int = 0
+    runs: int = 0
+    most_kills_of_a_run: int = 0
+    orphan_frames: int = 0
+    wrong: list[str] = field(default_factory=list)
+
+
+def processor_s(child: int) -> float:
+    """Processor time that a process has taken [s]; Linux names its clock so."""
+    try:
+        return time.clock_gettime((~child << 3) | 2)
+    except OSError:
+        return float("inf")  # it has ended
+
+
+def recorded_in_child(out: Path, kill_after_s: float | None, wait_s: float = 0.0) -> str | None:
+    """Record in a child; None where it was killed, after processor time and a wait, else how it ended."""
+    child = os.fork()
+    if child == 0:
+        status = 9
+        try:
+            status = 0 if record(small_rig(), small_plan(), out).state is State.DONE else 1
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(status)
+    if kill_after_s is not None:
+        while processor_s(child) < kill_after_s:
+            pid, status = os.waitpid(child, os.WNOHANG)
+            if pid:
+                return _ended(status)
+            time.sleep(0.001)
+        time.sleep(wait_s)
+        os.kill(child, signal.SIGKILL)
+    _, status = os.waitpid(child, 0)
+    return _ended(status)
+
+
+def _ended(status: int) -> str | None:
+    if os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGKILL:
+        return None
+    return "done" if os.waitstatus_to_exitcode(status) == 0 else f"status {status}"
+
+
+def stored(out: Path) -> dict[str, tuple[str, int]]:
+    """Checksum and length of each file of a run."""
+    files = sorted(out.iterdir()) if out.is_dir() else []
+    return {path.name: (hashlib.sha256(path.read_bytes()).hexdigest(), path.stat().st_size) for path in files}
+
+
+def altered(before: dict[str, tuple[str, int]], out: Path) -> list[str]:
+    """Files that are no longer as they were."""
+    now = stored(out)
+    return [name for name, was in before.items() if now.get(name) != was]
+
+
+def faults_of(out: Path) -> tuple[list[str], int]:
+    """How the frames of a run differ from the plan's, and how many have no record."""
+    run, plan = Run.open(out), small_plan()
+    labels = run.labels.dropna(subset=["shot"])
+    held = Counter(zip(labels["shot"], labels["frame_in_shot"].astype(int), strict=True))
+    wanted = Counter((s.key, k) for press in plan.presses() for s, n in plan.shots(press) for k in range(n))
+    found = [
+        f"{key} is there {held[key]} times, not {wanted[key]}"
+        for key in held | wanted
+        if held[key] != wanted[key]
+    ]
+    for index in range(len(run)):
+        run.frame(index)
+    report = check(out)
+    if report.orphan_records:
+        found.append(f"{report.orphan_records} records without a frame")
+    return found, report.orphan_frames
+
+
+def killed_until_whole(out: Path, rng: np.random.Generator, length_s: float, most: int, tally: Tally) -> None:
+    """One run, killed at random moments until it comes to its end by itself, or `most` kills are spent."""
+    before: dict[str, tuple[str, int]] = {}
+    kills = 0
+    while True:
+        early = rng.random() < SHARE_FIRST
+        after_s = float(rng.uniform(0.0, FIRST * length_s if early else length_s))
+        wait_s = float(rng.uniform(0.0, MAX_WAIT_S))
+        ended = recorded_in_child(out, after_s if kills < most else None, wait_s)
+        tally.wrong += [f"{out.name}: {name} was altered" for name in altered(before, out)]
+        before = stored(out)
+        if ended is not None:
+            break
+        kills += 1
+        tally.early += after_s <= FIRST * length_s
+        tally.unbegun += not out.exists()
+        tally.empty += out.exists() and len(Run.open(out)) == 0
+    if ended != "done":
+        tally.wrong.append(f"{out.name}: after {kills} kills it ended with {ended}")
+    tally.kills += kills
+    tally.runs += 1
+    tally.most_kills_of_a_run = max(tally.most_kills_of_a_run, kills)
+    found, orphans = faults_of(out)
+    tally.orphan_frames += orphans
+    tally.wrong += [f"{out.name}: {what}" for what in found]
+
+
+def killed(kills: int, folder: Path, seed: int = 0) -> dict[str, Any]:
+    """Kill so many recordings, and tell what was met; runs that were right are thrown away."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rng, tally = np.random.default_rng(seed), Tally()
+    recorded = folder / "whole"
+    record(small_rig(), small_plan(), folder / "warm")  # so that nothing is built for the first time below
+    before_s = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert recorded_in_child(recorded, None) == "done"
+    after_s = resource.getrusage(resource.RUSAGE_CHILDREN)
+    length_s = sum(after_s[:2]) - sum(before_s[:2])
+    while tally.kills < kills:
+        out = folder / f"run-{tally.runs}"
+        wrong = len(tally.wrong)
+        killed_until_whole(out, rng, length_s, kills - tally.kills, tally)
+        if len(tally.wrong) == wrong:
+            shutil.rmtree(out)
+        if tally.runs % 20 == 0:
+            print(json.dumps(vars(tally)), file=sys.stderr, flush=True)
+    left = [path.name for path in folder.iterdir() if path.name.endswith(".partial")]
+    return {**vars(tally), "length_s": round(length_s, 2), "unfinished_folders": len(left)}
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("kills", type=int)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    print(json.dumps(killed(args.kills, args.folder, args.seed)))
