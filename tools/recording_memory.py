@@ -105,7 +105,7 @@ class Sampler:
 def grown(rows: list[Row]) -> float:
     """Greatest share by which memory later leaves its value at the end of the first minutes."""
     begun = [row[1] for row in rows if row[0] >= SETTLED_MIN]
-    return max(abs(mb - begun[0]) for mb in begun) / begun[0] if begun else float("nan")
+    return max(abs(mb - begun[0]) for mb in begun) / begun[0]
 
 
 def write(rows: list[Row], out: Path) -> None:
@@ -154,12 +154,13 @@ def main() -> int:
         from palpate.recordings import check
 
         report = check(out)
-    share = grown(sampler.rows)
     print(f"{outcome.state.value}: {outcome.shots} shots; {report.frames} frames; sound: {report.sound}")
-    print(
-        f"memory left its value after {SETTLED_MIN:g} min by {100 * share:.2f} %; "
-        f"{100 * ALLOWED:g} % are allowed"
-    )
+    if sampler.rows[-1][0] <= SETTLED_MIN:
+        print(f"too short to say whether memory grows after {SETTLED_MIN:g} min")
+        return int(not report.sound)
+    share = grown(sampler.rows)
+    left = f"memory left its value after {SETTLED_MIN:g} min by {100 * share:.2f} %"
+    print(f"{left}; {100 * ALLOWED:g} % are allowed")
     return int(share > ALLOWED or not report.sound)
 
 
