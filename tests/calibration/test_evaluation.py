@@ -1,17 +1,28 @@
 """A target's score says what its names say, by independent formulas."""
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
 from sklearn import metrics
 
-from palpate.calibration import CalibrationPlan, calibrate, evaluate
+from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
+from palpate.calibration.coverage.foreign_labels import shifted_labels
 from palpate.calibration.coverage.grouped_rates import coverage_interval
-from palpate.calibration.evaluation import counted_groups, counted_text, held_out_groups, score
-from palpate.core import CertificateError
+from palpate.calibration.evaluation import (
+    counted_groups,
+    counted_text,
+    held_out_groups,
+    same_session,
+    score,
+)
+from palpate.calibration.learnt_frames import shares_of_copies
+from palpate.calibration.sessions import reset_intervals
+from palpate.core import CertificateError, InputError
 from palpate.estimators import Estimator
-from palpate.estimators.model_card import Card, SplitCard
+from palpate.estimators.model_card import Card, ScoreCard, SplitCard
 from palpate.recordings import split
+from palpate.reports import scores_table
 
 
 def test_each_number_of_a_score_is_that_of_its_name() -> None:
@@ -96,3 +107,70 @@ def test_a_split_that_names_no_group_counts_presses_where_rows_name_them() -> No
         assert counted_text(len(np.unique(groups)), by) == "12 rows, each its own group"
     groups, by = counted_groups(card_of("session", ("session",)), table)
     assert (len(np.unique(groups)), by) == (2, "session")
+
+
+def _compressed(image):
+    return cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1], -1)
+
+
+@pytest.mark.parametrize("image", [lambda image: image, _compressed], ids=["equal", "compressed"])
+def test_frames_learnt_from_are_no_other_day_under_another_name(
+    calibrate_spots, record_spots, rewritten, tmp_path, image
+) -> None:
+    """Another run's id, hash and session, and the same pixels: no test, and nothing to reset or adapt by."""
+    run, folder = calibrate_spots(
+        tmp_path / "cal", 16, targets=("x_mm",), model="mean", split="group:press", size_px=(24, 32)
+    )
+    estimator = Estimator.open(folder)
+    copied = rewritten(run, tmp_path / "copied", lambda row: {**row, "session": "Friday"}, image)
+    assert same_session(estimator, copied)
+    assert evaluate(estimator, copied)["same_session"] == same_session(estimator, copied)
+    for use in (reset_intervals, adapt):
+        with pytest.raises(InputError, match="learnt from"):
+            use(folder, copied, tmp_path / "made")
+    assert same_session(estimator, record_spots("other", 16, seed=1)) == ""
+
+
+def test_presses_between_known_ones_are_no_copies_of_them() -> None:
+    """Along one line of likenesses another day's frames lie between known ones, most of them not on one."""
+    rng = np.random.default_rng(0)
+    line, kept, fresh = rng.normal(size=256), np.sort(rng.uniform(0, 200, 80)), rng.uniform(0, 200, 400)
+    equal, near = shares_of_copies(np.outer(fresh, line), np.outer(kept, line))
+    assert equal < 0.05
+    assert near < 0.6
+    assert shares_of_copies(np.outer(kept, line), np.outer(kept, line)) == (1.0, 1.0)
+    dark = np.zeros((30, 256))
+    assert shares_of_copies(dark, dark) == (0.0, 0.0)  # a sensor that shows nothing tells no copy
+
+
+def test_labels_outside_what_was_calibrated_are_no_failed_day(
+    calibrate_spots, record_spots, rewritten, tmp_path
+) -> None:
+    """In micrometres the labels lie far beyond; in millimetres, and beyond in a few rows, they do not."""
+    _, folder = calibrate_spots(
+        tmp_path / "cal", 16, targets=("x_mm",), model="mean", split="group:press", size_px=(24, 32)
+    )
+    estimator, run = Estimator.open(folder), record_spots("other", 6, seed=1)
+    thousandfold = rewritten(run, tmp_path / "um", lambda row: {**row, "x_mm": 1000 * row["x_mm"] + 10_000})
+    found = evaluate(estimator, thousandfold)
+    assert "check their unit" in found["labels_outside"]["x_mm"]
+    assert found["same_session"] == found["labels_outside"]["x_mm"]
+    assert found["findings"] == [found["same_session"]]
+    assert found["findings_of"] == {}
+    said = scores_table({"x_mm": ScoreCard(**found["targets"]["x_mm"])}, outside=found["labels_outside"])
+    assert "does not read it" not in said
+    assert evaluate(estimator, run)["labels_outside"] == {}
+
+
+@pytest.mark.parametrize("lag", [-2, 3])
+def test_labels_shifted_against_their_images_are_told(calibrate_spots, tmp_path, lag) -> None:
+    _, folder = calibrate_spots(
+        tmp_path / "cal", 16, targets=("x_mm",), model="mean", split="group:press", size_px=(24, 32)
+    )
+    card, rng = Estimator.open(folder).card, np.random.default_rng(0)
+    label = rng.uniform(-2, 2, (100, 1))
+    fitting = np.roll(label[:, 0], -lag) + rng.normal(0, 0.2, 100)  # image i shows row i + lag
+    (said,) = shifted_labels(card, label, pd.DataFrame({"estimate:x_mm": fitting}))
+    assert f"row i {'+' if lag > 0 else '-'} {abs(lag)} " in said
+    for estimate in (label[:, 0] + rng.normal(0, 0.2, 100), rng.uniform(-2, 2, 100), np.zeros(100)):
+        assert shifted_labels(card, label, pd.DataFrame({"estimate:x_mm": estimate})) == []

@@ -15,7 +15,7 @@ from palpate.cli.calibrate_verbs import _scores_text
 from palpate.core import LabelError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.card_ground import card_id
-from palpate.recordings import Run
+from palpate.recordings import Run, RunWriter
 from palpate.recordings.joined_runs import joined
 from palpate.recordings.reference_instruments import ReferenceInstrument
 from palpate.reports.terminal_text import instrument_lines
@@ -27,12 +27,13 @@ PLAN = {"targets": ("x_mm",), "split": "group:press", "size_px": (24, 32), "mode
 
 
 def stating(run: Run, instruments: dict[str, ReferenceInstrument]) -> Run:
-    """The run, whose manifest states these instruments."""
-    path = run.path / "manifest.json"
-    found = run.manifest.model_copy(update={"instruments": instruments})
-    path.unlink()
-    found.write(run.path)
-    return Run.open(run.path)
+    """The run, recorded with a manifest that states these instruments."""
+    out = run.path.with_name(f"{run.path.name}-{len(list(run.path.parent.iterdir()))}")
+    changes = {"run_id": f"{run.manifest.run_id}-stated", "instruments": instruments}
+    with RunWriter.create(out, run.manifest.model_copy(update=changes), overflow="wait") as writer:
+        for i, row in enumerate(run.labels.to_dict("records")):
+            writer.frame(run.frame(i).image, labels=row)
+    return Run.open(out)
 
 
 def kept_instruments(folder, scores) -> dict[str, str] | None:

@@ -33,7 +33,7 @@ NAMES = (
 def recorded(path, names=NAMES, frames: int = 24) -> Run:
     """A spot whose place is a label, beside numbers of the given names."""
     labels = {"x_mm": "number", "reference": "flag", **dict.fromkeys(names, "number")}
-    rng, clock = np.random.default_rng(0), ManualClock()
+    rng, clock = np.random.default_rng(frames), ManualClock()
     columns = np.arange(32)
     with RunWriter.create(
         path, Manifest.new(sensor="s", labels=labels), clock=clock, overflow="wait"

@@ -92,6 +92,22 @@ def test_copies_among_separate_touches_are_found_and_named(tmp_path, rng, grey_l
     assert not found.clean
 
 
+def test_equal_pictures_are_copies_whatever_their_labels(tmp_path, rng):
+    images = [seen(press(rng), rng, 1.0) for _ in range(60)]
+    images.append(images[7])
+    names = [f"touch_{i}.png" for i in range(60)] + ["copy.png"]
+    depths = np.append(rng.uniform(0.1, 1.0, 60), 5.0)
+    table = pd.DataFrame({"image_file": names, "press": np.arange(61.0), "depth_mm": depths})
+    found = audited(packed_set(tmp_path, images, table), "leave-one-out:press")
+    assert (found.near_duplicates, found.altered_copies, found.clean) == (2, 0, False)
+    assert "the same picture has two labels (touch_7.png, copy.png), in 2 of 61" in found.text
+    table["depth_mm"] = np.append(depths[:60], depths[7])
+    (tmp_path / "agreeing").mkdir()
+    found = audited(packed_set(tmp_path / "agreeing", images, table), "leave-one-out:press")
+    assert found.near_duplicates == 2
+    assert "two labels" not in found.text
+
+
 @pytest.mark.parametrize(("grey_levels", "twins"), [(6, 0), (1, 16)])
 def test_frames_that_differ_in_one_small_cell_only_are_no_copies(tmp_path, rng, grey_levels, twins):
     """A touch of one cell of 16 x 16 is lost in the mean over all cells and seen in the largest.

@@ -36,6 +36,22 @@ def test_a_session_in_each_row_is_refused_and_one_in_every_third_is_not(rng) -> 
     refuse_no_sessions(table_of([f"s{i // 3}" for i in range(60)], rng), ["x_mm"])
 
 
+@pytest.mark.parametrize("other", ["day1", "Day1 ", "day 1"])
+def test_one_session_spelt_in_two_ways_is_refused(other, rng) -> None:
+    with pytest.raises(SplitError, match="one name, spelt in two ways"):
+        refuse_no_sessions(table_of(np.repeat(["Day1", other], 20), rng), ["x_mm"])
+    refuse_no_sessions(table_of(np.repeat(["Day1", "Day2"], 20), rng), ["x_mm"])
+
+
+def test_a_remedy_names_only_columns_that_are_there(rng) -> None:
+    depths = np.repeat([0.5, 1.0, 1.5], 20)
+    table = table_of(depths, rng).assign(depth_mm=depths)
+    with pytest.raises(SplitError, match=r"\(--split random\)"):
+        refuse_no_sessions(table, ["depth_mm"])
+    with pytest.raises(SplitError, match="group:press"):
+        refuse_no_sessions(table.assign(press="1"), ["depth_mm"])
+
+
 @pytest.mark.parametrize(
     ("names", "day"),
     [

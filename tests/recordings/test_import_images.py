@@ -232,3 +232,19 @@ def test_columns_without_a_unit_are_told_and_refused_where_asked(tmp_path) -> No
     assert mended.exit_code == 0
     assert not mended.stderr
     assert Run.open(tmp_path / "told-with-units").manifest.units == {"depth_mm": "mm", "force_N": "N"}
+
+
+def test_one_picture_with_two_labels_is_told(tmp_path, rng) -> None:
+    made = folder_of(tmp_path, rng, [f"images/{name}.png" for name in "abcd"])
+    for name in "bd":
+        (made / f"images/{name}.png").write_bytes((made / "images/a.png").read_bytes())
+    label(made, "image_file,depth_mm,press\na.png,1.5,1\nb.png,2.5,1\nc.png,1,2\nd.png,1.5,2\n")
+    (doubt,) = [one for one in imported(made)[1].doubts if "same picture" in one]
+    assert doubt.startswith("the same picture has two labels (a.png, b.png), in 1 case: ")
+
+
+def test_the_sensor_at_rest_looks_the_same_wherever_it_stands(tmp_path, rng) -> None:
+    made = folder_of(tmp_path, rng, ["images/a.png", "images/b.png"])
+    (made / "images/b.png").write_bytes((made / "images/a.png").read_bytes())
+    label(made, "image_file,depth_mm,x_mm\na.png,0,1\nb.png,0,2\n")
+    assert not any("same picture" in one for one in imported(made)[1].doubts)

@@ -19,7 +19,8 @@ from palpate.core import LabelError
 from palpate.recordings import Run, import_images
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "import-labelled-images.md"
-SECTIONS = dict(re.findall(r"^### (.+?)\n(.*?)(?=^##|\Z)", PAGE.read_text(encoding="utf-8"), re.M | re.S))
+LAYOUTS_OF_PAGE = PAGE.read_text(encoding="utf-8").split("\n## Layouts\n")[1].split("\n## ")[0]
+SECTIONS = dict(re.findall(r"^### (.+?)\n(.*?)(?=^##|\Z)", LAYOUTS_OF_PAGE + "\n", re.M | re.S))
 Truth = dict[str, list[float] | list[str]]
 
 

@@ -135,3 +135,25 @@ def test_few_rows_and_pictures_that_never_change_are_not_judged(rng) -> None:
         range(-MAX_SHIFT, MAX_SHIFT + 1)
     )
     assert shift_doubt(np.ones((80, 9)), rng.normal(size=(80, 2))) == ""
+
+
+def test_a_code_of_missing_values_is_no_unit() -> None:
+    """Two of 80 depths at -999: the rows are named, and no unit is guessed from them."""
+    depths = np.random.default_rng(0).uniform(0.1, 2.0, 80)
+    depths[[14, 52]] = -999
+    (doubt,) = unit_doubts(table(depth_mm=depths))
+    assert "2 rows hold -999" in doubt
+    assert "rows 16 and 54" in doubt.replace(",", " and")
+    assert "--rename" not in doubt
+    depths[[14, 52]] = 99  # mm is a usual length, and 99 no usual depth of these presses
+    assert "2 rows hold 99," in unit_doubts(table(x_mm=depths))[0]
+    assert unit_doubts(table(x_mm=np.where(depths == 99, 30.0, depths))) == ()
+    (meant,) = unit_doubts(table(depth_mm=1000 * np.where(depths == 99, 1.0, depths)))
+    assert "--rename depth_mm=depth_um" in meant
+
+
+@pytest.mark.parametrize("cell", ["nan", "inf", "N/A", ""])
+def test_cells_without_a_number_are_named_to_be_removed(cell) -> None:
+    (doubt,) = unit_doubts(table(depth_mm=["0.5", cell, "1.5", cell]))
+    assert doubt.endswith("it cannot be a target; fill in or remove rows 3, 5")
+    assert "remove" not in unit_doubts(table(depth_mm=["deep", "flat"]))[0]

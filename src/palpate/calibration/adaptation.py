@@ -26,6 +26,7 @@ from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.certificate import CalibrationResult, intervals_by, split_card, write_certificate
 from palpate.calibration.correction import AS_IT_WAS, Adapted, Choice, Correction, correct
 from palpate.calibration.coverage.conformal import GROUPS_FOR_SPREAD, fit_intervals, pooled_quantile
+from palpate.calibration.evaluation import learnt_frames
 from palpate.calibration.leakage import audit
 from palpate.calibration.robustness import CertifiedModel, Suite, adapted_guard
 from palpate.calibration.sessions.copies import TOGETHER, CopiesToldApart, copy_card, tell_apart
@@ -167,7 +168,7 @@ def adapt(
     check_instruments(run, card.columns, instruments or {})
     stated = run.manifest.instruments | dict(instruments or {})
     plan = CalibrationPlan.of_card(card, _rule(card, run), _grouping(run), stated)
-    _check(card, run, plan)
+    _check(estimator, run, plan)
     with storage_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.name}.", suffix=".work", dir=out.parent) as work:
@@ -234,8 +235,9 @@ def _rule(card: Card, run: Run) -> ReferenceRule | None:
     return rule
 
 
-def _check(card: Card, run: Run, plan: CalibrationPlan) -> None:
+def _check(estimator: Estimator, run: Run, plan: CalibrationPlan) -> None:
     """Refuse what cannot be learnt from, before anything is written."""
+    card = estimator.card
     if run.hash == card.run.hash:
         raise InputError(
             f"{run.path} is the run that this calibration has learnt from; record presses of your own copy"
@@ -250,6 +252,8 @@ def _check(card: Card, run: Run, plan: CalibrationPlan) -> None:
             f"{run.path} holds {presses} {what}; adapting takes {_min_presses(card.coverage)} presses or "
             f"more, since fewer cannot set intervals that hold {100 * card.coverage:g} % of new ones"
         )
+    if why := learnt_frames(estimator, run):
+        raise InputError(f"{run.path} shows no copy of its own: {why}; record presses of your own copy")
 
 
 def _min_presses(coverage: float) -> int:

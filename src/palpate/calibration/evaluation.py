@@ -18,8 +18,10 @@ from palpate.calibration.classes import (
 )
 from palpate.calibration.coverage import range_scores, target_findings
 from palpate.calibration.coverage.circular_scores import dispersion, shortest
+from palpate.calibration.coverage.foreign_labels import labels_outside, shifted_labels
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.coverage.joint_regions import joint_score
+from palpate.calibration.learnt_frames import find_learnt_frames
 from palpate.calibration.training_data import rows_matching
 from palpate.core import (
     Bool,
@@ -173,7 +175,15 @@ def evaluate(
             f"{run.path}: calibration {card.id} gives no finite number for some of {np.sum(~finite)} frames, "
             "which scores would leave out; calibrate again"
         )
-    return _scores(card, run, true, table, spread, valid)
+    scores = _scores(card, run, true, table, spread, valid)
+    outside = labels_outside(card, true)
+    shifted = [] if run.manifest.order == "names" else shifted_labels(card, true, table)
+    void = [sentence for column in outside for sentence in scores["findings_of"].pop(column, [])]
+    return scores | {
+        "findings": [*outside.values(), *shifted, *(one for one in scores["findings"] if one not in void)],
+        "labels_outside": outside,
+        "same_session": same_session(estimator, run) or "; ".join(outside.values()),
+    }
 
 
 def predictions(
@@ -363,7 +373,6 @@ def _scores(
         "counted_by": counted_by,
         "learnt_from_this_run": learnt_from(card, run),
         "session": sorted(set(sessions_of(run).tolist())),
-        "same_session": same_session(card, run),
     }
 
 
@@ -419,11 +428,13 @@ def _recordings(card: Card) -> dict[str, str]:
     return {one.hash: one.run_id for one in runs}
 
 
-def same_session(card: Card, run: Run) -> str:
+def same_session(estimator: Estimator, run: Run) -> str:
     """Why a run tests no other day than a calibration has learnt from; empty where it is another session.
 
-    A run's name alone does not make it the same: sessions are compared by name where the run labels them.
+    A run's name alone does not make it the same: sessions are compared by name where the run labels them. Nor
+    does a name make it another: its frames are compared with those that the calibration's guard keeps.
     """
+    card = estimator.card
     if learnt_from(card, run):
         return "it is a run that the calibration has learnt from"
     parts = run.runs if isinstance(run, JoinedRun) else (run,)
@@ -437,7 +448,13 @@ def same_session(card: Card, run: Run) -> str:
     both = sorted(known & set(sessions_of(run).tolist())) if SESSION in run.manifest.labels else []
     if both:
         return f"session {', '.join(both)} is one that the calibration has learnt from"
-    return ""
+    return learnt_frames(estimator, run)
+
+
+def learnt_frames(estimator: Estimator, run: Run) -> str:
+    """Why a run's frames are no others than a calibration has learnt from; empty where they are others."""
+    touched = np.setdiff1d(np.arange(len(run)), _untouched_rows(estimator.card, run.labels))
+    return find_learnt_frames(estimator, run, touched)
 
 
 def groups_in(table: pd.DataFrame, columns: tuple[str, ...]) -> np.ndarray:

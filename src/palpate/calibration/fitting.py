@@ -136,7 +136,8 @@ def calibrate(
         classes = None
         if labels:
             classes = held_out_classes(labels, of_classes, learning.data.groups, plan.coverage)
-        beside = _split_beside(learning, fits)
+        in_order = run.manifest.order == "recorded"
+        beside = _split_beside(learning, fits, in_order)
         sessions = held_out_sessions(learning.packed.table, parts, scored_rows(outputs))
         intervals = intervals_by(interval_fit(sessions), held_out, learning.data, plan)
         detector = _novelty_detector(learning, parts, fitted, plan, progress)
@@ -150,7 +151,7 @@ def calibrate(
             run, plan, learning, parts, leakage, held_out, intervals, fitted, detector,
             time.monotonic() - started, robustness, confounds, classes,
         )  # fmt: skip
-        fields = session_fields(result, sessions) | _order_fields(result, beside)
+        fields = session_fields(result, sessions) | (_order_fields(result, beside) if in_order else {})
         write_certificate(result, out, more=lambda _: fields)
         processes.wait()
         shutil.rmtree(work)
@@ -332,6 +333,7 @@ def _confounds(
         presses=presses_of(table, parts),
         sessions=recordings_of(table),
         untouched_sessions=recordings_of(untouched.table),
+        in_recorded_order=run.manifest.order == "recorded",
     )
     skin_px = plan.skin_px or run.manifest.regions.get("skin")
     return audit_confounds(rows, skin_px=skin_px, pixels=pixels, progress=progress)
@@ -343,11 +345,14 @@ def _scored(learning: LearningSet, fits: FoldFits) -> ScoredModel:
     return fits.scored(count, representative_fold(fits.parts, values))
 
 
-def _split_beside(learning: LearningSet, fits: FoldFits) -> ScoredSplit | None:
-    """Shuffled folds beside blocks, or blocks beside shuffled folds; None where that is left out."""
+def _split_beside(learning: LearningSet, fits: FoldFits, in_order: bool) -> ScoredSplit | None:
+    """Shuffled folds beside blocks, or blocks beside shuffled folds; None where that is left out.
+
+    Of rows that lie in no order of recording, blocks are pieces of a sorted table, and say nothing.
+    """
     plan, parts = fits.plan, fits.parts
     other = split_beside(learning.packed.table, parts, len(parts.folds), plan.seed)
-    if other is None or not plan.targets or _left_out(plan, parts):
+    if not in_order or other is None or not plan.targets or _left_out(plan, parts):
         return None
     folder = fits.work / "beside"
     folder.mkdir(exist_ok=True)

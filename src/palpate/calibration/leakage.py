@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from hashlib import sha256
 from typing import Any
 
 import cv2
@@ -131,20 +132,31 @@ def audit(
         same = same[np.isin(held[same], copies.lone)]
     agreeing = _labels_agree(table, copies.held, copies.twin)
     altered = dict(zip(copies.held[agreeing].tolist(), copies.twin[agreeing].tolist(), strict=True))
-    pairs_found = altered | dict(zip(held[same].tolist(), twin[same].tolist(), strict=True))
+    equal = _equal_pairs(packed, split, at_rest_or_alike)
+    same_pairs = dict(zip(held[same].tolist(), twin[same].tolist(), strict=True)) | equal
+    pairs_found = altered | same_pairs
+    sides = np.array(sorted(equal.items()), np.int64).reshape(-1, 2).T
+    contradicting = sides[:, ~_labels_agree(table, *sides)].T.tolist()
     counts = {name: len(groups) for name, groups in shared.items()}
     clean = not pairs_found and not (split.groups is None and counts)
     return LeakageAudit(
         shared_groups=counts,
         shared_names={name: tuple(str(g) for g in groups[:_NAMED]) for name, groups in shared.items()},
         near_duplicates=len(pairs_found),
-        altered_copies=len(pairs_found) - len(same),
+        altered_copies=len(pairs_found) - len(same_pairs),
         examples=tuple((packed.names[a], packed.names[b]) for a, b in sorted(pairs_found.items())[:_NAMED]),
         checked_pairs=pairs,
         limit=limit,
         at_rest=int(np.count_nonzero(resting)),
         clean=clean,
-        text=_text(split, counts, len(same), len(pairs_found) - len(same), len(held)),
+        text=_text(
+            split,
+            counts,
+            len(same_pairs),
+            len(pairs_found) - len(same_pairs),
+            len(held),
+            [(packed.names[a], packed.names[b]) for a, b in contradicting],
+        ),
     )
 
 
@@ -219,6 +231,23 @@ def _nearest_across(
             twin.append(trained[search.kneighbors(thumbs[queries], return_distance=False)[:, 0]])
             pairs += len(queries) * len(trained)
     return np.concatenate(held), np.concatenate(twin), pairs
+
+
+def _equal_pairs(packed: PackedSet, split: Split, resting: np.ndarray) -> dict[int, int]:
+    """Held-out rows whose frame is, to the last byte, that of a row trained on, whatever the labels say."""
+    batches = packed.batches(np.arange(len(packed)), _BATCH)
+    digests = [sha256(frame.tobytes()).digest() for batch in batches for frame in batch]
+    rows_of: dict[bytes, list[int]] = {}
+    for row in np.flatnonzero(~resting).tolist():
+        rows_of.setdefault(digests[row], []).append(row)
+    pairs: dict[int, int] = {}
+    for k, fold in enumerate(split.folds if len(rows_of) < np.count_nonzero(~resting) else ()):
+        trained = set(split.training_rows(k).tolist())
+        for row in fold[~resting[fold]].tolist():
+            twin = next((other for other in rows_of[digests[row]] if other in trained), None)
+            if twin is not None:
+                pairs[row] = twin
+    return pairs
 
 
 def _near_copies(packed: PackedSet, split: Split, resting: np.ndarray) -> NearCopies:
@@ -327,8 +356,21 @@ def _looks_like(thumbs: np.ndarray, resting: np.ndarray, limit: float) -> np.nda
     return unseen
 
 
-def _text(split: Split, shared: dict[str, int], twins: int, altered: int, held: int) -> str:
+def _text(
+    split: Split,
+    shared: dict[str, int],
+    twins: int,
+    altered: int,
+    held: int,
+    contradicting: Sequence[tuple[str, str]] = (),
+) -> str:
     findings = []
+    if contradicting:
+        first, second = contradicting[0]
+        findings.append(
+            f"the same picture has two labels ({first}, {second}), in {len(contradicting)} of {held} "
+            "held-out frames: at least one is wrong, so check which and take it out"
+        )
     if altered:
         findings.append(
             f"{altered} of {held} held-out frames are altered copies of frames trained on, noisier, brighter "

@@ -397,7 +397,8 @@ def _scores_text(scores: dict[str, Any], card: Any) -> str:
     lines = []
     if scores["targets"]:
         periods = {t.column: t.period for t in card.targets}
-        lines.append(scores_table({c: ScoreCard(**score) for c, score in scores["targets"].items()}, periods))
+        targets = {name: ScoreCard(**score) for name, score in scores["targets"].items()}
+        lines.append(scores_table(targets, periods, scores["labels_outside"]))
     for one in card.classes or ():
         found = ClassScoreCard(**scores["classes"][one.column])
         lines += class_lines(one, found, card.coverage)
@@ -410,7 +411,7 @@ def _scores_text(scores: dict[str, Any], card: Any) -> str:
         f"{name}: {100 * one['coverage_90']:.1f} % of rows lay within their intervals, less than the "
         f"{100 * card.coverage:g} % promised"
         for name, one in scores["targets"].items()
-        if one["coverage_90_high"] < card.coverage
+        if one["coverage_90_high"] < card.coverage and name not in scores["labels_outside"]
     ]
     of_valid = {name: ValidScoreCard(**one) for name, one in scores["valid_readings"].items()}
     lines += valid_readings_text(card, of_valid)

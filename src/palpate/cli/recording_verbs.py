@@ -142,6 +142,9 @@ def import_images(
     licence: Licence = "",
     origin: Origin = "",
     rate_hz: Annotated[float | None, Option(help="Frame rate, if the images are a sequence.")] = None,
+    order_by: Annotated[
+        str | None, Option(help="Column of numbers that says in which order the images were taken.")
+    ] = None,
     allow_unlabelled: Annotated[bool, Option(help="Skip images without a row.")] = False,
     strict: Annotated[bool, Option("--strict", help="Refuse columns of numbers that carry no unit.")] = False,
     json_: Json = False,
@@ -172,6 +175,7 @@ def import_images(
             licence=licence,
             origin=origin,
             rate_hz=rate_hz,
+            order_by=order_by,
             allow_unlabelled=allow_unlabelled,
             strict=strict,
             progress=partial(progress, "importing"),
@@ -190,6 +194,7 @@ def import_images(
             "--licence": licence,
             "--origin": origin,
             "--rate-hz": rate_hz,
+            "--order-by": order_by,
             "--allow-unlabelled": allow_unlabelled,
         }
         typer.echo(

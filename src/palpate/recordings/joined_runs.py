@@ -180,6 +180,7 @@ def _manifest(runs: Sequence[Run], shared: Sequence[str]) -> Manifest:
             "run_id": "joined: " + ", ".join(one.run_id for one in about),
             "created_utc": min(about, key=lambda one: one.created_ns).created_utc,
             "clock": "measured" if all(one.clock == "measured" for one in about) else "ordinal",
+            "order": "names" if any(one.order == "names" for one in about) else "recorded",
             "sensor": _listed(one.sensor for one in about),
             "rig": _listed(one.rig for one in about),
             "licence": _listed(one.licence for one in about),

@@ -7,7 +7,7 @@ import io
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Literal
@@ -184,6 +184,17 @@ def refuse_reserved(names: Sequence[str], source: str) -> None:
                 f"{source}: label column {name!r} begins with {name.partition(':')[0]}:, as columns do that "
                 "a calibration adds; rename it"
             )
+
+
+def names_text(names: Iterable[Any], most: int = 10) -> str:
+    """Names for a message, the first ones where they are many.
+
+    Example:
+        >>> names_text("abcd", most=2)
+        'a, b and 2 more'
+    """
+    every = [str(name) for name in names]
+    return ", ".join(every[:most]) + (f" and {len(every) - most} more" if len(every) > most else "")
 
 
 def rows_text(positions: np.ndarray | Sequence[int]) -> str:

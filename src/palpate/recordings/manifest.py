@@ -51,6 +51,8 @@ class Manifest(BaseModel):
         targets: label columns that a calibration estimates where it is told nothing else.
         regions: of the picture that matter, by name, such as "fringes": (x, y, width, height) [px].
         instruments: what label columns were measured with, see `ReferenceInstrument`.
+        order: ``recorded`` where rows lie in the order in which they were taken, ``names`` where they lie in
+            that of the images' names, which says nothing of when they were.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -70,6 +72,7 @@ class Manifest(BaseModel):
     targets: tuple[str, ...] = ()
     regions: dict[str, tuple[int, int, int, int]] = Field(default_factory=dict)
     instruments: dict[str, ReferenceInstrument] = Field(default_factory=dict)
+    order: Literal["recorded", "names"] = "recorded"
 
     @model_validator(mode="after")
     def _check(self) -> Manifest:
@@ -104,6 +107,7 @@ class Manifest(BaseModel):
         instruments: Mapping[str, ReferenceInstrument] | None = None,
         seed: int | None = None,
         clock: Literal["measured", "ordinal"] = "measured",
+        order: Literal["recorded", "names"] = "recorded",
     ) -> Manifest:
         """The manifest of a run that begins now; units come from the columns' names.
 
@@ -134,6 +138,7 @@ class Manifest(BaseModel):
                 targets=targets,
                 regions=dict(regions or {}),
                 instruments=dict(instruments or {}),
+                order=order,
             )
         except ValidationError as e:
             raise InputError(f"these do not make a manifest: {_first(e)}") from e
@@ -172,7 +177,9 @@ class StoredManifest:
     @classmethod
     def of(cls, manifest: Manifest) -> StoredManifest:
         """The text that a manifest is written as."""
-        unused = set() if manifest.instruments else {"instruments"}  # which older versions do not know
+        # Fields that older versions do not know are written only where they are used.
+        plain = {"instruments": not manifest.instruments, "order": manifest.order == "recorded"}
+        unused = {name for name, left_out in plain.items() if left_out}
         return cls(manifest, (manifest.model_dump_json(indent=2, exclude=unused) + "\n").encode())
 
     @classmethod

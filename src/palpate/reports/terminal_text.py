@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,7 +27,11 @@ COLUMNS = 80  # of a terminal
 HEAD = ("target", "unit", "MAE", "of mean", "RMSE", "R2", "90 %", "covered (95 %)")
 
 
-def scores_table(scores: Mapping[str, ScoreCard], periods: Mapping[str, float | None] | None = None) -> str:
+def scores_table(
+    scores: Mapping[str, ScoreCard],
+    periods: Mapping[str, float | None] | None = None,
+    outside: Collection[str] = (),
+) -> str:
     """One line a target, and a sentence for those that the model does not read; 80 columns at most.
 
     After the mean absolute error stands that of always saying the mean; after the half-width of the 90 %
@@ -36,6 +40,7 @@ def scores_table(scores: Mapping[str, ScoreCard], periods: Mapping[str, float | 
     Args:
         scores: of each target's column.
         periods: after which some of them come round again.
+        outside: columns whose labels lie outside what was calibrated, of which scores say nothing.
     """
     lines = [HEAD, *(_cells(name, score, (periods or {}).get(name)) for name, score in scores.items())]
     widths = [max(len(line[i]) for line in lines) for i in range(len(HEAD))]
@@ -51,7 +56,7 @@ def scores_table(scores: Mapping[str, ScoreCard], periods: Mapping[str, float | 
         f"{name}: no better than always saying the mean ({score.mae:.3g} against {score.mean_mae:.3g} "
         f"{score.unit}): this model does not read it from these images; another may"
         for name, score in scores.items()
-        if score.says_nothing
+        if score.says_nothing and name not in outside
     ]
     return "\n".join(text)
 

@@ -130,6 +130,7 @@ class AuditedRows:
         presses: ``[n]`` label of what was recorded at one go, within its session; None where no column says.
         sessions: ``[n]`` label of each row's session or copy; None where there is one.
         untouched_sessions: the same of each untouched frame.
+        in_recorded_order: whether rows lie in the order in which they were taken.
     """
 
     packed: PackedSet
@@ -144,6 +145,7 @@ class AuditedRows:
     presses: np.ndarray | None = None
     sessions: np.ndarray | None = None
     untouched_sessions: np.ndarray | None = None
+    in_recorded_order: bool = True
 
 
 def audit_confounds(
@@ -169,6 +171,7 @@ def audit_confounds(
         progress("looking for confounds", done, steps)
 
     values, recorded = rows.values, recorded_units(rows.values, rows.presses, rows.sessions)
+    recorded = replace(recorded, in_recorded_order=rows.in_recorded_order)
     units, count = recorded.of, recorded.count
     orders = order_checks(values, recorded, rows.packed.times_s)
     plain = len(rows.names) - rows.classes
@@ -177,7 +180,9 @@ def audit_confounds(
     chosen = sampled(len(values), MAX_ROWS)
     images = small_pictures(rows.packed, chosen)
     region = _region(rows, images, units[chosen], recorded.sessions[chosen], skin_px)
-    shift = shift_check(Kernels.of(images.reshape(len(images), -1)), values, chosen)
+    shift = ShiftCheck(0, float("nan"), float("nan"))
+    if rows.in_recorded_order:  # labels in the images' own names are no other image's
+        shift = shift_check(Kernels.of(images.reshape(len(images), -1)), values, chosen)
     step()
     evidence = _evidence(rows, orders, images, region, chosen, units)
     step()

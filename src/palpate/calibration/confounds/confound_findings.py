@@ -231,6 +231,12 @@ def order_not_asked(units: RecordedUnits) -> list[Finding]:
     """Note that the order of the rows could not be asked, where there are too few units; else none."""
     if units.can_be_ordered:
         return []
+    if not units.in_recorded_order:
+        text = (
+            "the order of recording is not known: rows lie in the order of the images' names, so that "
+            "nothing is said of labels which follow that order, and of a drift that tells them"
+        )
+        return [Finding("order", "", "notes", text, "import with a column that says it (--order-by COLUMN)")]
     sessions = len(units.in_sessions)
     where = f" in {sessions} sessions" if sessions > 1 else ""
     text = (

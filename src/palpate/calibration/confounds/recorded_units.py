@@ -33,11 +33,13 @@ class RecordedUnits:
         of: ``[n]`` number of each row's unit; no unit is of two sessions.
         sessions: ``[n]`` number of each row's session.
         kind: what the units are: what a column says, or what the labels show.
+        in_recorded_order: whether rows lie in the order in which they were taken, and not in that of names.
     """
 
     of: Int[np.ndarray, " n"]
     sessions: Int[np.ndarray, " n"]
     kind: Kind
+    in_recorded_order: bool = True
 
     @property
     def count(self) -> int:
@@ -52,7 +54,7 @@ class RecordedUnits:
     @property
     def can_be_ordered(self) -> bool:
         """True if the units have enough orders, each within its session, that theirs can be a finding."""
-        return have_orders(self.in_sessions)
+        return self.in_recorded_order and have_orders(self.in_sessions)
 
 
 def have_orders(counts: Int[np.ndarray, " s"]) -> bool:

@@ -34,7 +34,8 @@ class EvaluationRecord(SealedCard):
         created_utc, software: when and by what it was made.
         run: ``run_id``, ``hash`` and ``frames`` of the run scored on.
         session: name of the run's session, or of its sessions.
-        same_session: why this is no other day than was learnt from; empty where it is one.
+        same_session: why this tests no other day: none than was learnt from, or labels outside what was
+            calibrated; empty where it tests one.
         targets: scores of each target's column.
         frames_scored, frames_read: how many frames were scored, and could be read.
         frames_valid: how many tell some target, and have no reading of a target that they tell refused by

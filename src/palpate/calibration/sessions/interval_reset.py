@@ -262,7 +262,7 @@ class _SessionRows:
     @classmethod
     def read(cls, estimator: Estimator, run: Run, progress: Progress) -> _SessionRows:
         card = estimator.card
-        session = _new_session(card, run)
+        session = _new_session(estimator, run)
         rows = rows_to_score(card, run.labels)
         labels = run.labels.iloc[rows].reset_index(drop=True)
         true = target_values(labels, card.columns, str(run.path))
@@ -293,9 +293,9 @@ class _SessionRows:
         )  # fmt: skip
 
 
-def _new_session(card: Card, run: Run) -> str:
+def _new_session(estimator: Estimator, run: Run) -> str:
     """Name of the one session that a run is of, which the calibration knows nothing of."""
-    if why := same_session(card, run):
+    if why := same_session(estimator, run):
         raise InputError(
             f"{run.path} sets no interval for another day: {why}; record rows of the new session"
         )

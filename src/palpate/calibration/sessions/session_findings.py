@@ -157,7 +157,11 @@ def _for_sessions(
 
 
 def check_sessions(
-    table: pd.DataFrame, values: Values, columns: Sequence[str], split: Split
+    table: pd.DataFrame,
+    values: Values,
+    columns: Sequence[str],
+    split: Split,
+    in_recorded_order: bool = True,
 ) -> tuple[str, ...]:
     """Findings on sessions that the labels alone show.
 
@@ -166,6 +170,7 @@ def check_sessions(
         values: the targets ``[n t]``.
         columns: their names.
         split: of the rows.
+        in_recorded_order: whether rows lie in the order in which they were taken.
 
     Raises:
         SplitError: sessions are to be held out, and their labels cannot name sessions, or a target has one
@@ -178,7 +183,7 @@ def check_sessions(
         return ()
     if SESSION in split.group_columns:
         refuse_no_sessions(table, columns)
-    findings = label_findings(table, values, columns)
+    findings = label_findings(table, values, columns, in_recorded_order)
     for column, target in zip(columns, values.T, strict=True):
         share = share_between(target, sessions)
         if share > 1 - 1e-9 and SESSION in split.group_columns:
@@ -339,7 +344,9 @@ def session_fields(result: CalibrationResult, held: HeldOutSessions | None) -> d
         *_copied(result),
         *_alike(result, table),
         *unlabelled_runs(result.run),
-        *check_sessions(table, result.data.values, plan.targets, result.split),
+        *check_sessions(
+            table, result.data.values, plan.targets, result.split, result.run.manifest.order == "recorded"
+        ),
     )
     return {"sessions": sessions_card(result.run, held, pairs, plan.coverage, findings)}
 

@@ -39,13 +39,14 @@ def refuse_no_sessions(table: pd.DataFrame, columns: Sequence[str]) -> None:
         columns: of the targets.
 
     Raises:
-        SplitError: it repeats a target, has a value of its own in most rows, or writes one day in two ways.
+        SplitError: it repeats a target, has a value of its own in most rows, or writes one day, or one name,
+            in two ways.
     """
     sessions = group_names(table, (SESSION,))
     names = np.unique(sessions)
     remedy = (
         "name what was recorded without re-mounting the sensor, such as the day, or split by another column "
-        "(--split random, --split group:press)"
+        f"({'--split random, --split group:press' if 'press' in table else '--split random'})"
     )
     for column in columns:
         if column in table and np.array_equal(sessions, group_names(table, (column,))):
@@ -59,11 +60,21 @@ def refuse_no_sessions(table: pd.DataFrame, columns: Sequence[str]) -> None:
             f"numbers rows, and no sessions; {remedy}"
         )
     for first, second in combinations(map(str, names[:100]), 2):
+        if _plain(first) == _plain(second):
+            raise SplitError(
+                f"sessions {first!r} and {second!r} are one name, spelt in two ways, and would count as two "
+                "days; spell it in one way"
+            )
         if (day := _same_day(first, second)) is not None:
             raise SplitError(
                 f"sessions {first} and {second} may both be {day}, written in two ways, and would count as "
                 "two days; write dates in one way, such as 2026-11-21"
             )
+
+
+def _plain(name: str) -> str:
+    """A name without spaces, in one case."""
+    return "".join(name.split()).casefold()
 
 
 def _same_day(first: str, second: str) -> date | None:
@@ -84,13 +95,16 @@ def _readings(name: str) -> dict[str, date]:
     return found
 
 
-def label_findings(table: pd.DataFrame, values: Values, columns: Sequence[str]) -> list[str]:
+def label_findings(
+    table: pd.DataFrame, values: Values, columns: Sequence[str], in_recorded_order: bool = True
+) -> list[str]:
     """Sentences on sessions, by their labels and targets.
 
     Args:
         table: labels of the rows to learn from, in the order they were recorded.
         values: the targets ``[n t]``.
         columns: their names.
+        in_recorded_order: whether that is the order the rows lie in; where not, sessions may alternate.
     """
     sessions = group_names(table, (SESSION,))
     names, of, rows = np.unique(sessions, return_inverse=True, return_counts=True)
@@ -101,7 +115,7 @@ def label_findings(table: pd.DataFrame, values: Values, columns: Sequence[str]) 
         if count < MIN_ROWS
     ]
     stretches = 1 + int(np.sum(of[1:] != of[:-1]))
-    if stretches > MAX_STRETCHES * len(names):
+    if in_recorded_order and stretches > MAX_STRETCHES * len(names):
         found.append(
             f"rows of {len(names)} sessions alternate {stretches - 1} times in the order in which they were "
             "recorded, and a sensor is not mounted anew so often: unless the rows were shuffled, 'session' "

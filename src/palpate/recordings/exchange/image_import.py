@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +88,7 @@ def import_images(
     rig: str = "",
     rate_hz: float | None = None,
     time_column: str | None = None,
+    order_by: str | None = None,
     allow_unlabelled: bool = False,
     strict: bool = False,
     progress: ProgressCount | None = None,
@@ -118,6 +120,10 @@ def import_images(
         rate_hz: frames a second, where the images are a sequence at a steady rate [Hz]; without it and
             without `time_column` the run's times are ordinal: frame ``i`` is at ``i`` seconds.
         time_column: the column that holds each frame's time [s], strictly increasing, as renamed.
+        order_by: the column of numbers, as renamed, that rows are put in the order of: that in which they
+            were taken. Without it, rows whose labels are in the images' names lie in the order of the names,
+            and the run says that the order of recording is not known; a rate or a column of times says that
+            it is.
         allow_unlabelled: leave out images that no row names, rather than refuse the folder.
         strict: refuse columns of numbers whose names carry no unit, unless they are called as groups are,
             such as ``press``. Without it the report's `no_targets` names them, and they cannot be targets.
@@ -147,6 +153,8 @@ def import_images(
     if not allow_unlabelled:
         refuse_strays(folder, found)
     kept = with_units(_labels(found), rename or {}, units or {}, found.source)
+    if order_by is not None:
+        found, kept = _in_order_of(order_by, found, kept)
     when = found.table if exported else kept
     times_ns = _times_ns(when, found.source, rate_hz, TIME_COLUMN if exported else time_column)
     timed = exported.clock == "measured" if exported else (rate_hz is not None or time_column is not None)
@@ -156,16 +164,59 @@ def import_images(
             "--unit "
             "depth=mm (a dimensionless one is a ratio), or import without strict and use them as groups only"
         )
-    pictures = []
+    pictures, digests = [], []
     for done, image in enumerate(_same_kind(found.paths), start=1):
         pictures.append(small_picture(image))
+        digests.append(sha256(image.tobytes()).digest())
         _tell(progress, done, 2 * len(found.paths))
     about = {"sensor": sensor, "rig": rig, "licence": licence, "origin": origin}
-    with whole_run(run, _manifest(about, exported, kept, timed)) as writer:
+    by_name = name_pattern is not None and not timed and order_by is None
+    with whole_run(run, _manifest(about, exported, kept, timed, by_name)) as writer:
         for i, image in enumerate(_same_kind(found.paths)):
             writer.frame(image, time_ns=int(times_ns[i]), labels=_row(kept, i))
             _tell(progress, len(found.paths) + i + 1, 2 * len(found.paths))
-    return _report(kept, (*unit_doubts(kept), *_shift(pictures, kept)))
+    shifted = [] if name_pattern is not None else _shift(pictures, kept)  # a name is its image's own
+    return _report(kept, (*unit_doubts(kept), *shifted, *_two_labels(digests, found.names, kept)))
+
+
+def _two_labels(digests: Sequence[bytes], names: Sequence[str], kept: pd.DataFrame) -> list[str]:
+    """What equal pictures with different labels give to doubt; the sensor at rest looks the same anywhere."""
+    numbers = [str(name) for name, kind in label_kinds(kept).items() if kind == "number" and has_unit(name)]
+    touch = [name for name in numbers if split_column(name)[0].endswith(("depth", "force"))]
+    moved = [name for name in numbers if split_column(name)[0] != "time"]
+    values = kept[moved].to_numpy(np.float64)
+    at_rest = (kept[touch] == 0).all(axis=1).to_numpy() & bool(touch)
+    first: dict[bytes, int] = {}
+    pairs = []
+    for row in np.flatnonzero(~at_rest).tolist():
+        other = first.setdefault(digests[row], row)
+        if not np.array_equal(values[row], values[other]):
+            pairs.append((names[other], names[row]))
+    if not pairs:
+        return []
+    text = (
+        f"the same picture has two labels ({', '.join(pairs[0])}), in {len(pairs)} "
+        f"{'case' if len(pairs) == 1 else 'cases'}: at least one is wrong, so check which and remove its row"
+    )
+    return [text]
+
+
+def _in_order_of(
+    column: str, found: LabelledImages, kept: pd.DataFrame
+) -> tuple[LabelledImages, pd.DataFrame]:
+    """Images and labels by the numbers of a column, which say when each was taken."""
+    if column not in kept.columns or label_kinds(kept)[column] != "number":
+        raise LabelError(f"{found.source} has no column of numbers {column!r} to put the rows in order by")
+    order = np.argsort(kept[column].to_numpy(), kind="stable")
+    if (twice := np.flatnonzero(kept[column].duplicated())).size:
+        raise LabelError(
+            f"{found.source}, {rows_text(twice)}: {column!r} has the number of another row; rows are put in "
+            "order by a number of their own"
+        )
+    paths, names = ([each[i] for i in order] for each in (found.paths, found.names))
+    table = found.table.iloc[order].reset_index(drop=True)
+    found = replace(found, table=table, paths=tuple(paths), names=tuple(names))
+    return found, kept.iloc[order].reset_index(drop=True)
 
 
 def _found(folder: Path, layout: LabelLayout) -> tuple[LabelledImages, Manifest | None]:
@@ -185,7 +236,9 @@ def _shift(pictures: Sequence[np.ndarray], kept: pd.DataFrame) -> list[str]:
     return [text] if text else []
 
 
-def _manifest(about: dict[str, str], exported: Manifest | None, kept: pd.DataFrame, timed: bool) -> Manifest:
+def _manifest(
+    about: dict[str, str], exported: Manifest | None, kept: pd.DataFrame, timed: bool, by_name: bool
+) -> Manifest:
     """Manifest by what the caller says, else by what an exported folder says of itself."""
     texts = {name: text or (getattr(exported, name) if exported else "") for name, text in about.items()}
     return Manifest.new(
@@ -197,6 +250,7 @@ def _manifest(about: dict[str, str], exported: Manifest | None, kept: pd.DataFra
         seed=exported.seed if exported else None,
         labels=label_kinds(kept),
         clock="measured" if timed else "ordinal",
+        order="names" if by_name or (exported and exported.order == "names") else "recorded",
     )
 
 

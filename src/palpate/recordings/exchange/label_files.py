@@ -36,6 +36,7 @@ def read_label_file(
     names: Sequence[str] = (),
     decimal: Decimal = "auto",
     kinds: Mapping[str, LabelKind] | None = None,
+    holds_all: bool = False,
 ) -> pd.DataFrame:
     """Read labels, one row an image, from a file that is recognised by content.
 
@@ -49,6 +50,8 @@ def read_label_file(
         names: of the columns, where the file itself has none.
         decimal: what stands before decimals in a table of text, see `read_labels`.
         kinds: of columns where a reader must not guess.
+        holds_all: whether the file is that of all images, so that one object of JSON with one list of objects
+            in it holds its rows there.
 
     Raises:
         LabelError: the file is missing, damaged, too large, a pickle, or does not make a table.
@@ -69,7 +72,8 @@ def read_label_file(
     if start.startswith((_NPY, _NPZ)):
         return _checked(_array_columns(path, tuple(names)), path)
     if start.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] in (b"{", b"["):
-        return json_table(_json_rows(path), path)
+        rows = _json_rows(path)
+        return json_table(_listed_rows(rows) if holds_all else rows, path)
     return read_labels(path, kinds=kinds, names=names, decimal=decimal)
 
 
@@ -151,6 +155,15 @@ def _rows_of_object(whole: Any) -> list[Any]:
         )
     )
     return [{KEY_COLUMN: name} | row for name, row in whole.items()] if images else [whole]
+
+
+def _listed_rows(rows: list[Any]) -> list[Any]:
+    """Rows of the one list of objects in a single object, which may say more of them all; else as given."""
+    if len(rows) != 1 or not isinstance(rows[0], dict):
+        return rows
+    lists = [one for one in rows[0].values() if isinstance(one, list) and len(one) > 1]
+    of_objects = [one for one in lists if all(isinstance(row, dict) for row in one)]
+    return of_objects[0] if len(of_objects) == 1 else rows
 
 
 def _parsed(text: str) -> Any:

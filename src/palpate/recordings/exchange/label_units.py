@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from palpate.core import UNITS, LabelError, Unit, UnitError, has_unit, split_column, unit
-from palpate.recordings.label_tables import label_kinds, refuse_reserved, rows_text
+from palpate.recordings.label_tables import label_kinds, names_text, refuse_reserved, rows_text
 
 
 def with_units(
@@ -54,7 +54,7 @@ def with_units(
 def _refuse_strangers(table: pd.DataFrame, names: Mapping[str, str], source: str) -> None:
     for name in names:
         if name not in table.columns:
-            raise LabelError(f"{source} has no column {name!r}; its columns are {', '.join(table.columns)}")
+            raise LabelError(f"{source} has no column {name!r}; its columns are {names_text(table.columns)}")
 
 
 GUESSES = (
@@ -135,10 +135,11 @@ def unit_doubts(table: pd.DataFrame) -> tuple[str, ...]:
             doubts += [text for text in [_doubt(name, table[name].to_numpy(np.float64))] if text]
         elif kind == "text":
             odd = [i for i, cell in enumerate(table[name]) if not _is_number(str(cell))]
+            cell = str(table[name].iloc[(odd or [0])[0]])[:40]
+            remove = f"; fill in or remove {rows_text(odd)}" if 0 < len(odd) < len(table) else ""
             doubts.append(
-                f"column {name} names a unit and holds text, e.g. "
-                f"{str(table[name].iloc[(odd or [0])[0]])[:40]!r} in "
-                f"{rows_text((odd or [0])[:1])}: it cannot be a target"
+                f"column {name} names a unit and holds text, e.g. {cell!r} in {rows_text((odd or [0])[:1])}: "
+                f"it cannot be a target{remove}"
             )
     return tuple(doubts)
 
@@ -156,6 +157,8 @@ def _doubt(name: str, values: np.ndarray) -> str:
     usual = _TOUCH_DEEP if named.si == "m" and quantity.lower().startswith(_DEEP) else USUAL[named.si]
     if size == 0 or not np.isfinite(size):
         return ""
+    if text := _missing(name, values, named.to_si(size) > usual.largest):
+        return text
     span = f"column {name} runs from {values.min():.4g} to {values.max():.4g} {named.symbol}"
     if named.to_si(size) > usual.largest:
         return f"{span}, beyond {usual.why}{_instead(name, quantity, named, size, usual)}"
@@ -164,6 +167,30 @@ def _doubt(name: str, values: np.ndarray) -> str:
     if named.to_si(size) < usual.smallest:
         return f"{span}, less than touch usually has{_instead(name, quantity, named, size, usual)}"
     return ""
+
+
+MISSING = frozenset(sign * (10**digits - 1) for sign in (-1, 1) for digits in range(2, 7))
+"""Numbers such as -999 that stand, by custom, where nothing was measured."""
+MAX_MISSING = 0.1
+"""Share of rows that may be such; more, and the numbers may be meant."""
+FAR = 10
+"""How far from the middle three fifths of the rows, over their span."""
+
+
+def _missing(name: str, values: np.ndarray, unusual: bool) -> str:
+    """A sentence where a few rows lie far outside the rest, as codes of missing values do; else nothing."""
+    low, high = np.quantile(values, [0.2, 0.8])
+    rows = np.flatnonzero((values < low - FAR * (high - low)) | (values > high + FAR * (high - low)))
+    codes = MISSING.issuperset(values[rows].tolist())
+    if not (high > low and 0 < len(rows) <= MAX_MISSING * len(values) and (unusual or codes)):
+        return ""
+    kept = np.delete(values, rows)
+    held = ", ".join(f"{value:g}" for value in np.unique(values[rows])[:3])
+    return (
+        f"column {name} runs from {kept.min():.4g} to {kept.max():.4g} {split_column(name)[1].symbol}, and "
+        f"{len(rows)} {'row holds' if len(rows) == 1 else 'rows hold'} {held}, as where nothing was measured "
+        f"({rows_text(rows)}); remove {'it' if len(rows) == 1 else 'them'}"
+    )
 
 
 def _ends_as_radians(size: float, rows: int) -> bool:

@@ -25,6 +25,7 @@ from palpate.recordings.label_tables import (
     FIRST_ROW,
     Decimal,
     label_kinds,
+    names_text,
     refuse_formulas,
     rows_text,
     typed_column,
@@ -214,7 +215,7 @@ def _session_names(folder: Path, files: Sequence[Path]) -> list[str]:
 def _of_table(
     folder: Path, layout: LabelLayout, file: Path, kinds: Mapping[str, LabelKind], *, alone: bool
 ) -> LabelledImages:
-    read = partial(read_label_file, file, names=layout.columns, decimal=layout.decimal)
+    read = partial(read_label_file, file, names=layout.columns, decimal=layout.decimal, holds_all=alone)
     given = layout.image_column
     table = read(kinds={**kinds, given: "text"} if given else kinds)
     refuse_gaps(table, str(file))
@@ -223,9 +224,9 @@ def _of_table(
         return _in_order(folder if alone else home, table, str(file))
     column = given or next((name for name in IMAGE_COLUMNS if name in table.columns), None)
     if column is None or column not in table.columns:
-        asked = f"no column {column!r}" if column else "no column that names images by custom"
+        asked = f"no column {column!r}" if column else "no column named as those of images are"
         raise LabelError(
-            f"{file} has {asked}; its columns are {', '.join(table.columns)}; name the one with "
+            f"{file} has {asked}; its columns are {names_text(table.columns)}; name the one with "
             "--image-column, or "
             "say --in-order where row i belongs to image i"
         )
@@ -269,7 +270,7 @@ def _by_files(folder: Path, layout: LabelLayout, files: Sequence[Path]) -> Label
     refuse_gaps(table, f"the files in {folder}")
     given = layout.image_column or next((name for name in IMAGE_COLUMNS if name in table.columns), None)
     if layout.image_column and layout.image_column not in table.columns:
-        raise LabelError(f"the objects in {folder} have no {given!r}; they have {', '.join(table.columns)}")
+        raise LabelError(f"the objects in {folder} have no {given!r}; they have {names_text(table.columns)}")
     names = [_plain(cell) for cell in table[given]] if given else [file.stem for file in files]
     paths = []
     for file, name in zip(files, names, strict=True):

@@ -1,0 +1,86 @@
+"""Rows in the order of their images' names: nothing is said of an order in which nobody took them."""
+
+import json
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from tests.conftest import spots
+
+from palpate.calibration import CalibrationPlan, calibrate
+from palpate.calibration.confounds.confound_findings import order_not_asked
+from palpate.calibration.confounds.recorded_units import recorded_units
+from palpate.calibration.sessions.session_labels import label_findings
+from palpate.core import LabelError
+from palpate.estimators.certified import read_card
+from palpate.recordings import Manifest, Run, import_images
+from palpate.recordings.joined_runs import JoinedRun
+
+
+@pytest.fixture
+def named_by_place(tmp_path):
+    """Spots pressed in random order, whose names hold their place, and a number by which they were taken."""
+    folder = tmp_path / "pressed"
+    folder.mkdir()
+    images, places, _ = spots(60, np.random.default_rng(0))
+    for i, (image, place) in enumerate(zip(images, places, strict=True)):
+        cv2.imwrite(str(folder / f"{place + 3:.4f}_{i}.png"), image)
+    return folder, "{x_mm}_{shot}.png"
+
+
+def test_order_of_names_is_no_order_of_recording(named_by_place, tmp_path) -> None:
+    folder, pattern = named_by_place
+    import_images(folder, tmp_path / "run", name_pattern=pattern)
+    run = Run.open(tmp_path / "run")
+    assert run.labels["x_mm"].is_monotonic_increasing
+    assert run.manifest.order == "names"
+    plan = CalibrationPlan(("x_mm",), model="mean", split="random", size_px=(24, 32))
+    card = read_card(calibrate(run, plan, tmp_path / "cal"))
+    assert card.order is None
+    (found,) = [one for one in card.confounds.findings if one.kind == "order"]
+    assert found.severity == "notes"
+    assert "order of recording is not known" in found.text
+
+
+def test_a_column_says_in_which_order_the_images_were_taken(named_by_place, tmp_path) -> None:
+    folder, pattern = named_by_place
+    import_images(folder, tmp_path / "run", name_pattern=pattern, order_by="shot")
+    run = Run.open(tmp_path / "run")
+    assert run.labels["shot"].tolist() == list(range(60))
+    for row in (0, 31):
+        shown = cv2.imread(str(folder / run.frame(row).name), -1)
+        assert np.array_equal(run.frame(row).image, shown)
+    assert run.manifest.order == "recorded"
+    assert "order" not in json.loads((tmp_path / "run" / "manifest.json").read_text())  # as versions before
+    import_images(folder, tmp_path / "timed", name_pattern=pattern, rate_hz=30)
+    assert Manifest.read(tmp_path / "timed").order == "recorded"
+    with pytest.raises(LabelError, match="no column of numbers 'when'"):
+        import_images(folder, tmp_path / "none", name_pattern=pattern, order_by="when")
+
+
+def test_a_number_twice_gives_no_order(tmp_path) -> None:
+    folder = tmp_path / "pressed"
+    folder.mkdir()
+    for name in ("1_1", "2_1", "3_2"):
+        cv2.imwrite(str(folder / f"{name}.png"), np.zeros((8, 8), np.uint8))
+    with pytest.raises(LabelError, match="the number of another row"):
+        import_images(folder, tmp_path / "run", name_pattern="{x_mm}_{shot}.png", order_by="shot")
+
+
+def test_runs_joined_have_an_order_only_where_each_has(named_by_place, record_spots, tmp_path) -> None:
+    folder, pattern = named_by_place
+    runs = []
+    for name, order_by in (("a", "shot"), ("b", "shot"), ("c", None)):
+        import_images(folder, tmp_path / name, name_pattern=pattern, order_by=order_by)
+        runs.append(Run.open(tmp_path / name))
+    assert JoinedRun(runs[:2]).manifest.order == "recorded"
+    assert JoinedRun(runs[1:]).manifest.order == "names"
+
+
+def test_sorted_rows_and_alternating_sessions_are_findings_only_of_an_order_of_recording() -> None:
+    table = pd.DataFrame({"session": ["cup", "pin"] * 30, "x_mm": np.arange(60.0)})
+    values = table[["x_mm"]].to_numpy()
+    assert any("alternate" in one for one in label_findings(table, values, ["x_mm"]))
+    assert not any("alternate" in one for one in label_findings(table, values, ["x_mm"], False))
+    assert order_not_asked(recorded_units(values)) == []
