@@ -33,6 +33,12 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return Run.open(out)
 
 
+@pytest.fixture(autouse=True)
+def told_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who watches is told of every shot, however fast the machine is."""
+    monkeypatch.setattr("palpate.rig.engine.TOLD_EVERY_S", 0.0)
+
+
 def test_a_run_holds_every_frame_of_its_plan_once(whole: Run) -> None:
     assert sorted(keys(whole)) == sorted(wanted(plan()))
 
@@ -94,9 +100,8 @@ def test_the_stage_never_goes_deeper_than_the_plan(whole: Run) -> None:
 @pytest.mark.parametrize("after_shots", [0, 1, 5, 11])
 @pytest.mark.parametrize("wish", [OperatorCommand.ABORT, OperatorCommand.ESTOP, OperatorCommand.STOP])
 def test_what_was_ended_goes_on_at_the_first_missing_shot(
-    tmp_path: Path, after_shots: int, wish: OperatorCommand, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, after_shots: int, wish: OperatorCommand
 ) -> None:
-    monkeypatch.setattr("palpate.rig.engine.TOLD_EVERY_S", 0.0)  # at each shot, however fast the machine is
     control = OperatorControl()
 
     def watch(status: Status) -> None:
