@@ -302,7 +302,7 @@ def test_an_angle_that_half_turns_spoil_is_not_said_to_be_read_no_better_than_by
 
 def test_no_interval_of_an_angle_is_said_to_be_longer_than_its_turn() -> None:
     target = told_target(200.0, 324.0)
-    assert too_unsure(target).startswith("its intervals are the whole turn on average")
+    assert too_unsure(target).startswith("its intervals are 360 deg wide on average")
     scores = {target.column: target.score}
     assert "±200" in scores_table(scores, {})
     assert "±200" not in scores_table(scores, {target.column: 360.0})

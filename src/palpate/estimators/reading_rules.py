@@ -133,8 +133,8 @@ def _tells_nothing(target: TargetCard, width: float) -> str:
 
 def _wide(target: TargetCard, width: float) -> str:
     """A width in words; no interval around a direction is wider than the whole turn."""
-    whole = target.circular is not None and width >= target.circular.period
-    return "the whole turn" if whole else f"{width:.3g} {target.unit} wide"
+    turn = target.circular.period if target.circular is not None else width
+    return f"{min(width, turn):.3g} {target.unit} wide"
 
 
 def _range(target: TargetCard) -> str:
