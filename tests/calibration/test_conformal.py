@@ -10,12 +10,12 @@ from scipy import stats
 from scipy.stats import binomtest
 
 from palpate.calibration.coverage.conformal import conformal_quantile, fit_intervals
+from palpate.calibration.coverage.counted_groups import press_groups
 from palpate.calibration.coverage.grouped_rates import (
     coverage_interval,
     grouped_coverage_interval,
     grouped_mean_interval,
 )
-from palpate.calibration.evaluation import groups_within
 from palpate.core.errors import InputError, RangeError
 from palpate.estimators.intervals import ErrorSpread
 
@@ -143,8 +143,8 @@ def test_one_group_tells_nothing_of_others_and_two_hardly_more() -> None:
 
 def test_within_one_session_presses_are_counted_and_else_rows() -> None:
     table = pd.DataFrame({"session": ["a"] * 4, "press": [7, 7, 9, 9]})
-    assert groups_within(table).tolist() == [0, 0, 1, 1]
-    assert groups_within(table[["session"]]).tolist() == [0, 1, 2, 3]
+    assert press_groups(table).tolist() == [0, 0, 1, 1]
+    assert press_groups(table[["session"]]).tolist() == [0, 1, 2, 3]
 
 
 def test_with_fewer_rows_only_the_linear_terms_are_fitted() -> None:

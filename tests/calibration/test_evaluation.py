@@ -7,15 +7,10 @@ import pytest
 from sklearn import metrics
 
 from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
+from palpate.calibration.coverage.counted_groups import counted_groups, counted_text, held_out_groups
 from palpate.calibration.coverage.foreign_labels import shifted_labels
 from palpate.calibration.coverage.grouped_rates import coverage_interval
-from palpate.calibration.evaluation import (
-    counted_groups,
-    counted_text,
-    held_out_groups,
-    same_session,
-    score,
-)
+from palpate.calibration.evaluation import same_session, score
 from palpate.calibration.learnt_frames import shares_of_copies
 from palpate.calibration.sessions import reset_intervals
 from palpate.core import CertificateError, InputError

@@ -7,7 +7,8 @@ import pytest
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.coverage import failing, range_scores
-from palpate.calibration.evaluation import groups_in, predictions
+from palpate.calibration.coverage.counted_groups import groups_in
+from palpate.calibration.evaluation import predictions
 from palpate.estimators import Estimator
 from palpate.estimators.intervals import intervals_of
 from palpate.estimators.model_card import TenthCard

@@ -39,7 +39,8 @@ from palpate.calibration.certificate import (
 from palpate.calibration.confounds.deciding_pixels import MAP_FILE
 from palpate.calibration.coverage import range_cards
 from palpate.calibration.coverage.conformal import fit_intervals
-from palpate.calibration.evaluation import held_out_groups, score
+from palpate.calibration.coverage.counted_groups import held_out_groups
+from palpate.calibration.evaluation import score
 from palpate.calibration.training_data import learning_set, rows_to_learn
 from palpate.core import (
     CertificateError,

@@ -386,7 +386,7 @@ def _choice_lines(card: Any) -> list[str]:
 
 
 def _scores_text(scores: dict[str, Any], card: Any) -> str:
-    from palpate.calibration.evaluation import counted_text
+    from palpate.calibration.coverage.counted_groups import counted_text
     from palpate.estimators.class_sets import ClassScoreCard
     from palpate.estimators.finding_cards import ValidScoreCard
     from palpate.estimators.model_card import ScoreCard

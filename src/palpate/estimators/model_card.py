@@ -24,6 +24,9 @@ from palpate.recordings.preparation import Preparation
 
 FORMAT = "palpate-calibration/1"
 
+NO_BETTER = 0.95
+"""Share of the error of always saying the mean, above which an estimate says nothing."""
+
 
 class ScoreCard(CardPart):
     """Scores of one target on held-out rows, in its unit.
@@ -54,7 +57,7 @@ class ScoreCard(CardPart):
     @property
     def says_nothing(self) -> bool:
         """True if the estimate is no better than always saying the mean (within 5 %)."""
-        return self.mae > 0.95 * self.mean_mae
+        return self.mae > NO_BETTER * self.mean_mae
 
 
 class CellsCard(CardPart):

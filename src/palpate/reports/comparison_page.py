@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 
 from palpate.calibration.certificate import read_predictions
+from palpate.calibration.coverage.counted_groups import counted_text, held_out_groups
 from palpate.calibration.coverage.grouped_rates import MIN_GROUPS_OF_MEAN, grouped_mean_interval
-from palpate.calibration.evaluation import counted_text, held_out_groups
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.core import (
     CertificateError,
@@ -37,7 +37,7 @@ class ErrorDifference:
 
     Attributes:
         rows, groups: on which.
-        counted_by: what such a group is, see `calibration.evaluation.held_out_groups`.
+        counted_by: what such a group is, see `calibration.coverage.counted_groups.held_out_groups`.
         difference: of the means [the target's unit]; negative where the second is better.
         low, high: its 95 % interval, groups counted as groups; None where these are too few to tell.
     """

@@ -11,10 +11,8 @@ from palpate.calibration.coverage.circular_scores import (
     uninformative_width,
 )
 from palpate.core import Bool, Values
+from palpate.estimators.model_card import NO_BETTER
 from palpate.estimators.target_layout import Outputs, TargetLayout
-
-NO_BETTER = 0.95
-"""Share of the error of always saying the mean, above which an estimate says nothing; as on the card."""
 
 
 def told_targets(

@@ -18,8 +18,8 @@ import pandas as pd
 
 from palpate.calibration.certificate import read_predictions
 from palpate.calibration.coverage import target_findings
+from palpate.calibration.coverage.counted_groups import held_out_groups, press_column
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
-from palpate.calibration.evaluation import held_out_groups, press_column
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.calibration.sessions.evaluation_record import PREFIX, SUFFIX, in_order, read_evaluation
 from palpate.core import CertificateError, interval_text, rounded

@@ -14,8 +14,8 @@ import numpy as np
 from matplotlib.image import imread
 
 from palpate.calibration.confounds.deciding_pixels import MAP_FILE, block_edges
+from palpate.calibration.coverage.counted_groups import press_groups
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
-from palpate.calibration.evaluation import groups_within
 from palpate.calibration.robustness.perturbation_suite import MAX_SILENT
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.estimators.finding_cards import PerturbationCard
@@ -51,7 +51,7 @@ def _session_row(report: ReportedCalibration, name: str, rows: np.ndarray) -> Va
     for target in report.card.targets:
         true, guess, _ = (part[rows] for part in target_columns(target, report.table))
         error, inside = errors_of(target, true, guess), held_rows(target, report.table)[rows]
-        low, high = grouped_coverage_interval(inside, groups_within(report.table[rows]))
+        low, high = grouped_coverage_interval(inside, press_groups(report.table[rows]))
         mae, scatter = float(np.abs(error).mean()), float(np.abs(error).std())
         cells.append(
             {
