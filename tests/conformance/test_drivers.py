@@ -32,9 +32,10 @@ def broken(findings: list[CheckResult]) -> list[CheckResult]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal needs POSIX")
-def test_the_grbl_driver_keeps_every_law() -> None:
+@pytest.mark.parametrize("firmware", ["1.1h", "grblHAL"])
+def test_the_grbl_driver_keeps_every_law(firmware: str) -> None:
     clock = MonotonicClock()
-    model = GrblParameters(homed=True)
+    model = GrblParameters(firmware=firmware, homed=True, latency_s=0.01, print_s=0.006)
     with FakeTerminal(GrblFirmware(model, GrblFaults(), clock.now_ns() / 1e9), clock) as terminal:
         spec = GrblSpec(terminal.path, boot_s=0.02, latency_s=0.05)
         with GrblStage.open(spec, clock) as stage:

@@ -366,6 +366,56 @@ def test_a_broken_stage_is_told_by_the_laws_that_it_breaks(kind: type[Stage], la
     assert laws <= stage_checked(kind)[0]
 
 
+class SlowedHost:
+    """A clock by which a simulated stage, on a clock of its own, runs so many times as slow."""
+
+    def __init__(self, stage: ManualClock, times: float) -> None:
+        self.stage, self.times = stage, times
+
+    def now_ns(self) -> int:
+        return round(self.stage.ns * self.times)
+
+    def sleep(self, seconds: float) -> None:
+        self.stage.sleep(seconds / self.times)
+
+
+def slowed(kind: type[Stage], times: float, time_scale: float) -> set[str]:
+    stage = kind(clock := ManualClock(10**11))
+    host = SlowedHost(clock, times)
+    options = {"region_m": BOX, "speed_m_s": SPEED_M_S, "time_scale": time_scale}
+    return failed(check_stage(stage, clock=host, **options))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("times", [2.0, 8.0])
+def test_a_stage_that_is_simulated_slowly_is_judged_for_what_it_does(times: float) -> None:
+    assert slowed(Stage, times, times) == set()
+
+
+def test_without_the_scale_a_slow_simulation_fails_for_its_speed() -> None:
+    assert "says when it stands" in slowed(Stage, 8.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "law"),
+    [
+        (NeverSaysThatItStands, "says when it stands"),
+        (StopsSlowly, "stop returns in time, along z"),
+        (RacesAlong, "is no faster than asked"),
+        (RunsOn, "runs on by its stated overshoot at most, along x"),
+        (GoesOnToTheTarget, "stops short of the target, along y"),
+        (FallsShort, "goes where it is sent"),
+    ],
+)
+def test_a_scale_hides_no_law_that_is_broken(kind: type[Stage], law: str) -> None:
+    assert law in slowed(kind, 8.0, 8.0)
+
+
+@pytest.mark.parametrize("time_scale", [0.0, -1.0, math.nan, math.inf])
+def test_a_time_scale_that_is_none_is_refused(time_scale: float) -> None:
+    with pytest.raises(RangeError, match="time scale"):
+        stage_checked(Stage, time_scale=time_scale)
+
+
 @pytest.mark.parametrize(
     ("kind", "law"),
     [("stage-stuck", "stays safe"), ("stage-deaf", "stays safe"), ("stage-gone", "stays safe")],

@@ -149,7 +149,7 @@ def test_nothing_moves_on_an_old_or_faulty_force() -> None:
 
 @pytest.mark.parametrize(("slower", "late"), [(1.0, False), (1.9, False), (40.0, True)])
 def test_a_stage_that_takes_much_longer_than_it_should_is_stopped(slower: float, late: bool) -> None:
-    """Twice the time of the way and a second are given; half a millimetre at 2 mm/s is 0.25 s."""
+    """Twice the time of the way and four seconds are given; half a millimetre at 2 mm/s is 0.25 s."""
     bench = Bench(slower)
     begun = bench.clock.now_ns()
     if not late:
@@ -160,7 +160,7 @@ def test_a_stage_that_takes_much_longer_than_it_should_is_stopped(slower: float,
     assert caught.value.reason is Reason.STAGE_LATE
     waited = (bench.clock.now_ns() - begun) / 1e9
     slowing = SPEED / TRAVEL.acceleration_m_s2
-    assert waited == pytest.approx(1.0 + 2.0 * (0.25 + slowing), abs=0.005)
+    assert waited == pytest.approx(4.0 + 2.0 * (0.25 + slowing), abs=0.005)
     assert not bench.stage.moving()
 
 
@@ -195,3 +195,46 @@ def test_a_wish_stops_a_motion_and_only_an_emergency_stops_one_away() -> None:
             bench.guard.towards((0.0, 0.0, 1e-3), SPEED)
         if wish is not OperatorCommand.ESTOP:
             bench.guard.away((0.0, 0.0, -2e-3), SPEED)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_force_that_is_no_number_stops_by_its_name_and_holds_up_no_way_out(bad: float) -> None:
+    bench = Bench()
+    bench.sensor.force_n = lambda: bad if bench.stage.position_m()[2] > 0 else 0.0
+    heard: list[Wrench] = []
+    bench.guard.samples.subscribe(heard.extend)
+    with pytest.raises(Tripped, match="not a number") as caught:
+        bench.guard.towards((0.0, 0.0, 1e-3), SPEED)
+    assert caught.value.reason is Reason.FORCE_FAULT
+    assert bench.stage.position_m()[2] < 0.05e-3  # a few looks of 4 micrometres
+    assert all(one.fault for one in heard if not math.isfinite(one.force_n[2]))
+    bench.guard.away((0.0, 0.0, -1e-3), SPEED)
+    assert bench.stage.position_m()[2] == pytest.approx(-1e-3)
+
+
+@pytest.mark.parametrize("error", [ValueError("odd"), ZeroDivisionError(), KeyError("x"), SystemExit(3)])
+@pytest.mark.parametrize(
+    ("broken", "reason"),
+    [
+        (("stage", "moving"), Reason.STAGE),
+        (("stage", "move_to"), Reason.STAGE),
+        (("sensor", "drain"), Reason.FORCE_SENSOR),
+        (("sensor", "latest"), Reason.FORCE_SENSOR),
+    ],
+)
+def test_a_driver_s_own_exception_stops_by_the_name_of_its_device(
+    broken: tuple[str, str], reason: Reason, error: BaseException, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench()
+
+    def fails(*_: object) -> None:
+        raise error
+
+    bench.guard.towards((0.0, 0.0, -0.5e-3), SPEED)
+    monkeypatch.setattr(getattr(bench, broken[0]), broken[1], fails)
+    with pytest.raises(Tripped, match=type(error).__name__) as caught:
+        bench.guard.towards((0.0, 0.0, -0.2e-3), SPEED)
+    assert caught.value.reason is reason
+    if broken[0] == "sensor":  # and on the way out it stops nothing
+        bench.guard.away((0.0, 0.0, -2e-3), SPEED)
+        assert bench.stage.position_m()[2] == pytest.approx(-2e-3)

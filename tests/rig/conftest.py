@@ -67,8 +67,14 @@ class GrblBench:
 
     @property
     def received(self) -> bytes:
+        """All that the driver sent, but for the questions for the status, which come on a period."""
         with self.terminal.lock:
-            return bytes(self.firmware.received)
+            return bytes(self.firmware.received).replace(b"?", b"")
+
+    def stops(self, *bytes_: int) -> list[tuple[float, float, float]]:
+        """The true places when each of these bytes came."""
+        with self.terminal.lock:
+            return [place for byte, place in self.firmware.stops if byte in bytes_]
 
     def spoil(self, faults: GrblFaults) -> None:
         with self.terminal.lock:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, plan, rig, wanted
 
 from palpate.core.clock import ManualClock
-from palpate.core.errors import StorageError
+from palpate.core.errors import DeviceError, StorageError
 from palpate.devices import Limits, Reason, Tripped
 from palpate.recordings import Run, check
 from palpate.recordings.segments import mcap_file
@@ -58,7 +60,7 @@ def test_every_fault_stops_with_its_name_and_the_run_goes_on_afterwards(
     assert outcome.message
     run = Run.open(out)
     assert check(run.path).sound
-    if fault not in ("stage-gone", "stage-stuck", "stage-slips"):
+    if fault not in ("stage-gone", "stage-stuck"):  # gone, or it takes no move
         assert faulty.stage.position_m()[2] <= -CLEARANCE_MM * 1e-3 + 1e-9, "the probe is lifted"
     assert record(rig(clock=ManualClock(3 * CLOCK_NS)), small, out).state is State.DONE
     assert sorted(keys(Run.open(out))) == sorted(wanted(small))
@@ -178,3 +180,85 @@ def test_a_full_disk_stops_and_lifts_and_the_run_stays_readable(
         assert "no room left" in str(last["message"])
     assert record(rig(clock=ManualClock(3 * CLOCK_NS)), plan(), out).state is State.DONE
     assert sorted(keys(Run.open(out))) == sorted(wanted(plan()))
+
+
+class Odd:
+    """A device that raises an exception of its own, or measures no number, once the skin is touched."""
+
+    def __init__(self, inner: object, name: str, rig: object, result: object) -> None:
+        self._inner, self._name, self._rig, self._result = inner, name, rig, result
+
+    def __getattr__(self, name: str) -> object:
+        real = getattr(self._inner, name)
+        if name != self._name:
+            return real
+
+        def call(*args: object) -> object:
+            touched = self._rig.stage._world.stand_at()[2] > 0.3e-3  # type: ignore[attr-defined]
+            if not touched:
+                return real(*args)
+            if isinstance(self._result, Exception):
+                raise self._result
+            return [replace(one, force_n=(0.0, 0.0, self._result)) for one in real(*args)]
+
+        return call
+
+
+@pytest.mark.parametrize(
+    ("device", "call", "result", "reason"),
+    [
+        ("force", "drain", math.nan, Reason.FORCE_FAULT),
+        ("force", "drain", math.inf, Reason.FORCE_FAULT),
+        ("force", "drain", KeyError("Fz"), Reason.FORCE_SENSOR),
+        ("force", "latest", ValueError("odd"), Reason.FORCE_SENSOR),
+        ("camera", "grab", RuntimeError("usb"), Reason.CAMERA),
+    ],
+)
+def test_whatever_a_driver_does_the_probe_is_lifted_and_the_name_is_the_device_s(
+    tmp_path: Path, device: str, call: str, result: object, reason: Reason
+) -> None:
+    sound = rig()
+    odd = replace(sound, **{device: Odd(getattr(sound, device), call, sound, result)})
+    outcome = record(odd, plan(), tmp_path / "run")
+    assert (outcome.state, outcome.reason) == (State.FAILED, reason)
+    assert "not lifted" not in outcome.message
+    assert sound.stage.position_m()[2] <= -CLEARANCE_MM * 1e-3 + 1e-9
+    assert check(tmp_path / "run").sound
+
+
+def test_a_stage_that_answers_only_at_the_second_try_is_lifted_at_the_third(tmp_path: Path) -> None:
+    sound, failures = rig(), iter(range(2))
+
+    class Late:
+        """Silent for two calls after the force failed."""
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(sound.stage, name)
+
+        def position_m(self) -> tuple[float, float, float]:
+            at = sound.stage.position_m()
+            if at[2] > 0.3e-3 and next(failures, None) is not None:
+                raise DeviceError("the stage has not answered")
+            return at
+
+    outcome = record(replace(sound, stage=Late()), plan(), tmp_path / "run")  # type: ignore[arg-type]
+    assert (outcome.state, outcome.reason) == (State.FAILED, Reason.STAGE)
+    assert sound.stage.position_m()[2] <= -CLEARANCE_MM * 1e-3 + 1e-9
+
+
+def test_a_probe_that_stays_is_said_to_stay(tmp_path: Path) -> None:
+    outcome = record(rig(Fault("stage-gone", 1.2)), plan(), tmp_path / "run")
+    assert outcome.reason is Reason.STAGE
+    assert "the probe was not lifted" in outcome.message
+
+
+def test_one_who_watches_and_fails_does_not_hold_the_probe_in_the_skin(tmp_path: Path) -> None:
+    sound = rig()
+
+    def watch(status: object) -> None:
+        if sound.stage.position_m()[2] > 0.3e-3:
+            raise LookupError("a page that is gone")
+
+    with pytest.raises(LookupError, match="a page that is gone"):
+        record(sound, plan(), tmp_path / "run", watch=watch)
+    assert sound.stage.position_m()[2] <= -CLEARANCE_MM * 1e-3 + 1e-9

@@ -226,6 +226,7 @@ class TestS10Modes:
         stage = bench.open()
         bench.say(b"G20G91\n")
         bench.move_to_speed(stage, AWAY, 0.01)
+        bench.say(b"!")  # on this one it holds the jog, which a reset then ends
         stage.stop()
         assert b"\x18" in bench.received
         goes_and_comes_back(bench, stage)
@@ -290,9 +291,9 @@ class Wire:
     "wire", [Wire(OSError(5, "Input/output error")), Wire(short=1), Wire(short=2), Wire(TimeoutError())]
 )
 def test_s12_a_write_that_fails_or_falls_short_ends_the_link(wire):
-    link = GrblLink(wire, reply_s=10.0)
+    link = GrblLink(wire, reply_s=10.0, status_s=0.1, clock=MonotonicClock())
     try:
-        for attempt in (lambda: link.command("$$"), link.ask, link.hold):
+        for attempt in (lambda: link.command("$$"), lambda: link.report(1.0), lambda: link.slow_down(b"!")):
             with pytest.raises(DeviceError, match="check cable and power"):
                 attempt()
     finally:
@@ -326,7 +327,7 @@ class TestS13Noise:
         bench = grbl_bench()
         stage = bench.open()
         with bench.terminal.lock:
-            bench.firmware._out += (b"[MSG:flood]\r\n" + b"\xff" * 90 + b"\r\n") * 3_000
+            bench.firmware.wire.put((b"[MSG:flood]\r\n" + b"\xff" * 90 + b"\r\n") * 3_000)
         bench.wait(lambda: stage._link.garbage >= 3_000)
         assert len(stage._link._pushed) <= 512
         goes_and_comes_back(bench, stage)
@@ -487,7 +488,7 @@ class TestS20TheEndOfTheProgramme:
         assert bench.speed_mm_s == 0.0
         assert bench.firmware.state == "Idle"  # no alarm: the position was kept
 
-    @pytest.mark.parametrize("awaited", ["ask", "command"])
+    @pytest.mark.parametrize("awaited", ["newest", "command"])
     def test_ctrl_c_while_it_waits_for_an_answer_stops_it(self, grbl_bench, monkeypatch, awaited):
         bench = grbl_bench()
         stage = bench.open()
@@ -500,10 +501,10 @@ class TestS20TheEndOfTheProgramme:
 
         def programme():
             with stage:
-                if awaited == "ask":
+                if awaited == "newest":
                     bench.move_to_speed(stage, AWAY, 0.01)
                 monkeypatch.setattr(stage._link, awaited, interrupted)
-                stage.moving() if awaited == "ask" else stage.move_to(AWAY, 0.01)
+                stage.moving() if awaited == "newest" else stage.move_to(AWAY, 0.01)
 
         with pytest.raises(KeyboardInterrupt):
             programme()
@@ -547,5 +548,6 @@ class TestS20TheEndOfTheProgramme:
         assert bench.speed_mm_s == 0.0
         assert bench.firmware.state == "Idle"
         sent = bench.received
-        assert sent.index(b"!") < sent.index(b"\x18")
+        assert b"\x85" in sent
+        assert b"\x18" not in sent  # it was never reset in motion
         assert bench.place_mm[0] < -2.0

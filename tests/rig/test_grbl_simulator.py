@@ -1,62 +1,21 @@
 """What firmware was seen to do: asked of the fake always, of real firmware where a simulator is at hand.
 
-Such a simulator talks on its standard input and output; PALPATE_GRBL_SIM names its executable, which is no
-part of palpate. One such prints `error:7` and its settings before the first banner, hears nothing for a
-second, keeps its settings in its working folder, and runs at about half real time.
+What Grbl 1.1 was seen to do is asked here; what both firmwares must do, in `test_grbl_two_firmwares`.
 """
 
 from __future__ import annotations
 
-import os
-import re
-import shlex
-import subprocess
 import time
-import tty
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 
 import pytest
-from tests.rig.serial_terminal import FakeTerminal
+from tests.rig.grbl_talk import PATIENCE_S, Talk, fake, simulator
 
-from palpate.core.clock import NS_PER_S, MonotonicClock
-from palpate.rig.fakes.grbl_firmware import GrblFirmware
-from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
 
-serial = pytest.importorskip("serial", reason="the stage's driver needs pyserial")
-SIMULATOR = os.environ.get("PALPATE_GRBL_SIM", "")
-PATIENCE_S = 60.0
 UNHOMED = ("$20=0", "$22=0", "$21=0", "$13=0", "$10=1")  # nothing to home against
 MOTION = ("$120=50", "$121=50", "$122=50", "$110=1200", "$111=1200", "$112=1200")
-
-
-@contextmanager
-def fake():
-    clock = MonotonicClock()
-    with FakeTerminal(
-        GrblFirmware(GrblParameters(settings={20: 0, 22: 0}), GrblFaults(), clock.now_ns() / NS_PER_S), clock
-    ) as terminal:
-        yield terminal.path
-
-
-@contextmanager
-def simulator(folder):
-    if not SIMULATOR:
-        pytest.skip("no simulator of real firmware; name its executable in PALPATE_GRBL_SIM")
-    ours, theirs = os.openpty()
-    tty.setraw(theirs)
-    try:
-        with subprocess.Popen(
-            shlex.split(SIMULATOR), stdin=ours, stdout=ours, stderr=subprocess.DEVNULL, bufsize=0, cwd=folder
-        ) as process:
-            try:
-                yield os.ttyname(theirs)
-            finally:
-                process.kill()
-    finally:
-        os.close(ours)
-        os.close(theirs)
 
 
 @pytest.fixture(params=["fake", "simulator"])
@@ -74,66 +33,6 @@ def path(request, tmp_path):
 def talk(path):
     with Talk(path) as talk:
         yield talk
-
-
-class Talk:
-    """A plain conversation, by none of the driver's code."""
-
-    def __init__(self, path: str) -> None:
-        self.port = serial.Serial(path, 115200, timeout=0.05, exclusive=True)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.port.close()
-
-    def wake(self) -> None:
-        """Reset it until it answers, and let it have its say."""
-        for _ in range(int(PATIENCE_S)):
-            self.port.write(b"\x18")
-            try:
-                self.hear("Grbl", patience_s=1.0)
-            except AssertionError:
-                continue
-            while self.port.readline():
-                pass
-            return
-        raise AssertionError("the firmware never said its banner")
-
-    def hear(self, wanted: str, patience_s: float = PATIENCE_S) -> list[str]:
-        """All lines up to one that matches."""
-        heard, end = [], time.monotonic() + patience_s
-        while time.monotonic() < end:
-            line = self.port.readline().decode("ascii", "replace").strip()
-            if line:
-                heard.append(line)
-            if re.match(wanted, line):
-                return heard
-        raise AssertionError(f"{wanted!r} never came; heard {heard}")
-
-    def send(self, line: str) -> list[str]:
-        self.port.write(line.encode() + b"\n")
-        return self.hear(r"ok$|error:\d+$")
-
-    def status(self) -> str:
-        self.port.write(b"?")
-        return self.hear("<")[-1]
-
-    def until(self, state: str) -> str:
-        end = time.monotonic() + PATIENCE_S
-        while time.monotonic() < end:
-            status = self.status()
-            if status.startswith(f"<{state}"):
-                return status
-        raise AssertionError(f"never {state}, last {status}")
-
-    def reset(self) -> list[str]:
-        self.port.write(b"\x18")
-        return self.hear("Grbl")
-
-    def x_mm(self) -> float:
-        return float(re.search(r"MPos:(-?\d+\.\d+)", self.status())[1])
 
 
 @pytest.mark.parametrize(

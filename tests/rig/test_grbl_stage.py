@@ -13,6 +13,7 @@ from hypothesis import given, strategies as st
 from palpate.core.clock import MonotonicClock
 from palpate.core.device_protocols import Stage
 from palpate.core.errors import DeviceError, InputError, MissingExtraError, RangeError
+from palpate.rig.fakes.grbl_controller import CANCEL
 from palpate.rig.fakes.grbl_parameters import GrblParameters
 from palpate.rig.real.grbl import grbl_link, grbl_stage
 from palpate.rig.real.grbl.grbl_stage import GrblStage
@@ -88,20 +89,20 @@ def test_in_real_time_too_a_stop_ends_within_the_overshoot_bound(grbl_bench):
     stage = bench.open()
     bench.move_to_speed(stage, (-0.010, 0.050, 0.050), 0.010)
     stage.stop()
-    # From where the hold came: how long it took to get there is the machine's load, not the driver's promise.
-    with bench.terminal.lock:
-        went_mm = math.dist(bench.firmware.holds[0], bench.place_mm)
+    # From where the byte came: how long it took to get there is the machine's load, not the driver's promise.
+    went_mm = math.dist(bench.stops(CANCEL)[0], bench.place_mm)
     assert went_mm <= 0.010**2 / (2 * 0.050) * 1e3 + STEP_MM
 
 
-@pytest.mark.parametrize("key", ["Grbl", "Grbl, jogs held"])
-def test_a_stop_never_resets_in_motion(grbl_bench, key):
+@pytest.mark.parametrize("key", ["Grbl", "Grbl, jogs held", "grblHAL"])
+def test_a_stop_cancels_a_jog_and_resets_nothing(grbl_bench, key):
     bench = grbl_bench(MODELS[key])
     stage = bench.open()
     bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
     stage.stop()
-    assert b"!" in bench.received
-    assert (b"\x18" in bench.received) == (key == "Grbl, jogs held")
+    assert b"\x85" in bench.received
+    assert b"!" not in bench.received
+    assert b"\x18" not in bench.received
     assert stage.position_m() == pytest.approx(metres(bench.place_mm), abs=1e-6)  # kept, and no alarm
 
 
@@ -121,9 +122,10 @@ def test_a_hold_that_meets_a_stage_just_arrived_is_not_left_behind(grbl_bench):
 def test_a_stop_where_it_stands_does_nothing(grbl_bench):
     bench = grbl_bench()
     stage = bench.open()
+    before = bench.received
     stage.stop()
     stage.stop()
-    assert b"!" not in bench.received
+    assert bench.received == before
     assert stage.position_m() == pytest.approx(START)
 
 
@@ -155,13 +157,14 @@ def test_a_hold_that_meets_a_stage_just_reset_is_cleared_too(grbl_bench, monkeyp
     bench = grbl_bench(GrblParameters(homed=True, hold_cancels_jog=False))
     stage = bench.open()
     bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
+    bench.say(b"!")
     reset, held = stage._session.reset, []
 
     def reset_and_hold():  # as another thread's stop can
         reset()
         if len(held) < 2:
             held.append(True)
-            stage._link.hold()
+            stage._link.slow_down(b"!")
 
     monkeypatch.setattr(stage._session, "reset", reset_and_hold)
     stage.stop()

@@ -51,9 +51,15 @@ class Travel:
     acceleration_m_s2: float
     latency_s: float
 
-    def overshoot_m(self, speed_m_s: float) -> float:
-        """Distance that it still goes after being told to stop, v^2 / 2a + v latency [m]."""
-        return speed_m_s**2 / (2 * self.acceleration_m_s2) + speed_m_s * self.latency_s
+    def overshoot_m(self, speed_m_s: float, before_s: float = 0.0) -> float:
+        """Distance that it still goes after being told to stop, v^2 / 2a + v latency [m].
+
+        Args:
+            speed_m_s: at which it moves.
+            before_s: what passes before it is told, such as the way of a force to who tells it; counted as
+                latency [s].
+        """
+        return speed_m_s**2 / (2 * self.acceleration_m_s2) + speed_m_s * (self.latency_s + before_s)
 
 
 @runtime_checkable

@@ -1,15 +1,18 @@
-"""Proxies of devices: watchers see what passes, and an emergency stop holds the stage.
+"""Proxies of devices: watchers see what passes, an emergency stop holds the stage, and errors have one kind.
 
-The engine uses them as it uses any other device: nothing is taken from it, delayed or changed.
+The engine uses them as it uses any other device: nothing is taken from it, delayed or changed, but that an
+error of a driver's own becomes a `DeviceError`, and a force that is no number a faulty sample.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Generic, TypeVar
+from dataclasses import replace
+from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 from palpate.core import (
     NS_PER_S,
@@ -18,11 +21,13 @@ from palpate.core import (
     ForceSensor,
     Frame,
     FrameSource,
+    PalpateError,
     Position,
     Stage,
     Travel,
     Wrench,
 )
+from palpate.core.plugins import told
 from palpate.devices.operator_control import OperatorCommand, OperatorInterrupt
 
 KEPT_S = 20.0  # of force, for the plot
@@ -188,6 +193,12 @@ class StageProxy(_Proxy[Stage]):
         with self._noting_errors():
             self._inner.stop()
 
+    @property
+    def health(self) -> str:
+        """What was lost on the wire, of a driver that counts it; empty where nothing was."""
+        health = getattr(self._inner, "health", "")
+        return health if isinstance(health, str) else ""
+
     def hold(self) -> int:
         """Emergency stop, past everything else; returns when it stood [ns], and nothing moves it any more.
 
@@ -211,3 +222,96 @@ class StageProxy(_Proxy[Stage]):
     def _check_free(self) -> None:
         if self.held:
             raise OperatorInterrupt(OperatorCommand.ESTOP)
+
+
+@runtime_checkable
+class Actuator(Protocol):
+    """Goes to a position in straight moves, one at a time, and stops when told: what moves of a `core.Stage`.
+
+    See there for units, errors and what may be called from another thread.
+    """
+
+    @property
+    def travel(self) -> Travel: ...
+    def position_m(self) -> Position: ...
+    def move_to(self, position_m: Position, speed_m_s: float) -> None: ...
+    def moving(self) -> bool: ...
+    def stop(self) -> None: ...
+
+
+@runtime_checkable
+class ForceSource(Protocol):
+    """Measures force all the time: what is asked of a `core.ForceSensor`. See there."""
+
+    def latest(self) -> Wrench: ...
+    def drain(self) -> list[Wrench]: ...
+
+
+class PlainActuator:
+    """An `Actuator` whose driver's own exceptions come as `DeviceError`: a guard knows whose they are."""
+
+    def __init__(self, inner: Actuator) -> None:
+        self._inner = inner
+
+    @property
+    def travel(self) -> Travel:
+        """Reach, speed and stopping, as the device states them."""
+        return self._inner.travel
+
+    def position_m(self) -> Position:
+        """Position now [m]."""
+        with driver_errors("the stage's driver failed"):
+            return self._inner.position_m()
+
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        """Start moving."""
+        with driver_errors("the stage's driver failed"):
+            self._inner.move_to(position_m, speed_m_s)
+
+    def moving(self) -> bool:
+        """Whether it is under way."""
+        with driver_errors("the stage's driver failed"):
+            return self._inner.moving()
+
+    def stop(self) -> None:
+        """Bring it to a stand."""
+        with driver_errors("the stage's driver failed"):
+            self._inner.stop()
+
+
+class PlainForceSource:
+    """A `ForceSource`: its driver's own exceptions come as `DeviceError`, what is no number as a fault."""
+
+    def __init__(self, inner: ForceSource) -> None:
+        self._inner = inner
+
+    def latest(self) -> Wrench:
+        """The newest sample."""
+        with driver_errors("the force sensor's driver failed"):
+            return _plain(self._inner.latest())
+
+    def drain(self) -> list[Wrench]:
+        """All since the last call."""
+        with driver_errors("the force sensor's driver failed"):
+            return [_plain(one) for one in self._inner.drain()]
+
+
+@contextmanager
+def driver_errors(what: str) -> Iterator[None]:
+    """Raise as `DeviceError` what is neither palpate's own nor the operator's.
+
+    Args:
+        what: has failed, for the message.
+    """
+    try:
+        yield
+    except (PalpateError, OperatorInterrupt):
+        raise
+    except (Exception, SystemExit) as e:  # what is somebody else's may raise anything
+        raise DeviceError(f"{what}: {told(e)}") from e
+
+
+def _plain(sample: Wrench) -> Wrench:
+    if sample.fault or all(math.isfinite(value) for value in (*sample.force_n, *sample.torque_nm)):
+        return sample
+    return replace(sample, fault="a force or torque that is not a number")

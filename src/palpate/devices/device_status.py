@@ -22,7 +22,7 @@ QUALITY = 90  # of its JPEG
 
 
 def stage_health(stage: StageProxy, position_mm: Position | None) -> dict[str, str]:
-    """Health of the stage, and where it is."""
+    """Health of the stage, where it is, and what was lost on its wire."""
     if stage.error:
         return _health("stage", "failed", stage.error)
     if stage.held:
@@ -30,7 +30,8 @@ def stage_health(stage: StageProxy, position_mm: Position | None) -> dict[str, s
     if position_mm is None:
         return _health("stage", "waiting", "not asked yet")
     x, y, z = (round(d, 2) + 0.0 for d in position_mm)  # no minus before a zero
-    return _health("stage", "ok", f"x {x:.2f}, y {y:.2f}, z {z:.2f} mm")
+    place = f"x {x:.2f}, y {y:.2f}, z {z:.2f} mm"
+    return _health("stage", "ok", f"{place}; {stage.health}" if stage.health else place)
 
 
 def force_health(force: ForceProxy, now_ns: int) -> dict[str, str]:

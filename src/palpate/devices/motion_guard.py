@@ -13,9 +13,10 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Generic, ParamSpec, Protocol, runtime_checkable
+from typing import Generic, ParamSpec
 
-from palpate.core import NS_PER_S, Clock, DeviceError, Position, Travel, Wrench
+from palpate.core import NS_PER_S, Clock, DeviceError, Position, Wrench
+from palpate.devices.device_proxies import Actuator, ForceSource, PlainActuator, PlainForceSource
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.motion_limits import Limits, Reason, Tripped
 from palpate.devices.operator_control import AT_ONCE, OperatorCommand, OperatorControl
@@ -23,35 +24,12 @@ from palpate.devices.operator_control import AT_ONCE, OperatorCommand, OperatorC
 POLL_S = 0.002  # between two looks at the force while something moves
 WAIT_S = 0.02  # and while nothing does
 ARRIVED_M = 0.02e-3  # from the target, at most, after a move
-LATE_S = 1.0  # beyond the time that a move should take
+LATE_S = 4.0  # beyond the time that a move should take: a stage's answer can be late by seconds
 LATE_FACTOR = 2.0
 RISE_N = 1.0  # by which force may rise while the probe moves away: friction, noise, a sign that is wrong
 
 LEAVING = (OperatorCommand.ESTOP,)
 """What may stop the probe on its way away from the skin."""
-
-
-@runtime_checkable
-class Actuator(Protocol):
-    """Goes to a position in straight moves, one at a time, and stops when told: what moves of a `core.Stage`.
-
-    See there for units, errors and what may be called from another thread.
-    """
-
-    @property
-    def travel(self) -> Travel: ...
-    def position_m(self) -> Position: ...
-    def move_to(self, position_m: Position, speed_m_s: float) -> None: ...
-    def moving(self) -> bool: ...
-    def stop(self) -> None: ...
-
-
-@runtime_checkable
-class ForceSource(Protocol):
-    """Measures force all the time: what is asked of a `core.ForceSensor`. See there."""
-
-    def latest(self) -> Wrench: ...
-    def drain(self) -> list[Wrench]: ...
 
 
 Until = Callable[[Force], bool]
@@ -92,8 +70,8 @@ class MotionGuard:
         control: OperatorControl,
     ) -> None:
         limits.check_within(stage.travel)
-        self._stage = stage
-        self._sensor = sensor
+        self._stage = PlainActuator(stage)
+        self._sensor = PlainForceSource(sensor)
         self._limits = limits
         self._bias = bias
         self._clock = clock

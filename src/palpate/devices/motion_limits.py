@@ -54,7 +54,10 @@ class Limits:
         force_rate_n_s: greatest change of force, over `rate_window_s` [N/s].
         rate_window_s: long enough that noise is no rate [s].
         age_s: oldest force sample on which anything still moves [s].
-        overshoot_m: how far the probe may run on into the skin after a stop [m].
+        force_latency_s: from a force at the skin to the guard's knowing of it, at worst, while samples come:
+            the sensor's filter and period, its way, and one look [s]. Where samples cease to come, it is
+            `age_s` instead.
+        overshoot_m: how far the probe may run on into the skin after a force that stops it [m].
         step_m: longest single move towards the skin [m]: what a broken link can run on.
     """
 
@@ -64,11 +67,14 @@ class Limits:
     force_rate_n_s: float = 400.0
     rate_window_s: float = 0.02
     age_s: float = 0.1
+    force_latency_s: float = 0.01
     overshoot_m: float = 0.1e-3
     step_m: float = 0.2e-3
 
     def __post_init__(self) -> None:
-        for name in ("force_n", "force_rate_n_s", "rate_window_s", "age_s", "overshoot_m", "step_m"):
+        for name in (
+            "force_n", "force_rate_n_s", "rate_window_s", "age_s", "force_latency_s", "overshoot_m", "step_m",
+        ):  # fmt: skip
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise RangeError(f"the rig's limit {name} is {value}; it must be positive")
@@ -106,9 +112,16 @@ class Limits:
                     f"{high * 1e3:g} mm",
                 )
 
+    def runs_on_m(self, speed_m_s: float, travel: Travel) -> float:
+        """How far the probe runs on after a force that stops it, v^2 / 2a + v (latencies of both) [m].
+
+        That of the stage counts, from asking for a stop to slowing down, and that of the force on its way.
+        """
+        return travel.overshoot_m(speed_m_s, self.force_latency_s)
+
     def fastest_m_s(self, travel: Travel) -> float:
-        """The greatest speed towards the skin whose overshoot, v^2 / 2a + v latency, is allowed [m/s]."""
-        a, tau = travel.acceleration_m_s2, travel.latency_s
+        """The greatest speed towards the skin whose `runs_on_m` is allowed [m/s]."""
+        a, tau = travel.acceleration_m_s2, travel.latency_s + self.force_latency_s
         return min(travel.top_speed_m_s, a * (math.sqrt(tau**2 + 2 * self.overshoot_m / a) - tau))
 
     def check_speed(self, speed_m_s: float, travel: Travel) -> None:
@@ -119,11 +132,12 @@ class Limits:
         """
         if not (math.isfinite(speed_m_s) and speed_m_s > 0):
             raise Tripped(Reason.TOO_FAST, f"a speed of {speed_m_s} m/s; give a positive number")
-        runs_on = travel.overshoot_m(speed_m_s)
+        runs_on = self.runs_on_m(speed_m_s, travel)
         if runs_on > self.overshoot_m:
             raise Tripped(
                 Reason.TOO_FAST,
-                f"at {speed_m_s * 1e3:g} mm/s the probe runs on {runs_on * 1e3:.3f} mm after a stop; "
-                f"{self.overshoot_m * 1e3:g} mm are allowed, which is at most "
-                f"{self.fastest_m_s(travel) * 1e3:.2f} mm/s",
+                f"at {speed_m_s * 1e3:g} mm/s the probe runs on {runs_on * 1e3:.3f} mm after a force that "
+                f"stops it (the force comes {self.force_latency_s * 1e3:g} ms late, the stage obeys "
+                f"{travel.latency_s * 1e3:g} ms later); {self.overshoot_m * 1e3:g} mm are allowed, which is "
+                f"at most {self.fastest_m_s(travel) * 1e3:.2f} mm/s",
             )

@@ -10,6 +10,7 @@ import numpy as np
 
 from palpate.core import NS_PER_S, DeviceError, Frame, FrameSource, Wrench
 from palpate.devices import ForceBias, MotionGuard, Reason, Tripped
+from palpate.devices.device_proxies import driver_errors
 from palpate.devices.force_bias import Force
 from palpate.recordings.label_tables import Label
 from palpate.recordings.manifest import LabelKind
@@ -186,7 +187,8 @@ class Acquisition:
 
     def _grabbed(self) -> tuple[int, Frame]:
         try:
-            return self._rig.camera.grab(GRAB_S)
+            with driver_errors("its driver raised"):
+                return self._rig.camera.grab(GRAB_S)
         except DeviceError as e:
             raise Tripped(Reason.CAMERA, f"the camera failed: {e}") from e
 
@@ -203,7 +205,8 @@ class Acquisition:
 def drained(camera: FrameSource) -> list[tuple[int, Frame]]:
     """Frames that a camera took meanwhile."""
     try:
-        return camera.drain()
+        with driver_errors("its driver raised"):
+            return camera.drain()
     except DeviceError as e:
         raise Tripped(Reason.CAMERA, f"the camera failed: {e}") from e
 

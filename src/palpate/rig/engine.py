@@ -55,8 +55,9 @@ from palpate.rig.run_progress import (
     note_of,
 )
 
-UNMOVED = (Reason.STAGE, Reason.STAGE_LATE, Reason.SOFT_LIMIT)
-"""After these nothing is lifted: the stage is not to be trusted."""
+LIFTS, LIFT_PAUSE_S = 3, 0.5
+"""Tries to lift the probe after a failure, and the time between them [s]: a stage that was late to answer, or
+was still on its way, may do it at the second."""
 
 TOLD_EVERY_S = 0.1  # of the machine's time
 
@@ -128,7 +129,8 @@ class Engine:
         except PalpateError as e:
             return self._failed(Reason.PLAN, str(e))
         except BaseException:
-            self._guard.halt()
+            with suppress(Exception):
+                self._guard.halt()
             self._lift_if_possible()
             raise
         return self._ended(State.DONE, "all shots are recorded")
@@ -217,18 +219,45 @@ class Engine:
 
     def _failed(self, reason: Reason, message: str) -> Outcome:
         if reason is Reason.STORAGE:
-            self._recorder.mute()
-        if reason not in UNMOVED:
-            self._lift_if_possible()
+            self._recorder.muted = True
+        if stays := self._lift_if_possible():
+            message = f"{message}; the probe was not lifted: {stays}"
         return self._ended(State.FAILED, message, reason)
 
-    def _lift_if_possible(self) -> None:
-        with _quietly():
+    def _lift_if_possible(self) -> str:
+        """Lift, whatever the reason to end: only a stage whose place is lost, or that is gone, stays.
+
+        Returns:
+            Why it was not lifted; empty where it was.
+        """
+        watch, muted = self._watch, self._recorder.muted
+        try:
+            for _ in range(LIFTS - 1):
+                stays, again = self._lift_once()
+                if not again:
+                    return stays
+                self._recorder.muted, self._watch = True, nobody  # neither may hold it up
+                self._rig.clock.sleep(LIFT_PAUSE_S)
+            return self._lift_once()[0]
+        finally:
+            self._recorder.muted, self._watch = muted, watch
+
+    def _lift_once(self) -> tuple[str, bool]:
+        """Why it was not lifted, empty where it was; and whether to try again is of use."""
+        try:
             self._motion.lift()
+        except OperatorInterrupt:
+            return "emergency stop", False
+        except Tripped as e:  # after a force to press on once more would be worse
+            return str(e), e.reason in (Reason.STAGE, Reason.STAGE_LATE)
+        except Exception as e:  # of who records or watches
+            return str(e), True
+        return "", False
 
     def _ended(self, state: State, message: str, reason: Reason | None = None) -> Outcome:
-        if state in (State.STOPPED, State.ABORTED, State.DONE):
-            self._lift_if_possible()
+        lifts = state in (State.STOPPED, State.ABORTED, State.DONE)
+        if lifts and (stays := self._lift_if_possible()):
+            message = f"{message}; the probe was not lifted: {stays}"
         with _quietly():
             self._turn(state, message)
         return Outcome(state, self._shots, sum(self._planned), reason, message, self._clocks)

@@ -33,7 +33,12 @@ SIGMAS = 5.0  # of the noise that the contact threshold lies above
 
 
 def check_rig(
-    rig: Rig, *, clear_m: float = CLEAR_M, threshold_n: float = 0.05, close: bool = True
+    rig: Rig,
+    *,
+    clear_m: float = CLEAR_M,
+    threshold_n: float = 0.05,
+    time_scale: float = 1.0,
+    close: bool = True,
 ) -> list[CheckResult]:
     """Check a rig whose probe hangs in free air, a few millimetres above the skin.
 
@@ -44,6 +49,7 @@ def check_rig(
         rig: the devices, homed; the probe above the layer.
         clear_m: least distance to the expected surface [m].
         threshold_n: of contact, which the noise must stay well below [N].
+        time_scale: of the stage, for one that is simulated slower than real time. See `check_stage`.
         close: close the devices at the end, and check that.
 
     Example:
@@ -57,7 +63,7 @@ def check_rig(
     results += with_prefix("camera", check_camera(rig.camera, clock=rig.clock, close=False))
     results += with_prefix("rig", gather("fitting", _fits(rig)))
     sensed = all(one.ok for one in force)
-    results += with_prefix("stage", gather("the checks", _stage(rig, clear_m, sensed)))
+    results += with_prefix("stage", gather("the checks", _stage(rig, clear_m, sensed, time_scale)))
     if close:
         closings = {
             "stage": check_closing(rig.stage, lambda: rig.stage.move_to(rig.origin_m, 1e-4), "move_to"),
@@ -101,7 +107,7 @@ def _fits(rig: Rig) -> Part:
     )
 
 
-def _stage(rig: Rig, clear_m: float, sensed: bool) -> Part:
+def _stage(rig: Rig, clear_m: float, sensed: bool, time_scale: float) -> Part:
     if not sensed:
         yield verdict("was moved", False, "it was not: the force sensor, which guards its motion, has failed")
         return
@@ -118,7 +124,13 @@ def _stage(rig: Rig, clear_m: float, sensed: bool) -> Part:
     speed = min(SPEED_M_S, rig.limits.fastest_m_s(rig.stage.travel))
     watch = _Untouched(rig)
     yield from check_stage(
-        rig.stage, clock=rig.clock, region_m=_box(rig, highest_z), speed_m_s=speed, watch=watch, close=False
+        rig.stage,
+        clock=rig.clock,
+        region_m=_box(rig, highest_z),
+        speed_m_s=speed,
+        watch=watch,
+        time_scale=time_scale,
+        close=False,
     )
     yield at_most(
         "touched nothing",

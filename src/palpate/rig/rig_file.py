@@ -131,6 +131,7 @@ class LimitsPart(_Part):
     force_N: Positive = 20.0  # noqa: N815 - the unit is part of the name
     force_rate_N_s: Positive = 400.0  # noqa: N815
     age_s: Positive = 0.1
+    force_latency_s: Positive = 0.01
     overshoot_mm: Positive = 0.1
     step_mm: Positive = 0.2
 
@@ -142,6 +143,7 @@ class LimitsPart(_Part):
             force_n=self.force_N,
             force_rate_n_s=self.force_rate_N_s,
             age_s=self.age_s,
+            force_latency_s=self.force_latency_s,
             overshoot_m=self.overshoot_mm * MM,
             step_m=self.step_mm * MM,
         )

@@ -19,30 +19,30 @@ from palpate.rig.plans.recording_plan import Done, RecordingPlan
 
 
 class Recorder:
-    """Writes what the rig sees; what the disk refuses is raised where the next thing is recorded."""
+    """Writes what the rig sees; what the disk refuses is raised where the next thing is recorded.
+
+    Attributes:
+        muted: record events alone: the disk has refused, or a write must not hold up the lifting of the probe.
+    """
 
     def __init__(self, writer: RunWriter, bias: ForceBias, begun_ns: int) -> None:
         """Args: of what was before `begun_ns` nothing is recorded."""
         self._begun_ns = begun_ns
         self._writer = writer
         self._bias = bias
-        self._muted = False
-
-    def mute(self) -> None:
-        """Record events alone from now on: the disk has refused, and the probe is still to be lifted."""
-        self._muted = True
+        self.muted = False
 
     def force(self, samples: Sequence[Wrench]) -> None:
         """Record every good sample; faulty ones hold no numbers."""
         for one in samples:
-            if not one.fault and not self._muted and one.time_ns >= self._begun_ns:
+            if not one.fault and not self.muted and one.time_ns >= self._begun_ns:
                 force, torque = self._bias.force(one), self._bias.torque(one)
                 self._writer.force((*force, *torque), time_ns=one.time_ns)
                 self._writer.force((*one.force_n, *one.torque_nm), time_ns=one.time_ns, raw=True)
 
     def stage(self, position_m: Position, time_ns: int) -> None:
         """Record where the stage is."""
-        if not self._muted:
+        if not self.muted:
             self._writer.stage(position_m, time_ns=time_ns)
 
     def frame(self, frame: Frame, time_ns: int, labels: Mapping[str, Label]) -> bool:

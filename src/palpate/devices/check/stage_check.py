@@ -36,6 +36,7 @@ def check_stage(
     speed_m_s: float = 2e-3,
     within_m: float = WITHIN_M,
     watch: Callable[[], None] = lambda: None,
+    time_scale: float = 1.0,
     close: bool = True,
 ) -> list[CheckResult]:
     """Check a driver of a stage, by moving it a little.
@@ -52,10 +53,13 @@ def check_stage(
         speed_m_s: of the moves.
         within_m: how exactly it must stand where it was sent [m].
         watch: called at every look while it moves; raises what ends the check, such as too much force.
+        time_scale: seconds of the clock that a second of the stage takes: 2 for simulated firmware at half
+            real time, which is then judged for what it does. 1 for whatever is real.
         close: close it at the end, and check that.
 
     Raises:
-        RangeError: the box leaves the travel or is too small for the speed, or no such speed; nothing moved.
+        RangeError: the box leaves the travel or is too small for the speed, or no such speed or scale;
+            nothing moved.
 
     Example:
         >>> from palpate.rig.virtual import virtual_rig
@@ -67,7 +71,7 @@ def check_stage(
     findings = [*gather("the protocol", stage_interface(stage))]
     if not (isinstance(stage, Stage) and all(one.ok for one in findings)):
         return findings
-    walker = Walker(stage, clock, region_m, speed_m_s, within_m, watch)
+    walker = Walker(stage, clock, region_m, speed_m_s, within_m, watch, time_scale)
     findings += _all_moves(walker)
     if close:
         findings += gather(
@@ -142,7 +146,7 @@ def _moving(walker: Walker) -> Part:
     yield at_most(
         "returns at once from move_to",
         max(trace.call_s for trace in traces),
-        min(AT_ONCE_S, shortest / 2),
+        min(AT_ONCE_S * walker.time_scale, shortest / 2),
         "s",
         "move_to must begin the motion and return; moving() tells when it is over",
     )
@@ -166,7 +170,8 @@ def _moving(walker: Walker) -> Part:
         "goes straight", max(trace.aside_m for trace in traces), walker.within_m, "m",
         "it leaves the straight line between start and target",
     )  # fmt: skip
-    fastest = max(math.dist(trace.start_m, trace.target_m) / max(trace.took_s, 1e-9) for trace in traces)
+    scale = walker.time_scale
+    fastest = max(scale * math.dist(t.start_m, t.target_m) / max(t.took_s, 1e-9) for t in traces)
     yield at_most(
         "is no faster than asked", fastest, FASTER * walker.speed_m_s, "m/s",
         "its overshoot after a stop is calculated from the speed that was asked for",
@@ -206,7 +211,7 @@ def _after_stop(
         f"runs on by its stated overshoot at most, along {axis}",
         math.dist(at, places[-1]),
         # Looking takes time too, during which it goes on.
-        travel.overshoot_m(speed) + speed * looked_s + walker.within_m,
+        travel.overshoot_m(speed) + speed * looked_s / walker.time_scale + walker.within_m,
         "m",
         "v^2 / 2a + v latency is what guarded motion relies on: state a longer latency_s or a lower "
         "acceleration_m_s2 in travel, or stop sooner",
@@ -214,7 +219,7 @@ def _after_stop(
     yield at_most(
         f"stop returns in time, along {axis}",
         took_s,
-        speed / travel.acceleration_m_s2 + travel.latency_s + looked_s + PATIENCE_S,
+        walker.time_scale * (speed / travel.acceleration_m_s2 + travel.latency_s + PATIENCE_S) + looked_s,
         "s",
         "stop() takes too long to return; an operator's emergency stop waits for it",
     )

@@ -90,9 +90,10 @@ class Walker:
         speed_m_s: of the moves.
         within_m: how exactly it must stand where it says.
         watch: called at every look; raises where the motion has to end.
+        time_scale: seconds of the clock that a second of the stage takes, 1 but for a simulation.
 
     Raises:
-        RangeError: the box leaves the travel, or is too small for the speed.
+        RangeError: the box leaves the travel, or is too small for the speed; or no such scale.
     """
 
     def __init__(
@@ -103,7 +104,11 @@ class Walker:
         speed_m_s: float,
         within_m: float,
         watch: Callable[[], None],
+        time_scale: float = 1.0,
     ) -> None:
+        if not (math.isfinite(time_scale) and time_scale > 0):
+            raise RangeError(f"a time scale of {time_scale}; give a positive number, 2 for half real time")
+        self.time_scale = time_scale
         self.stage, self.clock, self.speed_m_s, self.within_m = stage, clock, speed_m_s, within_m
         self._box, self._watch = box, watch
         travel = self.travel = stage.travel
@@ -228,7 +233,7 @@ class Walker:
 
     def _due_s(self, length_m: float) -> float:
         slowing_s = self.speed_m_s / self.travel.acceleration_m_s2
-        return LATE_S + LATE_FACTOR * (length_m / self.speed_m_s + slowing_s)
+        return self.time_scale * (LATE_S + LATE_FACTOR * (length_m / self.speed_m_s + slowing_s))
 
     def _corner(self, axis: int, end: int) -> Position:
         place = list(self.centre)

@@ -21,15 +21,20 @@ class GrblParameters:
     """Parameters of the machine that is faked.
 
     Attributes:
-        firmware: "1.1h" or "grblHAL".
+        firmware: "1.1h" or "grblHAL"; what differs between them stands at `grbl_controller.GrblController`.
         settings: that differ from `SETTINGS`.
         start_mm: where it stands when switched on, in the counts of a homed machine [mm].
         boot_s: from switching on to its banner; it hears nothing before [s].
         homed: as if homed before; else it is locked where $22 asks for homing.
         homing_s: how long homing takes [s].
         switches: whether homing finds them.
-        hold_cancels_jog: a hold ends a jog at Idle, and not at Hold:0.
-        latency_s: from a byte to its effect, for hold and jog cancel [s].
+        hold_cancels_jog: on 1.1h a hold ends a jog at Idle, as was seen, and not at Hold:0, as older
+            relatives of it do. On grblHAL a hold does not end a jog at all.
+        cancel_after_hold: on grblHAL a jog cancel still ends a jog that a hold has met. Not observed either
+            way; without it is the worse case, and so the default.
+        latency_s: from a byte to its effect, for hold, door and jog cancel [s].
+        print_s: how long it prints a report, in which the next `?` is lost [s]; 70 bytes at 115200 baud are
+            6 ms. Zero where the clock is in the test's hand: there all is said at one instant.
         offset_mm: of work coordinates [mm].
     """
 
@@ -41,7 +46,9 @@ class GrblParameters:
     homing_s: float = 0.5
     switches: bool = True
     hold_cancels_jog: bool = True
+    cancel_after_hold: bool = False
     latency_s: float = 0.0
+    print_s: float = 0.0
     offset_mm: Millimetres = NOWHERE
 
 
@@ -60,6 +67,10 @@ class GrblFaults:
         restart_after_mm, stuck_after_mm, jump_after_mm: so far into its moves it restarts, stands still while
             it says that it runs, or finds its count off by `jump_mm` [mm].
         noise: bytes before every line.
+        silent: it answers lines, and no `?`.
+        lose_every, garble_every, late_every: of so many questions one is lost, of so many reports one has a
+            damaged byte, or comes `late_s` late [s]; 0 for none.
+        deaf_to_cancel: it drops 0x85; the control of tests that say what 0x85 is needed for.
     """
 
     no_banner: bool = False
@@ -74,3 +85,9 @@ class GrblFaults:
     jump_after_mm: float = math.inf
     jump_mm: Millimetres = NOWHERE
     noise: bytes = b""
+    silent: bool = False
+    lose_every: int = 0
+    garble_every: int = 0
+    late_every: int = 0
+    late_s: float = 2.0
+    deaf_to_cancel: bool = False

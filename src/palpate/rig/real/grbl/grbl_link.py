@@ -1,21 +1,30 @@
-"""The conversation with a GRBL controller: one line and one question in flight, one thread that reads.
+"""The conversation with a GRBL controller: one line in flight, one thread that reads and one that asks.
 
 An answer carries no name, so what was heard before a line was sent never counts as its answer, and after a
-line went unanswered nothing counts until a reset and its banner. Waiting here is in real time: it bounds
-what the wire may take. Nothing here knows of positions.
+line went unanswered nothing counts until a reset and its banner. Status is asked for on a period, and sooner
+where somebody waits for it: a question or a report that is lost on its way costs one period, since the next
+report is as good. Waiting here is in real time: it bounds what the wire may take. Nothing here knows of
+positions.
+
+Reference: that Grbl 1.1h loses a question that comes while it prints, and that an answer can be late by
+seconds on a busy host, was observed.
 """
 
 from __future__ import annotations
 
 import importlib
+import math
 import os
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from palpate.core import DeviceError, MissingExtraError, ProtocolError
+from palpate.core import NS_PER_S, Clock, DeviceError, MissingExtraError, ProtocolError
 from palpate.rig.real.grbl.grbl_parser import (
     Alarm,
     Banner,
@@ -105,7 +114,7 @@ def _serial() -> Any:
         ) from error
 
 
-HOLD, RESET, ASK = b"!", b"\x18", b"?"
+HOLD, CANCEL, RESET, ASK = b"!", b"\x85", b"\x18", b"?"
 MAX_SENT = 80  # bytes; the controller refuses longer lines
 KEPT = 512  # push messages between a line and its answer; the longest list of settings has below 300
 MAX_READ_BYTES = 4096
@@ -127,34 +136,61 @@ class SilenceError(DeviceError):
     """No answer in time."""
 
 
+@dataclass(frozen=True, slots=True)
+class HeardStatus:
+    """A status report with its number among all of the link's, and when it came on the stage's clock [ns]."""
+
+    status: GrblStatus
+    number: int
+    time_ns: int
+
+
 class GrblLink:
     """Sends lines and single bytes, and tells what was heard.
 
     Args:
         port: an open serial port; this object closes it.
-        reply_s: how long an answer may take [s].
+        reply_s: how long an answer to a line may take [s].
+        status_s: period of the questions for the status, and how long one may go unanswered before the next
+            [s].
+        clock: stamps the reports.
     """
 
-    def __init__(self, port: SerialPort, reply_s: float) -> None:
-        self._port, self._reply_s = port, reply_s
+    def __init__(self, port: SerialPort, reply_s: float, status_s: float, clock: Clock) -> None:
+        self._port, self._reply_s, self._status_s, self._clock = port, reply_s, status_s, clock
         self._writing = threading.RLock()  # held for the bytes of one line, never while waiting
-        self._turn, self._asking = threading.RLock(), threading.RLock()
+        self._turn = threading.RLock()
         self._news = threading.Condition()
         self.dead = ""  # why nothing can be sent any more; empty while it can
         self._closing = False
         self._replies: deque[Ok | Failed] = deque(maxlen=KEPT)
         self._pushed: deque[Line] = deque(maxlen=KEPT)
-        self._status: GrblStatus | None = None
-        self._heard = 0  # status reports
+        self._newest: HeardStatus | None = None
+        self.heard = 0  # status reports
+        self.asked = 0  # questions for one
+        self._asked_s = 0.0  # when the last question went out, in real time
+        self._open = False  # the last question is not answered yet
+        self._due = 0  # reports that may still come; all others that did not were lost
+        self._asked_since = 0  # questions since the last report
+        self._heard_s = 0.0  # when that came, in real time
+        self._settled = (0, 0)  # when so many are heard, only questions after so many asked are still due
+        self._unheard_s: float | None = None  # when the first question since the last report went out
+        self._wanting = 0  # callers that wait for a report
+        self._asking = False  # from the first that did
         self.halts = 0  # calls of `halt`; a line asked for before the last one is not sent any more
+        self.halted_ns = 0  # when the last one was
         self.banners = 0
         self.firmware = ""  # as the last banner named it
         self.garbage = 0  # lines that are not GRBL's
         self.alarm: int | None = None  # the last one, until it is dealt with; a reset does not undo it
         self.restless = False  # a line that can move something went out since it was seen to stand
         self.out_of_step = False  # an answer may still come for a line given up
-        self._reader = threading.Thread(target=self._read, name="grbl reader", daemon=True)
-        self._reader.start()
+        self._threads = [
+            threading.Thread(target=work, name=f"grbl {name}", daemon=True)
+            for name, work in (("reader", self._read), ("asker", self._keep_asking))
+        ]
+        for thread in self._threads:
+            thread.start()
 
     def command(
         self, line: str, *, timeout_s: float | None = None, halts: int | None = None, moves: bool = False
@@ -205,33 +241,115 @@ class GrblLink:
                 raise CutOffError(f"{line!r} was not answered: the stage was stopped or its controller reset")
             raise SilenceError(f"the stage's controller did not answer {line!r} in time")
 
-    def ask(self, timeout_s: float | None = None) -> GrblStatus | None:
-        """The answer to a `?` asked now; None where none comes in time."""
-        with self._asking:
-            with self._news:
-                heard = self._heard
-            self._write(ASK)
-            self._wait(lambda: self._heard != heard, timeout_s)
-            with self._news:
-                return self._status if self._heard != heard else None
+    def report(self, timeout_s: float) -> HeardStatus | None:
+        """Wait for a report that was asked for after this call.
 
-    def halt(self) -> bool:
-        """Hold what a line may have set moving, and recall lines not sent yet; waits for no answer.
+        Reports that come meanwhile can be late answers to the questions before; those do not count.
 
         Returns:
-            Whether a hold was sent: not where nothing that moves was sent since it stood.
+            None where none comes in time.
+        """
+        return self._newest if self._wait_wanting(self.next_number, timeout_s) else None
+
+    def newest(self, max_age_s: float, wait_s: float) -> HeardStatus | None:
+        """The newest report; where it is older than `max_age_s`, a newer one is waited for, not for long.
+
+        Returns:
+            None where there was none at all yet.
+        """
+        with self._news:
+            newest = self._newest
+            needed = self.heard + 1
+        young = newest and self._clock.now_ns() - newest.time_ns <= max_age_s * NS_PER_S
+        if not young:
+            self._wait_wanting(needed, wait_s)
+        if self.dead:
+            raise DeviceError(self.dead)
+        return self._newest
+
+    @property
+    def latest(self) -> HeardStatus | None:
+        """The newest report, however old; None where there was none."""
+        return self._newest
+
+    def age_s(self, heard: HeardStatus) -> float:
+        """Age of the newest report in real time [s]; without end for any other."""
+        with self._news:
+            return time.monotonic() - self._heard_s if heard.number == self.heard else math.inf
+
+    @property
+    def silent_s(self) -> float:
+        """For how long questions have gone unanswered [s]; 0 where none is due."""
+        with self._news:
+            return 0.0 if self._unheard_s is None else time.monotonic() - self._unheard_s
+
+    @property
+    def unanswered(self) -> int:
+        """Questions for the status that no report came for, but for the last one."""
+        with self._news:
+            return max(self.asked - self.heard - self._open, 0)
+
+    @property
+    def next_number(self) -> int:
+        """Number of the first report that is sure to have been asked for after now."""
+        with self._news:
+            self._settled = self.heard + self._due, self.asked
+            return self.heard + self._due + 1
+
+    def _wait_wanting(self, number: int, timeout_s: float) -> bool:
+        with self._news:
+            self._wanting += 1
+            self._asking = True
+            self._news.notify_all()
+        try:
+            return self._wait(lambda: self.heard >= number, timeout_s)
+        finally:
+            with self._news:
+                self._wanting -= 1
+
+    def _keep_asking(self) -> None:
+        """Ask on the period; at once where somebody waits and the last question was answered."""
+        while not (self._closing or self.dead):
+            with self._news:
+                if (wait_s := self._due_in_s()) > 0:
+                    self._news.wait(wait_s)
+                    continue
+                now_s = time.monotonic()
+                if now_s - self._heard_s >= self._status_s:
+                    # What was asked before the last report would have followed it at once.
+                    self._due = min(self._due, self._asked_since)
+                self.asked, self._asked_s, self._open = self.asked + 1, now_s, True
+                self._due, self._asked_since = self._due + 1, self._asked_since + 1
+                if self._unheard_s is None:
+                    self._unheard_s = now_s
+            with suppress(DeviceError):  # the link is buried then, which whoever waits is told
+                self._write(ASK)
+
+    def _due_in_s(self) -> float:
+        if not self._asking:
+            return self._status_s
+        if self._wanting and not self._open:
+            return 0.0
+        return self._asked_s + self._status_s - time.monotonic()
+
+    def halt(self) -> bool:
+        """Cancel the jog that a line may have begun, and recall lines not sent yet; waits for no answer.
+
+        Returns:
+            Whether anything was sent: not where nothing that moves was sent since it stood.
         """
         with self._writing:
             self.halts += 1
+            self.halted_ns = self._clock.now_ns()
             with self._news:
                 self._news.notify_all()
             if self.restless:
-                self._write(HOLD)
+                self._write(CANCEL)
             return self.restless
 
-    def hold(self) -> None:
-        """Send a hold."""
-        self._write(HOLD)
+    def slow_down(self, byte: bytes) -> None:
+        """Send `HOLD` or `CANCEL`."""
+        self._write(byte)
 
     def reset(self) -> bool:
         """Reset the controller, and wait for its banner; answers still due are forgotten.
@@ -256,11 +374,12 @@ class GrblLink:
         return self._wait(lambda: self.banners > 0, timeout_s)
 
     def close(self) -> None:
-        """End the reading thread and let go of the port. Closing again does nothing."""
+        """End the threads and let go of the port. Closing again does nothing."""
         self._closing = True
         self._bury("the stage's port was closed")
-        if self._reader is not threading.current_thread():
-            self._reader.join(timeout=5.0)
+        for thread in self._threads:
+            if thread is not threading.current_thread():
+                thread.join(timeout=5.0)
         self._port.close()
 
     def _wait(self, until: Callable[[], object], timeout_s: float | None) -> bool:
@@ -305,12 +424,21 @@ class GrblLink:
     def _take(self, raw: bytes) -> None:
         try:
             line = parse_line(raw)
-        except ProtocolError:  # noise on a wire; an answer lost in it shows as silence
-            self.garbage += 1
+        except ProtocolError:  # noise on a wire; a report lost in it is asked for again at once
+            with self._news:
+                self.garbage += 1
+                self._open = False
+                self._due = max(self._due - raw.startswith(b"<"), 0)
+                self._news.notify_all()
             return
         with self._news:
             if isinstance(line, GrblStatus):
-                self._status, self._heard = line, self._heard + 1
+                self.heard, self._open, self._unheard_s = self.heard + 1, False, None
+                self._due, self._asked_since = max(self._due - 1, 0), 0
+                self._heard_s = time.monotonic()
+                if self.heard >= self._settled[0]:
+                    self._due = min(self._due, self.asked - self._settled[1])
+                self._newest = HeardStatus(line, self.heard, self._clock.now_ns())
             elif isinstance(line, Ok | Failed):
                 self._replies.append(line)
             else:

@@ -9,25 +9,34 @@ from __future__ import annotations
 import math
 
 from palpate.core import NS_PER_S, Clock, DeviceError
-from palpate.rig.real.grbl.grbl_link import GrblLink, SerialPort
-from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, alarm_name
-from palpate.rig.real.grbl.grbl_supervisor import (
-    GrblMachine,
-    GrblSpec,
-    Millimetres,
-    Mount,
-    MoveSupervisor,
-    check_limits,
-    read_machine,
-    shown,
+from palpate.rig.real.grbl.grbl_link import (
+    CANCEL,
+    HOLD,
+    CutOffError,
+    GrblLink,
+    HeardStatus,
+    RefusedError,
+    SerialPort,
+    SilenceError,
 )
+from palpate.rig.real.grbl.grbl_move import Millimetres, MoveSupervisor, shown
+from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, alarm_name
+from palpate.rig.real.grbl.grbl_supervisor import GrblMachine, GrblSpec, Mount, check_limits, read_machine
 
 _STANDS = {GrblState.IDLE, GrblState.ALARM, GrblState.SLEEP, GrblState.CHECK}
+_SPENT = {GrblState.SLEEP, GrblState.CHECK}  # standing, and brought back by a reset alone
 _HOW = "call home(), or reference() on your own word"
 _SLOWING_S = 10.0  # from any speed, until the settings are known
-_HOLD_AGAIN_S = 0.25  # a second hold too soon would meet a jog that just ended, and leave it held
-_HOLDS_MET = 8  # stops from as many threads at once
+_AGAIN_S = 0.1  # until a byte that asks for a stop is followed by the next, where it goes on
+_SYNC_S = 0.5  # for the answer to an empty line of a controller that stands
+_NEAR_PERIODS = 2.0  # before its predicted end from which a move is looked at as often as can be
+_YOUNG_S = 0.003  # age of a report that two looks in a row share
+_RESETS = 8  # stops from as many threads at once
 _OFFSET_WITHIN = 40  # status reports; the work offset comes in one of 10 to 30
+
+
+class PositionLostError(DeviceError):
+    """The stage stands, and where is not known any more."""
 
 
 class GrblSession:
@@ -50,7 +59,9 @@ class GrblSession:
         self._stood_mm: Millimetres | None = None
         self._boots = 0  # banners accounted for
         self._slowing_s = _SLOWING_S
-        self.link = GrblLink(port, spec.reply_s)
+        self._just_seen: HeardStatus | None = None
+        self._left_mm = 0.0  # of a move, at least, when the last stop was asked for
+        self.link = GrblLink(port, spec.reply_s, spec.status_s, clock)
         try:
             self.machine = self._greet()
             check_limits(spec, self.machine)
@@ -60,27 +71,62 @@ class GrblSession:
             raise
 
     def look(self) -> tuple[GrblStatus, Millimetres]:
-        """The controller's state, and its place in machine coordinates [mm]."""
+        """The controller's state, and its place in machine coordinates [mm], asked for now."""
         self.check_alarm()
         status, place_mm = self._where()
         self._check_restart()
-        if status.state is GrblState.ALARM:
-            self.check_alarm()
-            self.lose("it is locked by an alarm")
-            raise DeviceError(f"the stage is locked by an alarm or awaits homing; {_HOW} after unlock()")
-        if status.state is GrblState.UNKNOWN:
-            raise DeviceError(
-                "the stage is in a state that this driver does not know, and so not safe to move"
-            )
+        self._check_state(status)
         return status, place_mm
 
-    def standing(self) -> tuple[GrblStatus, Millimetres]:
-        """Look at a stage that must stand where it was left."""
-        status, place_mm = self.look()
+    def glance(self, move: MoveSupervisor) -> GrblStatus | None:
+        """The newest report of a move, noted in it; waits for none but near the move's predicted end.
+
+        Returns:
+            None where none has come yet that counts.
+
+        Raises:
+            DeviceError: the stage is gone, locked, or off its way.
+        """
+        self.check_alarm()
+        near = move.near_end(self.clock.now_ns(), _NEAR_PERIODS * self.spec.status_s)
+        heard = self.link.newest(_YOUNG_S if near else self.spec.status_s, self.spec.poll_s)
+        self.check_alarm()
+        self._check_restart()
+        if self.link.silent_s > self.spec.silence_s:
+            raise self._silent()
+        if heard is None or heard.number < move.first:
+            return None
+        place_mm = self._place(heard.status)
+        self._check_state(heard.status)
+        if place_mm is None:
+            return None
+        move.note(place_mm, heard.time_ns)
+        self.check_place(place_mm)
+        return heard.status
+
+    def standing(self, *, fresh: bool = True) -> tuple[GrblStatus, Millimetres]:
+        """Look at a stage that must stand where it was left.
+
+        Args:
+            fresh: ask now; else what `place_standing` has just seen will do.
+        """
+        if fresh or self._just_seen is None or self.link.age_s(self._just_seen) > self.spec.poll_s:
+            status, place_mm = self.look()
+        else:
+            self.check_alarm()
+            self._check_restart()
+            status, place_mm = self._just_seen.status, self._place(self._just_seen.status) or self.look()[1]
         if status.state is not GrblState.IDLE:
             raise DeviceError(f"the stage is in {status.state}, not idle; stop() it first")
         self.check_place(place_mm)
         return status, place_mm
+
+    def place_standing(self) -> Millimetres:
+        """Place of a stage with no move in flight, asked for now, and kept for a move that begins at once."""
+        _, place_mm = self.look()
+        self.check_place(place_mm)
+        self._just_seen = self.link.latest
+        return place_mm
 
     def check_place(self, place_mm: Millimetres) -> None:
         """Compare a place with the way of the move, or with where it stood."""
@@ -145,64 +191,112 @@ class GrblSession:
             self.move = None
             raise DeviceError(f"the stage stopped with {why}; see to the cause, then home(), or unlock()")
 
-    def bring_to_stand(self) -> None:
-        """Hold, see it stand, and clear the move.
+    def bring_to_stand(self, *, cancelled: bool = False) -> None:
+        """Slow down, see it stand, clear the move, and see that it ended short of its target.
 
-        A hold slows down within the acceleration and keeps the count of steps; a reset only then, at
-        Hold:0, forgets the rest of the move and keeps the count too. A jog that the hold itself cancels
-        ends Idle and needs no reset. A reset in motion, which loses the count, is left for a controller
+        Args:
+            cancelled: a jog cancel has gone out just now.
+
+        A jog is cancelled, any other motion held; both slow down within the acceleration and keep the count
+        of steps. A reset at a stand keeps it too, and clears what is held, asleep or only checking. A reset
+        in motion, which loses the count and says so by an alarm, is left for homing, and for a controller
         that says nothing or does not come to a stand in time.
         """
-        lost_before, holding = self.lost, self.link.restless
-        # Homing ignores a hold, and answers nothing until it ends.
-        stood, stood_mm = (None, None) if self.homing else self._await_stand(holding)
+        lost_before, move, sent = self.lost, self.move, self.link.restless
+        # Homing ignores all but a reset, and answers nothing until it ends.
+        stood = None if self.homing else self._await_stand(cancelled)
         self.note_restart()
-        if stood is None:
-            self.lose("it had to be reset while it may have been moving")
-        if stood is None or stood.state not in _STANDS:
+        if self.homing:
+            self.lose("homing was stopped")
+        state = stood[0].state if stood else None
+        if state is GrblState.SLEEP:
+            self.lose("it was asleep, with its motors off")
+        if state not in (GrblState.IDLE, GrblState.ALARM) or (sent and not self._takes_lines(state)):
             self.reset()
-        status, place_mm = self._where()
-        for _ in range(_HOLDS_MET):  # the hold of another thread's stop can come after the reset
-            if not _held_still(status):
-                break
-            self.reset()
-            status, place_mm = self._where()
+        status, place_mm = self._cleared()
+        stood_mm = stood[1] if stood else None
         if stood_mm and not self.lost and math.dist(place_mm, stood_mm) > self.machine.tolerance_mm:
             self.lose("its place changed when it was reset")
-        if status.state is GrblState.ALARM:
+        if status.state is GrblState.ALARM and state is not GrblState.SLEEP:
             alarm = self.link.alarm
             self.lose("it is locked by an alarm" if alarm is None else f"it stopped with {alarm_name(alarm)}")
-        elif status.state is not GrblState.IDLE:
-            raise DeviceError(
-                f"the stage could not be brought to a stand, it is in {status.state}: cut its power"
-            )
+        elif status.state not in (GrblState.IDLE, GrblState.ALARM):
+            raise _not_cleared(status)
         if not self.lost:
             self.check_place(place_mm)
         self.settle(place_mm)
         if self.lost and (stood is None or not lost_before):
-            raise DeviceError(f"the stage stands, but its position was lost: {self.lost}; {_HOW}")
+            raise PositionLostError(f"the stage stands, but its position was lost: {self.lost}; {_HOW}")
+        if move and not self.lost:
+            self._check_short(move, place_mm)
 
-    def _await_stand(self, holding: bool) -> tuple[GrblStatus | None, Millimetres | None]:
-        """The first report of a stand that can be trusted, and the place; None where none comes in time."""
-        began_ns, previous = self.clock.now_ns(), None
-        held_ns = began_ns if holding else began_ns - round(_HOLD_AGAIN_S * NS_PER_S)
-        while self.clock.now_ns() - began_ns < (self.spec.stop_s + self._slowing_s) * NS_PER_S:
-            status = self.link.ask()
-            if status is None:
+    def _check_short(self, move: MoveSupervisor, place_mm: Millimetres) -> None:
+        """Refuse to call it stopped where it went on to its target from further away than it needs."""
+        allowed = move.runs_on_mm(self.spec.latency_s) + self.machine.tolerance_mm
+        if math.dist(place_mm, move.target_mm) <= self.machine.tolerance_mm and self._left_mm > allowed:
+            raise DeviceError(
+                f"the stage did not stop: it went on to its target, {self._left_mm:.3f} mm from where it was "
+                f"asked to; {allowed:.3f} mm are its bound. It stands there, at {shown(place_mm)} (machine "
+                "coordinates); do not rely on stop() before that is understood"
+            )
+
+    def _takes_lines(self, state: GrblState | None) -> bool:
+        """Whether it answers an empty line; after a cancel that met the end of its jog it can be deaf."""
+        if state is GrblState.ALARM or self.link.out_of_step:
+            return True  # it is not to be moved before a reset in any case
+        try:
+            self.link.command("", timeout_s=_SYNC_S)
+        except SilenceError:
+            return False
+        except (CutOffError, RefusedError):  # another stop has come, and looks for itself; or it does answer
+            return True
+        return True
+
+    def _await_stand(self, cancelled: bool) -> tuple[GrblStatus, Millimetres | None] | None:
+        """The first report of a stand that can be trusted, and the place; None where none comes in time.
+
+        Where it goes on, what is sent next depends on what it says it does: to a jog mostly jog cancels,
+        since a hold can keep one from being cancelled (grblHAL), to anything else mostly holds.
+        """
+        link, clock, move = self.link, self.clock, self.move
+        began_ns, previous, sent = clock.now_ns(), None, int(cancelled)
+        sent_ns = began_ns if cancelled else None
+        if move:
+            asked_ns = link.halted_ns if cancelled and link.halted_ns >= move.at_ns else began_ns
+            self._left_mm = move.least_left_mm(asked_ns)
+        slowing_s = move.slowing_s if move else self._slowing_s
+        patience_s = max(self.spec.silence_s - link.silent_s, _SYNC_S)
+        while heard := link.report(patience_s):
+            patience_s = self.spec.silence_s
+            status, place_mm, now_ns = heard.status, self._place(heard.status), clock.now_ns()
+            if move and place_mm and previous is None:
+                self._left_mm = max(self._left_mm, math.dist(place_mm, move.target_mm))
+            if _held_still(status) or status.state in _STANDS - {GrblState.IDLE}:
+                return status, place_mm
+            # Idle can be of the moment before a line was read; the same twice cannot.
+            if status.state is GrblState.IDLE and previous == (status.state, place_mm):
+                return status, place_mm
+            late_s = (now_ns - began_ns) / NS_PER_S - slowing_s - self.spec.latency_s
+            if status.state is GrblState.HOME or late_s > self.spec.stop_s:
+                return None
+            if _goes_on(status) and (sent_ns is None or now_ns - sent_ns >= _AGAIN_S * NS_PER_S):
+                link.slow_down(_next_byte(status, sent, late_s > 0))
+                sent, sent_ns = sent + 1, now_ns
+            previous = status.state, place_mm
+            clock.sleep(self.spec.poll_s)
+        return None
+
+    def _cleared(self) -> tuple[GrblStatus, Millimetres]:
+        """Its state and place once nothing is held, asleep or checking any more, if a reset can do that."""
+        status, place_mm = self._where()
+        for _ in range(_RESETS):  # the byte of another thread's stop can come after the reset
+            if not (_held_still(status) or status.state in _SPENT):
                 break
-            place_mm = self._place(status)
-            if _held_still(status):
-                return status, place_mm
-            # Idle can be of the moment before the hold was taken up; the same twice cannot.
-            if status.state in _STANDS and (previous == status or not holding):
-                return status, place_mm
-            going = status.state not in _STANDS and status.state is not GrblState.HOLD
-            if going and self.clock.now_ns() - held_ns >= _HOLD_AGAIN_S * NS_PER_S:
-                self.link.hold()  # the first may have been lost, or was never sent
-                holding, held_ns = True, self.clock.now_ns()
-            previous = status
-            self.clock.sleep(self.spec.poll_s)
-        return None, None
+            self.reset()
+            status, place_mm = self._where()
+            if status.state is GrblState.DOOR:  # its input is still open
+                break
+        return status, place_mm
 
     def reset(self) -> None:
         """Reset the controller: where it stands, this keeps the place and forgets answers still due."""
@@ -210,26 +304,27 @@ class GrblSession:
             self.lose("it did not come back from a reset")
             raise DeviceError(
                 "the stage's controller does not answer a reset; it may be moving: cut its power"
+                if self.link.restless
+                else "the stage's controller does not answer a reset; check its cable and its power"
             )
         self._boots, self._offset_mm = self.link.banners, None
 
     def _greet(self) -> GrblMachine:
         """Get into step with a controller that may be booting, moving, held, locked or not there."""
         self.link.listen(self.spec.boot_s)
-        status = self.link.ask()
-        if status is None:  # still booting, or locked by an alarm that only a reset ends
+        heard = self.link.report(self.spec.reply_s)
+        if heard is None:  # still booting, or locked by an alarm that only a reset ends
             self.link.reset()
-            status = self.link.ask()
-        if status is None:
+            heard = self.link.report(self.spec.reply_s)
+        if heard is None:
             raise DeviceError(
                 f"nothing at {self.spec.port} answers as GRBL does; check power, cable, baud, and whether "
                 "the board needs dtr=True"
             )
         self._boots = self.link.banners
-        if status.state not in _STANDS:
-            self.link.hold()
-            stood, _ = self._await_stand(holding=True)
-            if stood is None or stood.state not in _STANDS:
+        if heard.status.state not in (GrblState.IDLE, GrblState.ALARM):
+            stood = self._await_stand(cancelled=False)
+            if stood is None or stood[0].state not in (GrblState.IDLE, GrblState.ALARM):
                 self.reset()
         machine = read_machine(self.link)
         self._boots = self.link.banners
@@ -240,16 +335,34 @@ class GrblSession:
         if self.note_restart():
             raise DeviceError(f"the stage's controller restarted by itself; check its supply, then {_HOW}")
 
+    def _check_state(self, status: GrblStatus) -> None:
+        if status.state is GrblState.ALARM:
+            self.check_alarm()
+            self.lose("it is locked by an alarm")
+            raise DeviceError(f"the stage is locked by an alarm or awaits homing; {_HOW} after unlock()")
+        if status.state is GrblState.UNKNOWN:
+            raise DeviceError(
+                "the stage is in a state that this driver does not know, and so not safe to move"
+            )
+
     def _where(self) -> tuple[GrblStatus, Millimetres]:
         for _ in range(_OFFSET_WITHIN):
-            status = self.link.ask()
-            if status is None:
+            heard = self.link.report(self.spec.silence_s)
+            if heard is None:
                 self.check_alarm()  # after some alarms it answers nothing
-                raise DeviceError("the stage does not answer; if it moves, cut its power")
-            place_mm = self._place(status)
+                raise self._silent()
+            place_mm = self._place(heard.status)
             if place_mm is not None:
-                return status, place_mm
+                return heard.status, place_mm
         raise DeviceError("the stage does not report where it is; set $10=1 on it")
+
+    def _silent(self) -> DeviceError:
+        what = (
+            "it may still be moving: cut its power" if self.link.restless else "check its cable and its power"
+        )
+        return DeviceError(
+            f"the stage has not answered for {self.spec.silence_s:g} s when asked for its status; {what}"
+        )
 
     def _place(self, status: GrblStatus) -> Millimetres | None:
         """Machine coordinates of a report, of either kind [mm]."""
@@ -264,6 +377,35 @@ class GrblSession:
         if len(place) < len("XYZ"):
             raise DeviceError(f"the stage reports {len(place)} axes; three are needed")
         return place[0], place[1], place[2]
+
+
+def stands(status: GrblStatus) -> bool:
+    """Whether a state is one in which it does not move, for whatever reason."""
+    return status.state in _STANDS or _held_still(status)
+
+
+def _goes_on(status: GrblStatus) -> bool:
+    return status.state in (GrblState.JOG, GrblState.RUN, GrblState.UNKNOWN)
+
+
+def _next_byte(status: GrblStatus, sent: int, overdue: bool) -> bytes:
+    """What to send when so many bytes did not bring it to a stand: mostly the kind that fits its state.
+
+    A hold comes to a jog only once that should long have stood: before, it would meet one that is just
+    ending, and leave it held.
+    """
+    if status.state is GrblState.JOG:
+        return HOLD if overdue and sent % 2 else CANCEL
+    return CANCEL if sent % 3 == 2 else HOLD
+
+
+def _not_cleared(status: GrblStatus) -> DeviceError:
+    """Say that it stands where it does, and that it may move only where it may."""
+    if status.state is GrblState.DOOR and status.substate in (0, 1):
+        return DeviceError("the stage stands, and its door input is open; close it, then stop() it again")
+    if _held_still(status) or status.state in _SPENT:
+        return DeviceError(f"the stage stands, and a reset does not clear its {status.state}; power it anew")
+    return DeviceError(f"the stage could not be brought to a stand, it is in {status.state}: cut its power")
 
 
 def _held_still(status: GrblStatus) -> bool:

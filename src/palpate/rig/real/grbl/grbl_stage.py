@@ -13,16 +13,17 @@ from __future__ import annotations
 
 import math
 import threading
+from contextlib import suppress
 
 from palpate.core import NS_PER_S, Clock, Closing, DeviceError, MonotonicClock, Position, RangeError, Travel
 from palpate.rig.real.grbl.grbl_link import CutOffError, RefusedError, SerialPort, SilenceError, open_port
+from palpate.rig.real.grbl.grbl_move import MoveSupervisor
 from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, alarm_name
-from palpate.rig.real.grbl.grbl_session import GrblSession
+from palpate.rig.real.grbl.grbl_session import GrblSession, PositionLostError, stands
 from palpate.rig.real.grbl.grbl_supervisor import (
     MM_PER_M,
     S_PER_MIN,
     GrblSpec,
-    MoveSupervisor,
     check_range,
     feed_mm_min,
     fixed,
@@ -71,19 +72,28 @@ class GrblStage(Closing):
         )
 
     def position_m(self) -> Position:
-        """Place now [m]. See `palpate.core.Stage`."""
+        """Place now [m]; of a move between two reports, by calculation. See `palpate.core.Stage`."""
         with self._lock:
             self._session.need_known()
-            _, place_mm = self._session.look()
-            self._session.check_place(place_mm)
-            return self._session.mount.sensor_m(place_mm)
+            if move := self._session.move:
+                self._session.glance(move)
+                return self._session.mount.sensor_m(move.place_at(self._clock.now_ns()))
+            return self._session.mount.sensor_m(self._session.place_standing())
+
+    @property
+    def health(self) -> str:
+        """What was lost or damaged on the wire so far; empty where nothing was."""
+        link = self._link
+        counts = {"lines damaged": link.garbage, "questions for the status unanswered": link.unanswered}
+        return ", ".join(f"{count} {what}" for what, count in counts.items() if count)
 
     def move_to(self, position_m: Position, speed_m_s: float) -> None:
         """Start moving in a straight line, and return at once. See `palpate.core.Stage`."""
         halts = self._link.halts
         check_range(self.travel, position_m, speed_m_s)
         with self._lock:
-            target_mm = self._begin(position_m, speed_m_s).target_mm
+            move = self._begin(position_m, speed_m_s)
+            target_mm = move.target_mm
             words = "".join(f"{axis}{fixed(value)}" for axis, value in zip("XYZ", target_mm, strict=True))
             line = f"$J=G21G90G53{words}F{fixed(feed_mm_min(speed_m_s), 3)}"
             try:
@@ -99,31 +109,37 @@ class GrblStage(Closing):
             except SilenceError:
                 self._session.bring_to_stand()  # it may have begun to move
                 raise
+            move.first = self._link.next_number
 
     def moving(self) -> bool:
         """Whether the last move is still under way. See `palpate.core.Stage`."""
         with self._lock:
-            status, place_mm = self._session.look()
-            move = self._session.move
-            self._session.check_place(place_mm)
+            session = self._session
+            move = session.move
             if move is None:
-                return status.state is not GrblState.IDLE
-            if not move.arrived(status, place_mm, self._clock.now_ns()):
+                status, place_mm = session.look()
+                session.check_place(place_mm)
+                return not stands(status)
+            status_now = session.glance(move)
+            if status_now is None or not move.arrived(status_now):
                 return True
-            self._session.settle(place_mm)
+            session.settle(move.place_mm)
             return False
 
     def stop(self) -> None:
         """Slow down to a stand at once; returns when it stands. See `palpate.core.Stage`.
 
-        A feed hold, `!`, goes out before anything is waited for: unlike a jog cancel it stops every kind of
-        motion, and it keeps the count of steps. `0x18` follows only once the hold is complete. Calls in other
-        threads that wait for an answer end with a `DeviceError`. At worst it takes the spec's `stop_s`, the
-        slowing down and three times `reply_s`.
+        A jog cancel, 0x85, goes out before anything is waited for: it stops a jog on Grbl 1.1 and on grblHAL,
+        and keeps the count of steps; a hold, `!`, stops what is no jog. Calls in other threads that wait for
+        an answer end with a `DeviceError`. At worst it takes the spec's `stop_s` and `silence_s`, the slowing
+        down and three times `reply_s`.
+
+        Raises:
+            DeviceError: besides, it went on to its target, from further away than it needs to stop.
         """
-        self._link.halt()
+        cancelled = self._link.halt()
         with self._lock:
-            self._session.bring_to_stand()
+            self._session.bring_to_stand(cancelled=cancelled)
 
     def home(self) -> None:
         """Drive to the switches and take the machine's own coordinates from there; returns when done.
@@ -176,7 +192,8 @@ class GrblStage(Closing):
         self._closed = True
         try:
             if self._link.restless or not self._link.dead:
-                self.stop()
+                with suppress(PositionLostError):  # it stands, which is what is asked for here
+                    self.stop()
         finally:
             self._link.close()
 
@@ -186,10 +203,11 @@ class GrblStage(Closing):
         session.need_known()
         if session.move:
             raise DeviceError("the stage is moving already; wait for it, or stop() it")
-        if self._link.out_of_step:
+        fresh = self._link.out_of_step
+        if fresh:
             session.standing()
             session.reset()
-        _, place_mm = session.standing()
+        _, place_mm = session.standing(fresh=fresh)
         session.need_homed()
         session.move = MoveSupervisor(
             place_mm,
@@ -236,10 +254,11 @@ def _clear(session: GrblSession) -> str:
         raise DeviceError("the stage is moving; stop() it first")
     session.note_restart()
     alarm = link.alarm
-    status = link.ask() if alarm is None else None  # after some alarms it answers nothing
-    if status and status.state not in (GrblState.IDLE, GrblState.ALARM):
-        raise DeviceError(f"the stage is in {status.state}, not idle; stop() it first")
-    if status is None or link.out_of_step:  # and some end by a reset alone
+    heard = link.report(session.spec.reply_s) if alarm is None else None  # after some it answers nothing
+    if heard and not stands(heard.status):
+        raise DeviceError(f"the stage is in {heard.status.state}, not idle; stop() it first")
+    ready = heard and heard.status.state in (GrblState.IDLE, GrblState.ALARM)
+    if not ready or link.out_of_step:  # some alarms end by a reset alone, and so do sleep, check and hold
         session.reset()
     link.alarm = None
     return "" if alarm is None else alarm_name(alarm)
@@ -250,10 +269,10 @@ def _await_homed(session: GrblSession, halts: int) -> GrblStatus | None:
     link, spec, clock = session.link, session.spec, session.clock
     began_ns = clock.now_ns()
     while clock.now_ns() - began_ns < spec.home_s * NS_PER_S:
-        status = link.ask(spec.home_s)
+        heard = link.report(spec.home_s)
         if link.halts != halts:
             raise CutOffError("homing was stopped; the stage's position is not known")
-        if status is None or status.state not in (GrblState.HOME, GrblState.RUN):
-            return status
+        if heard is None or heard.status.state not in (GrblState.HOME, GrblState.RUN):
+            return heard.status if heard else None
         clock.sleep(spec.poll_s)
     return None

@@ -1,4 +1,4 @@
-"""Supervisor of one straight move of a GRBL stage, with the stage's spec, mounting and settings."""
+"""Spec of a GRBL stage, its mounting in the sensor's frame, and the settings that it has itself."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from palpate.core import NS_PER_S, DeviceError, InputError, Position, RangeError, Travel
+from palpate.core import DeviceError, InputError, Position, RangeError, Travel
 from palpate.rig.real.grbl.grbl_link import GrblLink
-from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, Setting
+from palpate.rig.real.grbl.grbl_parser import Setting
 
 MM_PER_M = 1e3
 S_PER_MIN = 60.0
@@ -33,11 +33,15 @@ class GrblSpec:
         top_speed_m_s: fastest that is allowed; left out, the slowest axis' own limit, $110 to $112.
         latency_s: from asking for a stop to the start of slowing down: port, USB and firmware [s].
         boot_s: how long to listen for its banner after opening the port [s].
-        reply_s: how long it may take to answer a line or a `?` [s].
-        stop_s: how long a stop may take beyond the slowing down itself [s].
+        reply_s: how long it may take to answer a line [s].
+        status_s: period on which its status is asked for [s]. Near the predicted end of a move, and while a
+            stop is awaited, it is asked for as soon as the last report has come.
+        silence_s: for how long questions for the status may go unanswered before it counts as gone [s].
+        stop_s: how long a stop may take beyond the slowing down itself [s]; then it is reset in motion.
         home_s: how long homing may take [s].
         still_s: how long it may stand away from its target, or not come on, before that is a fault [s].
-        poll_s: between questions while it waits for the stage [s].
+        poll_s: between two looks while it waits for the stage, and for how long a look while it moves waits
+            for a report [s].
         require_homed: refuse to move unless homing is on and was not bypassed. Without it the place is on
             the word of who calls `reference`.
         dtr: raise the port's DTR line. Off, an AVR board is kept from being reset where the system allows it;
@@ -53,7 +57,9 @@ class GrblSpec:
     latency_s: float = 0.05
     boot_s: float = 2.5
     reply_s: float = 2.0
-    stop_s: float = 5.0
+    status_s: float = 0.1
+    silence_s: float = 3.0
+    stop_s: float = 1.0
     home_s: float = 120.0
     still_s: float = 1.0
     poll_s: float = 0.02
@@ -72,7 +78,12 @@ class GrblSpec:
             for low, high in zip(self.least_m, self.greatest_m, strict=True):
                 if not (math.isfinite(low) and math.isfinite(high) and low < high):
                     raise RangeError(f"limits {low} to {high} m: both must be finite, the first the lower")
-        times = ("latency_s", "reply_s", "stop_s", "home_s", "still_s", "poll_s")
+        times = ("latency_s", "reply_s", "status_s", "silence_s", "stop_s", "home_s", "still_s", "poll_s")
+        if self.silence_s < 2 * self.status_s:
+            raise RangeError(
+                f"silence_s is {self.silence_s} s, with a question for the status every {self.status_s} s: a "
+                f"lost answer would count as a stage that is gone; give {2 * self.status_s} s or more"
+            )
         for name in ("baud", "top_speed_m_s", *times):
             value = getattr(self, name)
             if value is not None and not (value > 0 and math.isfinite(value)):
@@ -253,83 +264,3 @@ def _three(settings: Mapping[int, str], first: int) -> tuple[float, float, float
             f"the controller's settings ${first} to ${first + 2} must be above 0; set them on it"
         )
     return x, y, z
-
-
-Millimetres = tuple[float, float, float]
-_REPORTED_MM = 0.001  # resolution of a status report
-_UNDER_WAY = {GrblState.IDLE, GrblState.RUN, GrblState.JOG}
-
-
-class MoveSupervisor:
-    """A move from `start_mm` to `target_mm` in machine coordinates.
-
-    Arrived means: its line was answered, the controller is Idle, and the place is the target. Idle alone is
-    not: it shows during a dwell and before a line was read.
-
-    Args:
-        start_mm, target_mm: [mm].
-        feed_mm_min: its speed [mm/min].
-        machine: for tolerance and steps.
-        still_s: how long it may stay where it is, short of the target, before that is a fault [s].
-        now_ns: when it began.
-    """
-
-    def __init__(
-        self,
-        start_mm: Millimetres,
-        target_mm: Millimetres,
-        feed_mm_min: float,
-        machine: GrblMachine,
-        still_s: float,
-        now_ns: int,
-    ) -> None:
-        self.start_mm, self.target_mm, self.feed_mm_min = start_mm, target_mm, feed_mm_min
-        self.tolerance_mm = machine.tolerance_mm
-        grain_mm = max(_REPORTED_MM, 1.0 / min(machine.steps_per_mm))
-        # A creeping axis shows no change from one grain to the next: five grains' time is not yet standing.
-        self._patience_ns = max(still_s, 5.0 * grain_mm * S_PER_MIN / feed_mm_min) * NS_PER_S
-        self._last_mm, self._last_ns = start_mm, now_ns
-
-    def stray(self, place_mm: Millimetres) -> str:
-        """Describe a place off the way by more than the tolerance; empty for one on it."""
-        off = distance_to_segment(place_mm, self.start_mm, self.target_mm)
-        if off <= self.tolerance_mm:
-            return ""
-        way = f"from {shown(self.start_mm)} to {shown(self.target_mm)}"
-        return f"the stage reports {shown(place_mm)}, {off:.3f} mm off its way {way} (machine coordinates)"
-
-    def arrived(self, status: GrblStatus, place_mm: Millimetres, now_ns: int) -> bool:
-        """Whether it is at its end; for a place on the way.
-
-        Raises:
-            DeviceError: it is held, stands elsewhere, or says that it moves and does not.
-        """
-        if status.state is GrblState.IDLE and math.dist(place_mm, self.target_mm) <= self.tolerance_mm:
-            return True
-        where = f"at {shown(place_mm)}, on its way to {shown(self.target_mm)} (machine coordinates)"
-        if status.state not in _UNDER_WAY:
-            raise DeviceError(f"the stage is in {status.state} {where}; stop() it, then see to the cause")
-        if place_mm != self._last_mm:
-            self._last_mm, self._last_ns = place_mm, now_ns
-        elif now_ns - self._last_ns > self._patience_ns:
-            kind = (
-                "has stopped" if status.state is GrblState.IDLE else f"says {status.state} and does not move"
-            )
-            raise DeviceError(f"the stage {kind} {where}; stop() it, then see what blocks it")
-        return False
-
-
-def distance_to_segment(place: Millimetres, start: Millimetres, end: Millimetres) -> float:
-    """Distance of a point from a straight piece [as its arguments]."""
-    length = math.dist(start, end)
-    if length == 0.0:
-        return math.dist(place, start)
-    along = sum((p - s) * (e - s) for p, s, e in zip(place, start, end, strict=True)) / length
-    part = min(max(along / length, 0.0), 1.0)
-    nearest = [s + part * (e - s) for s, e in zip(start, end, strict=True)]
-    return math.dist(place, nearest)
-
-
-def shown(place_mm: Millimetres) -> str:
-    """A place in words."""
-    return "X{:.3f} Y{:.3f} Z{:.3f} mm".format(*place_mm)

@@ -1,0 +1,362 @@
+"""A fake GRBL controller but for its lines: bytes and time in, bytes and motion out; it fails as told.
+
+Made from observed behaviour of Grbl 1.1h and grblHAL 1.1f and from their public documentation, not from their
+code. The tests put it on a pseudo-terminal. Simplified: every move starts and ends at a stand, and all axes
+share one acceleration.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator
+
+from palpate.rig.fakes.gcode_words import Modes, RefusalError
+from palpate.rig.fakes.grbl_motion import NOWHERE, Axes, Millimetres, add_mm, in_words
+from palpate.rig.fakes.grbl_parameters import SETTINGS, GrblFaults, GrblParameters
+from palpate.rig.fakes.grbl_wire import OutgoingLines
+
+PLANNER, RX_BYTES = 15, 128
+Work = Generator[None, None, str]
+"""A line being done: it yields while it has to wait, and returns its answer."""
+_TICK_S = 0.002
+HOLD, CANCEL, DOOR, RESET = ord("!"), 0x85, 0x84, 0x18
+_REALTIME = {ord("?"), HOLD, ord("~"), RESET}
+
+
+class GrblController:
+    """The controller and its axes; `grbl_firmware.GrblFirmware` adds what lines mean.
+
+    How it stops, with the source of each:
+
+    - Feed hold `!` stops a move (Run) on both, by way of Hold:1 to Hold:0, where it keeps its place and waits
+      for `~` or 0x18. In Idle it ends in Hold:0. In Alarm, Check, Sleep and while homing it does nothing.
+      Observed on both; the states in which it does nothing after the public Grbl 1.1 interface description.
+    - In a jog `!` acts as a jog cancel on 1.1h, and ends Idle. On grblHAL it is ignored: the state turns Run
+      and the jog runs to its end. Observed on Grbl 1.1h and grblHAL 1.1f.20260817; see also
+      github.com/grblHAL/STM32F4xx/issues/105.
+    - Jog cancel 0x85 ends a jog at Idle with its place kept, on both; in any other state it does nothing.
+      Observed. On grblHAL it also drops lines that were not read yet, which are then never answered (its
+      public documentation).
+    - A jog cancel that meets the very end of its jog leaves 1.1h Idle and deaf to lines until `~` or 0x18:
+      github.com/gnea/grbl/issues/195.
+    - The door, by its input or 0x84, stops every motion: a jog is cancelled first, then the state is Door. An
+      input that stays open brings Door back after a reset. Public Grbl 1.1 interface description.
+    - 0x18 at a stand keeps the place; in motion it loses steps and locks with ALARM:3, while homing with
+      ALARM:6. Observed.
+    - After `$SLP` (Sleep) and `$C` (Check) only 0x18 brings it back. Observed. Sleep switches the motors off
+      and so comes back locked; Check comes back Idle. Public Grbl 1.1 interface description.
+    - A `?` is not answered while homing and after ALARM:1 and ALARM:2; grblHAL answers after ALARM:1.
+      Observed.
+
+    Attributes:
+        faults: may be changed at any time.
+        received: every byte that came, for tests to look at.
+        stops: each byte that asked for a stop, in the order of coming, with the true place then [mm].
+        door_open: the door's input.
+    """
+
+    def __init__(self, model: GrblParameters, faults: GrblFaults, now_s: float) -> None:
+        self.model = model
+        self.wire = OutgoingLines(faults, model.print_s)
+        self.settings = {**SETTINGS, **model.settings}
+        self.received = bytearray()
+        self.stops: list[tuple[int, Millimetres]] = []
+        self.door_open = False
+        self._now_s = now_s
+        self._axes = Axes(min(self.settings[n] for n in (120, 121, 122)), model.start_mm)
+        self._slip_mm = NOWHERE  # how far it truly is from its counts
+        self._travelled_mm = 0.0
+        self._jumped = False
+        self._work: Work | None = None
+        self._delayed: list[tuple[float, int]] = []
+        self._alarm = self._booting = self._sleeping = self._hung = self._homing = False
+        self._critical = self._cancelling = False
+        self._forget()
+        self.power_up()
+        if model.homed:
+            self.homed, self._alarm = True, False
+            self._axes.put(model.start_mm)
+            self._slip_mm = NOWHERE
+
+    @property
+    def faults(self) -> GrblFaults:
+        """The faults that it shows now."""
+        return self.wire.faults
+
+    @faults.setter
+    def faults(self, faults: GrblFaults) -> None:
+        self.wire.faults = faults
+
+    @property
+    def place_mm(self) -> Millimetres:
+        """True place, in the counts of a homed machine [mm]."""
+        return add_mm(self._axes.place_mm, self._slip_mm)
+
+    @property
+    def speed_mm_s(self) -> float:
+        """Speed [mm/s]."""
+        return 0.0 if self._axes.stuck else self._axes.speed_mm_s
+
+    @property
+    def state(self) -> str:
+        """The state as a status report names it."""
+        if self._homing:
+            return "Home"
+        if self._sleeping:
+            return "Sleep"
+        if self._alarm:
+            return "Alarm"
+        if self._checking:
+            return "Check"
+        stands = self._axes.speed_mm_s == 0.0
+        if self._door:
+            return f"Door:{int(self.door_open) if stands else 2}"
+        if self._holding:
+            return "Hold:0" if stands else "Hold:1"
+        if self._axes.blocks:
+            hidden = self._now_s - self._began_s < self.faults.idle_s
+            return "Idle" if hidden else "Jog" if self._jogging and not self._spoilt else "Run"
+        return "Idle"
+
+    def power_up(self) -> None:
+        """Start as if switched on: counts at zero, locked where homing is asked for."""
+        self._slip_mm, self.homed = self.place_mm, False
+        self._axes.put(NOWHERE)
+        self._alarm = self.settings[22] == 1
+        self._deaf_until_s = self._now_s + self.model.boot_s
+        self._booting = True
+        self._forget()
+        self._boot()
+
+    def open_door(self) -> None:
+        """Open the door's input, as a switch on the machine does."""
+        self.door_open = True
+        self._realtime(DOOR)
+
+    def receive(self, data: bytes) -> None:
+        """Bytes from the host, now."""
+        self.received += data
+        if self._booting:
+            return
+        for byte in data:
+            if byte in _REALTIME or byte >= 0x80:
+                self._realtime(byte)
+            elif len(self._rx) < RX_BYTES:
+                self._rx.append(byte)
+        self._serve()
+
+    def take(self) -> bytes:
+        """Bytes for the host."""
+        return self.wire.take()
+
+    def run_to(self, now_s: float) -> None:
+        """Let time go by until then [s]."""
+        while self._now_s < now_s - 1e-9:
+            step_s = min(_TICK_S, now_s - self._now_s)
+            if not (self._axes.blocks or self._work or self._booting or self._delayed):
+                step_s = now_s - self._now_s  # nothing can happen meanwhile
+            self._now_s += step_s
+            self._tick(step_s)
+        self.wire.run_to(self._now_s)
+
+    def _tick(self, step_s: float) -> None:
+        if self._booting:
+            self._boot()
+            return
+        while self._delayed and self._now_s >= self._delayed[0][0]:
+            self._take_up(*self._delayed.pop(0)[1:])
+        before = self._axes.place_mm
+        self._axes.advance(step_s)
+        self._travelled_mm += math.dist(before, self._axes.place_mm)
+        self._break_down()
+        if self._cancelling and self._axes.speed_mm_s == 0.0:
+            self._axes.clear()
+            self._cancelling = False
+        if not self._axes.blocks:
+            self._jogging = self._spoilt = False
+        self._serve()
+
+    def _boot(self) -> None:
+        if self._now_s >= self._deaf_until_s:
+            self._booting = False
+            self._greet(dump=self.faults.boot_dump)
+
+    def _break_down(self) -> None:
+        if self._travelled_mm > self.faults.stuck_after_mm:
+            self._axes.stuck = True
+        if self._travelled_mm > self.faults.jump_after_mm and not self._jumped:
+            self._jumped = True
+            self._axes.shift(self.faults.jump_mm)
+            x, y, z = (-by for by in self.faults.jump_mm)
+            self._slip_mm = add_mm(self._slip_mm, (x, y, z))
+        if self._travelled_mm > self.faults.restart_after_mm:
+            self._travelled_mm = -math.inf  # once
+            self._stop_dead()
+            self.power_up()
+
+    def _serve(self) -> None:
+        """Get on with lines, until one has to wait; asleep, or hung after a jog cancel, it reads none."""
+        while not (self._sleeping or self._hung):
+            if self._work is None:
+                end = min((self._rx.find(c) for c in b"\r\n" if c in self._rx), default=-1)
+                if end < 0:
+                    return
+                line = self._rx[:end].decode("ascii", "replace").strip()
+                del self._rx[: end + 1]
+                self._line, self._work = line, self._do(line)
+            try:
+                next(self._work)
+                return
+            except StopIteration as done:
+                self._work = None
+                self._reply(done.value)
+            except RefusalError as refusal:
+                self._work = None
+                self._reply(f"error:{refusal.code}")
+
+    def _realtime(self, byte: int) -> None:
+        if byte == ord("?"):
+            mute = self._homing or (self._critical and not self._hard_but_answers())
+            if self.wire.hears_question(self._now_s) and not mute:
+                self.wire.report(self._report(), self._now_s)
+            return
+        if byte in (HOLD, CANCEL, DOOR, RESET):
+            self.stops.append((byte, self.place_mm))
+        if byte == RESET:
+            self._soft_reset()
+        elif byte == ord("~"):
+            self._hung = False
+            if not self.door_open:
+                self._holding = self._door = self._axes.holding = False
+        elif byte == CANCEL:
+            self._cancel()
+        elif byte in (HOLD, DOOR):
+            self._delay(byte)
+
+    def _cancel(self) -> None:
+        if self.faults.deaf_to_cancel:
+            return
+        if self.model.firmware == "grblHAL":
+            self._rx.clear()
+        if self._jogging and self._axes.blocks:  # told apart when it comes, not when it is taken up
+            self._delay(CANCEL)
+
+    def _delay(self, byte: int) -> None:
+        if self.model.latency_s == 0:
+            self._take_up(byte)
+        else:
+            self._delayed.append((self._now_s + self.model.latency_s, byte))
+
+    def _take_up(self, byte: int) -> None:
+        """A hold, a jog cancel or the door, when the firmware comes to it."""
+        if self._alarm or self._homing or self._checking or self._sleeping:
+            return
+        jogging, hal = self._jogging and bool(self._axes.blocks), self.model.firmware == "grblHAL"
+        if byte == DOOR:
+            self._door = True
+            self._cancelling = self._cancelling or jogging
+            self._axes.holding = bool(self._axes.blocks)
+        elif byte == CANCEL and not jogging:
+            self._hung = not hal
+        elif byte == CANCEL or (jogging and not hal and self.model.hold_cancels_jog):
+            if not self._spoilt or self.model.cancel_after_hold:
+                self._cancelling = self._axes.holding = True
+        elif jogging and hal:
+            self._spoilt = not self._cancelling
+        elif not (jogging and self._cancelling):
+            self._holding = self._axes.holding = True
+
+    def _soft_reset(self) -> None:
+        moved, slept = self._axes.speed_mm_s > 0.0, self._sleeping
+        stale = self._critical and self._work is not None
+        homing = self._homing
+        self._stop_dead()
+        self._forget()
+        if stale:
+            self._reply("ok")
+        if moved or homing:
+            self._alarm = True
+            self._say("ALARM:6" if homing else "ALARM:3")
+        self._alarm = self._alarm or slept
+        self._greet()
+        if self.door_open:
+            self._take_up(DOOR)
+
+    def _stop_dead(self) -> None:
+        """The counts stop at once; what is driven runs on by its momentum."""
+        blocks = self._axes.blocks
+        start, end = (blocks[0].start_mm, blocks[0].end_mm) if blocks else (NOWHERE, NOWHERE)
+        speed, length = self._axes.clear(), math.dist(start, end)
+        if speed > 0 and length > 0:
+            further = speed**2 / (2 * self._axes.acceleration_mm_s2) / length
+            x, y, z = (further * (b - a) for a, b in zip(start, end, strict=True))
+            self._slip_mm = add_mm(self._slip_mm, (x, y, z))
+
+    def _forget(self) -> None:
+        """Undo what a reset undoes."""
+        self._modes = Modes()
+        self._rx, self._line = bytearray(), ""
+        self._work = None
+        self._delayed = []
+        self._holding = self._jogging = self._cancelling = self._homing = self._critical = self._hard = False
+        self._sleeping = self._checking = self._door = False
+        self._spoilt = False  # a hold has met a jog on grblHAL
+        self._hung = False  # a jog cancel has met the end of its jog
+        self._reports, self._began_s = 0, -math.inf
+
+    def _lock(self, code: int) -> None:
+        self._alarm, self._critical, self._hard = True, code in (1, 2), code == 1
+        self._say(f"ALARM:{code}")
+        if self._critical:
+            self._say("[MSG:Reset to continue]")
+
+    def _hard_but_answers(self) -> bool:
+        return self._hard and self.model.firmware == "grblHAL"
+
+    def _greet(self, *, dump: bool = False) -> None:
+        if dump:
+            self._say("error:7")
+            self._dump()
+        if not self.faults.no_banner:
+            hal = self.model.firmware == "grblHAL"
+            self._say("", "GrblHAL 1.1f ['$' or '$HELP' for help]" if hal else "Grbl 1.1h ['$' for help]")
+        if self._alarm:
+            self._say("[MSG:'$H'|'$X' to unlock]")
+
+    def _dump(self) -> None:
+        for number, value in sorted(self.settings.items()):
+            self._say(f"${number}={value:.3f}" if number >= 100 else f"${number}={value:g}")
+
+    def _report(self) -> str:
+        self._reports += 1
+        place, offset = self._axes.place_mm, self.model.offset_mm
+        mask = int(self.settings[10])
+        fields = [self.state]
+        if mask & 1:
+            fields.append(f"MPos:{in_words(place)}")
+        else:
+            x, y, z = (a - b for a, b in zip(place, offset, strict=True))
+            fields.append(f"WPos:{in_words((x, y, z))}")
+        if mask & 2:
+            fields.append(f"Bf:{max(PLANNER - len(self._axes.blocks), 0)},{RX_BYTES - len(self._rx)}")
+        fields.append(f"FS:{self.speed_mm_s * 60:.0f},0")
+        if self._reports % 10 == 2:
+            fields.append(f"WCO:{in_words(offset)}")
+        if self.model.firmware == "grblHAL":
+            fields.append(f"H:{int(self.homed)}")
+        return f"<{'|'.join(fields)}>"
+
+    def _reply(self, reply: str) -> None:
+        if self.faults.lose_ok_of and self._line.startswith(self.faults.lose_ok_of):
+            return
+        for _ in range(2 if self.faults.double_ok else 1):
+            if self.faults.status_in_reply:
+                self.wire.put(f"{reply[0]}{self._report()}\r\n{reply[1:]}\r\n".encode())
+            else:
+                self._say(reply)
+
+    def _say(self, *lines: str) -> None:
+        self.wire.say(*lines)
+
+    def _do(self, line: str) -> Work:
+        raise NotImplementedError

@@ -1,0 +1,328 @@
+"""Stop of a GRBL stage: from every state, on both firmwares, with its distance counted from the fake's place.
+
+All of it is on a fake that was made from observed behaviour; no real firmware has run here.
+"""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import pytest
+
+from palpate.core.clock import NS_PER_S
+from palpate.core.errors import DeviceError
+from palpate.rig.fakes.grbl_controller import CANCEL, DOOR, HOLD, RESET
+from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
+
+START = (-0.050, 0.050, 0.050)
+AWAY = (-0.020, 0.050, 0.050)
+LATENCY_S = 0.02  # of the fake, from a byte to its effect; the driver's spec in these tests states as much
+TICK_MM_S = 0.002  # per mm/s: the fake takes up a byte at its next tick
+ACCELERATION_MM_S2 = 50.0
+FIRMWARES = {
+    "Grbl 1.1h": GrblParameters(homed=True, latency_s=LATENCY_S),
+    "grblHAL": GrblParameters(firmware="grblHAL", homed=True, latency_s=LATENCY_S),
+    "grblHAL that takes a cancel after a hold": GrblParameters(
+        firmware="grblHAL", homed=True, latency_s=LATENCY_S, cancel_after_hold=True
+    ),
+}
+
+
+@pytest.fixture(params=FIRMWARES.values(), ids=FIRMWARES)
+def model(request):
+    return request.param
+
+
+def bound_mm(speed_mm_s: float, latency_s: float = LATENCY_S) -> float:
+    """v^2 / 2a + v latency, and the fake's own coarseness."""
+    return (
+        speed_mm_s**2 / (2 * ACCELERATION_MM_S2) + speed_mm_s * (latency_s + TICK_MM_S) + 0.001  # of a report
+    )
+
+
+def places_differ_mm(a, b) -> float:
+    return math.dist(a, b)
+
+
+class TestDistance:
+    """From where the first byte of a stop came to the stand."""
+
+    @pytest.mark.parametrize("speed_mm_s", [1.0, 4.0, 10.0, 20.0])
+    def test_a_jog_stops_within_its_bound_and_no_sooner_than_it_can(self, grbl_bench, model, speed_mm_s):
+        bench = grbl_bench(model)
+        stage = bench.open()
+        bench.move_to_speed(stage, AWAY, speed_mm_s / 1e3)
+        stage.stop()
+        went = places_differ_mm(bench.stops(CANCEL)[0], bench.place_mm)
+        slowing = speed_mm_s**2 / (2 * ACCELERATION_MM_S2)
+        assert slowing - 1e-3 <= went <= bound_mm(speed_mm_s)
+        assert went <= stage.travel.overshoot_m(speed_mm_s / 1e3) * 1e3 + speed_mm_s * TICK_MM_S + 0.001
+        assert bench.firmware.state == "Idle"
+        assert stage.position_m()[0] * 1e3 == pytest.approx(bench.place_mm[0], abs=1e-3)  # and is known
+
+    def test_a_jog_that_still_speeds_up_stops_within_its_bound(self, grbl_bench, model):
+        bench = grbl_bench(model)
+        stage = bench.open()
+        stage.move_to(AWAY, 0.02)
+        bench.wait(lambda: bench.speed_mm_s > 3.0, 0.005)
+        stage.stop()
+        # Meanwhile it speeds up, for the latency at most.
+        most = bench.firmware._axes.acceleration_mm_s2 * (LATENCY_S + 0.01) + 5.0
+        assert places_differ_mm(bench.stops(CANCEL)[0], bench.place_mm) <= bound_mm(most)
+
+    def test_a_programmed_move_of_somebody_else_is_held_within_its_bound(self, grbl_bench, model):
+        bench = grbl_bench(model)
+        stage = bench.open()
+        bench.say(b"G21G90G94G1X-20F600\n")
+        bench.wait(lambda: bench.speed_mm_s >= 9.99, 0.01)
+        with pytest.raises(DeviceError, match="now at"):  # it is where the driver did not send it
+            stage.stop()
+        assert places_differ_mm(bench.stops(HOLD)[0], bench.place_mm) <= bound_mm(10.0)
+        assert bench.firmware.state == "Idle"
+        assert bench.speed_mm_s == 0.0
+
+    def test_without_the_jog_cancel_grblhal_runs_on_to_its_end_and_the_stop_says_so(self, grbl_bench):
+        """The control: the hold that follows stops Grbl 1.1h, late, and does not stop grblHAL."""
+        went = {}
+        for name in ("Grbl 1.1h", "grblHAL"):
+            bench = grbl_bench(FIRMWARES[name], GrblFaults(deaf_to_cancel=True), stop_s=30.0)
+            stage = bench.open()
+            target = (-0.038, 0.050, 0.050)
+            bench.move_to_speed(stage, target, 0.010)
+            if name == "grblHAL":
+                with pytest.raises(DeviceError, match="went on to its target"):
+                    stage.stop()
+            else:
+                stage.stop()
+            went[name] = places_differ_mm(bench.stops(CANCEL)[0], bench.place_mm)
+            assert bench.speed_mm_s == 0.0
+            assert stage.position_m()[0] * 1e3 == pytest.approx(bench.place_mm[0], abs=1e-3)
+        assert went["grblHAL"] > 2 * bound_mm(10.0)
+        assert went["Grbl 1.1h"] < went["grblHAL"] / 2
+
+    def test_what_nothing_else_stops_is_reset_in_motion_and_its_place_given_up(self, grbl_bench):
+        bench = grbl_bench(FIRMWARES["grblHAL"], GrblFaults(deaf_to_cancel=True), stop_s=0.3)
+        stage = bench.open()
+        bench.move_to_speed(stage, (-0.001, 0.050, 0.050), 0.010)
+        with pytest.raises(DeviceError, match="position was lost"):
+            stage.stop()
+        assert bench.speed_mm_s == 0.0
+        assert bench.place_mm[0] < -10.0  # long before its target
+
+
+class TestShortOfTheTarget:
+    def test_a_stop_that_comes_as_it_arrives_is_no_fault(self, grbl_bench, model):
+        """Asked within the way that it needs to stop, it may well be at its target."""
+        bench = grbl_bench(model)
+        stage = bench.open()
+        stage.move_to((-0.049, 0.050, 0.050), 0.010)
+        bench.wait(lambda: bench.place_mm[0] > -49.05, 0.002)
+        stage.stop()
+        assert bench.speed_mm_s == 0.0
+        assert not stage.moving()
+
+    def test_a_stop_after_it_arrived_is_no_fault(self, grbl_bench, model):
+        bench = grbl_bench(model)
+        stage = bench.open()
+        stage.move_to((-0.0499, 0.050, 0.050), 0.010)
+        bench.wait(lambda: bench.firmware.state == "Idle")
+        bench.clock.sleep(1.0)
+        stage.stop()
+        assert stage.position_m()[0] == pytest.approx(-0.0499, abs=1e-6)
+
+    def test_a_short_step_whose_ok_is_lost_is_no_stop_that_failed(self, grbl_bench, model):
+        """It arrives while its answer is waited for; nothing asked it to stop before."""
+        bench = grbl_bench(model, reply_s=1.0)
+        stage = bench.open()
+        bench.spoil(GrblFaults(lose_ok_of="$J"))
+
+        def run_on():
+            bench.wait(lambda: b"$J" in bench.received)
+            end_ns = bench.clock.now_ns() + NS_PER_S
+            bench.wait(lambda: bench.clock.now_ns() > end_ns)
+
+        with ThreadPoolExecutor(1) as pool:
+            runs = pool.submit(run_on)
+            with pytest.raises(DeviceError, match="did not answer"):
+                stage.move_to((-0.0497, 0.050, 0.050), 0.002)
+            runs.result()
+        assert stage.position_m()[0] == pytest.approx(-0.0497, abs=1e-6)
+
+    def test_a_jog_cancel_that_is_lost_once_is_sent_again(self, grbl_bench, model):
+        bench = grbl_bench(model, GrblFaults(deaf_to_cancel=True))
+        stage = bench.open()
+        bench.move_to_speed(stage, AWAY, 0.010)
+        stage._link.halt()
+        bench.spoil(GrblFaults())
+        stage.stop()
+        # Asked again after at most a tenth of a second.
+        assert places_differ_mm(bench.stops(CANCEL)[0], bench.place_mm) <= bound_mm(10.0, LATENCY_S + 0.15)
+
+    def test_a_cancel_that_hangs_the_firmware_at_the_end_of_its_jog_is_cleared(self, grbl_bench):
+        """It says Idle and reads no line: seen by users of Grbl 1.1, gnea/grbl issue 195."""
+        bench = grbl_bench(FIRMWARES["Grbl 1.1h"])
+        stage = bench.open()
+        stage.move_to((-0.049, 0.050, 0.050), 0.010)
+        bench.wait(lambda: bench.speed_mm_s < 1.0 and bench.place_mm[0] > -49.02, 0.002)
+        stage._link.halt()
+        bench.wait(lambda: bench.firmware._hung, 0.005)
+        stage.stop()
+        stage.move_to(START, 0.010)
+        bench.arrive(stage)
+        assert bench.place_mm[0] == pytest.approx(-50.0, abs=1e-4)
+
+
+STANDING = {
+    "Idle": lambda bench: None,
+    "Hold": lambda bench: bench.say(b"!"),
+    "Check": lambda bench: bench.say(b"$C\n"),
+    "Sleep": lambda bench: bench.say(b"$SLP\n"),
+    "Alarm": lambda bench: bench.say(b"G1X500F600\n"),  # on grblHAL homed, as on 1.1h
+    "Door": lambda bench: bench.say(bytes([DOOR])),
+}
+
+
+class TestStates:
+    @pytest.mark.parametrize("state", STANDING)
+    def test_from_every_state_in_which_it_stands_a_stop_ends_idle_or_locked(self, grbl_bench, model, state):
+        bench = grbl_bench(model, silence_s=1.0, reply_s=1.0)
+        stage = bench.open()
+        STANDING[state](bench)
+        bench.clock.sleep(0.1)
+        bench.wait(lambda: bench.firmware.state.startswith(state))
+        before = bench.place_mm
+        lost = state in ("Sleep", "Alarm")
+        if lost:
+            with pytest.raises(DeviceError, match="stands, but its position was lost") as caught:
+                stage.stop()
+            assert "power" not in str(caught.value)
+            assert ("asleep" in str(caught.value)) == (state == "Sleep")
+        else:
+            stage.stop()
+        assert bench.firmware.state == ("Alarm" if lost else "Idle")
+        assert bench.place_mm == pytest.approx(before)
+        if lost:
+            stage.unlock()
+            stage.reference()
+            stage._session.unlocked = False  # as after homing, which takes long on this clock
+        stage.move_to((-0.0495, 0.050, 0.050), 0.010)
+        bench.arrive(stage)
+
+    @pytest.mark.parametrize("state", ["Hold", "Check", "Sleep"])
+    def test_closing_in_a_state_that_stands_says_nothing_of_power(self, grbl_bench, model, state):
+        bench = grbl_bench(model)
+        stage = bench.open()
+        STANDING[state](bench)
+        bench.wait(lambda: bench.firmware.state.startswith(state))
+        stage.close()
+        assert bench.speed_mm_s == 0.0
+
+    @pytest.mark.parametrize("state", ["Hold", "Check", "Sleep"])
+    def test_unlock_clears_what_a_reset_clears(self, grbl_bench, model, state):
+        bench = grbl_bench(model)
+        stage = bench.open()
+        STANDING[state](bench)
+        bench.wait(lambda: bench.firmware.state.startswith(state))
+        stage.unlock()
+        assert bench.firmware.state == "Idle"
+
+    @pytest.mark.parametrize("state", ["Hold", "Check", "Sleep"])
+    def test_no_move_begins_where_it_is_not_idle(self, grbl_bench, model, state):
+        bench = grbl_bench(model)
+        stage = bench.open()
+        STANDING[state](bench)
+        bench.wait(lambda: bench.firmware.state.startswith(state))
+        with pytest.raises(DeviceError, match=rf"in {state}.*stop\(\) it"):
+            stage.move_to(AWAY, 0.01)
+        assert b"$J" not in bench.received
+
+    def test_a_door_that_opens_in_a_jog_stops_it_and_is_named_until_it_is_closed(self, grbl_bench, model):
+        bench = grbl_bench(model)
+        stage = bench.open()
+        bench.move_to_speed(stage, AWAY, 0.010)
+        with bench.terminal.lock:
+            bench.firmware.open_door()
+            opened = bench.firmware.place_mm
+        with pytest.raises(DeviceError, match="Door"):
+            bench.arrive(stage)
+        assert places_differ_mm(opened, bench.place_mm) <= bound_mm(10.0)
+        with pytest.raises(DeviceError, match="door input is open; close it"):
+            stage.stop()
+        with bench.terminal.lock:
+            bench.firmware.door_open = False
+        stage.stop()
+        assert bench.firmware.state == "Idle"
+        assert stage.position_m()[0] * 1e3 == pytest.approx(bench.place_mm[0], abs=1e-3)
+
+    @pytest.mark.parametrize("moving", ["jog", "programmed"])
+    def test_opening_a_port_finds_a_motion_and_stops_it(self, grbl_bench, model, moving):
+        bench = grbl_bench(model)
+        bench.say({"jog": b"$J=G21G90G53X-10F600\n", "programmed": b"G21G90G94G1X-10F600\n"}[moving])
+        bench.wait(lambda: bench.speed_mm_s >= 9.99, 0.01)
+        stage = bench.open(known=False)
+        assert bench.speed_mm_s == 0.0
+        byte = {"jog": CANCEL, "programmed": HOLD}[moving]
+        assert places_differ_mm(bench.stops(byte)[0], bench.place_mm) <= bound_mm(10.0)
+        assert not bench.stops(RESET) or bench.firmware.state == "Idle"
+        stage.reference()
+
+    def test_nothing_is_reset_while_it_moves_but_to_end_homing(self, grbl_bench, model):
+        bench = grbl_bench(model)
+        stage = bench.open()
+        for _ in range(3):
+            bench.move_to_speed(stage, AWAY, 0.010)
+            stage.stop()
+            stage.move_to(START, 0.02)
+            bench.arrive(stage)
+        assert not bench.stops(RESET)
+
+
+class TestTheFakesTwoFirmwares:
+    """What they do apart, asked of the fake without the driver."""
+
+    def jogging(self, grbl_bench, name, **changes):
+        bench = grbl_bench(replace(FIRMWARES[name], latency_s=0.0, **changes))
+        bench.say(b"$J=G21G90G53X-40F600\n")
+        bench.wait(lambda: bench.speed_mm_s >= 9.99, 0.01)
+        return bench
+
+    def state_after(self, bench, data: bytes, seconds: float = 5.0) -> tuple[str, float]:
+        bench.say(data)
+        state = bench.firmware.state
+        end_ns = bench.clock.now_ns() + seconds * NS_PER_S
+        bench.wait(lambda: bench.clock.now_ns() >= end_ns)
+        return state, bench.place_mm[0]
+
+    def test_a_hold_ends_a_jog_on_one_and_is_ignored_on_the_other(self, grbl_bench):
+        _, x_mm = self.state_after(self.jogging(grbl_bench, "Grbl 1.1h"), b"!")
+        assert x_mm < -40.5
+        state, x_mm = self.state_after(self.jogging(grbl_bench, "grblHAL"), b"!")
+        assert state == "Run"
+        assert x_mm == pytest.approx(-40.0)
+
+    @pytest.mark.parametrize("name", ["Grbl 1.1h", "grblHAL"])
+    def test_a_jog_cancel_ends_a_jog_on_both(self, grbl_bench, name):
+        bench = self.jogging(grbl_bench, name)
+        assert self.state_after(bench, b"\x85")[1] < -40.5
+        assert bench.firmware.state == "Idle"
+
+    @pytest.mark.parametrize("order", [b"\x85!", b"!\x85"])
+    def test_on_grblhal_the_cancel_must_come_first(self, grbl_bench, order):
+        _, x_mm = self.state_after(self.jogging(grbl_bench, "grblHAL"), order)
+        assert (x_mm < -40.5) == order.startswith(b"\x85")
+
+    @pytest.mark.parametrize("name", ["Grbl 1.1h", "grblHAL"])
+    @pytest.mark.parametrize(("line", "state"), [(b"$SLP\n", "Sleep"), (b"$C\n", "Check")])
+    def test_from_sleep_and_check_only_a_reset_leads_back(self, grbl_bench, name, line, state):
+        bench = grbl_bench(FIRMWARES[name])
+        bench.say(line)
+        for nothing in (b"~", b"!", b"\x85", b"$J=G21G91X1F600\n"):
+            bench.say(nothing)
+            bench.clock.sleep(0.2)
+            bench.terminal.catch_up()
+            assert bench.firmware.state == state
+        assert bench.place_mm[0] == pytest.approx(-50.0)
+        bench.say(b"\x18")
+        assert bench.firmware.state == ("Alarm" if state == "Sleep" else "Idle")

@@ -1,0 +1,303 @@
+"""The driver on both firmwares in real time: on the fakes always, on real ones where a simulator is at hand.
+
+Written from the firmwares' public documentation and from what was observed. Simulators may run slower than
+real time, so that times are generous; distances are counted in the controller's own steps, as it reports
+them, and do not depend on its pace.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+
+import pytest
+from tests.rig.grbl_talk import PATIENCE_S, Talk, fake, simulator
+from tests.rig.rigs import plan, rig, wanted
+
+from palpate.core import DeviceError, MonotonicClock, RangeError
+from palpate.devices import Limits
+from palpate.devices.check import check_stage
+from palpate.recordings import Run, check
+from palpate.rig import State, record
+from palpate.rig.plans import Listed
+from palpate.rig.real.grbl.grbl_stage import GrblStage
+from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
+from palpate.rig.virtual.straight_motion import standing
+
+SETTINGS = ("$20=0", "$22=0", "$21=0", "$13=0", "$10=1", "$100=250", "$101=250", "$102=250")
+MOTION = ("$120=50", "$121=50", "$122=50", "$110=1200", "$111=1200", "$112=1200", "$130=100", "$131=100")
+WHERE = {
+    f"{kind} {firmware}": (kind, firmware) for kind in ("fake", "real") for firmware in ("1.1h", "grblHAL")
+}
+LATENCY_S = 0.05
+SPEED_M_S = 0.010
+BOUND_MM = 10.0**2 / (2 * 50.0) + 10.0 * LATENCY_S + 0.02  # v^2/2a, v latency, and two steps
+PATIENT = {"boot_s": 0.2, "reply_s": 20.0, "silence_s": 20.0, "still_s": 20.0, "stop_s": 20.0}
+
+
+@pytest.fixture(params=WHERE.values(), ids=WHERE)
+def where(request, tmp_path):
+    """The port of a controller with plain settings and no homing, and which firmware it is."""
+    kind, firmware = request.param
+    with ExitStack() as stack:
+        path = stack.enter_context(fake(firmware) if kind == "fake" else simulator(tmp_path, firmware))
+        with Talk(path) as talk:
+            talk.wake()
+            for line in (*SETTINGS, *MOTION, "$X"):
+                assert talk.send(line)[-1] == "ok", line
+        yield path, firmware
+
+
+def spec(path: str, **changes) -> GrblSpec:
+    words = {"least_m": (-0.05,) * 3, "greatest_m": (0.05,) * 3, "require_homed": False, **PATIENT}
+    return GrblSpec(path, latency_s=LATENCY_S, **{**words, **changes})
+
+
+@pytest.fixture
+def stage(where):
+    with GrblStage.open(spec(where[0])) as stage:
+        stage.reference((0.0, 0.0, 0.0))
+        yield stage
+
+
+def arrive(stage) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while stage.moving():
+        assert time.monotonic() < end, "it never arrived"
+        time.sleep(0.01)
+
+
+def counted_mm(stage) -> tuple[float, ...]:
+    """The controller's own count, asked for now [mm]."""
+    return stage._link.report(PATIENCE_S).status.machine_mm
+
+
+def run_up(stage, target, after_m: float = 0.003) -> None:
+    stage.move_to(target, SPEED_M_S)
+    while stage.position_m()[0] < after_m:
+        assert stage.moving()
+
+
+def test_it_jogs_to_its_targets(stage):
+    for target in ((0.001, -0.001, 0.0005), (0.0, 0.002, -0.001), (0.0, 0.0, 0.0)):
+        stage.move_to(target, SPEED_M_S)
+        arrive(stage)
+        assert stage.position_m() == pytest.approx(target, abs=1e-5)
+
+
+@pytest.mark.parametrize("target", [(0.045, 0.0, 0.0), (0.040, 0.020, -0.010)])
+def test_a_stop_ends_within_its_bound_short_of_its_target(stage, target):
+    run_up(stage, target)
+    before = counted_mm(stage)
+    stage.stop()
+    after = counted_mm(stage)
+    assert math.dist(before, after) <= BOUND_MM
+    assert not stage.moving()
+    assert math.dist(stage.position_m(), target) > 0.02
+    stage.move_to((0.0, 0.0, 0.0), 0.02)
+    arrive(stage)
+    assert stage.position_m() == pytest.approx((0.0, 0.0, 0.0), abs=1e-5)  # so no step was lost
+
+
+def test_twenty_stops_lose_no_step(stage):
+    for i in range(20):
+        stage.move_to((0.02, 0.0, 0.0) if i % 2 else (-0.02, 0.0, 0.0), 0.02)
+        time.sleep(0.02 * (i % 5))
+        stage.stop()
+    stage.move_to((0.0, 0.0, 0.0), 0.02)
+    arrive(stage)
+    assert counted_mm(stage) == pytest.approx(stage._session.mount.machine_mm((0.0, 0.0, 0.0)), abs=0.01)
+
+
+def test_without_the_jog_cancel_only_1_1_stops_short(where):
+    """The control: grblHAL ignores a hold in a jog, and the stop says that it went on."""
+    path, firmware = where
+    with GrblStage.open(spec(path)) as stage:
+        stage.reference((0.0, 0.0, 0.0))
+        write = stage._link._port.write
+        stage._link._port = Deaf(stage._link._port, write)
+        run_up(stage, (0.016, 0.0, 0.0))
+        if firmware == "grblHAL":
+            with pytest.raises(DeviceError, match="went on to its target"):
+                stage.stop()
+        else:
+            stage.stop()
+            assert stage.position_m()[0] < 0.0155
+
+
+class Deaf:
+    """A port that loses every jog cancel."""
+
+    def __init__(self, port, write) -> None:
+        self._port, self._write = port, write
+
+    def __getattr__(self, name):
+        return getattr(self._port, name)
+
+    def write(self, data):
+        return len(data) if data == b"\x85" else self._write(data)
+
+
+def test_a_hold_of_a_programmed_move_is_cleared_by_a_stop(stage):
+    stage._link.command("G21G91G94G1X30F600")
+    while counted_mm(stage)[0] < 2.0:
+        pass
+    stage._link.slow_down(b"!")
+    with pytest.raises(DeviceError):  # it is where the driver did not send it
+        stage.stop()
+    stage.reference((0.0, 0.0, 0.0))
+    stage.move_to((0.001, 0.0, 0.0), SPEED_M_S)
+    arrive(stage)
+
+
+@pytest.mark.parametrize(("line", "state"), [("$SLP", "Sleep"), ("$C", "Check")])
+def test_sleep_and_check_are_cleared_by_a_stop(stage, line, state):
+    stage._link.command(line)
+    while stage._link.report(PATIENCE_S).status.state != state:
+        time.sleep(0.05)
+    with pytest.raises(DeviceError, match=rf"in {state}.*stop\(\) it"):
+        stage.move_to((0.001, 0.0, 0.0), SPEED_M_S)
+    if state == "Sleep":  # with its motors off, the place is lost
+        with pytest.raises(DeviceError, match="position was lost") as caught:
+            stage.stop()
+        assert "power" not in str(caught.value)
+        stage.unlock()
+        stage.reference((0.0, 0.0, 0.0))
+    else:
+        stage.stop()
+    stage.move_to((0.001, 0.0, 0.0), SPEED_M_S)
+    arrive(stage)
+
+
+def test_a_reset_in_motion_is_an_alarm_and_loses_the_place(stage):
+    run_up(stage, (0.045, 0.0, 0.0))
+    stage._link._write(b"\x18")
+    with pytest.raises(DeviceError, match=r"ALARM:3|restarted"):
+        arrive(stage)
+    with pytest.raises(DeviceError):
+        stage.position_m()
+    stage.unlock()
+    stage.reference((0.0, 0.0, 0.0))
+    stage.move_to((0.001, 0.0, 0.0), SPEED_M_S)
+    arrive(stage)
+
+
+def test_homing_that_is_switched_off_is_refused_by_name(stage):
+    with pytest.raises(DeviceError, match="error:5"):
+        stage.home()
+    with pytest.raises(DeviceError):
+        stage.position_m()
+
+
+@pytest.mark.slow
+def test_homing_ends_homed_or_is_refused_with_the_place_unknown(where):
+    """A simulator without switches searches for long, and then says so."""
+    path, _ = where
+    with Talk(path) as talk:
+        assert talk.send("$22=1")[-1] == "ok"
+    with GrblStage.open(spec(path, home_s=300.0, least_m=None, greatest_m=None)) as stage:
+        try:
+            stage.home()
+        except DeviceError:
+            with pytest.raises(DeviceError):
+                stage.position_m()
+        else:
+            assert math.dist(stage.position_m(), (0.0, 0.0, 0.0)) < 0.02
+
+
+def test_a_target_outside_the_host_s_limits_is_never_sent(stage):
+    before = counted_mm(stage)
+    for target in ((0.06, 0.0, 0.0), (0.0, 0.0, math.nan)):
+        with pytest.raises(RangeError):
+            stage.move_to(target, SPEED_M_S)
+    assert counted_mm(stage) == before
+
+
+def test_a_jog_beyond_the_firmware_s_own_travel_is_refused_without_an_alarm(where):
+    """grblHAL knows its travel once homed alone, which a simulator without switches is not."""
+    path, firmware = where
+    if firmware == "grblHAL":
+        pytest.skip("grblHAL checks its travel once it is homed, and nothing here is")
+    with Talk(path) as talk:
+        for line in ("$22=1", "$20=1", "$X"):
+            assert talk.send(line)[-1] == "ok", line
+    with GrblStage.open(spec(path)) as stage:
+        stage.unlock()
+        stage.reference((0.049, 0.0, 0.0))  # 49 mm on of where the machine begins
+        with pytest.raises(DeviceError, match="error:15"):
+            stage.move_to((0.050, 0.0, 0.0), SPEED_M_S)  # beyond machine zero, its end
+        assert not stage.moving()
+
+
+def test_a_port_that_is_opened_anew_in_motion_is_stopped_and_its_place_unknown(where):
+    path, _ = where
+    stage = GrblStage.open(spec(path))
+    stage.reference((0.0, 0.0, 0.0))
+    run_up(stage, (0.049, 0.0, 0.0))
+    stage._link.close()  # as a programme that dies: nothing is stopped
+    with GrblStage.open(spec(path)) as again:
+        first = counted_mm(again)
+        time.sleep(0.3)
+        assert counted_mm(again) == first
+        with pytest.raises(DeviceError, match="just opened"):
+            again.position_m()
+        again.reference((0.0, 0.0, 0.0))
+        again.move_to((0.001, 0.0, 0.0), SPEED_M_S)
+        arrive(again)
+
+
+class Mirrored:
+    """A stage whose place a virtual world is told at each look, so that it presses a virtual skin."""
+
+    def __init__(self, stage, world) -> None:
+        self._stage, self._world = stage, world
+
+    def __getattr__(self, name):
+        return getattr(self._stage, name)
+
+    def position_m(self):
+        at = self._stage.position_m()
+        with self._world.lock:
+            self._world.move(standing(at, self._world.now_s))
+        return at
+
+    def moving(self) -> bool:
+        self.position_m()
+        return self._stage.moving()
+
+
+@pytest.mark.slow
+def test_the_driver_keeps_every_law_of_a_stage_on_firmware_however_slow(stage):
+    box = ((-0.005,) * 3, (0.005,) * 3)
+    began = time.monotonic()
+    stage._link.command("G4P2", timeout_s=PATIENCE_S)  # a dwell of two of its own seconds
+    pace = max(1.0, (time.monotonic() - began) / 2.0)
+    found = check_stage(
+        stage, clock=MonotonicClock(), region_m=box, speed_m_s=4e-3, time_scale=pace, close=False
+    )
+    assert [one for one in found if not one.ok and one.name != "returns at once from move_to"] == []
+
+
+@pytest.mark.slow
+def test_a_small_plan_is_recorded_with_a_virtual_force_and_camera(where, tmp_path):
+    small = plan(
+        places=Listed(kind="listed", at_mm=((0.0, 0.0),)),
+        cycles=1, depth_mm=0.4, step_mm=0.2, frames=1,
+        clearance_mm=0.6, seek_mm_s=1.0, press_mm_s=1.0, travel_mm_s=10.0,
+    )  # fmt: skip
+    limits = Limits((-0.02,) * 3, (0.02, 0.02, 0.01), age_s=2.0, overshoot_m=0.2e-3)
+    with GrblStage.open(spec(where[0], least_m=(-0.03,) * 3, greatest_m=(0.03, 0.03, 0.012))) as stage:
+        stage.reference((0.0, 0.0, -0.002))
+        virtual = rig(clock=MonotonicClock(), limits=limits)
+        mixed = replace(virtual, stage=Mirrored(stage, virtual.stage._world))
+        outcome = record(mixed, small, tmp_path / "run")
+        assert outcome.state is State.DONE, outcome.message
+        assert stage.position_m()[2] <= -0.6e-3 + 1e-5  # lifted
+    run = Run.open(tmp_path / "run")
+    assert check(run.path).sound
+    assert set(run.labels["shot"].dropna()) == {shot for shot, _ in wanted(small)}
+    pressed = run.labels[run.labels["depth_mm"] > 0.3]
+    assert (pressed["force_N"] > 0.05).all()
+    assert len(pressed)
