@@ -135,7 +135,7 @@ def test_a_camera_that_does_not_see_the_taps_stops_the_recording_before_it_begin
         ("camera-gone", Reason.CAMERA),
         ("camera-frozen", Reason.CLOCKS),
         ("force-stalls", Reason.FORCE_STALE),
-        ("layer-gone", Reason.NO_CONTACT),
+        ("layer-gone", Reason.FORCE_DEAD),  # what was felt is gone, and nothing has moved away
     ],
 )
 def test_what_fails_while_tapping_stops_with_its_name_and_the_recording_goes_on_afterwards(

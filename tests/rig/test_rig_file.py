@@ -75,6 +75,10 @@ force_N = 12
             'name = "x"\n[virtual]\n[limits]\nleast_mm = [0, 0, 0]\ngreatest_mm = [1, 1, 1]\nforce_N = -1',
             "force_N",
         ),
+        (
+            'name = "x"\n[virtual]\n[limits]\nleast_mm = [0, 0, 0]\ngreatest_mm = [1, 1, 1]\nforce_N = 1e9',
+            r"1e\+09 N.* to 120 N",
+        ),
     ],
 )
 def test_a_file_that_says_something_wrong_is_refused_by_name(tmp_path: Path, text: str, said: str) -> None:

@@ -37,6 +37,11 @@ class Mounting:
                 f"a sensor mounted as {self.axes}; name x, y and z once each, with + or - before"
             )
 
+    @property
+    def normal(self) -> int:
+        """Which of the device's axes lies along the press: 0, 1 or 2."""
+        return "xyz".index(self.axes[2].lstrip("+-"))
+
     def to_skin(self, vector: Sequence[float]) -> Force:
         """A device's vector in the skin's axes."""
         x, y, z = (

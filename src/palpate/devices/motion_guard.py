@@ -2,7 +2,9 @@
 
 A move towards the skin is cut into short ones, one in flight at a time, so that a link that breaks can run on
 by one of them at most. While anything moves, the force sensor is read without pause; the stage is stopped on
-too much force, too fast a rise, an old or faulty sample, the operator's wish, or any failure at all.
+too much force, too fast a rise, an old or faulty sample, the operator's wish, or any failure at all. Once the
+air has taught what the sensor's noise is, it also stops on a force that no motion explains (`force_trust`):
+it listens for a moment more, at a stand, and names what is wrong.
 
 What passes meanwhile is published: the samples as they were drained, where the stage is, and each look.
 """
@@ -12,20 +14,23 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Generic, ParamSpec
 
 from palpate.core import NS_PER_S, Clock, DeviceError, Position, Wrench
 from palpate.devices.device_proxies import Actuator, ForceSource, PlainActuator, PlainForceSource
 from palpate.devices.force_bias import Force, ForceBias
+from palpate.devices.force_trust import Doubt, ForceMonitor, Phase, name_fault
 from palpate.devices.motion_limits import Limits, Reason, Tripped
 from palpate.devices.operator_control import AT_ONCE, OperatorCommand, OperatorControl
 
 POLL_S = 0.002  # between two looks at the force while something moves
 WAIT_S = 0.02  # and while nothing does
+LEVEL_M = 1e-6  # by which a move that leads aside may lead down
 ARRIVED_M = 0.02e-3  # from the target, at most, after a move
 LATE_S = 4.0  # beyond the time that a move should take: a stage's answer can be late by seconds
 LATE_FACTOR = 2.0
+LISTEN_S = 0.25  # at a stand, after a force that is not believed, to name what is wrong
 RISE_N = 1.0  # by which force may rise while the probe moves away: friction, noise, a sign that is wrong
 
 LEAVING = (OperatorCommand.ESTOP,)
@@ -40,6 +45,18 @@ def _never(force: Force) -> bool:
     return False
 
 
+def _unchecked(sample: Wrench) -> None:
+    pass
+
+
+class _DoubtError(Exception):
+    """Carries a doubt from a sample's check to the look that took the sample in."""
+
+    def __init__(self, doubt: Doubt) -> None:
+        super().__init__(doubt.text)
+        self.doubt = doubt
+
+
 class MotionGuard:
     """Moves an actuator within limits, and watches a force all the while.
 
@@ -52,6 +69,7 @@ class MotionGuard:
         control: through which the operator interrupts.
 
     Attributes:
+        monitor: doubts the force, once it was taught in the air.
         samples: hear each batch of force samples, raw and oldest first, before it is checked.
         positions: hear where the stage is [m], and when that was asked [ns], at each look while it moves and
             once it stands.
@@ -76,10 +94,13 @@ class MotionGuard:
         self._bias = bias
         self._clock = clock
         self._control = control
+        self.monitor = ForceMonitor(bias, limits, stage.travel)
+        self._disbelieved = False
         self.samples: Subscribers[[Sequence[Wrench]]] = Subscribers()
         self.positions: Subscribers[[Position, int]] = Subscribers()
         self.looks: Subscribers[[]] = Subscribers()
         self._recent: deque[tuple[int, float]] = deque()
+        self._phase = Phase.STAND
 
     @property
     def force_n(self) -> Force:
@@ -89,6 +110,10 @@ class MotionGuard:
             Tripped: it is old or faulty.
         """
         return self._bias.force(self._newest())
+
+    def skin_n(self, sample: Wrench) -> Force:
+        """Force of a sample, in the skin's axes, without the bias [N]."""
+        return self._bias.force(sample)
 
     def position_m(self) -> Position:
         """Position of the stage [m].
@@ -129,6 +154,7 @@ class MotionGuard:
         self._limits.check_target(target)
         self._limits.check_speed(speed_m_s, self._stage.travel)
         start = self.position_m()
+        self._phase = Phase.DOWN if target[2] > start[2] + LEVEL_M else Phase.ASIDE
         pieces = max(1, math.ceil(math.dist(start, target) / (step_m or self._limits.step_m) - 1e-9))
         for i in range(1, pieces + 1):
             if until(self.force_n):
@@ -141,6 +167,10 @@ class MotionGuard:
     def away(self, target: Position, speed_m_s: float) -> None:
         """Move away from the skin, or beside it, in one go; allowed under a force above the limit.
 
+        At a speed at which it may also move towards the skin, it stops on a force that is not believed.
+        Faster, or after that, it goes on to its target whatever the sensor reads: away is where nothing is
+        pressed.
+
         Raises:
             Tripped: the force rises on the way, or the stage fails.
             OperatorInterrupt: an emergency stop; no other wish holds it up.
@@ -150,13 +180,20 @@ class MotionGuard:
 
         def rising(sample: Wrench) -> None:
             force = math.hypot(*self._bias.force(sample))
-            if not sample.fault and start_n is not None and force > start_n + RISE_N:
+            if sample.fault or self._disbelieved:
+                return
+            if slow and force <= self._limits.force_n:
+                self._believe(sample)
+            if start_n is not None and force > start_n + RISE_N:
                 raise Tripped(
                     Reason.FORCE_LIMIT,
                     f"{force:.2f} N while moving away, from {start_n:.2f} N: is the stage's z turned round?",
                 )
 
-        speed = min(speed_m_s, self._stage.travel.top_speed_m_s)
+        travel = self._stage.travel
+        speed = min(speed_m_s, travel.top_speed_m_s)
+        slow = self._limits.runs_on_m(speed, travel) <= self._limits.overshoot_m
+        self._phase = Phase.UP if slow else Phase.LIFT
         self._run(target, speed, _never, rising, LEAVING)
 
     def look(self, check: Check | None = None, asks: tuple[OperatorCommand, ...] = AT_ONCE) -> list[Wrench]:
@@ -172,8 +209,11 @@ class MotionGuard:
                 return []
             raise Tripped(Reason.FORCE_SENSOR, f"the force sensor failed: {e}") from e
         self.samples.publish(samples)
-        for one in samples:
-            (check or self._within)(one)
+        for i, one in enumerate(samples):
+            try:
+                (check or self._within)(one)
+            except _DoubtError as e:
+                raise self._named(e.doubt, samples[i:]) from None
         return samples
 
     def halt(self) -> None:
@@ -197,8 +237,11 @@ class MotionGuard:
     ) -> bool:
         """One move, watched; the stage stands when this returns or raises."""
         try:
-            if self._follow(target, speed_m_s, until, check, asks):
+            reached = self._follow(target, speed_m_s, until, check, asks)
+            if reached:
                 self.halt()
+            self.monitor.end(self._clock.now_ns())
+            if reached:
                 return True
         except DeviceError as e:
             self.halt()
@@ -220,7 +263,9 @@ class MotionGuard:
     ) -> bool:
         slowing_s = speed_m_s / self._stage.travel.acceleration_m_s2
         due_s = LATE_S + LATE_FACTOR * (math.dist(self.position_m(), target) / speed_m_s + slowing_s)
-        end_ns = self._clock.now_ns() + round(due_s * NS_PER_S)
+        begun_ns, start = self._clock.now_ns(), self.position_m()
+        end_ns = begun_ns + round(due_s * NS_PER_S)
+        self.monitor.begin(self._phase, speed_m_s, math.dist(start, target), begun_ns)
         self._stage.move_to(target, speed_m_s)
         while self._stage.moving():
             self._clock.sleep(POLL_S)
@@ -228,8 +273,11 @@ class MotionGuard:
                 return True
             if check == self._within:
                 self._newest()
-            now_ns = self._clock.now_ns()
-            self.positions.publish(self._stage.position_m(), now_ns)
+            elif self._phase is Phase.UP:
+                self._check_gap()
+            now_ns, at = self._clock.now_ns(), self._stage.position_m()
+            self.monitor.reported(math.dist(start, at))
+            self.positions.publish(at, now_ns)
             self.looks.publish()
             if now_ns > end_ns:
                 raise Tripped(Reason.STAGE_LATE, f"the stage still moves {due_s:.1f} s after it was sent")
@@ -245,12 +293,46 @@ class MotionGuard:
                 "allowed: were steps lost?",
             )
 
+    def _believe(self, sample: Wrench) -> None:
+        """Raise `_DoubtError` on a good sample that the monitor does not believe."""
+        if (doubt := self.monitor.take(sample)) is not None:
+            raise _DoubtError(doubt)
+
+    def _named(self, doubt: Doubt, after: Sequence[Wrench] = ()) -> Tripped:
+        """Stop, listen for a moment to what follows, and name it; from now on the force is not believed.
+
+        Args:
+            doubt: of the monitor.
+            after: samples that came already, from the doubted one on.
+        """
+        self.halt()
+        self._disbelieved = True
+        begun_ns, heard, listened_s = self._clock.now_ns(), list(after), 0.0
+        while listened_s < LISTEN_S:
+            self._clock.sleep(WAIT_S)
+            heard += self.look(_unchecked, LEAVING)
+            listened_s = (self._clock.now_ns() - begun_ns) / NS_PER_S
+        air = self.monitor.air
+        assert air is not None  # nothing is doubted before the air is known
+        return Tripped(*name_fault(doubt, heard, air, self._bias, listened_s))
+
+    def _check_gap(self) -> None:
+        """Doubt a sensor that is silent on the way back; one that does not answer stops nothing there."""
+        asked_ns = self._clock.now_ns()
+        with suppress(DeviceError):
+            age_s = (asked_ns - self._sensor.latest().time_ns) / NS_PER_S
+            if not self._disbelieved and age_s > self.monitor.oldest_s:
+                raise self._named(self.monitor.gap(age_s))
+
     def _newest(self) -> Wrench:
+        asked_ns = self._clock.now_ns()  # before the call: a busy computer makes no sample old
         try:
             newest = self._sensor.latest()
         except DeviceError as e:
             raise Tripped(Reason.FORCE_SENSOR, f"the force sensor failed: {e}") from e
-        age_s = (self._clock.now_ns() - newest.time_ns) / NS_PER_S
+        age_s = (asked_ns - newest.time_ns) / NS_PER_S
+        if age_s > self.monitor.oldest_s and age_s <= self._limits.age_s:
+            raise self._named(self.monitor.gap(age_s))
         if age_s > self._limits.age_s:
             raise Tripped(
                 Reason.FORCE_STALE,
@@ -267,6 +349,7 @@ class MotionGuard:
         force = self._bias.force(sample)
         if (size := math.hypot(*force)) > self._limits.force_n:
             raise Tripped(Reason.FORCE_LIMIT, f"{size:.2f} N; {self._limits.force_n:g} N are allowed")
+        self._believe(sample)
         self._check_rate(sample.time_ns, force[2])
 
     def _check_rate(self, time_ns: int, normal_n: float) -> None:

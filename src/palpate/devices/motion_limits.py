@@ -19,6 +19,13 @@ class Reason(StrEnum):
     FORCE_STALE = "force-stale"
     FORCE_FAULT = "force-fault"
     FORCE_NOISE = "force-noise"
+    FORCE_DEAD = "force-dead"  # it does not follow what is touched
+    FORCE_STUCK = "force-stuck"  # it repeats one sample
+    FORCE_REVERSED = "force-reversed"
+    FORCE_SCALED = "force-scaled"  # its scale has changed since the air
+    FORCE_LATE = "force-late"  # samples are held back on their way
+    FORCE_SLOW = "force-slow"  # fewer samples come than it states
+    FORCE_IMPLAUSIBLE = "force-implausible"  # no motion explains it, and nothing else of these
     TOUCHED_EARLY = "touched-early"
     NO_CONTACT = "no-contact"
     SOFT_LIMIT = "soft-limit"
@@ -97,6 +104,22 @@ class Limits:
                     f"lie outside the stage's travel, {travel.least_m[i] * 1e3:g} to "
                     f"{travel.greatest_m[i] * 1e3:g} mm"
                 )
+
+    def check_range(self, range_n: float) -> None:
+        """Refuse a limit of force that the sensor cannot measure.
+
+        Args:
+            range_n: greatest force along the skin's normal that it measures [N].
+
+        Raises:
+            RangeError: the limit lies above it.
+        """
+        if self.force_n > range_n:
+            raise RangeError(
+                f"the rig's limit of force is {self.force_n:g} N, and its sensor measures to {range_n:g} N "
+                f"along the press: it would saturate before anything stops; give force_N of {range_n:g} or "
+                f"less"
+            )
 
     def check_target(self, target: Position) -> None:
         """Refuse a target outside the soft limits.

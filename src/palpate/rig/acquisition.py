@@ -112,7 +112,8 @@ class Acquisition:
                 )
 
         drained(self._rig.camera)
-        with self._guard.looks.subscribed(take_in):
+        due = self._motion.contact_due(sweep.depth_m)
+        with self._guard.looks.subscribed(take_in), due:
             until = sweep.until_n
             lowest = self._rig.origin_m[2] + sweep.depth_m
             reached = self._guard.towards(

@@ -100,7 +100,7 @@ class Engine:
         self._planned = [len(plan.shots(press)) for press in plan.presses()]
         self._shots = sum(self._whole(press) for press in plan.presses())
         self._begun = (time.monotonic(), self._shots)
-        self._indenter = ""
+        self._indenter = self._tried = ""
         self._wanted = ""
         self._clocks: Offset | None = None
 
@@ -140,6 +140,8 @@ class Engine:
         while self._plan.missing(press, self._done):
             try:
                 self._mount(press.indenter)
+                if self._tried != press.indenter:
+                    self._try_sensor(press)
                 if self._clocks is None and self._plan.taps:
                     self._set_clocks(press)
                 self._approached(press)
@@ -177,6 +179,11 @@ class Engine:
                 self._acquisition.sweep(step)
             case _:
                 assert_never(step)
+
+    def _try_sensor(self, press: PlannedPress) -> None:
+        self._message = f"{press.place.name}: a gentle touch, to try the force sensor"
+        self._motion.try_sensor(press)
+        self._tried = press.indenter
 
     def _set_clocks(self, press: PlannedPress) -> None:
         self._message = f"{press.place.name}: {self._plan.taps} taps, to set the clocks"

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 
-from palpate.core import InputError, Position, own_plans_of
+from palpate.core import InputError, Position, Wrench, own_plans_of
 from palpate.devices import ForceBias, MotionGuard, Reason, Tripped
 from palpate.rig.plans.recording_plan import PlannedPress, RecordingPlan
 from palpate.rig.rig import Rig
-from palpate.rig.run_progress import ZERO, Recorder
+from palpate.rig.run_progress import TOUCH, ZERO, Recorder
+from palpate.rig.sign_touch import touch_gently
 
 MM = 1e-3
 BELOW_TOUCH_MM = 0.2  # of a contact that is said by a force
 TARE_S = 0.3  # in the air, for the force sensor's zero
+FEW = 3  # samples from which a rate can be told
+LONGER_S = 1.0  # more, where nothing but one value was read
 MAX_DRIFT_N = 0.5  # of the zero, from one press to the next
 SIGMAS = 5.0  # of the force's noise that a threshold must lie above
 
@@ -69,12 +73,14 @@ class PressMotion:
         A zero far from the last one means that the probe touches something.
 
         Raises:
-            Tripped: it does, or the sensor is too noisy for the plan's contact threshold.
+            Tripped: it does, or the sensor is too noisy for the plan's contact threshold, repeats itself,
+            comes
+                too slowly or is another one than before.
         """
         before = self._bias.force_n[2]
         known = self._bias.noise_n > 0
         threshold = self._plan.threshold_N
-        samples = self._guard.wait(TARE_S, lambda sample: None)
+        samples = self._air()
         self._bias.measure(samples)
         self._recorder.event("tare", force_n=self._bias.force_n, noise_n=self._bias.noise_n)
         if threshold < SIGMAS * self._bias.noise_n:
@@ -90,6 +96,31 @@ class PressMotion:
                 f"in the air the force stands {moved:.2f} N from where it stood before the last press: does "
                 "the probe touch something?",
             )
+
+    def _air(self) -> list[Wrench]:
+        """Samples in the air, which teach the guard what this sensor reads there."""
+
+        def good(samples: list[Wrench]) -> list[Wrench]:
+            return [one for one in samples if not one.fault]
+
+        samples = self._guard.wait(TARE_S, lambda sample: None)
+        if len({(one.force_n, one.torque_nm) for one in good(samples)}) == 1:
+            samples += self._guard.wait(LONGER_S, lambda sample: None)
+        if len(good(samples)) >= FEW:
+            self._guard.monitor.learn_air(good(samples), self._rig.force.rate_hz)
+        return samples
+
+    def try_sensor(self, press: PlannedPress) -> None:
+        """Touch gently, to see that force rises under a touch and falls after it, before anything presses.
+
+        Raises:
+            Tripped: it does not; all that a guarded motion raises.
+        """
+        self.over(press.place.x_mm * MM, press.place.y_mm * MM)
+        self._guard.monitor.new_tool()
+        self.measure_bias()
+        felt = touch_gently(self._rig, self._plan, self._guard)
+        self._recorder.event(TOUCH, place=press.place.name, **asdict(felt))
 
     def seek(self) -> None:
         """Go down until the force says contact; that place is the press's zero.
@@ -120,6 +151,33 @@ class PressMotion:
             z_mm=1e3 * (self.contact_m - self._rig.origin_m[2]),
         )
 
+    @contextmanager
+    def contact_due(self, depth_m: float) -> Iterator[None]:
+        """Expect contact where the search for it would end, within a ``with`` block that goes on to a depth.
+
+        Raises:
+            Tripped: nothing was felt down to there.
+        """
+        plan, z0, felt = self._plan, self._rig.origin_m[2], False
+
+        def feel(samples: Sequence[Wrench]) -> None:
+            nonlocal felt
+            felt = felt or any(
+                self._bias.force(one)[2] > plan.threshold_N for one in samples if not one.fault
+            )
+
+        def look(at: Position, time_ns: int) -> None:
+            if not felt and at[2] > z0 + plan.seek_mm * MM:
+                raise Tripped(
+                    Reason.NO_CONTACT,
+                    f"nothing was felt at {self._place.name} down to {plan.seek_mm:g} mm below the expected "
+                    f"surface, of {depth_m / MM:g} mm to go; is the layer there, and does the force sensor "
+                    "feel anything?",
+                )
+
+        with self._guard.samples.subscribed(feel), self._guard.positions.subscribed(look):
+            yield
+
     def to_depth(self, depth_m: float, speed_m_s: float) -> None:
         """Go to a depth below the zero, down or up [m]."""
         if self.contact_m is None:
@@ -140,6 +198,7 @@ def check_plan(rig: Rig, plan: RecordingPlan) -> None:
 
     Raises:
         Tripped: says which.
+        RangeError: the limit of force lies above what the sensor measures.
         InputError: places or an indenter that do not suit the rig's sensor; the message names its own plans.
     """
     with _plan_named(rig, plan):
@@ -149,6 +208,7 @@ def check_plan(rig: Rig, plan: RecordingPlan) -> None:
             )  # before any bound: an indenter of another sensor is the better reason
         _check_places(rig, plan)
         _check_known(rig, plan)
+    rig.limits.check_range(rig.force.range_n[rig.mounting.normal])
     for speed in (plan.seek_mm_s, plan.press_mm_s, getattr(plan, "speed_mm_s", plan.press_mm_s)):
         rig.limits.check_speed(speed * MM, rig.stage.travel)
 

@@ -92,11 +92,10 @@ def _fits(rig: Rig) -> Part:
         inside,
         f"origin_m is {rig.origin_m}, the limits are {limits.least_m} to {limits.greatest_m} m",
     )
-    normal = "xyz".index(rig.mounting.axes[2].lstrip("+-"))
     yield at_most(
         "the force limit lies inside the sensor's range",
         limits.force_n,
-        rig.force.range_n[normal],
+        rig.force.range_n[rig.mounting.normal],
         "N",
         "the sensor would saturate before the rig stops; lower the limit",
     )

@@ -23,6 +23,7 @@ from palpate.core import (
     ManualClock,
     MonotonicClock,
     Position,
+    RangeError,
     Stage,
 )
 from palpate.core.sensor import sensor as sensor_of
@@ -315,6 +316,7 @@ def rig_from(file: RigFile) -> Rig:
             origin=file.origin,
             design=sensor_of(file.design),
         )
+        _check_range(rig)
         opened.pop_all()
         return rig
 
@@ -340,7 +342,16 @@ def _virtual(file: RigFile, part: VirtualPart) -> Rig:
         age_s=REAL_TIME_AGE_S if part.real_time else None,
         askew_m=_metres(part.askew_mm),
     )
+    _check_range(rig)
     return replace(rig, name=f"{file.name}, {rig.name}", regions=_regions(file) or rig.regions)
+
+
+def _check_range(rig: Rig) -> None:
+    """Refuse a limit of force that the rig's sensor cannot measure."""
+    try:
+        rig.limits.check_range(rig.force.range_n[rig.mounting.normal])
+    except RangeError as e:
+        raise InputError(f"limits.force_N: {e}") from e
 
 
 def _regions(file: RigFile) -> tuple[Region, ...]:

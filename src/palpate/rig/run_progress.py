@@ -22,7 +22,7 @@ class Recorder:
     """Writes what the rig sees; what the disk refuses is raised where the next thing is recorded.
 
     Attributes:
-        muted: record events alone: the disk has refused, or a write must not hold up the lifting of the probe.
+        muted: record events alone: the disk has refused, or a write must not hold up lifting the probe.
     """
 
     def __init__(self, writer: RunWriter, bias: ForceBias, begun_ns: int) -> None:
@@ -93,6 +93,7 @@ class Outcome:
 
 PLAN = "plan"
 SHOT = "shot"
+TOUCH = "sign-touch"  # gentle touch, before the first press and after each change of tool
 ZERO = "zero"  # height of contact in one press; the event is called so in runs
 SWEEPS = "sweep"
 

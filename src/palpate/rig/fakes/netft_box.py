@@ -83,6 +83,8 @@ class FakeNetFT(Closing):
         ft_step: measurements from one record to the next; 0 is a measurement that stands still.
         rdt_sequence, ft_sequence: of the last record.
         first_sequence: what the RDT sequence begins with at each start.
+        sent_hz: records a second that it sends; None for those that its page states.
+        hold_s: for so long it keeps records, and sends all at once, as a busy switch does; 0 for never [s].
         silent: sends nothing, as without power or with the stream gone elsewhere.
         lost_starts, lost_stops: so many of the next requests go unheard.
         http_status, http_body: in place of 200 and of the page.
@@ -109,6 +111,10 @@ class FakeNetFT(Closing):
         self.counts: tuple[int, ...] | None = None
         self.ft_step = self.first_sequence = 1
         self.silent = False
+        self.sent_hz: float | None = None
+        self.hold_s = 0.0
+        self._kept: list[bytes] = []
+        self._kept_since = 0.0
         self.lost_starts = self.lost_stops = 0
         self.http_status, self.http_body, self.http_drip_s, self.http_missing = 200, b"", 0.0, 0
         self.host = "127.0.0.1"
@@ -189,7 +195,9 @@ class FakeNetFT(Closing):
             with suppress(TimeoutError, BlockingIOError, ConnectionError):
                 self._take(*self._udp.recvfrom(64))
             if self._client and time.monotonic() >= self._due:
-                self._due = max(self._due + 1 / self.page.rate_hz, time.monotonic() - _BEHIND_S)
+                self._due = max(
+                    self._due + 1 / (self.sent_hz or self.page.rate_hz), time.monotonic() - _BEHIND_S
+                )
                 if not self.silent:
                     self._send()
 
@@ -224,6 +232,13 @@ class FakeNetFT(Closing):
                 self._delayed = None
 
     def _put(self, *datagrams: bytes) -> None:
+        if self.hold_s:
+            self._kept_since = self._kept_since if self._kept else time.monotonic()
+            self._kept.extend(datagrams)
+            if time.monotonic() - self._kept_since < self.hold_s:
+                return
+        datagrams = (*self._kept, *(() if self.hold_s else datagrams))
+        self._kept.clear()
         for datagram in datagrams:
             if self._client is None:
                 return

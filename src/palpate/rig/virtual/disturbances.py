@@ -23,6 +23,12 @@ Kind = Literal[
     "force-spike",  # one sample of 1000 N
     "force-noisy",  # a hundred times the noise
     "force-reversed",  # the sign along z is the other one
+    "force-stuck",  # it repeats the last sample, with stamps of its own
+    "force-dead",  # all six axes read zero
+    "force-numb",  # noise about the last force, which it does not follow any more
+    "force-scaled",  # all it reads, noise and bias as well, is a tenth of what it was
+    "force-held-back",  # samples are kept for 80 ms, and all come at once with the stamps of their arrival
+    "force-slow",  # one sample in ten comes
     "stage-gone",  # the device does not answer; what was begun goes on
     "stage-stuck",  # it stands, and says that it moves
     "stage-slips",  # it loses 0.1 mm of every move

@@ -1,7 +1,8 @@
 """ATI's Net F/T box as a force sensor: calibration over HTTP, records over UDP, received by a thread.
 
 What goes wrong is told, never guessed over: a sample that cannot be trusted carries a fault and no numbers; a
-box that is silent, stands still, restarts or reports an error ends the stream with a `DeviceError`. The box's
+box that is silent, stands still, restarts or reports an error ends the stream with a `DeviceError`. Samples
+are dated by the box's own numbers, so that what was held back on its way is as old as it is. The box's
 own bias is never set, nor is anything else in it: only start and stop are sent.
 
 Plain text without any proof of who speaks: connect the box to a network of its own.
@@ -25,6 +26,7 @@ from palpate.core import (
     RangeError,
     Wrench,
 )
+from palpate.devices.force_trust import SampleDating
 from palpate.rig.real.netft.netft_calibration import NetFTCalibration, Triple, fetch
 from palpate.rig.real.netft.netft_stream import (
     MONITOR_WARNING,
@@ -34,6 +36,7 @@ from palpate.rig.real.netft.netft_stream import (
     RdtRecord,
     RdtSequence,
     RdtStream,
+    ahead,
     is_healthy,
     is_only_saturated,
     records,
@@ -125,7 +128,12 @@ class Samples:
     """Follows one stream: which records are new, what they measure, and when the stream has failed."""
 
     def __init__(
-        self, calibration: NetFTCalibration, range_n: Triple, silence_s: float, start_ns: int
+        self,
+        calibration: NetFTCalibration,
+        range_n: Triple,
+        silence_s: float,
+        start_ns: int,
+        rate_hz: float | None = None,
     ) -> None:
         """Follow a stream.
 
@@ -134,12 +142,16 @@ class Samples:
             range_n: greatest force along x, y, z; beyond it a sample is faulty [N].
             silence_s: without a new measurement for longer, the stream has failed [s].
             start_ns: when it was asked for [ns].
+            rate_hz: as the box states it, from which samples are dated by its own numbers, so that those that
+                were held back are as old as they are; None to date all by their arrival [Hz].
         """
         self.calibration, self.range_n, self.silence_s = calibration, range_n, silence_s
         self.counts = NetFTCounts()
+        self._dating = None if rate_hz is None else SampleDating(rate_hz)
         self.failure: DeviceError | None = None
         self._sequence, self._measurement = RdtSequence(), RdtMeasurement()
         self._progress_ns = start_ns
+        self._numbered = self._dated = 0
         self._stalled = self._stale = self._malformed = 0  # since the last new measurement
 
     def take(self, datagram: bytes, time_ns: int) -> list[Wrench]:
@@ -154,7 +166,7 @@ class Samples:
             return []
         self._malformed = 0
         new = [record for record in batch if self._is_new(record)]
-        return [self._sample(record, time_ns) for record in new]
+        return [self._sample(record, self._dated_ns(record, time_ns), time_ns) for record in new]
 
     def is_overdue(self, now_ns: int) -> bool:
         """Whether no new measurement has come for longer than is borne."""
@@ -180,10 +192,18 @@ class Samples:
         self._stale += not new
         return new
 
-    def _sample(self, record: RdtRecord, time_ns: int) -> Wrench:
+    def _dated_ns(self, record: RdtRecord, arrival_ns: int) -> int:
+        """When a sample would have come, had it not been held back; never before the last one [ns]."""
+        if self._dating is None:
+            return arrival_ns
+        number = self._numbered = self._numbered + ahead(record.rdt_sequence, self._numbered % 2**32)
+        self._dated = max(self._dated, self._dating.date_ns(number, arrival_ns))
+        return self._dated
+
+    def _sample(self, record: RdtRecord, time_ns: int, arrival_ns: int) -> Wrench:
         progress = self._measurement.progress(record.ft_sequence)
         if progress is Advance.NEW:
-            self._progress_ns, self._stalled, self._stale = time_ns, 0, 0
+            self._progress_ns, self._stalled, self._stale = arrival_ns, 0, 0
         elif progress is Advance.STALLED:
             self._stalled += 1
         elif progress is Advance.RESTARTED:
@@ -344,7 +364,8 @@ class NetFT(Closing):
         return known
 
     def _new_samples(self) -> Samples:
-        return Samples(self.calibration, self._range_n, self._settings.silence_s, self._clock.now_ns())
+        settings, now_ns = self._settings, self._clock.now_ns()
+        return Samples(self.calibration, self._range_n, settings.silence_s, now_ns, self._rate_hz)
 
     def _start(self) -> RdtStream:
         """Ask for records until the first one comes. Every try has a socket of its own.

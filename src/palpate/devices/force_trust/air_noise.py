@@ -1,0 +1,132 @@
+"""Noise, quantum and rate of a force sensor, learnt in the air for the sensor at hand.
+
+A sensor that measures shows noise: a coarse one repeats a sample now and then, a dead one repeats all. How
+often this one repeats itself in the air says how long a row of equal samples may become before it is no
+chance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.core import NS_PER_S, Float, Wrench, ndarray
+
+CHANCE = 1e-5  # of a row of equal samples that is still taken for noise
+CHANCE_COARSE = 1e-7  # where repeats are frequent, and their probability moves with the zero
+MIN_RUN = 5  # equal samples, whatever the noise: fewer are a stutter
+MAX_RUN = 400  # of a sensor so coarse that its noise hardly shows
+FINE = (
+    0.6  # noise over quantum, above which the noise does not depend on where between two steps the mean lies
+)
+DIGITS = 9  # to which values are compared for their quantum [N]
+
+Six = tuple[float, float, float, float, float, float]
+
+
+def six_of(sample: Wrench) -> Six:
+    """All six axes of a sample, as the device gave them."""
+    return *sample.force_n, *sample.torque_nm
+
+
+@dataclass(frozen=True, slots=True)
+class AirNoise:
+    """What a sensor reads in the air.
+
+    Attributes:
+        mean: of all six axes, as the device gives them [N, Nm].
+        noise_n: along the device's x, y, z: standard deviation, at least what a step of the quantum makes
+        [N]. fine: for each of x, y, z, whether the noise is wider than the quantum.
+        quantum_n: least difference between two values; 0 where there is none [N].
+        repeats, count: samples equal to the one before in all six axes, of so many.
+        longest: equal samples in a row, 1 where none is repeated.
+        period_s: between two samples, by their stamps [s].
+    """
+
+    mean: Six
+    noise_n: tuple[float, float, float]
+    fine: tuple[bool, bool, bool]
+    quantum_n: float
+    repeats: int
+    count: int
+    longest: int
+    period_s: float
+
+    @classmethod
+    def of(cls, samples: Sequence[Wrench]) -> AirNoise:
+        """Learn it from samples without contact and without a fault, oldest first; at least three."""
+        six = np.array([six_of(one) for one in samples])
+        force = six[:, :3]
+        quantum = max(_quantum(force[:, i]) for i in range(3))
+        spread = force.std(axis=0, ddof=1)
+        least = quantum * math.sqrt(1 / 12 + 0.1)  # of noise that is hardly wider than the steps
+        equal = (np.diff(six, axis=0) == 0).all(axis=1)
+        times_s = np.array([one.time_ns for one in samples]) / NS_PER_S
+        mx, my, mz, tx, ty, tz = six.mean(axis=0).tolist()
+        nx, ny, nz = np.maximum(spread, least).tolist()
+        fx, fy, fz = (spread > FINE * quantum).tolist()
+        return cls(
+            mean=(mx, my, mz, tx, ty, tz),
+            noise_n=(nx, ny, nz),
+            fine=(fx, fy, fz),
+            quantum_n=quantum,
+            repeats=int(equal.sum()),
+            count=len(equal),
+            longest=1 + _longest(equal),
+            period_s=float((times_s[-1] - times_s[0]) / (len(times_s) - 1)),
+        )
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether every sample was the same in all six axes."""
+        return self.repeats == self.count
+
+    def run_limit(self, before: Sequence[AirNoise] = ()) -> int:
+        """Equal samples in a row that are no chance any more, from this air and those of before.
+
+        With a repeat of probability p, at most the upper bound of two standard errors on what was seen, a row
+        of n has the probability p^n; never less than twice the longest row that was seen.
+        """
+        share = max(self._most_often(), _pooled([*before, self])._most_often())
+        chance = CHANCE if all(self.fine) else CHANCE_COARSE
+        run = math.ceil(math.log(chance) / math.log(share)) if share < 1 else MAX_RUN
+        longest = max(one.longest for one in (*before, self))
+        return min(max(run, 2 * longest, MIN_RUN), MAX_RUN)
+
+    def _most_often(self) -> float:
+        """Upper bound of the probability of a repeat, by Agresti's and Coull's interval, two errors wide."""
+        n = self.count + 4
+        share = (self.repeats + 2) / n
+        return min(share + 2 * math.sqrt(share * (1 - share) / n), 1.0)
+
+
+def _pooled(airs: Sequence[AirNoise]) -> AirNoise:
+    last = airs[-1]
+    return AirNoise(
+        last.mean,
+        last.noise_n,
+        last.fine,
+        last.quantum_n,
+        sum(one.repeats for one in airs),
+        sum(one.count for one in airs),
+        max(one.longest for one in airs),
+        last.period_s,
+    )
+
+
+def _quantum(values: Float[ndarray, " n"]) -> float:
+    """Least difference between two different values; 0 where all are one."""
+    steps = np.diff(np.unique(values.round(DIGITS)))
+    return float(steps.min()) if len(steps) else 0.0
+
+
+def _longest(equal: ndarray) -> int:
+    """Longest row of True."""
+    longest = row = 0
+    for one in equal:
+        row = row + 1 if one else 0
+        longest = max(longest, row)
+    return longest

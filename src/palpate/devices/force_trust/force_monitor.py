@@ -1,0 +1,418 @@
+"""Monitor of a force sensor: whether what it reads can be the force of a probe that moves so.
+
+It learns in the air what the sensor's noise is, and in each press how force rises with depth; then every
+sample is held against the last ones and against the way that the stage was sent. All tests are of one sample
+at a time and cost a few comparisons. What it doubts, it says why; the name of the fault is found afterwards,
+at a stand, from the samples that follow (`fault_names`).
+
+| doubt | what is not believed |
+|---|---|
+| repeats | more equal samples in a row, on all six axes, than noise leaves to chance |
+| jump | a change from one sample to the next that no way in between explains |
+| pull | a probe on its way down that is pulled |
+| flat, steep | a force that rises less, or more, with depth than in the presses before |
+| holds | a force that does not fall on the way back |
+| lost | a contact that is gone though nothing moved away |
+| quiet | noise that has fallen |
+| late, gap | a sample that came after its turn; none at all |
+
+Sequential sums (Page 1954, doi:10.1093/biomet/41.1-2.100) find the first way over which force rose too
+little, wherever it began.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from itertools import pairwise
+
+from palpate.core import NS_PER_S, Travel, Wrench
+from palpate.devices.force_bias import ForceBias
+from palpate.devices.force_trust.air_noise import AirNoise, Six, six_of
+from palpate.devices.force_trust.sample_dating import SampleDating
+from palpate.devices.force_trust.stiffness_corridor import StiffnessCorridor
+from palpate.devices.motion_limits import Limits, Reason, Tripped
+
+BLIND_M = 0.08e-3  # of way on one sample
+MIN_PERIODS = 4  # of samples that may be missing, however fast the stage moves
+MIN_TURN = 5  # equal samples of a coarse sensor whose force should have moved by more than a step
+CONTACT = 8.0  # noises from which a force is a contact
+GONE = 2.0  # and below which it is none any more
+PULLED = (
+    5.0  # noises that the mean of a few samples lies below zero, under a pull: ten of the mean, for drift
+)
+PULLED_COARSE = 3.5  # and of a coarse sensor: more than one step of its quantum
+JUMP = 8.5  # noises between two samples: six of their difference
+JUMP_SHARE = 0.1  # of the force that may come and go between two samples: a skin that slips or snaps
+SLIDE_SHARE = 0.5  # while the probe slides
+DEFICIT = 4.5  # noises by which force may lag behind the least rise: nine of the mean that is looked at
+EXCESS = 6.0  # and run ahead of the greatest
+HELD = 10.0  # noises from which a force has to fall on the way back
+HELD_SHARE = 0.2  # of the force at which the way back began; below, a skin that lags has long tails
+SLACK_M = 20e-6  # of a stage that turns round
+TURN_S = 0.015  # after the stage turns round, in which the force still goes the old way
+SLACK_SHARE = 0.01  # of the force
+LAG_S = 0.03  # after a move, in which the force still follows
+REPORT_S = 0.25  # by which a stage's report may be late
+SMOOTH = 0.4  # weight of the newest sample in the mean that is looked at
+QUIET = 0.12  # of the noise's square, over `QUIET_SAMPLES`
+QUIET_SAMPLES = 24
+KEPT = 12  # samples before a doubt, for its name
+AIRS = 8  # tares that are remembered
+SLOW = 0.8  # of the stated rate
+BURST_S = 0.05  # between two samples in the air
+BURST_PERIODS = 6.0
+LEAP = 5.0  # between the noise of two tares
+SAME_SCALE = 0.05  # relative, of the reading in the air from one tare to the next, on all axes together
+
+
+class Phase(Enum):
+    """What the stage does."""
+
+    STAND = "stand"
+    DOWN = "down"
+    ASIDE = "aside"
+    UP = "up"  # at a speed at which it can be stopped
+    LIFT = "lift"  # faster: away from the skin, which nothing stops
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """Doubt about a force.
+
+    Attributes:
+        kind: see the module.
+        text: what was read and what was expected, with units.
+        before: the last samples that were believed: their times [ns] and all six axes.
+    """
+
+    kind: str
+    text: str
+    before: tuple[tuple[int, Six], ...] = ()
+
+
+class ForceMonitor:
+    """Holds each sample against noise, motion and stiffness. It doubts nothing before it was taught in the
+    air.
+
+    Attributes:
+        air: what the sensor reads in the air; None before it is learnt.
+        corridor: of stiffness, for the tool at hand.
+    """
+
+    def __init__(self, bias: ForceBias, limits: Limits, travel: Travel) -> None:
+        self._bias, self._limits, self._travel = bias, limits, travel
+        self.air: AirNoise | None = None
+        self.corridor = StiffnessCorridor()
+        self._airs: deque[AirNoise] = deque(maxlen=AIRS)
+        self._before: deque[tuple[int, Six]] = deque(maxlen=KEPT)
+        self._phase, self._speed, self._length_m, self._begun_ns = Phase.STAND, 0.0, 0.0, 0
+        self._way_m, self._turned_n, self._turned_ns = 0.0, 0.0, 0
+        self._reported_m: float | None = None
+        self._ended_ns: int | None = 0
+        self._restart()
+
+    def new_tool(self) -> None:
+        """Another tool or skin: what was learnt of stiffness is forgotten."""
+        self.corridor = StiffnessCorridor()
+
+    def learn_air(self, samples: Sequence[Wrench], stated_hz: float) -> None:
+        """Learn noise, quantum and rate from good samples in the air; the press before is learnt from as
+        well.
+
+        Raises:
+            Tripped: it comes too slowly, in bursts, repeats itself, or is not what it was at the last tare.
+        """
+        times = [one.time_ns / NS_PER_S for one in samples]
+        _check_pace(times, stated_hz)
+        air = AirNoise.of(samples)
+        if self.air is not None:
+            _check_same(self.air, air)
+        if air.is_constant:
+            raise _constant(air, self.air is not None)
+        self.learn_press()
+        self._airs.append(air)
+        self.air = air
+        self._noise_n = self._normal_noise(air)
+        self._run_limit = air.run_limit(list(self._airs)[:-1])
+        self._restart()
+        for one in samples:
+            self._dating.late_s(self._count, one.time_ns)
+            self._count += 1
+
+    def learn_press(self) -> None:
+        """Learn from the way down that went well just now."""
+        if self.air is not None:
+            self.corridor.learn(self._normal_noise(self.air))
+
+    def _normal_noise(self, air: AirNoise) -> float:
+        return air.noise_n[self._bias.mounting.normal]
+
+    def _restart(self) -> None:
+        """Forget the samples before: they belong to another time, or another zero."""
+        period_s = self.air.period_s if self.air else 1.0
+        self._dating, self._count = SampleDating(1.0 / period_s, heard_s=0.0), 0
+        self._six: Six | None = None
+        self._six_before: Six | None = None
+        self._row, self._row_way_m = 1, 0.0
+        self._time_ns, self._normal_n, self._level_n = 0, 0.0, 0.0
+        self._touched = False
+        self._deficit = self._excess = self._held = 0.0
+        self._quiet: deque[float] = deque(maxlen=QUIET_SAMPLES)
+        self._quiet_sum = 0.0
+        self._before.clear()
+
+    def begin(self, phase: Phase, speed_m_s: float, length_m: float, now_ns: int) -> None:
+        """A move begins: how fast and how far [m/s, m]."""
+        if phase is Phase.LIFT:
+            self._restart()
+        if self._phase is not phase:
+            self._turned_ns = now_ns + round(TURN_S * NS_PER_S)
+        if phase in (Phase.UP, Phase.LIFT) and self._phase is not phase:
+            self._touched, self._held, self._turned_n = False, 0.0, self._level_n
+        self._phase, self._speed, self._length_m, self._begun_ns = phase, speed_m_s, length_m, now_ns
+        self._way_m, self._reported_m, self._ended_ns = 0.0, None, None
+
+    def reported(self, way_m: float) -> None:
+        """Way that the stage says it has gone in this move [m]."""
+        self._reported_m = way_m
+
+    def end(self, now_ns: int) -> None:
+        """The stage stands."""
+        self._ended_ns = now_ns
+        if self._phase is Phase.LIFT:
+            self._phase = Phase.STAND
+
+    @property
+    def oldest_s(self) -> float:
+        """Age of the oldest sample on which the move that is under way goes on [s]."""
+        if self.air is None or self._ended_ns is not None or self._speed == 0:
+            return self._limits.age_s
+        return min(self._limits.age_s, max(BLIND_M / self._speed, MIN_PERIODS * self.air.period_s))
+
+    def gap(self, age_s: float) -> Doubt:
+        """Doubt about a sensor whose newest sample is so old [s]."""
+        return self._doubt("gap", f"no force came for {age_s * 1e3:.0f} ms at {self._speed * 1e3:g} mm/s")
+
+    def take(self, sample: Wrench) -> Doubt | None:
+        """Hold a good sample against those before, in the order in which they came."""
+        if self.air is None or self._phase is Phase.LIFT:
+            return None
+        six = six_of(sample)
+        normal_n = self._bias.force(sample)[2]
+        if self._six is None:
+            doubt, self._level_n = None, normal_n
+            self._count += 1
+        else:
+            doubt = self._test(sample.time_ns, six, normal_n)
+        self._six_before, self._six = self._six, six
+        self._time_ns, self._normal_n = sample.time_ns, normal_n
+        if doubt is None:
+            self._before.append((sample.time_ns, six))
+        return doubt
+
+    def _test(self, time_ns: int, six: Six, normal_n: float) -> Doubt | None:
+        phase, step_m = self._step(time_ns)
+        level_before_n = self._level_n
+        self._level_n += SMOOTH * (normal_n - self._level_n)
+        if time_ns < self._turned_ns:
+            self._level_n = level_before_n = normal_n
+        return (
+            self._late(time_ns)
+            or self._repeats(six, step_m)
+            or self._jump(time_ns, normal_n, phase)
+            or self._way(phase, step_m, self._level_n - level_before_n)
+            or self._quietened(six)
+        )
+
+    def _step(self, time_ns: int) -> tuple[Phase, float]:
+        """What the stage does at a sample's time, and how far it went since the last one [m]."""
+        if self._ended_ns is not None and time_ns > self._ended_ns + LAG_S * NS_PER_S:
+            return Phase.STAND, 0.0
+        gone_s = max(time_ns - self._begun_ns, 0) / NS_PER_S
+        v, a = self._speed, self._travel.acceleration_m_s2
+        way_m = a * gone_s**2 / 2 if gone_s * a < v else v * gone_s - v**2 / (2 * a)
+        way_m = min(way_m, self._length_m)
+        if self._reported_m is not None:
+            way_m = min(way_m, self._reported_m + v * REPORT_S)
+        step_m = max(way_m - self._way_m, 0.0) if self._ended_ns is None else 0.0
+        self._way_m += step_m
+        return self._phase, step_m
+
+    def _late(self, time_ns: int) -> Doubt | None:
+        late_s = self._dating.late_s(self._count, time_ns)
+        self._count += 1
+        if late_s <= self.oldest_s:
+            return None
+        return self._doubt(
+            "late",
+            f"a force came {late_s * 1e3:.0f} ms after its turn; {self.oldest_s * 1e3:.0f} ms are allowed",
+        )
+
+    def _repeats(self, six: Six, step_m: float) -> Doubt | None:
+        if six != self._six:
+            self._row, self._row_way_m = 1, 0.0
+            return None
+        self._row += 1
+        self._row_way_m += step_m
+        limit = self._run_limit
+        if self._is_coarse and self._level_n > CONTACT * self._noise_n:
+            # Pressed, the mean lies elsewhere between two steps than in the air, and may repeat more often.
+            due_n = self.corridor.least_n_m(self._level_n) * self._row_way_m
+            limit = max(MIN_TURN, limit // 2) if due_n > self.air.quantum_n else 3 * limit  # type: ignore[union-attr]
+        if self._row < limit:
+            return None
+        return self._doubt("repeats", f"{self._row} samples in a row are the same on all six axes")
+
+    @property
+    def _is_coarse(self) -> bool:
+        return self.air is not None and not all(self.air.fine)
+
+    def _jump(self, time_ns: int, normal_n: float, phase: Phase) -> Doubt | None:
+        rise_n = normal_n - self._normal_n
+        if abs(rise_n) <= JUMP * self._noise_n:
+            return None
+        force_n = max(abs(normal_n), abs(self._normal_n))
+        share = SLIDE_SHARE if phase is Phase.ASIDE else JUMP_SHARE
+        period_s = self.air.period_s  # type: ignore[union-attr]
+        due_s = max(time_ns - self._time_ns, 0) / NS_PER_S + 2 * period_s
+        way_m = 0.0 if phase is Phase.STAND else self._speed * due_s
+        stiff = self.corridor.greatest_n_m(max(normal_n, self._normal_n, CONTACT * self._noise_n))
+        allowed_n = JUMP * self._noise_n + share * min(abs(normal_n), abs(self._normal_n)) + stiff * way_m
+        if abs(rise_n) <= allowed_n or force_n == 0:
+            return None
+        return self._doubt(
+            "jump",
+            f"the normal force went from {self._normal_n:.3f} to {normal_n:.3f} N from one sample to the "
+            f"next, "
+            f"over at most {way_m * 1e3:.3f} mm of way",
+        )
+
+    def _way(self, phase: Phase, step_m: float, rise_n: float) -> Doubt | None:
+        """Hold the force against the way: it rises on the way down and falls on the way up."""
+        noise_n, level_n = self._noise_n, self._level_n
+        if phase is Phase.UP:
+            return self._on_the_way_back(step_m, rise_n)
+        if self._touched and level_n < GONE * noise_n:
+            return self._doubt("lost", f"the force fell to {level_n:.3f} N though nothing moved away")
+        if phase is not Phase.DOWN:
+            return None
+        if not self._touched:
+            if level_n < -(PULLED_COARSE if self._is_coarse else PULLED) * noise_n:
+                return self._doubt("pull", f"the probe goes down and is pulled by {-level_n:.3f} N")
+            self._touched = level_n > CONTACT * noise_n
+            self._deficit = self._excess = 0.0
+            return None
+        return self._on_the_way_down(step_m, rise_n)
+
+    def _on_the_way_down(self, step_m: float, rise_n: float) -> Doubt | None:
+        force_n = max(self._level_n, CONTACT * self._noise_n)
+        self.corridor.feel(force_n, rise_n, step_m)
+        least, greatest = self.corridor.least_n_m(force_n), self.corridor.greatest_n_m(force_n)
+        self._deficit = max(self._deficit + least * step_m - rise_n, 0.0)
+        self._excess = max(self._excess + rise_n - greatest * step_m, 0.0)
+        if self._deficit > self._slack_n(DEFICIT, least):
+            return self._doubt(
+                "flat", f"{self._level_n:.3f} N does not rise on the way down as it did before"
+            )
+        if self._excess > self._slack_n(EXCESS, greatest):
+            return self._doubt(
+                "steep", f"{self._level_n:.3f} N rises more steeply on the way down than it did before"
+            )
+        return None
+
+    def _on_the_way_back(self, step_m: float, rise_n: float) -> Doubt | None:
+        if self._level_n < max(HELD * self._noise_n, HELD_SHARE * self._turned_n):
+            self._held = 0.0
+            return None
+        least = self.corridor.least_n_m(self._level_n) / 2
+        self._held = max(self._held + least * step_m + rise_n, 0.0)
+        if self._held <= self._slack_n(DEFICIT, least):
+            return None
+        return self._doubt("holds", f"{self._level_n:.3f} N does not fall on the way back as it did before")
+
+    def _slack_n(self, noises: float, stiffness_n_m: float) -> float:
+        """Force by which it may differ from a stiffness: noise, and what stage and sensor are late by [N]."""
+        period_s = self.air.period_s if self.air else 0.0
+        v, travel = self._speed, self._travel
+        slack_m = SLACK_M + v * (travel.latency_s + period_s) + v**2 / (2 * travel.acceleration_m_s2)
+        return noises * self._noise_n + stiffness_n_m * slack_m + SLACK_SHARE * self._level_n
+
+    def _quietened(self, six: Six) -> Doubt | None:
+        """Hold the noise against that of the air, by second differences, which no steady motion makes."""
+        if self._six is None or self._six_before is None or self.air is None or not any(self.air.fine):
+            return None
+        energy, axes = 0.0, 0
+        for i in range(3):
+            if self.air.fine[i]:
+                second = six[i] - 2 * self._six[i] + self._six_before[i]
+                energy += second * second / (6 * self.air.noise_n[i] ** 2)
+                axes += 1
+        if len(self._quiet) == QUIET_SAMPLES:
+            self._quiet_sum -= self._quiet[0]
+        self._quiet.append(energy / axes)
+        self._quiet_sum += energy / axes
+        if len(self._quiet) < QUIET_SAMPLES or self._quiet_sum >= QUIET * QUIET_SAMPLES:
+            return None
+        share = math.sqrt(max(self._quiet_sum, 0.0) / QUIET_SAMPLES)
+        return self._doubt("quiet", f"the noise has fallen to {share:.2f} of what it was in the air")
+
+    def _doubt(self, kind: str, text: str) -> Doubt:
+        return Doubt(kind, text, tuple(self._before))
+
+
+def _check_pace(times_s: Sequence[float], stated_hz: float) -> None:
+    steps = [after - before for before, after in pairwise(times_s)]
+    span_s, period_s = times_s[-1] - times_s[0], 1.0 / stated_hz
+    if span_s > 0 and len(steps) / span_s < SLOW * stated_hz:
+        raise Tripped(
+            Reason.FORCE_SLOW,
+            f"the force sensor measures {len(steps) / span_s:.3g} times a second and states {stated_hz:g}; "
+            f"set "
+            "it to the rate it states",
+        )
+    if (longest_s := max(steps)) > max(BURST_S, BURST_PERIODS * period_s):
+        raise Tripped(
+            Reason.FORCE_LATE,
+            f"the force came in bursts {longest_s * 1e3:.0f} ms apart at {stated_hz:g} samples a second; "
+            f"look "
+            "at what lies between the sensor and this computer",
+        )
+
+
+def _check_same(before: AirNoise, air: AirNoise) -> None:
+    """Refuse a sensor whose zero or noise is another one than at the last tare."""
+    old, new, noise_n = before.mean[:3], air.mean[:3], 3 * max(*before.noise_n, *air.noise_n)
+    told = sum(abs(a) > noise_n for a in old) > 1  # one axis alone may have drifted
+    scale = (
+        math.fsum(a * b for a, b in zip(old, new, strict=True)) / math.fsum(a * a for a in old) if told else 1
+    )
+    off_n = math.dist(new, [scale * a for a in old])
+    if scale != 0 and abs(scale - 1) > SAME_SCALE and off_n < noise_n and math.dist(old, new) > 3 * off_n:
+        raise Tripped(
+            Reason.FORCE_SCALED,
+            f"in the air all axes read {scale:.3g} times what they did before the last press: has the "
+            f"sensor's "
+            "gain or unit changed?",
+        )
+    for axis, was, is_ in zip("xyz", before.noise_n, air.noise_n, strict=True):
+        if is_ > LEAP * was:
+            raise Tripped(
+                Reason.FORCE_NOISE,
+                f"the noise along the sensor's {axis} is {is_:.4f} N, and was {was:.4f} N before the last "
+                f"press",
+            )
+
+
+def _constant(air: AirNoise, was_alive: bool) -> Tripped:
+    zero = not any(air.mean)
+    reason = Reason.FORCE_STUCK if was_alive and not zero else Reason.FORCE_DEAD
+    return Tripped(
+        reason,
+        f"all {air.count + 1} samples in the air are the same on all six axes"
+        + (", zero" if zero else "")
+        + ": a sensor that measures shows noise; is its load connected, or is it set too coarse?",
+    )

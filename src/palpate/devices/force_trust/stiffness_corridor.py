@@ -1,0 +1,76 @@
+"""Corridor of stiffness: how steeply force may rise with depth, learnt from the presses of this run.
+
+What is learnt is stiffness at a force, not at a depth: where the surface lies, how far the threshold is below
+first touch and what dent an earlier press has left shift a depth, and leave this as it is. Each factor of two
+of the force has a stiffness of its own, the median over presses with one tool. Below and above all that was
+felt it goes on as a ball's on a half-space would at most and a spring's at least (Hertz: dF/dz over F^(1/3)).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict, deque
+from statistics import median
+
+WIDE_LOW = 2.5  # by which stiffness may lie below the median of earlier presses
+WIDE_HIGH = 4.0  # and above
+KEPT = 32  # presses that are remembered
+FELT = 0.4  # of a factor of two in force that a press has to go through, to tell a stiffness
+FELT_NOISES = 4.0  # and rise of force
+GROWTH = 1.0  # greatest exponent of stiffness over force, beyond what was felt: force exponential in depth
+SHRINK = 0.5  # and of its fall below what was felt: stiffness over F^(1/2), as under a cone
+UNKNOWN_N_M = 1e6  # nothing is known: stiffer than any skin
+
+
+class StiffnessCorridor:
+    """Least and greatest stiffness at a force, for one tool on one skin."""
+
+    def __init__(self) -> None:
+        self._felt: dict[int, deque[float]] = defaultdict(lambda: deque(maxlen=KEPT))
+        self._median: dict[int, float] = {}
+        self._rise: dict[int, list[float]] = {}
+
+    @property
+    def is_learnt(self) -> bool:
+        """Whether any press has taught it."""
+        return bool(self._median)
+
+    def feel(self, force_n: float, rise_n: float, way_m: float) -> None:
+        """Take in one step of a press on its way down: a rise of force over a way, at a force [N, N, m]."""
+        if force_n > 0:
+            sums = self._rise.setdefault(math.frexp(force_n)[1], [0.0, 0.0])
+            sums[0] += rise_n
+            sums[1] += way_m
+
+    def forget(self) -> None:
+        """Forget the press that is going on: it is not to be learnt from."""
+        self._rise.clear()
+
+    def learn(self, noise_n: float) -> None:
+        """Take what was felt in a press that went well among what is known; under such a noise [N]."""
+        for bin_, (rise_n, way_m) in self._rise.items():
+            if way_m > 0 and rise_n >= max(FELT * 2.0 ** (bin_ - 1), FELT_NOISES * noise_n):
+                self._felt[bin_].append(rise_n / way_m)
+                self._median[bin_] = median(self._felt[bin_])
+        self._rise.clear()
+
+    def least_n_m(self, force_n: float) -> float:
+        """Stiffness that a force rises by at least on the way down; 0 where nothing is known [N/m]."""
+        if not self._median or force_n <= 0:
+            return 0.0
+        bin_ = self._nearest(math.frexp(force_n)[1])
+        below = min(force_n / 2.0 ** (bin_ - 1), 1.0)
+        return self._median[bin_] / WIDE_LOW * below**SHRINK
+
+    def greatest_n_m(self, force_n: float) -> float:
+        """Stiffness that it rises by at most [N/m]."""
+        if not self._median:
+            return UNKNOWN_N_M
+        bin_ = self._nearest(math.frexp(max(force_n, 1e-9))[1])
+        above = max(force_n / 2.0 ** (bin_ - 1), 1.0)
+        return self._median[bin_] * WIDE_HIGH * above**GROWTH
+
+    def _nearest(self, bin_: int) -> int:
+        if bin_ in self._median:
+            return bin_
+        return min(self._median, key=lambda known: abs(known - bin_))

@@ -1,0 +1,167 @@
+"""What a force sensor's noise, rate and stiffness under it say of whether it can be believed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from palpate.core import NS_PER_S, RangeError, Travel, Wrench
+from palpate.devices import ForceBias, Limits, Reason, Tripped
+from palpate.devices.force_trust import AirNoise, ForceMonitor, SampleDating, StiffnessCorridor
+from palpate.devices.force_trust.air_noise import CHANCE, CHANCE_COARSE, MIN_RUN
+from palpate.devices.force_trust.stiffness_corridor import WIDE_HIGH, WIDE_LOW
+
+TRAVEL = Travel((-20e-3,) * 3, (20e-3,) * 3, 50e-3, 0.5, 0.004)
+LIMITS = Limits((-15e-3,) * 3, (15e-3,) * 3)
+BIAS = np.array([0.31, -0.22, 1.7])
+HZ = 200.0
+
+
+def air(
+    rng, count: int = 60, noise: float = 0.005, quantum: float = 1 / 320, scale: float = 1.0
+) -> list[Wrench]:
+    """Samples without contact, as a sensor of such a noise and quantum gives them."""
+    force = scale * (BIAS + noise * rng.standard_normal((count, 3)))
+    if quantum:
+        force = np.round(force / quantum) * quantum
+    return [Wrench(round(i / HZ * NS_PER_S), (x, y, z)) for i, (x, y, z) in enumerate(force.tolist())]
+
+
+def monitor(samples: list[Wrench]) -> ForceMonitor:
+    bias = ForceBias()
+    made = ForceMonitor(bias, LIMITS, TRAVEL)
+    bias.measure(samples)
+    made.learn_air(samples, HZ)
+    return made
+
+
+def test_the_air_tells_noise_quantum_and_period(rng) -> None:
+    learnt = AirNoise.of(air(rng, 4000, noise=0.02, quantum=0.01))
+    assert learnt.quantum_n == pytest.approx(0.01)
+    assert learnt.noise_n == pytest.approx((math.hypot(0.02, 0.01 / math.sqrt(12)),) * 3, rel=0.05)
+    assert learnt.period_s == pytest.approx(1 / HZ, rel=1e-9)
+    assert all(learnt.fine)
+
+
+@pytest.mark.parametrize(("noise", "quantum"), [(0.005, 1 / 320), (0.02, 0.0625), (0.004, 0.01)])
+def test_a_row_of_equal_samples_that_noise_makes_is_no_fault_and_a_dead_sensor_is_one_soon(
+    rng, noise: float, quantum: float
+) -> None:
+    """In a hundred times as many samples as were learnt from, no row is as long as the limit."""
+    learnt = AirNoise.of(air(rng, 200, noise, quantum))
+    later = AirNoise.of(air(rng, 20_000, noise, quantum))
+    limit = learnt.run_limit()
+    assert later.longest < limit
+    shares = (later.repeats + 1) / later.count
+    # Twice the row of the chance that is borne, and not more than that of twice the share of repeats.
+    assert limit <= max(
+        MIN_RUN,
+        2 * learnt.longest,
+        math.ceil(
+            math.log(CHANCE if all(learnt.fine) else CHANCE_COARSE) / math.log(min(2 * shares + 0.03, 0.9))
+        ),
+    )
+
+
+def test_a_sensor_that_repeats_all_in_the_air_is_dead_and_one_that_did_not_before_is_stuck(rng) -> None:
+    same = [Wrench(round(i / HZ * NS_PER_S), (0.31, -0.22, 1.7)) for i in range(60)]
+    with pytest.raises(Tripped, match="on all six axes") as never:
+        monitor(same)
+    assert never.value.reason is Reason.FORCE_DEAD
+    alive = monitor(air(rng))
+    with pytest.raises(Tripped) as now:
+        alive.learn_air(same, HZ)
+    assert now.value.reason is Reason.FORCE_STUCK
+    one_axis = [Wrench(one.time_ns, one.force_n, (0.0, 0.0, 1e-4 * (i % 2))) for i, one in enumerate(same)]
+    assert not AirNoise.of(one_axis).is_constant, "a single axis that moves is a sensor that measures"
+
+
+@pytest.mark.parametrize(
+    ("sent_hz", "refused"), [(HZ, False), (0.9 * HZ, False), (0.7 * HZ, True), (20.0, True)]
+)
+def test_a_sensor_slower_than_it_states_is_refused_in_the_air(rng, sent_hz: float, refused: bool) -> None:
+    samples = [Wrench(round(i / sent_hz * NS_PER_S), one.force_n) for i, one in enumerate(air(rng))]
+    if not refused:
+        assert monitor(samples).air is not None
+        return
+    with pytest.raises(Tripped, match=f"states {HZ:g}") as caught:
+        monitor(samples)
+    assert caught.value.reason is Reason.FORCE_SLOW
+
+
+@pytest.mark.parametrize(("scale", "refused"), [(1.0, False), (0.1, True), (0.9, True), (10.0, True)])
+def test_a_scale_that_changed_between_two_zeros_is_told(rng, scale: float, refused: bool) -> None:
+    learnt = monitor(air(rng))
+    after = air(rng, scale=scale)
+    if not refused:
+        learnt.learn_air(after, HZ)
+        return
+    with pytest.raises(Tripped, match="times what they did") as caught:
+        learnt.learn_air(after, HZ)
+    assert caught.value.reason is Reason.FORCE_SCALED
+
+
+def arrivals(rng, count: int, hold_s: float = 0.0, hz: float = HZ) -> np.ndarray:
+    """Stamps of arrival [s] of samples that are sent evenly, with a jitter of 0.2 ms; held back from 5 s
+    on."""
+    sent = np.arange(count) / hz
+    came = sent + 2e-3 + 2e-4 * rng.random(count)
+    late = sent > 5.0
+    return np.where(late & (hold_s > 0), np.ceil(sent / max(hold_s, 1e-9)) * hold_s + 2e-3, came)
+
+
+def test_samples_that_were_held_back_are_as_old_as_they_are(rng) -> None:
+    """Dated to a few milliseconds, of up to 80; a box that states 1.4 % less than it sends is learnt."""
+    came = arrivals(rng, 4000, hold_s=0.08)
+    dating = SampleDating(HZ / 1.014)
+    dated = np.array([dating.date_ns(i, round(t * NS_PER_S)) for i, t in enumerate(came)]) / NS_PER_S
+    true = np.arange(4000) / HZ + 2e-3
+    known = true > 3.0
+    # The least delay is forgotten by 1 % of the time since, 0.8 ms from burst to burst.
+    assert np.abs(dated - true)[known].max() < 4e-3
+    assert np.abs(came - true)[known].max() > 0.07, "by their arrival they would be late by the whole"
+
+
+def test_samples_in_time_are_never_late(rng) -> None:
+    dating = SampleDating(HZ)
+    late = [dating.late_s(i, round(t * NS_PER_S)) for i, t in enumerate(arrivals(rng, 20_000))]
+    assert max(late) < 2e-3
+
+
+def taught(slope: float, presses: int = 3, noise: float = 0.005) -> StiffnessCorridor:
+    """A corridor of a skin whose stiffness is the slope [1/m] times the force: exponential in depth."""
+    made = StiffnessCorridor()
+    for _ in range(presses):
+        for force in np.geomspace(0.05, 2.0, 200):
+            made.feel(float(force), 1e-2 * force, 1e-2 / slope)
+        made.learn(noise)
+    return made
+
+
+def test_the_corridor_lies_about_what_was_felt_and_goes_on_beyond_it() -> None:
+    made = taught(1000.0)
+    for force in (0.1, 0.7, 1.5):
+        stiffness = 1000.0 * force
+        assert made.least_n_m(force) < stiffness < made.greatest_n_m(force)
+        # Within a factor of two in force the median is one number.
+        assert made.least_n_m(force) == pytest.approx(stiffness / WIDE_LOW, rel=0.5)
+        assert made.greatest_n_m(force) < 3 * stiffness * WIDE_HIGH
+    assert made.least_n_m(50.0) == made.least_n_m(1.5), "beyond, a skin may go on as a spring"
+    assert made.greatest_n_m(50.0) > 50.0 / 2.0 * made.greatest_n_m(1.5) / 2, "or stiffen with its force"
+
+
+def test_a_press_that_is_forgotten_teaches_nothing() -> None:
+    made = StiffnessCorridor()
+    made.feel(1.0, 1.0, 1e-3)
+    made.forget()
+    made.learn(0.005)
+    assert not made.is_learnt
+    assert made.least_n_m(1.0) == 0.0
+
+
+def test_a_limit_above_the_sensors_range_is_refused_with_both_numbers() -> None:
+    Limits((-1.0,) * 3, (1.0,) * 3, force_n=30.0).check_range(30.0)
+    with pytest.raises(RangeError, match=r"1e\+09 N.*measures to 30 N"):
+        Limits((-1.0,) * 3, (1.0,) * 3, force_n=1e9).check_range(30.0)

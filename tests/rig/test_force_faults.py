@@ -1,0 +1,170 @@
+"""A force that is not believed: in every phase of a press each fault stops within its way and has its
+name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from tests.rig.guarded_presses import MM, PressBench, stop_of
+
+from palpate.devices.force_trust import ForceMonitor
+from palpate.rig import PLANS, State, record
+from palpate.rig.plans import Known
+from palpate.rig.virtual import Variation, virtual_rig
+
+ALLOWED_MM = 0.2  # from the step at which the force read is five standard deviations off
+ALLOWED_COARSE_MM = 0.3  # before the first contact of a sensor whose quantum is thrice its noise
+NAMES = {
+    "force-stuck": "force-stuck",
+    "force-dead": "force-dead",
+    "force-reversed": "force-reversed",
+    "force-scaled": "force-scaled",
+    "force-held-back": "force-late",
+    "force-slow": "force-slow",
+}
+PHASES = ("seek", "press", "hold", "slide", "retreat")
+Go = Callable[[], object]
+
+
+def palm(seed: int) -> PressBench:
+    """A palm whose sensor was tried and that was pressed once, over a place again with its zero taken."""
+    bench = PressBench("palm", seed=seed, variation=Variation())
+    bench.touch()
+    bench.stepped(2e-3, 0.5e-3, 0.1)
+    bench.approach()
+    return bench
+
+
+def palm_until(bench: PressBench, phase: str) -> Go:
+    """Bring a press as far as a phase; what comes next is returned."""
+    if phase == "seek":
+        x, y, _ = bench.guard.position_m()
+        bench.guard.towards((x, y, -0.05 * MM), 2e-3, step_m=0.02e-3)
+        return lambda: (bench.seek(), bench.depth(3e-3))
+    bench.seek()
+    if phase == "press":
+        bench.depth(0.7e-3)
+        return lambda: bench.depth(4e-3)
+    if phase == "hold":
+        bench.depth(1.5e-3)
+        bench.guard.wait(0.1)
+        return lambda: (bench.guard.wait(1.0), bench.depth(3e-3))
+    if phase == "slide":
+        bench.depth(0.8e-3)
+        return lambda: (
+            [bench.motion.aside(x, 0.0, 0.5e-3) for x in (0.2e-3, 0.4e-3, 0.0)],
+            bench.depth(1.5e-3),
+        )
+    bench.depth(2e-3)
+    bench.depth(1.7e-3)
+    return lambda: bench.depth(-0.2e-3)
+
+
+def tip(seed: int, indenter: str = "rigid") -> PressBench:
+    bench = PressBench("tactip", PLANS["tactip"], seed=seed, indenter=indenter)
+    bench.touch()
+    bench.swept(5.1, 11e-3)
+    bench.approach()
+    return bench
+
+
+def tip_until(bench: PressBench, phase: str) -> Go:
+    x, y, top = bench.guard.position_m()
+
+    def down(until_n: float) -> None:
+        bench.guard.towards((x, y, 11e-3), 5e-3, lambda force: force[2] >= until_n, step_m=11e-3 - top)
+
+    def up(z: float) -> None:
+        bench.guard.away((x, y, z), 5e-3)
+
+    if phase == "seek":
+        bench.guard.towards((x, y, -0.2e-3), 5e-3)
+        return lambda: bench.sweep(5.1, 11e-3)
+    down(5.1 if phase == "retreat" else 1.0)
+    if phase == "press":
+        return lambda: bench.sweep(5.1, 11e-3)
+    if phase == "hold":
+        bench.guard.wait(0.1)
+        return lambda: (bench.guard.wait(1.0), bench.sweep(5.1, 11e-3))
+    up(bench.guard.position_m()[2] - 0.3e-3)
+    return lambda: up(top)
+
+
+@pytest.mark.parametrize("phase", PHASES)
+@pytest.mark.parametrize("kind", NAMES)
+def test_on_the_palm_each_fault_stops_within_its_way_and_has_its_name(kind: str, phase: str) -> None:
+    bench = palm(seed=3)
+    stop = stop_of(bench, kind, palm_until(bench, phase))
+    assert stop.reason == NAMES[kind], bench.message
+    assert stop.after_m <= ALLOWED_MM * MM
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("phase", [phase for phase in PHASES if phase != "slide"])
+@pytest.mark.parametrize("kind", NAMES)
+@pytest.mark.parametrize("indenter", ["rigid", "S3=1.1"])
+def test_on_the_tactip_too_at_5_mm_s_under_a_coarse_sensor(kind: str, phase: str, indenter: str) -> None:
+    """Noise of 0.02 N in steps of 1/16 N, a skin of 0.3 N/mm at first: five deviations are 0.45 mm deep.
+
+    There a pull is told from noise only when it is more than a step of the quantum.
+    """
+    bench = tip(1, indenter)
+    stop = stop_of(bench, kind, tip_until(bench, phase))
+    assert stop.reason == NAMES[kind], bench.message
+    pulled = (kind, phase) == ("force-reversed", "seek")
+    assert stop.after_m <= (ALLOWED_COARSE_MM if pulled else ALLOWED_MM) * MM
+
+
+@pytest.mark.parametrize("kind", ["force-stuck", "force-scaled", "force-held-back", "force-reversed"])
+def test_without_the_monitor_the_same_faults_are_pressed_on(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The negative control: what is tested is the monitor, not the limits."""
+    bench = palm(seed=3)
+    go = palm_until(bench, "press")
+    monkeypatch.setattr(ForceMonitor, "take", lambda self, sample: None)
+    monkeypatch.setattr(ForceMonitor, "oldest_s", property(lambda self: 1.0))
+    stop = stop_of(bench, kind, go)
+    assert stop.reason == ""
+    assert bench.motion.contact_m is not None
+    assert bench.guard.position_m()[2] - bench.motion.contact_m == pytest.approx(4e-3, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason"), [("force-reversed", "force-reversed"), ("force-dead", "force-dead")]
+)
+def test_a_gentle_touch_finds_a_wrong_sign_and_a_dead_sensor_before_any_press(kind: str, reason: str) -> None:
+    bench = PressBench("palm", seed=1, variation=Variation())
+    stop = stop_of(bench, kind, bench.touch)
+    assert stop.reason == reason
+    assert stop.ran_n < 3 * bench.plan.threshold_N
+
+
+def test_healthy_presses_are_believed_on_lasting_skins_too() -> None:
+    for relaxation in ((), ((0.06, 0.2), (0.05, 5.0)), ((0.6, 0.1), (0.4, 2.0))):
+        bench = PressBench("palm", seed=2, variation=Variation(relaxation=relaxation))
+        bench.touch()
+        bench.stepped(3e-3, 0.25e-3, 0.2, back=True)
+        bench.stepped(2e-3, 1e-3, 1.0)
+
+
+def cut(plan: Known, sensor: str) -> Known:
+    """A plan with one press at each of its places, and few frames."""
+    few = {"cycles": 1, "reference_frames": 1, "taps": 0, "frames": 1, "wait_s": 0.1, "name": plan.name}
+    return plan.model_copy(update={k: v for k, v in few.items() if k in type(plan).model_fields})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("sensor", "name"),
+    [("palm", name) for name in ("layer", "palm-reduced", "palm-lateral", "palm-creep", "repeated", "slow")]
+    + [("tactip", "tactip")],
+)
+def test_an_untroubled_rig_completes_the_plans_that_come_with_palpate(
+    tmp_path: Path, sensor: str, name: str
+) -> None:
+    rig = virtual_rig(sensor, seed=1)
+    outcome = record(rig, cut(PLANS[name], sensor), tmp_path / "run")
+    assert outcome.state is State.DONE, outcome.message
