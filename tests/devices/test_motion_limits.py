@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -80,3 +81,17 @@ def test_a_limit_that_is_none_is_refused_by_name(name: str, value: float) -> Non
 def test_soft_limits_that_enclose_nothing_are_refused(ends) -> None:
     with pytest.raises(RangeError, match="the first must be less"):
         Limits((LOW[0], ends[0], LOW[2]), (HIGH[0], ends[1], HIGH[2]))
+
+
+def sensor(rate_hz: float, **also: float) -> SimpleNamespace:
+    return SimpleNamespace(rate_hz=rate_hz, **also)
+
+
+def test_a_force_sensor_guards_only_if_its_newest_sample_is_never_older_than_allowed() -> None:
+    LIMITS.check_sensor(sensor(10.0 + 1e-9))  # a period of 0.1 s is what age_s allows
+    LIMITS.check_sensor(sensor(80.0, delay_s=0.05))
+    LIMITS.check_sensor(object())  # states no rate
+    for slow in (sensor(9.9), sensor(80.0, delay_s=0.09), sensor(10.0, delay_s=0.4)):
+        with pytest.raises(Tripped, match="too slow to guard") as caught:
+            LIMITS.check_sensor(slow)
+        assert caught.value.reason is Reason.FORCE_STALE

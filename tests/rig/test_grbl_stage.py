@@ -15,7 +15,8 @@ from palpate.core.device_protocols import Stage
 from palpate.core.errors import DeviceError, InputError, MissingExtraError, RangeError
 from palpate.rig.fakes.grbl_controller import CANCEL
 from palpate.rig.fakes.grbl_parameters import GrblParameters
-from palpate.rig.real.grbl import grbl_link, grbl_stage
+from palpate.rig.real import serial_port
+from palpate.rig.real.grbl import grbl_stage
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec, Mount, fixed
 
@@ -417,7 +418,7 @@ class TestPorts:
 
     def test_a_port_that_is_not_there_is_refused_with_those_that_are(self, monkeypatch):
         there = [SimpleNamespace(device="/dev/ttyACM7", serial_number="5583", hwid="USB")]
-        monkeypatch.setattr(grbl_link, "_ports", lambda: there)
+        monkeypatch.setattr(serial_port, "_ports", lambda: there)
         for name in ("/dev/ttyNOWHERE", "9999"):
             with pytest.raises(DeviceError, match=r"/dev/ttyACM7 \(serial number 5583\)"):
                 GrblStage.open(GrblSpec(name))
@@ -425,17 +426,17 @@ class TestPorts:
     def test_a_serial_number_names_a_port(self, grbl_bench, monkeypatch):
         bench = grbl_bench()
         there = [SimpleNamespace(device=bench.terminal.path, serial_number="5583")]
-        monkeypatch.setattr(grbl_link, "_ports", lambda: there)
-        assert grbl_link.find_port("5583") == bench.terminal.path
-        monkeypatch.setattr(grbl_link, "_ports", lambda: there * 2)
+        monkeypatch.setattr(serial_port, "_ports", lambda: there)
+        assert serial_port.find_port("5583") == bench.terminal.path
+        monkeypatch.setattr(serial_port, "_ports", lambda: there * 2)
         with pytest.raises(DeviceError, match="by its path"):
-            grbl_link.find_port("5583")
+            serial_port.find_port("5583")
 
     def test_without_pyserial_the_extra_is_named(self, monkeypatch):
         def absent(name, *_):
             raise ImportError(name)
 
-        monkeypatch.setattr(grbl_link.importlib, "import_module", absent)
+        monkeypatch.setattr(serial_port.importlib, "import_module", absent)
         with pytest.raises(MissingExtraError, match=r"palpate\[rig\]"):
             GrblStage.open(GrblSpec("/dev/null"))
 

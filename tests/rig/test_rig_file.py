@@ -70,7 +70,9 @@ force_N = 12
         ('name = "x"\n[virtual]\nfaults = [{ kind = "rain" }]', "force-stalls"),
         ('name = "x"\n[virtual]\nfaults = [{ after = 1 }]', "after"),
         ('name = "x"\n[virtual]\n[stage]\nkind = "grbl"\nport = "p"', "leave one out"),
-        ('name = "x"\n[stage]\nkind = "marlin"\nport = "p"', "stage.kind"),
+        ('name = "x"\n[stage]\nkind = "klipper"\nport = "p"', "stage.kind"),
+        ('name = "x"\n[stage]\nkind = "marlin"\nport = "p"\nspeed = 1', "stage.speed"),
+        ('name = "x"\n[label_force]\nkind = "scales"', "label_force.kind"),
         (
             'name = "x"\n[virtual]\n[limits]\nleast_mm = [0, 0, 0]\ngreatest_mm = [1, 1, 1]\nforce_N = -1',
             "force_N",

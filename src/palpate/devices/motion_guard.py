@@ -151,6 +151,7 @@ class MotionGuard:
             Tripped: a limit, before or during the motion; the stage stands.
             OperatorInterrupt: the operator's wish; the stage stands.
         """
+        self._limits.check_sensor(self._sensor)
         self._limits.check_target(target)
         self._limits.check_speed(speed_m_s, self._stage.travel)
         start = self.position_m()

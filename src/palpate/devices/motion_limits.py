@@ -121,6 +121,25 @@ class Limits:
                 f"less"
             )
 
+    def check_sensor(self, sensor: object) -> None:
+        """Refuse to guard by a force sensor whose newest sample may be older than `age_s`.
+
+        Just before a sample arrives, the one before it is as old as the sensor's period and its own delay,
+        `delay_s`, which a slow sensor states beside the protocol [s]. What states no rate is not judged.
+
+        Raises:
+            Tripped: says how old, and how old is allowed.
+        """
+        rate_hz, delay_s = getattr(sensor, "rate_hz", None), getattr(sensor, "delay_s", 0.0)
+        if rate_hz is None or 1.0 / rate_hz + delay_s <= self.age_s:
+            return
+        raise Tripped(
+            Reason.FORCE_STALE,
+            f"the force sensor is too slow to guard a motion towards the skin: at {rate_hz:g} samples a "
+            f"second and a delay of {delay_s:g} s its newest sample is up to {1.0 / rate_hz + delay_s:.3g} s "
+            f"old, and the rig's limit age_s is {self.age_s:g} s. It may label frames beside a faster one",
+        )
+
     def check_target(self, target: Position) -> None:
         """Refuse a target outside the soft limits.
 

@@ -14,6 +14,7 @@ from palpate.devices.device_proxies import driver_errors
 from palpate.devices.force_bias import Force
 from palpate.recordings.label_tables import Label
 from palpate.recordings.manifest import LabelKind
+from palpate.rig.label_force import LABEL_FORCE, LabelForce
 from palpate.rig.plans.recording_plan import Burst, PlannedPress, Shot, Sweep
 from palpate.rig.press_motion import PressMotion
 from palpate.rig.rig import Rig
@@ -76,14 +77,23 @@ class Acquisition:
         self.late_s = 0.0
         self._same = 0
         self._last: np.ndarray | None = None
+        second = rig.label_force
+        self._label_force = second and LabelForce(second, rig.label_mounting, guard, rig.clock)
         guard.samples.subscribe(self._remember)
 
     def begin(self, press: PlannedPress) -> None:
         """Label the next frames with this press."""
         self._press = press
 
+    def tare(self) -> None:
+        """Zero the labelling force sensor, standing in the air, where there is one."""
+        if self._label_force:
+            self._label_force.tare()
+
     def burst(self, burst: Burst) -> None:
         """Record the frames of a shot that are missing, at a stand."""
+        if self._label_force:
+            self._label_force.settle()
         begun_ns = self._rig.clock.now_ns()
         for i, k in enumerate(burst.missing):
             due_s = i * burst.every_s - (self._rig.clock.now_ns() - begun_ns) / NS_PER_S
@@ -160,6 +170,8 @@ class Acquisition:
             "force_y_N": force[1],
             "force_magnitude_N": math.hypot(*force),
         }
+        if self._label_force and shot.phase != "sweep":
+            labels[LABEL_FORCE] = self._label_force.force_n()
         return labels | dict(self._rig.truth(time_ns))
 
     def _remember(self, samples: Sequence[Wrench]) -> None:

@@ -28,6 +28,7 @@ from palpate.devices import (
 from palpate.recordings import Manifest, Offset, Run, RunWriter
 from palpate.rig.acquisition import LABELS, Acquisition
 from palpate.rig.clock_sync import ClockSync
+from palpate.rig.label_force import LABEL_FORCE
 from palpate.rig.plans.recording_plan import (
     Aside,
     Burst,
@@ -165,6 +166,7 @@ class Engine:
                 self._motion.over(x, y)
             case TareStep():
                 self._motion.measure_bias()
+                self._acquisition.tare()
             case Seek():
                 self._motion.seek()
             case Depth(depth, speed):
@@ -353,7 +355,7 @@ def _check_same_seed(run: Run, rig: Rig) -> None:
 
 def manifest_of(rig: Rig, plan: RecordingPlan) -> Manifest:
     """Manifest of a run of this rig and plan."""
-    truths = dict.fromkeys(rig.truths, "number")
+    truths = dict.fromkeys((*rig.truths, *((LABEL_FORCE,) if rig.label_force else ())), "number")
     return Manifest.new(
         sensor=rig.sensor,
         rig=f"{rig.name}, plan {plan.name}",

@@ -197,10 +197,11 @@ def check_plan(rig: Rig, plan: RecordingPlan) -> None:
     """Refuse a plan that leaves the soft limits, or is too fast, before anything moves.
 
     Raises:
-        Tripped: says which.
+        Tripped: says which; or the force sensor is too slow to guard.
         RangeError: the limit of force lies above what the sensor measures.
         InputError: places or an indenter that do not suit the rig's sensor; the message names its own plans.
     """
+    rig.limits.check_sensor(rig.force)
     with _plan_named(rig, plan):
         for indenter in plan.indenters:
             rig.known_m(

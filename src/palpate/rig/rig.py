@@ -59,6 +59,9 @@ class Rig:
         mount: change the indenter; False where a person has to.
         known_m: how deep an indenter may press, with a lateral load or without: a virtual skin has a law to
             that depth and none beyond [m].
+        label_force: a second force sensor, which labels frames taken at a stand and guards nothing, so that
+            it may be slow; None where there is none.
+        label_mounting: of the second force sensor.
         design: of the sensor, whose outline and probe plans are laid on; None where only its plan knows.
     """
 
@@ -80,6 +83,8 @@ class Rig:
     mount: Callable[[str], bool] = by_hand
     known_m: Callable[[str, bool], float] = unlimited
     design: Sensor | None = None
+    label_force: ForceSensor | None = None
+    label_mounting: Mounting = field(default_factory=Mounting)
 
     def from_origin_mm(self, at_m: Position) -> Position:
         """A place of the stage, from the layer's centre at its expected surface [mm]."""
@@ -89,7 +94,9 @@ class Rig:
     def close(self) -> None:
         """Let go of every device, the stage first; all are tried."""
         failed: list[Exception] = []
-        for device in (self.stage, self.force, self.camera):
+        for device in (self.stage, self.force, self.camera, self.label_force):
+            if device is None:
+                continue
             try:
                 with plugin_calls(f"a device did not close ({ERROR})", Exception):
                     device.close()

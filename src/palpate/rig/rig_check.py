@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from palpate.core import NS_PER_S, FrameSource, PalpateError, Wrench
+from palpate.core import NS_PER_S, ForceSensor, FrameSource, PalpateError, Wrench
 from palpate.devices.check import check_camera, check_force_sensor, check_stage
 from palpate.devices.check.check_result import (
     CheckResult,
@@ -29,6 +29,7 @@ CLEAR_M = 2e-3  # between the box and the expected surface
 HALF_M = 2e-3  # of the box's sides
 SPEED_M_S = 5e-3
 PUSHED_N = 1.0  # change of force, any direction, that ends all motion: nothing is to be touched
+LISTENED, BORNE = 30.0, 3.0  # periods of a labelling sensor: listened to, and its oldest sample
 SIGMAS = 5.0  # of the noise that the contact threshold lies above
 
 
@@ -61,6 +62,8 @@ def check_rig(
     force = check_force_sensor(rig.force, clock=rig.clock, noise_n=noise_n, close=False)
     results = with_prefix("force", force)
     results += with_prefix("camera", check_camera(rig.camera, clock=rig.clock, close=False))
+    if rig.label_force is not None:
+        results += with_prefix("label force", _labelling(rig.label_force, rig))
     results += with_prefix("rig", gather("fitting", _fits(rig)))
     sensed = all(one.ok for one in force)
     results += with_prefix("stage", gather("the checks", _stage(rig, clear_m, sensed, time_scale)))
@@ -70,9 +73,23 @@ def check_rig(
             "force": check_closing(rig.force, lambda: rig.force.latest(), "latest()"),
             "camera": check_closing(rig.camera, lambda: rig.camera.grab(), "grab()"),
         }
+        if (second := rig.label_force) is not None:
+            closings["label force"] = check_closing(second, second.latest, "latest()")
         for device, closing in closings.items():
             results += with_prefix(device, gather("close", closing))
     return results
+
+
+def _labelling(sensor: ForceSensor, rig: Rig) -> list[CheckResult]:
+    """Check a sensor that labels and does not guard: by its own rate and delay."""
+    period_s = 1.0 / sensor.rate_hz
+    return check_force_sensor(
+        sensor,
+        clock=rig.clock,
+        seconds=max(2.0, LISTENED * period_s),
+        age_s=getattr(sensor, "delay_s", 0.0) + BORNE * period_s,
+        close=False,
+    )
 
 
 def _fits(rig: Rig) -> Part:
@@ -92,6 +109,12 @@ def _fits(rig: Rig) -> Part:
         inside,
         f"origin_m is {rig.origin_m}, the limits are {limits.least_m} to {limits.greatest_m} m",
     )
+    try:
+        limits.check_sensor(rig.force)
+        slow = ""
+    except PalpateError as e:
+        slow = str(e)
+    yield verdict("the force sensor is fast enough to guard", not slow, slow)
     yield at_most(
         "the force limit lies inside the sensor's range",
         limits.force_n,
@@ -109,6 +132,11 @@ def _fits(rig: Rig) -> Part:
 def _stage(rig: Rig, clear_m: float, sensed: bool, time_scale: float) -> Part:
     if not sensed:
         yield verdict("was moved", False, "it was not: the force sensor, which guards its motion, has failed")
+        return
+    try:
+        rig.limits.check_sensor(rig.force)
+    except PalpateError as e:
+        yield verdict("was moved", False, f"it was not: {e}")
         return
     at = rig.stage.position_m()
     highest_z = rig.origin_m[2] - clear_m

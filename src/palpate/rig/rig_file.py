@@ -71,6 +71,53 @@ class GrblPart(_Part):
         return stage
 
 
+class MarlinPart(_Part):
+    """A stage on Marlin; `home = true` homes it, `stands_at_mm` says on the caller's word where it stands."""
+
+    kind: Literal["marlin"]
+    port: str
+    baud: Annotated[int, Field(ge=1)] = 115200
+    axes: tuple[str, str, str] = ("+X", "-Y", "-Z")
+    least_mm: Three | None = None
+    greatest_mm: Three | None = None
+    sudden_mm_s: Positive | None = None
+    top_mm_s: Positive | None = None
+    latency_s: Positive = 0.05
+    queued_s: Positive = 0.5
+    dtr: bool = False
+    home: bool = False
+    stands_at_mm: Three | None = None
+
+    def open(self, clock: Clock) -> Stage:
+        """Open the stage, homed or referenced where that is asked for."""
+        from palpate.rig.real.marlin import MarlinSpec, MarlinStage
+
+        if self.home and self.stands_at_mm is not None:
+            raise InputError("stage: home = true and stands_at_mm both say where it is; leave one out")
+        spec = MarlinSpec(
+            self.port,
+            self.baud,
+            self.axes,
+            least_m=None if self.least_mm is None else _metres(self.least_mm),
+            greatest_m=None if self.greatest_mm is None else _metres(self.greatest_mm),
+            sudden_m_s=None if self.sudden_mm_s is None else self.sudden_mm_s * MM,
+            top_speed_m_s=None if self.top_mm_s is None else self.top_mm_s * MM,
+            latency_s=self.latency_s,
+            queued_s=self.queued_s,
+            dtr=self.dtr,
+        )
+        stage = MarlinStage.open(spec, clock)
+        try:
+            if self.home:
+                stage.home()
+            elif self.stands_at_mm is not None:
+                stage.reference(_metres(self.stands_at_mm))
+        except BaseException:
+            stage.close()
+            raise
+        return stage
+
+
 class NetFTPart(_Part):
     """An ATI Net F/T box; `axes` says which of its axes are the skin's, and their signs."""
 
@@ -85,6 +132,32 @@ class NetFTPart(_Part):
         from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
 
         return NetFT(self.host, NetFTSettings(rdt_port=self.rdt_port, http_port=self.http_port), clock)
+
+
+class SerialScalePart(_Part):
+    """A load cell or balance that prints lines; slow ones label and never guard. See `ScaleSpec`."""
+
+    kind: Literal["serial-scale"]
+    port: str
+    axes: tuple[str, str, str] = ("x", "y", "z")
+    unit: str = "g"
+    count_N: Annotated[float, Field(allow_inf_nan=False)] | None = None  # noqa: N815
+    rate_hz: Positive = 10.0
+    delay_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.4
+    range_N: Positive = 50.0  # noqa: N815
+    ask: str = ""
+    baud: Annotated[int, Field(ge=1)] = 9600
+    frame: str = "8N1"
+    dtr: bool = False
+    settled_only: bool = False
+    line_bytes: Annotated[int, Field(ge=1)] | None = None
+
+    def open(self, clock: Clock) -> ForceSensor:
+        """Open the force sensor."""
+        from palpate.rig.real.scale import ScaleSpec, SerialScale
+
+        fields = self.model_dump(exclude={"kind", "axes", "count_N", "range_N"})
+        return SerialScale.open(ScaleSpec(**fields, count_n=self.count_N, range_n=self.range_N), clock)
 
 
 class UvcPart(_Part):
@@ -173,22 +246,39 @@ class RegionPart(_Part):
     box_px: tuple[int, int, int, int]
 
 
-def _own(kind: str) -> Discriminator:
-    """Discriminate palpate's own driver of a kind from a plug-in."""
+OWN: dict[Role, tuple[str, ...]] = {
+    "stage": ("grbl", "marlin"),
+    "force": ("netft", "serial-scale"),
+    "camera": ("uvc",),
+}
+"""Kinds that palpate drives itself; the first of each role is that of a part without a kind."""
+
+
+def _own(role: Role) -> Discriminator:
+    """Discriminate palpate's own drivers of a role, by kind, from a plug-in."""
 
     def tag(part: Any) -> str:
         named = part.get("kind") if isinstance(part, dict) else getattr(part, "kind", None)
-        return "#own" if named in (kind, None) else "#plugin"
+        return f"#{named or OWN[role][0]}" if named in (*OWN[role], None) else "#plugin"
 
     return Discriminator(tag)
 
 
-StagePart = Annotated[Annotated[GrblPart, Tag("#own")] | Annotated[PluginPart, Tag("#plugin")], _own("grbl")]
-ForcePart = Annotated[
-    Annotated[NetFTPart, Tag("#own")] | Annotated[ForcePluginPart, Tag("#plugin")], _own("netft")
+StagePart = Annotated[
+    Annotated[GrblPart, Tag("#grbl")]
+    | Annotated[MarlinPart, Tag("#marlin")]
+    | Annotated[PluginPart, Tag("#plugin")],
+    _own("stage"),
 ]
-CameraPart = Annotated[Annotated[UvcPart, Tag("#own")] | Annotated[PluginPart, Tag("#plugin")], _own("uvc")]
-OWN: dict[Role, str] = {"stage": "grbl", "force": "netft", "camera": "uvc"}
+ForcePart = Annotated[
+    Annotated[NetFTPart, Tag("#netft")]
+    | Annotated[SerialScalePart, Tag("#serial-scale")]
+    | Annotated[ForcePluginPart, Tag("#plugin")],
+    _own("force"),
+]
+CameraPart = Annotated[
+    Annotated[UvcPart, Tag("#uvc")] | Annotated[PluginPart, Tag("#plugin")], _own("camera")
+]
 
 
 class RigFile(_Part):
@@ -201,6 +291,7 @@ class RigFile(_Part):
         origin_mm: in the stage's frame, the layer's centre at its expected surface.
         licence, origin: of what is recorded.
         regions: of the picture, each (x, y, width, height) [px].
+        label_force: a second force sensor, which labels and does not guard, and so may be slow.
     """
 
     name: str
@@ -213,6 +304,7 @@ class RigFile(_Part):
     stage: StagePart | None = None
     force: ForcePart | None = None
     camera: CameraPart | None = None
+    label_force: ForcePart | None = None
     limits: LimitsPart | None = None
     regions: tuple[RegionPart, ...] = ()
 
@@ -272,12 +364,13 @@ def read_rig(path: Path) -> RigFile:
     except ValidationError as e:
         problems = "; ".join(f"{_field(d['loc'])}: {d['msg']}" for d in e.errors())
         raise InputError(f"{path}: {problems}") from e
-    for role, own in OWN.items():
-        if (part := getattr(file, role)) is not None:
+    roles: dict[str, Role] = {"stage": "stage", "force": "force", "label_force": "force", "camera": "camera"}
+    for name, role in roles.items():
+        if (part := getattr(file, name)) is not None:
             try:
-                check_kind(role, part.kind, (own,))
+                check_kind(role, part.kind, OWN[role])
             except InputError as e:
-                raise InputError(f"{path}: {role}.kind: {e}") from e
+                raise InputError(f"{path}: {name}.kind: {e}") from e
     return file
 
 
@@ -289,7 +382,7 @@ def _field(location: tuple[str | int, ...]) -> str:
 def rig_from(file: RigFile) -> Rig:
     """Open what a file says."""
     if file.virtual is not None:
-        if file.stage or file.force or file.camera:
+        if file.stage or file.force or file.camera or file.label_force:
             raise InputError(f"the rig {file.name!r} is virtual and names real devices; leave one out")
         return _virtual(file, file.virtual)
     if not (file.stage and file.force and file.camera and file.limits):
@@ -300,6 +393,7 @@ def rig_from(file: RigFile) -> Rig:
     with ExitStack() as opened:
         force = _open("force", file.force, clock, opened)
         camera = _open("camera", file.camera, clock, opened)
+        second = None if file.label_force is None else _open("force", file.label_force, clock, opened)
         stage = _open("stage", file.stage, clock, opened)
         rig = Rig(
             name=file.name,
@@ -315,6 +409,8 @@ def rig_from(file: RigFile) -> Rig:
             licence=file.licence,
             origin=file.origin,
             design=sensor_of(file.design),
+            label_force=second,
+            label_mounting=Mounting() if file.label_force is None else Mounting(file.label_force.axes),
         )
         _check_range(rig)
         opened.pop_all()

@@ -31,7 +31,13 @@ EARLY_S = 1e-3  # by which a stamp may lie ahead of the clock: rounding
 
 
 def check_force_sensor(
-    sensor: object, *, clock: Clock, seconds: float = 2.0, noise_n: float | None = None, close: bool = True
+    sensor: object,
+    *,
+    clock: Clock,
+    seconds: float = 2.0,
+    noise_n: float | None = None,
+    age_s: float = AGE_S,
+    close: bool = True,
 ) -> list[CheckResult]:
     """Check a driver of a force sensor that nothing touches.
 
@@ -41,6 +47,8 @@ def check_force_sensor(
         seconds: for how long to listen; long enough for 20 samples [s].
         noise_n: greatest standard deviation along each axis [N]; only reported where left out. A contact
             threshold needs a fifth of itself.
+        age_s: oldest sample that is borne [s]; the default is what guarded motion needs. A slow sensor, which
+            labels and never guards, is judged by its own delay and some of its periods.
         close: close it at the end, and check that.
 
     Raises:
@@ -52,14 +60,14 @@ def check_force_sensor(
         >>> all(one.ok for one in check_force_sensor(rig.force, clock=rig.clock))
         True
     """
-    for name, value in (("seconds", seconds), ("noise_n", noise_n)):
+    for name, value in (("seconds", seconds), ("noise_n", noise_n), ("age_s", age_s)):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise RangeError(
                 f"{name} is {value}; give a number above 0, in {'s' if name != 'noise_n' else 'N'}"
             )
     findings = [*gather("the protocol", _description(sensor, seconds))]
     if isinstance(sensor, ForceSensor) and all(one.ok for one in findings):
-        findings += gather("listening", _listening(sensor, clock, seconds, noise_n))
+        findings += gather("listening", _listening(sensor, clock, seconds, noise_n, age_s))
     if close and isinstance(sensor, ForceSensor):
         findings += gather("close", check_closing(sensor, sensor.latest, "latest()"))
     return findings
@@ -75,7 +83,7 @@ def _description(sensor: object, time_s: float) -> Part:
         )  # fmt: skip
 
 
-def _listening(sensor: ForceSensor, clock: Clock, time_s: float, noise_n: float | None) -> Part:
+def _listening(sensor: ForceSensor, clock: Clock, time_s: float, noise_n: float | None, age_s: float) -> Part:
     stream = listen(sensor, clock, time_s)
     enough = len(stream.samples) >= MIN_SAMPLES
     yield verdict(
@@ -84,7 +92,7 @@ def _listening(sensor: ForceSensor, clock: Clock, time_s: float, noise_n: float 
     if not enough:
         return
     yield from _samples(stream)
-    yield from _times(sensor, stream)
+    yield from _times(sensor, stream, age_s)
     yield from _forces(sensor, stream.samples, noise_n)
 
 
@@ -115,7 +123,7 @@ def _samples(stream: ForceStream) -> Part:
     )  # fmt: skip
 
 
-def _times(sensor: ForceSensor, stream: ForceStream) -> Part:
+def _times(sensor: ForceSensor, stream: ForceStream, age_s: float) -> Part:
     times_s = np.array([one.time_ns / NS_PER_S for one in stream.samples])
     steps = np.diff(times_s)
     yield at_most(
@@ -124,12 +132,12 @@ def _times(sensor: ForceSensor, stream: ForceStream) -> Part:
     )  # fmt: skip
     lag_s = min(stream.lags_s)
     yield judge(
-        "timestamps are on the host's clock", -EARLY_S <= lag_s <= AGE_S, lag_s, AGE_S, "s",
+        "timestamps are on the host's clock", -EARLY_S <= lag_s <= age_s, lag_s, age_s, "s",
         f"the newest samples are {lag_s:g} s old at best; stamp them when they arrive, with the clock "
         "that was given, in ns",
     )  # fmt: skip
     yield at_most(
-        "latest is never old", max(stream.ages_s), AGE_S, "s",
+        "latest is never old", max(stream.ages_s), age_s, "s",
         "nothing moves on a force that is older than this",
     )  # fmt: skip
     # Between stamps, so that the first and last look do not count.
@@ -143,7 +151,7 @@ def _times(sensor: ForceSensor, stream: ForceStream) -> Part:
         f"{rate:.4g} Hz were measured, {sensor.rate_hz:g} Hz are stated: are samples lost or doubled?",
     )
     yield at_most(
-        "leaves no gap", float(steps.max()), AGE_S, "s",
+        "leaves no gap", float(steps.max()), age_s, "s",
         "between two samples more time passed than anything may move for",
     )  # fmt: skip
 

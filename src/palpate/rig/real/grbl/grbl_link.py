@@ -12,19 +12,15 @@ seconds on a busy host, was observed.
 
 from __future__ import annotations
 
-import importlib
 import math
-import os
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
 
-from palpate.core import NS_PER_S, Clock, DeviceError, MissingExtraError, ProtocolError
+from palpate.core import NS_PER_S, Clock, DeviceError, ProtocolError
 from palpate.rig.real.grbl.grbl_parser import (
     Alarm,
     Banner,
@@ -36,83 +32,7 @@ from palpate.rig.real.grbl.grbl_parser import (
     error_name,
     parse_line,
 )
-
-READ_S = 0.05  # how long one read waits, and so how soon its thread sees that it must end
-WRITE_S = 1.0
-
-
-@runtime_checkable
-class SerialPort(Protocol):
-    """Serial port, as far as the driver needs it; `serial.Serial` is one."""
-
-    @property
-    def in_waiting(self) -> int: ...
-    def read(self, size: int = 1, /) -> bytes: ...  # none after a short wait
-    def write(self, data: bytes, /) -> int | None: ...
-    def close(self) -> None: ...
-
-
-def open_port(name: str, baud: int, *, dtr: bool = False) -> SerialPort:
-    """Open a port for this programme alone."""
-    serial = _serial()
-    path = find_port(name)
-    port = serial.Serial(
-        port=None,
-        baudrate=baud,
-        timeout=READ_S,
-        write_timeout=WRITE_S,
-        exclusive=True if os.name == "posix" else None,
-        dsrdtr=False,
-    )
-    port.dtr = dtr  # before it is opened: afterwards the edge has been seen
-    port.port = path
-    try:
-        port.open()
-    except (serial.SerialException, OSError, ValueError) as error:
-        if "lock" in str(error) or "PermissionError" in str(error):
-            raise DeviceError(f"port {path} is in use by another programme; close that one first") from error
-        raise DeviceError(f"port {path} could not be opened ({error}); {_listed()}") from error
-    return port
-
-
-def find_port(name: str) -> str:
-    """The path of a port.
-
-    Args:
-        name: a path, or the serial number of a USB adapter.
-    """
-    if os.sep in name and Path(name).exists():
-        return name
-    ports = _ports()
-    matching = [port.device for port in ports if name in (port.device, port.serial_number)]
-    if len(matching) == 1:
-        return matching[0]
-    if matching:
-        raise DeviceError(f"{name!r} fits {', '.join(matching)}; name one by its path")
-    raise DeviceError(f"there is no port {name!r}, by path or by serial number; {_listed()}")
-
-
-def _listed() -> str:
-    ports = _ports()
-    if not ports:
-        return "no serial port is to be seen; is it plugged in, and may you use it?"
-    known = ", ".join(f"{port.device} (serial number {port.serial_number or 'none'})" for port in ports)
-    return f"the ports are {known}"
-
-
-def _ports() -> list[Any]:
-    _serial()
-    return sorted(importlib.import_module("serial.tools.list_ports").comports(), key=lambda port: port.device)
-
-
-def _serial() -> Any:
-    try:
-        return importlib.import_module("serial")
-    except ImportError as error:
-        raise MissingExtraError(
-            "a stage on a serial port needs pyserial; install it with pip install 'palpate[rig]'"
-        ) from error
-
+from palpate.rig.real.serial_port import SerialPort
 
 HOLD, CANCEL, RESET, ASK = b"!", b"\x85", b"\x18", b"?"
 MAX_SENT = 80  # bytes; the controller refuses longer lines

@@ -16,12 +16,12 @@ from palpate.rig.real.grbl.grbl_link import (
     GrblLink,
     HeardStatus,
     RefusedError,
-    SerialPort,
     SilenceError,
 )
 from palpate.rig.real.grbl.grbl_move import Millimetres, MoveSupervisor, shown
 from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, alarm_name
 from palpate.rig.real.grbl.grbl_supervisor import GrblMachine, GrblSpec, Mount, check_limits, read_machine
+from palpate.rig.real.serial_port import SerialPort
 
 _STANDS = {GrblState.IDLE, GrblState.ALARM, GrblState.SLEEP, GrblState.CHECK}
 _SPENT = {GrblState.SLEEP, GrblState.CHECK}  # standing, and brought back by a reset alone

@@ -16,7 +16,7 @@ import threading
 from contextlib import suppress
 
 from palpate.core import NS_PER_S, Clock, Closing, DeviceError, MonotonicClock, Position, RangeError, Travel
-from palpate.rig.real.grbl.grbl_link import CutOffError, RefusedError, SerialPort, SilenceError, open_port
+from palpate.rig.real.grbl.grbl_link import CutOffError, RefusedError, SilenceError
 from palpate.rig.real.grbl.grbl_move import MoveSupervisor
 from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, alarm_name
 from palpate.rig.real.grbl.grbl_session import GrblSession, PositionLostError, stands
@@ -28,6 +28,7 @@ from palpate.rig.real.grbl.grbl_supervisor import (
     feed_mm_min,
     fixed,
 )
+from palpate.rig.real.serial_port import SerialPort, open_port
 
 
 class GrblStage(Closing):

@@ -1,0 +1,349 @@
+"""A load cell or balance on a serial port as a force sensor along one axis, slow and honest about it.
+
+It measures along the device's z alone; x and y read 0 N and are not measured. A sample is stamped with
+its arrival less the stated delay, so that a guard sees how old it is in truth: too old, for most of these, to
+move towards a skin by. `Limits.check_sensor` refuses those, which may label or weigh all the same.
+
+Garbled lines are counted and weigh nothing. Silence, a port that is gone, lines of which none can be read,
+and counts that stand still end it with a `DeviceError`.
+
+Reference: HX711 data sheet (Avia Semiconductor): 24 bits in two's complement that saturate at 0x7FFFFF and
+0x800000; 10 or 80 samples a second, which settle within 400 or 50 ms.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import deque
+from dataclasses import dataclass
+from threading import Event, Lock, Thread
+
+from palpate.core import (
+    NS_PER_S,
+    Clock,
+    Closing,
+    DeviceError,
+    InputError,
+    MonotonicClock,
+    ProtocolError,
+    RangeError,
+    Wrench,
+)
+from palpate.rig.real.scale.weight_line import MAX_LINE, NEWTONS, Weight, read_weight
+from palpate.rig.real.serial_port import SerialPort, open_port
+
+COUNTS = "counts"
+HX711_RAILS = (-(2**23), 2**23 - 1)
+MAX_GARBLED = 10  # lines in a row
+MAX_READ_BYTES = 4096
+SILENT_PERIODS = 5.0  # without a line, after which it has failed
+MIN_SILENCE_S = 1.0
+STUCK_LINES = 50  # of counts that are the same to the last; noise moves a live amplifier's within a few
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleSpec:
+    """Specification of how a scale is reached, and what its lines mean.
+
+    Attributes:
+        port: a path such as /dev/ttyUSB0, or the USB serial number of its adapter.
+        rate_hz: lines a second; where it is asked, how often [Hz].
+        range_n: greatest force, to either side; a sample beyond it is faulty [N].
+        delay_s: from a change of force until it is printed in full [s]. An HX711 settles within 0.4 s at 10
+            samples a second and 0.05 s at 80; a balance's filter takes longer: measure it with a weight.
+        unit: of lines that carry none: "counts", or one of `NEWTONS`. A unit in a line holds for that line.
+        count_n: force of one count, negative where it is mounted the other way round [N]; for counts alone.
+        ask: what to send for each line, such as "SI" (MT-SICS) or "Q" (A&D); empty where it sends by itself.
+        baud, frame: of the port; data bits, parity and stop bits, such as "7E1".
+        dtr: raise the port's DTR line, which resets many boards.
+        settled_only: a line that says that it is not stable is a faulty sample.
+        silence_s: without a readable line for longer, it has failed; left out, five periods, and
+            1 s at least [s].
+        stuck_lines: so many equal counts in a row are a fault; None for never. A balance's lines may repeat
+            as long as its load does, and are never judged.
+        line_bytes: length of every line without its end, of a balance that prints a fixed width; others are
+            garbled. Without it a line that lost its first digits is a wrong weight that nothing tells.
+        keep: samples kept between two calls of `drain`.
+    """
+
+    port: str
+    rate_hz: float = 10.0
+    range_n: float = 50.0
+    delay_s: float = 0.4
+    unit: str = "g"
+    count_n: float | None = None
+    ask: str = ""
+    baud: int = 9600
+    frame: str = "8N1"
+    dtr: bool = False
+    settled_only: bool = False
+    silence_s: float | None = None
+    stuck_lines: int | None = STUCK_LINES
+    line_bytes: int | None = None
+    keep: int = 4096
+
+    def __post_init__(self) -> None:
+        positive = ("rate_hz", "range_n", "baud", "keep", "silence_s", "stuck_lines", "line_bytes")
+        for name in positive:
+            value = getattr(self, name)
+            if value is not None and not (value > 0 and math.isfinite(value)):
+                raise RangeError(f"{name} is {value}; it must be positive and finite")
+        if not (self.delay_s >= 0 and math.isfinite(self.delay_s)):
+            raise RangeError(f"delay_s is {self.delay_s} s; it must be 0 s or more")
+        if self.unit not in (COUNTS, *NEWTONS):
+            raise InputError(f"unit is {self.unit!r}; give {COUNTS!r} or one of {', '.join(NEWTONS)}")
+        if (self.unit == COUNTS) != (self.count_n is not None):
+            raise InputError("give count_n, the force of one count [N], with unit = 'counts' and only then")
+        if self.count_n is not None and not (math.isfinite(self.count_n) and self.count_n != 0):
+            raise RangeError(f"count_n is {self.count_n} N; it must be finite and not 0")
+        if not re.fullmatch(r"[78][NEO][12]", self.frame):
+            raise InputError(f"frame is {self.frame!r}; give data bits, parity and stop bits, such as '7E1'")
+
+    @property
+    def silent_s(self) -> float:
+        """Longest time without a line [s]."""
+        return max(MIN_SILENCE_S, SILENT_PERIODS / self.rate_hz) if self.silence_s is None else self.silence_s
+
+    def force_n(self, weight: Weight) -> float:
+        """Force of a line [N]."""
+        if self.count_n is not None:
+            return weight.value * self.count_n
+        return weight.value * NEWTONS[weight.unit or self.unit]
+
+
+@dataclass(slots=True)
+class ScaleCounts:
+    """Counts of what has come in.
+
+    Attributes:
+        received: lines that were read.
+        garbled: lines that were not, which weigh nothing.
+        unstable: received ones that the balance calls not stable.
+        faulty: received ones with a fault.
+    """
+
+    received: int = 0
+    garbled: int = 0
+    unstable: int = 0
+    faulty: int = 0
+
+
+class WeightStream:
+    """Bytes in, samples out; tells by `failure` when the stream is worth nothing any more."""
+
+    def __init__(self, spec: ScaleSpec) -> None:
+        self._spec = spec
+        self._rest = bytearray()
+        self._partial = not spec.ask  # it was printing already: the first line may be the end of one
+        self._overlong = False
+        self.counts = ScaleCounts()
+        self.failure: DeviceError | None = None
+        self._garbled = self._same = 0
+        self._last: float | None = None
+
+    def take(self, data: bytes, time_ns: int) -> list[Wrench]:
+        """The samples that end in these bytes, which arrived at `time_ns` [ns]."""
+        samples = []
+        for byte in data:
+            if byte not in b"\r\n":
+                self._rest.append(byte)
+                if len(self._rest) > MAX_LINE:
+                    self._rest.clear()
+                    self._overlong = True
+                continue
+            sample = self._end_line(bytes(self._rest), time_ns)
+            self._rest.clear()
+            self._partial = self._overlong = False
+            samples += [sample] if sample else []
+        return samples
+
+    def _end_line(self, line: bytes, time_ns: int) -> Wrench | None:
+        if self._overlong:
+            self._garble(f"it has more than {MAX_LINE} bytes")
+        elif line.strip() and not self._partial:
+            return self._sample(line, time_ns)
+        return None
+
+    def _sample(self, line: bytes, time_ns: int) -> Wrench | None:
+        try:
+            weight = self._read(line)
+        except ProtocolError as error:
+            self._garble(str(error))
+            return None
+        self._garbled = 0
+        self.counts.received += 1
+        self.counts.unstable += weight.stable is False
+        fault = weight.fault or self._fault(weight)
+        self.counts.faulty += bool(fault)
+        measured_ns = time_ns - round(self._spec.delay_s * NS_PER_S)
+        force = math.nan if fault else self._spec.force_n(weight)
+        across = math.nan if fault else 0.0
+        return Wrench(measured_ns, (across, across, force), (across, across, across), fault)
+
+    def _read(self, line: bytes) -> Weight:
+        weight = read_weight(line)
+        if self._spec.line_bytes not in (None, len(line)):
+            raise ProtocolError(f"{line!r} has {len(line)} bytes, of {self._spec.line_bytes}")
+        if weight.unit and self._spec.unit == COUNTS:
+            raise ProtocolError(f"{line!r} has a unit where counts were to come")
+        return weight
+
+    def _fault(self, weight: Weight) -> str:
+        """Fault of a line; empty where its number holds."""
+        if self._spec.unit == COUNTS:
+            self._same = self._same + 1 if weight.value == self._last else 0
+            self._last = weight.value
+            if self._spec.stuck_lines is not None and self._same + 1 >= self._spec.stuck_lines:
+                self.failure = DeviceError(
+                    f"it printed {weight.value:g} counts {self._same + 1} times running: the amplifier "
+                    "stands still; check its wires and supply, then open it anew"
+                )
+                return "counts stand still"
+            if weight.value >= HX711_RAILS[1] or weight.value <= HX711_RAILS[0]:
+                return "counts at their rail: overloaded, or a wire of the cell is off"
+        if abs(self._spec.force_n(weight)) > self._spec.range_n:
+            return "force beyond the range"
+        return "not stable" if self._spec.settled_only and weight.stable is False else ""
+
+    def _garble(self, why: str) -> None:
+        self.counts.garbled += 1
+        self._garbled += 1
+        if self._garbled >= MAX_GARBLED:
+            self.failure = ProtocolError(
+                f"{MAX_GARBLED} lines in a row could not be read, the last since {why}; check baud "
+                f"({self._spec.baud}), frame ({self._spec.frame}), and that this port is the scale's"
+            )
+
+
+class SerialScale(Closing):
+    """A `palpate.core.ForceSensor` along z. Opening it waits for the first line that can be read.
+
+    Args:
+        spec: how it is reached, and what its lines mean.
+        port: an open serial port, which this object closes.
+        clock: stamps the samples.
+
+    Raises:
+        DeviceError: no line came, or none that could be read.
+    """
+
+    def __init__(self, spec: ScaleSpec, port: SerialPort, clock: Clock | None = None) -> None:
+        self._spec, self._port, self._clock = spec, port, clock or MonotonicClock()
+        self._lock, self._closing = Lock(), Event()
+        self._stream = WeightStream(spec)
+        self._kept: deque[Wrench] = deque(maxlen=spec.keep)
+        self._latest: Wrench | None = None
+        self._overflowed, self._failure = 0, ""
+        self._heard_ns = self._asked_ns = self._clock.now_ns()
+        self._first = Event()
+        self._thread = Thread(target=self._run, name=f"scale {spec.port}", daemon=True)
+        self._thread.start()
+        try:
+            self._await_first()
+        except BaseException:
+            self.close()
+            raise
+
+    @classmethod
+    def open(cls, spec: ScaleSpec, clock: Clock | None = None) -> SerialScale:
+        """Open the spec's port."""
+        return cls(spec, open_port(spec.port, spec.baud, dtr=spec.dtr, frame=spec.frame), clock)
+
+    @property
+    def rate_hz(self) -> float:
+        """Lines a second, as stated [Hz]."""
+        return self._spec.rate_hz
+
+    @property
+    def delay_s(self) -> float:
+        """Age of a sample when it arrives, as stated [s]."""
+        return self._spec.delay_s
+
+    @property
+    def range_n(self) -> tuple[float, float, float]:
+        """Greatest force [N]; across z nothing is measured."""
+        return (self._spec.range_n,) * 3
+
+    @property
+    def counts(self) -> ScaleCounts:
+        """Counts since it was opened."""
+        with self._lock:
+            counts = self._stream.counts
+            return ScaleCounts(counts.received, counts.garbled, counts.unstable, counts.faulty)
+
+    def latest(self) -> Wrench:
+        """The newest sample. See `palpate.core.ForceSensor`."""
+        with self._lock:
+            self._refuse_failed()
+            if self._latest is None:
+                raise DeviceError(f"the scale at {self._spec.port} has printed nothing yet")
+            return self._latest
+
+    def drain(self) -> list[Wrench]:
+        """Samples since the last call, oldest first. See `palpate.core.ForceSensor`."""
+        with self._lock:
+            self._refuse_failed()
+            if self._overflowed:
+                lost, self._overflowed = self._overflowed, 0
+                raise DeviceError(f"{lost} samples of the scale were overwritten; drain it more often")
+            samples = list(self._kept)
+            self._kept.clear()
+            return samples
+
+    def close(self) -> None:
+        """Let go of the port. Closing again does nothing."""
+        self._closing.set()
+        self._thread.join(timeout=5.0)
+        with self._lock:
+            self._failure = self._failure or "it was closed; open it anew"
+        self._port.close()
+
+    def _await_first(self) -> None:
+        while not self._first.wait(0.01):
+            with self._lock:
+                self._refuse_failed()
+        with self._lock:
+            self._refuse_failed()
+
+    def _refuse_failed(self) -> None:
+        silent_s = (self._clock.now_ns() - self._heard_ns) / NS_PER_S
+        if not self._failure and silent_s > self._spec.silent_s:
+            self._failure = (
+                f"no line that can be read came for {self._spec.silent_s:g} s"
+                f"{'' if self._spec.ask else ', and none was asked for'} ({self._stream.counts.garbled} were "
+                f"garbled); check its cable, power, baud ({self._spec.baud}) and printing mode"
+            )
+        if self._failure:
+            raise DeviceError(f"the scale at {self._spec.port}: {self._failure}")
+
+    def _run(self) -> None:
+        try:
+            self._ask(first=True)
+            while not self._closing.is_set() and not self._failure:
+                data = self._port.read(min(max(self._port.in_waiting, 1), MAX_READ_BYTES))
+                now_ns = self._clock.now_ns()
+                with self._lock:
+                    self._keep(self._stream.take(data, now_ns), now_ns)
+                self._ask()
+        except Exception as error:  # each system and adapter has its own kinds; none is swallowed
+            with self._lock:
+                self._failure = (
+                    self._failure or f"its port is gone ({error}); check its cable, then open it anew"
+                )
+
+    def _keep(self, samples: list[Wrench], now_ns: int) -> None:
+        for sample in samples:
+            self._overflowed += len(self._kept) == self._kept.maxlen
+            self._kept.append(sample)
+            self._latest, self._heard_ns = sample, now_ns
+            self._first.set()
+        if self._stream.failure:
+            self._failure = self._failure or str(self._stream.failure)
+
+    def _ask(self, *, first: bool = False) -> None:
+        """Ask for the next line, where it is due."""
+        now_ns = self._clock.now_ns()
+        if self._spec.ask and (first or now_ns - self._asked_ns >= NS_PER_S / self._spec.rate_hz):
+            self._asked_ns = now_ns
+            self._port.write(self._spec.ask.encode("latin-1") + b"\r\n")

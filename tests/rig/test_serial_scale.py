@@ -1,0 +1,310 @@
+"""Load cells and balances that print lines: what a line weighs, and what goes wrong is told."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from contextlib import ExitStack
+
+import pytest
+from hypothesis import given, strategies as st
+from pydantic import ValidationError
+from tests.rig.serial_terminal import FakeTerminal
+
+from palpate.core import DeviceError, ForceSensor, InputError, MonotonicClock, ProtocolError, RangeError
+from palpate.devices.check import check_force_sensor
+from palpate.rig.fakes.printing_scale import PrintingScale, ScaleFaults
+from palpate.rig.real.scale import ScaleSpec, SerialScale
+from palpate.rig.real.scale.serial_scale import MAX_GARBLED, STUCK_LINES, WeightStream
+from palpate.rig.real.scale.weight_line import G0, MAX_LINE, NEWTONS, read_weight
+from palpate.rig.rig_file import RigFile
+
+PATIENCE_S = 30.0  # for what must happen; a loaded machine may take long, a broken one takes for ever
+
+
+@pytest.mark.parametrize(
+    ("line", "value", "unit", "stable"),
+    [
+        (b"-83886", -83886.0, "", None),  # a microcontroller's own
+        (b"12.5 g", 12.5, "g", None),
+        (b"ST,+0018.372  g", 18.372, "g", True),  # A&D
+        (b"US,-0000.004 kg", -0.004, "kg", False),
+        (b"ST,GS,+01234.5kg", 1234.5, "kg", True),
+        (b"ST,GS 1.000KG", 1.0, "kg", True),  # Kern: the second header without a comma
+        (b"S S     100.00 g", 100.0, "g", True),  # Mettler-Toledo
+        (b"S D      -4.51 g", -4.51, "g", False),
+        (b"+   123.56 g  ", 123.56, "g", None),  # Sartorius
+        (b"-   123.56    ", -123.56, "", None),
+        (b"N     +  123.56 g  ", 123.56, "g", None),
+        (b"?       0.01 g", 0.01, "g", False),  # Radwag
+        (b"       0.01 g ?", 0.01, "g", False),  # Ohaus
+        (b"     0.5950 oz", 0.595, "oz", None),
+        (b"  1.25 N", 1.25, "N", None),
+    ],
+)
+def test_published_layouts_are_read(line: bytes, value: float, unit: str, stable: bool | None) -> None:
+    weight = read_weight(line)
+    assert (weight.value, weight.unit, weight.stable, weight.fault) == (value, unit, stable, "")
+
+
+@pytest.mark.parametrize(
+    ("line", "fault"),
+    [
+        (b"OL,+999999E+19", "overload"),
+        (b"S +", "overload"),
+        (b"S -", "underload"),
+        (b"S I", "busy"),
+        (b"       H", "overload"),
+        (b"       L", "underload"),
+        (b"Err 54", "Err 54"),
+        (b"^   999.9 g", "overload"),
+    ],
+)
+def test_a_line_without_a_weight_is_a_fault_and_no_number(line: bytes, fault: str) -> None:
+    weight = read_weight(line)
+    assert fault in weight.fault
+    assert math.isnan(weight.value)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"12.3.4",
+        b"nan",
+        b"inf",
+        b"1e3 g",
+        b"12 stones",
+        b"ST,+0018\xf0372 g",
+        b"",
+        b"S S",
+        b"S S 1.0",
+        b"9" * 65,
+    ],
+)
+def test_what_is_no_layout_weighs_nothing(line: bytes) -> None:
+    with pytest.raises(ProtocolError):
+        read_weight(line)
+
+
+@given(st.binary(max_size=2 * MAX_LINE))
+def test_whatever_bytes_come_only_protocol_errors_leave(line: bytes) -> None:
+    try:
+        weight = read_weight(line)
+    except ProtocolError:
+        return
+    assert weight.fault or math.isfinite(weight.value)
+
+
+def test_units_are_those_of_the_international_system() -> None:
+    assert NEWTONS["g"] == pytest.approx(9.80665e-3)
+    assert NEWTONS["oz"] == pytest.approx(0.27801385, rel=1e-7)  # the ounce-force, NIST SP 811
+    assert NEWTONS["lb"] == pytest.approx(4.4482216, rel=1e-7)
+    assert NEWTONS["kN"] / NEWTONS["mN"] == pytest.approx(1e6)
+
+
+class TestStream:
+    def samples(self, data: bytes, **spec):
+        stream = WeightStream(ScaleSpec("p", **spec))
+        return stream, stream.take(data, 2_000_000_000)
+
+    def test_a_line_is_force_along_z_measured_the_delay_ago(self) -> None:
+        _, (one,) = self.samples(b"ignored\r\n100.0 g\r\n", delay_s=0.4)
+        assert one.force_n == pytest.approx((0.0, 0.0, 0.1 * G0))
+        assert one.time_ns == 1_600_000_000
+
+    def test_counts_become_newtons_by_the_stated_scale_and_sign(self) -> None:
+        _, (one,) = self.samples(b"\n-20000\n", unit="counts", count_n=-2e-5)
+        assert one.force_n[2] == pytest.approx(0.4)
+
+    def test_the_unit_of_a_line_holds_for_that_line(self) -> None:
+        _, both = self.samples(b"\n1.0 kg\n+ 1.0\n", unit="g")
+        assert [one.force_n[2] for one in both] == pytest.approx([G0, G0 / 1e3])
+
+    def test_a_first_line_that_may_be_cut_is_dropped(self) -> None:
+        stream, samples = self.samples(b"34.5 g\r\n1234.5 g\r\n", range_n=100.0)
+        assert [one.force_n[2] for one in samples] == pytest.approx([1.2345 * G0])
+        assert stream.counts.garbled == 0
+
+    def test_garbled_lines_are_counted_and_weigh_nothing(self) -> None:
+        stream, samples = self.samples(b"\n1.0 g\n\xff\xfe g\n2.0 g\n" + b"7" * 100 + b"\n3.0 g\n")
+        assert [one.force_n[2] / G0 * 1e3 for one in samples] == pytest.approx([1, 2, 3])
+        assert (stream.counts.received, stream.counts.garbled) == (3, 2)
+        assert stream.failure is None
+
+    def test_nothing_but_garbage_is_a_failure_that_names_the_baud(self) -> None:
+        stream, _ = self.samples(b"\n" + b"\x80\x81\n" * MAX_GARBLED)
+        assert "baud (9600)" in str(stream.failure)
+
+    def test_a_cut_line_of_a_fixed_width_is_garbled(self) -> None:
+        stream, samples = self.samples(b"\nST,+0018.372  g\n8.372  g\n", line_bytes=15)
+        assert (len(samples), stream.counts.garbled) == (1, 1)
+
+    def test_counts_that_stand_still_are_a_failure_and_a_balance_may_rest(self) -> None:
+        stream, _ = self.samples(b"\n" + b"4711\n" * (STUCK_LINES - 1), unit="counts", count_n=1e-5)
+        assert stream.failure is None
+        stream.take(b"4711\n", 0)
+        assert "4711 counts 50 times running" in str(stream.failure)
+        stream, _ = self.samples(b"\n" + b"100.0 g\n" * 1000)
+        assert stream.failure is None
+
+    @pytest.mark.parametrize("rail", [8388607, -8388608])
+    def test_a_cell_at_its_rail_measures_nothing(self, rail: int) -> None:
+        _, (one,) = self.samples(b"\n%d\n" % rail, unit="counts", count_n=1e-7)
+        assert "rail" in one.fault
+        assert math.isnan(one.force_n[2])
+
+    def test_a_force_beyond_the_range_is_a_fault(self) -> None:
+        _, (one, two) = self.samples(b"\n1019 g\n1020 g\n", range_n=10.0)  # 10 N are 1019.7 g
+        assert (one.fault, two.fault) == ("", "force beyond the range")
+
+    def test_an_unstable_line_is_a_fault_only_where_asked(self) -> None:
+        stream, (one,) = self.samples(b"\nUS,+1.0 g\n")
+        assert (one.fault, stream.counts.unstable) == ("", 1)
+        _, (one,) = self.samples(b"\nUS,+1.0 g\n", settled_only=True)
+        assert one.fault == "not stable"
+
+    @given(st.binary(max_size=500))
+    def test_any_bytes_are_taken(self, data: bytes) -> None:
+        self.samples(data)
+
+
+@pytest.mark.parametrize(
+    ("fields", "error"),
+    [
+        ({"unit": "counts"}, InputError),
+        ({"count_n": 1e-5}, InputError),
+        ({"unit": "counts", "count_n": 0.0}, RangeError),
+        ({"unit": "stone"}, InputError),
+        ({"rate_hz": 0.0}, RangeError),
+        ({"delay_s": -0.1}, RangeError),
+        ({"frame": "9X1"}, InputError),
+        ({"range_n": math.inf}, RangeError),
+    ],
+)
+def test_a_specification_that_makes_no_sense_is_refused(fields, error) -> None:
+    with pytest.raises(error):
+        ScaleSpec("p", **fields)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal needs POSIX")
+class TestDriver:
+    @pytest.fixture
+    def bench(self):
+        pytest.importorskip("serial")
+        with ExitStack() as stack:
+
+            def make(scale: PrintingScale, **spec):
+                clock = MonotonicClock()
+                now_s = clock.now_ns() / 1e9
+                scale._now_s = scale._next_s = now_s
+                terminal = stack.enter_context(FakeTerminal(scale, clock))
+                spec = {"rate_hz": 50.0, "delay_s": 0.1, "silence_s": 10.0} | spec
+                sensor = SerialScale.open(ScaleSpec(terminal.path, **spec), clock)
+                stack.callback(sensor.close)
+                return terminal, sensor
+
+            yield make
+
+    def until(self, condition) -> None:
+        end = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < end, "what was waited for never came"
+            time.sleep(0.01)
+
+    def failure(self, sensor) -> str:
+        end = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end:
+            try:
+                sensor.latest()
+            except DeviceError as error:
+                return str(error)
+            time.sleep(0.01)
+        raise AssertionError("it never failed")
+
+    @pytest.mark.parametrize(
+        ("layout", "spec"),
+        [
+            ("counts", {"unit": "counts", "count_n": 1e-5}),
+            ("grams", {}),
+            ("a&d", {"line_bytes": 16}),
+            ("sics", {}),
+            ("sbi", {"line_bytes": 14}),
+        ],
+    )
+    def test_every_layout_weighs_the_same(self, bench, layout, spec) -> None:
+        _, sensor = bench(PrintingScale(lambda t: 1.5, layout=layout, rate_hz=50.0, noise_n=1e-4), **spec)
+        assert isinstance(sensor, ForceSensor)
+        assert sensor.latest().force_n[2] == pytest.approx(1.5, abs=1e-3)
+
+    def test_a_scale_that_is_asked_answers(self, bench) -> None:
+        scale = PrintingScale(lambda t: 0.5, layout="sics", on_request=True)
+        _, sensor = bench(scale, ask="SI")
+        self.until(lambda: sensor.counts.received >= 5)
+        assert sensor.latest().force_n[2] == pytest.approx(0.5, abs=5e-3)
+
+    def test_a_scale_that_is_not_asked_is_told_as_silent(self, bench) -> None:
+        with pytest.raises(DeviceError, match="none was asked for"):
+            bench(PrintingScale(on_request=True), silence_s=0.3)
+
+    @pytest.mark.parametrize(
+        ("faults", "said"),
+        [
+            (ScaleFaults(mute=True), "no line that can be read came"),
+            (ScaleFaults(nonsense=True), "lines in a row could not be read"),
+            (ScaleFaults(stuck=True), "the amplifier stands still"),
+        ],
+    )
+    def test_what_makes_it_worthless_is_named(self, bench, faults, said) -> None:
+        scale = PrintingScale(lambda t: 1.0, layout="counts", rate_hz=200.0)
+        terminal, sensor = bench(scale, unit="counts", count_n=1e-5, rate_hz=200.0, silence_s=1.0)
+        with terminal.lock:
+            scale.faults = faults
+        assert said in self.failure(sensor)
+        with pytest.raises(DeviceError, match=said):
+            sensor.drain()
+
+    def test_overload_is_a_fault_and_ends_nothing(self, bench) -> None:
+        scale = PrintingScale(layout="a&d", rate_hz=50.0)
+        terminal, sensor = bench(scale)
+        with terminal.lock:
+            scale.faults = ScaleFaults(overloaded=True)
+        self.until(lambda: sensor.latest().fault == "overload")
+        with terminal.lock:
+            scale.faults = ScaleFaults()
+        self.until(lambda: sensor.latest().fault == "")
+
+    def test_an_unplugged_scale_is_gone(self, bench) -> None:
+        terminal, sensor = bench(PrintingScale(rate_hz=50.0))
+        terminal.unplug()
+        assert "its port is gone" in self.failure(sensor)
+
+    def test_samples_that_nobody_drains_are_told(self, bench) -> None:
+        _, sensor = bench(PrintingScale(rate_hz=200.0), keep=5)
+        self.until(lambda: sensor.counts.received > 10)
+        with pytest.raises(DeviceError, match="overwritten"):
+            sensor.drain()
+        assert sensor.drain()  # the newest are kept
+
+    def test_it_keeps_every_law_of_a_sensor_that_labels(self, bench) -> None:
+        _, sensor = bench(
+            PrintingScale(lambda t: 1.0, layout="counts", rate_hz=80.0),
+            unit="counts",
+            count_n=1e-5,
+            rate_hz=80.0,
+        )
+        found = check_force_sensor(sensor, clock=MonotonicClock(), seconds=1.0, age_s=0.1 + 3.0)
+        assert [one for one in found if not one.ok and one.name != "calls return at once"] == []
+
+    def test_a_rig_s_file_names_it_and_what_its_lines_mean(self, bench) -> None:
+        scale = PrintingScale(lambda t: 0.5, layout="counts", rate_hz=80.0)
+        terminal, first = bench(scale, unit="counts", count_n=1e-5)
+        first.close()
+        part = {"kind": "serial-scale", "port": terminal.path, "unit": "counts", "count_N": 1e-5}
+        more = {"rate_hz": 80.0, "delay_s": 0.05, "range_N": 20.0, "axes": ["x", "y", "-z"]}
+        file = RigFile.model_validate({"name": "bench", "label_force": part | more})
+        with file.label_force.open(MonotonicClock()) as sensor:
+            assert sensor.latest().force_n[2] == pytest.approx(0.5, abs=0.02)
+            assert (sensor.rate_hz, sensor.delay_s, sensor.range_n[2]) == (80.0, 0.05, 20.0)
+        with pytest.raises(ValidationError, match="counts_N"):
+            RigFile.model_validate({"name": "bench", "force": part | {"counts_N": 1.0}})
