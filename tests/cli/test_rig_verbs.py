@@ -184,3 +184,57 @@ def test_a_request_to_end_lifts_the_probe_and_leaves_a_run_that_goes_on(tmp_path
     run = Run.open(out)
     assert check(out).sound
     assert run.stage()["z_m"].iloc[-1] <= -1e-3 + 1e-9
+
+
+def test_a_rig_is_worked_by_hand_from_the_command_line() -> None:
+    code, out, _ = typed("rig", "jog", "virtual:palm", "--axis", "z", "--mm", "1", "--json")
+    assert code == 0
+    assert json.loads(out)["position_mm"] == pytest.approx([0, 0, -4], abs=0.02)
+    code, out, _ = typed("rig", "zero", "virtual:palm", "--json")
+    assert code == 0
+    assert json.loads(out)["lifted_mm"] == pytest.approx(0.6)
+    code, out, _ = typed("rig", "status", "virtual:palm", "--json")
+    assert code == 0
+    assert json.loads(out)["camera_rate_hz"] == pytest.approx(30, rel=0.05)
+    code, out, _ = typed("rig", "stop", "virtual:palm", "--json")
+    assert code == 0
+    assert json.loads(out)["stopped"]
+
+
+def test_what_cannot_be_done_by_hand_is_said_in_one_line(tmp_path: Path) -> None:
+    for words, said in (
+        (("jog", "virtual:palm", "--axis", "z", "--mm", "60"), "50 mm"),
+        (("home", "virtual:palm"), "no homing"),
+        (("setup", "--out", tmp_path / "a.toml", "--answers", tmp_path / "none.toml"), "no file of answers"),
+        (("jog", tmp_path / "none.toml", "--axis", "z", "--mm", "1"), "no such file"),
+    ):
+        code, _, err = typed("rig", *words)
+        assert code == 2
+        assert said in err
+        assert len(err.strip().splitlines()) <= 2
+    file = tmp_path / "gone.toml"
+    file.write_text('name = "x"\n[stage]\nkind = "grbl"\nport = "/dev/no-such-port"\n')
+    code, _, err = typed("rig", "stop", file)
+    assert (code, "Nothing was stopped" in err) == (2, True)
+    code, out, _ = typed("rig", "status", file)
+    assert code == 1
+    assert "no-such-port" in out
+
+
+def test_a_stop_beside_a_process_that_holds_the_rig_is_its_emergency_stop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from palpate.rig.service import launch
+
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    process, _ = launch("virtual:palm", tmp_path / "runs")
+    try:
+        code, out, _ = typed("rig", "stop", "virtual:palm")
+        assert code == 0
+        assert "emergency stop by the process" in out
+        code, out, _ = typed("rig", "status", "virtual:palm", "--json")
+        assert code == 0
+        assert json.loads(out)["held"]
+    finally:
+        process.terminate()
+        process.wait(30)

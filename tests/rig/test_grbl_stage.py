@@ -465,3 +465,21 @@ class TestPorts:
 def test_a_spec_that_makes_no_sense_is_refused(words):
     with pytest.raises(InputError):
         GrblSpec("/dev/ttyACM0", **words)
+
+
+def test_a_retreat_leads_away_from_the_skin_before_its_place_is_known_and_teaches_none(
+    grbl_bench, fast_clock
+) -> None:
+    bench = grbl_bench(clock=fast_clock())
+    stage = bench.open(known=False)
+    start = bench.place_mm
+    stage.retreat(0.5e-3, 5e-3)
+    bench.arrive(stage)
+    assert bench.place_mm == pytest.approx((start[0], start[1], start[2] + 0.5), abs=0.005)  # z is -Z
+    with pytest.raises(DeviceError, match="not known"):
+        stage.position_m()
+    with pytest.raises(DeviceError, match="not known"):
+        stage.move_to((-50e-3, 50e-3, 50e-3), 5e-3)
+    for distance_m in (0.0, -1e-3, math.nan):
+        with pytest.raises(RangeError, match="above 0"):
+            stage.retreat(distance_m, 5e-3)

@@ -396,13 +396,22 @@ def test_the_marlin_driver_keeps_every_law_of_a_stage(bench, parser, speed_m_s) 
 
 def test_a_rig_s_file_opens_it_where_it_is_said_to_stand(bench) -> None:
     one = bench(clock=MonotonicClock())
-    fields = {"kind": "marlin", "port": one.terminal.path, "stands_at_mm": [1.0, 2.0, -3.0]}
+    fields = {"kind": "marlin", "port": one.terminal.path, "reference": [1.0, 2.0, -3.0]}
     limits = {"least_mm": [-5, -5, -5], "greatest_mm": [5, 5, 5], "sudden_mm_s": 2.5}
     part = RigFile.model_validate({"name": "bench", "stage": fields | limits}).stage
     with part.open(one.clock) as stage:
         assert stage.position_m() == pytest.approx((0.001, 0.002, -0.003))
         assert stage.travel.top_speed_m_s == pytest.approx(0.0025)
         assert stage.travel.greatest_m == pytest.approx((0.005, 0.005, 0.005))
-    both = RigFile.model_validate({"name": "bench", "stage": fields | limits | {"home": True}}).stage
-    with pytest.raises(InputError, match="leave one out"):
-        both.open(one.clock)
+    with pytest.raises(ValueError, match="leave one out"):
+        RigFile.model_validate({"name": "bench", "stage": fields | limits | {"home": True}})
+
+
+def test_a_stage_that_knows_no_place_still_lifts_away_from_the_skin(bench) -> None:
+    one = bench()
+    stage = one.open(known=False)
+    stage.retreat(2e-3, SPEED)
+    one.arrive(stage)
+    assert one.gone_mm == pytest.approx((0.0, 0.0, 2.0), abs=STEP_MM)  # its -Z leads into the skin
+    with pytest.raises(DeviceError, match="not known"):
+        stage.position_m()

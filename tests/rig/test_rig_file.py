@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.rig.rigs import plan
 
+from palpate.core import MonotonicClock
 from palpate.core.errors import DeviceError, InputError
 from palpate.devices.motion_limits import Reason
 from palpate.devices.rpc import path_of
 from palpate.rig import State, open_rig, record
+from palpate.rig.fakes.grbl_parameters import GrblParameters
 from palpate.rig.fakes.netft_box import FakeNetFT
+from palpate.rig.rig_file import GrblPart, read_rig
 from palpate.rig.service import rig_name, served_rig
 from palpate.rig.virtual.virtual_bench import REAL_TIME_AGE_S
 
@@ -79,7 +84,7 @@ force_N = 12
         ),
         (
             'name = "x"\n[virtual]\n[limits]\nleast_mm = [0, 0, 0]\ngreatest_mm = [1, 1, 1]\nforce_N = 1e9',
-            r"1e\+09 N.* to 120 N",
+            r"1e\+09, and 50 is the greatest",
         ),
     ],
 )
@@ -126,3 +131,63 @@ def test_a_device_that_is_missing_is_told_and_those_opened_before_are_closed(tmp
             with pytest.raises(DeviceError, match="no-such-camera"):
                 open_rig(written(tmp_path, text))
         assert not box.was_biased
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "most"),
+    [
+        ("force_N", "1e9", "50"),
+        ("force_rate_N_s", "5001", "5000"),
+        ("age_s", "0.6", "0.5"),
+        ("overshoot_mm", "1.5", "1"),
+        ("step_mm", "2", "1"),
+    ],
+)
+def test_a_limit_beyond_its_ceiling_is_refused_with_both_numbers(
+    tmp_path: Path, field: str, value: str, most: str
+) -> None:
+    text = 'name = "x"\n[virtual]\n[limits]\nleast_mm = [-1, -1, -1]\ngreatest_mm = [1, 1, 1]\n'
+    said = re.escape(f"{field} is {float(value):g}, and {most} is the greatest")
+    with pytest.raises(InputError, match=said):
+        read_rig(Path(written(tmp_path, f"{text}{field} = {value}")))
+    assert read_rig(Path(written(tmp_path, f"{text}{field} = {most}"))).limits is not None
+
+
+@pytest.mark.parametrize(
+    ("said", "refused"),
+    [
+        ("require_homed = false", "reference"),
+        ('require_homed = false\nreference = "counts"\nhome = true', "switches"),
+        ("reply_s = 31", "31.*30"),
+        ("top_speed_mm_s = 201", "201.*200"),
+        ("baud = 300", "baud"),
+        ('reference = "somewhere"', "reference"),
+    ],
+)
+def test_a_stage_that_cannot_be_as_it_is_stated_is_refused_before_its_port_is_opened(
+    tmp_path: Path, said: str, refused: str
+) -> None:
+    with pytest.raises(InputError, match=refused):
+        read_rig(Path(written(tmp_path, f'name = "x"\n[stage]\nkind = "grbl"\nport = "p"\n{said}')))
+
+
+def test_what_a_file_says_of_a_stage_without_switches_reaches_its_driver(grbl_bench: Any) -> None:
+    bench = grbl_bench(GrblParameters(settings={20: 0, 22: 0}, homed=True), clock=MonotonicClock())
+    part = GrblPart(
+        kind="grbl",
+        port=bench.terminal.path,
+        require_homed=False,
+        reference=(1.0, 2.0, 3.0),
+        least_mm=(-10, -10, -10),
+        greatest_mm=(10, 10, 10),
+        top_speed_mm_s=3.0,
+        boot_s=0.05,
+        reply_s=10.0,
+    )
+    stage = part.open(MonotonicClock())
+    try:
+        assert stage.position_m() == pytest.approx((1e-3, 2e-3, 3e-3))
+        assert stage.travel.top_speed_m_s == pytest.approx(3e-3)
+        assert stage.travel.greatest_m == pytest.approx((0.01,) * 3)
+    finally:
+        stage.close()

@@ -19,7 +19,7 @@ HEADINGS: dict[str, dict[str, str]] = {
     "Record": {
         "plan": "rig_verbs:plan_app",
         "record": "rig_verbs:record",
-        "rig": "rig_verbs:rig_app",
+        "rig": "rig_hand_verbs:rig_app",
         "studio": "study_verbs:studio",
         "import": "recording_verbs:import_app",
         "check": "recording_verbs:check",

@@ -23,6 +23,7 @@ from palpate.rig.real.grbl.grbl_session import GrblSession, PositionLostError, s
 from palpate.rig.real.grbl.grbl_supervisor import (
     MM_PER_M,
     S_PER_MIN,
+    GrblMachine,
     GrblSpec,
     check_range,
     feed_mm_min,
@@ -92,8 +93,46 @@ class GrblStage(Closing):
         """Start moving in a straight line, and return at once. See `palpate.core.Stage`."""
         halts = self._link.halts
         check_range(self.travel, position_m, speed_m_s)
+        self._go(position_m, speed_m_s, halts)
+
+    def retreat(self, distance_m: float, speed_m_s: float) -> None:
+        """Start moving away from the skin by so far, and return at once, also before its place is known.
+
+        It is what a lift before homing needs. The controller itself may refuse, where its count says that the
+        travel ends.
+
+        Raises:
+            RangeError: the distance is not above 0 m, or the speed is none that it can run at.
+            DeviceError: it is moving or locked, or the controller refuses.
+        """
+        halts, travel = self._link.halts, self.travel
+        if not 0.0 < distance_m < math.inf:
+            raise RangeError(f"a retreat by {distance_m} m; give a distance above 0 m")
+        check_range(travel, travel.least_m, speed_m_s)
         with self._lock:
-            move = self._begin(position_m, speed_m_s)
+            session = self._session
+            session.note_restart()
+            _, place_mm = session.look()
+            x, y, z = session.mount.sensor_m(place_mm)
+            lost, session.lost = session.lost, ""
+            try:
+                self._go((x, y, z - distance_m), speed_m_s, halts, homed=False)
+            finally:
+                session.lost = session.lost or lost
+
+    @property
+    def firmware(self) -> str:
+        """Name and version of the controller's firmware, as its banner says; empty where none came."""
+        return self._link.firmware
+
+    @property
+    def machine(self) -> GrblMachine:
+        """The controller's settings that bear on motion."""
+        return self._session.machine
+
+    def _go(self, position_m: Position, speed_m_s: float, halts: int, *, homed: bool = True) -> None:
+        with self._lock:
+            move = self._begin(position_m, speed_m_s, homed=homed)
             target_mm = move.target_mm
             words = "".join(f"{axis}{fixed(value)}" for axis, value in zip("XYZ", target_mm, strict=True))
             line = f"$J=G21G90G53{words}F{fixed(feed_mm_min(speed_m_s), 3)}"
@@ -198,7 +237,7 @@ class GrblStage(Closing):
         finally:
             self._link.close()
 
-    def _begin(self, position_m: Position, speed_m_s: float) -> MoveSupervisor:
+    def _begin(self, position_m: Position, speed_m_s: float, *, homed: bool = True) -> MoveSupervisor:
         """Everything that must hold before a line that moves is sent."""
         session = self._session
         session.need_known()
@@ -209,7 +248,8 @@ class GrblStage(Closing):
             session.standing()
             session.reset()
         _, place_mm = session.standing(fresh=fresh)
-        session.need_homed()
+        if homed:
+            session.need_homed()
         session.move = MoveSupervisor(
             place_mm,
             session.mount.machine_mm(position_m),

@@ -130,12 +130,42 @@ class MarlinStage(Closing):
                 raise DeviceError("the stage is moving already; wait for it, or stop() it")
             start_mm = self._look()
             self._check_place(start_mm)
-            target_mm = self._mount.machine_mm(position_m)
-            self._link.command("G90", halts=halts)
-            words = " ".join(f"{axis}{fixed(value)}" for axis, value in zip("XYZ", target_mm, strict=True))
-            now_ns = self._clock.now_ns()
-            self._move = MarlinMove(start_mm, target_mm, speed_m_s, start_mm, now_ns)
-            self._send_move(f"G1 {words} F{fixed(feed_mm_min(speed_m_s), 3)}", halts)
+            self._go(start_mm, self._mount.machine_mm(position_m), speed_m_s, halts)
+
+    def retreat(self, distance_m: float, speed_m_s: float) -> None:
+        """Start moving away from the skin by so far, and return at once, also before its place is known.
+
+        It is what a lift before homing needs. A build that refuses to move before it is homed refuses this.
+
+        Raises:
+            RangeError: the distance is not above 0 m, or the speed is none that it can run at.
+            DeviceError: it is moving, or the controller refuses.
+        """
+        halts, travel = self._link.halts, self.travel
+        if not 0.0 < distance_m < math.inf:
+            raise RangeError(f"a retreat by {distance_m} m; give a distance above 0 m")
+        check_range(travel, travel.least_m, speed_m_s)
+        with self._lock:
+            if self._move:
+                raise DeviceError("the stage is moving already; wait for it, or stop() it")
+            self._note_restart()
+            start_mm = self._look()
+            x, y, z = self._mount.sensor_m(start_mm)
+            self._go(start_mm, self._mount.machine_mm((x, y, z - distance_m)), speed_m_s, halts)
+
+    def unlock(self) -> None:
+        """Refuse, since a Marlin controller that gave up (M112) only restarts.
+
+        Raises:
+            DeviceError: always.
+        """
+        raise DeviceError("a Marlin controller that gave up cannot be unlocked: switch it off and on again")
+
+    def _go(self, start_mm: Triple, target_mm: Triple, speed_m_s: float, halts: int) -> None:
+        self._link.command("G90", halts=halts)
+        words = " ".join(f"{axis}{fixed(value)}" for axis, value in zip("XYZ", target_mm, strict=True))
+        self._move = MarlinMove(start_mm, target_mm, speed_m_s, start_mm, self._clock.now_ns())
+        self._send_move(f"G1 {words} F{fixed(feed_mm_min(speed_m_s), 3)}", halts)
 
     def moving(self) -> bool:
         """Whether the last move is still under way. See `palpate.core.Stage`."""

@@ -1,0 +1,182 @@
+"""Verbs that work a rig by hand: home, jog, stop, status, zero, and the guided setup of its file."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer import Argument, Option
+
+from palpate.cli.rig_verbs import rig_app
+from palpate.cli.verb_support import Json, print_found
+
+RigName = Annotated[str, Argument(help="A rig's TOML file, or virtual:palm.")]
+
+
+@rig_app.command()
+def home(
+    rig: RigName,
+    lifted: Annotated[
+        bool, Option("--lifted", help="Your word that the probe hangs free: home without a lift by force.")
+    ] = False,
+    json_: Json = False,
+) -> None:
+    """Home the stage, after the probe was lifted by force.
+
+    The probe is lifted in steps until the force no longer changes, 20 mm at most; only then does the stage
+    run to its switches. Without a force sensor, and where the lift is refused, it is not homed.
+
+    Example: palpate rig home bench.toml
+    """
+    from palpate.rig.commissioning.bench import open_bench
+    from palpate.rig.commissioning.hand_motion import home_clear
+
+    typer.echo("lifting by force, then homing; Ctrl-C stops", err=True)
+    with open_bench(rig, ("force", "stage"), place=False) as bench:
+        stage = bench.need_stage()
+        force = None if lifted and bench.force is None else bench.need_force()
+        found = home_clear(stage, force, bench.mounting, bench.clock, lifted=lifted)
+        at_mm = [round(1e3 * d, 4) for d in stage.position_m()]
+    lift_mm = None if found is None else found.lifted_mm
+    text = f"{rig}: homed, at ({', '.join(f'{d:g}' for d in at_mm)}) mm"
+    text += "" if lift_mm is None else f", after a lift of {lift_mm:.1f} mm"
+    print_found({"rig": rig, "position_mm": at_mm, "lifted_mm": lift_mm}, text, json_)
+
+
+@rig_app.command()
+def jog(
+    rig: RigName,
+    axis: Annotated[str, Option(help="x, y or z; z leads into the skin.")],
+    mm: Annotated[float, Option(help="How far, with its sign [mm]; 50 mm at most.")],
+    speed_mm_s: Annotated[float, Option(help="Speed [mm/s]; 10 mm/s at most.")] = 1.0,
+    stop_n: Annotated[float, Option(help="Change of force that stops it [N].")] = 1.0,
+    json_: Json = False,
+) -> None:
+    """Move one axis by some millimetres, under guard of the force sensor.
+
+    Any change of force from what it is at the start stops it. Without a force sensor in the file, the
+    greatest speed is 2 mm/s, and nothing stops it but its limits.
+
+    Example: palpate rig jog bench.toml --axis z --mm -2
+    """
+    from palpate.core import InputError
+    from palpate.rig.commissioning.bench import open_bench
+    from palpate.rig.commissioning.hand_motion import jog as jog_stage
+
+    with open_bench(rig, ("force", "stage")) as bench:
+        stage = bench.need_stage()
+        if "force" in bench.failed:
+            bench.need_force()
+        if bench.limits is None:
+            raise InputError(f"{rig}: a jog keeps to [limits], and the file has none; state them")
+        jog_stage(
+            stage,
+            bench.force,
+            bench.mounting,
+            bench.limits,
+            bench.clock,
+            axis=axis,
+            distance_m=mm * 1e-3,
+            speed_m_s=speed_mm_s * 1e-3,
+            stop_n=stop_n,
+        )
+        at_mm = [round(1e3 * d, 4) for d in stage.position_m()]
+    text = f"{rig}: at ({', '.join(f'{d:g}' for d in at_mm)}) mm"
+    print_found({"rig": rig, "position_mm": at_mm, "guarded": bench.force is not None}, text, json_)
+
+
+@rig_app.command()
+def stop(rig: RigName, json_: Json = False) -> None:
+    """Stop the stage at once.
+
+    Through the process that holds the rig, where one does, as the page's emergency stop; else on the stage's
+    own port. Where `palpate record` has that port, press Ctrl-C there. It is no substitute for a switch.
+
+    Example: palpate rig stop bench.toml
+    """
+    from palpate.rig.commissioning.bench import stop_rig
+
+    said = stop_rig(rig)
+    print_found({"rig": rig, "stopped": True, "how": said}, f"{rig}: {said}", json_)
+
+
+@rig_app.command()
+def status(rig: RigName, json_: Json = False) -> None:
+    """Say what each device reads now: place, force, camera rate, and how old each is.
+
+    Moves nothing. Ends with status 1 where a device does not answer.
+
+    Example: palpate rig status bench.toml --json
+    """
+    from palpate.rig.commissioning.bench import bench_status, open_bench, process_status
+
+    found = process_status(rig)
+    if found is None:
+        with open_bench(rig) as bench:
+            found = bench_status(bench)
+    lines = [f"{name}: {'not known' if value is None else value}" for name, value in found.items()]
+    lines = [line for line in lines if not line.startswith("problems")]
+    problems: dict[str, str] = found.get("problems", {})
+    lines += [f"wrong: {role}: {why}" for role, why in problems.items()]
+    print_found(found, "\n".join(lines), json_)
+    if problems:
+        raise typer.Exit(1)
+
+
+@rig_app.command()
+def zero(rig: RigName, json_: Json = False) -> None:
+    """Measure what the force sensor reads in the air.
+
+    The probe is lifted by 0.6 mm first: where the force changes on the way, it was in contact, and the zero
+    is refused. Nothing is set in the sensor; each run measures its own.
+
+    Example: palpate rig zero bench.toml
+    """
+    from palpate.rig.commissioning.bench import open_bench
+    from palpate.rig.commissioning.hand_motion import zero as zero_force
+
+    with open_bench(rig, ("force", "stage")) as bench:
+        found = zero_force(bench.need_stage(), bench.need_force(), bench.mounting, bench.clock)
+    x, y, z = found.force_n
+    text = (
+        f"{rig}: {x:.4f}, {y:.4f}, {z:.4f} N in the air, noise {found.noise_n:.4f} N along the press, "
+        f"{found.rate_hz:.0f} samples/s"
+    )
+    print_found({"rig": rig, **asdict(found)}, text, json_)
+
+
+@rig_app.command()
+def setup(
+    out: Annotated[Path, Option(help="Rig file to make; must not exist.")],
+    answers: Annotated[
+        Path | None, Option(help="TOML file of answers, name = value; nothing is asked then.")
+    ] = None,
+    yes: Annotated[bool, Option("--yes", help="Take what is proposed wherever something is.")] = False,
+    json_: Json = False,
+) -> None:
+    """Write a rig's file by asking, trying each device, a gentle touch and a known weight.
+
+    Nothing moves before you say that it may. It ends in the check of `palpate rig check`, and says what it
+    could not check. Ends with status 1 where the check found something wrong; the file stays.
+
+    Example: palpate rig setup --out bench.toml
+    """
+    from palpate.rig.commissioning.answers import FileAnswers, PromptAnswers
+    from palpate.rig.commissioning.rig_setup import set_up
+
+    asked = PromptAnswers(yes=yes) if answers is None else FileAnswers.read(answers, yes=yes)
+    found = set_up(out, asked, lambda line: typer.echo(line, err=True))
+    wrong = [one for one in found.checks if not one.ok]
+    lines = [f"wrong: {one.name}: {one.message}" for one in wrong]
+    lines += [f"not checked: {one}" for one in found.unchecked]
+    lines.append(f"{out}: {len(found.checks) - len(wrong)} of {len(found.checks)} checks passed")
+    result: dict[str, Any] = {
+        "file": str(out),
+        "checks": [asdict(one) for one in found.checks],
+        "unchecked": list(found.unchecked),
+    }
+    print_found(result, "\n".join(lines), json_)
+    if wrong:
+        raise typer.Exit(1)

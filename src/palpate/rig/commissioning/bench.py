@@ -1,0 +1,235 @@
+"""The devices that a rig's file names, each opened as far as it can be, for work by hand."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from palpate.core import (
+    NS_PER_S,
+    Clock,
+    Closing,
+    DeviceError,
+    ForceSensor,
+    FrameSource,
+    InputError,
+    MonotonicClock,
+    PalpateError,
+    Position,
+    Stage,
+)
+from palpate.devices import Limits, Mounting
+from palpate.devices.check.interface_check import Role
+from palpate.devices.rpc import find
+from palpate.rig.rig_file import GrblPart, MarlinPart, RigFile, is_virtual, open_part, open_rig, read_rig
+from palpate.rig.service import RigClient, rig_name
+
+WATCH_S = 1.0  # for a camera's rate
+REACH_S = 3.0  # for a process that holds the rig
+
+
+@dataclass
+class Bench(Closing):
+    """Open devices of a rig; None for one that its file does not name, or that failed.
+
+    Attributes:
+        failed: why a device could not be opened, by its role.
+        origin_m: expected surface of the skin, in the stage's frame [m].
+    """
+
+    name: str
+    clock: Clock
+    mounting: Mounting
+    limits: Limits | None
+    origin_m: Position
+    stage: Stage | None = None
+    force: ForceSensor | None = None
+    camera: FrameSource | None = None
+    failed: dict[str, str] = field(default_factory=dict)
+
+    def close(self) -> None:
+        """Let go of all devices, the stage first."""
+        for device in (self.stage, self.force, self.camera):
+            if device is not None:
+                device.close()
+
+    def need_stage(self) -> Stage:
+        """The stage.
+
+        Raises:
+            DeviceError: it is not open; says why.
+        """
+        if self.stage is None:
+            raise DeviceError(self.failed.get("stage", f"the rig {self.name!r} has no [stage]"))
+        return self.stage
+
+    def need_force(self) -> ForceSensor:
+        """The force sensor.
+
+        Raises:
+            DeviceError: it is not open; says why.
+        """
+        if self.force is None:
+            raise DeviceError(self.failed.get("force", f"the rig {self.name!r} has no [force]"))
+        return self.force
+
+
+def open_bench(
+    rig: str, roles: tuple[Role, ...] = ("force", "camera", "stage"), *, place: bool = True
+) -> Bench:
+    """Open some of a rig's devices; one that fails is told in `failed`, and the others stay open.
+
+    Args:
+        rig: a rig's file, or the name of a virtual one.
+        roles: which devices.
+        place: take the stage's place from the file's `reference`; off for homing and for stopping.
+
+    Raises:
+        InputError: there is no such rig; or a field that is not one, or out of range.
+    """
+    if is_virtual(rig) or (file := read_rig(Path(rig))).virtual is not None:
+        whole = open_rig(rig)
+        return Bench(
+            whole.name,
+            whole.clock,
+            whole.mounting,
+            whole.limits,
+            whole.origin_m,
+            whole.stage,
+            whole.force,
+            whole.camera,
+        )
+    if file.stage is None:
+        raise InputError(f"{rig}: the rig {file.name!r} needs [stage], or [virtual] instead")
+    x, y, z = (1e-3 * d for d in file.origin_mm)
+    bench = Bench(
+        name=file.name,
+        clock=MonotonicClock(),
+        mounting=Mounting(file.force.axes) if file.force else Mounting(),
+        limits=file.limits.limits() if file.limits else None,
+        origin_m=(x, y, z),
+    )
+    for role in roles:
+        try:
+            setattr(bench, role, _open(file, role, bench.clock, place=place))
+        except PalpateError as e:
+            bench.failed[role] = str(e)
+        except BaseException:
+            bench.close()
+            raise
+    return bench
+
+
+def _open(file: RigFile, role: Role, clock: Clock, *, place: bool) -> Any:
+    part = getattr(file, role)
+    if part is None:
+        return None
+    if role == "stage" and isinstance(part, GrblPart | MarlinPart):
+        return part.open(clock, place=place)
+    return open_part(role, part, clock)
+
+
+def rig_process(rig: str) -> RigClient | None:
+    """A client of the process that holds a rig; None where none does. The caller closes it."""
+    name = rig_name(rig)
+    if find(name) is None:
+        return None
+    client = RigClient(name)
+    if client.reached(REACH_S):
+        return client
+    client.close()
+    return None
+
+
+def stop_rig(rig: str) -> str:
+    """Stop a rig at once: through the process that holds it, else on the stage itself.
+
+    Returns:
+        What was done, in words.
+
+    Raises:
+        DeviceError: the stage did not stop, or another programme has its port.
+    """
+    if (client := rig_process(rig)) is not None:
+        with client:
+            answer = client.estop()
+        took_ms = (answer["stood_ns"] - answer["asked_ns"]) / 1e6
+        return (
+            f"emergency stop by the process that holds the rig: the stage stood after {took_ms:.1f} ms; it "
+            "stays held until it is released there"
+        )
+    with open_bench(rig, ("stage",), place=False) as bench:
+        try:
+            stage = bench.need_stage()
+        except DeviceError as e:
+            raise DeviceError(
+                f"{e}. Nothing was stopped: where `palpate record` has the stage, press Ctrl-C twice there; "
+                "else use the switch"
+            ) from e
+        stage.stop()
+    return "the stage was stopped on its port; it stands"
+
+
+def bench_status(bench: Bench) -> dict[str, Any]:
+    """State of each device: plain values, None where a device does not say; `problems` says why."""
+    problems = dict(bench.failed)
+    found: dict[str, Any] = {"rig": bench.name, "stage": None, "position_mm": None, "problems": problems}
+    if bench.stage is not None:
+        try:
+            found["stage"] = "moving" if bench.stage.moving() else "stands"
+            found["position_mm"] = [round(1e3 * d, 4) for d in bench.stage.position_m()]
+        except PalpateError as e:
+            problems["stage"] = str(e)
+    found |= _force_status(bench, problems) | _camera_status(bench, problems)
+    return found
+
+
+def _force_status(bench: Bench, problems: dict[str, str]) -> dict[str, Any]:
+    found: dict[str, Any] = {"force_N": None, "force_age_ms": None, "force_rate_hz": None}
+    if bench.force is None:
+        return found
+    try:
+        bench.force.drain()
+        bench.clock.sleep(WATCH_S / 2)
+        samples = bench.force.drain()
+        newest = bench.force.latest()
+        found["force_rate_hz"] = round(len(samples) / (WATCH_S / 2), 1)
+        found["force_age_ms"] = round((bench.clock.now_ns() - newest.time_ns) / 1e6, 1)
+        if newest.fault:
+            problems["force"] = f"the force sensor says: {newest.fault}"
+        else:
+            found["force_N"] = [round(f, 4) for f in bench.mounting.to_skin(newest.force_n)]
+    except PalpateError as e:
+        problems["force"] = str(e)
+    return found
+
+
+def _camera_status(bench: Bench, problems: dict[str, str]) -> dict[str, Any]:
+    found: dict[str, Any] = {"camera_rate_hz": None, "camera_stated_hz": None, "frame_age_ms": None}
+    camera = bench.camera
+    if camera is None:
+        return found
+    found["camera_stated_hz"] = camera.rate_hz
+    try:
+        times_ns = [camera.grab(WATCH_S)[0]]
+        while times_ns[-1] - times_ns[0] < WATCH_S * NS_PER_S:
+            times_ns.append(camera.grab(WATCH_S)[0])
+        found["camera_rate_hz"] = round((len(times_ns) - 1) * NS_PER_S / (times_ns[-1] - times_ns[0]), 2)
+        found["frame_age_ms"] = round((bench.clock.now_ns() - times_ns[-1]) / 1e6, 1)
+    except PalpateError as e:
+        problems["camera"] = str(e)
+    return found
+
+
+def process_status(rig: str) -> dict[str, Any] | None:
+    """Status that the process holding a rig gives, where one does."""
+    client = rig_process(rig)
+    if client is None:
+        return None
+    with client, suppress(KeyError):
+        told = client.ask_status()
+        kept = ("rig", "state", "recording", "held", "message", "position_mm", "force_n", "tared", "devices")
+        return {name: told[name] for name in kept}
+    return None

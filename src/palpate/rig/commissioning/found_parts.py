@@ -1,0 +1,99 @@
+"""What is connected: a plain registry of the kinds of stage that are looked for on serial ports."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from palpate.core import Clock, MissingExtraError, PalpateError, Position
+
+VIDEO = Path("/dev")
+
+
+@dataclass(frozen=True, slots=True)
+class FoundStage:
+    """A stage that answered.
+
+    Attributes:
+        kind: of the part in a rig's file.
+        says: its firmware, in its own words.
+        homing: whether it homes on switches.
+        travel_m: its travel, in the sensor's frame, for the axes that it was asked for; None where its
+            firmware does not know.
+        fields: of the part in a rig's file, besides its kind.
+    """
+
+    kind: str
+    says: str
+    homing: bool
+    travel_m: tuple[Position, Position] | None
+    fields: dict[str, object]
+
+
+StageSearch = Callable[[str, tuple[str, str, str], float, Clock], FoundStage]
+
+
+def find_grbl(port: str, axes: tuple[str, str, str], boot_s: float, clock: Clock) -> FoundStage:
+    """Ask a port as GRBL is asked; with DTR low, and where nothing answers, with DTR high.
+
+    Raises:
+        DeviceError: no GRBL controller answers.
+    """
+    from palpate.rig.real.grbl.grbl_stage import GrblStage
+    from palpate.rig.real.grbl.grbl_supervisor import GrblSpec, Mount
+
+    first: PalpateError | None = None
+    for dtr in (False, True):
+        # Limits that fit any machine: it is only asked, and not moved.
+        spec = GrblSpec(port, axes=axes, boot_s=boot_s, dtr=dtr, least_m=(0.0,) * 3, greatest_m=(1e-3,) * 3)
+        try:
+            stage = GrblStage.open(spec, clock)
+        except PalpateError as e:
+            first = first or e
+            continue
+        try:
+            machine, says = stage.machine, stage.firmware or "GRBL, of a version that it did not say"
+        finally:
+            stage.close()
+        box = Mount(axes).box_m(machine.travel_mm)
+        fields: dict[str, object] = {"port": port, "baud": spec.baud, "dtr": dtr, "boot_s": boot_s}
+        return FoundStage("grbl", says, machine.homing, box, fields)
+    assert first is not None
+    raise first
+
+
+STAGES: dict[str, StageSearch] = {"grbl": find_grbl}
+"""How each kind of stage is looked for on a port. A new kind is one more entry."""
+
+
+def find_stage(port: str, axes: tuple[str, str, str], boot_s: float, clock: Clock) -> FoundStage | str:
+    """The stage at a port, of the first kind that answers; else why none did."""
+    reasons = []
+    for kind, search in STAGES.items():
+        try:
+            return search(port, axes, boot_s, clock)
+        except PalpateError as e:
+            reasons.append(f"not {kind}: {e}")
+    return "; ".join(reasons)
+
+
+def serial_ports() -> list[str]:
+    """Paths of the serial ports that the system lists.
+
+    Raises:
+        MissingExtraError: pyserial is not installed.
+    """
+    try:
+        listed = importlib.import_module("serial.tools.list_ports")
+    except ImportError as e:
+        raise MissingExtraError(
+            "serial ports are listed by pyserial; install it with pip install 'palpate[rig]'"
+        ) from e
+    return sorted(port.device for port in listed.comports())
+
+
+def video_devices() -> list[str]:
+    """Paths of the cameras that Linux lists; elsewhere none, and they are named by number."""
+    return sorted(str(path) for path in VIDEO.glob("video*"))

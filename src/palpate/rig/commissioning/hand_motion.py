@@ -1,0 +1,332 @@
+"""A stage moved by hand: lift by force, homing, jogs, and the force sensor's zero in the air.
+
+Whether the probe touches is not asked of a bias, which nobody knows yet, but of a motion: in the air the
+force stays what it is while the probe is lifted, and in contact it does not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
+
+from palpate.core import (
+    NS_PER_S,
+    Clock,
+    DeviceError,
+    ForceSensor,
+    InputError,
+    Position,
+    RangeError,
+    Stage,
+    Wrench,
+)
+from palpate.devices import Limits, Mounting, OperatorControl, Reason, Tripped
+from palpate.devices.force_bias import Force, ForceBias
+from palpate.devices.motion_guard import MotionGuard
+
+STEP_M = 0.2e-3  # of a lift; the force is measured after each
+FLAT_M = 0.6e-3  # of lifting without a change of force, which proves the air
+MAX_LIFT_M = 20e-3
+LIFT_SPEED_M_S = 2e-3
+CHANGED_N = 0.05  # a change of force that is contact, unless the noise is larger
+SIGMAS = 5.0
+RISE_N = 1.0  # by which compression may rise on the way away: beyond, z is turned round
+MIN_SAMPLES = 25
+MEASURE_S = 0.1
+POLL_S = 0.002
+LATE_S = 2.0  # beyond the time that a move should take, three times over
+STALE_S = 0.5
+MAX_JOG_M = 50e-3
+MAX_JOG_M_S = 10e-3
+MAX_UNGUARDED_M_S = 2e-3
+JOG_N = 1.0  # change of force at which a jog stops
+
+
+@runtime_checkable
+class Homing(Protocol):
+    """Stage with switches that it can home on; `retreat` moves it away before its place is known."""
+
+    def home(self) -> None: ...
+    def unlock(self) -> None: ...
+    def retreat(self, distance_m: float, speed_m_s: float) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class AirForce:
+    """Force that the sensor reads in the air, in the skin's axes, and how that was shown.
+
+    Attributes:
+        force_n: mean of its samples [N].
+        noise_n: their standard deviation along the press [N].
+        rate_hz: of the samples that came [Hz].
+        lifted_mm: by how far the probe was lifted [mm].
+    """
+
+    force_n: Force
+    noise_n: float
+    rate_hz: float
+    lifted_mm: float
+
+
+def mean_force(force: ForceSensor, mounting: Mounting, clock: Clock) -> AirForce:
+    """Mean of fresh samples, at a stand.
+
+    Raises:
+        Tripped: too few come, they are faulty, or all of them are the same in every channel.
+    """
+    force.drain()
+    began_ns = clock.now_ns()
+    seconds = max(MEASURE_S, 1.5 * MIN_SAMPLES / force.rate_hz)
+    clock.sleep(seconds)
+    samples = force.drain()
+    bias = ForceBias(mounting)
+    bias.measure(samples)
+    if len({(one.force_n, one.torque_nm) for one in samples if not one.fault}) == 1:
+        raise Tripped(
+            Reason.FORCE_NOISE,
+            f"the force sensor gave {len(samples)} equal samples, in every channel: it does not measure, or "
+            "is too coarse to guard a motion; push it by hand and look",
+        )
+    taken_s = max((clock.now_ns() - began_ns) / NS_PER_S, 1e-9)
+    return AirForce(bias.force_n, bias.noise_n, len(samples) / taken_s, 0.0)
+
+
+def lift_clear(stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock) -> AirForce:
+    """Lift the probe in steps until the force no longer changes: it hangs in the air.
+
+    Args:
+        stage: it is moved along its z alone, away from the skin; its place need not be known.
+        force: what guards the lift.
+        mounting: of the force sensor.
+        clock: of both.
+
+    Raises:
+        Tripped: compression rises, the force goes on changing over `MAX_LIFT_M`, or cannot be believed.
+        DeviceError: the stage fails, or its controller refuses to go higher.
+    """
+    at = mean_force(force, mounting, clock)
+    lifted_m, reference, flat_m = 0.0, at, 0.0
+    while flat_m < FLAT_M - 1e-9:
+        if lifted_m > MAX_LIFT_M:
+            raise Tripped(
+                Reason.FORCE_NOISE,
+                f"the force still changes after a lift of {lifted_m * 1e3:.1f} mm: the probe is not free, or "
+                "the sensor drifts; look at the rig",
+            )
+        _retreat(stage, force, mounting, clock, STEP_M, LIFT_SPEED_M_S)
+        lifted_m, flat_m = lifted_m + STEP_M, flat_m + STEP_M
+        at = mean_force(force, mounting, clock)
+        if math.dist(at.force_n, reference.force_n) > _contact_n(at, reference):
+            reference, flat_m = at, 0.0
+    return replace(at, lifted_mm=lifted_m * 1e3)
+
+
+def home_clear(
+    stage: Stage, force: ForceSensor | None, mounting: Mounting, clock: Clock, *, lifted: bool = False
+) -> AirForce | None:
+    """Home a stage, never from within the skin: the probe is first lifted by force.
+
+    A stage that an alarm has locked is unlocked for the lift.
+
+    Args:
+        lifted: take the caller's word that the probe hangs free, and do not lift.
+
+    Raises:
+        Tripped: the lift found no air.
+        DeviceError: there are no switches, no force sensor and no word, or the stage fails.
+    """
+    if not isinstance(stage, Homing):
+        raise DeviceError("this stage has no homing; state where it stands by reference in the rig's file")
+    found = None
+    if not lifted:
+        found = _lift_locked(stage, force, mounting, clock)
+    stage.home()
+    return found
+
+
+def zero(stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock) -> AirForce:
+    """Measure the force in the air; nothing is set in the device.
+
+    The probe is lifted by `FLAT_M`, which shows that it touched nothing.
+
+    Raises:
+        Tripped: it touched something.
+    """
+    found = lift_clear(stage, force, mounting, clock)
+    if found.lifted_mm > FLAT_M * 1e3 + 1e-6:
+        raise Tripped(
+            Reason.TOUCHED_EARLY,
+            f"the probe was in contact: the force changed while it was lifted by {found.lifted_mm:.1f} mm. "
+            "It hangs in the air now; zero again",
+        )
+    return found
+
+
+def jog(
+    stage: Stage,
+    force: ForceSensor | None,
+    mounting: Mounting,
+    limits: Limits,
+    clock: Clock,
+    *,
+    axis: str,
+    distance_m: float,
+    speed_m_s: float,
+    stop_n: float = JOG_N,
+) -> None:
+    """Move one axis by so far, stopped by any change of force from what it is now.
+
+    Args:
+        axis: x, y or z of the skin's frame; z leads into it.
+        distance_m: with its sign [m].
+        speed_m_s: at most `MAX_JOG_M_S`, and `MAX_UNGUARDED_M_S` without a force sensor [m/s].
+        stop_n: change of force, any direction, that ends it [N].
+
+    Raises:
+        RangeError, InputError: a distance, speed or axis that is not allowed; nothing moved.
+        Tripped: a limit; the stage stands.
+    """
+    target = _jog_target(stage, limits, axis, distance_m, speed_m_s, guarded=force is not None)
+    if not (math.isfinite(stop_n) and 0 < stop_n <= limits.force_n):
+        raise RangeError(
+            f"a jog stopped at {stop_n:g} N; the rig's limit of {limits.force_n:g} N is the greatest allowed"
+        )
+    if force is None:
+        stage.move_to(target, speed_m_s)
+        _await(stage, clock, distance_m / speed_m_s, lambda: None)
+    elif axis == "z" and distance_m < 0:
+        _retreat(stage, force, mounting, clock, -distance_m, speed_m_s)
+    else:
+        bias = ForceBias(mounting, mean_force(force, mounting, clock).force_n)
+        guard = MotionGuard(stage, force, replace(limits, force_n=stop_n), bias, clock, OperatorControl())
+        guard.towards(target, speed_m_s)
+
+
+def move_watched(
+    stage: Stage,
+    force: ForceSensor,
+    clock: Clock,
+    target: Position,
+    speed_m_s: float,
+    from_n: Force,
+    stop_n: float,
+) -> bool:
+    """Move, and stop where the force, in the sensor's own axes, differs from `from_n` by `stop_n`.
+
+    Returns:
+        Whether it was stopped so.
+
+    Raises:
+        Tripped: a faulty sample, or none for half a second; the stage stands.
+    """
+    felt = False
+    newest_ns = clock.now_ns()
+
+    def look() -> None:
+        nonlocal felt, newest_ns
+        for one in force.drain():
+            if one.fault:
+                raise Tripped(Reason.FORCE_FAULT, f"the force sensor says: {one.fault}")
+            felt, newest_ns = felt or math.dist(one.force_n, from_n) > stop_n, one.time_ns
+        if clock.now_ns() - newest_ns > STALE_S * NS_PER_S:
+            raise Tripped(Reason.FORCE_STALE, f"no force came for {STALE_S:g} s while the stage moved")
+        if felt:
+            stage.stop()
+
+    far_m = math.dist(stage.position_m(), target)
+    stage.move_to(target, speed_m_s)
+    _await(stage, clock, far_m / speed_m_s, look)
+    return felt
+
+
+def _jog_target(
+    stage: Stage, limits: Limits, axis: str, distance_m: float, speed_m_s: float, *, guarded: bool
+) -> tuple[float, float, float]:
+    if axis not in ("x", "y", "z"):
+        raise InputError(f"there is no axis {axis!r}; give x, y or z, and z leads into the skin")
+    if not 0 < abs(distance_m) <= MAX_JOG_M:
+        raise RangeError(
+            f"a jog by {distance_m * 1e3:g} mm; {MAX_JOG_M * 1e3:g} mm are the most, and 0 mm is none"
+        )
+    fastest = MAX_JOG_M_S if guarded else MAX_UNGUARDED_M_S
+    if not 0 < speed_m_s <= fastest:
+        raise RangeError(
+            f"a jog at {speed_m_s * 1e3:g} mm/s; {fastest * 1e3:g} mm/s are the most"
+            + ("" if guarded else " where no force sensor guards it")
+        )
+    x, y, z = (a + distance_m * (axis == name) for name, a in zip("xyz", stage.position_m(), strict=True))
+    limits.check_target((x, y, z))
+    return x, y, z
+
+
+def _lift_locked(stage: Stage, force: ForceSensor | None, mounting: Mounting, clock: Clock) -> AirForce:
+    how = "lift the probe by hand and home with --lifted, your word that it hangs free"
+    if force is None:
+        raise DeviceError(f"no force sensor can tell whether the probe is free, so it was not homed; {how}")
+    try:
+        return lift_clear(stage, force, mounting, clock)
+    except DeviceError:
+        assert isinstance(stage, Homing)  # as the caller made sure of
+        stage.unlock()
+    try:
+        return lift_clear(stage, force, mounting, clock)
+    except DeviceError as e:
+        raise DeviceError(
+            f"the probe could not be lifted, so the stage was not homed ({e}); its lock was taken off: "
+            f"believe no place of it until it is homed; {how}"
+        ) from e
+
+
+def _contact_n(a: AirForce, b: AirForce) -> float:
+    """Change between two means that noise does not explain [N]."""
+    return max(CHANGED_N, SIGMAS * math.hypot(a.noise_n, b.noise_n) / math.sqrt(MIN_SAMPLES))
+
+
+def _retreat(
+    stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock, distance_m: float, speed_m_s: float
+) -> None:
+    """Move away from the skin, and stop where compression rises on the way."""
+    start_n = mounting.to_skin(mean_force(force, Mounting(), clock).force_n)[2]
+
+    def rising() -> None:
+        for one in force.drain():
+            _check_rise(one, mounting, start_n)
+
+    if isinstance(stage, Homing):
+        stage.retreat(distance_m, speed_m_s)
+    else:
+        x, y, z = stage.position_m()
+        stage.move_to((x, y, z - distance_m), speed_m_s)
+    _await(stage, clock, distance_m / speed_m_s, rising)
+
+
+def _check_rise(sample: Wrench, mounting: Mounting, start_n: float) -> None:
+    if sample.fault:
+        raise Tripped(Reason.FORCE_FAULT, f"the force sensor says: {sample.fault}")
+    rise_n = mounting.to_skin(sample.force_n)[2] - start_n
+    if rise_n > RISE_N:
+        raise Tripped(
+            Reason.FORCE_LIMIT,
+            f"compression rose by {rise_n:.2f} N on the way away from the skin; {RISE_N:g} N are allowed: is "
+            "z of the stage or of the force sensor turned round?",
+        )
+
+
+def _await(stage: Stage, clock: Clock, due_s: float, look: Callable[[], None]) -> None:
+    """Wait for a move to end; whatever is raised meanwhile stops the stage."""
+    end_ns = clock.now_ns() + round((LATE_S + 3 * abs(due_s)) * NS_PER_S)
+    try:
+        while stage.moving():
+            clock.sleep(POLL_S)
+            look()
+            _check_due(clock, end_ns)
+    except BaseException:
+        stage.stop()
+        raise
+
+
+def _check_due(clock: Clock, end_ns: int) -> None:
+    if clock.now_ns() > end_ns:
+        raise Tripped(Reason.STAGE_LATE, f"the stage still moves {LATE_S:g} s after it was due")

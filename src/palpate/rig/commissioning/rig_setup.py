@@ -1,0 +1,384 @@
+"""Guided setup: a rig's file from what is connected, a gentle touch and a known weight, ended by the check.
+
+Nothing moves before the operator says that it may. The file is written once, after all that was asked, and
+never over another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from palpate.core import NS_PER_S, Clock, DeviceError, InputError, MonotonicClock, PalpateError, RangeError
+from palpate.core.files import new_file, refuse_existing
+from palpate.devices import Limits, Mounting, OperatorControl
+from palpate.devices.check.check_result import CheckResult
+from palpate.devices.force_bias import ForceBias
+from palpate.devices.motion_guard import MotionGuard
+from palpate.rig.commissioning.answers import Answers, Three, confirm, number, text, three
+from palpate.rig.commissioning.force_touch import MAX_REACH_M, Weighing, touch_twice, weigh
+from palpate.rig.commissioning.found_parts import FoundStage, find_stage, serial_ports, video_devices
+from palpate.rig.commissioning.hand_motion import JOG_N, MAX_JOG_M_S, home_clear, mean_force
+from palpate.rig.commissioning.toml_text import toml_text
+from palpate.rig.rig_check import check_rig
+from palpate.rig.rig_file import MAX_LIMITS, RigFile, open_part, open_rig
+
+MM = 1e3
+LIFT_M = 5e-3  # above the surface, where the check begins
+RANGE_SHARE = 0.5  # of the sensor's range, proposed as the limit of force
+PROPOSED_N = 20.0
+CAMERA_FRAMES = 20
+GRAB_S = 5.0
+
+Say = Callable[[str], None]
+
+
+@dataclass(slots=True)
+class SetUp:
+    """What a setup found.
+
+    Attributes:
+        fields: of the file that was written.
+        checks: of the rig; empty where nothing was allowed to move.
+        unchecked: what could not be checked, in words.
+    """
+
+    fields: dict[str, Any]
+    checks: list[CheckResult] = field(default_factory=list)
+    unchecked: list[str] = field(default_factory=list)
+
+
+def set_up(out: Path, answers: Answers, say: Say) -> SetUp:
+    """Ask, try, touch, weigh, write and check.
+
+    Args:
+        out: the rig's file to make; must not exist.
+        answers: of a person or a file.
+        say: takes a line about each thing that is found or done.
+
+    Raises:
+        ExistsError: `out` exists.
+        InputError: an answer that is missing, or is not one.
+        RangeError: a limit beyond what the devices can do.
+        DeviceError: a device does not answer.
+        Tripped: a touch or a motion that was not as it has to be; the stage stands, nothing is written.
+    """
+    refuse_existing(out)
+    clock = MonotonicClock()
+    made = SetUp({})
+    made.fields |= {
+        "name": text(answers, "name", "Name of the rig"),
+        "sensor": text(answers, "sensor", "What is calibrated, such as its serial number", ""),
+        "design": text(answers, "design", "Design of the sensor, such as palm", "palm"),
+        "origin_mm": [0.0, 0.0, 0.0],
+    }
+    found = _stage(made, answers, say, clock)
+    _force(made, answers, say, clock)
+    _camera(made, answers, say, clock)
+    _limits(made, answers, found)
+    file = _validated(made.fields)
+    may_move = confirm(
+        answers,
+        "may_move",
+        "May the stage move now? A hand lies on the switch that cuts its power, the probe hangs free",
+    )
+    if may_move:
+        _try_out(made, file, answers, say, clock, found)
+    else:
+        made.unchecked += [
+            "axis and sign of the force",
+            "the expected surface",
+        ]
+    _weight(made, answers, say, clock)
+    file = _validated(made.fields)
+    refuse_existing(out)
+    with new_file(out) as path:
+        path.write_text(toml_text(made.fields), encoding="utf-8")
+    say(f"{out} is written")
+    if may_move:
+        _check(out, made, say)
+    else:
+        made.unchecked.append("the rig's check: run palpate rig check once it may move")
+    made.unchecked += [
+        "x and y of the force sensor: they are in its own order and signs; push it sideways and look",
+        "the stop on this firmware: palpate stopped nothing but simulated devices so far; try yours in air",
+        *(f"the answer {name!r} was never asked for" for name in answers.unused()),
+    ]
+    return made
+
+
+def _stage(made: SetUp, answers: Answers, say: Say, clock: Clock) -> FoundStage:
+    listed = serial_ports()
+    say(f"serial ports: {', '.join(listed) or 'none is listed'}")
+    wanted = answers.ask(
+        "stage_ports", "Ports to ask for a stage (opening one may reset its board), as a list", listed or None
+    )
+    ports = [wanted] if isinstance(wanted, str) else list(wanted)
+    axes_asked = answers.ask(
+        "stage_axes",
+        "Machine axes that are x (right), y (towards you), z (into the skin)",
+        ["+X", "-Y", "-Z"],
+    )
+    axes = _three_words("stage_axes", axes_asked)
+    boot_s = number(answers, "boot_s", "Seconds that the board takes to start once opened", 0.0, 30.0, 2.5)
+    answered: list[FoundStage] = []
+    for port in ports:
+        one = find_stage(str(port), axes, boot_s, clock)
+        if isinstance(one, FoundStage):
+            answered.append(one)
+            say(f"{port}: {one.kind}, {one.says}, {'homes on switches' if one.homing else 'has no switches'}")
+        else:
+            say(f"{port}: {one}")
+    if len(answered) != 1:
+        raise DeviceError(
+            f"{len(answered)} stages answer at {', '.join(map(str, ports)) or 'no port'}; one is needed. "
+            "Name its port alone as stage_ports, and see to power and cable"
+        )
+    (found,) = answered
+    part: dict[str, Any] = {"kind": found.kind, **found.fields, "axes": list(axes)}
+    part["latency_s"] = number(
+        answers, "latency_s", "Seconds from asking for a stop to its slowing down", 1e-3, 1.0, 0.05
+    )
+    if found.homing:
+        part["reference"] = "counts"
+    else:
+        part["require_homed"] = False
+        part["reference"] = list(three(answers, "stands_mm", "Where the stage stands now, without switches"))
+        made.unchecked.append("the stage's place: it has no switches, so it is on your word at each opening")
+    made.fields["stage"] = part
+    return found
+
+
+def _force(made: SetUp, answers: Answers, say: Say, clock: Clock) -> None:
+    kind = text(answers, "force_kind", "Force sensor: netft, or module:Class of your own", "netft")
+    part: dict[str, Any] = {"kind": kind, "axes": ["x", "y", "z"]}
+    if kind == "netft":
+        part["host"] = text(answers, "force_host", "Its address in the network", "192.168.1.1")
+        part["rdt_port"] = int(number(answers, "force_rdt_port", "Its port of records", 1, 65535, 49152))
+        part["http_port"] = int(number(answers, "force_http_port", "Its port of pages", 1, 65535, 80))
+        part["silence_s"] = number(
+            answers, "force_silence_s", "Seconds without a record that count as gone", 0.02, 0.5, 0.1
+        )
+    else:
+        part |= _options(answers, "force_options")
+    made.fields["force"] = part
+    with ExitStack() as opened:
+        sensor = open_part("force", _part("force", part), clock)
+        opened.callback(sensor.close)
+        air = mean_force(sensor, Mounting(), clock)
+        made.fields["_range_n"] = min(sensor.range_n)
+        say(
+            f"force: {air.rate_hz:.0f} samples/s of {sensor.rate_hz:g} stated, range "
+            f"{', '.join(f'{r:g}' for r in sensor.range_n)} N, noise {air.noise_n:.4f} N"
+        )
+
+
+def _camera(made: SetUp, answers: Answers, say: Say, clock: Clock) -> None:
+    kind = text(answers, "camera_kind", "Camera: uvc, or module:Class of your own", "uvc")
+    if kind != "uvc":
+        part = {"kind": kind, **_options(answers, "camera_options")}
+        say(_tried(part, clock))
+    else:
+        listed = video_devices()
+        wanted = answers.ask("camera_address", "Cameras to try, by path or number, as a list", listed or [0])
+        addresses = list(wanted) if isinstance(wanted, list) else [wanted]
+        rate_hz = number(answers, "camera_rate_hz", "Frames a second", 0.1, 1000.0, 30.0)
+        working = []
+        for address in addresses:
+            part = {"kind": "uvc", "address": address, "rate_hz": rate_hz}
+            try:
+                say(_tried(part, clock))
+                working.append(part)
+            except PalpateError as e:
+                say(f"camera {address}: {e}")
+        if len(working) != 1:
+            raise DeviceError(
+                f"{len(working)} cameras gave frames of {len(addresses)} that were tried; one is needed. "
+                "Name it alone as camera_address"
+            )
+        (part,) = working
+    made.fields["camera"] = part
+
+
+def _tried(part: dict[str, Any], clock: Clock) -> str:
+    camera = open_part("camera", _part("camera", part), clock)
+    try:
+        times_ns = [camera.grab(GRAB_S)[0] for _ in range(CAMERA_FRAMES)]
+        rate_hz = (len(times_ns) - 1) * NS_PER_S / max(times_ns[-1] - times_ns[0], 1)
+        named = part.get("address", part["kind"])
+        return f"camera {named}: {rate_hz:.1f} frames/s of {camera.rate_hz:g} stated"
+    finally:
+        camera.close()
+
+
+def _limits(made: SetUp, answers: Answers, found: FoundStage) -> None:
+    boxes: tuple[Three | None, Three | None] = (None, None)
+    if found.homing and found.travel_m is not None:
+        low, high = found.travel_m
+        boxes = (_mm(low), _mm(high))
+    least = three(answers, "least_mm", "Soft limits of the stage, least", boxes[0])
+    greatest = three(answers, "greatest_mm", "Soft limits, greatest; z is the deepest", boxes[1])
+    if boxes[0] is not None and boxes[1] is not None:
+        _check_box(least, greatest, boxes[0], boxes[1])
+    if not found.homing:
+        made.fields["stage"] |= {"least_mm": list(least), "greatest_mm": list(greatest)}
+    range_n = made.fields.pop("_range_n")
+    most_n = min(MAX_LIMITS["force_N"], range_n)
+    force_n = number(
+        answers, "force_N", "Greatest force [N]", 0.1, most_n, min(PROPOSED_N, RANGE_SHARE * range_n)
+    )
+    made.fields["limits"] = {"least_mm": list(least), "greatest_mm": list(greatest), "force_N": force_n}
+
+
+def _check_box(least: Three, greatest: Three, low: Three, high: Three) -> None:
+    for axis, a, b, c, d in zip("xyz", least, greatest, low, high, strict=True):
+        if a < c - 1e-6 or b > d + 1e-6:
+            raise RangeError(
+                f"soft limits of {axis}, {a:g} to {b:g} mm, lie outside the {c:g} to {d:g} mm of travel that "
+                "the firmware states"
+            )
+
+
+def _try_out(made: SetUp, file: RigFile, answers: Answers, say: Say, clock: Clock, found: FoundStage) -> None:
+    """Home, go above the skin, touch, and lift to where the check begins."""
+    assert file.stage is not None  # just written, as are the others
+    assert file.force is not None
+    assert file.limits is not None
+    limits = file.limits.limits()
+    with ExitStack() as opened:
+        force = open_part("force", file.force, clock)
+        opened.callback(force.close)
+        homes = found.homing and confirm(answers, "home", "Home the stage now, the probe free", True)
+        stage_part = file.stage.model_copy(update={"reference": None}) if homes else file.stage
+        stage = open_part("stage", stage_part, clock)
+        opened.callback(stage.close)
+        if homes:
+            say("homing, on your word that the probe hangs free")
+            home_clear(stage, force, Mounting(), clock, lifted=True)
+        at = stage.position_m()
+        above = _metres(
+            three(
+                answers,
+                "above_mm",
+                "Where the probe hangs over the skin's centre, by less than 10 mm",
+                _mm(at),
+            )
+        )
+        _go_above(stage, force, limits, clock, above)
+        reach_mm = number(
+            answers, "reach_mm", "How far down to feel for the skin [mm]", 0.1, MAX_REACH_M * MM, 5.0
+        )
+        say("touching twice, gently")
+        touch = touch_twice(stage, force, limits, clock, reach_mm / MM)
+        made.fields["force"]["axes"] = list(touch.axes)
+        made.fields["origin_mm"] = [round(d, 3) for d in _mm(touch.surface_m)]
+        say(f"skin at {made.fields['origin_mm']} mm; a press is {touch.axes[2]} of the sensor")
+        x, y, z = touch.surface_m
+        stage.move_to((x, y, max(z - LIFT_M, limits.least_m[2])), limits.fastest_m_s(stage.travel))
+        while stage.moving():
+            clock.sleep(0.01)
+        if not found.homing:
+            made.fields["stage"]["reference"] = [round(d, 3) for d in _mm(stage.position_m())]
+
+
+def _go_above(stage: Any, force: Any, limits: Limits, clock: Clock, above: Three) -> None:
+    """Aside first and then down, stopped by a change of force of 1 N."""
+    at = stage.position_m()
+    bias = ForceBias(Mounting(), mean_force(force, Mounting(), clock).force_n)
+    guard = MotionGuard(stage, force, replace(limits, force_n=JOG_N), bias, clock, OperatorControl())
+    speed = min(MAX_JOG_M_S, limits.fastest_m_s(stage.travel))
+    for target in ((above[0], above[1], min(at[2], above[2])), above):
+        if any(abs(a - b) > 1e-6 for a, b in zip(stage.position_m(), target, strict=True)):
+            guard.towards(target, speed)
+
+
+def _weight(made: SetUp, answers: Answers, say: Say, clock: Clock) -> None:
+    mass_g = number(answers, "mass_g", "Known weight for the force sensor [g]; 0 for none", 0.0, 5000.0)
+    if mass_g == 0:
+        made.unchecked.append("the scale of the force: no known weight was laid on")
+        return
+    tolerance_g = number(answers, "mass_tolerance_g", "How well it is known [g]", 0.0, mass_g, 0.01 * mass_g)
+    part = made.fields["force"]
+
+    def lay() -> None:
+        if not confirm(answers, "weight_lies", f"Lay or hang {mass_g:g} g on the sensor; does it rest"):
+            raise InputError("the weight was not laid on; begin anew, or answer mass_g = 0")
+
+    sensor = open_part("force", _part("force", part), clock)
+    try:
+        axes = tuple(part["axes"])
+        found = weigh(sensor, (axes[0], axes[1], axes[2]), clock, mass_g, tolerance_g, lay)
+    finally:
+        sensor.close()
+    _take_scale(part, found, answers, say)
+    if not confirm(answers, "weight_off", "Take the weight off again; is it off", True):
+        raise InputError("the weight has to be off before anything moves; begin anew")
+
+
+def _take_scale(part: dict[str, Any], found: Weighing, answers: Answers, say: Say) -> None:
+    words = (
+        f"the weight is {found.expected_n:.3f} N, and {found.read_n:.3f} N were read: a factor of "
+        f"{found.factor:.4f} +- {found.uncertainty:.4f} (95 %)"
+    )
+    say(words)
+    if found.agrees:
+        return
+    if not 0.1 <= found.factor <= 10.0:
+        raise InputError(f"{words}; factors from 0.1 to 10 are written: see to the sensor's unit and wiring")
+    if not confirm(answers, "write_scale", f"{words}. Write it as the sensor's scale", False):
+        raise InputError(f"{words}; it was not accepted, and nothing is written: see to the sensor")
+    part["scale"] = round(found.factor, 5)
+    part["scale_uncertainty"] = round(found.uncertainty, 5)
+
+
+def _check(out: Path, made: SetUp, say: Say) -> None:
+    say("checking the rig; the stage moves by 2 mm")
+    try:
+        rig = open_rig(str(out))
+    except PalpateError as e:
+        raise DeviceError(
+            f"{out} is written, and could not be opened for its check ({e}). Where the board resets as its "
+            "port is opened, set home = true in [stage]; then palpate rig check"
+        ) from e
+    made.checks = check_rig(rig)
+
+
+def _part(role: str, fields: dict[str, Any]) -> Any:
+    return getattr(_validated({"name": "setup", role: fields}), role)
+
+
+def _validated(fields: dict[str, Any]) -> RigFile:
+    try:
+        return RigFile.model_validate({name: value for name, value in fields.items() if name[0] != "_"})
+    except ValidationError as e:
+        problems = "; ".join(f"{'.'.join(map(str, d['loc']))}: {d['msg']}" for d in e.errors())
+        raise InputError(f"what was answered makes no rig's file: {problems}") from e
+
+
+def _options(answers: Answers, name: str) -> dict[str, Any]:
+    options = answers.ask(name, 'Its options, as {"port": "/dev/ttyUSB1"}', {})
+    if not isinstance(options, dict):
+        raise InputError(f"{name} is {options!r}; give a table of names and values, or {{}}")
+    return options
+
+
+def _three_words(name: str, answer: Any) -> tuple[str, str, str]:
+    if not isinstance(answer, list | tuple) or len(answer) != len("xyz"):
+        raise InputError(f'{name} is {answer!r}; give three, as in ["+X", "-Y", "-Z"]')
+    x, y, z = (str(one) for one in answer)
+    return x, y, z
+
+
+def _mm(at: Three) -> Three:
+    x, y, z = (round(d * MM, 4) for d in at)
+    return x, y, z
+
+
+def _metres(at: Three) -> Three:
+    x, y, z = (d / MM for d in at)
+    return x, y, z

@@ -1,0 +1,76 @@
+"""Tables of limits, of a virtual rig and of the picture's regions in a rig's file."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from palpate.devices import Limits
+from palpate.rig.plans.press_places import Positive
+from palpate.rig.rig_file.file_fields import MM, Part, Three, check_below, metres
+from palpate.rig.virtual.disturbances import Kind
+
+MAX_LIMITS: dict[str, float] = {
+    "force_N": 50.0,
+    "force_rate_N_s": 5000.0,
+    "age_s": 0.5,
+    "force_latency_s": 0.1,
+    "overshoot_mm": 1.0,
+    "step_mm": 1.0,
+}
+"""Greatest limits that a rig's file may state: beyond them a limit guards nothing on a soft skin."""
+
+
+class LimitsPart(Part):
+    """Limits of position, force and speed, in millimetres and newtons."""
+
+    least_mm: Three
+    greatest_mm: Three
+    force_N: Positive = 20.0  # noqa: N815 - the unit is part of the name
+    force_rate_N_s: Positive = 400.0  # noqa: N815
+    age_s: Positive = 0.1
+    force_latency_s: Positive = 0.01
+    overshoot_mm: Positive = 0.1
+    step_mm: Positive = 0.2
+
+    @model_validator(mode="after")
+    def _allowed(self) -> LimitsPart:
+        check_below(MAX_LIMITS, self)
+        return self
+
+    def limits(self) -> Limits:
+        """Convert to SI."""
+        return Limits(
+            metres(self.least_mm),
+            metres(self.greatest_mm),
+            force_n=self.force_N,
+            force_rate_n_s=self.force_rate_N_s,
+            age_s=self.age_s,
+            force_latency_s=self.force_latency_s,
+            overshoot_m=self.overshoot_mm * MM,
+            step_m=self.step_mm * MM,
+        )
+
+
+class FaultPart(Part):
+    """Fault of a virtual rig, from so many seconds on."""
+
+    kind: Kind
+    after_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+
+
+class VirtualPart(Part):
+    """A virtual rig, with what goes wrong on it; `askew_mm` is where its skin lies from the origin."""
+
+    seed: Annotated[int, Field(ge=0)] = 0
+    askew_mm: Three = (0.0, 0.0, 0.0)
+    real_time: bool = False
+    faults: tuple[FaultPart, ...] = ()
+
+
+class RegionPart(Part):
+    """A part of the picture that matters, such as "fringes", for the operator's page."""
+
+    name: Annotated[str, Field(min_length=1, max_length=40)]
+    box_px: tuple[int, int, int, int]

@@ -1,0 +1,263 @@
+"""A rig from a TOML file: which devices, where the layer lies, and how far and how hard it may go.
+
+Millimetres and newtons in the file, since people write it; metres and newtons behind it. Real drivers are
+imported only where the file names them.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import Discriminator, Tag, ValidationError
+
+from palpate.core import (
+    DEFAULT_SENSOR,
+    SENSORS,
+    Clock,
+    InputError,
+    ManualClock,
+    MonotonicClock,
+    RangeError,
+)
+from palpate.core.sensor import sensor as sensor_of
+from palpate.devices import Mounting, open_device
+from palpate.devices.device_plugins import check_kind
+from palpate.rig.commissioning.hand_motion import home_clear
+from palpate.rig.commissioning.scaled_force import ScaledForce
+from palpate.rig.plans.plan_files import read_toml
+from palpate.rig.rig import Region, Rig
+from palpate.rig.virtual import Fault, virtual_rig
+from palpate.rig.virtual.virtual_bench import PREFIX, REAL_TIME_AGE_S
+
+if TYPE_CHECKING:
+    from palpate.devices.check.interface_check import Role
+
+from palpate.rig.rig_file.file_fields import Part, Three, metres
+from palpate.rig.rig_file.motion_parts import LimitsPart, RegionPart, VirtualPart
+from palpate.rig.rig_file.sensor_parts import (
+    ForcePluginPart,
+    NetFTPart,
+    PluginPart,
+    SerialScalePart,
+    UvcPart,
+)
+from palpate.rig.rig_file.stage_parts import GrblPart, MarlinPart
+
+OWN: dict[Role, tuple[str, ...]] = {
+    "stage": ("grbl", "marlin"),
+    "force": ("netft", "serial-scale"),
+    "camera": ("uvc",),
+}
+"""Kinds that palpate drives itself; the first of each role is that of a part without a kind."""
+
+
+def _own(role: Role) -> Discriminator:
+    """Discriminate palpate's own drivers of a role, by kind, from a plug-in."""
+
+    def tag(part: Any) -> str:
+        named = part.get("kind") if isinstance(part, dict) else getattr(part, "kind", None)
+        return f"#{named or OWN[role][0]}" if named in (*OWN[role], None) else "#plugin"
+
+    return Discriminator(tag)
+
+
+StagePart = Annotated[
+    Annotated[GrblPart, Tag("#grbl")]
+    | Annotated[MarlinPart, Tag("#marlin")]
+    | Annotated[PluginPart, Tag("#plugin")],
+    _own("stage"),
+]
+ForcePart = Annotated[
+    Annotated[NetFTPart, Tag("#netft")]
+    | Annotated[SerialScalePart, Tag("#serial-scale")]
+    | Annotated[ForcePluginPart, Tag("#plugin")],
+    _own("force"),
+]
+CameraPart = Annotated[
+    Annotated[UvcPart, Tag("#uvc")] | Annotated[PluginPart, Tag("#plugin")], _own("camera")
+]
+
+
+class RigFile(Part):
+    """The whole file: either `virtual`, or all of stage, force, camera and limits.
+
+    Attributes:
+        name, sensor: go into every run.
+        design: the name of the sensor's design, such as "palm" or "tactip": its outline and probe are those
+            of plans that give none, and a virtual rig drives it.
+        origin_mm: in the stage's frame, the layer's centre at its expected surface.
+        licence, origin: of what is recorded.
+        regions: of the picture, each (x, y, width, height) [px].
+        label_force: a second force sensor, which labels and does not guard, and so may be slow.
+    """
+
+    name: str
+    sensor: str = ""
+    design: str = DEFAULT_SENSOR
+    licence: str = ""
+    origin: str = ""
+    origin_mm: Three = (0.0, 0.0, 0.0)
+    virtual: VirtualPart | None = None
+    stage: StagePart | None = None
+    force: ForcePart | None = None
+    camera: CameraPart | None = None
+    label_force: ForcePart | None = None
+    limits: LimitsPart | None = None
+    regions: tuple[RegionPart, ...] = ()
+
+
+def open_rig(text: str, *, seed: int = 0) -> Rig:
+    """A rig by name, or from a TOML file; the caller closes it.
+
+    Args:
+        text: "virtual:" and a sensor's name, such as "virtual:palm"; or a file's path.
+        seed: of the rig by name; a file has its own.
+
+    Raises:
+        InputError: neither; or a field that is not one, or out of range.
+        DeviceError: a device is missing, busy or refuses; those opened before are closed.
+    """
+    if is_virtual(text):
+        return virtual_rig(sensor_named(text), seed=seed)
+    path = Path(text)
+    file = read_rig(path)
+    try:
+        return rig_from(file)
+    except InputError as e:
+        raise InputError(f"{path}: {e}") from e
+
+
+def sensor_named(text: str) -> str:
+    """The sensor of a virtual rig's name."""
+    name = text.removeprefix(PREFIX)
+    try:
+        sensor_of(name)
+    except InputError as e:
+        rigs = ", ".join(PREFIX + one for one in SENSORS.names())
+        raise InputError(f"the rig {text!r} cannot be opened: {e}; by name there are {rigs}") from e
+    return name
+
+
+def is_virtual(text: str) -> bool:
+    """Whether a text names a virtual rig, of whatever sensor."""
+    return text.startswith(PREFIX)
+
+
+def read_rig(path: Path) -> RigFile:
+    """A rig's file, read and checked; nothing is opened.
+
+    Raises:
+        InputError: there is none; or a field that is not one, or out of range.
+        StorageError: it cannot be read.
+    """
+    if not path.is_file():
+        raise InputError(
+            f"there is no rig {str(path)!r}: no such file, and by name there are "
+            f"{', '.join(PREFIX + name for name in SENSORS.names())}"
+        )
+    fields = read_toml(path)
+    try:
+        file = RigFile.model_validate(fields)
+    except ValidationError as e:
+        problems = "; ".join(f"{_field(d['loc'])}: {d['msg']}" for d in e.errors())
+        raise InputError(f"{path}: {problems}") from e
+    roles: dict[str, Role] = {"stage": "stage", "force": "force", "label_force": "force", "camera": "camera"}
+    for name, role in roles.items():
+        if (part := getattr(file, name)) is not None:
+            try:
+                check_kind(role, part.kind, OWN[role])
+            except InputError as e:
+                raise InputError(f"{path}: {name}.kind: {e}") from e
+    return file
+
+
+def _field(location: tuple[str | int, ...]) -> str:
+    """The field's name in the file, without the tags of its kinds."""
+    return ".".join(str(part) for part in location if not str(part).startswith("#"))
+
+
+def rig_from(file: RigFile) -> Rig:
+    """Open what a file says."""
+    if file.virtual is not None:
+        if file.stage or file.force or file.camera or file.label_force:
+            raise InputError(f"the rig {file.name!r} is virtual and names real devices; leave one out")
+        return _virtual(file, file.virtual)
+    if not (file.stage and file.force and file.camera and file.limits):
+        raise InputError(
+            f"the rig {file.name!r} needs [stage], [force], [camera] and [limits], or [virtual] instead"
+        )
+    clock = MonotonicClock()
+    with ExitStack() as opened:
+        force = _opened("force", file.force, clock, opened)
+        camera = _opened("camera", file.camera, clock, opened)
+        second = None if file.label_force is None else _opened("force", file.label_force, clock, opened)
+        stage = _opened("stage", file.stage, clock, opened)
+        if isinstance(file.stage, GrblPart | MarlinPart) and file.stage.home:
+            home_clear(stage, force, Mounting(file.force.axes), clock)
+        rig = Rig(
+            name=file.name,
+            sensor=file.sensor,
+            stage=stage,
+            force=force,
+            camera=camera,
+            limits=file.limits.limits(),
+            origin_m=metres(file.origin_mm),
+            clock=clock,
+            mounting=Mounting(file.force.axes),
+            regions=_regions(file),
+            licence=file.licence,
+            origin=file.origin,
+            design=sensor_of(file.design),
+            label_force=second,
+            label_mounting=Mounting() if file.label_force is None else Mounting(file.label_force.axes),
+        )
+        _check_range(rig)
+        opened.pop_all()
+        return rig
+
+
+def open_part(role: Role, part: StagePart | ForcePart | CameraPart, clock: Clock) -> Any:
+    """Open a part's device; a force sensor behind the factor of its `scale`."""
+    if isinstance(part, PluginPart):
+        device = open_device(role, part.kind, part.options, clock)
+    else:
+        device = part.open(clock)
+    scale = getattr(part, "scale", 1.0) if role == "force" else 1.0
+    return device if scale == 1.0 else ScaledForce(device, scale)
+
+
+def _opened(role: Role, part: StagePart | ForcePart | CameraPart, clock: Clock, opened: ExitStack) -> Any:
+    """Open a part's device, to be closed again with what else is open."""
+    device = open_part(role, part, clock)
+    opened.callback(device.close)
+    return device
+
+
+def _virtual(file: RigFile, part: VirtualPart) -> Rig:
+    clock: Clock = MonotonicClock() if part.real_time else ManualClock()
+    rig = virtual_rig(
+        file.design,
+        clock=clock,
+        seed=part.seed,
+        faults=[Fault(one.kind, one.after_s) for one in part.faults],
+        limits=None if file.limits is None else file.limits.limits(),
+        age_s=REAL_TIME_AGE_S if part.real_time else None,
+        askew_m=metres(part.askew_mm),
+    )
+    _check_range(rig)
+    return replace(rig, name=f"{file.name}, {rig.name}", regions=_regions(file) or rig.regions)
+
+
+def _check_range(rig: Rig) -> None:
+    """Refuse a limit of force that the rig's sensor cannot measure."""
+    try:
+        rig.limits.check_range(rig.force.range_n[rig.mounting.normal])
+    except RangeError as e:
+        raise InputError(f"limits.force_N: {e}") from e
+
+
+def _regions(file: RigFile) -> tuple[Region, ...]:
+    return tuple(Region(one.name, one.box_px) for one in file.regions)

@@ -1,0 +1,182 @@
+"""Tables of a stage in a rig's file: how it is reached, how its place is found, how long it may take."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from palpate.core import Clock, Stage
+from palpate.rig.plans.press_places import Positive
+from palpate.rig.rig_file.file_fields import MM, Part, Three, check_below, metres
+
+if TYPE_CHECKING:
+    from palpate.rig.real.grbl.grbl_stage import GrblStage
+    from palpate.rig.real.marlin import MarlinStage
+
+Baud = Annotated[int, Field(ge=1200, le=4_000_000)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+MAX_STAGE: dict[str, float] = {
+    "latency_s": 1.0,
+    "queued_s": 1.0,
+    "boot_s": 30.0,
+    "reply_s": 30.0,
+    "stop_s": 30.0,
+    "home_s": 600.0,
+    "top_speed_mm_s": 200.0,
+}
+"""Greatest values of a stage's times and of its top speed."""
+
+
+class GrblPart(Part):
+    """A GRBL stage: how its port is opened, how its place is found, and how long it may take.
+
+    Attributes:
+        baud, dtr: of the port; see `GrblSpec`.
+        least_mm, greatest_mm: where it may be sent; needed where the stage has no switches.
+        require_homed: refuse to move unless it was homed by its switches. A stage without any is opened
+            with False, and then needs `reference`.
+        reference: where it stands when the rig is opened, on the file's word: "counts" takes the controller's
+            own, and three numbers are its place [mm]. Left out, its place is unknown until it is homed.
+        home: run to the switches when the rig is opened, after the probe was lifted by force.
+        top_speed_mm_s, latency_s, boot_s, reply_s, stop_s, home_s: see `GrblSpec`; left out, its own.
+    """
+
+    kind: Literal["grbl"]
+    port: str
+    axes: tuple[str, str, str] = ("+X", "-Y", "-Z")
+    latency_s: Positive = 0.05
+    home: bool = False
+    baud: Baud = 115200
+    dtr: bool = False
+    least_mm: Three | None = None
+    greatest_mm: Three | None = None
+    require_homed: bool = True
+    reference: Literal["counts"] | Three | None = None
+    top_speed_mm_s: Positive | None = None
+    boot_s: NotNegative | None = None
+    reply_s: Positive | None = None
+    stop_s: Positive | None = None
+    home_s: Positive | None = None
+
+    @model_validator(mode="after")
+    def _fits(self) -> GrblPart:
+        check_below(MAX_STAGE, self)
+        if self.home and not self.require_homed:
+            raise ValueError("home = true needs switches, and require_homed = false says there are none")
+        if not self.require_homed and self.reference is None:
+            raise ValueError(
+                'a stage without switches (require_homed = false) needs reference: "counts", or where it '
+                "stands whenever the rig is opened, as in reference = [0, 0, 0] [mm]"
+            )
+        return self
+
+    def open(self, clock: Clock, *, place: bool = True) -> Stage:
+        """Open the stage; it takes its place from `reference` where that is stated, and does not move.
+
+        Args:
+            clock: times the motion.
+            place: take the place; a stage that is to be homed needs none.
+        """
+        from palpate.rig.real.grbl.grbl_stage import GrblStage
+        from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
+
+        spec = GrblSpec(
+            self.port,
+            baud=self.baud,
+            dtr=self.dtr,
+            axes=self.axes,
+            latency_s=self.latency_s,
+            require_homed=self.require_homed,
+            **_box(self),
+            **_given(self, "boot_s", "reply_s", "stop_s", "home_s"),
+        )
+        stage = GrblStage.open(spec, clock)
+        if place and self.reference is not None and not self.home:
+            _take_place(stage, None if self.reference == "counts" else metres(self.reference))
+        return stage
+
+
+class MarlinPart(Part):
+    """A stage on Marlin, as 3-D printers have them.
+
+    Attributes:
+        least_mm, greatest_mm: where it may be sent; needed where it is not homed.
+        reference: where it stands when the rig is opened, on the file's word [mm].
+        home: run to the switches when the rig is opened, after the probe was lifted by force.
+        sudden_mm_s: fastest speed from which it stops dead without losing steps; left out, its jerk (M205).
+        top_speed_mm_s, latency_s, queued_s, boot_s, reply_s, stop_s, home_s: see `MarlinSpec`; left out, its
+            own.
+    """
+
+    kind: Literal["marlin"]
+    port: str
+    baud: Baud = 115200
+    axes: tuple[str, str, str] = ("+X", "-Y", "-Z")
+    least_mm: Three | None = None
+    greatest_mm: Three | None = None
+    reference: Three | None = None
+    home: bool = False
+    sudden_mm_s: Positive | None = None
+    top_speed_mm_s: Positive | None = None
+    latency_s: Positive | None = None
+    queued_s: Positive | None = None
+    dtr: bool = False
+    boot_s: NotNegative | None = None
+    reply_s: Positive | None = None
+    stop_s: Positive | None = None
+    home_s: Positive | None = None
+
+    @model_validator(mode="after")
+    def _fits(self) -> MarlinPart:
+        check_below(MAX_STAGE, self)
+        if self.home and self.reference is not None:
+            raise ValueError("home = true and reference both say where it is; leave one out")
+        return self
+
+    def open(self, clock: Clock, *, place: bool = True) -> Stage:
+        """Open the stage; it takes its place from `reference` where that is stated, and does not move.
+
+        Args:
+            clock: times the motion.
+            place: take the place; a stage that is to be homed needs none.
+        """
+        from palpate.rig.real.marlin import MarlinSpec, MarlinStage
+
+        spec = MarlinSpec(
+            self.port,
+            baud=self.baud,
+            dtr=self.dtr,
+            axes=self.axes,
+            sudden_m_s=None if self.sudden_mm_s is None else self.sudden_mm_s * MM,
+            **_box(self),
+            **_given(self, "latency_s", "queued_s", "boot_s", "reply_s", "stop_s", "home_s"),
+        )
+        stage = MarlinStage.open(spec, clock)
+        if place and self.reference is not None:
+            _take_place(stage, metres(self.reference))
+        return stage
+
+
+def _box(part: GrblPart | MarlinPart) -> dict[str, Any]:
+    """Where a stage may be sent, and how fast."""
+    return {
+        "least_m": None if part.least_mm is None else metres(part.least_mm),
+        "greatest_m": None if part.greatest_mm is None else metres(part.greatest_mm),
+        "top_speed_m_s": None if part.top_speed_mm_s is None else part.top_speed_mm_s * MM,
+    }
+
+
+def _given(part: GrblPart | MarlinPart, *names: str) -> dict[str, Any]:
+    """The fields that the file states."""
+    return {name: value for name in names if (value := getattr(part, name)) is not None}
+
+
+def _take_place(stage: GrblStage | MarlinStage, place_m: Any) -> None:
+    """Take the file's word for where the stage stands; closed where it cannot."""
+    try:
+        stage.reference(place_m)
+    except BaseException:
+        stage.close()
+        raise

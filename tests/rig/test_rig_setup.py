@@ -1,0 +1,214 @@
+"""The guided setup, walked on fakes as in a lab: a stage at a port, a force box, a camera, a weight."""
+
+from __future__ import annotations
+
+import random
+import tomllib
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.rig.conftest import GrblBench
+
+from palpate.core import Clock, MonotonicClock, Wrench
+from palpate.core.errors import DeviceError, ExistsError, InputError, RangeError
+from palpate.devices.motion_limits import Tripped
+from palpate.rig.commissioning.answers import FileAnswers
+from palpate.rig.commissioning.rig_setup import set_up
+from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
+from palpate.rig.fakes.netft_box import FakeNetFT, FakePage
+from palpate.rig.fakes.video_capture import FakeVideoCapture
+from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
+
+SURFACE_MM = 5.5  # of the skin, in the sensor's z
+STIFFNESS_N_MM = 4.0
+WEIGHT_G = 200.0
+G = 9.80665
+OFFSET_N = (0.4, -0.2, 7.0)  # the box is not zeroed
+
+
+def fake_camera(clock: Clock | None = None, **_: Any) -> UvcCamera:
+    """A camera of noise, as a class of one's own would be named in a rig's file."""
+    settings = UvcSettings(size_px=(64, 48), rate_hz=20.0, exposure_s=5e-3, freeze_s=5.0)
+    source = FakeVideoCapture(rate_hz=20.0)
+    return UvcCamera("/dev/video7", settings, clock, opener=lambda where: source)
+
+
+LABS: dict[str, Lab] = {}
+
+
+class LabForce:
+    """A force sensor of 500 samples/s that needs no thread, so that a busy machine loses none."""
+
+    rate_hz, range_n = 500.0, (30.0, 30.0, 60.0)
+
+    def __init__(self, lab: str, clock: Clock) -> None:
+        self._lab, self._clock, self._due_ns = LABS[lab], clock, clock.now_ns()
+        self._kept: list[Wrench] = []
+        self._open = True
+        self._fill()
+
+    def drain(self) -> list[Wrench]:
+        self._fill()
+        taken, self._kept = self._kept, []
+        return taken
+
+    def latest(self) -> Wrench:
+        self._fill()
+        return self._newest
+
+    def _fill(self) -> None:
+        if not self._open:
+            raise DeviceError("it was closed")
+        while self._due_ns <= self._clock.now_ns():
+            self._newest = Wrench(self._due_ns, self._lab.force(0.0))
+            self._kept.append(self._newest)
+            self._due_ns += 2_000_000
+
+    def close(self) -> None:
+        self._open = False
+
+
+@dataclass
+class Lab:
+    """What stands on the table: the skin under the probe, and whether the weight lies on the sensor."""
+
+    bench: GrblBench
+    box: FakeNetFT
+    weight_lies: bool = False
+    scale: float = 1.0  # read over true
+    sign: float = -1.0  # of a press, along the box's own z
+    dead: bool = False
+    deepest_mm: float = 0.0
+
+    def force(self, t: float) -> tuple[float, float, float]:
+        noise = [random.gauss(0.0, 0.002) for _ in "xyz"]
+        depth_mm = -self.bench.firmware.place_mm[2] - SURFACE_MM  # -Z of the machine leads into the skin
+        self.deepest_mm = max(self.deepest_mm, depth_mm)
+        press_n = 0.0 if self.dead else STIFFNESS_N_MM * max(depth_mm, 0.0)
+        press_n += WEIGHT_G * 1e-3 * G * self.weight_lies
+        true = (0.0, 0.02 * press_n, self.sign * press_n)
+        x, y, z = (o + self.scale * f + n for o, f, n in zip(OFFSET_N, true, noise, strict=True))
+        return x, y, z
+
+
+class LabAnswers(FileAnswers):
+    """Answers from a file, of somebody who also lays the weight on and takes it off."""
+
+    def __init__(self, lab: Lab, answers: dict[str, Any]) -> None:
+        super().__init__(answers, yes=True)
+        self.lab = lab
+
+    def ask(self, name: str, question: str, proposal: Any = None) -> Any:
+        if name in ("weight_lies", "weight_off"):
+            self.lab.weight_lies = name == "weight_lies"
+        return super().ask(name, question, proposal)
+
+
+@contextmanager
+def lab(**kwargs: Any) -> Iterator[Lab]:
+    pytest.importorskip("serial", reason="the stage's driver needs pyserial")
+    with ExitStack() as stack:
+        model = GrblParameters(
+            homed=True, start_mm=(-50.0, -50.0, -5.0), settings={120: 500, 121: 500, 122: 500}
+        )
+        bench = GrblBench(stack, MonotonicClock(), model, GrblFaults())
+        box = stack.enter_context(FakeNetFT(page=FakePage(ranges="30;30;60;3;3;3")))
+        made = Lab(bench, box, **kwargs)
+        box.force = made.force
+        LABS["bench 2"] = made
+        yield made
+
+
+def answers_of(one: Lab, **changed: Any) -> LabAnswers:
+    return LabAnswers(
+        one,
+        {
+            "name": "bench 2",
+            "stage_ports": [one.bench.terminal.path],
+            "boot_s": 0.05,
+            "latency_s": 0.01,
+            "force_kind": "tests.rig.test_rig_setup:LabForce",
+            "force_options": {"lab": "bench 2"},
+            "camera_kind": "tests.rig.test_rig_setup:fake_camera",
+            "may_move": True,
+            "home": False,
+            "reach_mm": 4.0,
+            "mass_g": WEIGHT_G,
+            "mass_tolerance_g": 0.2,
+            "weight_lies": True,
+        }
+        | changed,
+    )
+
+
+def walked(one: Lab, out: Path, **changed: Any) -> Any:
+    said: list[str] = []
+    made = set_up(out, answers_of(one, **changed), said.append)
+    return made, tomllib.loads(out.read_text()), "\n".join(said)
+
+
+@pytest.mark.slow
+def test_a_walk_through_the_setup_finds_sign_surface_and_scale_and_ends_in_the_check(tmp_path: Path) -> None:
+    with lab(scale=0.5) as one:
+        made, file, said = walked(one, tmp_path / "rig.toml", write_scale=True)
+    assert "grbl" in said
+    assert file["force"]["axes"] == ["x", "y", "-z"]
+    assert file["force"]["scale"] == pytest.approx(2.0, abs=file["force"]["scale_uncertainty"])
+    assert file["force"]["scale_uncertainty"] < 0.02
+    assert file["origin_mm"] == pytest.approx([-50.0, 50.0, SURFACE_MM], abs=0.25)
+    assert one.deepest_mm < 0.5
+    timed = ("s", "Hz", "m/s")  # of a busy machine
+    assert [c for c in made.checks if not c.ok and c.unit not in timed] == []
+    assert any(c.name.startswith("stage: ") and c.ok for c in made.checks)
+    assert any("firmware" in line for line in made.unchecked)
+
+
+def test_a_setup_that_may_move_nothing_writes_what_it_found_and_says_what_it_did_not(tmp_path: Path) -> None:
+    with lab() as one:
+        made, file, _ = walked(
+            one,
+            tmp_path / "rig.toml",
+            may_move=False,
+            mass_g=0,
+            force_kind="netft",
+            force_host="127.0.0.1",
+            force_rdt_port=one.box.rdt_port,
+            force_http_port=one.box.http_port,
+            force_silence_s=0.5,
+            typo=1,
+        )
+        assert one.bench.place_mm == (-50.0, -50.0, -5.0)
+        assert b"J=" not in one.bench.received
+    assert file["limits"]["greatest_mm"] == [0.0, 100.0, 100.0]
+    assert file["limits"]["force_N"] == 15.0
+    assert made.checks == []
+    said = " ".join(made.unchecked)
+    for word in ("sign", "scale", "surface", "rig check", "'typo'", "force_options"):
+        assert word in said
+
+
+def test_an_old_file_and_limits_beyond_the_firmwares_travel_are_refused(tmp_path: Path) -> None:
+    taken = tmp_path / "rig.toml"
+    taken.write_text("mine")
+    with lab() as one:
+        with pytest.raises(ExistsError):
+            set_up(taken, answers_of(one), print)
+        with pytest.raises(RangeError, match=r"-140.*100"):
+            set_up(tmp_path / "new.toml", answers_of(one, least_mm=[-140, 0, 0]), print)
+        with pytest.raises(InputError, match=r"99.*30"):
+            set_up(tmp_path / "new.toml", answers_of(one, force_N=99), print)
+        with pytest.raises(DeviceError, match="0 stages"):
+            set_up(tmp_path / "new.toml", answers_of(one, stage_ports=["/dev/no-such-port"]), print)
+    assert taken.read_text() == "mine"
+    assert not (tmp_path / "new.toml").exists()
+
+
+def test_a_dead_sensor_is_found_before_the_skin_is_pressed_deep(tmp_path: Path) -> None:
+    with lab(dead=True) as one, pytest.raises(Tripped, match="dead"):
+        set_up(tmp_path / "rig.toml", answers_of(one, reach_mm=1.0), print)
+    assert one.deepest_mm < 1.0
+    assert not (tmp_path / "rig.toml").exists()
