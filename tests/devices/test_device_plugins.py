@@ -265,7 +265,7 @@ greatest_mm = [30, 30, 8]
 def test_a_rigs_file_names_ones_own_devices_and_their_options(bench: Path) -> None:
     path = bench / "rig.toml"
     path.write_text(FILE)
-    rig = open_rig(str(path))
+    rig = open_rig(str(path), supervised=False)
     assert rig.stage.port == "COM7"  # type: ignore[attr-defined]
     assert rig.force.latest().force_n[2] == pytest.approx(0.6)
     assert rig.mounting.axes == ("x", "-y", "-z")
@@ -276,7 +276,7 @@ def test_a_rigs_file_names_ones_own_devices_and_their_options(bench: Path) -> No
 def test_a_device_that_leaves_python_when_closed_is_told_and_the_others_are_closed(bench: Path) -> None:
     path = bench / "rig.toml"
     path.write_text(FILE)
-    rig = open_rig(str(path))
+    rig = open_rig(str(path), supervised=False)
     rig.force.close = lambda: sys.exit(0)  # type: ignore[method-assign]
     with pytest.raises(PluginError, match=r"did not close .SystemExit: 0, from .*test_device_plugins"):
         rig.close()
@@ -293,7 +293,7 @@ def test_the_same_devices_are_named_from_python(bench: Path) -> None:
             "limits": {"least_mm": (-30, -30, -20), "greatest_mm": (30, 30, 8)},
         }
     )
-    rig = rig_from(file)
+    rig = rig_from(file, supervised=False)
     assert not rig.stage.moving()
     rig.close()
 
@@ -314,7 +314,7 @@ def test_a_file_that_names_a_device_wrongly_is_refused_and_nothing_stays_open(
     path = bench / "rig.toml"
     path.write_text(textwrap.dedent(FILE.replace(before, after)))
     with pytest.raises(InputError, match=said):
-        open_rig(str(path))
+        open_rig(str(path), supervised=False)
     import bench_devices
 
     opened = [*bench_devices.Force.opened, *bench_devices.Camera.opened, *bench_devices.Stage.opened]

@@ -16,8 +16,8 @@ from tests.rig.conftest import GrblBench
 from palpate.core import Clock, MonotonicClock, Wrench
 from palpate.core.errors import DeviceError, ExistsError, InputError, RangeError
 from palpate.devices.motion_limits import Tripped
-from palpate.rig.commissioning.answers import FileAnswers
 from palpate.rig.commissioning.rig_setup import set_up
+from palpate.rig.commissioning.setup_answers import FileAnswers
 from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.fakes.netft_box import FakeNetFT, FakePage
 from palpate.rig.fakes.video_capture import FakeVideoCapture

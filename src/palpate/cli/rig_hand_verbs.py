@@ -104,7 +104,7 @@ def stop(rig: RigName, json_: Json = False) -> None:
 
 @rig_app.command()
 def status(rig: RigName, json_: Json = False) -> None:
-    """Say what each device reads now: place, force, camera rate, and how old each is.
+    """Say what each device reads now, and how old that is.
 
     Moves nothing. Ends with status 1 where a device does not answer.
 
@@ -163,8 +163,8 @@ def setup(
 
     Example: palpate rig setup --out bench.toml
     """
-    from palpate.rig.commissioning.answers import FileAnswers, PromptAnswers
     from palpate.rig.commissioning.rig_setup import set_up
+    from palpate.rig.commissioning.setup_answers import FileAnswers, PromptAnswers
 
     asked = PromptAnswers(yes=yes) if answers is None else FileAnswers.read(answers, yes=yes)
     found = set_up(out, asked, lambda line: typer.echo(line, err=True))

@@ -119,7 +119,7 @@ def check(rig: Annotated[str, Argument(help="A TOML file, or virtual:palm.")], j
     from palpate.rig.rig_check import check_rig
     from palpate.rig.rig_file import open_rig
 
-    findings = check_rig(open_rig(rig))
+    findings = check_rig(open_rig(rig, supervised=False))
     wrong = [one for one in findings if not one.ok]
     lines = [_measured(one) for one in findings if one.ok and one.unit]
     lines += [f"wrong: {one.name}: {one.message}" for one in wrong]

@@ -5,12 +5,19 @@ Nothing here knows a rig, a plan or a recording: an actuator that moves and a fo
 
 from palpate.devices.device_plugins import open_device
 from palpate.devices.force_bias import ForceBias, Mounting
-from palpate.devices.motion_guard import MotionGuard, Subscribers
+from palpate.devices.motion_guard import Clearance, ForceReached, MotionGuard, Subscribers
 from palpate.devices.motion_limits import Limits, Reason, Tripped
 from palpate.devices.operator_control import OperatorCommand, OperatorControl, OperatorInterrupt
+from palpate.devices.supervisor import SupervisedGuard, SupervisorLink
+
+Guard = MotionGuard | SupervisedGuard
+"""Guard of a motion: in this process, or the client of a supervisor's."""
 
 __all__ = [
+    "Clearance",
     "ForceBias",
+    "ForceReached",
+    "Guard",
     "Limits",
     "MotionGuard",
     "Mounting",
@@ -19,6 +26,8 @@ __all__ = [
     "OperatorInterrupt",
     "Reason",
     "Subscribers",
+    "SupervisedGuard",
+    "SupervisorLink",
     "Tripped",
     "open_device",
 ]

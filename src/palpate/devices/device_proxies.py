@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from palpate.core import (
     NS_PER_S,
@@ -216,7 +216,9 @@ class StageProxy(_Proxy[Stage]):
         return stood_ns
 
     def release(self) -> None:
-        """Let it move again."""
+        """Let it move again; so does a supervisor that held it as well."""
+        if callable(release := getattr(self._inner, "release", None)):
+            release()
         self.held = False
 
     def _check_free(self) -> None:
@@ -284,6 +286,17 @@ class PlainForceSource:
 
     def __init__(self, inner: ForceSource) -> None:
         self._inner = inner
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples a second, of a sensor that states them [Hz]; `AttributeError` of one that does not."""
+        inner: Any = self._inner
+        return float(inner.rate_hz)
+
+    @property
+    def delay_s(self) -> float:
+        """Delay of its samples that a slow sensor states beside the protocol; 0 where it states none [s]."""
+        return float(getattr(self._inner, "delay_s", 0.0))
 
     def latest(self) -> Wrench:
         """The newest sample."""

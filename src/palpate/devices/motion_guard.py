@@ -15,6 +15,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from typing import Generic, ParamSpec
 
 from palpate.core import NS_PER_S, Clock, DeviceError, Position, Wrench
@@ -37,8 +38,30 @@ LEAVING = (OperatorCommand.ESTOP,)
 """What may stop the probe on its way away from the skin."""
 
 
+AIR_S = 0.3  # in the air, for the force sensor's zero
+FEW = 3  # samples from which a rate can be told
+LONGER_S = 1.0  # more, where nothing but one value was read
+
 Until = Callable[[Force], bool]
 Check = Callable[[Wrench], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ForceReached:
+    """Normal force at which a move ends: so much, or more [N]. Data, so that a supervisor can be told."""
+
+    normal_n: float
+
+    def __call__(self, force: Force) -> bool:
+        return force[2] >= self.normal_n
+
+
+@dataclass(frozen=True, slots=True)
+class Clearance:
+    """Height at which the probe hangs free, along the stage's z, and how fast it is lifted there [m, m/s]."""
+
+    z_m: float
+    speed_m_s: float
 
 
 def _never(force: Force) -> bool:
@@ -47,6 +70,10 @@ def _never(force: Force) -> bool:
 
 def _unchecked(sample: Wrench) -> None:
     pass
+
+
+def _good(samples: Sequence[Wrench]) -> list[Wrench]:
+    return [one for one in samples if not one.fault]
 
 
 class _DoubtError(Exception):
@@ -69,6 +96,7 @@ class MotionGuard:
         control: through which the operator interrupts.
 
     Attributes:
+        clearance: where `lift` goes; None until it is stated.
         monitor: doubts the force, once it was taught in the air.
         samples: hear each batch of force samples, raw and oldest first, before it is checked.
         positions: hear where the stage is [m], and when that was asked [ns], at each look while it moves and
@@ -94,6 +122,7 @@ class MotionGuard:
         self._bias = bias
         self._clock = clock
         self._control = control
+        self.clearance: Clearance | None = None
         self.monitor = ForceMonitor(bias, limits, stage.travel)
         self._disbelieved = False
         self.samples: Subscribers[[Sequence[Wrench]]] = Subscribers()
@@ -109,7 +138,7 @@ class MotionGuard:
         Raises:
             Tripped: it is old or faulty.
         """
-        return self._bias.force(self._newest())
+        return self._bias.force(self.newest())
 
     def skin_n(self, sample: Wrench) -> Force:
         """Force of a sample, in the skin's axes, without the bias [N]."""
@@ -126,18 +155,64 @@ class MotionGuard:
         except DeviceError as e:
             raise Tripped(Reason.STAGE, f"the stage does not say where it is: {e}") from e
 
-    def wait(self, seconds: float, check: Check | None = None) -> list[Wrench]:
-        """Let time pass while watching, and return what the sensor measured in it."""
+    def close(self) -> None:
+        """Nothing: the stage stands, and whoever opened the devices closes them."""
+
+    def tare(self, stated_hz: float) -> list[Wrench]:
+        """Take the sensor's zero and learn its noise, standing in the air; the samples from which it was.
+
+        Args:
+            stated_hz: samples a second that the sensor states [Hz].
+
+        Raises:
+            Tripped: too few good samples came, they repeat themselves, come too slowly, or are not what they
+                were at the last time.
+        """
+        samples = self.wait(AIR_S, judged=False)
+        if len({(one.force_n, one.torque_nm) for one in _good(samples)}) == 1:
+            samples += self.wait(LONGER_S, judged=False)
+        if len(_good(samples)) >= FEW:
+            self.monitor.learn_air(_good(samples), stated_hz)
+        self._bias.measure(samples)
+        return samples
+
+    def new_tool(self) -> None:
+        """Forget the stiffness that was learnt: another tool or skin follows."""
+        self.monitor.new_tool()
+
+    def learn_press(self) -> None:
+        """Learn the skin's stiffness from the way down that went well just now."""
+        self.monitor.learn_press()
+
+    def lift(self) -> None:
+        """Lift straight up to the clearance, if the probe is below it.
+
+        Raises:
+            Tripped: no clearance is stated; all that `away` raises.
+        """
+        if self.clearance is None:
+            raise Tripped(Reason.PLAN, "a lift before anybody stated the clearance")
+        x, y, z = self.position_m()
+        if z > self.clearance.z_m:
+            self.away((x, y, self.clearance.z_m), self.clearance.speed_m_s)
+
+    def wait(self, seconds: float, *, judged: bool = True) -> list[Wrench]:
+        """Let time pass while watching, and return what the sensor measured in it.
+
+        Args:
+            seconds: how long.
+            judged: raise on what must stop a motion; off where no force means anything yet, in the air.
+        """
         end_ns = self._clock.now_ns() + round(seconds * NS_PER_S)
         samples: list[Wrench] = []
         while (left_s := (end_ns - self._clock.now_ns()) / NS_PER_S) > 0:
             self._clock.sleep(min(WAIT_S, left_s))
-            samples += self.look(check)
+            samples += self.look(judged=judged)
             self.looks.publish()
         return samples
 
     def towards(
-        self, target: Position, speed_m_s: float, until: Until = _never, step_m: float | None = None
+        self, target: Position, speed_m_s: float, until: Until | None = None, step_m: float | None = None
     ) -> bool:
         """Move in short guarded steps; True as soon as `until` says so of a force, stopped there.
 
@@ -151,6 +226,7 @@ class MotionGuard:
             Tripped: a limit, before or during the motion; the stage stands.
             OperatorInterrupt: the operator's wish; the stage stands.
         """
+        until = until or _never
         self._limits.check_sensor(self._sensor)
         self._limits.check_target(target)
         self._limits.check_speed(speed_m_s, self._stage.travel)
@@ -197,11 +273,12 @@ class MotionGuard:
         self._phase = Phase.UP if slow else Phase.LIFT
         self._run(target, speed, _never, rising, LEAVING)
 
-    def look(self, check: Check | None = None, asks: tuple[OperatorCommand, ...] = AT_ONCE) -> list[Wrench]:
-        """Take in and publish what the sensor measured since, and raise on what must stop a motion.
+    def look(self, asks: tuple[OperatorCommand, ...] = AT_ONCE, *, judged: bool = True) -> list[Wrench]:
+        """Take in and publish what the sensor measured since, and raise on what must stop a motion."""
+        return self._look(self._within if judged else _unchecked, asks)
 
-        On the way away from the skin a sensor that is gone stops nothing: there it is safer to move on.
-        """
+    def _look(self, check: Check, asks: tuple[OperatorCommand, ...]) -> list[Wrench]:
+        """On the way away from the skin a sensor that is gone stops nothing: there it is safer to move on."""
         self._control.check(asks)
         try:
             samples = self._sensor.drain()
@@ -212,7 +289,7 @@ class MotionGuard:
         self.samples.publish(samples)
         for i, one in enumerate(samples):
             try:
-                (check or self._within)(one)
+                check(one)
             except _DoubtError as e:
                 raise self._named(e.doubt, samples[i:]) from None
         return samples
@@ -270,10 +347,10 @@ class MotionGuard:
         self._stage.move_to(target, speed_m_s)
         while self._stage.moving():
             self._clock.sleep(POLL_S)
-            if any(until(self._bias.force(one)) for one in self.look(check, asks)):
+            if any(until(self._bias.force(one)) for one in self._look(check, asks)):
                 return True
             if check == self._within:
-                self._newest()
+                self.newest()
             elif self._phase is Phase.UP:
                 self._check_gap()
             now_ns, at = self._clock.now_ns(), self._stage.position_m()
@@ -311,7 +388,7 @@ class MotionGuard:
         begun_ns, heard, listened_s = self._clock.now_ns(), list(after), 0.0
         while listened_s < LISTEN_S:
             self._clock.sleep(WAIT_S)
-            heard += self.look(_unchecked, LEAVING)
+            heard += self._look(_unchecked, LEAVING)
             listened_s = (self._clock.now_ns() - begun_ns) / NS_PER_S
         air = self.monitor.air
         assert air is not None  # nothing is doubted before the air is known
@@ -325,7 +402,12 @@ class MotionGuard:
             if not self._disbelieved and age_s > self.monitor.oldest_s:
                 raise self._named(self.monitor.gap(age_s))
 
-    def _newest(self) -> Wrench:
+    def newest(self) -> Wrench:
+        """The newest sample.
+
+        Raises:
+            Tripped: it is old or faulty.
+        """
         asked_ns = self._clock.now_ns()  # before the call: a busy computer makes no sample old
         try:
             newest = self._sensor.latest()

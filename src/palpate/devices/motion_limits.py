@@ -34,6 +34,8 @@ class Reason(StrEnum):
     STAGE_LATE = "stage-late"
     CAMERA = "camera"
     FORCE_SENSOR = "force-sensor"
+    CLIENT_SILENT = "client-silent"  # whoever records says nothing any more
+    SUPERVISOR = "supervisor"  # the process that guards is gone, or says nothing any more
     CLOCKS = "clocks"
     STORAGE = "storage"
     PLAN = "plan"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from enum import StrEnum
 
 
@@ -33,6 +34,16 @@ class OperatorControl:
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._command: OperatorCommand | None = None
+        self._listener: Callable[[OperatorCommand | None], None] | None = None
+
+    def listen(self, listener: Callable[[OperatorCommand | None], None] | None) -> None:
+        """Tell somebody of every change at once, in the thread or signal handler that asks; None for nobody.
+
+        It must not wait. What is asked for already is told now.
+        """
+        self._listener = listener
+        if listener is not None and self._command is not None:
+            listener(self._command)
 
     def ask(self, command: OperatorCommand) -> None:
         """Ask for something; an emergency stop cannot be taken back."""
@@ -40,6 +51,7 @@ class OperatorControl:
             if self._command is None or _RANK[command] >= _RANK[self._command]:
                 self._command = command
             self._changed.notify_all()
+        self._tell(command)
 
     def resume(self) -> None:
         """Take back a pause; nothing else can be."""
@@ -47,6 +59,11 @@ class OperatorControl:
             if self._command is OperatorCommand.PAUSE:
                 self._command = None
             self._changed.notify_all()
+        self._tell(None)
+
+    def _tell(self, command: OperatorCommand | None) -> None:
+        if self._listener is not None:
+            self._listener(command)
 
     @property
     def command(self) -> OperatorCommand | None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from palpate.core import NS_PER_S, DeviceError, Frame, FrameSource, Wrench
-from palpate.devices import ForceBias, MotionGuard, Reason, Tripped
+from palpate.devices import ForceBias, ForceReached, Guard, Reason, Tripped
 from palpate.devices.device_proxies import driver_errors
 from palpate.devices.force_bias import Force
 from palpate.recordings.label_tables import Label
@@ -61,7 +61,7 @@ class Acquisition:
     def __init__(
         self,
         rig: Rig,
-        guard: MotionGuard,
+        guard: Guard,
         motion: PressMotion,
         recorder: Recorder,
         bias: ForceBias,
@@ -129,7 +129,7 @@ class Acquisition:
             reached = self._guard.towards(
                 (x, y, lowest),
                 sweep.speed_m_s,
-                lambda force: until is not None and force[2] >= until,
+                None if until is None else ForceReached(until),
                 step_m=lowest - z,
             )
             self._guard.away((x, y, z), sweep.speed_m_s)

@@ -15,7 +15,7 @@ from itertools import islice
 import numpy as np
 
 from palpate.core import NS_PER_S, Float, Frame, InputError, RangeError, UInt8, Wrench, ndarray
-from palpate.devices import ForceBias, MotionGuard, Reason, Tripped
+from palpate.devices import ForceBias, ForceReached, Guard, Reason, Tripped
 from palpate.recordings import Offset, offset_between
 from palpate.rig.acquisition import STARVED_S, check_size, drained
 from palpate.rig.plans.recording_plan import RecordingPlan
@@ -37,7 +37,7 @@ class ClockSync:
     """A few taps at the place where the probe hangs."""
 
     def __init__(
-        self, rig: Rig, plan: RecordingPlan, guard: MotionGuard, recorder: Recorder, bias: ForceBias
+        self, rig: Rig, plan: RecordingPlan, guard: Guard, recorder: Recorder, bias: ForceBias
     ) -> None:
         self._rig = rig
         self._plan = plan
@@ -72,7 +72,7 @@ class ClockSync:
         deepest_mm = plan.seek_mm + min(plan.deepest_mm, MAX_DEEP_MM)
         lowest = (x, y, self._rig.origin_m[2] + deepest_mm * MM)
         speed = plan.press_mm_s * MM
-        if not self._guard.towards(lowest, speed, lambda force: force[2] >= plan.tap_N):
+        if not self._guard.towards(lowest, speed, ForceReached(plan.tap_N)):
             raise Tripped(
                 Reason.NO_CONTACT,
                 f"a tap of {plan.tap_N:g} N was not felt down to {deepest_mm:g} mm below the "

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, closing, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import assert_never
@@ -18,11 +18,13 @@ from palpate.core import DeviceError, PalpateError, PathText, RecordingError, St
 from palpate.core.plugins import ERROR, plugin_calls
 from palpate.devices import (
     ForceBias,
+    Guard,
     MotionGuard,
     OperatorCommand,
     OperatorControl,
     OperatorInterrupt,
     Reason,
+    SupervisedGuard,
     Tripped,
 )
 from palpate.recordings import Manifest, Offset, Run, RunWriter
@@ -89,7 +91,7 @@ class Engine:
         self._watch = watch
         bias = self._bias = ForceBias(rig.mounting)
         recorder = self._recorder = Recorder(writer, bias, rig.clock.now_ns())
-        guard = self._guard = MotionGuard(rig.stage, rig.force, rig.limits, bias, rig.clock, control)
+        guard = self._guard = guard_of(rig, bias, control)
         guard.samples.subscribe(recorder.force)  # first, so that all is on disk that anybody else hears
         guard.positions.subscribe(recorder.stage)
         guard.looks.subscribe(self._tell)
@@ -135,6 +137,11 @@ class Engine:
             self._lift_if_possible()
             raise
         return self._ended(State.DONE, "all shots are recorded")
+
+    def close(self) -> None:
+        """Let go of the guard; the devices stay open."""
+        with _quietly():
+            self._guard.close()
 
     def _finish(self, press: PlannedPress) -> None:
         """A press until nothing of it is missing, however often it is paused."""
@@ -210,7 +217,7 @@ class Engine:
         self._turn(State.PAUSED, self._wanted or "paused by the operator")
         self._wanted = ""
         while self._control.wait_while_paused(0.02):
-            self._guard.look(lambda sample: None, (OperatorCommand.ABORT, OperatorCommand.ESTOP))
+            self._guard.look((OperatorCommand.ABORT, OperatorCommand.ESTOP), judged=False)
             self._tell()
         self._control.check((OperatorCommand.ABORT, OperatorCommand.ESTOP))
         self._turn(State.RUNNING, "resumed")
@@ -295,6 +302,13 @@ class Engine:
         return (now_s - begun_s) / new * (sum(self._planned) - self._shots) if new else None
 
 
+def guard_of(rig: Rig, bias: ForceBias, control: OperatorControl) -> Guard:
+    """The guard of a rig's motion: that of its supervisor's process, or one in this process."""
+    if rig.supervisor is not None:
+        return SupervisedGuard(rig.supervisor, rig.force, bias, control)
+    return MotionGuard(rig.stage, rig.force, rig.limits, bias, rig.clock, control)
+
+
 def _quietly() -> AbstractContextManager[None]:
     """Suppress what fails on the way out, so that it hides nothing of why it is left."""
     return suppress(PalpateError, OperatorInterrupt)
@@ -340,7 +354,9 @@ def record(
         manifest = manifest_of(rig, plan)
         writer = RunWriter.create(out, manifest, clock=rig.clock, overflow="wait", note=note_of(plan))
     with writer, plugin_calls(f"a device ended the recording ({ERROR})", Exception):
-        return Engine(rig, plan, writer, done, control or OperatorControl(), watch).run()
+        engine = Engine(rig, plan, writer, done, control or OperatorControl(), watch)
+        with closing(engine):
+            return engine.run()
 
 
 def _check_same_seed(run: Run, rig: Rig) -> None:

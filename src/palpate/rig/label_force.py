@@ -12,7 +12,7 @@ from collections import deque
 import numpy as np
 
 from palpate.core import NS_PER_S, Clock, DeviceError, ForceSensor
-from palpate.devices import MotionGuard, Mounting, Reason, Tripped
+from palpate.devices import Guard, Mounting, Reason, Tripped
 
 LABEL_FORCE = "label_force_N"
 """The label: along the skin's z, positive in compression, without the force that it read in the air."""
@@ -33,7 +33,7 @@ class LabelForce:
         clock: that samples are stamped on.
     """
 
-    def __init__(self, sensor: ForceSensor, mounting: Mounting, guard: MotionGuard, clock: Clock) -> None:
+    def __init__(self, sensor: ForceSensor, mounting: Mounting, guard: Guard, clock: Clock) -> None:
         self._sensor, self._mounting, self._guard, self._clock = sensor, mounting, guard, clock
         self._samples: deque[tuple[int, float]] = deque(maxlen=KEPT)
         self._bias_n = 0.0

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 
 from palpate.core import InputError, Position, Wrench, own_plans_of
-from palpate.devices import ForceBias, MotionGuard, Reason, Tripped
+from palpate.devices import Clearance, ForceBias, ForceReached, Guard, Reason, Tripped
 from palpate.rig.plans.recording_plan import PlannedPress, RecordingPlan
 from palpate.rig.rig import Rig
 from palpate.rig.run_progress import TOUCH, ZERO, Recorder
@@ -15,9 +15,6 @@ from palpate.rig.sign_touch import touch_gently
 
 MM = 1e-3
 BELOW_TOUCH_MM = 0.2  # of a contact that is said by a force
-TARE_S = 0.3  # in the air, for the force sensor's zero
-FEW = 3  # samples from which a rate can be told
-LONGER_S = 1.0  # more, where nothing but one value was read
 MAX_DRIFT_N = 0.5  # of the zero, from one press to the next
 SIGMAS = 5.0  # of the force's noise that a threshold must lie above
 
@@ -31,7 +28,7 @@ class PressMotion:
     """
 
     def __init__(
-        self, rig: Rig, plan: RecordingPlan, guard: MotionGuard, bias: ForceBias, recorder: Recorder
+        self, rig: Rig, plan: RecordingPlan, guard: Guard, bias: ForceBias, recorder: Recorder
     ) -> None:
         self._rig = rig
         self._plan = plan
@@ -40,6 +37,7 @@ class PressMotion:
         self._recorder = recorder
         self.contact_m: float | None = None
         self.approach = 0
+        guard.clearance = Clearance(self._clearance_m, plan.travel_mm_s * MM)
 
     def begin(self, press: PlannedPress) -> None:
         """A new approach: whatever was known of the contact is forgotten."""
@@ -49,10 +47,8 @@ class PressMotion:
 
     def lift(self) -> None:
         """Straight up to the clearance, if the probe is below it; the contact is over."""
-        x, y, z = self._guard.position_m()
         self.contact_m = None
-        if z > self._clearance_m:
-            self._guard.away((x, y, self._clearance_m), self._plan.travel_mm_s * MM)
+        self._guard.lift()
 
     @property
     def _clearance_m(self) -> float:
@@ -80,8 +76,7 @@ class PressMotion:
         before = self._bias.force_n[2]
         known = self._bias.noise_n > 0
         threshold = self._plan.threshold_N
-        samples = self._air()
-        self._bias.measure(samples)
+        self._guard.tare(self._rig.force.rate_hz)
         self._recorder.event("tare", force_n=self._bias.force_n, noise_n=self._bias.noise_n)
         if threshold < SIGMAS * self._bias.noise_n:
             raise Tripped(
@@ -97,19 +92,6 @@ class PressMotion:
                 "the probe touch something?",
             )
 
-    def _air(self) -> list[Wrench]:
-        """Samples in the air, which teach the guard what this sensor reads there."""
-
-        def good(samples: list[Wrench]) -> list[Wrench]:
-            return [one for one in samples if not one.fault]
-
-        samples = self._guard.wait(TARE_S, lambda sample: None)
-        if len({(one.force_n, one.torque_nm) for one in good(samples)}) == 1:
-            samples += self._guard.wait(LONGER_S, lambda sample: None)
-        if len(good(samples)) >= FEW:
-            self._guard.monitor.learn_air(good(samples), self._rig.force.rate_hz)
-        return samples
-
     def try_sensor(self, press: PlannedPress) -> None:
         """Touch gently, to see that force rises under a touch and falls after it, before anything presses.
 
@@ -117,7 +99,7 @@ class PressMotion:
             Tripped: it does not; all that a guarded motion raises.
         """
         self.over(press.place.x_mm * MM, press.place.y_mm * MM)
-        self._guard.monitor.new_tool()
+        self._guard.new_tool()
         self.measure_bias()
         felt = touch_gently(self._rig, self._plan, self._guard)
         self._recorder.event(TOUCH, place=press.place.name, **asdict(felt))
@@ -134,9 +116,7 @@ class PressMotion:
             raise Tripped(Reason.TOUCHED_EARLY, "the probe is in contact at the clearance already")
         lowest = (x, y, self._rig.origin_m[2] + plan.seek_mm * MM)
         step = plan.seek_step_mm * MM
-        if not self._guard.towards(
-            lowest, plan.seek_mm_s * MM, lambda force: force[2] > plan.threshold_N, step
-        ):
+        if not self._guard.towards(lowest, plan.seek_mm_s * MM, ForceReached(plan.threshold_N), step):
             raise Tripped(
                 Reason.NO_CONTACT,
                 f"no contact down to {plan.seek_mm:g} mm below the expected surface at "

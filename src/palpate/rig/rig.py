@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from palpate.core import Clock, ForceSensor, FrameSource, Position, Sensor, Stage
 from palpate.core.plugins import ERROR, plugin_calls
-from palpate.devices import Limits, Mounting
+from palpate.devices import Limits, Mounting, SupervisorLink
 
 
 class Region(NamedTuple):
@@ -62,6 +62,8 @@ class Rig:
         label_force: a second force sensor, which labels frames taken at a stand and guards nothing, so that
             it may be slow; None where there is none.
         label_mounting: of the second force sensor.
+        supervisor: process that owns stage and force sensor and guards every motion; None where this process
+            does.
         design: of the sensor, whose outline and probe plans are laid on; None where only its plan knows.
     """
 
@@ -85,6 +87,7 @@ class Rig:
     design: Sensor | None = None
     label_force: ForceSensor | None = None
     label_mounting: Mounting = field(default_factory=Mounting)
+    supervisor: SupervisorLink | None = None
 
     def from_origin_mm(self, at_m: Position) -> Position:
         """A place of the stage, from the layer's centre at its expected surface [mm]."""
@@ -94,7 +97,7 @@ class Rig:
     def close(self) -> None:
         """Let go of every device, the stage first; all are tried."""
         failed: list[Exception] = []
-        for device in (self.stage, self.force, self.camera, self.label_force):
+        for device in (self.stage, self.force, self.supervisor, self.camera, self.label_force):
             if device is None:
                 continue
             try:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from palpate.devices import MotionGuard, Reason, Tripped
+from palpate.devices import ForceReached, Guard, Reason, Tripped
 from palpate.rig.plans.recording_plan import RecordingPlan
 from palpate.rig.rig import Rig
 
@@ -35,7 +35,7 @@ class FeltTouch:
     z_mm: float
 
 
-def touch_gently(rig: Rig, plan: RecordingPlan, guard: MotionGuard) -> FeltTouch:
+def touch_gently(rig: Rig, plan: RecordingPlan, guard: Guard) -> FeltTouch:
     """Touch the skin below the probe, which hangs in the air with its zero measured, and come back.
 
     Raises:
@@ -49,7 +49,7 @@ def touch_gently(rig: Rig, plan: RecordingPlan, guard: MotionGuard) -> FeltTouch
         raise Tripped(Reason.TOUCHED_EARLY, "the probe is in contact at the clearance already")
     lowest = (x, y, rig.origin_m[2] + plan.seek_mm * MM)
     speed = plan.seek_mm_s * MM
-    reached = guard.towards(lowest, speed, lambda force: force[2] > wanted_n)
+    reached = guard.towards(lowest, speed, ForceReached(wanted_n))
     if not reached and guard.force_n[2] <= plan.threshold_N:  # a soft specimen may not carry more
         raise Tripped(
             Reason.NO_CONTACT,
@@ -57,7 +57,7 @@ def touch_gently(rig: Rig, plan: RecordingPlan, guard: MotionGuard) -> FeltTouch
             f"surface; is "
             "the layer there, and does the force sensor feel anything?",
         )
-    guard.monitor.learn_press()
+    guard.learn_press()
     pressed_n, deepest = _mean_n(guard, REST_S), guard.position_m()[2]
     guard.away((x, y, z), speed)
     left_n = _mean_n(guard, REST_S)
@@ -71,7 +71,7 @@ def touch_gently(rig: Rig, plan: RecordingPlan, guard: MotionGuard) -> FeltTouch
     return FeltTouch(pressed_n, left_n, (deepest - rig.origin_m[2]) / MM)
 
 
-def _mean_n(guard: MotionGuard, seconds: float) -> float:
+def _mean_n(guard: Guard, seconds: float) -> float:
     """Mean normal force while the probe stands [N]."""
     samples = guard.wait(seconds)
     good = [guard.skin_n(one)[2] for one in samples if not one.fault]

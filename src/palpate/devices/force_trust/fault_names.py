@@ -21,7 +21,7 @@ MIRRORED = 4.0  # by which a force that changed its sign may be more or less tha
 LEVEL_SIZE = 2.0  # noises that the means of some samples may differ by
 LAST = 3  # samples of the force just before
 SCALED_OFF = 0.02  # of the change, by which all axes may differ from one scale
-LEAST_SCALE = 0.2  # relative: a smaller change may be the force's own
+MIN_SCALE = 0.2  # relative: a smaller change may be the force's own
 CAME = 0.5  # of the samples that were due, of a sensor that holds them back rather than measures slowly
 
 Named = tuple[Reason, str]
@@ -138,7 +138,7 @@ def _scale(was: Vector, now: Vector, noise: float) -> float | None:
     off = float(np.linalg.norm(now - scale * was))
     if (
         scale > 0
-        and abs(scale - 1) > LEAST_SCALE
+        and abs(scale - 1) > MIN_SCALE
         and off <= LEVEL_SIZE * noise + SCALED_OFF * float(np.linalg.norm(now - was))
     ):
         return scale

@@ -20,10 +20,10 @@ from palpate.devices import Limits, Mounting, OperatorControl
 from palpate.devices.check.check_result import CheckResult
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.motion_guard import MotionGuard
-from palpate.rig.commissioning.answers import Answers, Three, confirm, number, text, three
 from palpate.rig.commissioning.force_touch import MAX_REACH_M, Weighing, touch_twice, weigh
 from palpate.rig.commissioning.found_parts import FoundStage, find_stage, serial_ports, video_devices
 from palpate.rig.commissioning.hand_motion import JOG_N, MAX_JOG_M_S, home_clear, mean_force
+from palpate.rig.commissioning.setup_answers import Answers, Three, confirm, number, text, three
 from palpate.rig.commissioning.toml_text import toml_text
 from palpate.rig.rig_check import check_rig
 from palpate.rig.rig_file import MAX_LIMITS, RigFile, open_part, open_rig
@@ -339,7 +339,7 @@ def _take_scale(part: dict[str, Any], found: Weighing, answers: Answers, say: Sa
 def _check(out: Path, made: SetUp, say: Say) -> None:
     say("checking the rig; the stage moves by 2 mm")
     try:
-        rig = open_rig(str(out))
+        rig = open_rig(str(out), supervised=False)
     except PalpateError as e:
         raise DeviceError(
             f"{out} is written, and could not be opened for its check ({e}). Where the board resets as its "

@@ -17,13 +17,15 @@ from palpate.core import (
     DEFAULT_SENSOR,
     SENSORS,
     Clock,
+    ForceSensor,
     InputError,
     ManualClock,
     MonotonicClock,
     RangeError,
+    Stage,
 )
 from palpate.core.sensor import sensor as sensor_of
-from palpate.devices import Mounting, open_device
+from palpate.devices import Mounting, SupervisorLink, open_device
 from palpate.devices.device_plugins import check_kind
 from palpate.rig.commissioning.hand_motion import home_clear
 from palpate.rig.commissioning.scaled_force import ScaledForce
@@ -45,6 +47,8 @@ from palpate.rig.rig_file.sensor_parts import (
     UvcPart,
 )
 from palpate.rig.rig_file.stage_parts import GrblPart, MarlinPart
+
+SUPERVISOR = ("-m", "palpate.rig.supervisor_process")
 
 OWN: dict[Role, tuple[str, ...]] = {
     "stage": ("grbl", "marlin"),
@@ -109,12 +113,13 @@ class RigFile(Part):
     regions: tuple[RegionPart, ...] = ()
 
 
-def open_rig(text: str, *, seed: int = 0) -> Rig:
+def open_rig(text: str, *, seed: int = 0, supervised: bool = True) -> Rig:
     """A rig by name, or from a TOML file; the caller closes it.
 
     Args:
         text: "virtual:" and a sensor's name, such as "virtual:palm"; or a file's path.
         seed: of the rig by name; a file has its own.
+        supervised: see `rig_from`.
 
     Raises:
         InputError: neither; or a field that is not one, or out of range.
@@ -125,7 +130,7 @@ def open_rig(text: str, *, seed: int = 0) -> Rig:
     path = Path(text)
     file = read_rig(path)
     try:
-        return rig_from(file)
+        return rig_from(file, supervised=supervised, name=str(path.resolve()))
     except InputError as e:
         raise InputError(f"{path}: {e}") from e
 
@@ -179,8 +184,15 @@ def _field(location: tuple[str | int, ...]) -> str:
     return ".".join(str(part) for part in location if not str(part).startswith("#"))
 
 
-def rig_from(file: RigFile) -> Rig:
-    """Open what a file says."""
+def rig_from(file: RigFile, *, supervised: bool = True, name: str = "") -> Rig:
+    """Open what a file says.
+
+    Args:
+        file: what it says.
+        supervised: stage and force sensor belong to a process of their own, which guards every motion;
+            otherwise they are opened here, as checks need it that talk to each device.
+        name: under which that process can be found, to stop it; left out, the rig's own.
+    """
     if file.virtual is not None:
         if file.stage or file.force or file.camera or file.label_force:
             raise InputError(f"the rig {file.name!r} is virtual and names real devices; leave one out")
@@ -191,17 +203,23 @@ def rig_from(file: RigFile) -> Rig:
         )
     clock = MonotonicClock()
     with ExitStack() as opened:
-        force = _opened("force", file.force, clock, opened)
+        supervisor: SupervisorLink | None = None
+        guarded: tuple[Stage, ForceSensor]
+        if supervised:
+            supervisor = SupervisorLink(
+                SUPERVISOR, {"rig": file.model_dump(mode="json"), "name": name or file.name}
+            )
+            opened.callback(supervisor.close)
+            guarded = supervisor.stage, supervisor.force
+        else:
+            guarded = open_guarded(file, clock, opened)
         camera = _opened("camera", file.camera, clock, opened)
         second = None if file.label_force is None else _opened("force", file.label_force, clock, opened)
-        stage = _opened("stage", file.stage, clock, opened)
-        if isinstance(file.stage, GrblPart | MarlinPart) and file.stage.home:
-            home_clear(stage, force, Mounting(file.force.axes), clock)
         rig = Rig(
             name=file.name,
             sensor=file.sensor,
-            stage=stage,
-            force=force,
+            stage=guarded[0],
+            force=guarded[1],
             camera=camera,
             limits=file.limits.limits(),
             origin_m=metres(file.origin_mm),
@@ -213,10 +231,22 @@ def rig_from(file: RigFile) -> Rig:
             design=sensor_of(file.design),
             label_force=second,
             label_mounting=Mounting() if file.label_force is None else Mounting(file.label_force.axes),
+            supervisor=supervisor,
         )
         _check_range(rig)
         opened.pop_all()
         return rig
+
+
+def open_guarded(file: RigFile, clock: Clock, opened: ExitStack) -> tuple[Stage, ForceSensor]:
+    """Open what a guarded motion needs, stage and force sensor; homed where the file asks for that."""
+    assert file.stage is not None  # as whoever reads the file made sure of
+    assert file.force is not None
+    force = _opened("force", file.force, clock, opened)
+    stage = _opened("stage", file.stage, clock, opened)
+    if isinstance(file.stage, GrblPart | MarlinPart) and file.stage.home:
+        home_clear(stage, force, Mounting(file.force.axes), clock)
+    return stage, force
 
 
 def open_part(role: Role, part: StagePart | ForcePart | CameraPart, clock: Clock) -> Any:

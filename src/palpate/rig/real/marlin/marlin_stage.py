@@ -5,7 +5,7 @@ controller goes on with what it was given when its link is gone. Where the stage
 it counts (`Count` in M114), since the place that M114 states is where it was sent.
 
 A stop is M410. It acts as it arrives only where the build has an emergency parser, and otherwise when the
-line before is done; `travel.latency_s` says which. It cuts the motors' steps off without slowing down, so
+line before is done; `latency_s` says which. It cuts the motors' steps off without slowing down, so
 the count is right afterwards only from a speed at which the motors can stand at once: `top_speed_m_s` never
 exceeds that, which is the controller's jerk (M205) or what the spec states. Stopping in an emergency needs a
 switch of its own.

@@ -1,0 +1,121 @@
+"""Process that owns a rig's stage and force sensor: ``python -m palpate.rig.supervisor_process``.
+
+It speaks over its standard input and output with whoever started it, and may be stopped by anybody else of
+the same user, at an address of its own.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from typing import Any, BinaryIO
+
+from palpate.core import DeviceError, ForceSensor, MonotonicClock, ProtocolError, Stage
+from palpate.core.plugins import ERROR, plugin_calls
+from palpate.devices import Mounting
+from palpate.devices.rpc import Address, hold, publish
+from palpate.devices.rpc_server import RpcServer
+from palpate.devices.supervisor import GuardSupervisor
+from palpate.devices.supervisor.guard_messages import PipeWriter, error_fields, read_messages
+from palpate.rig.rig_file.opened_rig import RigFile, open_guarded
+
+SWITCH_S = 0.001  # between threads, so that a stop does not wait for what others compute
+LET_GO_S = 8.0  # in which a supervisor before this one has lifted the probe and is gone
+AGAIN_S = 0.1
+SAID_S = 5.0
+
+
+def supervisor_name(rig: str) -> str:
+    """Name of the process that supervises a rig."""
+    return f"{rig} supervisor"
+
+
+def main() -> int:
+    """Open the devices, guard them until the client is gone, lift the probe where it has to be, and end."""
+    to = os.dup(1)
+    os.dup2(2, 1)  # whatever a driver prints must not be taken for a message
+    sys.setswitchinterval(SWITCH_S)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the client has it too, and says what is wished
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    writer = PipeWriter(to)
+    try:
+        with ExitStack() as opened:
+            _serve(writer, opened)
+    except Exception as e:
+        writer.send({"opened": False, "ok": False, **error_fields(e)})
+        writer.close(SAID_S)
+        return 2
+    writer.close(SAID_S)
+    return 0
+
+
+def _serve(writer: PipeWriter, opened: ExitStack) -> None:
+    messages = read_messages(0)
+    first = next(messages, None)
+    if first is None:
+        raise ProtocolError("nobody said which rig to open")
+    file = RigFile.model_validate(first["rig"])
+    name = supervisor_name(str(first["name"]))
+    opened.enter_context(_held(name))
+    clock = MonotonicClock()
+    with plugin_calls(f"a device did not open ({ERROR})", Exception):
+        stage, force = open_guarded(file, clock, opened)
+    assert file.limits is not None
+    assert file.force is not None
+    limits, mounting = file.limits.limits(), Mounting(file.force.axes)
+    supervisor = GuardSupervisor(stage, force, limits, mounting, clock, writer.send)
+    server = _server(name, supervisor)
+    opened.callback(server.close)
+    path = publish(Address(name, server.port, server.token, os.getpid()))
+    opened.callback(path.unlink, missing_ok=True)
+    writer.send({"opened": True, "ok": True, "result": _facts(stage, force)})
+    signal.signal(signal.SIGTERM, lambda *_: supervisor.leave())
+    threading.Thread(
+        target=supervisor.read, args=(messages,), name="palpate-supervisor-orders", daemon=True
+    ).start()
+    supervisor.serve()
+
+
+def _held(name: str) -> BinaryIO:
+    """The right to supervise the rig; a supervisor whose client has just died may still be lifting."""
+    end_s = time.monotonic() + LET_GO_S
+    while True:
+        try:
+            return hold(name)
+        except DeviceError:
+            if time.monotonic() > end_s:
+                raise
+            time.sleep(AGAIN_S)
+
+
+def _server(name: str, supervisor: GuardSupervisor) -> RpcServer:
+    """Anybody of the same user may stop the stage, past the client."""
+
+    def status() -> dict[str, Any]:
+        return {"state": supervisor.state, "held": supervisor.held, "message": supervisor.lifted, "shots": 0}
+
+    def stop(request: Mapping[str, Any]) -> dict[str, int]:
+        return supervisor.stop()
+
+    return RpcServer(name, status, lambda after: None, {"estop": stop, "status": lambda _: status()}, {})
+
+
+def _facts(stage: Stage, force: ForceSensor) -> dict[str, Any]:
+    travel = stage.travel
+    stops = (travel.top_speed_m_s, travel.acceleration_m_s2, travel.latency_s)
+    return {
+        "travel": [travel.least_m, travel.greatest_m, *stops],
+        "rate_hz": force.rate_hz,
+        "delay_s": getattr(force, "delay_s", 0.0),
+        "range_n": force.range_n,
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())

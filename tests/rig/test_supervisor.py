@@ -1,0 +1,340 @@
+"""The supervisor's process: it guards as one process does, and lifts whatever becomes of its client."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import closing, contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.rig import supervised_bench
+
+from palpate.core.errors import DeviceError
+from palpate.devices import ForceBias, ForceReached, OperatorCommand, OperatorControl, Reason, Tripped
+from palpate.devices.motion_guard import Clearance
+from palpate.devices.rpc_client import RpcClient
+from palpate.devices.supervisor import SupervisedGuard, guard_supervisor
+from palpate.recordings import Run
+from palpate.rig import State, open_rig, record
+from palpate.rig.plans import Listed, StepHold
+from palpate.rig.rig import Rig
+from palpate.rig.service.rig_service import RigService
+from palpate.rig.service.served_rig import open_served_rig
+from palpate.rig.supervisor_process import supervisor_name
+
+MM = 1e-3
+FREE_M = -1.5e-3  # the clearance
+RIG = """
+name = "supervised"
+design = "palm"
+[stage]
+kind = "supervised_bench:BenchStage"
+log = "{log}"
+{stage}
+[force]
+kind = "supervised_bench:BenchForce"
+[camera]
+kind = "supervised_bench:BenchCamera"
+{camera}
+[limits]
+least_mm = [-5, -5, -5]
+greatest_mm = [5, 5, 4]
+force_N = 6
+"""
+PLAN = StepHold(
+    taps=0,
+    name="small",
+    places=Listed(kind="listed", at_mm=((0.0, 0.0), (1.0, 0.0))),
+    depth_mm=1.0,
+    step_mm=0.5,
+    frames=2,
+    reference_frames=1,
+    clearance_mm=1.5,
+    seek_mm=1.0,
+    travel_mm_s=15.0,
+    press_mm_s=2.0,
+    seek_mm_s=2.0,
+    cycles=1,
+)
+
+
+class Supervised:
+    """A rig's file, and what its stage noted on disk."""
+
+    def __init__(self, folder: Path, stage: str = "", camera: str = "") -> None:
+        self.path, self.log = folder / "rig.toml", folder / "stage.jsonl"
+        self.path.write_text(RIG.format(log=self.log, stage=stage, camera=camera))
+
+    def noted(self, what: str) -> list[dict[str, Any]]:
+        lines = self.log.read_text().splitlines() if self.log.exists() else []
+        return [one for one in map(json.loads, lines) if one["what"] == what]
+
+    def z_m(self) -> float:
+        """Where it stood when it was closed."""
+        return float(self.noted("close")[-1]["place"][2])
+
+
+@pytest.fixture
+def supervised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Supervised]:
+    monkeypatch.syspath_prepend(str(Path(supervised_bench.__file__).parent))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return lambda **fields: Supervised(tmp_path, **fields)
+
+
+def guarded(rig: Rig, control: OperatorControl | None = None) -> SupervisedGuard:
+    """A guard that has measured its zero, its clearance stated."""
+    assert rig.supervisor is not None
+    guard = SupervisedGuard(rig.supervisor, rig.force, ForceBias(rig.mounting), control or OperatorControl())
+    guard.clearance = Clearance(FREE_M, 15 * MM)
+    guard.tare(rig.force.rate_hz)
+    return guard
+
+
+def wait_for(holds: Callable[[], object], seconds: float = 20.0) -> None:
+    end_s = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < end_s, "what was waited for did not come"
+        time.sleep(0.02)
+
+
+def test_a_plan_is_recorded_under_a_supervisor_frame_for_frame(supervised, tmp_path: Path) -> None:
+    bench = supervised()
+    rig = open_rig(str(bench.path))
+    assert rig.supervisor is not None
+    assert rig.supervisor.pid != os.getpid()
+    try:
+        outcome = record(rig, PLAN, tmp_path / "run")
+    finally:
+        rig.close()
+    assert (outcome.state, outcome.message) == (State.DONE, "all shots are recorded")
+    run = Run.open(tmp_path / "run")
+    assert len(run) == sum(frames for press in PLAN.presses() for _, frames in PLAN.shots(press))
+    deep = run.labels[run.labels["depth_mm"] > 0.9]
+    assert deep["force_N"].to_numpy() == pytest.approx(2.0 * deep["depth_mm"].to_numpy() + 0.1, abs=0.15)
+    assert bench.z_m() <= FREE_M + 1e-5
+
+
+def test_force_and_way_reach_who_subscribed_and_a_force_reached_ends_the_move(supervised) -> None:
+    with opened(supervised()) as rig:
+        guard = guarded(rig)
+        samples: list[int] = []
+        places: list[float] = []
+        guard.samples.subscribe(lambda batch: samples.extend(one.time_ns for one in batch))
+        guard.positions.subscribe(lambda at, time_ns: places.append(at[2]))
+        assert guard.towards((0.0, 0.0, 3 * MM), 2 * MM, ForceReached(2.0))
+        assert guard.position_m()[2] == pytest.approx(1.0 * MM, abs=0.1 * MM)
+        assert samples == sorted(set(samples)), "in order, and none twice"
+        gaps_ms = [(b - a) / 1e6 for a, b in pairwise(samples)]
+        assert max(gaps_ms) < 2.01, "none is missing"
+        assert len(places) > 20
+        guard.lift()
+        assert guard.position_m()[2] == pytest.approx(FREE_M)
+
+
+def test_the_limit_of_force_is_the_supervisors_and_has_its_name_here(supervised) -> None:
+    with opened(supervised()) as rig:
+        guard = guarded(rig)
+        with pytest.raises(Tripped, match=r"6 N are allowed") as tripped:
+            guard.towards((0.0, 0.0, 4 * MM), 2 * MM, step_m=4 * MM)
+        assert tripped.value.reason is Reason.FORCE_LIMIT
+        guard.lift()
+
+
+def test_an_exception_of_who_watches_halts_the_motion(supervised) -> None:
+    with opened(supervised()) as rig:
+        guard = guarded(rig)
+
+        def full(*seen: object) -> None:
+            if guard_z and guard_z[-1] > 0.3 * MM:
+                raise OSError("no space left")
+
+        guard_z: list[float] = []
+        guard.positions.subscribe(lambda at, time_ns: guard_z.append(at[2]))
+        guard.looks.subscribe(full)
+        with pytest.raises(OSError, match="no space"):
+            guard.towards((0.0, 0.0, 3 * MM), 2 * MM, step_m=5 * MM)
+        assert guard.position_m()[2] < 0.6 * MM
+        guard.looks.unsubscribe(full)
+        guard.lift()
+
+
+@pytest.mark.parametrize("command", [OperatorCommand.ABORT, OperatorCommand.ESTOP])
+def test_a_command_acts_in_the_supervisor_while_who_asked_hangs(supervised, command) -> None:
+    bench = supervised()
+    with opened(bench) as rig:
+        control = OperatorControl()
+        guard = guarded(rig, control)
+        asked_ns: list[int] = []
+
+        def hang(*seen: object) -> None:
+            if not asked_ns and guard.position_m()[2] > 0.2 * MM:
+                asked_ns.append(time.monotonic_ns())
+                control.ask(command)
+                time.sleep(0.5)  # the client's one thread that records
+
+        guard.looks.subscribe(hang)
+        with pytest.raises(BaseException, match=command.value):
+            guard.towards((0.0, 0.0, 3 * MM), 2 * MM, step_m=5 * MM)
+        stopped = [one for one in bench.noted("stop") if one["time_ns"] > asked_ns[0]]
+        assert (stopped[0]["time_ns"] - asked_ns[0]) / 1e6 < 300, "before the client awoke"
+
+
+def test_a_client_that_hangs_in_a_motion_is_left_and_the_probe_is_lifted(supervised) -> None:
+    bench = supervised()
+    with opened(bench) as rig:
+        guard = guarded(rig)
+
+        hung: list[int] = []
+
+        def hang(*seen: object) -> None:
+            if not hung:
+                hung.append(1)
+                time.sleep(guard_supervisor.MOVING_S + 1.0)
+
+        guard.looks.subscribe(hang)
+        with pytest.raises(Tripped) as tripped:
+            guard.towards((0.0, 0.0, 3 * MM), 0.5 * MM, step_m=5 * MM)
+        assert tripped.value.reason is Reason.CLIENT_SILENT
+        assert guard.position_m()[2] == pytest.approx(FREE_M)
+
+
+CHILD = """
+import sys, time
+sys.path[:0] = [{repository!r}, {folder!r}]
+from tests.rig.test_supervisor import guarded, MM
+from palpate.rig import open_rig
+rig = open_rig(sys.argv[1])
+guard = guarded(rig)
+guard.towards((0.0, 0.0, 1 * MM), 2 * MM)
+print("in", flush=True)
+{then}
+"""
+MOVES = "guard.towards((0.0, 0.0, 3 * MM), 0.2 * MM, step_m=5 * MM)"
+
+
+@pytest.mark.parametrize("then", ["time.sleep(60)", MOVES], ids=["standing in the skin", "moving into it"])
+def test_a_client_that_is_killed_leaves_no_probe_in_the_skin(supervised, then: str) -> None:
+    bench = supervised()
+    with child(bench, then) as client:
+        time.sleep(0.4)
+        client.kill()
+        wait_for(lambda: bench.noted("close"))
+    assert bench.z_m() == pytest.approx(FREE_M)
+
+
+@pytest.mark.slow
+def test_a_client_that_stops_saying_anything_in_the_skin_is_not_waited_for(supervised, monkeypatch) -> None:
+    bench = supervised()
+    with child(bench, "time.sleep(60)") as client:
+        os.kill(client.pid, signal.SIGSTOP)
+        begun_s = time.monotonic()
+        wait_for(lambda: bench.noted("move")[-1]["place"][2] == FREE_M, guard_supervisor.STANDING_S + 10)
+        assert time.monotonic() - begun_s > guard_supervisor.STANDING_S - 1
+        client.kill()
+        wait_for(lambda: bench.noted("close"))
+
+
+def test_a_supervisor_that_dies_is_told_at_once_and_by_name(supervised) -> None:
+    with opened(supervised()) as rig:
+        guard = guarded(rig)
+        assert rig.supervisor is not None
+        os.kill(rig.supervisor.pid, signal.SIGKILL)
+        begun_s = time.monotonic()
+        with pytest.raises(Tripped) as tripped:
+            guard.towards((0.0, 0.0, 1 * MM), 1 * MM)
+        assert tripped.value.reason is Reason.SUPERVISOR
+        assert time.monotonic() - begun_s < 2.0
+
+
+def test_anybody_of_the_same_user_may_stop_it_past_its_client(supervised) -> None:
+    bench = supervised()
+    with child(bench, MOVES) as client, RpcClient(supervisor_name(str(bench.path))) as anybody:
+        assert anybody.reached(5.0)
+        asked = anybody.ask("estop")
+        assert (asked["stood_ns"] - asked["asked_ns"]) / 1e6 < 200
+        z = float(bench.noted("stop")[-1]["place"][2])
+        client.wait(10)
+        wait_for(lambda: bench.noted("close"))
+    assert z > 1 * MM
+    assert bench.z_m() == pytest.approx(z, abs=1e-6), "an emergency stop moves nothing, also not away"
+
+
+def test_one_rig_has_one_supervisor_and_the_next_waits_until_it_has_let_go(supervised, monkeypatch) -> None:
+    bench = supervised()
+    with opened(bench), pytest.raises(DeviceError, match="another process drives the rig"):
+        open_rig(str(bench.path))
+    open_rig(str(bench.path)).close()
+
+
+def opened(bench: Supervised) -> Any:
+    return closing(open_rig(str(bench.path)))
+
+
+def child(bench: Supervised, then: str) -> Any:
+    """A process that records, killed at the latest when the block ends."""
+
+    @contextmanager
+    def running():
+        repository = Path(__file__).resolve().parents[2]
+        code = CHILD.format(repository=str(repository), folder=str(Path(__file__).parent), then=then)
+        with subprocess.Popen(
+            [sys.executable, "-c", code, str(bench.path)], stdout=subprocess.PIPE, text=True
+        ) as one:
+            assert one.stdout is not None
+            try:
+                assert one.stdout.readline() == "in\n"
+                yield one
+            finally:
+                one.kill()
+
+    return running()
+
+
+def test_the_studios_process_records_stops_and_goes_on_through_the_supervisor(
+    supervised, tmp_path: Path
+) -> None:
+    bench = supervised()
+    service = RigService(open_served_rig(str(bench.path)), tmp_path / "runs")
+    try:
+        service.plan(PLAN.model_dump(mode="json"))
+        service.start("one")
+        wait_for(lambda: service.status()["position_mm"] and service.status()["position_mm"][2] > 0.2)
+        stood = service.estop()
+        assert (stood["stood_ns"] - stood["asked_ns"]) / 1e6 < 200
+        wait_for(lambda: not service.recording)
+        z = float(bench.noted("stop")[-1]["place"][2])
+        assert z > FREE_M, "an emergency stop does not lift"
+        assert service.status()["state"] == "estopped"
+        service.release()
+        service.start("one")
+        wait_for(lambda: not service.recording, 60)
+        assert (service.status()["state"], service.status()["shots"]) == ("done", service.status()["planned"])
+        assert service.status()["force_n"] is not None
+    finally:
+        service.close()
+    assert bench.z_m() <= FREE_M + 1e-5
+
+
+def test_ctrl_c_in_the_terminal_lifts_and_the_same_command_goes_on(supervised, tmp_path: Path) -> None:
+    bench, plan, out = supervised(), tmp_path / "plan.toml", tmp_path / "run"
+    plan.write_text(dump_plan(PLAN))
+    words = [sys.executable, "-m", "palpate.cli", "record", "--rig", str(bench.path)]
+    words += ["--plan", str(plan), "--out", str(out), "--json", "--quiet"]
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    run = {"env": {**os.environ, "PYTHONPATH": path}, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen(words, **run) as first:
+        wait_for(lambda: any(one["place"][2] > 0.4 * MM for one in bench.noted("move")))
+        first.send_signal(signal.SIGINT)
+        said, _ = first.communicate(timeout=60)
+    assert (first.returncode, json.loads(said)["state"]) == (1, "aborted")
+    assert bench.z_m() <= FREE_M + 1e-5
+    second = subprocess.run(words, **run, timeout=120)
+    assert (second.returncode, json.loads(second.stdout)["state"]) == (0, "done")
