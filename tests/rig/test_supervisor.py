@@ -298,9 +298,7 @@ def child(bench: Supervised, then: str) -> Any:
     return running()
 
 
-def test_the_studios_process_records_stops_and_goes_on_through_the_supervisor(
-    supervised, tmp_path: Path
-) -> None:
+def test_the_studios_process_records_through_the_supervisor_and_stops_it(supervised, tmp_path: Path) -> None:
     bench = supervised()
     service = RigService(open_served_rig(str(bench.path)), tmp_path / "runs")
     try:
@@ -312,7 +310,7 @@ def test_the_studios_process_records_stops_and_goes_on_through_the_supervisor(
         wait_for(lambda: not service.recording)
         z = float(bench.noted("stop")[-1]["place"][2])
         assert z > FREE_M, "an emergency stop does not lift"
-        assert service.status()["state"] == "estopped"
+        assert service.status()["state"] == "e-stopped"
         service.release()
         service.start("one")
         wait_for(lambda: not service.recording, 60)
@@ -325,7 +323,11 @@ def test_the_studios_process_records_stops_and_goes_on_through_the_supervisor(
 
 def test_ctrl_c_in_the_terminal_lifts_and_the_same_command_goes_on(supervised, tmp_path: Path) -> None:
     bench, plan, out = supervised(), tmp_path / "plan.toml", tmp_path / "run"
-    plan.write_text(dump_plan(PLAN))
+    plan.write_text(
+        'kind = "stepped"\ntaps = 0\nname = "small"\ndepth_mm = 1.0\nstep_mm = 0.5\nframes = 2\n'
+        "reference_frames = 1\nclearance_mm = 1.5\nseek_mm = 1.0\ntravel_mm_s = 15.0\npress_mm_s = 1.0\n"
+        'seek_mm_s = 1.0\ncycles = 1\n[places]\nkind = "listed"\nat_mm = [[0.0, 0.0], [1.0, 0.0]]\n'
+    )
     words = [sys.executable, "-m", "palpate.cli", "record", "--rig", str(bench.path)]
     words += ["--plan", str(plan), "--out", str(out), "--json", "--quiet"]
     path = os.pathsep.join([str(Path(__file__).parent), *sys.path])

@@ -91,8 +91,8 @@ def jog(
 def stop(rig: RigName, json_: Json = False) -> None:
     """Stop the stage at once.
 
-    Through the process that holds the rig, where one does, as the page's emergency stop; else on the stage's
-    own port. Where `palpate record` has that port, press Ctrl-C there. It is no substitute for a switch.
+    Through the process that holds the rig, where one does, as the page's emergency stop; through the
+    supervisor of a recording; else on the stage's own port. It is no substitute for a switch.
 
     Example: palpate rig stop bench.toml
     """

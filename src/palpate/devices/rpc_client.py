@@ -37,12 +37,13 @@ class RpcClient(Closing):
         folder: of the address file where it is not the user's own.
 
     Attributes:
+        name: of the process.
         status: the newest that it told; None while it cannot be reached.
         picture: the newest frame as ``(number, JPEG bytes, (width, height))``.
     """
 
     def __init__(self, name: str, folder: Path | None = None) -> None:
-        self._name = name
+        self.name = name
         self._folder = folder
         self.status: dict[str, Any] | None = None
         self.picture: tuple[int, bytes, tuple[int, int]] | None = None
@@ -116,7 +117,7 @@ class RpcClient(Closing):
         finally:
             self._waiting.pop(number, None)
         if reply is None:
-            raise DeviceError(f"the process of the rig {self._name} did not answer to {do!r}")
+            raise DeviceError(f"the process of the rig {self.name} did not answer to {do!r}")
         if not reply["ok"]:
             raise _error(str(reply["kind"]), str(reply["error"]))
         self._after = max(self._after, int(reply["serial"]))
@@ -126,15 +127,15 @@ class RpcClient(Closing):
         line = encode_message(message)
         with self._sending:
             if self._socket is None:
-                raise DeviceError(f"the process of the rig {self._name} cannot be reached; is it running?")
+                raise DeviceError(f"the process of the rig {self.name} cannot be reached; is it running?")
             try:
                 self._socket.sendall(line)
             except OSError as e:
-                raise DeviceError(f"the process of the rig {self._name} is gone: {e}") from e
+                raise DeviceError(f"the process of the rig {self.name} is gone: {e}") from e
 
     def _run(self) -> None:
         while not self._closing.is_set():
-            address = find(self._name, self._folder)
+            address = find(self.name, self._folder)
             if address is not None:
                 with contextlib.suppress(OSError, PalpateError):
                     self._stay(address)

@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -154,9 +155,8 @@ class GuardSupervisor:
     def _answer_asides(self) -> None:
         """What the client asks while it deals with a look is answered at the next one, in between."""
         while not self._orders.empty():
-            order = self._orders.get()
-            if order:
-                self._answer(order, lambda order=order: self._asides[str(order.get("do"))](order))
+            if order := self._orders.get():
+                self._answer(order, partial(self._asides[str(order.get("do"))], order))
 
     def _perform(self, order: Mapping[str, Any]) -> None:
         do = self._does.get(str(order.get("do")))

@@ -84,8 +84,8 @@ class SupervisorLink(Closing):
         except subprocess.TimeoutExpired:
             process.terminate()
             raise DeviceError(
-                f"the supervisor's process has not let go of the devices in {END_S:g} s; look at the rig, and "
-                "use its switch"
+                f"the supervisor's process has not let go of the devices in {END_S:g} s; look at the rig, "
+                "and use its switch"
             ) from None
         self._reader.join(END_S)  # its pipe has ended with the process
         process.stdout.close()

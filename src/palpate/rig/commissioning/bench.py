@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from palpate.core import (
     NS_PER_S,
@@ -23,11 +23,15 @@ from palpate.core import (
 from palpate.devices import Limits, Mounting
 from palpate.devices.check.interface_check import Role
 from palpate.devices.rpc import find
+from palpate.devices.rpc_client import RpcClient
 from palpate.rig.rig_file import GrblPart, MarlinPart, RigFile, is_virtual, open_part, open_rig, read_rig
 from palpate.rig.service import RigClient, rig_name
+from palpate.rig.supervisor_process import supervisor_name
 
 WATCH_S = 1.0  # for a camera's rate
 REACH_S = 3.0  # for a process that holds the rig
+
+Client = TypeVar("Client", bound=RpcClient)
 
 
 @dataclass
@@ -133,11 +137,12 @@ def _open(file: RigFile, role: Role, clock: Clock, *, place: bool) -> Any:
 
 def rig_process(rig: str) -> RigClient | None:
     """A client of the process that holds a rig; None where none does. The caller closes it."""
-    name = rig_name(rig)
-    if find(name) is None:
-        return None
-    client = RigClient(name)
-    if client.reached(REACH_S):
+    return _reached(RigClient(rig_name(rig)))
+
+
+def _reached(client: Client) -> Client | None:
+    """The client, where its process answers; else None, and it is closed."""
+    if find(client.name) is not None and client.reached(REACH_S):
         return client
     client.close()
     return None
@@ -160,14 +165,16 @@ def stop_rig(rig: str) -> str:
             f"emergency stop by the process that holds the rig: the stage stood after {took_ms:.1f} ms; it "
             "stays held until it is released there"
         )
+    if (supervisor := _reached(RpcClient(supervisor_name(rig_name(rig))))) is not None:
+        with supervisor:
+            answer = supervisor.ask("estop")
+        took_ms = (answer["stood_ns"] - answer["asked_ns"]) / 1e6
+        return f"emergency stop by the recording's supervisor: the stage stood after {took_ms:.1f} ms"
     with open_bench(rig, ("stage",), place=False) as bench:
         try:
             stage = bench.need_stage()
         except DeviceError as e:
-            raise DeviceError(
-                f"{e}. Nothing was stopped: where `palpate record` has the stage, press Ctrl-C twice there; "
-                "else use the switch"
-            ) from e
+            raise DeviceError(f"{e}. Nothing was stopped: use the rig's switch") from e
         stage.stop()
     return "the stage was stopped on its port; it stands"
 
