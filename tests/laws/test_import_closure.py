@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-MAX_MODULES = 110
+MAX_MODULES = 130
 PLAN = """
 name = "one place"
 kind = "stepped"

@@ -54,7 +54,7 @@ def jog(
     stop_n: Annotated[float, Option(help="Change of force that stops it [N].")] = 1.0,
     json_: Json = False,
 ) -> None:
-    """Move one axis by some millimetres, under guard of the force sensor.
+    """Move one axis by some millimetres, guarded by force.
 
     Any change of force from what it is at the start stops it. Without a force sensor in the file, the
     greatest speed is 2 mm/s, and nothing stops it but its limits.
@@ -156,7 +156,9 @@ def setup(
     yes: Annotated[bool, Option("--yes", help="Take what is proposed wherever something is.")] = False,
     json_: Json = False,
 ) -> None:
-    """Write a rig's file by asking, trying each device, a gentle touch and a known weight.
+    """Write a rig's file by asking, and by trying each device.
+
+    A gentle touch and a known weight try the force sensor.
 
     Nothing moves before you say that it may. It ends in the check of `palpate rig check`, and says what it
     could not check. Ends with status 1 where the check found something wrong; the file stays.

@@ -289,7 +289,7 @@ class PlainForceSource:
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second, of a sensor that states them [Hz]; `AttributeError` of one that does not."""
+        """Samples a second, of a sensor that states them [Hz]."""
         inner: Any = self._inner
         return float(inner.rate_hz)
 

@@ -20,8 +20,8 @@ from palpate.core.plugins import ERROR, plugin_calls
 from palpate.devices import Mounting
 from palpate.devices.rpc import Address, hold, publish
 from palpate.devices.rpc_server import RpcServer
-from palpate.devices.supervisor import GuardSupervisor
 from palpate.devices.supervisor.guard_messages import PipeWriter, error_fields, read_messages
+from palpate.devices.supervisor.guard_supervisor import GuardSupervisor
 from palpate.rig.rig_file.opened_rig import RigFile, open_guarded
 
 SWITCH_S = 0.001  # between threads, so that a stop does not wait for what others compute
