@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.core import DeviceError, Frame, Position, Travel, Wrench
+from palpate.core import Frame, Position, Travel, Wrench
 
 NS = 1_000_000_000
 RATE_HZ = 500.0
@@ -48,16 +48,21 @@ class BenchStage:
 
     travel = Travel((-10e-3,) * 3, (10e-3,) * 3, 20e-3, 0.5, 0.005)
 
-    def __init__(self, log: str, dies_after: int = 0) -> None:
-        self._log, self._moves, self._dies_after = Path(log), 0, dies_after
+    def __init__(self, log: str, opens_s: float = 0.0) -> None:
+        self._log = Path(log)
+        end_s = time.monotonic() + opens_s
+        try:
+            while time.monotonic() < end_s:
+                self._note("opens", WORLD.place(time.monotonic_ns()))
+                time.sleep(0.02)
+        except BaseException:
+            self._note("abandoned", WORLD.place(time.monotonic_ns()))
+            raise
 
     def position_m(self) -> Position:
         return WORLD.place(time.monotonic_ns())
 
     def move_to(self, position_m: Position, speed_m_s: float) -> None:
-        self._moves += 1
-        if self._dies_after and self._moves > self._dies_after:
-            raise DeviceError("the stage is gone")
         now = time.monotonic_ns()
         WORLD.pieces.append((now, WORLD.place(now), position_m, speed_m_s))
         self._note("move", position_m)

@@ -31,6 +31,7 @@ from palpate.rig.service.served_rig import open_served_rig
 from palpate.rig.supervisor_process import supervisor_name
 
 MM = 1e-3
+REPOSITORY = Path(__file__).resolve().parents[2]
 FREE_M = -1.5e-3  # the clearance
 RIG = """
 name = "supervised"
@@ -230,6 +231,14 @@ def test_a_client_that_is_killed_leaves_no_probe_in_the_skin(supervised, then: s
     assert bench.z_m() == pytest.approx(FREE_M)
 
 
+def test_a_client_that_is_killed_while_a_stage_homes_ends_that_as_well(supervised) -> None:
+    bench = supervised(stage="opens_s = 60.0")
+    with subprocess.Popen([sys.executable, "-c", code_of(""), str(bench.path)], cwd=REPOSITORY) as client:
+        wait_for(lambda: bench.noted("opens"))
+        client.kill()
+        wait_for(lambda: bench.noted("abandoned"))
+
+
 @pytest.mark.slow
 def test_a_client_that_stops_saying_anything_in_the_skin_is_not_waited_for(supervised, monkeypatch) -> None:
     bench = supervised()
@@ -274,6 +283,10 @@ def test_one_rig_has_one_supervisor_and_the_next_waits_until_it_has_let_go(super
     open_rig(str(bench.path)).close()
 
 
+def code_of(then: str) -> str:
+    return CHILD.format(repository=str(REPOSITORY), folder=str(Path(__file__).parent), then=then)
+
+
 def opened(bench: Supervised) -> Any:
     return closing(open_rig(str(bench.path)))
 
@@ -283,8 +296,7 @@ def child(bench: Supervised, then: str) -> Any:
 
     @contextmanager
     def running():
-        repository = Path(__file__).resolve().parents[2]
-        code = CHILD.format(repository=str(repository), folder=str(Path(__file__).parent), then=then)
+        code = code_of(then)
         with subprocess.Popen(
             [sys.executable, "-c", code, str(bench.path)], stdout=subprocess.PIPE, text=True
         ) as one:

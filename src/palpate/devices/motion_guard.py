@@ -130,6 +130,7 @@ class MotionGuard:
         self.looks: Subscribers[[]] = Subscribers()
         self._recent: deque[tuple[int, float]] = deque()
         self._phase = Phase.STAND
+        self._age_s = 0.0  # of the sample that `fresh` handed out last
 
     @property
     def force_n(self) -> Force:
@@ -138,7 +139,7 @@ class MotionGuard:
         Raises:
             Tripped: it is old or faulty.
         """
-        return self._bias.force(self.newest())
+        return self._bias.force(self.fresh())
 
     def skin_n(self, sample: Wrench) -> Force:
         """Force of a sample, in the skin's axes, without the bias [N]."""
@@ -234,12 +235,12 @@ class MotionGuard:
         self._phase = Phase.DOWN if target[2] > start[2] + LEVEL_M else Phase.ASIDE
         pieces = max(1, math.ceil(math.dist(start, target) / (step_m or self._limits.step_m) - 1e-9))
         for i in range(1, pieces + 1):
-            if until(self.force_n):
+            if until(self._bias.force(self._moved_on())):
                 return True
             x, y, z = (start[k] + (target[k] - start[k]) * i / pieces for k in range(3))
             if self._run((x, y, z), speed_m_s, until, self._within, AT_ONCE):
                 return True
-        return until(self.force_n)
+        return until(self._bias.force(self._moved_on()))
 
     def away(self, target: Position, speed_m_s: float) -> None:
         """Move away from the skin, or beside it, in one go; allowed under a force above the limit.
@@ -350,7 +351,7 @@ class MotionGuard:
             if any(until(self._bias.force(one)) for one in self._look(check, asks)):
                 return True
             if check == self._within:
-                self.newest()
+                self._moved_on()
             elif self._phase is Phase.UP:
                 self._check_gap()
             now_ns, at = self._clock.now_ns(), self._stage.position_m()
@@ -402,28 +403,33 @@ class MotionGuard:
             if not self._disbelieved and age_s > self.monitor.oldest_s:
                 raise self._named(self.monitor.gap(age_s))
 
-    def newest(self) -> Wrench:
+    def fresh(self) -> Wrench:
         """The newest sample.
 
         Raises:
-            Tripped: it is old or faulty.
+            Tripped: it is older than the limits allow, or faulty.
         """
         asked_ns = self._clock.now_ns()  # before the call: a busy computer makes no sample old
         try:
             newest = self._sensor.latest()
         except DeviceError as e:
             raise Tripped(Reason.FORCE_SENSOR, f"the force sensor failed: {e}") from e
-        age_s = (asked_ns - newest.time_ns) / NS_PER_S
-        if age_s > self.monitor.oldest_s and age_s <= self._limits.age_s:
-            raise self._named(self.monitor.gap(age_s))
-        if age_s > self._limits.age_s:
+        self._age_s = (asked_ns - newest.time_ns) / NS_PER_S
+        if self._age_s > self._limits.age_s:
             raise Tripped(
                 Reason.FORCE_STALE,
-                f"the newest force is {age_s * 1e3:.0f} ms old; nothing moves on more than "
+                f"the newest force is {self._age_s * 1e3:.0f} ms old; nothing moves on more than "
                 f"{self._limits.age_s * 1e3:g} ms",
             )
         if newest.fault:
             raise Tripped(Reason.FORCE_FAULT, f"the force sensor says: {newest.fault}")
+        return newest
+
+    def _moved_on(self) -> Wrench:
+        """The newest sample, on which a motion goes on; one that is older than it should be is doubted."""
+        newest = self.fresh()
+        if self._age_s > self.monitor.oldest_s:
+            raise self._named(self.monitor.gap(self._age_s))
         return newest
 
     def _within(self, sample: Wrench) -> None:

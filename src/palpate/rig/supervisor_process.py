@@ -11,8 +11,11 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from _thread import interrupt_main
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from itertools import chain
+from types import FrameType
 from typing import Any, BinaryIO
 
 from palpate.core import DeviceError, ForceSensor, MonotonicClock, ProtocolError, Stage
@@ -43,6 +46,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the client has it too, and says what is wished
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _give_up)
     writer = PipeWriter(to)
     try:
         with ExitStack() as opened:
@@ -62,6 +66,7 @@ def _serve(writer: PipeWriter, opened: ExitStack) -> None:
         raise ProtocolError("nobody said which rig to open")
     file = RigFile.model_validate(first["rig"])
     name = supervisor_name(str(first["name"]))
+    reader = _Reader(messages)
     opened.enter_context(_held(name))
     clock = MonotonicClock()
     with plugin_calls(f"a device did not open ({ERROR})", Exception):
@@ -74,12 +79,34 @@ def _serve(writer: PipeWriter, opened: ExitStack) -> None:
     opened.callback(server.close)
     path = publish(Address(name, server.port, server.token, os.getpid()))
     opened.callback(path.unlink, missing_ok=True)
-    writer.send({"opened": True, "ok": True, "result": _facts(stage, force)})
     signal.signal(signal.SIGTERM, lambda *_: supervisor.leave())
-    threading.Thread(
-        target=supervisor.read, args=(messages,), name="palpate-supervisor-orders", daemon=True
-    ).start()
+    reader.pass_on_to(supervisor)
+    writer.send({"opened": True, "ok": True, "result": _facts(stage, force)})
     supervisor.serve()
+
+
+def _give_up(number: int, frame: FrameType | None) -> None:
+    raise ProtocolError("whoever records has gone before the devices were open")
+
+
+class _Reader:
+    """Reads from the start on: a client that goes while devices are opened, or homed, is not waited for."""
+
+    def __init__(self, messages: Iterator[Mapping[str, Any]]) -> None:
+        self._messages = messages
+        self._to: GuardSupervisor | None = None
+        threading.Thread(target=self._read, name="palpate-orders", daemon=True).start()
+
+    def pass_on_to(self, supervisor: GuardSupervisor) -> None:
+        """From now on there is somebody to take orders."""
+        self._to = supervisor
+
+    def _read(self) -> None:
+        first = next(self._messages, None)  # it orders nothing before it is told that all is open
+        if self._to is not None:
+            self._to.read(chain([first] if first else [], self._messages))
+        else:
+            interrupt_main(signal.SIGTERM)
 
 
 def _held(name: str) -> BinaryIO:

@@ -253,7 +253,7 @@ class GuardSupervisor:
         return self._stage.position_m() if self._guard is None else self._guard.position_m()
 
     def _newest(self, order: Mapping[str, Any]) -> Row:
-        return sample_row(self._guard.newest() if self._guard and order["judged"] else self._force.latest())
+        return sample_row(self._guard.fresh() if self._guard and order["judged"] else self._force.latest())
 
     def _drain(self, order: Mapping[str, Any]) -> list[Row]:
         return [sample_row(one) for one in self._force.drain()]

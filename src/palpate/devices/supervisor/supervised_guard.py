@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from palpate.core import ForceSensor, Position, Wrench
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.motion_guard import Clearance, ForceReached, Subscribers
+from palpate.devices.motion_limits import Reason, Tripped
 from palpate.devices.operator_control import AT_ONCE, OperatorCommand, OperatorControl
 from palpate.devices.supervisor.guard_messages import sample_of, three
-from palpate.devices.supervisor.supervisor_link import ANSWER_S, Message, SupervisorLink, result_of
+from palpate.devices.supervisor.supervisor_link import (
+    ANSWER_S,
+    Message,
+    SupervisorGoneError,
+    SupervisorLink,
+    result_of,
+)
 
 
 class SupervisedGuard:
@@ -37,7 +45,7 @@ class SupervisedGuard:
         self.samples: Subscribers[[Sequence[Wrench]]] = Subscribers()
         self.positions: Subscribers[[Position, int]] = Subscribers()
         self.looks: Subscribers[[]] = Subscribers()
-        link.ask("begin")
+        self._ask("begin")
         link.force.guarded = True
         control.listen(lambda command: link.tell("command", command=command))
 
@@ -49,7 +57,7 @@ class SupervisedGuard:
     @clearance.setter
     def clearance(self, clearance: Clearance) -> None:
         self._clearance = clearance
-        self._link.ask("clearance", z_m=clearance.z_m, speed_m_s=clearance.speed_m_s)
+        self._ask("clearance", z_m=clearance.z_m, speed_m_s=clearance.speed_m_s)
 
     @property
     def force_n(self) -> Force:
@@ -58,7 +66,8 @@ class SupervisedGuard:
         Raises:
             Tripped: it is old or faulty.
         """
-        return self._bias.force(self._sensor.latest())
+        with _as_tripped():
+            return self._bias.force(self._sensor.latest())
 
     def skin_n(self, sample: Wrench) -> Force:
         """Force of a sample, in the skin's axes, without the bias [N]."""
@@ -66,7 +75,7 @@ class SupervisedGuard:
 
     def position_m(self) -> Position:
         """Position of the stage [m]."""
-        return three(self._link.ask("position"))
+        return three(self._ask("position"))
 
     def tare(self, stated_hz: float) -> list[Wrench]:
         """Take the sensor's zero and learn its noise, standing in the air; the samples from which it was."""
@@ -115,7 +124,7 @@ class SupervisedGuard:
 
     def halt(self) -> None:
         """Bring the stage to a stand."""
-        self._link.ask("stop")
+        self._ask("stop")
 
     def close(self) -> None:
         """The run is over: from now on the sensor is asked, and commands are nobody's."""
@@ -124,12 +133,18 @@ class SupervisedGuard:
         if not self._link.gone:
             self._link.ask("end")
 
+    def _ask(self, do: str, **fields: Any) -> Any:
+        with _as_tripped():
+            return self._link.ask(do, **fields)
+
     def _order(self, do: str, lasts_s: float = 0.0, **fields: Any) -> Any:
         """Order something, publish what is told on the way, and return what comes of it."""
-        number, failed = self._link.order(do, **fields), None
-        while (event := self._link.next_event(ANSWER_S + lasts_s)).get("id") != number:
-            if "look" in event:
-                failed = self._publish(event, failed)
+        failed: BaseException | None = None
+        with _as_tripped():
+            number = self._link.order(do, **fields)
+            while (event := self._link.next_event(ANSWER_S + lasts_s)).get("id") != number:
+                if "look" in event:
+                    failed = self._publish(event, failed)
         try:
             self._pass_on(event)
         except BaseException as e:
@@ -162,3 +177,12 @@ class SupervisedGuard:
         finally:
             for *at, time_ns in message["positions"]:
                 self.positions.publish(three(at), int(time_ns))
+
+
+@contextmanager
+def _as_tripped() -> Iterator[None]:
+    """Raise a supervisor that is gone as what ends a motion, by its name."""
+    try:
+        yield
+    except SupervisorGoneError as e:
+        raise Tripped(Reason.SUPERVISOR, str(e)) from e

@@ -13,7 +13,6 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from palpate.core import Closing, DeviceError, PalpateError, Position, Travel, Wrench
-from palpate.devices.motion_limits import Reason, Tripped
 from palpate.devices.rpc import encode_message
 from palpate.devices.supervisor.guard_messages import (
     error_of,
@@ -28,6 +27,10 @@ END_S = 60.0  # in which the process has lifted the probe and let go of the devi
 OPEN_S = 900.0  # in which it has opened them: homing may take minutes
 
 Message = Mapping[str, Any]
+
+
+class SupervisorGoneError(DeviceError):
+    """The supervisor is gone, or silent."""
 
 
 class SupervisorLink(Closing):
@@ -113,7 +116,7 @@ class SupervisorLink(Closing):
         """The next that it tells: a look, or the reply to an order.
 
         Raises:
-            Tripped: it is gone, or silent.
+            SupervisorGoneError: it is gone, or silent.
         """
         try:
             event = self._events.get(timeout=timeout_s)
@@ -128,7 +131,7 @@ class SupervisorLink(Closing):
         """Order something, from any thread, and wait for what comes of it.
 
         Raises:
-            Tripped: the supervisor is gone, or does not answer.
+            SupervisorGoneError: the supervisor is gone, or does not answer.
             PalpateError: as the supervisor raised it.
         """
         number, answer = next(self._numbers), SimpleQueue[Message | None]()
@@ -175,20 +178,18 @@ def result_of(message: Message | None) -> Any:
     return message["result"]
 
 
-def gone() -> Tripped:
+def gone() -> SupervisorGoneError:
     """What is raised where the supervisor has died."""
-    return Tripped(
-        Reason.SUPERVISOR,
+    return SupervisorGoneError(
         "the process that guards the motion is gone; a move that it had sent ends by itself. Look at the "
-        "rig: the probe may stand in the skin",
+        "rig: the probe may stand in the skin"
     )
 
 
-def silent() -> Tripped:
+def silent() -> SupervisorGoneError:
     """What is raised where the supervisor does not answer."""
-    return Tripped(
-        Reason.SUPERVISOR,
-        f"the process that guards the motion has not answered for {ANSWER_S:g} s; use the rig's switch",
+    return SupervisorGoneError(
+        f"the process that guards the motion has not answered for {ANSWER_S:g} s; use the rig's switch"
     )
 
 
