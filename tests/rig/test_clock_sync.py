@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import threading
+import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.rig.rigs import CLOCK_NS, plan, rig
+from tests.rig.rigs import CLOCK_NS, keys, plan, rig, wanted
 
+from palpate.core import DeviceError, RangeError
 from palpate.core.clock import ManualClock
 from palpate.core.frame import Frame
 from palpate.devices import OperatorCommand, OperatorControl, Reason
 from palpate.recordings import Run, offset_between
-from palpate.rig import Outcome, State, Status, record
-from palpate.rig.clock_sync import CLOCKS, MAX_S, most_telling
-from palpate.rig.plans import Listed, Ramp
+from palpate.rig import Outcome, State, Status, clock_sync, record
+from palpate.rig.clock_sync import CLOCKS, MAX_S, awaited, most_telling
+from palpate.rig.plans import Listed, Ramp, StepHold
 from palpate.rig.run_progress import fields_of
 from palpate.rig.virtual import Fault, Variation
 from palpate.rig.virtual.virtual_camera import TRANSPORT_S
@@ -154,3 +158,150 @@ def test_what_varies_most_tells_more_than_any_one_pixel() -> None:
     frames = lamp[:, None] * (100 + true[:, None] * weights) + 4 * rng.standard_normal((60, 500))
     found = most_telling(list(frames.astype(np.uint8)))
     assert abs(np.corrcoef(found, true)[0, 1]) > 0.999
+
+
+class SlowAnalysis:
+    """An analysis that computes for 20 s, and then does what it should; `given_up` lets it end before."""
+
+    TAKES_S = 20.0
+
+    def __init__(self) -> None:
+        self.begun, self.given_up = threading.Event(), threading.Event()
+
+    def __call__(self, images: list[np.ndarray]) -> np.ndarray:
+        self.begun.set()
+        end_s = time.monotonic() + self.TAKES_S
+        while time.monotonic() < end_s and not self.given_up.is_set():
+            np.linalg.eigh(np.eye(60) + sum(range(1000)))  # half in numpy, half in Python
+        return most_telling(images)
+
+
+@pytest.fixture
+def slow(monkeypatch: pytest.MonkeyPatch) -> Iterator[SlowAnalysis]:
+    analysis = SlowAnalysis()
+    monkeypatch.setattr(clock_sync, "most_telling", analysis)
+    yield analysis
+    analysis.given_up.set()
+
+
+ANSWERED_S = 0.2
+
+
+@pytest.mark.parametrize(
+    ("command", "state"),
+    [
+        (OperatorCommand.STOP, State.STOPPED),
+        (OperatorCommand.ABORT, State.ABORTED),
+        (OperatorCommand.ESTOP, State.ESTOPPED),
+    ],
+)
+def test_a_stop_is_answered_while_the_taps_are_analysed_and_the_runs_frames_stay_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: OperatorCommand, state: State
+) -> None:
+    small, out, first = plan(taps=2, depth_mm=2.8, **SMALL), tmp_path / "run", OperatorControl()
+
+    def early(status: Status) -> None:
+        if status.shots >= 1:
+            first.ask(OperatorCommand.ABORT)
+
+    assert 0 < record(rig(), small, out, control=first, watch=early).shots < 8
+    before = keys(Run.open(out))
+    took_s: list[float] = []
+    while len(took_s) < 3 and not (took_s and min(took_s) < ANSWERED_S):  # the machine may have other work
+        slow = SlowAnalysis()
+        with monkeypatch.context() as patched:
+            patched.setattr(clock_sync, "most_telling", slow)
+            took_s.append(_stopped_s(out, small, slow, command, state, CLOCK_NS * (2 + len(took_s))))
+    assert min(took_s) < ANSWERED_S, took_s
+    assert keys(Run.open(out)) == before
+    assert record(rig(clock=ManualClock(9 * CLOCK_NS)), small, out).state is State.DONE
+    after = keys(Run.open(out))
+    assert set(after) == wanted(small)
+    assert len(after) == len(set(after))
+
+
+def _stopped_s(
+    out: Path, small: StepHold, slow: SlowAnalysis, command: OperatorCommand, state: State, now_ns: int
+) -> float:
+    """From the command, given while the analysis runs, until the recording tells that it has ended."""
+    control, asked_s, told_s = OperatorControl(), [0.0], [0.0]
+
+    def ask() -> None:
+        assert slow.begun.wait(60)
+        time.sleep(0.1)
+        asked_s[0] = time.monotonic()
+        control.ask(command)
+
+    def told(status: Status) -> None:
+        if status.state is state:
+            told_s[0] = time.monotonic()
+
+    operator = threading.Thread(target=ask)
+    operator.start()
+    outcome = record(rig(clock=ManualClock(now_ns)), small, out, control=control, watch=told)
+    operator.join()
+    slow.given_up.set()
+    assert outcome.state is state
+    assert outcome.clocks is None
+    assert told_s[0] > asked_s[0] > 0
+    return told_s[0] - asked_s[0]
+
+
+def test_the_status_is_told_on_while_the_taps_are_analysed(tmp_path: Path, slow: SlowAnalysis) -> None:
+    told: list[Status] = []
+
+    def watch(status: Status) -> None:
+        if slow.begun.is_set() and not slow.given_up.is_set():
+            told.append(status)
+            if len(told) >= 5:
+                slow.given_up.set()
+
+    begun_s = time.monotonic()
+    assert record(rig(), plan(taps=2, **SMALL), tmp_path / "run", watch=watch).state is State.DONE
+    assert time.monotonic() - begun_s < SlowAnalysis.TAKES_S, "the fifth status came while it ran"
+    assert all(status.force_n is not None and status.position_mm is not None for status in told)
+
+
+def test_a_force_that_fails_while_the_taps_are_analysed_ends_the_recording_with_its_name(
+    tmp_path: Path, slow: SlowAnalysis
+) -> None:
+    broken = rig()
+    drain = broken.force.drain
+
+    class Broken:
+        def __getattr__(self, name: str) -> object:
+            return getattr(broken.force, name)
+
+        def drain(self) -> list[object]:
+            if slow.begun.is_set():
+                raise DeviceError("its cable is out")
+            return list(drain())
+
+    outcome = record(replace(broken, force=Broken()), plan(taps=2, **SMALL), tmp_path / "run")  # type: ignore[arg-type]
+    assert (outcome.state, outcome.reason) == (State.FAILED, Reason.FORCE_SENSOR)
+    assert "its cable is out" in outcome.message
+
+
+def test_an_analysis_that_takes_too_long_is_given_up_and_named(
+    tmp_path: Path, slow: SlowAnalysis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clock_sync, "MAX_ANALYSIS_S", 0.3)
+    outcome = record(rig(), plan(taps=2, **SMALL), tmp_path / "run")
+    assert (outcome.state, outcome.reason, outcome.shots) == (State.FAILED, Reason.CLOCKS, 0)
+    assert "took more than 0.3 s" in outcome.message
+
+
+def test_what_is_awaited_is_the_result_or_the_error_of_the_work() -> None:
+    looks: list[int] = []
+
+    def work() -> int:
+        time.sleep(0.1)
+        return 7
+
+    def fails() -> int:
+        raise RangeError("no tap stands out")
+
+    assert awaited(work, lambda: looks.append(1), 60.0) == 7
+    assert looks
+    with pytest.raises(RangeError, match="no tap"):
+        awaited(fails, lambda: None, 60.0)

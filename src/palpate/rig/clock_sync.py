@@ -3,19 +3,27 @@
 Pairing a frame with the force of its instant needs both clocks. A camera stamps a frame when it arrives and a
 force sensor its samples likewise, each late by its own way; a few short presses, seen by both, say by how
 much. It is done anew whenever a recording goes on, since a device that was opened again may run otherwise.
+
+The analysis of the taps runs in a thread of its own. Who waits for it goes on to look at force, camera and
+operator, so that a stop never waits for a computation.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, wait
 from dataclasses import asdict
 from itertools import islice
+from typing import TypeVar
 
 import numpy as np
 
-from palpate.core import NS_PER_S, Float, Frame, InputError, RangeError, UInt8, Wrench, ndarray
-from palpate.devices import ForceBias, ForceReached, Guard, Reason, Tripped
+from palpate.core import NS_PER_S, Float, Frame, InputError, Int, RangeError, UInt8, Wrench, ndarray
+from palpate.devices import ForceBias, ForceReached, Guard, OperatorCommand, Reason, Tripped
+from palpate.devices.operator_control import AT_ONCE
 from palpate.recordings import Offset, offset_between
 from palpate.rig.acquisition import STARVED_S, check_size, drained
 from palpate.rig.plans.recording_plan import RecordingPlan
@@ -28,9 +36,15 @@ RESTS_S = (0.25, 0.4, 0.3, 0.55)  # between taps, in turn: uneven, so that no ta
 MAX_S = 0.4  # of the offset looked for, to either side
 MAX_DEEP_MM = 1.0  # below the lowest place where contact may be found
 MAX_PIXELS = 30_000  # of a frame that are compared, evenly over it: more changes nothing, and takes memory
+MAX_ANALYSIS_S = 120.0  # of real time; it takes a second, and on a machine that is busy a hundred
+LOOK_S = 0.02  # between two looks while it is waited for
+ENDS = (*AT_ONCE, OperatorCommand.STOP)
+"""What ends the wait for the analysis: no press is under way, after which a stop could wait to come."""
 
 Pixels = UInt8[ndarray, " _"]
 Signal = Float[ndarray, " _"]
+Times = Int[ndarray, " _"]
+Answer = TypeVar("Answer")
 
 
 class ClockSync:
@@ -93,32 +107,80 @@ class ClockSync:
             raise Tripped(Reason.CAMERA, f"no frame came for {STARVED_S:g} s; is the camera still there?")
 
     def _offset(self) -> Offset:
-        force_ns, force = np.array([at for at, _ in self._force]), np.array([n for _, n in self._force])
         if not self._frames:
             raise Tripped(Reason.CAMERA, "not a single frame came while the probe tapped")
         frame_ns = np.array([at for at, _ in self._frames])
-        change = most_telling([pixels for _, pixels in self._frames])
-        begun = min(int(force_ns[0]), int(frame_ns[0]))
         try:
-            offset = offset_between(
-                (force_ns - begun) / NS_PER_S,
-                force,
-                (frame_ns - begun) / NS_PER_S,
-                change,
-                exposure_s=self._exposure_s,
-                most_s=MAX_S,
-            )
+            offset, change = awaited(lambda: self._analysed(frame_ns), self._watch, MAX_ANALYSIS_S)
         except (RangeError, InputError) as e:  # InputError: stamps that do not increase
             raise Tripped(
                 Reason.CLOCKS,
                 f"{self._plan.taps} taps do not tell the frames' clock from the force's: {e}; look at what "
                 "the camera shows, or plan without (taps = 0)",
             ) from e
+        except TimeoutError as e:
+            raise Tripped(
+                Reason.CLOCKS,
+                f"the analysis of {self._plan.taps} taps took more than {MAX_ANALYSIS_S:g} s; end what else "
+                "runs on this machine, or plan without (taps = 0)",
+            ) from e
         ago_s = np.round((self._rig.clock.now_ns() - frame_ns) / NS_PER_S, 6)
         self._recorder.event(
             CLOCKS, **asdict(offset), frames_ago_s=ago_s.tolist(), change=np.round(change, 5).tolist()
         )
         return offset
+
+    def _analysed(self, frame_ns: Times) -> tuple[Offset, Signal]:
+        """The offset, and each frame's score. It reads what was collected, and touches no device."""
+        force_ns, force = np.array([at for at, _ in self._force]), np.array([n for _, n in self._force])
+        change = most_telling([pixels for _, pixels in self._frames])
+        begun = min(int(force_ns[0]), int(frame_ns[0]))
+        offset = offset_between(
+            (force_ns - begun) / NS_PER_S,
+            force,
+            (frame_ns - begun) / NS_PER_S,
+            change,
+            exposure_s=self._exposure_s,
+            most_s=MAX_S,
+        )
+        return offset, change
+
+    def _watch(self) -> None:
+        """One look while nothing moves and the analysis runs. No time passes here on a clock set by hand."""
+        self._guard.look(asks=ENDS)
+        drained(self._rig.camera)  # so that what comes next is no frame of before
+        self._guard.looks.publish()
+
+
+def awaited(work: Callable[[], Answer], look: Callable[[], None], most_s: float) -> Answer:
+    """Result of a computation in a thread of its own, while the caller's thread goes on to look.
+
+    A thread cannot be ended from outside: one that is left, by an exception of `look` or for its time, runs
+    on to its end, and nobody hears of it.
+
+    Args:
+        work: what to compute; it moves nothing and asks no device.
+        look: called every `LOOK_S` until the result is there; its exceptions end the wait.
+        most_s: real time that it may take [s].
+
+    Raises:
+        TimeoutError: it took longer.
+    """
+    result: Future[Answer] = Future()
+
+    def compute() -> None:
+        try:
+            result.set_result(work())
+        except BaseException as e:
+            result.set_exception(e)
+
+    end_s = time.monotonic() + most_s
+    threading.Thread(target=compute, name="palpate-tap-analysis", daemon=True).start()
+    while not wait((result,), LOOK_S).done:
+        look()
+        if time.monotonic() > end_s:
+            raise TimeoutError(f"no result within {most_s:g} s")
+    return result.result()
 
 
 def _thinned(frame: Frame) -> Pixels:

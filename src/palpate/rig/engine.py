@@ -122,6 +122,8 @@ class Engine:
         except OperatorInterrupt as interrupt:
             if interrupt.command is OperatorCommand.ESTOP:
                 return self._ended(State.ESTOPPED, "emergency stop")
+            if interrupt.command is OperatorCommand.STOP:  # while the taps were analysed
+                return self._ended(State.STOPPED, "stopped by the operator")
             return self._ended(State.ABORTED, "aborted by the operator")
         except Tripped as e:
             return self._failed(e.reason, str(e))
