@@ -123,7 +123,7 @@ def test_nothing_on_the_page_comes_from_elsewhere():
 
 def test_the_page_stops_over_the_path_and_with_the_header_that_are_answered():
     pytest.importorskip("fastapi", reason="NiceGUI is not installed")
-    from palpate.studio import page_server
+    from palpate.studio import page_security, page_server
 
-    assert f'fetch("{page_server.PATH}"' in page_style.text_of("estop.html")
+    assert f'fetch("{page_security.ESTOP_PATH}"' in page_style.text_of("estop.html")
     assert f'"{page_server.HEADER}": "estop"' in page_style.text_of("estop.html")

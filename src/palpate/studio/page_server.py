@@ -18,8 +18,8 @@ from fastapi.responses import JSONResponse
 
 from palpate.core import DeviceError, MissingExtraError, PalpateError
 from palpate.rig.service.rig_client import RigClient
+from palpate.studio.page_security import ESTOP_PATH, PageSecurity
 
-PATH = "/estop"
 HEADER = "x-palpate"  # which a page from elsewhere cannot send without being allowed to
 
 
@@ -27,7 +27,7 @@ def add_route(app: FastAPI, client: RigClient) -> None:
     """Answer to the page's emergency stop, in threads that nothing else can keep busy."""
     threads = ThreadPoolExecutor(8, thread_name_prefix="palpate-estop")
 
-    @app.post(PATH)
+    @app.post(ESTOP_PATH)
     async def estop(request: Request) -> JSONResponse:
         if request.headers.get(HEADER) != "estop":
             return JSONResponse({"error": "not asked from the rig's own page"}, 403)
@@ -40,8 +40,6 @@ def add_route(app: FastAPI, client: RigClient) -> None:
 
 
 HOST = "127.0.0.1"
-NAMES = ["127.0.0.1", "localhost"]
-"""Under which a browser may ask: a page from elsewhere whose name is made to point here is turned away."""
 KEPT = 30  # messages for a tab that loses its connection for a moment
 ENDS_S = 2
 ALIVE_S = 300  # a connection, so that an emergency stop need not open one
@@ -71,15 +69,13 @@ def serve_pages(client: RigClient, port: int, runs: Path) -> None:
     uvicorn.Server(config).run()
 
 
-def make_app(client: RigClient, runs: Path) -> FastAPI:
-    """The pages, the emergency stop's own address, and the newest picture."""
+def make_app(client: RigClient, runs: Path) -> PageSecurity:
+    """The pages, the emergency stop's own address, and the newest picture, for pages of their own only."""
     from nicegui import ui
-    from starlette.middleware.trustedhost import TrustedHostMiddleware
 
     from palpate.studio.rig_page import RigPage
 
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    app.add_middleware(TrustedHostMiddleware, allowed_hosts=NAMES)
     add_route(app, client)
 
     @app.get("/picture")
@@ -94,7 +90,7 @@ def make_app(client: RigClient, runs: Path) -> FastAPI:
         RigPage(client, str(runs))
 
     ui.run_with(app, show_welcome_message=False, message_history_length=KEPT, reconnect_timeout=5.0)
-    return app
+    return PageSecurity(app)
 
 
 def check_needed() -> None:

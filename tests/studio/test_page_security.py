@@ -1,0 +1,275 @@
+"""Nobody frames the pages, and nobody but they themselves asks for anything."""
+
+import asyncio
+import base64
+import http.client
+import os
+import re
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("nicegui", reason="NiceGUI is not installed")
+pytest.importorskip("websockets", reason="websockets is not installed")
+
+from palpate.studio.page_security import HEADERS, PageSecurity, refusal
+from palpate.studio.page_server import HEADER
+
+MAX_S = 60.0
+POLLING = "/_nicegui_ws/socket.io/?EIO=4&transport=polling"
+SOCKET = "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"
+
+
+class Served:
+    """The server, in a process of its own, before a made-up rig."""
+
+    def __init__(self):
+        with socket.create_server(("127.0.0.1", 0)) as probe:
+            self.port = probe.getsockname()[1]
+        self.process = subprocess.Popen(
+            [sys.executable, str(Path(__file__).with_name("served_page.py")), str(self.port)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={k: v for k, v in os.environ.items() if not k.startswith("PYTEST")},
+        )
+        end_s = time.monotonic() + MAX_S
+        while time.monotonic() < end_s and self.process.poll() is None:
+            try:
+                return socket.create_connection(("127.0.0.1", self.port), 5).close()
+            except OSError:
+                time.sleep(0.05)
+        raise AssertionError("the server did not start")
+
+    def tell(self, line):
+        self.process.stdin.write(line + "\n")
+        self.process.stdin.flush()
+
+    def ask(self, method, path, host=None, body=None, **headers):
+        """Status, headers and text of an answer."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)
+        try:
+            connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
+            if host != "":
+                connection.putheader("Host", host or f"localhost:{self.port}")
+            for name, value in headers.items():
+                connection.putheader(name.replace("_", "-"), value)
+            if body is not None:
+                connection.putheader("Content-Length", str(len(body)))
+            connection.endheaders(body)
+            answer = connection.getresponse()
+            upgraded = answer.status == 101
+            return answer.status, answer.headers, "" if upgraded else answer.read().decode("latin-1")
+        finally:
+            connection.close()
+
+    def handshake(self, path=SOCKET, **headers):
+        """The same of a socket's handshake."""
+        key = base64.b64encode(os.urandom(16)).decode()
+        upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec_WebSocket_Version": "13"}
+        return self.ask("GET", path, **{**upgrade, "Sec_WebSocket_Key": key, **headers})
+
+    def close(self):
+        self.process.kill()
+        self.process.communicate()
+
+
+@pytest.fixture(scope="module")
+def served():
+    served = Served()
+    yield served
+    served.close()
+
+
+def own(served, name="localhost"):
+    return f"http://{name}:{served.port}"
+
+
+def is_guarded(headers):
+    return all(headers.get_all(name) == [value] for name, value in HEADERS.items())
+
+
+def test_what_is_said_of_frames_is_that_there_are_none():
+    assert "frame-ancestors 'none'" in HEADERS["content-security-policy"]
+    assert HEADERS["x-frame-options"] == "DENY"
+    assert HEADERS["x-content-type-options"] == "nosniff"
+
+
+def test_every_answer_forbids_frames_errors_and_refused_sockets_too(served):
+    page = served.ask("GET", "/")
+    assert page[0] == 200
+    assets = set(re.findall(r"""["'(](/_nicegui/[^"')]+\.(?:js|css))""", page[2]))
+    assert len(assets) > 3
+    answers = {path: served.ask("GET", path) for path in assets}
+    assert {answer[0] for answer in answers.values()} == {200}
+    answers |= {
+        "page": page,
+        "picture": served.ask("GET", "/picture"),
+        "head": served.ask("HEAD", "/"),
+        "missing": served.ask("GET", "/nowhere"),
+        "missing asset": served.ask("GET", "/_nicegui/0/static/nothing.js"),
+        "wrong method": served.ask("GET", "/estop"),
+        "stop": served.ask("POST", "/estop", **{HEADER: "estop"}),
+        "stop without its header": served.ask("POST", "/estop"),
+        "polling": served.ask("GET", POLLING),
+        "bad polling": served.ask("GET", POLLING + "&sid=none"),
+        "options": served.ask("OPTIONS", "/estop"),
+        "other host": served.ask("GET", "/", host="elsewhere.example"),
+        "other origin": served.ask("POST", POLLING, Origin="http://elsewhere.example"),
+        "socket": served.handshake(Origin=own(served)),
+        "refused socket": served.handshake(Origin="http://elsewhere.example"),
+        "socket elsewhere": served.handshake("/nowhere", Origin=own(served)),
+        "socket at the page": served.handshake("/", Origin=own(served)),
+    }
+    status = {name: answer[0] for name, answer in answers.items()}
+    wanted = {"page": 200, "picture": 200, "missing": 404, "missing asset": 404, "wrong method": 404}
+    wanted |= {"stop": 200, "stop without its header": 403, "polling": 200, "bad polling": 400}
+    wanted |= {"other host": 400, "other origin": 403, "socket": 101, "refused socket": 403}
+    assert {name: status[name] for name in wanted} == wanted
+    assert status["socket elsewhere"] >= 400
+    assert status["socket at the page"] >= 400
+    assert [name for name, answer in answers.items() if not is_guarded(answer[1])] == []
+
+
+def test_an_answer_that_fails_inside_forbids_frames_as_well():
+    served = Served()
+    try:
+        served.tell('"picture fails"')
+        end_s = time.monotonic() + MAX_S
+        while (answer := served.ask("GET", "/picture"))[0] == 200 and time.monotonic() < end_s:
+            time.sleep(0.05)
+        assert answer[0] == 500
+        assert is_guarded(answer[1])
+    finally:
+        served.close()
+
+
+FOREIGN = (
+    "http://elsewhere.example",
+    "https://localhost:{port}",  # another scheme
+    "http://localhost:{other}",  # another server of this machine
+    "http://localhost",
+    "http://localhost:{port}.elsewhere.example",
+    "http://localhost.elsewhere.example:{port}",
+    "http://127.0.0.1.elsewhere.example:{port}",
+    "http://user@localhost:{port}",
+    "http://localhost:{port}/",
+    "http://192.168.1.2:{port}",
+    "file://",
+    "null",
+    "",
+)
+
+
+def test_pages_of_its_own_address_are_answered_by_each_name_of_this_machine(served):
+    for name in ("localhost", "127.0.0.1", "[::1]", "LOCALHOST"):
+        assert served.handshake(Origin=own(served, name))[0] == 101
+        assert served.ask("GET", POLLING, Origin=own(served, name))[0] == 200
+        assert served.ask("GET", "/", host=f"{name}:{served.port}")[0] == 200
+    assert served.handshake()[0] == 101  # of a program: browsers always say for whom they ask
+    assert served.ask("GET", POLLING)[0] == 200
+
+
+@pytest.mark.parametrize("foreign", FOREIGN)
+def test_pages_from_elsewhere_open_no_socket_and_post_nothing(served, foreign):
+    origin = foreign.format(port=served.port, other=served.port + 1)
+    assert served.handshake(Origin=origin)[0] == 403
+    assert served.ask("GET", POLLING, Origin=origin)[0] == 403
+    assert served.ask("POST", POLLING + "&sid=any", body=b"40", Origin=origin)[0] == 403
+    assert served.ask("POST", "/", body=b"", Origin=origin)[0] == 403
+    assert served.ask("OPTIONS", POLLING, Origin=origin, Access_Control_Request_Method="POST")[0] == 403
+    assert "Access-Control-Allow-Origin" not in served.ask("GET", POLLING, Origin=origin)[1]
+
+
+@pytest.mark.parametrize(
+    "host", ["elsewhere.example", "localhost.elsewhere.example", "127.0.0.2", "a@localhost"]
+)
+def test_a_name_from_elsewhere_that_is_made_to_point_here_gets_nothing(served, host):
+    at = f"{host}:{served.port}"
+    assert served.ask("GET", "/", host=at)[0] == 400
+    assert served.ask("GET", "/picture", host=at)[0] == 400
+    assert served.handshake(host=at, Origin=f"http://{at}")[0] == 400
+    assert served.ask("GET", POLLING, host=at)[0] == 400
+
+
+def test_what_another_site_embeds_is_refused_and_a_link_that_is_followed_is_not(served):
+    def asked(path, site, mode, dest):
+        return served.ask("GET", path, Sec_Fetch_Site=site, Sec_Fetch_Mode=mode, Sec_Fetch_Dest=dest)[0]
+
+    assert asked("/", "cross-site", "navigate", "document") == 200
+    assert asked("/", "none", "navigate", "document") == 200
+    assert asked("/picture", "same-origin", "no-cors", "image") == 200
+    for site in ("cross-site", "same-site"):
+        assert asked("/", site, "navigate", "iframe") == 403
+        assert asked("/picture", site, "no-cors", "image") == 403
+        assert asked(POLLING, site, "no-cors", "script") == 403
+        assert served.handshake(Sec_Fetch_Site=site, Sec_Fetch_Mode="websocket")[0] == 403
+
+
+def test_an_emergency_stop_is_refused_to_nobody_who_sends_its_header(served):
+    # Not for the address that it was asked at, which a proxy may change, nor for what an extension strips.
+    asked = {HEADER: "estop"}
+    assert served.ask("POST", "/estop", **asked)[0] == 200
+    assert served.ask("POST", "/estop", host="elsewhere.example", **asked)[0] == 200
+    assert served.ask("POST", "/estop", Origin="null", Sec_Fetch_Site="cross-site", **asked)[0] == 200
+    # Without the header, which no other page may send, it was not asked for by the page. A browser asks first
+    # whether another page may send it, and is not told so.
+    assert served.ask("POST", "/estop", Origin="http://elsewhere.example")[0] == 403
+    before = served.ask(
+        "OPTIONS",
+        "/estop",
+        Origin="http://elsewhere.example",
+        Access_Control_Request_Method="POST",
+        Access_Control_Request_Headers=HEADER,
+    )
+    assert before[0] >= 400
+    assert not [name for name in before[1] if name.lower().startswith("access-control")]
+
+
+def scope(kind="http", scheme="http", **headers):
+    names = [(name.replace("_", "-").encode(), value.encode()) for name, value in headers.items()]
+    return {"type": kind, "scheme": scheme, "path": "/", "method": "POST", "headers": names}
+
+
+def test_two_hosts_or_one_foreign_origin_among_several_are_refused():
+    good = scope(host="localhost:8080", origin="http://127.0.0.1:8080")
+    assert refusal(good) is None
+    assert refusal({**good, "headers": [*good["headers"], (b"host", b"localhost:8080")]})[0] == 400
+    assert refusal({**good, "headers": [*good["headers"], (b"Origin", b"http://elsewhere")]})[0] == 403
+    assert refusal(scope())[0] == 400
+    assert refusal(scope("websocket", "wss", host="localhost", origin="https://localhost:443")) is None
+    assert refusal(scope("websocket", "ws", host="localhost", origin="http://[::1]:80")) is None
+
+
+def test_what_the_application_says_of_frames_itself_is_replaced_and_not_doubled():
+    async def app(scope, receive, send):
+        headers = [(b"X-Frame-Options", b"SAMEORIGIN"), (b"content-type", b"text/plain")]
+        await send({"type": "http.response.start", "status": 200, "headers": headers})
+
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    asyncio.run(PageSecurity(app)(scope(host="localhost"), None, send))
+    names = [name.lower() for name, _ in sent[0]["headers"]]
+    assert names.count(b"x-frame-options") == 1
+    assert (b"x-frame-options", b"DENY") in sent[0]["headers"]
+    assert b"content-type" in names
+
+
+def test_a_server_that_cannot_answer_a_socket_closes_it():
+    sent = []
+
+    async def app(scope, receive, send):
+        raise AssertionError("it is not asked")
+
+    async def send(message):
+        sent.append(message)
+
+    asyncio.run(PageSecurity(app)(scope("websocket", "ws", host="elsewhere"), None, send))
+    assert [message["type"] for message in sent] == ["websocket.close"]
