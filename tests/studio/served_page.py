@@ -4,24 +4,22 @@ What is written to its standard input, a line of JSON, is told by the made-up pr
 a process that cannot be reached. Each emergency stop is a line of its standard output.
 """
 
+import base64
 import json
 import sys
 import threading
 import time
 from pathlib import Path
 
+import numpy as np
+
+from palpate.devices.device_status import jpeg_of
 from palpate.rig.plans import PLANS, size_of
 from palpate.studio.page_server import serve_pages
 
 PLAN = PLANS["palm-reduced"]
-JPEG = bytes.fromhex(
-    "ffd8ffe000104a46494600010100000100010000ffdb004300" + "03" * 64 + "ffc0000b080001000101011100"
-    "ffc4001f0000010501010101010100000000000000000102030405060708090a0b"
-    "ffc400b5100002010303020403050504040000017d01020300041105122131410613516107227114328191a1082342b1c115"
-    "52d1f02433627282090a161718191a25262728292a3435363738393a434445464748494a535455565758595a636465666768"
-    "696a737475767778797a838485868788898a92939495969798999aa2a3a4a5a6a7a8a9aab2b3b4b5b6b7b8b9bac2c3c4c5c6"
-    "c7c8c9cad2d3d4d5d6d7d8d9dae1e2e3e4e5e6e7e8e9eaf1f2f3f4f5f6f7f8f9faffda0008010100003f00fbffd9"
-)
+SIZE_PX = (256, 128)
+JPEG = base64.b64decode(jpeg_of(np.full((*SIZE_PX[::-1], 3), (60, 120, 140), np.uint8))["jpeg"])
 
 
 def status_now(**changed):
@@ -40,7 +38,7 @@ def status_now(**changed):
         "devices": [
             {"name": "stage", "state": "ok", "detail": "x 1.00, y 2.00, z 0.50 mm"},
             {"name": "force sensor", "state": "ok", "detail": "500 of 500 samples a second"},
-            {"name": "camera", "state": "ok", "detail": "1 × 1 px, 30 a second"},
+            {"name": "camera", "state": "ok", "detail": "256 × 128 px, 30 a second"},
         ],
         **changed,
     }  # fmt: skip
@@ -50,7 +48,7 @@ class MadeUpClient:
     """Stands for `RigClient`."""
 
     def __init__(self):
-        self.status, self.picture, self.told_s = status_now(), (1, JPEG, (1, 1)), time.monotonic()
+        self.status, self.picture, self.told_s = status_now(), (1, JPEG, SIZE_PX), time.monotonic()
         self._silent = False
         threading.Thread(target=self._listen, daemon=True).start()
         threading.Thread(target=self._tell, daemon=True).start()

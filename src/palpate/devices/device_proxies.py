@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -62,18 +63,37 @@ class _Proxy(Generic[Device]):
 
 
 class _SamplerProxy(_Proxy[Sampler]):
+    def __init__(self, inner: Sampler, clock: Clock) -> None:
+        super().__init__(inner)
+        self._clock = clock
+        self._newest_came: tuple[float, float] | None = None
+
     @property
     def rate_hz(self) -> float:
         """Samples or frames a second, as the device states them [Hz]."""
         return self._inner.rate_hz
+
+    def age_s(self) -> float | None:
+        """Age of the newest that was drained or grabbed [s]; None where nothing was.
+
+        How old it was when it came, by the rig's clock, and the real time since: a clock that is set by hand
+        stands still together with an engine that does.
+        """
+        if self._newest_came is None:
+            return None
+        came_s, late_s = self._newest_came
+        return time.monotonic() - came_s + late_s
+
+    def _date(self, time_ns: int) -> None:
+        late_s = (self._clock.now_ns() - time_ns) / NS_PER_S
+        self._newest_came = (time.monotonic(), max(late_s, 0.0))
 
 
 class ForceProxy(_SamplerProxy[ForceSensor]):
     """Implements `core.ForceSensor`; keeps the last samples that somebody drained."""
 
     def __init__(self, inner: ForceSensor, clock: Clock) -> None:
-        super().__init__(inner)
-        self._clock = clock
+        super().__init__(inner, clock)
         self._lock = threading.Lock()
         self._recent: deque[Wrench] = deque(maxlen=MAX_SAMPLES)
         self.newest: Wrench | None = None
@@ -93,6 +113,8 @@ class ForceProxy(_SamplerProxy[ForceSensor]):
         """All since the last call."""
         with self._noting_errors():
             samples = self._inner.drain()
+        if samples:
+            self._date(samples[-1].time_ns)
         with self._lock:
             self._recent.extend(samples)
             oldest = self._clock.now_ns() - KEPT_S * NS_PER_S
@@ -109,8 +131,8 @@ class ForceProxy(_SamplerProxy[ForceSensor]):
 class CameraProxy(_SamplerProxy[FrameSource]):
     """Implements `core.FrameSource`; keeps the newest frame, and when the last ones came."""
 
-    def __init__(self, inner: FrameSource) -> None:
-        super().__init__(inner)
+    def __init__(self, inner: FrameSource, clock: Clock) -> None:
+        super().__init__(inner, clock)
         self._turn = threading.Lock()
         self._came: deque[int] = deque(maxlen=1000)
         self.newest: tuple[int, Frame] | None = None
@@ -143,6 +165,7 @@ class CameraProxy(_SamplerProxy[FrameSource]):
         if frames:
             self._came.extend(time_ns for time_ns, _ in frames)
             self.newest = frames[-1]
+            self._date(frames[-1][0])
             self.count += len(frames)
 
 

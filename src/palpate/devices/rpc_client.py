@@ -39,6 +39,7 @@ class RpcClient(Closing):
     Attributes:
         name: of the process.
         status: the newest that it told; None while it cannot be reached.
+        told_s: when it told a status last [s, `time.monotonic`]; None before the first. It outlives `status`.
         picture: the newest frame as ``(number, JPEG bytes, (width, height))``.
     """
 
@@ -46,6 +47,7 @@ class RpcClient(Closing):
         self.name = name
         self._folder = folder
         self.status: dict[str, Any] | None = None
+        self.told_s: float | None = None
         self.picture: tuple[int, bytes, tuple[int, int]] | None = None
         self._numbers = itertools.count(1)
         self._sending = threading.Lock()
@@ -165,6 +167,7 @@ class RpcClient(Closing):
         match message.get("push"):
             case "status":
                 self.status = message
+                self.told_s = time.monotonic()
             case "picture":
                 width, height = message["size_px"]
                 self.picture = (message["number"], base64.b64decode(message["jpeg"]), (width, height))

@@ -85,7 +85,7 @@ def make_app(client: RigClient, runs: Path) -> PageSecurity:
             return Response(status_code=404)
         return Response(newest[1], media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
-    @ui.page("/", title="Indentation rig · palpate")
+    @ui.page("/", title="Indentation rig · palpate", language="en-US")
     def rig_page() -> None:
         RigPage(client, str(runs))
 

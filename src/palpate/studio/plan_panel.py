@@ -13,6 +13,7 @@ from palpate.core import PalpateError
 from palpate.rig.plans import PLANS, RecordingPlan, size_of
 from palpate.rig.service.rig_service import checked_plan
 from palpate.studio import status_text, svg_drawing
+from palpate.studio.shown_ages import age_note
 
 FIELDS: tuple[tuple[str, str, str, bool], ...] = (
     ("places.layer_mm", "layer diameter", "mm", False),
@@ -51,7 +52,7 @@ class PlanPanel:
         self._draft: dict[str, Any] | None = None
         self._shown: tuple[Any, ...] = ()
         self._plan: RecordingPlan | None = None
-        with ui.element("section").classes("card"):
+        with ui.element("section").classes("card").props('aria-label="Plan"'):
             with ui.row().classes("w-full items-center justify-between no-wrap"):
                 ui.html("<h2>Plan</h2>", sanitize=False)
                 self._choice = (
@@ -59,12 +60,16 @@ class PlanPanel:
                     .props("dense outlined options-dense stack-label")
                     .classes("grow plan-choice")
                 )
-            self._drawing = ui.html("", sanitize=False).classes("grid-preview").props('id="grid"')
+            self._drawing = ui.html("", sanitize=False).classes("grid-preview")
+            self._drawing.props('id="grid" data-age-of="position"')
+            age_note("position", "stage position")
             self._facts = ui.html("", sanitize=False).classes("facts")
             self._fields = ui.element("div").classes("fields")
-            self._trouble = ui.html("", sanitize=False).classes("trouble")
+            self._trouble = ui.html("", sanitize=False).classes("trouble").props('role="alert"')
             with ui.row().classes("w-full justify-end"):
-                self._back = ui.button("Undo", on_click=self._undo).props('flat no-caps id="plan-undo"')
+                self._back = ui.button("Undo", on_click=self._undo).props(
+                    'flat no-caps id="plan-undo" aria-label="Undo the changes of the plan"'
+                )
                 self._button = ui.button("Use this plan", on_click=self._submit)
                 self._button.props('unelevated no-caps id="plan-use"')
 
@@ -116,7 +121,9 @@ class PlanPanel:
             format="%d" if whole else "%.6g",
             suffix=unit or None,
             on_change=lambda event: self._changed(name, event.value, whole),
-        ).props("dense outlined").classes(f"field-{name.replace('.', '-')}")
+        ).props(f'dense outlined aria-label="{label}{f", in {unit}" if unit else ""}"').classes(
+            f"field-{name.replace('.', '-')}"
+        )
 
     async def _changed(self, name: str, value: float | None, whole: bool) -> None:
         number = int(value) if whole and value is not None and value == int(value) else value

@@ -5,6 +5,7 @@ Nothing is kept here but drafts: every tab shows what the rig's process tells, a
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from datetime import datetime
 from html import escape
@@ -14,12 +15,15 @@ from nicegui import run, ui
 
 from palpate.core import PalpateError
 from palpate.rig.service.rig_client import RigClient
-from palpate.studio import page_style, status_text, svg_drawing
+from palpate.studio import page_style, shown_ages, status_text, svg_drawing
 from palpate.studio.page_style import ACCENT, AXES, BAD, INK, SOFT
 from palpate.studio.plan_panel import PlanPanel
+from palpate.studio.shown_ages import age_note
 
 REFRESH_S = 0.2
 AXIS_NAMES = {"x": "x", "y": "y", "z": "z, normal"}
+AGE_OF_DEVICE = {"stage": "position", "force sensor": "force", "camera": "camera"}
+LOST = "The rig's process cannot be reached. If it runs, it goes on; this page looks for it."
 
 
 class RigPage:
@@ -38,9 +42,14 @@ class RigPage:
         self._picture_number = -1
         self._serial = -1
         self._last_run = ""
+        self._last_status: Mapping[str, Any] | None = None
+        self._beats = 0
         ui.add_css(page_style.style())
         ui.colors(primary=ACCENT, negative=BAD, dark=INK)
-        ui.add_body_html(page_style.text_of("estop.html"))
+        ui.add_body_html(page_style.text_of("estop.html"))  # before all else, also for the Tab key
+        ui.add_body_html(page_style.text_of("ages.html"))
+        self._beat = ui.element("div").props('id="beat" hidden')
+        self._failure = ui.label("").classes("unseen").props('id="failure" role="alert"')
         self._top()
         self._hold_banner()
         with ui.element("main").classes("board"):
@@ -53,17 +62,23 @@ class RigPage:
                 self._recording_card()
                 self._devices = self._list_card("Devices", "devices")
                 self._log = self._list_card("Events", "log")
+                # It scrolls, so keys must reach it; each event is not read out: the state's changes are.
+                self._log.props('role="log" aria-live="off" aria-label="Events, newest first" tabindex="0"')
         ui.timer(REFRESH_S, self._refresh)
 
     def _top(self) -> None:
         with ui.element("header").classes("top"):
             self._title = ui.html("<h1>Indentation rig</h1>", sanitize=False)
             self._state = ui.label("…").classes("state").props('id="state" role="status"')
-            self._progress = ui.html("", sanitize=False).classes("progress").props('id="progress"')
+            self._state.props('data-age-of="engine"')
+            self._progress = ui.html("", sanitize=False).classes("progress")
+            self._progress.props('id="progress" data-age-of="engine"')
+            age_note("engine", "state and progress")
 
     def _hold_banner(self) -> None:
         with ui.dialog() as self._dialog, ui.card().style("max-width: 460px"):
-            ui.label("Release the emergency stop?").style("font-size: 17px; font-weight: 650")
+            self._dialog.props('aria-label="Release the emergency stop?"')
+            ui.html("<h2>Release the emergency stop?</h2>", sanitize=False).classes("asked")
             ui.label(
                 "Look at the rig first: is the probe free, is nobody's hand near it? Nothing moves until you "
                 "start; a recording that is started lifts the probe before anything else."
@@ -71,41 +86,48 @@ class RigPage:
             with ui.row().classes("w-full justify-end"):
                 ui.button("Keep it held", on_click=self._dialog.close).props("flat no-caps")
                 ui.button("Release", on_click=self._release).props('unelevated no-caps id="release-yes"')
-        with ui.element("div").classes("heldbar").props('id="held"') as self._banner:
+        with ui.element("div").classes("heldbar").props('id="held" role="status"') as self._banner:
             ui.label("Emergency stop: the stage is held, also from moving away. What was recorded is kept.")
             button = ui.button("Release…", on_click=self._dialog.open)
             button.props('outline no-caps color=negative id="release"')
         self._banner.set_visibility(False)
 
     def _camera_card(self) -> None:
-        with ui.element("section").classes("card camera"):
+        with ui.element("section").classes("card camera").props('aria-label="Camera"'):
             ui.html("<h2>Camera</h2>", sanitize=False)
-            self._picture = ui.interactive_image("", sanitize=False).props('id="camera"')
+            age_note("camera", "picture")
+            self._picture = ui.interactive_image("", sanitize=False)
+            self._picture.props(
+                'id="camera" role="img" aria-label="Camera: no picture yet" data-age-of="camera"'
+            )
             self._picture_note = ui.label("no frame yet").classes("soft")
 
     def _force_card(self) -> None:
-        with ui.element("section").classes("card force"):
+        with ui.element("section").classes("card force").props('aria-label="Force on the skin"'):
             ui.html("<h2>Force on the skin</h2>", sanitize=False)
-            self._force_now = ui.html("", sanitize=False).classes("now").props('id="force-now"')
-            self._force = ui.html("", sanitize=False).props('id="force"')
+            age_note("force", "force")
+            self._force_now = ui.html("", sanitize=False).classes("now")
+            self._force_now.props('id="force-now" data-age-of="force"')
+            self._force = ui.html("", sanitize=False).props('id="force" data-age-of="force"')
             self._force_note = ui.label("").classes("soft")
 
     def _recording_card(self) -> None:
-        with ui.element("section").classes("card"):
+        with ui.element("section").classes("card").props('aria-label="Recording"'):
             ui.html("<h2>Recording</h2>", sanitize=False)
             self._name = ui.input("run", value=f"run-{datetime.now().astimezone():%Y-%m-%d-%H%M}")
-            self._name.props("dense outlined").classes("w-full run-name")
+            self._name.props('dense outlined aria-label="name of the run"').classes("w-full run-name")
             with ui.element("div").classes("buttons"):
                 self._start = self._button("Start", "start", "unelevated", self._begin).classes("wide")
                 self._pause = self._button("Pause", "pause")
                 self._resume = self._button("Resume", "resume")
                 self._stop = self._button("Stop after press", "stop")
                 self._abort = self._button("Abort", "abort", "outline color=negative")
-            self._doing = ui.html("", sanitize=False).classes("doing").props('id="doing"')
+            self._doing = ui.html("", sanitize=False).classes("doing")
+            self._doing.props('id="doing" data-age-of="engine"')
             self._where = ui.label(f"into {self._runs}").classes("soft").style("overflow-wrap: anywhere")
 
     def _list_card(self, title: str, name: str) -> ui.html:
-        with ui.element("section").classes("card"):
+        with ui.element("section").classes("card").props(f'aria-label="{title}"'):
             ui.html(f"<h2>{title}</h2>", sanitize=False)
             return ui.html("", sanitize=False).classes(name).props(f'id="{name}"')
 
@@ -132,6 +154,7 @@ class RigPage:
         await self._act("release")
 
     async def _refresh(self) -> None:
+        self._tell_ages()  # whatever holds up the rest
         if self._busy:
             return
         self._busy = True
@@ -140,14 +163,21 @@ class RigPage:
         finally:
             self._busy = False
 
+    def _tell_ages(self) -> None:
+        status = self._last_status = self._client.status or self._last_status
+        ages = shown_ages.ages_at(time.monotonic(), status, self._client.told_s)
+        self._beats += 1
+        self._beat.props["data-ages"] = shown_ages.ages_attribute(ages, self._beats)
+        self._beat.update()
+
     async def _show(self) -> None:
         status = self._client.status
         text, kind = status_text.state_of(status)
         self._state.set_text(text)
         self._state.classes(replace=f"state {kind}")
+        self._failure.set_text(status_text.failure(status, LOST))
         if status is None:
-            message = "The rig's process cannot be reached. If it runs, it goes on; this page looks for it."
-            self._doing.set_content(f'<span style="color:{BAD}">{message}</span>')
+            self._doing.set_content(f'<span style="color:{BAD}">{LOST}</span>')
             for button in (self._start, self._pause, self._resume, self._stop, self._abort):
                 button.disable()
             self._serial = -1
@@ -172,7 +202,8 @@ class RigPage:
         self._progress.set_content(
             f'<div class="said"><span><b>{shots:,}</b> of {planned:,} shots</span>'
             f"<span>{escape(status_text.time_left(status))}</span></div>"
-            f'<div class="bar"><i style="width:{share:.2f}%"></i></div>'
+            f'<div class="bar" role="progressbar" aria-label="shots recorded" aria-valuenow="{share:.0f}" '
+            f'aria-valuemin="0" aria-valuemax="100"><i style="width:{share:.2f}%"></i></div>'
         )
         self._banner.set_visibility(bool(status["held"]))
         self._start.set_enabled(not recording and not status["held"])
@@ -203,13 +234,7 @@ class RigPage:
         )
 
     def _show_devices(self, status: Mapping[str, Any]) -> None:
-        self._devices.set_content(
-            "".join(
-                f'<b class="{escape(one["state"])}" title="{escape(one["state"])}">{escape(one["name"])}</b>'
-                f'<span class="{escape(one["state"])}">{escape(one["detail"])}</span>'
-                for one in status["devices"]
-            )
-        )
+        self._devices.set_content("".join(_device_line(one) for one in status["devices"]))
 
     def _show_force(self, status: Mapping[str, Any]) -> None:
         force = status["force_n"]
@@ -235,7 +260,22 @@ class RigPage:
             self._picture.set_content(svg_drawing.regions_svg(status["regions"], size_px))
             names = ", ".join(region["name"] for region in status["regions"])
             self._picture_note.set_text(f"{size_px[0]} × {size_px[1]} px; boxes: {names or 'none'}")
+            text = (
+                f"Camera: the newest picture, {size_px[0]} by {size_px[1]} pixels; boxes: {names or 'none'}"
+            )
+            self._picture.props["aria-label"] = text
         self._picture.set_source(f"/picture?{number}")
+
+
+def _device_line(device: Mapping[str, str]) -> str:
+    name, state, detail = (escape(device[key]) for key in ("name", "state", "detail"))
+    said = f'<span class="unseen">{state}: </span>' if state == "ok" else f"{state}: "
+    part = AGE_OF_DEVICE.get(device["name"], "process")
+    return (
+        f'<b class="{state}" data-age-of="{part}">{name}</b><span class="{state}">'
+        f'<span data-age-of="{part}">{said}{detail}</span> '
+        f'<em class="age" data-says-age-of="{part}"></em></span>'
+    )
 
 
 def _log_line(line: Mapping[str, str]) -> str:

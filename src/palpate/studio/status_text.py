@@ -49,6 +49,16 @@ def state_of(status: Mapping[str, Any] | None) -> tuple[str, str]:
     return ("ready" if state == "running" else state), ("warn" if state == "aborted" else "calm")
 
 
+def failure(status: Mapping[str, Any] | None, lost: str) -> str:
+    """What has to be read out at once: a rig that is lost, held or has failed; empty otherwise."""
+    if status is None:
+        return lost
+    if status["held"]:
+        return "Emergency stop: the stage is held."
+    failed = status["state"] == "failed" and not status["recording"]
+    return f"The recording failed: {status['message']}" if failed else ""
+
+
 def doing(status: Mapping[str, Any]) -> str:
     """Activity of the rig; where it was when it was paused."""
     message = str(status["message"])

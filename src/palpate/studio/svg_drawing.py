@@ -47,6 +47,7 @@ def grid_svg(
     dot = max(0.012 * layer_mm, 0.3)
     parts = [
         f'<svg viewBox="{-edge:.2f} {-edge:.2f} {2 * edge:.2f} {2 * edge:.2f}" role="img">',
+        _named("Places of the plan on the skin", _places_in_words(places, probe_mm, done, now, at_mm)),
         f'<{_shape(outline)} fill="#fff" stroke="{INK}" stroke-width="{layer_mm / 160:.3f}"/>',
     ]
     for place in places[:MAX_PLACES]:
@@ -67,6 +68,35 @@ def grid_svg(
         parts.append(_cross(at_mm[0], at_mm[1], probe_mm, layer_mm / 200))
     parts.append("</svg>")
     return "".join(parts)
+
+
+def _named(title: str, description: str) -> str:
+    """What a drawing is and what it shows, for whoever does not see it."""
+    return f"<title>{escape(title)}</title><desc>{escape(description)}</desc>"
+
+
+def _places_in_words(
+    places: Sequence[Place],
+    probe_mm: float,
+    done: Mapping[str, float],
+    now: str,
+    at_mm: Sequence[float] | None,
+) -> str:
+    whole = sum(done.get(place.name, 0.0) >= 1 for place in places)
+    parts = [f"{len(places)} places under a probe of {probe_mm:g} mm", f"{whole} done"]
+    if now:
+        parts.append(f"{now} is pressed")
+    if at_mm is not None:
+        parts.append(f"the stage is at x {number(at_mm[0], 1)}, y {number(at_mm[1], 1)} mm")
+    return "; ".join(parts)
+
+
+def _force_in_words(series: Mapping[str, Sequence[float]]) -> str:
+    if not series["age_s"]:
+        return "no force was measured yet"
+    ends = ", ".join(f"{axis} {number(series[axis][-1], 2)}" for axis in AXES)
+    low, high = (number(of(series["z"]), 2) for of in (min, max))
+    return f"{ends} N at the end; z between {low} and {high} N over the last {SPAN_S:g} s"
 
 
 def _shape(outline: Outline, inset_mm: float = 0.0) -> str:
@@ -92,10 +122,10 @@ def _axis_limit(outline: Outline, probe_mm: float) -> str:
 
 def _cross(x: float, y: float, probe_mm: float, thick: float) -> str:
     arm = 0.28 * probe_mm
+    lines = f"M{x - arm:.3f} {y:.3f}h{2 * arm:.3f}M{x:.3f} {y - arm:.3f}v{2 * arm:.3f}"
     return (
-        f'<g stroke="{INK}" stroke-width="{thick:.3f}" fill="none"><circle cx="{x:.3f}" cy="{y:.3f}" '
-        f'r="{probe_mm / 2:.3f}"/><path d="M{x - arm:.3f} {y:.3f}h{2 * arm:.3f}M{x:.3f} {y - arm:.3f}'
-        f'v{2 * arm:.3f}"/></g>'
+        f'<g class="cross" stroke="{INK}" stroke-width="{thick:.3f}" fill="none">'
+        f'<circle cx="{x:.3f}" cy="{y:.3f}" r="{probe_mm / 2:.3f}"/><path d="{lines}"/></g>'
     )
 
 
@@ -113,7 +143,10 @@ def force_svg(series: Mapping[str, Sequence[float]]) -> str:
     def down(value: float) -> float:
         return TOP + (high - value) / (high - low) * (HEIGHT - TOP - BOTTOM)
 
-    parts = [f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="force of the last seconds">']
+    parts = [
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img">',
+        _named("Force of the last seconds", _force_in_words(series)),
+    ]
     first = math.ceil(low / step - 1e-9)
     for i in range(first, math.floor(high / step + 1e-9) + 1):
         y, zero = down(i * step), i == 0

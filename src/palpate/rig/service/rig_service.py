@@ -7,6 +7,7 @@ recorded, the devices are read a few times a second.
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -48,13 +49,13 @@ class RigMonitor:
         rig = opened.rig
         self.stage = StageProxy(rig.stage, rig.clock)
         self.force = ForceProxy(rig.force, rig.clock)
-        self.camera = CameraProxy(rig.camera)
+        self.camera = CameraProxy(rig.camera, rig.clock)
         self.rig = replace(rig, stage=self.stage, force=self.force, camera=self.camera)
         self._opened = opened
         self._paused = paused
         self.turn = threading.Lock()
         self._closing = threading.Event()
-        self._at_mm: Position | None = None
+        self._at: tuple[Position, float] | None = None  # and when that was [s of real time]
         self._bias: Force | None = None
         self._watcher = threading.Thread(target=self._rest, name="palpate-rig-rest", daemon=True)
         self._watcher.start()
@@ -68,7 +69,7 @@ class RigMonitor:
     def update(self, status: Status) -> None:
         """Take in what the engine says of force and position."""
         if status.position_mm is not None:
-            self._at_mm = status.position_mm
+            self._at = status.position_mm, time.monotonic()
         if status.force_n is not None and self.force.newest is not None:
             # The engine has just asked for this sample and taken its bias off: so that is the bias.
             turned = self.rig.mounting.to_skin(self.force.newest.force_n)
@@ -78,20 +79,26 @@ class RigMonitor:
     def status(self, recording: bool) -> dict[str, Any]:
         """Status of the devices; plain values."""
         now_ns, bias = self.rig.clock.now_ns(), self._bias or NO_BIAS
+        at_mm = None if self._at is None else self._at[0]
         return {
             "force_n": self._force_now(bias),
             "tared": self._bias is not None,
-            "position_mm": None if self._at_mm is None else [round(d, 4) for d in self._at_mm],
+            "position_mm": None if at_mm is None else [round(d, 4) for d in at_mm],
             "limits": {"force_n": self.rig.limits.force_n},
             "series": device_status.force_series(self.force, self.rig.mounting, bias, now_ns),
             "devices": [
-                device_status.stage_health(self.stage, self._at_mm),
+                device_status.stage_health(self.stage, at_mm),
                 device_status.force_health(self.force, now_ns),
                 device_status.camera_health(self.camera, now_ns, recording),
             ],
             "regions": [{"name": name, "box_px": list(box)} for name, box in self._opened.rig.regions],
             "now_ns": now_ns,
         }
+
+    def ages_s(self) -> dict[str, float | None]:
+        """Real time since force, position and picture were of now [s]; None of what there is none of."""
+        at_s = None if self._at is None else time.monotonic() - self._at[1]
+        return {"force": self.force.age_s(), "position": at_s, "camera": self.camera.age_s()}
 
     def picture(self, after: int) -> dict[str, Any] | None:
         """The newest frame, numbered; None where there is none newer than `after`."""
@@ -127,7 +134,7 @@ class RigMonitor:
         with suppress(PalpateError):  # the device's proxy reports it, and it is read again
             self.force.drain()
         with suppress(PalpateError):
-            self._at_mm = self.rig.from_origin_mm(self.stage.position_m())
+            self._at = self.rig.from_origin_mm(self.stage.position_m()), time.monotonic()
         if looks % PICTURE_EVERY == 0:
             self._grab()
 
@@ -165,6 +172,7 @@ class RigService:
         self._status = _UNTOLD
         self._run = self._place = ""
         self._estop: dict[str, int] | None = None
+        self._told_s = time.monotonic()  # when the engine last told how far it is
         self._devices = RigMonitor(opened, lambda: self._status.state is State.PAUSED)
         self._rig = self._devices.rig
         self._set(first_plan(self._rig.design))
@@ -260,8 +268,14 @@ class RigService:
         return self._thread is not None and self._thread.is_alive()
 
     def status(self) -> dict[str, Any]:
-        """Status for a page, but for the picture; plain values."""
+        """Status for a page, but for the picture; plain values.
+
+        `ages_s` says of force, position and picture how old they are [s], and of the engine how long ago it
+        told anything, None while nothing is recorded.
+        """
         status, recording, command = self._status, self.recording, self._control.command
+        engine_s = time.monotonic() - self._told_s if recording else None
+        ages = {**self._devices.ages_s(), "engine": engine_s}
         return {
             "rig": self._rig.name,
             "real_time": self._real_time,
@@ -277,6 +291,7 @@ class RigService:
             "place": self._place if recording else "",
             "log": self._log.tail(TAIL),
             "log_count": self._log.count,
+            "ages_s": {name: None if age_s is None else round(age_s, 2) for name, age_s in ages.items()},
             **self._plan_facts,
             **self._devices.status(recording),
         }
@@ -294,7 +309,7 @@ class RigService:
     def _begin(self, out: str, path: Path) -> None:
         control = OperatorControl()
         self._run, self._place = out, ""
-        self._status = replace(_UNTOLD, message="begins")
+        self._status, self._told_s = replace(_UNTOLD, message="begins"), time.monotonic()
         self._begun.clear()
         self._refused = None
         self._control = control
@@ -340,7 +355,7 @@ class RigService:
             self._place = press
             self._log.add("place", press)
         self._devices.update(status)
-        self._status = status
+        self._status, self._told_s = status, time.monotonic()
         self._begun.set()
 
     def _wish(self, wish: OperatorCommand) -> None:

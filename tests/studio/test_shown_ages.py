@@ -1,0 +1,195 @@
+"""No number of the machine looks current for longer than a second, whoever falls silent."""
+
+import json
+import os
+import signal
+import threading
+import time
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("nicegui", reason="NiceGUI is not installed")
+pytest.importorskip("websockets", reason="websockets is not installed")
+
+from tests.studio import devtools
+from tests.studio.test_page_security import Served
+
+from palpate.rig.service import RigService, open_served_rig
+from palpate.studio.shown_ages import MAX_FRESH_S, MAX_SILENT_S, PARTS, ages_at, ages_attribute
+
+MAX_S = 60.0
+
+
+def test_an_age_is_what_was_told_and_the_time_since():
+    status = {"ages_s": {"force": 0.2, "position": 3.0, "camera": None, "engine": 1.5}}
+    ages = ages_at(100.0, status, 96.0)
+    assert ages == {"process": 4.0, "engine": 5.5, "force": 4.2, "position": 7.0, "camera": None}
+    at_rest = {"ages_s": {**status["ages_s"], "engine": None}}
+    assert ages_at(100.0, at_rest, 96.0)["engine"] == 4.0  # of a rig that records nothing, its process's
+    assert ages_at(100.0, None, 96.0)["process"] == 4.0
+    assert set(ages_at(100.0, None, None).values()) == {None}
+
+
+def test_no_two_beats_are_alike():
+    ages = ages_at(0.0, None, None)
+    assert ages_attribute(ages, 1) != ages_attribute(ages, 2)
+
+
+class FreezingStage:
+    """A stage whose driver hangs in `moving` while it is told to, and then goes on."""
+
+    def __init__(self, inner):
+        self._inner = inner
+        self.frozen, self.goes_on = threading.Event(), threading.Event()
+        self.freezes = False
+
+    def __getattr__(self, name):
+        return getattr(self._inner, name)
+
+    def moving(self):
+        if self.freezes:
+            self.freezes = False
+            self.frozen.set()
+            assert self.goes_on.wait(MAX_S)
+        return self._inner.moving()
+
+
+@pytest.mark.parametrize("accelerated", [True, False])
+def test_behind_a_frozen_engine_all_numbers_age_by_real_time(tmp_path, accelerated):
+    opened = open_served_rig("virtual:palm", accelerated=accelerated)
+    stage = FreezingStage(opened.rig.stage)
+    service = RigService(replace(opened, rig=replace(opened.rig, stage=stage)), tmp_path)
+    try:
+        ages = until(service, lambda ages: all(ages[part] is not None for part in PARTS))
+        assert ages["engine"] is None
+        service.plan({"places": {"kind": "listed", "at_mm": [[0.0, 0.0]]}, "cycles": 1, "taps": 0})
+        service.start("frozen")
+        stage.freezes = True
+        assert stage.frozen.wait(MAX_S)
+        frozen_s = time.monotonic()
+        time.sleep(0.5)  # for what was under way elsewhere
+        first, first_s = service.status()["ages_s"], time.monotonic()
+        time.sleep(MAX_FRESH_S)
+        second, second_s = service.status()["ages_s"], time.monotonic()
+        for part in ("engine", "force", "position"):
+            assert second[part] - first[part] == pytest.approx(second_s - first_s, abs=0.1)
+            assert second[part] > MAX_FRESH_S, "it is marked as old"
+            assert second[part] >= second_s - frozen_s - 0.1
+        shown = ages_at(second_s + 7.0, {"ages_s": second}, second_s)
+        assert shown["force"] == pytest.approx(second["force"] + 7.0)
+        stage.goes_on.set()
+        until(service, lambda ages: ages["force"] < MAX_FRESH_S)  # and what is new is not marked
+    finally:
+        stage.goes_on.set()
+        service.close()
+
+
+def until(service, holds):
+    """The first ages of which something holds."""
+    end_s = time.monotonic() + MAX_S
+    while time.monotonic() < end_s:
+        if holds(ages := service.status()["ages_s"]):
+            return ages
+        time.sleep(0.05)
+    raise AssertionError(f"it did not come about: {ages}")
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    if devtools.chromium() is None:
+        pytest.skip("there is no Chromium to drive")
+    browser = devtools.Browser(tmp_path_factory.mktemp("profile"))
+    yield browser
+    browser.close()
+
+
+@pytest.fixture
+def served():
+    served = Served()
+    served.tell(json.dumps(AT_ONCE))
+    yield served
+    served.process.send_signal(signal.SIGCONT)
+    served.close()
+
+
+AT_ONCE = {"ages_s": {"force": 0.0, "position": 0.0, "camera": 0.0, "engine": None}}
+STALE = "[...document.querySelectorAll('[data-stale]')].map((e) => e.id || e.dataset.ageOf)"
+OLD = "[...document.querySelectorAll('.age')].map((e) => e.textContent).filter((text) => text)"
+SILENCE = "(document.querySelector('#silence:not([hidden])')?.innerText ?? '')"
+ALL_SHOWN = {"state", "progress", "grid", "camera", "force-now", "force", "doing"}
+
+
+def opened(browser, served):
+    tab = browser.open(f"http://127.0.0.1:{served.port}/")
+    tab.wait(
+        "document.querySelector('#force-now b') && document.querySelector('#camera img')?.naturalWidth", 30
+    )
+    tab.wait(f"{STALE}.length === 0 && {SILENCE} === ''", 30)
+    return tab
+
+
+def seconds(text):
+    """The age that a text says [s]."""
+    return float(text.split(" s")[0].split()[-1])
+
+
+@pytest.mark.slow
+def test_what_is_told_as_old_is_marked_and_says_its_age_and_the_rest_is_not(browser, served):
+    tab = opened(browser, served)
+    old = {"force": 12.3, "position": 0.1, "camera": 75.2, "engine": None}
+    served.tell(json.dumps({"ages_s": old}))
+    tab.wait(f"{STALE}.includes('force-now')")
+    assert set(tab.run(STALE)) == {"force-now", "force", "camera"}  # devices' lines go by the part's name
+    assert set(tab.run(OLD)) == {"force 12 s old", "12 s old", "picture 1 min 15 s old", "1 min 15 s old"}
+    struck = "getComputedStyle(document.querySelector('#force-now b')).textDecorationLine"
+    assert tab.run(struck) == "line-through"
+    said = "document.querySelector('#ages-said').textContent"
+    assert tab.run(said) == "force: old, not of now"
+    assert tab.run(SILENCE) == ""
+    served.tell(json.dumps(AT_ONCE))
+    tab.wait(f"{STALE}.length === 0 && {OLD}.length === 0")
+    assert tab.run(said) == "force: current again"
+    assert tab.run(struck) == "none"
+
+
+@pytest.mark.slow
+def test_a_silent_engine_process_or_server_ages_all_that_is_shown_and_is_named(browser, served):
+    tab = opened(browser, served)
+    recording = {"recording": True, "state": "running", "message": "p1, cycle 0: depth", "shots": 3}
+    frozen = {"force": 5.0, "position": 5.0, "camera": 5.0, "engine": 5.0}
+    served.tell(json.dumps({**recording, "ages_s": frozen}))
+    tab.wait(f"{SILENCE}.startsWith('The engine that records says nothing.')")
+    assert set(tab.run(STALE)) >= ALL_SHOWN
+
+    served.tell(json.dumps({**recording, "ages_s": AT_ONCE["ages_s"]}))
+    tab.wait(f"{SILENCE} === '' && {STALE}.length === 0")
+    began_s = time.monotonic()
+    served.tell('"silent"')
+    tab.wait(f'{SILENCE}.startsWith("The rig\'s process says nothing.")')
+    assert set(tab.run(STALE)) >= ALL_SHOWN
+    assert time.monotonic() - began_s > MAX_SILENT_S - 0.3
+
+    served.tell(json.dumps(AT_ONCE))
+    tab.wait(f"{SILENCE} === '' && {STALE}.length === 0")
+    served.process.send_signal(signal.SIGSTOP)  # the page is left to its own clock
+    stopped_s = time.monotonic()
+    tab.wait(f"{SILENCE}.startsWith('This page hears nothing from its server.')")
+    time.sleep(1.0)
+    (force,) = (text for text in tab.run(OLD) if text.startswith("force"))
+    since_s = time.monotonic() - stopped_s
+    assert since_s - 2.0 < seconds(force) < since_s + 1.5
+    assert since_s - 2.0 < seconds(tab.run(SILENCE).split("for ")[-1]) < since_s + 1.5
+    assert set(tab.run(STALE)) >= ALL_SHOWN
+    os.kill(served.process.pid, signal.SIGCONT)
+    tab.wait(f"{SILENCE} === '' && {STALE}.length === 0", 30)
+
+
+@pytest.mark.slow
+def test_a_process_that_is_gone_leaves_no_number_that_looks_current(browser, served):
+    tab = opened(browser, served)
+    served.tell("null")
+    tab.wait(f'{SILENCE}.startsWith("The rig\'s process says nothing.")')
+    assert set(tab.run(STALE)) >= ALL_SHOWN
+    assert tab.run("document.querySelector('#state').innerText") == "no connection"
+    assert "cannot be reached" in tab.run("document.querySelector('#failure').textContent")
