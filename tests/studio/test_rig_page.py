@@ -136,7 +136,7 @@ def test_a_whole_run_is_set_up_driven_and_watched_from_the_page(browser, studio)
     assert tab.run("document.querySelector('#plan-use').disabled")
     tab.press("#plan-undo")
     tab.wait("document.querySelector('.facts').innerText.includes('37 places')")
-    assert tab.run("document.querySelectorAll('#grid title').length") == 37
+    assert tab.run("document.querySelectorAll('#grid circle title').length") == 37
     assert "1.36 mm or more from the rim" in tab.text()
     use_small_plan(tab)
     tab.type(".run-name input", "../elsewhere")

@@ -44,8 +44,9 @@ Sampler = TypeVar("Sampler", ForceSensor, FrameSource)
 class _Proxy(Generic[Device]):
     """Passes calls on to a device, and remembers how the last one went."""
 
-    def __init__(self, inner: Device) -> None:
+    def __init__(self, inner: Device, clock: Clock) -> None:
         self._inner: Device = inner
+        self._clock = clock
         self.error = ""
 
     def close(self) -> None:
@@ -63,10 +64,7 @@ class _Proxy(Generic[Device]):
 
 
 class _SamplerProxy(_Proxy[Sampler]):
-    def __init__(self, inner: Sampler, clock: Clock) -> None:
-        super().__init__(inner)
-        self._clock = clock
-        self._newest_came: tuple[float, float] | None = None
+    _newest_came: tuple[float, float] | None = None  # real time, and how late by the rig's clock [s]
 
     @property
     def rate_hz(self) -> float:
@@ -173,8 +171,7 @@ class StageProxy(_Proxy[Stage]):
     """Implements `core.Stage`; after an emergency stop it moves for nobody until it is released."""
 
     def __init__(self, inner: Stage, clock: Clock) -> None:
-        super().__init__(inner)
-        self._clock = clock
+        super().__init__(inner, clock)
         self._sending = threading.Lock()
         self._sent = 0
         self.held = False

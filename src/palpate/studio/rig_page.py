@@ -97,9 +97,7 @@ class RigPage:
             ui.html("<h2>Camera</h2>", sanitize=False)
             age_note("camera", "picture")
             self._picture = ui.interactive_image("", sanitize=False)
-            self._picture.props(
-                'id="camera" role="img" aria-label="Camera: no picture yet" data-age-of="camera"'
-            )
+            self._picture.props('id="camera" data-age-of="camera" data-alt="no picture of the camera yet"')
             self._picture_note = ui.label("no frame yet").classes("soft")
 
     def _force_card(self) -> None:
@@ -260,10 +258,9 @@ class RigPage:
             self._picture.set_content(svg_drawing.regions_svg(status["regions"], size_px))
             names = ", ".join(region["name"] for region in status["regions"])
             self._picture_note.set_text(f"{size_px[0]} × {size_px[1]} px; boxes: {names or 'none'}")
-            text = (
-                f"Camera: the newest picture, {size_px[0]} by {size_px[1]} pixels; boxes: {names or 'none'}"
-            )
-            self._picture.props["aria-label"] = text
+            size = f"{size_px[0]} by {size_px[1]} pixels"
+            self._picture.props["data-alt"] = f"the camera's newest picture, {size}; boxes: {names or 'none'}"
+            self._picture.update()
         self._picture.set_source(f"/picture?{number}")
 
 
