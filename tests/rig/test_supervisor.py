@@ -20,15 +20,16 @@ from tests.rig import supervised_bench
 from palpate.core.errors import DeviceError
 from palpate.devices import ForceBias, ForceReached, OperatorCommand, OperatorControl, Reason, Tripped
 from palpate.devices.motion_guard import Clearance
+from palpate.devices.rpc import supervisor_name
 from palpate.devices.rpc_client import RpcClient
 from palpate.devices.supervisor import SupervisedGuard, guard_supervisor
 from palpate.recordings import Run
 from palpate.rig import State, open_rig, record
 from palpate.rig.plans import Listed, StepHold
 from palpate.rig.rig import Rig
+from palpate.rig.service.rig_client import RigClient, launch
 from palpate.rig.service.rig_service import RigService
-from palpate.rig.service.served_rig import open_served_rig
-from palpate.rig.supervisor_process import supervisor_name
+from palpate.rig.service.served_rig import open_served_rig, rig_name
 
 MM = 1e-3
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -331,6 +332,34 @@ def test_the_studios_process_records_through_the_supervisor_and_stops_it(supervi
     finally:
         service.close()
     assert bench.z_m() <= FREE_M + 1e-5
+
+
+def test_the_pages_emergency_stop_passes_a_recorder_that_hangs(
+    supervised, tmp_path: Path, monkeypatch
+) -> None:
+    bench = supervised()
+    monkeypatch.setenv(
+        "PYTHONPATH", os.pathsep.join([str(Path(supervised_bench.__file__).parent), *sys.path])
+    )
+    process, _ = launch(str(bench.path), tmp_path / "runs")
+    try:
+        with RigClient(rig_name(str(bench.path))) as page:
+            assert page.reached(20.0)
+            page.plan(PLAN.model_dump(mode="json"))
+            page.start("one")
+            wait_for(lambda: any(one["place"][2] > 0.2 * MM for one in bench.noted("move")))
+            os.kill(process.pid, signal.SIGSTOP)
+            asked_ns = time.monotonic_ns()
+            stood = page.estop()
+            assert (stood["stood_ns"] - asked_ns) / 1e6 < 300
+            moves = len(bench.noted("move"))
+            time.sleep(0.3)
+            assert len(bench.noted("move")) == moves, "held, and nobody moves it"
+    finally:
+        process.kill()
+        process.wait()
+    wait_for(lambda: bench.noted("close"))
+    assert bench.z_m() > FREE_M
 
 
 def test_ctrl_c_in_the_terminal_lifts_and_the_same_command_goes_on(supervised, tmp_path: Path) -> None:

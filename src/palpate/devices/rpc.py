@@ -66,6 +66,11 @@ def path_of(name: str, folder: Path | None = None, kind: str = "json") -> Path:
     return folder_of(folder) / f"devices-{stem}.{kind}"
 
 
+def supervisor_name(name: str) -> str:
+    """Name of the process that supervises the motion of what a process holds."""
+    return f"{name} supervisor"
+
+
 def hold(name: str, folder: Path | None = None) -> BinaryIO:
     """The right to be the only process of this name, until what is returned is closed or the process ends.
 

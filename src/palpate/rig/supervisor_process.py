@@ -21,7 +21,7 @@ from typing import Any, BinaryIO
 from palpate.core import DeviceError, ForceSensor, MonotonicClock, ProtocolError, Stage
 from palpate.core.plugins import ERROR, plugin_calls
 from palpate.devices import Mounting
-from palpate.devices.rpc import Address, hold, publish
+from palpate.devices.rpc import Address, hold, publish, supervisor_name
 from palpate.devices.rpc_server import RpcServer
 from palpate.devices.supervisor.guard_messages import PipeWriter, error_fields, read_messages
 from palpate.devices.supervisor.guard_supervisor import GuardSupervisor
@@ -31,11 +31,6 @@ SWITCH_S = 0.001  # between threads, so that a stop does not wait for what other
 LET_GO_S = 8.0  # in which a supervisor before this one has lifted the probe and is gone
 AGAIN_S = 0.1
 SAID_S = 5.0
-
-
-def supervisor_name(rig: str) -> str:
-    """Name of the process that supervises a rig."""
-    return f"{rig} supervisor"
 
 
 def main() -> int:

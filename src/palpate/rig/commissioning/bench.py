@@ -22,11 +22,10 @@ from palpate.core import (
 )
 from palpate.devices import Limits, Mounting
 from palpate.devices.check.interface_check import Role
-from palpate.devices.rpc import find
+from palpate.devices.rpc import find, supervisor_name
 from palpate.devices.rpc_client import RpcClient
 from palpate.rig.rig_file import GrblPart, MarlinPart, RigFile, is_virtual, open_part, open_rig, read_rig
 from palpate.rig.service import RigClient, rig_name
-from palpate.rig.supervisor_process import supervisor_name
 
 WATCH_S = 1.0  # for a camera's rate
 REACH_S = 3.0  # for a process that holds the rig

@@ -4,23 +4,39 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from palpate.devices.rpc import Address
+from palpate.core import DeviceError
+from palpate.devices.rpc import Address, supervisor_name
 from palpate.devices.rpc_client import RpcClient, launch_process
 
 ESTOP_S = 5.0
+SOON_S = 1.0  # in which the rig's process has answered, where a supervisor has stopped the stage already
 
 
 class RigClient(RpcClient):
     """Asks one rig's process, and reaches for it again whenever it is gone.
+
+    Args:
+        name: of the rig, as `rig_name` says it.
+        folder: of the address files where it is not the user's own.
 
     Example:
         >>> with RigClient("virtual:palm") as rig:  # doctest: +SKIP
         ...     rig.plan("palm-reduced")
         ...     rig.start("first")
     """
+
+    def __init__(self, name: str, folder: Path | None = None) -> None:
+        super().__init__(name, folder)
+        self._supervisor = RpcClient(supervisor_name(name), folder)
+
+    def close(self) -> None:
+        """Go away; the processes go on."""
+        self._supervisor.close()
+        super().close()
 
     def plan(self, what: str | Mapping[str, Any]) -> dict[str, Any]:
         """Set what is recorded next."""
@@ -51,8 +67,23 @@ class RigClient(RpcClient):
         return self.send_estop()()
 
     def send_estop(self) -> Callable[[], dict[str, Any]]:
-        """Emergency stop, asked for at once; what is returned waits for the answer."""
-        return self.send("estop", ESTOP_S)
+        """Emergency stop, asked for at once; what is returned waits for the answer.
+
+        It goes to the supervisor of the motion, where there is one, and to the rig's process: one of the two
+        may hang.
+        """
+        by_supervisor = _sent(self._supervisor)
+        if by_supervisor is None:
+            return self.send("estop", ESTOP_S)
+        by_process = _sent(self, SOON_S)
+
+        def answer() -> dict[str, Any]:
+            if by_process is not None:
+                with suppress(DeviceError):
+                    return by_process()
+            return by_supervisor()
+
+        return answer
 
     def release(self) -> None:
         """Take the emergency stop back."""
@@ -82,3 +113,10 @@ def launch(
     words += ["--accelerated"] if accelerated else []
     words += ["--folder", str(folder)] if folder else []
     return launch_process(rig, words, folder)
+
+
+def _sent(client: RpcClient, timeout_s: float = ESTOP_S) -> Callable[[], dict[str, Any]] | None:
+    """An emergency stop that was sent; None where nobody can be reached."""
+    with suppress(DeviceError):
+        return client.send("estop", timeout_s)
+    return None

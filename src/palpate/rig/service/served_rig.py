@@ -33,7 +33,7 @@ def open_served_rig(name: str, *, accelerated: bool = False) -> ServedRig:
     """
     if not is_virtual(name):
         file = read_rig(Path(name))
-        return ServedRig(rig_from(file), file.virtual is None or file.virtual.real_time)
+        return ServedRig(rig_from(file, name=rig_name(name)), file.virtual is None or file.virtual.real_time)
     clock: Clock = ManualClock() if accelerated else MonotonicClock()
     rig = virtual_rig(sensor_named(name), clock=clock, age_s=REAL_TIME_AGE_S)
     return ServedRig(rig, not accelerated)
