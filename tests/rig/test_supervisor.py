@@ -334,9 +334,7 @@ def test_the_studios_process_records_through_the_supervisor_and_stops_it(supervi
     assert bench.z_m() <= FREE_M + 1e-5
 
 
-def test_the_pages_emergency_stop_passes_a_recorder_that_hangs(
-    supervised, tmp_path: Path, monkeypatch
-) -> None:
+def test_the_pages_emergency_stop_passes_a_recorder_that_hangs(supervised, tmp_path, monkeypatch) -> None:
     bench = supervised()
     monkeypatch.setenv(
         "PYTHONPATH", os.pathsep.join([str(Path(supervised_bench.__file__).parent), *sys.path])

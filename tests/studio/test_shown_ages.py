@@ -69,13 +69,14 @@ def test_behind_a_frozen_engine_all_numbers_age_by_real_time(tmp_path, accelerat
         assert stage.frozen.wait(MAX_S)
         frozen_s = time.monotonic()
         time.sleep(0.5)  # for what was under way elsewhere
-        first, first_s = service.status()["ages_s"], time.monotonic()
+        first_s, first = time.monotonic(), service.status()["ages_s"]
         time.sleep(MAX_FRESH_S)
-        second, second_s = service.status()["ages_s"], time.monotonic()
+        between_s, second = time.monotonic(), service.status()["ages_s"]
+        second_s = time.monotonic()
         for part in ("engine", "force", "position"):
-            assert second[part] - first[part] == pytest.approx(second_s - first_s, abs=0.1)
-            assert second[part] > MAX_FRESH_S, "it is marked as old"
-            assert second[part] >= second_s - frozen_s - 0.1
+            # Exact but for how long the two calls took on a busy machine, and rounding to 0.01 s.
+            assert second[part] - first[part] <= second_s - first_s + 0.02
+            assert second[part] >= between_s - frozen_s - 0.2 > MAX_FRESH_S, "it is marked as old"
         shown = ages_at(second_s + 7.0, {"ages_s": second}, second_s)
         assert shown["force"] == pytest.approx(second["force"] + 7.0)
         stage.goes_on.set()

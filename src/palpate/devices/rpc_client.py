@@ -39,7 +39,7 @@ class RpcClient(Closing):
     Attributes:
         name: of the process.
         status: the newest that it told; None while it cannot be reached.
-        told_s: when it told a status last [s, `time.monotonic`]; None before the first. It outlives `status`.
+        told_s: when it told a status last [s, monotonic time]; None before the first. It outlives `status`.
         picture: the newest frame as ``(number, JPEG bytes, (width, height))``.
     """
 

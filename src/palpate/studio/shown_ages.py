@@ -27,7 +27,7 @@ def ages_at(now_s: float, status: Mapping[str, Any] | None, told_s: float | None
     """Age of each part of a status that is shown [s]; None of what there never was.
 
     Args:
-        now_s: the time on `time.monotonic`.
+        now_s: the monotonic time now [s].
         status: the last that was told, however long ago; None where it was not kept.
         told_s: when that was, on the same clock; None where nothing ever was.
 
