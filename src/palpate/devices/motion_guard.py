@@ -342,10 +342,10 @@ class MotionGuard:
     ) -> bool:
         slowing_s = speed_m_s / self._stage.travel.acceleration_m_s2
         due_s = LATE_S + LATE_FACTOR * (math.dist(self.position_m(), target) / speed_m_s + slowing_s)
-        begun_ns, start = self._clock.now_ns(), self.position_m()
-        end_ns = begun_ns + round(due_s * NS_PER_S)
-        self.monitor.begin(self._phase, speed_m_s, math.dist(start, target), begun_ns)
+        start, asked_ns = self.position_m(), self._clock.now_ns()
+        end_ns = asked_ns + round(due_s * NS_PER_S)
         self._stage.move_to(target, speed_m_s)
+        self.monitor.begin(self._phase, speed_m_s, math.dist(start, target), asked_ns, self._clock.now_ns())
         while self._stage.moving():
             self._clock.sleep(POLL_S)
             if any(until(self._bias.force(one)) for one in self._look(check, asks)):

@@ -111,6 +111,7 @@ class ForceMonitor:
         self._before: deque[tuple[int, Six]] = deque(maxlen=KEPT)
         self._phase, self._speed, self._length_m, self._begun_ns = Phase.STAND, 0.0, 0.0, 0
         self._way_m, self._turned_n, self._turned_ns = 0.0, 0.0, 0
+        self._sending_s = 0.0
         self._reported_m: float | None = None
         self._ended_ns: int | None = 0
         self._restart()
@@ -165,15 +166,16 @@ class ForceMonitor:
         self._quiet_sum = 0.0
         self._before.clear()
 
-    def begin(self, phase: Phase, speed_m_s: float, length_m: float, now_ns: int) -> None:
-        """A move begins: how fast and how far [m/s, m]."""
+    def begin(self, phase: Phase, speed_m_s: float, length_m: float, asked_ns: int, sent_ns: int) -> None:
+        """A move has begun: how fast and how far [m/s, m], and between which times [ns]."""
         if phase is Phase.LIFT:
             self._restart()
         if self._phase is not phase:
-            self._turned_ns = now_ns + round(TURN_S * NS_PER_S)
+            self._turned_ns = sent_ns + round(TURN_S * NS_PER_S)
         if phase in (Phase.UP, Phase.LIFT) and self._phase is not phase:
             self._touched, self._held, self._turned_n = False, 0.0, self._level_n
-        self._phase, self._speed, self._length_m, self._begun_ns = phase, speed_m_s, length_m, now_ns
+        self._phase, self._speed, self._length_m, self._begun_ns = phase, speed_m_s, length_m, asked_ns
+        self._sending_s = (sent_ns - asked_ns) / NS_PER_S
         self._way_m, self._reported_m, self._ended_ns = 0.0, None, None
 
     def reported(self, way_m: float) -> None:
@@ -338,7 +340,8 @@ class ForceMonitor:
         """Force by which it may differ from a stiffness: noise, and what stage and sensor are late by [N]."""
         period_s = self.air.period_s if self.air else 0.0
         v, travel = self._speed, self._travel
-        slack_m = SLACK_M + v * (travel.latency_s + period_s) + v**2 / (2 * travel.acceleration_m_s2)
+        late_s = travel.latency_s + period_s + self._sending_s
+        slack_m = SLACK_M + v * late_s + v**2 / (2 * travel.acceleration_m_s2)
         return noises * self._noise_n + stiffness_n_m * slack_m + SLACK_SHARE * self._level_n
 
     def _quietened(self, six: Six) -> Doubt | None:
