@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from palpate.core import DeviceError, MissingExtraError
+from palpate.rig.real.device_hold import DeviceHold, hold_device, port_named
 
 READ_S = 0.05  # how long one read waits, and so how soon its thread sees that it must end
 WRITE_S = 1.0
@@ -24,6 +25,26 @@ class SerialPort(Protocol):
     def close(self) -> None: ...
 
 
+class HeldPort:
+    """A port that is given back, for others to open, as it is closed."""
+
+    def __init__(self, port: SerialPort, held: DeviceHold) -> None:
+        self._port, self._held = port, held
+        self.read, self.write = port.read, port.write
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that have come and were not read."""
+        return self._port.in_waiting
+
+    def close(self) -> None:
+        """Close the port. Closing again does nothing."""
+        try:
+            self._port.close()
+        finally:
+            self._held.release()
+
+
 def open_port(name: str, baud: int, *, dtr: bool = False, frame: str = "8N1") -> SerialPort:
     """Open a port for this programme alone.
 
@@ -32,9 +53,21 @@ def open_port(name: str, baud: int, *, dtr: bool = False, frame: str = "8N1") ->
         baud: bits a second.
         dtr: raise the DTR line, which resets many boards.
         frame: data bits, parity (N, E or O) and stop bits.
+
+    Raises:
+        DeviceError: there is no such port, or another process has it; says which.
     """
     serial = _serial()
     path = find_port(name)
+    held = hold_device(port_named(path))
+    try:
+        return HeldPort(_opened(serial, path, baud, dtr=dtr, frame=frame), held)
+    except BaseException:
+        held.release()
+        raise
+
+
+def _opened(serial: Any, path: str, baud: int, *, dtr: bool, frame: str) -> SerialPort:
     port = serial.Serial(
         port=None,
         baudrate=baud,

@@ -31,6 +31,8 @@ from palpate.core import (
     ndarray,
 )
 
+from palpate.rig.real.device_hold import DeviceHold, camera_named, hold_device
+
 BY_ID = Path("/dev/v4l/by-id")
 
 
@@ -267,11 +269,15 @@ class UvcCamera(Closing):
         self._last_ns = self._clock.now_ns()
         self._targets = self._controls()
         self._in_turn = cycle(self._targets)
-        self._source = opener(device(address))
+        where = device(address)
+        real = opener is open_video_source
+        self._held = hold_device(camera_named(where)) if real else DeviceHold(None)
+        self._source = opener(where)
         try:
             self._open()
         except (DeviceError, cv2.error) as error:
             self._source.release()
+            self._held.release()
             raise DeviceError(f"the camera {address}: {error}") from error
         self._thread = Thread(target=self._run, name=f"camera {address}", daemon=True)
         self._thread.start()
@@ -394,6 +400,7 @@ class UvcCamera(Closing):
             ended = "it was closed" if self._closing.is_set() else "its reading thread ended"
             self._fail(f"{ended}; open it anew")
             self._source.release()
+            self._held.release()
 
     def _fail(self, why: str) -> None:
         with self._new:

@@ -32,6 +32,7 @@ from palpate.rig.real.grbl.grbl_parser import (
     error_name,
     parse_line,
 )
+from palpate.rig.real.heard_lines import HeardTail
 from palpate.rig.real.serial_port import SerialPort
 
 HOLD, CANCEL, RESET, ASK = b"!", b"\x85", b"\x18", b"?"
@@ -102,6 +103,7 @@ class GrblLink:
         self.banners = 0
         self.firmware = ""  # as the last banner named it
         self.garbage = 0  # lines that are not GRBL's
+        self.tail = HeardTail()
         self.alarm: int | None = None  # the last one, until it is dealt with; a reset does not undo it
         self.restless = False  # a line that can move something went out since it was seen to stand
         self.out_of_step = False  # an answer may still come for a line given up
@@ -317,6 +319,7 @@ class GrblLink:
                 raise DeviceError(self.dead)
             try:
                 sent = self._port.write(data)
+                self.tail.send(data)
             except Exception as error:  # each system and adapter has its own kinds
                 self._bury(f"the stage's port failed on writing ({error}); check cable and power")
                 raise DeviceError(self.dead) from error
@@ -334,6 +337,7 @@ class GrblLink:
         try:
             while not self._closing and not self.dead:
                 data = self._port.read(min(max(self._port.in_waiting, 1), MAX_READ_BYTES))
+                self.tail.hear(data)
                 for line in splitter.feed(data):
                     self._take(line)
         except Exception as error:  # each system and adapter has its own kinds; none is swallowed

@@ -28,6 +28,7 @@ _SPENT = {GrblState.SLEEP, GrblState.CHECK}  # standing, and brought back by a r
 _HOW = "call home(), or reference() on your own word"
 _SLOWING_S = 10.0  # from any speed, until the settings are known
 _AGAIN_S = 0.1  # until a byte that asks for a stop is followed by the next, where it goes on
+_OTHER_S = 0.3  # for a device that is no GRBL controller to say something
 _SYNC_S = 0.5  # for the answer to an empty line of a controller that stands
 _NEAR_PERIODS = 2.0  # before its predicted end from which a move is looked at as often as can be
 _YOUNG_S = 0.003  # age of a report that two looks in a row share
@@ -317,9 +318,12 @@ class GrblSession:
             self.link.reset()
             heard = self.link.report(self.spec.reply_s)
         if heard is None:
+            self.link.slow_down(b"\n")  # makes some other devices say what they are, and moves none
+            self.clock.sleep(_OTHER_S)
             raise DeviceError(
-                f"nothing at {self.spec.port} answers as GRBL does; check power, cable, baud, and whether "
-                "the board needs dtr=True"
+                f"nothing at {self.spec.port} answers as GRBL does, {self.link.tail.in_words()}; check that "
+                f"this is the stage's port, power, cable, baud ({self.spec.baud}), and whether the board "
+                "needs dtr = true"
             )
         self._boots = self.link.banners
         if heard.status.state not in (GrblState.IDLE, GrblState.ALARM):

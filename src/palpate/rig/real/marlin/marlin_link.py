@@ -17,6 +17,7 @@ import time
 from collections import deque
 
 from palpate.core import DeviceError
+from palpate.rig.real.heard_lines import HeardTail
 from palpate.rig.real.marlin.marlin_lines import (
     Busy,
     Line,
@@ -75,6 +76,7 @@ class MarlinLink:
         self.dead = ""
         self.halts = self.starts = self.garbage = self.resent = 0
         self.restless = False
+        self.tail = HeardTail()
         self._reader = threading.Thread(target=self._read, name="marlin reader", daemon=True)
         self._reader.start()
 
@@ -254,6 +256,7 @@ class MarlinLink:
                 raise DeviceError(self.dead)
             try:
                 sent = self._port.write(data)
+                self.tail.send(data)
             except Exception as error:  # each system and adapter has its own kinds
                 self._bury(f"the stage's port failed on writing ({error}); check cable and power")
                 raise DeviceError(self.dead) from error
@@ -271,6 +274,7 @@ class MarlinLink:
         try:
             while not self._closing and not self.dead:
                 data = self._port.read(min(max(self._port.in_waiting, 1), MAX_READ_BYTES))
+                self.tail.hear(data)
                 *lines, rest = (rest + data).replace(b"\r", b"\n").split(b"\n")
                 rest = rest[:MAX_LINE]  # what is longer is no line of its, and stays cut
                 for raw in lines:

@@ -272,8 +272,9 @@ class MarlinStage(Closing):
                     raise
             except MarlinSilenceError as e:
                 raise DeviceError(
-                    f"nothing at {self._spec.port} answers as Marlin does (M118 and M115); check power, "
-                    "cable, baud, and whether the board needs dtr=True"
+                    f"nothing at {self._spec.port} answers as Marlin does (M118 and M115), "
+                    f"{self._link.tail.in_words()}; check that this is the stage's port, power, cable, baud "
+                    f"({self._spec.baud}), and whether the board needs dtr = true"
                 ) from e
         if not any("Marlin" in text for text in about):
             raise DeviceError(f"what answers at {self._spec.port} does not call itself Marlin: {about[:1]}")

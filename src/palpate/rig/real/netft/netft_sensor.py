@@ -27,6 +27,7 @@ from palpate.core import (
     Wrench,
 )
 from palpate.devices.force_trust import SampleDating
+from palpate.rig.real.device_hold import box_named, hold_device
 from palpate.rig.real.netft.netft_calibration import NetFTCalibration, Triple, fetch
 from palpate.rig.real.netft.netft_stream import (
     MONITOR_WARNING,
@@ -265,7 +266,8 @@ class NetFT(Closing):
             clock: stamps the samples.
 
         Raises:
-            DeviceError: the box does not answer, is not the one expected, or does not say its rate or range.
+            DeviceError: the box does not answer, is not the one expected, does not say its rate or range, or
+                another process has it: it serves only one.
             ProtocolError: what answers is not a Net F/T box.
             RangeError: it sends too seldom for the silence that is borne.
         """
@@ -277,11 +279,16 @@ class NetFT(Closing):
         self._latest: Wrench | None = None
         self._failure = ""
         self._before = NetFTCounts()
-        self.calibration = self._page(self._settings.calibration)
-        self._rate_hz = self._known_rate()
-        self._range_n = self._known_range()
-        self._samples = self._new_samples()
-        stream = self._start()
+        self._held = hold_device(box_named(host, self._settings.rdt_port))
+        try:
+            self.calibration = self._page(self._settings.calibration)
+            self._rate_hz = self._known_rate()
+            self._range_n = self._known_range()
+            self._samples = self._new_samples()
+            stream = self._start()
+        except BaseException:
+            self._held.release()
+            raise
         self._thread = Thread(target=self._run, args=(stream,), name=f"Net F/T {host}", daemon=True)
         self._thread.start()
 
@@ -331,6 +338,7 @@ class NetFT(Closing):
         self._thread.join()
         with self._lock:
             self._failure = self._failure or "the sensor was closed; open it anew"
+        self._held.release()
 
     def _refuse_failed(self) -> Wrench:
         if self._failure or self._latest is None:

@@ -30,6 +30,7 @@ from palpate.core import (
     RangeError,
     Wrench,
 )
+from palpate.rig.real.heard_lines import HeardTail
 from palpate.rig.real.scale.weight_line import MAX_LINE, NEWTONS, Weight, read_weight
 from palpate.rig.real.serial_port import SerialPort, open_port
 
@@ -232,6 +233,7 @@ class SerialScale(Closing):
         self._spec, self._port, self._clock = spec, port, clock or MonotonicClock()
         self._lock, self._closing = Lock(), Event()
         self._stream = WeightStream(spec)
+        self._tail = HeardTail()
         self._kept: deque[Wrench] = deque(maxlen=spec.keep)
         self._latest: Wrench | None = None
         self._overflowed, self._failure = 0, ""
@@ -312,7 +314,8 @@ class SerialScale(Closing):
             self._failure = (
                 f"no line that can be read came for {self._spec.silent_s:g} s"
                 f"{'' if self._spec.ask else ', and none was asked for'} ({self._stream.counts.garbled} were "
-                f"garbled); check its cable, power, baud ({self._spec.baud}) and printing mode"
+                f"garbled), {self._tail.in_words()}; check its cable, power, baud ({self._spec.baud}) and "
+                "printing mode, and that this port is the scale's"
             )
         if self._failure:
             raise DeviceError(f"the scale at {self._spec.port}: {self._failure}")
@@ -323,6 +326,7 @@ class SerialScale(Closing):
             while not self._closing.is_set() and not self._failure:
                 data = self._port.read(min(max(self._port.in_waiting, 1), MAX_READ_BYTES))
                 now_ns = self._clock.now_ns()
+                self._tail.hear(data)
                 with self._lock:
                     self._keep(self._stream.take(data, now_ns), now_ns)
                 self._ask()
@@ -339,11 +343,13 @@ class SerialScale(Closing):
             self._latest, self._heard_ns = sample, now_ns
             self._first.set()
         if self._stream.failure:
-            self._failure = self._failure or str(self._stream.failure)
+            self._failure = self._failure or f"{self._stream.failure} ({self._tail.in_words()})"
 
     def _ask(self, *, first: bool = False) -> None:
         """Ask for the next line, where it is due."""
         now_ns = self._clock.now_ns()
         if self._spec.ask and (first or now_ns - self._asked_ns >= NS_PER_S / self._spec.rate_hz):
             self._asked_ns = now_ns
-            self._port.write(self._spec.ask.encode("latin-1") + b"\r\n")
+            asked = self._spec.ask.encode("latin-1") + b"\r\n"
+            self._tail.send(asked)
+            self._port.write(asked)

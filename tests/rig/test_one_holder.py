@@ -1,0 +1,128 @@
+"""One process at a time has a device, by whatever name: two engines on one stage are refused, with the holder."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from tests.rig.lab_files import EchoModem, environment, lab_file, palpate, served
+
+from palpate.core import DeviceError
+from palpate.rig.real import device_hold, serial_port
+from palpate.rig.real.device_hold import box_named, camera_named, hold_device, port_named
+from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
+from palpate.rig.real.serial_port import open_port
+from palpate.rig.rig_file import open_rig
+
+pytest.importorskip("serial", reason="a stage's port needs pyserial")
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal needs POSIX")
+HOLD = "import sys\nfrom palpate.rig.real.device_hold import hold_device\nheld = hold_device(sys.argv[1])\n"
+
+
+def test_a_device_that_is_held_is_refused_with_the_holders_pid_and_free_once_that_is_killed() -> None:
+    device = f"port of {os.getpid()}"
+    script = HOLD + "print('held', flush=True)\nsys.stdin.read()\n"
+    with subprocess.Popen(
+        [sys.executable, "-c", script, device],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment(),
+    ) as other:  # fmt: skip
+        assert other.stdout
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(DeviceError, match=rf"{device} is in use by process {other.pid} \("):
+            hold_device(device)
+        hold_device(device + " and another one").release()
+        other.kill()
+        other.wait()
+        hold_device(device).release()
+
+
+def test_a_hold_that_was_released_is_free_and_one_process_holds_a_device_once() -> None:
+    device = f"box of {os.getpid()}"
+    held = hold_device(device)
+    with pytest.raises(DeviceError, match="this programme itself"):
+        hold_device(device)
+    held.release()
+    held.release()
+    hold_device(device).release()
+
+
+def test_a_disk_that_takes_no_lock_keeps_nobody_from_a_stage(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    hold_device("port", tmp_path / "file").release()
+
+
+def test_names_of_one_device_are_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    link = tmp_path / "by-id"
+    link.symlink_to("/dev/null")
+    assert port_named(str(link)) == port_named("/dev/null") == "port /dev/null"
+    assert box_named("localhost", 1) == box_named("127.0.0.1", 1) != box_named("127.0.0.1", 2)
+    monkeypatch.setattr(device_hold.sys, "platform", "linux")
+    assert camera_named(0) == camera_named("/dev/video0") != camera_named(1)
+
+
+def test_a_port_by_its_path_a_link_and_its_adapters_serial_number_is_one_port(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Listed:
+        serial_number = "A50285BI"
+
+        def __init__(self, device: str) -> None:
+            self.device = device
+
+    with served(EchoModem()) as path:
+        monkeypatch.setattr(serial_port, "_ports", lambda: [Listed(path)])
+        link = tmp_path / "by-id"
+        link.symlink_to(path)
+        first = open_port("A50285BI", 115200)
+        for name in (path, str(link), "A50285BI"):
+            with pytest.raises(DeviceError, match="in use by this programme itself"):
+                open_port(name, 115200)
+        first.close()
+        open_port(str(link), 115200).close()
+
+
+def test_a_box_serves_one_client_and_a_second_one_leaves_its_stream_alone(tmp_path: Path) -> None:
+    with lab_file(tmp_path) as lab:
+        settings = NetFTSettings(rdt_port=lab.box.rdt_port, http_port=lab.box.http_port, silence_s=5.0)
+        with NetFT("127.0.0.1", settings) as first:
+            with pytest.raises(DeviceError, match=r"Net F/T box 127\.0\.0\.1.*in use"):
+                NetFT("localhost", settings)
+            starts = [one for one in lab.box.requests if one.command == 2]
+            assert len({one.source for one in starts}) == 1
+            first.latest()
+        NetFT("localhost", settings).close()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("record", "--plan", "layer", "--out", "{run}", "--rig"), ("rig", "check"), ("rig", "jog", "--axis", "x", "--mm", "1")],
+)  # fmt: skip
+def test_a_second_programme_on_a_rig_in_use_is_refused_with_the_pid_and_moves_nothing(
+    tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    with lab_file(tmp_path) as lab:
+        file = lab.write()
+        with closing(open_rig(file)):
+            done = palpate(*(word.format(run=tmp_path / "run") for word in words), file)
+        assert done.returncode == 2, done
+        assert f"in use by process {os.getpid()} (" in done.stderr
+        assert not (tmp_path / "run").exists()
+        assert not lab.jogged
+
+
+def test_a_rig_file_that_names_one_port_twice_is_refused(tmp_path: Path) -> None:
+    with lab_file(tmp_path) as lab:
+        file = lab.write(label_force={"kind": "serial-scale", "port": lab.terminal.path, "unit": "g"})
+        with pytest.raises(DeviceError, match=r"in use by this programme|no line that can be read"):
+            open_rig(file)
+        assert not lab.jogged
+
+
+def test_a_port_that_is_given_back_can_be_opened_again_at_once(tmp_path: Path) -> None:
+    with lab_file(tmp_path) as lab:
+        for _ in range(3):
+            open_rig(lab.write()).close()

@@ -1,0 +1,120 @@
+"""A port that is another device: refused before anything moves, with what it said and who speaks so."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.rig.lab_files import EchoModem, lab_file, palpate, served
+from tests.rig.serial_terminal import SerialDevice
+
+from palpate.core import NS_PER_S, DeviceError, MonotonicClock
+from palpate.rig.fakes.grbl_firmware import GrblFirmware
+from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
+from palpate.rig.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
+from palpate.rig.fakes.printing_scale import PrintingScale, ScaleFaults
+from palpate.rig.real.heard_lines import describe_heard
+from palpate.rig.rig_file import open_rig
+
+pytest.importorskip("serial", reason="a stage's port needs pyserial")
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal needs POSIX")
+GRBL = {"kind": "grbl", "boot_s": 0.05, "reply_s": 0.4}
+MARLIN = {
+    "kind": "marlin", "boot_s": 0.05, "reply_s": 0.4, "reference": [0, 0, 0],
+    "least_mm": [-50, -50, -50], "greatest_mm": [50, 50, 50],
+}  # fmt: skip
+SCALE = {"kind": "serial-scale", "unit": "g"}
+
+
+def device(what: str) -> SerialDevice:
+    now_s = MonotonicClock().now_ns() / NS_PER_S
+    match what:
+        case "grbl":
+            return GrblFirmware(GrblParameters(homed=True), GrblFaults(), now_s)
+        case "marlin":
+            return MarlinFirmware(MarlinParameters(), MarlinFaults(), now_s)
+        case "scale":
+            return PrintingScale(rate_hz=20.0, now_s=now_s)
+        case "noise":
+            return PrintingScale(rate_hz=20.0, faults=ScaleFaults(nonsense=True), now_s=now_s)
+        case "silent":
+            return PrintingScale(faults=ScaleFaults(mute=True), now_s=now_s)
+    return EchoModem()
+
+
+@pytest.mark.parametrize(
+    ("what", "part", "said"),
+    [
+        ("marlin", GRBL, "a Marlin controller"),
+        ("scale", GRBL, "a scale"),
+        ("modem", GRBL, "a modem or a bridged cable"),
+        ("noise", GRBL, "another baud rate"),
+        ("silent", GRBL, "it said nothing"),
+        ("grbl", MARLIN, "a GRBL controller"),
+        ("scale", MARLIN, "a scale"),
+        ("modem", MARLIN, "a modem or a bridged cable"),
+        ("silent", MARLIN, "it said nothing"),
+    ],
+)
+def test_a_stages_port_that_is_another_device_is_refused_with_what_it_said(
+    tmp_path: Path, what: str, part: dict[str, Any], said: str
+) -> None:
+    with lab_file(tmp_path) as lab, served(device(what)) as port:
+        lab.fields["stage"] = {**part, "port": port}
+        with pytest.raises(DeviceError, match=said) as told:
+            open_rig(lab.write())
+        assert port in str(told.value)
+        lab.fields["stage"] = {**GRBL, "port": lab.terminal.path, "reference": "counts"}
+        open_rig(lab.write()).close()  # the control: the right one is taken, also after what failed
+
+
+@pytest.mark.parametrize(
+    ("what", "ask", "said"),
+    [
+        ("grbl", "SI", "a GRBL controller"),
+        ("marlin", "SI", "a Marlin controller"),
+        ("modem", "SI", "a modem or a bridged cable"),
+        ("grbl", "", "said"),
+        ("noise", "", "another baud rate"),
+    ],
+)
+def test_a_scales_port_that_is_another_device_is_refused_with_what_it_said(
+    tmp_path: Path, what: str, ask: str, said: str
+) -> None:
+    with lab_file(tmp_path) as lab, served(device(what)) as port:
+        file = lab.write(label_force={**SCALE, "port": port, "ask": ask})
+        with pytest.raises(DeviceError, match=said) as told:
+            open_rig(file)
+        assert port in str(told.value)
+        assert not lab.jogged
+
+
+def test_record_on_a_rig_whose_stage_is_a_scale_says_so_and_makes_no_run(tmp_path: Path) -> None:
+    with lab_file(tmp_path) as lab, served(device("scale")) as port:
+        lab.fields["stage"] = {**GRBL, "port": port}
+        done = palpate("record", "--rig", lab.write(), "--plan", "layer", "--out", str(tmp_path / "run"))
+        assert done.returncode == 2
+        assert "a scale" in done.stderr
+        assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("heard", "sent", "said"),
+    [
+        (b"Grbl 1.1h ['$' for help]\r\n", b"", "GRBL"),
+        (b"<Idle|MPos:0,0,0|FS:0,0>\r\n", b"?", "GRBL"),
+        (b"start\necho:Marlin 2.1\n", b"", "Marlin"),
+        (b"4.20 g\r\n 14.20 g\r\n", b"", "scale"),
+        (b"ST,+00014.20  g\r\nST,+00014.20  g\r\n", b"", "scale"),
+        (b"???", b"????", "modem"),
+        (b"\xff\xfe\x01", b"", "baud"),
+    ],
+)
+def test_who_speaks_is_told_by_its_lines(heard: bytes, sent: bytes, said: str) -> None:
+    assert said in describe_heard(heard, sent)
+
+
+def test_lines_of_nobody_known_are_shown_and_nobody_is_named() -> None:
+    assert describe_heard(b"login: \r\n") == "it said 'login:'"
