@@ -143,7 +143,9 @@ def served(device: SerialDevice) -> Iterator[str]:
 
 def palpate(*words: str, **more: Any) -> subprocess.CompletedProcess[str]:
     """Run palpate's command line in a process of its own."""
-    return subprocess.run(command(*words), capture_output=True, text=True, timeout=240, env=environment(), **more)
+    return subprocess.run(
+        command(*words), capture_output=True, text=True, timeout=240, env=environment(), **more
+    )
 
 
 def command(*words: str) -> list[str]:

@@ -192,10 +192,10 @@ def test_a_device_whose_records_too_begin_anew_ends_the_stream(box: FakeNetFT) -
 def test_one_record_with_a_wrong_measurement_number_is_a_fault_and_no_restart(box: FakeNetFT) -> None:
     with NetFT(box.host, patient(box)) as sensor:
         more(sensor)
-        wrong = struct.pack(">III6i", box.rdt_sequence + 2**20, 0, 0, 7, 7, 7, 7, 7, 7)
+        wrong = struct.pack(">III6i", box.rdt_sequence + 50, 0, 0, 7, 7, 7, 7, 7, 7)
         sensor.drain()
         box.send_instead(wrong)
-        box.rdt_sequence += 2**20 + 1000
+        box.rdt_sequence += 100
         until(lambda: sensor.counts.faulty >= 1)
         is_fit(sensor)
         assert [w.fault for w in sensor.drain() if w.fault] == ["the measurement counter jumped"]
@@ -434,3 +434,18 @@ def test_a_receiving_thread_that_ends_by_a_mistake_does_not_leave_an_old_sample_
 
         monkeypatch.setattr(sensor, "_step", mistake)
         assert "its receiving thread ended" in failure(sensor)
+
+
+def test_a_record_counter_that_runs_on_further_than_time_is_named(box: FakeNetFT) -> None:
+    with NetFT(box.host, patient(box)) as sensor:
+        more(sensor)
+        box.rdt_sequence += 5000  # ten seconds of records, as after the computer slept
+        assert "ran on by 5001" in failure(sensor)
+
+
+def test_records_lost_for_as_long_as_time_passed_are_only_counted(box: FakeNetFT) -> None:
+    with NetFT(box.host, patient(box)) as sensor:
+        more(sensor)
+        box.lose(150)  # 0.3 s of them
+        until(lambda: sensor.counts.lost >= 150)
+        is_fit(sensor)

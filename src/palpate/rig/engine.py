@@ -14,7 +14,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import assert_never
 
-from palpate.core import DeviceError, PalpateError, PathText, RecordingError, StorageError
+from palpate.core import DeviceError, MonotonicClock, PalpateError, PathText, RecordingError, StorageError
 from palpate.core.plugins import ERROR, plugin_calls
 from palpate.devices import (
     ForceBias,
@@ -27,6 +27,7 @@ from palpate.devices import (
     SupervisedGuard,
     Tripped,
 )
+from palpate.devices.suspension import SleepWatch
 from palpate.recordings import Manifest, Offset, Run, RunWriter
 from palpate.rig.acquisition import LABELS, Acquisition
 from palpate.rig.clock_sync import ClockSync
@@ -45,6 +46,7 @@ from palpate.rig.plans.recording_plan import (
     Sweep,
     TareStep,
 )
+from palpate.rig.preflight import check_ready
 from palpate.rig.press_motion import PressMotion, check_plan
 from palpate.rig.rig import Rig
 from palpate.rig.run_progress import (
@@ -95,6 +97,8 @@ class Engine:
         guard.samples.subscribe(recorder.force)  # first, so that all is on disk that anybody else hears
         guard.positions.subscribe(recorder.stage)
         guard.looks.subscribe(self._tell)
+        if isinstance(rig.clock, MonotonicClock):
+            guard.looks.subscribe(SleepWatch().look)
         self._motion = PressMotion(rig, plan, guard, bias, recorder)
         self._acquisition = Acquisition(rig, guard, self._motion, recorder, bias, self._mark)
         self._state = State.READY
@@ -338,13 +342,16 @@ def record(
         watch: told how far it is, a few times a second.
 
     Raises:
-        Tripped: the plan leaves the rig's limits; nothing has moved and nothing is written.
+        Tripped: the plan leaves the rig's limits, or a real rig's devices do not give what is stated; nothing
+            has moved and nothing is written.
         RecordingError: the run has another plan or seed, or another writer records into it.
         StorageError: the disk refused before anything moved.
     """
     out = Path(out)
     plan = plan if rig.design is None else plan.on(rig.design)
     check_plan(rig, plan)
+    if rig.seed is None:  # a real one; what a virtual one shows is shown in the run
+        check_ready(rig)
     done: Done = {}
     if out.exists():
         run = Run.open(out)

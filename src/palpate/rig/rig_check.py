@@ -116,6 +116,13 @@ def _fits(rig: Rig) -> Part:
         slow = str(e)
     yield verdict("the force sensor is fast enough to guard", not slow, slow)
     yield at_most(
+        "the force sensor tells of a force in time",
+        1.0 / rig.force.rate_hz + getattr(rig.force, "delay_s", 0.0),
+        limits.force_latency_s,
+        "s",
+        "its period and delay exceed the limit force_latency_s, from which the run-on is counted; raise that",
+    )
+    yield at_most(
         "the force limit lies inside the sensor's range",
         limits.force_n,
         rig.force.range_n[rig.mounting.normal],

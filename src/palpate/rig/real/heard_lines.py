@@ -10,6 +10,7 @@ import re
 KEPT_BYTES = 400  # of what was heard last
 SHOWN = 60  # characters
 _GRBL = re.compile(rb"grbl(?:hal)? \d|<(?:Idle|Alarm|Run|Jog|Hold|Door|Check|Home|Sleep)\b", re.IGNORECASE)
+_GRBL_ERROR = re.compile(rb"^error:\d{1,3}\r?$", re.MULTILINE)
 _MARLIN = re.compile(rb"marlin|echo:|FIRMWARE_NAME|^start\r?$| Count X:", re.IGNORECASE | re.MULTILINE)
 _WEIGHT = re.compile(rb"[A-Z, ]*[-+]? *\d+(?:\.\d+)? *[A-Za-z]{0,3} *")
 
@@ -56,13 +57,15 @@ def describe_heard(heard: bytes, sent: bytes = b"") -> str:
 
 
 def _speaker(heard: bytes, sent: bytes) -> str:
-    if _GRBL.search(heard):
+    if _GRBL.search(heard) or _GRBL_ERROR.search(heard):
         return "a GRBL controller"
     if _MARLIN.search(heard):
         return "a Marlin controller"
     if sent and _without_ends(heard) in _without_ends(sent):
         return "what it was sent: a modem or a bridged cable sends it back"
-    lines = [line for line in heard.replace(b"\r", b"\n").split(b"\n")[1:] if line.strip()]  # the first is cut
+    lines = [
+        line for line in heard.replace(b"\r", b"\n").split(b"\n")[1:] if line.strip()
+    ]  # the first is cut
     if any(_WEIGHT.fullmatch(line) for line in lines[-3:]):
         return "a scale, or another device that prints numbers"
     if any(byte >= 0x80 for byte in heard):

@@ -30,7 +30,6 @@ from palpate.core import (
     UInt8,
     ndarray,
 )
-
 from palpate.rig.real.device_hold import DeviceHold, camera_named, hold_device
 
 BY_ID = Path("/dev/v4l/by-id")
@@ -303,6 +302,18 @@ class UvcCamera(Closing):
         """Counts of what has come so far."""
         with self._new:
             return self._watch.counts
+
+    @property
+    def health(self) -> str:
+        """What was lost, repeated or damaged so far; empty where nothing was."""
+        counts = self.counts
+        told = {
+            "frames lost": counts.dropped,
+            "frames that repeat the one before": counts.duplicate,
+            "frames broken": counts.broken,
+            "steps back of the driver's clock": counts.backwards,
+        }
+        return ", ".join(f"{count} {what}" for what, count in told.items() if count)
 
     def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
         """The next frame exposed wholly after this call, and when its exposure ended [ns].

@@ -233,8 +233,14 @@ def check_limits(spec: GrblSpec, machine: GrblMachine) -> None:
 
     Raises:
         InputError: there are none, and homing is off: the counts begin anywhere, and so would -$130 to 0.
-        RangeError: they span more than the machine does.
+        RangeError: they span more than the machine does, or are faster.
     """
+    fastest = min(machine.top_mm_min) / S_PER_MIN
+    if spec.top_speed_m_s is not None and spec.top_speed_m_s * MM_PER_M > fastest * (1 + 1e-9):
+        raise RangeError(
+            f"a top speed of {spec.top_speed_m_s * MM_PER_M:g} mm/s is stated, and the machine's slowest axis "
+            f"does {fastest:g} mm/s ($110 to $112); state that or less"
+        )
     if spec.least_m is None or spec.greatest_m is None:
         if not machine.homing:
             raise InputError("homing is off on the stage ($22=0), so give least_m and greatest_m [m]")

@@ -69,6 +69,7 @@ class MarlinStage(Closing):
 
     Raises:
         DeviceError: no Marlin controller answers, or it cannot be driven: its message says why.
+        RangeError: the spec states a speed that the machine cannot do.
         InputError: the spec lacks what the controller does not tell.
     """
 
@@ -312,7 +313,14 @@ class MarlinStage(Closing):
                 "and Z): give sudden_m_s [m/s], and try it with the load that it carries"
             )
         sudden = spec.sudden_m_s or min(machine.jerk_mm_s or ()) / MM_PER_M
-        return tuple(v for v in (sudden, min(machine.top_mm_s) / MM_PER_M, spec.top_speed_m_s) if v)
+        fastest = min(machine.top_mm_s) / MM_PER_M
+        if spec.top_speed_m_s is not None and spec.top_speed_m_s > min(fastest, sudden) * (1 + 1e-9):
+            raise RangeError(
+                f"a top speed of {spec.top_speed_m_s * MM_PER_M:g} mm/s is stated; the stage's slowest axis does "
+                f"{fastest * MM_PER_M:g} mm/s (M203), and can stop dead from {sudden * MM_PER_M:g} mm/s; state "
+                "the least of these or less"
+            )
+        return tuple(v for v in (sudden, fastest, spec.top_speed_m_s) if v)
 
     def _box_m(self) -> tuple[Position, Position]:
         low_mm, high_mm = self._machine.box_mm or ((0.0,) * 3, (0.0,) * 3)

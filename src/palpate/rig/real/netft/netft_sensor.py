@@ -88,6 +88,7 @@ class NetFTSettings:
 
 
 MAX_MALFORMED = 10  # datagrams in a row
+JUMP_S, JUMP_FACTOR = 0.5, 2.0  # of records beyond the time that passed, for a counter that jumped
 _NOTHING: Triple = (math.nan, math.nan, math.nan)
 _RAILS = (-(2**31), 2**31 - 1)
 
@@ -153,6 +154,7 @@ class Samples:
         self._sequence, self._measurement = RdtSequence(), RdtMeasurement()
         self._progress_ns = start_ns
         self._numbered = self._dated = 0
+        self._arrived_ns: int | None = None
         self._stalled = self._stale = self._malformed = 0  # since the last new measurement
 
     def take(self, datagram: bytes, time_ns: int) -> list[Wrench]:
@@ -197,9 +199,25 @@ class Samples:
         """When a sample would have come, had it not been held back; never before the last one [ns]."""
         if self._dating is None:
             return arrival_ns
-        number = self._numbered = self._numbered + ahead(record.rdt_sequence, self._numbered % 2**32)
+        step = ahead(record.rdt_sequence, self._numbered % 2**32)
+        self._check_step(step, arrival_ns)
+        number = self._numbered = self._numbered + step
         self._dated = max(self._dated, self._dating.date_ns(number, arrival_ns))
         return self._dated
+
+    def _check_step(self, step: int, arrival_ns: int) -> None:
+        """Tell a counter that ran on further than time did: the computer slept, or the box is another."""
+        assert self._dating is not None  # as the caller made sure of
+        arrived, self._arrived_ns = self._arrived_ns, arrival_ns
+        if arrived is None:
+            return
+        passed_s = (arrival_ns - arrived) / NS_PER_S
+        counted_s = step * self._dating.period_s
+        if counted_s > JUMP_FACTOR * passed_s + JUMP_S:
+            self.failure = DeviceError(
+                f"its record counter ran on by {step}, which is {counted_s:.2f} s of records, within "
+                f"{passed_s:.3f} s: this computer slept, or the box was restarted or changed; open it anew"
+            )
 
     def _sample(self, record: RdtRecord, time_ns: int, arrival_ns: int) -> Wrench:
         progress = self._measurement.progress(record.ft_sequence)

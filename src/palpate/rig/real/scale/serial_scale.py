@@ -98,6 +98,12 @@ class ScaleSpec:
             raise InputError("give count_n, the force of one count [N], with unit = 'counts' and only then")
         if self.count_n is not None and not (math.isfinite(self.count_n) and self.count_n != 0):
             raise RangeError(f"count_n is {self.count_n} N; it must be finite and not 0")
+        most_n = math.inf if self.count_n is None else abs(self.count_n) * HX711_RAILS[1]
+        if self.range_n > most_n:
+            raise RangeError(
+                f"range_n is {self.range_n:g} N, and at {abs(self.count_n or 0.0):g} N a count its 24 bits end "
+                f"at {most_n:.4g} N; give that or less"
+            )
         if not re.fullmatch(r"[78][NEO][12]", self.frame):
             raise InputError(f"frame is {self.frame!r}; give data bits, parity and stop bits, such as '7E1'")
 

@@ -46,7 +46,7 @@ _BEYOND = {
     "^": "overload", "L": "underload", "LL": "underload", "LOW": "underload", "UNDER": "underload",
     "V": "underload",
 }  # fmt: skip
-_REPORT = re.compile(r"(?:Err|Error|E)[ :]*\d{1,4}", re.IGNORECASE)
+_REPORT = re.compile(r"(?:E|Err|ERR|Error)[ :]*\d{1,4}")  # "error:20" is GRBL's
 _LINE = re.compile(
     r"(?P<headers>(?:[A-Z~+ -]{1,6},)*) *"
     r"(?:(?P<mark>[?^v]) +)?"
