@@ -59,6 +59,10 @@ class DeviceError(PalpateError):
     """A device is gone, does not answer in time, or refuses."""
 
 
+class HardwareStopError(DeviceError):
+    """A device was stopped by an input of its own, such as a door or hold switch, and not by this computer."""
+
+
 class ProtocolError(DeviceError):
     """Bytes came that are not the device's language."""
 

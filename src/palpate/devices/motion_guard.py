@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Generic, ParamSpec
 
-from palpate.core import NS_PER_S, Clock, DeviceError, Position, Wrench
+from palpate.core import NS_PER_S, Clock, DeviceError, HardwareStopError, Position, Wrench
 from palpate.devices.device_proxies import Actuator, ForceSource, PlainActuator, PlainForceSource
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.force_trust import Doubt, ForceMonitor, Phase, name_fault
@@ -303,6 +303,8 @@ class MotionGuard:
         """
         try:
             self._stage.stop()
+        except HardwareStopError as e:
+            raise Tripped(Reason.HARDWARE_STOP, str(e)) from e
         except DeviceError as e:
             raise Tripped(Reason.STAGE, f"the stage did not stop when told to: {e}") from e
 
@@ -322,6 +324,9 @@ class MotionGuard:
             self.monitor.end(self._clock.now_ns())
             if reached:
                 return True
+        except HardwareStopError as e:
+            self.halt()
+            raise Tripped(Reason.HARDWARE_STOP, str(e)) from e
         except DeviceError as e:
             self.halt()
             raise Tripped(Reason.STAGE, f"the stage failed on its way: {e}") from e

@@ -30,6 +30,7 @@ class Reason(StrEnum):
     NO_CONTACT = "no-contact"
     SOFT_LIMIT = "soft-limit"
     TOO_FAST = "too-fast"
+    HARDWARE_STOP = "hardware-stop"  # the stage's own door or hold input
     STAGE = "stage"
     STAGE_LATE = "stage-late"
     CAMERA = "camera"

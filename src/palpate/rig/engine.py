@@ -242,6 +242,8 @@ class Engine:
     def _failed(self, reason: Reason, message: str) -> Outcome:
         if reason is Reason.STORAGE:
             self._recorder.muted = True
+        if reason is Reason.HARDWARE_STOP:  # whoever pressed it wants no motion, not even this one
+            return self._ended(State.FAILED, f"{message}; the probe was not lifted: {reason.value}", reason)
         if stays := self._lift_if_possible():
             message = f"{message}; the probe was not lifted: {stays}"
         return self._ended(State.FAILED, message, reason)

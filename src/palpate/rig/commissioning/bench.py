@@ -181,13 +181,14 @@ def stop_rig(rig: str) -> str:
 def bench_status(bench: Bench) -> dict[str, Any]:
     """State of each device: plain values, None where a device does not say; `problems` says why."""
     problems = dict(bench.failed)
-    found: dict[str, Any] = {"rig": bench.name, "stage": None, "position_mm": None, "problems": problems}
+    found: dict[str, Any] = {"rig": bench.name, "stage": None, "stage_says": None, "position_mm": None, "problems": problems}
     if bench.stage is not None:
         try:
             found["stage"] = "moving" if bench.stage.moving() else "stands"
             found["position_mm"] = [round(1e3 * d, 4) for d in bench.stage.position_m()]
         except PalpateError as e:
             problems["stage"] = str(e)
+        found["stage_says"] = getattr(bench.stage, "reported", "") or None
     found |= _force_status(bench, problems) | _camera_status(bench, problems)
     return found
 

@@ -53,6 +53,8 @@ class GrblController:
         received: every byte that came, for tests to look at.
         stops: each byte that asked for a stop, in the order of coming, with the true place then [mm].
         door_open: the door's input.
+        hold_pressed: the hold's input. What it does is what the byte does (public Grbl 1.1 interface
+            description); whether grblHAL ignores it in a jog, as it does the byte, was not observed.
     """
 
     def __init__(self, model: GrblParameters, faults: GrblFaults, now_s: float) -> None:
@@ -61,7 +63,7 @@ class GrblController:
         self.settings = {**SETTINGS, **model.settings}
         self.received = bytearray()
         self.stops: list[tuple[int, Millimetres]] = []
-        self.door_open = False
+        self.door_open = self.hold_pressed = False
         self._now_s = now_s
         self._axes = Axes(min(self.settings[n] for n in (120, 121, 122)), model.start_mm)
         self._slip_mm = NOWHERE  # how far it truly is from its counts
@@ -132,6 +134,11 @@ class GrblController:
         """Open the door's input, as a switch on the machine does."""
         self.door_open = True
         self._realtime(DOOR)
+
+    def press_hold(self) -> None:
+        """Press the hold's input, as a button on the machine does."""
+        self.hold_pressed = True
+        self._realtime(HOLD)
 
     def receive(self, data: bytes) -> None:
         """Bytes from the host, now."""
@@ -340,6 +347,8 @@ class GrblController:
         if mask & 2:
             fields.append(f"Bf:{max(PLANNER - len(self._axes.blocks), 0)},{RX_BYTES - len(self._rx)}")
         fields.append(f"FS:{self.speed_mm_s * 60:.0f},0")
+        if pins := "D" * self.door_open + "H" * self.hold_pressed:
+            fields.append(f"Pn:{pins}")
         if self._reports % 10 == 2:
             fields.append(f"WCO:{in_words(offset)}")
         if self.model.firmware == "grblHAL":

@@ -83,7 +83,9 @@ class MoveSupervisor:
             raise DeviceError(f"the stage is in {status.state} {where}; stop() it, then see to the cause")
         if self.at_ns - self._changed_ns > self._patience_ns:
             kind = "has stopped" if idle else f"says {status.state} and does not move"
-            raise DeviceError(f"the stage {kind} {where}; stop() it, then see what blocks it")
+            raise DeviceError(
+                f"the stage {kind} {where}; stop() it, then see what blocks it, or who pressed its hold input"
+            )
         return False
 
     def left_mm(self) -> float:
@@ -99,6 +101,11 @@ class MoveSupervisor:
         """How far it goes on after it was asked to stop, v^2 / 2a + v latency [mm]."""
         speed = self.feed_mm_min / S_PER_MIN
         return speed**2 / (2 * self._rate) + speed * latency_s
+
+    @property
+    def began_ns(self) -> int:
+        """When it began [ns]."""
+        return self._began_ns
 
     @property
     def slowing_s(self) -> float:

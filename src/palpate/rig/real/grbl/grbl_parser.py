@@ -136,6 +136,12 @@ class GrblStatus:
     pins: str = ""
     homed: bool | None = None
 
+    @property
+    def in_words(self) -> str:
+        """State and active inputs, as it reports them, such as "Door:1, Pn:D"."""
+        state = self.state.value if self.substate is None else f"{self.state.value}:{self.substate}"
+        return f"{state}, Pn:{self.pins}" if self.pins else state
+
 
 @dataclass(frozen=True, slots=True)
 class Setting:

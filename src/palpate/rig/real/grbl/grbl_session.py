@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from palpate.core import NS_PER_S, Clock, DeviceError
+from palpate.core import NS_PER_S, Clock, DeviceError, HardwareStopError
 from palpate.rig.real.grbl.grbl_link import (
     CANCEL,
     HOLD,
@@ -24,6 +24,7 @@ from palpate.rig.real.grbl.grbl_supervisor import GrblMachine, GrblSpec, Mount, 
 from palpate.rig.real.serial_port import SerialPort
 
 _STANDS = {GrblState.IDLE, GrblState.ALARM, GrblState.SLEEP, GrblState.CHECK}
+STOP_PINS = {"D": "its door input", "H": "its hold input"}  # letters in Pn: (Grbl 1.1 interface description)
 _SPENT = {GrblState.SLEEP, GrblState.CHECK}  # standing, and brought back by a reset alone
 _HOW = "call home(), or reference() on your own word"
 _SLOWING_S = 10.0  # from any speed, until the settings are known
@@ -103,6 +104,10 @@ class GrblSession:
             return None
         move.note(place_mm, heard.time_ns)
         self.check_place(place_mm)
+        ours = self.link.halted_ns >= move.began_ns and heard.status.state is GrblState.HOLD
+        if _by_input(heard.status) and (heard.status.pins or not ours):
+            where = shown(place_mm)
+            raise HardwareStopError(f"the stage was stopped by {_input(heard.status)}, at {where} (machine)")
         return heard.status
 
     def standing(self, *, fresh: bool = True) -> tuple[GrblStatus, Millimetres]:
@@ -117,6 +122,8 @@ class GrblSession:
             self.check_alarm()
             self._check_restart()
             status, place_mm = self._just_seen.status, self._place(self._just_seen.status) or self.look()[1]
+        if _by_input(status):
+            raise HardwareStopError(f"the stage is stopped by {_input(status)}")
         if status.state is not GrblState.IDLE:
             raise DeviceError(f"the stage is in {status.state}, not idle; stop() it first")
         self.check_place(place_mm)
@@ -222,6 +229,8 @@ class GrblSession:
             alarm = self.link.alarm
             self.lose("it is locked by an alarm" if alarm is None else f"it stopped with {alarm_name(alarm)}")
         elif status.state not in (GrblState.IDLE, GrblState.ALARM):
+            if _held_still(status):
+                self.settle(place_mm)
             raise _not_cleared(status)
         if not self.lost:
             self.check_place(place_mm)
@@ -330,6 +339,9 @@ class GrblSession:
             stood = self._await_stand(cancelled=False)
             if stood is None or stood[0].state not in (GrblState.IDLE, GrblState.ALARM):
                 self.reset()
+                heard = self.link.report(self.spec.reply_s)
+        if heard and _by_input(heard.status):
+            raise HardwareStopError(f"the stage at {self.spec.port} is stopped by {_input(heard.status)}")
         machine = read_machine(self.link)
         self._boots = self.link.banners
         self.link.alarm = None
@@ -392,6 +404,27 @@ def _goes_on(status: GrblStatus) -> bool:
     return status.state in (GrblState.JOG, GrblState.RUN, GrblState.UNKNOWN)
 
 
+def _by_input(status: GrblStatus) -> bool:
+    """Whether an input of its own stops it, as a report tells: nothing here holds a move that is followed.
+
+    A hold in a jog shows by its pin alone: Grbl 1.1 then turns Idle, and grblHAL goes on.
+    """
+    held = status.state in (GrblState.DOOR, GrblState.HOLD) and status.substate != 3  # moving back from a door
+    return held or bool(set(status.pins) & set(STOP_PINS))
+
+
+def _input(status: GrblStatus) -> str:
+    """Which input, as far as it is told."""
+    pins = [name for letter, name in STOP_PINS.items() if letter in status.pins]
+    if status.state is GrblState.DOOR and not pins:
+        pins = ["its door input"]
+    name = " and ".join(pins) or "a hold that this programme did not ask for"
+    return (
+        f"{name} (it is in {status.in_words}); see why, free that input, then stop() it (palpate rig stop) and "
+        "begin again"
+    )
+
+
 def _next_byte(status: GrblStatus, sent: int, overdue: bool) -> bytes:
     """What to send when so many bytes did not bring it to a stand: mostly the kind that fits its state.
 
@@ -406,7 +439,7 @@ def _next_byte(status: GrblStatus, sent: int, overdue: bool) -> bytes:
 def _not_cleared(status: GrblStatus) -> DeviceError:
     """Say that it stands where it does, and that it may move only where it may."""
     if status.state is GrblState.DOOR and status.substate in (0, 1):
-        return DeviceError("the stage stands, and its door input is open; close it, then stop() it again")
+        return HardwareStopError(f"the stage stands, stopped by {_input(status)}")
     if _held_still(status) or status.state in _SPENT:
         return DeviceError(f"the stage stands, and a reset does not clear its {status.state}; power it anew")
     return DeviceError(f"the stage could not be brought to a stand, it is in {status.state}: cut its power")

@@ -126,6 +126,12 @@ class GrblStage(Closing):
         return self._link.firmware
 
     @property
+    def reported(self) -> str:
+        """State and active inputs of its newest report, such as "Door:1, Pn:D"; empty before any."""
+        heard = self._link.latest
+        return heard.status.in_words if heard else ""
+
+    @property
     def machine(self) -> GrblMachine:
         """The controller's settings that bear on motion."""
         return self._session.machine

@@ -1,0 +1,159 @@
+"""The stage's own door and hold inputs: they stop it without the computer, which says so by a name of its own."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.rig.lab_files import lab_file, palpate
+from tests.rig.test_preflight import small
+from tests.rig.test_rig_setup import LABS
+
+from palpate.core import DeviceError, HardwareStopError, Wrench
+from palpate.devices import Limits, Mounting, OperatorControl
+from palpate.devices.force_bias import ForceBias
+from palpate.devices.motion_guard import MotionGuard
+from palpate.devices.motion_limits import Reason, Tripped
+from palpate.recordings import Run
+from palpate.rig.commissioning.bench import Bench, bench_status
+from palpate.rig.engine import record
+from palpate.rig.fakes.grbl_parameters import GrblParameters
+from palpate.rig.rig_file import open_rig
+from palpate.rig.run_progress import State
+
+FIRMWARES = ["1.1h", "grblHAL"]
+INPUTS = {"door": "its door input", "hold": "its hold input"}
+
+
+class Quiet:
+    """A force sensor in the air."""
+
+    rate_hz, range_n = 1000.0, (50.0, 50.0, 50.0)
+
+    def __init__(self, clock: Any) -> None:
+        self.clock, self.n = clock, itertools.count()
+
+    def latest(self) -> Wrench:
+        return Wrench(self.clock.now_ns(), (1e-3 * (next(self.n) % 7), 0.0, 0.0))
+
+    def drain(self) -> list[Wrench]:
+        return [self.latest()]
+
+    def close(self) -> None:
+        pass
+
+
+def press(bench: Any, which: str) -> None:
+    with bench.terminal.lock:
+        bench.terminal.catch_up()
+        bench.firmware.open_door() if which == "door" else bench.firmware.press_hold()
+
+
+def free(bench: Any) -> None:
+    with bench.terminal.lock:
+        bench.firmware.door_open = bench.firmware.hold_pressed = False
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+@pytest.mark.parametrize("which", INPUTS)
+def test_an_input_of_the_stages_own_ends_a_guarded_motion_by_its_own_name(
+    grbl_bench: Any, firmware: str, which: str
+) -> None:
+    bench = grbl_bench(GrblParameters(homed=True, firmware=firmware))
+    stage = bench.open()
+    x, y, z = stage.position_m()
+    limits = Limits((x - 0.04, y - 0.04, z - 0.04), (x + 0.04, y + 0.04, z + 0.04), overshoot_m=1e-3)
+    guard = MotionGuard(
+        stage, Quiet(bench.clock), limits, ForceBias(Mounting()), bench.clock, OperatorControl()
+    )
+    looks = itertools.count()
+
+    def look() -> None:
+        if next(looks) == 40:
+            press(bench, which)
+
+    guard.looks.subscribe(look)
+    with pytest.raises(Tripped, match=INPUTS[which]) as told:
+        guard.towards((x + 0.03, y, z), 0.004)
+    assert told.value.reason is Reason.HARDWARE_STOP
+    assert bench.speed_mm_s == 0.0
+    assert bench.place_mm[0] - 1e3 * x < 10.0  # of the 30 mm that it was sent
+    found = bench_status(Bench("b", bench.clock, Mounting(), limits, (0.0, 0.0, 0.0), stage))
+    assert f"Pn:{which[0].upper()}" in found["stage_says"]
+    with pytest.raises(HardwareStopError, match=INPUTS[which]):
+        stage.move_to((x, y, z), 0.004)  # nothing moves before it is freed
+    free(bench)
+    stage.stop()
+    bench.wait(lambda: bench.firmware.state == "Idle")
+    stage.move_to((x, y, z), 0.004)
+    bench.arrive(stage)
+    assert stage.position_m() == pytest.approx((x, y, z), abs=1e-5)
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+def test_a_stage_whose_door_is_open_is_not_opened_and_says_why(grbl_bench: Any, firmware: str) -> None:
+    bench = grbl_bench(GrblParameters(homed=True, firmware=firmware))
+    press(bench, "door")
+    with pytest.raises(HardwareStopError, match=r"its door input \(it is in Door:1, Pn:D\)"):
+        bench.open()
+    free(bench)
+    assert bench.open().position_m()
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+def test_the_control_a_stop_that_the_computer_asked_for_is_no_hardware_stop(
+    grbl_bench: Any, firmware: str
+) -> None:
+    bench = grbl_bench(GrblParameters(homed=True, firmware=firmware))
+    stage = bench.open()
+    x, y, z = stage.position_m()
+    for _ in range(5):
+        bench.move_to_speed(stage, (x + 0.02, y, z), 0.01)
+        stage._link.halt()  # as an operator's stop in another thread begins
+        try:
+            bench.wait(lambda: not stage.moving() or bench.speed_mm_s == 0.0)
+        except DeviceError as e:
+            assert not isinstance(e, HardwareStopError)
+        stage.stop()
+        stage.move_to((x, y, z), 0.02)
+        bench.arrive(stage)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("firmware", FIRMWARES)
+def test_a_door_opened_in_a_recording_is_in_its_events_and_nothing_moves_after_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, firmware: str
+) -> None:
+    settings = {120: 500, 121: 500, 122: 500}
+    model = GrblParameters(homed=True, start_mm=(-50.0, -50.0, -20.0), settings=settings, firmware=firmware)
+    with lab_file(tmp_path, model=model) as lab:
+        monkeypatch.setitem(LABS, "lab", lab)
+        kind = "tests.rig.test_rig_setup:LabForce"
+        lab.fields["force"] = {"kind": kind, "lab": "lab", "axes": ["x", "y", "-z"]}
+
+        def open_when_down() -> None:
+            while -lab.stage.place_mm[2] < 29.9:
+                time.sleep(0.005)
+            with lab.terminal.lock:
+                lab.stage.open_door()
+
+        person = threading.Thread(target=open_when_down, daemon=True)
+        with closing(open_rig(lab.write())) as rig:
+            person.start()
+            outcome = record(rig, small(), tmp_path / "run")
+            after = lab.stage.place_mm
+            time.sleep(0.3)
+            assert lab.stage.place_mm == after
+            with lab.terminal.lock:
+                lab.stage.door_open = False
+        assert outcome.state is State.FAILED
+        assert outcome.reason is Reason.HARDWARE_STOP
+        events = Run.open(tmp_path / "run").events()
+        assert "its door input" in events[events["kind"] == "state"]["fields"].iloc[-1]
+        status = palpate("rig", "status", lab.write())
+        assert "stage_says: Idle" in status.stdout, status
