@@ -133,7 +133,7 @@ class Lab:
             raise SystemExit(f"a stop by {way} stopped nothing")
         except (PalpateError, OperatorInterrupt):
             person.join()
-        self.stage.inner_stop()
+        self.stage.stop()
         came_ns, ran_on_mm = self.tell("came")
         begun = self.force.pushed_ns if way == "guard" else asked_ns[0]
         self.release()
@@ -243,7 +243,7 @@ def lab_of(real: GrblStage, clock: MonotonicClock, asked: Any) -> Lab:
         (x - TRAVEL_M, y - 1e-3, z - 1e-3), (x + TRAVEL_M, y + 1e-3, z + 1e-3), age_s=0.5, overshoot_m=1e-3,
         step_m=STEP_M, force_rate_n_s=1e6,
     )  # fmt: skip
-    stage = StageProxy(real)
+    stage = StageProxy(real, clock)
     guard = MotionGuard(stage, force, limits, ForceBias(Mounting()), clock, control)
     return Lab(stage, force, guard, control, asked)
 
