@@ -52,12 +52,16 @@ def jog(
     mm: Annotated[float, Option(help="How far, with its sign [mm]; 50 mm at most.")],
     speed_mm_s: Annotated[float, Option(help="Speed [mm/s]; 10 mm/s at most.")] = 1.0,
     stop_n: Annotated[float, Option(help="Change of force that stops it [N].")] = 1.0,
+    unguarded: Annotated[
+        bool,
+        Option("--unguarded", help="Move without a force sensor, 2 mm/s at most: your word that nothing is near."),
+    ] = False,
     json_: Json = False,
 ) -> None:
     """Move one axis by some millimetres, guarded by force.
 
-    Any change of force from what it is at the start stops it. Without a force sensor in the file, the
-    greatest speed is 2 mm/s, and nothing stops it but its limits.
+    Any change of force from what it is at the start stops it. Where there is no force sensor, or it fails,
+    nothing moves unless --unguarded is given: then at 2 mm/s at most, and nothing stops it but its limits.
 
     Example: palpate rig jog bench.toml --axis z --mm -2
     """
@@ -67,13 +71,14 @@ def jog(
 
     with open_bench(rig, ("force", "stage")) as bench:
         stage = bench.need_stage()
-        if "force" in bench.failed:
-            bench.need_force()
+        if bench.force is None and not unguarded:
+            why = bench.failed.get("force", f"the rig {bench.name!r} has no [force]")
+            raise InputError(f"{why}. Not moved: nothing guards it; --unguarded moves it at 2 mm/s at most")
         if bench.limits is None:
             raise InputError(f"{rig}: a jog keeps to [limits], and the file has none; state them")
         jog_stage(
             stage,
-            bench.force,
+            None if unguarded else bench.force,
             bench.mounting,
             bench.limits,
             bench.clock,
@@ -84,7 +89,7 @@ def jog(
         )
         at_mm = [round(1e3 * d, 4) for d in stage.position_m()]
     text = f"{rig}: at ({', '.join(f'{d:g}' for d in at_mm)}) mm"
-    print_found({"rig": rig, "position_mm": at_mm, "guarded": bench.force is not None}, text, json_)
+    print_found({"rig": rig, "position_mm": at_mm, "guarded": not unguarded}, text, json_)
 
 
 @rig_app.command()
@@ -138,7 +143,9 @@ def zero(rig: RigName, json_: Json = False) -> None:
     from palpate.rig.commissioning.hand_motion import zero as zero_force
 
     with open_bench(rig, ("force", "stage")) as bench:
-        found = zero_force(bench.need_stage(), bench.need_force(), bench.mounting, bench.clock)
+        found = zero_force(
+            bench.need_stage(), bench.need_force(), bench.mounting, bench.clock, bench.limits
+        )
     x, y, z = found.force_n
     text = (
         f"{rig}: {x:.4f}, {y:.4f}, {z:.4f} N in the air, noise {found.noise_n:.4f} N along the press, "

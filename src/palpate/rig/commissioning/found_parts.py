@@ -23,6 +23,7 @@ class FoundStage:
         travel_m: its travel, in the sensor's frame, for the axes that it was asked for; None where its
             firmware does not know.
         fields: of the part in a rig's file, besides its kind.
+        tells_jerk: whether its firmware says from which speed it can stop dead, or brakes by itself.
     """
 
     kind: str
@@ -30,6 +31,7 @@ class FoundStage:
     homing: bool
     travel_m: tuple[Position, Position] | None
     fields: dict[str, object]
+    tells_jerk: bool = True
 
 
 StageSearch = Callable[[str, tuple[str, str, str], float, Clock], FoundStage]
@@ -64,7 +66,29 @@ def find_grbl(port: str, axes: tuple[str, str, str], boot_s: float, clock: Clock
     raise first
 
 
-STAGES: dict[str, StageSearch] = {"grbl": find_grbl}
+def find_marlin(port: str, axes: tuple[str, str, str], boot_s: float, clock: Clock) -> FoundStage:
+    """Ask a port as Marlin is asked. It counts as without switches: homing a printer drives it to its bed.
+
+    Raises:
+        DeviceError: no Marlin controller answers.
+    """
+    from palpate.rig.real.marlin import MarlinSpec, MarlinStage
+
+    # Limits and a speed that fit any machine: it is only asked, and not moved.
+    spec = MarlinSpec(
+        port, axes=axes, boot_s=boot_s, least_m=(0.0,) * 3, greatest_m=(1e-3,) * 3, sudden_m_s=1e-3
+    )
+    stage = MarlinStage.open(spec, clock)
+    try:
+        says = "Marlin, which stops " + ("as it is told" if stage.emergency_parser else "in its turn only")
+        tells_jerk = stage.tells_jerk
+    finally:
+        stage.close()
+    fields: dict[str, object] = {"port": port, "baud": spec.baud, "dtr": spec.dtr, "boot_s": boot_s}
+    return FoundStage("marlin", says, False, None, fields, tells_jerk)
+
+
+STAGES: dict[str, StageSearch] = {"grbl": find_grbl, "marlin": find_marlin}
 """How each kind of stage is looked for on a port. A new kind is one more entry."""
 
 

@@ -93,7 +93,9 @@ def mean_force(force: ForceSensor, mounting: Mounting, clock: Clock) -> AirForce
     return AirForce(bias.force_n, bias.noise_n, len(samples) / taken_s, 0.0)
 
 
-def lift_clear(stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock) -> AirForce:
+def lift_clear(
+    stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock, limits: Limits | None = None
+) -> AirForce:
     """Lift the probe in steps until the force no longer changes: it hangs in the air.
 
     Args:
@@ -101,9 +103,10 @@ def lift_clear(stage: Stage, force: ForceSensor, mounting: Mounting, clock: Cloc
         force: what guards the lift.
         mounting: of the force sensor.
         clock: of both.
+        limits: soft limits that it keeps to, where the stage's place is known.
 
     Raises:
-        Tripped: compression rises, the force goes on changing over `MAX_LIFT_M`, or cannot be believed.
+        Tripped: a soft limit, before it is passed; compression rises, the force goes on changing over `MAX_LIFT_M`, or cannot be believed.
         DeviceError: the stage fails, or its controller refuses to go higher.
     """
     at = mean_force(force, mounting, clock)
@@ -115,6 +118,9 @@ def lift_clear(stage: Stage, force: ForceSensor, mounting: Mounting, clock: Cloc
                 f"the force still changes after a lift of {lifted_m * 1e3:.1f} mm: the probe is not free, or "
                 "the sensor drifts; look at the rig",
             )
+        if limits is not None:
+            x, y, z = stage.position_m()
+            limits.check_target((x, y, z - STEP_M))
         _retreat(stage, force, mounting, clock, STEP_M, LIFT_SPEED_M_S)
         lifted_m, flat_m = lifted_m + STEP_M, flat_m + STEP_M
         at = mean_force(force, mounting, clock)
@@ -146,7 +152,9 @@ def home_clear(
     return found
 
 
-def zero(stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock) -> AirForce:
+def zero(
+    stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock, limits: Limits | None = None
+) -> AirForce:
     """Measure the force in the air; nothing is set in the device.
 
     The probe is lifted by `FLAT_M`, which shows that it touched nothing.
@@ -154,7 +162,7 @@ def zero(stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock) -> 
     Raises:
         Tripped: it touched something.
     """
-    found = lift_clear(stage, force, mounting, clock)
+    found = lift_clear(stage, force, mounting, clock, limits)
     if found.lifted_mm > FLAT_M * 1e3 + 1e-6:
         raise Tripped(
             Reason.TOUCHED_EARLY,

@@ -6,6 +6,7 @@ never over another.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -23,6 +24,7 @@ from palpate.devices.motion_guard import MotionGuard
 from palpate.rig.commissioning.force_touch import MAX_REACH_M, Weighing, touch_twice, weigh
 from palpate.rig.commissioning.found_parts import FoundStage, find_stage, serial_ports, video_devices
 from palpate.rig.commissioning.hand_motion import JOG_N, MAX_JOG_M_S, home_clear, mean_force
+from palpate.rig.commissioning.scale_setup import ask_scale
 from palpate.rig.commissioning.setup_answers import Answers, Three, confirm, number, text, three
 from palpate.rig.commissioning.toml_text import toml_text
 from palpate.rig.rig_check import check_rig
@@ -79,6 +81,7 @@ def set_up(out: Path, answers: Answers, say: Say) -> SetUp:
     }
     found = _stage(made, answers, say, clock)
     _force(made, answers, say, clock)
+    _label(made, answers, say, clock)
     _camera(made, answers, say, clock)
     _limits(made, answers, found)
     file = _validated(made.fields)
@@ -144,10 +147,18 @@ def _stage(made: SetUp, answers: Answers, say: Say, clock: Clock) -> FoundStage:
     part["latency_s"] = number(
         answers, "latency_s", "Seconds from asking for a stop to its slowing down", 1e-3, 1.0, 0.05
     )
-    if found.homing:
+    if not found.tells_jerk:
+        part["sudden_mm_s"] = number(
+            answers, "sudden_mm_s", "Fastest speed from which it stops dead without losing steps [mm/s]", 0.1, 50
+        )
+    if found.homing and part.get("dtr"):  # opening its port may reset it, and it forgets its place then
+        part["home"] = True
+        made.unchecked.append("whether its board keeps its place when its port is opened: it homes each time")
+    elif found.homing:
         part["reference"] = "counts"
     else:
-        part["require_homed"] = False
+        if found.kind == "grbl":
+            part["require_homed"] = False
         part["reference"] = list(three(answers, "stands_mm", "Where the stage stands now, without switches"))
         made.unchecked.append("the stage's place: it has no switches, so it is on your word at each opening")
     made.fields["stage"] = part
@@ -155,8 +166,13 @@ def _stage(made: SetUp, answers: Answers, say: Say, clock: Clock) -> FoundStage:
 
 
 def _force(made: SetUp, answers: Answers, say: Say, clock: Clock) -> None:
-    kind = text(answers, "force_kind", "Force sensor: netft, or module:Class of your own", "netft")
+    kind = text(
+        answers, "force_kind", "Force sensor that guards: netft, serial-scale, or module:Class of your own", "netft"
+    )
     part: dict[str, Any] = {"kind": kind, "axes": ["x", "y", "z"]}
+    if kind == "serial-scale":
+        _guarding_scale(made, answers, say, clock)
+        return
     if kind == "netft":
         part["host"] = text(answers, "force_host", "Its address in the network", "192.168.1.1")
         part["rdt_port"] = int(number(answers, "force_rdt_port", "Its port of records", 1, 65535, 49152))
@@ -176,6 +192,44 @@ def _force(made: SetUp, answers: Answers, say: Say, clock: Clock) -> None:
             f"force: {air.rate_hz:.0f} samples/s of {sensor.rate_hz:g} stated, range "
             f"{', '.join(f'{r:g}' for r in sensor.range_n)} N, noise {air.noise_n:.4f} N"
         )
+
+
+def _guarding_scale(made: SetUp, answers: Answers, say: Say, clock: Clock) -> None:
+    """A load cell that guards, which only a fast one may: its newest sample is never older than the limit."""
+    part, words = ask_scale(answers, "force", _free_ports(made), _opener(clock), clock)
+    say(words)
+    known_s = 1.0 / part["rate_hz"] + part["delay_s"]
+    most_s = MAX_LIMITS["force_latency_s"]
+    if known_s > most_s:
+        raise InputError(
+            f"with {part['rate_hz']:g} lines a second and a delay of {part['delay_s']:g} s this scale tells of a "
+            f"force {known_s:.3g} s late, and {most_s:g} s are allowed of a sensor that guards: it may label "
+            "beside a faster one (label_kind = serial-scale)"
+        )
+    made.fields["force"] = part
+    made.fields["_range_n"] = part["range_N"]
+    made.fields["_latency_s"] = math.ceil(known_s * 1e3) / 1e3
+
+
+def _label(made: SetUp, answers: Answers, say: Say, clock: Clock) -> None:
+    """A second sensor, which labels and guards nothing."""
+    kind = text(answers, "label_kind", "Second force sensor, which only labels: serial-scale, or none", "none")
+    if kind == "none":
+        return
+    if kind != "serial-scale":
+        raise InputError(f"label_kind is {kind!r}; give serial-scale or none")
+    part, words = ask_scale(answers, "label", _free_ports(made), _opener(clock), clock)
+    say(words)
+    made.fields["label_force"] = part
+
+
+def _opener(clock: Clock) -> Callable[[dict[str, Any]], Any]:
+    return lambda part: open_part("force", _part("force", part), clock)
+
+
+def _free_ports(made: SetUp) -> list[str]:
+    taken = made.fields["stage"]["port"]
+    return [port for port in serial_ports() if port != taken]
 
 
 def _camera(made: SetUp, answers: Answers, say: Say, clock: Clock) -> None:
@@ -233,6 +287,8 @@ def _limits(made: SetUp, answers: Answers, found: FoundStage) -> None:
         answers, "force_N", "Greatest force [N]", 0.1, most_n, min(PROPOSED_N, RANGE_SHARE * range_n)
     )
     made.fields["limits"] = {"least_mm": list(least), "greatest_mm": list(greatest), "force_N": force_n}
+    if (latency_s := made.fields.pop("_latency_s", None)) is not None:
+        made.fields["limits"] |= {"force_latency_s": latency_s, "age_s": max(0.1, 2 * latency_s)}
 
 
 def _check_box(least: Three, greatest: Three, low: Three, high: Three) -> None:
@@ -298,6 +354,8 @@ def _go_above(stage: Any, force: Any, limits: Limits, clock: Clock, above: Three
 
 
 def _weight(made: SetUp, answers: Answers, say: Say, clock: Clock) -> None:
+    if made.fields["force"]["kind"] == "serial-scale":  # its count was found by a weight, or its unit compared
+        return
     mass_g = number(answers, "mass_g", "Known weight for the force sensor [g]; 0 for none", 0.0, 5000.0)
     if mass_g == 0:
         made.unchecked.append("the scale of the force: no known weight was laid on")

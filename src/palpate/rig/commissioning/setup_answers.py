@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from palpate.core import InputError
 from palpate.rig.plans.plan_files import read_toml
@@ -19,6 +20,7 @@ class Answers(Protocol):
     """Source of answers, each with a name, by which a file gives it."""
 
     def ask(self, name: str, question: str, proposal: Any = None) -> Any: ...
+    def again(self, why: str) -> bool: ...  # whether a wrong answer may be given anew
     def unused(self) -> list[str]: ...  # names that were answered and never asked for
 
 
@@ -52,6 +54,10 @@ class FileAnswers:
             return proposal
         raise InputError(f"the answers do not say {name} ({question}); add a line {name} = ...")
 
+    def again(self, why: str) -> bool:
+        """Never: a file says the same again."""
+        return False
+
     def unused(self) -> list[str]:
         """Names that were answered and never asked for."""
         return sorted(set(self._answers) - self._asked)
@@ -78,6 +84,11 @@ class PromptAnswers:
             if proposal is not None:
                 return proposal
 
+    def again(self, why: str) -> bool:
+        """Say what is wrong, and let the person answer anew; not where all is taken as proposed."""
+        print(why, file=sys.stderr)
+        return not self._yes
+
     def unused(self) -> list[str]:
         """None: a person is asked one thing at a time."""
         return []
@@ -93,34 +104,59 @@ def _value(text: str) -> Any:
         return text
 
 
+Good = TypeVar("Good")
+
+
+def until_good(answers: Answers, take: Callable[[], Good]) -> Good:
+    """An answer that can be taken; a person who gave one that cannot is asked again."""
+    while True:
+        try:
+            return take()
+        except InputError as e:
+            if not answers.again(str(e)):
+                raise
+
+
 def confirm(answers: Answers, name: str, question: str, proposal: bool | None = None) -> bool:
     """An answer that is yes or no."""
-    answer = answers.ask(name, f"{question} (yes/no)", proposal)
-    if not isinstance(answer, bool):
-        raise InputError(f"{name} is {answer!r}; answer yes or no, in a file true or false")
-    return answer
+
+    def take() -> bool:
+        answer = answers.ask(name, f"{question} (yes/no)", proposal)
+        if not isinstance(answer, bool):
+            raise InputError(f"{name} is {answer!r}; answer yes or no, in a file true or false")
+        return answer
+
+    return until_good(answers, take)
 
 
 def number(
     answers: Answers, name: str, question: str, low: float, high: float, proposal: float | None = None
 ) -> float:
     """An answer that is a number from `low` to `high`."""
-    answer = answers.ask(name, f"{question}, {low:g} to {high:g}", proposal)
-    good = isinstance(answer, int | float) and not isinstance(answer, bool) and math.isfinite(answer)
-    if not good or not low <= answer <= high:
-        raise InputError(f"{name} is {answer!r}; {low:g} to {high:g} are allowed ({question})")
-    return float(answer)
+
+    def take() -> float:
+        answer = answers.ask(name, f"{question}, {low:g} to {high:g}", proposal)
+        good = isinstance(answer, int | float) and not isinstance(answer, bool) and math.isfinite(answer)
+        if not good or not low <= answer <= high:
+            raise InputError(f"{name} is {answer!r}; {low:g} to {high:g} are allowed ({question})")
+        return float(answer)
+
+    return until_good(answers, take)
 
 
 def three(answers: Answers, name: str, question: str, proposal: Three | None = None) -> Three:
     """An answer that is three finite numbers."""
-    answer = answers.ask(name, f"{question}, as [x, y, z]", None if proposal is None else list(proposal))
-    if not isinstance(answer, list | tuple) or len(answer) != len("xyz"):
-        raise InputError(f"{name} is {answer!r}; give three numbers, as in [0, 0, 0] ({question})")
-    if not all(isinstance(one, int | float) and math.isfinite(one) for one in answer):
-        raise InputError(f"{name} is {answer!r}; all three must be finite numbers ({question})")
-    x, y, z = (float(one) for one in answer)
-    return x, y, z
+
+    def take() -> Three:
+        answer = answers.ask(name, f"{question}, as [x, y, z]", None if proposal is None else list(proposal))
+        if not isinstance(answer, list | tuple) or len(answer) != len("xyz"):
+            raise InputError(f"{name} is {answer!r}; give three numbers, as in [0, 0, 0] ({question})")
+        if not all(isinstance(one, int | float) and math.isfinite(one) for one in answer):
+            raise InputError(f"{name} is {answer!r}; all three must be finite numbers ({question})")
+        x, y, z = (float(one) for one in answer)
+        return x, y, z
+
+    return until_good(answers, take)
 
 
 def text(answers: Answers, name: str, question: str, proposal: str | None = None) -> str:

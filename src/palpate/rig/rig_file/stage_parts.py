@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from palpate.core import Clock, Stage
+from palpate.core import Clock, DeviceError, Stage
 from palpate.rig.plans.press_places import Positive
 from palpate.rig.rig_file.file_fields import MM, Part, Three, check_below, metres
 
@@ -65,6 +65,11 @@ class GrblPart(Part):
         check_below(MAX_STAGE, self)
         if self.home and not self.require_homed:
             raise ValueError("home = true needs switches, and require_homed = false says there are none")
+        if self.dtr and self.reference == "counts":
+            raise ValueError(
+                'reference = "counts" with dtr = true: raising DTR resets many boards, and Grbl forgets its place '
+                "at a start; set home = true, or say where it stands"
+            )
         if not self.require_homed and self.reference is None:
             raise ValueError(
                 'a stage without switches (require_homed = false) needs reference: "counts", or where it '
@@ -93,6 +98,12 @@ class GrblPart(Part):
             **_given(self, "boot_s", "reply_s", "stop_s", "home_s"),
         )
         stage = GrblStage.open(spec, clock)
+        if place and self.reference == "counts" and not self.home and stage.started_anew:
+            stage.close()
+            raise DeviceError(
+                f"the controller at {self.port} started anew as its port was opened, and forgot its place: its "
+                "counts are not to be believed; palpate rig home, or set home = true in [stage]"
+            )
         if place and self.reference is not None and not self.home:
             _take_place(stage, None if self.reference == "counts" else metres(self.reference))
         return stage

@@ -55,6 +55,7 @@ class GrblSession:
         self.mount = Mount(spec.axes)
         self.move: MoveSupervisor | None = None
         self.homing = self.unlocked = False
+        self.started_anew = False  # as its port was opened
         self.homed: bool | None = None  # as grblHAL says; None where it does not
         self.lost = "its port was just opened, which may have reset it"
         self._offset_mm: tuple[float, ...] | None = None
@@ -321,7 +322,7 @@ class GrblSession:
 
     def _greet(self) -> GrblMachine:
         """Get into step with a controller that may be booting, moving, held, locked or not there."""
-        self.link.listen(self.spec.boot_s)
+        self.started_anew = self.link.listen(self.spec.boot_s)
         heard = self.link.report(self.spec.reply_s)
         if heard is None:  # still booting, or locked by an alarm that only a reset ends
             self.link.reset()

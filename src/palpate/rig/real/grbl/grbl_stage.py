@@ -126,6 +126,11 @@ class GrblStage(Closing):
         return self._link.firmware
 
     @property
+    def started_anew(self) -> bool:
+        """Whether the controller said its banner as its port was opened: Grbl then counts from zero."""
+        return self._session.started_anew
+
+    @property
     def reported(self) -> str:
         """State and active inputs of its newest report, such as "Door:1, Pn:D"; empty before any."""
         heard = self._link.latest

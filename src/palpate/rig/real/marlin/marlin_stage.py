@@ -101,6 +101,11 @@ class MarlinStage(Closing):
         return self._machine.emergency_parser
 
     @property
+    def tells_jerk(self) -> bool:
+        """Whether its firmware says from which speed it can stop dead (M205)."""
+        return self._machine.jerk_mm_s is not None
+
+    @property
     def travel(self) -> Travel:
         """The spec's limits, or the machine's own box; speed and latency as the module says."""
         machine, spec = self._machine, self._spec

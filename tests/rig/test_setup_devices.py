@@ -1,0 +1,204 @@
+"""The guided setup with each kind of device, and with wrong answers: what a newcomer would stumble over."""
+
+from __future__ import annotations
+
+import random
+import sys
+import time
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.rig.lab_files import lab_file, palpate, served
+from tests.rig.test_rig_setup import G, LabAnswers, answers_of, lab
+
+from palpate.core import MonotonicClock
+from palpate.core.clock import NS_PER_S
+from palpate.core.errors import DeviceError, InputError
+from palpate.rig.commissioning.setup_answers import PromptAnswers, confirm, number, three
+from palpate.rig.commissioning.rig_setup import set_up
+from palpate.rig.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
+from palpate.rig.fakes.printing_scale import PrintingScale
+from palpate.rig.rig_file import open_rig, read_rig
+
+pytest.importorskip("serial", reason="a stage's port needs pyserial")
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal needs POSIX")
+COUNT_N = 2.5e-5
+MASS_G = 500.0
+
+
+def now_s() -> float:
+    return MonotonicClock().now_ns() / NS_PER_S
+
+
+class Person(LabAnswers):
+    """Somebody who also lays a weight on the scale."""
+
+    lies = False
+
+    def ask(self, name: str, question: str, proposal: Any = None) -> Any:
+        if name.endswith("_weight_lies"):
+            Person.lies = True
+        return super().ask(name, question, proposal)
+
+
+def scale(layout: str = "counts", sign: float = 1.0, rate_hz: float = 20.0) -> PrintingScale:
+    Person.lies = False
+    return PrintingScale(
+        lambda t: sign * MASS_G * 1e-3 * G * Person.lies + random.gauss(0.0, 1e-3),
+        layout=layout,  # type: ignore[arg-type]
+        rate_hz=rate_hz,
+        delay_s=0.0,
+        count_n=COUNT_N,
+        now_s=now_s(),
+    )
+
+
+def walk(one: Any, out: Path, **changed: Any) -> tuple[dict[str, Any], str]:
+    said: list[str] = []
+    base = answers_of(one, may_move=False, mass_g=0, **changed)._answers
+    set_up(out, Person(one, base), said.append)
+    return tomllib.loads(out.read_text()), "\n".join(said)
+
+
+LABEL = {"label_kind": "serial-scale", "label_rate_hz": 20.0, "label_delay_s": 0.0, "label_mass_g": MASS_G}
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_known_weight_gives_the_force_of_a_labelling_cells_count_with_its_sign(
+    tmp_path: Path, sign: float
+) -> None:
+    with lab() as one, served(scale(sign=sign)) as port:
+        words = {"label_port": port, "label_unit": "counts", "label_weight_lies": True, "label_range_N": 20.0}
+        file, said = walk(one, tmp_path / "rig.toml", **LABEL, **words)
+    assert file["label_force"]["count_N"] == pytest.approx(sign * COUNT_N, rel=0.004)
+    assert file["label_force"]["range_N"] == 20.0
+    assert "counts of 4.903 N" in said
+    assert read_rig(tmp_path / "rig.toml").label_force is not None
+
+
+def test_a_scale_that_prints_a_wrong_unit_is_refused_by_the_known_weight(tmp_path: Path) -> None:
+    with lab() as one, served(scale("grams")) as port:
+        words = {"label_port": port, "label_unit": "g", "label_weight_lies": True, **LABEL}
+        walk(one, tmp_path / "right.toml", **words)
+        Person.lies = False
+        with pytest.raises(InputError, match=r"printed .* N for 9\.80. N"):
+            walk(one, tmp_path / "wrong.toml", **{**words, "label_mass_g": 2 * MASS_G})
+    assert not (tmp_path / "wrong.toml").exists()
+
+
+def test_a_scale_slower_than_stated_is_named_with_what_came(tmp_path: Path) -> None:
+    with lab() as one, served(scale(rate_hz=2.0)) as port:
+        words = {"label_port": port, "label_unit": "counts", "label_weight_lies": True, "label_range_N": 20.0}
+        with pytest.raises(DeviceError, match=r"printed \d good lines.*20 a second are stated"):
+            walk(one, tmp_path / "rig.toml", **LABEL, **words)
+
+
+def test_a_slow_load_cell_is_no_guard_and_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    slow = {"force_kind": "serial-scale", "force_unit": "counts", "force_mass_g": MASS_G, "force_weight_lies": True}
+    with lab() as one, served(scale(rate_hz=10.0)) as port:
+        words = {"force_port": port, "force_rate_hz": 10.0, "force_delay_s": 0.4, "force_range_N": 20.0, **slow}
+        with pytest.raises(InputError, match=r"0\.5 s late, and 0\.1 s are allowed"):
+            walk(one, tmp_path / "rig.toml", **words)
+        assert b"$J" not in one.bench.received
+
+
+@pytest.mark.slow
+def test_a_marlin_printer_with_a_fast_load_cell_is_written_and_opens(tmp_path: Path) -> None:
+    marlin = MarlinFirmware(MarlinParameters(), MarlinFaults(), now_s())
+    fast = {
+        "force_kind": "serial-scale", "force_unit": "counts", "force_mass_g": MASS_G, "force_weight_lies": True,
+        "force_rate_hz": 80.0, "force_delay_s": 0.05, "force_range_N": 20.0,
+    }  # fmt: skip
+    with lab() as one, served(marlin) as stage, served(scale(rate_hz=80.0)) as port:
+        file, said = walk(
+            one, tmp_path / "rig.toml", force_port=port, stage_ports=[stage], stands_mm=[0, 0, 0],
+            least_mm=[-20, -20, -20], greatest_mm=[20, 20, 20], **fast,
+        )  # fmt: skip
+        assert "marlin" in said
+        assert file["stage"]["kind"] == "marlin"
+        assert file["limits"]["force_latency_s"] == pytest.approx(0.063)
+        rig = open_rig(str(tmp_path / "rig.toml"))
+        assert rig.stage.position_m() == pytest.approx((0.0, 0.0, 0.0))
+        rig.close()
+
+
+def test_a_person_who_answers_wrongly_is_asked_again_and_a_file_is_not(capsys: pytest.CaptureFixture[str]) -> None:
+    def typed(*lines: str) -> Callable[[str], str]:
+        rest = iter(lines)
+        return lambda question: next(rest)
+
+    assert number(PromptAnswers(read=typed("many", "99", "7")), "n", "How many", 0.0, 10.0) == 7.0
+    assert confirm(PromptAnswers(read=typed("perhaps", "yes")), "c", "Is it so")
+    assert three(PromptAnswers(read=typed("1, 2", "[1, 2]", "[1, 2, 3]")), "t", "Where") == (1.0, 2.0, 3.0)
+    assert "99" in capsys.readouterr().err
+    with pytest.raises(InputError):
+        number(PromptAnswers(yes=True), "n", "How many", 0.0, 10.0, 11.0)
+
+
+def test_ctrl_c_at_any_question_writes_nothing_and_moves_nothing(tmp_path: Path) -> None:
+    class Leaves(LabAnswers):
+        left = 0
+
+        def ask(self, name: str, question: str, proposal: Any = None) -> Any:
+            if self.left == 0:
+                raise KeyboardInterrupt
+            self.left -= 1
+            return super().ask(name, question, proposal)
+
+    with lab() as one:
+        for left in (0, 3, 4, 7, 10, 12, 14):
+            person = Leaves(one, answers_of(one, may_move=False, mass_g=0)._answers)
+            person.left = left
+            with pytest.raises(KeyboardInterrupt):
+                set_up(tmp_path / "rig.toml", person, lambda line: None)
+        assert b"$J" not in one.bench.received
+        set_up(tmp_path / "rig.toml", answers_of(one, may_move=False, mass_g=0), lambda line: None)
+    assert (tmp_path / "rig.toml").exists()  # the control: each device was given back each time
+
+
+@pytest.mark.slow
+def test_counts_are_not_believed_after_a_start_nor_with_dtr(tmp_path: Path) -> None:
+    with lab_file(tmp_path) as lab_:
+        open_rig(lab_.write()).close()
+        with pytest.raises(InputError, match=r"dtr = true.*home = true"):
+            open_rig(lab_.write(stage={"dtr": True}))
+        with lab_.terminal.lock:
+            lab_.stage.model = type(lab_.stage.model)(settings=lab_.stage.model.settings, boot_s=2.5)
+            lab_.stage.settings[22] = 0
+            lab_.stage.settings[20] = 0
+        boots = {"boot_s": 6.0, "require_homed": False, "least_mm": [-90, 10, 10], "greatest_mm": [-10, 90, 35]}
+        with lab_.terminal.lock:
+            lab_.stage.power_up()  # as its board is reset by the opening of its port
+        time.sleep(0.2)
+        with pytest.raises(DeviceError, match=r"started anew.*home = true"):
+            open_rig(lab_.write(stage=boots))
+        open_rig(lab_.write(stage={**boots, "reference": [-50, 50, 20]})).close()
+
+
+@pytest.mark.slow
+def test_a_jog_without_a_guard_needs_the_word_for_it_and_keeps_its_limits(tmp_path: Path) -> None:
+    with lab_file(tmp_path) as lab_:
+        file = lab_.write()
+        lab_.box.silent = True
+        refused = palpate("rig", "jog", file, "--axis", "x", "--mm", "1")
+        assert refused.returncode == 2
+        assert "--unguarded" in refused.stderr
+        for words in (("--mm", "1", "--speed-mm-s", "5"), ("--mm", "45")):
+            assert palpate("rig", "jog", file, "--axis", "x", "--unguarded", *words).returncode == 2
+        assert not lab_.jogged
+        done = palpate("rig", "jog", file, "--axis", "x", "--mm", "1", "--unguarded")
+        assert done.returncode == 0, done
+        assert lab_.stage.place_mm[0] == pytest.approx(-49.0, abs=0.01)
+
+
+def test_a_jog_away_and_a_zero_keep_the_soft_limits(tmp_path: Path) -> None:
+    with lab_file(tmp_path) as lab_:
+        up = palpate("rig", "jog", lab_.write(), "--axis", "z", "--mm", "-15")
+        zero = palpate("rig", "zero", lab_.write(limits={"least_mm": [-90, 10, 19.7]}))
+        assert lab_.stage.place_mm[2] <= -19.7 + 1e-6
+    for done in (up, zero):
+        assert done.returncode == 2
+        assert "soft limits" in done.stderr
