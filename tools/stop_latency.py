@@ -152,7 +152,7 @@ class Lab:
 
     def release(self) -> None:
         """Take the request back, for the next."""
-        self.control._command = None  # noqa: SLF001 - an abort cannot be taken back otherwise
+        self.control._command = None
         self.force.pushed, self.force.pushed_ns = False, 0
         self.stage.release()
 
@@ -197,10 +197,13 @@ def measure(lab: Lab, stops: int, say: Callable[[str], None]) -> dict[str, Any]:
 
 
 def main() -> None:
+    """Measure idle and beside busy processes, and write what was found."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--stops", type=int, default=501)
     parser.add_argument("--busy", type=int, default=4, help="busy processes of the second part")
-    parser.add_argument("--nice", type=int, default=0, help="niceness of the measured process; below 0 needs root")
+    parser.add_argument(
+        "--nice", type=int, default=0, help="niceness of what is measured; below 0 needs root"
+    )
     parser.add_argument("--out", type=Path, help="JSON to make; must not exist")
     options = parser.parse_args()
     if options.out and options.out.exists():

@@ -1,4 +1,4 @@
-"""A lab in a file: fakes of a stage, a force box and a camera at real ports and sockets, and their rig.toml."""
+"""Fakes of a stage, a force box and a camera at real ports and sockets, and their rig.toml."""
 
 from __future__ import annotations
 

@@ -248,7 +248,7 @@ class TestStates:
         with pytest.raises(DeviceError, match="door input"):
             bench.arrive(stage)
         assert places_differ_mm(opened, bench.place_mm) <= bound_mm(10.0)
-        with pytest.raises(DeviceError, match="its door input .*free that input"):
+        with pytest.raises(DeviceError, match=r"its door input .*free that input"):
             stage.stop()
         with bench.terminal.lock:
             bench.firmware.door_open = False

@@ -1,4 +1,4 @@
-"""One process at a time has a device, by whatever name: two engines on one stage are refused, with the holder."""
+"""One process at a time has a device, by whatever name: a second one is told the holder."""
 
 from __future__ import annotations
 
@@ -99,7 +99,11 @@ def test_a_box_serves_one_client_and_a_second_one_leaves_its_stream_alone(tmp_pa
 
 @pytest.mark.parametrize(
     "words",
-    [("record", "--plan", "layer", "--out", "{run}", "--rig"), ("rig", "check"), ("rig", "jog", "--axis", "x", "--mm", "1")],
+    [
+        ("record", "--plan", "layer", "--out", "{run}", "--rig"),
+        ("rig", "check"),
+        ("rig", "jog", "--axis", "x", "--mm", "1"),
+    ],
 )  # fmt: skip
 def test_a_second_programme_on_a_rig_in_use_is_refused_with_the_pid_and_moves_nothing(
     tmp_path: Path, words: tuple[str, ...]

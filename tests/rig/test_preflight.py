@@ -1,4 +1,4 @@
-"""A real rig before its first motion: what its devices do not give as stated is named, and nothing has moved."""
+"""A real rig before its first motion: what is not as stated is named while all stands."""
 
 from __future__ import annotations
 

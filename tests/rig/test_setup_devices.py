@@ -97,9 +97,20 @@ def test_a_scale_slower_than_stated_is_named_with_what_came(tmp_path: Path) -> N
 
 
 def test_a_slow_load_cell_is_no_guard_and_is_refused_before_anything_moves(tmp_path: Path) -> None:
-    slow = {"force_kind": "serial-scale", "force_unit": "counts", "force_mass_g": MASS_G, "force_weight_lies": True}
+    slow = {
+        "force_kind": "serial-scale",
+        "force_unit": "counts",
+        "force_mass_g": MASS_G,
+        "force_weight_lies": True,
+    }
     with lab() as one, served(scale(rate_hz=10.0)) as port:
-        words = {"force_port": port, "force_rate_hz": 10.0, "force_delay_s": 0.4, "force_range_N": 20.0, **slow}
+        words = {
+            "force_port": port,
+            "force_rate_hz": 10.0,
+            "force_delay_s": 0.4,
+            "force_range_N": 20.0,
+            **slow,
+        }
         with pytest.raises(InputError, match=r"0\.5 s late, and 0\.1 s are allowed"):
             walk(one, tmp_path / "rig.toml", **words)
         assert b"$J" not in one.bench.received
@@ -109,8 +120,8 @@ def test_a_slow_load_cell_is_no_guard_and_is_refused_before_anything_moves(tmp_p
 def test_a_marlin_printer_with_a_fast_load_cell_is_written_and_opens(tmp_path: Path) -> None:
     marlin = MarlinFirmware(MarlinParameters(), MarlinFaults(), now_s())
     fast = {
-        "force_kind": "serial-scale", "force_unit": "counts", "force_mass_g": MASS_G, "force_weight_lies": True,
-        "force_rate_hz": 80.0, "force_delay_s": 0.05, "force_range_N": 20.0,
+        "force_kind": "serial-scale", "force_unit": "counts", "force_mass_g": MASS_G,
+        "force_weight_lies": True, "force_rate_hz": 80.0, "force_delay_s": 0.05, "force_range_N": 20.0,
     }  # fmt: skip
     with lab() as one, served(marlin) as stage, served(scale(rate_hz=80.0)) as port:
         file, said = walk(
@@ -125,7 +136,9 @@ def test_a_marlin_printer_with_a_fast_load_cell_is_written_and_opens(tmp_path: P
         rig.close()
 
 
-def test_a_person_who_answers_wrongly_is_asked_again_and_a_file_is_not(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_person_who_answers_wrongly_is_asked_again_and_a_file_is_not(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     def typed(*lines: str) -> Callable[[str], str]:
         rest = iter(lines)
         return lambda question: next(rest)
@@ -169,7 +182,12 @@ def test_counts_are_not_believed_after_a_start_nor_with_dtr(tmp_path: Path) -> N
             lab_.stage.model = type(lab_.stage.model)(settings=lab_.stage.model.settings, boot_s=2.5)
             lab_.stage.settings[22] = 0
             lab_.stage.settings[20] = 0
-        boots = {"boot_s": 6.0, "require_homed": False, "least_mm": [-90, 10, 10], "greatest_mm": [-10, 90, 35]}
+        boots = {
+            "boot_s": 6.0,
+            "require_homed": False,
+            "least_mm": [-90, 10, 10],
+            "greatest_mm": [-10, 90, 35],
+        }
         with lab_.terminal.lock:
             lab_.stage.power_up()  # as its board is reset by the opening of its port
         time.sleep(0.2)

@@ -54,7 +54,9 @@ def jog(
     stop_n: Annotated[float, Option(help="Change of force that stops it [N].")] = 1.0,
     unguarded: Annotated[
         bool,
-        Option("--unguarded", help="Move without a force sensor, 2 mm/s at most: your word that nothing is near."),
+        Option(
+            "--unguarded", help="Move without a force sensor, 2 mm/s at most: your word that nothing is near."
+        ),
     ] = False,
     json_: Json = False,
 ) -> None:
@@ -143,9 +145,7 @@ def zero(rig: RigName, json_: Json = False) -> None:
     from palpate.rig.commissioning.hand_motion import zero as zero_force
 
     with open_bench(rig, ("force", "stage")) as bench:
-        found = zero_force(
-            bench.need_stage(), bench.need_force(), bench.mounting, bench.clock, bench.limits
-        )
+        found = zero_force(bench.need_stage(), bench.need_force(), bench.mounting, bench.clock, bench.limits)
     x, y, z = found.force_n
     text = (
         f"{rig}: {x:.4f}, {y:.4f}, {z:.4f} N in the air, noise {found.noise_n:.4f} N along the press, "

@@ -60,7 +60,7 @@ class DeviceError(PalpateError):
 
 
 class HardwareStopError(DeviceError):
-    """A device was stopped by an input of its own, such as a door or hold switch, and not by this computer."""
+    """An input of a device's own, such as a door or hold switch, stopped it, and not this computer."""
 
 
 class ProtocolError(DeviceError):

@@ -67,8 +67,10 @@ def check_promises(rig: Rig) -> None:
     known_s = 1.0 / rate_hz + delay_s
     if known_s > rig.limits.force_latency_s * (1 + 1e-9):
         raise RangeError(
-            f"the rig's limit force_latency_s is {rig.limits.force_latency_s:g} s, and its force sensor, with "
-            f"{rate_hz:g} samples a second and a delay of {delay_s:g} s, tells of a force up to {known_s:.3g} "
+            f"the rig's limit force_latency_s is {rig.limits.force_latency_s:g} s, and its force sensor, "
+            "with "
+            f"{rate_hz:g} samples a second and a delay of {delay_s:g} s, tells of a force up to "
+            f"{known_s:.3g} "
             f"s late: the probe would run on further than is stated; give {known_s:.3g} or more"
         )
 
@@ -130,8 +132,10 @@ def _check_force(rig: Rig, heard: Heard) -> None:
     if air_n + rig.limits.force_n > range_n:
         raise Tripped(
             Reason.FORCE_FAULT,
-            f"the force sensor reads {air_n:.2f} N before anything moved, and measures to {range_n:g} N: with "
-            f"the limit force_N of {rig.limits.force_n:g} N it would saturate before anything stops. Take off "
+            f"the force sensor reads {air_n:.2f} N before anything moved, and measures to {range_n:g} N: "
+            "with "
+            f"the limit force_N of {rig.limits.force_n:g} N it would saturate before anything stops. Take "
+            "off "
             "what loads it, see whether its load cell is plugged in, or lower force_N",
         )
 
@@ -144,7 +148,8 @@ def _check_samples(name: str, sensor: ForceSensor, samples: list[Wrench], second
     if faulty:
         raise Tripped(
             Reason.FORCE_FAULT,
-            f"the {name} says: {faulty[-1].fault}, in {len(faulty)} of {len(samples)} samples before anything "
+            f"the {name} says: {faulty[-1].fault}, in {len(faulty)} of {len(samples)} samples before "
+            "anything "
             "moved; is its load cell plugged in, and nothing pressing on it?",
         )
     if rate_hz < MIN_FORCE_SHARE * sensor.rate_hz:

@@ -181,7 +181,13 @@ def stop_rig(rig: str) -> str:
 def bench_status(bench: Bench) -> dict[str, Any]:
     """State of each device: plain values, None where a device does not say; `problems` says why."""
     problems = dict(bench.failed)
-    found: dict[str, Any] = {"rig": bench.name, "stage": None, "stage_says": None, "position_mm": None, "problems": problems}
+    found: dict[str, Any] = {
+        "rig": bench.name,
+        "stage": None,
+        "stage_says": None,
+        "position_mm": None,
+        "problems": problems,
+    }
     if bench.stage is not None:
         try:
             found["stage"] = "moving" if bench.stage.moving() else "stands"

@@ -106,7 +106,8 @@ def lift_clear(
         limits: soft limits that it keeps to, where the stage's place is known.
 
     Raises:
-        Tripped: a soft limit, before it is passed; compression rises, the force goes on changing over `MAX_LIFT_M`, or cannot be believed.
+        Tripped: a soft limit, before it is passed; compression rises, the force goes on changing over
+            `MAX_LIFT_M`, or cannot be believed.
         DeviceError: the stage fails, or its controller refuses to go higher.
     """
     at = mean_force(force, mounting, clock)

@@ -149,7 +149,11 @@ def _stage(made: SetUp, answers: Answers, say: Say, clock: Clock) -> FoundStage:
     )
     if not found.tells_jerk:
         part["sudden_mm_s"] = number(
-            answers, "sudden_mm_s", "Fastest speed from which it stops dead without losing steps [mm/s]", 0.1, 50
+            answers,
+            "sudden_mm_s",
+            "Fastest speed from which it stops dead without losing steps [mm/s]",
+            0.1,
+            50,
         )
     if found.homing and part.get("dtr"):  # opening its port may reset it, and it forgets its place then
         part["home"] = True
@@ -167,7 +171,10 @@ def _stage(made: SetUp, answers: Answers, say: Say, clock: Clock) -> FoundStage:
 
 def _force(made: SetUp, answers: Answers, say: Say, clock: Clock) -> None:
     kind = text(
-        answers, "force_kind", "Force sensor that guards: netft, serial-scale, or module:Class of your own", "netft"
+        answers,
+        "force_kind",
+        "Force sensor that guards: netft, serial-scale, or module:Class of your own",
+        "netft",
     )
     part: dict[str, Any] = {"kind": kind, "axes": ["x", "y", "z"]}
     if kind == "serial-scale":
@@ -202,7 +209,8 @@ def _guarding_scale(made: SetUp, answers: Answers, say: Say, clock: Clock) -> No
     most_s = MAX_LIMITS["force_latency_s"]
     if known_s > most_s:
         raise InputError(
-            f"with {part['rate_hz']:g} lines a second and a delay of {part['delay_s']:g} s this scale tells of a "
+            f"with {part['rate_hz']:g} lines a second and a delay of {part['delay_s']:g} s this scale "
+            "tells of a "
             f"force {known_s:.3g} s late, and {most_s:g} s are allowed of a sensor that guards: it may label "
             "beside a faster one (label_kind = serial-scale)"
         )
@@ -213,7 +221,9 @@ def _guarding_scale(made: SetUp, answers: Answers, say: Say, clock: Clock) -> No
 
 def _label(made: SetUp, answers: Answers, say: Say, clock: Clock) -> None:
     """A second sensor, which labels and guards nothing."""
-    kind = text(answers, "label_kind", "Second force sensor, which only labels: serial-scale, or none", "none")
+    kind = text(
+        answers, "label_kind", "Second force sensor, which only labels: serial-scale, or none", "none"
+    )
     if kind == "none":
         return
     if kind != "serial-scale":
@@ -354,7 +364,9 @@ def _go_above(stage: Any, force: Any, limits: Limits, clock: Clock, above: Three
 
 
 def _weight(made: SetUp, answers: Answers, say: Say, clock: Clock) -> None:
-    if made.fields["force"]["kind"] == "serial-scale":  # its count was found by a weight, or its unit compared
+    if (
+        made.fields["force"]["kind"] == "serial-scale"
+    ):  # its count was found by a weight, or its unit compared
         return
     mass_g = number(answers, "mass_g", "Known weight for the force sensor [g]; 0 for none", 0.0, 5000.0)
     if mass_g == 0:

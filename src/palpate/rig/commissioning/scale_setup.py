@@ -1,4 +1,4 @@
-"""A serial scale in a guided setup: how it is reached, and the force of one of its counts by a known weight."""
+"""A serial scale in a guided setup: how it is reached, and the force of one count by a known weight."""
 
 from __future__ import annotations
 
@@ -45,7 +45,12 @@ def ask_scale(
     part["ask"] = text(answers, f"{name}_ask", "What asks it for a line, such as SI; empty if it sends", "")
     part["rate_hz"] = number(answers, f"{name}_rate_hz", "Lines a second", 0.1, 1000.0, 10.0)
     part["delay_s"] = number(
-        answers, f"{name}_delay_s", "Seconds from a change of force until it is printed in full", 0.0, 30.0, 0.4
+        answers,
+        f"{name}_delay_s",
+        "Seconds from a change of force until it is printed in full",
+        0.0,
+        30.0,
+        0.4,
     )
     if part["unit"] == "counts":
         found = _count(answers, name, part, open_scale, clock)
@@ -54,26 +59,33 @@ def ask_scale(
     return part, f"scale at {part['port']}: {found}"
 
 
-def _count(
-    answers: Answers, name: str, part: dict[str, Any], open_scale: OpenScale, clock: Clock
-) -> str:
+def _count(answers: Answers, name: str, part: dict[str, Any], open_scale: OpenScale, clock: Clock) -> str:
     """Find the force of one count, by a known weight."""
     mass_g = number(answers, f"{name}_mass_g", "Known weight for the scale [g]", 0.1, 50_000.0)
-    counts, share = _change(answers, name, {**part, "count_N": 1.0, "range_N": ALL_COUNTS}, open_scale, clock, mass_g)
+    counts, share = _change(
+        answers, name, {**part, "count_N": 1.0, "range_N": ALL_COUNTS}, open_scale, clock, mass_g
+    )
     expected_n = mass_g * 1e-3 * G_M_S2
     part["count_N"] = float(f"{expected_n / counts:.6g}")
     part["range_N"] = number(
-        answers, f"{name}_range_N", "Greatest force that the cell bears [N]", 0.01, abs(part["count_N"]) * ALL_COUNTS
+        answers,
+        f"{name}_range_N",
+        "Greatest force that the cell bears [N]",
+        0.01,
+        abs(part["count_N"]) * ALL_COUNTS,
     )
-    return f"{counts:.0f} counts of {expected_n:.3f} N, so {part['count_N']:.6g} N a count +- {100 * share:.2g} % (95 %)"
+    count_n, percent = part["count_N"], 100 * share
+    return f"{counts:.0f} counts of {expected_n:.3f} N, so {count_n:.6g} N a count +- {percent:.2g} % (95 %)"
 
 
-def _weighed(
-    answers: Answers, name: str, part: dict[str, Any], open_scale: OpenScale, clock: Clock
-) -> str:
+def _weighed(answers: Answers, name: str, part: dict[str, Any], open_scale: OpenScale, clock: Clock) -> str:
     """Compare a printed unit with a known weight, where there is one."""
-    part["range_N"] = number(answers, f"{name}_range_N", "Greatest force that it measures [N]", 0.01, 1e4, 50.0)
-    mass_g = number(answers, f"{name}_mass_g", "Known weight for the scale [g]; 0 for none", 0.0, 50_000.0, 0.0)
+    part["range_N"] = number(
+        answers, f"{name}_range_N", "Greatest force that it measures [N]", 0.01, 1e4, 50.0
+    )
+    mass_g = number(
+        answers, f"{name}_mass_g", "Known weight for the scale [g]; 0 for none", 0.0, 50_000.0, 0.0
+    )
     if mass_g == 0:
         sensor = open_scale(part)
         sensor.close()
@@ -104,7 +116,8 @@ def _change(
     spread = 2.0 * math.hypot(noise, noise_after)
     if abs(after - before) <= MIN_SIGMAS / 2.0 * spread or after == before:
         raise InputError(
-            f"the weight changed the scale's reading by {after - before:.4g}, under a noise of {spread:.2g}: it is "
+            f"the weight changed the scale's reading by {after - before:.4g}, under a noise of "
+            f"{spread:.2g}: it is "
             "not felt; see to the cell's wires, or take a heavier weight"
         )
     return after - before, math.hypot(spread / abs(after - before), LOCAL_G_SHARE)

@@ -35,15 +35,15 @@ class HeardTail:
 
 
 def describe_heard(heard: bytes, sent: bytes = b"") -> str:
-    """Say what was heard, and who speaks so.
+    r"""Say what was heard, and who speaks so.
 
     Args:
         heard: the last bytes that came.
         sent: the last that were sent before.
 
     Example:
-        >>> describe_heard(b"Grbl 1.1h ['$' for help]\\r\\n")
-        "it said \"Grbl 1.1h ['$' for help]\": that is a GRBL controller"
+        >>> print(describe_heard(b"Grbl 1.1h ['$' for help]\r\n"))
+        it said "Grbl 1.1h ['$' for help]": that is a GRBL controller
         >>> describe_heard(b"")
         'it said nothing'
     """

@@ -67,7 +67,8 @@ class GrblPart(Part):
             raise ValueError("home = true needs switches, and require_homed = false says there are none")
         if self.dtr and self.reference == "counts":
             raise ValueError(
-                'reference = "counts" with dtr = true: raising DTR resets many boards, and Grbl forgets its place '
+                'reference = "counts" with dtr = true: raising DTR resets many boards, and '
+                "Grbl forgets its place "
                 "at a start; set home = true, or say where it stands"
             )
         if not self.require_homed and self.reference is None:
@@ -101,7 +102,8 @@ class GrblPart(Part):
         if place and self.reference == "counts" and not self.home and stage.started_anew:
             stage.close()
             raise DeviceError(
-                f"the controller at {self.port} started anew as its port was opened, and forgot its place: its "
+                f"the controller at {self.port} started anew as its port was opened, and forgot its place: "
+                "its "
                 "counts are not to be believed; palpate rig home, or set home = true in [stage]"
             )
         if place and self.reference is not None and not self.home:

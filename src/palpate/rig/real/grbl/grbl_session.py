@@ -410,7 +410,9 @@ def _by_input(status: GrblStatus) -> bool:
 
     A hold in a jog shows by its pin alone: Grbl 1.1 then turns Idle, and grblHAL goes on.
     """
-    held = status.state in (GrblState.DOOR, GrblState.HOLD) and status.substate != 3  # moving back from a door
+    held = (
+        status.state in (GrblState.DOOR, GrblState.HOLD) and status.substate != 3
+    )  # moving back from a door
     return held or bool(set(status.pins) & set(STOP_PINS))
 
 
@@ -421,7 +423,8 @@ def _input(status: GrblStatus) -> str:
         pins = ["its door input"]
     name = " and ".join(pins) or "a hold that this programme did not ask for"
     return (
-        f"{name} (it is in {status.in_words}); see why, free that input, then stop() it (palpate rig stop) and "
+        f"{name} (it is in {status.in_words}); see why, free that input, then stop() it (palpate rig stop) "
+        "and "
         "begin again"
     )
 

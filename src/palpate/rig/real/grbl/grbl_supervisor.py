@@ -238,7 +238,8 @@ def check_limits(spec: GrblSpec, machine: GrblMachine) -> None:
     fastest = min(machine.top_mm_min) / S_PER_MIN
     if spec.top_speed_m_s is not None and spec.top_speed_m_s * MM_PER_M > fastest * (1 + 1e-9):
         raise RangeError(
-            f"a top speed of {spec.top_speed_m_s * MM_PER_M:g} mm/s is stated, and the machine's slowest axis "
+            f"a top speed of {spec.top_speed_m_s * MM_PER_M:g} mm/s is stated, and the machine's slowest "
+            "axis "
             f"does {fastest:g} mm/s ($110 to $112); state that or less"
         )
     if spec.least_m is None or spec.greatest_m is None:

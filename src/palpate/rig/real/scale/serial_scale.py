@@ -101,7 +101,8 @@ class ScaleSpec:
         most_n = math.inf if self.count_n is None else abs(self.count_n) * HX711_RAILS[1]
         if self.range_n > most_n:
             raise RangeError(
-                f"range_n is {self.range_n:g} N, and at {abs(self.count_n or 0.0):g} N a count its 24 bits end "
+                f"range_n is {self.range_n:g} N, and at {abs(self.count_n or 0.0):g} N a count its 24 bits "
+                "end "
                 f"at {most_n:.4g} N; give that or less"
             )
         if not re.fullmatch(r"[78][NEO][12]", self.frame):
