@@ -30,7 +30,7 @@ class HeardTail:
         self.sent = (self.sent + data)[-KEPT_BYTES:]
 
     def in_words(self) -> str:
-        """What it said, and who speaks so."""
+        """Words for what it said, and for who speaks so."""
         return describe_heard(self.heard, self.sent)
 
 
