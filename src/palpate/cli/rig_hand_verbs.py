@@ -165,8 +165,6 @@ def setup(
 ) -> None:
     """Write a rig's file by asking, and by trying each device.
 
-    A gentle touch and a known weight try the force sensor.
-
     Nothing moves before you say that it may. It ends in the check of `palpate rig check`, and says what it
     could not check. Ends with status 1 where the check found something wrong; the file stays.
 
