@@ -20,7 +20,7 @@ from palpate.devices import (
     Reason,
     Tripped,
 )
-from palpate.devices.motion_guard import RISE_N
+from palpate.devices.motion_guard import ARRIVED_M, RISE_N
 
 TRAVEL = Travel((-20e-3,) * 3, (20e-3,) * 3, 10e-3, 0.5, 0.002)
 LIMITS = Limits((-15e-3,) * 3, (15e-3,) * 3, force_n=5.0, force_rate_n_s=100.0, step_m=0.5e-3)
@@ -172,10 +172,55 @@ def test_moving_away_is_allowed_under_any_force_that_does_not_rise() -> None:
 
 
 def test_moving_away_into_more_force_is_stopped() -> None:
+    """The stage's z is turned round: what leads up presses."""
     bench = Bench()
-    with pytest.raises(Tripped, match="turned round"):
-        bench.guard.away((0.0, 0.0, 8e-3), SPEED)
+    bench.sensor.force_n = lambda: max(-bench.stage.position_m()[2] - 1e-3, 0.0) * STIFFNESS
+    with pytest.raises(Tripped, match="turned round") as caught:
+        bench.guard.away((0.0, 0.0, -9e-3), SPEED)
+    assert caught.value.reason is Reason.FORCE_LIMIT
     assert bench.sensor.force_n() == pytest.approx(RISE_N, abs=0.01)
+
+
+def test_a_force_on_the_way_down_to_the_clearance_is_a_touch_that_came_early() -> None:
+    bench = Bench()
+    with pytest.raises(Tripped, match="touch something") as caught:
+        bench.guard.away((0.0, 0.0, 8e-3), SPEED)
+    assert caught.value.reason is Reason.TOUCHED_EARLY
+    assert bench.sensor.force_n() == pytest.approx(RISE_N, abs=0.01)
+
+
+@pytest.mark.parametrize(("target_m", "stops"), [((0.0, 0.0, -0.1e-3), True), ((0.0, 0.0, -5e-3), False)])
+def test_only_what_leads_down_through_the_air_needs_a_force_that_is_new(
+    target_m: Position, stops: bool
+) -> None:
+    bench = Bench()
+    bench.sensor.age_s = 1.01 * LIMITS.age_s
+    if stops:
+        with pytest.raises(Tripped) as caught:
+            bench.guard.away(target_m, SPEED)
+        assert caught.value.reason is Reason.FORCE_STALE
+        assert bench.stage.position_m()[2] < -0.99e-3, "at the first look"
+    else:
+        bench.guard.away(target_m, SPEED)
+        assert bench.stage.position_m() == pytest.approx(target_m)
+
+
+@pytest.mark.parametrize(("pushed_m", "refused"), [(0.9 * ARRIVED_M, False), (1.1 * ARRIVED_M, True)])
+def test_a_stage_that_stands_elsewhere_than_it_was_left_does_not_go_on_into_the_skin(
+    pushed_m: float, refused: bool
+) -> None:
+    bench = Bench()
+    bench.guard.towards((0.0, 0.0, -0.5e-3), SPEED)
+    x, y, z = bench.stage.position_m()
+    bench.stage.start = bench.stage.target = (x + pushed_m, y, z)
+    if refused:
+        sent = len(bench.stage.sent)
+        with pytest.raises(Tripped, match="from where it was left") as caught:
+            bench.guard.towards((0.0, 0.0, 0.5e-3), SPEED)
+        assert caught.value.reason is Reason.STAGE
+        assert len(bench.stage.sent) == sent
+        bench.guard.away((0.0, 0.0, -1e-3), SPEED)  # away it goes from anywhere
+    bench.guard.towards((0.0, 0.0, -0.2e-3), SPEED)
 
 
 @pytest.mark.parametrize("seconds", [0.01, 0.5, 2.5])

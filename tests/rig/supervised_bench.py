@@ -127,18 +127,24 @@ class BenchCamera:
 
     def __init__(self, hangs_at: int = 0, hangs_s: float = 0.0) -> None:
         self._count, self._hangs = 0, (hangs_at, hangs_s)
-        self._random = np.random.default_rng(0)
+        self._random, self._last_ns = np.random.default_rng(0), time.monotonic_ns()
 
     def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
         self._count += 1
         if self._count == self._hangs[0]:
             time.sleep(self._hangs[1])
-        time.sleep(0.005)
-        image = self._random.integers(0, 255, (6, 8), dtype=np.uint8)
-        return time.monotonic_ns(), Frame(image, exposure_s=0.005)
+        while not (frames := self.drain()):
+            time.sleep(0.002)
+        return frames[-1]
 
     def drain(self) -> list[tuple[int, Frame]]:
-        return [self.grab()]
+        now, step = time.monotonic_ns(), round(NS / self.rate_hz)
+        stamps = range(self._last_ns + step, now, step)
+        self._last_ns = stamps[-1] if stamps else self._last_ns
+        return [
+            (at, Frame(self._random.integers(0, 255, (6, 8), dtype=np.uint8), exposure_s=0.005))
+            for at in stamps
+        ]
 
     def close(self) -> None:
         pass

@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, plan, rig, wanted
 
+from palpate.core import Frame, Wrench
 from palpate.core.clock import ManualClock
 from palpate.core.errors import DeviceError, StorageError
-from palpate.devices import Limits, Reason, Tripped
+from palpate.devices import Limits, OperatorCommand, OperatorControl, Reason, Tripped
 from palpate.recordings import Run, check
 from palpate.recordings.segments import mcap_file
 from palpate.rig import State, record
@@ -273,3 +274,52 @@ def test_one_who_watches_and_fails_does_not_hold_the_probe_in_the_skin(tmp_path:
     with pytest.raises(LookupError, match="a page that is gone"):
         record(sound, plan(), tmp_path / "run", watch=watch)
     assert sound.stage.position_m()[2] <= -CLEARANCE_MM * 1e-3 + 1e-9
+
+
+def test_a_skin_above_the_clearance_is_found_and_left(tmp_path: Path) -> None:
+    """Contact at the clearance: to lift as far as there would leave the probe in the skin."""
+    higher_m = 1.5e-3
+    high = rig(askew_m=(0.0, 0.0, -higher_m))
+    outcome = record(high, plan(), tmp_path / "run")
+    assert (outcome.state, outcome.reason) == (State.FAILED, Reason.TOUCHED_EARLY)
+    assert high.stage.position_m()[2] < -higher_m - CLEARANCE_MM * 1e-3
+
+
+def test_a_zero_that_was_taken_in_contact_is_given_up_and_the_probe_lifted(tmp_path: Path) -> None:
+    """The skin rises between two presses, of which the force's next zero tells."""
+    sound = rig()
+    world, drain = sound.stage._world, sound.force.drain  # type: ignore[attr-defined]
+
+    def risen() -> list[Wrench]:
+        if world._presses == 2 and world._lifted:  # the gentle touch, and the first press
+            world._origin = (0.0, 0.0, -1.5e-3)
+        return drain()
+
+    sound.force.drain = risen  # type: ignore[method-assign]
+    outcome = record(sound, plan(), tmp_path / "run")
+    assert (outcome.state, outcome.reason) == (State.FAILED, Reason.TOUCHED_EARLY), outcome.message
+    assert "not lifted" not in outcome.message
+    assert sound.stage.position_m()[2] < -1.5e-3
+
+
+def test_a_recording_that_is_aborted_before_it_begins_moves_nothing(tmp_path: Path) -> None:
+    sound, control = rig(), OperatorControl()
+    before = sound.stage.position_m()
+    control.ask(OperatorCommand.ABORT)
+    assert record(sound, plan(), tmp_path / "run", control=control).state is State.ABORTED
+    assert sound.stage.position_m() == before
+
+
+def test_frames_that_run_backwards_are_the_camera_s_fault(tmp_path: Path) -> None:
+    """Each frame of a burst is stamped a little before the one before it."""
+    sound, count = rig(), iter(range(1, 1000))
+    grab = sound.camera.grab
+
+    def back(timeout_s: float = 1.0) -> tuple[int, Frame]:
+        time_ns, frame = grab(timeout_s)
+        return time_ns - next(count) * 40_000_000, frame  # they come 33 ms apart
+
+    sound.camera.grab = back  # type: ignore[method-assign]
+    outcome = record(sound, plan(), tmp_path / "run")
+    assert (outcome.state, outcome.reason) == (State.FAILED, Reason.CAMERA), outcome.message
+    assert "backwards" in outcome.message

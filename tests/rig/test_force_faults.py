@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from tests.rig.guarded_presses import MM, PressBench, stop_of
 
+from palpate.core import Position
 from palpate.devices.force_trust import ForceMonitor
 from palpate.rig import PLANS, State, record
 from palpate.rig.plans import Known
@@ -148,6 +149,22 @@ def test_healthy_presses_are_believed_on_lasting_skins_too() -> None:
         bench.touch()
         bench.stepped(3e-3, 0.25e-3, 0.2, back=True)
         bench.stepped(2e-3, 1e-3, 1.0)
+
+
+@pytest.mark.parametrize("waits_s", [0.05, 0.3])
+def test_a_line_that_waits_for_its_answer_makes_no_healthy_force_look_dead(waits_s: float) -> None:
+    """A controller may begin a move that late; until then no force is due to rise."""
+    bench = palm(seed=3)
+    move_to = bench.rig.stage.move_to
+
+    def late(position_m: Position, speed_m_s: float) -> None:
+        bench.clock.sleep(waits_s)
+        move_to(position_m, speed_m_s)
+
+    bench.rig.stage.move_to = late  # type: ignore[method-assign]
+    bench.seek()
+    bench.depth(3e-3)
+    assert bench.guard.position_m()[2] - (bench.motion.contact_m or 0.0) == pytest.approx(3e-3, abs=1e-6)
 
 
 def cut(plan: Known, sensor: str) -> Known:

@@ -17,8 +17,8 @@ from tests.rig.test_rig_setup import G, LabAnswers, answers_of, lab
 from palpate.core import MonotonicClock
 from palpate.core.clock import NS_PER_S
 from palpate.core.errors import DeviceError, InputError
-from palpate.rig.commissioning.setup_answers import PromptAnswers, confirm, number, three
 from palpate.rig.commissioning.rig_setup import set_up
+from palpate.rig.commissioning.setup_answers import PromptAnswers, confirm, number, three
 from palpate.rig.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
 from palpate.rig.fakes.printing_scale import PrintingScale
 from palpate.rig.rig_file import open_rig, read_rig

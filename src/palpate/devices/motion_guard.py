@@ -32,6 +32,7 @@ ARRIVED_M = 0.02e-3  # from the target, at most, after a move
 LATE_S = 4.0  # beyond the time that a move should take: a stage's answer can be late by seconds
 LATE_FACTOR = 2.0
 LISTEN_S = 0.25  # at a stand, after a force that is not believed, to name what is wrong
+FELT = (Reason.FORCE_LIMIT, Reason.TOUCHED_EARLY)  # names of a rise that is believed
 RISE_N = 1.0  # by which force may rise while the probe moves away: friction, noise, a sign that is wrong
 
 LEAVING = (OperatorCommand.ESTOP,)
@@ -131,6 +132,7 @@ class MotionGuard:
         self._recent: deque[tuple[int, float]] = deque()
         self._phase = Phase.STAND
         self._age_s = 0.0  # of the sample that `fresh` handed out last
+        self._left: Position | None = None  # where it stood after the last move that arrived
 
     @property
     def force_n(self) -> Force:
@@ -232,6 +234,7 @@ class MotionGuard:
         self._limits.check_target(target)
         self._limits.check_speed(speed_m_s, self._stage.travel)
         start = self.position_m()
+        self._check_left(start)
         self._phase = Phase.DOWN if target[2] > start[2] + LEVEL_M else Phase.ASIDE
         pieces = max(1, math.ceil(math.dist(start, target) / (step_m or self._limits.step_m) - 1e-9))
         for i in range(1, pieces + 1):
@@ -254,7 +257,7 @@ class MotionGuard:
             OperatorInterrupt: an emergency stop; no other wish holds it up.
         """
         self._limits.check_target(target)
-        start_n = self._last_force()
+        start_n, up = self._last_force(), target[2] < self.position_m()[2] - LEVEL_M
 
         def rising(sample: Wrench) -> None:
             force = math.hypot(*self._bias.force(sample))
@@ -263,10 +266,7 @@ class MotionGuard:
             if slow and force <= self._limits.force_n:
                 self._believe(sample)
             if start_n is not None and force > start_n + RISE_N:
-                raise Tripped(
-                    Reason.FORCE_LIMIT,
-                    f"{force:.2f} N while moving away, from {start_n:.2f} N: is the stage's z turned round?",
-                )
+                raise _DoubtError(self.monitor.rise(start_n, force, up))
 
         travel = self._stage.travel
         speed = min(speed_m_s, travel.top_speed_m_s)
@@ -348,6 +348,7 @@ class MotionGuard:
         slowing_s = speed_m_s / self._stage.travel.acceleration_m_s2
         due_s = LATE_S + LATE_FACTOR * (math.dist(self.position_m(), target) / speed_m_s + slowing_s)
         start, asked_ns = self.position_m(), self._clock.now_ns()
+        self._left = None
         end_ns = asked_ns + round(due_s * NS_PER_S)
         self._stage.move_to(target, speed_m_s)
         self.monitor.begin(self._phase, speed_m_s, math.dist(start, target), asked_ns, self._clock.now_ns())
@@ -355,7 +356,7 @@ class MotionGuard:
             self._clock.sleep(POLL_S)
             if any(until(self._bias.force(one)) for one in self._look(check, asks)):
                 return True
-            if check == self._within:
+            if check == self._within or target[2] > start[2] + LEVEL_M:
                 self._moved_on()
             elif self._phase is Phase.UP:
                 self._check_gap()
@@ -376,6 +377,16 @@ class MotionGuard:
                 f"the stage stands {miss_m * 1e3:.3f} mm from where it was sent; {ARRIVED_M * 1e3:g} mm are "
                 "allowed: were steps lost?",
             )
+        self._left = at
+
+    def _check_left(self, at: Position) -> None:
+        """Refuse to go on into the skin from elsewhere than where the last move left the stage."""
+        if self._left is not None and (off_m := math.dist(at, self._left)) > ARRIVED_M:
+            raise Tripped(
+                Reason.STAGE,
+                f"the stage stands {off_m * 1e3:.3f} mm from where it was left; {ARRIVED_M * 1e3:g} mm are "
+                "allowed: was it pushed, or is its count wrong?",
+            )
 
     def _believe(self, sample: Wrench) -> None:
         """Raise `_DoubtError` on a good sample that the monitor does not believe."""
@@ -390,22 +401,22 @@ class MotionGuard:
             after: samples that came already, from the doubted one on.
         """
         self.halt()
-        self._disbelieved = True
         begun_ns, heard, listened_s = self._clock.now_ns(), list(after), 0.0
         while listened_s < LISTEN_S:
             self._clock.sleep(WAIT_S)
             heard += self._look(_unchecked, LEAVING)
             listened_s = (self._clock.now_ns() - begun_ns) / NS_PER_S
-        air = self.monitor.air
-        assert air is not None  # nothing is doubted before the air is known
-        return Tripped(*name_fault(doubt, heard, air, self._bias, listened_s))
+        named = Tripped(*name_fault(doubt, heard, self.monitor.air, self._bias, listened_s))
+        self._disbelieved = named.reason not in FELT
+        return named
 
     def _check_gap(self) -> None:
         """Doubt a sensor that is silent on the way back; one that does not answer stops nothing there."""
         asked_ns = self._clock.now_ns()
         with suppress(DeviceError):
             age_s = (asked_ns - self._sensor.latest().time_ns) / NS_PER_S
-            if not self._disbelieved and age_s > self.monitor.oldest_s:
+            learnt = self.monitor.air is not None
+            if learnt and not self._disbelieved and age_s > self.monitor.oldest_s:
                 raise self._named(self.monitor.gap(age_s))
 
     def fresh(self) -> Wrench:

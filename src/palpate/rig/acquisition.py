@@ -75,7 +75,7 @@ class Acquisition:
         self._mark = mark
         self._samples: deque[tuple[int, Force]] = deque()
         self.late_s = 0.0
-        self._same = 0
+        self._same = self._stamped_ns = 0
         self._last: np.ndarray | None = None
         second = rig.label_force
         self._label_force = second and LabelForce(second, rig.label_mounting, guard, rig.clock)
@@ -142,7 +142,7 @@ class Acquisition:
         self._mark(sweep.shot.key, 0, True)
 
     def _record(self, shot: Shot, k: int, time_ns: int, frame: Frame) -> None:
-        self._check_alive(frame)
+        self._check_alive(time_ns, frame)
         labels = self._labels(shot, k, time_ns, frame.exposure_s or 0.0)
         self._recorder.frame(frame, time_ns, labels)
 
@@ -205,9 +205,16 @@ class Acquisition:
         except DeviceError as e:
             raise Tripped(Reason.CAMERA, f"the camera failed: {e}") from e
 
-    def _check_alive(self, frame: Frame) -> None:
-        """A frame of the size that was promised, and not the same again and again."""
+    def _check_alive(self, time_ns: int, frame: Frame) -> None:
+        """A frame of the size that was promised, later than the last, and not the same again and again."""
         check_size(self._rig.camera, frame)
+        if time_ns < self._stamped_ns:
+            raise Tripped(
+                Reason.CAMERA,
+                f"a frame is stamped {(self._stamped_ns - time_ns) / NS_PER_S:.3f} s before the one that "
+                "came before it: the camera's stamps run backwards",
+            )
+        self._stamped_ns = time_ns
         alike = self._last is not None and np.array_equal(self._last, frame.image)
         self._same = self._same + 1 if alike else 0
         self._last = frame.image

@@ -109,6 +109,7 @@ class Engine:
         self._begun = (time.monotonic(), self._shots)
         self._indenter = self._tried = ""
         self._wanted = ""
+        self._touches = False
         self._clocks: Offset | None = None
 
     def run(self) -> Outcome:
@@ -153,6 +154,7 @@ class Engine:
         """A press until nothing of it is missing, however often it is paused."""
         while self._plan.missing(press, self._done):
             try:
+                self._control.check()
                 self._mount(press.indenter)
                 if self._tried != press.indenter:
                     self._try_sensor(press)
@@ -244,6 +246,7 @@ class Engine:
             self._recorder.muted = True
         if reason is Reason.HARDWARE_STOP:  # whoever pressed it wants no motion, not even this one
             return self._ended(State.FAILED, f"{message}; the probe was not lifted: {reason.value}", reason)
+        self._touches = reason is Reason.TOUCHED_EARLY
         if stays := self._lift_if_possible():
             message = f"{message}; the probe was not lifted: {stays}"
         return self._ended(State.FAILED, message, reason)
@@ -270,6 +273,7 @@ class Engine:
         """Why it was not lifted, empty where it was; and whether to try again is of use."""
         try:
             self._motion.lift()
+            self._motion.lift_free(self._touches)
         except OperatorInterrupt:
             return "emergency stop", False
         except Tripped as e:  # after a force to press on once more would be worse

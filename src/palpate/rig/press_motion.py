@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, replace
 
 from palpate.core import InputError, Position, Wrench, own_plans_of
 from palpate.devices import Clearance, ForceBias, ForceReached, Guard, Reason, Tripped
@@ -15,6 +15,8 @@ from palpate.rig.sign_touch import touch_gently
 
 MM = 1e-3
 BELOW_TOUCH_MM = 0.2  # of a contact that is said by a force
+HIGHER_MM = 5.0  # than the clearance, after contact there
+FREE = 2.0  # contact thresholds, below which the probe counts as free
 MAX_DRIFT_N = 0.5  # of the zero, from one press to the next
 SIGMAS = 5.0  # of the force's noise that a threshold must lie above
 
@@ -37,6 +39,7 @@ class PressMotion:
         self._recorder = recorder
         self.contact_m: float | None = None
         self.approach = 0
+        self._higher_m = 0.0
         guard.clearance = Clearance(self._clearance_m, plan.travel_mm_s * MM)
 
     def begin(self, press: PlannedPress) -> None:
@@ -50,9 +53,29 @@ class PressMotion:
         self.contact_m = None
         self._guard.lift()
 
+    def lift_free(self, touches: bool) -> None:
+        """Lift further than the clearance, within the limits, if there is contact still.
+
+        A skin that stands higher than expected is touched at the clearance. A force that is old, faulty or
+        wrong only lifts the probe higher than it need be, or not.
+
+        Args:
+            touches: there is, whatever the force says, whose zero may have been taken in contact.
+        """
+        with suppress(Tripped):
+            force_n = (
+                self._guard.force_n[2] if self._bias.noise_n > 0 else 0.0
+            )  # nothing is known before a zero
+            touches = touches or abs(force_n) > FREE * self._plan.threshold_N
+        if touches:
+            self._higher_m = HIGHER_MM * MM
+            self._guard.clearance = Clearance(self._clearance_m, self._plan.travel_mm_s * MM)
+            self.lift()
+
     @property
     def _clearance_m(self) -> float:
-        return self._rig.origin_m[2] - self._plan.clearance_mm * MM
+        expected_m = self._rig.origin_m[2] - self._plan.clearance_mm * MM
+        return min(expected_m, max(expected_m - self._higher_m, self._rig.limits.least_m[2]))
 
     def over(self, x_m: float, y_m: float) -> None:
         """Lift, and go over a place at the clearance [m]."""
@@ -73,23 +96,24 @@ class PressMotion:
             comes
                 too slowly or is another one than before.
         """
-        before = self._bias.force_n[2]
+        before = replace(self._bias)
         known = self._bias.noise_n > 0
         threshold = self._plan.threshold_N
         self._guard.tare(self._rig.force.rate_hz)
         self._recorder.event("tare", force_n=self._bias.force_n, noise_n=self._bias.noise_n)
+        moved = abs(self._bias.force_n[2] - before.force_n[2])
+        if known and moved > max(MAX_DRIFT_N, 2 * threshold):
+            self._bias.force_n, self._bias.torque_nm = before.force_n, before.torque_nm
+            raise Tripped(
+                Reason.TOUCHED_EARLY,
+                f"in the air the force stands {moved:.2f} N from where it stood before the last press: does "
+                "the probe touch something?",
+            )
         if threshold < SIGMAS * self._bias.noise_n:
             raise Tripped(
                 Reason.FORCE_NOISE,
                 f"a contact threshold of {threshold:g} N under a noise of {self._bias.noise_n:.4f} N; give "
                 f"{SIGMAS * self._bias.noise_n:.3f} N or more",
-            )
-        moved = abs(self._bias.force_n[2] - before)
-        if known and moved > max(MAX_DRIFT_N, 2 * threshold):
-            raise Tripped(
-                Reason.TOUCHED_EARLY,
-                f"in the air the force stands {moved:.2f} N from where it stood before the last press: does "
-                "the probe touch something?",
             )
 
     def try_sensor(self, press: PlannedPress) -> None:

@@ -25,25 +25,30 @@ MIN_SCALE = 0.2  # relative: a smaller change may be the force's own
 CAME = 0.5  # of the samples that were due, of a sensor that holds them back rather than measures slowly
 
 Named = tuple[Reason, str]
+RISES: dict[str, Named] = {
+    "rise": (Reason.FORCE_LIMIT, "is the stage's z turned round?"),
+    "struck": (Reason.TOUCHED_EARLY, "does the probe touch something?"),
+}
 Vector = Float[ndarray, " _"]
 
 
 def name_fault(
-    doubt: Doubt, after: Sequence[Wrench], air: AirNoise, bias: ForceBias, listened_s: float
+    doubt: Doubt, after: Sequence[Wrench], air: AirNoise | None, bias: ForceBias, listened_s: float
 ) -> Named:
     """Name what was doubted.
 
     Args:
         doubt: and the samples before it.
         after: all samples from the doubted one on, oldest first.
-        air: what the sensor read in the air.
+        air: what the sensor read in the air; None where nobody knows, as for a rise before the first zero.
         bias: of the sensor.
         listened_s: for how long samples were waited for after the doubt [s].
 
     Returns:
         The reason, and the doubt with what followed, in words.
     """
-    reason, words = _named(doubt, [one for one in after if not one.fault], air, bias, listened_s)
+    good = [one for one in after if not one.fault]
+    reason, words = RISES[doubt.kind] if air is None else _named(doubt, good, air, bias, listened_s)
     return reason, f"{doubt.text}: {words}"
 
 
@@ -97,6 +102,8 @@ def _of_level(doubt: Doubt, six: Float[ndarray, "n 6"], air: AirNoise, bias: For
         return Reason.FORCE_STUCK, "the sensor repeats what it read and measures no more"
     if doubt.kind in ("flat", "holds", "lost", "repeats"):
         return Reason.FORCE_DEAD, "the sensor does not follow the contact any more; does the tool still hold?"
+    if doubt.kind in RISES:
+        return RISES[doubt.kind]
     if spread < FELL:
         return Reason.FORCE_NOISE, f"the noise is {spread:.2f} of that in the air: does it still measure?"
     return (

@@ -15,6 +15,7 @@ at a stand, from the samples that follow (`fault_names`).
 | lost | a contact that is gone though nothing moved away |
 | quiet | noise that has fallen |
 | late, gap | a sample that came after its turn; none at all |
+| rise, struck | a force that rises while the probe moves away, or to the clearance, however fast |
 
 Sequential sums (Page 1954, doi:10.1093/biomet/41.1-2.100) find the first way over which force rose too
 little, wherever it began.
@@ -174,7 +175,7 @@ class ForceMonitor:
             self._turned_ns = sent_ns + round(TURN_S * NS_PER_S)
         if phase in (Phase.UP, Phase.LIFT) and self._phase is not phase:
             self._touched, self._held, self._turned_n = False, 0.0, self._level_n
-        self._phase, self._speed, self._length_m, self._begun_ns = phase, speed_m_s, length_m, asked_ns
+        self._phase, self._speed, self._length_m, self._begun_ns = phase, speed_m_s, length_m, sent_ns
         self._sending_s = (sent_ns - asked_ns) / NS_PER_S
         self._way_m, self._reported_m, self._ended_ns = 0.0, None, None
 
@@ -198,6 +199,11 @@ class ForceMonitor:
     def gap(self, age_s: float) -> Doubt:
         """Doubt about a sensor whose newest sample is so old [s]."""
         return self._doubt("gap", f"no force came for {age_s * 1e3:.0f} ms at {self._speed * 1e3:g} mm/s")
+
+    def rise(self, from_n: float, to_n: float, up: bool) -> Doubt:
+        """Doubt about a force that rises while the probe moves away, up, or through the air [N]."""
+        where = "while moving away" if up else "on the way to the clearance"
+        return self._doubt("rise" if up else "struck", f"{to_n:.2f} N {where}, from {from_n:.2f} N")
 
     def take(self, sample: Wrench) -> Doubt | None:
         """Hold a good sample against those before, in the order in which they came."""
@@ -320,7 +326,7 @@ class ForceMonitor:
             return self._doubt(
                 "flat", f"{self._level_n:.3f} N does not rise on the way down as it did before"
             )
-        if self._excess > self._slack_n(EXCESS, greatest):
+        if self._excess > self._slack_n(EXCESS, greatest, self._sending_s):
             return self._doubt(
                 "steep", f"{self._level_n:.3f} N rises more steeply on the way down than it did before"
             )
@@ -336,12 +342,16 @@ class ForceMonitor:
             return None
         return self._doubt("holds", f"{self._level_n:.3f} N does not fall on the way back as it did before")
 
-    def _slack_n(self, noises: float, stiffness_n_m: float) -> float:
-        """Force by which it may differ from a stiffness: noise, and what stage and sensor are late by [N]."""
+    def _slack_n(self, noises: float, stiffness_n_m: float, early_s: float = 0.0) -> float:
+        """Force by which it may differ from a stiffness: noise, and what stage and sensor are late by [N].
+
+        The stage may have begun to move `early_s` before that was known [s].
+        """
         period_s = self.air.period_s if self.air else 0.0
         v, travel = self._speed, self._travel
-        late_s = travel.latency_s + period_s + self._sending_s
-        slack_m = SLACK_M + v * late_s + v**2 / (2 * travel.acceleration_m_s2)
+        slack_m = (
+            SLACK_M + v * (travel.latency_s + period_s + early_s) + v**2 / (2 * travel.acceleration_m_s2)
+        )
         return noises * self._noise_n + stiffness_n_m * slack_m + SLACK_SHARE * self._level_n
 
     def _quietened(self, six: Six) -> Doubt | None:

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from typing import Any
 
 from palpate.core import Clock, DeviceError, ForceSensor, InputError, RangeError
-from palpate.rig.commissioning.setup_answers import Answers, confirm, number, text
 from palpate.rig.commissioning.force_touch import ALLOWED_SHARE, G_M_S2, LOCAL_G_SHARE
+from palpate.rig.commissioning.setup_answers import Answers, confirm, number, text
 
 LINES = 12  # that a mean is taken of
 SETTLE_DELAYS = 3.0  # of its own delay, after a weight was laid on

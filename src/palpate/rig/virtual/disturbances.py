@@ -72,6 +72,10 @@ class Faults:
         """Whether it has set in."""
         return kind in self._from_ns and now_ns >= self._from_ns[kind]
 
+    def begin(self, kind: Kind, now_ns: int) -> None:
+        """Let a fault set in now, unless it has already [ns]."""
+        self._from_ns[kind] = min(now_ns, self._from_ns.get(kind, now_ns))
+
     def since(self, kind: Kind) -> int | None:
         """Time when it sets in [ns]; None where it never does."""
         return self._from_ns.get(kind)
