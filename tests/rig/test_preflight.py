@@ -232,7 +232,7 @@ def test_a_small_plan_on_the_lab_is_done_and_one_through_which_the_computer_slep
 def test_steps_of_the_wall_clock_do_not_matter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     hours = iter(range(0, 10**9, 3600))
     monkeypatch.setattr(time, "time", lambda: 1e9 - next(hours))  # each look finds it an hour further back
-    with lab_file(tmp_path) as lab, closing(open_rig(lab.write())) as rig:
+    with lab_file(tmp_path) as lab, closing(open_rig(lab.write(), supervised=False)) as rig:
         check_ready(rig)
         at = rig.stage.position_m()
         rig.stage.move_to((at[0] + 1e-3, at[1], at[2]), 5e-3)

@@ -83,7 +83,9 @@ def hold(name: str, folder: Path | None = None) -> BinaryIO:
     try:
         return lock(path)
     except RecordingError as e:
-        raise DeviceError(f"another process drives the rig {name} already; end that one first") from e
+        holder = find(name, folder)
+        who = "another process" if holder is None else f"process {holder.pid}"
+        raise DeviceError(f"{who} drives the rig {name} already; end that one first") from e
 
 
 def publish(address: Address, folder: Path | None = None) -> Path:

@@ -63,9 +63,8 @@ class PressMotion:
             touches: there is, whatever the force says, whose zero may have been taken in contact.
         """
         with suppress(Tripped):
-            force_n = (
-                self._guard.force_n[2] if self._bias.noise_n > 0 else 0.0
-            )  # nothing is known before a zero
+            known = self._bias.noise_n > 0  # a zero was measured
+            force_n = self._guard.force_n[2] if known else 0.0
             touches = touches or abs(force_n) > FREE * self._plan.threshold_N
         if touches:
             self._higher_m = HIGHER_MM * MM

@@ -14,7 +14,7 @@ from palpate.core import NS_PER_S
 
 LEARNT_S = 1.0  # of samples, until the rate is learnt; and then again at every doubling
 FADE = 0.01  # by which the two clocks may seem to run apart, a few lost samples with them, relative
-MAX_OFF = 0.5  # of the rate that was stated, relative, for a rate that is learnt
+MAX_OFF = 0.5  # of the rate that was learnt before, relative, for one that is learnt again
 PUNCTUAL = 2.0  # periods by which a sample may be late from which the rate is learnt
 PUNCTUAL_S = 0.005  # and time
 
@@ -33,7 +33,7 @@ class SampleDating:
             rate_hz: as stated, or as it was measured before [Hz].
             heard_s: for how long samples are only listened to, where the rate is not known well [s].
         """
-        self._stated_s = self.period_s = 1.0 / rate_hz
+        self.period_s = 1.0 / rate_hz
         self._heard_s, self._learn_s = heard_s, max(heard_s, LEARNT_S)
         self._learnt = heard_s == 0
         self._first: tuple[int, int] | None = None
@@ -70,6 +70,8 @@ class SampleDating:
         return not self._learnt or late_s <= max(PUNCTUAL * self.period_s, PUNCTUAL_S)
 
     def _learn(self, period_s: float, late_s: float) -> None:
+        # What is heard first counts for more than what was stated: a slower device must show as slow.
+        is_first = not self._learnt
         self._learn_s, self._learnt = 2 * self._learn_s, True
-        if abs(period_s / self._stated_s - 1) <= MAX_OFF:
+        if is_first or abs(period_s / self.period_s - 1) <= MAX_OFF:
             self.period_s, self._least_s = period_s, -late_s  # since its offset is nothing now

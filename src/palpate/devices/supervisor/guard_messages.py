@@ -8,6 +8,7 @@ one piece, so that any of its threads, and a signal's handler, may write without
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 from collections import deque
@@ -27,13 +28,18 @@ Row = list[Any]
 
 
 def sample_row(sample: Wrench) -> Row:
-    """A force sample as plain values: time [ns], three forces [N], three torques [Nm], its fault."""
-    return [sample.time_ns, *sample.force_n, *sample.torque_nm, sample.fault]
+    """A force sample as plain values: time [ns], three forces [N], three torques [Nm], its fault.
+
+    What is no number, as a faulty sample may hold, is None.
+    """
+    values = (*sample.force_n, *sample.torque_nm)
+    return [sample.time_ns, *(value if math.isfinite(value) else None for value in values), sample.fault]
 
 
 def sample_of(row: Row) -> Wrench:
     """A force sample from its plain values."""
-    time_ns, fx, fy, fz, tx, ty, tz, fault = row
+    time_ns, *values, fault = row
+    fx, fy, fz, tx, ty, tz = (math.nan if value is None else float(value) for value in values)
     return Wrench(int(time_ns), (fx, fy, fz), (tx, ty, tz), str(fault))
 
 
