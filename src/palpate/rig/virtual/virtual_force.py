@@ -129,7 +129,7 @@ class VirtualForce:
         return np.array(touch.force_n) * (1, 1, -1 if reversed_ else 1)
 
     def _shown(self, force: Axes, at_ns: int) -> Triple:
-        """Force that it states of one that it has measured."""
+        """Reading that it gives of a force that it has measured."""
         if self._world.faults.on("force-dead", at_ns):
             return 0.0, 0.0, 0.0
         x, y, z = force.tolist()

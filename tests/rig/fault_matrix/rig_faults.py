@@ -1,0 +1,346 @@
+"""Faults of force sensor, stage, camera, disk, operator, computer and skin, on the virtual rig.
+
+Each says how it sets in, what it may be called, whether motion is still possible after it, and how far the
+probe may go on into or along the skin once it shows.
+"""
+
+from __future__ import annotations
+
+from tests.rig.fault_matrix.fault_injection import (
+    AGE,
+    OPEN,
+    SEARCH,
+    STEP,
+    TRUST,
+    Otherwise,
+    RigFault,
+    backward_stamps,
+    both,
+    computer_stands_still,
+    creeping,
+    deaf_and_stalled,
+    disk_that,
+    failing_watcher,
+    harder_skin,
+    interrupted,
+    jumped,
+    killed,
+    late_frames,
+    late_once,
+    no_number,
+    of_kind,
+    operator,
+    raised_skin,
+    raising,
+    raising_once,
+    replacing,
+    slipping,
+    slow_disk,
+    stage_late,
+)
+
+from palpate.core import DeviceError
+from palpate.devices import OperatorCommand
+
+GONE = "the stage is gone"
+NOT_JUDGED = "at a pause nothing moves, and no sample is judged"
+NUMB = "before contact a hum that feels nothing is as a skin that is not there"
+FAULTS = (
+    RigFault(
+        "no sample any more",
+        "force",
+        of_kind("force-stalls"),
+        ("force-stale",),
+        within=AGE,
+        listed=("F1", "F8", "F11", "G4"),
+    ),
+    RigFault("does not answer", "force", of_kind("force-gone"), ("force-sensor",), listed=("F5", "F7", "G4")),
+    RigFault(
+        "saturates, or any fault bit",
+        "force",
+        of_kind("force-saturates"),
+        ("force-fault",),
+        listed=("F6", "F14"),
+    ),
+    RigFault(
+        "one sample of 1000 N",
+        "force",
+        of_kind("force-spike"),
+        ("force-limit",),
+        listed=("F14",),
+        elsewhere={
+            **dict.fromkeys(
+                ("idle", "travel"),
+                Otherwise(("force-limit", "touched-early"), "through the air any rise by 1 N is a touch"),
+            ),
+            "pause": Otherwise(("done",), NOT_JUDGED),
+            "resume": Otherwise(("force-noise", "force-limit"), "it falls into the zero"),
+        },
+    ),
+    RigFault(
+        "a hundred times the noise",
+        "force",
+        of_kind("force-noisy"),
+        ("force-noise",),
+        listed=("F12",),
+        elsewhere={
+            "idle": Otherwise(
+                ("touched-early", "force-noise"), "before the first zero nobody knows the noise", OPEN
+            )
+        },
+    ),
+    RigFault(
+        "reversed",
+        "force",
+        of_kind("force-reversed"),
+        ("force-reversed",),
+        within=TRUST,
+        shows="force",
+        listed=("F12",),
+    ),
+    RigFault(
+        "stuck",
+        "force",
+        of_kind("force-stuck"),
+        ("force-stuck",),
+        within=TRUST,
+        shows="force",
+        listed=("F4",),
+        elsewhere={"idle": Otherwise(("force-dead",), "it never showed noise in this run")},
+    ),
+    RigFault("dead, all zero", "force", of_kind("force-dead"), ("force-dead",), within=TRUST, shows="force"),
+    RigFault(
+        "noise that follows nothing",
+        "force",
+        of_kind("force-numb"),
+        ("force-dead",),
+        within=TRUST,
+        shows="force",
+        elsewhere={
+            **dict.fromkeys(
+                ("idle", "travel", "seek", "pause", "resume"),
+                Otherwise(("no-contact", "force-dead"), NUMB, SEARCH),
+            ),
+            "slide": Otherwise(("force-dead",), "at one depth nothing says what the force should be", SEARCH),
+        },
+    ),
+    RigFault(
+        "scaled to a tenth",
+        "force",
+        of_kind("force-scaled"),
+        ("force-scaled",),
+        within=TRUST,
+        shows="force",
+        listed=("F7",),
+        elsewhere={"idle": Otherwise(("done",), "not seen: a known weight tells", OPEN)},
+    ),
+    RigFault(
+        "bursts of 80 ms",
+        "force",
+        of_kind("force-held-back"),
+        ("force-late",),
+        within=TRUST,
+        shows="force",
+        listed=("F3",),
+        elsewhere=dict.fromkeys(
+            ("hold", "slide"), Otherwise(("force-late", "force-stale"), "a frame has no force near it")
+        ),
+    ),
+    RigFault(
+        "a tenth of its rate",
+        "force",
+        of_kind("force-slow"),
+        ("force-slow",),
+        within=TRUST,
+        shows="force",
+        listed=("F3",),
+    ),
+    RigFault(
+        "NaN",
+        "force",
+        both(replacing("force", "drain", no_number), replacing("force", "latest", no_number)),
+        ("force-fault",),
+        listed=("F2",),
+    ),
+    RigFault(
+        "driver raises",
+        "force",
+        both(
+            replacing("force", "drain", raising(KeyError("Fz"))),
+            replacing("force", "latest", raising(KeyError("Fz"))),
+        ),
+        ("force-sensor",),
+        listed=("F2", "F10"),
+    ),
+    RigFault("call blocks for 1 s", "force", late_once(1.0), ("done",), within=STEP),
+    RigFault(
+        "does not answer",
+        "stage",
+        of_kind("stage-gone"),
+        ("stage",),
+        stays=GONE,
+        within=STEP,
+        listed=("S11", "S12"),
+    ),
+    RigFault(
+        "says that it moves, and stands",
+        "stage",
+        of_kind("stage-stuck"),
+        ("stage", "stage-late"),
+        stays="it takes no move",
+        within=STEP,
+        listed=("S17",),
+    ),
+    RigFault("loses 0.1 mm of every move", "stage", slipping, ("stage",), within=STEP, listed=("S16",)),
+    RigFault("count jumps by 0.5 mm", "stage", jumped, ("stage",), within=STEP, listed=("S16",)),
+    RigFault(
+        "does not stop when told to",
+        "stage",
+        deaf_and_stalled,
+        ("stage", "force-sensor"),
+        stays="it does not stop",
+        within=STEP,
+    ),
+    RigFault("a hundredth of its speed", "stage", creeping, ("stage-late", "force-dead"), within=OPEN),
+    RigFault("answer 1 s late, once", "stage", stage_late(1.0), ("done",), within=STEP),
+    RigFault(
+        "no answer, once",
+        "stage",
+        raising_once("stage", "moving", DeviceError("the stage has not answered")),
+        ("stage",),
+    ),
+    RigFault("driver raises, once", "stage", raising_once("stage", "moving", ValueError("odd")), ("stage",)),
+    RigFault(
+        "refuses every move",
+        "stage",
+        replacing("stage", "move_to", raising(DeviceError("the stage refuses to move"))),
+        ("stage",),
+        stays="it refuses to move",
+        within=STEP,
+    ),
+    RigFault("does not answer", "camera", of_kind("camera-gone"), ("camera",), within=OPEN, listed=("C5",)),
+    RigFault(
+        "same frame again and again",
+        "camera",
+        of_kind("camera-frozen"),
+        ("camera", "clocks"),
+        within=OPEN,
+        listed=("C1",),
+    ),
+    RigFault(
+        "frames of another size",
+        "camera",
+        of_kind("camera-resized"),
+        ("camera",),
+        within=OPEN,
+        listed=("C3",),
+    ),
+    RigFault(
+        "no frame any more", "camera", of_kind("camera-stalls"), ("camera",), within=OPEN, listed=("C1",)
+    ),
+    RigFault(
+        "every other frame lost", "camera", of_kind("camera-drops"), ("done",), within=OPEN, listed=("C1",)
+    ),
+    RigFault("frames 1.5 s late", "camera", late_frames(1.5), ("done", "camera"), within=OPEN),
+    RigFault("frames 3 s late", "camera", late_frames(3.0), ("camera",), within=OPEN),
+    RigFault(
+        "stamps run backwards",
+        "camera",
+        backward_stamps,
+        ("camera", "force-stale", "clocks"),
+        within=OPEN,
+        listed=("C2",),
+    ),
+    RigFault(
+        "driver raises",
+        "camera",
+        both(
+            replacing("camera", "grab", raising(RuntimeError("usb"))),
+            replacing("camera", "drain", raising(RuntimeError("usb"))),
+        ),
+        ("camera",),
+        within=OPEN,
+    ),
+    RigFault(
+        "full",
+        "disk",
+        disk_that(OSError(28, "No space left on device")),
+        ("storage",),
+        within=OPEN,
+        listed=("D1",),
+    ),
+    RigFault(
+        "input/output error",
+        "disk",
+        disk_that(OSError(5, "Input/output error")),
+        ("storage",),
+        within=OPEN,
+        listed=("D1",),
+    ),
+    RigFault("slow", "disk", slow_disk, ("done",), within=OPEN, listed=("C4",)),
+    RigFault("pause", "operator", operator(OperatorCommand.PAUSE), ("done",)),
+    RigFault("stop", "operator", operator(OperatorCommand.STOP), ("stopped", "done"), within=OPEN),
+    RigFault("abort, Ctrl-C", "operator", operator(OperatorCommand.ABORT), ("aborted",), listed=("S20",)),
+    RigFault(
+        "emergency stop", "operator", operator(OperatorCommand.ESTOP), ("e-stopped",), stays="emergency stop"
+    ),
+    RigFault(
+        "KeyboardInterrupt in any call", "programme", interrupted, ("KeyboardInterrupt",), listed=("S20",)
+    ),
+    RigFault("who watches raises", "programme", failing_watcher, ("LookupError",), within=OPEN),
+    RigFault(
+        "killed (kill -9)",
+        "programme",
+        killed,
+        ("killed",),
+        stays="nothing is left that could move it",
+        within=STEP,
+        listed=("D2",),
+    ),
+    RigFault(
+        "stands still for 5 s",
+        "programme",
+        computer_stands_still,
+        ("done",),
+        within=STEP,
+        listed=("G5",),
+        elsewhere={"hold": Otherwise(("done", "force-stale"), "a frame has no force near it")},
+    ),
+    RigFault(
+        "nothing to touch",
+        "skin",
+        of_kind("layer-gone"),
+        ("no-contact", "force-dead"),
+        within=SEARCH,
+        listed=("G1",),
+    ),
+    RigFault(
+        "twenty times as stiff",
+        "skin",
+        harder_skin,
+        ("force-implausible", "force-limit", "force-rate"),
+        shows="limit",
+        listed=("G2",),
+        elsewhere={
+            "idle": Otherwise(("done",), "such a skin is as good as any"),
+            "taps": Otherwise(
+                ("force-implausible", "force-limit", "force-rate", "clocks"),
+                "a tap is then too short for the camera",
+            ),
+        },
+    ),
+    RigFault(
+        "1.5 mm higher: contact at the clearance",
+        "skin",
+        raised_skin,
+        ("touched-early", "force-implausible", "force-limit", "force-rate"),
+        within=TRUST,
+        listed=("G3",),
+        elsewhere={
+            "taps": Otherwise(
+                ("force-implausible", "touched-early", "clocks"), "a tap is then too short for the camera"
+            )
+        },
+    ),
+)
+"""All of them, in the order of the table's rows."""
