@@ -68,6 +68,8 @@ def test_every_fault_stops_with_its_name_and_the_run_goes_on_afterwards(
         or (fault == "layer-gone" and outcome.reason is Reason.FORCE_DEAD)
         or (fault == "force-noisy" and outcome.reason in noisy)
         or (fault == "stage-stuck" and outcome.reason is Reason.STAGE_LATE)
+        # On the way down through the air any rise by 1 N is a touch.
+        or (fault == "force-spike" and after_s < TARED_S and outcome.reason is Reason.TOUCHED_EARLY)
     ), outcome
     assert outcome.message
     run = Run.open(out)
