@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-MAX_MODULES = 130
+MAX_MODULES = 135
 PLAN = """
 name = "one place"
 kind = "stepped"

@@ -109,13 +109,13 @@ class TestControls:
     def test_a_guard_that_does_not_look_at_ages_goes_on_too_far(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        newest = MotionGuard._newest
+        newest = MotionGuard._moved_on
 
         def deaf(self: MotionGuard):
             self._limits = replace(self._limits, age_s=1e9)
             return newest(self)
 
-        monkeypatch.setattr(MotionGuard, "_newest", deaf)
+        monkeypatch.setattr(MotionGuard, "_moved_on", deaf)
         monkeypatch.setattr(ForceMonitor, "oldest_s", property(lambda self: 1e9))
         assert "went on by" in self.broken("force", "no sample any more", "seek")
 

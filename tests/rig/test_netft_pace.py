@@ -88,7 +88,7 @@ def test_records_that_are_held_back_are_named_late_and_none_is_lost() -> None:
     with noisy_box() as box, connected(box) as sensor:
         monitor = taught_in_time(sensor)
         lost = sensor.counts.lost
-        monitor.begin(Phase.DOWN, 2e-3, 1e-3, time.monotonic_ns())
+        monitor.begin(Phase.DOWN, 2e-3, 1e-3, *[time.monotonic_ns()] * 2)
         box.hold_s = hold_s
         end = time.monotonic() + PATIENCE_S
         age_s = 0.0

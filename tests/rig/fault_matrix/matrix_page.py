@@ -219,6 +219,10 @@ All numbers, with their bounds, are in `docs/images/fault-matrix.csv`.
 
 {table}
 
+Guard and recorder are one process here. On a rig whose file names real devices a
+[supervisor](../decisions/0025-a-process-of-its-own-guards.md) guards, and lifts the probe of a programme that
+is killed or stands still as well; tests of its own show that, with processes that are killed and stopped.
+
 No way is bounded, since nothing is pressed by them, for {open}.
 
 ## A GRBL stage

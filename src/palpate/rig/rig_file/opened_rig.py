@@ -203,6 +203,8 @@ def rig_from(file: RigFile, *, supervised: bool = True, name: str = "") -> Rig:
         )
     clock = MonotonicClock()
     with ExitStack() as opened:
+        camera = _opened("camera", file.camera, clock, opened)
+        second = None if file.label_force is None else _opened("force", file.label_force, clock, opened)
         supervisor: SupervisorLink | None = None
         guarded: tuple[Stage, ForceSensor]
         if supervised:
@@ -213,8 +215,6 @@ def rig_from(file: RigFile, *, supervised: bool = True, name: str = "") -> Rig:
             guarded = supervisor.stage, supervisor.force
         else:
             guarded = open_guarded(file, clock, opened)
-        camera = _opened("camera", file.camera, clock, opened)
-        second = None if file.label_force is None else _opened("force", file.label_force, clock, opened)
         rig = Rig(
             name=file.name,
             sensor=file.sensor,
