@@ -1,7 +1,8 @@
 """Times from a request to stop to its byte on the wire, on the faked GRBL stage; writes a small JSON.
 
-Three ways a stop is asked for: by the operator (`OperatorControl`, seen by the motion guard's next look), by
-the page (`StageProxy.hold`, which goes to the stage itself), and by the guard (a force sample above its
+Three ways a stop is asked for: by the operator (`OperatorControl` and `MotionGuard.interrupt`, as the thread
+of a supervisor calls them that hears of Ctrl-C), by the page (`StageProxy.hold`, which goes to the stage
+itself), and by the guard (a force sample above its
 limit). The fake at the other end of a real pseudo-terminal sits in a process of its own, so that it shares no
 interpreter with what is measured; it notes when each byte came, on the computer's one monotonic clock. So the
 time includes the way over the pseudo-terminal and the waking of its reader, and no serial line or firmware.
@@ -145,6 +146,7 @@ class Lab:
         """Ask for a stop, in one of the ways."""
         if way == "operator":
             self.control.ask(OperatorCommand.ABORT)
+            self.guard.interrupt(OperatorCommand.ABORT)
         elif way == "page":
             self.stage.hold()
         else:

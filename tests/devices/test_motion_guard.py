@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -283,3 +285,36 @@ def test_a_driver_s_own_exception_stops_by_the_name_of_its_device(
     if broken[0] == "sensor":  # and on the way out it stops nothing
         bench.guard.away((0.0, 0.0, -2e-3), SPEED)
         assert bench.stage.position_m()[2] == pytest.approx(-2e-3)
+
+
+@pytest.mark.parametrize(
+    ("down", "command", "stops"),
+    [
+        (True, OperatorCommand.PAUSE, True),
+        (True, OperatorCommand.ABORT, True),
+        (True, OperatorCommand.STOP, False),  # ends after the press
+        (False, OperatorCommand.ABORT, False),  # nothing but an emergency stop holds up a lift
+        (False, OperatorCommand.ESTOP, True),
+    ],
+)
+def test_another_thread_stops_a_move_at_once_by_what_the_next_look_would_stop(
+    down: bool, command: OperatorCommand, stops: bool
+) -> None:
+    bench, stopped = Bench(), []
+
+    def ask() -> None:
+        if not stopped:
+            bench.control.ask(command)
+            other = threading.Thread(target=bench.guard.interrupt, args=(command,))
+            other.start()
+            other.join(10.0)
+            stopped.append(bench.stage.stops)
+
+    bench.guard.looks.subscribe(ask)
+    move = bench.guard.towards if down else bench.guard.away
+    ends = pytest.raises(OperatorInterrupt, match=command.value) if stops else nullcontext()
+    with ends:
+        move((0.0, 0.0, 1e-3 if down else -9e-3), SPEED)
+    assert stopped == [1 if stops else 0], "before the look had returned"
+    bench.guard.interrupt(command)
+    assert bench.stage.stops <= 2, "nothing is stopped that does not move"

@@ -12,6 +12,7 @@ What passes meanwhile is published: the samples as they were drained, where the 
 from __future__ import annotations
 
 import math
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -131,6 +132,8 @@ class MotionGuard:
         self.looks: Subscribers[[]] = Subscribers()
         self._recent: deque[tuple[int, float]] = deque()
         self._phase = Phase.STAND
+        self._turn = threading.RLock()
+        self._stoppable: tuple[OperatorCommand, ...] = ()  # what may stop the move that is under way
         self._age_s = 0.0  # of the sample that `fresh` handed out last
         self._left: Position | None = None  # where it stood after the last move that arrived
 
@@ -295,6 +298,16 @@ class MotionGuard:
                 raise self._named(e.doubt, samples[i:]) from None
         return samples
 
+    def interrupt(self, command: OperatorCommand) -> None:
+        """Stop a move at once that this command stops at the guard's next look; from another thread.
+
+        Raises:
+            DeviceError: the stage does not stop; the thread that moves it sees that as well.
+        """
+        with self._turn:  # so that no lift begins meanwhile, which it would stop short
+            if command in self._stoppable:
+                self._stage.stop()
+
     def halt(self) -> None:
         """Bring the stage to a stand.
 
@@ -317,6 +330,22 @@ class MotionGuard:
         asks: tuple[OperatorCommand, ...],
     ) -> bool:
         """One move, watched; the stage stands when this returns or raises."""
+        with self._turn:
+            self._stoppable = asks
+        try:
+            return self._watched(target, speed_m_s, until, check, asks)
+        finally:
+            with self._turn:
+                self._stoppable = ()
+
+    def _watched(
+        self,
+        target: Position,
+        speed_m_s: float,
+        until: Until,
+        check: Check,
+        asks: tuple[OperatorCommand, ...],
+    ) -> bool:
         try:
             reached = self._follow(target, speed_m_s, until, check, asks)
             if reached:

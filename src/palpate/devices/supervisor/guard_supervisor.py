@@ -147,6 +147,9 @@ class GuardSupervisor:
                 self.stop()
         else:
             self._control.ask(OperatorCommand(command))
+            if self._guard is not None:
+                with suppress(DeviceError):  # likewise
+                    self._guard.interrupt(OperatorCommand(command))
 
     def _stop_stage(self) -> None:
         self._halted = True
