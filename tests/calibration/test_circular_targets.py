@@ -61,6 +61,7 @@ def edges(tmp_path_factory):
     return folder, run
 
 
+@pytest.mark.slow
 def test_an_angle_is_read_across_the_turn_as_well_as_elsewhere(edges) -> None:
     """The same column as a plain target is the negative control: near ±180° it errs by half a turn."""
     folder, run = edges
@@ -102,6 +103,7 @@ def test_fresh_angles_are_covered_and_read_as_arcs(edges) -> None:
     assert np.mean(valid) > 0.9  # the guard may turn three good frames in a hundred away
 
 
+@pytest.mark.slow
 def test_conventions_of_labels_do_not_matter(edges, tmp_path) -> None:
     """All labels a quarter turn on, others a full turn more: the same errors, estimates a quarter turn on."""
     folder, _ = edges

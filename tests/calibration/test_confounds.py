@@ -23,6 +23,7 @@ from tests.calibration.confound_cases import (
     spread,
     virtual_palm,
 )
+from tests.slow_params import mostly_slow
 from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, calibrate
@@ -415,6 +416,7 @@ def kinds_named(card: Card) -> set[str]:
     return named if card.split.clean else named | {"copies"}
 
 
+@pytest.mark.slow
 def test_a_drifting_rim_fails_the_audit_before_the_numbers_and_its_remedy_mends_it(tmp_path, rng) -> None:
     case = drifted(pins(rng, 150), "specks", rng)
     run_of(case, tmp_path)
@@ -477,13 +479,14 @@ def test_a_dozen_rows_are_audited_without_alarm(tmp_path, rng) -> None:
 
 
 # The seeds of the slow test, so that each kind of confound stands here once, on a base that is drawn.
-@pytest.mark.parametrize("seed", range(len(CONFOUNDS)))
+@pytest.mark.parametrize("seed", mostly_slow(range(len(CONFOUNDS)), lambda i: i % 4 == 0))
 def test_a_confound_of_each_kind_is_named(tmp_path, seed) -> None:
     case = confounded_case(seed, (pins, spread), 120)
     card = read_card(calibrate(run_of(case, tmp_path), plan_of(case), tmp_path / "cal"))
     assert kinds_named(card) & set(case.wanted), case.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(len(RIMS)))
 def test_a_rim_that_drifts_is_named_whatever_of_it_does(tmp_path, seed) -> None:
     case = own_case(seed, (pins,), 100)
@@ -491,13 +494,14 @@ def test_a_rim_that_drifts_is_named_whatever_of_it_does(tmp_path, seed) -> None:
     assert kinds_named(card) & set(case.wanted), case.name
 
 
-@pytest.mark.parametrize("seed", range(2 * len(DRAWN)))
+@pytest.mark.parametrize("seed", mostly_slow(range(2 * len(DRAWN)), lambda i: i % 4 == 0))
 def test_a_clean_recording_raises_no_alarm(tmp_path, seed) -> None:
     case = clean_case(seed, DRAWN, 80)
     card = read_card(calibrate(run_of(case, tmp_path), plan_of(case), tmp_path / "cal"))
     assert not kinds_named(card), case.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["brightness", "specks"])
 def test_the_same_drift_is_no_finding_where_labels_are_in_random_order(tmp_path, rng, kind) -> None:
     for name, make, wanted in (("order", drifted, True), ("random", lit, False)):

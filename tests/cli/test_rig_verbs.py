@@ -80,6 +80,7 @@ def test_a_recorded_run_is_checked_calibrated_and_reported_without_further_optio
     assert (seen["crop_px"], seen["beside_px"]) == ([0, 0, 128, 128], [128, 0, 128, 128])
 
 
+@pytest.mark.slow
 def test_a_recordings_events_are_written_as_documents_with_its_taps(tiny: Path, tmp_path: Path) -> None:
     tiny.write_text(TOML.replace("taps = 0", "taps = 3").replace("[0, 0], [5, 5]", "[0, 0]"))
     run, out = tmp_path / "run", tmp_path / "run.jsonl"
@@ -135,6 +136,7 @@ def test_another_plan_or_no_rig_is_refused_in_one_line(tiny: Path, tmp_path: Pat
     assert "virtual:palm" in error
 
 
+@pytest.mark.slow
 def test_a_rig_records_its_sensors_own_plan_where_none_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

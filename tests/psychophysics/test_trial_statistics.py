@@ -122,6 +122,7 @@ def test_gaussian_stiffness_is_not_standard_normal_and_yet_gaussian() -> None:
     assert found.lilliefors_p["a"] > 0.2
 
 
+@pytest.mark.slow
 def test_lilliefors_test_keeps_its_level_and_finds_an_exponential(rng) -> None:
     """Of 200 Gaussian samples 5 % are refused, to within three standard errors of that rate."""
     gaussian = compare({str(k): single(rng.normal(3.1, 0.4, 12)) for k in range(200)}).lilliefors_p

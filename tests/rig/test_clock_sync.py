@@ -74,6 +74,7 @@ def test_nothing_but_the_plans_frames_is_recorded(tapped: tuple[Outcome, Run]) -
     assert len(run) == 3 * 2 + 1
 
 
+@pytest.mark.slow
 def test_a_recording_that_goes_on_taps_again(tmp_path: Path) -> None:
     control, small = OperatorControl(), plan(taps=3, **SMALL)
 
@@ -89,6 +90,7 @@ def test_a_recording_that_goes_on_taps_again(tmp_path: Path) -> None:
     assert done.clocks is None, "where nothing is missing, nothing moves"
 
 
+@pytest.mark.slow
 def test_the_force_in_a_sweeps_labels_is_that_of_the_frames_own_instant(tmp_path: Path) -> None:
     def worst(taps: int) -> float:
         sweep = Ramp(

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, plan, rig, wanted
+from tests.slow_params import mostly_slow
 
 from palpate.core.clock import ManualClock
 from palpate.core.errors import DeviceError, RecordingError
@@ -70,6 +71,7 @@ def test_depth_in_a_label_lies_a_threshold_above_the_truth(whole: Run) -> None:
     assert below_touch.between(0.08, 0.16).all()
 
 
+@pytest.mark.slow
 def test_depth_in_a_label_lies_as_near_the_truth_after_deep_presses(tmp_path: Path) -> None:
     deep = plan(depth_mm=4.8, step_mm=2.4, cycles=3, frames=1)
     assert record(rig(variation=Variation(), seed=1), deep, tmp_path / "run").state is State.DONE
@@ -97,7 +99,7 @@ def test_the_stage_never_goes_deeper_than_the_plan(whole: Run) -> None:
     assert whole.stage()["z_m"].max() * 1e3 <= max(zeros) + 1.2 + 1e-6
 
 
-@pytest.mark.parametrize("after_shots", [0, 1, 5, 11])
+@pytest.mark.parametrize("after_shots", mostly_slow([0, 1, 5, 11], lambda i: i == 2))
 @pytest.mark.parametrize("wish", [OperatorCommand.ABORT, OperatorCommand.ESTOP, OperatorCommand.STOP])
 def test_what_was_ended_goes_on_at_the_first_missing_shot(
     tmp_path: Path, after_shots: int, wish: OperatorCommand
@@ -301,6 +303,7 @@ def test_a_sweep_turns_round_at_its_force_and_records_all_the_while(tmp_path: Pa
     assert done_in(run) == {f"l0/{cycle}/sweep/4000/0": frozenset({0}) for cycle in (1, 2, 3)}
 
 
+@pytest.mark.slow
 def test_a_sweep_that_was_cut_is_done_again_and_the_cut_one_does_not_count(tmp_path: Path) -> None:
     sweep = Ramp(
         name="s",

@@ -49,7 +49,7 @@ TARED_S = 0.5  # on the rig's clock, when the first zero is being measured
         ("layer-gone", Reason.NO_CONTACT),
     ],
 )
-@pytest.mark.parametrize("after_s", [0.1, 1.2])
+@pytest.mark.parametrize("after_s", [0.1, pytest.param(1.2, marks=pytest.mark.slow)])
 def test_every_fault_stops_with_its_name_and_the_run_goes_on_afterwards(
     tmp_path: Path, fault: str, reason: Reason, after_s: float
 ) -> None:

@@ -29,6 +29,7 @@ from tests.rig.fault_matrix.matrix_page import (
 )
 from tests.rig.fault_matrix.observed_rig import ObservedRig
 from tests.rig.fault_matrix.rig_faults import FAULTS
+from tests.slow_params import mostly_slow
 
 from palpate.devices import MotionGuard
 from palpate.devices.force_trust import ForceMonitor
@@ -61,7 +62,9 @@ def state_of(name: str, states=STATES):
 
 
 @pytest.mark.parametrize(
-    ("fault", "state"), ORDINARY, ids=[f"{f.part}: {f.name} / {s.name}" for f, s in ORDINARY]
+    ("fault", "state"),
+    mostly_slow(ORDINARY, lambda i: i % 2 == 0),
+    ids=[f"{f.part}: {f.name} / {s.name}" for f, s in ORDINARY],
 )
 def test_a_fault_is_stopped_named_and_lifted(fault: RigFault, state) -> None:
     assert faults_of(run_cell(fault, state, goes_on=False), fault) == []

@@ -101,6 +101,7 @@ def test_a_stop_ends_within_its_bound_short_of_its_target(stage, target):
     assert stage.position_m() == pytest.approx((0.0, 0.0, 0.0), abs=1e-5)  # so no step was lost
 
 
+@pytest.mark.slow
 def test_twenty_stops_lose_no_step(stage):
     for i in range(20):
         stage.move_to((0.02, 0.0, 0.0) if i % 2 else (-0.02, 0.0, 0.0), 0.02)

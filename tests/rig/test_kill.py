@@ -86,6 +86,7 @@ def cut_and_resumed(out: Path, plan: StepHold, kills: int, longest_s: float) -> 
     return cuts
 
 
+@pytest.mark.slow
 def test_a_few_kills_leave_a_run_that_resumes_to_its_plan_exactly(tmp_path: Path) -> None:
     plan = small(pitch_mm=20.0, cycles=1)
     cut_and_resumed(tmp_path / "run", plan, kills=4, longest_s=2.0)

@@ -25,6 +25,7 @@ def found(tmp_path: Path, variation: Variation, askew_mm: tuple[float, float, fl
     return locate_skin(Run.open(out))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("askew_mm", [(0.0, 0.0, 0.0), (0.8, -1.2, 0.4), (-1.5, 0.3, -0.6)])
 def test_touching_finds_the_layers_place(tmp_path: Path, askew_mm: tuple[float, float, float]) -> None:
     layer = found(tmp_path, IDEAL, askew_mm)

@@ -100,7 +100,7 @@ def test_a_box_serves_one_client_and_a_second_one_leaves_its_stream_alone(tmp_pa
 @pytest.mark.parametrize(
     "words",
     [
-        ("record", "--plan", "layer", "--out", "{run}", "--rig"),
+        pytest.param(("record", "--plan", "layer", "--out", "{run}", "--rig"), marks=pytest.mark.slow),
         ("rig", "check"),
         ("rig", "jog", "--axis", "x", "--mm", "1"),
     ],

@@ -91,6 +91,7 @@ def _slow(lab: LabFile) -> None:
     lab.box.sent_hz = 50.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
@@ -119,6 +120,7 @@ def test_a_camera_at_half_its_rate_is_named_before_the_first_press_with_both_rat
     assert "20 are stated" in message
 
 
+@pytest.mark.slow
 def test_a_camera_that_gives_every_frame_twice_is_named_with_its_repeats(tmp_path: Path) -> None:
     with lab_file(tmp_path) as lab:
         source = SOURCES[str(tmp_path)]
@@ -170,6 +172,7 @@ def test_a_plan_faster_than_the_stages_acceleration_allows_is_refused_with_both_
     assert told.value.reason is Reason.TOO_FAST
 
 
+@pytest.mark.slow
 def test_a_box_of_a_slow_rate_is_refused_for_its_limits(tmp_path: Path) -> None:
     with lab_file(tmp_path, page=FakePage(ranges="30;30;60;3;3;3", rate_hz=50.0)) as lab:
         with closing(open_rig(lab.write())) as rig, pytest.raises(RangeError, match=r"0\.01 s.*0\.02"):

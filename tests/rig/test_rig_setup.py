@@ -191,6 +191,7 @@ def test_a_setup_that_may_move_nothing_writes_what_it_found_and_says_what_it_did
         assert word in said
 
 
+@pytest.mark.slow
 def test_an_old_file_and_limits_beyond_the_firmwares_travel_are_refused(tmp_path: Path) -> None:
     taken = tmp_path / "rig.toml"
     taken.write_text("mine")
@@ -207,6 +208,7 @@ def test_an_old_file_and_limits_beyond_the_firmwares_travel_are_refused(tmp_path
     assert not (tmp_path / "new.toml").exists()
 
 
+@pytest.mark.slow
 def test_a_dead_sensor_is_found_before_the_skin_is_pressed_deep(tmp_path: Path) -> None:
     with lab(dead=True) as one, pytest.raises(Tripped, match="dead"):
         set_up(tmp_path / "rig.toml", answers_of(one, reach_mm=1.0), print)

@@ -79,6 +79,7 @@ def test_a_known_weight_gives_the_force_of_a_labelling_cells_count_with_its_sign
     assert read_rig(tmp_path / "rig.toml").label_force is not None
 
 
+@pytest.mark.slow
 def test_a_scale_that_prints_a_wrong_unit_is_refused_by_the_known_weight(tmp_path: Path) -> None:
     with lab() as one, served(scale("grams")) as port:
         words = {"label_port": port, "label_unit": "g", "label_weight_lies": True, **LABEL}
@@ -151,6 +152,7 @@ def test_a_person_who_answers_wrongly_is_asked_again_and_a_file_is_not(
         number(PromptAnswers(yes=True), "n", "How many", 0.0, 10.0, 11.0)
 
 
+@pytest.mark.slow
 def test_ctrl_c_at_any_question_writes_nothing_and_moves_nothing(tmp_path: Path) -> None:
     class Leaves(LabAnswers):
         left = 0

@@ -277,6 +277,7 @@ def test_anybody_of_the_same_user_may_stop_it_past_its_client(supervised) -> Non
     assert bench.z_m() == pytest.approx(z, abs=1e-6), "an emergency stop moves nothing, also not away"
 
 
+@pytest.mark.slow
 def test_one_rig_has_one_supervisor_and_the_next_waits_until_it_has_let_go(supervised, monkeypatch) -> None:
     bench = supervised()
     with opened(bench), pytest.raises(DeviceError, match=r"process \d+ drives the rig"):
@@ -311,6 +312,7 @@ def child(bench: Supervised, then: str) -> Any:
     return running()
 
 
+@pytest.mark.slow
 def test_the_studios_process_records_through_the_supervisor_and_stops_it(supervised, tmp_path: Path) -> None:
     bench = supervised()
     service = RigService(open_served_rig(str(bench.path)), tmp_path / "runs")
@@ -360,6 +362,7 @@ def test_the_pages_emergency_stop_passes_a_recorder_that_hangs(supervised, tmp_p
     assert bench.z_m() > FREE_M
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_the_terminal_lifts_and_the_same_command_goes_on(supervised, tmp_path: Path) -> None:
     bench, plan, out = supervised(), tmp_path / "plan.toml", tmp_path / "run"
     plan.write_text(

@@ -58,6 +58,7 @@ def test_what_a_model_is_said_to_estimate_is_what_it_estimates(name: str) -> Non
     assert model.targets == kind.targets
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PALM)
 def test_each_learns_presses_it_has_not_seen(name: str, rng) -> None:
     names = MODELS[name].targets[::-1]

@@ -15,6 +15,7 @@ def result(tmp_path_factory):
     return run_demo(tmp_path_factory.mktemp("demo") / "out", locations=(40, 10))
 
 
+@pytest.mark.slow
 def test_both_views_together_tell_all_that_is_asked(result) -> None:
     for name in ("pca-ridge", "pixel-mlp"):
         for target, score in result.scores[name].items():
