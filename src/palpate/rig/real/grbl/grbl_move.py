@@ -11,7 +11,7 @@ from palpate.rig.real.grbl.grbl_supervisor import S_PER_MIN, GrblMachine
 Millimetres = tuple[float, float, float]
 _REPORTED_MM = 0.001  # resolution of a status report
 _UNDER_WAY = {GrblState.IDLE, GrblState.RUN, GrblState.JOG}
-_SOONEST = 0.9  # of a move's time at full speed: an Idle at its target before that is of another moment
+_SOONEST = 0.9  # of a move's time, speeding up and slowing down: an Idle before that is of another moment
 
 
 class MoveSupervisor:
@@ -135,7 +135,7 @@ class MoveSupervisor:
 
     @property
     def _soonest_ns(self) -> float:
-        return _SOONEST * self._length_mm / self.feed_mm_min * S_PER_MIN * NS_PER_S
+        return _SOONEST * self._lasts_s * NS_PER_S
 
     @property
     def _lasts_s(self) -> float:
