@@ -36,7 +36,7 @@ class ControlPoints:
         n = len(self.cells)
         if not (len(self.places) == len(self.sigma) == n):
             raise InputError(
-                f"{n} cells, {len(self.places)} places, {len(self.sigma)} standard errors; give as many of each"
+                f"{n} cells, {len(self.places)} places, {len(self.sigma)} errors; give as many of each"
             )
         if len(np.unique(self.cells, axis=0)) != n:
             raise InputError("a cell of the lattice comes twice; give each mark a cell of its own")
