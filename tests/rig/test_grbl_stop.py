@@ -268,15 +268,27 @@ class TestStates:
         assert not bench.stops(RESET) or bench.firmware.state == "Idle"
         stage.reference()
 
+    def test_a_controller_that_reads_no_line_since_an_earlier_cancel_can_be_opened(self, grbl_bench, model):
+        bench = grbl_bench(model)
+        with bench.terminal.lock:
+            bench.firmware._hung = True  # as after a jog cancel that met the end of its jog
+        stage = bench.open(known=False)
+        assert bench.firmware.state == "Idle"
+        stage.reference()
+        stage.move_to(AWAY, 0.01)
+        bench.arrive(stage)
+
     def test_nothing_is_reset_while_it_moves_but_to_end_homing(self, grbl_bench, model):
         bench = grbl_bench(model)
         stage = bench.open()
         for _ in range(3):
+            before = len(bench.stops(RESET))
             bench.move_to_speed(stage, AWAY, 0.010)
             stage.stop()
+            # On a busy machine a cancel sent again can meet the end of its jog, which a reset then clears.
+            assert all(places_differ_mm(at, bench.place_mm) == 0.0 for at in bench.stops(RESET)[before:])
             stage.move_to(START, 0.02)
             bench.arrive(stage)
-        assert not bench.stops(RESET)
 
 
 class TestTheFakesTwoFirmwares:

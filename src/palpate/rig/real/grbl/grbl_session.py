@@ -336,11 +336,13 @@ class GrblSession:
                 "needs dtr = true"
             )
         self._boots = self.link.banners
-        if heard.status.state not in (GrblState.IDLE, GrblState.ALARM):
+        state: GrblState | None = heard.status.state
+        if state not in (GrblState.IDLE, GrblState.ALARM):
             stood = self._await_stand(cancelled=False)
-            if stood is None or stood[0].state not in (GrblState.IDLE, GrblState.ALARM):
-                self.reset()
-                heard = self.link.report(self.spec.reply_s)
+            state = stood[0].state if stood else None
+        if state not in (GrblState.IDLE, GrblState.ALARM) or not self._takes_lines(state):
+            self.reset()
+            heard = self.link.report(self.spec.reply_s)
         if heard and _by_input(heard.status):
             raise HardwareStopError(f"the stage at {self.spec.port} is stopped by {_input(heard.status)}")
         machine = read_machine(self.link)
