@@ -209,7 +209,14 @@ GRBL_FAULTS = (
         within=OPEN,
         listed=("S19",),
     ),
-    RigFault("hold by somebody else", "controller", said(b"!"), ("done", "stage"), within=STEP),
+    RigFault(
+        "hold by somebody else",
+        "controller",
+        said(b"!"),
+        ("done", "stage", "hardware-stop"),
+        stays="it is held",
+        within=STEP,
+    ),
     RigFault("jog cancelled by somebody else", "controller", said(b"\x85"), ("done", "stage"), within=STEP),
     RigFault(
         "reset by somebody else", "controller", said(b"\x18"), ("stage",), stays=LOST, listed=("S9", "S10")
@@ -227,7 +234,7 @@ GRBL_FAULTS = (
         "door opened, and left open",
         "controller",
         door_opened,
-        ("stage",),
+        ("hardware-stop",),
         stays="its door is open",
         within=STEP,
     ),

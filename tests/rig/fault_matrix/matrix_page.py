@@ -252,7 +252,6 @@ from elsewhere, its start that is lost, its pages that lie (`tests/rig/test_netf
 (`tests/rig/test_grbl_faults.py`); numbers that a controller would misread; files cut or altered at any byte
 (`tests/recordings`). The driver sends no probing lines, so that probing cannot fail. A zero is never taken
 in contact that the force before can tell; from the first one on it cannot be told, where the skin is
-touched at the clearance by less than 1 N. A controller that says Idle in the middle of a move as short as
-0.02 mm is believed too early, and ends the recording by name. A stage that creeps without saying so can be
+touched at the clearance by less than 1 N. A stage that creeps without saying so can be
 taken for a force that is dead.
 """
