@@ -6,10 +6,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tests.rig.guarded_presses import MM, PressBench, stop_of
 
 from palpate.core import Position
+from palpate.core.sensor import force_law, sensor
 from palpate.devices.force_trust import ForceMonitor
 from palpate.rig import PLANS, State, record
 from palpate.rig.plans import Known
@@ -185,3 +187,19 @@ def test_an_untroubled_rig_completes_the_plans_that_come_with_palpate(
     rig = virtual_rig(sensor, seed=1)
     outcome = record(rig, cut(PLANS[name], sensor), tmp_path / "run")
     assert outcome.state is State.DONE, outcome.message
+
+
+@pytest.mark.parametrize("seed", [26, 31])
+def test_what_the_first_moments_of_contact_rise_by_teaches_no_stiffness(seed: int) -> None:
+    """The mean that is looked at lags: what rises there belongs to a way that was not in contact."""
+    design = sensor("palm")
+    law = force_law(design, design.probe(design.default_probe))
+    bench = PressBench("palm", seed=seed, variation=Variation())
+    bench.touch()
+    for depth_mm in (1.0, 2.0):
+        bench.stepped(depth_mm * MM, 0.25 * MM, 0.3, back=True)
+    bench.approach()
+    slope_n_m = np.gradient(law.force_n, law.depth_m)
+    for power, learnt in bench.guard.monitor.corridor._median.items():
+        low, high = np.interp([2.0 ** (power - 1), 2.0**power], law.force_n, slope_n_m)
+        assert 0.7 * low < learnt < 1.5 * low or learnt < high, f"at {2.0**power} N"

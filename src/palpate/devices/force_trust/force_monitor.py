@@ -59,6 +59,7 @@ SLACK_SHARE = 0.01  # of the force
 LAG_S = 0.03  # after a move, in which the force still follows
 REPORT_S = 0.25  # by which a stage's report may be late
 SMOOTH = 0.4  # weight of the newest sample in the mean that is looked at
+SETTLED = 6  # samples on the move after first contact, until that mean has risen over the way that it went
 QUIET = 0.12  # of the noise's square, over `QUIET_SAMPLES`
 QUIET_SAMPLES = 24
 KEPT = 12  # samples before a doubt, for its name
@@ -161,7 +162,7 @@ class ForceMonitor:
         self._six_before: Six | None = None
         self._row, self._row_way_m = 1, 0.0
         self._time_ns, self._normal_n, self._level_n = 0, 0.0, 0.0
-        self._touched = False
+        self._touched, self._moved = False, 0
         self._deficit = self._excess = self._held = 0.0
         self._quiet: deque[float] = deque(maxlen=QUIET_SAMPLES)
         self._quiet_sum = 0.0
@@ -313,12 +314,15 @@ class ForceMonitor:
                 return self._doubt("pull", f"the probe goes down and is pulled by {-level_n:.3f} N")
             self._touched = level_n > CONTACT * noise_n
             self._deficit = self._excess = 0.0
+            self._moved = 0
             return None
         return self._on_the_way_down(step_m, rise_n)
 
     def _on_the_way_down(self, step_m: float, rise_n: float) -> Doubt | None:
         force_n = max(self._level_n, CONTACT * self._noise_n)
-        self.corridor.feel(force_n, rise_n, step_m)
+        self._moved += step_m > 0
+        if self._moved > SETTLED:  # the mean lags: what rises first belongs to the way before contact
+            self.corridor.feel(force_n, rise_n, step_m)
         least, greatest = self.corridor.least_n_m(force_n), self.corridor.greatest_n_m(force_n)
         self._deficit = max(self._deficit + least * step_m - rise_n, 0.0)
         self._excess = max(self._excess + rise_n - greatest * step_m, 0.0)
