@@ -3,12 +3,15 @@
 from palpate.rig.real.grbl import GrblSpec, GrblStage
 from palpate.rig.real.marlin import MarlinSpec, MarlinStage
 from palpate.rig.real.netft import NetFT, NetFTSettings
+from palpate.rig.real.resense import HexSensor, HexSpec
 from palpate.rig.real.scale import ScaleSpec, SerialScale
 from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
 
 __all__ = [
     "GrblSpec",
     "GrblStage",
+    "HexSensor",
+    "HexSpec",
     "MarlinSpec",
     "MarlinStage",
     "NetFT",

@@ -43,6 +43,7 @@ from palpate.rig.rig_file.sensor_parts import (
     ForcePluginPart,
     NetFTPart,
     PluginPart,
+    ResenseHexPart,
     SerialScalePart,
     UvcPart,
 )
@@ -52,7 +53,7 @@ SUPERVISOR = ("-m", "palpate.rig.supervisor_process")
 
 OWN: dict[Role, tuple[str, ...]] = {
     "stage": ("grbl", "marlin"),
-    "force": ("netft", "serial-scale"),
+    "force": ("netft", "serial-scale", "resense-hex"),
     "camera": ("uvc",),
 }
 """Kinds that palpate drives itself; the first of each role is that of a part without a kind."""
@@ -77,6 +78,7 @@ StagePart = Annotated[
 ForcePart = Annotated[
     Annotated[NetFTPart, Tag("#netft")]
     | Annotated[SerialScalePart, Tag("#serial-scale")]
+    | Annotated[ResenseHexPart, Tag("#resense-hex")]
     | Annotated[ForcePluginPart, Tag("#plugin")],
     _own("force"),
 ]

@@ -70,6 +70,25 @@ class SerialScalePart(Part):
         return SerialScale.open(ScaleSpec(**fields, count_n=self.count_N, range_n=self.range_N), clock)
 
 
+class ResenseHexPart(Part):
+    """A six-axis HEX sensor on a serial line; range and rate as its data sheet and its lights say."""
+
+    kind: Literal["resense-hex"]
+    port: str
+    range_N: Positive  # noqa: N815
+    range_Nm: Positive  # noqa: N815
+    axes: tuple[str, str, str] = ("x", "y", "z")
+    rate_hz: Positive = 1000.0
+    scale: Scale = 1.0
+    scale_uncertainty: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+
+    def open(self, clock: Clock) -> ForceSensor:
+        """Open the force sensor."""
+        from palpate.rig.real.resense import HexSensor, HexSpec
+
+        return HexSensor.open(HexSpec(self.port, self.range_N, self.range_Nm, self.rate_hz), clock)
+
+
 class UvcPart(Part):
     """A USB camera, by path, number or serial number."""
 

@@ -15,29 +15,24 @@ from __future__ import annotations
 
 import math
 import re
-from collections import deque
-from dataclasses import dataclass
-from threading import Event, Lock, Thread
+from dataclasses import dataclass, replace
 
 from palpate.core import (
     NS_PER_S,
     Clock,
-    Closing,
     DeviceError,
     InputError,
-    MonotonicClock,
     ProtocolError,
     RangeError,
     Wrench,
 )
-from palpate.rig.real.heard_lines import HeardTail
 from palpate.rig.real.scale.weight_line import MAX_LINE, NEWTONS, Weight, read_weight
+from palpate.rig.real.serial_force_sensor import SerialForceSensor
 from palpate.rig.real.serial_port import SerialPort, open_port
 
 COUNTS = "counts"
 HX711_RAILS = (-(2**23), 2**23 - 1)
 MAX_GARBLED = 10  # lines in a row
-MAX_READ_BYTES = 4096
 SILENT_PERIODS = 5.0  # without a line, after which it has failed
 MIN_SILENCE_S = 1.0
 STUCK_LINES = 50  # of counts that are the same to the last; noise moves a live amplifier's within a few
@@ -224,7 +219,7 @@ class WeightStream:
             )
 
 
-class SerialScale(Closing):
+class SerialScale(SerialForceSensor):
     """A `palpate.core.ForceSensor` along z. Opening it waits for the first line that can be read.
 
     Args:
@@ -237,22 +232,9 @@ class SerialScale(Closing):
     """
 
     def __init__(self, spec: ScaleSpec, port: SerialPort, clock: Clock | None = None) -> None:
-        self._spec, self._port, self._clock = spec, port, clock or MonotonicClock()
-        self._lock, self._closing = Lock(), Event()
-        self._stream = WeightStream(spec)
-        self._tail = HeardTail()
-        self._kept: deque[Wrench] = deque(maxlen=spec.keep)
-        self._latest: Wrench | None = None
-        self._overflowed, self._failure = 0, ""
-        self._heard_ns = self._asked_ns = self._clock.now_ns()
-        self._first = Event()
-        self._thread = Thread(target=self._run, name=f"scale {spec.port}", daemon=True)
-        self._thread.start()
-        try:
-            self._await_first()
-        except BaseException:
-            self.close()
-            raise
+        self._spec, self._lines = spec, WeightStream(spec)
+        self._asked_ns = 0
+        super().__init__(self._lines, port, f"the scale at {spec.port}", spec.silent_s, spec.keep, clock)
 
     @classmethod
     def open(cls, spec: ScaleSpec, clock: Clock | None = None) -> SerialScale:
@@ -278,85 +260,20 @@ class SerialScale(Closing):
     def counts(self) -> ScaleCounts:
         """Counts since it was opened."""
         with self._lock:
-            counts = self._stream.counts
-            return ScaleCounts(counts.received, counts.garbled, counts.unstable, counts.faulty)
+            return replace(self._lines.counts)
 
-    def latest(self) -> Wrench:
-        """The newest sample. See `palpate.core.ForceSensor`."""
-        with self._lock:
-            self._refuse_failed()
-            if self._latest is None:
-                raise DeviceError(f"the scale at {self._spec.port} has printed nothing yet")
-            return self._latest
+    def in_silence(self) -> str:
+        """Say that no line comes, and what to check."""
+        return (
+            f"no line that can be read came for {self._spec.silent_s:g} s"
+            f"{'' if self._spec.ask else ', and none was asked for'} ({self._lines.counts.garbled} were "
+            f"garbled), {self._tail.in_words()}; check its cable, power, baud ({self._spec.baud}) and "
+            "printing mode, and that this port is the scale's"
+        )
 
-    def drain(self) -> list[Wrench]:
-        """Samples since the last call, oldest first. See `palpate.core.ForceSensor`."""
-        with self._lock:
-            self._refuse_failed()
-            if self._overflowed:
-                lost, self._overflowed = self._overflowed, 0
-                raise DeviceError(f"{lost} samples of the scale were overwritten; drain it more often")
-            samples = list(self._kept)
-            self._kept.clear()
-            return samples
-
-    def close(self) -> None:
-        """Let go of the port. Closing again does nothing."""
-        self._closing.set()
-        self._thread.join(timeout=5.0)
-        with self._lock:
-            self._failure = self._failure or "it was closed; open it anew"
-        self._port.close()
-
-    def _await_first(self) -> None:
-        while not self._first.wait(0.01):
-            with self._lock:
-                self._refuse_failed()
-        with self._lock:
-            self._refuse_failed()
-
-    def _refuse_failed(self) -> None:
-        silent_s = (self._clock.now_ns() - self._heard_ns) / NS_PER_S
-        if not self._failure and silent_s > self._spec.silent_s:
-            self._failure = (
-                f"no line that can be read came for {self._spec.silent_s:g} s"
-                f"{'' if self._spec.ask else ', and none was asked for'} ({self._stream.counts.garbled} were "
-                f"garbled), {self._tail.in_words()}; check its cable, power, baud ({self._spec.baud}) and "
-                "printing mode, and that this port is the scale's"
-            )
-        if self._failure:
-            raise DeviceError(f"the scale at {self._spec.port}: {self._failure}")
-
-    def _run(self) -> None:
-        try:
-            self._ask(first=True)
-            while not self._closing.is_set() and not self._failure:
-                data = self._port.read(min(max(self._port.in_waiting, 1), MAX_READ_BYTES))
-                now_ns = self._clock.now_ns()
-                self._tail.hear(data)
-                with self._lock:
-                    self._keep(self._stream.take(data, now_ns), now_ns)
-                self._ask()
-        except Exception as error:  # each system and adapter has its own kinds; none is swallowed
-            with self._lock:
-                self._failure = (
-                    self._failure or f"its port is gone ({error}); check its cable, then open it anew"
-                )
-
-    def _keep(self, samples: list[Wrench], now_ns: int) -> None:
-        for sample in samples:
-            self._overflowed += len(self._kept) == self._kept.maxlen
-            self._kept.append(sample)
-            self._latest, self._heard_ns = sample, now_ns
-            self._first.set()
-        if self._stream.failure:
-            self._failure = self._failure or f"{self._stream.failure} ({self._tail.in_words()})"
-
-    def _ask(self, *, first: bool = False) -> None:
-        """Ask for the next line, where it is due."""
-        now_ns = self._clock.now_ns()
-        if self._spec.ask and (first or now_ns - self._asked_ns >= NS_PER_S / self._spec.rate_hz):
-            self._asked_ns = now_ns
-            asked = self._spec.ask.encode("latin-1") + b"\r\n"
-            self._tail.send(asked)
-            self._port.write(asked)
+    def speak(self, now_ns: int, *, first: bool = False) -> bytes:
+        """Question for the next line, where it is due."""
+        if not self._spec.ask or not (first or now_ns - self._asked_ns >= NS_PER_S / self._spec.rate_hz):
+            return b""
+        self._asked_ns = now_ns
+        return self._spec.ask.encode("latin-1") + b"\r\n"
