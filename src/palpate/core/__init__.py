@@ -48,6 +48,7 @@ from palpate.core.files import (
     sync,
 )
 from palpate.core.frame import Frame
+from palpate.core.lens import Lens, LensModel
 from palpate.core.long_work import Progress, ProgressCount, in_parallel, silent
 from palpate.core.outline import Outline
 from palpate.core.reading import (
@@ -154,6 +155,8 @@ __all__ = [
     "InputError",
     "Int",
     "LabelError",
+    "Lens",
+    "LensModel",
     "ManualClock",
     "Mask",
     "MeasurementResult",
