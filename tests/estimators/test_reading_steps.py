@@ -13,7 +13,7 @@ import pytest
 from palpate.calibration import CalibrationPlan, calibrate
 from palpate.calibration.sessions import reset_intervals
 from palpate.calibration.training_data import ReferenceRule
-from palpate.core import Image
+from palpate.core import Image, Lens
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.intervals import intervals_of
 from palpate.estimators.model_card import CellsCard, InstrumentCard, RangeCard, TargetCard, sealed
@@ -25,6 +25,8 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "read-without-p
 WITHOUT_PALPATE = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.M | re.S)[0]
 TOGETHER = 1e-9  # of a target's range: floating point of the interval, and the same float32 network
 
+FISHEYE = Lens("kannala-brandt", (40.0, 41.0), (31.2, 23.9), (0.05, -0.02, 0.01, -0.002), (48, 64), 0.7)
+PINHOLE = Lens("pinhole", (50.0, 51.0), (32.3, 22.8), (-0.3, 0.1, 0.01, -0.02, 0.01), (48, 64), name="wide")
 CASES: dict[str, dict[str, Any]] = {
     "grey": {"size_px": (24, 32)},
     "colour-made-grey": {"size_px": (24, 32), "colour": True},
@@ -42,6 +44,8 @@ CASES: dict[str, dict[str, Any]] = {
     "enlarged": {"size_px": (60, 80)},
     "one-side-enlarged": {"size_px": (60, 20), "colour": True},
     "as-it-is": {"size_px": (48, 64)},
+    "fisheye": {"size_px": (24, 32), "lens": FISHEYE, "colour": True},
+    "pinhole-crop": {"size_px": (16, 16), "crop_px": (7, 3, 41, 37), "lens": PINHOLE},
     "one-target": {"size_px": (24, 32), "targets": ("x_mm",)},
 }
 """Calibrations to compare on; another kind of card is another row."""
@@ -309,7 +313,7 @@ def test_a_reader_of_one_rule_stops_at_another(record_spots, tmp_path, monkeypat
     path = calibrate(record_spots("run", 16), plan, tmp_path / "cal") / "card.json"
     monkeypatch.chdir(tmp_path)
     exec(WITHOUT_PALPATE, {})
-    path.write_text(path.read_text().replace("palpate-steps/1", "palpate-steps/3"))
+    path.write_text(path.read_text().replace("palpate-steps/1", "palpate-steps/4"))
     with pytest.raises(AssertionError):
         exec(WITHOUT_PALPATE, {})
 

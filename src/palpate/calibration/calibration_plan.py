@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from palpate.core import InputError, split_column
+from palpate.core import InputError, Lens, split_column
 from palpate.core.plugins import import_path_of
 from palpate.estimators.intervals import vector_column
 from palpate.estimators.target_layout import FULL_TURN, TargetLayout, default_period
@@ -90,6 +90,8 @@ class CalibrationPlan:
             before that.
         classes: label columns whose values are classes or counts, and what these shall be called, in
             ascending order; no names for the values themselves.
+        lens: of the camera, whose bending is taken out of each frame first; crops and skin then count in the
+            rectified image. None leaves frames as they are.
 
     Raises:
         InputError: a field is not of its kind or out of its range; the message says what is allowed.
@@ -122,6 +124,7 @@ class CalibrationPlan:
     vectors: dict[str, tuple[str, ...]] = field(default_factory=dict)
     instruments: dict[str, ReferenceInstrument] = field(default_factory=dict)
     classes: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    lens: Lens | None = None
 
     def __post_init__(self) -> None:
         # Here, since whoever senses reads a `ReferenceRule`, and needs neither models nor tables.
@@ -194,6 +197,7 @@ class CalibrationPlan:
                 **{column: one for column, one in (instruments or {}).items() if column in card.columns},
             },
             classes={one.column: one.names for one in card.classes or ()},
+            lens=image.preparation.lens,
         )
 
     @property
@@ -221,8 +225,11 @@ class CalibrationPlan:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        plain = asdict(self) | {"instruments": {k: v.model_dump() for k, v in self.instruments.items()}}
-        later = ("circular", "vectors", "instruments", "classes")
+        plain = asdict(replace(self, lens=None)) | {
+            "instruments": {k: v.model_dump() for k, v in self.instruments.items()},
+            "lens": None if self.lens is None else self.lens.card(),
+        }
+        later = ("circular", "vectors", "instruments", "classes", "lens")
         return {k: v for k, v in plain.items() if v or k not in later}
 
 

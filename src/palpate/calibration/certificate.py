@@ -37,6 +37,7 @@ from palpate.estimators.model_card import (
     CircularCard,
     InputCard,
     InstrumentCard,
+    LensCard,
     RangeCard,
     ReferenceCard,
     SplitCard,
@@ -445,6 +446,7 @@ def _plan_fields(result: CalibrationResult) -> dict[str, Any]:
             channels=preparation.channels,
             crop_px=preparation.crop_px,
             beside_px=preparation.beside_px,
+            lens=None if preparation.lens is None else LensCard.of(preparation.lens),
             delta=plan.delta,
         ),
     }

@@ -238,13 +238,14 @@ def preparation_of(run: Run, plan: CalibrationPlan) -> Preparation:
     (or the crop's) proportions; with two crops, each has as many, and is square.
     """
     if plan.size_px is not None:
-        return Preparation(plan.crop_px, plan.size_px, plan.channels, plan.beside_px)
+        return Preparation(plan.crop_px, plan.size_px, plan.channels, plan.beside_px, plan.lens)
     side = model_kind(plan.model).side_px
     if plan.beside_px is not None:
-        return Preparation(plan.crop_px, (side, 2 * side), plan.channels, plan.beside_px)
+        return Preparation(plan.crop_px, (side, 2 * side), plan.channels, plan.beside_px, plan.lens)
     height, width = plan.crop_px[:1:-1] if plan.crop_px else run.frame(0).image.shape[:2]
     tall = math.sqrt(height / width)
-    return Preparation(plan.crop_px, (round(side * tall), round(side / tall)), plan.channels)
+    size = round(side * tall), round(side / tall)
+    return Preparation(plan.crop_px, size, plan.channels, lens=plan.lens)
 
 
 WORK_FILE = re.compile(r"plan\.json|packed|beside|(kept|fold-\d+)[.-].+|tmp\w+\.npz|\..+\.partial")

@@ -33,6 +33,7 @@ HEADINGS: dict[str, dict[str, str]] = {
         "compare": "calibrate_verbs:compare",
         "adapt": "calibrate_verbs:adapt",
         "quantise": "calibrate_verbs:quantise",
+        "lens": "lens_verbs:app",
     },
     "Sense": {
         "sense": "calibrate_verbs:sense",

@@ -111,6 +111,10 @@ def calibrate(
         ),
     ] = "",
     instruments: Instruments = None,
+    lens: Annotated[
+        Path | None,
+        Option(help="Lens file, by palpate lens calibrate; crops then count in the rectified image."),
+    ] = None,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -125,6 +129,7 @@ def calibrate(
     """
     from palpate.calibration.calibration_plan import ReferenceRule
     from palpate.calibration.training_data import model_regions
+    from palpate.core import Lens
     from palpate.estimators.networks import model_kind
     from palpate.estimators.networks.distributed import ProcessGroup
     from palpate.recordings.joined_runs import joined
@@ -157,6 +162,7 @@ def calibrate(
         vectors=vectors_of(vector or []),
         instruments={} if instruments is None else read_instruments(instruments),
         classes=told_apart,
+        lens=None if lens is None else Lens.read(lens),
     )
     if not ProcessGroup.of_environment().first:
         palpate.calibrate(recorded, plan, out)

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
+from palpate.core import Lens, LensModel
 from palpate.estimators.card_ground import CardPart, FileCard, RunCard, SealedCard, card_id
 from palpate.estimators.class_sets import ClassCard
 from palpate.estimators.finding_cards import (
@@ -256,14 +257,42 @@ class TargetCard(CardPart):
         return self.has_range_rule and not self.is_read
 
 
+class LensCard(CardPart):
+    """Lens whose bending is taken out of a frame: `core.Lens` with its `id` and `field_rad`."""
+
+    id: str
+    field_rad: float
+    model: LensModel
+    focal_px: tuple[float, float]
+    centre_px: tuple[float, float]
+    distortion: tuple[float, ...]
+    size_px: tuple[int, int]
+    max_angle_rad: float | None
+    name: str
+
+    @classmethod
+    def of(cls, lens: Lens) -> LensCard:
+        """The card's part of a lens."""
+        numbers = {key: value for key, value in lens.card().items() if key != "schema"}
+        return cls(**numbers, field_rad=lens.field_rad)
+
+    @property
+    def lens(self) -> Lens:
+        """The lens of these numbers."""
+        fields = self.model_dump(exclude={"id", "field_rad"})
+        return Lens(**fields)
+
+
 class InputCard(CardPart):
     """Kind of image that is read, and how it becomes the network's input.
 
     Attributes:
         frame_px: (height, width) of the frames calibrated on [px].
-        size_px, channels, crop_px, beside_px: see `recordings.preparation.Preparation`.
+        size_px, channels, crop_px, beside_px, lens: see `recordings.preparation.Preparation`.
         delta: whether the input is the difference from a no-contact reference.
     """
+
+    added: ClassVar[tuple[str, ...]] = ("lens",)
 
     frame_px: tuple[int, int]
     size_px: tuple[int, int]
@@ -271,11 +300,13 @@ class InputCard(CardPart):
     crop_px: tuple[int, int, int, int] | None
     delta: bool
     beside_px: tuple[int, int, int, int] | None = None
+    lens: LensCard | None = None
 
     @property
     def preparation(self) -> Preparation:
         """The preparation that makes it so."""
-        return Preparation(self.crop_px, self.size_px, self.channels, self.beside_px)
+        lens = None if self.lens is None else self.lens.lens
+        return Preparation(self.crop_px, self.size_px, self.channels, self.beside_px, lens)
 
 
 class ReferenceCard(CardPart):

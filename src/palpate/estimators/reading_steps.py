@@ -16,7 +16,7 @@ from palpate.estimators.joint_reach import joint_reach
 if TYPE_CHECKING:
     from palpate.estimators.model_card import Card, CircularCard, InputCard, TargetCard
 
-RULE, RULE_OF_INSTRUMENTS = "palpate-steps/1", "palpate-steps/2"
+RULE, RULE_OF_INSTRUMENTS, RULE_OF_LENSES = "palpate-steps/1", "palpate-steps/2", "palpate-steps/3"
 """The second is that of cards whose labels' instruments widen readings: of such, the first joined the
 instrument to a vector's region as to a single interval, and judged an interval's length without it."""
 GREY_WEIGHTS, GREY_ROUNDING, GREY_SHIFT = (9798, 19235, 3735), 16384, 15
@@ -54,7 +54,7 @@ class StepsCard(CardPart):
 def reading_steps(card: Card) -> StepsCard:
     """The steps by which readings of a card are made: the numbers by name, and each step as a sentence."""
     return StepsCard(
-        rule=RULE_OF_INSTRUMENTS if _measured(card) else RULE,
+        rule=_rule(card),
         grey_weights=GREY_WEIGHTS,
         grey_rounding=GREY_ROUNDING,
         grey_shift=GREY_SHIFT,
@@ -67,6 +67,13 @@ def reading_steps(card: Card) -> StepsCard:
     )
 
 
+def _rule(card: Card) -> str:
+    """The third is the second with a lens before it: a reader that knows none must not read such a card."""
+    if card.input.lens is not None:
+        return RULE_OF_LENSES
+    return RULE_OF_INSTRUMENTS if _measured(card) else RULE
+
+
 def _picture(given: InputCard) -> tuple[str, ...]:
     height, width = given.frame_px
     boxes = [box for box in (given.crop_px, given.beside_px) if box is not None]
@@ -76,7 +83,33 @@ def _picture(given: InputCard) -> tuple[str, ...]:
     )
     places = " and ".join(f"columns {x} to {x + w - 1}, rows {y} to {y + h - 1}" for x, y, w, h in boxes)
     cut = (f"Cut out {places}, counted from 0 at the top left.",) if boxes else ()
-    return (frame, *cut, _channels(given), _scaling(given, boxes or [(0, 0, width, height)]))
+    return (frame, *_lens(given), *cut, _channels(given), _scaling(given, boxes or [(0, 0, width, height)]))
+
+
+def _lens(given: InputCard) -> tuple[str, ...]:
+    if given.lens is None:
+        return ()
+    (fx, fy), (cx, cy) = given.lens.focal_px, given.lens.centre_px
+    if given.lens.model == "kannala-brandt":
+        k1, k2, k3, k4 = given.lens.distortion
+        bent = (
+            f"t = atan(hypot(u, v)), at ({cx!r} + {fx!r} s u, {cy!r} + {fy!r} s v), where "
+            f"s = t (1 + {k1!r} t^2 + {k2!r} t^4 + {k3!r} t^6 + {k4!r} t^8) / hypot(u, v)"
+        )
+    else:
+        k1, k2, p1, p2, k3 = given.lens.distortion
+        bent = (
+            f"q = u^2 + v^2, s = 1 + {k1!r} q + {k2!r} q^2 + {k3!r} q^3, at "
+            f"({cx!r} + {fx!r} (s u + 2 ({p1!r}) u v + "
+            f"{p2!r} (q + 2 u^2)), {cy!r} + {fy!r} (s v + {p1!r} (q + 2 v^2) + 2 ({p2!r}) u v))"
+        )
+    sentence = (
+        f"Take out the bending of lens {given.lens.id}: pixel (x, y) of the new image, of the same size, "
+        f"with u = (x - {cx!r}) / {fx!r}, v = (y - {cy!r}) / {fy!r}, is the old one's with {bent}; as 32-bit "
+        "floats, by OpenCV's convertMaps to CV_16SC2 and remap, linear; black outside the old image and "
+        f"where atan(hypot(u, v)) is beyond {given.lens.field_rad!r}."
+    )
+    return (sentence,)
 
 
 def _channels(given: InputCard) -> str:

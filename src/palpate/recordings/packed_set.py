@@ -7,7 +7,7 @@ import json
 import os
 import weakref
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,6 +18,7 @@ from palpate.core import (
     Images,
     Indices,
     InputError,
+    Lens,
     PathText,
     RecordingError,
     new_folder,
@@ -229,7 +230,7 @@ def _card_text(run: Run, preparation: Preparation, sums: dict[str, str]) -> str:
         "run_id": run.manifest.run_id,
         "run_hash": run.hash,
         "frames": len(run),
-        "preparation": asdict(preparation),
+        "preparation": _preparation_card(preparation),
         "labels": dict(run.manifest.labels),
         "units": dict(run.manifest.units),
         "sha256": sums,
@@ -251,7 +252,14 @@ def _read_card(folder: Path) -> dict[str, Any]:
 def _preparation(card: dict[str, Any]) -> Preparation:
     crop, beside = (None if box is None else tuple(box) for box in (card["crop_px"], card.get("beside_px")))
     height, width = card["size_px"]
-    return Preparation(crop, (height, width), card["channels"], beside)
+    lens = None if card.get("lens") is None else Lens.from_card(card["lens"])
+    return Preparation(crop, (height, width), card["channels"], beside, lens)
+
+
+def _preparation_card(preparation: Preparation) -> dict[str, Any]:
+    card = asdict(replace(preparation, lens=None))
+    del card["lens"]
+    return card if preparation.lens is None else card | {"lens": preparation.lens.card()}
 
 
 def _check_frames(path: Path, rows: int, card: dict[str, Any]) -> int:

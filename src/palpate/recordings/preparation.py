@@ -1,4 +1,4 @@
-"""Preparation of a camera's image for an estimator: crop, scale, colour."""
+"""Preparation of a camera's image for an estimator: rectify, crop, scale, colour."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from palpate.core import Image, ImageError, InputError, UInt8
+from palpate.core import Image, ImageError, InputError, Lens, UInt8
+from palpate.recordings.rectification import rectified
 
 Box = tuple[int, int, int, int]
 
@@ -23,12 +24,15 @@ class Preparation:
         channels: 1 for grey, 3 for RGB.
         beside_px: a second crop, laid to the right of the first, each in half the input's width; None for
             one alone.
+        lens: of the camera, whose bending is taken out before all else, onto its `flat`; crops then count in
+            that rectified image. None for a camera whose frames stay as they are.
     """
 
     crop_px: Box | None
     size_px: tuple[int, int]
     channels: Literal[1, 3]
     beside_px: Box | None = None
+    lens: Lens | None = None
 
     def __post_init__(self) -> None:
         if min(self.size_px) < 1 or max(self.size_px) > 4096:
@@ -52,13 +56,15 @@ class Preparation:
         return (self.channels, *self.size_px)
 
     def apply(self, image: Image) -> UInt8[np.ndarray, "height width channels"]:
-        """Crop, turn to grey or RGB, and scale one image.
+        """Rectify, crop, turn to grey or RGB, and scale one image.
 
         Grey is ITU-R BT.601 luma. Shrinking averages areas, so that no marker falls between samples.
 
         Raises:
-            ImageError: the crop does not lie inside the image.
+            ImageError: the crop does not lie inside the image, or the image is not of the lens's size.
         """
+        if self.lens is not None:
+            image = rectified(image, self.lens)
         height, width = self.size_px
         if self.beside_px is None:
             return self._scaled(image, self.crop_px, height, width)

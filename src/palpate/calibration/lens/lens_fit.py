@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, get_args
 
@@ -143,7 +143,12 @@ class LensFit:
 
 
 def calibrate_lens(
-    folder: PathText, board: Board, model: Choice = "auto", *, progress: Progress = silent
+    folder: PathText,
+    board: Board,
+    model: Choice = "auto",
+    *,
+    name: str = "",
+    progress: Progress = silent,
 ) -> LensFit:
     """Calibrate a lens from photographs of a board.
 
@@ -151,6 +156,7 @@ def calibrate_lens(
         folder: of the photographs, all of one camera at one size.
         board: what they show.
         model: "auto" takes the one with the smaller error on views held out.
+        name: what the lens shall be called.
         progress: told what is being done.
 
     Raises:
@@ -160,7 +166,7 @@ def calibrate_lens(
     """
     _check_choice(model)
     views, missed = read_views(folder, board, progress)
-    return fit_lens(views, board, model, missed=missed, progress=progress)
+    return fit_lens(views, board, model, missed=missed, name=name, progress=progress)
 
 
 def fit_lens(
@@ -169,6 +175,7 @@ def fit_lens(
     model: Choice = "auto",
     *,
     missed: Sequence[MissedView] = (),
+    name: str = "",
     progress: Progress = silent,
 ) -> LensFit:
     """Fit a lens to views of a board: the same as `calibrate_lens`, from corners on.
@@ -182,17 +189,18 @@ def fit_lens(
     _refuse_few(len(views), missed)
     names: tuple[LensModel, ...] = get_args(LensModel)
     fits: dict[LensModel, _Accepted | InputError] = {}
-    for count, name in enumerate(names):
+    for count, kind in enumerate(names):
         try:
-            fits[name] = _accept(name, views, partial(_part, progress, count))
+            fits[kind] = _accept(kind, views, partial(_part, progress, count))
         except InputError as error:
-            fits[name] = error
+            fits[kind] = error
     compared = _compared(fits, views)
-    wanted = MODELS[model] if model != "auto" else min(names, key=lambda name: compared[name])
+    wanted = MODELS[model] if model != "auto" else min(names, key=lambda kind: compared[kind])
     chosen = fits[wanted]
     if isinstance(chosen, InputError):
         raise chosen
-    return _told(chosen, compared, views, board, missed)
+    fit = _told(chosen, compared, views, board, missed)
+    return replace(fit, lens=replace(fit.lens, name=name))
 
 
 def _part(progress: Progress, part: int, done: int, total: int) -> None:

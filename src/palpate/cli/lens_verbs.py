@@ -1,0 +1,167 @@
+"""Verbs of a camera's lens: calibrate it from photographs of a board, show it, rectify an image by it."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+
+from typer import Argument, Option
+
+from palpate.cli.verb_support import Json, Quiet, group, numbers_of, print_found, progress_bar
+from palpate.core import ImageError, Lens
+
+if TYPE_CHECKING:
+    from palpate.calibration.lens import Board, LensFit
+
+app = group("A camera's lens: its numbers, and images without its bending.")
+
+BoardSize = Annotated[str, Option("--board", help="COLUMNSxROWS of inner corners, one less than squares.")]
+SquareMm = Annotated[float, Option(help="Side of a square [mm].")]
+Charuco = Annotated[str | None, Option(help="Marker dictionary of a ChArUco board, e.g. 4X4_50.")]
+
+
+@app.command("calibrate")
+def calibrate(
+    folder: Annotated[Path, Argument(help="Folder of photographs of the board, all of one camera.")],
+    board: BoardSize,
+    out: Annotated[Path, Option(help="Lens file to make, with a PNG beside it; must not exist.")],
+    square_mm: SquareMm = 25.0,
+    model: Annotated[
+        str, Option(help="fisheye, pinhole, or auto: which views held out call better.")
+    ] = "auto",
+    charuco: Charuco = None,
+    name: Annotated[str, Option(help="What the lens shall be called.")] = "",
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate a lens from photographs of a board.
+
+    Views and corners that do not fit are left out, and told with the reason. The picture shows where the
+    boards were.
+
+    Example: palpate lens calibrate photos --board 9x6 --square-mm 25 --out lens.json
+    """
+    from palpate.calibration.lens import calibrate_lens
+    from palpate.core.files import new_file, refuse_existing
+    from palpate.reports.lens_figure import write_lens_figure
+
+    picture = out.with_suffix(".png")
+    for path in (out, picture):
+        refuse_existing(path)
+    chosen = cast("Literal['auto', 'fisheye', 'pinhole']", model)
+    with progress_bar(quiet) as progress:
+        fit = calibrate_lens(folder, _board(board, square_mm, charuco), chosen, name=name, progress=progress)
+    write_lens_figure(fit, picture)
+    with new_file(out) as building:
+        building.write_text(json.dumps(fit.card(), indent=1) + "\n", encoding="utf-8")
+    print_found(fit.card() | {"picture": str(picture)}, _fit_text(fit, out, picture), json_)
+
+
+@app.command("board")
+def board_picture(
+    board: BoardSize,
+    out: Annotated[Path, Option(help="PNG to make, for print; must not exist.")],
+    charuco: Charuco = None,
+    square_px: Annotated[int, Option(help="Side of a square in the picture [px].", min=8, max=400)] = 120,
+    json_: Json = False,
+) -> None:
+    """Draw a board for print.
+
+    Measure a square on the paper afterwards: printers scale.
+
+    Example: palpate lens board --board 8x5 --charuco 4X4_50 --out board.png
+    """
+    from palpate.recordings.exchange import write_picture
+
+    picture = _board(board, 25.0, charuco).picture(square_px)
+    write_picture(out, picture)
+    height, width = picture.shape
+    print_found({"board": str(out), "size_px": [height, width]}, f"{out}: {width}x{height} px", json_)
+
+
+@app.command("show")
+def show(
+    lens: Annotated[Path, Argument(help="Lens file.")],
+    json_: Json = False,
+) -> None:
+    """Say a lens's numbers, its field and its id.
+
+    Example: palpate lens show lens.json
+    """
+    found = Lens.read(lens)
+    field = math.degrees(found.field_rad)
+    print_found(found.card() | {"field_deg": field}, _lens_text(found), json_)
+
+
+@app.command("undistort")
+def undistort(
+    image: Annotated[Path, Argument(help="Image of the lens's camera, uncut and unscaled.")],
+    lens: Annotated[Path, Option(help="Lens file.")],
+    out: Annotated[Path, Option(help="PNG to make; must not exist.")],
+    focal_px: Annotated[
+        float | None, Option(help="Focal length of the rectified image [px]; smaller shows more of the rim.")
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Take the bending of a lens out of an image.
+
+    Black is what the lens did not see, or where it was not calibrated.
+
+    Example: palpate lens undistort frame.png --lens lens.json --out flat.png
+    """
+    from palpate.recordings import read_image
+    from palpate.recordings.exchange import write_picture
+    from palpate.recordings.rectification import rectified
+
+    found = Lens.read(lens)
+    flat = found.flat(None if focal_px is None else (focal_px, focal_px))
+    try:
+        picture = rectified(read_image(image), found, flat)
+    except ImageError as error:
+        raise ImageError(f"{image}: {error}") from error
+    write_picture(out, picture)
+    print_found({"image": str(out), "lens": found.id, "onto": flat.card()}, str(out), json_)
+
+
+def _board(size: str, square_mm: float, charuco: str | None) -> Board:
+    from palpate.calibration.lens import Board
+
+    columns, rows = cast("tuple[int, int]", numbers_of(size, 2, "--board"))
+    return Board(columns, rows, square_mm * 1e-3, charuco)
+
+
+def _lens_text(lens: Lens) -> str:
+    (fx, fy), (cx, cy), (height, width) = lens.focal_px, lens.centre_px, lens.size_px
+    bends = ", ".join(f"{value:.5g}" for value in lens.distortion)
+    return (
+        f"lens {lens.id}{' ' + lens.name if lens.name else ''}: {lens.model}, {width}x{height} px\n"
+        f"focal lengths {fx:.2f}, {fy:.2f} px; centre {cx:.2f}, {cy:.2f} px; distortion {bends}\n"
+        f"to {math.degrees(lens.field_rad):.1f} degrees from the axis"
+    )
+
+
+def _fit_text(fit: LensFit, out: Path, picture: Path) -> str:
+    count = len(fit.views) + len(fit.rejected)
+    other = fit.other_held_out_px
+    plain = f"{fit.plain_rms_px:.3f} px" if fit.plain_rms_px is not None else f"fails ({fit.plain_failure})"
+    numbers: list[Any] = [
+        f"  {name:6} {value:12.5g}  +- {fit.standard_errors[name]:.2g} by corners, "
+        f"{fit.standard_errors_by_views[name]:.2g} by views (standard errors)"
+        for name, value in fit.numbers.items()
+    ]
+    return "\n".join(
+        [
+            _lens_text(fit.lens),
+            *numbers,
+            f"{len(fit.views)} of {count} photographs used; error {fit.mean_px:.3f} px mean, {fit.rms_px:.3f} px "
+            f"rms, {fit.held_out_px:.3f} px rms on views held out; boards cover {fit.coverage:.0%} of the frame",
+            f"as {fit.other_model}, on views held out: "
+            + ("no fit" if other is None else f"{other:.3f} px rms")
+            + f"; OpenCV's own calibration of all found views: {plain} rms",
+            *(f"left out {view.name}: {view.reason}" for view in fit.rejected),
+            *(f"note: {warning}" for warning in fit.warnings),
+            f"{out}, {picture}",
+        ]
+    )
