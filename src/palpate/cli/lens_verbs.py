@@ -13,6 +13,8 @@ from palpate.cli.verb_support import Json, Quiet, group, numbers_of, print_found
 from palpate.core import ImageError, Lens
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from palpate.calibration.lens import Board, LensFit
 
 app = group("A camera's lens: its numbers, and images without its bending.")
@@ -28,9 +30,7 @@ def calibrate(
     board: BoardSize,
     out: Annotated[Path, Option(help="Lens file to make, with a PNG beside it; must not exist.")],
     square_mm: SquareMm = 25.0,
-    model: Annotated[
-        str, Option(help="fisheye, pinhole, or auto: which views held out call better.")
-    ] = "auto",
+    model: Annotated[str, Option(help="fisheye, pinhole, or auto: by views held out.")] = "auto",
     charuco: Charuco = None,
     name: Annotated[str, Option(help="What the lens shall be called.")] = "",
     json_: Json = False,
@@ -73,10 +73,8 @@ def board_picture(
 
     Example: palpate lens board --board 8x5 --charuco 4X4_50 --out board.png
     """
-    from palpate.recordings.exchange import write_picture
-
     picture = _board(board, 25.0, charuco).picture(square_px)
-    write_picture(out, picture)
+    _write_png(out, picture)
     height, width = picture.shape
     print_found({"board": str(out), "size_px": [height, width]}, f"{out}: {width}x{height} px", json_)
 
@@ -112,7 +110,6 @@ def undistort(
     Example: palpate lens undistort frame.png --lens lens.json --out flat.png
     """
     from palpate.recordings import read_image
-    from palpate.recordings.exchange import write_picture
     from palpate.recordings.rectification import rectified
 
     found = Lens.read(lens)
@@ -121,8 +118,16 @@ def undistort(
         picture = rectified(read_image(image), found, flat)
     except ImageError as error:
         raise ImageError(f"{image}: {error}") from error
-    write_picture(out, picture)
+    _write_png(out, picture)
     print_found({"image": str(out), "lens": found.id, "onto": flat.card()}, str(out), json_)
+
+
+def _write_png(path: Path, image: np.ndarray) -> None:
+    from palpate.core import new_file
+    from palpate.recordings.exchange import image_files
+
+    with new_file(path) as building:
+        building.write_bytes(image_files.encode(image).tobytes())
 
 
 def _board(size: str, square_mm: float, charuco: str | None) -> Board:
@@ -155,11 +160,10 @@ def _fit_text(fit: LensFit, out: Path, picture: Path) -> str:
         [
             _lens_text(fit.lens),
             *numbers,
-            f"{len(fit.views)} of {count} photographs used; error {fit.mean_px:.3f} px mean, {fit.rms_px:.3f} px "
-            f"rms, {fit.held_out_px:.3f} px rms on views held out; boards cover {fit.coverage:.0%} of the frame",
-            f"as {fit.other_model}, on views held out: "
-            + ("no fit" if other is None else f"{other:.3f} px rms")
-            + f"; OpenCV's own calibration of all found views: {plain} rms",
+            f"{len(fit.views)} of {count} photographs used; boards cover {fit.coverage:.0%} of the frame",
+            f"error {fit.mean_px:.3f} px mean, {fit.rms_px:.3f} px rms, {fit.held_out_px:.3f} px held out",
+            f"as {fit.other_model}, held out: {'no fit' if other is None else f'{other:.3f} px'}",
+            f"OpenCV's own calibration of all found views: {plain}",
             *(f"left out {view.name}: {view.reason}" for view in fit.rejected),
             *(f"note: {warning}" for warning in fit.warnings),
             f"{out}, {picture}",

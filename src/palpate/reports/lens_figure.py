@@ -36,8 +36,8 @@ def write_lens_figure(fit: LensFit, path: Path) -> None:
         _errors(bars, fit)
         left_out = f", {len(fit.rejected)} left out" if fit.rejected else ""
         figure.suptitle(
-            f"{fit.lens.model} lens {fit.lens.name or fit.lens.id}: {fit.held_out_px:.2f} px rms on views held "
-            f"out, {len(fit.views)} views{left_out}",
+            f"{fit.lens.model} lens {fit.lens.name or fit.lens.id}: {fit.held_out_px:.2f} px rms held out, "
+            f"{len(fit.views)} views{left_out}",
             fontsize=11,
             fontweight="bold",
             color=INK,

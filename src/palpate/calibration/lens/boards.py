@@ -230,10 +230,10 @@ def _by_quadrilaterals(image: np.ndarray, board: Board) -> np.ndarray | None:
 
 
 def _right_handed(places: np.ndarray, board: Board) -> np.ndarray:
-    """Corners in an order in which the board is not a mirror image.
+    """Corners in an order in which the board is seen from its front.
 
-    Half a turn of a chessboard is another pose of the same board. A mirrored order is none of any board: a
-    view in it would bend the whole fit.
+    Detectors begin at either corner and go either way. A mirrored order is that of a board seen from behind,
+    which fits as well, but then the boards' tilts could not be compared.
     """
     lattice = places.reshape(board.rows, board.columns, 2)
     along, down = np.diff(lattice, axis=1)[:-1], np.diff(lattice, axis=0)[:, :-1]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -34,26 +34,19 @@ Pose = Float[ndarray, "6"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bundle:
-    """A fitted lens with the poses of its views.
+class PosedLens:
+    """A lens and the poses of its views, fitted or guessed.
 
     Attributes:
         model: see `Lens`.
         numbers: of the lens, in the order of `PARAMETERS`.
-        poses: rotation vector [rad] and translation [m] of each board in the camera frame.
-        errors_px: seen less projected place of each corner, a view each, shape [n, 2] [px].
-        normal, score: of each view, its reduced normal matrix and right-hand side in the lens's numbers, in
-            units of 1 px.
-        scale_px: robust standard deviation of an error along one axis [px].
+        poses: rotation vector [rad] and translation [m] of each board in the camera frame; NaN where it has
+            none.
     """
 
     model: LensModel
     numbers: Float[ndarray, " p"]
     poses: tuple[Pose, ...]
-    errors_px: tuple[Float[ndarray, "_ 2"], ...]
-    normal: Float[ndarray, "v p p"]
-    score: Float[ndarray, "v p"]
-    scale_px: float
 
     def lens(self, size_px: tuple[int, int], max_angle_rad: float | None = None) -> Lens:
         """The lens of its numbers."""
@@ -61,9 +54,30 @@ class Bundle:
         focal, centre = (values[0], values[1]), (values[2], values[3])
         return Lens(self.model, focal, centre, tuple(values[4:]), size_px, max_angle_rad)
 
+    def of_views(self, kept: Sequence[int]) -> PosedLens:
+        """The same of fewer views, to begin another fit from."""
+        return PosedLens(self.model, self.numbers, tuple(self.poses[view] for view in kept))
 
-def first_guess(model: LensModel, views: Sequence[BoardView]) -> Bundle | None:
-    """A fit to begin with: the focal length at which flat boards explain the views best.
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bundle(PosedLens):
+    """A fit.
+
+    Attributes:
+        errors_px: seen less projected place of each corner, a view each, shape [n, 2] [px].
+        normal, score: of each view, its reduced normal matrix and right-hand side in the lens's numbers, in
+            units of 1 px.
+        scale_px: robust standard deviation of an error along one axis [px].
+    """
+
+    errors_px: tuple[ndarray, ...]
+    normal: Float[ndarray, "v p p"]
+    score: Float[ndarray, "v p"]
+    scale_px: float
+
+
+def first_guess(model: LensModel, views: Sequence[BoardView]) -> PosedLens | None:
+    """A lens to begin with: the focal length at which flat boards explain the views best.
 
     Each width of field is tried without distortion, since from a focal length that is far off a fit of a wide
     lens descends into a valley of its own. None where no view has a pose.
@@ -87,16 +101,12 @@ def first_guess(model: LensModel, views: Sequence[BoardView]) -> Bundle | None:
     if best is None:
         return None
     numbers, poses = best
-    places = [np.full(POSE, np.nan) if pose is None else pose for pose in poses]
-    count = len(numbers)
-    empty = np.zeros((len(views), count, count)), np.zeros((len(views), count))
-    return Bundle(model, numbers, tuple(places), tuple(np.zeros((0, 2)) for _ in views), *empty, least)
+    return PosedLens(model, numbers, tuple(np.full(POSE, np.nan) if pose is None else pose for pose in poses))
 
 
 def pose_of(model: LensModel, numbers: Float[ndarray, " p"], view: BoardView) -> Pose | None:
     """Pose of a board, from the directions of its corners; None where there is none."""
-    start = Bundle(model, numbers, (), (), np.zeros((0, 0, 0)), np.zeros((0, 0)), 1.0)
-    rays = start.lens(view.size_px).rays(view.places_px)
+    rays = PosedLens(model, numbers, ()).lens(view.size_px).rays(view.places_px)
     known = np.isfinite(rays).all(axis=1) & (rays[:, 2] > 0.02)
     if known.sum() < 6:
         return None
@@ -112,7 +122,7 @@ def pose_of(model: LensModel, numbers: Float[ndarray, " p"], view: BoardView) ->
 
 
 def adjust(
-    start: Bundle,
+    start: PosedLens,
     views: Sequence[BoardView],
     *,
     free: Sequence[int] | None = None,
@@ -293,11 +303,5 @@ def view_error_px(model: LensModel, numbers: Float[ndarray, " p"], view: BoardVi
     pose = pose_of(model, numbers, view)
     if pose is None:
         return math.inf
-    start = Bundle(model, numbers, (pose,), (), np.zeros((0, 0, 0)), np.zeros((0, 0)), 1.0)
-    fitted = adjust(start, [view], free=(), steps=20)
+    fitted = adjust(PosedLens(model, numbers, (pose,)), [view], free=(), steps=20)
     return float(np.sqrt(np.mean(np.sum(fitted.errors_px[0] ** 2, axis=1))))
-
-
-def without(bundle: Bundle, kept: Sequence[int]) -> Bundle:
-    """The same fit of fewer views, to begin another from."""
-    return replace(bundle, poses=tuple(bundle.poses[view] for view in kept))

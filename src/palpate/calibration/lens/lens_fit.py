@@ -18,7 +18,6 @@ from palpate.calibration.lens.bundle import (
     adjust,
     first_guess,
     view_error_px,
-    without,
 )
 from palpate.core import InputError, Lens, LensModel, PathText, Progress, silent
 
@@ -47,7 +46,7 @@ class ViewScore:
     Attributes:
         name: of the file.
         rms_px: root mean square distance of its corners that were kept from where the lens puts them [px].
-        held_out_px: the same of all its corners, by a lens fitted without it [px].
+        held_out_px: the same by a lens fitted without this view, whose pose alone is fitted to it [px].
         corners, rejected_corners: how many were found, and how many of these were not used.
         hull_px: the corners of the region that its board covers, (x, y) [px].
     """
@@ -269,43 +268,38 @@ def _accept(model: LensModel, views: Sequence[BoardView], progress: Any) -> _Acc
         for view, pose in zip(views, poses, strict=True)
         if not np.isfinite(pose).all()
     ]
-    kept = [i for i, pose in enumerate(poses) if np.isfinite(pose).all()]
-    if guess is None or len(kept) < MIN_VIEWS:
-        raise InputError(f"only {len(kept)} views have a pose that their corners fit; {MIN_VIEWS} are needed")
-    whole = [views[i] for i in kept]
-    bundle = adjust(adjust(without(guess, kept), whole, free=(0, 1, 2, 3)), whole)
+    posed = [i for i, pose in enumerate(poses) if np.isfinite(pose).all()]
+    if guess is None or len(posed) < MIN_VIEWS:
+        raise InputError(
+            f"only {len(posed)} views have a pose that their corners fit; {MIN_VIEWS} are needed"
+        )
+    whole = [views[i] for i in posed]
+    bundle = adjust(adjust(guess.of_views(posed), whole, free=(0, 1, 2, 3)), whole)
     while True:
-        errors = [_rms_of(error) for error in bundle.errors_px]
-        worst = int(np.argmax(errors))
-        if errors[worst] <= _bound(errors):
-            corners = [
-                _good_corners(view, error, bundle)
-                for view, error in zip(whole, bundle.errors_px, strict=True)
-            ]
-            lost = [
-                len(view.places_px) / len(full.places_px) for view, full in zip(corners, whole, strict=True)
-            ]
-            worst = int(np.argmin(lost))
-            if lost[worst] < MIN_CORNERS_LEFT:
-                reason = f"{1 - lost[worst]:.0%} of its corners lie far from where the others' lens puts them"
-            else:
-                fitted = adjust(bundle, corners)
-                held = _without_each(fitted, corners, whole, progress)
-                worst = int(np.argmax(held))
-                if held[worst] <= _bound(held):
-                    return _Accepted(fitted, tuple(whole), tuple(corners), tuple(held), tuple(rejected))
-                reason = (
-                    f"the other views put its corners {_px(held[worst])} off, against {_px(np.median(held))}"
-                )
-        else:
+        corners = [_good_corners(*pair, bundle) for pair in zip(whole, bundle.errors_px, strict=True)]
+        errors = [_rms_of(part) for _, part in corners]
+        shares = [len(part) / len(full.places_px) for (_, part), full in zip(corners, whole, strict=True)]
+        worst, emptiest = int(np.argmax(errors)), int(np.argmin(shares))
+        if shares[emptiest] < MIN_CORNERS_LEFT:
+            worst = emptiest
+            reason = f"{1 - shares[worst]:.0%} of its corners lie far from where the others' lens puts them"
+        elif errors[worst] > _bound(errors):
             reason = (
-                f"its corners fit to {_px(errors[worst])}, against {_px(np.median(errors))} of the usual view"
+                f"its corners fit to {_px(errors[worst])}, against {_px(np.median(errors))} of the others"
             )
+        else:
+            kept = [view for view, _ in corners]
+            fitted = adjust(bundle, kept)
+            held = _without_each(fitted, kept, progress)
+            worst = int(np.argmax(held))
+            if held[worst] <= _bound(held):
+                return _Accepted(fitted, tuple(whole), tuple(kept), tuple(held), tuple(rejected))
+            reason = f"the others put its corners {_px(held[worst])} off, against {_px(np.median(held))}"
         rejected.append(MissedView(whole[worst].name, reason))
         others = [i for i in range(len(whole)) if i != worst]
         _refuse_few(len(others), rejected)
         whole = [whole[i] for i in others]
-        bundle = adjust(without(bundle, others), whole)
+        bundle = adjust(bundle.of_views(others), whole)
 
 
 def _px(value: float) -> str:
@@ -321,25 +315,23 @@ def _bound(errors: Sequence[float]) -> float:
     return max(MIN_VIEW_ERROR_PX, MAX_VIEW_RATIO * usual) if math.isfinite(usual) else MIN_VIEW_ERROR_PX
 
 
-def _good_corners(view: BoardView, errors: np.ndarray, bundle: Bundle) -> BoardView:
-    """The view's corners whose errors are of its own kind: a blurred view has larger ones altogether."""
+def _good_corners(view: BoardView, errors: np.ndarray, bundle: Bundle) -> tuple[BoardView, np.ndarray]:
+    """Corners of a view whose errors are of its own kind, and these; a blurred view has larger ones."""
     own = max(bundle.scale_px, 1.4826 * float(np.median(np.abs(errors))))
     good = np.linalg.norm(errors, axis=1) <= MAX_CORNER_SCALES * own
-    return BoardView(view.name, view.corners_m[good], view.places_px[good], view.size_px)
+    return BoardView(view.name, view.corners_m[good], view.places_px[good], view.size_px), errors[good]
 
 
-def _without_each(
-    bundle: Bundle, corners: Sequence[BoardView], whole: Sequence[BoardView], progress: Any
-) -> list[float]:
+def _without_each(bundle: Bundle, views: Sequence[BoardView], progress: Any) -> list[float]:
     """Error of each view by a lens fitted without it, or without its fold where there are many views."""
-    count = len(whole)
+    count = len(views)
     folds = [list(range(i, count, MAX_FOLDS)) for i in range(min(count, MAX_FOLDS))]
     held = np.zeros(count)
     for done, fold in enumerate(folds, start=1):
         left = [i for i in range(count) if i not in fold]
-        fitted = adjust(without(bundle, left), [corners[i] for i in left])
+        fitted = adjust(bundle.of_views(left), [views[i] for i in left])
         for i in fold:
-            held[i] = view_error_px(bundle.model, fitted.numbers, whole[i])
+            held[i] = view_error_px(bundle.model, fitted.numbers, views[i])
         progress(done, len(folds))
     return held.tolist()
 
