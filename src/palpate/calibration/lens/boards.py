@@ -20,6 +20,9 @@ MAX_CORNERS = 200
 MIN_SEEN = 12  # corners of a ChArUco board that make a view
 MAX_IMAGE_PX = 200_000_000
 MARKER_SHARE = 0.75  # of a square's side
+SECTORS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+MAX_MARGIN_CONTRAST = 0.5  # of a board's own: beyond, there are more squares
+NOT_FOUND = "the board was not found: cut off, blurred, dark, glaring, or of another size"
 MAX_SEARCH_PX = 8  # half a side of the window in which a corner is refined
 
 
@@ -135,7 +138,7 @@ def read_views(
         if isinstance(found, BoardView):
             views.append(found)
         else:
-            missed.append(MissedView(path.name, "the board was not found: cut off, blurred, dark or glaring"))
+            missed.append(MissedView(path.name, NOT_FOUND))
             if found is not None:
                 others[found] += 1
                 missed[-1] = MissedView(path.name, f"it shows a board of {found[0]}x{found[1]} inner corners")
@@ -155,15 +158,16 @@ def find_board(image: UInt8[ndarray, "h w"], board: Board, name: str) -> BoardVi
     if board.dictionary is not None:
         return _find_charuco(image, board, name)
     found = _by_sectors(image, board)
-    if isinstance(found, tuple):
-        return found
     if found is None:
         found = _by_quadrilaterals(image, board)
     if found is None:
-        return None
+        return _larger_size(image, board)
     places = _right_handed(found.astype(float), board)
     if not _is_lattice(places, board):
         return None
+    if _continues(image, places.reshape(board.rows, board.columns, 2)):
+        sides = max(board.columns, board.rows), min(board.columns, board.rows)
+        return _larger_size(image, board) or (sides[0] + 1, sides[1])
     return BoardView(name, board.corners_m, places, image.shape[:2])
 
 
@@ -201,19 +205,42 @@ def _refuse_mixed(sizes: dict[tuple[int, int], list[str]]) -> None:
         )
 
 
-def _by_sectors(image: np.ndarray, board: Board) -> np.ndarray | tuple[int, int] | None:
-    """Duda and Frese's corners (BMVC 2018), which reach far towards the rim of a wide lens.
-
-    OpenCV finds a board of the size asked for within a larger one, too; it says the larger size if asked, and
-    a part of a board at another place in each view would be fitted as if it were the same.
-    """
-    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-    size = (board.columns, board.rows)
-    larger, _, marks = cv2.findChessboardCornersSBWithMeta(image, size, flags=flags | cv2.CALIB_CB_LARGER)
-    if larger and sorted(marks.shape) != sorted(size):
-        return max(marks.shape), min(marks.shape)
-    found, corners = cv2.findChessboardCornersSB(image, size, flags=flags)
+def _by_sectors(image: np.ndarray, board: Board) -> np.ndarray | None:
+    """Duda and Frese's corners (BMVC 2018), which reach far towards the rim of a wide lens."""
+    found, corners = cv2.findChessboardCornersSB(image, (board.columns, board.rows), flags=SECTORS)
     return corners.reshape(-1, 2) if found else None
+
+
+def _continues(image: np.ndarray, lattice: np.ndarray) -> bool:
+    """Whether squares alternate beyond the board's own rim, which its white margin does not.
+
+    OpenCV finds a board of the size asked for within a larger one: another part of it in each view, which
+    would be fitted as if it were the same.
+    """
+    for turn in range(4):
+        side = np.rot90(lattice, turn)
+        edge, step = (side[0, :-1] + side[0, 1:]) / 2, (side[0] - side[1])[:-1]
+        own, beyond = (_alternation(image, edge + cells * step) for cells in (0.5, 1.5))
+        if own and beyond > MAX_MARGIN_CONTRAST * own:
+            return True
+    return False
+
+
+def _alternation(image: np.ndarray, places: np.ndarray) -> float:
+    """Mean difference of every second grey from those between; 0 where a place lies outside the image."""
+    column, row = np.round(places).astype(int).T
+    if min(column.min(), row.min()) < 0 or column.max() >= image.shape[1] or row.max() >= image.shape[0]:
+        return 0.0
+    grey = image[row, column].astype(float)
+    return abs(float(grey[::2].mean() - grey[1::2].mean()))
+
+
+def _larger_size(image: np.ndarray, board: Board) -> tuple[int, int] | None:
+    """Longer and shorter side of a board larger than asked for; None where there is none."""
+    size = (board.columns, board.rows)
+    found, _, marks = cv2.findChessboardCornersSBWithMeta(image, size, flags=SECTORS | cv2.CALIB_CB_LARGER)
+    larger = bool(found) and sorted(marks.shape) != sorted(size)
+    return (max(marks.shape), min(marks.shape)) if larger else None
 
 
 def _by_quadrilaterals(image: np.ndarray, board: Board) -> np.ndarray | None:

@@ -282,7 +282,7 @@ def _accept(model: LensModel, views: Sequence[BoardView], progress: Any) -> _Acc
         worst, emptiest = int(np.argmax(errors)), int(np.argmin(shares))
         if shares[emptiest] < MIN_CORNERS_LEFT:
             worst = emptiest
-            reason = f"{1 - shares[worst]:.0%} of its corners lie far from where the others' lens puts them"
+            reason = f"{1 - shares[worst]:.0%} of its corners lie far from where the lens puts them"
         elif errors[worst] > _bound(errors):
             reason = (
                 f"its corners fit to {_px(errors[worst])}, against {_px(np.median(errors))} of the others"
@@ -316,7 +316,7 @@ def _bound(errors: Sequence[float]) -> float:
 
 
 def _good_corners(view: BoardView, errors: np.ndarray, bundle: Bundle) -> tuple[BoardView, np.ndarray]:
-    """Corners of a view whose errors are of its own kind, and these; a blurred view has larger ones."""
+    """Corners whose errors are of their view's own kind, and these; a blurred view has larger ones."""
     own = max(bundle.scale_px, 1.4826 * float(np.median(np.abs(errors))))
     good = np.linalg.norm(errors, axis=1) <= MAX_CORNER_SCALES * own
     return BoardView(view.name, view.corners_m[good], view.places_px[good], view.size_px), errors[good]
