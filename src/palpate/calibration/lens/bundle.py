@@ -182,7 +182,7 @@ class _Linear:
         return float(np.sum(np.where(size <= bend, size**2, bend * (2 * size - bend))))
 
     def reduced(self, view: int, free: list[int], damping: float = 0.0) -> tuple[np.ndarray, ...]:
-        """Of one view: normal matrix and score in the lens's numbers, and what gives its pose back."""
+        """Normal matrix and score of one view in the lens's numbers, and what gives its pose back."""
         weight = self.weights[view][:, None]
         lens, pose, error = self.by_lens[view][:, free], self.by_pose[view], self.errors[view].ravel()
         corner = pose.T @ (weight * pose)

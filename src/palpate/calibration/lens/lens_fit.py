@@ -391,7 +391,7 @@ def _told(
 
 
 def _standard_errors(bundle: Bundle) -> tuple[np.ndarray, np.ndarray]:
-    """Of the lens's numbers: from the spread of corners, and by resampling views.
+    """Standard errors of the lens's numbers: from the spread of corners, and by resampling views.
 
     A resampled fit is one Gauss-Newton step from the fit, whose normal equations each view has a part in.
     """
