@@ -1,0 +1,129 @@
+"""Control points of a skin with a checkerboard of two pigments, each named by its cell.
+
+Corners are found and placed by the image around them alone, then named by the lattice that they form. Where a
+tile is missing, merged with the next or torn, its corners are absent; the others keep their names.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import ndimage
+
+from palpate.core import ImageError, RangeError, Shaped, ndarray
+from palpate.estimators.lattice.control_points import ControlPoints
+from palpate.estimators.lattice.lattice_growth import GrownLattice, grow_lattices
+from palpate.estimators.lattice.lattice_identity import MAX_MOVE, named_as
+from palpate.estimators.lattice.saddle_corners import SaddleCorners, find_corners
+from palpate.estimators.lattice.two_pigments import PigmentAxis, find_axis
+
+MIN_POINTS = 12
+MIN_SEEN = 0.3  # of the reference's points: with fewer the frame is not believed
+MAX_SIDE = 0.25  # of the reference's points, missing side by side
+MAX_SIGMA = 0.02  # of the pitch; a corner that is known less well is left out
+SAME_PITCH = 1.35  # ratio within which a pitch that was given is right
+
+
+@dataclass(frozen=True, eq=False)
+class CheckerboardFind:
+    """What was found in a frame.
+
+    Attributes:
+        points: corners that have a name.
+        axis: the line of the two pigments, by which later frames are read.
+        pitch: median side of a tile [px].
+        unnamed: corners that belong to no lattice, or to one that the reference does not tell.
+    """
+
+    points: ControlPoints
+    axis: PigmentAxis
+    pitch: float
+    unnamed: int = field(default=0)
+
+
+def find_checkerboard(
+    frame: Shaped[ndarray, ...], pitch_px: float = 24.0, reference: ControlPoints | None = None
+) -> CheckerboardFind:
+    """Corners of a frame's checkerboard.
+
+    Args:
+        frame: 8-bit RGB ``[h w 3]`` or grey ``[h w]``.
+        pitch_px: side of a tile, to about a factor of 1.6; it is corrected by what is found.
+        reference: points of an earlier frame whose names are kept. Without it, the first column and row
+            seen are 0, and tile (i, j), whose first corner has that cell, is bright where i + j is even.
+
+    Raises:
+        ImageError: no pattern is found: another kind of frame, dark, saturated, blurred, or less than a
+            third of the reference's points are seen.
+        RangeError: a pitch below 5 pixels.
+    """
+    if not pitch_px >= 5:
+        raise RangeError(f"tiles of {pitch_px} px; corners are found where tiles are 5 px wide or more")
+    for _ in range(3):
+        axis = find_axis(frame, pitch_px)
+        corners = find_corners(axis.of(frame), pitch_px, frame)
+        corners = corners.kept(corners.sigma < MAX_SIGMA * pitch_px)
+        lattices = grow_lattices(corners.places, "square", corners.turn) if len(corners.places) else []
+        if not lattices or max(pitch_px, lattices[0].pitch) < SAME_PITCH * min(pitch_px, lattices[0].pitch):
+            break
+        pitch_px = lattices[0].pitch
+    if not lattices or len(lattices[0].cells) < MIN_POINTS:
+        raise ImageError(
+            f"{len(corners.places)} corners in the frame, of which {sum(len(g.cells) for g in lattices)} lie "
+            f"on a lattice, and at least {MIN_POINTS} are needed; look at focus, light, the crop and the "
+            f"pitch of {pitch_px:.0f} px"
+        )
+    points = _first_names(corners, lattices[0]) if reference is None else _same(corners, lattices, reference)
+    return CheckerboardFind(points, axis, lattices[0].pitch, len(corners.places) - len(points))
+
+
+def _first_names(corners: SaddleCorners, lattice: GrownLattice) -> ControlPoints:
+    """Points of the largest lattice, columns and rows from 0, one more where tiles would change colour."""
+    turn = corners.turn[lattice.marks]
+    # At an even corner the bright tile begins there: bright lies along the diagonal of both axes.
+    across = np.where(lattice.cells.sum(axis=1) % 2, -1.0, 1.0) * np.exp(1j * turn)
+    cells = lattice.cells + np.array([int(_diagonal(corners, lattice, across.sum()) < 0), 0])
+    return ControlPoints(cells, corners.places[lattice.marks], corners.sigma[lattice.marks])
+
+
+def _diagonal(corners: SaddleCorners, lattice: GrownLattice, bright: complex) -> float:
+    """How far the bright diagonal of even corners is that from (0, 0) to (1, 1): 1, or -1 for the other."""
+    places, cells = corners.places[lattice.marks], lattice.cells
+    fit, *_ = np.linalg.lstsq(np.column_stack([np.ones(len(cells)), cells]), places, rcond=None)
+    main = fit[1] + fit[2]
+    return float((bright * np.conj(complex(*main) ** 2)).real)
+
+
+def _same(
+    corners: SaddleCorners, lattices: list[GrownLattice], reference: ControlPoints
+) -> ControlPoints:
+    cells, marks = named_as(reference, lattices, corners.places, "square", MAX_MOVE)
+    if len(cells) < max(MIN_POINTS, MIN_SEEN * len(reference)):
+        raise ImageError(
+            f"{len(cells)} of the reference's {len(reference)} points are seen, and at least "
+            f"{100 * MIN_SEEN:.0f} % are needed; the pattern has left the frame, or moved by more than "
+            f"{MAX_MOVE} of a tile since the reference: give a nearer one"
+        )
+    points = ControlPoints(cells, corners.places[marks], corners.sigma[marks])
+    _refuse_shifted(points, reference)
+    return points
+
+
+def _refuse_shifted(points: ControlPoints, reference: ControlPoints) -> None:
+    """Refuse names when a whole side is missing: a pattern moved by whole tiles looks like that."""
+    low = reference.cells.min(axis=0)
+    shape = tuple(np.ptp(reference.cells, axis=0) + 3)
+    expected, seen = np.zeros(shape, bool), np.zeros(shape, bool)
+    expected[tuple((reference.cells - low + 1).T)] = True
+    inside = (points.cells >= low - 1) & (points.cells <= low + np.array(shape) - 2)
+    seen[tuple((points.cells - low + 1)[inside.all(axis=1)].T)] = True
+    missing, _ = ndimage.label(expected & ~seen)
+    sizes = np.bincount(missing.ravel())[1:]
+    beyond = (seen & ~expected).sum()
+    if len(sizes) and max(sizes.max(), beyond) > MAX_SIDE * len(reference):
+        raise ImageError(
+            f"{sizes.max()} neighbouring points of the reference's {len(reference)} are missing, and at most "
+            f"{100 * MAX_SIDE:.0f} % may be; the pattern has left the frame or moved by whole tiles, which "
+            "nothing in it tells: take a new reference"
+        )

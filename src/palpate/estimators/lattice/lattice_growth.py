@@ -1,0 +1,295 @@
+"""Marks of a square or hexagonal lattice named by their cell, tiles' corners and dots alike.
+
+A lattice grows from a mark whose neighbours all stand, cell by cell: where the next mark must lie follows
+from an affine map through the cells around it, so that turns, shear, a fisheye's curvature and missing marks
+do no harm. A mark that is not where its neighbours say is left out: a cell may lack its mark, and none has a
+wrong one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal
+
+import cv2
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from palpate.core import Float, Int, RangeError, ndarray
+
+LatticeKind = Literal["square", "hexagonal"]
+Points = Float[ndarray, "n 2"]
+Cells = Int[ndarray, "n 2"]
+
+KEPT_WITHIN = 0.1, 0.22  # of the local pitch: bounds of six times the usual distance from where it must lie
+MIN_AROUND = 3  # cells that say so
+MAX_BETWEEN = 0.15  # share of marks halfway between two, beyond which a lattice is part of a finer one
+MIN_MARKS = 9  # fewer are no lattice
+MIN_DETERMINANT = 0.05  # of the cells around: less are nearly on one line
+TRIES = 12  # marks from which it is begun
+MARGIN = 4  # empty cells around the known ones
+
+
+@dataclass(frozen=True)
+class Step:
+    """What is asked of a cell before a mark is taken for it.
+
+    Attributes:
+        reach: cells to each side that tell where it lies.
+        least_around: known cells within that reach.
+        least_next: known cells next to it.
+        within: of the local pitch, how far a mark may lie from there.
+    """
+
+    reach: int
+    least_around: int
+    least_next: int
+    within: float
+
+
+NEXT = Step(2, MIN_AROUND, 3, 0.28)
+OVER_A_GAP = Step(3, 5, 0, 0.2)
+
+
+@dataclass(frozen=True, eq=False)
+class GrownLattice:
+    """Marks that hang together, by their cell.
+
+    Attributes:
+        cells: (column, row) ``[n 2]``; columns run about with the image's columns and rows with its rows, and
+            the first of each is 0.
+        marks: which of the marks given stands there ``[n]``.
+        pitch: median distance of neighbours [px].
+    """
+
+    cells: Cells
+    marks: Int[ndarray, " n"]
+    pitch: float
+
+
+def grow_lattices(
+    places: Points, kind: LatticeKind = "square", turn: Float[ndarray, " n"] | None = None
+) -> list[GrownLattice]:
+    """Lattices that hang together among marks, the one with most marks first; the rest is left out.
+
+    Args:
+        places: of the marks ``[n 2]`` [px].
+        kind: "square", or "hexagonal" with axes 60 degrees apart.
+        turn: of a checkerboard's corners, where known: it differs by half a turn from a corner to the next,
+            and no mark is taken where it does not.
+
+    Raises:
+        RangeError: another kind.
+    """
+    if kind not in ("square", "hexagonal"):
+        raise RangeError(f'a lattice is "square" or "hexagonal", not {kind!r}')
+    free = np.arange(len(places))
+    found: list[GrownLattice] = []
+    while len(free) >= MIN_MARKS:
+        grown = _largest(places[free], kind, None if turn is None else turn[free])
+        if grown is None:
+            break
+        found.append(GrownLattice(grown.cells, free[grown.marks], grown.pitch))
+        free = np.delete(free, grown.marks)
+    return sorted(found, key=lambda lattice: -len(lattice.cells))
+
+
+def _largest(places: Points, kind: LatticeKind, turn: Float[ndarray, " n"] | None) -> GrownLattice | None:
+    """The lattice that most marks of several beginnings belong to."""
+    best, reached = None, np.zeros(len(places), bool)
+    tries = 0
+    for seed, axes in _seeds(places, kind):
+        if reached[seed]:
+            continue
+        grown = _Growth(places, kind, turn).grown_from(seed, axes)
+        tries += 1
+        if grown is not None:
+            reached[grown.marks] = True
+            if best is None or len(grown.cells) > len(best.cells):
+                best = grown
+        if tries == TRIES or (best is not None and 2 * len(best.cells) > len(places)):
+            break
+    return best
+
+
+def _seeds(places: Points, kind: LatticeKind) -> list[tuple[int, np.ndarray]]:
+    """Marks between opposite neighbours, and the two axes there, from the middle outwards."""
+    count = 4 if kind == "square" else 6
+    near, which = cKDTree(places).query(places, k=count + 1)
+    typical = np.median(near[:, 1])
+    out = places[which[:, 1:]] - places[:, None]
+    mirrored = np.hypot(*(out[:, :, None] + out[:, None]).transpose(3, 0, 1, 2)).min(axis=2).max(axis=1)
+    whole = (mirrored < 0.35 * near[:, 1]) & (near[:, -1] < 1.7 * near[:, 1])
+    apart = np.hypot(*(places - np.median(places, axis=0)).T)
+    usual = np.abs(np.log(near[:, 1] / typical))
+    seeds = []
+    for i in np.flatnonzero(whole)[np.argsort((apart * (1 + usual))[whole])]:
+        direction = out[i] / near[i, 1:, None]
+        first = out[i][np.argmax(direction[:, 0])]
+        # The second axis lies the first's way round to the image's rows.
+        wanted = np.pi / 2 if count == 4 else np.pi / 3
+        angle = np.arctan2(out[i][:, 1], out[i][:, 0]) - np.arctan2(first[1], first[0])
+        off = np.abs((angle - wanted + np.pi) % (2 * np.pi) - np.pi)
+        seeds.append((int(i), np.stack([first, out[i][np.argmin(off)]])))
+    return seeds
+
+
+class _Growth:
+    """A grid of cells that fills with marks. Cells lie as [row, column]."""
+
+    def __init__(self, places: Points, kind: LatticeKind, turn: Float[ndarray, " n"] | None) -> None:
+        self.places, self.turn, self.kind = places, turn, kind
+        self.tree = cKDTree(places)
+
+    def grown_from(self, seed: int, axes: np.ndarray) -> GrownLattice | None:
+        self._begin(seed, axes)
+        while self._extend(NEXT) or self._extend(OVER_A_GAP):
+            pass
+        while self._drop():
+            pass
+        self._keep_one_piece()
+        return None if self._is_sublattice() else self._lattice()
+
+    def _begin(self, seed: int, axes: np.ndarray) -> None:
+        """The seed and its neighbours along both axes and back."""
+        self.mark = np.full((2 * MARGIN + 3,) * 2, -1)
+        pitch = np.hypot(*axes.T).min()
+        for column, row in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
+            far, which = self.tree.query(self.places[seed] + column * axes[0] + row * axes[1])
+            if far < NEXT.within * pitch and not (self.mark == which).any():
+                self.mark[MARGIN + 1 + row, MARGIN + 1 + column] = which
+
+    def _predicted(self, reach: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Where each cell's mark must lie by an affine map through those around it, without its own.
+
+        Returns:
+            Places ``[r c 2]``; the local pitch; how many cells tell it; and whether they span both axes.
+        """
+        known = self.mark >= 0
+        xy = np.where(known[..., None], self.places[self.mark], 0.0)
+        w, u, v = _weights(reach, self.kind)
+        masks = [w, w * u, w * v, w * u * u, w * u * v, w * v * v]
+        whole = known.astype(np.float64)
+        m0, mu, mv, muu, muv, mvv = moments = [_correlate(whole, k) for k in masks]
+        determinant = m0 * (muu * mvv - muv**2) - mu * (mu * mvv - muv * mv) + mv * (mu * muv - muu * mv)
+        spans = determinant > MIN_DETERMINANT * np.maximum(m0, 1e-9) ** 3
+        matrix = np.stack(moments, axis=-1)[spans][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+        sides = np.stack(
+            [_correlate(np.ascontiguousarray(xy[..., a]), k)[spans] for k in masks[:3] for a in (0, 1)],
+            axis=-1,
+        )
+        fit = np.linalg.solve(matrix, sides.reshape(-1, 3, 2))
+        place, pitch = np.full(xy.shape, np.nan), np.full(m0.shape, np.nan)
+        place[spans] = fit[:, 0]
+        pitch[spans] = np.hypot(fit[:, 1:, 0], fit[:, 1:, 1]).min(axis=1)
+        return place, pitch, np.rint(_correlate(whole, (w > 0).astype(np.float64))), spans
+
+    def _extend(self, step: Step) -> bool:
+        """Take the marks that lie where cells next to known ones expect them; whether there were any."""
+        place, pitch, count, spans = self._predicted(step.reach)
+        known = np.float64(self.mark >= 0)
+        ready = (self.mark < 0) & spans & (count >= step.least_around)
+        ready &= (
+            cv2.boxFilter(known, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+            >= step.least_next - 0.5
+        )
+        row, column = np.nonzero(ready)
+        if not len(row):
+            return False
+        far, which = self.tree.query(place[row, column])
+        off = far / np.maximum(pitch[row, column], 1e-9)
+        good = (off < step.within) & self._turned(row, column, which)
+        good &= ~np.isin(which, self.mark[self.mark >= 0])
+        taken: set[int] = set()
+        for i in np.argsort(off):
+            if good[i] and which[i] not in taken:  # the nearest cell has it
+                taken.add(which[i])
+                self.mark[row[i], column[i]] = which[i]
+        self._make_room()
+        return bool(taken)
+
+    def _make_room(self) -> None:
+        """Empty cells around the known ones, as many as one step may reach."""
+        row, column = np.nonzero(self.mark >= 0)
+        rows, columns = self.mark.shape
+        need = [(row.min(), rows - 1 - row.max()), (column.min(), columns - 1 - column.max())]
+        self.mark = np.pad(
+            self.mark, [[max(0, MARGIN - int(n)) for n in side] for side in need], constant_values=-1
+        )
+
+    def _turned(self, row: np.ndarray, column: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """Whether corners are turned as their cells, odd or even, ask, by the known ones around."""
+        if self.turn is None:
+            return np.ones(len(row), bool)
+        signs = np.where(np.indices(self.mark.shape).sum(axis=0) % 2, -1.0, 1.0)
+        known = np.where(self.mark >= 0, np.exp(1j * self.turn[self.mark]) * signs, 0)
+        w, _, _ = _weights(2, self.kind)
+        around = _correlate(np.ascontiguousarray(known.real), w) + 1j * _correlate(
+            np.ascontiguousarray(known.imag), w
+        )
+        own = np.exp(1j * self.turn[which]) * signs[row, column]
+        return (own * np.conj(around[row, column])).real > 0.3 * np.abs(around[row, column])
+
+    def _drop(self) -> bool:
+        """Leave out marks that are not where those around say; whether there were any."""
+        place, pitch, count, spans = self._predicted()
+        row, column = np.nonzero(self.mark >= 0)
+        which = self.mark[row, column]
+        off = np.hypot(*(place[row, column] - self.places[which]).T)
+        bad = ~spans[row, column] | (count[row, column] < MIN_AROUND)
+        share = off / np.maximum(pitch[row, column], 1e-9)
+        usual = np.median(share[~bad]) if (~bad).any() else 0.0
+        bad |= ~(share < np.clip(6 * usual, *KEPT_WITHIN))
+        bad |= ~self._turned(row, column, which)
+        far = np.zeros(self.mark.shape)
+        far[row, column] = np.nan_to_num(off)
+        worst = bad & (off >= 0.999 * ndimage.maximum_filter(far, 5)[row, column])
+        worst |= bad & ~(spans[row, column] & (count[row, column] >= MIN_AROUND))
+        self.mark[row[worst], column[worst]] = -1
+        return bool(worst.any())
+
+    def _keep_one_piece(self) -> None:
+        """Keep the largest part whose marks lie within two cells of each other."""
+        parts, n = ndimage.label(ndimage.binary_dilation(self.mark >= 0, np.ones((3, 3))), np.ones((3, 3)))
+        if n > 1:
+            sizes = np.bincount(parts[self.mark >= 0], minlength=n + 1)
+            self.mark[parts != sizes.argmax()] = -1
+
+    def _is_sublattice(self) -> bool:
+        """Whether marks that have no cell lie halfway between those that have, as of a finer lattice."""
+        xy = np.where((self.mark >= 0)[..., None], self.places[self.mark], np.nan)
+        free = np.ones(len(self.places), bool)
+        free[self.mark[self.mark >= 0]] = False
+        for row, column in ((0, 1), (1, 0), (1, 1), (1, -1)):
+            other = np.roll(xy, (-row, -column), axis=(0, 1))
+            halfway, apart = (xy + other) / 2, np.hypot(*np.moveaxis(other - xy, -1, 0))
+            told = np.isfinite(apart)
+            if not told.any():
+                continue
+            far, which = self.tree.query(halfway[told])
+            if ((far < 0.15 * apart[told]) & free[which]).mean() > MAX_BETWEEN:
+                return True
+        return False
+
+    def _lattice(self) -> GrownLattice | None:
+        row, column = np.nonzero(self.mark >= 0)
+        if len(row) < MIN_MARKS:
+            return None
+        _, pitch, _, _ = self._predicted()
+        cells = np.stack([column - column.min(), row - row.min()], axis=1)
+        return GrownLattice(cells, self.mark[row, column], float(np.median(pitch[row, column])))
+
+
+@cache
+def _weights(reach: int, kind: LatticeKind) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weights of the cells around one, by their distance, and their columns and rows from it."""
+    steps = np.arange(-reach, reach + 1.0)
+    column, row = np.meshgrid(steps, steps)
+    away = column**2 + row**2 + (column * row if kind == "hexagonal" else 0)
+    return np.where(away > 0, np.maximum(away, 1) ** -1.5, 0.0), column, row
+
+
+def _correlate(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    return cv2.filter2D(image, cv2.CV_64F, mask, borderType=cv2.BORDER_CONSTANT)

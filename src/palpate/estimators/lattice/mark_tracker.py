@@ -1,0 +1,151 @@
+"""Control points of a checkerboard followed from frame to frame, and found anew where following fails.
+
+Between frames a corner moves by less than a third of a tile, so that its place is found from where it was. A
+corner that is lost is looked for where its neighbours say; a frame in which too many are lost, or all have
+jumped, is searched whole, and its corners are named by where they were last.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from palpate.core import Bool, Float, ImageError, InputError, Shaped, ndarray
+from palpate.estimators.lattice.checkerboard import CheckerboardFind, find_checkerboard
+from palpate.estimators.lattice.control_points import ControlPoints
+from palpate.estimators.lattice.saddle_corners import (
+    MIN_HALF_TURN,
+    half_turn,
+    refined,
+    ring_around,
+)
+
+ROUNDS = 3
+NEIGHBOURS = 8
+MAX_STEP = 0.3  # of the pitch between frames, each corner
+MAX_STRAY = 0.2  # of the pitch, from the median step of its neighbours
+MIN_FOLLOWED = 0.7  # of the points that the last search found
+MIN_OF_CONTRAST = 0.4  # of a corner's contrast when it was found
+MAX_TURNED = 0.6  # rad of twice the angle, between frames
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedPoints:
+    """Points of one frame.
+
+    Attributes:
+        points: those that stand in it; none when it is refused.
+        found_anew: whether the whole frame was searched.
+        reason: why there are none; empty otherwise.
+    """
+
+    points: ControlPoints
+    found_anew: bool
+    reason: str = ""
+
+
+class MarkTracker:
+    """Points of a reference frame, followed through the frames after it.
+
+    Args:
+        reference: 8-bit frame, RGB ``[h w 3]`` or grey ``[h w]``, in which points are found and named.
+        pitch_px: about the side of a tile.
+
+    Raises:
+        ImageError: no pattern is found in it.
+    """
+
+    def __init__(self, reference: Shaped[ndarray, ...], pitch_px: float = 24.0) -> None:
+        self.reference: CheckerboardFind = find_checkerboard(reference, pitch_px)
+        self.pitch = self.reference.pitch
+        points = self.reference.points
+        self._shape = reference.shape
+        self._cells = points.cells
+        self._number = {cell: i for i, cell in enumerate(map(tuple, points.cells.tolist()))}
+        near = cKDTree(points.cells).query(points.cells, k=min(NEIGHBOURS + 1, len(points)))[1]
+        self._near = near[:, 1:]
+        axis = self.reference.axis.of(reference)
+        turn, contrast, _ = ring_around(axis, points.places, self.pitch)
+        _, gain, _ = refined(axis, points.places, self.pitch, 1)
+        self._contrast = contrast
+        self._noise = points.sigma / gain
+        self._spread = points.sigma * contrast  # standard error for a contrast of one level
+        self._places, self._turn = points.places.copy(), turn
+        self._alive = np.ones(len(points), bool)
+
+    def follow(self, frame: Shaped[ndarray, ...]) -> TrackedPoints:
+        """Points of the next frame.
+
+        Raises:
+            InputError: a frame of another size or kind than the reference.
+        """
+        if frame.dtype != np.uint8 or frame.shape != self._shape:
+            raise InputError(
+                f"a frame {frame.dtype} {list(frame.shape)}; points are followed in 8-bit frames of "
+                f"{list(self._shape)}, as the reference: give frames of that camera and crop"
+            )
+        places, sigma, turn, sound = self._followed(frame)
+        if (sound & self._alive).sum() >= MIN_FOLLOWED * max(self._alive.sum(), 1):
+            self._take(places, turn, sound)
+            return TrackedPoints(ControlPoints(self._cells[sound], places[sound], sigma[sound]), False)
+        return self._found_anew(frame)
+
+    def _followed(
+        self, frame: Shaped[ndarray, ...]
+    ) -> tuple[Float[ndarray, "n 2"], Float[ndarray, " n"], Float[ndarray, " n"], Bool[ndarray, " n"]]:
+        """Places, standard errors and turns of all corners, looked for where they were, and which are sound."""
+        axis = self.reference.axis.of(frame)
+        places, _, sound = refined(axis, self._places, self.pitch, ROUNDS, gains=False)
+        turn, contrast, fourfold = ring_around(axis, places, self.pitch)
+        sound &= (contrast > MIN_OF_CONTRAST * self._contrast) & (fourfold > 0.5)
+        noise = (self._noise / np.maximum(contrast, 1.0)) ** 2
+        sound &= half_turn(frame, places, self.pitch) > MIN_HALF_TURN - noise
+        sound &= np.cos(turn - self._turn) > np.cos(MAX_TURNED)
+        step = places - self._places
+        sound &= np.hypot(*step.T) < MAX_STEP * self.pitch
+        usual = self._usual(step, sound)
+        sound &= np.hypot(*(step - usual).T) < MAX_STRAY * self.pitch
+        return places, self._spread / np.maximum(contrast, 1.0), turn, sound
+
+    def _usual(self, step: Float[ndarray, "n 2"], sound: Bool[ndarray, " n"]) -> Float[ndarray, "n 2"]:
+        """Median step of the sound ones among each corner's neighbours; of all, where none is."""
+        if not sound.any():
+            return np.zeros_like(step)
+        everywhere = np.median(step[sound], axis=0)
+        around, told = step[self._near], sound[self._near]
+        ordered = np.sort(np.where(told[..., None], around, np.inf), axis=1)
+        count = told.sum(axis=1)
+        rows, middle = np.arange(len(step)), np.maximum(count - 1, 0)
+        both = (ordered[rows, middle // 2] + ordered[rows, np.maximum(count, 1) // 2]) / 2
+        return np.where((count > 2)[:, None], both, everywhere)
+
+    def _take(self, places: np.ndarray, turn: np.ndarray, sound: np.ndarray) -> None:
+        """Keep what was found; a lost corner is taken along with its neighbours."""
+        moved = self._usual(places - self._places, sound)
+        lost = self._places + moved
+        held = ((lost > 0) & (lost < np.array(self._shape[1::-1]))).all(axis=1)
+        self._places = np.where(sound[:, None], places, np.where(held[:, None], lost, self._places))
+        self._turn = np.where(sound, turn, self._turn)
+        self._alive = sound
+
+    def _found_anew(self, frame: Shaped[ndarray, ...]) -> TrackedPoints:
+        """Points found in the whole frame, named by where they were last, or none and the reason."""
+        last = ControlPoints(self._cells, self._places, np.zeros(len(self._cells)))
+        try:
+            found = find_checkerboard(frame, self.pitch, last).points
+        except ImageError as refusal:
+            none = ControlPoints(np.empty((0, 2), int), np.empty((0, 2)), np.empty(0))
+            return TrackedPoints(none, True, str(refusal))
+        known = [self._number.get(cell, -1) for cell in map(tuple, found.cells.tolist())]
+        rows = np.array(known)
+        found = ControlPoints(
+            found.cells[rows >= 0], found.places[rows >= 0], found.sigma[rows >= 0]
+        )
+        rows = rows[rows >= 0]
+        places, sound = self._places.copy(), np.zeros(len(self._cells), bool)
+        places[rows], sound[rows] = found.places, True
+        turn, _, _ = ring_around(self.reference.axis.of(frame), places, self.pitch)
+        self._take(places, turn, sound)
+        return TrackedPoints(found, True)

@@ -1,0 +1,299 @@
+"""Corners of a pattern where two tiles of one colour meet diagonally: found, and placed below a pixel.
+
+Around such a corner the image is the same after half a turn. The place is therefore where the gradients of
+the edges that run out from it cross (Förstner and Gülch 1987): no model of blur or contrast enters, and its
+standard error follows from the gradients and the measured noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from palpate.core import Bool, Float, Shaped, UInt8, ndarray
+from palpate.estimators.lattice.two_pigments import Axis, noise_near
+
+Points = Float[ndarray, "n 2"]
+
+SADDLE_PEAK = 2 / np.pi  # cross derivative of an ideal corner, half its contrast over its squared blur
+MIN_PEAK = 0.5  # of that, for a candidate
+MIN_CONTRAST = 4.0  # half contrast over noise
+RING = 16  # places around a corner
+RING_REACH = 0.33  # of the pitch
+MIN_HALF_TURN = 0.96  # correlation of the ring with itself after half a turn, in all channels, but for noise
+MIN_FOURFOLD = 0.5
+WINDOW = 0.16  # standard deviation of the weights, of the pitch
+MIN_WINDOW_PX, MAX_WINDOW_PX = 1.3, 3.2
+ROUNDS, STILL_PX = 6, 0.002
+MAX_MOVE = 0.3  # of the pitch, from where a corner was looked for
+
+
+@dataclass(frozen=True, eq=False)
+class SaddleCorners:
+    """Corners of one image, in no order.
+
+    Attributes:
+        places: (x, y) ``[n 2]`` [px].
+        sigma: standard error along each axis ``[n]`` [px].
+        turn: twice the angle of the diagonal along which the brighter tiles lie ``[n]`` [rad]; that of
+            a neighbour differs by half a turn.
+        contrast: half the difference between the pigments, in the axis' levels ``[n]``.
+    """
+
+    places: Points
+    sigma: Float[ndarray, " n"]
+    turn: Float[ndarray, " n"]
+    contrast: Float[ndarray, " n"]
+
+    def kept(self, which: Bool[ndarray, " n"]) -> SaddleCorners:
+        return SaddleCorners(self.places[which], self.sigma[which], self.turn[which], self.contrast[which])
+
+
+def find_corners(axis: Axis, pitch_px: float, frame: Shaped[ndarray, ...] | None = None) -> SaddleCorners:
+    """Corners of a pattern of about this pitch, each a saddle that looks the same after half a turn.
+
+    Args:
+        axis: image along the line of the two pigments.
+        frame: what it was made of, which tells a third colour from the two; the axis, if not given.
+        pitch_px: side of a tile; right to about a third.
+    """
+    spread = local_spread(axis, pitch_px)
+    noise = noise_near(axis, 0.06 * spread, round(pitch_px))
+    places = _candidates(axis, spread, noise, pitch_px)
+    turn, contrast, _ = ring_around(axis, places, pitch_px)
+    spread_there = _at(spread, places)
+    good = (contrast > MIN_CONTRAST * _at(noise, places))
+    good &= contrast > 0.3 * spread_there
+    placed, gain, sound = refined(axis, places[good], pitch_px)
+    # Where it was found may have been some pixels off, and what lies around it is judged where it is.
+    turn, contrast, fourfold = ring_around(axis, placed, pitch_px)
+    own_noise = _at(noise, placed)
+    alike = half_turn(axis if frame is None else frame, placed, pitch_px)
+    by_noise = (own_noise / np.maximum(contrast, 1.0)) ** 2
+    sound &= (fourfold > MIN_FOURFOLD) & (alike > MIN_HALF_TURN - by_noise)
+    sigma = gain * own_noise
+    return _apart(SaddleCorners(placed, sigma, turn, contrast).kept(sound), 0.4 * pitch_px)
+
+
+def local_spread(axis: Axis, pitch_px: float) -> Float[ndarray, "h w"]:
+    """Standard deviation within a pitch of each pixel: half the contrast, in a checkerboard."""
+    window = (2 * round(pitch_px) + 1,) * 2
+    mean = cv2.blur(np.float32(axis), window)
+    square = cv2.sqrBoxFilter(axis, cv2.CV_32F, window)
+    return np.sqrt(np.maximum(square - mean**2, 1.0))
+
+
+def _candidates(
+    axis: Axis, spread: Float[ndarray, "h w"], noise: Float[ndarray, "h w"], pitch_px: float
+) -> Points:
+    """Whole pixels where the saddle is strongest within reach and near that of an ideal corner."""
+    width = max(1.2, 0.1 * pitch_px)
+    smooth = cv2.GaussianBlur(np.float32(axis), (0, 0), width)
+    xx, yy, xy = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((2, 0), (0, 2), (1, 1)))
+    saddle = (xy**2 - xx * yy) / 16  # Sobel's masks sum to 4 times a second derivative
+    peak = SADDLE_PEAK * spread / width**2
+    reach = 2 * max(1, round(0.25 * pitch_px)) + 1
+    top = cv2.dilate(saddle, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
+    good = (saddle >= top) & (saddle > (MIN_PEAK * peak) ** 2) & (spread > 2 * noise)
+    y, x = np.nonzero(good)
+    return np.stack([x, y], axis=1).astype(np.float64)
+
+
+def _at(image: Float[ndarray, "h w"], places: Points) -> Float[ndarray, " n"]:
+    x, y = np.rint(places).astype(int).T
+    return image[np.clip(y, 0, image.shape[0] - 1), np.clip(x, 0, image.shape[1] - 1)].astype(np.float64)
+
+
+def ring_around(
+    axis: Axis, places: Points, pitch_px: float
+) -> tuple[Float[ndarray, " n"], Float[ndarray, " n"], Float[ndarray, " n"]]:
+    """Look of a ring around each place.
+
+    Returns:
+        Twice the angle of the bright diagonal [rad]; half the contrast; and the share of the ring's variance
+        that comes round four times, as four tiles in turn make it.
+    """
+    ring = _ring(axis, places, pitch_px)[..., 0]
+    second = ring @ np.exp(4j * np.pi * np.arange(RING) / RING)
+    power = np.maximum((ring**2).mean(axis=1), 1e-9)
+    return np.angle(second), np.sqrt(power), 2 * (np.abs(second) / RING) ** 2 / power
+
+
+def half_turn(frame: Shaped[ndarray, ...], places: Points, pitch_px: float) -> Float[ndarray, " n"]:
+    """How alike the ring around each place is to itself after half a turn, in all channels together.
+
+    It is 1 between four sound tiles, and less where one is painted over, torn away or beyond the edge.
+    """
+    ring = _ring(frame, places, pitch_px)
+    power = (ring**2).sum(axis=(1, 2))
+    return (ring * np.roll(ring, RING // 2, axis=1)).sum(axis=(1, 2)) / np.maximum(power, 1e-9)
+
+
+def _ring(image: Shaped[ndarray, ...], places: Points, pitch_px: float) -> Float[ndarray, "n k c"]:
+    """Levels on a ring around each place, less their mean."""
+    if not len(places):
+        return np.zeros((0, RING, 1))
+    angle = 2 * np.pi * np.arange(RING) / RING
+    out = RING_REACH * pitch_px * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    x, y = (places[:, None] + out).astype(np.float32).transpose(2, 0, 1)
+    levels = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    levels = levels.reshape(*x.shape, -1).astype(np.float64)
+    return levels - levels.mean(axis=1, keepdims=True)
+
+
+def refined(
+    axis: Axis, places: Points, pitch_px: float, rounds: int = ROUNDS, gains: bool = True
+) -> tuple[Points, Float[ndarray, " n"], Bool[ndarray, " n"]]:
+    """Places where the edges' gradients cross, and how far noise moves them.
+
+    Args:
+        axis: the image.
+        places: near corners, closer than a third of the pitch.
+        pitch_px: side of a tile; the weights' width follows from it.
+        rounds: of moving the weights' middle to what was found; at most.
+        gains: whether standard errors are asked for; NaN otherwise.
+
+    Returns:
+        Places ``[n 2]`` [px]; standard error for noise of one level, along each axis ``[n]`` [px]; and which
+        are sound: within the image, found, and near where they were looked for.
+    """
+    if not len(places):
+        return places, np.empty(0), np.empty(0, bool)
+    width = float(np.clip(WINDOW * pitch_px, MIN_WINDOW_PX, MAX_WINDOW_PX))
+    half = int(np.ceil(2.2 * width)) + 1
+    high, wide = axis.shape
+    xy = places.copy()
+    inside = ((xy > half + 2) & (xy < np.array([wide, high]) - half - 3)).all(axis=1)
+    xy[~inside] = half + 3
+    patches, corner = _patches(axis, np.rint(xy).astype(int), half + 2)
+    patches = _smooth(patches)
+    gx = patches[:, 1:-1, 2:] - patches[:, 1:-1, :-2]
+    gy = patches[:, 2:, 1:-1] - patches[:, :-2, 1:-1]
+    corner = corner + 2
+    steps = np.arange(2 * half + 1, dtype=np.float32)
+    moved = np.full(len(xy), np.inf)
+    for _ in range(rounds):
+        dx, dy, wx, wy = _weights(xy, corner, steps, width)
+        both = wy.sum(axis=1) * wx.sum(axis=1)
+        for g in (gx, gy):  # light that falls off evenly is a constant gradient, which a saddle has not
+            g -= (_sums(g, wx, wy) / both)[:, None, None]
+        a, b = _normal_equations((gx * gx, gx * gy, gy * gy), dx, dy, wx, wy)
+        move = _solved(a, b)
+        xy = xy + np.clip(np.nan_to_num(move), -2, 2)
+        moved = np.abs(move).max(axis=1)
+        if not (moved > STILL_PX).any():
+            break
+    near = np.hypot(*(xy - places).T) < MAX_MOVE * pitch_px
+    sound = inside & near & np.isfinite(moved) & (moved < 0.25)
+    gain = _gain(gx, gy, xy, corner, steps, width) if gains else np.full(len(xy), np.nan)
+    return xy, gain, sound
+
+
+def _patches(
+    axis: Axis, middle: UInt8[ndarray, "n 2"] | np.ndarray, half: int
+) -> tuple[Float[ndarray, "n w w"], np.ndarray]:
+    """Squares of the image around each middle, and where their first pixel lies."""
+    views = np.lib.stride_tricks.sliding_window_view(axis, (2 * half + 1,) * 2)
+    corner = middle - half
+    return views[corner[:, 1], corner[:, 0]].astype(np.float32), corner
+
+
+def _smooth(patches: np.ndarray) -> np.ndarray:
+    """Patches less a pixel on each side, smoothed by 1 2 1: squares of sharper gradients would alias."""
+    across = patches[:, :, :-2] + 2 * patches[:, :, 1:-1] + patches[:, :, 2:]
+    return (across[:, :-2] + 2 * across[:, 1:-1] + across[:, 2:]) / 16
+
+
+def _weights(xy: Points, corner: np.ndarray, steps: np.ndarray, width: float) -> tuple[np.ndarray, ...]:
+    """Distances of rows and columns of a patch from a place, and their weights."""
+    away = (xy - corner).astype(np.float32)
+    dx, dy = steps - away[:, :1], steps - away[:, 1:]
+    return dx, dy, np.exp(-0.5 * (dx / width) ** 2), np.exp(-0.5 * (dy / width) ** 2)
+
+
+def _sums(product: np.ndarray, along_x: np.ndarray, along_y: np.ndarray) -> np.ndarray:
+    return np.matmul(along_y[:, None], np.matmul(product, along_x[:, :, None]))[:, 0, 0]
+
+
+def _normal_equations(
+    products: tuple[np.ndarray, ...], dx: np.ndarray, dy: np.ndarray, wx: np.ndarray, wy: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix ``[n 2 2]`` and right side ``[n 2]`` of the place where gradients cross."""
+    right = np.stack([wx, wx * dx], axis=2)
+    left = np.stack([wy, wy * dy], axis=1)
+    xx, xy, yy = (np.matmul(left, np.matmul(p, right)) for p in products)  # [n, by 1 or dy, by 1 or dx]
+    a = np.stack([xx[:, 0, 0], xy[:, 0, 0], xy[:, 0, 0], yy[:, 0, 0]], axis=1).reshape(-1, 2, 2)
+    b = np.stack([xx[:, 0, 1] + xy[:, 1, 0], xy[:, 0, 1] + yy[:, 1, 0]], axis=1)
+    return a.astype(np.float64), b.astype(np.float64)
+
+
+def _inverse(a: np.ndarray) -> np.ndarray:
+    """Inverses ``[n 2 2]``; NaN where edges run along one direction only."""
+    (p, q), (o, r) = a.transpose(1, 2, 0)
+    det = p * r - q * o
+    det = np.where(det > 1e-3 * (p + r) ** 2, det, np.nan)
+    return np.stack([r / det, -q / det, -o / det, p / det], axis=1).reshape(-1, 2, 2)
+
+
+def _solved(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.einsum("nij,nj->ni", _inverse(a), b)
+
+
+def _gain(
+    gx: np.ndarray, gy: np.ndarray, xy: Points, corner: np.ndarray, steps: np.ndarray, width: float
+) -> Float[ndarray, " n"]:
+    """Standard error of a place for pixels' noise of one level.
+
+    With d the distance from the place, w the weights and g the gradients less their mean, the place is where
+    r = sum w g (g^T d) is 0. Noise n changes r by sum w (g^T d dg + g d^T dg), dg being the smoothed
+    differences of n less their mean: each pixel's share is what their adjoint makes of those factors. A step
+    of the place changes r by J: through d, through the weights, and through the mean gradient.
+    """
+    dx, dy, wx, wy = _weights(xy, corner, steps, width)
+    w = wy[:, :, None] * wx[:, None, :]
+    d = (np.broadcast_to(dx[:, None, :], w.shape), np.broadcast_to(dy[:, :, None], w.shape))
+    g = (gx, gy)
+    total = w.sum(axis=(1, 2))
+    radial = gx * d[0] + gy * d[1]
+    factors = [[w * ((i == k) * radial + g[i] * d[k]) for k in range(2)] for i in range(2)]
+    sums = np.array([[f.sum(axis=(1, 2)) for f in row] for row in factors]).transpose(2, 0, 1)
+    shares = [
+        _adjoint(*(f - w * (s / total)[:, None, None] for f, s in zip(row, sums[:, i].T, strict=True)))
+        for i, row in enumerate(factors)
+    ]
+    middle = np.array([[np.einsum("nk,nk->n", p, q) for q in shares] for p in shares]).transpose(2, 0, 1)
+    a, _ = _normal_equations((gx * gx, gx * gy, gy * gy), dx, dy, wx, wy)
+    mean_by_step = _moments(w, g, d) / (width**2 * total)[:, None, None]
+    by_weights = _moments(w, (gx * radial, gy * radial), d) / width**2
+    j = a + np.matmul(sums, mean_by_step) - by_weights
+    inverse = _inverse(j)
+    spread = np.einsum("nij,njk,nlk->nil", inverse, middle.astype(np.float64), inverse)
+    return np.sqrt(np.trace(spread, axis1=1, axis2=2) / 2)
+
+
+def _moments(w: np.ndarray, rows: tuple[np.ndarray, ...], columns: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Weighted sums of products ``[n 2 2]``."""
+    return np.array([[np.einsum("nyx,nyx,nyx->n", w, p, q) for q in columns] for p in rows]).transpose(
+        2, 0, 1
+    )
+
+
+def _adjoint(by_x: np.ndarray, by_y: np.ndarray) -> np.ndarray:
+    """Share of each pixel ``[n k]`` in a sum of smoothed differences with these factors."""
+    share = np.zeros((len(by_x), by_x.shape[1] + 6, by_x.shape[2] + 6), np.float32)
+    share[:, 3:-3, 4:-2] += by_x
+    share[:, 3:-3, 2:-4] -= by_x
+    share[:, 4:-2, 3:-3] += by_y
+    share[:, 2:-4, 3:-3] -= by_y
+    return _smooth(share).reshape(len(by_x), -1)
+
+
+def _apart(corners: SaddleCorners, least_px: float) -> SaddleCorners:
+    """Corners without the worse of two that lie together."""
+    drop = np.zeros(len(corners.places), bool)
+    for i, j in cKDTree(corners.places).query_pairs(least_px) if len(drop) else ():
+        drop[i if corners.sigma[i] > corners.sigma[j] else j] = True
+    return corners.kept(~drop & np.isfinite(corners.sigma))

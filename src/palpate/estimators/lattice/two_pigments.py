@@ -1,0 +1,145 @@
+"""Colour frames as one number a pixel: how far along the line from one pigment to the other it lies.
+
+The line is what neighbouring pixels differ along, so that light which varies slowly over the skin does not
+turn it; each channel counts by its contrast over its noise (Fisher's discriminant).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from palpate.core import Float, ImageError, Shaped, UInt8, ndarray
+
+Axis = UInt8[ndarray, "h w"]
+
+LOW, HIGH = 12.0, 243.0  # where the darkest and brightest thousandth of the axis come to lie
+MIN_CONTRAST = 6.0  # grey levels between the pigments, and times the noise
+DARK, BRIGHT = 16, 250
+MAX_CLIPPED = 0.5  # share of pixels at the camera's end of range
+LAPLACIAN = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)  # its output has 6 times the noise
+HALF_NORMAL_MEDIAN = 0.6745
+
+
+@dataclass(frozen=True, eq=False)
+class PigmentAxis:
+    """Weights that turn a frame into the two-pigment axis, the brighter pigment high.
+
+    Attributes:
+        weights: of the channels, and what is added ``[1 c+1]``.
+        size: height and width of the frame that they were found in [px].
+    """
+
+    weights: Float[ndarray, "1 c1"]
+    size: tuple[int, int]
+
+    def of(self, frame: Shaped[ndarray, ...]) -> Axis:
+        """Axis of a frame.
+
+        Raises:
+            ImageError: it is not 8-bit, has another size or number of channels.
+        """
+        channels = self.weights.shape[1] - 1
+        if frame.dtype != np.uint8 or frame.shape[:2] != self.size or channels_of(frame) != channels:
+            raise ImageError(
+                f"a frame {frame.dtype} {list(frame.shape)}; the pattern was found in 8-bit frames of "
+                f"{list(self.size)} px and {channels} channels: give frames of that camera and crop"
+            )
+        *weights, add = self.weights[0]
+        if channels == 1 or min(weights) < 0:
+            return cv2.transform(frame, self.weights).reshape(self.size)
+        # Positive weights never leave the range on the way, and sums of planes take half the time.
+        least, middle, most = np.argsort(weights)
+        planes = cv2.split(frame)
+        both = cv2.addWeighted(planes[most], weights[most], planes[middle], weights[middle], min(add, 0.0))
+        return cv2.addWeighted(both, 1.0, planes[least], weights[least], max(add, 0.0))
+
+
+def channels_of(frame: Shaped[ndarray, ...]) -> int:
+    """Number of a frame's channels, 1 for grey."""
+    return 1 if frame.ndim == 2 else frame.shape[-1]
+
+
+def find_axis(frame: Shaped[ndarray, ...], pitch_px: float) -> PigmentAxis:
+    """The line between a frame's two pigments.
+
+    Args:
+        frame: 8-bit grey ``[h w]`` or RGB ``[h w 3]``.
+        pitch_px: about the side of a tile; what varies over more than two counts as light.
+
+    Raises:
+        ImageError: another kind of frame, too dark, at the end of the camera's range, or without contrast.
+    """
+    if frame.dtype != np.uint8 or frame.ndim not in (2, 3) or channels_of(frame) not in (1, 3):
+        raise ImageError(
+            f"a pattern is found in 8-bit grey or RGB frames, got {frame.dtype} {list(frame.shape)}"
+        )
+    if min(frame.shape[:2]) < 4 * pitch_px:
+        raise ImageError(
+            f"a frame of {frame.shape[1]} x {frame.shape[0]} px and tiles of {pitch_px:.0f} px; a pattern "
+            "is found where four or more stand side by side: give the whole frame, or the right pitch"
+        )
+    _refuse_ends(frame)
+    planes = np.float32(frame).reshape(*frame.shape[:2], -1)
+    wide = int(2 * pitch_px) | 1
+    local = planes - cv2.blur(planes, (wide, wide)).reshape(planes.shape)
+    flat = local[::2, ::2].reshape(-1, planes.shape[2])
+    noise = np.array([noise_of(planes[..., k]) for k in range(planes.shape[2])]) + 0.3
+    _, along = np.linalg.eigh(np.cov((flat / noise).T).reshape(len(noise), -1))
+    weights = along[:, -1] / noise
+    weights *= np.sign(weights.sum()) / np.abs(weights).sum()
+    return PigmentAxis(_stretched(planes @ weights, weights), frame.shape[:2])
+
+
+def _refuse_ends(frame: Shaped[ndarray, ...]) -> None:
+    grey = frame if frame.ndim == 2 else frame.max(axis=2)
+    if np.percentile(grey, 99) < DARK:
+        raise ImageError(f"the frame is dark: 99 % of it lies below {DARK} of 255; look at the light")
+    if (grey > BRIGHT).mean() > MAX_CLIPPED:
+        raise ImageError(
+            f"{100 * (grey > BRIGHT).mean():.0f} % of the frame is saturated; lower light or exposure"
+        )
+
+
+def _stretched(axis: Float[ndarray, "h w"], weights: Float[ndarray, " c"]) -> Float[ndarray, "1 c1"]:
+    """Weights after which the axis fills an 8-bit image's range, as rounding must cost nothing."""
+    low, high = np.percentile(axis[::2, ::2], [0.1, 99.9])
+    if high - low < MIN_CONTRAST:
+        raise ImageError(
+            f"the frame's colours differ by {high - low:.1f} grey levels, and a pattern needs "
+            f"{MIN_CONTRAST:.0f}; look at light, focus and the crop"
+        )
+    scale = (HIGH - LOW) / (high - low)
+    return np.append(scale * weights, LOW - scale * low)[None].astype(np.float64)
+
+
+def noise_of(plane: Shaped[ndarray, "h w"]) -> float:
+    """Standard deviation of an image's noise, of pixels that do not know of each other.
+
+    Immerkaer's mask takes out what is straight in both directions (doi:10.1006/cviu.1996.0060); its median
+    leaves out edges.
+    """
+    rough = np.abs(cv2.filter2D(plane, cv2.CV_32F, LAPLACIAN))
+    return float(np.median(rough)) / (6 * HALF_NORMAL_MEDIAN)
+
+
+def noise_near(axis: Axis, smooth_below: Float[ndarray, "h w"], reach_px: int) -> Float[ndarray, "h w"]:
+    """Standard deviation of the noise around each pixel, from what is no edge.
+
+    Args:
+        axis: the image.
+        smooth_below: gradient [levels a pixel] below which a pixel is no edge.
+        reach_px: half-side of the window.
+    """
+    blurred = cv2.GaussianBlur(axis, (0, 0), 1.5)
+    gx, gy = cv2.spatialGradient(blurred)
+    flat = np.float32(np.abs(np.float32(gx)) + np.abs(np.float32(gy)) < 8 * smooth_below)
+    flat = cv2.erode(flat, np.ones((3, 3), np.uint8))
+    square = cv2.filter2D(axis, cv2.CV_32F, LAPLACIAN) ** 2 * flat
+    window = (2 * reach_px + 1,) * 2
+    count = cv2.blur(flat, window)
+    everywhere = square.sum() / max(float(flat.sum()), 1.0)
+    near = np.where(count > 0.02, cv2.blur(square, window) / np.maximum(count, 0.02), everywhere)
+    return np.sqrt(near / 36)
