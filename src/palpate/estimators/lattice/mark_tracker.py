@@ -22,7 +22,7 @@ from palpate.estimators.lattice.saddle_corners import (
     ring_around,
 )
 
-ROUNDS = 3
+ROUNDS = 2
 NEIGHBOURS = 8
 MAX_STEP = 0.3  # of the pitch between frames, each corner
 MAX_STRAY = 0.2  # of the pitch, from the median step of its neighbours
@@ -96,9 +96,12 @@ class MarkTracker:
         self, frame: Shaped[ndarray, ...]
     ) -> tuple[Float[ndarray, "n 2"], Float[ndarray, " n"], Float[ndarray, " n"], Bool[ndarray, " n"]]:
         """Places, standard errors and turns of all corners, looked for where they were, and which are sound."""
-        axis = self.reference.axis.of(frame)
-        places, _, sound = refined(axis, self._places, self.pitch, ROUNDS, gains=False)
+        low = np.maximum(self._places.min(axis=0) - self.pitch, 0).astype(int)
+        high = np.ceil(self._places.max(axis=0) + self.pitch).astype(int)
+        axis = self.reference.axis.of_part(frame[low[1] : high[1], low[0] : high[0]])
+        places, _, sound = refined(axis, self._places - low, self.pitch, ROUNDS, gains=False)
         turn, contrast, fourfold = ring_around(axis, places, self.pitch)
+        places += low
         sound &= (contrast > MIN_OF_CONTRAST * self._contrast) & (fourfold > 0.5)
         noise = (self._noise / np.maximum(contrast, 1.0)) ** 2
         sound &= half_turn(frame, places, self.pitch) > MIN_HALF_TURN - noise

@@ -47,14 +47,11 @@ class PigmentAxis:
                 f"a frame {frame.dtype} {list(frame.shape)}; the pattern was found in 8-bit frames of "
                 f"{list(self.size)} px and {channels} channels: give frames of that camera and crop"
             )
-        *weights, add = self.weights[0]
-        if channels == 1 or min(weights) < 0:
-            return cv2.transform(frame, self.weights).reshape(self.size)
-        # Positive weights never leave the range on the way, and sums of planes take half the time.
-        least, middle, most = np.argsort(weights)
-        planes = cv2.split(frame)
-        both = cv2.addWeighted(planes[most], weights[most], planes[middle], weights[middle], min(add, 0.0))
-        return cv2.addWeighted(both, 1.0, planes[least], weights[least], max(add, 0.0))
+        return self.of_part(frame)
+
+    def of_part(self, part: Shaped[ndarray, ...]) -> Axis:
+        """Axis of a part of such a frame ``[h w c]``, which is not checked."""
+        return cv2.transform(part, self.weights).reshape(part.shape[:2])
 
 
 def channels_of(frame: Shaped[ndarray, ...]) -> int:
