@@ -95,9 +95,7 @@ def _diagonal(corners: SaddleCorners, lattice: GrownLattice, bright: complex) ->
     return float((bright * np.conj(complex(*main) ** 2)).real)
 
 
-def _same(
-    corners: SaddleCorners, lattices: list[GrownLattice], reference: ControlPoints
-) -> ControlPoints:
+def _same(corners: SaddleCorners, lattices: list[GrownLattice], reference: ControlPoints) -> ControlPoints:
     cells, marks = named_as(reference, lattices, corners.places, "square", MAX_MOVE)
     if len(cells) < max(MIN_POINTS, MIN_SEEN * len(reference)):
         raise ImageError(

@@ -29,6 +29,7 @@ MAX_BETWEEN = 0.15  # share of marks halfway between two, beyond which a lattice
 MIN_MARKS = 9  # fewer are no lattice
 MIN_DETERMINANT = 0.05  # of the cells around: less are nearly on one line
 TRIES = 12  # marks from which it is begun
+HELD = 0.02  # of the weights, by which curvature is held towards none
 MARGIN = 4  # empty cells around the known ones
 
 
@@ -41,16 +42,19 @@ class Step:
         least_around: known cells within that reach.
         least_next: known cells next to it.
         within: of the local pitch, how far a mark may lie from there.
+        curved: whether the lattice's curvature counts too.
     """
 
     reach: int
     least_around: int
     least_next: int
     within: float
+    curved: bool = False
 
 
 NEXT = Step(2, MIN_AROUND, 3, 0.28)
 OVER_A_GAP = Step(3, 5, 0, 0.2)
+AROUND_A_BEND = Step(3, 7, 2, 0.2, curved=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +149,7 @@ class _Growth:
 
     def grown_from(self, seed: int, axes: np.ndarray) -> GrownLattice | None:
         self._begin(seed, axes)
-        while self._extend(NEXT) or self._extend(OVER_A_GAP):
+        while self._extend(NEXT) or self._extend(OVER_A_GAP) or self._extend(AROUND_A_BEND):
             pass
         while self._drop():
             pass
@@ -161,8 +165,14 @@ class _Growth:
             if far < NEXT.within * pitch and not (self.mark == which).any():
                 self.mark[MARGIN + 1 + row, MARGIN + 1 + column] = which
 
-    def _predicted(self, reach: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Where each cell's mark must lie by an affine map through those around it, without its own.
+    def _predicted(
+        self, reach: int = 2, curved: bool = False
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Where each cell's mark must lie by a map fitted to those around it, without its own.
+
+        Args:
+            reach: cells to each side that count.
+            curved: whether the map is of second order, held towards an affine one where cells are few.
 
         Returns:
             Places ``[r c 2]``; the local pitch; how many cells tell it; and whether they span both axes.
@@ -170,25 +180,29 @@ class _Growth:
         known = self.mark >= 0
         xy = np.where(known[..., None], self.places[self.mark], 0.0)
         w, u, v = _weights(reach, self.kind)
-        masks = [w, w * u, w * v, w * u * u, w * u * v, w * v * v]
+        terms = [np.ones_like(u), u, v, *((u * u, u * v, v * v) if curved else ())]
         whole = known.astype(np.float64)
-        m0, mu, mv, muu, muv, mvv = moments = [_correlate(whole, k) for k in masks]
+        matrix = np.stack([np.stack([_correlate(whole, w * p * q) for q in terms], -1) for p in terms], -1)
+        (m0, mu, mv), (_, muu, muv), mvv = (*matrix[..., :2, :3].transpose(2, 3, 0, 1), matrix[..., 2, 2])
         determinant = m0 * (muu * mvv - muv**2) - mu * (mu * mvv - muv * mv) + mv * (mu * muv - muu * mv)
         spans = determinant > MIN_DETERMINANT * np.maximum(m0, 1e-9) ** 3
-        matrix = np.stack(moments, axis=-1)[spans][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
         sides = np.stack(
-            [_correlate(np.ascontiguousarray(xy[..., a]), k)[spans] for k in masks[:3] for a in (0, 1)],
+            [
+                np.stack([_correlate(np.ascontiguousarray(xy[..., a]), w * p) for p in terms], -1)
+                for a in (0, 1)
+            ],
             axis=-1,
         )
-        fit = np.linalg.solve(matrix, sides.reshape(-1, 3, 2))
+        held = np.diag([0.0] * 3 + [HELD] * (len(terms) - 3))
+        fit = np.linalg.solve(matrix[spans] + held * m0[spans][:, None, None], sides[spans])
         place, pitch = np.full(xy.shape, np.nan), np.full(m0.shape, np.nan)
         place[spans] = fit[:, 0]
-        pitch[spans] = np.hypot(fit[:, 1:, 0], fit[:, 1:, 1]).min(axis=1)
+        pitch[spans] = np.hypot(fit[:, 1:3, 0], fit[:, 1:3, 1]).min(axis=1)
         return place, pitch, np.rint(_correlate(whole, (w > 0).astype(np.float64))), spans
 
     def _extend(self, step: Step) -> bool:
         """Take the marks that lie where cells next to known ones expect them; whether there were any."""
-        place, pitch, count, spans = self._predicted(step.reach)
+        place, pitch, count, spans = self._predicted(step.reach, step.curved)
         known = np.float64(self.mark >= 0)
         ready = (self.mark < 0) & spans & (count >= step.least_around)
         ready &= (
@@ -235,9 +249,11 @@ class _Growth:
     def _drop(self) -> bool:
         """Leave out marks that are not where those around say; whether there were any."""
         place, pitch, count, spans = self._predicted()
+        curved, _, _, _ = self._predicted(3, curved=True)
         row, column = np.nonzero(self.mark >= 0)
         which = self.mark[row, column]
-        off = np.hypot(*(place[row, column] - self.places[which]).T)
+        off, by_curve = (np.hypot(*(p[row, column] - self.places[which]).T) for p in (place, curved))
+        off = np.fmin(off, by_curve)
         bad = ~spans[row, column] | (count[row, column] < MIN_AROUND)
         share = off / np.maximum(pitch[row, column], 1e-9)
         usual = np.median(share[~bad]) if (~bad).any() else 0.0

@@ -95,7 +95,7 @@ class MarkTracker:
     def _followed(
         self, frame: Shaped[ndarray, ...]
     ) -> tuple[Float[ndarray, "n 2"], Float[ndarray, " n"], Float[ndarray, " n"], Bool[ndarray, " n"]]:
-        """Places, standard errors and turns of all corners, looked for where they were, and which are sound."""
+        """Places, standard errors and turns of all corners, and which are sound."""
         low = np.maximum(self._places.min(axis=0) - self.pitch, 0).astype(int)
         high = np.ceil(self._places.max(axis=0) + self.pitch).astype(int)
         axis = self.reference.axis.of_part(frame[low[1] : high[1], low[0] : high[0]])
@@ -143,9 +143,7 @@ class MarkTracker:
             return TrackedPoints(none, True, str(refusal))
         known = [self._number.get(cell, -1) for cell in map(tuple, found.cells.tolist())]
         rows = np.array(known)
-        found = ControlPoints(
-            found.cells[rows >= 0], found.places[rows >= 0], found.sigma[rows >= 0]
-        )
+        found = ControlPoints(found.cells[rows >= 0], found.places[rows >= 0], found.sigma[rows >= 0])
         rows = rows[rows >= 0]
         places, sound = self._places.copy(), np.zeros(len(self._cells), bool)
         places[rows], sound[rows] = found.places, True

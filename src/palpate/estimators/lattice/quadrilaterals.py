@@ -1,4 +1,4 @@
-"""Control points as the NUSense text finds them: quadrilaterals of bright tiles, and midpoints of their corners.
+"""Control points as published for NUSense: quadrilaterals of bright tiles, and midpoints of their corners.
 
 Algorithm 1 of "NUSense: Shear Based Robust Optical Tactile Sensor" (section 3.3.2), step for step. Where text
 and algorithm differ, both are kept: contrast is equalised (the algorithm alone says so) and edges become a
@@ -58,8 +58,8 @@ class QuadSettings:
     def __post_init__(self) -> None:
         if not (self.pitch_px >= 8 and 1 < self.c_th < 2):
             raise RangeError(
-                f"tiles of {self.pitch_px} px and c_th {self.c_th}; tiles are 8 px wide or more, and c_th lies "
-                "between 1 and 2 pitches, as tiles that meet are 1.41 apart"
+                f"tiles of {self.pitch_px} px and c_th {self.c_th}; tiles are 8 px wide or more, and c_th "
+                "lies between 1 and 2 pitches, as tiles that meet are 1.41 apart"
             )
 
 
@@ -151,9 +151,7 @@ def quad_midpoints(frame: Shaped[ndarray, ...], settings: QuadSettings | None = 
     gx, gy = (cv2.Sobel(filtered, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
     mask = cv2.compare(cv2.magnitude(gx, gy), _between(own.edge_threshold), cv2.CMP_LE)
     square = np.ones((own.structure_px,) * 2, np.uint8)
-    flat = cv2.dilate(
-        cv2.erode(mask, square, iterations=own.dilations), square, iterations=own.erosions
-    )
+    flat = cv2.dilate(cv2.erode(mask, square, iterations=own.dilations), square, iterations=own.erosions)
     contours, _ = cv2.findContours(flat, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     shortest = 4 * np.sqrt(own.area[0]) * own.pitch_px / 2  # in pixels of an outline, for any of that area
     light = cv2.boxFilter(filtered, -1, (int(3 * own.pitch_px) | 1,) * 2)
@@ -198,7 +196,7 @@ def _cropped(frame: Shaped[ndarray, ...], own: QuadSettings) -> Shaped[ndarray, 
     return np.ascontiguousarray(frame[y : y + height, x : x + width])
 
 
-def _origin(own: QuadSettings) -> Float[ndarray, "2"]:
+def _origin(own: QuadSettings) -> Float[ndarray, " 2"]:
     return np.array(own.region[:2] if own.region else (0, 0), np.float64)
 
 

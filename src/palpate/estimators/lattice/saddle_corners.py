@@ -66,7 +66,7 @@ def find_corners(axis: Axis, pitch_px: float, frame: Shaped[ndarray, ...] | None
     places = _candidates(axis, spread, noise, pitch_px)
     turn, contrast, _ = ring_around(axis, places, pitch_px)
     spread_there = _at(spread, places)
-    good = (contrast > MIN_CONTRAST * _at(noise, places))
+    good = contrast > MIN_CONTRAST * _at(noise, places)
     good &= contrast > 0.3 * spread_there
     placed, gain, sound = refined(axis, places[good], pitch_px)
     # Where it was found may have been some pixels off, and what lies around it is judged where it is.

@@ -1,0 +1,292 @@
+"""Dots of a skin, of any maker, found by a small description and named by their cell.
+
+A dot is a patch darker or brighter than its ground, of about a known radius. Its place is the centroid, under
+a Gaussian weight, of what it differs from the plane of light around it, moved until it stays; its standard
+error follows from that sum and the noise. Dots make the same kind of lattice as tiles' corners and pins.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+from scipy.optimize import nnls
+from scipy.spatial import cKDTree
+
+from palpate.core import Bool, Float, ImageError, InputError, PathText, RangeError, Shaped, ndarray
+from palpate.estimators.lattice.control_points import ControlPoints
+from palpate.estimators.lattice.lattice_growth import LatticeKind, grow_lattices
+from palpate.estimators.lattice.lattice_identity import named_as
+from palpate.estimators.lattice.two_pigments import HALF_NORMAL_MEDIAN, LAPLACIAN, noise_of
+
+Points = Float[ndarray, "n 2"]
+Offsets = tuple[np.ndarray, np.ndarray]
+
+MIN_ROUND = 0.1  # product of a dot's curvatures over their sum squared; 0.25 is a circle
+MIN_DOTS = 9
+MIN_CONTRAST = 5.0  # times the noise
+MIN_LEVEL = 100  # pixels of a grey level, to tell its noise
+RING = 1.8, 2.8  # of the radius, between which the ground is seen
+WEIGHT = 0.9  # standard deviation of the weights, of the radius
+ROUNDS, STILL_PX = 12, 0.003
+MAX_MOVE = 1.2  # of the radius, from where a dot was looked for
+MAX_ANGLE = 1.4  # rad from a fisheye's axis, beyond which straightening stands still
+NO_PEAK = 1e12  # in place of a derivative where the patch has no peak: it then does not move
+
+
+@dataclass(frozen=True)
+class DottedSkin:
+    """Description of a dotted skin in its camera's image.
+
+    Attributes:
+        kind: "square" or "hexagonal".
+        pitch_px: about the distance of neighbouring dots in the image's middle [px].
+        radius_px: about a dot's radius there [px].
+        colour: of the dots on their ground, "dark" or "bright".
+        region: x, y, width and height in which dots are looked for [px]; all of the frame without.
+        min_contrast: of a dot with its ground, as a share of the ground's brightness.
+        fisheye: x and y of the middle and focal length of an equidistant lens [px], where lines of dots bend
+            so much that neighbours must be told on the straightened image; places stay those of the frame.
+    """
+
+    kind: LatticeKind = "square"
+    pitch_px: float = 40.0
+    radius_px: float = 4.0
+    colour: Literal["dark", "bright"] = "dark"
+    region: tuple[int, int, int, int] | None = None
+    min_contrast: float = 0.08
+    fisheye: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("square", "hexagonal") or self.colour not in ("dark", "bright"):
+            raise InputError(
+                f'a skin of kind {self.kind!r} and colour {self.colour!r}; kind is "square" or "hexagonal", '
+                'colour "dark" or "bright"'
+            )
+        if not (1 <= self.radius_px <= 0.4 * self.pitch_px):
+            raise RangeError(
+                f"dots of radius {self.radius_px} px, {self.pitch_px} px apart; a radius lies between 1 px "
+                "and 0.4 of the pitch"
+            )
+        if self.region is not None and (len(self.region) != 4 or min(self.region[2:]) < 1):
+            raise InputError(f"a region {self.region}; give x, y, width and height in px")
+        if self.fisheye is not None and not (len(self.fisheye) == 3 and self.fisheye[2] > 0):
+            raise InputError(f"a fisheye {self.fisheye}; give x and y of its middle and focal length in px")
+
+    def straightened(self, places: Points) -> Points:
+        """Places ``[n 2]`` as a lens without distortion shows them [px]; themselves without a fisheye."""
+        if self.fisheye is None:
+            return places
+        *middle, focal = self.fisheye
+        away = places - np.array(middle)
+        angle = np.hypot(*away.T) / focal
+        bounded = np.minimum(angle, MAX_ANGLE)
+        return np.array(middle) + away * (np.tan(bounded) / np.maximum(bounded, 1e-9))[:, None]
+
+
+def read_skin(path: PathText) -> DottedSkin:
+    """A skin's description from a JSON or TOML file, whose keys are those of `DottedSkin`.
+
+    Raises:
+        InputError: it cannot be read, or has other keys or values.
+    """
+    file = Path(path)
+    try:
+        text = file.read_text(encoding="utf-8")
+        found = tomllib.loads(text) if file.suffix == ".toml" else json.loads(text)
+    except (OSError, ValueError) as e:
+        raise InputError(f"{file} is not a skin's description: {e}; give JSON, or TOML named .toml") from e
+    known = {field.name for field in fields(DottedSkin)}
+    if not isinstance(found, dict) or set(found) - known:
+        other = sorted(set(found) - known) if isinstance(found, dict) else type(found).__name__
+        raise InputError(f"{file} has {other}; a skin's description has {sorted(known)}")
+    try:
+        for key in ("region", "fisheye"):
+            if found.get(key) is not None:
+                found[key] = tuple(found[key])
+        return DottedSkin(**found)
+    except TypeError as e:
+        raise InputError(f"{file}: {e}; lengths are numbers in px") from e
+
+
+def find_dots(
+    frame: Shaped[ndarray, ...], skin: DottedSkin, reference: ControlPoints | None = None
+) -> ControlPoints:
+    """Dots of a frame that lie on the skin's lattice.
+
+    Args:
+        frame: 8-bit RGB ``[h w 3]`` or grey ``[h w]``.
+        skin: what is looked for.
+        reference: dots of an earlier frame whose names are kept; the first column and row seen are 0 without.
+
+    Raises:
+        ImageError: another kind of frame, or too few dots on a lattice.
+    """
+    if frame.dtype != np.uint8 or not (frame.ndim == 2 or (frame.ndim == 3 and frame.shape[2] == 3)):
+        raise ImageError(f"dots are found in 8-bit grey or RGB frames, got {frame.dtype} {list(frame.shape)}")
+    grey = np.ascontiguousarray(frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY))
+    places, sigma = placed_dots(grey, _candidates(grey, skin), skin)
+    straight = skin.straightened(places)
+    lattices = grow_lattices(straight, skin.kind)
+    if not lattices or len(lattices[0].cells) < MIN_DOTS:
+        raise ImageError(
+            f"{len(places)} dots in the frame, and fewer than {MIN_DOTS} on a {skin.kind} lattice; look at "
+            f"focus, light, and the skin's description: {skin}"
+        )
+    cells, marks = lattices[0].cells, lattices[0].marks
+    if reference is not None:
+        flat = replace(reference, places=skin.straightened(reference.places))
+        cells, marks = named_as(flat, lattices, straight, skin.kind)
+    if len(cells) < MIN_DOTS:
+        raise ImageError(
+            f"{len(cells)} dots lie near the reference's; they have moved by more than half their "
+            "distance, or are of another skin: give a nearer reference"
+        )
+    return ControlPoints(cells, places[marks], sigma[marks])
+
+
+def _candidates(grey: Shaped[ndarray, "h w"], skin: DottedSkin) -> Points:
+    """Whole pixels where a round patch of the dots' size differs most from around it."""
+    sign = 1.0 if skin.colour == "dark" else -1.0
+    image = np.float32(grey)
+    width = max(1.0, 0.6 * skin.radius_px)
+    smooth = cv2.GaussianBlur(image, (0, 0), width)
+    ground = cv2.GaussianBlur(image, (0, 0), 2 * skin.radius_px)
+    differs = sign * (ground - smooth)
+    xx, yy, xy = (sign * cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((2, 0), (0, 2), (1, 1)))
+    round_ = (xx * yy - xy**2) / np.maximum((xx + yy) ** 2, 1e-6)
+    reach = 2 * max(1, round(1.2 * skin.radius_px)) + 1
+    top = cv2.dilate(differs, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
+    light = ground if skin.colour == "dark" else smooth
+    good = (differs >= top) & (differs > skin.min_contrast * light) & (xx + yy > 0) & (round_ > MIN_ROUND)
+    good &= differs > MIN_CONTRAST / 2 * noise_of(image)
+    if skin.region is not None:
+        x, y, wide, high = skin.region
+        inside = np.zeros_like(good)
+        inside[max(y, 0) : y + high, max(x, 0) : x + wide] = True
+        good &= inside
+    y, x = np.nonzero(good)
+    return np.stack([x, y], axis=1).astype(np.float64)
+
+
+def placed_dots(
+    grey: Shaped[ndarray, "h w"], near: Points, skin: DottedSkin
+) -> tuple[Points, Float[ndarray, " m"]]:
+    """Centroids of dots and their standard error along each axis [px], of those that are there.
+
+    Args:
+        grey: 8-bit image.
+        near: where dots are looked for ``[n 2]`` [px].
+        skin: their size and colour.
+    """
+    half = int(np.ceil(RING[1] * skin.radius_px))
+    high, wide = grey.shape
+    # Beyond the frame's edge there is nothing to see: such a dot is left out.
+    inside = ((near > half) & (near < np.array([wide, high]) - half - 1)).all(axis=1)
+    start = near[inside]
+    if not len(start):
+        return np.empty((0, 2)), np.empty(0)
+    corner = np.rint(start).astype(int) - half
+    views = np.lib.stride_tricks.sliding_window_view(grey, (2 * half + 1,) * 2)
+    raised = _above_ground(views[corner[:, 1], corner[:, 0]].astype(np.float64), skin, half)
+    xy, moved = start.copy(), np.full(len(start), np.inf)
+    steps = np.arange(2 * half + 1.0)
+    for _ in range(ROUNDS):
+        d, w = _weights(xy - corner, steps, WEIGHT * skin.radius_px)
+        move = _step(raised, d, w, WEIGHT * skin.radius_px)
+        moved = np.hypot(*move.T)
+        xy = xy + move * np.minimum(1, 1 / np.maximum(moved, 1e-9))[:, None]
+        if not (moved > STILL_PX).any():
+            break
+    d, w = _weights(xy - corner, steps, WEIGHT * skin.radius_px)
+    noise = noise_of(np.float32(grey))
+    variance = _variance_by_level(grey)[views[corner[:, 1], corner[:, 0]]]
+    sigma = _error(raised, variance, d, w, WEIGHT * skin.radius_px)
+    contrast = (w * raised).sum(axis=(1, 2)) / w.sum(axis=(1, 2))
+    sound = _is_there(xy - start, moved, contrast, sigma, noise, skin)
+    return _one_each(xy[sound], sigma[sound], skin.radius_px)
+
+
+def _is_there(
+    step: Points, moved: np.ndarray, contrast: np.ndarray, sigma: np.ndarray, noise: float, skin: DottedSkin
+) -> Bool[ndarray, " n"]:
+    near = np.hypot(*step.T) < MAX_MOVE * skin.radius_px
+    return near & (moved < 0.1) & (contrast > noise) & (sigma < 0.3 * skin.radius_px)
+
+
+def _above_ground(patches: np.ndarray, skin: DottedSkin, half: int) -> np.ndarray:
+    """What a dot differs by from the plane through the ground around it."""
+    y, x = np.mgrid[-half : half + 1, -half : half + 1].astype(float)
+    ring = (np.hypot(x, y) >= RING[0] * skin.radius_px) & (np.hypot(x, y) <= RING[1] * skin.radius_px)
+    plane = np.stack([np.ones_like(x), x, y], axis=-1)
+    fit = patches[:, ring] @ np.linalg.pinv(plane[ring]).T
+    sign = 1.0 if skin.colour == "dark" else -1.0
+    return sign * (np.einsum("nk,yxk->nyx", fit, plane) - patches)
+
+
+def _weights(away: Points, steps: np.ndarray, width: float) -> tuple[Offsets, np.ndarray]:
+    dx, dy = steps - away[:, :1], steps - away[:, 1:]
+    w = np.exp(-0.5 * (dy / width) ** 2)[:, :, None] * np.exp(-0.5 * (dx / width) ** 2)[:, None, :]
+    return (np.broadcast_to(dx[:, None, :], w.shape), np.broadcast_to(dy[:, :, None], w.shape)), w
+
+
+def _jacobian(raised: np.ndarray, d: Offsets, w: np.ndarray, width: float) -> np.ndarray:
+    """How the weighted sum of distances changes with the place ``[n 2 2]``, positive."""
+    ws = w * raised
+    spread = np.array([[np.einsum("nyx,nyx,nyx->n", ws, p, q) for q in d] for p in d]).transpose(2, 0, 1)
+    j = ws.sum(axis=(1, 2))[:, None, None] * np.eye(2) - spread / width**2
+    lost = ~(np.linalg.det(j) > 1e-9) | ~(np.trace(j, axis1=1, axis2=2) > 0)
+    j[lost] = NO_PEAK * np.eye(2)
+    return j
+
+
+def _step(raised: np.ndarray, d: Offsets, w: np.ndarray, width: float) -> Points:
+    sums = np.stack([(w * raised * axis).sum(axis=(1, 2)) for axis in d], axis=1)
+    return np.linalg.solve(_jacobian(raised, d, w, width), sums[..., None])[..., 0]
+
+
+def _error(
+    raised: np.ndarray, variance: np.ndarray, d: Offsets, w: np.ndarray, width: float
+) -> Float[ndarray, " n"]:
+    """Standard error of a centroid for pixels' noise; infinite where there is no peak."""
+    j = _jacobian(raised, d, w, width)
+    ww = w * w * variance
+    middle = np.array([[np.einsum("nyx,nyx,nyx->n", ww, p, q) for q in d] for p in d]).transpose(2, 0, 1)
+    inverse = np.linalg.inv(j)
+    spread = np.einsum("nij,njk,nlk->nil", inverse, middle, inverse)
+    error = np.sqrt(np.trace(spread, axis1=1, axis2=2) / 2)
+    return np.where(j[:, 0, 0] >= NO_PEAK, np.inf, error)
+
+
+def _variance_by_level(grey: Shaped[ndarray, "h w"]) -> Float[ndarray, 256]:
+    """Variance of the noise at each grey level: a line through what levels have, as shot noise makes it."""
+    rough = np.abs(cv2.filter2D(grey, cv2.CV_32F, LAPLACIAN)) / (6 * HALF_NORMAL_MEDIAN)
+    level = cv2.blur(grey, (3, 3))
+    x, y, count = [], [], []
+    for low in range(0, 256, 16):
+        here = (level >= low) & (level < low + 16)
+        if here.sum() > MIN_LEVEL:
+            x.append(level[here].mean())
+            y.append(np.median(rough[here]) ** 2)
+            count.append(np.sqrt(here.sum()))
+    if not x:
+        return np.full(256, max(float(np.median(rough)) ** 2, 1 / 12))
+    weight = np.array(count)
+    basis = np.stack([np.ones(len(x)), x], axis=1)
+    (dark, slope), _ = nnls(basis * weight[:, None], np.array(y) * weight)
+    return np.maximum(dark + slope * np.arange(256), 1 / 12)
+
+
+def _one_each(
+    places: Points, sigma: Float[ndarray, " n"], radius_px: float
+) -> tuple[Points, Float[ndarray, " m"]]:
+    """Dots without those that ended where another did."""
+    keep = np.ones(len(places), bool)
+    for i, j in sorted(cKDTree(places).query_pairs(radius_px)) if len(places) else ():
+        keep[j if sigma[j] >= sigma[i] else i] = False
+    return places[keep], sigma[keep]
