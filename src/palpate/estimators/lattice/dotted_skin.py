@@ -176,7 +176,7 @@ def _candidates(grey: Shaped[ndarray, "h w"], skin: DottedSkin) -> Points:
 
 def placed_dots(
     grey: Shaped[ndarray, "h w"], near: Points, skin: DottedSkin
-) -> tuple[Points, Float[ndarray, " m"]]:
+) -> tuple[Float[ndarray, "m 2"], Float[ndarray, " m"]]:
     """Centroids of dots and their standard error along each axis [px], of those that are there.
 
     Args:
@@ -224,7 +224,14 @@ def _above_ground(patches: np.ndarray, skin: DottedSkin, half: int) -> np.ndarra
     y, x = np.mgrid[-half : half + 1, -half : half + 1].astype(float)
     ring = (np.hypot(x, y) >= RING[0] * skin.radius_px) & (np.hypot(x, y) <= RING[1] * skin.radius_px)
     plane = np.stack([np.ones_like(x), x, y], axis=-1)
-    fit = patches[:, ring] @ np.linalg.pinv(plane[ring]).T
+    there, basis = patches[:, ring], plane[ring]
+    fit = there @ np.linalg.pinv(basis).T
+    for _ in range(2):  # once more without what is no ground, such as a neighbour
+        off = np.abs(there - fit @ basis.T)
+        ground = np.float64(off <= 3 * np.median(off, axis=1, keepdims=True) + 1)
+        normal = np.einsum("nk,ki,kj->nij", ground, basis, basis)
+        sides = np.einsum("nk,nk,ki->ni", ground, there, basis)
+        fit = np.linalg.solve(normal, sides[..., None])[..., 0]
     sign = 1.0 if skin.colour == "dark" else -1.0
     return sign * (np.einsum("nk,yxk->nyx", fit, plane) - patches)
 
@@ -284,7 +291,7 @@ def _variance_by_level(grey: Shaped[ndarray, "h w"]) -> Float[ndarray, 256]:
 
 def _one_each(
     places: Points, sigma: Float[ndarray, " n"], radius_px: float
-) -> tuple[Points, Float[ndarray, " m"]]:
+) -> tuple[Float[ndarray, "m 2"], Float[ndarray, " m"]]:
     """Dots without those that ended where another did."""
     keep = np.ones(len(places), bool)
     for i, j in sorted(cKDTree(places).query_pairs(radius_px)) if len(places) else ():

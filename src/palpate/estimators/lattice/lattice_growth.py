@@ -74,7 +74,7 @@ class GrownLattice:
 
 
 def grow_lattices(
-    places: Points, kind: LatticeKind = "square", turn: Float[ndarray, " n"] | None = None
+    places: Points, kind: str = "square", turn: Float[ndarray, " n"] | None = None
 ) -> list[GrownLattice]:
     """Lattices that hang together among marks, the one with most marks first; the rest is left out.
 
@@ -100,7 +100,7 @@ def grow_lattices(
     return sorted(found, key=lambda lattice: -len(lattice.cells))
 
 
-def _largest(places: Points, kind: LatticeKind, turn: Float[ndarray, " n"] | None) -> GrownLattice | None:
+def _largest(places: Points, kind: str, turn: Float[ndarray, " n"] | None) -> GrownLattice | None:
     """The lattice that most marks of several beginnings belong to."""
     best, reached = None, np.zeros(len(places), bool)
     tries = 0
@@ -118,32 +118,42 @@ def _largest(places: Points, kind: LatticeKind, turn: Float[ndarray, " n"] | Non
     return best
 
 
-def _seeds(places: Points, kind: LatticeKind) -> list[tuple[int, np.ndarray]]:
+def _seeds(places: Points, kind: str) -> list[tuple[int, np.ndarray]]:
     """Marks between opposite neighbours, and the two axes there, from the middle outwards."""
     count = 4 if kind == "square" else 6
     near, which = cKDTree(places).query(places, k=count + 1)
-    typical = np.median(near[:, 1])
-    out = places[which[:, 1:]] - places[:, None]
-    mirrored = np.hypot(*(out[:, :, None] + out[:, None]).transpose(3, 0, 1, 2)).min(axis=2).max(axis=1)
-    whole = (mirrored < 0.35 * near[:, 1]) & (near[:, -1] < 1.7 * near[:, 1])
+    near, out = near[:, 1:], places[which[:, 1:]] - places[:, None]
+    typical = np.median(near[:, 0])
+    mirror = np.hypot(*(out[:, :, None] + out[:, None]).transpose(3, 0, 1, 2)).min(axis=2)
+    whole = (mirror < 0.35 * near[:, :1]) & (near < (1.7 if count == 4 else 1.45) * near[:, :1])
     apart = np.hypot(*(places - np.median(places, axis=0)).T)
-    usual = np.abs(np.log(near[:, 1] / typical))
+    order = np.argsort(apart * (1 + np.abs(np.log(near[:, 0] / typical))))
     seeds = []
-    for i in np.flatnonzero(whole)[np.argsort((apart * (1 + usual))[whole])]:
-        direction = out[i] / near[i, 1:, None]
-        first = out[i][np.argmax(direction[:, 0])]
-        # The second axis lies the first's way round to the image's rows.
-        wanted = np.pi / 2 if count == 4 else np.pi / 3
-        angle = np.arctan2(out[i][:, 1], out[i][:, 0]) - np.arctan2(first[1], first[0])
-        off = np.abs((angle - wanted + np.pi) % (2 * np.pi) - np.pi)
-        seeds.append((int(i), np.stack([first, out[i][np.argmin(off)]])))
+    for i in order[whole.sum(axis=1)[order] >= 4]:
+        axes = _axes(out[i][whole[i]], count)
+        if axes is not None:
+            seeds.append((int(i), axes))
     return seeds
+
+
+def _axes(around: Points, count: int) -> np.ndarray | None:
+    """Both axes of a lattice, the first along the image's columns as nearly as may be, from a mark's neighbours.
+
+    Where one neighbour pair of a hexagonal lattice is missing, the second axis is the sum of the two others.
+    """
+    first = around[np.argmax(around[:, 0] / np.hypot(*around.T))]
+    angle = np.arctan2(around[:, 1], around[:, 0]) - np.arctan2(first[1], first[0])
+    for wanted, add in ((np.pi / 2, 0.0),) if count == 4 else ((np.pi / 3, 0.0), (2 * np.pi / 3, 1.0)):
+        off = np.abs((angle - wanted + np.pi) % (2 * np.pi) - np.pi)
+        if off.min() < (0.75 if count == 4 else 0.5):
+            return np.stack([first, around[np.argmin(off)] + add * first])
+    return None
 
 
 class _Growth:
     """A grid of cells that fills with marks. Cells lie as [row, column]."""
 
-    def __init__(self, places: Points, kind: LatticeKind, turn: Float[ndarray, " n"] | None) -> None:
+    def __init__(self, places: Points, kind: str, turn: Float[ndarray, " n"] | None) -> None:
         self.places, self.turn, self.kind = places, turn, kind
         self.tree = cKDTree(places)
 
@@ -299,7 +309,7 @@ class _Growth:
 
 
 @cache
-def _weights(reach: int, kind: LatticeKind) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _weights(reach: int, kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Weights of the cells around one, by their distance, and their columns and rows from it."""
     steps = np.arange(-reach, reach + 1.0)
     column, row = np.meshgrid(steps, steps)

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from palpate.core import Float, Int, ndarray
 from palpate.estimators.lattice.control_points import ControlPoints
-from palpate.estimators.lattice.lattice_growth import GrownLattice, LatticeKind
+from palpate.estimators.lattice.lattice_growth import GrownLattice
 
 MAX_MOVE = 0.7  # of the pitch, from the reference: halfway to the next corner of the same kind
 MAX_DOT_MOVE = 0.5  # the same where all marks are alike
@@ -25,7 +25,7 @@ def named_as(
     reference: ControlPoints,
     lattices: list[GrownLattice],
     places: Float[ndarray, "n 2"],
-    kind: LatticeKind = "square",
+    kind: str = "square",
     max_move: float = MAX_DOT_MOVE,
 ) -> tuple[Int[ndarray, "m 2"], Int[ndarray, " m"]]:
     """Cells in the reference's names, and which mark stands in each.
@@ -57,7 +57,7 @@ def _named(
     tree: cKDTree,
     lattice: GrownLattice,
     places: Float[ndarray, "n 2"],
-    kind: LatticeKind,
+    kind: str,
     max_move: float,
 ) -> Int[ndarray, "n 2"] | None:
     """Cells of one lattice in the reference's names; none if its marks disagree about the step."""

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from palpate.core import Bool, Float, Shaped, UInt8, ndarray
+from palpate.core import Bool, Float, Int, Shaped, ndarray
 from palpate.estimators.lattice.two_pigments import Axis, noise_near
 
 Points = Float[ndarray, "n 2"]
@@ -194,8 +194,8 @@ def refined(
 
 
 def _patches(
-    axis: Axis, middle: UInt8[ndarray, "n 2"] | np.ndarray, half: int
-) -> tuple[Float[ndarray, "n w w"], np.ndarray]:
+    axis: Axis, middle: Int[ndarray, "n 2"], half: int
+) -> tuple[Float[ndarray, "n k k"], Int[ndarray, "n 2"]]:
     """Squares of the image around each middle, and where their first pixel lies."""
     views = np.lib.stride_tricks.sliding_window_view(axis, (2 * half + 1,) * 2)
     corner = middle - half

@@ -1,0 +1,201 @@
+"""Corners of rendered checkerboards against where they truly are: places, standard errors, names, refusals."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from tests.rendered_boards import View, board, noisy
+
+from palpate.core import ImageError, InputError, RangeError
+from palpate.estimators.lattice import ControlPoints, MarkTracker, find_checkerboard
+
+VIEW = View(pitch=20.0, turn=0.08, shear=0.05, size=(400, 300), at=(190.0, 140.0), reach=50.0)
+EXTENT = (14, 10)
+MIN_CORNERS = 150
+
+
+def rendered(view: View, seed: int = 0, **how) -> np.ndarray:
+    return noisy(board(view, extent=EXTENT, **how), np.random.default_rng(seed))
+
+
+def errors(points: ControlPoints, view: View) -> tuple[np.ndarray, np.ndarray]:
+    """Distances from the true places ``[n 2]``, and the steps from true cells to names, one row of each."""
+    true = np.rint(view.lattice(points.places)).astype(int)
+    return points.places - view.places(true.astype(float)), np.unique(true - points.cells, axis=0)
+
+
+@pytest.fixture(scope="module")
+def reference() -> ControlPoints:
+    return find_checkerboard(rendered(VIEW), 20).points
+
+
+@pytest.mark.parametrize(
+    ("view", "how"),
+    [
+        (VIEW, {}),
+        (replace(VIEW, bulge=5.0), {}),
+        (replace(VIEW, bulge=4.0), {"uneven": 0.6}),
+        (replace(VIEW, turn=-0.6, shear=0.15), {"blur": 1.3}),
+        (replace(VIEW, barrel=0.3), {"blur": 0.6}),
+    ],
+    ids=["rest", "pressed", "uneven light", "turned, sheared and soft", "fisheye"],
+)
+def test_corners_lie_within_a_twentieth_of_a_pixel_and_their_errors_are_as_stated(view, how) -> None:
+    points = find_checkerboard(rendered(view, **how), 20).points
+    off, steps = errors(points, view)
+    assert len(points) > MIN_CORNERS
+    assert len(steps) == 1, "every name is right, up to the one step that no reference tells"
+    assert np.sqrt((off**2).mean()) < 0.05
+    # About 330 numbers: a standard deviation of 1 is found within 0.12 at three standard errors.
+    assert 0.85 < (off / points.sigma[:, None]).std() < 1.2
+
+
+def test_more_noise_is_more_stated_error() -> None:
+    clean = board(VIEW, extent=EXTENT)
+    once, thrice = (
+        find_checkerboard(noisy(clean, np.random.default_rng(1), scale), 20).points for scale in (1.0, 3.0)
+    )
+    assert np.median(thrice.sigma) / np.median(once.sigma) == pytest.approx(3.0, rel=0.12)
+    off, _ = errors(thrice, VIEW)
+    assert 0.85 < (off / thrice.sigma[:, None]).std() < 1.2
+
+
+def test_an_even_corner_begins_a_bright_tile() -> None:
+    frame = rendered(VIEW)
+    for picture in (frame, np.ascontiguousarray(np.rot90(frame))):
+        points = find_checkerboard(picture, 20).points
+        place = dict(zip(map(tuple, points.cells.tolist()), points.places, strict=True))
+        for cell, at in place.items():
+            far = place.get((cell[0] + 1, cell[1] + 1))
+            if far is not None:
+                x, y = np.rint((at + far) / 2).astype(int)
+                assert (picture[y, x, 1] > 100) == (sum(cell) % 2 == 0)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.2, 0.3])
+def test_tiles_painted_over_take_their_corners_and_no_name_of_others(reference, share) -> None:
+    rng = np.random.default_rng(int(100 * share))
+    tiles = [(i, j) for i in range(-8, 8) for j in range(-6, 6) if (i + j) % 2 == 0]
+    gone = {tiles[k] for k in rng.permutation(len(tiles))[: int(share * len(tiles))]}
+    view = replace(VIEW, bulge=4.0)
+    points = find_checkerboard(rendered(view, painted=tuple(gone)), 20, reference).points
+    off, steps = errors(points, view)
+    _, truth = errors(reference, VIEW)
+    assert steps.tolist() == truth.tolist()
+    assert np.abs(off).max() < 0.2
+    cells = np.rint(view.lattice(points.places)).astype(int).tolist()
+    touched = {(i + a, j + b) for i, j in gone for a in (0, 1) for b in (0, 1)}
+    assert not touched & set(map(tuple, cells))
+
+
+@pytest.mark.parametrize("strip", [(1.0, 3.0, -1.0), (0.0, 4.0, -20.0)], ids=["torn in", "torn through"])
+def test_both_sides_of_a_tear_keep_their_names(reference, strip) -> None:
+    view = replace(VIEW, bulge=3.0, at=(110.0, 140.0))
+    points = find_checkerboard(rendered(view, torn=strip), 20, reference).points
+    off, steps = errors(points, view)
+    _, truth = errors(reference, VIEW)
+    assert steps.tolist() == truth.tolist()
+    assert np.sqrt((off**2).mean()) < 0.05
+    columns = np.rint(view.lattice(points.places)).astype(int)[:, 0]
+    assert (columns < strip[0]).any()
+    assert (columns > strip[1]).any()
+
+
+def blank(level: int) -> np.ndarray:
+    return noisy(np.full((300, 400, 3), float(level)), np.random.default_rng(2))
+
+
+@pytest.mark.parametrize(
+    ("frame", "said"),
+    [
+        (blank(5), "dark"),
+        (np.full((300, 400, 3), 255, np.uint8), "saturated"),
+        (blank(120), "corners|colours"),
+        (np.random.default_rng(3).integers(0, 255, (300, 400, 3), dtype=np.uint8), "corners"),
+        (cv2.GaussianBlur(rendered(VIEW), (0, 0), 7), "corners"),
+        (np.clip(rendered(VIEW).astype(int) + 220, 0, 255).astype(np.uint8), "saturated"),
+        (rendered(VIEW).astype(np.float32), "8-bit"),
+        (rendered(VIEW)[:40, :40], "px"),
+    ],
+    ids=["dark", "white", "flat", "noise only", "blurred", "over-exposed", "floats", "tiny"],
+)
+def test_a_frame_without_a_pattern_to_be_seen_is_refused(frame, said) -> None:
+    with pytest.raises(ImageError, match=said):
+        find_checkerboard(frame, 20)
+
+
+def test_a_pattern_half_out_of_view_has_no_names(reference) -> None:
+    frame = rendered(replace(VIEW, shift=(160.0, 0.0)))
+    with pytest.raises(ImageError, match="reference"):
+        find_checkerboard(frame, 20, reference)
+
+
+def test_a_pitch_that_is_wrong_by_half_is_corrected() -> None:
+    frame = rendered(VIEW)
+    right, guessed = find_checkerboard(frame, 20), find_checkerboard(frame, 30)
+    assert len(guessed.points) > 0.95 * len(right.points)
+    assert guessed.pitch == pytest.approx(right.pitch, rel=0.02)
+    with pytest.raises(RangeError, match="5 px"):
+        find_checkerboard(frame, 1.0)
+
+
+@pytest.mark.parametrize("frames", [150, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_no_corner_takes_another_s_name_in_a_slide(frames) -> None:
+    """The pattern slides to and fro by more than a tile, pressed in places that move, with noise."""
+    small = replace(VIEW, size=(260, 200), pitch=18.0, at=(120.0, 90.0), reach=35.0)
+    rng = np.random.default_rng(4)
+    extent = (8, 6)
+    tracker = MarkTracker(noisy(board(small, extent=extent, samples=2), rng), 18)
+    truth = np.unique(
+        np.rint(small.lattice(tracker.reference.points.places)).astype(int) - tracker.reference.points.cells,
+        axis=0,
+    )
+    furthest = 0.0
+    for k in range(1, frames + 1):
+        phase = 2 * np.pi * k / 100
+        shift = (28 * np.sin(phase), 12 * np.sin(0.7 * phase))
+        view = replace(small, shift=shift, bulge=4 * np.sin(phase) ** 2, at=(130 + 20 * np.cos(phase), 95.0))
+        got = tracker.follow(noisy(board(view, extent=extent, samples=2), rng))
+        named = np.rint(view.lattice(got.points.places)).astype(int) - got.points.cells
+        assert (named == truth).all()
+        assert len(got.points) > 0.9 * len(tracker.reference.points), (k, got.reason)
+        furthest = max(furthest, abs(shift[0]))
+    assert furthest > 1.5 * tracker.pitch
+
+
+def test_points_followed_are_as_near_and_as_sure_as_points_found() -> None:
+    tracker = MarkTracker(rendered(VIEW), 20)
+    view = replace(VIEW, bulge=1.5)
+    got = tracker.follow(rendered(view, seed=5))
+    assert not got.found_anew
+    off, _ = errors(got.points, view)
+    assert np.sqrt((off**2).mean()) < 0.05
+    assert 0.85 < (off / got.points.sigma[:, None]).std() < 1.2
+
+
+def test_after_lost_frames_and_a_jump_points_come_back_under_their_names() -> None:
+    frame = rendered(VIEW)
+    tracker = MarkTracker(frame, 20)
+    _, truth = errors(tracker.reference.points, VIEW)
+    covered = tracker.follow(np.full_like(frame, 3))
+    assert not len(covered.points)
+    assert "dark" in covered.reason
+    jumped = replace(VIEW, shift=(9.0, -6.0))
+    got = tracker.follow(rendered(jumped, seed=6))
+    assert got.found_anew
+    assert errors(got.points, jumped)[1].tolist() == truth.tolist()
+    assert not tracker.follow(rendered(jumped, seed=7)).found_anew
+
+
+def test_a_corner_that_was_covered_is_followed_again() -> None:
+    tracker = MarkTracker(rendered(VIEW), 20)
+    hidden = tracker.follow(rendered(VIEW, seed=8, painted=((0, 0), (3, 1))))
+    assert len(hidden.points) == len(tracker.reference.points) - 8
+    assert len(tracker.follow(rendered(VIEW, seed=9)).points) == len(tracker.reference.points)
+
+
+def test_a_frame_of_another_size_is_not_followed() -> None:
+    frame = rendered(VIEW)
+    with pytest.raises(InputError, match="as the reference"):
+        MarkTracker(frame, 20).follow(frame[:-1])
