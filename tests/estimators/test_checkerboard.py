@@ -1,4 +1,4 @@
-"""Corners of rendered checkerboards against where they truly are: places, standard errors, names, refusals."""
+"""Corners of rendered checkerboards against the truth: places, standard errors, names, refusals."""
 
 from dataclasses import replace
 

@@ -84,7 +84,7 @@ def test_a_step_by_whole_cells_is_not_told_from_none(step) -> None:
     """Nothing in a lattice without edges tells it: what `named_as` may not be used for."""
     cells, places = View(barrel=0.0).marks((12, 10))
     reference = ControlPoints(cells, places, np.zeros(len(cells)))
-    moved = places + [24 * step, 0]
+    moved = places + np.array([24 * step, 0])
     named, marks = named_as(reference, grow_lattices(moved), moved)
     assert (named - cells[marks] == [round(step), 0]).all()
 

@@ -32,7 +32,7 @@ def test_midpoints_lie_on_corners_to_some_pixels(frame) -> None:
     view = replace(VIEW, bulge=4.0)
     stages = published_stages(frame, SETTINGS)
     _, true = view.marks((14, 10))
-    far, which = cKDTree(stages.midpoints).query(true)
+    far, _ = cKDTree(stages.midpoints).query(true)
     # Corners of contours are whole pixels: the robust detector is an order nearer.
     assert np.median(far) < 1.5
     assert (far < 4).mean() > 0.85

@@ -113,7 +113,7 @@ def _refuse_shifted(points: ControlPoints, reference: ControlPoints) -> None:
     beyond = max((reference.cells < low).sum(axis=0).max(), (reference.cells > high).sum(axis=0).max())
     if beyond > MAX_SIDE * len(reference):
         raise ImageError(
-            f"one side of the pattern, {beyond} of the reference's {len(reference)} points, is missing, and at "
-            f"most {100 * MAX_SIDE:.0f} % may be; it has left the frame or moved by whole tiles, which nothing "
-            "in it tells: take a new reference"
+            f"one side of the pattern, {beyond} of the reference's {len(reference)} points, is missing, and "
+            f"at most {100 * MAX_SIDE:.0f} % may be; it has left the frame or moved by whole tiles, which "
+            "nothing in it tells: take a new reference"
         )

@@ -206,7 +206,7 @@ def placed_dots(
     d, w = _weights(xy - corner, steps, WEIGHT * skin.radius_px)
     noise = noise_of(np.float32(grey))
     variance = _variance_by_level(grey)[views[corner[:, 1], corner[:, 0]]]
-    sigma = _error(raised, variance, d, w, WEIGHT * skin.radius_px)
+    sigma = _error(raised, variance, d, w, skin)
     contrast = (w * raised).sum(axis=(1, 2)) / w.sum(axis=(1, 2))
     sound = _is_there(xy - start, moved, contrast, sigma, noise, skin)
     return _one_each(xy[sound], sigma[sound], skin.radius_px)
@@ -258,12 +258,19 @@ def _step(raised: np.ndarray, d: Offsets, w: np.ndarray, width: float) -> Points
 
 
 def _error(
-    raised: np.ndarray, variance: np.ndarray, d: Offsets, w: np.ndarray, width: float
+    raised: np.ndarray, variance: np.ndarray, d: Offsets, w: np.ndarray, skin: DottedSkin
 ) -> Float[ndarray, " n"]:
-    """Standard error of a centroid for pixels' noise; infinite where there is no peak."""
-    j = _jacobian(raised, d, w, width)
+    """Standard error of a centroid for pixels' noise; infinite where there is no peak.
+
+    The pixels under the weights count by themselves, and those of the ring by the tilt of the plane through them.
+    """
+    j = _jacobian(raised, d, w, WEIGHT * skin.radius_px)
     ww = w * w * variance
     middle = np.array([[np.einsum("nyx,nyx,nyx->n", ww, p, q) for q in d] for p in d]).transpose(2, 0, 1)
+    inner, outer = (r * skin.radius_px for r in RING)
+    ring_moment = np.pi / 4 * (outer**4 - inner**4)
+    by_tilt = (w * (d[0] ** 2 + d[1] ** 2)).sum(axis=(1, 2)) ** 2 / 4 / ring_moment
+    middle += (by_tilt * np.median(variance, axis=(1, 2)))[:, None, None] * np.eye(2)
     inverse = np.linalg.inv(j)
     spread = np.einsum("nij,njk,nlk->nil", inverse, middle, inverse)
     error = np.sqrt(np.trace(spread, axis1=1, axis2=2) / 2)
