@@ -1,13 +1,13 @@
 """Checkerboards and dotted skins whose every mark is known: rendered by no code of palpate's.
 
 A view maps pixels to the lattice's own coordinates, in cells, in closed form; marks lie where both are
-whole. Where a mark is in the image is found by Newton's method on that map. The image is the pattern's mean over each
-pixel (by samples inside it), blurred, lit and made noisy.
+whole. Where a mark is in the image is found by Newton's method on that map. The image is the pattern's mean
+over each pixel (by samples inside it), blurred, lit and made noisy.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -148,11 +148,16 @@ def dots(
     """A grey dotted skin without noise ``[h w]``; the radius of a dot in cells."""
     cells, places = view.marks(extent, margin=-50.0)
     image = np.full((view.size[1], view.size[0]), 170.0 if dark else 25.0)
-    at = np.stack(np.meshgrid(np.arange(view.size[0]), np.arange(view.size[1])), axis=-1)
-    for cell, place in zip(cells.tolist(), places, strict=True):
-        if tuple(cell) not in lost:
-            over = radius * view.pitch - np.hypot(*(at - place).transpose(2, 0, 1))
-            image += (-130.0 if dark else 180.0) * np.clip(over + 0.5, 0, 1)
+    r, fine = radius * view.pitch, (np.arange(6) + 0.5) / 6 - 0.5
+    for cell, (x, y) in zip(cells.tolist(), places, strict=True):
+        left, top, side = int(x - r) - 2, int(y - r) - 2, int(2 * r) + 5
+        if tuple(cell) in lost or min(left, top) < 0:
+            continue
+        xs, ys = ((at + np.arange(side)[:, None] + fine).ravel() for at in (left, top))
+        over = 6 * (r - np.hypot(xs - x, ys[:, None] - y)) + 0.5
+        share = np.clip(over, 0, 1).reshape(side, 6, side, 6).mean(axis=(1, 3))
+        part = image[top : top + side, left : left + side]
+        part += (-130.0 if dark else 180.0) * share[: part.shape[0], : part.shape[1]]
     return cv2.GaussianBlur(image, (0, 0), 0.8)
 
 
@@ -161,7 +166,3 @@ def noisy(clean: np.ndarray, rng: np.random.Generator, scale: float = 1.0) -> np
     electrons = np.clip(clean, 0, 255) * FULL_WELL / 255
     spread = scale * np.sqrt(electrons + READ_NOISE**2) * 255 / FULL_WELL
     return np.clip(np.rint(clean + spread * rng.standard_normal(clean.shape)), 0, 255).astype(np.uint8)
-
-
-def pressed(view: View, bulge: float, at: tuple[float, float] = (300.0, 230.0)) -> View:
-    return replace(view, bulge=bulge, at=at)

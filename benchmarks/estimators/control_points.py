@@ -1,9 +1,9 @@
 """Control points of a patterned pad: the published chain plain and fast, the robust detector, and following.
 
 Run ``python benchmarks/estimators/control_points.py [--rounds 9]``. Frames are 1280 x 960 px, a checkerboard
-of 48 px tiles rendered with noise; loading is not counted. The plain chain is what a user would write from the
-paper with OpenCV and NumPy. Before anything is timed the fast chain must give its midpoints. Grouping is timed
-on 164 x 164 quadrilaterals; the double loop over a 24th of them a side, times 24 to the fourth.
+of 48 px tiles rendered with noise; loading is not counted. The plain chain is what a user would write from
+the paper with OpenCV and NumPy. Before anything is timed the fast chain must give its midpoints. Grouping is
+timed on 164 x 164 quadrilaterals; the double loop on a few of them, scaled by the number of pairs.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Dots of a real silicone skin under dead weights, through a wide-angle lens: found, named, and read as force."""
+"""Dots of a real silicone skin under dead weights, through a wide-angle lens: found, named, read as force."""
 
 import cv2
 import numpy as np

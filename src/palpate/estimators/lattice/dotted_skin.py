@@ -262,7 +262,7 @@ def _error(
 ) -> Float[ndarray, " n"]:
     """Standard error of a centroid for pixels' noise; infinite where there is no peak.
 
-    The pixels under the weights count by themselves, and those of the ring by the tilt of the plane through them.
+    Pixels under the weights count by themselves, those of the ring by the tilt of the plane through them.
     """
     j = _jacobian(raised, d, w, WEIGHT * skin.radius_px)
     ww = w * w * variance
@@ -281,9 +281,12 @@ def _variance_by_level(grey: Shaped[ndarray, "h w"]) -> Float[ndarray, 256]:
     """Variance of the noise at each grey level: a line through what levels have, as shot noise makes it."""
     rough = np.abs(cv2.filter2D(grey, cv2.CV_32F, LAPLACIAN)) / (6 * HALF_NORMAL_MEDIAN)
     level = cv2.blur(grey, (3, 3))
+    square = np.ones((3, 3), np.uint8)
+    range_ = cv2.subtract(cv2.dilate(level, square), cv2.erode(level, square))
+    flat = range_ <= 4 * np.median(rough) + 2  # no edge of a dot
     x, y, count = [], [], []
     for low in range(0, 256, 16):
-        here = (level >= low) & (level < low + 16)
+        here = (level >= low) & (level < low + 16) & flat
         if here.sum() > MIN_LEVEL:
             x.append(level[here].mean())
             y.append(np.median(rough[here]) ** 2)

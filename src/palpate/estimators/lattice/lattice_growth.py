@@ -137,7 +137,7 @@ def _seeds(places: Points, kind: str) -> list[tuple[int, np.ndarray]]:
 
 
 def _axes(around: Points, count: int) -> np.ndarray | None:
-    """Both axes of a lattice from a mark's neighbours, the first as nearly along the image's columns as may be.
+    """Both axes of a lattice from a mark's neighbours, the first nearly along the image's columns.
 
     Where one neighbour pair of a hexagonal lattice is missing, the second axis is the sum of the two others.
     """

@@ -18,8 +18,9 @@ from palpate.estimators.lattice.control_points import ControlPoints
 from palpate.estimators.lattice.saddle_corners import (
     MIN_HALF_TURN,
     half_turn,
+    look_of,
     refined,
-    ring_around,
+    ring_levels,
 )
 
 ROUNDS = 2
@@ -67,7 +68,7 @@ class MarkTracker:
         near = cKDTree(points.cells).query(points.cells, k=min(NEIGHBOURS + 1, len(points)))[1]
         self._near = near[:, 1:]
         axis = self.reference.axis.of(reference)
-        turn, contrast, _ = ring_around(axis, points.places, self.pitch)
+        turn, contrast, _ = look_of(ring_levels(axis, points.places, self.pitch)[..., 0])
         _, gain, _ = refined(axis, points.places, self.pitch, 1)
         self._contrast = contrast
         self._noise = points.sigma / gain
@@ -96,15 +97,13 @@ class MarkTracker:
         self, frame: Shaped[ndarray, ...]
     ) -> tuple[Float[ndarray, "n 2"], Float[ndarray, " n"], Float[ndarray, " n"], Bool[ndarray, " n"]]:
         """Places, standard errors and turns of all corners, and which are sound."""
-        low = np.maximum(self._places.min(axis=0) - self.pitch, 0).astype(int)
-        high = np.ceil(self._places.max(axis=0) + self.pitch).astype(int)
-        axis = self.reference.axis.of_part(frame[low[1] : high[1], low[0] : high[0]])
-        places, _, sound = refined(axis, self._places - low, self.pitch, ROUNDS, gains=False)
-        turn, contrast, fourfold = ring_around(axis, places, self.pitch)
-        places += low
+        weights = self.reference.axis.weights
+        places, _, sound = refined(frame, self._places, self.pitch, ROUNDS, gains=False, weights=weights)
+        ring = ring_levels(frame, places, self.pitch)
+        turn, contrast, fourfold = look_of(ring @ weights[0, :-1])
         sound &= (contrast > MIN_OF_CONTRAST * self._contrast) & (fourfold > 0.5)
         noise = (self._noise / np.maximum(contrast, 1.0)) ** 2
-        sound &= half_turn(frame, places, self.pitch) > MIN_HALF_TURN - noise
+        sound &= half_turn(ring) > MIN_HALF_TURN - noise
         sound &= np.cos(turn - self._turn) > np.cos(MAX_TURNED)
         step = places - self._places
         sound &= np.hypot(*step.T) < MAX_STEP * self.pitch
@@ -147,6 +146,7 @@ class MarkTracker:
         rows = rows[rows >= 0]
         places, sound = self._places.copy(), np.zeros(len(self._cells), bool)
         places[rows], sound[rows] = found.places, True
-        turn, _, _ = ring_around(self.reference.axis.of(frame), places, self.pitch)
+        ring = ring_levels(self.reference.axis.of(frame), places, self.pitch)
+        turn, _, _ = look_of(ring[..., 0])
         self._take(places, turn, sound)
         return TrackedPoints(found, True)

@@ -47,11 +47,7 @@ class PigmentAxis:
                 f"a frame {frame.dtype} {list(frame.shape)}; the pattern was found in 8-bit frames of "
                 f"{list(self.size)} px and {channels} channels: give frames of that camera and crop"
             )
-        return self.of_part(frame)
-
-    def of_part(self, part: Shaped[ndarray, ...]) -> Axis:
-        """Axis of a part of such a frame ``[h w c]``, which is not checked."""
-        return cv2.transform(part, self.weights).reshape(part.shape[:2])
+        return cv2.transform(frame, self.weights).reshape(self.size)
 
 
 def channels_of(frame: Shaped[ndarray, ...]) -> int:
