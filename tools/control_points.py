@@ -1,4 +1,4 @@
-"""Draw the picture of docs/how-to/find-control-points.md: the stages of the published chain, and both results.
+"""Draw the picture of docs/how-to/find-control-points.md: the published chain's stages, and both results.
 
     python tools/control_points.py        # some seconds of one core
 
@@ -16,9 +16,9 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from tests.rendered_boards import View, board, noisy
+from tests.rendered_boards import View, board, noisy  # noqa: E402
 
-from palpate.estimators.lattice import QuadSettings, find_checkerboard, published_stages
+from palpate.estimators.lattice import QuadSettings, find_checkerboard, published_stages  # noqa: E402
 
 PICTURE = ROOT / "docs" / "images" / "control-points.png"
 SCALE, EDGE, TITLE = 2, 6, 22

@@ -153,7 +153,7 @@ def find_dots(
 def _candidates(grey: Shaped[ndarray, "h w"], skin: DottedSkin) -> Points:
     """Whole pixels where a round patch of the dots' size differs most from around it."""
     sign = 1.0 if skin.colour == "dark" else -1.0
-    image = np.float32(grey)
+    image = grey.astype(np.float32)
     width = max(1.0, 0.6 * skin.radius_px)
     smooth = cv2.GaussianBlur(image, (0, 0), width)
     ground = cv2.GaussianBlur(image, (0, 0), 2 * skin.radius_px)
@@ -170,8 +170,8 @@ def _candidates(grey: Shaped[ndarray, "h w"], skin: DottedSkin) -> Points:
         inside = np.zeros_like(good)
         inside[max(y, 0) : y + high, max(x, 0) : x + wide] = True
         good &= inside
-    y, x = np.nonzero(good)
-    return np.stack([x, y], axis=1).astype(np.float64)
+    rows, columns = np.nonzero(good)
+    return np.stack([columns, rows], axis=1).astype(np.float64)
 
 
 def placed_dots(
@@ -204,7 +204,7 @@ def placed_dots(
         if not (moved > STILL_PX).any():
             break
     d, w = _weights(xy - corner, steps, WEIGHT * skin.radius_px)
-    noise = noise_of(np.float32(grey))
+    noise = noise_of(grey.astype(np.float32))
     variance = _variance_by_level(grey)[views[corner[:, 1], corner[:, 0]]]
     sigma = _error(raised, variance, d, w, skin)
     contrast = (w * raised).sum(axis=(1, 2)) / w.sum(axis=(1, 2))
