@@ -4,7 +4,7 @@ from palpate.estimators.lattice.checkerboard import (
     CheckerboardFind as CheckerboardFind,
     find_checkerboard as find_checkerboard,
 )
-from palpate.estimators.lattice.control_points import ControlPoints as ControlPoints
+from palpate.estimators.lattice.control_points import ControlPoints
 from palpate.estimators.lattice.dotted_skin import (
     DottedSkin as DottedSkin,
     find_dots as find_dots,
@@ -14,7 +14,7 @@ from palpate.estimators.lattice.lattice_growth import (
     GrownLattice as GrownLattice,
     grow_lattices as grow_lattices,
 )
-from palpate.estimators.lattice.lattice_identity import named_as as named_as
+from palpate.estimators.lattice.lattice_identity import named_as
 from palpate.estimators.lattice.mark_tracker import MarkTracker as MarkTracker, TrackedPoints as TrackedPoints
 from palpate.estimators.lattice.quadrilaterals import (
     PublishedStages as PublishedStages,
@@ -22,3 +22,9 @@ from palpate.estimators.lattice.quadrilaterals import (
     published_stages as published_stages,
     quad_midpoints as quad_midpoints,
 )
+
+__all__ = [
+    "ControlPoints",
+    "TrackedPoints",
+    "named_as",
+]
