@@ -313,6 +313,7 @@ SENSORS = PluginRegistry(
     "palpate.sensors",
     {
         "palm": "palpate.sensors.palm.palm_sensor:palm",
+        "nusense": "palpate.sensors.nusense.nusense_sensor:nusense",
         "tactip": "palpate.sensors.tactip.tactip_sensor:tactip",
     },
     contract_faults,

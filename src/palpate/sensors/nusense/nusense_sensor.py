@@ -1,0 +1,235 @@
+"""NUSense under the contract of every sensor, and the truth of its control points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from palpate.core import (
+    FRESH,
+    SEATED,
+    Box,
+    Contact,
+    Float,
+    Frame,
+    ImageAxes,
+    InputError,
+    Int,
+    Outline,
+    Pose,
+    PressHistory,
+    Probe,
+    RangeError,
+    Seating,
+    Specimen,
+    is_rigid,
+    ndarray,
+)
+from palpate.sensors.nusense.nusense_plans import DEFAULT_PLAN, PLANS
+from palpate.sensors.nusense.nusense_spec import NuSenseSpec, fabricated
+from palpate.sensors.nusense.pad_contact import greatest_depth_m, pad_contact
+from palpate.sensors.nusense.pad_indenters import parse_indenter
+from palpate.sensors.nusense.pad_view import clean_view, exposed, pad_window, seen_px
+from palpate.sensors.nusense.pattern_motion import PatternMotion, pattern_motion
+
+REGION = "pad"
+ABOVE_THE_TILES = 2  # layers
+SOFT_GEL_PA = 0.1e6  # of the preset "soft"
+BEYOND = 1 + 1e-9  # of the known depth: what rounding may add
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TileCorners:
+    """True places of the lattice's inner corners, where four tiles meet.
+
+    Attributes:
+        cells: (column, row) of the tile whose corner at +x and +y it is, from 0 ``[n 2]``.
+        rest_m: on the resting skin, (x, y) from the pad's centre ``[n 2]`` [m].
+        skin_m: where they are now: (x, y, z), z from the resting pattern towards the camera ``[n 3]`` [m].
+        seen_m: (x, y) where their ray meets the resting pattern ``[n 2]`` [m]: what the camera tells of them.
+        places_px: in the image, (x, y) ``[n 2]`` [px].
+    """
+
+    cells: Int[ndarray, "n 2"]
+    rest_m: Float[ndarray, "n 2"]
+    skin_m: Float[ndarray, "n 3"]
+    seen_m: Float[ndarray, "n 2"]
+    places_px: Float[ndarray, "n 2"]
+
+
+@dataclass(frozen=True)
+class NuSense:
+    """NUSense of a spec."""
+
+    spec: NuSenseSpec = field(default_factory=NuSenseSpec)
+
+    @property
+    def name(self) -> str:
+        return self.spec.name
+
+    @property
+    def frame_px(self) -> tuple[int, int]:
+        height, width = self.spec.lens.size_px
+        return width, height
+
+    @property
+    def rectified_px(self) -> tuple[int, int]:
+        return self.frame_px
+
+    @property
+    def rate_hz(self) -> float:
+        return self.spec.rate_hz
+
+    @property
+    def exposure_s(self) -> float:
+        return self.spec.exposure_s
+
+    @property
+    def moves(self) -> Literal["probe", "sensor"]:
+        """An arm presses the sensor onto indenters."""
+        return "sensor"
+
+    @property
+    def outline(self) -> Outline:
+        """The part that is touched."""
+        return Outline.rectangle(*self.spec.effective_m)
+
+    @property
+    def axes(self) -> ImageAxes:
+        """Axes in the image's middle: x to the right, y upwards."""
+        scale = self.spec.lens.focal_px[0] / self.spec.camera_m
+        return ImageAxes(REGION, (scale, 0.0), (0.0, -scale))
+
+    @property
+    def default_probe(self) -> str:
+        """The round tip of 5 mm radius."""
+        return "round"
+
+    def regions(self) -> Mapping[str, Box]:
+        """The part of the frame that shows the pad."""
+        window = pad_window(self.spec, (0.0, 0.0))
+        return {REGION: (window.left, window.top, window.right - window.left, window.bottom - window.top)}
+
+    def probe(self, words: str) -> Probe:
+        """An indenter from words; see `parse_indenter`."""
+        return parse_indenter(words)
+
+    def specimen(self, words: str) -> Specimen | None:
+        """None: indenters are rigid."""
+        parse_indenter(words)
+        return None
+
+    def press(
+        self, probe: Probe, pose: Pose, specimen: Specimen | None = None, history: PressHistory = FRESH
+    ) -> Contact:
+        """Press a rigid indenter; see `pad_contact`.
+
+        Raises:
+            RangeError: deeper than is known, beside the pad, or a specimen that yields.
+        """
+        if not is_rigid(specimen):
+            raise RangeError("NUSense is pressed by rigid indenters; a specimen that yields is not modelled")
+        if not self.outline.contains(pose.x_m, pose.y_m):
+            half = [500 * side for side in self.spec.effective_m]
+            raise RangeError(
+                f"a press at ({1e3 * pose.x_m:.4g}, {1e3 * pose.y_m:.4g}) mm is beside the pad; press within "
+                f"{half[0]:g} mm of its centre along x and {half[1]:g} mm along y"
+            )
+        known = self.known_depth_m(probe)
+        if not pose.depth_m <= known * BEYOND:
+            raise RangeError(
+                f"a press of {1e3 * pose.depth_m:.6g} mm; this indenter is known to {1e3 * known:.6g} mm"
+            )
+        if not 0 < history.stiffening < math.inf:
+            raise RangeError(f"a stiffening of {history.stiffening}; give a number above 0, 1 for relaxed")
+        spec = self.spec
+        contact = pad_contact(spec.layers.stack, spec.friction, probe, pose, history)
+        return replace(contact, specimen=specimen)
+
+    def known_depth_m(
+        self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
+    ) -> float:
+        """Depth at the greatest force or the greatest depth, whichever comes first [m]."""
+        if not is_rigid(specimen):
+            return 0.0
+        return greatest_depth_m(self.spec.layers.stack, probe, self.spec.max_depth_m, self.spec.max_force_n)
+
+    def render(self, contact: Contact, rng: np.random.Generator, seating: Seating = SEATED) -> Frame:
+        """The camera's frame of the tiles."""
+        view = clean_view(self.spec, self.motion(contact), seating.shift_px)
+        return Frame(
+            exposed(self.spec, view, rng, seating.light), exposure_s=self.exposure_s, sensor=self.name
+        )
+
+    def motion(self, contact: Contact) -> PatternMotion | None:
+        """Motion of the tiles' lower face under a contact; None for a pad at rest."""
+        if contact.force_n == 0:
+            return None
+        return pattern_motion(self.spec.layers.stack, ABOVE_THE_TILES, contact)
+
+    def tile_corners(self, contact: Contact, seating: Seating = SEATED) -> TileCorners:
+        """True places of all inner corners of the lattice under a contact."""
+        pattern, D = self.spec.pattern, self.spec.camera_m
+        columns, rows = np.meshgrid(np.arange(pattern.columns - 1), np.arange(pattern.rows - 1))
+        cells = np.column_stack([columns.ravel(), rows.ravel()])
+        middle = np.array([pattern.columns, pattern.rows]) / 2
+        rest = (cells + 1 - middle) * pattern.cast_pitch_m + np.array(pattern.offset_m)
+        motion = self.motion(contact)
+        moved = np.zeros((3, len(rest))) if motion is None else motion.at(*rest.T)
+        skin = np.column_stack([rest + moved[:2].T, moved[2]])
+        seen = skin[:, :2] * (D / (D - skin[:, 2:]))
+        return TileCorners(cells, rest, skin, seen, seen_px(self.spec, skin, seating.shift_px))
+
+    def rectify(self, frame: Frame) -> Frame:
+        """The frame as a pinhole of the same axis and scale sees it.
+
+        Raises:
+            ImageError: a frame of another size.
+        """
+        import cv2
+
+        lens = self.spec.lens
+        lens.check_size((frame.image.shape[0], frame.image.shape[1]))
+        width, height = self.rectified_px
+        flat = lens.flat()
+        pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(float)
+        source = lens.project(flat.rays(pixels)).astype(np.float32)
+        image = cv2.remap(frame.image, source[..., 0], source[..., 1], cv2.INTER_LINEAR)
+        return replace(frame, image=image)
+
+    def default_plan(self) -> Mapping[str, Any]:
+        """Places of the thesis's localisation, pressed in steps by the round tip."""
+        return DEFAULT_PLAN
+
+    def plans(self) -> Mapping[str, Mapping[str, Any]]:
+        """The thesis's other experiments; see `nusense_plans`."""
+        return PLANS
+
+    def variation(self) -> Mapping[str, Any]:
+        """Spread from press to press: the pad's memory, an arm's repeatability, a lamp. Assumed but for N's arm."""
+        return {
+            "relaxation": self.spec.relaxation,
+            "place_m": 0.03e-3,
+            "shift_px": 0.0,
+            "tilt_rad": (0.0, 0.0),
+        }
+
+
+def nusense(preset: str = "") -> NuSense:
+    """NUSense as designed; "soft" with half the gel's modulus, or a number for a copy as fabricated.
+
+    Raises:
+        InputError: another preset.
+    """
+    spec = NuSenseSpec()
+    if preset == "soft":
+        return NuSense(replace(spec, layers=replace(spec.layers, gel_pa=SOFT_GEL_PA), name="nusense-soft"))
+    if preset.isdecimal() and len(preset) < 7:
+        return NuSense(fabricated(int(preset), spec))
+    if preset:
+        raise InputError(f"there is no NUSense {preset!r}; there are soft, and copies by their number, as 7")
+    return NuSense(spec)

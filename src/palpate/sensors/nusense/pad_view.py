@@ -1,0 +1,239 @@
+"""Camera's view of the tiles: where a tile's corner falls on the image, and which tile a pixel shows.
+
+A tile that rests at X is seen by a ray that meets the resting pattern at P, where
+
+    X + u(X) = P (1 - w(X) / D),
+
+with u and w its motion along the pad and towards the camera, D the camera's distance. The inverse map P -> X
+is solved by iterating X <- P (1 - w / D) - u, on every other pixel, and laid through the others by a cubic
+spline. Edges of tiles are then drawn by how much of a pixel lies on either side.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple, no_type_check
+
+import cv2
+import numba
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from palpate.core import Float, UInt8, ndarray
+from palpate.sensors.nusense.nusense_spec import NuSenseSpec
+from palpate.sensors.nusense.pattern_motion import PatternMotion
+
+NODE_PX = 3  # between pixels for which the inverse map is solved
+ITERATIONS = 60
+SETTLED_M = 1e-8
+BORDER_PX = 6
+BACKGROUND = 4.0  # grey level of the housing around the pad. Assumed.
+
+Places = Float[ndarray, "n 2"]
+
+
+def seen_px(
+    spec: NuSenseSpec, skin_m: Float[ndarray, "n 3"], shift_px: tuple[float, float] = (0.0, 0.0)
+) -> Places:
+    """Places in the image of points (x, y, z), z from the resting pattern towards the camera [px]."""
+    x, y, z = skin_m.T
+    points = np.stack([x, -y, spec.camera_m - z], axis=-1)
+    return np.asarray(spec.lens.project(points) + np.array(shift_px))
+
+
+def on_pattern_m(spec: NuSenseSpec, places_px: Places, shift_px: tuple[float, float] = (0.0, 0.0)) -> Places:
+    """Where rays of places in the image meet the resting pattern, (x, y); NaN for none [m]."""
+    rays = spec.lens.rays(places_px - np.array(shift_px))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        flat = spec.camera_m * rays[..., :2] / np.where(rays[..., 2:] > 0, rays[..., 2:], np.nan)
+    return np.asarray(flat * np.array([1.0, -1.0]))
+
+
+class PadWindow(NamedTuple):
+    """Part of the image that shows the pad.
+
+    Attributes:
+        left, top, right, bottom: its pixels.
+        columns, rows: at which the inverse map is solved [px].
+        nodes_m: where their rays meet the resting pattern ``[rows columns 2]`` [m].
+        across, down: weights that lay a cubic spline through nodes to all pixels.
+        pixels_m: where all rays of the window do ``[2 h w]`` [m].
+        light: over the level, at every pixel ``[h w]``.
+    """
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+    nodes_m: Float[ndarray, "rows columns 2"]
+    across: Float[ndarray, "w columns"]
+    down: Float[ndarray, "h rows"]
+    pixels_m: Float[ndarray, "2 h w"]
+    light: Float[ndarray, "h w"]
+
+
+@lru_cache(maxsize=64)
+def pad_window(spec: NuSenseSpec, shift_px: tuple[float, float]) -> PadWindow:
+    """The part of the image that shows the pad, with all that no contact changes."""
+    half = np.array(spec.pad_m) / 2
+    signs = np.array([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    corners = seen_px(spec, np.column_stack([signs * half, np.zeros(9)]), shift_px)
+    height, width = spec.lens.size_px
+    low = np.clip(np.floor(corners.min(axis=0)) - BORDER_PX, 0, (width - 8, height - 8)).astype(int)
+    high = np.clip(np.ceil(corners.max(axis=0)) + BORDER_PX, low + 8, (width, height)).astype(int)
+    (left, top), (right, bottom) = low.tolist(), high.tolist()
+    columns = np.append(np.arange(left, right - 1, NODE_PX), right - 1).astype(float)
+    rows = np.append(np.arange(top, bottom - 1, NODE_PX), bottom - 1).astype(float)
+    nodes = on_pattern_m(spec, np.stack(np.meshgrid(columns, rows), axis=-1), shift_px)
+    across = _weights(columns, np.arange(left, right))
+    down = _weights(rows, np.arange(top, bottom))
+    grid = np.stack(np.meshgrid(np.arange(left, right), np.arange(top, bottom)), axis=-1).astype(float)
+    pixels = np.moveaxis(on_pattern_m(spec, grid, shift_px), -1, 0)
+    return PadWindow(
+        left, top, right, bottom, nodes, across, down, pixels, _light(spec, pixels).astype(np.float32)
+    )
+
+
+def _weights(nodes: Float[ndarray, " n"], at: ndarray) -> Float[ndarray, "m n"]:
+    return np.asarray(make_interp_spline(nodes, np.eye(len(nodes)), k=3)(at))
+
+
+def _light(spec: NuSenseSpec, at_m: Float[ndarray, "2 h w"]) -> Float[ndarray, "h w"]:
+    """Light on the pattern over that in its middle: what four edges send inwards, and the lens's fall-off."""
+    lamp, (half_x, half_y) = spec.light, np.array(spec.pad_m) / 2
+    x, y = at_m
+    distances = (half_x - x, half_x + x, half_y - y, half_y + y)
+    edges = sum(
+        side * np.exp(-np.maximum(d, 0.0) / lamp.edge_m)
+        for side, d in zip(lamp.sides, distances, strict=True)
+    )
+    fall = 1 / (1 + (x**2 + y**2) / spec.camera_m**2)
+    return np.asarray((1 + lamp.edge_share * edges) * fall)
+
+
+def rest_places(
+    spec: NuSenseSpec, motion: PatternMotion | None, shift_px: tuple[float, float] = (0.0, 0.0)
+) -> Float[ndarray, "2 h w"]:
+    """Resting places (x, y) of the tiles that each pixel of the window shows [m]."""
+    window = pad_window(spec, shift_px)
+    if motion is None:
+        return window.pixels_m
+    lag = _inverse(
+        window.nodes_m, motion.knots, *motion.centre_m, motion.cell_m, spec.camera_m, ITERATIONS, SETTLED_M
+    )
+    return np.asarray(window.pixels_m + window.down @ lag @ window.across.T)
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _inverse(nodes, knots, x0, y0, cell, camera, iterations, settled):
+    """X - P of each node."""
+    rows, columns = nodes.shape[0], nodes.shape[1]
+    side = knots.shape[1]
+    lag = np.zeros((2, rows, columns))
+    weight_x, weight_y, moved = np.empty(4), np.empty(4), np.empty(3)
+    for row in range(rows):
+        for column in range(columns):
+            px, py = nodes[row, column, 0], nodes[row, column, 1]
+            x, y = px, py
+            for _ in range(iterations):
+                place_x, place_y = (x - x0) / cell + side / 2 - 0.5, (y - y0) / cell + side / 2 - 0.5
+                i, j = int(np.floor(place_x)), int(np.floor(place_y))
+                if not (1 <= i < side - 2 and 1 <= j < side - 2):
+                    x, y = px, py
+                    break
+                for t, w in ((place_x - i, weight_x), (place_y - j, weight_y)):
+                    w[0] = (1 - t) ** 3 / 6
+                    w[1] = (4 - 6 * t * t + 3 * t**3) / 6
+                    w[3] = t**3 / 6
+                    w[2] = 1 - w[0] - w[1] - w[3]
+                for k in range(3):
+                    moved[k] = 0.0
+                    for b in range(4):
+                        for a in range(4):
+                            moved[k] += weight_y[b] * weight_x[a] * knots[k, j - 1 + b, i - 1 + a]
+                near = 1 - moved[2] / camera
+                new_x, new_y = px * near - moved[0], py * near - moved[1]
+                step = abs(new_x - x) + abs(new_y - y)
+                x, y = new_x, new_y
+                if step < settled:
+                    break
+            lag[0, row, column], lag[1, row, column] = x - px, y - py
+    return lag
+
+
+def clean_view(
+    spec: NuSenseSpec, motion: PatternMotion | None, shift_px: tuple[float, float] = (0.0, 0.0)
+) -> Float[ndarray, "h w 3"]:
+    """Whole frame without noise [grey levels]."""
+    window, pattern = pad_window(spec, shift_px), spec.pattern
+    rest = rest_places(spec, motion, shift_px)
+    half = (pattern.columns * pattern.cast_pitch_m / 2, pattern.rows * pattern.cast_pitch_m / 2)
+    colours = np.array([pattern.yellow, pattern.red, pattern.border], np.float32)
+    view = _tiles(
+        rest, window.light, colours, pattern.cast_pitch_m, *pattern.offset_m, *half, *np.array(spec.pad_m) / 2
+    )
+    height, width = spec.lens.size_px
+    frame = np.full((height, width, 3), BACKGROUND / spec.light.level, np.float32)
+    frame[window.top : window.bottom, window.left : window.right] = view
+    if spec.light.blur_px > 0:
+        reach = (
+            slice(max(window.top - 8, 0), window.bottom + 8),
+            slice(max(window.left - 8, 0), window.right + 8),
+        )
+        frame[reach] = cv2.GaussianBlur(frame[reach], (0, 0), spec.light.blur_px)
+    return frame * np.float32(spec.light.level)
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _tiles(rest, light, colours, pitch, offset_x, offset_y, half_x, half_y, pad_x, pad_y):
+    """Colour of every pixel; a tile's edge covers the share of a pixel that lies on its side."""
+    height, width = light.shape
+    view = np.empty((height, width, 3), np.float32)
+    for row in range(height):
+        for column in range(width):
+            x, y = rest[0, row, column], rest[1, row, column]
+            left, right = max(column - 1, 0), min(column + 1, width - 1)
+            up, down = max(row - 1, 0), min(row + 1, height - 1)
+            wide = np.empty(2)
+            for k in range(2):
+                along = (rest[k, row, right] - rest[k, row, left]) / (right - left)
+                across = (rest[k, down, column] - rest[k, up, column]) / (down - up)
+                wide[k] = abs(along) + abs(across)
+            wave_x = _square_wave(x - offset_x + half_x, wide[0], pitch)
+            wave_y = _square_wave(y - offset_y + half_y, wide[1], pitch)
+            yellow = 0.5 * (1 + wave_x * wave_y)
+            inside = _share(half_x - abs(x - offset_x), wide[0]) * _share(half_y - abs(y - offset_y), wide[1])
+            pad = _share(pad_x - abs(x), wide[0]) * _share(pad_y - abs(y), wide[1])
+            for k in range(3):
+                tile = yellow * colours[0, k] + (1 - yellow) * colours[1, k]
+                value = inside * tile + (1 - inside) * colours[2, k]
+                view[row, column, k] = light[row, column] * (pad * value + (1 - pad) * 0.02)
+    return view
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _share(inside, wide):
+    return min(max(inside / wide + 0.5, 0.0), 1.0)
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _square_wave(at, wide, pitch):
+    """Mean over a pixel of a wave of 1 on the first tile, -1 on the second."""
+    nearest = np.floor(at / pitch + 0.5)
+    beyond = at - nearest * pitch
+    sign = 1.0 if int(nearest) % 2 == 0 else -1.0
+    return sign * min(max(2 * beyond / wide, -1.0), 1.0)
+
+
+def exposed(
+    spec: NuSenseSpec, view: Float[ndarray, "h w 3"], rng: np.random.Generator, light: float
+) -> UInt8[ndarray, "h w 3"]:
+    """A frame of a view under a light, with the camera's noise."""
+    grey = view * np.float32(light)
+    spread = np.sqrt(np.float32(spec.light.read_noise**2) + np.float32(spec.light.shot_noise) * grey)
+    grey += spread * rng.standard_normal(grey.shape, dtype=np.float32)
+    return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
