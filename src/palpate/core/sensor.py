@@ -313,8 +313,8 @@ SENSORS = PluginRegistry(
     "palpate.sensors",
     {
         "palm": "palpate.sensors.palm.palm_sensor:palm",
-        "nusense": "palpate.sensors.nusense.nusense_sensor:nusense",
         "tactip": "palpate.sensors.tactip.tactip_sensor:tactip",
+        "nusense": "palpate.sensors.nusense.nusense_sensor:nusense",
     },
     contract_faults,
 )

@@ -65,4 +65,4 @@ PLANS: Mapping[str, Mapping[str, Any]] = {
     ),
     "nusense-damage": _swept("nusense-damage", 4.0, indenters=["round"], cycles=4),
 }
-"""Sections 4.2 to 4.7: force, places, hysteresis, 70 cycles, edges at all angles, and 1 to 4 N on each pad."""
+"""Sections 4.2 to 4.7: force, places, hysteresis, 70 cycles, edges at all angles, 1 to 4 N on each pad."""

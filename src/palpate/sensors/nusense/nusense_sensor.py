@@ -39,6 +39,7 @@ from palpate.sensors.nusense.pattern_motion import PatternMotion, pattern_motion
 REGION = "pad"
 ABOVE_THE_TILES = 2  # layers
 SOFT_GEL_PA = 0.1e6  # of the preset "soft"
+ARM_M = 0.033e-3  # spread of a place: a third of the arm's repeatability
 BEYOND = 1 + 1e-9  # of the known depth: what rounding may add
 
 
@@ -210,13 +211,8 @@ class NuSense:
         return PLANS
 
     def variation(self) -> Mapping[str, Any]:
-        """Spread from press to press: the pad's memory, an arm's repeatability, a lamp. Assumed but for N's arm."""
-        return {
-            "relaxation": self.spec.relaxation,
-            "place_m": 0.03e-3,
-            "shift_px": 0.0,
-            "tilt_rad": (0.0, 0.0),
-        }
+        """Memory of the pad, and an arm that repeats to 0.1 mm as the thesis has it, taken as three sigma."""
+        return {"relaxation": self.spec.relaxation, "place_m": ARM_M, "tilt_rad": (0.0, 0.0)}
 
 
 def nusense(preset: str = "") -> NuSense:

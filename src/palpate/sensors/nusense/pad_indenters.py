@@ -26,7 +26,7 @@ Axis = Float[ndarray, " _"]
 
 
 def parse_indenter(words: str) -> Probe:
-    """A probe from words: ``round`` and ``flat`` (the tips of 5 mm radius), ``edge:30:60``, ``two-points:4:12``.
+    """A probe from words: ``round`` and ``flat`` (tips of 5 mm radius), ``edge:30:60``, ``two-points:4:12``.
 
     Raises:
         InputError: other words, or sizes that are not positive.

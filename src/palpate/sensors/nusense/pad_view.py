@@ -29,7 +29,7 @@ SETTLED_M = 1e-8
 BORDER_PX = 6
 BACKGROUND = 4.0  # grey level of the housing around the pad. Assumed.
 
-Places = Float[ndarray, "n 2"]
+Places = Float[ndarray, "*n 2"]
 
 
 def seen_px(
@@ -174,15 +174,15 @@ def clean_view(
         rest, window.light, colours, pattern.cast_pitch_m, *pattern.offset_m, *half, *np.array(spec.pad_m) / 2
     )
     height, width = spec.lens.size_px
-    frame = np.full((height, width, 3), BACKGROUND / spec.light.level, np.float32)
-    frame[window.top : window.bottom, window.left : window.right] = view
+    frame = np.full((height, width, 3), BACKGROUND, np.float32)
+    frame[window.top : window.bottom, window.left : window.right] = view * np.float32(spec.light.level)
     if spec.light.blur_px > 0:
         reach = (
             slice(max(window.top - 8, 0), window.bottom + 8),
             slice(max(window.left - 8, 0), window.right + 8),
         )
         frame[reach] = cv2.GaussianBlur(frame[reach], (0, 0), spec.light.blur_px)
-    return frame * np.float32(spec.light.level)
+    return frame
 
 
 @numba.njit(cache=True, nogil=True)
@@ -232,8 +232,19 @@ def _square_wave(at, wide, pitch):
 def exposed(
     spec: NuSenseSpec, view: Float[ndarray, "h w 3"], rng: np.random.Generator, light: float
 ) -> UInt8[ndarray, "h w 3"]:
-    """A frame of a view under a light, with the camera's noise."""
-    grey = view * np.float32(light)
-    spread = np.sqrt(np.float32(spec.light.read_noise**2) + np.float32(spec.light.shot_noise) * grey)
-    grey += spread * rng.standard_normal(grey.shape, dtype=np.float32)
-    return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+    """A frame of a view under a light, with noise of reading and of light."""
+    image = np.empty(view.shape, np.uint8)
+    noise = rng.standard_normal(view.size, dtype=np.float32)
+    camera = spec.light
+    _expose(view.ravel(), noise, light, camera.read_noise**2, camera.shot_noise, image.ravel())
+    return image
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _expose(view, noise, light, read, shot, image):
+    """Grey levels with noise, rounded and clipped to 0 to 255."""
+    for i in range(view.size):
+        grey = view[i] * np.float32(light)
+        grey += np.sqrt(np.float32(read) + np.float32(shot) * grey) * noise[i]
+        image[i] = np.uint8(min(max(grey + np.float32(0.5), np.float32(0)), np.float32(255)))

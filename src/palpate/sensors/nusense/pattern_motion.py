@@ -116,7 +116,7 @@ def pattern_motion(stack: Stack, interface: int, contact: Contact) -> PatternMot
 
 
 def _coarse(load: Field, contact: Contact) -> Field:
-    """A load on the contact's cells as its means on the pattern's larger ones, in the middle of their grid."""
+    """Means of a load on the pattern's larger cells, in the middle of their grid."""
     cell = float(contact.x_m[1] - contact.x_m[0])
     times = round(PATTERN_CELL_M / cell)
     ny, nx = load.shape

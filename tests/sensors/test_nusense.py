@@ -1,0 +1,317 @@
+"""NUSense: contact and motion of its tiles against closed forms, and its frames against the truth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import palpate
+from palpate.check import check_sensor
+from palpate.core import (
+    FRESH,
+    Contact,
+    ImageError,
+    InputError,
+    Pose,
+    PressHistory,
+    RangeError,
+    Seating,
+    Specimen,
+)
+from palpate.core.sensor import own_plans_of
+from palpate.mechanics.axisymmetric.sphere_table import SphereTable
+from palpate.mechanics.half_space import hertz
+from palpate.mechanics.layers.stack import ElasticLayer, Stack
+from palpate.mechanics.layers.stack_field import field_below
+from palpate.rig.plans.plan_files import plan_from
+from palpate.sensors.nusense.nusense_sensor import NuSense
+from palpate.sensors.nusense.nusense_spec import NuSenseSpec, PadLight, fabricated
+from palpate.sensors.nusense.pad_contact import pad_contact, relaxed_press
+from palpate.sensors.nusense.pad_indenters import parse_indenter
+from palpate.sensors.nusense.pad_view import clean_view, on_pattern_m, pad_window, rest_places
+from palpate.sensors.nusense.pattern_motion import pattern_motion
+
+MM = 1e-3
+SENSOR = palpate.sensor("nusense")
+ROUND = parse_indenter("round")
+E_PA, NU, DEPTH_M = 0.3e6, 0.499, 1.5e-3
+THICK = Stack((ElasticLayer(DEPTH_M, E_PA, NU), ElasticLayer(math.inf, E_PA, NU)), "half-space")
+
+
+def _touch(words: str = "round", depth_mm: float = 1.5, x_mm: float = 0.0, y_mm: float = 0.0) -> Contact:
+    return SENSOR.press(SENSOR.probe(words), Pose(x_mm * MM, y_mm * MM, depth_mm * MM))
+
+
+def _cell_m2(contact: Contact) -> float:
+    return float(contact.x_m[1] - contact.x_m[0]) ** 2
+
+
+def test_nusense_keeps_every_law_of_a_sensor() -> None:
+    assert not [(one.name, one.message) for one in check_sensor(SENSOR) if not one.ok]
+
+
+def test_a_thick_pad_is_pressed_as_hertz_says() -> None:
+    for depth_m in (0.02e-3, 0.1e-3, 0.3e-3):
+        solved = relaxed_press(THICK, ROUND, depth_m).solved
+        force_n = 4 / 3 * E_PA / (1 - NU**2) * math.sqrt(5e-3) * depth_m**1.5
+        assert solved.force_n == pytest.approx(force_n, rel=0.02)
+        assert math.sqrt(solved.area_m2 / math.pi) == pytest.approx(math.sqrt(5e-3 * depth_m), rel=0.02)
+    assert hertz.contact_radius is not None
+
+
+def test_tiles_in_a_thick_pad_move_sideways_as_boussinesq_says() -> None:
+    contact = pad_contact(THICK, 0.5, ROUND, Pose(0.0, 0.0, 0.02e-3), FRESH)
+    motion = pattern_motion(THICK, 1, contact)
+    r = np.array([1.0, 2.0, 4.0, 8.0]) * MM
+    rho, G = np.hypot(r, DEPTH_M), E_PA / 2 / (1 + NU)
+    boussinesq = (
+        contact.force_n
+        / (4 * np.pi * G)
+        * (r * DEPTH_M / rho**3 - (1 - 2 * NU) * r / (rho * (rho + DEPTH_M)))
+    )
+    # 2 %: the contact is 0.3 mm wide and not a point.
+    np.testing.assert_allclose(motion.at(r, 0 * r)[0], boussinesq, rtol=0.02)
+    np.testing.assert_allclose(motion.at(0 * r, -r)[1], -boussinesq, rtol=0.02)
+
+
+def test_tiles_in_a_thick_pad_are_pulled_along_as_cerruti_says() -> None:
+    pulled = PressHistory(lateral_n=(1e-3, 0.0))
+    pose = Pose(0.0, 0.0, 0.05e-3)
+    moved = pattern_motion(THICK, 1, pad_contact(THICK, 0.5, ROUND, pose, pulled))
+    still = pattern_motion(THICK, 1, pad_contact(THICK, 0.5, ROUND, pose, FRESH))
+    x = np.array([1.0, 2.0, 4.0]) * MM
+    rho, z, G = np.hypot(x, DEPTH_M), DEPTH_M, E_PA / 2 / (1 + NU)
+
+    def cerruti(r: np.ndarray, along: np.ndarray) -> np.ndarray:
+        m = 1 - 2 * NU
+        return (
+            1e-3
+            / (4 * np.pi * G)
+            * (1 / r + along**2 / r**3 + m * (1 / (r + z) - along**2 / (r * (r + z) ** 2)))
+        )
+
+    ahead = moved.at(x, 0 * x)[0] - still.at(x, 0 * x)[0]
+    beside = moved.at(0 * x, x)[0] - still.at(0 * x, x)[0]
+    # Differences: a half-space's images lift all places alike.
+    np.testing.assert_allclose(ahead - beside, cerruti(rho, x) - cerruti(rho, 0 * x), rtol=0.02)
+    np.testing.assert_allclose(ahead[0] - ahead[1:], (cerruti(rho, x)[0] - cerruti(rho, x))[1:], rtol=0.04)
+
+
+def test_tiles_move_as_the_stack_says_under_pressure_and_shear() -> None:
+    history = PressHistory(lateral_n=(0.8, -0.3))
+    contact = SENSOR.press(ROUND, Pose(0.0, 0.0, 1.2e-3), None, history)
+    layers = SENSOR.spec.layers
+    below = field_below(
+        layers.stack,
+        contact.pressure_pa,
+        contact.x_m,
+        contact.y_m,
+        [layers.pattern_depth_m],
+        shear_x_pa=contact.shear_pa[0],
+        shear_y_pa=contact.shear_pa[1],
+    )
+    x, y = np.meshgrid(contact.x_m, contact.y_m)
+    own = SENSOR.motion(contact).at(x.ravel(), y.ravel()).reshape(3, *x.shape)
+    greatest = np.abs(below.displacement_m[0]).max()
+    assert np.abs(own - below.displacement_m[0]).max() < 5e-3 * greatest
+
+
+@pytest.mark.parametrize("words", ["round", "flat", "edge:20:35", "two-points:8:12:20"])
+def test_pressure_and_shear_hold_what_the_probe_bears(words: str) -> None:
+    probe = parse_indenter(words)
+    contact = SENSOR.press(
+        probe, Pose(2e-3, -1e-3, 0.4e-3), None, PressHistory(lateral_n=(0.3, 0.1), stiffening=1.2)
+    )
+    cell = _cell_m2(contact)
+    assert contact.pressure_pa.sum() * cell == pytest.approx(contact.force_n, rel=1e-6)
+    np.testing.assert_allclose(contact.shear_pa.sum(axis=(1, 2)) * cell, (0.3, 0.1), rtol=2e-4)
+    limit = SENSOR.spec.friction * contact.pressure_pa
+    assert (np.hypot(*contact.shear_pa) <= limit * (1 + 1e-6) + 1e-6).all()
+
+
+def test_the_middle_of_a_press_stays_and_a_ring_moves_outward() -> None:
+    contact = _touch(depth_mm=1.5, x_mm=3.0, y_mm=-2.0)
+    motion = SENSOR.motion(contact)
+    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    r = np.arange(0.0, 12.0, 0.25) * MM
+    x, y = 3e-3 + np.outer(r, np.cos(angle)), -2e-3 + np.outer(r, np.sin(angle))
+    u = motion.at(x.ravel(), y.ravel()).reshape(3, *x.shape)
+    outward = u[0] * np.cos(angle) + u[1] * np.sin(angle)
+    around = u[1] * np.cos(angle) - u[0] * np.sin(angle)
+    ring = outward.mean(axis=1)
+    assert np.hypot(u[0, 0], u[1, 0]).max() < 0.01 * ring.max()
+    assert 0.5 < r[ring.argmax()] / contact.radius_m < 1.5
+    assert ring.max() > 0.3e-3 and ring[1:20].min() > 0
+    # The turn of a ring in steps of 45 degrees is none; the square grid shows in between.
+    assert np.abs(around).max() < 0.02 * ring.max()
+    assert np.ptp(outward, axis=1).max() < 0.02 * ring.max()
+
+
+def test_the_same_press_elsewhere_is_the_same_motion_there() -> None:
+    here, there = _touch(), _touch(x_mm=7.3, y_mm=-4.1)
+    x = np.array([0.0, 2.0, -3.0, 5.0]) * MM
+    moved = SENSOR.motion(there).at(x + 7.3e-3, x - 4.1e-3)
+    np.testing.assert_allclose(moved, SENSOR.motion(here).at(x, x), atol=1e-12)
+
+
+def test_two_indenters_far_apart_are_two_presses() -> None:
+    pair = SENSOR.press(parse_indenter("two-points:6:24"), Pose(0.0, 0.0, 0.5e-3))
+    one = SENSOR.press(parse_indenter("sphere:6"), Pose(0.0, 0.0, 0.5e-3))
+    assert pair.force_n == pytest.approx(2 * one.force_n, rel=0.02)
+    near = SENSOR.press(parse_indenter("two-points:6:3"), Pose(0.0, 0.0, 0.5e-3))
+    assert near.force_n < 1.9 * one.force_n
+
+
+def test_a_turned_edge_is_the_edge_turned() -> None:
+    for turn in (30, 90, 137):
+        contact = _touch(f"edge:20:{turn}", 0.5)
+        y, x = np.nonzero(contact.touching)
+        places = np.column_stack([contact.x_m[x], contact.y_m[y]])
+        _, _, axes = np.linalg.svd(places - places.mean(axis=0), full_matrices=False)
+        seen = math.degrees(math.atan2(axes[0, 1], axes[0, 0]))
+        assert (seen - turn + 90) % 180 - 90 == pytest.approx(0, abs=1)
+        assert contact.force_n == pytest.approx(_touch("edge:20:0", 0.5).force_n, rel=0.03)
+
+
+def test_a_probe_pulled_beyond_friction_slides_with_friction_times_pressure() -> None:
+    contact = SENSOR.press(ROUND, Pose(0, 0, 1e-3), None, PressHistory(lateral_n=(0.0, 99.0)))
+    np.testing.assert_allclose(contact.shear_pa[1], SENSOR.spec.friction * contact.pressure_pa)
+    assert contact.lateral_n == pytest.approx((0.0, SENSOR.spec.friction * contact.force_n))
+
+
+def test_a_path_pulls_the_skin_along_it() -> None:
+    contact = SENSOR.press(ROUND, Pose(0, 0, 1e-3), None, PressHistory(path_m=((0.1e-3, 0.0),)))
+    assert contact.lateral_n[0] > 0.05 and abs(contact.lateral_n[1]) < 1e-3 * contact.lateral_n[0]
+    back = SENSOR.press(ROUND, Pose(0, 0, 1e-3), None, PressHistory(path_m=((-0.1e-3, 0.0),)))
+    assert back.lateral_n[0] == pytest.approx(-contact.lateral_n[0], rel=1e-3)
+
+
+def test_a_pad_that_remembers_bears_more_and_looks_the_same() -> None:
+    relaxed = SENSOR.press(ROUND, Pose(0, 0, 1e-3))
+    stiff = SENSOR.press(ROUND, Pose(0, 0, 1e-3), None, PressHistory(stiffening=1.18))
+    assert stiff.force_n == pytest.approx(1.18 * relaxed.force_n)
+    np.testing.assert_allclose(SENSOR.motion(stiff).moved_m, SENSOR.motion(relaxed).moved_m, atol=1e-12)
+
+
+def test_the_linear_law_misses_finite_strain_by_what_the_explanation_says() -> None:
+    table = SphereTable.load("sphere-h2-mu0")
+    stack = Stack((ElasticLayer(table.thickness * 5e-3, 1e6, table.poisson_ratio),))
+    for depth in (0.1, 0.2, 0.34):
+        force_n = relaxed_press(stack, ROUND, depth * 5e-3).solved.force_n
+        over = force_n / (table.at(depth).force * 1e6 * 25e-6)
+        assert 1.005 < over < 1.05
+
+
+def test_pixels_show_the_tiles_that_the_corners_say() -> None:
+    spec = replace(SENSOR.spec, light=PadLight(blur_px=0.0))
+    contact = _touch(depth_mm=2.0, x_mm=8.0, y_mm=5.0)
+    for shift in ((0.0, 0.0), (0.4, -1.3)):
+        truth = SENSOR.tile_corners(contact, Seating(1.0, shift))
+        window = pad_window(spec, shift)
+        rest = rest_places(spec, SENSOR.motion(contact), shift)
+        across, down = truth.places_px.T - np.array([[window.left], [window.top]])
+        i, j = np.floor(across).astype(int), np.floor(down).astype(int)
+        s, t = across - i, down - j
+        shown = (
+            rest[:, j, i] * (1 - s) * (1 - t)
+            + rest[:, j, i + 1] * s * (1 - t)
+            + rest[:, j + 1, i] * (1 - s) * t
+            + rest[:, j + 1, i + 1] * s * t
+        )
+        off_m = np.abs(shown.T - truth.rest_m).max()
+        assert off_m < 0.02 * SENSOR.spec.camera_m / SENSOR.spec.lens.focal_px[0]
+
+
+def test_what_the_camera_tells_of_a_corner_is_where_its_ray_meets_the_resting_pattern() -> None:
+    truth = SENSOR.tile_corners(_touch(x_mm=15.0, y_mm=-8.0))
+    np.testing.assert_allclose(on_pattern_m(SENSOR.spec, truth.places_px), truth.seen_m, atol=1e-9)
+    towards = truth.skin_m[:, 2].argmax()
+    assert truth.skin_m[towards, 2] > 0.5e-3
+    assert np.hypot(*truth.seen_m[towards]) > np.hypot(*truth.skin_m[towards, :2]) * 1.005
+
+
+def test_x_runs_to_the_right_of_the_image_and_y_upwards() -> None:
+    truth = SENSOR.tile_corners(_touch(depth_mm=0.0))
+    x, y = truth.rest_m.T
+    column, row = truth.places_px.T
+    assert np.corrcoef(x, column)[0, 1] > 0.99 and np.corrcoef(y, row)[0, 1] < -0.99
+    assert len(truth.cells) == 20 * 15 and len({tuple(cell) for cell in truth.cells.tolist()}) == 300
+
+
+def test_yellow_and_red_tiles_alternate_with_168_yellow_ones() -> None:
+    spec = replace(SENSOR.spec, light=PadLight(blur_px=0.0))
+    view, pattern = clean_view(spec, None), spec.pattern
+    i, j = np.meshgrid(np.arange(pattern.columns), np.arange(pattern.rows))
+    middle = np.column_stack([i.ravel() + 0.5 - 10.5, j.ravel() + 0.5 - 8, 0 * i.ravel()]) * pattern.pitch_m
+    from palpate.sensors.nusense.pad_view import seen_px
+
+    column, row = np.rint(seen_px(spec, middle)).astype(int).T
+    red, green, _ = view[row, column].T
+    yellow = green > 0.5 * red
+    assert yellow.sum() == 168
+    np.testing.assert_array_equal(yellow, (i + j).ravel() % 2 == 0)
+
+
+def test_light_and_shift_of_the_seating_are_those_of_the_frame() -> None:
+    rest, rng = _touch(depth_mm=0.0), np.random.default_rng
+    usual = SENSOR.render(rest, rng(1)).image.astype(float)
+    dim = SENSOR.render(rest, rng(1), Seating(0.8)).image.astype(float)
+    part = np.s_[180:300, 220:420]
+    assert dim[part].mean() / usual[part].mean() == pytest.approx(0.8, abs=0.01)
+    shifted = SENSOR.render(rest, rng(1), Seating(1.0, (3.0, -2.0))).image.astype(float)
+    assert np.abs(shifted[178:298, 223:423] - usual[part]).mean() < 3
+
+
+def test_copies_differ_and_the_same_number_is_the_same_pad() -> None:
+    assert palpate.sensor("nusense-7").spec == fabricated(7)
+    moduli = [fabricated(copy).layers.gel_pa for copy in range(200)]
+    assert np.std(moduli) / np.mean(moduli) == pytest.approx(0.1, abs=0.02)
+    assert len({fabricated(copy).pattern.offset_m for copy in range(50)}) == 50
+    soft = palpate.sensor("nusense-soft").press(ROUND, Pose(0, 0, 1e-3))
+    assert soft.force_n < 0.9 * SENSOR.press(ROUND, Pose(0, 0, 1e-3)).force_n
+
+
+def test_every_plan_is_one_that_a_rig_takes() -> None:
+    plans = own_plans_of(SENSOR)
+    for name, fields in plans.items():
+        plan = plan_from(dict(fields), SENSOR)
+        assert plan.name == name
+        for words in plan.indenters:
+            SENSOR.probe(words)
+    places = plan_from(dict(plans["nusense-places"]), SENSOR).places.places()
+    x, y = np.array([[place.x_mm, place.y_mm] for place in places]).T
+    assert len(places) == 24 and np.ptp(x) == pytest.approx(32) and np.ptp(y) == pytest.approx(21)
+
+
+@pytest.mark.parametrize(
+    "words", ["sphere", "sphere:-1", "sphere:nan", "edge:0", "two-points:3", "punch:99", "cube:3", ""]
+)
+def test_words_that_are_no_indenter_are_refused(words: str) -> None:
+    with pytest.raises(InputError, match="NUSense knows round, flat"):
+        SENSOR.probe(words)
+
+
+def test_what_is_not_modelled_is_refused() -> None:
+    with pytest.raises(RangeError, match="beside the pad"):
+        _touch(x_mm=26)
+    with pytest.raises(RangeError, match="is known to"):
+        _touch(depth_mm=2.5)
+    with pytest.raises(RangeError):
+        _touch(depth_mm=math.nan)
+    with pytest.raises(RangeError, match="yields"):
+        SENSOR.press(ROUND, Pose(0, 0, 1e-3), Specimen("S", 1e3))
+    with pytest.raises(RangeError, match="stiffening"):
+        SENSOR.press(ROUND, Pose(0, 0, 1e-3), None, PressHistory(stiffening=0.0))
+    with pytest.raises(InputError, match="leans"):
+        SENSOR.press(replace(ROUND, tilt_rad=0.1), Pose(0, 0, 1e-3))
+    with pytest.raises(InputError, match="no NUSense"):
+        palpate.sensor("nusense-huge")
+    with pytest.raises(RangeError, match="tiles"):
+        NuSenseSpec(pattern=replace(SENSOR.spec.pattern, columns=30))
+    frame = SENSOR.render(_touch(), np.random.default_rng(0))
+    with pytest.raises(ImageError):
+        SENSOR.rectify(replace(frame, image=frame.image[:-8]))
+    assert isinstance(SENSOR, NuSense)
