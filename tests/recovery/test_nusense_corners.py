@@ -24,7 +24,7 @@ def test_found_corners_are_the_true_ones_and_not_the_resting_ones(
     begun = truth.places_px + np.random.default_rng(4).uniform(-0.5, 0.5, truth.places_px.shape)
     found = cv2.cornerSubPix(
         grey,
-        begun.astype(np.float32)[:, None],
+        np.ascontiguousarray(begun[:, None], np.float32),
         HALF_WINDOW,
         (-1, -1),
         (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4),
@@ -33,5 +33,5 @@ def test_found_corners_are_the_true_ones_and_not_the_resting_ones(
     assert rms < MAX_RMS_PX
     assert np.abs((found - truth.places_px).mean(axis=0)).max() < 0.02
     if depth_mm > 0:
-        resting = sensor.tile_corners(sensor.press(sensor.probe("round"), Pose(0, 0, 0))).places_px
-        assert float(np.sqrt(((found - resting) ** 2).mean())) > 4 * MAX_RMS_PX
+        resting = sensor.tile_corners(sensor.press(sensor.probe("round"), Pose(0.0, 0.0, 0.0))).places_px
+        assert float(np.sqrt(((found - resting) ** 2).mean())) > 3 * MAX_RMS_PX

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,6 @@ from palpate.core import (
 )
 from palpate.core.sensor import own_plans_of
 from palpate.mechanics.axisymmetric.sphere_table import SphereTable
-from palpate.mechanics.half_space import hertz
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 from palpate.mechanics.layers.stack_field import field_below
 from palpate.rig.plans.plan_files import plan_from
@@ -31,13 +31,16 @@ from palpate.sensors.nusense.nusense_sensor import NuSense
 from palpate.sensors.nusense.nusense_spec import NuSenseSpec, PadLight, fabricated
 from palpate.sensors.nusense.pad_contact import pad_contact, relaxed_press
 from palpate.sensors.nusense.pad_indenters import parse_indenter
-from palpate.sensors.nusense.pad_view import clean_view, on_pattern_m, pad_window, rest_places
+from palpate.sensors.nusense.pad_view import clean_view, on_pattern_m, pad_window, rest_places, seen_px
 from palpate.sensors.nusense.pattern_motion import pattern_motion
+
+Kernel = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 MM = 1e-3
 SENSOR = palpate.sensor("nusense")
 ROUND = parse_indenter("round")
 E_PA, NU, DEPTH_M = 0.3e6, 0.499, 1.5e-3
+SHEAR_PA = E_PA / 2 / (1 + NU)
 THICK = Stack((ElasticLayer(DEPTH_M, E_PA, NU), ElasticLayer(math.inf, E_PA, NU)), "half-space")
 
 
@@ -59,45 +62,60 @@ def test_a_thick_pad_is_pressed_as_hertz_says() -> None:
         force_n = 4 / 3 * E_PA / (1 - NU**2) * math.sqrt(5e-3) * depth_m**1.5
         assert solved.force_n == pytest.approx(force_n, rel=0.02)
         assert math.sqrt(solved.area_m2 / math.pi) == pytest.approx(math.sqrt(5e-3 * depth_m), rel=0.02)
-    assert hertz.contact_radius is not None
+
+
+def _summed(contact: Contact, load: np.ndarray, kernel: Kernel, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Displacement at (x, y) by the loads of all cells, each as a force in its middle."""
+    rows, columns = np.nonzero(load)
+    force = load[rows, columns] * _cell_m2(contact)
+    return kernel(x[:, None] - contact.x_m[columns], y[:, None] - contact.y_m[rows]) @ force
+
+
+def _boussinesq(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Displacement along x at the tiles under 1 N along z."""
+    rho = np.sqrt(x**2 + y**2 + DEPTH_M**2)
+    return (x * DEPTH_M / rho**3 - (1 - 2 * NU) * x / (rho * (rho + DEPTH_M))) / (4 * np.pi * SHEAR_PA)
+
+
+def _cerruti(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Displacement along x at the tiles under 1 N along x."""
+    rho, m, z = np.sqrt(x**2 + y**2 + DEPTH_M**2), 1 - 2 * NU, DEPTH_M
+    whole = 1 / rho + x**2 / rho**3 + m * (1 / (rho + z) - x**2 / (rho * (rho + z) ** 2))
+    return whole / (4 * np.pi * SHEAR_PA)
 
 
 def test_tiles_in_a_thick_pad_move_sideways_as_boussinesq_says() -> None:
-    contact = pad_contact(THICK, 0.5, ROUND, Pose(0.0, 0.0, 0.02e-3), FRESH)
-    motion = pattern_motion(THICK, 1, contact)
-    r = np.array([1.0, 2.0, 4.0, 8.0]) * MM
-    rho, G = np.hypot(r, DEPTH_M), E_PA / 2 / (1 + NU)
-    boussinesq = (
-        contact.force_n
-        / (4 * np.pi * G)
-        * (r * DEPTH_M / rho**3 - (1 - 2 * NU) * r / (rho * (rho + DEPTH_M)))
-    )
-    # 2 %: the contact is 0.3 mm wide and not a point.
-    np.testing.assert_allclose(motion.at(r, 0 * r)[0], boussinesq, rtol=0.02)
-    np.testing.assert_allclose(motion.at(0 * r, -r)[1], -boussinesq, rtol=0.02)
+    r = np.array([0.5, 1.0, 2.0, 4.0, 8.0]) * MM
+    for depth_m in (0.02e-3, 0.4e-3):
+        contact = pad_contact(THICK, 0.5, ROUND, Pose(0.0, 0.0, depth_m), FRESH)
+        motion = pattern_motion(THICK, 1, contact)
+        expected = _summed(contact, contact.pressure_pa, _boussinesq, r, 0 * r)
+        np.testing.assert_allclose(motion.at(r, 0 * r)[0], expected, rtol=0.01)
+        np.testing.assert_allclose(motion.at(0 * r, -r)[1], -expected, rtol=0.01)
 
 
 def test_tiles_in_a_thick_pad_are_pulled_along_as_cerruti_says() -> None:
-    pulled = PressHistory(lateral_n=(1e-3, 0.0))
-    pose = Pose(0.0, 0.0, 0.05e-3)
-    moved = pattern_motion(THICK, 1, pad_contact(THICK, 0.5, ROUND, pose, pulled))
-    still = pattern_motion(THICK, 1, pad_contact(THICK, 0.5, ROUND, pose, FRESH))
-    x = np.array([1.0, 2.0, 4.0]) * MM
-    rho, z, G = np.hypot(x, DEPTH_M), DEPTH_M, E_PA / 2 / (1 + NU)
+    pulled = PressHistory(path_m=((5e-6, 0.0),))
+    contact = pad_contact(THICK, 0.5, ROUND, Pose(0.0, 0.0, 0.2e-3), pulled)
+    still = pad_contact(THICK, 0.5, ROUND, Pose(0.0, 0.0, 0.2e-3), FRESH)
+    moved, unmoved = (pattern_motion(THICK, 1, one) for one in (contact, still))
+    x = np.array([0.5, 1.0, 2.0, 4.0]) * MM
+    places = np.concatenate([x, 0 * x]), np.concatenate([0 * x, x])
+    own = moved.at(*places)[0] - unmoved.at(*places)[0]
+    expected = _summed(contact, contact.shear_pa[0], _cerruti, *places)
+    # Differences from the first: the images of a half-space move all places alike.
+    np.testing.assert_allclose(
+        own[0] - own[1:], expected[0] - expected[1:], rtol=0.02, atol=0.003 * np.ptp(expected)
+    )
 
-    def cerruti(r: np.ndarray, along: np.ndarray) -> np.ndarray:
-        m = 1 - 2 * NU
-        return (
-            1e-3
-            / (4 * np.pi * G)
-            * (1 / r + along**2 / r**3 + m * (1 / (r + z) - along**2 / (r * (r + z) ** 2)))
-        )
 
-    ahead = moved.at(x, 0 * x)[0] - still.at(x, 0 * x)[0]
-    beside = moved.at(0 * x, x)[0] - still.at(0 * x, x)[0]
-    # Differences: a half-space's images lift all places alike.
-    np.testing.assert_allclose(ahead - beside, cerruti(rho, x) - cerruti(rho, 0 * x), rtol=0.02)
-    np.testing.assert_allclose(ahead[0] - ahead[1:], (cerruti(rho, x)[0] - cerruti(rho, x))[1:], rtol=0.04)
+def test_a_shifted_ball_on_a_thick_pad_bears_what_mindlin_says() -> None:
+    depth_m, shift_m = 0.3e-3, 10e-6
+    contact = pad_contact(THICK, 0.5, ROUND, Pose(0.0, 0.0, depth_m), PressHistory(path_m=((shift_m, 0.0),)))
+    stiffness = 8 * contact.radius_m * SHEAR_PA / (2 - NU)
+    most = 0.5 * contact.force_n
+    mindlin = most * (1 - (1 - 2 * stiffness * shift_m / (3 * most)) ** 1.5)
+    assert contact.lateral_n[0] == pytest.approx(mindlin, rel=0.03)
 
 
 def test_tiles_move_as_the_stack_says_under_pressure_and_shear() -> None:
@@ -116,7 +134,8 @@ def test_tiles_move_as_the_stack_says_under_pressure_and_shear() -> None:
     x, y = np.meshgrid(contact.x_m, contact.y_m)
     own = SENSOR.motion(contact).at(x.ravel(), y.ravel()).reshape(3, *x.shape)
     greatest = np.abs(below.displacement_m[0]).max()
-    assert np.abs(own - below.displacement_m[0]).max() < 5e-3 * greatest
+    # Images of the other's smaller grid lie 27 mm away.
+    assert np.abs(own - below.displacement_m[0]).max() < 7e-3 * greatest
 
 
 @pytest.mark.parametrize("words", ["round", "flat", "edge:20:35", "two-points:8:12:20"])
@@ -127,7 +146,7 @@ def test_pressure_and_shear_hold_what_the_probe_bears(words: str) -> None:
     )
     cell = _cell_m2(contact)
     assert contact.pressure_pa.sum() * cell == pytest.approx(contact.force_n, rel=1e-6)
-    np.testing.assert_allclose(contact.shear_pa.sum(axis=(1, 2)) * cell, (0.3, 0.1), rtol=2e-4)
+    np.testing.assert_allclose(contact.shear_pa.sum(axis=(1, 2)) * cell, (0.3, 0.1), atol=1e-4)
     limit = SENSOR.spec.friction * contact.pressure_pa
     assert (np.hypot(*contact.shear_pa) <= limit * (1 + 1e-6) + 1e-6).all()
 
@@ -144,7 +163,8 @@ def test_the_middle_of_a_press_stays_and_a_ring_moves_outward() -> None:
     ring = outward.mean(axis=1)
     assert np.hypot(u[0, 0], u[1, 0]).max() < 0.01 * ring.max()
     assert 0.5 < r[ring.argmax()] / contact.radius_m < 1.5
-    assert ring.max() > 0.3e-3 and ring[1:20].min() > 0
+    assert ring.max() > 0.3e-3
+    assert ring[1:20].min() > 0
     # The turn of a ring in steps of 45 degrees is none; the square grid shows in between.
     assert np.abs(around).max() < 0.02 * ring.max()
     assert np.ptp(outward, axis=1).max() < 0.02 * ring.max()
@@ -177,21 +197,22 @@ def test_a_turned_edge_is_the_edge_turned() -> None:
 
 
 def test_a_probe_pulled_beyond_friction_slides_with_friction_times_pressure() -> None:
-    contact = SENSOR.press(ROUND, Pose(0, 0, 1e-3), None, PressHistory(lateral_n=(0.0, 99.0)))
+    contact = SENSOR.press(ROUND, Pose(0.0, 0.0, 1e-3), None, PressHistory(lateral_n=(0.0, 99.0)))
     np.testing.assert_allclose(contact.shear_pa[1], SENSOR.spec.friction * contact.pressure_pa)
     assert contact.lateral_n == pytest.approx((0.0, SENSOR.spec.friction * contact.force_n))
 
 
 def test_a_path_pulls_the_skin_along_it() -> None:
-    contact = SENSOR.press(ROUND, Pose(0, 0, 1e-3), None, PressHistory(path_m=((0.1e-3, 0.0),)))
-    assert contact.lateral_n[0] > 0.05 and abs(contact.lateral_n[1]) < 1e-3 * contact.lateral_n[0]
-    back = SENSOR.press(ROUND, Pose(0, 0, 1e-3), None, PressHistory(path_m=((-0.1e-3, 0.0),)))
+    contact = SENSOR.press(ROUND, Pose(0.0, 0.0, 1e-3), None, PressHistory(path_m=((0.1e-3, 0.0),)))
+    assert contact.lateral_n[0] > 0.05
+    assert abs(contact.lateral_n[1]) < 1e-3 * contact.lateral_n[0]
+    back = SENSOR.press(ROUND, Pose(0.0, 0.0, 1e-3), None, PressHistory(path_m=((-0.1e-3, 0.0),)))
     assert back.lateral_n[0] == pytest.approx(-contact.lateral_n[0], rel=1e-3)
 
 
 def test_a_pad_that_remembers_bears_more_and_looks_the_same() -> None:
-    relaxed = SENSOR.press(ROUND, Pose(0, 0, 1e-3))
-    stiff = SENSOR.press(ROUND, Pose(0, 0, 1e-3), None, PressHistory(stiffening=1.18))
+    relaxed = SENSOR.press(ROUND, Pose(0.0, 0.0, 1e-3))
+    stiff = SENSOR.press(ROUND, Pose(0.0, 0.0, 1e-3), None, PressHistory(stiffening=1.18))
     assert stiff.force_n == pytest.approx(1.18 * relaxed.force_n)
     np.testing.assert_allclose(SENSOR.motion(stiff).moved_m, SENSOR.motion(relaxed).moved_m, atol=1e-12)
 
@@ -237,8 +258,10 @@ def test_x_runs_to_the_right_of_the_image_and_y_upwards() -> None:
     truth = SENSOR.tile_corners(_touch(depth_mm=0.0))
     x, y = truth.rest_m.T
     column, row = truth.places_px.T
-    assert np.corrcoef(x, column)[0, 1] > 0.99 and np.corrcoef(y, row)[0, 1] < -0.99
-    assert len(truth.cells) == 20 * 15 and len({tuple(cell) for cell in truth.cells.tolist()}) == 300
+    assert np.corrcoef(x, column)[0, 1] > 0.99
+    assert np.corrcoef(y, row)[0, 1] < -0.99
+    assert len(truth.cells) == 20 * 15
+    assert len({tuple(cell) for cell in truth.cells.tolist()}) == 300
 
 
 def test_yellow_and_red_tiles_alternate_with_168_yellow_ones() -> None:
@@ -246,8 +269,6 @@ def test_yellow_and_red_tiles_alternate_with_168_yellow_ones() -> None:
     view, pattern = clean_view(spec, None), spec.pattern
     i, j = np.meshgrid(np.arange(pattern.columns), np.arange(pattern.rows))
     middle = np.column_stack([i.ravel() + 0.5 - 10.5, j.ravel() + 0.5 - 8, 0 * i.ravel()]) * pattern.pitch_m
-    from palpate.sensors.nusense.pad_view import seen_px
-
     column, row = np.rint(seen_px(spec, middle)).astype(int).T
     red, green, _ = view[row, column].T
     yellow = green > 0.5 * red
@@ -270,8 +291,8 @@ def test_copies_differ_and_the_same_number_is_the_same_pad() -> None:
     moduli = [fabricated(copy).layers.gel_pa for copy in range(200)]
     assert np.std(moduli) / np.mean(moduli) == pytest.approx(0.1, abs=0.02)
     assert len({fabricated(copy).pattern.offset_m for copy in range(50)}) == 50
-    soft = palpate.sensor("nusense-soft").press(ROUND, Pose(0, 0, 1e-3))
-    assert soft.force_n < 0.9 * SENSOR.press(ROUND, Pose(0, 0, 1e-3)).force_n
+    soft = palpate.sensor("nusense-soft").press(ROUND, Pose(0.0, 0.0, 1e-3))
+    assert soft.force_n < 0.9 * SENSOR.press(ROUND, Pose(0.0, 0.0, 1e-3)).force_n
 
 
 def test_every_plan_is_one_that_a_rig_takes() -> None:
@@ -283,7 +304,9 @@ def test_every_plan_is_one_that_a_rig_takes() -> None:
             SENSOR.probe(words)
     places = plan_from(dict(plans["nusense-places"]), SENSOR).places.places()
     x, y = np.array([[place.x_mm, place.y_mm] for place in places]).T
-    assert len(places) == 24 and np.ptp(x) == pytest.approx(32) and np.ptp(y) == pytest.approx(21)
+    assert len(places) == 24
+    assert np.ptp(x) == pytest.approx(32)
+    assert np.ptp(y) == pytest.approx(21)
 
 
 @pytest.mark.parametrize(
@@ -302,11 +325,11 @@ def test_what_is_not_modelled_is_refused() -> None:
     with pytest.raises(RangeError):
         _touch(depth_mm=math.nan)
     with pytest.raises(RangeError, match="yields"):
-        SENSOR.press(ROUND, Pose(0, 0, 1e-3), Specimen("S", 1e3))
+        SENSOR.press(ROUND, Pose(0.0, 0.0, 1e-3), Specimen("S", 1e3))
     with pytest.raises(RangeError, match="stiffening"):
-        SENSOR.press(ROUND, Pose(0, 0, 1e-3), None, PressHistory(stiffening=0.0))
+        SENSOR.press(ROUND, Pose(0.0, 0.0, 1e-3), None, PressHistory(stiffening=0.0))
     with pytest.raises(InputError, match="leans"):
-        SENSOR.press(replace(ROUND, tilt_rad=0.1), Pose(0, 0, 1e-3))
+        SENSOR.press(replace(ROUND, tilt_rad=0.1), Pose(0.0, 0.0, 1e-3))
     with pytest.raises(InputError, match="no NUSense"):
         palpate.sensor("nusense-huge")
     with pytest.raises(RangeError, match="tiles"):

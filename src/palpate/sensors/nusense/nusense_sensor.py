@@ -134,7 +134,7 @@ class NuSense:
         """
         if not is_rigid(specimen):
             raise RangeError("NUSense is pressed by rigid indenters; a specimen that yields is not modelled")
-        if not self.outline.contains(pose.x_m, pose.y_m):
+        if not self.outline.contains(float(pose.x_m), float(pose.y_m)):
             half = [500 * side for side in self.spec.effective_m]
             raise RangeError(
                 f"a press at ({1e3 * pose.x_m:.4g}, {1e3 * pose.y_m:.4g}) mm is beside the pad; press within "

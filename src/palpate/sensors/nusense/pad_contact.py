@@ -29,7 +29,8 @@ LIGHTEST = 1.2  # by which a depth grows that is too light for the cells, until 
 HELD = 0.98  # of friction: a load beyond it slides
 MODEL = "rigid indenter, bonded linear layers, small strain, Coulomb friction after the normal press"
 
-Offsets = Float[ndarray, " n"]
+Columns = Float[ndarray, " nx"]
+Rows = Float[ndarray, " ny"]
 
 
 class RelaxedPress(NamedTuple):
@@ -40,7 +41,7 @@ class RelaxedPress(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def grid_about(probe: Probe, depth_m: float) -> tuple[Offsets, Offsets]:
+def grid_about(probe: Probe, depth_m: float) -> tuple[Columns, Rows]:
     """Cells about a probe's axis that hold its contact [m]."""
     if is_round(probe):
         half = ROOM * max(reaches(probe, depth_m))
@@ -50,10 +51,8 @@ def grid_about(probe: Probe, depth_m: float) -> tuple[Offsets, Offsets]:
         counts = (SIDE, SIDE)
     else:
         cell = PATTERN_CELL_M / 2
-        counts = tuple(  # type: ignore[assignment]
-            BLOCK * math.ceil(2 * (reach * ROOM + 4 * cell) / cell / BLOCK)
-            for reach in reaches(probe, depth_m)
-        )
+        wide, high = (2 * (ROOM * reach / cell + 4) for reach in reaches(probe, depth_m))
+        counts = (BLOCK * math.ceil(wide / BLOCK), BLOCK * math.ceil(high / BLOCK))
     x, y = ((np.arange(count) + 0.5 - count / 2) * cell for count in counts)
     return x, y
 

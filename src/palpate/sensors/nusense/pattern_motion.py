@@ -6,6 +6,7 @@ the motion is wanted, on one plane, again and again, so that each wave's respons
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -14,15 +15,15 @@ import numpy as np
 from scipy import fft
 from scipy.ndimage import map_coordinates, spline_filter
 
-from palpate.core import Contact, Field, Float, InputError, ndarray
+from palpate.core import Complex, Contact, Field, Float, ndarray
 from palpate.mechanics.layers.stack import Stack, climb
 from palpate.mechanics.layers.surface_grid import Cells, Waves, spread
 from palpate.sensors.nusense.pad_contact import PATTERN_CELL_M
 
 SIDE = 192  # cells about the probe: 38 mm to each side, over eight thicknesses of the pad
-ALIGNED = 1e-6
 
 Spectrum = Float[ndarray, "py half"]
+Wave = Complex[ndarray, "py half"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,8 +89,8 @@ def plane_response(stack: Stack, interface: int, side: int, cell_m: float) -> Pl
     zz = on(CR[:, 1, 1])
     zz[0, 0] = waves.mean_wave(CR[:, 1, 1])
     xx[0, 0] = yy[0, 0] = waves.mean_wave((CR[:, 0, 0] + cr) / 2)
-    fields = (c * s * (along - sideways), yy, c * coupled, s * coupled, c * lifted, s * lifted, zz)
-    return PlaneResponse(waves, xx, *fields)
+    fields = (xx, c * s * (along - sideways), yy, c * coupled, s * coupled, c * lifted, s * lifted, zz)
+    return PlaneResponse(waves, *fields)
 
 
 def pattern_motion(stack: Stack, interface: int, contact: Contact) -> PatternMotion:
@@ -98,15 +99,16 @@ def pattern_motion(stack: Stack, interface: int, contact: Contact) -> PatternMot
     Args:
         stack: the pad.
         interface: number of layers above the tiles' lower face.
-        contact: on the grid of `pad_contact`; its tractions are those of the pad as it remembers.
+        contact: its tractions are those of the pad as it remembers.
     """
     share = 1.0 / contact.history.stiffening
     response = plane_response(stack, interface, SIDE, PATTERN_CELL_M)
-    p = response.waves.forward(_coarse(contact.pressure_pa * share, contact))
+    waves_of = _spectrum(contact)
+    p = waves_of(contact.pressure_pa * share)
     moved_x, moved_y = 1j * response.pressed_x * p, 1j * response.pressed_y * p
     moved_z = response.zz * p
     if contact.shear_pa is not None:
-        qx, qy = (response.waves.forward(_coarse(q * share, contact)) for q in contact.shear_pa)
+        qx, qy = (waves_of(q * share) for q in contact.shear_pa)
         moved_x = moved_x + response.xx * qx + response.xy * qy
         moved_y = moved_y + response.xy * qx + response.yy * qy
         moved_z = moved_z - 1j * (response.lifted_x * qx + response.lifted_y * qy)
@@ -115,18 +117,16 @@ def pattern_motion(stack: Stack, interface: int, contact: Contact) -> PatternMot
     return PatternMotion((contact.pose.x_m, contact.pose.y_m), PATTERN_CELL_M, moved, knots)
 
 
-def _coarse(load: Field, contact: Contact) -> Field:
-    """Means of a load on the pattern's larger cells, in the middle of their grid."""
-    cell = float(contact.x_m[1] - contact.x_m[0])
-    times = round(PATTERN_CELL_M / cell)
-    ny, nx = load.shape
-    centred = abs(float(contact.x_m[0] + contact.x_m[-1]) / 2 - contact.pose.x_m) < ALIGNED
-    even = ny % (2 * times) == 0 and nx % (2 * times) == 0
-    if not (abs(times * cell - PATTERN_CELL_M) < ALIGNED * cell + 1e-12 and even and centred):
-        raise InputError("a contact on another grid than NUSense's; make it with the sensor's press()")
-    ny, nx = ny // times, nx // times
-    means = load.reshape(ny, times, nx, times).mean(axis=(1, 3))
-    whole = np.zeros((SIDE, SIDE))
-    top, left = (SIDE - ny) // 2, (SIDE - nx) // 2
-    whole[top : top + ny, left : left + nx] = means
-    return whole
+def _spectrum(contact: Contact) -> Callable[[Field], Wave]:
+    """Waves of a load on a contact's own cells, as the transform of the motion's grid has them.
+
+    They are summed wave by wave, so that a contact narrower than a cell of that grid keeps its shape.
+    """
+    middle, dy = (contact.pose.x_m, contact.pose.y_m), float(contact.y_m[1] - contact.y_m[0])
+    dx = float(contact.x_m[1] - contact.x_m[0])
+    first = (0.5 - SIDE / 2) * PATTERN_CELL_M
+    k_x = 2 * np.pi * fft.rfftfreq(SIDE, PATTERN_CELL_M)[:, None]
+    k_y = 2 * np.pi * fft.fftfreq(SIDE, PATTERN_CELL_M)[:, None]
+    across = np.exp(-1j * k_x * (contact.x_m - middle[0] - first)) * np.sinc(k_x * dx / (2 * np.pi))
+    down = np.exp(-1j * k_y * (contact.y_m - middle[1] - first)) * np.sinc(k_y * dy / (2 * np.pi))
+    return lambda load: np.asarray(down @ load @ across.T * (dx * dy / PATTERN_CELL_M**2))
