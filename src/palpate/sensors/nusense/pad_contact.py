@@ -34,7 +34,12 @@ Rows = Float[ndarray, " ny"]
 
 
 class RelaxedPress(NamedTuple):
-    """A press of the relaxed pad; `scale` over what was solved, for a touch lighter than cells resolve."""
+    """A press of the relaxed pad.
+
+    Attributes:
+        solved: the contact, which is deeper than asked for where cells resolve no lighter one.
+        scale: of the load, over that.
+    """
 
     solved: StackContact
     scale: float
@@ -93,7 +98,7 @@ def _lightest_m(stack: Stack, probe: Probe, depth_m: float) -> float:
 def pad_contact(stack: Stack, friction: float, probe: Probe, pose: Pose, history: PressHistory) -> Contact:
     """The contact of a probe at a pose.
 
-    A remembering pad carries `history.stiffening` times the relaxed tractions at the same displacement: all
+    A remembering pad carries its stiffening times the relaxed tractions at the same displacement: all
     layers relax alike. The probe is pressed first and shifted then, in one go, to the last place of the path
     or until it carries the lateral force; a force beyond friction slides, with friction times the pressure.
     """
