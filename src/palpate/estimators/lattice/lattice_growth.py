@@ -28,13 +28,13 @@ MIN_AROUND = 3  # cells that say so
 MAX_BETWEEN = 0.15  # share of marks halfway between two, beyond which a lattice is part of a finer one
 MIN_MARKS = 9  # fewer are no lattice
 MIN_DETERMINANT = 0.05  # of the cells around: less are nearly on one line
-TRIES = 12  # marks from which it is begun
+MAX_SEEDS = 12  # marks from which it is begun
 HELD = 0.02  # of the weights, by which curvature is held towards none
 MARGIN = 4  # empty cells around the known ones
 
 
 @dataclass(frozen=True)
-class Step:
+class GrowthStep:
     """What is asked of a cell before a mark is taken for it.
 
     Attributes:
@@ -52,9 +52,9 @@ class Step:
     curved: bool = False
 
 
-NEXT = Step(2, MIN_AROUND, 3, 0.28)
-OVER_A_GAP = Step(3, 5, 0, 0.2)
-AROUND_A_BEND = Step(3, 7, 2, 0.2, curved=True)
+NEXT = GrowthStep(2, MIN_AROUND, 3, 0.28)
+OVER_A_GAP = GrowthStep(3, 5, 0, 0.2)
+AROUND_A_BEND = GrowthStep(3, 7, 2, 0.2, curved=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ def _largest(places: Points, kind: str, turn: Float[ndarray, " n"] | None) -> Gr
             reached[grown.marks] = True
             if best is None or len(grown.cells) > len(best.cells):
                 best = grown
-        if tries == TRIES or (best is not None and 2 * len(best.cells) > len(places)):
+        if tries == MAX_SEEDS or (best is not None and 2 * len(best.cells) > len(places)):
             break
     return best
 
@@ -210,7 +210,7 @@ class _Growth:
         pitch[spans] = np.hypot(fit[:, 1:3, 0], fit[:, 1:3, 1]).min(axis=1)
         return place, pitch, np.rint(_correlate(whole, (w > 0).astype(np.float64))), spans
 
-    def _extend(self, step: Step) -> bool:
+    def _extend(self, step: GrowthStep) -> bool:
         """Take the marks that lie where cells next to known ones expect them; whether there were any."""
         place, pitch, count, spans = self._predicted(step.reach, step.curved)
         known = np.float64(self.mark >= 0)
