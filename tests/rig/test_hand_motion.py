@@ -14,7 +14,7 @@ from palpate.devices.motion_limits import Reason, Tripped
 from palpate.rig.commissioning.force_touch import G_M_S2, touch_twice, weigh
 from palpate.rig.commissioning.hand_motion import home_clear, jog, lift_clear, zero
 from palpate.rig.rig import Rig
-from palpate.rig.virtual import virtual_rig
+from palpate.rig.virtual import Fault, virtual_rig
 
 
 def jogged(rig: Rig, **given: Any) -> float:
@@ -96,6 +96,15 @@ def test_a_jog_into_the_skin_ends_at_its_change_of_force() -> None:
         jogged(rig, distance_m=9e-3, stop_n=1.0)
     assert told.value.reason is Reason.FORCE_LIMIT
     assert 0 < rig.stage.position_m()[2] < 2e-3  # of 4 mm that it was sent into the skin
+
+
+@pytest.mark.parametrize("after_s", [0.4, 1.0, 2.0])
+def test_a_jog_ends_where_the_sensor_repeats_itself(after_s: float) -> None:
+    rig = virtual_rig(faults=[Fault("force-stuck", after_s)])
+    with pytest.raises(Tripped) as told:
+        jogged(rig, distance_m=9e-3)
+    assert told.value.reason in (Reason.FORCE_STUCK, Reason.FORCE_DEAD)
+    assert rig.stage.position_m()[2] < 0.2e-3  # of 4 mm that it was sent into the skin
 
 
 @pytest.mark.parametrize(

@@ -16,12 +16,15 @@ from tests.rig.conftest import GrblBench
 from palpate.core import Clock, MonotonicClock, Wrench
 from palpate.core.errors import DeviceError, ExistsError, InputError, RangeError
 from palpate.devices.motion_limits import Tripped
-from palpate.rig.commissioning.rig_setup import set_up
+from palpate.rig.commissioning.rig_setup import PRESS_MM_S, set_up
 from palpate.rig.commissioning.setup_answers import FileAnswers
 from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.fakes.netft_box import FakeNetFT, FakePage
 from palpate.rig.fakes.video_capture import FakeVideoCapture
+from palpate.rig.plans import Grid, StepHold
+from palpate.rig.real.grbl import GrblSpec, GrblStage
 from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
+from palpate.rig.rig_file import LimitsPart
 
 SURFACE_MM = 5.5  # of the skin, in the sensor's z
 STIFFNESS_N_MM = 4.0
@@ -102,10 +105,10 @@ class LabAnswers(FileAnswers):
         super().__init__(answers, yes=True)
         self.lab = lab
 
-    def ask(self, name: str, question: str, proposal: Any = None) -> Any:
+    def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
         if name in ("weight_lies", "weight_off"):
             self.lab.weight_lies = name == "weight_lies"
-        return super().ask(name, question, proposal)
+        return super().ask(name, question, proposal, words=words)
 
 
 @contextmanager
@@ -165,6 +168,22 @@ def test_a_walk_through_the_setup_finds_sign_surface_and_scale_and_ends_in_the_c
     assert [c for c in made.checks if not c.ok and c.unit not in timed] == []
     assert any(c.name.startswith("stage: ") and c.ok for c in made.checks)
     assert any("firmware" in line for line in made.unchecked)
+
+
+@pytest.mark.parametrize("latency_s", [0.01, 0.05, 0.2])
+def test_the_file_that_setup_writes_lets_a_plan_press_at_its_usual_speed(
+    tmp_path: Path, latency_s: float
+) -> None:
+    with lab() as one:
+        _, file, _ = walked(one, tmp_path / "rig.toml", may_move=False, mass_g=0, latency_s=latency_s)
+        limits = LimitsPart(**file["limits"]).limits()
+        usual_m_s = StepHold(places=Grid()).press_mm_s * 1e-3
+        assert usual_m_s == PRESS_MM_S * 1e-3
+        stage = GrblStage.open(GrblSpec(one.bench.terminal.path, boot_s=0.05, latency_s=latency_s))
+        try:
+            limits.check_speed(usual_m_s, stage.travel)
+        finally:
+            stage.close()
 
 
 def test_a_setup_that_may_move_nothing_writes_what_it_found_and_says_what_it_did_not(tmp_path: Path) -> None:

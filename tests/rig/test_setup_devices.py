@@ -38,10 +38,10 @@ class Person(LabAnswers):
 
     lies = False
 
-    def ask(self, name: str, question: str, proposal: Any = None) -> Any:
+    def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
         if name.endswith("_weight_lies"):
             Person.lies = True
-        return super().ask(name, question, proposal)
+        return super().ask(name, question, proposal, words=words)
 
 
 def scale(layout: str = "counts", sign: float = 1.0, rate_hz: float = 20.0) -> PrintingScale:
@@ -157,11 +157,11 @@ def test_ctrl_c_at_any_question_writes_nothing_and_moves_nothing(tmp_path: Path)
     class Leaves(LabAnswers):
         left = 0
 
-        def ask(self, name: str, question: str, proposal: Any = None) -> Any:
+        def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
             if self.left == 0:
                 raise KeyboardInterrupt
             self.left -= 1
-            return super().ask(name, question, proposal)
+            return super().ask(name, question, proposal, words=words)
 
     with lab() as one:
         for left in (0, 3, 4, 7, 10, 12, 14):

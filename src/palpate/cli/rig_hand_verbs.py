@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +16,22 @@ from palpate.cli.rig_verbs import rig_app
 from palpate.cli.verb_support import Json, print_found
 
 RigName = Annotated[str, Argument(help="A rig's TOML file, or virtual:palm.")]
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[None]:
+    """Stop the stage, as Ctrl-C does, also where the process is told to end or its terminal is closed."""
+
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {number: signal.signal(number, interrupt) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @rig_app.command()
@@ -34,8 +53,9 @@ def home(
     from palpate.rig.commissioning.hand_motion import home_clear
 
     typer.echo("lifting by force, then homing; Ctrl-C stops", err=True)
-    with open_bench(rig, ("force", "stage"), place=False) as bench:
+    with stopped_by_signals(), open_bench(rig, ("force", "stage"), place=False) as bench:
         stage = bench.need_stage()
+        bench.check_may_home()
         force = None if lifted and bench.force is None else bench.need_force()
         found = home_clear(stage, force, bench.mounting, bench.clock, lifted=lifted)
         at_mm = [round(1e3 * d, 4) for d in stage.position_m()]
@@ -62,7 +82,9 @@ def jog(
 ) -> None:
     """Move one axis by some millimetres, guarded by force.
 
-    Any change of force from what it is at the start stops it. Where there is no force sensor, or it fails,
+    Any change of force from what it is at the start stops it, and so does a sensor that repeats itself; one
+    that only hums, or reads a tenth, is not told from air. Towards the skin and aside it is no faster than
+    the rig can stop within its `overshoot_mm`. Where there is no force sensor, or it fails,
     nothing moves unless --unguarded is given: then at 2 mm/s at most, and nothing stops it but its limits.
 
     Example: palpate rig jog bench.toml --axis z --mm -2
@@ -71,7 +93,7 @@ def jog(
     from palpate.rig.commissioning.bench import open_bench
     from palpate.rig.commissioning.hand_motion import jog as jog_stage
 
-    with open_bench(rig, ("force", "stage")) as bench:
+    with stopped_by_signals(), open_bench(rig, ("force", "stage")) as bench:
         stage = bench.need_stage()
         if bench.force is None and not unguarded:
             why = bench.failed.get("force", f"the rig {bench.name!r} has no [force]")
@@ -144,7 +166,7 @@ def zero(rig: RigName, json_: Json = False) -> None:
     from palpate.rig.commissioning.bench import open_bench
     from palpate.rig.commissioning.hand_motion import zero as zero_force
 
-    with open_bench(rig, ("force", "stage")) as bench:
+    with stopped_by_signals(), open_bench(rig, ("force", "stage")) as bench:
         found = zero_force(bench.need_stage(), bench.need_force(), bench.mounting, bench.clock, bench.limits)
     x, y, z = found.force_n
     text = (
@@ -174,7 +196,8 @@ def setup(
     from palpate.rig.commissioning.setup_answers import FileAnswers, PromptAnswers
 
     asked = PromptAnswers(yes=yes) if answers is None else FileAnswers.read(answers, yes=yes)
-    found = set_up(out, asked, lambda line: typer.echo(line, err=True))
+    with stopped_by_signals():
+        found = set_up(out, asked, lambda line: typer.echo(line, err=True))
     wrong = [one for one in found.checks if not one.ok]
     lines = [f"wrong: {one.name}: {one.message}" for one in wrong]
     lines += [f"not checked: {one}" for one in found.unchecked]

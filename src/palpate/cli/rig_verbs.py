@@ -227,6 +227,10 @@ def _late(clocks: Offset) -> str:
     )
 
 
+# Ctrl-C, a request to end, and a terminal that is closed.
+_ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
 @contextmanager
 def _signals_ask(control: OperatorControl) -> Iterator[None]:
     """Ctrl-C and a request to end abort the recording; the second time they are the emergency stop."""
@@ -237,7 +241,7 @@ def _signals_ask(control: OperatorControl) -> Iterator[None]:
             OperatorCommand.ESTOP if control.command is OperatorCommand.ABORT else OperatorCommand.ABORT
         )
 
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, ask) for number in _ENDING}
     try:
         yield
     finally:

@@ -338,9 +338,9 @@ def driver_errors(what: str) -> Iterator[None]:
     """
     try:
         yield
-    except (PalpateError, OperatorInterrupt):
+    except (PalpateError, OperatorInterrupt, KeyboardInterrupt):
         raise
-    except (Exception, SystemExit) as e:  # what is somebody else's may raise anything
+    except BaseException as e:  # what is somebody else's may raise anything
         raise DeviceError(f"{what}: {told(e)}") from e
 
 

@@ -184,5 +184,6 @@ class Limits:
                 f"at {speed_m_s * 1e3:g} mm/s the probe runs on {runs_on * 1e3:.3f} mm after a force that "
                 f"stops it (the force comes {self.force_latency_s * 1e3:g} ms late, the stage obeys "
                 f"{travel.latency_s * 1e3:g} ms later); {self.overshoot_m * 1e3:g} mm are allowed, which is "
-                f"at most {self.fastest_m_s(travel) * 1e3:.2f} mm/s",
+                f"at most {self.fastest_m_s(travel) * 1e3:.2f} mm/s; go slower (a plan's press_mm_s and "
+                "seek_mm_s), or allow more (overshoot_mm under [limits] of the rig's file)",
             )

@@ -99,15 +99,19 @@ class GuardSupervisor:
 
     def serve(self) -> None:
         """Carry out orders until the client is gone; then nothing moves, and the probe is lifted."""
-        while not self._gone.is_set():
-            try:
-                order = self._orders.get(timeout=IDLE_S)
-            except Empty:
-                self._idle()
-                continue
-            if order:
-                self._perform(order)
-        self._lift("whoever records is gone")
+        why = "the supervisor failed"
+        try:
+            while not self._gone.is_set():
+                try:
+                    order = self._orders.get(timeout=IDLE_S)
+                except Empty:
+                    self._idle()
+                    continue
+                if order:
+                    self._perform(order)
+            why = "whoever records is gone"
+        finally:
+            self._lift(why)
 
     def stop(self) -> dict[str, int]:
         """Emergency stop, from any thread: nothing moves any more until it is released.
@@ -341,5 +345,5 @@ def _answer_of(work: Callable[[], Any]) -> dict[str, Any]:
         return {"ok": True, "result": work()}
     except _HaltedError:
         return {"ok": False, "kind": "DeviceError", "error": "the client halted the motion"}
-    except Exception as e:
+    except BaseException as e:  # a driver may raise anything, and Ctrl-C does not come here
         return {"ok": False, **error_fields(e)}

@@ -28,6 +28,7 @@ from palpate.rig.rig_file import GrblPart, MarlinPart, RigFile, is_virtual, open
 from palpate.rig.service import RigClient, rig_name
 
 WATCH_S = 1.0  # for a camera's rate
+POLL_S = 0.02
 REACH_S = 3.0  # for a process that holds the rig
 
 Client = TypeVar("Client", bound=RpcClient)
@@ -39,6 +40,7 @@ class Bench(Closing):
 
     Attributes:
         failed: why a device could not be opened, by its role.
+        stage_part: the stage's table in the rig's file; None for a virtual one.
         origin_m: expected surface of the skin, in the stage's frame [m].
     """
 
@@ -51,6 +53,7 @@ class Bench(Closing):
     force: ForceSensor | None = None
     camera: FrameSource | None = None
     failed: dict[str, str] = field(default_factory=dict)
+    stage_part: Any = None
 
     def close(self) -> None:
         """Let go of all devices, the stage first."""
@@ -67,6 +70,19 @@ class Bench(Closing):
         if self.stage is None:
             raise DeviceError(self.failed.get("stage", f"the rig {self.name!r} has no [stage]"))
         return self.stage
+
+    def check_may_home(self) -> None:
+        """Refuse to home a stage whose switches lie on the skin's side, unless its file says that it may.
+
+        Raises:
+            InputError: it is a Marlin stage without `home = true`.
+        """
+        if isinstance(self.stage_part, MarlinPart) and not self.stage_part.home:
+            raise InputError(
+                f"the rig {self.name!r} has a Marlin stage, whose homing can drive its tool down to the bed; "
+                "nothing moved. Where its switches lie away from the skin, set home = true under [stage]; "
+                "else lift and place it by hand, and state where it stands as reference"
+            )
 
     def need_force(self) -> ForceSensor:
         """The force sensor.
@@ -113,6 +129,7 @@ def open_bench(
         mounting=Mounting(file.force.axes) if file.force else Mounting(),
         limits=file.limits.limits() if file.limits else None,
         origin_m=(x, y, z),
+        stage_part=file.stage,
     )
     for role in roles:
         try:
@@ -226,14 +243,30 @@ def _camera_status(bench: Bench, problems: dict[str, str]) -> dict[str, Any]:
         return found
     found["camera_stated_hz"] = camera.rate_hz
     try:
-        times_ns = [camera.grab(WATCH_S)[0]]
-        while times_ns[-1] - times_ns[0] < WATCH_S * NS_PER_S:
-            times_ns.append(camera.grab(WATCH_S)[0])
+        times_ns = frame_times(camera, bench.clock, WATCH_S)
         found["camera_rate_hz"] = round((len(times_ns) - 1) * NS_PER_S / (times_ns[-1] - times_ns[0]), 2)
         found["frame_age_ms"] = round((bench.clock.now_ns() - times_ns[-1]) / 1e6, 1)
     except PalpateError as e:
         problems["camera"] = str(e)
     return found
+
+
+def frame_times(camera: FrameSource, clock: Clock, seconds: float) -> list[int]:
+    """Ends of the exposures of all frames that a camera takes in so many seconds, two at least [ns].
+
+    All that it took are counted, as `grab` alone would not: that waits for a whole exposure after each call.
+
+    Raises:
+        DeviceError: it gives none.
+    """
+    times_ns = [camera.grab(max(seconds, 3.0 / camera.rate_hz))[0]]
+    while times_ns[-1] - times_ns[0] < seconds * NS_PER_S:
+        clock.sleep(min(POLL_S, 0.5 / camera.rate_hz))
+        taken = camera.drain()
+        times_ns += [time_ns for time_ns, _ in taken]
+        if not taken and clock.now_ns() - times_ns[-1] > (seconds + 3.0 / camera.rate_hz) * NS_PER_S:
+            times_ns.append(camera.grab(seconds)[0])  # which says what is wrong with it
+    return times_ns
 
 
 def process_status(rig: str) -> dict[str, Any] | None:

@@ -208,8 +208,9 @@ def jog(
     elif axis == "z" and distance_m < 0:
         _retreat(stage, force, mounting, clock, -distance_m, speed_m_s)
     else:
-        bias = ForceBias(mounting, mean_force(force, mounting, clock).force_n)
+        bias = ForceBias(mounting)
         guard = MotionGuard(stage, force, replace(limits, force_n=stop_n), bias, clock, OperatorControl())
+        guard.tare(force.rate_hz)  # learns its noise too, without which a stuck sensor is believed
         guard.towards(target, speed_m_s)
 
 

@@ -21,6 +21,7 @@ from palpate.devices import Limits, Mounting, OperatorControl
 from palpate.devices.check.check_result import CheckResult
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.motion_guard import MotionGuard
+from palpate.rig.commissioning.bench import frame_times
 from palpate.rig.commissioning.force_touch import MAX_REACH_M, Weighing, touch_twice, weigh
 from palpate.rig.commissioning.found_parts import FoundStage, find_stage, serial_ports, video_devices
 from palpate.rig.commissioning.hand_motion import JOG_N, MAX_JOG_M_S, home_clear, mean_force
@@ -28,14 +29,16 @@ from palpate.rig.commissioning.scale_setup import ask_scale
 from palpate.rig.commissioning.setup_answers import Answers, Three, confirm, number, text, three
 from palpate.rig.commissioning.toml_text import toml_text
 from palpate.rig.rig_check import check_rig
-from palpate.rig.rig_file import MAX_LIMITS, RigFile, open_part, open_rig
+from palpate.rig.rig_file import MAX_LIMITS, LimitsPart, RigFile, open_part, open_rig
 
 MM = 1e3
 LIFT_M = 5e-3  # above the surface, where the check begins
 RANGE_SHARE = 0.5  # of the sensor's range, proposed as the limit of force
 PROPOSED_N = 20.0
-CAMERA_FRAMES = 20
-GRAB_S = 5.0
+PRESS_MM_S = 2.0  # at which plans press where they say nothing else
+BRAKES_MM_S2 = 50.0  # a slow stage's acceleration
+CAMERA_S = 2.0  # for a camera's rate
+CAMERA_SLOW = 0.8  # of the rate that it states
 
 Say = Callable[[str], None]
 
@@ -272,10 +275,13 @@ def _camera(made: SetUp, answers: Answers, say: Say, clock: Clock) -> None:
 def _tried(part: dict[str, Any], clock: Clock) -> str:
     camera = open_part("camera", _part("camera", part), clock)
     try:
-        times_ns = [camera.grab(GRAB_S)[0] for _ in range(CAMERA_FRAMES)]
+        times_ns = frame_times(camera, clock, CAMERA_S)
         rate_hz = (len(times_ns) - 1) * NS_PER_S / max(times_ns[-1] - times_ns[0], 1)
         named = part.get("address", part["kind"])
-        return f"camera {named}: {rate_hz:.1f} frames/s of {camera.rate_hz:g} stated"
+        said = f"camera {named}: {rate_hz:.1f} frames/s of {camera.rate_hz:g} stated"
+        if rate_hz < CAMERA_SLOW * camera.rate_hz:
+            said += f": too slow; state rate_hz = {rate_hz:.0f}, or give it more light and a free port"
+        return said
     finally:
         camera.close()
 
@@ -299,6 +305,12 @@ def _limits(made: SetUp, answers: Answers, found: FoundStage) -> None:
     made.fields["limits"] = {"least_mm": list(least), "greatest_mm": list(greatest), "force_N": force_n}
     if (latency_s := made.fields.pop("_latency_s", None)) is not None:
         made.fields["limits"] |= {"force_latency_s": latency_s, "age_s": max(0.1, 2 * latency_s)}
+    defaults = LimitsPart(**made.fields["limits"])
+    delay_s = made.fields["stage"]["latency_s"] + defaults.force_latency_s
+    runs_on_mm = PRESS_MM_S * delay_s + PRESS_MM_S**2 / (2 * BRAKES_MM_S2)
+    if runs_on_mm > defaults.overshoot_mm:
+        allowed_mm = math.ceil(50 * runs_on_mm) / 50
+        made.fields["limits"]["overshoot_mm"] = min(allowed_mm, MAX_LIMITS["overshoot_mm"])
 
 
 def _check_box(least: Three, greatest: Three, low: Three, high: Three) -> None:

@@ -19,7 +19,7 @@ Three = tuple[float, float, float]
 class Answers(Protocol):
     """Source of answers, each with a name, by which a file gives it."""
 
-    def ask(self, name: str, question: str, proposal: Any = None) -> Any: ...
+    def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any: ...
     def again(self, why: str) -> bool: ...  # whether a wrong answer may be given anew
     def unused(self) -> list[str]: ...  # names that were answered and never asked for
 
@@ -41,7 +41,7 @@ class FileAnswers:
             raise InputError(f"there is no file of answers {str(path)!r}")
         return cls(read_toml(path), yes=yes)
 
-    def ask(self, name: str, question: str, proposal: Any = None) -> Any:
+    def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
         """The answer of this name.
 
         Raises:
@@ -69,8 +69,10 @@ class PromptAnswers:
     def __init__(self, *, yes: bool = False, read: Callable[[str], str] = input) -> None:
         self._yes, self._read = yes, read
 
-    def ask(self, name: str, question: str, proposal: Any = None) -> Any:
-        """Ask until something is answered; lists, true and numbers are read as JSON."""
+    def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
+        """Ask until something is answered; lists, true and numbers are read as JSON, unless words are asked
+        for.
+        """
         if self._yes and proposal is not None:
             return proposal
         shown = "" if proposal is None else f" [{json.dumps(proposal)}]"
@@ -80,7 +82,7 @@ class PromptAnswers:
             except EOFError as e:
                 raise InputError(f"nobody answered: {question}; give a file with --answers") from e
             if text:
-                return _value(text)
+                return text if words else _value(text)
             if proposal is not None:
                 return proposal
 
@@ -161,5 +163,5 @@ def three(answers: Answers, name: str, question: str, proposal: Three | None = N
 
 def text(answers: Answers, name: str, question: str, proposal: str | None = None) -> str:
     """An answer in words."""
-    answer = answers.ask(name, question, proposal)
+    answer = answers.ask(name, question, proposal, words=True)
     return answer if isinstance(answer, str) else json.dumps(answer)

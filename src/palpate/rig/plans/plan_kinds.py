@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from palpate.rig.plans.press_places import Positive
+from palpate.rig.plans.press_places import Positive, StepMm
 from palpate.rig.plans.recording_plan import (
     LESS,
     MM,
@@ -85,7 +85,7 @@ class StepHold(RecordingPlan):
 
     kind: Literal["stepped"] = "stepped"
     depth_mm: Positive = 5.0
-    step_mm: Positive = 0.1
+    step_mm: StepMm = 0.1
     frames: Count = 25
     settle_s: LESS = 0.0
     unloading: bool = False

@@ -17,6 +17,8 @@ from palpate.core import DEFAULT_SENSOR, InputError, Outline, Sensor
 from palpate.core.sensor import sensor as sensor_of
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+StepMm = Annotated[float, Field(ge=0.001, allow_inf_nan=False)]
+"""A step of the stage [mm]: a micrometre at least, below which no stage moves."""
 ROUNDING_MM = 1e-9
 WAYS = {"+x": (1, 0), "-x": (-1, 0), "+y": (0, 1), "-y": (0, -1)}
 MAX_TRIES = 1000  # for each random place

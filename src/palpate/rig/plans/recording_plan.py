@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from palpate.core import InputError, Sensor, Specimen
 from palpate.core.sensor import sensor as sensor_of
-from palpate.rig.plans.press_places import Grid, Place, Places, Positive
+from palpate.rig.plans.press_places import Grid, Place, Places, Positive, StepMm
 
 
 class Shot(NamedTuple):
@@ -193,7 +193,7 @@ class RecordingPlan(BaseModel):
     seed: int = 0
     indenters: Annotated[tuple[str, ...], Field(min_length=1)] = ("sphere:10",)
     threshold_N: Positive = 0.05  # noqa: N815 - the unit is part of the name
-    seek_step_mm: Positive = 0.02
+    seek_step_mm: StepMm = 0.02
     seek_mm: Positive = 2.0
     clearance_mm: Positive = 1.0
     travel_mm_s: Positive = 20.0

@@ -26,6 +26,16 @@ def check_below(ceilings: dict[str, float], part: BaseModel) -> None:
             )
 
 
+def check_above(floors: dict[str, float], part: BaseModel) -> None:
+    """Refuse a field below its floor, with both numbers; fields that were left out are not compared."""
+    for name, floor in floors.items():
+        value = getattr(part, name, None)
+        if value is not None and value < floor:
+            raise ValueError(
+                f"{name} is {value:g}, and {floor:g} is the least allowed; give {floor:g} or more"
+            )
+
+
 def metres(mm: Three) -> Position:
     """Metres of three millimetres."""
     x, y, z = (MM * value for value in mm)

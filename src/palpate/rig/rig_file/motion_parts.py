@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from palpate.devices import Limits
 from palpate.rig.plans.press_places import Positive
-from palpate.rig.rig_file.file_fields import MM, Part, Three, check_below, metres
+from palpate.rig.rig_file.file_fields import MM, Part, Three, check_above, check_below, metres
 from palpate.rig.virtual.disturbances import Kind
 
 MAX_LIMITS: dict[str, float] = {
@@ -20,6 +20,16 @@ MAX_LIMITS: dict[str, float] = {
     "step_mm": 1.0,
 }
 """Greatest limits that a rig's file may state: beyond them a limit guards nothing on a soft skin."""
+
+
+MIN_LIMITS: dict[str, float] = {
+    "force_N": 0.05,
+    "force_rate_N_s": 1.0,
+    "age_s": 0.002,
+    "overshoot_mm": 0.005,
+    "step_mm": 0.005,
+}
+"""Least limits that a rig's file may state: below them no motion is possible, or none ends."""
 
 
 class LimitsPart(Part):
@@ -37,6 +47,7 @@ class LimitsPart(Part):
     @model_validator(mode="after")
     def _allowed(self) -> LimitsPart:
         check_below(MAX_LIMITS, self)
+        check_above(MIN_LIMITS, self)
         return self
 
     def limits(self) -> Limits:
@@ -73,4 +84,9 @@ class RegionPart(Part):
     """A part of the picture that matters, such as "fringes", for the operator's page."""
 
     name: Annotated[str, Field(min_length=1, max_length=40)]
-    box_px: tuple[int, int, int, int]
+    box_px: tuple[
+        Annotated[int, Field(ge=0)],
+        Annotated[int, Field(ge=0)],
+        Annotated[int, Field(ge=1)],
+        Annotated[int, Field(ge=1)],
+    ]

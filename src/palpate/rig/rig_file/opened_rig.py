@@ -25,7 +25,7 @@ from palpate.core import (
     Stage,
 )
 from palpate.core.sensor import sensor as sensor_of
-from palpate.devices import Mounting, SupervisorLink, open_device
+from palpate.devices import Limits, Mounting, SupervisorLink, open_device
 from palpate.devices.device_plugins import check_kind
 from palpate.rig.commissioning.hand_motion import home_clear
 from palpate.rig.commissioning.scaled_force import ScaledForce
@@ -203,6 +203,7 @@ def rig_from(file: RigFile, *, supervised: bool = True, name: str = "") -> Rig:
         raise InputError(
             f"the rig {file.name!r} needs [stage], [force], [camera] and [limits], or [virtual] instead"
         )
+    limits, mounting = file.limits.limits(), Mounting(file.force.axes)  # refused before anything is opened
     clock = MonotonicClock()
     with ExitStack() as opened:
         camera = _opened("camera", file.camera, clock, opened)
@@ -223,10 +224,10 @@ def rig_from(file: RigFile, *, supervised: bool = True, name: str = "") -> Rig:
             stage=guarded[0],
             force=guarded[1],
             camera=camera,
-            limits=file.limits.limits(),
+            limits=limits,
             origin_m=metres(file.origin_mm),
             clock=clock,
-            mounting=Mounting(file.force.axes),
+            mounting=mounting,
             regions=_regions(file),
             licence=file.licence,
             origin=file.origin,
@@ -247,8 +248,18 @@ def open_guarded(file: RigFile, clock: Clock, opened: ExitStack) -> tuple[Stage,
     force = _opened("force", file.force, clock, opened)
     stage = _opened("stage", file.stage, clock, opened)
     if isinstance(file.stage, GrblPart | MarlinPart) and file.stage.home:
+        _check_before_homing(file, stage, force)
         home_clear(stage, force, Mounting(file.force.axes), clock)
     return stage, force
+
+
+def _check_before_homing(file: RigFile, stage: Stage, force: ForceSensor) -> None:
+    """Refuse what can be told without a motion: homing is one."""
+    if file.limits is None:
+        return
+    limits, mounting = file.limits.limits(), Mounting(file.force.axes if file.force else ("x", "y", "z"))
+    _check_force_limit(limits, force.range_n[mounting.normal])
+    limits.check_within(stage.travel)
 
 
 def open_part(role: Role, part: StagePart | ForcePart | CameraPart, clock: Clock) -> Any:
@@ -285,8 +296,12 @@ def _virtual(file: RigFile, part: VirtualPart) -> Rig:
 
 def _check_range(rig: Rig) -> None:
     """Refuse a limit of force that the rig's sensor cannot measure."""
+    _check_force_limit(rig.limits, rig.force.range_n[rig.mounting.normal])
+
+
+def _check_force_limit(limits: Limits, range_n: float) -> None:
     try:
-        rig.limits.check_range(rig.force.range_n[rig.mounting.normal])
+        limits.check_range(range_n)
     except RangeError as e:
         raise InputError(f"limits.force_N: {e}") from e
 

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from palpate.core import Clock, DeviceError, Stage
 from palpate.rig.plans.press_places import Positive
-from palpate.rig.rig_file.file_fields import MM, Part, Three, check_below, metres
+from palpate.rig.rig_file.file_fields import MM, Part, Three, check_above, check_below, metres
 
 if TYPE_CHECKING:
     from palpate.rig.real.grbl.grbl_stage import GrblStage
@@ -27,6 +27,9 @@ MAX_STAGE: dict[str, float] = {
     "top_speed_mm_s": 200.0,
 }
 """Greatest values of a stage's times and of its top speed."""
+
+MIN_STAGE: dict[str, float] = {"latency_s": 1e-3, "reply_s": 0.05, "stop_s": 0.05, "top_speed_mm_s": 0.05}
+"""Least values of them: no controller keeps less."""
 
 
 class GrblPart(Part):
@@ -63,6 +66,7 @@ class GrblPart(Part):
     @model_validator(mode="after")
     def _fits(self) -> GrblPart:
         check_below(MAX_STAGE, self)
+        check_above(MIN_STAGE, self)
         if self.home and not self.require_homed:
             raise ValueError("home = true needs switches, and require_homed = false says there are none")
         if self.dtr and self.reference == "counts":
@@ -144,6 +148,7 @@ class MarlinPart(Part):
     @model_validator(mode="after")
     def _fits(self) -> MarlinPart:
         check_below(MAX_STAGE, self)
+        check_above(MIN_STAGE, self)
         if self.home and self.reference is not None:
             raise ValueError("home = true and reference both say where it is; leave one out")
         return self

@@ -1,0 +1,134 @@
+"""Commissioning verbs: what ends them, what they refuse, and what a camera's rate is."""
+
+from __future__ import annotations
+
+import os
+import signal
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from tests.rig.lab_files import lab_file
+
+from palpate.cli.rig_hand_verbs import stopped_by_signals
+from palpate.core import NS_PER_S, Frame, InputError, ManualClock, PalpateError
+from palpate.devices.device_proxies import driver_errors
+from palpate.rig.commissioning.bench import Bench, frame_times
+from palpate.rig.plans import Grid, StepHold
+from palpate.rig.rig_file import MarlinPart, RigFile, open_rig
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_process_that_is_told_to_end_stops_as_by_ctrl_c(name: str) -> None:
+    number = getattr(signal, name)
+    before = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt), stopped_by_signals():
+        os.kill(os.getpid(), number)
+    assert signal.getsignal(number) is before
+
+
+BOX = {"least_mm": [-1, -1, -1], "greatest_mm": [1, 1, 1]}
+
+
+@pytest.mark.parametrize("homes", [False, True])
+def test_a_marlin_stage_homes_only_where_its_file_says_that_it_may(homes: bool) -> None:
+    fields = {"kind": "marlin", "port": "p", "home": homes} | BOX
+    part = MarlinPart.model_validate(fields if homes else fields | {"reference": [0, 0, 0]})
+    bench = Bench("printer", ManualClock(), Mounting(), None, (0.0, 0.0, 0.0), stage_part=part)
+    if homes:
+        bench.check_may_home()
+    else:
+        with pytest.raises(InputError, match="down to the bed; nothing moved"):
+            bench.check_may_home()
+
+
+class ClockedCamera:
+    """A camera whose frames end at whole periods; `grab` waits for a whole exposure, as all do."""
+
+    size_px = (4, 4)
+
+    def __init__(self, clock: ManualClock, rate_hz: float, stated_hz: float) -> None:
+        self._clock, self._period_ns, self.rate_hz = clock, round(NS_PER_S / rate_hz), stated_hz
+        self._given = 0
+
+    def _frame(self, index: int) -> tuple[int, Frame]:
+        self._given = index
+        return index * self._period_ns, Frame(np.zeros((4, 4), np.uint8))
+
+    def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
+        index = self._clock.now_ns() // self._period_ns + 2
+        self._clock.sleep((index * self._period_ns - self._clock.now_ns()) / NS_PER_S)
+        return self._frame(index)
+
+    def drain(self) -> list[tuple[int, Frame]]:
+        newest = self._clock.now_ns() // self._period_ns
+        return [self._frame(index) for index in range(self._given + 1, newest + 1)]
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.parametrize("rate_hz", [12.0, 20.0, 30.0, 100.0])
+def test_the_rate_of_a_camera_is_that_of_all_its_frames(rate_hz: float) -> None:
+    clock = ManualClock(NS_PER_S)
+    times = frame_times(ClockedCamera(clock, rate_hz, 30.0), clock, 1.0)
+    assert (len(times) - 1) * NS_PER_S / (times[-1] - times[0]) == pytest.approx(rate_hz, rel=1e-6)
+
+
+class ForeignExit(BaseException):
+    """What no `except Exception` catches, as a cancelled task or a panic of another language."""
+
+
+def test_whatever_a_driver_raises_is_an_error_of_the_device() -> None:
+    with pytest.raises(PalpateError, match="driver failed: ForeignExit"), driver_errors("the driver failed"):
+        raise ForeignExit
+    with pytest.raises(KeyboardInterrupt), driver_errors("the driver failed"):
+        raise KeyboardInterrupt
+
+
+STAGE = {"kind": "grbl", "port": "p"}
+LIMITS = BOX
+
+
+@pytest.mark.parametrize(
+    ("table", "least"),
+    [
+        ({"limits": LIMITS | {"step_mm": 1e-9}}, "step_mm is 1e-09, and 0.005"),
+        ({"limits": LIMITS | {"force_rate_N_s": 1e-9}}, "force_rate_N_s is 1e-09, and 1 "),
+        ({"limits": LIMITS | {"overshoot_mm": 1e-6}}, "overshoot_mm is 1e-06, and 0.005"),
+        (
+            {"stage": {"kind": "grbl", "port": "p", "top_speed_mm_s": 1e-9}},
+            "top_speed_mm_s is 1e-09, and 0.05",
+        ),
+        ({"stage": {"kind": "grbl", "port": "p", "latency_s": 1e-12}}, "latency_s is 1e-12, and 0.001"),
+        ({"regions": [{"name": "a", "box_px": [0, 0, -3, 5]}]}, "box_px"),
+    ],
+)
+def test_absurdly_small_values_of_a_rigs_file_are_refused(table: dict[str, Any], least: str) -> None:
+    with pytest.raises(ValidationError, match=least):
+        RigFile.model_validate({"name": "lab"} | table)
+
+
+def test_a_plan_in_steps_smaller_than_any_stage_makes_is_refused() -> None:
+    with pytest.raises(ValidationError, match="step_mm"):
+        StepHold(places=Grid(), step_mm=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("limits", "said"),
+    [
+        ({"greatest_mm": [-10, 90, 900]}, "travel"),
+        ({"least_mm": [-90, 10, 36]}, "the first must be less"),
+        ({"force_N": 50.0}, "force_N"),
+    ],
+)
+def test_a_file_that_homes_is_judged_before_it_does(tmp_path, limits: dict[str, Any], said: str) -> None:
+    with lab_file(tmp_path) as lab:
+        page = {"stage": {"home": True, "reference": None}, "limits": limits}
+        lab.fields["stage"].pop("reference")
+        page["stage"].pop("reference")
+        if "force_N" in limits:
+            page["force"] = {"axes": ["z", "y", "-x"]}  # along which it measures 30 N at most
+        with pytest.raises(PalpateError, match=said):
+            open_rig(lab.write(**page), supervised=False)
+        assert not lab.jogged
