@@ -10,7 +10,7 @@ import pytest
 from palpate.core import NS_PER_S, RangeError, Travel, Wrench
 from palpate.devices import ForceBias, Limits, Reason, Tripped
 from palpate.devices.force_trust import AirNoise, ForceMonitor, SampleDating, StiffnessCorridor
-from palpate.devices.force_trust.air_noise import CHANCE, CHANCE_COARSE, MIN_RUN
+from palpate.devices.force_trust.air_noise import CHANCE, CHANCE_COARSE, MIN_RUN, period_of
 from palpate.devices.force_trust.stiffness_corridor import WIDE_HIGH, WIDE_LOW
 
 TRAVEL = Travel((-20e-3,) * 3, (20e-3,) * 3, 50e-3, 0.5, 0.004)
@@ -165,3 +165,26 @@ def test_a_limit_above_the_sensors_range_is_refused_with_both_numbers() -> None:
     Limits((-1.0,) * 3, (1.0,) * 3, force_n=30.0).check_range(30.0)
     with pytest.raises(RangeError, match=r"1e\+09 N.*measures to 30 N"):
         Limits((-1.0,) * 3, (1.0,) * 3, force_n=1e9).check_range(30.0)
+
+
+class TestPeriod:
+    """The time between two samples is the sensor's own, whatever the line does to their stamps."""
+
+    def stamps(self, hz: float, n: int = 60, piece_s: float = 0.0, stall_s: float = 0.0) -> np.ndarray:
+        times = 100.0 + np.arange(n) / hz
+        if stall_s:
+            times = np.maximum(times, times[0] + stall_s)
+        return np.ceil(times / piece_s) * piece_s if piece_s else times
+
+    @pytest.mark.parametrize("hz", [80.0, 200.0, 1000.0])
+    @pytest.mark.parametrize("piece_s", [0.0, 0.01, 0.016])
+    def test_a_line_that_delivers_in_pieces_changes_no_rate(self, hz: float, piece_s: float) -> None:
+        assert period_of(self.stamps(hz, round(0.3 * hz) + 5, piece_s), hz) == 1 / hz
+
+    @pytest.mark.parametrize("stall_s", [0.02, 0.05, 0.08, 0.2])
+    def test_what_a_stall_held_back_changes_no_rate(self, stall_s: float) -> None:
+        assert period_of(self.stamps(200.0, 60, stall_s=stall_s), 200.0) == 1 / 200
+
+    @pytest.mark.parametrize("share", [0.9, 0.97, 1.03])
+    def test_a_rate_that_is_another_than_stated_is_the_one_that_counts(self, share: float) -> None:
+        assert period_of(self.stamps(200.0 * share), 200.0) == pytest.approx(1 / (200 * share), rel=1e-6)

@@ -16,6 +16,7 @@ from palpate.devices.force_trust import ForceMonitor
 from palpate.rig import PLANS, State, record
 from palpate.rig.plans import Known
 from palpate.rig.virtual import Variation, virtual_rig
+from palpate.rig.virtual.virtual_force import BIAS_N
 
 ALLOWED_MM = 0.2  # from the step at which the force read is five standard deviations off
 ALLOWED_COARSE_MM = 0.3  # before the first contact of a sensor whose quantum is thrice its noise
@@ -203,3 +204,10 @@ def test_what_the_first_moments_of_contact_rise_by_teaches_no_stiffness(seed: in
     for power, learnt in bench.guard.monitor.corridor._median.items():
         low, high = np.interp([2.0 ** (power - 1), 2.0**power], law.force_n, slope_n_m)
         assert 0.7 * low < learnt < 1.5 * low or learnt < high, f"at {2.0**power} N"
+
+
+@pytest.mark.parametrize("hz", [30.0, 50.0, 66.0])
+def test_a_slow_sensor_is_listened_to_for_as_long_as_a_zero_takes(hz: float) -> None:
+    bench = PressBench("palm", seed=1, variation=Variation(), force_hz=hz)
+    bench.approach()
+    assert bench.bias.force_n[2] == pytest.approx(BIAS_N[2], abs=0.01)

@@ -13,6 +13,7 @@ from tests.rig.lab_files import lab_file
 
 from palpate.cli.rig_hand_verbs import stopped_by_signals
 from palpate.core import NS_PER_S, Frame, InputError, ManualClock, PalpateError
+from palpate.devices import Mounting
 from palpate.devices.device_proxies import driver_errors
 from palpate.rig.commissioning.bench import Bench, frame_times
 from palpate.rig.plans import Grid, StepHold

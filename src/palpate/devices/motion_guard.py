@@ -41,6 +41,7 @@ LEAVING = (OperatorCommand.ESTOP,)
 
 
 AIR_S = 0.3  # in the air, for the force sensor's zero
+AIR_PERIODS = 25  # and at least, of a slow sensor
 FEW = 3  # samples from which a rate can be told
 LONGER_S = 1.0  # more, where nothing but one value was read
 
@@ -174,7 +175,7 @@ class MotionGuard:
             Tripped: too few good samples came, they repeat themselves, come too slowly, or are not what they
                 were at the last time.
         """
-        samples = self.wait(AIR_S, judged=False)
+        samples = self.wait(max(AIR_S, AIR_PERIODS / stated_hz), judged=False)
         if len({(one.force_n, one.torque_nm) for one in _good(samples)}) == 1:
             samples += self.wait(LONGER_S, judged=False)
         if len(_good(samples)) >= FEW:

@@ -22,6 +22,10 @@ MAX_RUN = 400  # of a sensor so coarse that its noise hardly shows
 FINE = (
     0.6  # noise over quantum, above which the noise does not depend on where between two steps the mean lies
 )
+DOUBT = 5.0  # standard errors, since pieces shift stamps together
+NEAR = 0.005  # relative
+TOGETHER = 0.25  # of a period between two samples
+MIN_TIMED = 10  # samples that are left to tell the rate
 DIGITS = 9  # to which values are compared for their quantum [N]
 
 Six = tuple[float, float, float, float, float, float]
@@ -43,7 +47,7 @@ class AirNoise:
         quantum_n: least difference between two values; 0 where there is none [N].
         repeats, count: samples equal to the one before in all six axes, of so many.
         longest: equal samples in a row, 1 where none is repeated.
-        period_s: between two samples, by their stamps [s].
+        period_s: between two samples, see `period_of` [s].
     """
 
     mean: Six
@@ -56,8 +60,12 @@ class AirNoise:
     period_s: float
 
     @classmethod
-    def of(cls, samples: Sequence[Wrench]) -> AirNoise:
-        """Learn it from samples without contact and without a fault, oldest first; at least three."""
+    def of(cls, samples: Sequence[Wrench], stated_hz: float | None = None) -> AirNoise:
+        """Learn it from samples without contact and without a fault, oldest first; at least three.
+
+        Args:
+            stated_hz: samples a second, as the sensor states [Hz].
+        """
         six = np.array([six_of(one) for one in samples])
         force = six[:, :3]
         quantum = max(_quantum(force[:, i]) for i in range(3))
@@ -76,7 +84,7 @@ class AirNoise:
             repeats=int(equal.sum()),
             count=len(equal),
             longest=1 + _longest(equal),
-            period_s=float((times_s[-1] - times_s[0]) / (len(times_s) - 1)),
+            period_s=period_of(times_s, stated_hz),
         )
 
     @property
@@ -101,6 +109,27 @@ class AirNoise:
         n = self.count + 4
         share = (self.repeats + 2) / n
         return min(share + 2 * math.sqrt(share * (1 - share) / n), 1.0)
+
+
+def period_of(times_s: Float[ndarray, " n"], stated_hz: float | None) -> float:
+    """Time between two samples by their stamps, or as stated, where the stamps do not tell otherwise [s].
+
+    Stamps are of arrival. A line that delivers in pieces, and a stall just before, shift some of them by more
+    than a period; the straight line through all of them is hardly turned by that, and less than its own
+    error. `DOUBT` times that error, or `NEAR` of the stated period, is no difference.
+    """
+    if stated_hz is not None:  # what a stall before had held back comes first, and all at once
+        together = np.diff(times_s) < TOGETHER / stated_hz
+        begins = int(np.argmin(together)) if not together.all() else 0
+        times_s = times_s[min(begins, len(times_s) - min(len(times_s), MIN_TIMED)) :]
+    count = np.arange(len(times_s)) - (len(times_s) - 1) / 2
+    weight = float(count @ count)
+    period_s = float(count @ times_s) / weight
+    off_s = times_s - times_s.mean() - period_s * count
+    error_s = math.sqrt(float(off_s @ off_s) / max(len(times_s) - 2, 1) / weight)
+    if stated_hz is not None and abs(period_s - 1 / stated_hz) <= max(DOUBT * error_s, NEAR / stated_hz):
+        return 1 / stated_hz
+    return period_s
 
 
 def _pooled(airs: Sequence[AirNoise]) -> AirNoise:

@@ -131,7 +131,7 @@ class ForceMonitor:
         """
         times = [one.time_ns / NS_PER_S for one in samples]
         _check_pace(times, stated_hz)
-        air = AirNoise.of(samples)
+        air = AirNoise.of(samples, stated_hz)
         if self.air is not None:
             _check_same(self.air, air)
         if air.is_constant:
