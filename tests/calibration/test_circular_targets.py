@@ -262,6 +262,7 @@ def test_a_period_that_does_not_fit_is_refused(circular, error, message) -> None
         CalibrationPlan(("angle_deg", "x_mm"), circular=circular)
 
 
+@pytest.mark.slow
 def test_what_a_change_costs_an_angle_does_not_depend_on_where_its_zero_lies(edges, tmp_path) -> None:
     """Half a turn on, what was read at the seam is read in the middle: each change costs as much."""
     folder, _ = edges

@@ -312,6 +312,7 @@ def test_numbers_that_floats_cannot_tell_apart_are_no_classes() -> None:
         class_labels(pd.DataFrame({"kind": [2**53, 2**53 + 2]}), {"kind": ()}, "run")
 
 
+@pytest.mark.slow
 def test_classes_are_no_groups_that_leak(blobs) -> None:
     folder, run = blobs
     calibrate(run, plan_of(classes={"object": ()}, split="random"), folder / "random")
@@ -363,6 +364,7 @@ def test_a_class_that_was_not_calibrated_is_named_and_refused(blobs, tmp_path) -
         adapt(tmp_path / "cal", run, tmp_path / "adapted")
 
 
+@pytest.mark.slow
 def test_a_model_that_tells_nothing_is_said_to(blobs, tmp_path) -> None:
     """The mean says the most frequent class always: as many are right as by the baseline."""
     _, run = blobs

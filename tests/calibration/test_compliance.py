@@ -128,6 +128,7 @@ def test_a_tip_that_is_no_hertz_body_tells_no_radius(calibration, read) -> None:
     assert "no Hertz body" in read["S3"].radius.why
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed_mm_s", [2.5, 10.0])
 def test_speed_changes_the_reading_little(spec, specimens, calibration, read, speed_mm_s) -> None:
     """Calibrated at 5 mm/s; the virtual tip has no viscosity, so all that differs is the frames' number."""

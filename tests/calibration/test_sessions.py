@@ -499,6 +499,7 @@ def test_rows_of_a_new_session_set_the_intervals_anew_and_the_network_stays(days
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.slow
 def test_the_verbs_say_what_day_was_tested(days, tmp_path) -> None:
     names = [str(run.path) for run in days(3)]
     more = str(days(1, presses=12, first=4)[0].path)

@@ -85,6 +85,7 @@ def test_nothing_is_overwritten(frame):
     assert frame.read_bytes() == b"mine"
 
 
+@pytest.mark.slow
 def test_a_ball_that_no_table_holds_is_pressed_into_layers(frame, monkeypatch):
     monkeypatch.setattr(fringe_rays, "PLANES", 12)  # with the next line, three times as fast
     monkeypatch.setattr(import_module("palpate.sensors.palm.palm_press"), "CELLS", 80)

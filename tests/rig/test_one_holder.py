@@ -101,7 +101,7 @@ def test_a_box_serves_one_client_and_a_second_one_leaves_its_stream_alone(tmp_pa
     "words",
     [
         pytest.param(("record", "--plan", "layer", "--out", "{run}", "--rig"), marks=pytest.mark.slow),
-        ("rig", "check"),
+        pytest.param(("rig", "check"), marks=pytest.mark.slow),
         ("rig", "jog", "--axis", "x", "--mm", "1"),
     ],
 )  # fmt: skip
@@ -127,6 +127,7 @@ def test_a_rig_file_that_names_one_port_twice_is_refused(tmp_path: Path) -> None
         assert not lab.jogged
 
 
+@pytest.mark.slow
 def test_a_port_that_is_given_back_can_be_opened_again_at_once(tmp_path: Path) -> None:
     with lab_file(tmp_path) as lab:
         for _ in range(3):

@@ -52,6 +52,7 @@ def _cell_m2(contact: Contact) -> float:
     return float(contact.x_m[1] - contact.x_m[0]) ** 2
 
 
+@pytest.mark.slow
 def test_nusense_keeps_every_law_of_a_sensor() -> None:
     assert not [(one.name, one.message) for one in check_sensor(SENSOR) if not one.ok]
 

@@ -166,6 +166,7 @@ def test_forces_and_place_count_equally(name: str) -> None:
     assert float(make_model(name, {}).loss(answer, wanted)) == pytest.approx(5.0)
 
 
+@pytest.mark.slow
 def test_an_interrupted_network_goes_on_to_the_same_weights(rng, tmp_path) -> None:
     class Interrupted(Exception):
         pass

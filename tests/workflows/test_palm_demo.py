@@ -25,6 +25,7 @@ def test_both_views_together_tell_all_that_is_asked(result) -> None:
             assert score.mae < score.mean_mae / few, (name, target)
 
 
+@pytest.mark.slow
 def test_the_edge_on_view_alone_does_not_tell_the_place_along_its_rays(result) -> None:
     alone, both = result.scores["edge-on"], result.scores["pca-ridge"]
     assert alone["x_mm"].mae < alone["x_mm"].mean_mae / 2
@@ -33,6 +34,7 @@ def test_the_edge_on_view_alone_does_not_tell_the_place_along_its_rays(result) -
     assert alone["y_mm"].mae > 1.5 * both["y_mm"].mae
 
 
+@pytest.mark.slow
 def test_locations_are_held_out_whole(result) -> None:
     for model in result.scores:
         card = read_card(result.folder / f"cal-{model}")
@@ -41,6 +43,7 @@ def test_locations_are_held_out_whole(result) -> None:
         assert card.split.clean
 
 
+@pytest.mark.slow
 def test_the_demo_s_recordings_are_sound_and_say_they_are_virtual(result) -> None:
     run = Run.open(result.folder / "run")
     assert run.damage == ()
@@ -48,6 +51,7 @@ def test_the_demo_s_recordings_are_sound_and_say_they_are_virtual(result) -> Non
     assert len(run.force()) == len(run)
 
 
+@pytest.mark.slow
 def test_a_dark_frame_is_not_believed(result) -> None:
     assert any("made dark" in line and "unlike those calibrated on" in line for line in result.sensed)
 

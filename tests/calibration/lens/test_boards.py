@@ -50,6 +50,7 @@ def test_part_of_a_charuco_board_is_enough():
     assert np.median(off) < 0.2
 
 
+@pytest.mark.slow
 def test_photographs_give_the_lens(tmp_path):
     """From pixels on: the directions of a 40 degree cone within 0.5 px of the true lens's."""
     write_photographs(tmp_path / "photos", FISHEYE, BOARD, 12)

@@ -56,6 +56,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     assert np.mean(held) < 1
 
 
+@pytest.mark.slow
 def test_a_pinhole_on_fisheye_views_scores_worse_and_is_told():
     views = corner_views(FISHEYE, 20)
     fit, right = fit_lens(views, BOARD, "pinhole"), fit_lens(views, BOARD)
