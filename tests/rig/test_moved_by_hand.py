@@ -12,10 +12,13 @@ from pydantic import ValidationError
 from tests.rig.lab_files import lab_file
 
 from palpate.cli.rig_hand_verbs import stopped_by_signals
-from palpate.core import NS_PER_S, Frame, InputError, ManualClock, PalpateError
+from palpate.core import NS_PER_S, DeviceError, Frame, InputError, ManualClock, PalpateError, Wrench
 from palpate.devices import Mounting
 from palpate.devices.device_proxies import driver_errors
 from palpate.rig.commissioning.bench import Bench, frame_times
+from palpate.rig.commissioning.hand_motion import discard
+from palpate.rig.commissioning.rig_setup import _three_words
+from palpate.rig.commissioning.setup_answers import PromptAnswers, text, until_good
 from palpate.rig.plans import Grid, StepHold
 from palpate.rig.rig_file import MarlinPart, RigFile, open_rig
 
@@ -133,3 +136,52 @@ def test_a_file_that_homes_is_judged_before_it_does(tmp_path, limits: dict[str, 
         with pytest.raises(PalpateError, match=said):
             open_rig(lab.write(**page), supervised=False)
         assert not lab.jogged
+
+
+class Overflowing:
+    """A force sensor whose samples nobody fetched for long; it says so once, as drivers do."""
+
+    rate_hz, range_n = 100.0, (10.0, 10.0, 10.0)
+
+    def __init__(self, times: int) -> None:
+        self._left = times
+
+    def drain(self) -> list[Any]:
+        if self._left:
+            self._left -= 1
+            raise DeviceError("12078 samples were overwritten")
+        return []
+
+    def latest(self) -> Wrench:
+        return Wrench(0, (0.0, 0.0, 0.0))
+
+    def close(self) -> None: ...
+
+
+def test_what_came_while_a_person_read_is_dropped_and_a_failed_sensor_is_told() -> None:
+    discard(Overflowing(1))
+    with pytest.raises(DeviceError):
+        discard(Overflowing(2))
+
+
+@pytest.mark.parametrize("typed", ["+X,-Y,-Z", '["+X", "-Y", "-Z"]', "[+X, -Y, -Z]"])
+def test_axes_are_taken_as_a_person_types_them(typed: str) -> None:
+    assert _three_words("stage_axes", typed) == ("+X", "-Y", "-Z")
+
+
+def test_a_person_who_names_no_stage_is_asked_again() -> None:
+    typed = iter(["/dev/nowhere", "7"])
+
+    def take() -> int:
+        answer = answers.ask("port", "Port")
+        if answer == "/dev/nowhere":
+            raise DeviceError("nothing there")
+        return int(answer)
+
+    answers = PromptAnswers(read=lambda question: next(typed))
+    assert until_good(answers, take) == 7
+
+
+@pytest.mark.parametrize("typed", ["N", "yes", "3.10", "true"])
+def test_words_are_kept_as_they_were_typed(typed: str) -> None:
+    assert text(PromptAnswers(read=lambda question: typed), "unit", "Unit") == typed

@@ -24,6 +24,7 @@ from palpate.devices import Limits, Mounting
 from palpate.devices.check.interface_check import Role
 from palpate.devices.rpc import find, supervisor_name
 from palpate.devices.rpc_client import RpcClient
+from palpate.rig.commissioning.hand_motion import discard
 from palpate.rig.rig_file import GrblPart, MarlinPart, RigFile, is_virtual, open_part, open_rig, read_rig
 from palpate.rig.service import RigClient, rig_name
 
@@ -221,7 +222,7 @@ def _force_status(bench: Bench, problems: dict[str, str]) -> dict[str, Any]:
     if bench.force is None:
         return found
     try:
-        bench.force.drain()
+        discard(bench.force)
         bench.clock.sleep(WATCH_S / 2)
         samples = bench.force.drain()
         newest = bench.force.latest()

@@ -76,7 +76,7 @@ def mean_force(force: ForceSensor, mounting: Mounting, clock: Clock) -> AirForce
     Raises:
         Tripped: too few come, they are faulty, or all of them are the same in every channel.
     """
-    force.drain()
+    discard(force)
     began_ns = clock.now_ns()
     seconds = max(MEASURE_S, 1.5 * MIN_SAMPLES / force.rate_hz)
     clock.sleep(seconds)
@@ -91,6 +91,18 @@ def mean_force(force: ForceSensor, mounting: Mounting, clock: Clock) -> AirForce
         )
     taken_s = max((clock.now_ns() - began_ns) / NS_PER_S, 1e-9)
     return AirForce(bias.force_n, bias.noise_n, len(samples) / taken_s, 0.0)
+
+
+def discard(force: ForceSensor) -> None:
+    """Drop the samples that came before now, and do not mind those that were lost while nobody asked.
+
+    Raises:
+        DeviceError: the sensor has failed.
+    """
+    try:
+        force.drain()
+    except DeviceError:  # more came than are kept, as while a person reads; it says so once
+        force.drain()
 
 
 def lift_clear(
@@ -246,6 +258,7 @@ def move_watched(
             stage.stop()
 
     far_m = math.dist(stage.position_m(), target)
+    discard(force)
     stage.move_to(target, speed_m_s)
     _await(stage, clock, far_m / speed_m_s, look)
     return felt

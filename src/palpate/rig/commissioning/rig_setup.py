@@ -26,7 +26,7 @@ from palpate.rig.commissioning.force_touch import MAX_REACH_M, Weighing, touch_t
 from palpate.rig.commissioning.found_parts import FoundStage, find_stage, serial_ports, video_devices
 from palpate.rig.commissioning.hand_motion import JOG_N, MAX_JOG_M_S, home_clear, mean_force
 from palpate.rig.commissioning.scale_setup import ask_scale
-from palpate.rig.commissioning.setup_answers import Answers, Three, confirm, number, text, three
+from palpate.rig.commissioning.setup_answers import Answers, Three, confirm, number, text, three, until_good
 from palpate.rig.commissioning.toml_text import toml_text
 from palpate.rig.rig_check import check_rig
 from palpate.rig.rig_file import MAX_LIMITS, LimitsPart, RigFile, open_part, open_rig
@@ -118,7 +118,8 @@ def set_up(out: Path, answers: Answers, say: Say) -> SetUp:
     return made
 
 
-def _stage(made: SetUp, answers: Answers, say: Say, clock: Clock) -> FoundStage:
+def _find_stage(answers: Answers, say: Say, clock: Clock) -> tuple[FoundStage, tuple[str, str, str]]:
+    """The one stage that answers, and the machine axes that it was asked for."""
     listed = serial_ports()
     say(f"serial ports: {', '.join(listed) or 'none is listed'}")
     wanted = answers.ask(
@@ -145,7 +146,11 @@ def _stage(made: SetUp, answers: Answers, say: Say, clock: Clock) -> FoundStage:
             f"{len(answered)} stages answer at {', '.join(map(str, ports)) or 'no port'}; one is needed. "
             "Name its port alone as stage_ports, and see to power and cable"
         )
-    (found,) = answered
+    return answered[0], axes
+
+
+def _stage(made: SetUp, answers: Answers, say: Say, clock: Clock) -> FoundStage:
+    found, axes = until_good(answers, lambda: _find_stage(answers, say, clock))
     part: dict[str, Any] = {"kind": found.kind, **found.fields, "axes": list(axes)}
     part["latency_s"] = number(
         answers, "latency_s", "Seconds from asking for a stop to its slowing down", 1e-3, 1.0, 0.05
@@ -450,6 +455,8 @@ def _options(answers: Answers, name: str) -> dict[str, Any]:
 
 
 def _three_words(name: str, answer: Any) -> tuple[str, str, str]:
+    if isinstance(answer, str):  # as a person types them
+        answer = [word.strip() for word in answer.strip("[]").replace('"', "").split(",")]
     if not isinstance(answer, list | tuple) or len(answer) != len("xyz"):
         raise InputError(f'{name} is {answer!r}; give three, as in ["+X", "-Y", "-Z"]')
     x, y, z = (str(one) for one in answer)

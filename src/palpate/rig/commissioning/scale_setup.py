@@ -9,6 +9,7 @@ from typing import Any
 
 from palpate.core import Clock, DeviceError, ForceSensor, InputError, RangeError
 from palpate.rig.commissioning.force_touch import ALLOWED_SHARE, G_M_S2, LOCAL_G_SHARE
+from palpate.rig.commissioning.hand_motion import discard
 from palpate.rig.commissioning.setup_answers import Answers, confirm, number, text
 
 LINES = 12  # that a mean is taken of
@@ -125,7 +126,7 @@ def _change(
 
 def _mean(sensor: ForceSensor, clock: Clock, part: dict[str, Any]) -> tuple[float, float]:
     """Mean of some lines along z, and its standard error."""
-    sensor.drain()
+    discard(sensor)
     clock.sleep(LINES / part["rate_hz"])
     values = [one.force_n[2] for one in sensor.drain() if not one.fault]
     if len(values) < LINES // 2:

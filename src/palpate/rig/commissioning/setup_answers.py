@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
-from palpate.core import InputError
+from palpate.core import DeviceError, InputError
 from palpate.rig.plans.plan_files import read_toml
 
 Three = tuple[float, float, float]
@@ -110,11 +110,11 @@ Good = TypeVar("Good")
 
 
 def until_good(answers: Answers, take: Callable[[], Good]) -> Good:
-    """An answer that can be taken; a person who gave one that cannot is asked again."""
+    """An answer that can be taken; a person who gave one that cannot, or of no device, is asked again."""
     while True:
         try:
             return take()
-        except InputError as e:
+        except (InputError, DeviceError) as e:
             if not answers.again(str(e)):
                 raise
 
