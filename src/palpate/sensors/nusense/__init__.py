@@ -1,5 +1,12 @@
 """NUSense: a soft pad whose two-coloured tiles show a fisheye camera how the skin is sheared."""
 
-from palpate.sensors.nusense.nusense_spec import NuSenseSpec, PadLayers, PadLight, TilePattern, fabricated
+from palpate.sensors.nusense.nusense_spec import (
+    NuSenseSpec,
+    PadLayers,
+    PadLight,
+    Tear,
+    TilePattern,
+    fabricated,
+)
 
-__all__ = ["NuSenseSpec", "PadLayers", "PadLight", "TilePattern", "fabricated"]
+__all__ = ["NuSenseSpec", "PadLayers", "PadLight", "Tear", "TilePattern", "fabricated"]

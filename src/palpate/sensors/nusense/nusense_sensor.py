@@ -29,12 +29,15 @@ from palpate.core import (
     is_rigid,
     ndarray,
 )
+from palpate.estimators.shear import TiledSkin
+from palpate.estimators.surface_strain import PatternedSkin
 from palpate.sensors.nusense.nusense_plans import DEFAULT_PLAN, PLANS
-from palpate.sensors.nusense.nusense_spec import NuSenseSpec, fabricated
+from palpate.sensors.nusense.nusense_spec import NuSenseSpec, Tear, fabricated
 from palpate.sensors.nusense.pad_contact import greatest_depth_m, pad_contact
 from palpate.sensors.nusense.pad_indenters import parse_indenter
 from palpate.sensors.nusense.pad_view import clean_view, exposed, pad_window, seen_px
 from palpate.sensors.nusense.pattern_motion import PatternMotion, pattern_motion
+from palpate.sensors.nusense.torn_pad import TornMotion, torn_contact, torn_motion, torn_view
 
 REGION = "pad"
 ABOVE_THE_TILES = 2  # layers
@@ -148,7 +151,11 @@ class NuSense:
         if not 0 < history.stiffening < math.inf:
             raise RangeError(f"a stiffening of {history.stiffening}; give a number above 0, 1 for relaxed")
         spec = self.spec
-        contact = pad_contact(spec.layers.stack, spec.friction, probe, pose, history)
+        contact = (
+            pad_contact(spec.layers.stack, spec.friction, probe, pose, history)
+            if spec.tear is None
+            else torn_contact(spec, spec.tear, probe, pose, history)
+        )
         return replace(contact, specimen=specimen)
 
     def known_depth_m(
@@ -161,15 +168,24 @@ class NuSense:
 
     def render(self, contact: Contact, rng: np.random.Generator, seating: Seating = SEATED) -> Frame:
         """The camera's frame of the tiles."""
-        view = clean_view(self.spec, self.motion(contact), seating.shift_px)
+        view = self.view(contact, seating.shift_px)
         return Frame(
             exposed(self.spec, view, rng, seating.light), exposure_s=self.exposure_s, sensor=self.name
         )
 
-    def motion(self, contact: Contact) -> PatternMotion | None:
+    def view(self, contact: Contact, shift_px: tuple[float, float] = (0.0, 0.0)) -> Float[ndarray, "h w 3"]:
+        """The frame without noise [grey levels]."""
+        motion, tear = self.motion(contact), self.spec.tear
+        if tear is None or isinstance(motion, PatternMotion):
+            return clean_view(self.spec, motion if isinstance(motion, PatternMotion) else None, shift_px)
+        return torn_view(self.spec, tear, motion, shift_px)
+
+    def motion(self, contact: Contact) -> PatternMotion | TornMotion | None:
         """Motion of the tiles' lower face under a contact; None for a pad at rest."""
         if contact.force_n == 0:
             return None
+        if self.spec.tear is not None:
+            return torn_motion(self.spec, self.spec.tear, ABOVE_THE_TILES, contact)
         return pattern_motion(self.spec.layers.stack, ABOVE_THE_TILES, contact)
 
     def tile_corners(self, contact: Contact, seating: Seating = SEATED) -> TileCorners:
@@ -202,6 +218,22 @@ class NuSense:
         image = cv2.remap(frame.image, source[..., 0], source[..., 1], cv2.INTER_LINEAR)
         return replace(frame, image=image)
 
+    def shear_skin(self) -> TiledSkin:
+        """What the reader of shear takes as known of it: pattern, camera, lens and layers."""
+        spec = self.spec
+        contact = self.press(self.probe(self.default_probe), Pose(0.0, 0.0, spec.max_depth_m / 2))
+        moved = pattern_motion(spec.layers.stack, ABOVE_THE_TILES, contact).moved_m
+        return TiledSkin(
+            spec.pattern.pitch_m,
+            spec.pattern.columns,
+            spec.pattern.rows,
+            spec.camera_m,
+            spec.lens,
+            sinking=float(moved[2].max() / np.hypot(moved[0], moved[1]).max()),
+            layers=PatternedSkin(spec.layers.stack, ABOVE_THE_TILES, spec.camera_m, spec.friction),
+            name=spec.name,
+        )
+
     def default_plan(self) -> Mapping[str, Any]:
         """Places of the thesis's localisation, pressed in steps by the round tip."""
         return DEFAULT_PLAN
@@ -216,7 +248,9 @@ class NuSense:
 
 
 def nusense(preset: str = "") -> NuSense:
-    """NUSense as designed; "soft" with half the gel's modulus, or a number for a copy as fabricated.
+    """NUSense as designed; "soft" with half the gel's modulus, "torn" with a cut skin, a number for a copy.
+
+    "torn-7" is copy 7 as fabricated with the cut.
 
     Raises:
         InputError: another preset.
@@ -224,8 +258,17 @@ def nusense(preset: str = "") -> NuSense:
     spec = NuSenseSpec()
     if preset == "soft":
         return NuSense(replace(spec, layers=replace(spec.layers, gel_pa=SOFT_GEL_PA), name="nusense-soft"))
+    if preset == "torn":
+        return NuSense(replace(spec, tear=Tear(), name="nusense-torn"))
+    if preset.startswith("torn-"):
+        spec, preset = (
+            replace(spec, tear=Tear(), name="nusense-torn"),
+            preset.removeprefix("torn-") or "torn-",
+        )
     if preset.isdecimal() and len(preset) < 7:
         return NuSense(fabricated(int(preset), spec))
     if preset:
-        raise InputError(f"there is no NUSense {preset!r}; there are soft, and copies by their number, as 7")
+        raise InputError(
+            f"there is no NUSense {preset!r}; there are soft, torn, and copies by number, as 7 or torn-7"
+        )
     return NuSense(spec)

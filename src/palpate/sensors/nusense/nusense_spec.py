@@ -116,6 +116,36 @@ class PadLight:
     shot_noise: float = 0.015
 
 
+@dataclass(frozen=True, slots=True)
+class Tear:
+    """A straight cut in the skin, from the touched surface down. N tells that a pad was cut, and no size.
+
+    Attributes:
+        at_m: middle of the cut, (x, y) from the pad's centre [m]. Assumed: beside a tip in the middle.
+        turn_rad: of its line from x towards y [rad]. Assumed.
+        length_m: of the cut [m]. Assumed.
+        depth_m: of the cut [m]. Assumed: through the black and the tiled layer and 0.3 mm into the gel. One
+            that ends above the tiles' lower face is not seen, and still changes how they move.
+        gap_m: between the faces in the middle of its length, at rest [m]. Assumed: what a blade takes away.
+        behind: reflectance of what is seen through the opening. Assumed: as dark as a probe that no light
+            reaches.
+    """
+
+    at_m: tuple[float, float] = (4e-3, 1e-3)
+    turn_rad: float = math.radians(75.0)
+    length_m: float = 12e-3
+    depth_m: float = 1.8e-3
+    gap_m: float = 0.15e-3
+    behind: float = 0.02
+
+    def __post_init__(self) -> None:
+        if not (0 < self.length_m < math.inf and 0 < self.depth_m < math.inf and 0 <= self.gap_m < math.inf):
+            raise RangeError(
+                f"a cut is {1e3 * self.length_m:g} mm long, {1e3 * self.depth_m:g} mm deep, "
+                f"{1e3 * self.gap_m:g} mm open; give a length and a depth above 0 and a gap of 0 or more"
+            )
+
+
 FISHEYE = Lens(
     "kannala-brandt",
     (333.0, 333.0),
@@ -140,6 +170,7 @@ class NuSenseSpec:
         effective_m: of the part that is touched [m]. N: 50 x 38 mm.
         camera_m: distance of the lens from the resting pattern [m]. N: 55 mm from the elastomer's surface.
         layers, pattern, light, lens: see there.
+        tear: of the skin; None for a whole pad.
         rate_hz: frames a second. N: 12.
         exposure_s: of a frame [s]. Assumed.
         friction: Coulomb's, of an indenter on the pad. Assumed: the virtual rig's.
@@ -158,6 +189,7 @@ class NuSenseSpec:
     pattern: TilePattern = field(default_factory=TilePattern)
     light: PadLight = field(default_factory=PadLight)
     lens: Lens = FISHEYE
+    tear: Tear | None = None
     rate_hz: float = 12.0
     exposure_s: float = 10e-3
     friction: float = 0.5

@@ -162,17 +162,36 @@ def _inverse(nodes, knots, x0, y0, cell, camera, iterations, settled):
     return lag
 
 
+class TornRest(NamedTuple):
+    """What the pixels of the window show of a torn pad.
+
+    Attributes:
+        rest_m: resting places of the tiles they show ``[2 h w]`` [m].
+        open_share: share of each that shows the opening.
+        behind: reflectance of what is seen through it.
+    """
+
+    rest_m: Float[ndarray, "2 h w"]
+    open_share: Float[ndarray, "h w"]
+    behind: float
+
+
 def clean_view(
-    spec: NuSenseSpec, motion: PatternMotion | None, shift_px: tuple[float, float] = (0.0, 0.0)
+    spec: NuSenseSpec,
+    motion: PatternMotion | None,
+    shift_px: tuple[float, float] = (0.0, 0.0),
+    torn: TornRest | None = None,
 ) -> Float[ndarray, "h w 3"]:
-    """Whole frame without noise [grey levels]."""
+    """Whole frame without noise [grey levels]; of a torn pad by what its pixels show, whatever the motion."""
     window, pattern = pad_window(spec, shift_px), spec.pattern
-    rest = rest_places(spec, motion, shift_px)
+    rest = rest_places(spec, motion, shift_px) if torn is None else torn.rest_m
     half = (pattern.columns * pattern.cast_pitch_m / 2, pattern.rows * pattern.cast_pitch_m / 2)
     colours = np.array([pattern.yellow, pattern.red, pattern.border], np.float32)
     view = _tiles(
         rest, window.light, colours, pattern.cast_pitch_m, *pattern.offset_m, *half, *np.array(spec.pad_m) / 2
     )
+    if torn is not None:
+        view += torn.open_share[..., None] * (torn.behind * window.light[..., None] - view)
     height, width = spec.lens.size_px
     frame = np.full((height, width, 3), BACKGROUND, np.float32)
     frame[window.top : window.bottom, window.left : window.right] = view * np.float32(spec.light.level)

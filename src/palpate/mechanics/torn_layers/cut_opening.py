@@ -1,0 +1,251 @@
+"""Jump on a cut of finite length under a load on the surface, and the motion that it adds to a plane.
+
+The jump lives on points along the cut and is 0 beyond its ends; between points it is a sum of waves, so that
+the stiffness between two points is the transform of `CutResponse.stiffness` at their distance.
+
+At rest the faces are apart by a gap that narrows like an ellipse to both ends. Open faces bear no stress. A
+press mostly closes a cut; faces that meet press on each other without friction and never pull:
+
+    w = jump across + gap >= 0,    p >= 0,    w p = 0,
+
+by active sets (M. Hintermueller, K. Ito and K. Kunisch, SIAM J. Optim. 13, 865 (2002),
+doi:10.1137/S1052623401383558). Without a contact of the faces all is linear in the load.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy import fft
+from scipy.linalg import inv
+from scipy.ndimage import map_coordinates
+
+from palpate.core import Bool, Float, InputError, RangeError, ndarray
+from palpate.mechanics.layers.stack import Stack
+from palpate.mechanics.torn_layers.cut_response import ALONG_CELL_M, ALONG_CELLS, CutResponse, cut_response
+
+STEP_M = (0.1e-3, 0.15e-3)  # of the plane's grid, from the cut and along it
+REACH_M = 30e-3  # of that grid, from the cut
+SETS = 40  # guesses of where faces meet
+FINER = round(ALONG_CELL_M / STEP_M[1])
+
+Points = Float[ndarray, "n 2"]
+
+
+class SurfaceCut(NamedTuple):
+    """A straight cut from the surface down.
+
+    Attributes:
+        x_m, y_m: its middle [m].
+        turn_rad: of its line from x towards y [rad].
+        length_m, depth_m: of the cut [m].
+        gap_m: between its faces at rest, in the middle of its length [m]; infinite for faces that never meet.
+    """
+
+    x_m: float
+    y_m: float
+    turn_rad: float
+    length_m: float
+    depth_m: float
+    gap_m: float = math.inf
+
+    @property
+    def turn(self) -> Float[ndarray, "2 2"]:
+        """Directions across and along the cut, as rows."""
+        c, s = math.cos(self.turn_rad), math.sin(self.turn_rad)
+        return np.array([[-s, c], [c, s]])
+
+    def local(self, x_m: ndarray, y_m: ndarray) -> tuple[ndarray, ndarray]:
+        """Distances of points across and along the cut from its middle [m]."""
+        (a, b), (c, d) = self.turn
+        x, y = np.asarray(x_m) - self.x_m, np.asarray(y_m) - self.y_m
+        return a * x + b * y, c * x + d * y
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CutOpening:
+    """Jump on a cut under a load.
+
+    Attributes:
+        cut: where it is.
+        along_m: places on it, from its middle ``[n]`` [m].
+        depths_m: below the surface ``[z]`` [m].
+        jump_m: displacement at the side to which the cut's normal points over that at the other, across the
+            cut, along it and into the skin ``[3 z n]`` [m].
+        closed: where the faces meet ``[z n]``.
+        work_j: load times the motion of the surface that the cut adds [J].
+        pressing_j: the part of it by the forces into the skin [J].
+        added_m: motion that the cut adds to the plane, across and along the cut and into the skin, behind
+            and before it ``[2 3 x s]``, in steps of ``STEP_M`` from the cut and along its period [m].
+    """
+
+    cut: SurfaceCut
+    along_m: Float[ndarray, " n"]
+    depths_m: Float[ndarray, " z"]
+    jump_m: Float[ndarray, "3 z n"]
+    closed: Bool[ndarray, "z n"]
+    work_j: float
+    pressing_j: float
+    added_m: ndarray
+
+    def at(self, x_m: ndarray, y_m: ndarray, side: int = 0) -> Float[ndarray, "3 n"]:
+        """Motion along x, y, z that the cut adds to the plane at places [m].
+
+        Args:
+            x_m, y_m: places [m].
+            side: 1 or -1 to take all places as if they lay before or behind the cut; 0 for their own side.
+        """
+        across, along = self.cut.local(x_m, y_m)
+        before = across >= 0 if side == 0 else np.full(across.shape, side > 0)
+        from_cut = np.where(before, np.maximum(across, 0.0), np.maximum(-across, 0.0)) / STEP_M[0]
+        row = along / STEP_M[1] + self.added_m.shape[-1] // 2
+        parts = [
+            np.where(before, *(map_coordinates(field, [from_cut, row], order=1) for field in sides))
+            for sides in zip(self.added_m[1], self.added_m[0], strict=True)
+        ]
+        n, s, z = parts
+        (a, b), (c, d) = self.cut.turn
+        return np.stack([a * n + c * s, b * n + d * s, z])
+
+
+class _Solved(NamedTuple):
+    """Compliance of a cut between its points and depths, and the places of these."""
+
+    compliance: Float[ndarray, "n n"]
+    along: Float[ndarray, " n"]
+    which: ndarray
+
+
+@lru_cache(maxsize=8)
+def _compliance(stack: Stack, plane_m: float, length_m: float, depth_m: float) -> _Solved:
+    response = cut_response(stack, depth_m, plane_m)
+    half = math.ceil(length_m / 2 / ALONG_CELL_M - 1e-9) - 1
+    if not 1 <= half < ALONG_CELLS // 4:
+        raise InputError(
+            f"a cut of {1e3 * length_m:g} mm; give {4e3 * ALONG_CELL_M:g} to "
+            f"{1e3 * ALONG_CELL_M * ALONG_CELLS / 2:g} mm"
+        )
+    which = np.arange(-half, half + 1)
+    between = ALONG_CELL_M * fft.irfft(response.stiffness, ALONG_CELLS, axis=0)
+    blocks = between[(which[:, None] - which) % ALONG_CELLS]  # [n n 3z 3z]
+    count = len(which) * blocks.shape[-1]
+    matrix = blocks.transpose(0, 2, 1, 3).reshape(count, count)
+    return _Solved(inv(matrix, overwrite_a=True), which * ALONG_CELL_M, which)
+
+
+def cut_opening(
+    stack: Stack, cut: SurfaceCut, plane_m: float, places_m: Points, forces_n: Float[ndarray, "3 n"]
+) -> CutOpening:
+    """Jump and added motion under forces on the surface.
+
+    Args:
+        stack: on a rigid floor.
+        cut: in it.
+        plane_m: depth of the plane whose motion is told, a face between layers [m].
+        places_m: of the forces ``[n 2]`` [m].
+        forces_n: along x, y and into the skin ``[3 n]`` [N].
+    """
+    response = cut_response(stack, cut.depth_m, plane_m)
+    solved = _compliance(stack, plane_m, cut.length_m, cut.depth_m)
+    driving = _driving(response, cut, places_m, forces_n)[solved.which]
+    count = len(response.cut_z_m)
+    gap = np.repeat(rest_gap_m(cut, solved.along), count)
+    flat, closed = _with_faces_apart(solved.compliance, driving, gap, count)
+    jump = flat.reshape(driving.shape)
+    whole = np.zeros((ALONG_CELLS, jump.shape[1]))
+    whole[solved.which] = jump
+    added = _added(response, fft.rfft(whole, axis=0))
+    parts = jump.T.reshape(3, count, len(solved.along))
+    closed = closed.reshape(len(solved.along), count).T
+    pressing = _driving(response, cut, places_m, forces_n * np.array([[0.0], [0.0], [1.0]]))[solved.which]
+    work = (float((driving * jump).sum()), float((pressing * jump).sum()))
+    return CutOpening(cut, solved.along, response.cut_z_m, parts, closed, *work, added)
+
+
+def rest_gap_m(cut: SurfaceCut, along_m: ndarray) -> ndarray:
+    """Distance of the faces at rest at places from a cut's middle; 0 beyond its ends [m]."""
+    if math.isinf(cut.gap_m):
+        return np.full(np.shape(along_m), math.inf)
+    share = 1 - (2 * np.asarray(along_m) / cut.length_m) ** 2
+    return np.asarray(cut.gap_m * np.sqrt(np.maximum(share, 0.0)))
+
+
+def _with_faces_apart(
+    compliance: Float[ndarray, "m m"], driving: Float[ndarray, "points jumps"], gap: ndarray, count: int
+) -> tuple[Float[ndarray, " m"], Bool[ndarray, " w"]]:
+    """Jump in the order of the load, and where faces meet; forces between them push them apart."""
+    free = compliance @ driving.ravel()
+    normal = (np.arange(len(driving))[:, None] * driving.shape[1] + np.arange(count)).ravel()
+    closed = free[normal] + gap < 0
+    stiff = 1.0 / compliance[normal, normal].mean()
+    for _ in range(SETS):
+        on = normal[closed]
+        force = np.zeros(len(normal))
+        force[closed] = np.linalg.solve(compliance[np.ix_(on, on)], -(free[on] + gap[closed]))
+        jump = free + compliance[:, normal[closed]] @ force[closed]
+        apart = np.where(closed, 0.0, jump[normal] + gap)
+        meets = np.where(closed, force > 0, stiff * apart < 0)
+        if np.array_equal(meets, closed):
+            return jump, closed
+        closed = meets
+    raise RangeError(f"which parts of the cut's faces meet did not settle in {SETS} steps; give another load")
+
+
+def _parity(count: int) -> Float[ndarray, "3 jumps"]:
+    """Sign of each motion behind the cut over that before it, per jump."""
+    even = np.repeat([[-1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [1.0, -1.0, -1.0]], count, axis=1)
+    return np.asarray(even)
+
+
+def _driving(
+    response: CutResponse, cut: SurfaceCut, places_m: Points, forces_n: Float[ndarray, "3 n"]
+) -> Float[ndarray, "points jumps"]:
+    """Work of the forces on the motion by a unit jump at each point of the period [N]."""
+    across, along = cut.local(*np.asarray(places_m).T)
+    (a, b), (c, d) = cut.turn
+    x, y, z = forces_n
+    local = np.stack([a * x + b * y, c * x + d * y, z])
+    waves = np.exp(-1j * response.k[:, None] * along)
+    total = np.zeros((len(response.k), response.stiffness.shape[-1]), complex)
+    for sign in (1, -1):
+        mine = across * sign >= 0 if sign > 0 else across < 0
+        parity = 1.0 if sign > 0 else _parity(len(response.cut_z_m))
+        if mine.any():
+            at = _shapes_at(response.x_m, np.abs(across[mine]))
+            for part in range(3):
+                load = (waves[:, mine] * local[part, mine]) @ at
+                moved = response.surface[:, part] * (1.0 if sign > 0 else parity[part])  # type: ignore[index]
+                total += np.einsum("kx,kxj->kj", load, moved.conj())
+    return np.asarray(fft.irfft(total, ALONG_CELLS, axis=0))
+
+
+def _shapes_at(nodes_m: Float[ndarray, " x"], at_m: Float[ndarray, " n"]) -> Float[ndarray, "n x"]:
+    """Values of the elements' quadratic shapes at places; none beyond the last node."""
+    sides = nodes_m[::2]
+    element = np.clip(np.searchsorted(sides, at_m, side="right") - 1, 0, len(sides) - 2)
+    t = 2 * (at_m - sides[element]) / (sides[element + 1] - sides[element]) - 1
+    weights = np.zeros((len(at_m), len(nodes_m)))
+    row = np.arange(len(at_m))
+    for k, shape in enumerate((t * (t - 1) / 2, 1 - t**2, t * (t + 1) / 2)):
+        weights[row, 2 * element + k] = np.where(at_m <= nodes_m[-1], shape, 0.0)
+    return weights
+
+
+@lru_cache(maxsize=4)
+def _grid_shapes(nodes: tuple[float, ...]) -> Float[ndarray, "n x"]:
+    return _shapes_at(np.array(nodes), np.arange(0.0, REACH_M, STEP_M[0]))
+
+
+def _added(response: CutResponse, jump: ndarray) -> ndarray:
+    """Motion on the plane's grid behind and before the cut ``[2 3 x s]``."""
+    at = _grid_shapes(tuple(response.x_m.tolist()))
+    sides = []
+    for parity in (_parity(len(response.cut_z_m)), np.ones((3, jump.shape[1]))):
+        wave = np.einsum("kpxj,pj,kj->pxk", response.plane, parity, jump)
+        fine = fft.irfft(wave, ALONG_CELLS * FINER, axis=-1) * FINER
+        sides.append(np.einsum("nx,pxs->pns", at, np.roll(fine, ALONG_CELLS * FINER // 2, axis=-1)))
+    return np.stack(sides)
