@@ -8,6 +8,7 @@ error follows from that sum and the noise. Dots make the same kind of lattice as
 from __future__ import annotations
 
 import json
+import math
 import tomllib
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -52,6 +53,7 @@ class DottedSkin:
         min_contrast: of a dot with its ground, as a share of the ground's brightness.
         fisheye: x and y of the middle and focal length of an equidistant lens [px], where lines of dots bend
             so much that neighbours must be told on the straightened image; places stay those of the frame.
+        pitch_mm: distance of neighbouring dots on the skin [mm], where it is known: then a touch has lengths.
     """
 
     kind: LatticeKind = "square"
@@ -61,6 +63,7 @@ class DottedSkin:
     region: tuple[int, int, int, int] | None = None
     min_contrast: float = 0.08
     fisheye: tuple[float, float, float] | None = None
+    pitch_mm: float | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in ("square", "hexagonal") or self.colour not in ("dark", "bright"):
@@ -77,6 +80,8 @@ class DottedSkin:
             raise InputError(f"a region {self.region}; give x, y, width and height in px")
         if self.fisheye is not None and not (len(self.fisheye) == 3 and self.fisheye[2] > 0):
             raise InputError(f"a fisheye {self.fisheye}; give x and y of its middle and focal length in px")
+        if self.pitch_mm is not None and not 0 < self.pitch_mm < math.inf:
+            raise RangeError(f"dots {self.pitch_mm} mm apart; give a distance above 0 mm")
 
     def straightened(self, places: Points) -> Points:
         """Places ``[n 2]`` as a lens without distortion shows them [px]; themselves without a fisheye."""
@@ -111,7 +116,7 @@ def read_skin(path: PathText) -> DottedSkin:
                 found[key] = tuple(found[key])
         return DottedSkin(**found)
     except TypeError as e:
-        raise InputError(f"{file}: {e}; lengths are numbers in px") from e
+        raise InputError(f"{file}: {e}; lengths are numbers, in px but for pitch_mm") from e
 
 
 def find_dots(

@@ -91,7 +91,7 @@ class MarkTracker:
         if (sound & self._alive).sum() >= MIN_FOLLOWED * max(self._alive.sum(), 1):
             self._take(places, turn, sound)
             return TrackedPoints(ControlPoints(self._cells[sound], places[sound], sigma[sound]), False)
-        return self._found_anew(frame)
+        return self.search(frame)
 
     def _followed(
         self, frame: Shaped[ndarray, ...]
@@ -132,7 +132,7 @@ class MarkTracker:
         self._turn = np.where(sound, turn, self._turn)
         self._alive = sound
 
-    def _found_anew(self, frame: Shaped[ndarray, ...]) -> TrackedPoints:
+    def search(self, frame: Shaped[ndarray, ...]) -> TrackedPoints:
         """Points found in the whole frame, named by where they were last, or none and the reason."""
         last = ControlPoints(self._cells, self._places, np.zeros(len(self._cells)))
         try:

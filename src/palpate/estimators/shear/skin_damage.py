@@ -1,0 +1,136 @@
+"""Signs of a torn skin, which no touch of a whole one makes.
+
+    unexplained     neighbouring marks have moved as no traction on the whole skin moves them
+    stayed          marks stay moved where nothing touches
+    missing         marks are missing along a line, which tiles that have come off do not explain
+    gaping          a dark line crosses the tiles
+
+A touch moves marks as the layers' own response has it, with friction or without; the skin beside a cut does
+not. A tile that has come off takes its corners with it, two by two.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.ndimage import label
+
+from palpate.core import Bool, Float, Int, ndarray
+from palpate.estimators.lattice import ControlPoints
+from palpate.estimators.shear.stray_marks import MIN_GROUP, NEIGHBOURS, largest_group, strayed
+from palpate.estimators.shear.touch_places import MAX_MISFIT, TouchPlaces
+from palpate.estimators.surface_strain import StrainFields
+
+STRAYED = 5.0  # times a mark's standard error: what is left unexplained
+OF_MOTION = 0.08  # of the greatest shift; the layers as stated leave up to 0.05 on copies of the pad
+MIN_STAYED = 6  # neighbouring marks; a touch too light to be found moves up to four
+MIN_LINE = 4  # missing marks in a row, or a row and a diagonal
+MAX_THICKNESS = 0.8  # cells, standard deviation across such a line
+MIN_SEEN = 0.9  # of the lattice's marks, to tell what stays moved
+BESIDE_TOUCH = 3.0  # pitches from a contact, within which marks may be lost by the press
+
+
+def damage_of(
+    fields: StrainFields,
+    places: TouchPlaces,
+    reference: ControlPoints,
+    seen: ControlPoints,
+    bare: set[tuple[int, int]],
+    gap: float,
+    pitch: float,
+) -> str:
+    """Why a frame's skin looks torn; empty where it looks whole.
+
+    Args:
+        fields: of the frame.
+        places: its contacts.
+        reference, seen: marks of the untouched skin and of the frame.
+        bare: corners of tiles that have come off.
+        gap: length of the longest dark line across the tiles [pitches], 0 without one.
+        pitch: distance of marks [unit].
+    """
+    if gap:
+        return f"a dark line crosses {gap:.1f} tiles"
+    moved = _moved(fields, places)
+    if moved:
+        return moved
+    lost = _lost(reference, seen, bare)
+    touched = [(c.x, c.y) for c in places.contacts]
+    if touched and lost.any():
+        at = np.array([_place_of(reference, cell) for cell in np.argwhere(lost)[:, ::-1]])
+        away = np.min([np.hypot(*(at - p).T) for p in touched], axis=0)
+        rows = np.argwhere(lost)[away < BESIDE_TOUCH * pitch]
+        lost[tuple(rows.T)] = False
+    return _line_of(lost)
+
+
+def _moved(fields: StrainFields, places: TouchPlaces) -> str:
+    """Marks that have moved as no touch moves them, or where nothing touches."""
+    traction = places.traction
+    error = np.sqrt(fields.variances.sum(axis=0))
+    cells = fields.basis.cells
+    if traction is not None:
+        if traction.misfit < MAX_MISFIT:
+            return ""
+        off = np.hypot(*traction.unexplained_m.T)
+        least = OF_MOTION * float(np.hypot(*fields.moved.T).max())
+        count = largest_group(cells, (off > STRAYED * error) & (off > least))
+        if count < MIN_GROUP:
+            return ""
+        return f"{count} neighbouring marks have moved as no touch of a whole skin moves them"
+    if places.contacts:
+        return ""
+    if len(fields.rest) < MIN_SEEN * np.prod(np.ptp(cells, axis=0) + 1):
+        return ""  # a touch may be where the marks are missing
+    count = strayed(fields)
+    return f"{count} neighbouring marks stay moved where nothing touches" if count >= MIN_STAYED else ""
+
+
+def _lost(
+    reference: ControlPoints, seen: ControlPoints, bare: set[tuple[int, int]]
+) -> Bool[ndarray, "rows columns"]:
+    """Cells of the reference without a mark in the frame, beside those of tiles that have come off."""
+    low, high = reference.cells.min(axis=0), reference.cells.max(axis=0)
+    size = (high - low + 1)[::-1]
+    there = np.zeros(size, bool)
+    wanted = np.zeros(size, bool)
+    for points, grid in ((reference, wanted), (seen, there)):
+        inside = ((points.cells >= low) & (points.cells <= high)).all(axis=1)
+        column, row = (points.cells[inside] - low).T
+        grid[row, column] = True
+    for cell in bare:
+        column, row = np.array(cell) - low
+        if 0 <= row < size[0] and 0 <= column < size[1]:
+            there[row, column] = True
+    return wanted & ~there
+
+
+def _place_of(points: ControlPoints, cell: Int[ndarray, " 2"]) -> Float[ndarray, " 2"]:
+    low = points.cells.min(axis=0)
+    found = np.nonzero((points.cells == cell + low).all(axis=1))[0]
+    return points.places[found[0]]
+
+
+def _line_of(lost: Bool[ndarray, "rows columns"]) -> str:
+    """Whether cells are missing along a line, as a tear takes them."""
+    single, count = label(lost, NEIGHBOURS)
+    for i in range(1, count + 1):
+        at = np.argwhere(single == i)
+        if len(at) >= MIN_LINE and _length(at) >= MIN_LINE - 1 and _thickness(at) < MAX_THICKNESS:
+            return f"{len(at)} neighbouring marks are missing along a line"
+    return ""
+
+
+def _length(at: Int[ndarray, "n 2"]) -> float:
+    """Extent of cells along their principal axis."""
+    centred = at - at.mean(axis=0)
+    axis = np.linalg.svd(centred, full_matrices=False)[2][0]
+    return float(np.ptp(centred @ axis))
+
+
+def _thickness(at: Int[ndarray, "n 2"]) -> float:
+    """Standard deviation of cells across their principal axis."""
+    if len(at) < 2:
+        return 0.0
+    return math.sqrt(max(float(np.linalg.eigvalsh(np.cov(at.T))[0]), 0.0))

@@ -1,0 +1,234 @@
+"""Marks of a patterned skin on the skin itself, frame by frame: tiles under a lens, or a maker's dots.
+
+Both kinds give control points in one plane, x with the image's columns and y against its rows as a skin seen
+from below has them, so that what reads a touch does not ask which pattern it is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+
+from palpate.core import ImageError, InputError, Lens, RangeError, Shaped, ndarray
+from palpate.estimators.lattice import ControlPoints, DottedSkin, MarkTracker, TrackedPoints, find_dots
+from palpate.estimators.shear.pattern_gaps import TileCentres, without
+from palpate.estimators.surface_strain import PatternedSkin, on_plane
+
+FLIPPED = np.array([1.0, -1.0])
+MORE_LOOKS = 3  # at a frame in which marks are lost
+MAX_LOST = 0.01  # of the reference's marks, from frame to frame; beyond, the whole frame is searched
+
+
+@dataclass(frozen=True, slots=True)
+class TiledSkin:
+    """Checkerboard on a flat skin, as a camera sees it that looks across the skin from below.
+
+    Attributes:
+        pitch_m: side of a tile [m].
+        columns, rows: of tiles.
+        camera_m: distance of the lens from the resting pattern [m].
+        lens: of the camera; frames are as it gives them, uncut and unscaled.
+        tolerance_m: how far a mark may be cast beside its place, standard deviation [m].
+        scale_tolerance: share by which pitch and distance may differ from what is stated.
+        sinking: how far the pattern sinks in a press's middle over its greatest shift outward. A camera
+            beside a contact sees this as a lateral shift; 0 where it is not known.
+        layers: what the mechanics knows of the skin; without it a place is told by the ring alone.
+        name: of the skin.
+    """
+
+    pitch_m: float
+    columns: int
+    rows: int
+    camera_m: float
+    lens: Lens
+    tolerance_m: float = 0.02e-3
+    scale_tolerance: float = 0.03
+    sinking: float = 0.0
+    layers: PatternedSkin | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        positive = (self.pitch_m, self.camera_m, self.tolerance_m, self.scale_tolerance)
+        if not all(0 < value < math.inf for value in positive):
+            raise RangeError(
+                f"pitch {self.pitch_m} m, camera {self.camera_m} m away, tolerances {self.tolerance_m} m and "
+                f"{self.scale_tolerance}; all are above 0 and finite"
+            )
+        if min(self.columns, self.rows) < 4:
+            raise RangeError(f"{self.columns} x {self.rows} tiles; a skin has 4 or more along each side")
+
+    @property
+    def pitch_px(self) -> float:
+        """Side of a tile in the image's middle [px]."""
+        return self.pitch_m * math.sqrt(self.lens.focal_px[0] * self.lens.focal_px[1]) / self.camera_m
+
+
+@runtime_checkable
+class SkinMarks(Protocol):
+    """Marks of one reference frame, and of those after it.
+
+    Attributes:
+        unit: of places.
+        pitch: distance of neighbouring marks [unit].
+        px_per_unit: scale of a frame in its middle.
+        reference: marks of the reference frame.
+        bare: corners of tiles that have come off, in the last frame.
+        gap: length of the longest dark line across tiles in it [pitches].
+    """
+
+    unit: Literal["px", "m"]
+    pitch: float
+    px_per_unit: float
+    reference: ControlPoints
+    bare: set[tuple[int, int]]
+    gap: float
+
+    def follow(self, image: Shaped[ndarray, ...]) -> TrackedPoints:
+        """Marks of a frame on the skin [unit], or none and the reason."""
+
+    def in_image(self, places: Shaped[ndarray, "n 2"]) -> Shaped[ndarray, "n 2"]:
+        """Places of the skin [unit] in the image [px]."""
+
+
+class TileMarks:
+    """Corners of a checkerboard on the skin [m].
+
+    Args:
+        skin: what is looked at.
+        image: of the untouched skin, 8-bit.
+
+    Raises:
+        ImageError: it has another size than the lens's frames, or shows no pattern.
+        RangeError: marks lie where the lens sees no skin.
+    """
+
+    unit: Literal["px", "m"] = "m"
+
+    def __init__(self, skin: TiledSkin, image: Shaped[ndarray, ...]) -> None:
+        skin.lens.check_size((image.shape[0], image.shape[1]))
+        self.skin = skin
+        self.pitch = skin.pitch_m
+        self.px_per_unit = skin.pitch_px / skin.pitch_m
+        self._tracker = MarkTracker(image, skin.pitch_px)
+        self.reference = on_plane(self._tracker.reference.points, skin.lens, skin.camera_m)
+        self._before = len(self.reference)
+        self._tiles = TileCentres(self._tracker.reference.points, image.shape, self._tracker.pitch)
+        self._look(image)
+        self.reference = without(self.reference, self.bare)
+
+    def follow(self, image: Shaped[ndarray, ...]) -> TrackedPoints:
+        """Marks of a frame [m], those beside tiles that have come off left out: their corners are others.
+
+        Where a press came from one frame to the next, marks under it are lost at first: they are looked for
+        again from where their neighbours have gone.
+        """
+        tracked = self._settled(self._tracker.follow(image), image)
+        if not tracked.found_anew and len(tracked.points) < self._before - MAX_LOST * len(self.reference):
+            anew = self._settled(self._tracker.search(image), image)
+            tracked = anew if len(anew.points) > len(tracked.points) else tracked
+        self._before = len(tracked.points)
+        if not len(tracked.points):
+            return tracked
+        self._look(image)
+        points = on_plane(without(tracked.points, self.bare), self.skin.lens, self.skin.camera_m)
+        return TrackedPoints(points, tracked.found_anew)
+
+    def _look(self, image: Shaped[ndarray, ...]) -> None:
+        """See which tiles have come off a frame, and whether a dark line crosses them."""
+        off = self._tiles.bare(image)
+        self.bare, self.gap = self._tiles.corners_of(off), self._tiles.longest_gap(image, off)
+
+    def _settled(self, tracked: TrackedPoints, image: Shaped[ndarray, ...]) -> TrackedPoints:
+        for _ in range(MORE_LOOKS):
+            if not 0 < len(tracked.points) < len(self.reference):
+                break
+            again = self._tracker.follow(image)
+            if len(again.points) <= len(tracked.points):
+                break
+            tracked = again
+        return tracked
+
+    def in_image(self, places: Shaped[ndarray, "n 2"]) -> Shaped[ndarray, "n 2"]:
+        """Places on the resting skin [m] in the image [px]."""
+        rays = np.column_stack([places * FLIPPED, np.full(len(places), self.skin.camera_m)])
+        return self.skin.lens.project(rays)
+
+
+class DotMarks:
+    """Dots of a maker's skin about the middle of the dots, in m where their distance is known, else px.
+
+    Args:
+        skin: what is looked for.
+        image: of the untouched skin, 8-bit.
+        lens: whose bending is taken out first; the description's own without.
+
+    Raises:
+        ImageError: a frame of another size than the lens's, or without dots.
+    """
+
+    def __init__(self, skin: DottedSkin, image: Shaped[ndarray, ...], lens: Lens | None = None) -> None:
+        if lens is not None:
+            lens.check_size((image.shape[0], image.shape[1]))
+        self.skin, self._lens, self._shape = skin, lens, image.shape
+        self._first = self._last = find_dots(image, skin)
+        self.unit: Literal["px", "m"] = "px" if skin.pitch_mm is None else "m"
+        flat = self._straightened(self._first.places)
+        self._middle, found = flat.mean(axis=0), _pitch(self._first.cells, flat)
+        self.px_per_unit = 1.0 if skin.pitch_mm is None else found / (1e-3 * skin.pitch_mm)
+        self.pitch = found / self.px_per_unit
+        self.reference = self._on_skin(self._first)
+        self.bare: set[tuple[int, int]] = set()
+        self.gap = 0.0
+
+    def follow(self, image: Shaped[ndarray, ...]) -> TrackedPoints:
+        """Dots of a frame, named by those of the frame before or, where these are lost, of the reference."""
+        if image.dtype != np.uint8 or image.shape != self._shape:
+            raise InputError(
+                f"a frame {image.dtype} {list(image.shape)}; dots are followed in 8-bit frames of "
+                f"{list(self._shape)}, as the reference: give frames of that camera and crop"
+            )
+        reason = ""
+        for before in (self._last, self._first):
+            try:
+                found = self._known(find_dots(image, self.skin, before))
+            except ImageError as refusal:
+                reason = str(refusal)
+                continue
+            if len(found) >= len(self._first) / 2:
+                self._last = found
+                return TrackedPoints(self._on_skin(found), True)
+            reason = f"{len(found)} of the reference's {len(self._first)} dots are seen, fewer than half"
+        self._last = self._first
+        none = ControlPoints(np.empty((0, 2), int), np.empty((0, 2)), np.empty(0))
+        return TrackedPoints(none, True, reason)
+
+    def in_image(self, places: Shaped[ndarray, "n 2"]) -> Shaped[ndarray, "n 2"]:
+        """Places of the skin as a lens without distortion shows them [px]."""
+        return np.asarray(places * FLIPPED * self.px_per_unit + self._middle)
+
+    def _known(self, found: ControlPoints) -> ControlPoints:
+        names = set(map(tuple, self._first.cells.tolist()))
+        known = np.array([cell in names for cell in map(tuple, found.cells.tolist())], bool)
+        return ControlPoints(found.cells[known], found.places[known], found.sigma[known])
+
+    def _straightened(self, places: Shaped[ndarray, "n 2"]) -> Shaped[ndarray, "n 2"]:
+        return self.skin.straightened(places) if self._lens is None else self._lens.undistorted(places)
+
+    def _on_skin(self, points: ControlPoints) -> ControlPoints:
+        half = np.array([[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
+        flat = np.stack([self._straightened(points.places + step) for step in half])
+        (xx, xy), (yx, yy) = (flat[1] - flat[2]).T, (flat[3] - flat[4]).T
+        places = (flat[0] - self._middle) * FLIPPED / self.px_per_unit
+        seen = np.isfinite(flat).all(axis=(0, 2))
+        sigma = points.sigma * np.sqrt(np.abs(xx * yy - xy * yx)) / self.px_per_unit
+        return ControlPoints(points.cells[seen], places[seen], sigma[seen], self.unit)
+
+
+def _pitch(cells: Shaped[ndarray, "n 2"], places: Shaped[ndarray, "n 2"]) -> float:
+    """Median distance of neighbours along a row."""
+    at = dict(zip(map(tuple, cells.tolist()), places, strict=True))
+    steps = [np.hypot(*(at[c + 1, r] - place)) for (c, r), place in at.items() if (c + 1, r) in at]
+    return float(np.median(steps))

@@ -1,0 +1,191 @@
+"""Contacts of a frame by their place, each with its standard error, from strain and, if it can be, traction.
+
+Where the skin's layers are known, the place is the centre of the pressure that moves the marks as they moved:
+it follows perspective, flat and long indenters and lateral loads. Without layers, or where no traction
+explains the marks, it is the centre of the ring, which a lateral load draws along by up to 2 mm.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from palpate.core import RangeError
+from palpate.estimators.shear.skin_marks import SkinMarks, TiledSkin
+from palpate.estimators.shear.stray_marks import MIN_GROUP, strayed
+from palpate.estimators.surface_strain import (
+    ContactPeak,
+    EdgeDirection,
+    RecoveredTraction,
+    ShearRing,
+    StrainFields,
+    contact_peaks,
+    edge_direction,
+    find_rings,
+    recover_traction,
+)
+
+MIN_SIGNIFICANCE = 6.0  # of a ring's outward shift over its error: one in 10,000 frames would exceed 4
+MIN_FORCE = 8.0  # times its standard error, of a traction
+MAX_MISFIT = 1.6  # of marks' standard errors: beyond, a traction does not explain the marks
+TRACTION_SPREAD = 1.4  # of the centre's errors over stated ones, on the virtual pad at 0.4 to 8 N
+FRICTION_SPREAD = 1.7  # the same under a lateral load
+FROM_PEAKS = 1.5  # pitches, of the pressure's centre from where the skin is stretched most
+RING_SPREAD = 1.25  # the same of a ring's
+MAX_SADDLE = 0.5  # of the lesser end's pressure: two contacts have less between them
+MIN_ELONGATION = 1.8  # length over width of an edge's pressure
+EDGE_SPREAD = 1.5  # of an edge's errors over stated ones
+MIN_EDGE_ERROR_RAD = 1e-3  # standard error of an edge however hard it is pressed
+NORMAL_90 = 1.6449
+SAME_CONTACT = 2.5  # pitches between a peak and its ring
+
+
+@dataclass(frozen=True, slots=True)
+class TouchPlace:
+    """One contact.
+
+    Attributes:
+        x, y: of its centre [unit of the marks].
+        x_error, y_error: standard errors [unit].
+        told_by: what told the place: "pressure", or "ring".
+        ring: of the contact, where one was found.
+    """
+
+    x: float
+    y: float
+    x_error: float
+    y_error: float
+    told_by: Literal["pressure", "ring"]
+    ring: ShearRing | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchPlaces:
+    """Contacts of one frame, the strongest first.
+
+    Attributes:
+        contacts: those with a place.
+        unsure: stretched places that have no contact's form.
+        edge: direction of the edge, where the only contact is one.
+        traction: that explains the marks best, where layers are known.
+    """
+
+    contacts: tuple[TouchPlace, ...]
+    unsure: int
+    edge: EdgeDirection | None
+    traction: RecoveredTraction | None
+
+    @property
+    def explained(self) -> bool:
+        """Whether a traction explains how the marks have moved."""
+        return self.traction is not None and self.traction.misfit < MAX_MISFIT
+
+
+def touch_places(fields: StrainFields, marks: SkinMarks, skin: object) -> TouchPlaces:
+    """Contacts of a frame.
+
+    Args:
+        fields: of the frame against the reference.
+        marks: of the skin.
+        skin: its description.
+    """
+    peaks = contact_peaks(fields, marks.pitch)
+    if not peaks:  # marks may be missing where the skin is stretched
+        return TouchPlaces((), int(strayed(fields) >= MIN_GROUP), None, None)
+    rings = [r for r in find_rings(fields) if r.outward > MIN_SIGNIFICANCE * r.outward_error]
+    traction = _best_traction(fields, skin)
+    explained = traction is not None and traction.misfit < MAX_MISFIT and _certain(traction)
+    if traction is not None and explained:
+        peaks = _apart(peaks, traction)
+        edge = _pressed_edge(traction) if len(peaks) == 1 else None
+    else:
+        edge = edge_direction(fields) if len(peaks) == 1 else None
+    if traction is not None and explained and (edge or _amid(traction, peaks) < FROM_PEAKS * marks.pitch):
+        contacts = _by_pressure(traction, peaks, rings)
+    else:
+        contacts = tuple(_by_ring(ring) for ring in rings if _near(ring, peaks) < SAME_CONTACT * marks.pitch)
+    return TouchPlaces(contacts, len(peaks) - len(contacts), edge, traction)
+
+
+def _apart(peaks: list[ContactPeak], traction: RecoveredTraction) -> list[ContactPeak]:
+    """Peaks between which the pressure falls: lost marks part the stretch of an edge as well."""
+    near = cKDTree(traction.nodes_m)
+    kept: list[ContactPeak] = []
+    for peak in peaks:
+        ways = [np.linspace(peak[:2], other[:2], 25) for other in kept]
+        lows = []
+        for way in ways:
+            pressure = traction.pressure_pa[near.query(way, k=4)[1]].mean(axis=1)
+            lows.append(float(pressure.min()) < MAX_SADDLE * float(min(pressure[0], pressure[-1])))
+        if all(lows):
+            kept.append(peak)
+    return kept
+
+
+def _pressed_edge(traction: RecoveredTraction) -> EdgeDirection | None:
+    """Direction of an edge by its pressure; None for a round contact."""
+    if traction.elongation < MIN_ELONGATION:
+        return None
+    error = math.hypot(EDGE_SPREAD * traction.axis_error_rad, MIN_EDGE_ERROR_RAD)
+    half = min(NORMAL_90 * error, math.pi / 2)
+    return EdgeDirection(traction.axis_rad % math.pi, error, half, traction.elongation, traction.centre_m)
+
+
+def _best_traction(fields: StrainFields, skin: object) -> RecoveredTraction | None:
+    """Traction of a press straight down, or one with friction where that does not explain the marks."""
+    if not isinstance(skin, TiledSkin) or skin.layers is None:
+        return None
+    traction = None
+    for closure in ("frictionless", "coulomb"):
+        try:
+            traction = recover_traction(fields, skin.layers, closure)
+        except RangeError:  # reaches over too much of the skin, as noise does under the lightest touch
+            return traction
+        if traction is None or traction.misfit < MAX_MISFIT:
+            break
+    return traction
+
+
+def _certain(traction: RecoveredTraction) -> bool:
+    """Whether its force stands out of the noise and its centre is known."""
+    told = np.isfinite([*traction.centre_m, *traction.centre_error_m]).all()
+    known = bool(told) and min(traction.centre_error_m) > 0
+    return known and traction.force_n > MIN_FORCE * traction.force_error_n
+
+
+def _amid(traction: RecoveredTraction, peaks: list[ContactPeak]) -> float:
+    """Distance of the pressure's centre from the peaks' middle: under a light touch noise may draw it."""
+    x, y = np.mean([p[:2] for p in peaks], axis=0).tolist()
+    return math.hypot(traction.centre_m[0] - x, traction.centre_m[1] - y)
+
+
+def _near(ring: ShearRing, peaks: list[ContactPeak]) -> float:
+    return min(math.hypot(ring.x - p.x, ring.y - p.y) for p in peaks)
+
+
+def _by_pressure(
+    traction: RecoveredTraction, peaks: list[ContactPeak], rings: list[ShearRing]
+) -> tuple[TouchPlace, ...]:
+    """The pressure's centre; of several contacts, that of the nodes nearest to each peak."""
+    spread = TRACTION_SPREAD if traction.closure == "frictionless" else FRICTION_SPREAD
+    x_error, y_error = (spread * len(peaks) * error for error in traction.centre_error_m)
+    away = [np.hypot(*(traction.nodes_m - p[:2]).T) for p in peaks]
+    owner = np.argmin(away, axis=0)
+    made = []
+    for i, peak in enumerate(peaks):
+        weight = np.where(owner == i, traction.pressure_pa, 0.0)
+        if not weight.sum() > 0:
+            continue
+        x, y = (weight @ traction.nodes_m / weight.sum()).tolist()
+        far = [math.hypot(ring.x - peak.x, ring.y - peak.y) for ring in rings]
+        own = None if not rings or len(rings) < len(peaks) else rings[int(np.argmin(far))]
+        made.append(TouchPlace(x, y, x_error, y_error, "pressure", own))
+    return tuple(made)
+
+
+def _by_ring(ring: ShearRing) -> TouchPlace:
+    return TouchPlace(ring.x, ring.y, RING_SPREAD * ring.x_error, RING_SPREAD * ring.y_error, "ring", ring)

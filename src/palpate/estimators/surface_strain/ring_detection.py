@@ -1,0 +1,311 @@
+"""Contacts found by the stretch they make, and the ring in which the skin moves outward around each.
+
+Under a press the pattern moves outward, most in a ring around the contact, and rests at the contact's centre.
+About a centre c, with d = (X - c)/s and w = 1 + d.d, the shift of a mark is taken as
+
+    U = A d w^-q + B (z x d) w^-q + T w^-(q + 1),
+
+outward, around, and along: A for a press, B for a torque, T for a lateral load and for the skin that sinks
+towards a camera beside it. The ring lies at r = s / sqrt(2q - 1). Contacts add up. Fitted by Levenberg and
+Marquardt's least squares to the marks. What the form does not follow is alike over the ring's area, so that
+its marks count there as one in the standard errors, beside the marks' own noise.
+
+References: D. W. Marquardt, J. SIAM 11, 431 (1963), doi:10.1137/0111030.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
+
+from palpate.core import Field, Float, ndarray
+from palpate.estimators.surface_strain.strain_fields import StrainFields
+
+COARSE = 41  # samples along an axis on which contacts are looked for
+SMOOTH = 0.7  # of the pitch: standard deviation of the smoothing before
+MIN_STRETCH = 5.0  # times its noise: a contact's area strain
+MIN_SHARE = 0.3  # of the greatest: a second contact's area strain
+MAX_SADDLE = 0.7  # of the lesser peak: two contacts have a lower stretch between them
+MIN_SIGNIFICANCE = 4.0  # of the outward shift over its standard error
+MAX_CONTACTS = 6
+STEPS = 30
+SETTLED = 2e-3  # of a pitch, and of the parameters without unit
+GAINED = 1e-3  # of the squared misfit: what a step gains where it is settled
+AROUND = 6.0  # pitches from a contact within which marks count
+START_WIDTH, START_POWER = 1.5, 2.0  # s in pitches, and q
+POWERS = (0.75, 8.0)  # bounds of q
+WIDTHS = (0.4, 10.0)  # bounds of s [pitch]
+PER_RING = 8  # cx, cy, ln s, q, A, B, Tx, Ty
+
+Params = Float[ndarray, " p"]
+Points = Float[ndarray, "n 2"]
+
+
+@dataclass(frozen=True, slots=True)
+class ShearRing:
+    """Ring of one contact, in the unit of the marks; each error is a standard error.
+
+    Attributes:
+        x, y: of its centre.
+        radius: at which the skin moves outward most.
+        width: over which it moves outward by more than half of that.
+        outward: greatest shift outward, on the ring.
+        around: greatest shift around the centre, from x towards y positive.
+        along: shift of the centre (x, y).
+        x_error, y_error, radius_error, width_error, outward_error, around_error, along_error: see above; the
+            last along each axis.
+        misfit: root mean square of what marks within twice the radius are off the form.
+    """
+
+    x: float
+    y: float
+    radius: float
+    width: float
+    outward: float
+    around: float
+    along: tuple[float, float]
+    x_error: float
+    y_error: float
+    radius_error: float
+    width_error: float
+    outward_error: float
+    around_error: float
+    along_error: tuple[float, float]
+    misfit: float
+
+    @property
+    def centre_share(self) -> float:
+        """Shift of the centre over that of the ring; near 0 where the centre rests, as under a press."""
+        return math.hypot(*self.along) / self.outward
+
+
+class ContactPeak(NamedTuple):
+    """Place of a contact's greatest stretch, and that area strain."""
+
+    x: float
+    y: float
+    area_strain: float
+
+
+def contact_peaks(fields: StrainFields, pitch: float | None = None) -> list[ContactPeak]:
+    """Contacts by their stretch, the strongest first; none where it does not stand out of the noise.
+
+    Two peaks are one contact unless the stretch between them falls: a long edge is one.
+
+    Args:
+        fields: of the frame.
+        pitch: distance of marks [unit]; None takes it from the fields.
+    """
+    rows, columns = (slice(None, None, max(1, size // COARSE)) for size in fields.at.shape[1:])
+    at, seen = fields.at[:, rows, columns], fields.basis.supported[rows, columns]
+    pitch = pitch or mark_pitch(fields)
+    per_pitch = [size / span for size, span in zip(seen.shape, _spans(fields), strict=True)]
+    smooth = _smoothed(fields.area_strain[rows, columns], seen, [SMOOTH * n for n in per_pitch])
+    told = np.where(seen, smooth, -np.inf)  # a peak over marks that are lost is told by those beside them
+    top = told == maximum_filter(told, [2 * int(n) + 1 for n in per_pitch])
+    noise = math.sqrt(2 * float(fields.variances.sum(axis=0).mean())) / pitch
+    top &= (smooth > MIN_STRETCH * noise / (2 * SMOOTH)) & (smooth > MIN_SHARE * told.max()) & seen
+    order = sorted(((int(i), int(j)) for i, j in np.argwhere(top)), key=lambda place: -smooth[place])
+    kept: list[tuple[int, int]] = []
+    for place in order:
+        if all(_apart(smooth, place, other) for other in kept):
+            kept.append(place)
+    return [ContactPeak(float(at[0][p]), float(at[1][p]), float(smooth[p])) for p in kept[:MAX_CONTACTS]]
+
+
+def find_rings(fields: StrainFields) -> list[ShearRing]:
+    """Rings of all contacts, the strongest first; empty without contact.
+
+    Where marks are too few around contacts, or the fit does not settle, there is none either.
+    """
+    pitch = mark_pitch(fields)
+    peaks = contact_peaks(fields, pitch)
+    if not peaks:
+        return []
+    near = np.min([np.hypot(*(fields.rest - p[:2]).T) for p in peaks], axis=0) < AROUND * pitch
+    at, shifts = fields.rest[near] / pitch, fields.moved[near] / pitch
+    if at.size < 2 * PER_RING * len(peaks):
+        return []
+    start = np.concatenate(
+        [[p.x / pitch, p.y / pitch, math.log(START_WIDTH), START_POWER, 0.0, 0.0, 0.0, 0.0] for p in peaks]
+    )
+    fitted = _fit(at, shifts, _with_amplitudes(start, at, shifts))
+    if fitted is None:
+        return []
+    params, inverse, off = fitted
+    noise = float(fields.variances.sum(axis=0).mean()) / pitch**2
+    excess = max(0.0, float((off**2).sum()) / (off.size - len(params)) - noise)
+    rings = []
+    for i in range(len(peaks)):
+        part = slice(i * PER_RING, (i + 1) * PER_RING)
+        p = params[part]
+        alike = max(1.0, 2 * math.pi * math.exp(2 * p[2]) / (2 * p[3] - 1))  # marks within sqrt(2) radii
+        C = inverse[part, part] * (noise + alike * excess)
+        ring = _ring(p, C, pitch, at, off)
+        if ring.outward > MIN_SIGNIFICANCE * ring.outward_error:
+            rings.append(ring)
+    return rings
+
+
+def mark_pitch(fields: StrainFields) -> float:
+    """Mean distance of the lattice's neighbours, from the area of a cell [unit]."""
+    (uu, uv), (vu, vv) = fields.to_axes
+    spans = _spans(fields)
+    some = fields.basis.supported
+    some = some & (np.arange(some.size).reshape(some.shape) % 7 == 0) if some.size > 700 else some
+    inverse = float(np.abs(uu[some] * vv[some] - uv[some] * vu[some]).mean())
+    return 1 / math.sqrt(inverse * spans[0] * spans[1])
+
+
+def _spans(fields: StrainFields) -> tuple[int, int]:
+    """Cells along v and along u."""
+    columns, rows = np.ptp(fields.basis.cells, axis=0)
+    return int(rows), int(columns)
+
+
+def _smoothed(values: Field, seen: ndarray, widths: list[float]) -> Field:
+    """Gaussian mean of what is seen."""
+    total = gaussian_filter(np.where(seen, values, 0.0), widths, mode="constant")
+    share = gaussian_filter(seen.astype(float), widths, mode="constant")
+    return np.asarray(total / np.maximum(share, 0.2))
+
+
+def _apart(values: Field, one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether values fall on the straight way between two places."""
+    way = [np.linspace(a, b, 25) for a, b in zip(one, other, strict=True)]
+    between = map_coordinates(values, way, order=1)
+    return bool(between.min() < MAX_SADDLE * min(values[one], values[other]))
+
+
+class _Shape(NamedTuple):
+    """A ring's outward, around and along parts for amplitudes of 1, with what its derivatives need."""
+
+    d: Points
+    s: float
+    w: Float[ndarray, " n"]
+    g: Float[ndarray, " n"]
+    h: Float[ndarray, " n"]
+
+
+def _shape(p: Params, at: Points) -> _Shape:
+    s = math.exp(p[2])
+    d = (at - p[:2]) / s
+    w = 1 + (d * d).sum(axis=1)
+    g = w ** -p[3]
+    return _Shape(d, s, w, g, g / w)
+
+
+def _model(params: Params, at: Points) -> tuple[Points, Float[ndarray, "n 2 p"]]:
+    """Shifts of marks, and their derivatives by the parameters."""
+    shifts, slopes = np.zeros_like(at), np.empty((*at.shape, len(params)))
+    for first in range(0, len(params), PER_RING):
+        p = params[first : first + PER_RING]
+        d, s, w, g, h = _shape(p, at)
+        across = np.stack([-d[:, 1], d[:, 0]], axis=1)
+        swirl = p[4] * d + p[5] * across  # M d, with M = A + B (z x)
+        along = p[6:8]
+        own = swirl * g[:, None] + along * h[:, None]
+        by_w = -p[3] * swirl * (g / w)[:, None] - (p[3] + 1) * along * (h / w)[:, None]
+        M = np.array([[p[4], -p[5]], [p[5], p[4]]])
+        by_d = M * g[:, None, None] + by_w[:, :, None] * 2 * d[:, None, :]  # [n, component, d]
+        mine = slopes[:, :, first : first + PER_RING]
+        mine[:, :, :2] = -by_d / s
+        mine[:, :, 2] = -swirl * g[:, None] - by_w * (2 * (w - 1))[:, None]
+        mine[:, :, 3] = -np.log(w)[:, None] * own
+        mine[:, :, 4], mine[:, :, 5] = d * g[:, None], across * g[:, None]
+        mine[:, :, 6:8] = np.eye(2) * h[:, None, None]
+        shifts += own
+    return shifts, slopes
+
+
+def _with_amplitudes(params: Params, at: Points, shifts: Points) -> Params:
+    """The same with the amplitudes that fit best."""
+    _, slopes = _model(params, at)
+    linear = np.arange(len(params)) % PER_RING >= PER_RING // 2
+    basis = slopes.reshape(-1, len(params))[:, linear]
+    params = params.copy()
+    params[linear] = np.linalg.lstsq(basis, shifts.ravel(), rcond=None)[0]
+    return params
+
+
+def _bounded(params: Params) -> Params:
+    params = params.copy()
+    params[2::PER_RING] = np.clip(params[2::PER_RING], *np.log(WIDTHS))
+    params[3::PER_RING] = np.clip(params[3::PER_RING], *POWERS)
+    return params
+
+
+def _fit(at: Points, shifts: Points, params: Params) -> tuple[Params, Float[ndarray, "p p"], Points] | None:
+    """Parameters, their covariance per mark's variance, and what is off; None where they do not settle."""
+    model, slopes = _model(params, at)
+    off, damping = shifts - model, 1e-3
+    loss = float((off**2).sum())
+    for _ in range(STEPS):
+        J = slopes.reshape(-1, len(params))
+        normal, gradient = J.T @ J, J.T @ off.ravel()
+        scale = np.diag(normal) + 1e-12
+        trial = _bounded(params + np.linalg.solve(normal + damping * np.diag(scale), gradient))
+        model, trial_slopes = _model(trial, at)
+        trial_off = shifts - model
+        trial_loss = float((trial_off**2).sum())
+        step = np.abs(trial - params).max()
+        if trial_loss <= loss:
+            settled = step < SETTLED or loss - trial_loss < GAINED * loss
+            params, off, loss, slopes, damping = trial, trial_off, trial_loss, trial_slopes, damping / 10
+            if settled:
+                break
+        else:
+            damping *= 10
+            if damping > 1e8:
+                break
+    J = slopes.reshape(-1, len(params))
+    try:
+        covariance = np.linalg.inv(J.T @ J)
+    except np.linalg.LinAlgError:
+        return None
+    inside = ((params.reshape(-1, PER_RING)[:, :2] > at.min(axis=0) - 1).all()) & (
+        (params.reshape(-1, PER_RING)[:, :2] < at.max(axis=0) + 1).all()
+    )
+    return (params, covariance, off) if inside and (np.diag(covariance) > 0).all() else None
+
+
+def _ring(p: Params, covariance: Float[ndarray, "p p"], pitch: float, at: Points, off: Points) -> ShearRing:
+    def sizes(p: Params) -> Params:
+        s, q = math.exp(p[2]), p[3]
+        radius = 1 / math.sqrt(2 * q - 1)
+        top = radius * (1 + radius**2) ** -q
+        return np.array([p[0], p[1], s * radius, s * _half_width(q), p[4] * top, p[5] * top, p[6], p[7]])
+
+    values = sizes(p)
+    slopes = np.stack([(sizes(p + e) - sizes(p - e)) / 2e-4 for e in 1e-4 * np.eye(PER_RING)], axis=1)
+    errors = np.sqrt(np.diag(slopes @ covariance @ slopes.T)) * pitch
+    near = np.hypot(*(at - p[:2]).T) < 2 * values[2]
+    misfit = math.sqrt(float((off[near] ** 2).mean())) * pitch if near.any() else math.nan
+    x, y, radius, width, outward, around, *along = (values * pitch).tolist()
+    ex, ey, er, ew, eo, ea, *el = errors.tolist()
+    return ShearRing(
+        x, y, radius, width, outward, around, tuple(along), ex, ey, er, ew, eo, ea, tuple(el), misfit
+    )
+
+
+def _half_width(q: float) -> float:
+    """Width [s] between the radii where r (1 + r^2)^-q is half its greatest."""
+    return float(np.interp(q, *_half_widths()))
+
+
+@cache
+def _half_widths() -> tuple[Params, Params]:
+    """The same over q, in a table."""
+    powers, widths = np.linspace(*POWERS, 1500), []
+    for q in powers:
+        peak = 1 / math.sqrt(2 * q - 1)
+        inner, outer = np.linspace(0, peak, 400), peak * np.geomspace(1, 1000, 800)
+        half = peak * (1 + peak**2) ** -q / 2
+        low = np.interp(half, inner * (1 + inner**2) ** -q, inner)
+        widths.append(np.interp(-half, -outer * (1 + outer**2) ** -q, outer) - low)
+    return powers, np.array(widths)

@@ -1,0 +1,140 @@
+"""Published measure of touch, the scaled sum of how far a surface's samples have moved, and baselines.
+
+    gamma = alpha sum_k |s_k - s_k,ref|,     alpha = 1/18000 per px,     F = 3.09 gamma - 1.14 N from 1 to 8 N
+
+("NUSense: Shear Based Robust Optical Tactile Sensor", equation 3.3 and section 4.2). It is no strain: alpha
+goes with the number of samples K and with the image's scale. The published line gives 12,466 px at 1 N and
+53,243 px at 8 N; over 164 samples these would be 76 and 325 px each, over 164 x 164 they are 0.46 and 1.98
+px, so that K is taken as 26,896. The mean form, alpha K times the mean shift, does not depend on K: alpha K
+= 1.494 per px.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from palpate.core import Field, Float, InputError, RangeError, ndarray
+from palpate.estimators.surface_strain.strain_fields import StrainFields
+
+PUBLISHED_ALPHA = 1 / 18_000  # per px
+PUBLISHED_SAMPLES = 164 * 164  # K
+PUBLISHED_SLOPE_N, PUBLISHED_OFFSET_N = 3.09, -1.14
+PUBLISHED_RANGE_N = (1.0, 8.0)
+
+
+@dataclass(frozen=True, slots=True)
+class ShearMeasure:
+    """How far a surface's samples have moved, summed and scaled.
+
+    Attributes:
+        alpha: scale of the sum [1/unit].
+        count: K, all samples of the surface, with those that lack marks.
+        seen: samples that have marks around them.
+        total: sum of the shifts of those that are seen [unit].
+        unit: "px" or "m".
+    """
+
+    alpha: float
+    count: int
+    seen: int
+    total: float
+    unit: Literal["px", "m"]
+
+    @property
+    def mean(self) -> float:
+        """Mean shift of a seen sample [unit]."""
+        return self.total / self.seen
+
+    @property
+    def sum_form(self) -> float:
+        """Published gamma over the samples that are seen; it falls as marks go missing."""
+        return self.alpha * self.total
+
+    @property
+    def mean_form(self) -> float:
+        """Gamma of K samples with the mean shift of the seen ones: the same where none is missing."""
+        return self.alpha * self.count * self.mean
+
+
+def shear_measure(fields: StrainFields, alpha: float = PUBLISHED_ALPHA) -> ShearMeasure:
+    """Published measure of a frame.
+
+    Args:
+        fields: of the frame; K is the number of its samples.
+        alpha: scale; the published one goes with 164 x 164 samples in px of an undistorted image.
+
+    Raises:
+        InputError: an alpha that is not positive, or the published one for marks in m.
+    """
+    if not 0 < alpha < math.inf:
+        raise InputError(f"a scale alpha of {alpha}; give a positive number, published is 1/18000 per px")
+    if fields.unit != "px" and alpha == PUBLISHED_ALPHA:
+        raise InputError("the published alpha goes with px; give marks in px, or an alpha of your own per m")
+    seen = int(fields.basis.supported.sum())
+    shifts = np.hypot(*fields.displacement)
+    return ShearMeasure(alpha, fields.basis.count, seen, float(np.nansum(shifts)), fields.unit)
+
+
+def published_force_n(gamma: float) -> float:
+    """Force by the published line [N].
+
+    Raises:
+        RangeError: outside 1 to 8 N, over which it was drawn; an untouched skin would have -1.14 N.
+
+    Example:
+        >>> round(published_force_n(0.6926), 3), round(published_force_n(2.9579), 3)
+        (1.0, 8.0)
+    """
+    force, (low, high) = PUBLISHED_SLOPE_N * gamma + PUBLISHED_OFFSET_N, PUBLISHED_RANGE_N
+    if not low - 0.01 <= force <= high + 0.01:
+        raise RangeError(
+            f"gamma {gamma:.4g} lies outside {published_gamma(low):.4g} to {published_gamma(high):.4g}, "
+            "which is 1 to 8 N, where the published line was drawn"
+        )
+    return force
+
+
+def published_gamma(force_n: float) -> float:
+    """Gamma of a force by the published line."""
+    return (force_n - PUBLISHED_OFFSET_N) / PUBLISHED_SLOPE_N
+
+
+def shear_from_pressure(
+    pressure_pa: Field,
+    x_m: Float[ndarray, " nx"],
+    y_m: Float[ndarray, " ny"],
+    blur_m: float,
+    youngs_modulus_pa: float,
+    thickness_m: float,
+) -> Float[ndarray, "2 ny nx"]:
+    """Baseline (3.1): shear as the slope of the blurred pressure over G, times a thickness.
+
+        gamma_j = t (3/E) d(sigma * phi)/dx_j,     3/E = 1/G of an incompressible skin.
+
+    As printed it has no thickness t, and the unit 1/m.
+
+    Args:
+        pressure_pa: on the skin ``[ny nx]`` [Pa].
+        x_m, y_m: its columns and rows, in even steps [m].
+        blur_m: standard deviation of the Gaussian phi, which stands for the skin above the pattern [m].
+        youngs_modulus_pa: of the skin [Pa].
+        thickness_m: over which the shear acts [m].
+
+    Raises:
+        InputError: fewer than 3 rows or columns, uneven steps, or a modulus, thickness or blur that is not
+            positive.
+    """
+    steps = [np.diff(axis) for axis in (y_m, x_m)]
+    if any(len(d) < 2 or not np.allclose(d, d[0], rtol=1e-6, atol=0) or d[0] <= 0 for d in steps):
+        raise InputError("x_m and y_m are 3 or more places that rise in even steps [m]")
+    if not (blur_m > 0 and youngs_modulus_pa > 0 and thickness_m > 0):
+        raise InputError("the blur, the modulus and the thickness are positive; give them in m, Pa and m")
+    dy, dx = (float(d[0]) for d in steps)
+    blurred = gaussian_filter(pressure_pa, (blur_m / dy, blur_m / dx), mode="constant")
+    by_y, by_x = np.gradient(blurred, dy, dx)
+    return np.stack([by_x, by_y]) * (3 * thickness_m / youngs_modulus_pa)

@@ -1,0 +1,320 @@
+"""Displacement gradient and strain of a skin's pattern from its marks, and errors from the marks' noise.
+
+Reference and current marks make two surfaces X(u, v) and x(u, v) of one basis. With displacement U = x - X,
+
+    H = dU/dX = (dU/du, dU/dv) (dX/du, dX/dv)^-1,     F = 1 + H.
+
+Small strain is e = (H + H')/2 and rotation (H_yx - H_xy)/2; Green and Lagrange's strain E = (F'F - 1)/2 and
+the polar rotation hold for large ones. To first order in the noise dF = d(dx) J^-1 - F d(dX) J^-1 with
+J = dX/d(u, v), so that
+
+    cov(H_ij, H_kl) = d_ik [A_j S A_l'] + (F F')_ik [A_j R A_l'],
+
+with S and R the variances of current and reference marks and A_j the operator of d/dX_j.
+
+Reference: G. A. Holzapfel, Nonlinear Solid Mechanics (2000), sections 2.2 to 2.5, ISBN 978-0-471-82319-3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from palpate.core import Float, InputError, Int, Lens, RangeError, ndarray
+from palpate.estimators.lattice import ControlPoints
+from palpate.estimators.surface_strain.spline_surface import HELD, SAMPLES, SurfaceBasis, surface_basis
+
+Field = Float[ndarray, "nv nu"]
+
+MIN_AREA = 1e-6  # of the mean: a reference surface folded or torn to less has no gradient
+KEPT_SETS = 8  # sets of visible marks whose reference is kept
+
+
+class PrincipalStrains(NamedTuple):
+    """Greatest and least small strain at each sample, and the direction of the greatest.
+
+    Attributes:
+        greatest, least: eigenvalues of e ``[nv nu]``, positive in stretch.
+        direction_rad: of the greatest from the x axis towards y, -pi/2 to pi/2 ``[nv nu]``; without meaning
+            where both are alike.
+    """
+
+    greatest: Field
+    least: Field
+    direction_rad: Field
+
+
+class StrainErrors(NamedTuple):
+    """Standard errors at each sample from the marks' noise ``[nv nu]``, of the fields of these names.
+
+    Those of the principal strains hold where the greatest shear is several times its own error.
+    """
+
+    shear: Field
+    area_strain: Field
+    rotation_rad: Field
+    greatest: Field
+    least: Field
+    direction_rad: Field
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StrainFields:
+    """Strain of a pattern at the samples of a surface; NaN where marks are missing around one.
+
+    Axes and signs of angles are those of the marks: in an image y runs downwards.
+
+    Attributes:
+        basis: of the marks that both frames have.
+        unit: of places and displacements, "px" or "m".
+        at: where the samples rest ``[2 nv nu]`` [unit].
+        displacement: along x and y ``[2 nv nu]`` [unit].
+        gradient: H, dU_i/dX_j ``[2 2 nv nu]``.
+        to_axes: inverse of dX/d(u, v) ``[2 2 nv nu]`` [1/unit].
+        rest, moved: place of each mark in the reference and its shift since ``[n 2]`` [unit].
+        variances: of the marks' places along an axis, in the reference and now ``[2 n]`` [unit^2].
+    """
+
+    basis: SurfaceBasis
+    unit: Literal["px", "m"]
+    at: Float[ndarray, "2 nv nu"]
+    displacement: Float[ndarray, "2 nv nu"]
+    gradient: Float[ndarray, "2 2 nv nu"]
+    to_axes: Float[ndarray, "2 2 nv nu"]
+    rest: Float[ndarray, "n 2"]
+    moved: Float[ndarray, "n 2"]
+    variances: Float[ndarray, "2 n"]
+
+    @property
+    def small_strain(self) -> Float[ndarray, "2 2 nv nu"]:
+        """e, the symmetric part of the gradient."""
+        return (self.gradient + self.gradient.swapaxes(0, 1)) / 2
+
+    @property
+    def shear(self) -> Field:
+        """Engineering shear H_xy + H_yx, the change of the angle between lines along x and y [rad]."""
+        return self.gradient[0, 1] + self.gradient[1, 0]
+
+    @property
+    def area_strain(self) -> Field:
+        """Growth of area to first order, H_xx + H_yy."""
+        return self.gradient[0, 0] + self.gradient[1, 1]
+
+    @property
+    def area_ratio(self) -> Field:
+        """Area over the reference's at any strain, det F."""
+        (xx, xy), (yx, yy) = self.gradient
+        return (1 + xx) * (1 + yy) - xy * yx
+
+    @property
+    def rotation_rad(self) -> Field:
+        """Small rotation from x towards y, (H_yx - H_xy)/2 [rad]."""
+        return (self.gradient[1, 0] - self.gradient[0, 1]) / 2
+
+    @property
+    def polar_rotation_rad(self) -> Field:
+        """Rotation at any strain, of the polar decomposition F = R U [rad]."""
+        (xx, xy), (yx, yy) = self.gradient
+        return np.arctan2(yx - xy, 2 + xx + yy)
+
+    @property
+    def green_lagrange(self) -> Float[ndarray, "2 2 nv nu"]:
+        """E = (H + H' + H'H)/2, which no rotation changes."""
+        H = self.gradient
+        return self.small_strain + np.einsum("ki...,kj...->ij...", H, H) / 2
+
+    @property
+    def greatest_shear(self) -> Field:
+        """Greatest engineering shear over all directions in the surface, greatest less least strain."""
+        xx, yy = self.gradient[0, 0], self.gradient[1, 1]
+        return np.hypot(xx - yy, self.shear)
+
+    def principal(self) -> PrincipalStrains:
+        """Principal strains and their direction."""
+        xx, yy, shear = self.gradient[0, 0], self.gradient[1, 1], self.shear
+        middle, radius = (xx + yy) / 2, np.hypot(xx - yy, shear) / 2
+        return PrincipalStrains(middle + radius, middle - radius, np.arctan2(shear, xx - yy) / 2)
+
+    def gradient_covariance(self) -> Float[ndarray, "2 2 2 2 nv nu"]:
+        """Covariance of H_ij and H_kl at each sample, ``[i j k l nv nu]``; see the module."""
+        now, rest = (self._covariance_along_axes(variance) for variance in self.variances[::-1])
+        F = self.gradient + np.eye(2)[:, :, None, None]
+        FF = np.einsum("im...,km...->ik...", F, F)
+        return np.asarray(
+            np.einsum("ik,jlvu->ijklvu", np.eye(2), now) + np.einsum("ikvu,jlvu->ijklvu", FF, rest)
+        )
+
+    def _covariance_along_axes(self, variance: Float[ndarray, " n"]) -> Float[ndarray, "2 2 nv nu"]:
+        """A_j Sigma A_l' of one component, for derivatives along x and y."""
+        covariance = self.basis.covariance
+        uu, uv, vv = (
+            covariance("u", "u", variance),
+            covariance("u", "v", variance),
+            covariance("v", "v", variance),
+        )
+        by_parameters = np.stack([np.stack([uu, uv]), np.stack([uv, vv])])
+        return np.asarray(np.einsum("aj...,ab...,bl...->jl...", self.to_axes, by_parameters, self.to_axes))
+
+    def errors(self) -> StrainErrors:
+        """Standard errors of the fields, to first order in the noise."""
+        covariance = self.gradient_covariance()
+        angle = self.principal().direction_rad
+        c, s, zero, one = np.cos(angle), np.sin(angle), np.zeros_like(angle), np.ones_like(angle)
+        with np.errstate(divide="ignore"):
+            turning = 1 / self.greatest_shear
+        weights = (
+            ((zero, one), (one, zero)),
+            ((one, zero), (zero, one)),
+            ((zero, -one / 2), (one / 2, zero)),
+            ((c * c, c * s), (c * s, s * s)),
+            ((s * s, -c * s), (-c * s, c * c)),
+            (
+                (-c * s * turning, (c * c - s * s) * turning / 2),
+                ((c * c - s * s) * turning / 2, c * s * turning),
+            ),
+        )
+        return StrainErrors(*(_error(covariance, np.array(w)) for w in weights))
+
+
+def _error(covariance: Float[ndarray, "2 2 2 2 nv nu"], weights: Float[ndarray, "2 2 nv nu"]) -> Field:
+    """Standard error of the sum of weights times H."""
+    return np.sqrt(np.einsum("ij...,ijkl...,kl...->...", weights, covariance, weights, optimize=True))
+
+
+class _Rest(NamedTuple):
+    """The reference's surface on one set of marks."""
+
+    basis: SurfaceBasis
+    at: Float[ndarray, "2 nv nu"]
+    to_axes: Float[ndarray, "2 2 nv nu"]
+    hidden: Float[ndarray, "nv nu"]
+
+
+class StrainMeter:
+    """Strain of later frames against a reference; what depends on the visible marks alone is kept.
+
+    Args:
+        reference: marks of the untouched skin, px or m.
+        degree, samples, cells_per_knot, held: of the surface, as of `surface_basis`.
+    """
+
+    def __init__(
+        self,
+        reference: ControlPoints,
+        degree: int = 1,
+        samples: tuple[int, int] = SAMPLES,
+        cells_per_knot: float = 1.0,
+        held: float = HELD,
+    ) -> None:
+        self.reference = reference
+        self._settings = (degree, samples, cells_per_knot, held)
+        self._low = reference.cells.min(axis=0) if len(reference) else np.zeros(2, int)
+        self._span = np.ptp(reference.cells, axis=0) + 1 if len(reference) else np.ones(2, int)
+        self._row = np.full(int(self._span.prod()), -1)
+        self._row[self._keys(reference.cells)] = np.arange(len(reference))
+        self._rests: dict[bytes, _Rest] = {}
+
+    def fields(self, current: ControlPoints) -> StrainFields:
+        """Strain of a frame's marks.
+
+        Raises:
+            InputError: the reference has another unit.
+            RangeError: too few marks in common, or a reference that folds over itself.
+        """
+        theirs, ours = self._shared(current)
+        rest = self._rest(theirs)
+        moved = current.places[ours] - self.reference.places[theirs]
+        net = rest.basis.net(moved)
+        by_u, by_v = rest.basis.sampled(net, "u"), rest.basis.sampled(net, "v")
+        J = rest.to_axes
+        gradient = np.empty((2, *by_u.shape))
+        for j in range(2):
+            gradient[:, j] = by_u * J[0, j] + by_v * J[1, j]
+        displacement = rest.basis.sampled(net) + rest.hidden
+        variances = np.stack([self.reference.sigma[theirs], current.sigma[ours]]) ** 2
+        return StrainFields(
+            rest.basis,
+            current.unit,
+            rest.at,
+            displacement,
+            gradient,
+            rest.to_axes,
+            self.reference.places[theirs],
+            moved,
+            variances,
+        )
+
+    def _shared(self, current: ControlPoints) -> tuple[Int[ndarray, " m"], Int[ndarray, " m"]]:
+        """Rows of the marks that both have, in the reference and in the frame."""
+        if current.unit != self.reference.unit:
+            raise InputError(
+                f"control points in {current.unit} against a reference in {self.reference.unit}; give both "
+                "in one unit"
+            )
+        inside = ((current.cells >= self._low) & (current.cells < self._low + self._span)).all(axis=1)
+        ours = np.nonzero(inside)[0]
+        theirs = self._row[self._keys(current.cells[ours])]
+        known = theirs >= 0
+        ours, theirs = ours[known], theirs[known]
+        order = np.argsort(theirs)
+        return theirs[order], ours[order]
+
+    def _keys(self, cells: Int[ndarray, "n 2"]) -> Int[ndarray, " n"]:
+        column, row = (cells - self._low).T
+        return row * self._span[0] + column
+
+    def _rest(self, rows: Int[ndarray, " m"]) -> _Rest:
+        key = rows.tobytes()
+        if key not in self._rests:
+            while len(self._rests) >= KEPT_SETS:
+                del self._rests[next(iter(self._rests))]
+            self._rests[key] = self._at_rest(rows)
+        return self._rests[key]
+
+    def _at_rest(self, rows: Int[ndarray, " m"]) -> _Rest:
+        basis = surface_basis(self.reference.cells[rows], *self._settings)
+        net = basis.net(self.reference.places[rows])
+        (xu, yu), (xv, yv) = basis.sampled(net, "u"), basis.sampled(net, "v")
+        area = xu * yv - xv * yu
+        seen = area[basis.supported]
+        if (seen * np.sign(seen.sum()) <= MIN_AREA * np.abs(seen).mean()).any():
+            raise RangeError(
+                "the reference's marks fold over one another, so that no gradient can be taken there; look "
+                "for the marks of the untouched skin again"
+            )
+        hidden = np.where(basis.supported, 0.0, np.nan)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            to_axes = np.stack([np.stack([yv, -xv]), np.stack([-yu, xu])]) / area + hidden
+        return _Rest(basis, basis.sampled(net), to_axes, hidden)
+
+
+def strain_fields(
+    reference: ControlPoints, current: ControlPoints, degree: int = 1, samples: tuple[int, int] = SAMPLES
+) -> StrainFields:
+    """Strain of one frame; `StrainMeter` for more of the same reference."""
+    return StrainMeter(reference, degree, samples).fields(current)
+
+
+def on_plane(points: ControlPoints, lens: Lens, distance_m: float) -> ControlPoints:
+    """Marks of an image where their rays meet the plane at a distance across the lens's axis [m].
+
+    x runs with the image's columns and y against its rows, as a skin that is seen from below has them. A
+    standard error goes with the place's scale, the geometric mean along both axes.
+
+    Raises:
+        InputError: points in m already.
+        RangeError: a distance that is not positive, or a place that no ray of the lens reaches.
+    """
+    if points.unit != "px":
+        raise InputError("these control points are in m already; give those of an image, in px")
+    if not 0 < distance_m < np.inf:
+        raise RangeError(f"a plane {distance_m} m from the lens; give a positive number of m")
+    half = np.array([[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
+    rays = lens.rays(points.places + half[:, None])
+    if not (np.isfinite(rays).all() and (rays[..., 2] > 0).all()):
+        raise RangeError("a control point lies where the lens sees no plane; leave it out")
+    flat = distance_m * rays[..., :2] / rays[..., 2:] * np.array([1.0, -1.0])
+    (xx, xy), (yx, yy) = (flat[1] - flat[2]).T, (flat[3] - flat[4]).T
+    return ControlPoints(points.cells, flat[0], points.sigma * np.sqrt(np.abs(xx * yy - xy * yx)), "m")

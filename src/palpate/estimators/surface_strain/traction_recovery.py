@@ -1,0 +1,347 @@
+"""Traction on a layered skin from the motion of its pattern, and its integral, the force.
+
+A wave of load moves the pattern's plane by the layers' response (`palpate.mechanics.layers.stack`); summed
+over waves it is the motion that one node's load makes at each mark. Loads at nodes about the contact, never
+pulling, are the least squares fit to the marks under Tikhonov's penalty on differences of neighbours.
+
+A camera across the plane tells two components of motion, into which depth comes by perspective, u_z X/D.
+Tractions have three. What closes the gap is a choice:
+
+    frictionless    q = 0
+    coulomb         |q| <= mu p at every node; between these bounds the smoothest
+    bonded          the skin does not slide on what touches it: where pressure is, its surface moves as one
+
+and moduli, layers and their support are taken as known: an image alone tells p/E, not p.
+
+References: A. N. Tikhonov, Soviet Math. Dokl. 4, 1035 (1963); C. L. Lawson and R. J. Hanson, Solving Least
+Squares Problems (1974), chapter 23, for loads that are never negative, doi:10.1137/1.9781611971217.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal, get_args
+
+import numpy as np
+from scipy import fft, sparse
+from scipy.ndimage import map_coordinates, spline_filter
+from scipy.optimize import nnls
+from scipy.spatial import ConvexHull
+
+from palpate.core import Float, InputError, RangeError, ndarray
+from palpate.estimators.surface_strain.ring_detection import ContactPeak, contact_peaks, mark_pitch
+from palpate.estimators.surface_strain.strain_fields import StrainFields
+from palpate.mechanics.layers.stack import Stack, climb
+from palpate.mechanics.layers.surface_grid import Cells, spread
+
+Closure = Literal["frictionless", "coulomb", "bonded"]
+Matrix = Float[ndarray, "_ _"]
+Points = Float[ndarray, "_ 2"]
+
+CELL_M, SIDE = 0.4e-3, 256  # of the periodic grid on which a node's motion is computed
+NODE_M = {"frictionless": 0.8e-3, "coulomb": 1.2e-3, "bonded": 1.2e-3}
+REACH_M = 1e-3  # of nodes beyond where the skin stretches
+STRETCHED = 0.3  # of the greatest area strain
+LOST_BESIDE = 3.0  # pitches from a peak, within which lost marks may lie under the contact
+STEP_PA = 2e5  # of pressure between neighbours that weighs as one standard error of a mark
+DIRECTIONS = 8  # of friction's polygon inside its circle
+PRESSED = 0.05  # of the greatest pressure: where a bonded contact is
+MAX_NODES = 900
+MAX_BOX = 4000  # nodes of the box around them
+
+
+@dataclass(frozen=True, slots=True)
+class PatternedSkin:
+    """What recovery takes as known of a skin.
+
+    Attributes:
+        stack: its layers.
+        interface: number of layers above the pattern.
+        camera_m: distance of the camera from the pattern; infinite where only motion along it is seen [m].
+        friction: Coulomb's, for the closure of this name.
+    """
+
+    stack: Stack
+    interface: int
+    camera_m: float = math.inf
+    friction: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.interface <= len(self.stack.layers) - 1:
+            raise InputError(f"{self.interface} layers above the pattern, of {len(self.stack.layers)} in all")
+        if not (self.camera_m > 0 and 0 < self.friction < math.inf):
+            raise RangeError("the camera's distance and friction are positive; give m, and a plain number")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecoveredTraction:
+    """Traction of the probe on the skin at nodes, and its integrals.
+
+    Attributes:
+        nodes_m: (x, y) of each ``[n 2]`` [m].
+        spacing_m: distance of neighbours [m].
+        pressure_pa: into the skin ``[n]`` [Pa].
+        shear_pa: along x and y ``[n 2]`` [Pa].
+        force_n: integral of the pressure [N].
+        force_error_n: its standard error from the marks' noise alone [N].
+        centre_m: of the pressure (x, y) [m].
+        centre_error_m: its standard error along x and y from the marks' noise alone [m].
+        axis_rad: direction of the pressure's principal axis, from x towards y.
+        axis_error_rad: its standard error from the marks' noise alone; infinite for a round contact.
+        elongation: length over width of the pressure (standard deviations).
+        moved: shift of the pattern at the centre along x and y [m], and its rotation from x to y [rad].
+        moved_error: their standard errors from the marks' noise alone; 0 friction leaves no room for more.
+        sinking_m: motion of the pattern towards the camera at the centre [m].
+        lateral_n: integral of the shear (x, y) [N].
+        torque_nm: moment of the shear about the pressure's centre, from x towards y [N m].
+        resolution_m: diameter to which a load at one node is spread, at half height [m].
+        unexplained_m: shift of each mark less that of these tractions ``[n 2]`` [m].
+        misfit: root mean square of the marks' misfit over their standard error; about 1 where all holds.
+        closure: what was assumed.
+    """
+
+    nodes_m: Points
+    spacing_m: float
+    pressure_pa: Float[ndarray, " n"]
+    shear_pa: Points
+    force_n: float
+    force_error_n: float
+    centre_m: tuple[float, float]
+    centre_error_m: tuple[float, float]
+    axis_rad: float
+    axis_error_rad: float
+    elongation: float
+    moved: tuple[float, ...]
+    moved_error: tuple[float, ...]
+    sinking_m: float
+    lateral_n: tuple[float, float]
+    torque_nm: float
+    resolution_m: float
+    unexplained_m: Points
+    misfit: float
+    closure: str
+
+    @property
+    def friction_used(self) -> float:
+        """Lateral force over normal force; all of the contact slides where it is Coulomb's coefficient."""
+        return math.hypot(*self.lateral_n) / self.force_n
+
+
+def recover_traction(
+    fields: StrainFields, skin: PatternedSkin, closure: str = "frictionless", step_pa: float = STEP_PA
+) -> RecoveredTraction | None:
+    """Traction under a frame's marks; None without contact.
+
+    Args:
+        fields: of marks in m, x and y from the camera's axis.
+        skin: what is known of it.
+        closure: what is assumed of the third component.
+        step_pa: difference of neighbouring pressures that weighs as one standard error; less smooths more.
+
+    Raises:
+        InputError: marks in px or without standard errors, or another closure.
+        RangeError: a step that is not positive, or a contact that reaches over too much of the skin.
+    """
+    if fields.unit != "m":
+        raise InputError("traction needs marks in m; take those of an image to the pattern with on_plane")
+    if closure not in get_args(Closure):
+        raise InputError(f"closure {closure!r}; there are {', '.join(get_args(Closure))}")
+    if not 0 < step_pa < math.inf:
+        raise RangeError(f"a step of {step_pa} Pa; give a positive number of Pa")
+    variance = fields.variances.sum(axis=0)
+    if not (variance > 0).all():
+        raise InputError("traction weighs marks by their standard errors; give errors above 0")
+    peaks = contact_peaks(fields)
+    if not peaks:
+        return None
+    spacing = NODE_M[closure]
+    nodes, neighbours = _nodes(fields, peaks, spacing)
+    weight = 1 / np.sqrt(np.tile(variance, 2))
+    G = [part * weight[:, None] for part in _motion(skin, skin.interface, fields.rest, nodes, spacing)]
+    seen = fields.moved.T.ravel() * weight
+    smooth = neighbours / step_pa
+    to_loads, rows, sides = _closed(skin, closure, G, seen, smooth, nodes, spacing, float(weight.mean()))
+    n = len(nodes)
+    moving = sum(G[i] @ to_loads[i * n : (i + 1) * n] for i in range(3))
+    held = [smooth @ to_loads[i * n : (i + 1) * n] for i in range(3)]
+    M = np.concatenate([moving, *held, *rows])
+    loads, _ = nnls(M, np.concatenate([seen, np.zeros(3 * len(smooth)), *sides]), maxiter=50 * M.shape[1])
+    qx, qy, p = (to_loads @ loads).reshape(3, n)
+    area = spacing**2
+    used = loads > 0
+    inverse = np.linalg.pinv(M[:, used].T @ M[:, used], hermitian=True)
+    to_force = area * to_loads[2 * n :, used].sum(axis=0)
+    total = max(float(p.sum()), 1e-300)
+    centre = (p @ nodes) / total
+    arms = nodes - centre
+    to_centre = arms.T @ to_loads[2 * n :, used] / total
+    centre_error = np.sqrt(np.einsum("ij,jk,ik->i", to_centre, inverse, to_centre))
+    return RecoveredTraction(
+        nodes,
+        spacing,
+        p,
+        np.column_stack([qx, qy]),
+        area * float(p.sum()),
+        math.sqrt(float(to_force @ inverse @ to_force)),
+        (float(centre[0]), float(centre[1])),
+        (float(centre_error[0]), float(centre_error[1])),
+        *_principal_axis(arms, p, to_loads[2 * n :, used], inverse),
+        *_amid(_middle_motion(skin, nodes - centre, spacing) @ to_loads, loads, used, inverse),
+        (area * float(qx.sum()), area * float(qy.sum())),
+        area * float((arms[:, 0] * qy - arms[:, 1] * qx).sum()),
+        _spread_of(G[2], smooth, int(np.argmax(p)), spacing),
+        ((seen - moving @ loads) / weight).reshape(2, -1).T,
+        math.sqrt(float(((moving @ loads - seen) ** 2).mean())),
+        closure,
+    )
+
+
+def _middle_motion(skin: PatternedSkin, away: Points, spacing: float) -> Matrix:
+    """Shift (x, y), rotation and sinking of the pattern amid nodes, under loads q_x, q_y and p of 1 Pa."""
+    h = spacing / 2
+    at = 1 + h * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    flat, near = (
+        np.concatenate(_motion(replace(skin, camera_m=D), skin.interface, at, away + 1, spacing), axis=1)
+        for D in (math.inf, 1.0)
+    )
+    x, y = flat[:5], flat[5:]
+    turn = (y[1] - y[2] - x[3] + x[4]) / (4 * h)
+    return np.stack([x[0], y[0], turn, near[0] - flat[0]])  # at x = 1, a camera 1 m away sees the sinking
+
+
+def _principal_axis(
+    arms: Points, p: Float[ndarray, " n"], to_pressure: Matrix, inverse: Matrix
+) -> tuple[float, float, float]:
+    """Principal axis of the pressure [rad], its standard error, and length over width."""
+    total = max(float(p.sum()), 1e-300)
+    (xx, xy), (_, yy) = (arms * p[:, None]).T @ arms / total
+    half, middle = math.hypot((xx - yy) / 2, xy), (xx + yy) / 2
+    angle = math.atan2(2 * xy, xx - yy) / 2
+    along, across = arms @ [math.cos(angle), math.sin(angle)], arms @ [-math.sin(angle), math.cos(angle)]
+    slope = (along * across) @ to_pressure / total
+    error = math.sqrt(max(float(slope @ inverse @ slope), 0.0)) / (2 * half) if half > 0 else math.inf
+    return angle, error, math.sqrt((middle + half) / max(middle - half, 1e-12 * middle + 1e-300))
+
+
+def _amid(
+    motion: Matrix, loads: Float[ndarray, " _"], used: ndarray, inverse: Matrix
+) -> tuple[tuple[float, ...], tuple[float, ...], float]:
+    """Shift and rotation of the middle, their standard errors, and its sinking."""
+    values = (motion @ loads).tolist()
+    of_used = motion[:, used]
+    errors = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", of_used, inverse, of_used), 0.0)).tolist()
+    return tuple(values[:3]), tuple(errors[:3]), values[3]
+
+
+def _closed(
+    skin: PatternedSkin, closure: str, G: list[Matrix], seen: Float[ndarray, " _"], smooth: Matrix,
+    nodes: Points, spacing: float, weight: float,
+) -> tuple[Matrix, list[Matrix], list[Float[ndarray, " _"]]]:  # fmt: skip
+    """Loads (q_x, q_y, p at all nodes) of unknowns that are not negative, and more equations on these."""
+    n = len(nodes)
+    one, zero = np.eye(n), np.zeros((n, n))
+    if closure == "frictionless":
+        return np.concatenate([zero, zero, one]), [], []
+    if closure == "coulomb":  # every load within a cone is a sum of its edges
+        angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        edges = [
+            np.concatenate([skin.friction * f(a) * one for f in (np.cos, np.sin)] + [one]) for a in angles
+        ]
+        return np.concatenate([np.concatenate([zero, zero, one]), *edges], axis=1), [], []
+    M = np.concatenate([G[2], smooth])
+    pressure, _ = nnls(M, np.concatenate([seen, np.zeros(len(smooth))]))
+    inside = pressure > PRESSED * pressure.max()
+    signs = [np.concatenate([s * one if i == j else zero for i in range(3)]) for j in (0, 1) for s in (1, -1)]
+    outside = np.tile(~inside, 4)
+    to_loads = np.concatenate(
+        [np.concatenate([zero, zero, one]), np.concatenate(signs, axis=1)[:, ~outside]], axis=1
+    )
+    flat = PatternedSkin(skin.stack, skin.interface)
+    surface = _motion(flat, 0, nodes[inside], nodes, spacing)
+    moves = sum(surface[i] @ to_loads[i * n : (i + 1) * n] for i in range(3)) * weight
+    for half in np.split(np.arange(len(moves)), 2):
+        moves[half] -= moves[half].mean(axis=0)  # all may move alike
+    return to_loads, [moves], [np.zeros(len(moves))]
+
+
+def _nodes(fields: StrainFields, peaks: list[ContactPeak], spacing: float) -> tuple[Points, Matrix]:
+    """Nodes about where the skin stretches or its marks are lost beside a peak, and neighbours' differences.
+
+    Beyond the nodes loads are 0.
+    """
+    stretch = np.nan_to_num(fields.area_strain, nan=-np.inf)
+    reach = LOST_BESIDE * mark_pitch(fields)
+    beside = [np.hypot(fields.at[0] - p.x, fields.at[1] - p.y) < reach for p in peaks]
+    lost = ~fields.basis.supported & np.any(beside, axis=0)
+    high = fields.at[:, (stretch > STRETCHED * stretch.max()) | lost]
+    low, top = high.min(axis=1) - REACH_M, high.max(axis=1) + REACH_M
+    x, y = (np.arange(a, b + spacing, spacing) for a, b in zip(low, top, strict=True))
+    if len(x) * len(y) > MAX_BOX:
+        raise RangeError(
+            f"the contact reaches over {1e3 * np.ptp(x):.0f} x {1e3 * np.ptp(y):.0f} mm; give a cleaner "
+            "frame, or fewer contacts at once"
+        )
+    X, Y = np.meshgrid(x, y)
+    along, across = (np.diff(np.eye(size + 2), axis=0)[:, 1:-1] for size in (len(x), len(y)))
+    rows, columns = sparse.eye_array(len(y)), sparse.eye_array(len(x))
+    differences = sparse.vstack([sparse.kron(rows, along), sparse.kron(across, columns)]).tocsc()
+    nodes = np.column_stack([X.ravel(), Y.ravel()])
+    inside = np.ones(len(nodes), bool)
+    if np.linalg.matrix_rank(high - high[:, :1], tol=spacing / 10) == 2:
+        sides = ConvexHull(high.T).equations
+        inside = (nodes @ sides[:, :2].T + sides[:, 2] <= REACH_M).all(axis=1)
+    if inside.sum() > MAX_NODES:
+        raise RangeError(
+            f"the contact reaches over {1e6 * inside.sum() * spacing**2:.0f} mm2, over {MAX_NODES} nodes; "
+            "give a cleaner frame, or fewer contacts at once"
+        )
+    kept = differences[:, inside].toarray()
+    return nodes[inside], kept[np.abs(kept).any(axis=1)]
+
+
+def _motion(skin: PatternedSkin, interface: int, at: Points, nodes: Points, spacing: float) -> list[Matrix]:
+    """What a camera sees move at places, x then y, under loads q_x, q_y and p of 1 Pa at nodes [m/Pa]."""
+    knots = _node_motion(skin.stack, interface, spacing)
+    dx, dy = (at[:, i, None] - nodes[:, i] for i in range(2))
+    where = [dy / CELL_M + SIDE / 2, dx / CELL_M + SIDE / 2]
+    seen = []
+    for load in range(3):
+        x, y, z = (map_coordinates(knots[i][load], where, order=3, prefilter=False) for i in range(3))
+        seen.append(np.concatenate([x + at[:, :1] * z / skin.camera_m, y + at[:, 1:] * z / skin.camera_m]))
+    return seen
+
+
+@lru_cache(maxsize=8)
+def _node_motion(stack: Stack, interface: int, spacing: float) -> tuple[tuple[ndarray, ...], ...]:
+    """Cubic splines of the motion [component][load] about a node whose load falls to 0 at its neighbours."""
+    waves = spread(Cells(SIDE, SIDE, CELL_M, CELL_M), 0.0)
+    in_plane, across = climb(stack.slabs, stack.below, waves.k)
+    one, other = in_plane[interface], across[interface]
+    CR = one.compliance @ one.transmission / waves.k[:, None, None]
+    cr = (other.compliance @ other.transmission)[:, 0, 0] / waves.k
+    on, c, s = waves.gather, waves.cos, waves.sin
+    along, sideways, coupled, lifted = on(CR[:, 0, 0]), on(cr), on(CR[:, 0, 1]), on(CR[:, 1, 0])
+    xx, yy, zz = c * c * along + s * s * sideways, s * s * along + c * c * sideways, on(CR[:, 1, 1])
+    zz[0, 0] = waves.mean_wave(CR[:, 1, 1])
+    xx[0, 0] = yy[0, 0] = waves.mean_wave((CR[:, 0, 0] + cr) / 2)
+    xy = c * s * (along - sideways)
+    k_x, k_y = fft.rfftfreq(SIDE, CELL_M), fft.fftfreq(SIDE, CELL_M)[:, None]
+    hat = (np.sinc(k_x * spacing) * np.sinc(k_y * spacing) * spacing / CELL_M) ** 2
+    responses = (
+        (xx, xy, 1j * c * coupled),
+        (xy, yy, 1j * s * coupled),
+        (-1j * c * lifted, -1j * s * lifted, zz),
+    )
+    return tuple(
+        tuple(spline_filter(fft.fftshift(fft.irfft2(wave * hat, (SIDE, SIDE))), order=3) for wave in row)
+        for row in responses
+    )
+
+
+def _spread_of(G: Matrix, smooth: Matrix, node: int, spacing: float) -> float:
+    """Diameter at half height of what one node's pressure comes back as, without the bound at 0 [m]."""
+    normal = G.T @ G
+    back = np.linalg.solve(normal + smooth.T @ smooth, normal[:, node])
+    return math.sqrt(4 / math.pi * int((back > back.max() / 2).sum())) * spacing

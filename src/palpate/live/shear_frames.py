@@ -1,0 +1,200 @@
+"""Touch on a patterned skin, frame by frame, from whatever holds frames: image, folder, run, video, TIFF."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.calibration.shear import ForceFollower, ShearCalibration
+from palpate.core import Frame, ImageError, InputError, PathText, Readings, storage_errors
+from palpate.estimators.lattice import ControlPoints
+from palpate.estimators.shear import ShearReader, ShearTouch, TiledSkin
+from palpate.estimators.surface_strain import StrainFields
+from palpate.live.frame_sources import FrameStream, Unreadable, open_source
+from palpate.recordings.exchange.frame_sequences import SUFFIXES, TIFFS, FrameSequence, open_sequence
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchedFrame:
+    """One frame of a source and what it shows.
+
+    Attributes:
+        index: of the frame in its source.
+        name: of its file, or its number.
+        time_s: when it was taken [s]; its number where the source does not say.
+        frame: None where it cannot be read as an image.
+        touch: None where it cannot be, or is of another size than the reference.
+        reason: why there is no touch; empty where there is one.
+    """
+
+    index: int
+    name: str
+    time_s: float
+    frame: Frame | None
+    touch: ShearTouch | None
+    reason: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Frame, readings and all contacts as plain values for JSON."""
+        head: dict[str, Any] = {"frame": self.name, "time_s": self.time_s}
+        if self.touch is None:
+            return {**head, "read": False, "why": self.reason, "readings": {}, "contacts": []}
+        readings = {key: reading.to_dict() for key, reading in self.touch.readings.items()}
+        if "force_N" in readings:
+            head["calibration"] = self.touch.readings["force_N"].calibration
+        contacts = [
+            {"x": c.x, "y": c.y, "x_error": c.x_error, "y_error": c.y_error, "told_by": c.told_by}
+            for c in self.touch.places.contacts
+        ]
+        read = not self.touch.reason
+        return {**head, "read": read, "why": self.touch.reason, "readings": readings, "contacts": contacts}
+
+
+@dataclass(frozen=True, slots=True)
+class _SequenceFrames:
+    """A video's or TIFF's images as frames, named by their number."""
+
+    sequence: FrameSequence
+    rate_hz: float = field(default=1.0)
+
+    def __len__(self) -> int:
+        return len(self.sequence)
+
+    def __iter__(self) -> Iterator[Frame | Unreadable]:
+        for i, image in enumerate(self.sequence):
+            yield Frame(image, i / self.rate_hz, name=str(i))
+
+
+@contextmanager
+def open_frames(path: PathText) -> Iterator[FrameStream]:
+    """Open an image, a folder of images, a run, a video or a multi-page TIFF.
+
+    Raises:
+        InputError, ImageError: there is nothing to read there.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise ImageError(f"{path} is not there; give an image, a folder of images, a run or a video")
+    if path.suffix.lower() in SUFFIXES | TIFFS and path.is_file():
+        with open_sequence(path) as sequence:
+            rate = float(getattr(sequence, "rate_hz", 0.0)) or 1.0
+            yield _SequenceFrames(sequence, rate)
+    else:
+        yield open_source(path)
+
+
+def first_frame(path: PathText) -> Frame:
+    """The image at a path, or the first frame of what holds several.
+
+    Raises:
+        ImageError: it cannot be read.
+    """
+    with open_frames(path) as frames:
+        for frame in frames:
+            if isinstance(frame, Unreadable):
+                raise ImageError(f"{path}: {frame.name} cannot be read: {frame.why}")
+            return frame
+    raise ImageError(f"{path} holds no frame")
+
+
+class ForceInTouch:
+    """Adds a calibration's normal force to the readings of a touch.
+
+    Args:
+        calibration: of this pad.
+        reader: of the frames; a tiled skin's.
+
+    Raises:
+        InputError: another kind of skin, or another lens than the calibration's.
+    """
+
+    def __init__(self, calibration: ShearCalibration, reader: ShearReader) -> None:
+        if reader.marks.unit != "m" or not isinstance(reader.skin, TiledSkin):
+            raise InputError(
+                "force is calibrated for tiled skins, as nusense; leave --skin or the calibration out"
+            )
+        if reader.skin.lens != calibration.lens:
+            raise InputError(
+                f"the calibration {calibration.id} was made through another lens; give that one by --lens, "
+                "or calibrate anew"
+            )
+        self._marks = reader.marks
+        self._follower = ForceFollower(calibration, self._in_pixels(reader.marks.reference))
+
+    def added(self, touch: ShearTouch, frame: Frame) -> ShearTouch:
+        """The touch with a reading ``force_N``, not valid where the frame is not, or the skin looks torn."""
+        torn = touch.readings["damage"].value == "yes"
+        why = touch.reason or ("the skin looks torn" if torn else "")
+        named = (frame.time_s, frame.name)
+        if why:
+            force = self._follower.unread(why, *named)
+        else:
+            force = self._follower.read(self._in_pixels(touch.points), *named)
+        return replace(touch, readings=Readings({**touch.readings, "force_N": force}))
+
+    def _in_pixels(self, points: ControlPoints) -> ControlPoints:
+        scale = self._marks.px_per_unit
+        return replace(
+            points, places=self._marks.in_image(points.places), sigma=points.sigma * scale, unit="px"
+        )
+
+
+def read_touches(
+    frames: FrameStream, reader: ShearReader, force: ForceInTouch | None = None
+) -> Iterator[TouchedFrame]:
+    """What each frame shows, in order; one that cannot be read says why and does not end the sequence.
+
+    Args:
+        frames: in their order.
+        reader: of their skin.
+        force: adds newtons.
+
+    Raises:
+        InputError: the first frame is of another size or kind than the reference.
+    """
+    for i, frame in enumerate(frames):
+        if isinstance(frame, Unreadable):
+            yield TouchedFrame(i, frame.name, frame.time_s, None, None, frame.why)
+            continue
+        name = frame.name or str(i)
+        try:
+            touch = reader.touch(frame)
+        except InputError as refusal:
+            if i == 0:
+                raise
+            yield TouchedFrame(i, name, frame.time_s, frame, None, str(refusal))
+            continue
+        yield TouchedFrame(
+            i, name, frame.time_s, frame, touch if force is None else force.added(touch, frame)
+        )
+
+
+def write_fields(folder: Path, seen: TouchedFrame) -> None:
+    """Write a frame's strain as ``000012.npz``, named by its index; nothing where it has none."""
+    if seen.touch is None or seen.touch.fields is None:
+        return
+    with storage_errors(folder):
+        np.savez_compressed(folder / f"{seen.index:06d}.npz", **field_arrays(seen.touch.fields))
+
+
+def field_arrays(fields: StrainFields) -> dict[str, Any]:
+    """Strain of a frame as named arrays ``[nv nu]``, NaN where marks are missing.
+
+    x, y, displacement_x and displacement_y are in the fields' unit, `unit`; rotation is in rad, strains are
+    plain numbers.
+    """
+    names = ("shear", "greatest_shear", "area_strain", "rotation_rad")
+    return {
+        "x": fields.at[0],
+        "y": fields.at[1],
+        "displacement_x": fields.displacement[0],
+        "displacement_y": fields.displacement[1],
+        "gradient": fields.gradient,
+        **{name: getattr(fields, name) for name in names},
+        "unit": fields.unit,
+    }

@@ -1,0 +1,223 @@
+"""Laws of the strain of a skin's pattern."""
+
+import numpy as np
+import pytest
+
+import palpate
+from palpate.core import InputError, Pose, RangeError
+from palpate.estimators.lattice import ControlPoints
+from palpate.estimators.surface_strain import StrainMeter, on_plane, strain_fields
+
+PITCH = 2.4e-3
+H = np.array([[0.03, 0.011], [-0.004, -0.02]])
+
+
+def rest(columns=20, rows=15, pitch=PITCH, turn=0.1, sigma=0.0, unit="m"):
+    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
+    cells = np.column_stack([column.ravel(), row.ravel()])
+    R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    return ControlPoints(cells, pitch * (cells - cells.mean(axis=0)) @ R.T, np.full(len(cells), sigma), unit)
+
+
+def moved(points, gradient=H, shift=(1e-3, -2e-3), sigma=0.0):
+    places = points.places @ (np.eye(2) + gradient).T + np.array(shift)
+    return ControlPoints(points.cells, places, np.full(len(points), sigma), points.unit)
+
+
+def without(points, rows):
+    return ControlPoints(
+        *(np.delete(part, rows, axis=0) for part in (points.cells, points.places, points.sigma)), points.unit
+    )
+
+
+@pytest.mark.parametrize("degree", [1, 3])
+def test_an_imposed_affine_strain_comes_back(degree):
+    gone = np.random.default_rng(3).permutation(300)[:30]
+    fields = strain_fields(rest(), without(moved(rest()), gone), degree, (40, 30))
+    seen = fields.basis.supported
+    np.testing.assert_allclose(
+        fields.gradient[:, :, seen], np.broadcast_to(H[..., None], (2, 2, seen.sum())), atol=1e-5
+    )
+    assert np.isnan(fields.gradient[:, :, ~seen]).all()
+    np.testing.assert_allclose(fields.shear[seen], 0.007, atol=1e-5)
+    np.testing.assert_allclose(fields.area_strain[seen], 0.01, atol=1e-5)
+    np.testing.assert_allclose(fields.rotation_rad[seen], -0.0075, atol=1e-5)
+    np.testing.assert_allclose(fields.area_ratio[seen], np.linalg.det(np.eye(2) + H), atol=1e-5)
+    F = np.eye(2) + H
+    np.testing.assert_allclose(
+        fields.green_lagrange[:, :, seen][..., 0], (F.T @ F - np.eye(2)) / 2, atol=1e-5
+    )
+    values, vectors = np.linalg.eigh((H + H.T) / 2)
+    principal = fields.principal()
+    np.testing.assert_allclose(principal.greatest[seen], values[1], atol=1e-5)
+    np.testing.assert_allclose(principal.least[seen], values[0], atol=1e-5)
+    np.testing.assert_allclose(
+        principal.direction_rad[seen], np.arctan(vectors[1, 1] / vectors[0, 1]), atol=1e-3
+    )
+    np.testing.assert_allclose(fields.greatest_shear[seen], values[1] - values[0], atol=1e-5)
+
+
+def test_a_turn_alone_is_no_finite_strain():
+    a = 0.3
+    turn = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
+    fields = strain_fields(rest(), moved(rest(), turn - np.eye(2)), samples=(20, 15))
+    np.testing.assert_allclose(fields.green_lagrange, 0, atol=1e-5)
+    np.testing.assert_allclose(fields.polar_rotation_rad, a, atol=1e-5)
+    np.testing.assert_allclose(fields.area_ratio, 1, atol=1e-5)
+    assert np.abs(fields.area_strain).min() > 0.05  # the control: small strain does see it
+
+
+def test_transpose_sign_and_pitch_would_show():
+    """Each wrong reading of the same marks must miss what the right one finds."""
+    fields = strain_fields(rest(), moved(rest()), samples=(20, 15))
+    good = np.abs(fields.gradient - H[..., None, None]).max()
+    transposed = np.abs(fields.gradient.swapaxes(0, 1) - H[..., None, None]).max()
+    swapped = strain_fields(moved(rest()), rest(), samples=(20, 15))
+    stretched = strain_fields(rest(pitch=1.05 * PITCH), moved(rest()), samples=(20, 15))
+    assert good < 1e-5
+    assert transposed > 1e-2
+    assert np.abs(swapped.gradient - H[..., None, None]).max() > 2e-2
+    assert np.abs(stretched.gradient - H[..., None, None]).max() > 4e-2
+
+
+def test_the_unit_of_length_does_not_matter():
+    metres = strain_fields(rest(), moved(rest()), samples=(9, 7))
+    pixels = strain_fields(
+        rest(pitch=14.5, unit="px"), moved(rest(pitch=14.5, unit="px"), shift=(3, 4)), samples=(9, 7)
+    )
+    np.testing.assert_allclose(metres.gradient, pixels.gradient, atol=1e-6)
+    with pytest.raises(InputError, match="one unit"):
+        strain_fields(rest(), rest(unit="px"))
+
+
+@pytest.mark.parametrize(("degree", "apart"), [(1, 1.0), (3, 1.5)])
+def test_stated_errors_are_those_of_noise_drawn(degree, apart):
+    """Marks drawn 600 times with noise of their stated size, on the reference too."""
+    rng = np.random.default_rng(1)
+    sigma_rest, sigma_now = 0.004e-3, 0.008e-3
+    quiet = rest(10, 8, sigma=sigma_rest)
+    now = moved(quiet, sigma=sigma_now)
+    samples = (7, 6)
+    drawn = {
+        name: [] for name in ("shear", "area_strain", "rotation_rad", "greatest", "least", "direction_rad")
+    }
+    for _ in range(600):
+        noisy = [
+            ControlPoints(
+                p.cells, p.places + rng.normal(size=p.places.shape) * p.sigma[:, None], p.sigma, "m"
+            )
+            for p in (quiet, now)
+        ]
+        fields = StrainMeter(noisy[0], degree, samples, apart).fields(noisy[1])
+        for name, values in {
+            **fields.principal()._asdict(),
+            **{n: getattr(fields, n) for n in list(drawn)[:3]},
+        }.items():
+            drawn[name].append(values)
+    fields = StrainMeter(quiet, degree, samples, apart).fields(now)
+    stated = fields.errors()
+    clear = fields.greatest_shear > 6 * stated.shear  # where a principal direction stands out of the noise
+    assert clear.sum() > 12
+    for name, values in drawn.items():
+        linear = name in ("shear", "area_strain", "rotation_rad")
+        ratio = (np.std(values, axis=0) / getattr(stated, name))[clear | linear]
+        assert abs(np.median(ratio) - 1) < 0.03, name
+        assert ratio.min() > 0.85, name
+        assert ratio.max() < 1.15, name
+
+
+def test_affine_strain_through_the_fisheye_comes_back_to_one_in_a_thousand():
+    """Corners with noise of 0.05 px, of the lens's places back to the plane; the mean over the field."""
+    rng, spec = np.random.default_rng(5), palpate.sensor("nusense").spec
+    plain = rest(turn=0.0)
+    seen = []
+    for points in (plain, moved(plain, shift=(2e-4, 1e-4))):
+        x, y = points.places.T
+        px = spec.lens.project(np.stack([x, -y, np.full(len(x), spec.camera_m)], axis=-1))
+        noisy = px + 0.05 * rng.normal(size=px.shape)
+        seen.append(
+            on_plane(ControlPoints(points.cells, noisy, np.full(len(x), 0.05)), spec.lens, spec.camera_m)
+        )
+    fields = strain_fields(*seen, samples=(39, 29))
+    np.testing.assert_allclose(fields.gradient.mean(axis=(2, 3)), H, atol=1e-3)
+    off = (fields.shear - 0.007) / fields.errors().shear
+    assert 0.8 < off.std() < 1.2
+    raw = strain_fields(
+        *(
+            ControlPoints(
+                plain.cells,
+                spec.lens.project(np.column_stack([p.places * [1, -1], np.full(300, spec.camera_m)])),
+                np.zeros(300),
+            )
+            for p in seen
+        )
+    )
+    assert np.abs(raw.gradient[0, 0] - H[0, 0]).max() > 1e-3  # the control: pixels of the fisheye as they are
+
+
+def test_a_reference_that_folds_is_refused():
+    folded = rest()
+    places = folded.places.copy()
+    places[50], places[55] = folded.places[55], folded.places[50]
+    with pytest.raises(RangeError, match="fold"):
+        strain_fields(ControlPoints(folded.cells, places, folded.sigma, "m"), rest())
+
+
+def test_marks_the_reference_does_not_know_are_left_out():
+    now = moved(rest())
+    extra = ControlPoints(
+        np.concatenate([now.cells, [[40, 3], [-2, 1]]]),
+        np.concatenate([now.places, [[1, 1], [2, 2]]]),
+        np.concatenate([now.sigma, [0, 0]]),
+        "m",
+    )
+    shuffled = np.random.default_rng(0).permutation(len(extra))
+    extra = ControlPoints(extra.cells[shuffled], extra.places[shuffled], extra.sigma[shuffled], "m")
+    one, other = (strain_fields(rest(), points, samples=(9, 7)) for points in (now, extra))
+    np.testing.assert_array_equal(one.gradient, other.gradient)
+
+
+def test_a_plane_needs_pixels_and_a_distance():
+    lens = palpate.sensor("nusense").spec.lens
+    with pytest.raises(InputError, match="in m already"):
+        on_plane(rest(), lens, 0.05)
+    with pytest.raises(RangeError, match="positive"):
+        on_plane(rest(pitch=10, unit="px"), lens, 0.0)
+
+
+@pytest.mark.parametrize(("degree", "within"), [(3, 0.05), (1, 0.25)])
+def test_the_layered_solutions_ring_comes_back(degree, within):
+    """Greatest shear over the ring of a 6 N press, its mean beside the truth's; degree 1 is the control."""
+    sensor = palpate.sensor("nusense")
+    spec, rng = sensor.spec, np.random.default_rng(6)
+    contacts = [sensor.press(sensor.probe("round"), Pose(3e-3, 2e-3, depth)) for depth in (0.0, 1.46e-3)]
+    marks = []
+    for contact in contacts:
+        truth = sensor.tile_corners(contact)
+        px = truth.places_px + 0.05 * rng.normal(size=truth.places_px.shape)
+        marks.append(
+            on_plane(ControlPoints(truth.cells, px, np.full(len(px), 0.05)), spec.lens, spec.camera_m)
+        )
+    fields = strain_fields(*marks, degree)
+    motion = sensor.motion(contacts[1])
+
+    def seen(x, y):
+        u = motion.at(x.ravel(), y.ravel()).reshape(3, *x.shape)
+        return np.stack([x + u[0], y + u[1]]) * spec.camera_m / (spec.camera_m - u[2])
+
+    (x, y), h = fields.at, 2e-5
+    by_x, by_y = (seen(x + h, y) - seen(x - h, y)) / (2 * h), (seen(x, y + h) - seen(x, y - h)) / (2 * h)
+    truth = np.hypot(by_x[0] - by_y[1], by_x[1] + by_y[0])
+    ring = truth > truth.max() / 2
+    off = fields.greatest_shear[ring].mean() / truth[ring].mean() - 1
+    assert abs(off) < within
+    if degree == 1:
+        assert off < -0.1
+
+
+def test_the_first_cell_of_a_reference_may_have_any_number():
+    cells = np.array([(i, j) for i in range(5) for j in range(4)])
+    marks = [ControlPoints(cells + step, cells * 2e-3, np.zeros(20), "m") for step in (0, 1, -7)]
+    moved = [ControlPoints(m.cells, 1.01 * m.places, m.sigma, "m") for m in marks]
+    for rest, now in zip(marks, moved, strict=True):
+        np.testing.assert_allclose(StrainMeter(rest).fields(now).area_strain, 0.02, atol=1e-9)

@@ -1,0 +1,106 @@
+"""Laws of traction recovered from a pattern's motion, against the virtual pad's truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import palpate
+from palpate.core import InputError, Pose, PressHistory, RangeError
+from palpate.estimators.lattice import ControlPoints
+from palpate.estimators.surface_strain import PatternedSkin, StrainMeter, on_plane, recover_traction
+
+SENSOR = palpate.sensor("nusense")
+SPEC = SENSOR.spec
+SKIN = PatternedSkin(SPEC.layers.stack, 2, SPEC.camera_m, SPEC.friction)
+
+
+def seen(contact, rng, sigma=0.05):
+    truth = SENSOR.tile_corners(contact)
+    places = truth.places_px + sigma * rng.normal(size=truth.places_px.shape)
+    return on_plane(ControlPoints(truth.cells, places, np.full(len(places), sigma)), SPEC.lens, SPEC.camera_m)
+
+
+def press(depth, x=3e-3, y=-2e-3, lateral=None):
+    history = PressHistory() if lateral is None else PressHistory(lateral_n=lateral)
+    return SENSOR.press(SENSOR.probe("round"), Pose(x, y, depth), history=history)
+
+
+@pytest.fixture(scope="module")
+def meter():
+    return StrainMeter(seen(press(0.0), np.random.default_rng(0)))
+
+
+def test_force_of_a_press_comes_back(meter):
+    """Depths of 2 to 8 N, six noises each: the mean to 5 %, and each to 8 %."""
+    rng = np.random.default_rng(1)
+    for depth in (0.75e-3, 1.2e-3, 1.7e-3):
+        off = []
+        for _ in range(4):
+            contact = press(depth, rng.uniform(-12e-3, 12e-3), rng.uniform(-8e-3, 8e-3))
+            found = recover_traction(meter.fields(seen(contact, rng)), SKIN)
+            off.append(found.force_n / contact.force_n - 1)
+            assert found.force_n == pytest.approx(found.pressure_pa.sum() * found.spacing_m**2)
+            assert 0.8 < found.misfit < 1.2
+            centre = found.pressure_pa @ found.nodes_m / found.pressure_pa.sum()
+            assert np.hypot(*(centre - [contact.pose.x_m, contact.pose.y_m])) < 0.25e-3
+        assert abs(np.mean(off)) < 0.05
+        assert np.abs(off).max() < 0.08
+
+
+def test_force_goes_with_the_modulus(meter):
+    """An image tells p/E: a skin taken for 10 % stiffer gives 10 % more."""
+    contact = press(1.5e-3)
+    fields = meter.fields(seen(contact, np.random.default_rng(2)))
+    layers = SPEC.layers
+    stiffer = replace(
+        layers, rubber_pa=1.1 * layers.rubber_pa, gel_pa=1.1 * layers.gel_pa, pdms_pa=1.1 * layers.pdms_pa
+    )
+    one, other = (recover_traction(fields, skin) for skin in (SKIN, replace(SKIN, stack=stiffer.stack)))
+    assert other.force_n / one.force_n == pytest.approx(1.1, abs=0.01)
+
+
+def test_a_wrong_support_shows_in_the_force(meter):
+    """The control: the same layers on a half-space of gel are another skin."""
+    from palpate.mechanics.layers.stack import ElasticLayer, Stack
+
+    contact = press(1.5e-3)
+    fields = meter.fields(seen(contact, np.random.default_rng(2)))
+    first, second, gel, *_ = SPEC.layers.stack.layers
+    endless = Stack(
+        (first, second, ElasticLayer(np.inf, gel.youngs_modulus_pa, gel.poisson_ratio)), "half-space"
+    )
+    found = recover_traction(fields, replace(SKIN, stack=endless))
+    assert abs(found.force_n / contact.force_n - 1) > 0.1 or found.misfit > 1.5
+
+
+@pytest.mark.parametrize("share", [0.2, -0.35])
+def test_a_lateral_load_comes_back_under_friction(meter, share):
+    contact = press(1.5e-3)
+    load = (share * contact.force_n, 0.1 * contact.force_n)
+    pulled = press(1.5e-3, lateral=load)
+    fields = meter.fields(seen(pulled, np.random.default_rng(3)))
+    found = recover_traction(fields, SKIN, "coulomb")
+    assert found.lateral_n == pytest.approx(load, abs=0.06 * contact.force_n)
+    assert found.misfit < 1.2
+    assert (np.hypot(*found.shear_pa.T) <= SKIN.friction * found.pressure_pa * (1 + 1e-9) + 1e-6).all()
+    assert recover_traction(fields, SKIN, "frictionless").misfit > 2  # the control: this law cannot pull
+
+
+def test_no_contact_has_no_traction(meter):
+    rng = np.random.default_rng(4)
+    assert recover_traction(meter.fields(seen(press(0.0), rng)), SKIN) is None
+
+
+def test_what_cannot_be_recovered_is_refused(meter):
+    fields = meter.fields(seen(press(1e-3), np.random.default_rng(5)))
+    with pytest.raises(InputError, match="closure"):
+        recover_traction(fields, SKIN, "sticky")
+    with pytest.raises(RangeError, match="step"):
+        recover_traction(fields, SKIN, step_pa=0.0)
+    with pytest.raises(InputError, match="marks in m"):
+        recover_traction(replace(fields, unit="px"), SKIN)
+    with pytest.raises(InputError, match="standard errors"):
+        recover_traction(replace(fields, variances=0 * fields.variances), SKIN)
+    with pytest.raises(InputError, match="layers above"):
+        PatternedSkin(SPEC.layers.stack, 7)
