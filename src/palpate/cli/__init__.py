@@ -34,11 +34,13 @@ HEADINGS: dict[str, dict[str, str]] = {
         "adapt": "calibrate_verbs:adapt",
         "quantise": "calibrate_verbs:quantise",
         "lens": "lens_verbs:app",
+        "force": "shear_calibration_verbs:app",
     },
     "Sense": {
         "sense": "calibrate_verbs:sense",
         "compliance": "compliance_verbs:app",
         "flow": "optics_verbs:flow",
+        "shear": "shear_verbs:shear",
     },
     "Study": {
         "demo": "study_verbs:demo",

@@ -1,0 +1,147 @@
+"""Force calibration from runs to a file, and that of another copy of the pad from one known weight."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from palpate.calibration.shear.force_baselines import baseline_errors
+from palpate.calibration.shear.labelled_cues import cues_of_run, follow_press, joined, mean_marks
+from palpate.calibration.shear.shear_calibration import (
+    COVERAGE,
+    ShearCalibration,
+    calibrate_shear,
+    calibration_record,
+    usable,
+)
+from palpate.core import (
+    ImageError,
+    InputError,
+    Lens,
+    Progress,
+    Shaped,
+    ndarray,
+    refuse_existing,
+    silent,
+)
+from palpate.core.sensor import sensor as design_of
+from palpate.estimators.lattice import MarkTracker
+from palpate.recordings import Run
+
+VIRTUAL = "virtual "  # before the sensor's name in a run of the virtual rig
+
+
+@dataclass(frozen=True)
+class PatternView:
+    """How a camera sees a pattern.
+
+    Attributes:
+        lens: of the camera.
+        camera_m: its distance from the pattern [m].
+        pitch_px: side of a tile in the image's middle [px].
+    """
+
+    lens: Lens
+    camera_m: float
+    pitch_px: float
+
+
+def view_of_sensor(name: str) -> PatternView:
+    """View of a sensor's pattern by its spec.
+
+    Raises:
+        InputError: no such sensor, or one without a lens and a pattern.
+    """
+    spec = getattr(design_of(name), "spec", None)
+    lens, pattern = getattr(spec, "lens", None), getattr(spec, "pattern", None)
+    camera_m = getattr(spec, "camera_m", None)
+    pitch_m = getattr(pattern, "cast_pitch_m", None)
+    if not isinstance(lens, Lens) or camera_m is None or pitch_m is None:
+        raise InputError(f"sensor {name!r} has no lens and no pattern; force is read from a patterned skin")
+    return PatternView(lens, camera_m, lens.focal_px[0] * pitch_m / camera_m)
+
+
+def calibrate_runs(
+    runs: Sequence[Path],
+    out: Path,
+    *,
+    sensor: str = "",
+    law: str = "any-tip",
+    hysteresis: bool = False,
+    coverage: float = COVERAGE,
+    note: str = "",
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Calibrate on runs of one pad, and return what was fitted in plain numbers, beside baselines.
+
+    Args:
+        runs: one or more, as the rig records them; the reference is that of the first.
+        out: ``.npz`` to make.
+        sensor: name; empty takes that of the first run.
+        law, hysteresis, coverage, note: as of `calibrate_shear`.
+        progress: called with how many frames of a run are read.
+
+    Raises:
+        PalpateError: a run that cannot be used, too few presses; `out` exists.
+    """
+    _refuse_name(out)
+    if not runs:
+        raise InputError("no run; give one or more")
+    view = view_of_sensor(sensor or Run.open(runs[0]).manifest.sensor.removeprefix(VIRTUAL))
+    read = [cues_of_run(run, view.lens, view.camera_m, view.pitch_px, progress) for run in runs]
+    samples = joined([cues for cues, _ in read])
+    calibration = calibrate_shear(
+        samples, read[0][1], view.lens, view.camera_m,
+        law=law, hysteresis=hysteresis, coverage=coverage, note=note,
+    )  # fmt: skip
+    baselines = baseline_errors(samples, usable(samples))
+    calibration.save(out)
+    return calibration_record(calibration) | {"baselines_mae_N": baselines, "out": str(out)}
+
+
+def weigh_copy(
+    calibration: Path,
+    out: Path,
+    *,
+    untouched: Sequence[Shaped[ndarray, ...]],
+    loaded: Sequence[Shaped[ndarray, ...]],
+    weight_n: float,
+    weight_error_n: float = 0.0,
+    lays: int = 1,
+    pitch_px: float = 24.0,
+) -> dict[str, Any]:
+    """Calibration of another copy of a pad, on which a known weight was laid.
+
+    Args:
+        calibration: of the first pad.
+        out: ``.npz`` to make.
+        untouched: 8-bit frames of the copy at rest.
+        loaded: frames with the weight on it.
+        weight_n, weight_error_n, lays: as of `ShearCalibration.weighed`.
+        pitch_px: about the side of a tile.
+
+    Raises:
+        PalpateError: frames that show no pattern or no weight, a weight outside the range; `out` exists.
+    """
+    _refuse_name(out)
+    if not untouched or not loaded:
+        raise InputError("give one frame or more of the pad at rest, and with the weight on it")
+    pad = ShearCalibration.load(calibration)
+    tracker = MarkTracker(untouched[0], pitch_px)
+    reference = mean_marks([tracker.follow(frame).points for frame in untouched])
+    meter = pad.meter(reference)
+    marks = [follow_press(tracker, frame, len(reference)) for frame in loaded]
+    if not all(map(len, marks)):
+        raise ImageError("a frame with the weight shows no pattern; look at light, focus and the crop")
+    copy = pad.weighed([meter.cues(points) for points in marks], weight_n, weight_error_n, lays)
+    copy = copy.referred_to(reference)
+    copy.save(out)
+    return calibration_record(copy) | {"of": pad.id, "out": str(out), "frames": len(loaded)}
+
+
+def _refuse_name(out: Path) -> None:
+    if out.suffix != ".npz":
+        raise InputError(f"{out} is not an .npz file; name the calibration e.g. pad.npz")
+    refuse_existing(out)

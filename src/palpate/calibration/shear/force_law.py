@@ -1,0 +1,202 @@
+"""Law from cues of a pattern's motion to normal force, with the skin's memory where frames have a history.
+
+The elastic force is linear in the cues,
+
+    L = sum_c c (a_c + a_cx x^2 + a_cy y^2) + b,
+
+where the place (x, y) stands for what the pattern's edge cuts off. The cues are gamma in the laws "published"
+and "placed", the three moments in "any-tip": a moment is linear in the shifts, so that the marks' noise,
+which lengthens every shift in gamma, leaves it where it is. A viscoelastic skin carries more while it is
+pressed and less while it is let go, by branches that forget with times T_i:
+
+    F = L + sum_i s_i m_i,     m_i(t) = integral exp(-(t - t') / T_i) dL(t').
+
+The picture shows L alone, and its history m; without a history a frame has the interval of both ways.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from palpate.calibration.shear.touch_cues import TouchCues
+from palpate.core import Bool, Float, InputError, ndarray
+
+LAWS = ("published", "placed", "any-tip")
+MEMORY_S = (0.1, 0.3, 1.0, 4.0)
+MAX_GAP_S = 1.0  # between frames: after a longer one the history is not known
+PLACE_M = 10e-3  # unit of places in the terms
+ROUNDS = 6  # until what is remembered fits the elastic part
+
+Rows = Float[ndarray, "n k"]
+Series = Float[ndarray, " n"]
+
+
+def law_terms(law: str, cues: Sequence[TouchCues]) -> Rows:
+    """Terms whose weighted sum is the elastic force, the constant last.
+
+    Raises:
+        InputError: another law.
+    """
+    if law not in LAWS:
+        raise InputError(f"law {law!r}; there are {', '.join(LAWS)}")
+    table = np.array([c[:6] for c in cues], float).reshape(-1, 6)
+    one = np.ones(len(table))
+    if law == "published":
+        return np.column_stack([table[:, 0], one])
+    x, y = table[:, 4] / PLACE_M, table[:, 5] / PLACE_M
+    used = table[:, :1] if law == "placed" else table[:, 1:4]
+    return np.column_stack([*(used.T), *(used * x[:, None] ** 2).T, *(used * y[:, None] ** 2).T, one])
+
+
+@dataclass(frozen=True)
+class ForceLine:
+    """Law as fitted; see the module.
+
+    Attributes:
+        law: one of `LAWS`.
+        weights: of the terms [N each].
+        memory_s: T_i [s]; none without hysteresis.
+        memory_share: s_i.
+    """
+
+    law: str
+    weights: Float[ndarray, " k"]
+    memory_s: Float[ndarray, " m"]
+    memory_share: Float[ndarray, " m"]
+
+    def elastic_n(self, cues: Sequence[TouchCues]) -> Series:
+        """L of each frame [N]; NaN where the law needs a place and there is no contact."""
+        return np.asarray(law_terms(self.law, cues) @ self.weights)
+
+    def force_n(self, cues: Sequence[TouchCues], remembered: Rows) -> Series:
+        """F of each frame [N]; `remembered` as `follow_memory` gives it."""
+        return np.asarray(self.elastic_n(cues) + remembered @ self.memory_share)
+
+
+class MemoryTrace:
+    """What the skin remembers, followed from frame to frame.
+
+    It begins to be known at a frame without contact, and is lost where frames are too far apart.
+    """
+
+    def __init__(self, memory_s: Float[ndarray, " m"]) -> None:
+        self._times = memory_s
+        self._state = np.full(len(self._times), np.nan)
+        self._last_n, self._last_s = math.nan, math.nan
+
+    def step(self, time_s: float, elastic_n: float) -> Float[ndarray, " m"]:
+        """m_i at a frame [N]; NaN where the history is not known.
+
+        Args:
+            time_s: of the frame [s].
+            elastic_n: L above that of the untouched skin; 0 without contact [N].
+        """
+        step = time_s - self._last_s
+        if not 0 < step <= MAX_GAP_S:  # the first frame too
+            self._state[:] = np.nan
+            step = math.inf
+        if elastic_n == 0 and not np.isfinite(self._state).all():
+            self._state[:] = 0.0
+        else:
+            fades = np.exp(-step / self._times)
+            self._state = self._state * fades + (elastic_n - self._last_n) * np.sqrt(fades)
+        self._last_n, self._last_s = elastic_n, time_s
+        return self._state.copy()
+
+
+def follow_memory(
+    line: ForceLine, cues: Sequence[TouchCues], time_s: Series, press: ndarray
+) -> tuple[Rows, Series]:
+    """m_i of each frame [N], and L; frames of one press stand in order of time."""
+    elastic = touched_n(line, cues)
+    remembered = np.full((len(cues), len(line.memory_s)), np.nan)
+    for one in dict.fromkeys(press.tolist()):
+        trace = MemoryTrace(line.memory_s)
+        for i in np.flatnonzero(press == one):
+            remembered[i] = trace.step(float(time_s[i]), float(elastic[i]))
+    return remembered, elastic
+
+
+def touched_n(line: ForceLine, cues: Sequence[TouchCues]) -> Series:
+    """Elastic force of each frame, 0 without contact [N]."""
+    contact = np.array([c.contacts > 0 for c in cues])
+    with np.errstate(invalid="ignore"):
+        return np.where(contact, np.maximum(line.elastic_n(cues), 0.0), 0.0)
+
+
+def fit_line(law: str, cues: Sequence[TouchCues], force_n: Series, used: Bool[ndarray, " n"]) -> ForceLine:
+    """Elastic law alone by least squares.
+
+    Args:
+        law: one of `LAWS`.
+        cues, force_n: of all frames.
+        used: frames that the fit is made to.
+
+    Raises:
+        InputError: fewer frames than twice the terms.
+    """
+    terms = law_terms(law, cues)[used]
+    _refuse_few(law, terms)
+    return ForceLine(law, _least_squares(terms, force_n[used]), np.empty(0), np.empty(0))
+
+
+def fit_remembering(
+    law: str,
+    cues: Sequence[TouchCues],
+    force_n: Series,
+    used: Bool[ndarray, " n"],
+    time_s: Series,
+    press: ndarray,
+) -> ForceLine:
+    """Law with memory by least squares, no branch's share below 0.
+
+    What is remembered is taken from the elastic part as fitted last.
+
+    Args:
+        law, cues, force_n, used: as of `fit_line`.
+        time_s, press: time and press of each frame; frames of one press stand in order of time.
+
+    Raises:
+        InputError: as of `fit_line`, and where too few frames have a history.
+    """
+    line = fit_line(law, cues, force_n, used)
+    line = ForceLine(law, line.weights, np.array(MEMORY_S), np.zeros(len(MEMORY_S)))
+    terms = law_terms(law, cues)
+    for _ in range(ROUNDS):
+        remembered, _ = follow_memory(line, cues, time_s, press)
+        known = used & np.isfinite(remembered).all(axis=1)
+        if known.sum() < 2 * (terms.shape[1] + len(MEMORY_S)):
+            raise InputError(
+                f"the history of {known.sum()} frames with a contact is known; record each press from a "
+                f"frame without contact on, frames at most {MAX_GAP_S:g} s apart, or fit without hysteresis"
+            )
+        both = np.column_stack([terms[known], remembered[known]])
+        scale = _column_scale(both)
+        least = np.concatenate([np.full(terms.shape[1], -np.inf), np.zeros(len(MEMORY_S))])
+        found = lsq_linear(both / scale, force_n[known], (least, np.full(len(least), np.inf))).x / scale
+        weights, shares = np.split(found, [terms.shape[1]])
+        line = ForceLine(law, weights, line.memory_s, np.where(shares > 1e-9, shares, 0.0))
+    return line
+
+
+def _refuse_few(law: str, terms: Rows) -> None:
+    if len(terms) < 2 * terms.shape[1]:
+        raise InputError(
+            f"{len(terms)} frames with a contact and a force in the range; the law {law!r} needs at least "
+            f"{2 * terms.shape[1]}"
+        )
+
+
+def _least_squares(terms: Rows, force_n: Series) -> Float[ndarray, " k"]:
+    scale = _column_scale(terms)
+    return np.asarray(np.linalg.lstsq(terms / scale, force_n, rcond=1e-10)[0] / scale)
+
+
+def _column_scale(terms: Rows) -> Float[ndarray, " k"]:
+    scale = np.sqrt((terms**2).mean(axis=0))
+    return np.where(scale > 0, scale, 1.0)

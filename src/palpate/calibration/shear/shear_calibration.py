@@ -1,0 +1,454 @@
+"""Calibration of normal force for a patterned skin: fitted, kept in a file, and read with.
+
+Only frames from 1 N on are learnt: below, a skin's pattern hardly moves. A calibration says what it was
+fitted to (force, places, tips), and a reading outside of that is not valid. The file is one flat set of plain
+arrays, no pickles, and the calibration's id is that of its contents.
+
+An image tells displacement, and force only through the skin's stiffness. On another copy of the pad that is
+unknown: the interval is widened by the stated spread of stiffness, until one known weight tells it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import NormalDist
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from palpate.calibration.compliance.compliance_calibration import flat_arrays, from_flat_arrays
+from palpate.calibration.shear.force_interval import ForceInterval, fit_interval, held_out
+from palpate.calibration.shear.force_law import (
+    ForceLine,
+    MemoryTrace,
+    fit_line,
+    fit_remembering,
+    follow_memory,
+    touched_n,
+)
+from palpate.calibration.shear.labelled_cues import LabelledCues
+from palpate.calibration.shear.touch_cues import (
+    PUBLISHED_ALPHA_PX,
+    SIDE_SAMPLES,
+    CueMeter,
+    TouchCues,
+)
+from palpate.core import (
+    Bool,
+    CertificateError,
+    Drift,
+    Float,
+    Int,
+    Lens,
+    RangeError,
+    Reading,
+    ndarray,
+    new_file,
+    storage_errors,
+)
+from palpate.estimators.lattice import ControlPoints
+from palpate.version import __version__
+
+FORMAT = 1
+MIN_FORCE_N = 1.0  # below it the published sensor's pattern did not move enough
+COVERAGE = 0.90
+BEYOND_PLACES_M = 1e-3  # a place this far outside of those calibrated is still taken
+COPY_STIFFNESS = 0.10  # standard deviation of the stiffness of copies; assumed, as the virtual pad's copies
+COPY_SHAPE = 0.02  # what one known weight does not tell of a copy: layers of other thickness bend the law
+DRIFT_LIMIT_PX = 0.5  # root mean square shift of the untouched marks
+
+Series = Float[ndarray, " n"]
+
+
+@dataclass(frozen=True)
+class ShearCalibration:
+    """Calibrated pad.
+
+    Attributes:
+        line: the law for single frames, fitted to all ways of loading.
+        alone: its interval.
+        remembering: the law for frames whose history is known; None where it was not asked for.
+        followed: its interval.
+        range_n: least and greatest force [N].
+        places_m: least x, greatest x, least y, greatest y of contacts, from the camera's axis [m].
+        tips: words of the indenters.
+        alpha_px, samples: of gamma: scale [1/px] and samples along each side, K is their square.
+        lens_json, camera_m: the camera: its card, and its distance from the pattern [m].
+        cells, places_px, sigma_px: marks of the untouched pattern.
+        presses: how many it was fitted to.
+        mae_n: mean absolute error of held-out presses, of single frames and of followed ones [N].
+        scale: of all forces, 1 on the pad that was calibrated.
+        scale_error: its standard error; 0 on that pad.
+        copy: in words, what is assumed of the pad.
+        note: free words.
+        version: of palpate.
+    """
+
+    line: ForceLine
+    alone: ForceInterval
+    remembering: ForceLine | None
+    followed: ForceInterval | None
+    range_n: tuple[float, float]
+    places_m: tuple[float, float, float, float]
+    tips: tuple[str, ...]
+    alpha_px: float
+    samples: int
+    lens_json: str
+    camera_m: float
+    cells: Int[ndarray, "n 2"]
+    places_px: Float[ndarray, "n 2"]
+    sigma_px: Float[ndarray, " n"]
+    presses: int
+    mae_n: tuple[float, float]
+    scale: float = 1.0
+    scale_error: float = 0.0
+    copy: str = "the pad that was calibrated"
+    note: str = ""
+    version: str = __version__
+
+    @property
+    def id(self) -> str:
+        """Name by the contents."""
+        digest = hashlib.sha256()
+        for name, value in sorted(flat_arrays(self).items()):
+            digest.update(name.encode() + np.ascontiguousarray(value).tobytes())
+        return f"shear-{digest.hexdigest()[:12]}"
+
+    @property
+    def lens(self) -> Lens:
+        """The camera's lens."""
+        return Lens.from_card(json.loads(self.lens_json))
+
+    @property
+    def reference(self) -> ControlPoints:
+        """Marks of the untouched pattern that was calibrated [px]."""
+        return ControlPoints(self.cells, self.places_px, self.sigma_px)
+
+    def meter(self, reference: ControlPoints | None = None) -> CueMeter:
+        """Cues as this calibration was fitted to, against a reference of now [px]."""
+        reference = reference or self.reference
+        return CueMeter(reference, self.lens, self.camera_m, self.alpha_px, self.samples)
+
+    def drift(self, reference: ControlPoints) -> Drift:
+        """How far untouched marks have moved since, root mean square over its limit's unit, px."""
+        theirs, ours, _ = reference.shared_with(self.reference)
+        off = math.inf if not len(ours) else float(np.sqrt(((ours - theirs) ** 2).sum(axis=1).mean()))
+        return Drift(off, DRIFT_LIMIT_PX)
+
+    def on_copy(self, spread: float = COPY_STIFFNESS) -> ShearCalibration:
+        """The calibration for another pad of the same make whose stiffness is not known.
+
+        Args:
+            spread: standard deviation of its stiffness over this one's.
+
+        Raises:
+            RangeError: a spread that is not between 0 and 0.5.
+        """
+        if not 0 < spread < 0.5:
+            raise RangeError(f"a spread of stiffness of {spread}; give a share between 0 and 0.5")
+        words = f"a copy of unknown stiffness, spread {100 * spread:.3g} % assumed"
+        return replace(self, scale=1.0, scale_error=spread, copy=words)
+
+    def weighed(
+        self, cues: Sequence[TouchCues], weight_n: float, weight_error_n: float = 0.0, lays: int = 1
+    ) -> ShearCalibration:
+        """The calibration for a copy on which a known weight was laid.
+
+        A weight rests, and a skin that remembers carries less at rest than while it is pressed: with a law of
+        the memory its elastic part is compared. Without one, bring the force on as in the calibration.
+
+        Args:
+            cues: of frames with the weight on the pad, at rest.
+            weight_n: its force [N], within the calibrated range.
+            weight_error_n: standard error of that [N].
+            lays: how often it was laid on anew, each at another place.
+
+        Raises:
+            RangeError: a weight outside the range, or frames that show none.
+        """
+        low, high = self.range_n
+        if not low <= weight_n <= high:
+            raise RangeError(
+                f"a weight of {weight_n:.3g} N; give one within the calibrated {low:.3g} to {high:.3g} N"
+            )
+        if lays < 1 or weight_error_n < 0:
+            raise RangeError("a weight is laid on once or more often, with an error of 0 N or more")
+        line = self.remembering or self.line
+        interval = self.followed or self.alone
+        own = line.elastic_n(cues)
+        if not len(own) or not (np.isfinite(own) & (own > MIN_FORCE_N / 2)).all():
+            raise RangeError("not every frame shows a weight; give frames with it on the pad, at rest")
+        seen = float(own.mean())
+        single = interval.half(seen) / self._sigmas / seen / math.sqrt(lays)
+        error = math.sqrt(single**2 + (weight_error_n / weight_n) ** 2 + COPY_SHAPE**2)
+        words = f"a copy on which {weight_n:.4g} N were laid"
+        return replace(self, scale=weight_n / seen, scale_error=error, copy=words)
+
+    def referred_to(self, reference: ControlPoints) -> ShearCalibration:
+        """The calibration with the untouched marks of another pad, or of another day [px]."""
+        return replace(self, cells=reference.cells, places_px=reference.places, sigma_px=reference.sigma)
+
+    @property
+    def _sigmas(self) -> float:
+        """Standard deviations to which the coverage reaches, of a normal error."""
+        return NormalDist().inv_cdf(0.5 + self.alone.coverage / 2)
+
+    def read(
+        self,
+        cues: TouchCues,
+        remembered: Float[ndarray, " m"] | None = None,
+        *,
+        frame: str = "",
+        time_s: float = 0.0,
+        drift: Drift | None = None,
+    ) -> Reading:
+        """Normal force of a frame.
+
+        Args:
+            cues: of the frame.
+            remembered: as a `MemoryTrace` gives it; None or NaN where the history is not known.
+            frame, time_s, drift: for the reading.
+        """
+        known = remembered is not None and bool(np.isfinite(remembered).all())
+        line, interval, extra = self.line, self.alone, 0.0
+        if known and self.remembering is not None and self.followed is not None:
+            line, interval = self.remembering, self.followed
+            extra = float(np.dot(np.asarray(remembered), line.memory_share))
+        own = float(line.elastic_n([cues])[0]) + extra
+        value = self.scale * own
+        if not math.isfinite(value):
+            return self._reading(0.0, 0.0, self.range_n[0], self._refusal(cues, 0.0), frame, time_s, drift)
+        half = math.hypot(self.scale * interval.half(own), self._sigmas * self.scale_error * value)
+        why = self._refusal(cues, value)
+        low, high = max(value - half, 0.0), max(value + half, 0.0)
+        return self._reading(max(value, 0.0), low, high, why, frame, time_s, drift)
+
+    def _refusal(self, cues: TouchCues, value: float) -> str:
+        """Why a force is not valid; empty where it is."""
+        low, high = self.range_n
+        if cues.contacts == 0:
+            return f"no contact is seen; one below {MIN_FORCE_N:g} N hardly moves the pattern"
+        if cues.contacts > 1:
+            return f"{cues.contacts} contacts at once, and the calibration is of one"
+        if value < low:
+            return f"below {low:.3g} N, where the calibration begins"
+        if value > high:
+            return f"above {high:.3g} N, where the calibration ends"
+        x0, x1, y0, y1 = self.places_m
+        beside = max(x0 - cues.x_m, cues.x_m - x1, y0 - cues.y_m, cues.y_m - y1)
+        if beside > BEYOND_PLACES_M:
+            return f"{1e3 * beside:.1f} mm beside the places of the calibration"
+        return ""
+
+    def _reading(
+        self, value: float, low: float, high: float, why: str, frame: str, time_s: float, drift: Drift | None
+    ) -> Reading:
+        return Reading(
+            quantity="force",
+            unit="N",
+            coverage=self.alone.coverage,
+            valid=not why,
+            why=why,
+            drift=drift,
+            calibration=self.id,
+            frame=frame,
+            time_s=time_s,
+            value=value,
+            low=low,
+            high=high,
+            calibrated_range=self.range_n,
+        )
+
+    def save(self, path: Path) -> None:
+        """Write one ``.npz``, whole or not at all.
+
+        Raises:
+            ExistsError: `path` exists.
+            StorageError: the disk refused.
+        """
+        with new_file(path) as building, building.open("wb") as file:
+            np.savez_compressed(file, **flat_arrays(self), format=np.array(FORMAT))  # type: ignore[arg-type]
+
+    @classmethod
+    def load(cls, path: Path) -> ShearCalibration:
+        """Read what `save` wrote; nothing in it is run.
+
+        Raises:
+            CertificateError: it is no such file, or a damaged one.
+            StorageError: it cannot be read.
+        """
+        try:
+            with storage_errors(path), path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+                data = dict(archive)
+            if (layout := int(data.pop("format"))) != FORMAT:
+                raise CertificateError(
+                    f"{path} has format {layout}, and palpate {__version__} reads format {FORMAT}: open it "
+                    "with the version of palpate that wrote it, or calibrate anew"
+                )
+            calibration = from_flat_arrays(cls, data)
+        except (KeyError, ValueError, TypeError, BadZipFile, EOFError) as e:
+            raise CertificateError(
+                f"{path} is no calibration of shear force, or a damaged one; `palpate force` makes them"
+            ) from e
+        assert isinstance(calibration, cls)
+        return calibration
+
+
+class ForceFollower:
+    """Force of frames one after the other, with the skin's memory where the calibration has it.
+
+    Args:
+        calibration: of the pad.
+        reference: marks of the untouched pad now [px]; None for those of the calibration.
+    """
+
+    def __init__(self, calibration: ShearCalibration, reference: ControlPoints | None = None) -> None:
+        self.calibration = calibration
+        self._meter = calibration.meter(reference)
+        self._drift = None if reference is None else calibration.drift(reference)
+        line = calibration.remembering
+        self._trace = None if line is None else MemoryTrace(line.memory_s)
+
+    def read(self, points: ControlPoints, time_s: float, frame: str = "") -> Reading:
+        """Force of the next frame.
+
+        Args:
+            points: its marks [px].
+            time_s: when it was taken; frames come in order [s].
+            frame: its name.
+
+        Raises:
+            InputError, RangeError: marks that cannot be compared with the reference.
+        """
+        cues = self._meter.cues(points)
+        return self.calibration.read(
+            cues, self._remembered(cues, time_s), frame=frame, time_s=time_s, drift=self._drift
+        )
+
+    def unread(self, why: str, time_s: float, frame: str = "") -> Reading:
+        """Reading of a frame whose marks are not to be used: not valid, and why."""
+        nan = math.nan
+        return self.calibration._reading(nan, nan, nan, why, frame, time_s, self._drift)
+
+    def _remembered(self, cues: TouchCues, time_s: float) -> Float[ndarray, " m"] | None:
+        line = self.calibration.remembering
+        if line is None or self._trace is None:
+            return None
+        return self._trace.step(time_s, float(touched_n(line, [cues])[0]))
+
+
+def calibrate_shear(
+    samples: LabelledCues,
+    reference: ControlPoints,
+    lens: Lens,
+    camera_m: float,
+    *,
+    law: str = "any-tip",
+    hysteresis: bool = False,
+    coverage: float = COVERAGE,
+    note: str = "",
+) -> ShearCalibration:
+    """Fit a calibration to labelled frames.
+
+    Args:
+        samples: of one or more runs of one pad.
+        reference: marks of the untouched pad [px].
+        lens, camera_m: of the camera.
+        law: "any-tip" (moments and place), "placed" (gamma and place), or "published" (gamma alone).
+        hysteresis: fit the skin's memory too; frames of a press begin before contact then.
+        coverage: of the intervals.
+        note: kept with it.
+
+    Raises:
+        InputError: too few presses or frames from 1 N on with one contact.
+    """
+    used = usable(samples)
+    alone = held_out(
+        lambda kept: fit_line(law, samples.cues, samples.force_n, used & kept).elastic_n(samples.cues),
+        samples.press,
+    )
+    line = fit_line(law, samples.cues, samples.force_n, used)
+    remembering, followed, error = None, None, math.nan
+    if hysteresis:
+
+        def fitted(kept: Bool[ndarray, " n"]) -> ForceLine:
+            return fit_remembering(
+                law, samples.cues, samples.force_n, used & kept, samples.time_s, samples.press
+            )
+
+        def estimated(one: ForceLine) -> Series:
+            remembered, _ = follow_memory(one, samples.cues, samples.time_s, samples.press)
+            return one.force_n(samples.cues, remembered)
+
+        remembering = fitted(np.ones_like(used))
+        estimates = held_out(lambda kept: estimated(fitted(kept)), samples.press)
+        known = used & np.isfinite(estimates)
+        followed = fit_interval(estimates[known], samples.force_n[known], samples.press[known], coverage)
+        error = float(np.abs(estimates - samples.force_n)[known].mean())
+    at = np.array([(c.x_m, c.y_m) for c in samples.cues])[used]
+    (x0, y0), (x1, y1) = at.min(axis=0).tolist(), at.max(axis=0).tolist()
+    force = samples.force_n[used]
+    return ShearCalibration(
+        line,
+        fit_interval(alone[used], force, samples.press[used], coverage),
+        remembering,
+        followed,
+        (max(MIN_FORCE_N, float(force.min())), float(force.max())),
+        (x0, x1, y0, y1),
+        tuple(sorted(set(samples.tip[used].tolist()))),
+        PUBLISHED_ALPHA_PX,
+        SIDE_SAMPLES,
+        json.dumps(lens.card(), sort_keys=True),
+        camera_m,
+        reference.cells,
+        reference.places,
+        reference.sigma,
+        len(np.unique(samples.press[used])),
+        (float(np.abs(alone - samples.force_n)[used].mean()), error),
+        note=note,
+    )
+
+
+def usable(samples: LabelledCues) -> Bool[ndarray, " n"]:
+    """Frames from 1 N on with one contact."""
+    single = np.array([c.contacts == 1 for c in samples.cues])
+    return np.asarray(single & (samples.force_n >= MIN_FORCE_N))
+
+
+def calibration_record(calibration: ShearCalibration) -> dict[str, Any]:
+    """What was fitted, in plain numbers."""
+    weights, memory = calibration.line.weights, calibration.remembering
+    return {
+        "calibration": calibration.id,
+        "law": calibration.line.law,
+        "weights_N": weights.tolist(),
+        "alpha_per_px": calibration.alpha_px,
+        "samples_K": calibration.samples**2,
+        "range_N": list(calibration.range_n),
+        "places_mm": [1e3 * at for at in calibration.places_m],
+        "indenters": list(calibration.tips),
+        "presses": calibration.presses,
+        "coverage": calibration.alone.coverage,
+        "interval_N": {
+            "at": calibration.alone.at_n.tolist(),
+            "half_width": calibration.alone.half_n.tolist(),
+        },
+        "mae_N": calibration.mae_n[0],
+        "hysteresis": None
+        if memory is None or calibration.followed is None
+        else {
+            "mae_N": calibration.mae_n[1],
+            "memory_s": memory.memory_s.tolist(),
+            "memory_share": memory.memory_share.tolist(),
+            "half_width_N": calibration.followed.half_n.tolist(),
+        },
+        "pad": calibration.copy,
+        "scale": calibration.scale,
+        "scale_error": calibration.scale_error,
+    }

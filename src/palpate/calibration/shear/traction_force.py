@@ -1,0 +1,188 @@
+"""Normal and lateral force from recovered traction, with intervals for what is taken as known.
+
+An image tells pressure over modulus. So the interval holds, beside the marks' noise, what a change of each
+assumption does to this very frame: moduli, friction, and the support, whose compliance is that of the layer
+that yields most. Each is changed by its standard deviation and solved anew; the changes add in squares, as
+independent errors do. No twist was at hand with a known torque, so none is read.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+
+from palpate.core import InputError, RangeError, Reading, Readings
+from palpate.estimators.surface_strain import PatternedSkin, RecoveredTraction, StrainFields, recover_traction
+
+RANGE_N = (1.0, 8.0)  # over which recovery was measured; see the how-to
+FORM = {"frictionless": 0.02, "coulomb": 0.10, "bonded": 0.05}
+"""Standard deviation of force that the closure leaves with all else known, of the force; measured."""
+LATERAL_FORM = 0.01  # of the normal force: what the coulomb closure leaves of a lateral one; measured
+SEEN_MISFIT = 2.0  # standard errors; above it the marks move as this closure cannot make them move
+
+
+@dataclass(frozen=True)
+class SkinDoubt:
+    """Standard deviations, as shares, of what recovery takes as known.
+
+    Attributes:
+        modulus: of all moduli together.
+        friction: of Coulomb's coefficient, for the closure of this name.
+        support: of the thickness of the layer that yields most.
+    """
+
+    modulus: float = 0.10
+    friction: float = 0.10
+    support: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not all(0 <= share < 0.5 for share in (self.modulus, self.friction, self.support)):
+            raise RangeError("doubts about a skin are shares from 0 to 0.5")
+
+
+KNOWN = SkinDoubt(0.0, 0.0, 0.0)
+"""A skin whose moduli, friction and layers are as stated."""
+
+
+@dataclass(frozen=True)
+class ForceBudget:
+    """Change of a frame's force where each assumption is one standard deviation off, as shares of it."""
+
+    noise: float
+    form: float
+    modulus: float
+    friction: float
+    support: float
+
+    @property
+    def total(self) -> float:
+        """Root of the sum of squares."""
+        return math.hypot(self.noise, self.form, self.skin)
+
+    @property
+    def skin(self) -> float:
+        """The part that a better known skin would take away."""
+        return math.hypot(self.modulus, self.friction, self.support)
+
+
+def stiffer(skin: PatternedSkin, share: float) -> PatternedSkin:
+    """The skin with all moduli higher by a share."""
+    layers = tuple(
+        replace(one, youngs_modulus_pa=one.youngs_modulus_pa * (1 + share)) for one in skin.stack.layers
+    )
+    return replace(skin, stack=replace(skin.stack, layers=layers))
+
+
+def thicker_support(skin: PatternedSkin, share: float) -> PatternedSkin:
+    """The skin with the layer below its pattern that yields most thicker by a share.
+
+    Raises:
+        InputError: no layer below the pattern has an end.
+    """
+    layers = list(skin.stack.layers)
+    below = [i for i in range(skin.interface, len(layers)) if math.isfinite(layers[i].thickness_m)]
+    if not below:
+        raise InputError("no layer below the pattern has a thickness; the support is endless")
+    soft = max(below, key=lambda i: layers[i].thickness_m / layers[i].youngs_modulus_pa)
+    layers[soft] = replace(layers[soft], thickness_m=layers[soft].thickness_m * (1 + share))
+    return replace(skin, stack=replace(skin.stack, layers=tuple(layers)))
+
+
+def force_budget(
+    fields: StrainFields, skin: PatternedSkin, doubt: SkinDoubt, closure: str, found: RecoveredTraction
+) -> ForceBudget:
+    """What a frame's force changes by, assumption by assumption.
+
+    Args:
+        fields, skin, closure: as of `recover_traction`.
+        doubt: about the skin.
+        found: the traction with all as stated.
+    """
+
+    def change(other: PatternedSkin) -> float:
+        again = recover_traction(fields, other, closure)
+        return 0.0 if again is None else abs(again.force_n / found.force_n - 1)
+
+    rubbed = replace(skin, friction=skin.friction * (1 + doubt.friction))
+    return ForceBudget(
+        found.force_error_n / found.force_n,
+        FORM[closure],
+        doubt.modulus,  # exact: an image tells pressure over modulus
+        change(rubbed) if closure == "coulomb" and doubt.friction else 0.0,
+        change(thicker_support(skin, doubt.support)) if doubt.support else 0.0,
+    )
+
+
+def traction_readings(
+    fields: StrainFields,
+    skin: PatternedSkin,
+    doubt: SkinDoubt | None = None,
+    *,
+    closure: str = "frictionless",
+    coverage: float = 0.90,
+    frame: str = "",
+    time_s: float = 0.0,
+) -> Readings:
+    """Force from the picture and a known skin, uncalibrated; lateral force where the closure has friction.
+
+    Args:
+        fields: strain of a frame, of marks in m.
+        skin: what is known of it.
+        doubt: how well; None for 10 % of the moduli and friction, and 5 % of the support.
+        closure: "frictionless", "coulomb" or "bonded"; the first has no lateral force.
+        coverage: of the intervals.
+        frame, time_s: for the readings.
+
+    Raises:
+        InputError, RangeError: as of `recover_traction`; a coverage that is not between 0.5 and 0.99.
+    """
+    if not 0.5 <= coverage <= 0.99:
+        raise InputError(f"a coverage of {coverage}; give 0.5 to 0.99")
+    doubt = SkinDoubt() if doubt is None else doubt
+    found = recover_traction(fields, skin, closure)
+    name = f"traction, {closure}, moduli known to {100 * doubt.modulus:.3g} %"
+
+    def reading(quantity: str, unit: str, value: float, half: float, why: str) -> Reading:
+        return Reading(
+            quantity=quantity,
+            unit=unit,
+            coverage=coverage,
+            valid=not why,
+            why=why,
+            drift=None,
+            calibration=name,
+            frame=frame,
+            time_s=time_s,
+            value=value,
+            low=value - half if quantity != "force" else max(value - half, 0.0),
+            high=value + half,
+            calibrated_range=RANGE_N if quantity == "force" else (-RANGE_N[1], RANGE_N[1]),
+        )
+
+    if found is None:
+        return Readings({"force_N": reading("force", "N", 0.0, RANGE_N[0], "no contact is seen")})
+    budget = force_budget(fields, skin, doubt, closure, found)
+    z = NormalDist().inv_cdf(0.5 + coverage / 2)
+    why = _refusal(found)
+    readings = {"force_N": reading("force", "N", found.force_n, z * budget.total * found.force_n, why)}
+    if closure == "frictionless":
+        return Readings(readings)
+    for axis, value in zip("xy", found.lateral_n, strict=True):
+        half = z * math.hypot(LATERAL_FORM * found.force_n, budget.skin * value)
+        readings[f"force_{axis}_N"] = reading(f"force_{axis}", "N", value, half, why)
+    return Readings(readings)
+
+
+def _refusal(found: RecoveredTraction) -> str:
+    low, high = RANGE_N
+    if found.force_n < low:
+        return f"below {low:g} N, where the pattern hardly moves"
+    if found.force_n > high:
+        return f"above {high:g} N, where recovery was not measured"
+    if found.misfit > SEEN_MISFIT:
+        return (
+            f"the marks are {found.misfit:.1f} standard errors off what {found.closure} loads do to this "
+            "skin; try another closure, or look at its layers"
+        )
+    return ""

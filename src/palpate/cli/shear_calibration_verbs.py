@@ -1,0 +1,91 @@
+"""The verbs of normal force for patterned skins: calibrate on runs, and weigh another copy of the pad."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from typer import Argument, Option
+
+from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar
+
+app = group("Normal force in newtons for a patterned skin.")
+
+NewFile = Annotated[Path, Option(help="Calibration to make, an .npz; must not exist.")]
+
+
+@app.command("fit")
+def fit(
+    runs: Annotated[list[Path], Argument(help="Runs of one pad, with force, presses and reference frames.")],
+    out: NewFile,
+    sensor: Annotated[str, Option(help="Sensor with the pattern; default: as the first run says.")] = "",
+    law: Annotated[str, Option(help="any-tip, placed (one tip), or published (gamma alone).")] = "any-tip",
+    hysteresis: Annotated[bool, Option("--hysteresis", help="Fit the skin's memory too.")] = False,
+    coverage: Annotated[float, Option(help="Of the intervals.")] = 0.90,
+    note: Annotated[str, Option(help="Free words to keep with it.")] = "",
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Fit a calibration of normal force to runs.
+
+    Errors and intervals are of presses that were held out.
+
+    Example: palpate force fit run --out pad.npz --hysteresis
+    """
+    from palpate.calibration.shear import calibrate_runs
+
+    with progress_bar(quiet) as progress:
+        record = calibrate_runs(
+            runs, out, sensor=sensor, law=law, hysteresis=hysteresis,
+            coverage=coverage, note=note, progress=progress,
+        )  # fmt: skip
+    print_found(record, _fit_text(record), json_)
+
+
+@app.command("weigh")
+def weigh(
+    calibration: Annotated[Path, Argument(help="Calibration (.npz) of a pad of the same make.")],
+    reference: Annotated[Path, Option(help="This pad at rest: folder of images, video or run.")],
+    loaded: Annotated[Path, Option(help="This pad with the weight on it: the same.")],
+    weight_n: Annotated[float, Option("--weight-n", help="The weight [N], within the calibrated range.")],
+    out: NewFile,
+    error_n: Annotated[float, Option("--error-n", help="Standard error of the weight [N].")] = 0.0,
+    lays: Annotated[int, Option(help="How often it was laid on, each time at another place.")] = 1,
+    pitch_px: Annotated[float, Option(help="About the side of a tile [px].")] = 16.0,
+    json_: Json = False,
+) -> None:
+    """Take a calibration to another copy by a known weight.
+
+    An image tells no stiffness; one weight does.
+
+    Example: palpate force weigh pad.npz --reference rest --loaded on --weight-n 4.9 --out copy.npz
+    """
+    from palpate.calibration.shear import weigh_copy
+    from palpate.recordings.exchange.frame_sequences import open_sequence
+
+    with open_sequence(reference) as rest, open_sequence(loaded) as on:
+        record = weigh_copy(
+            calibration, out, untouched=list(rest), loaded=list(on),
+            weight_n=weight_n, weight_error_n=error_n, lays=lays, pitch_px=pitch_px,
+        )  # fmt: skip
+    scale, error = record["scale"], record["scale_error"]
+    text = f"{out}: {record['calibration']}, {record['pad']}: {scale:.3f} ± {error:.3f} of {record['of']}"
+    print_found(record, text, json_)
+
+
+def _fit_text(record: dict[str, Any]) -> str:
+    low, high = record["range_N"]
+    widths = record["interval_N"]["half_width"]
+    memory = record["hysteresis"]
+    lines = [
+        f"{record['out']}: {record['calibration']}, law {record['law']}, {record['presses']} presses",
+        f"calibrated {low:.2f} to {high:.2f} N; indenters {', '.join(record['indenters']) or 'not told'}",
+    ]
+    lines.append(
+        f"held-out presses are off by {record['mae_N']:.3f} N in the mean; "
+        f"{100 * record['coverage']:.0f} % lie within {min(widths):.2f} to {max(widths):.2f} N"
+    )
+    if memory:
+        lines.append(f"with the history of the frames, by {memory['mae_N']:.3f} N")
+    lines += [f"baseline {name}: {error:.3f} N" for name, error in record["baselines_mae_N"].items()]
+    return "\n".join(lines)

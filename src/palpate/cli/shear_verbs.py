@@ -1,0 +1,134 @@
+"""The verb of shear: read touch on a patterned skin from its marks, frame by frame."""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from typer import Argument, Option
+
+from palpate.cli.verb_support import Quiet, progress_bar
+from palpate.core import Frame, InputError, Lens, Readings, new_folder, refuse_existing
+from palpate.core.sensor import sensor as find_sensor
+
+if TYPE_CHECKING:
+    from palpate.estimators.shear import ShearReader, TiledSkin
+    from palpate.live.shear_frames import TouchedFrame
+    from palpate.reports.shear_page import ShearPage
+
+HEAD = ("frame", "contacts", "x", "y", "edge", "gamma", "seen", "notes")
+FLAGS = ("slip", "damage")
+ROW = "{:<16} {:>8} {:>18} {:>18} {:>14} {:>8} {:>6}  {}"
+
+
+def shear(
+    source: Annotated[Path, Argument(help="Image, folder of images, run, video or multi-page TIFF.")],
+    reference: Annotated[Path, Option(help="Frame of the untouched skin; of several, the first is taken.")],
+    sensor: Annotated[str, Option(help="Sensor whose skin it is, e.g. nusense or nusense:7.")] = "nusense",
+    lens: Annotated[
+        Path | None, Option(help="Lens file of the camera, in place of the sensor's own.")
+    ] = None,
+    skin: Annotated[
+        Path | None, Option(help="TOML or JSON of a dotted skin, in place of the sensor's.")
+    ] = None,
+    calibration: Annotated[
+        Path | None, Option(help="Force calibration of this pad (palpate force fit): adds newtons.")
+    ] = None,
+    fields: Annotated[Path | None, Option(help="Folder to make: strain fields of each frame as NPZ.")] = None,
+    html: Annotated[Path | None, Option(help="Page with pictures to make; must not exist.")] = None,
+    json_: Annotated[bool, Option("--json", help="Print one JSON object a frame.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Read touch on a patterned skin from how its marks have moved.
+
+    Place, edge, contacts, rotation, shift and flags come without a calibration; newtons with one.
+
+    Example: palpate shear press.mp4 --reference untouched.png --sensor nusense --json
+    """
+    from palpate.calibration.shear import ShearCalibration
+    from palpate.live.shear_frames import ForceInTouch, first_frame, open_frames, read_touches, write_fields
+
+    for path in (fields, html):
+        if path is not None:
+            refuse_existing(path)
+    untouched = first_frame(reference)
+    reader = _reader(untouched, sensor, lens, skin)
+    force = None if calibration is None else ForceInTouch(ShearCalibration.load(calibration), reader)
+    with ExitStack() as stack:
+        frames = stack.enter_context(open_frames(source))
+        folder = stack.enter_context(new_folder(fields)) if fields else None
+        progress = stack.enter_context(progress_bar(quiet))
+        page = _page(source, reader, untouched) if html else None
+        if not json_:
+            typer.echo(ROW.format(*HEAD).rstrip())
+        for count, seen in enumerate(read_touches(frames, reader, force), 1):
+            typer.echo(json.dumps(seen.to_dict(), allow_nan=False) if json_ else _row(seen))
+            if folder:
+                write_fields(folder, seen)
+            if page:
+                page.take(seen.name, seen.frame, seen.touch, seen.reason)
+            progress("frames", count, len(frames))
+        if page and html:
+            page.write(html)
+
+
+def _page(source: Path, reader: ShearReader, untouched: Frame) -> ShearPage:
+    from palpate.reports.shear_page import ShearPage
+
+    return ShearPage(str(source), reader, untouched)
+
+
+def _reader(reference: Frame, sensor: str, lens: Path | None, skin: Path | None) -> ShearReader:
+    from palpate.estimators.lattice import read_skin
+    from palpate.estimators.shear import ShearReader
+
+    own = None if lens is None else Lens.read(lens)
+    if skin is not None:
+        return ShearReader(read_skin(skin), reference, own)
+    tiled = _tiled(sensor)
+    return ShearReader(tiled if own is None else replace(tiled, lens=own), reference)
+
+
+def _tiled(name: str) -> TiledSkin:
+    made = find_sensor(name)
+    describe = getattr(made, "shear_skin", None)
+    if describe is None:
+        raise InputError(
+            f"sensor {name!r} does not describe a patterned skin; nusense does, and another maker's dotted "
+            "skin is described by a file: --skin skin.toml"
+        )
+    return describe()
+
+
+def _row(seen: TouchedFrame) -> str:
+    """A line of the table."""
+    if seen.touch is None:
+        return ROW.format(seen.name[-16:], *["-"] * 6, seen.reason)
+    readings = seen.touch.readings
+    contacts, gamma, share = readings["contacts"], readings["gamma_ratio"], readings["seen_ratio"]
+    force = [_in_words(readings, "force")] if "force_N" in readings else []
+    notes = [f"{flag}: yes" for flag in FLAGS if readings[flag].value == "yes"]
+    return ROW.format(
+        seen.name[-16:],
+        contacts.value or "-",
+        *(_in_words(readings, axis) for axis in "xy"),
+        _in_words(readings, "edge"),
+        f"{gamma.value:.3f}" if gamma.valid else "-",
+        f"{100 * share.value:.0f} %",
+        "; ".join(filter(None, [*force, *notes, seen.touch.reason])),
+    ).rstrip()
+
+
+def _in_words(readings: Readings, quantity: str) -> str:
+    """A reading with half its interval, in mm, px or degrees; a dash where it is not valid."""
+    one = readings[quantity]
+    if not one.valid:
+        return "-"
+    shown = one.in_unit({"m": "mm", "rad": "deg"}.get(one.unit, one.unit))
+    half = (shown.high - shown.low) / 2
+    value = shown.value % shown.period if quantity == "edge" else shown.value
+    return f"{value:.2f} ± {half:.2f} {shown.unit}"

@@ -1,0 +1,186 @@
+"""Laws of a force calibration of a patterned skin, against the virtual pad's truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.virtual_shears import VirtualPad, slow_presses
+
+from palpate.calibration.shear import ForceFollower, ShearCalibration, calibrate_shear
+from palpate.calibration.shear.touch_cues import outward_moment
+from palpate.core import CertificateError, ExistsError, InputError, RangeError
+from palpate.estimators.lattice import ControlPoints
+from palpate.estimators.surface_strain import StrainMeter
+
+PAD = VirtualPad()
+SPEC = PAD.sensor.spec
+
+
+@pytest.fixture(scope="module")
+def presses():
+    return slow_presses(PAD, 150, 1, ("round", "flat"))
+
+
+@pytest.fixture(scope="module")
+def calibrated(presses):
+    return {law: fitted(presses, law) for law in ("published", "any-tip")}
+
+
+def fitted(presses, law="any-tip", **words):
+    return calibrate_shear(presses, PAD.reference, SPEC.lens, SPEC.camera_m, law=law, **words)
+
+
+@pytest.fixture(scope="module")
+def unseen():
+    return slow_presses(PAD, 80, 2, ("round", "flat"), low_n=1.3, high_n=7.7, shift=0.5)
+
+
+def errors(calibration, samples):
+    readings = [calibration.read(cues) for cues in samples.cues]
+    return np.array([r.value for r in readings]) - samples.force_n, readings
+
+
+def test_force_of_unseen_presses_comes_back(calibrated, unseen):
+    """Both tips, other places and forces: 0.15 N in the mean, where the published cue alone leaves more."""
+    off, readings = errors(calibrated["any-tip"], unseen)
+    baseline, _ = errors(calibrated["published"], unseen)
+    assert np.abs(off).mean() < 0.15
+    assert np.abs(baseline).mean() > 2 * np.abs(off).mean()
+    held = [r.contains(f) for r, f in zip(readings, unseen.force_n, strict=True) if r.valid]
+    assert len(held) > 70
+    assert 0.8 < np.mean(held) < 0.98
+
+
+def test_shuffled_forces_are_not_learnt(presses):
+    """The control: forces of other presses leave the spread of the forces themselves."""
+    mixed = replace(presses, force_n=np.random.default_rng(0).permutation(presses.force_n))
+    assert fitted(mixed).mae_n[0] > 0.8 * np.abs(presses.force_n - presses.force_n.mean()).mean()
+
+
+def test_a_moment_is_the_integral():
+    """U = c (X - X_c): the moment is c times the window's second moment, 4 pi c r^4."""
+    columns, rows = np.meshgrid(np.arange(31), np.arange(31))
+    cells = np.column_stack([columns.ravel(), rows.ravel()])
+    places = (cells - 15) * 2e-3
+    sigma = np.zeros(len(cells))
+    meter = StrainMeter(ControlPoints(cells, places, sigma, "m"), 3)
+    centre = np.array([1e-3, -2e-3])
+    fields = meter.fields(ControlPoints(cells, places + 0.01 * (places - centre), sigma, "m"))
+    assert outward_moment(fields, centre, 4e-3) == pytest.approx(4 * np.pi * 0.01 * (4e-3) ** 4, rel=1e-3)
+
+
+def test_a_reading_outside_the_calibration_is_not_valid(calibrated):
+    calibration = calibrated["any-tip"]
+    rng, meter = np.random.default_rng(4), PAD.meter()
+
+    def read(x, y, depth, tip="round"):
+        return calibration.read(meter.cues(PAD.marks(PAD.contact(tip, x, y, depth), rng)))
+
+    assert read(2e-3, 1e-3, 1.2e-3).valid
+    below, above, beside = read(0.0, 0.0, 0.45e-3), read(0.0, 0.0, 2.0e-3), read(19e-3, 1e-3, 1.2e-3)
+    two, none = read(0.0, 0.0, 1.0e-3, "two-points:6:16"), read(0.0, 0.0, 0.0)
+    for reading, word in ((below, "below"), (above, "above"), (beside, "beside"), (two, "2 contacts")):
+        assert not reading.valid
+        assert word in reading.why
+    assert not none.valid
+    assert none.value == 0.0
+    assert calibration.range_n[0] >= 1.0
+
+
+def test_a_kept_calibration_reads_the_same(calibrated, unseen, tmp_path):
+    calibration = calibrated["any-tip"]
+    path = tmp_path / "pad.npz"
+    calibration.save(path)
+    again = ShearCalibration.load(path)
+    assert again.id == calibration.id
+    for cues in unseen.cues[:5]:
+        assert again.read(cues).to_dict() == calibration.read(cues).to_dict()
+    with pytest.raises(ExistsError):
+        calibration.save(path)
+    assert replace(calibration, scale=1.01).id != calibration.id
+
+
+def test_a_damaged_file_is_refused(calibrated, tmp_path):
+    whole, cut, other = (tmp_path / name for name in ("whole.npz", "cut.npz", "other.npz"))
+    calibrated["any-tip"].save(whole)
+    cut.write_bytes(whole.read_bytes()[:-200])
+    np.savez(other, format=np.array(1), nothing=np.zeros(3))
+    for path in (cut, other):
+        with pytest.raises(CertificateError):
+            ShearCalibration.load(path)
+
+
+def test_marks_are_read_against_todays_reference(calibrated):
+    """A pattern that sits 0.3 px elsewhere today reads the same force, and its drift is told."""
+    calibration, rng = calibrated["any-tip"], np.random.default_rng(5)
+    contact = PAD.contact("round", 1e-3, 2e-3, 1.2e-3)
+    shift = np.array([0.6, 0.5])
+    moved, rest = PAD.marks(contact, rng), PAD.reference
+    today = ControlPoints(rest.cells, rest.places + shift, rest.sigma)
+    seen = ControlPoints(moved.cells, moved.places + shift, moved.sigma)
+    reading = ForceFollower(calibration, today).read(seen, 0.0)
+    assert reading.value == pytest.approx(contact.force_n, abs=0.3)
+    assert reading.drift.drifted
+    assert not ForceFollower(calibration, rest).read(moved, 0.0).drift.drifted
+
+
+def test_too_little_to_learn_from_is_refused(presses):
+    few = slow_presses(PAD, 8, 3)
+    with pytest.raises(InputError):
+        fitted(few, "published")
+    with pytest.raises(InputError):
+        fitted(presses, "cubic")
+    with pytest.raises(InputError):
+        fitted(presses, coverage=1.0)
+    with pytest.raises(InputError, match="without contact on"):
+        fitted(presses, hysteresis=True)
+
+
+def test_half_a_press_never_stands_on_both_sides():
+    """Held-out errors are by press: no frame is judged by a fit to its own press."""
+    from palpate.calibration.shear.force_interval import press_folds
+
+    press = np.repeat(np.arange(23), 10)
+    out = list(press_folds(press))
+    assert np.sum(out, axis=0).tolist() == [1] * len(press)
+    for fold in out:
+        assert not set(press[fold]) & set(press[~fold])
+
+
+def test_a_copy_has_wider_intervals_until_a_weight_is_laid(calibrated, unseen):
+    calibration = calibrated["any-tip"]
+    copy = calibration.on_copy(0.10)
+    for cues, force in zip(unseen.cues[:10], unseen.force_n, strict=False):
+        own, other = calibration.read(cues), copy.read(cues)
+        assert other.value == own.value
+        half, wide = (own.high - own.low) / 2, (other.high - other.low) / 2
+        assert wide == pytest.approx(np.hypot(half, 1.645 * 0.10 * own.value), rel=1e-3)
+        assert force > 0
+    with pytest.raises(RangeError):
+        calibration.on_copy(0.0)
+    with pytest.raises(RangeError):
+        calibration.weighed(unseen.cues[:1], 50.0)
+
+
+@pytest.mark.parametrize("number", ["4", "8"])
+def test_one_known_weight_tells_a_copys_stiffness(calibrated, number):
+    """A softer and a stiffer copy: within 0.15 N after, twice as far off before, within the wide interval."""
+    calibration, pad = calibrated["any-tip"], VirtualPad(number, 1)
+    samples = slow_presses(pad, 30, 5, ("round", "flat"), low_n=1.6, high_n=7.0)
+    weight = pad.contact("round", 0.0, 0.0, 1.2e-3)
+    laid = [pad.meter().cues(pad.marks(weight, np.random.default_rng(i))) for i in range(3)]
+    before, wide = errors(calibration.on_copy(), samples)
+    after, narrow = errors(calibration.weighed(laid, weight.force_n, 0.01 * weight.force_n), samples)
+    assert np.abs(after).mean() < min(0.15, 0.5 * np.abs(before).mean())
+    for readings in (wide, narrow):
+        assert np.mean([r.contains(f) for r, f in zip(readings, samples.force_n, strict=True)]) > 0.9
+    assert np.mean([r.high - r.low for r in narrow]) < 0.5 * np.mean([r.high - r.low for r in wide])
+
+
+def test_a_wrong_weight_is_carried_into_every_force(calibrated, unseen):
+    """The control: a weight told 20 % too heavy makes every force 20 % too great."""
+    calibration, cues = calibrated["any-tip"], unseen.cues[:1]
+    true = float(calibration.line.elastic_n(cues)[0])
+    right, wrong = (calibration.weighed(cues, share * true) for share in (1.0, 1.2))
+    for one in unseen.cues[:8]:
+        assert wrong.read(one).value == pytest.approx(1.2 * right.read(one).value)

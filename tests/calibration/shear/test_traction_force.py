@@ -1,0 +1,76 @@
+"""Laws of force from traction: the truth within its interval, which is as wide as what is not known."""
+
+import numpy as np
+import pytest
+from tests.virtual_shears import VirtualPad
+
+from palpate.calibration.shear import SkinDoubt, traction_readings
+from palpate.calibration.shear.traction_force import KNOWN, force_budget, stiffer, thicker_support
+from palpate.core import InputError, Pose, PressHistory, RangeError
+from palpate.estimators.surface_strain import PatternedSkin, recover_traction
+
+PAD = VirtualPad()
+SPEC = PAD.sensor.spec
+SKIN = PatternedSkin(SPEC.layers.stack, 2, SPEC.camera_m, SPEC.friction)
+LOAD_N = (1.2, -0.6)
+
+
+def fields(lateral=None, depth=1.4e-3):
+    history = PressHistory(lateral_n=lateral)
+    contact = PAD.sensor.press(PAD.sensor.probe("round"), Pose(4e-3, 2e-3, depth), history=history)
+    return PAD.meter().fields(PAD.marks(contact, np.random.default_rng(3))), contact
+
+
+def test_force_of_a_known_skin_lies_in_a_narrow_interval():
+    seen, contact = fields()
+    reading = traction_readings(seen, SKIN, KNOWN)["force_N"]
+    assert reading.valid
+    assert reading.contains(contact.force_n)
+    assert abs(reading.value / contact.force_n - 1) < 0.05
+    assert reading.high - reading.low < 0.1 * contact.force_n
+
+
+def test_a_wrong_modulus_is_held_by_the_doubt_alone():
+    """Of a skin 10 % stiffer than stated the narrow interval misses the force, the wide one holds it."""
+    seen, contact = fields()
+    wrong = stiffer(SKIN, -0.10)
+    assert not traction_readings(seen, wrong, KNOWN)["force_N"].contains(contact.force_n)
+    assert traction_readings(seen, wrong, SkinDoubt(0.10))["force_N"].contains(contact.force_n)
+
+
+def test_the_budget_is_what_each_change_does():
+    seen, _ = fields()
+    found = recover_traction(seen, SKIN)
+    budget = force_budget(seen, SKIN, SkinDoubt(0.10, 0.10, 0.10), "frictionless", found)
+    assert recover_traction(seen, stiffer(SKIN, 0.10)).force_n / found.force_n == pytest.approx(1.1, abs=0.01)
+    thick = recover_traction(seen, thicker_support(SKIN, 0.10)).force_n / found.force_n - 1
+    assert thick < -0.03  # a thicker gel moves as much under less
+    assert budget.support == pytest.approx(-thick)
+    assert budget.friction == 0.0
+    assert budget.total == pytest.approx(np.linalg.norm([budget.noise, budget.form, 0.10, budget.support]))
+
+
+def test_a_lateral_force_comes_back_with_friction_and_is_refused_without():
+    seen, contact = fields(LOAD_N)
+    refused = traction_readings(seen, SKIN)["force_N"]
+    assert not refused.valid
+    assert "another closure" in refused.why
+    readings = traction_readings(seen, SKIN, SkinDoubt(0.02, 0.1, 0.0), closure="coulomb")
+    for name, truth in zip(("force_x_N", "force_y_N"), LOAD_N, strict=True):
+        assert readings[name].value == pytest.approx(truth, abs=0.08)
+        assert readings[name].contains(truth)
+        assert not readings[name].contains(-truth)
+    assert readings["force_N"].contains(contact.force_n)
+
+
+def test_no_contact_is_no_force():
+    reading = traction_readings(fields(depth=0.0)[0], SKIN)["force_N"]
+    assert not reading.valid
+    assert reading.value == 0.0
+
+
+def test_doubts_are_shares():
+    with pytest.raises(RangeError):
+        SkinDoubt(modulus=10.0)
+    with pytest.raises(InputError):
+        traction_readings(fields()[0], SKIN, coverage=90)
