@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -14,7 +15,8 @@ import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
 
-from palpate.recordings import Run, check
+from palpate.core import StorageError
+from palpate.recordings import Manifest, Run, RunWriter, check
 from palpate.recordings.segments.mcap_file import HeldFile, McapFile
 
 FULL_DISK = """
@@ -159,3 +161,33 @@ def test_a_file_is_the_library_s_own_to_the_byte(tmp_path: Path, rng, chunk_byte
         mcap.finish()
         own.close()
     assert (tmp_path / "own").read_bytes() == (tmp_path / "theirs").read_bytes()
+
+
+@needs_room_held
+@pytest.mark.parametrize("fails_at", [1, 2], ids=["the first file", "the second file"])
+def test_a_segment_whose_beginning_never_fitted_is_no_segment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails_at: int
+) -> None:
+    path = tmp_path / "run"
+    with RunWriter.create(path, Manifest.new(sensor="s")) as writer:
+        writer.frame(np.zeros((4, 6), np.uint8))
+    hold, files = HeldFile.hold, set()
+
+    def full(self: HeldFile, count: int) -> None:
+        files.add(id(self))
+        if len(files) >= fails_at:
+            raise OSError(errno.ENOSPC, "no room")
+        hold(self, count)
+
+    before = sorted(one.name for one in path.iterdir())
+    for _ in range(2):
+        files.clear()
+        with monkeypatch.context() as patch:
+            patch.setattr(HeldFile, "hold", full)
+            with pytest.raises(StorageError):
+                RunWriter.resume(path)
+    assert sorted(one.name for one in path.iterdir()) == before
+    with RunWriter.resume(path) as writer:
+        writer.frame(np.ones((4, 6), np.uint8))
+    report = check(path)
+    assert (report.sound, report.frames, report.damage) == (True, 2, ())

@@ -48,8 +48,8 @@ class BenchStage:
 
     travel = Travel((-10e-3,) * 3, (10e-3,) * 3, 20e-3, 0.5, 0.005)
 
-    def __init__(self, log: str, opens_s: float = 0.0) -> None:
-        self._log = Path(log)
+    def __init__(self, log: str, opens_s: float = 0.0, moving_s: float = 0.0) -> None:
+        self._log, self._moving_s = Path(log), moving_s
         end_s = time.monotonic() + opens_s
         try:
             while time.monotonic() < end_s:
@@ -68,6 +68,7 @@ class BenchStage:
         self._note("move", position_m)
 
     def moving(self) -> bool:
+        time.sleep(self._moving_s)
         return self.position_m() != WORLD.pieces[-1][2]
 
     def stop(self) -> None:

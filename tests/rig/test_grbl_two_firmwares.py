@@ -10,21 +10,14 @@ from __future__ import annotations
 import math
 import time
 from contextlib import ExitStack
-from dataclasses import replace
 
 import pytest
 from tests.rig.grbl_talk import PATIENCE_S, Talk, fake, simulator
-from tests.rig.rigs import plan, rig, wanted
 
 from palpate.core import DeviceError, MonotonicClock, RangeError
-from palpate.devices import Limits
 from palpate.devices.check import check_stage
-from palpate.recordings import Run, check
-from palpate.rig import State, record
-from palpate.rig.plans import Listed
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
-from palpate.rig.virtual.straight_motion import standing
 
 SETTINGS = ("$20=0", "$22=0", "$21=0", "$13=0", "$10=1", "$100=250", "$101=250", "$102=250")
 MOTION = ("$120=50", "$121=50", "$122=50", "$110=1200", "$111=1200", "$112=1200", "$130=100", "$131=100")
@@ -249,26 +242,6 @@ def test_a_port_that_is_opened_anew_in_motion_is_stopped_and_its_place_unknown(w
         arrive(again)
 
 
-class Mirrored:
-    """A stage whose place a virtual world is told at each look, so that it presses a virtual skin."""
-
-    def __init__(self, stage, world) -> None:
-        self._stage, self._world = stage, world
-
-    def __getattr__(self, name):
-        return getattr(self._stage, name)
-
-    def position_m(self):
-        at = self._stage.position_m()
-        with self._world.lock:
-            self._world.move(standing(at, self._world.now_s))
-        return at
-
-    def moving(self) -> bool:
-        self.position_m()
-        return self._stage.moving()
-
-
 @pytest.mark.slow
 def test_the_driver_keeps_every_law_of_a_stage_on_firmware_however_slow(stage):
     box = ((-0.005,) * 3, (0.005,) * 3)
@@ -279,26 +252,3 @@ def test_the_driver_keeps_every_law_of_a_stage_on_firmware_however_slow(stage):
         stage, clock=MonotonicClock(), region_m=box, speed_m_s=4e-3, time_scale=pace, close=False
     )
     assert [one for one in found if not one.ok and one.name != "returns at once from move_to"] == []
-
-
-@pytest.mark.slow
-def test_a_small_plan_is_recorded_with_a_virtual_force_and_camera(where, tmp_path):
-    small = plan(
-        places=Listed(kind="listed", at_mm=((0.0, 0.0),)),
-        cycles=1, depth_mm=0.4, step_mm=0.2, frames=1,
-        clearance_mm=0.6, seek_mm_s=1.0, press_mm_s=1.0, travel_mm_s=10.0,
-    )  # fmt: skip
-    limits = Limits((-0.02,) * 3, (0.02, 0.02, 0.01), age_s=2.0, overshoot_m=0.2e-3)
-    with GrblStage.open(spec(where[0], least_m=(-0.03,) * 3, greatest_m=(0.03, 0.03, 0.012))) as stage:
-        stage.reference((0.0, 0.0, -0.002))
-        virtual = rig(clock=MonotonicClock(), limits=limits)
-        mixed = replace(virtual, stage=Mirrored(stage, virtual.stage._world))
-        outcome = record(mixed, small, tmp_path / "run")
-        assert outcome.state is State.DONE, outcome.message
-        assert stage.position_m()[2] <= -0.6e-3 + 1e-5  # lifted
-    run = Run.open(tmp_path / "run")
-    assert check(run.path).sound
-    assert set(run.labels["shot"].dropna()) == {shot for shot, _ in wanted(small)}
-    pressed = run.labels[run.labels["depth_mm"] > 0.3]
-    assert (pressed["force_N"] > 0.05).all()
-    assert len(pressed)

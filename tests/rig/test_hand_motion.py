@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from dataclasses import replace
 from typing import Any
 
@@ -154,6 +155,54 @@ def test_a_stage_that_cannot_be_lifted_is_not_homed_but_on_ones_word() -> None:
     assert stage.homed_from_m is None
     home_clear(stage, None, rig.mounting, rig.clock, lifted=True)
     assert stage.homed_from_m is not None
+
+
+class Numb:
+    """A force sensor that gives its noise alone, whatever it touches."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._sensor, self._noise = rig.force, random.Random(3)
+        self.rate_hz, self.range_n = rig.force.rate_hz, rig.force.range_n
+
+    def latest(self) -> Wrench:
+        return self.drain()[-1]
+
+    def close(self) -> None:
+        self._sensor.close()
+
+    def drain(self) -> list[Wrench]:
+        def noise() -> tuple[float, float, float]:
+            return self._noise.gauss(0, 0.005), self._noise.gauss(0, 0.005), self._noise.gauss(0, 0.005)
+
+        return [replace(one, force_n=noise(), torque_nm=noise()) for one in self._sensor.drain()]
+
+
+def test_homing_with_a_numb_sensor_still_starts_above_the_skin() -> None:
+    rig = in_contact(3e-3)
+    stage = Switched(rig)
+    found = home_clear(stage, Numb(rig), rig.mounting, rig.clock)
+    assert found is not None
+    assert found.lifted_mm == pytest.approx(8.0)
+    assert stage.homed_from_m == pytest.approx(3e-3 - 8e-3, abs=0.1e-3)
+
+
+@pytest.mark.parametrize("guarded", [False, True])
+def test_motion_that_no_force_bounds_is_sent_in_short_hops(guarded: bool) -> None:
+    rig = virtual_rig()
+    start, hops = rig.stage.position_m(), []
+    move_to = rig.stage.move_to
+
+    def noted(target: Any, speed_m_s: float) -> None:
+        hops.append(abs(target[2] - rig.stage.position_m()[2]))
+        move_to(target, speed_m_s)
+
+    rig.stage.move_to = noted  # type: ignore[method-assign]
+    jog(
+        rig.stage, rig.force if guarded else None, rig.mounting, rig.limits, rig.clock,
+        axis="z", distance_m=-3e-3, speed_m_s=2e-3,
+    )  # fmt: skip
+    assert rig.stage.position_m()[2] == pytest.approx(start[2] - 3e-3, abs=2e-5)
+    assert max(hops) < 0.51e-3
 
 
 def test_a_lift_that_leads_into_the_skin_is_stopped() -> None:

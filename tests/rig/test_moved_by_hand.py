@@ -20,7 +20,7 @@ from palpate.rig.commissioning.hand_motion import discard
 from palpate.rig.commissioning.rig_setup import _three_words
 from palpate.rig.commissioning.setup_answers import PromptAnswers, text, until_good
 from palpate.rig.plans import Grid, StepHold
-from palpate.rig.rig_file import MarlinPart, RigFile, open_rig
+from palpate.rig.rig_file import MarlinPart, open_rig
 
 
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
@@ -88,29 +88,6 @@ def test_whatever_a_driver_raises_is_an_error_of_the_device() -> None:
         raise ForeignExit
     with pytest.raises(KeyboardInterrupt), driver_errors("the driver failed"):
         raise KeyboardInterrupt
-
-
-STAGE = {"kind": "grbl", "port": "p"}
-LIMITS = BOX
-
-
-@pytest.mark.parametrize(
-    ("table", "least"),
-    [
-        ({"limits": LIMITS | {"step_mm": 1e-9}}, "step_mm is 1e-09, and 0.005"),
-        ({"limits": LIMITS | {"force_rate_N_s": 1e-9}}, "force_rate_N_s is 1e-09, and 1 "),
-        ({"limits": LIMITS | {"overshoot_mm": 1e-6}}, "overshoot_mm is 1e-06, and 0.005"),
-        (
-            {"stage": {"kind": "grbl", "port": "p", "top_speed_mm_s": 1e-9}},
-            "top_speed_mm_s is 1e-09, and 0.05",
-        ),
-        ({"stage": {"kind": "grbl", "port": "p", "latency_s": 1e-12}}, "latency_s is 1e-12, and 0.001"),
-        ({"regions": [{"name": "a", "box_px": [0, 0, -3, 5]}]}, "box_px"),
-    ],
-)
-def test_absurdly_small_values_of_a_rigs_file_are_refused(table: dict[str, Any], least: str) -> None:
-    with pytest.raises(ValidationError, match=least):
-        RigFile.model_validate({"name": "lab"} | table)
 
 
 def test_a_plan_in_steps_smaller_than_any_stage_makes_is_refused() -> None:

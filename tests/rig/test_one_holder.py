@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from contextlib import closing
@@ -12,6 +13,7 @@ import pytest
 from tests.rig.lab_files import EchoModem, environment, lab_file, palpate, served
 
 from palpate.core import DeviceError
+from palpate.rig.commissioning import bench
 from palpate.rig.real import device_hold, serial_port
 from palpate.rig.real.device_hold import box_named, camera_named, hold_device, port_named
 from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
@@ -132,3 +134,39 @@ def test_a_port_that_is_given_back_can_be_opened_again_at_once(tmp_path: Path) -
     with lab_file(tmp_path) as lab:
         for _ in range(3):
             open_rig(lab.write()).close()
+
+
+HOLDER = """
+import signal, sys, time
+from palpate.rig.real.device_hold import hold_device, port_named
+held = hold_device(port_named(sys.argv[1]))
+if sys.argv[2] == "deaf":
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+print("held", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("manner", ["hears", "deaf"])
+def test_a_stop_ends_whoever_has_the_port_then_stops_the_stage_or_says_that_it_could_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, manner: str
+) -> None:
+    monkeypatch.setattr(bench, "LET_GO_S", 1.0 if manner == "deaf" else 20.0)
+    with lab_file(tmp_path) as lab, subprocess.Popen(
+        [sys.executable, "-c", HOLDER, lab.terminal.path, manner],
+        stdout=subprocess.PIPE, text=True, env=environment(),
+    ) as other:  # fmt: skip
+        try:
+            assert other.stdout
+            assert other.stdout.readline() == "held\n"
+            if manner == "hears":
+                assert f"process {other.pid}, which had the stage, was told to end" in bench.stop_rig(
+                    lab.write()
+                )
+                assert other.wait(5) == -signal.SIGTERM
+            else:
+                with pytest.raises(DeviceError, match=rf"in use by process {other.pid} .*not known to stand"):
+                    bench.stop_rig(lab.write())
+                assert other.poll() is None
+        finally:
+            other.kill()

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +16,14 @@ from palpate.core import MonotonicClock
 from palpate.core.errors import DeviceError, InputError
 from palpate.devices.motion_limits import Reason
 from palpate.devices.rpc import path_of
+from palpate.devices.supervisor.guard_messages import encode_message
 from palpate.rig import State, open_rig, record
 from palpate.rig.fakes.grbl_parameters import GrblParameters
 from palpate.rig.fakes.netft_box import FakeNetFT
-from palpate.rig.rig_file import GrblPart, read_rig
+from palpate.rig.rig_file import GrblPart, opened_rig, read_rig
+from palpate.rig.rig_file.motion_parts import LimitsPart
 from palpate.rig.service import rig_name, served_rig
+from palpate.rig.virtual import virtual_rig
 from palpate.rig.virtual.virtual_bench import REAL_TIME_AGE_S
 
 REAL = """
@@ -191,3 +197,115 @@ def test_what_a_file_says_of_a_stage_without_switches_reaches_its_driver(grbl_be
         assert stage.travel.greatest_m == pytest.approx((0.01,) * 3)
     finally:
         stage.close()
+
+
+TOO_SMALL = [
+    ("limits", "step_mm", 1e-9, "mm"),
+    ("limits", "force_rate_N_s", 1e-9, "N/s"),
+    ("limits", "overshoot_mm", 1e-9, "mm"),
+    ("limits", "age_s", 1e-9, "s"),
+    ("stage", "top_speed_mm_s", 1e-9, "mm/s"),
+    ("stage", "latency_s", 1e-9, "s"),
+    ("stage", "stop_s", 1e-9, "s"),
+    ("force", "silence_s", 1e-9, "s"),
+]
+
+
+@pytest.mark.parametrize(("table", "field", "value", "unit"), TOO_SMALL)
+def test_a_value_too_small_to_record_with_is_refused_with_field_floor_and_unit(
+    tmp_path: Path, table: str, field: str, value: float, unit: str
+) -> None:
+    text = REAL.format(rdt=1, http=1).replace(f"[{table}]\n", f"[{table}]\n{field} = {value}\n")
+    path = tmp_path / "rig.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=rf"{table}.*{field} is 1e-09.* {re.escape(unit)} or more"):
+        read_rig(path)
+
+
+@pytest.mark.parametrize("box", [[0, 0, -5, 5], [0, 0, 5, 0], [-1, 0, 5, 5]])
+def test_a_region_without_a_size_or_outside_the_picture_is_refused(tmp_path: Path, box: list[int]) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(REAL.format(rdt=1, http=1) + f'[[regions]]\nname = "part"\nbox_px = {box}\n')
+    with pytest.raises(InputError, match=r"box_px of 'part'"):
+        read_rig(path)
+
+
+@pytest.mark.parametrize("host", ["\\u0000", "a\\u2028b", "x" * 300, ""])
+def test_a_host_that_is_none_is_refused_by_its_field(tmp_path: Path, host: str) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(REAL.format(rdt=1, http=1).replace("127.0.0.1", host))
+    with pytest.raises(InputError, match=r"force\.host: .* is no host"):
+        read_rig(path)
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [
+        {"least_mm": (-30.0, -30.0, -20.0), "greatest_mm": (30.0, 30.0, -25.0)},
+        {"least_mm": (-3000.0, -30.0, -20.0), "greatest_mm": (30.0, 30.0, 8.0)},
+        {"least_mm": (-1.0, -1.0, -1.0), "greatest_mm": (1.0, 1.0, 1.0), "force_N": 49.0},
+    ],
+    ids=["least above greatest", "outside the travel", "force above the range"],
+)
+def test_limits_that_cannot_be_kept_are_refused_before_the_stage_is_homed(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, limits: dict[str, Any]
+) -> None:
+    moved: list[str] = []
+    one = virtual_rig()
+    monkeypatch.setattr(opened_rig, "home_clear", lambda *_, **__: moved.append("homed"))
+    monkeypatch.setattr(
+        opened_rig, "open_part", lambda role, *_: {"stage": one.stage, "force": SmallForce(one.force)}[role]
+    )
+    path = tmp_path / "rig.toml"
+    path.write_text(REAL.format(rdt=1, http=1).replace("[stage]\n", "[stage]\nhome = true\n"))
+    file = read_rig(path)
+    sound = file.model_copy(update={"limits": LimitsPart(least_mm=(-1, -1, -1), greatest_mm=(1, 1, 1))})
+    with ExitStack() as opened:
+        opened_rig.open_guarded(sound, one.clock, opened)
+    assert moved == ["homed"]
+    wrong = file.model_copy(update={"limits": LimitsPart(**limits)})
+    with pytest.raises(InputError, match="limits"), ExitStack() as opened:
+        opened_rig.open_guarded(wrong, one.clock, opened)
+    assert moved == ["homed"]
+
+
+class SmallForce:
+    """A force sensor that measures to 25 N."""
+
+    range_n = (25.0, 25.0, 25.0)
+
+    def __init__(self, force: Any) -> None:
+        self._force = force
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._force, name)
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_client_that_goes_at_a_refusal_leaves_no_traceback(tmp_path: Path) -> None:
+    fields = read_rig_fields(tmp_path)
+    for _ in range(3):
+        process = subprocess.Popen(
+            [sys.executable, *opened_rig.SUPERVISOR],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdin.write(encode_message({"rig": fields, "name": str(tmp_path)}))
+        process.stdin.flush()
+        assert b'"ok"' in process.stdout.readline()
+        process.stdin.close()
+        process.wait(20)
+        with process.stdout, process.stderr:
+            assert b"Traceback" not in process.stderr.read()
+
+
+def read_rig_fields(folder: Path) -> dict[str, Any]:
+    path = folder / "rig.toml"
+    path.write_text(REAL.format(rdt=1, http=1))
+    return read_rig(path).model_dump(mode="json")

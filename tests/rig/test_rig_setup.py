@@ -12,12 +12,14 @@ from typing import Any
 
 import pytest
 from tests.rig.conftest import GrblBench
+from typer.testing import CliRunner
 
+from palpate.cli import app
 from palpate.core import Clock, MonotonicClock, Wrench
 from palpate.core.errors import DeviceError, ExistsError, InputError, RangeError
 from palpate.devices.motion_limits import Tripped
 from palpate.rig.commissioning.rig_setup import PRESS_MM_S, set_up
-from palpate.rig.commissioning.setup_answers import FileAnswers
+from palpate.rig.commissioning.setup_answers import FileAnswers, PromptAnswers
 from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.fakes.netft_box import FakeNetFT, FakePage
 from palpate.rig.fakes.video_capture import FakeVideoCapture
@@ -208,6 +210,71 @@ def test_a_setup_that_may_move_nothing_writes_what_it_found_and_says_what_it_did
     said = " ".join(made.unchecked)
     for word in ("sign", "scale", "surface", "rig check", "'typo'", "force_options"):
         assert word in said
+
+
+class Leading(LabAnswers):
+    """Somebody who leads the probe in steps."""
+
+    def __init__(self, lab: Lab, answers: dict[str, Any], steps: list[Any]) -> None:
+        super().__init__(lab, answers)
+        self.steps, self.told = steps, list[str]()
+
+    def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
+        if name == "above_mm":
+            self.told.append(str(proposal))
+            return self.steps.pop(0) if self.steps else proposal
+        return super().ask(name, question, proposal, words=words)
+
+    def again(self, why: str) -> bool:
+        self.told.append(why)
+        return True
+
+
+def test_a_person_leads_the_probe_over_the_skin_in_steps_and_is_told_where_it_stands(tmp_path: Path) -> None:
+    with lab() as one:
+        given = answers_of(one, mass_g=0)._answers
+        led = Leading(one, given, ["x 0.5", "z 80", "y-0.5", "x 999", "nowhere"])
+        set_up(tmp_path / "rig.toml", led, lambda line: None)
+        file = tomllib.loads((tmp_path / "rig.toml").read_text())
+    assert file["origin_mm"] == pytest.approx([-49.5, 49.5, SURFACE_MM], abs=0.25)
+    said = "\n".join(led.told)
+    assert "[-49.5, 50.0" in said
+    assert "50 mm are the most" in said
+    assert "give three numbers" in said
+
+
+def test_a_step_in_a_file_of_answers_is_refused_after_it_and_not_repeated(tmp_path: Path) -> None:
+    with lab() as one, pytest.raises(InputError, match="three numbers"):
+        set_up(tmp_path / "rig.toml", answers_of(one, above_mm="x 0.5"), lambda line: None)
+    assert one.bench.place_mm[0] == pytest.approx(-49.5, abs=0.01)
+
+
+def test_the_version_of_a_firmware_that_said_no_banner_is_asked_for(tmp_path: Path) -> None:
+    with lab() as one:
+        _, file, said = walked(one, tmp_path / "rig.toml", may_move=False, mass_g=0, stage_baud=57600)
+    assert "version 1.1h" in said
+    assert file["stage"]["baud"] == 57600
+
+
+def test_what_a_person_answered_before_a_setup_failed_is_kept_and_gone_on_with(
+    tmp_path: Path,
+) -> None:
+    typed = "\n".join(["bench 7", "", "", "/dev/no-such-port", "", "0.1", "", ""])
+    out = tmp_path / "rig.toml"
+    ended = CliRunner().invoke(app, ["rig", "setup", "--out", str(out)], input=typed)
+    assert ended.exit_code != 0
+    kept = tmp_path / "rig.answers.toml"
+    assert str(kept) in ended.stderr
+    answers = tomllib.loads(kept.read_text())
+    assert answers["name"] == "bench 7"
+    assert "may_move" not in answers
+    assert not out.exists()
+    person = PromptAnswers(read=lambda question: "typed")
+    asked = FileAnswers.read(kept, person=person)
+    assert asked.ask("name", "Name") == "bench 7"
+    assert asked.ask("host", "Host") == "typed"
+    assert asked.again("not that")
+    assert asked.ask("name", "Name") == "bench 7"
 
 
 @pytest.mark.slow

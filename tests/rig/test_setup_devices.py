@@ -181,11 +181,11 @@ def test_counts_are_not_believed_after_a_start_nor_with_dtr(tmp_path: Path) -> N
         with pytest.raises(InputError, match=r"dtr = true.*home = true"):
             open_rig(lab_.write(stage={"dtr": True}))
         with lab_.terminal.lock:
-            lab_.stage.model = type(lab_.stage.model)(settings=lab_.stage.model.settings, boot_s=2.5)
+            lab_.stage.model = type(lab_.stage.model)(settings=lab_.stage.model.settings, boot_s=8.0)
             lab_.stage.settings[22] = 0
             lab_.stage.settings[20] = 0
         boots = {
-            "boot_s": 6.0,
+            "boot_s": 20.0,
             "require_homed": False,
             "least_mm": [-90, 10, 10],
             "greatest_mm": [-10, 90, 35],

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import closing, contextmanager
@@ -22,9 +23,10 @@ from palpate.devices import ForceBias, ForceReached, OperatorCommand, OperatorCo
 from palpate.devices.motion_guard import Clearance
 from palpate.devices.rpc import supervisor_name
 from palpate.devices.rpc_client import RpcClient
-from palpate.devices.supervisor import SupervisedGuard, guard_supervisor
+from palpate.devices.supervisor import SupervisedGuard, guard_supervisor, supervisor_link
 from palpate.recordings import Run
 from palpate.rig import State, open_rig, record
+from palpate.rig.commissioning.bench import stop_rig
 from palpate.rig.plans import Listed, StepHold
 from palpate.rig.rig import Rig
 from palpate.rig.service.rig_client import RigClient, launch
@@ -74,6 +76,10 @@ class Supervised:
     def __init__(self, folder: Path, stage: str = "", camera: str = "") -> None:
         self.path, self.log = folder / "rig.toml", folder / "stage.jsonl"
         self.path.write_text(RIG.format(log=self.log, stage=stage, camera=camera))
+
+    def opens_at_once(self) -> None:
+        """From now on: for whoever opens it next."""
+        self.path.write_text(RIG.format(log=self.log, stage="", camera=""))
 
     def noted(self, what: str) -> list[dict[str, Any]]:
         lines = self.log.read_text().splitlines() if self.log.exists() else []
@@ -264,6 +270,56 @@ def test_a_supervisor_that_dies_is_told_at_once_and_by_name(supervised) -> None:
         assert time.monotonic() - begun_s < 2.0
 
 
+def test_a_supervisor_that_hangs_is_told_once_within_seconds_and_then_at_once(supervised) -> None:
+    rig = open_rig(str(supervised().path))
+    assert rig.supervisor is not None
+    control = OperatorControl()
+    guard = guarded(rig, control)
+    os.kill(rig.supervisor.pid, signal.SIGSTOP)
+    try:
+        begun_s = time.monotonic()
+        with pytest.raises(Tripped, match="rig's switch") as tripped:
+            guard.towards((0.0, 0.0, 1 * MM), 1 * MM)
+        first_s = time.monotonic() - begun_s
+        assert tripped.value.reason is Reason.SUPERVISOR
+        for ask in (guard.lift, guard.position_m, guard.halt):
+            with pytest.raises(Tripped, match="rig's switch"):
+                ask()
+        with pytest.raises(DeviceError, match="switch"):
+            rig.close()
+        assert time.monotonic() - begun_s < first_s + 5.0, "after the first silence nothing is waited for"
+        assert first_s < 15.0
+    finally:
+        awake(rig.supervisor.pid)
+
+
+def test_a_supervisor_whose_device_is_slow_is_not_taken_for_one_that_hangs(supervised, monkeypatch) -> None:
+    monkeypatch.setattr(supervisor_link, "PROBE_S", 0.1)
+    monkeypatch.setattr(supervisor_link, "SILENT_S", 1.0)
+    with opened(supervised(stage="moving_s = 2.5")) as rig:
+        assert rig.supervisor is not None
+        assert rig.supervisor.ask("moving") is False
+
+
+def test_an_emergency_stop_shortens_the_wait_for_a_supervisor_that_hangs(supervised, monkeypatch) -> None:
+    monkeypatch.setattr(supervisor_link, "SILENT_S", 50.0)
+    rig = open_rig(str(supervised().path))
+    assert rig.supervisor is not None
+    control = OperatorControl()
+    guard = guarded(rig, control)
+    os.kill(rig.supervisor.pid, signal.SIGSTOP)
+    try:
+        control.ask(OperatorCommand.ESTOP)  # the second Ctrl-C
+        begun_s = time.monotonic()
+        with pytest.raises(Tripped, match="rig's switch"):
+            guard.towards((0.0, 0.0, 1 * MM), 1 * MM)
+        with pytest.raises(DeviceError, match="switch"):
+            rig.close()
+        assert time.monotonic() - begun_s < 20.0
+    finally:
+        awake(rig.supervisor.pid)
+
+
 def test_anybody_of_the_same_user_may_stop_it_past_its_client(supervised) -> None:
     bench = supervised()
     with child(bench, MOVES) as client, RpcClient(supervisor_name(str(bench.path))) as anybody:
@@ -278,11 +334,58 @@ def test_anybody_of_the_same_user_may_stop_it_past_its_client(supervised) -> Non
 
 
 @pytest.mark.slow
+def test_a_stop_while_a_stage_homes_ends_that_and_says_so(supervised) -> None:
+    bench = supervised(stage="opens_s = 60.0")
+    with subprocess.Popen([sys.executable, "-c", code_of(""), str(bench.path)], cwd=REPOSITORY) as client:
+        wait_for(lambda: bench.noted("opens"))
+        bench.opens_at_once()
+        said = stop_rig(str(bench.path))
+        assert "opening the rig was ended" in said
+        assert bench.noted("abandoned")
+        assert client.wait(20) != 0
+
+
+def test_ctrl_c_while_a_stage_homes_ends_that(supervised) -> None:
+    bench = supervised(stage="opens_s = 60.0")
+    with subprocess.Popen([sys.executable, "-c", code_of(""), str(bench.path)], cwd=REPOSITORY) as client:
+        wait_for(lambda: bench.noted("opens"))
+        client.send_signal(signal.SIGINT)
+        wait_for(lambda: bench.noted("abandoned"))
+        client.wait(20)
+
+
+def test_a_stop_past_a_supervisor_that_hangs_opens_no_second_stage_and_says_that_it_stopped_nothing(
+    supervised,
+) -> None:
+    bench = supervised()
+    rig = open_rig(str(bench.path))
+    assert rig.supervisor is not None
+    os.kill(rig.supervisor.pid, signal.SIGSTOP)
+    try:
+        with pytest.raises(DeviceError, match=r"nothing was stopped.*switch"):
+            stop_rig(str(bench.path))
+        assert not bench.noted("stop")
+        assert not bench.noted("close")
+    finally:
+        os.kill(rig.supervisor.pid, signal.SIGCONT)
+    rig.close()
+
+
 def test_one_rig_has_one_supervisor_and_the_next_waits_until_it_has_let_go(supervised, monkeypatch) -> None:
     bench = supervised()
     with opened(bench), pytest.raises(DeviceError, match=r"process \d+ drives the rig"):
         open_rig(str(bench.path))
     open_rig(str(bench.path)).close()
+
+
+def awake(pid: int) -> None:
+    """Let a process that hung go on, and wait until it has ended."""
+    os.kill(pid, signal.SIGCONT)
+    wait_for(lambda: not Path(f"/proc/{pid}").exists() and not lingering())
+
+
+def lingering() -> list[str]:
+    return [one.name for one in threading.enumerate() if one.name == "palpate-supervisor-end"]
 
 
 def code_of(then: str) -> str:

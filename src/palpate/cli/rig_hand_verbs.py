@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -44,8 +45,9 @@ def home(
 ) -> None:
     """Home the stage, after the probe was lifted by force.
 
-    The probe is lifted in steps until the force no longer changes, 20 mm at most; only then does the stage
-    run to its switches. Without a force sensor, and where the lift is refused, it is not homed.
+    The probe is lifted in steps until the force no longer changes, by 8 mm at least and some 20 mm at most;
+    only then does the stage run to its switches. A numb sensor reads as air does, so look first. Without a
+    force sensor, and where the lift is refused, it is not homed.
 
     Example: palpate rig home bench.toml
     """
@@ -61,7 +63,8 @@ def home(
         at_mm = [round(1e3 * d, 4) for d in stage.position_m()]
     lift_mm = None if found is None else found.lifted_mm
     text = f"{rig}: homed, at ({', '.join(f'{d:g}' for d in at_mm)}) mm"
-    text += "" if lift_mm is None else f", after a lift of {lift_mm:.1f} mm"
+    if lift_mm is not None:
+        text += f", after a lift of {lift_mm:.1f} mm to a flat force, as a numb sensor gives too"
     print_found({"rig": rig, "position_mm": at_mm, "lifted_mm": lift_mm}, text, json_)
 
 
@@ -121,7 +124,8 @@ def stop(rig: RigName, json_: Json = False) -> None:
     """Stop the stage at once.
 
     Through the process that holds the rig, where one does, as the page's emergency stop; through the
-    supervisor of a recording; else on the stage's own port. It is no substitute for a switch.
+    supervisor of a recording, also while that homes; else on the stage's own port, and a process that has
+    that is told to end first. It is no substitute for a switch.
 
     Example: palpate rig stop bench.toml
     """
@@ -176,11 +180,32 @@ def zero(rig: RigName, json_: Json = False) -> None:
     print_found({"rig": rig, **asdict(found)}, text, json_)
 
 
+@contextmanager
+def _answers_kept(out: Path, asked: Any) -> Iterator[None]:
+    """Where a setup ends early, keep what was answered beside the file that was to be."""
+    from palpate.core.files import new_file
+    from palpate.rig.commissioning.setup_answers import kept_answers
+    from palpate.rig.commissioning.toml_text import toml_text
+
+    try:
+        yield
+    except BaseException:
+        kept = kept_answers(asked.given)
+        if kept and not out.exists():
+            names = (out.with_suffix(f".answers{i or ''}.toml") for i in range(100))
+            free = next(name for name in names if not name.exists())
+            with new_file(free) as path:
+                path.write_text(toml_text(kept), encoding="utf-8")
+            typer.echo(f"your answers are kept: palpate rig setup --out {out} --answers {free}", err=True)
+        raise
+
+
 @rig_app.command()
 def setup(
     out: Annotated[Path, Option(help="Rig file to make; must not exist.")],
     answers: Annotated[
-        Path | None, Option(help="TOML file of answers, name = value; nothing is asked then.")
+        Path | None,
+        Option(help="TOML file of answers, name = value; the rest is asked at a terminal."),
     ] = None,
     yes: Annotated[bool, Option("--yes", help="Take what is proposed wherever something is.")] = False,
     json_: Json = False,
@@ -193,10 +218,11 @@ def setup(
     Example: palpate rig setup --out bench.toml
     """
     from palpate.rig.commissioning.rig_setup import set_up
-    from palpate.rig.commissioning.setup_answers import FileAnswers, PromptAnswers
+    from palpate.rig.commissioning.setup_answers import Answers, FileAnswers, PromptAnswers
 
-    asked = PromptAnswers(yes=yes) if answers is None else FileAnswers.read(answers, yes=yes)
-    with stopped_by_signals():
+    person = PromptAnswers(yes=yes) if answers is None or sys.stdin.isatty() else None
+    asked: Answers = FileAnswers.read(answers, yes=yes, person=person) if answers else PromptAnswers(yes=yes)
+    with stopped_by_signals(), _answers_kept(out, asked):
         found = set_up(out, asked, lambda line: typer.echo(line, err=True))
     wrong = [one for one in found.checks if not one.ok]
     lines = [f"wrong: {one.name}: {one.message}" for one in wrong]

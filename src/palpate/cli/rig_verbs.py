@@ -69,6 +69,10 @@ def record(
     text = f"{out}: {outcome.state.value}, {outcome.shots} of {outcome.planned} shots"
     if outcome.clocks is not None:
         text += f"\n{_late(outcome.clocks)}"
+    if outcome.zero_moved_n is not None:
+        text += f"\nthe force sensor's zero moved by at most {outcome.zero_moved_n:.4f} N over a press"
+    if outcome.void_shots:
+        text += f"\n{outcome.void_shots} shots were taken back, since the force sensor's zero moved too far"
     if outcome.state is not State.DONE:
         reason = f" ({outcome.reason.value})" if outcome.reason else ""
         text += f"{reason}: {outcome.message}\nthe same command goes on at the first missing shot"

@@ -26,6 +26,16 @@ PositionColumn = Annotated[str | None, Option(help="Its column of position, if n
 ForceRate = Annotated[float | None, Option(help="Rate of its rows [Hz], if it has no time_s.")]
 
 
+INTERRUPTED = "stopped; nothing half-written is left, and a calibration goes on where it was"
+INTERRUPTED_STAGE = (
+    "interrupted: a jog is stopped, and the probe is not lifted but stays where it is, perhaps in contact. "
+    "Look whether the stage stands; `palpate rig stop` stops it, `palpate rig status` says where it is, and "
+    "after a homing that was interrupted its place is not to be believed until it is homed"
+)
+MOVING = ("home", "jog")
+"""Verbs that move a stage by hand."""
+
+
 class Group(TyperGroup):
     """Commands under their headings, each with the whole first sentence of its help."""
 
@@ -34,7 +44,7 @@ class Group(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as e:
-            end = "stopped; nothing half-written is left, and a calibration goes on where it was"
+            end = INTERRUPTED if ctx.invoked_subcommand not in MOVING else INTERRUPTED_STAGE
             typer.echo(f"palpate: {end}", err=True)
             raise typer.Exit(130) from e
         except SystemExit as e:  # a verb ends by typer.Exit: this is of a plug-in, and may claim success

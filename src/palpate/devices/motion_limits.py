@@ -23,6 +23,7 @@ class Reason(StrEnum):
     FORCE_STUCK = "force-stuck"  # it repeats one sample
     FORCE_REVERSED = "force-reversed"
     FORCE_SCALED = "force-scaled"  # its scale has changed since the air
+    FORCE_DRIFT = "force-drift"  # its zero moved while it pressed
     FORCE_LATE = "force-late"  # samples are held back on their way
     FORCE_SLOW = "force-slow"  # fewer samples come than it states
     FORCE_IMPLAUSIBLE = "force-implausible"  # no motion explains it, and nothing else of these

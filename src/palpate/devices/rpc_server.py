@@ -25,7 +25,11 @@ MAX_REPLIES = 1000  # that a client may leave unread
 
 
 class Outbox:
-    """Sends from a thread of its own, so that a client that does not read holds nobody up."""
+    """Sends from a thread of its own, so that a client that does not read holds nobody up.
+
+    Attributes:
+        sent: nothing is sent any more: all was, or the client has gone.
+    """
 
     def __init__(self, to: socket.socket, give_up: Callable[[], None]) -> None:
         self._socket = to
@@ -35,6 +39,7 @@ class Outbox:
         self._pushes: dict[str, bytes] = {}
         self._closed = False
         self.pictured = False
+        self.sent = threading.Event()
         threading.Thread(target=self._send, name="palpate-rpc-outbox", daemon=True).start()
 
     def reply(self, message: Mapping[str, Any]) -> None:
@@ -61,12 +66,13 @@ class Outbox:
 
     def _send(self) -> None:
         with self._socket:
-            while (line := self._next()) is not None:
-                try:
+            try:
+                while (line := self._next()) is not None:
                     self._socket.sendall(line)
-                except OSError:
-                    return self._give_up()
-            return self._give_up()
+            except OSError:
+                pass  # it has gone
+            self.sent.set()
+            self._give_up()
 
     def _next(self) -> bytes | None:
         with self._changed:
@@ -80,6 +86,7 @@ class Outbox:
 
 HOST = "127.0.0.1"
 TOLD_S = 0.2  # between two pushes
+ANSWERED_S = 0.5  # in which a client that is let go of takes its last answers
 AUTH_S = 5.0  # in which a client says the token
 MAX_CLIENTS = 32
 MAX_WAITING = 8  # slow requests of one client
@@ -126,13 +133,17 @@ class RpcServer:
             threading.Thread(target=work, name=f"palpate-rpc{work.__name__}", daemon=True).start()
 
     def close(self) -> None:
-        """Let go of every client; the service goes on."""
+        """Let go of every client, after what it asked last has been answered; the service goes on."""
         self._closing.set()
         self._news.set()
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
-        for client in self._all():
+        clients, late_s = self._all(), time.monotonic() + ANSWERED_S
+        for client in clients:
+            client.hear_no_more()
+        for client in clients:
+            client.outbox.sent.wait(max(0.0, late_s - time.monotonic()))
             client.drop()
 
     def nudge(self) -> None:
@@ -212,6 +223,11 @@ class _Connection:
     def drop(self) -> None:
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
+
+    def hear_no_more(self) -> None:
+        """Read nothing more; what was asked before is still answered."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RD)
 
     def _read(self) -> None:
         lines, late_s = Lines(ASKED_BYTES), time.monotonic() + AUTH_S

@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from palpate.recordings.clock_offset import Offset, offset_between
+    from palpate.recordings.clock_offset import Offset, mean_over_exposures, offset_between
     from palpate.recordings.exchange.folder_export import export_folder
     from palpate.recordings.exchange.image_files import read_image
     from palpate.recordings.exchange.image_import import ImportReport, import_images
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _MODULES = {
     name: module
     for module, names in {
-        "clock_offset": ("Offset", "offset_between"),
+        "clock_offset": ("Offset", "mean_over_exposures", "offset_between"),
         "exchange.folder_export": ("export_folder",),
         "exchange.image_files": ("read_image",),
         "exchange.image_import": ("ImportReport", "import_images"),
@@ -51,6 +51,7 @@ __all__ = [
     "check",
     "export_folder",
     "import_images",
+    "mean_over_exposures",
     "offset_between",
     "pack",
     "read_image",

@@ -13,7 +13,7 @@ import numpy as np
 
 from palpate.core import NS_PER_S, PathText, RecordingError, new_folder
 from palpate.recordings.manifest import Manifest, StoredManifest
-from palpate.recordings.run_reader import Run
+from palpate.recordings.run_reader import ZERO_MOVED, Run
 from palpate.recordings.run_writer import DROPPED
 from palpate.recordings.segments import (
     EVENTS,
@@ -67,6 +67,8 @@ class CheckReport:
         duplicated_frames: how many frames equal the one before, as of a camera that froze.
         orphan_frames: how many frames have no record of their labels, as after a kill between the two.
         orphan_records: how many such records have no frame.
+        void_frames: how many frames were taken back, since the force sensor's zero moved while it pressed.
+        zero_moved_N: most that the zero moved over a press [N]; None where that was not measured.
         damage: what is not as it was written.
         sound: whether nothing is damaged.
     """
@@ -84,6 +86,8 @@ class CheckReport:
     duplicated_frames: int
     orphan_frames: int
     orphan_records: int
+    void_frames: int
+    zero_moved_N: float | None  # noqa: N815
     damage: tuple[Damage, ...]
     sound: bool
 
@@ -121,6 +125,8 @@ def check(path: PathText) -> CheckReport:
         duplicated_frames=_duplicated(run),
         orphan_frames=sum(frames for frames, _ in orphans),
         orphan_records=sum(records for _, records in orphans),
+        void_frames=run.void_frames,
+        zero_moved_N=_zero_moved_n(run),
         damage=run.damage,
         sound=not run.damage,
     )
@@ -158,6 +164,18 @@ def _dropped(run: Run) -> dict[str, int]:
         for name, count in last.items():
             total[name] = total.get(name, 0) + count
     return total
+
+
+def _zero_moved_n(run: Run) -> float | None:
+    """Most that the force sensor's zero moved over a press; None where no event says so."""
+    moved = [
+        float(event["fields"]["moved_N"])
+        for segment in run.segments
+        for message in segment.messages(EVENTS)
+        for event in [decode_json(message.data, EVENTS)]
+        if event.get("kind") == ZERO_MOVED
+    ]
+    return max(moved, default=None)
 
 
 def _duplicated(run: Run) -> int:

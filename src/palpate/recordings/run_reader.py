@@ -50,6 +50,13 @@ FORCE_COLUMNS = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 STAGE_COLUMNS = ("x_m", "y_m", "z_m")
 
 
+VOID = "void"
+"""Event that takes back the frames of some approaches: their labels are as those of frames without any."""
+
+ZERO_MOVED = "zero-moved"
+"""Event that says how far a force sensor's zero moved over a press, and how far it may [N]."""
+
+
 class Run:
     """A recorded run, as it stood on disk when it was opened.
 
@@ -164,6 +171,17 @@ class Run:
         }
         return pd.DataFrame(columns, index=pd.RangeIndex(len(self)))
 
+    @property
+    def void_frames(self) -> int:
+        """Count of frames that were taken back, since the force sensor's zero moved while it pressed."""
+        count = 0
+        for segment in self.segments:
+            void = _void_in(segment)
+            for message in segment.messages(LABELS) if void else ():
+                labels = message_schema.decode_json(message.data, LABELS).get("labels", {})
+                count += labels.get("approach") in void
+        return count
+
     def force(self, *, raw: bool = False) -> pd.DataFrame:
         """Force and torque over time: ``time_s`` and `FORCE_COLUMNS`; raw ones as the sensor said them."""
 
@@ -235,12 +253,15 @@ class Run:
 
     def _abouts_of(self, segment: StoredSegment) -> dict[int, tuple[float | None, dict[str, Label]]]:
         abouts = {}
+        void = _void_in(segment)
         for message in segment.messages(LABELS):
             about = message_schema.decode_json(message.data, LABELS)
             exposure, labels = about.get("exposure_s"), about.get("labels", {})
             try:
                 exposure_s = None if exposure is None else finite([exposure], 1, "exposure [s]")[0]
                 abouts[int(about["frame"])] = (exposure_s, label_values(labels, self.manifest.labels))
+                if void and abouts[int(about["frame"])][1].get("approach") in void:
+                    abouts[int(about["frame"])] = (exposure_s, {})
             except (InputError, KeyError, TypeError, ValueError, AttributeError) as e:
                 raise RecordingError(
                     f"{segment.signals_file.path} holds a label that does not fit: {e}"
@@ -258,6 +279,17 @@ class Run:
                 rows.extend(values(message_schema.decode(message.data, channel)))
         table = np.frombuffer(rows, np.float64) if rows else np.empty(0)
         return pd.DataFrame(table.reshape(-1, 1 + len(columns)), columns=["time_s", *columns])
+
+
+def _void_in(segment: StoredSegment) -> set[float]:
+    """Approaches of a segment whose frames were taken back, since the force sensor's zero moved."""
+    events = (message_schema.decode_json(message.data, EVENTS) for message in segment.messages(EVENTS))
+    return {
+        float(one)
+        for event in events
+        if event.get("kind") == VOID
+        for one in (event.get("fields") or {}).get("approaches", ())
+    }
 
 
 def _segments(path: Path) -> tuple[StoredSegment, ...]:

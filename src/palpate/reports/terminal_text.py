@@ -129,6 +129,13 @@ def check_text(report: CheckReport) -> str:
         )
     if report.orphan_records:
         lines.append(f"{report.orphan_records} records of labels have no frame: their frames are lost")
+    if report.zero_moved_N is not None:
+        lines.append(f"the force sensor's zero moved by at most {report.zero_moved_N:.4f} N over a press")
+    if report.void_frames:
+        lines.append(
+            f"{report.void_frames} frames were taken back, since the force was not to be believed: nothing "
+            "counts them, and a plan that goes on records them anew"
+        )
     lines += [f"damage: {d.file} at byte {d.at_byte}: {d.what}" for d in report.damage]
     remedy = "damaged: `palpate repair` copies what can be read into a new run"
     if any("cut" in d.what for d in report.damage):

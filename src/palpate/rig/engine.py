@@ -29,6 +29,7 @@ from palpate.devices import (
 )
 from palpate.devices.suspension import SleepWatch
 from palpate.recordings import Manifest, Offset, Run, RunWriter
+from palpate.recordings.run_reader import VOID
 from palpate.rig.acquisition import LABELS, Acquisition
 from palpate.rig.clock_sync import ClockSync
 from palpate.rig.label_force import LABEL_FORCE
@@ -63,6 +64,19 @@ from palpate.rig.run_progress import (
 LIFTS, LIFT_PAUSE_S = 3, 0.5
 """Tries to lift the probe after a failure, and the time between them [s]: a stage that was late to answer, or
 was still on its way, may do it at the second."""
+
+DISBELIEVED = frozenset(
+    {
+        Reason.FORCE_DEAD,
+        Reason.FORCE_DRIFT,
+        Reason.FORCE_IMPLAUSIBLE,
+        Reason.FORCE_NOISE,
+        Reason.FORCE_REVERSED,
+        Reason.FORCE_SCALED,
+        Reason.FORCE_STUCK,
+    }
+)
+"""Reasons that say a force was wrong for some time before it was found out: a press is void."""
 
 TOLD_EVERY_S = 0.1  # of the machine's time
 
@@ -111,6 +125,11 @@ class Engine:
         self._wanted = ""
         self._touches = False
         self._clocks: Offset | None = None
+        self._unproven: dict[str, set[int]] = {}  # frames since the last zero: by shot
+        self._unproven_in: set[int] = set()  # and of these approaches
+        self._zero_moved_n: float | None = None
+        self._void_shots = 0
+        self._swept: set[str] = set()  # shots that an event says to be whole
 
     def run(self) -> Outcome:
         """Record all that is missing, or as much as can be; the probe is lifted at the end."""
@@ -131,6 +150,8 @@ class Engine:
                 return self._ended(State.STOPPED, "stopped by the operator")
             return self._ended(State.ABORTED, "aborted by the operator")
         except Tripped as e:
+            if e.reason in DISBELIEVED:
+                self._void()
             return self._failed(e.reason, str(e))
         except StorageError as e:
             return self._failed(Reason.STORAGE, str(e))
@@ -174,13 +195,44 @@ class Engine:
             self._message = f"{press.place.name}, cycle {press.cycle}: {type(step).__name__.lower()}"
             self._take(step)
         self._motion.lift()
+        self._prove()
+
+    def _prove(self) -> None:
+        """Take a zero after a press; what was recorded is void where the zero moved, or none can be had."""
+        try:
+            moved_n = self._motion.check_zero()
+        except Tripped:
+            self._void()
+            raise
+        self._zero_moved_n = max(moved_n, self._zero_moved_n or 0.0)
+        self._unproven.clear()
+        self._unproven_in.clear()
+
+    def _void(self) -> None:
+        """Take back all frames since the last zero: they are missing again, and their labels not believed."""
+        whole = [key for key, frames in self._unproven.items() if key in self._swept and frames]
+        if not self._unproven:
+            return
+        before = self._shots
+        self._recorder.event(
+            VOID,
+            approaches=sorted(self._unproven_in),
+            shots=sorted(self._unproven),
+            whole=whole,
+        )
+        for key, taken in self._unproven.items():
+            self._done[key] = self._done[key] - taken
+        self._shots = sum(self._whole(press) for press in self._plan.presses())
+        self._void_shots += before - self._shots
+        self._unproven.clear()
+        self._unproven_in.clear()
 
     def _take(self, step: Step) -> None:
         match step:
             case Over(x, y):
                 self._motion.over(x, y)
             case TareStep():
-                self._motion.measure_bias()
+                self._take_zero()
                 self._acquisition.tare()
             case Seek():
                 self._motion.seek()
@@ -194,8 +246,15 @@ class Engine:
                 self._acquisition.burst(step)
             case Sweep():
                 self._acquisition.sweep(step)
+                self._swept.add(step.shot.key)
             case _:
                 assert_never(step)
+
+    def _take_zero(self) -> None:
+        """Take the zero of a press; frames of it that were recorded before a pause are judged by it."""
+        if self._unproven:
+            self._prove()
+        self._motion.measure_bias()
 
     def _try_sensor(self, press: PlannedPress) -> None:
         self._message = f"{press.place.name}: a gentle touch, to try the force sensor"
@@ -234,6 +293,8 @@ class Engine:
         """A frame is recorded; with it, perhaps, its shot is whole."""
         frames = self._done.get(key, frozenset()) | {frame}
         self._done[key] = self._alike.setdefault(frames, frames)
+        self._unproven.setdefault(key, set()).add(frame)
+        self._unproven_in.add(self._motion.approach)
         self._shots += whole
         self._tell()
 
@@ -288,7 +349,16 @@ class Engine:
             message = f"{message}; the probe was not lifted: {stays}"
         with _quietly():
             self._turn(state, message)
-        return Outcome(state, self._shots, sum(self._planned), reason, message, self._clocks)
+        return Outcome(
+            state,
+            self._shots,
+            sum(self._planned),
+            reason,
+            message,
+            self._clocks,
+            self._zero_moved_n,
+            self._void_shots,
+        )
 
     def _turn(self, state: State, message: str) -> None:
         self._state, self._message = state, message

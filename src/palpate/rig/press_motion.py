@@ -8,16 +8,19 @@ from dataclasses import asdict, replace
 
 from palpate.core import InputError, Position, Wrench, own_plans_of
 from palpate.devices import Clearance, ForceBias, ForceReached, Guard, Reason, Tripped
+from palpate.recordings.run_reader import ZERO_MOVED
 from palpate.rig.plans.recording_plan import PlannedPress, RecordingPlan
 from palpate.rig.rig import Rig
 from palpate.rig.run_progress import TOUCH, ZERO, Recorder
 from palpate.rig.sign_touch import touch_gently
+from palpate.rig.zero_drift import allowed_n, moved_n, slope_n_s
 
 MM = 1e-3
 BELOW_TOUCH_MM = 0.2  # of a contact that is said by a force
 HIGHER_MM = 5.0  # than the clearance, after contact there
 FREE = 2.0  # contact thresholds, below which the probe counts as free
 MAX_DRIFT_N = 0.5  # of the zero, from one press to the next
+AIR_S = 0.3  # of listening higher up
 SIGMAS = 5.0  # of the force's noise that a threshold must lie above
 
 
@@ -40,6 +43,7 @@ class PressMotion:
         self.contact_m: float | None = None
         self.approach = 0
         self._higher_m = 0.0
+        self._zero_samples = 0
         guard.clearance = Clearance(self._clearance_m, plan.travel_mm_s * MM)
 
     def begin(self, press: PlannedPress) -> None:
@@ -98,7 +102,7 @@ class PressMotion:
         before = replace(self._bias)
         known = self._bias.noise_n > 0
         threshold = self._plan.threshold_N
-        self._guard.tare(self._rig.force.rate_hz)
+        self._zero_samples = len(self._guard.tare(self._rig.force.rate_hz))
         self._recorder.event("tare", force_n=self._bias.force_n, noise_n=self._bias.noise_n)
         moved = abs(self._bias.force_n[2] - before.force_n[2])
         if known and moved > max(MAX_DRIFT_N, 2 * threshold):
@@ -114,6 +118,66 @@ class PressMotion:
                 f"a contact threshold of {threshold:g} N under a noise of {self._bias.noise_n:.4f} N; give "
                 f"{SIGMAS * self._bias.noise_n:.3f} N or more",
             )
+
+    def check_zero(self) -> float:
+        """Take a zero after a press, in the air: how far it moved since the one before the press [N].
+
+        Raises:
+            Tripped: `FORCE_DRIFT`, where it moved further than it may, or moves still, and `TOUCHED_EARLY`
+                where it is back higher up; the zero before the press is kept then. All that a tare raises
+                else.
+        """
+        before, limit_n = replace(self._bias), self._rig.limits.force_n
+        heard: list[Wrench] = []
+        try:
+            with self._guard.samples.subscribed(heard.extend):
+                count = len(self._guard.tare(self._rig.force.rate_hz))
+        except Tripped as e:
+            slope = slope_n_s(heard, before)
+            if e.reason is Reason.FORCE_NOISE and slope:
+                still = allowed_n(before, before, self._zero_samples, limit_n)
+                if self._comes_back_higher(still):  # a skin that is touched gives way
+                    raise self._touches_at_clearance(f"changed by {slope:+.3g} N/s") from e
+                raise Tripped(
+                    Reason.FORCE_DRIFT,
+                    f"after the press the force drifts by {slope:+.3g} N/s in the air: the forces of this "
+                    f"press are not to be believed; let the sensor warm up, and look at its cable ({e})",
+                ) from e
+            raise
+        moved, allowed = (
+            moved_n(before, self._bias),
+            allowed_n(before, self._bias, min(count, self._zero_samples), limit_n),
+        )
+        self._recorder.event(ZERO_MOVED, moved_N=moved, allowed_N=allowed, approach=self.approach)
+        if moved > allowed:
+            self._bias.force_n, self._bias.torque_nm = before.force_n, before.torque_nm
+            if self._comes_back_higher(allowed):
+                raise self._touches_at_clearance(f"stood {moved:.2f} N from its zero")
+            raise Tripped(
+                Reason.FORCE_DRIFT,
+                f"the force sensor's zero moved by {moved:.3f} N while it pressed, and {allowed:.3f} N are "
+                "allowed: the forces of this press are not to be believed; let the sensor warm up, and look "
+                "at its cable and whether the tool is fixed",
+            )
+        return moved
+
+    @staticmethod
+    def _touches_at_clearance(what: str) -> Tripped:
+        return Tripped(
+            Reason.TOUCHED_EARLY,
+            f"after the press the force {what} at the clearance, and not higher up: does the probe touch "
+            "something there?",
+        )
+
+    def _comes_back_higher(self, allowed: float) -> bool:
+        """Whether the force is near its zero again when the probe is lifted further: it was a contact."""
+        with suppress(Tripped):
+            self.lift_free(True)
+            samples = self._guard.wait(AIR_S, judged=False)
+            good = [self._bias.force(one) for one in samples if not one.fault]
+            means = [sum(axis) / len(axis) for axis in zip(*good, strict=True)]
+            return bool(means) and max(map(abs, means)) <= allowed
+        return False
 
     def try_sensor(self, press: PlannedPress) -> None:
         """Touch gently, to see that force rises under a touch and falls after it, before anything presses.

@@ -11,10 +11,11 @@ from typing import Any
 
 import pandas as pd
 
-from palpate.core import Frame, Position, RecordingError, Wrench
-from palpate.devices import ForceBias, Reason
+from palpate.core import NS_PER_S, Frame, Position, RecordingError, Wrench
+from palpate.devices import ForceBias, Reason, Tripped
 from palpate.recordings import Manifest, Offset, Run, RunWriter
 from palpate.recordings.label_tables import Label
+from palpate.recordings.run_reader import VOID
 from palpate.rig.plans.recording_plan import Done, RecordingPlan
 
 
@@ -31,14 +32,35 @@ class Recorder:
         self._writer = writer
         self._bias = bias
         self.muted = False
+        self._force_ns = 0
+        self._ran_back = False
 
     def force(self, samples: Sequence[Wrench]) -> None:
-        """Record every good sample; faulty ones hold no numbers."""
+        """Record every good sample; faulty ones hold no numbers.
+
+        Raises:
+            Tripped: `FORCE_FAULT`, the first time that a stamp lies before the one that it follows; later
+                ones that do are left out, so that the probe can be lifted.
+        """
         for one in samples:
-            if not one.fault and not self.muted and one.time_ns >= self._begun_ns:
+            if not one.fault and not self.muted and self._follows(one.time_ns):
                 force, torque = self._bias.force(one), self._bias.torque(one)
                 self._writer.force((*force, *torque), time_ns=one.time_ns)
                 self._writer.force((*one.force_n, *one.torque_nm), time_ns=one.time_ns, raw=True)
+
+    def _follows(self, time_ns: int) -> bool:
+        """Whether a sample is to be recorded: not from before the run, nor before the last."""
+        if time_ns >= self._force_ns:
+            self._force_ns = time_ns
+            return time_ns >= self._begun_ns
+        if not self._ran_back:
+            self._ran_back = True
+            raise Tripped(
+                Reason.FORCE_FAULT,
+                f"a force sample is stamped {(self._force_ns - time_ns) / NS_PER_S:.3f} s before the one "
+                "that it follows: the force sensor's clock jumped or runs backwards",
+            )
+        return False
 
     def stage(self, position_m: Position, time_ns: int) -> None:
         """Record where the stage is."""
@@ -81,6 +103,9 @@ class Outcome:
         message: what happened, with numbers and units.
         shots: recorded so far, over all segments; planned: all of the plan's.
         clocks: how far the frames run behind the force, from taps; None where there were none.
+        zero_moved_n: most that the force sensor's zero moved over a press, now [N]; None where none was
+            pressed.
+        void_shots: shots that were taken back now, since the zero moved too far.
     """
 
     state: State
@@ -89,6 +114,8 @@ class Outcome:
     reason: Reason | None = None
     message: str = ""
     clocks: Offset | None = None
+    zero_moved_n: float | None = None
+    void_shots: int = 0
 
 
 PLAN = "plan"
@@ -131,9 +158,14 @@ def done_in(run: Run) -> Done:
     stepped = known & (labels["phase"] != SWEEPS)
     for key, k in zip(labels["shot"][stepped], labels["frame_in_shot"][stepped], strict=True):
         recorded[str(key)].add(int(k))
-    for fields in fields_of(run, SHOT):
-        if fields.get("whole"):
+    events = run.events()
+    for kind, text in zip(events["kind"], events["fields"], strict=True):
+        fields = json.loads(text) or {}
+        if kind == SHOT and fields.get("whole"):
             recorded[str(fields["key"])].add(0)
+        if kind == VOID:
+            for key in fields.get("whole", ()):
+                recorded[str(key)].discard(0)
     return {key: frozenset(frames) for key, frames in recorded.items()}
 
 

@@ -32,6 +32,9 @@ LET_GO_S = 8.0  # in which a supervisor before this one has lifted the probe and
 AGAIN_S = 0.1
 SAID_S = 5.0
 NICENESS = -10
+GIVEN_UP = (
+    "the devices were let go before all of them were open: a stop was asked for, or whoever records left"
+)
 
 
 def main() -> int:
@@ -48,8 +51,10 @@ def main() -> int:
     try:
         with ExitStack() as opened:
             _serve(writer, opened)
-    except Exception as e:
-        writer.send({"opened": False, "ok": False, **error_fields(e)})
+    except (Exception, KeyboardInterrupt) as e:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a client that hears this goes, and that is no fault
+        told = DeviceError(GIVEN_UP) if isinstance(e, KeyboardInterrupt) else e
+        writer.send({"opened": False, "ok": False, **error_fields(told)})
         writer.close(SAID_S)
         return 2
     writer.close(SAID_S)
@@ -66,16 +71,18 @@ def _serve(writer: PipeWriter, opened: ExitStack) -> None:
     reader = _Reader(messages)
     opened.enter_context(_held(name))
     clock = MonotonicClock()
+    stops = _Stops(clock)
+    server = _server(name, stops)  # before anything is opened: homing is a motion too
+    opened.callback(server.close)
+    path = publish(Address(name, server.port, server.token, os.getpid()))
+    opened.callback(path.unlink, missing_ok=True)
     with plugin_calls(f"a device did not open ({ERROR})", Exception):
         stage, force = open_guarded(file, clock, opened)
     assert file.limits is not None
     assert file.force is not None
     limits, mounting = file.limits.limits(), Mounting(file.force.axes)
     supervisor = GuardSupervisor(stage, force, limits, mounting, clock, writer.send)
-    server = _server(name, supervisor)
-    opened.callback(server.close)
-    path = publish(Address(name, server.port, server.token, os.getpid()))
-    opened.callback(path.unlink, missing_ok=True)
+    stops.supervisor = supervisor
     signal.signal(signal.SIGTERM, lambda *_: supervisor.leave())
     reader.pass_on_to(supervisor)
     writer.send({"opened": True, "ok": True, "result": _facts(stage, force)})
@@ -90,7 +97,16 @@ def _ask_for_priority() -> None:
 
 
 def _give_up(number: int, frame: FrameType | None) -> None:
-    raise ProtocolError("whoever records has gone before the devices were open")
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not cut short how the first is obeyed
+    raise KeyboardInterrupt  # which nothing that opens, lifts or homes takes for a device's failure
+
+
+def _abandon_opening() -> None:
+    """End what the main thread does, from another one; also where it sleeps."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
+    else:
+        interrupt_main(signal.SIGTERM)
 
 
 class _Reader:
@@ -110,7 +126,28 @@ class _Reader:
         if self._to is not None:
             self._to.read(chain([first] if first else [], self._messages))
         else:
-            interrupt_main(signal.SIGTERM)
+            _abandon_opening()
+
+
+class _Stops:
+    """Stops for anybody of the same user, from the first motion on: homing is one."""
+
+    def __init__(self, clock: MonotonicClock) -> None:
+        self._clock = clock
+        self.supervisor: GuardSupervisor | None = None
+
+    def status(self) -> dict[str, Any]:
+        one = self.supervisor
+        if one is None:
+            return {"state": "opens", "held": False, "message": "", "shots": 0}
+        return {"state": one.state, "held": one.held, "message": one.lifted, "shots": 0}
+
+    def stop(self) -> dict[str, int]:
+        """Stop the stage; while it is being opened, end that, which closes it: no `stood_ns` then."""
+        if self.supervisor is not None:
+            return self.supervisor.stop()
+        _abandon_opening()
+        return {"asked_ns": self._clock.now_ns()}
 
 
 def _held(name: str) -> BinaryIO:
@@ -125,16 +162,10 @@ def _held(name: str) -> BinaryIO:
             time.sleep(AGAIN_S)
 
 
-def _server(name: str, supervisor: GuardSupervisor) -> RpcServer:
+def _server(name: str, stops: _Stops) -> RpcServer:
     """Anybody of the same user may stop the stage, past the client."""
-
-    def status() -> dict[str, Any]:
-        return {"state": supervisor.state, "held": supervisor.held, "message": supervisor.lifted, "shots": 0}
-
-    def stop(request: Mapping[str, Any]) -> dict[str, int]:
-        return supervisor.stop()
-
-    return RpcServer(name, status, lambda after: None, {"estop": stop, "status": lambda _: status()}, {})
+    asked = {"estop": lambda _: stops.stop(), "status": lambda _: stops.status()}
+    return RpcServer(name, stops.status, lambda after: None, asked, {})
 
 
 def _facts(stage: Stage, force: ForceSensor) -> dict[str, Any]:

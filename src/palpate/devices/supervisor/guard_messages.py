@@ -49,7 +49,8 @@ def error_fields(error: BaseException) -> dict[str, str]:
         return {"kind": "OperatorInterrupt", "error": error.command.value}
     if isinstance(error, Tripped):
         return {"kind": "Tripped", "error": str(error), "reason": error.reason.value}
-    return {"kind": type(error).__name__, "error": str(error)}
+    known = (one.__name__ for one in type(error).__mro__ if hasattr(errors, one.__name__))
+    return {"kind": next(known, type(error).__name__), "error": str(error)}
 
 
 def error_of(fields: Mapping[str, Any]) -> Exception:

@@ -132,6 +132,8 @@ class GuardSupervisor:
         match message.get("do"):
             case "heard":
                 self._answered = max(self._answered, int(message["look"]))
+            case "alive":
+                self._send({"alive": True})
             case "halt":
                 self._halted = True
             case "command":

@@ -131,7 +131,7 @@ class SupervisedGuard:
         self._control.listen(None)
         self._link.force.guarded = False
         if not self._link.gone:
-            self._link.ask("end")
+            self._ask("end")
 
     def _ask(self, do: str, **fields: Any) -> Any:
         with _as_tripped():

@@ -7,12 +7,14 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from palpate.core import Closing, DeviceError, PalpateError, Position, Travel, Wrench
+from palpate.devices.operator_control import OperatorCommand
 from palpate.devices.rpc import encode_message
 from palpate.devices.supervisor.guard_messages import (
     error_of,
@@ -25,6 +27,10 @@ from palpate.devices.supervisor.guard_messages import (
 ANSWER_S = 60.0  # beyond what a slow stage may take to come to a stand
 END_S = 60.0  # in which the process has lifted the probe and let go of the devices
 OPEN_S = 900.0  # in which it has opened them: homing may take minutes
+PROBE_S = 1.0  # of silence, after which it is asked whether it is there: its reader answers past any device
+SILENT_S = 5.0  # of silence, after which the process hangs
+HURRIED_S = 1.0  # instead, once an emergency stop was asked for
+LEAVE_S = 1.0  # in which a process that hung lets go
 
 Message = Mapping[str, Any]
 
@@ -62,7 +68,9 @@ class SupervisorLink(Closing):
         self._numbers = itertools.count(1)
         self._waiting: dict[int, SimpleQueue[Message | None]] = {}
         self._events: SimpleQueue[Message | None] = SimpleQueue()
-        self.gone = False
+        self.gone = self._silent = False
+        self._heard_s = self._probed_s = time.monotonic()
+        self._patience_s = SILENT_S
         self.force = SupervisedForce(self)
         self.stage = SupervisedStage(self)
         self._opened: SimpleQueue[Message | None] = SimpleQueue()
@@ -82,16 +90,23 @@ class SupervisorLink(Closing):
         assert process.stdout is not None
         with suppress(OSError):
             process.stdin.close()
+        within_s = LEAVE_S if self._silent else END_S
         try:
-            process.wait(END_S)
+            process.wait(within_s)
         except subprocess.TimeoutExpired:
-            process.terminate()
+            process.terminate()  # it stops and lifts, where it ever wakes
+            threading.Thread(target=self._bury, name="palpate-supervisor-end", daemon=True).start()
             raise DeviceError(
-                f"the supervisor's process has not let go of the devices in {END_S:g} s; look at the rig, "
+                f"the supervisor's process has not let go of the devices in {within_s:g} s; look at the rig, "
                 "and use its switch"
             ) from None
+        self._bury()
+
+    def _bury(self) -> None:
+        self._process.wait()
         self._reader.join(END_S)  # its pipe has ended with the process
-        process.stdout.close()
+        assert self._process.stdout is not None
+        self._process.stdout.close()
 
     @property
     def pid(self) -> int:
@@ -103,6 +118,8 @@ class SupervisorLink(Closing):
 
         A supervisor that is gone is told by whatever waits for it.
         """
+        if fields.get("command") == OperatorCommand.ESTOP:
+            self._patience_s = HURRIED_S
         with suppress(OSError, ValueError):
             write_line(self._to, {"do": do, **fields})
 
@@ -118,10 +135,7 @@ class SupervisorLink(Closing):
         Raises:
             SupervisorGoneError: it is gone, or silent.
         """
-        try:
-            event = self._events.get(timeout=timeout_s)
-        except Empty:
-            raise silent() from None
+        event = self._wait(self._events, timeout_s)
         if event is None:
             self._events.put(None)
             raise gone()
@@ -138,13 +152,30 @@ class SupervisorLink(Closing):
         self._waiting[number] = answer
         try:
             self._write({"id": number, "do": do, **fields})
-            return result_of(None if self.gone and answer.empty() else answer.get(timeout=ANSWER_S))
-        except Empty:
-            raise silent() from None
+            return result_of(None if self.gone and answer.empty() else self._wait(answer, ANSWER_S))
         finally:
             self._waiting.pop(number, None)
 
+    def _wait(self, queue: SimpleQueue[Message | None], timeout_s: float) -> Message | None:
+        """The next of a queue, as long as the process is heard at all; a device of it may be slow.
+
+        After the first silence nothing is waited for any more.
+        """
+        begun_s = time.monotonic()
+        while not self._silent:
+            with suppress(Empty):
+                return queue.get(timeout=PROBE_S / 4)
+            now_s = time.monotonic()
+            if now_s - max(self._heard_s, self._probed_s) > PROBE_S:
+                self._probed_s = now_s
+                self.tell("alive")
+            quiet_s = now_s - max(self._heard_s, begun_s)
+            self._silent = quiet_s > self._patience_s or now_s - begun_s > timeout_s
+        raise silent()
+
     def _write(self, message: Message) -> None:
+        if self._silent:
+            raise silent()
         try:
             write_line(self._to, message)
         except (OSError, ValueError) as e:
@@ -153,6 +184,9 @@ class SupervisorLink(Closing):
     def _read(self) -> None:
         try:
             for message in read_messages(self._from):
+                self._heard_s = time.monotonic()
+                if "alive" in message:
+                    continue
                 if "opened" in message:
                     self._opened.put(message)
                 elif (answer := self._waiting.get(message.get("id") or 0)) is not None:
@@ -189,7 +223,8 @@ def gone() -> SupervisorGoneError:
 def silent() -> SupervisorGoneError:
     """What is raised where the supervisor does not answer."""
     return SupervisorGoneError(
-        f"the process that guards the motion has not answered for {ANSWER_S:g} s; use the rig's switch"
+        "the process that guards the motion does not answer: it hangs, and may not stop or lift the probe; "
+        "use the rig's switch"
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,9 @@ class SegmentFile:
         try:
             self._begin(about, time_ns)
         except BaseException:
-            self._sink.close()
+            with suppress(OSError):
+                self._sink.close()
+            _remove(path)  # made here, and nothing is recorded in it
             raise
 
     def _begin(self, about: dict[str, Any], time_ns: int) -> None:
@@ -149,6 +151,8 @@ class Segment:
     ) -> Segment:
         """Create a segment that nobody else can then create; the disk holds what opens both files.
 
+        Where the disk refuses that, the files made here are removed again: nothing is recorded in them yet.
+
         Args:
             run: folder.
             number: of the segment.
@@ -168,7 +172,9 @@ class Segment:
         with ExitStack() as opened:
             files = []
             for kind in KINDS:
-                files.append(_claimed(run / file_name(number, kind), kind, about, begin_ns))
+                path = run / file_name(number, kind)
+                files.append(_claimed(path, kind, about, begin_ns))
+                opened.callback(_remove, path)
                 opened.callback(files[-1].close)
             with storage_errors(run):
                 sync(run)
@@ -191,6 +197,11 @@ class Segment:
             self.frames.close()
         finally:
             self.signals.close()
+
+
+def _remove(path: Path) -> None:
+    with suppress(OSError):
+        path.unlink()
 
 
 def _claimed(path: Path, kind: FileKind, about: dict[str, Any], time_ns: int) -> SegmentFile:

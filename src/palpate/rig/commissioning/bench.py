@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+import os
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from palpate.core import (
     NS_PER_S,
@@ -19,18 +23,32 @@ from palpate.core import (
     PalpateError,
     Position,
     Stage,
+    StorageError,
 )
 from palpate.devices import Limits, Mounting
 from palpate.devices.check.interface_check import Role
-from palpate.devices.rpc import find, supervisor_name
+from palpate.devices.rpc import find, hold, supervisor_name
 from palpate.devices.rpc_client import RpcClient
 from palpate.rig.commissioning.hand_motion import discard
-from palpate.rig.rig_file import GrblPart, MarlinPart, RigFile, is_virtual, open_part, open_rig, read_rig
+from palpate.rig.real.device_hold import DeviceHeldError
+from palpate.rig.rig_file import (
+    FollowingPart,
+    GrblPart,
+    MarlinPart,
+    RigFile,
+    follow_stage,
+    is_virtual,
+    open_part,
+    open_rig,
+    read_rig,
+)
 from palpate.rig.service import RigClient, rig_name
 
 WATCH_S = 1.0  # for a camera's rate
 POLL_S = 0.02
 REACH_S = 3.0  # for a process that holds the rig
+LET_GO_S = 5.0  # in which a process that was told to end has stopped the stage and is gone
+AGAIN_S = 0.05
 
 Client = TypeVar("Client", bound=RpcClient)
 
@@ -132,9 +150,9 @@ def open_bench(
         origin_m=(x, y, z),
         stage_part=file.stage,
     )
-    for role in roles:
+    for role in sorted(roles, key=lambda role: isinstance(getattr(file, role), FollowingPart)):
         try:
-            setattr(bench, role, _open(file, role, bench.clock, place=place))
+            setattr(bench, role, _open(file, role, bench, place=place))
         except PalpateError as e:
             bench.failed[role] = str(e)
         except BaseException:
@@ -143,13 +161,19 @@ def open_bench(
     return bench
 
 
-def _open(file: RigFile, role: Role, clock: Clock, *, place: bool) -> Any:
-    part = getattr(file, role)
+def _open(file: RigFile, role: Role, bench: Bench, *, place: bool) -> Any:
+    part, clock = getattr(file, role), bench.clock
     if part is None:
         return None
-    if role == "stage" and isinstance(part, GrblPart | MarlinPart):
+    if isinstance(part, FollowingPart) and role != "stage" and bench.stage is not None:
+        return follow_stage(role, file, bench.stage, clock)
+    return _open_stage_part(part, clock, place=place) if role == "stage" else open_part(role, part, clock)
+
+
+def _open_stage_part(part: Any, clock: Clock, *, place: bool) -> Any:
+    if isinstance(part, GrblPart | MarlinPart):
         return part.open(clock, place=place)
-    return open_part(role, part, clock)
+    return open_part("stage", part, clock)
 
 
 def rig_process(rig: str) -> RigClient | None:
@@ -171,8 +195,10 @@ def stop_rig(rig: str) -> str:
     Returns:
         What was done, in words.
 
+    A process that has the stage's port and is no supervisor is told to end; then the stage is stopped.
+
     Raises:
-        DeviceError: the stage did not stop, or another programme has its port.
+        DeviceError: the stage did not stop, or is not known to stand; says who has it.
     """
     if (client := rig_process(rig)) is not None:
         with client:
@@ -182,18 +208,93 @@ def stop_rig(rig: str) -> str:
             f"emergency stop by the process that holds the rig: the stage stood after {took_ms:.1f} ms; it "
             "stays held until it is released there"
         )
-    if (supervisor := _reached(RpcClient(supervisor_name(rig_name(rig))))) is not None:
-        with supervisor:
-            answer = supervisor.ask("estop")
-        took_ms = (answer["stood_ns"] - answer["asked_ns"]) / 1e6
-        return f"emergency stop by the recording's supervisor: the stage stood after {took_ms:.1f} ms"
-    with open_bench(rig, ("stage",), place=False) as bench:
+    told = _stop_supervisor(supervisor_name(rig_name(rig)))
+    if told.stood_ms is not None:
+        return f"emergency stop by the recording's supervisor: the stage stood after {told.stood_ms:.1f} ms"
+    with _held_alone(supervisor_name(rig_name(rig)), LET_GO_S if told.reached else 0.0):
+        ended = _stop_on_port(rig)
+    return f"{told.words}{ended}the stage was opened by itself and told to stop, and it obeyed"
+
+
+class _Told(NamedTuple):
+    """What a supervisor's process was told: in words, whether it heard, and when the stage stood [ms]."""
+
+    words: str = ""
+    reached: bool = False
+    stood_ms: float | None = None
+
+
+def _stop_supervisor(name: str) -> _Told:
+    """Ask a supervisor's process for its emergency stop, where there is one and it answers."""
+    supervisor = _reached(RpcClient(name))
+    if supervisor is None:
+        return _Told()
+    with supervisor:
         try:
-            stage = bench.need_stage()
+            answer = supervisor.send("estop", REACH_S)()
+        except DeviceError:  # it ended meanwhile, or hangs: whoever takes its hold next sees which
+            return _Told("the recording's supervisor did not answer and is gone; ", True)
+    if "stood_ns" not in answer:
+        return _Told("the process that was opening the rig was ended; ", True)
+    return _Told(reached=True, stood_ms=(answer["stood_ns"] - answer["asked_ns"]) / 1e6)
+
+
+@contextmanager
+def _held_alone(name: str, within_s: float) -> Iterator[None]:
+    """The right to supervise a rig, without which a stage must not be opened beside its supervisor.
+
+    Raises:
+        DeviceError: another process has it, and does not let go in time.
+    """
+    end_s = time.monotonic() + within_s
+    held: AbstractContextManager[Any] = nullcontext()
+    while True:
+        try:
+            held = hold(name)
+            break
+        except StorageError:  # a full disk must not keep anybody from stopping a stage
+            break
         except DeviceError as e:
-            raise DeviceError(f"{e}. Nothing was stopped: use the rig's switch") from e
-        stage.stop()
-    return "the stage was stopped on its port; it stands"
+            if time.monotonic() > end_s:
+                raise DeviceError(
+                    f"{e}. It guards the motion and does not answer: nothing was stopped, and the stage may "
+                    "move. Use the rig's switch"
+                ) from e
+            time.sleep(AGAIN_S)
+    with held:
+        yield
+
+
+def _stop_on_port(rig: str) -> str:
+    """Stop a stage on its own port, once whoever has that was told to end; says who that was."""
+    ended, end_s = "", time.monotonic() + LET_GO_S
+    while True:
+        try:
+            with closing(_open_stage(rig)) as stage:
+                stage.stop()
+            return ended
+        except DeviceHeldError as e:
+            if e.pid is None or time.monotonic() > end_s:
+                raise DeviceError(f"{ended}{e}. The stage is not known to stand: use the rig's switch") from e
+            if not ended:
+                with suppress(ProcessLookupError):
+                    os.kill(e.pid, signal.SIGTERM)
+                ended = f"process {e.pid}, which had the stage, was told to end; "
+            time.sleep(AGAIN_S)
+        except DeviceError as e:
+            raise DeviceError(f"{ended}{e}. Nothing was stopped: use the rig's switch") from e
+
+
+def _open_stage(rig: str) -> Stage:
+    if is_virtual(rig):
+        return open_rig(rig).stage
+    file = read_rig(Path(rig))
+    if file.virtual is not None:
+        return open_rig(rig).stage
+    if file.stage is None:
+        raise InputError(f"{rig}: the rig {file.name!r} needs [stage], or [virtual] instead")
+    stage: Stage = _open_stage_part(file.stage, MonotonicClock(), place=False)
+    return stage
 
 
 def bench_status(bench: Bench) -> dict[str, Any]:

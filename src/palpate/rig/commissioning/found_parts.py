@@ -10,6 +10,8 @@ from pathlib import Path
 from palpate.core import Clock, MissingExtraError, PalpateError, Position
 
 VIDEO = Path("/dev")
+BAUD = 115_200
+"""Rate that most boards of both firmwares talk at; many printers at 250,000."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +36,10 @@ class FoundStage:
     tells_jerk: bool = True
 
 
-StageSearch = Callable[[str, tuple[str, str, str], float, Clock], FoundStage]
+StageSearch = Callable[[str, tuple[str, str, str], float, int, Clock], FoundStage]
 
 
-def find_grbl(port: str, axes: tuple[str, str, str], boot_s: float, clock: Clock) -> FoundStage:
+def find_grbl(port: str, axes: tuple[str, str, str], boot_s: float, baud: int, clock: Clock) -> FoundStage:
     """Ask a port as GRBL is asked; with DTR low, and where nothing answers, with DTR high.
 
     Raises:
@@ -49,14 +51,16 @@ def find_grbl(port: str, axes: tuple[str, str, str], boot_s: float, clock: Clock
     first: PalpateError | None = None
     for dtr in (False, True):
         # Limits that fit any machine: it is only asked, and not moved.
-        spec = GrblSpec(port, axes=axes, boot_s=boot_s, dtr=dtr, least_m=(0.0,) * 3, greatest_m=(1e-3,) * 3)
+        spec = GrblSpec(
+            port, baud=baud, axes=axes, boot_s=boot_s, dtr=dtr, least_m=(0.0,) * 3, greatest_m=(1e-3,) * 3
+        )
         try:
             stage = GrblStage.open(spec, clock)
         except PalpateError as e:
             first = first or e
             continue
         try:
-            machine, says = stage.machine, stage.firmware or "GRBL, of a version that it did not say"
+            machine, says = stage.machine, stage.ask_firmware() or "GRBL, of a version that it did not say"
         finally:
             stage.close()
         box = Mount(axes).box_m(machine.travel_mm)
@@ -66,7 +70,7 @@ def find_grbl(port: str, axes: tuple[str, str, str], boot_s: float, clock: Clock
     raise first
 
 
-def find_marlin(port: str, axes: tuple[str, str, str], boot_s: float, clock: Clock) -> FoundStage:
+def find_marlin(port: str, axes: tuple[str, str, str], boot_s: float, baud: int, clock: Clock) -> FoundStage:
     """Ask a port as Marlin is asked. It counts as without switches: homing a printer drives it to its bed.
 
     Raises:
@@ -76,7 +80,7 @@ def find_marlin(port: str, axes: tuple[str, str, str], boot_s: float, clock: Clo
 
     # Limits and a speed that fit any machine: it is only asked, and not moved.
     spec = MarlinSpec(
-        port, axes=axes, boot_s=boot_s, least_m=(0.0,) * 3, greatest_m=(1e-3,) * 3, sudden_m_s=1e-3
+        port, baud=baud, axes=axes, boot_s=boot_s, least_m=(0.0,) * 3, greatest_m=(1e-3,) * 3, sudden_m_s=1e-3
     )
     stage = MarlinStage.open(spec, clock)
     try:
@@ -92,12 +96,14 @@ STAGES: dict[str, StageSearch] = {"grbl": find_grbl, "marlin": find_marlin}
 """How each kind of stage is looked for on a port. A new kind is one more entry."""
 
 
-def find_stage(port: str, axes: tuple[str, str, str], boot_s: float, clock: Clock) -> FoundStage | str:
+def find_stage(
+    port: str, axes: tuple[str, str, str], boot_s: float, clock: Clock, baud: int = BAUD
+) -> FoundStage | str:
     """The stage at a port, of the first kind that answers; else why none did."""
     reasons = []
     for kind, search in STAGES.items():
         try:
-            return search(port, axes, boot_s, clock)
+            return search(port, axes, boot_s, baud, clock)
         except PalpateError as e:
             reasons.append(f"not {kind}: {e}")
     return "; ".join(reasons)

@@ -29,6 +29,8 @@ from palpate.devices.motion_guard import MotionGuard
 STEP_M = 0.2e-3  # of a lift; the force is measured after each
 FLAT_M = 0.6e-3  # of lifting without a change of force, which proves the air
 MAX_LIFT_M = 20e-3
+HOMING_LIFT_M = 8e-3  # at least, before homing, whatever the force says: a numb sensor reads as air does
+HOP_M = 0.5e-3  # of a motion that no force bounds: where this process dies, the stage ends such a hop
 LIFT_SPEED_M_S = 2e-3
 CHANGED_N = 0.05  # a change of force that is contact, unless the noise is larger
 SIGMAS = 5.0
@@ -147,7 +149,8 @@ def home_clear(
 ) -> AirForce | None:
     """Home a stage, never from within the skin: the probe is first lifted by force.
 
-    A stage that an alarm has locked is unlocked for the lift.
+    A stage that an alarm has locked is unlocked for the lift. Flat force does not prove air, since a numb
+    sensor gives it in the skin as well: the probe is lifted by `HOMING_LIFT_M` at least.
 
     Args:
         lifted: take the caller's word that the probe hangs free, and do not lift.
@@ -215,8 +218,7 @@ def jog(
             f"a jog stopped at {stop_n:g} N; the rig's limit of {limits.force_n:g} N is the greatest allowed"
         )
     if force is None:
-        stage.move_to(target, speed_m_s)
-        _await(stage, clock, distance_m / speed_m_s, lambda: None)
+        _hop(stage, clock, target, speed_m_s)
     elif axis == "z" and distance_m < 0:
         _retreat(stage, force, mounting, clock, -distance_m, speed_m_s)
     else:
@@ -289,17 +291,27 @@ def _lift_locked(stage: Stage, force: ForceSensor | None, mounting: Mounting, cl
     if force is None:
         raise DeviceError(f"no force sensor can tell whether the probe is free, so it was not homed; {how}")
     try:
-        return lift_clear(stage, force, mounting, clock)
+        return _lift_well_clear(stage, force, mounting, clock)
     except DeviceError:
         assert isinstance(stage, Homing)  # as the caller made sure of
         stage.unlock()
     try:
-        return lift_clear(stage, force, mounting, clock)
+        return _lift_well_clear(stage, force, mounting, clock)
     except DeviceError as e:
         raise DeviceError(
             f"the probe could not be lifted, so the stage was not homed ({e}); its lock was taken off: "
             f"believe no place of it until it is homed; {how}"
         ) from e
+
+
+def _lift_well_clear(stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock) -> AirForce:
+    """Lift until the force is flat, and by `HOMING_LIFT_M` at least: a flat force alone proves no air."""
+    found = lift_clear(stage, force, mounting, clock)
+    more_m = HOMING_LIFT_M - found.lifted_mm * 1e-3
+    if more_m <= 0:
+        return found
+    _retreat(stage, force, mounting, clock, more_m, LIFT_SPEED_M_S)
+    return replace(found, lifted_mm=HOMING_LIFT_M * 1e3)
 
 
 def _contact_n(a: AirForce, b: AirForce) -> float:
@@ -317,12 +329,24 @@ def _retreat(
         for one in force.drain():
             _check_rise(one, mounting, start_n)
 
-    if isinstance(stage, Homing):
-        stage.retreat(distance_m, speed_m_s)
-    else:
-        x, y, z = stage.position_m()
-        stage.move_to((x, y, z - distance_m), speed_m_s)
-    _await(stage, clock, distance_m / speed_m_s, rising)
+    x, y, z = stage.position_m() if not isinstance(stage, Homing) else (0.0, 0.0, 0.0)
+    count = math.ceil(distance_m / HOP_M - 1e-6)
+    for k in range(1, count + 1):
+        if isinstance(stage, Homing):
+            stage.retreat(distance_m / count, speed_m_s)
+        else:
+            stage.move_to((x, y, z - distance_m * k / count), speed_m_s)
+        _await(stage, clock, distance_m / count / speed_m_s, rising)
+
+
+def _hop(stage: Stage, clock: Clock, target: Position, speed_m_s: float) -> None:
+    """Move in short hops, one in flight at a time."""
+    start = stage.position_m()
+    count = math.ceil(math.dist(start, target) / HOP_M - 1e-6)
+    for k in range(1, count + 1):
+        x, y, z = (a + (b - a) * k / count for a, b in zip(start, target, strict=True))
+        stage.move_to((x, y, z), speed_m_s)
+        _await(stage, clock, HOP_M / speed_m_s, lambda: None)
 
 
 def _check_rise(sample: Wrench, mounting: Mounting, start_n: float) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,30 +17,34 @@ from pydantic import ValidationError
 
 from palpate.core import NS_PER_S, Clock, DeviceError, InputError, MonotonicClock, PalpateError, RangeError
 from palpate.core.files import new_file, refuse_existing
-from palpate.devices import Limits, Mounting, OperatorControl
+from palpate.devices import Mounting
 from palpate.devices.check.check_result import CheckResult
-from palpate.devices.force_bias import ForceBias
-from palpate.devices.motion_guard import MotionGuard
 from palpate.rig.commissioning.bench import frame_times
-from palpate.rig.commissioning.force_touch import MAX_REACH_M, Weighing, touch_twice, weigh
-from palpate.rig.commissioning.found_parts import FoundStage, find_stage, serial_ports, video_devices
-from palpate.rig.commissioning.hand_motion import JOG_N, MAX_JOG_M_S, home_clear, mean_force
+from palpate.rig.commissioning.first_touch import Say, first_touch
+from palpate.rig.commissioning.force_touch import Weighing, weigh
+from palpate.rig.commissioning.found_parts import BAUD, FoundStage, find_stage, serial_ports, video_devices
+from palpate.rig.commissioning.hand_motion import mean_force
 from palpate.rig.commissioning.scale_setup import ask_scale
-from palpate.rig.commissioning.setup_answers import Answers, Three, confirm, number, text, three, until_good
+from palpate.rig.commissioning.setup_answers import (
+    Answers,
+    Three,
+    confirm,
+    number,
+    text,
+    three,
+    until_good,
+)
 from palpate.rig.commissioning.toml_text import toml_text
 from palpate.rig.rig_check import check_rig
 from palpate.rig.rig_file import MAX_LIMITS, LimitsPart, RigFile, open_part, open_rig
 
 MM = 1e3
-LIFT_M = 5e-3  # above the surface, where the check begins
 RANGE_SHARE = 0.5  # of the sensor's range, proposed as the limit of force
 PROPOSED_N = 20.0
 PRESS_MM_S = 2.0  # at which plans press where they say nothing else
 BRAKES_MM_S2 = 50.0  # a slow stage's acceleration
 CAMERA_S = 2.0  # for a camera's rate
 CAMERA_SLOW = 0.8  # of the rate that it states
-
-Say = Callable[[str], None]
 
 
 @dataclass(slots=True)
@@ -94,7 +98,11 @@ def set_up(out: Path, answers: Answers, say: Say) -> SetUp:
         "May the stage move now? A hand lies on the switch that cuts its power, the probe hangs free",
     )
     if may_move:
-        _try_out(made, file, answers, say, clock, found)
+        touched = first_touch(file, found.homing, answers, say, clock)
+        made.fields["origin_mm"] = touched["origin_mm"]
+        made.fields["force"]["axes"] = touched["axes"]
+        if not found.homing:
+            made.fields["stage"]["reference"] = touched["reference"]
     else:
         made.unchecked += [
             "axis and sign of the force",
@@ -133,9 +141,10 @@ def _find_stage(answers: Answers, say: Say, clock: Clock) -> tuple[FoundStage, t
     )
     axes = _three_words("stage_axes", axes_asked)
     boot_s = number(answers, "boot_s", "Seconds that the board takes to start once opened", 0.0, 30.0, 2.5)
+    baud = int(number(answers, "stage_baud", "Baud rate of the stage's board", 1200, 4_000_000, BAUD))
     answered: list[FoundStage] = []
     for port in ports:
-        one = find_stage(str(port), axes, boot_s, clock)
+        one = find_stage(str(port), axes, boot_s, clock, baud)
         if isinstance(one, FoundStage):
             answered.append(one)
             say(f"{port}: {one.kind}, {one.says}, {'homes on switches' if one.homing else 'has no switches'}")
@@ -144,7 +153,7 @@ def _find_stage(answers: Answers, say: Say, clock: Clock) -> tuple[FoundStage, t
     if len(answered) != 1:
         raise DeviceError(
             f"{len(answered)} stages answer at {', '.join(map(str, ports)) or 'no port'}; one is needed. "
-            "Name its port alone as stage_ports, and see to power and cable"
+            "Name its port alone as stage_ports, see to power and cable, and try another stage_baud"
         )
     return answered[0], axes
 
@@ -171,7 +180,13 @@ def _stage(made: SetUp, answers: Answers, say: Say, clock: Clock) -> FoundStage:
     else:
         if found.kind == "grbl":
             part["require_homed"] = False
-        part["reference"] = list(three(answers, "stands_mm", "Where the stage stands now, without switches"))
+        part["reference"] = list(
+            three(
+                answers,
+                "stands_mm",
+                "Where the stage stands now, without switches",
+            )
+        )
         made.unchecked.append("the stage's place: it has no switches, so it is on your word at each opening")
     made.fields["stage"] = part
     return found
@@ -296,7 +311,7 @@ def _limits(made: SetUp, answers: Answers, found: FoundStage) -> None:
     if found.homing and found.travel_m is not None:
         low, high = found.travel_m
         boxes = (_mm(low), _mm(high))
-    least = three(answers, "least_mm", "Soft limits of the stage, least", boxes[0])
+    least = three(answers, "least_mm", "Soft limits of the stage, least, in its frame", boxes[0])
     greatest = three(answers, "greatest_mm", "Soft limits, greatest; z is the deepest", boxes[1])
     if boxes[0] is not None and boxes[1] is not None:
         _check_box(least, greatest, boxes[0], boxes[1])
@@ -325,59 +340,6 @@ def _check_box(least: Three, greatest: Three, low: Three, high: Three) -> None:
                 f"soft limits of {axis}, {a:g} to {b:g} mm, lie outside the {c:g} to {d:g} mm of travel that "
                 "the firmware states"
             )
-
-
-def _try_out(made: SetUp, file: RigFile, answers: Answers, say: Say, clock: Clock, found: FoundStage) -> None:
-    """Home, go above the skin, touch, and lift to where the check begins."""
-    assert file.stage is not None  # just written, as are the others
-    assert file.force is not None
-    assert file.limits is not None
-    limits = file.limits.limits()
-    with ExitStack() as opened:
-        force = open_part("force", file.force, clock)
-        opened.callback(force.close)
-        homes = found.homing and confirm(answers, "home", "Home the stage now, the probe free", True)
-        stage_part = file.stage.model_copy(update={"reference": None}) if homes else file.stage
-        stage = open_part("stage", stage_part, clock)
-        opened.callback(stage.close)
-        if homes:
-            say("homing, on your word that the probe hangs free")
-            home_clear(stage, force, Mounting(), clock, lifted=True)
-        at = stage.position_m()
-        above = _metres(
-            three(
-                answers,
-                "above_mm",
-                "Where the probe hangs over the skin's centre, by less than 10 mm",
-                _mm(at),
-            )
-        )
-        _go_above(stage, force, limits, clock, above)
-        reach_mm = number(
-            answers, "reach_mm", "How far down to feel for the skin [mm]", 0.1, MAX_REACH_M * MM, 5.0
-        )
-        say("touching twice, gently")
-        touch = touch_twice(stage, force, limits, clock, reach_mm / MM)
-        made.fields["force"]["axes"] = list(touch.axes)
-        made.fields["origin_mm"] = [round(d, 3) for d in _mm(touch.surface_m)]
-        say(f"skin at {made.fields['origin_mm']} mm; a press is {touch.axes[2]} of the sensor")
-        x, y, z = touch.surface_m
-        stage.move_to((x, y, max(z - LIFT_M, limits.least_m[2])), limits.fastest_m_s(stage.travel))
-        while stage.moving():
-            clock.sleep(0.01)
-        if not found.homing:
-            made.fields["stage"]["reference"] = [round(d, 3) for d in _mm(stage.position_m())]
-
-
-def _go_above(stage: Any, force: Any, limits: Limits, clock: Clock, above: Three) -> None:
-    """Aside first and then down, stopped by a change of force of 1 N."""
-    at = stage.position_m()
-    bias = ForceBias(Mounting(), mean_force(force, Mounting(), clock).force_n)
-    guard = MotionGuard(stage, force, replace(limits, force_n=JOG_N), bias, clock, OperatorControl())
-    speed = min(MAX_JOG_M_S, limits.fastest_m_s(stage.travel))
-    for target in ((above[0], above[1], min(at[2], above[2])), above):
-        if any(abs(a - b) > 1e-6 for a, b in zip(stage.position_m(), target, strict=True)):
-            guard.towards(target, speed)
 
 
 def _weight(made: SetUp, answers: Answers, say: Say, clock: Clock) -> None:
@@ -465,9 +427,4 @@ def _three_words(name: str, answer: Any) -> tuple[str, str, str]:
 
 def _mm(at: Three) -> Three:
     x, y, z = (round(d * MM, 4) for d in at)
-    return x, y, z
-
-
-def _metres(at: Three) -> Three:
-    x, y, z = (d / MM for d in at)
     return x, y, z

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
-from palpate.core import DeviceError, InputError
+from palpate.core import DeviceError, InputError, RangeError
 from palpate.rig.plans.plan_files import read_toml
 
 Three = tuple[float, float, float]
@@ -25,13 +25,22 @@ class Answers(Protocol):
 
 
 class FileAnswers:
-    """Answers by name; what is missing is taken as proposed, where `yes` says so and something is."""
+    """Answers by name; what is missing is taken as proposed, where `yes` says so, or asked of a person.
 
-    def __init__(self, answers: Mapping[str, Any], *, yes: bool = False) -> None:
-        self._answers, self._yes, self._asked = dict(answers), yes, set[str]()
+    Args:
+        answers: by name.
+        yes: take what is proposed.
+        person: is asked what the answers do not say; None where nobody is there.
+    """
+
+    def __init__(
+        self, answers: Mapping[str, Any], *, yes: bool = False, person: PromptAnswers | None = None
+    ) -> None:
+        self._answers, self._yes, self._asked, self._person = dict(answers), yes, set[str](), person
+        self._last = ""
 
     @classmethod
-    def read(cls, path: Path, *, yes: bool = False) -> FileAnswers:
+    def read(cls, path: Path, *, yes: bool = False, person: PromptAnswers | None = None) -> FileAnswers:
         """Read a TOML file, one answer a line.
 
         Raises:
@@ -39,7 +48,7 @@ class FileAnswers:
         """
         if not path.is_file():
             raise InputError(f"there is no file of answers {str(path)!r}")
-        return cls(read_toml(path), yes=yes)
+        return cls(read_toml(path), yes=yes, person=person)
 
     def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
         """The answer of this name.
@@ -47,16 +56,28 @@ class FileAnswers:
         Raises:
             InputError: there is none.
         """
+        self._last = name
         self._asked.add(name)
         if name in self._answers:
             return self._answers[name]
         if self._yes and proposal is not None:
             return proposal
+        if self._person is not None:
+            return self._person.ask(name, question, proposal, words=words)
         raise InputError(f"the answers do not say {name} ({question}); add a line {name} = ...")
 
     def again(self, why: str) -> bool:
-        """Never: a file says the same again."""
-        return False
+        """Where a person can answer instead: a file says the same again, and is not asked any more."""
+        if self._person is None:
+            return False
+        self._answers.pop(self._last, None)
+        return self._person.again(why)
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Answers that were asked for, to go on with."""
+        known = {name: self._answers[name] for name in self._answers if name in self._asked}
+        return known | (self._person.given if self._person is not None else {})
 
     def unused(self) -> list[str]:
         """Names that were answered and never asked for."""
@@ -64,10 +85,15 @@ class FileAnswers:
 
 
 class PromptAnswers:
-    """Answers of a person; an empty one takes the proposal, which stands in brackets."""
+    """Answers of a person; an empty one takes the proposal, which stands in brackets.
+
+    Attributes:
+        given: answers so far, by name; of one that was asked again, the last.
+    """
 
     def __init__(self, *, yes: bool = False, read: Callable[[str], str] = input) -> None:
         self._yes, self._read = yes, read
+        self.given: dict[str, Any] = {}
 
     def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
         """Ask until something is answered; lists, true and numbers are read as JSON, unless words are asked
@@ -81,10 +107,9 @@ class PromptAnswers:
                 text = self._read(f"{question}{shown}: ").strip()
             except EOFError as e:
                 raise InputError(f"nobody answered: {question}; give a file with --answers") from e
-            if text:
-                return text if words else _value(text)
-            if proposal is not None:
-                return proposal
+            if text or proposal is not None:
+                self.given[name] = proposal if not text else text if words else _value(text)
+                return self.given[name]
 
     def again(self, why: str) -> bool:
         """Say what is wrong, and let the person answer anew; not where all is taken as proposed."""
@@ -106,6 +131,15 @@ def _value(text: str) -> Any:
         return text
 
 
+MOTIONS = ("may_move", "home", "weight_lies", "weight_off", "write_scale", "above_mm", "stands_mm")
+"""Answers that hold at the moment alone, and are asked for again."""
+
+
+def kept_answers(answers: Mapping[str, Any]) -> dict[str, Any]:
+    """Answers that a setup which ended early can go on with."""
+    return {name: value for name, value in answers.items() if name not in MOTIONS}
+
+
 Good = TypeVar("Good")
 
 
@@ -114,7 +148,7 @@ def until_good(answers: Answers, take: Callable[[], Good]) -> Good:
     while True:
         try:
             return take()
-        except (InputError, DeviceError) as e:
+        except (InputError, RangeError, DeviceError) as e:
             if not answers.again(str(e)):
                 raise
 
@@ -147,18 +181,24 @@ def number(
 
 
 def three(answers: Answers, name: str, question: str, proposal: Three | None = None) -> Three:
-    """An answer that is three finite numbers."""
+    """An answer that is three finite numbers [mm]."""
+    proposed = None if proposal is None else list(proposal)
+    asked = f"{question}, as [x, y, z] in mm"
+    return until_good(answers, lambda: three_of(name, question, answers.ask(name, asked, proposed)))
 
-    def take() -> Three:
-        answer = answers.ask(name, f"{question}, as [x, y, z]", None if proposal is None else list(proposal))
-        if not isinstance(answer, list | tuple) or len(answer) != len("xyz"):
-            raise InputError(f"{name} is {answer!r}; give three numbers, as in [0, 0, 0] ({question})")
-        if not all(isinstance(one, int | float) and math.isfinite(one) for one in answer):
-            raise InputError(f"{name} is {answer!r}; all three must be finite numbers ({question})")
-        x, y, z = (float(one) for one in answer)
-        return x, y, z
 
-    return until_good(answers, take)
+def three_of(name: str, question: str, answer: Any) -> Three:
+    """Three finite numbers of an answer.
+
+    Raises:
+        InputError: it is not that.
+    """
+    if not isinstance(answer, list | tuple) or len(answer) != len("xyz"):
+        raise InputError(f"{name} is {answer!r}; give three numbers, as in [0, 0, 0] ({question})")
+    if not all(isinstance(one, int | float) and math.isfinite(one) for one in answer):
+        raise InputError(f"{name} is {answer!r}; all three must be finite numbers ({question})")
+    x, y, z = (float(one) for one in answer)
+    return x, y, z
 
 
 def text(answers: Answers, name: str, question: str, proposal: str | None = None) -> str:

@@ -5,9 +5,11 @@ from palpate.rig.real.marlin import MarlinSpec, MarlinStage
 from palpate.rig.real.netft import NetFT, NetFTSettings
 from palpate.rig.real.resense import HexSensor, HexSpec
 from palpate.rig.real.scale import ScaleSpec, SerialScale
+from palpate.rig.real.ur_arm import ArmFrame, UrArmSpec, UrArmStage
 from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
 
 __all__ = [
+    "ArmFrame",
     "GrblSpec",
     "GrblStage",
     "HexSensor",
@@ -18,6 +20,8 @@ __all__ = [
     "NetFTSettings",
     "ScaleSpec",
     "SerialScale",
+    "UrArmSpec",
+    "UrArmStage",
     "UvcCamera",
     "UvcSettings",
 ]

@@ -7,6 +7,7 @@ that. The system drops it when its process ends, also when that was killed.
 from __future__ import annotations
 
 import os
+import re
 import socket
 import sys
 from contextlib import suppress
@@ -17,6 +18,18 @@ from palpate.core import DeviceError, RecordingError, StorageError, lock, storag
 from palpate.devices.rpc import path_of
 
 MAX_HOLDER = 200  # bytes that the holder says of itself
+
+
+class DeviceHeldError(DeviceError):
+    """Another process holds the device.
+
+    Attributes:
+        pid: of that process; None where it is not known, or is this one.
+    """
+
+    def __init__(self, message: str, pid: int | None = None) -> None:
+        super().__init__(message)
+        self.pid = pid
 
 
 class DeviceHold:
@@ -42,7 +55,7 @@ def hold_device(device: str, folder: Path | None = None) -> DeviceHold:
         folder: of the lock's file; left out, the user's own.
 
     Raises:
-        DeviceError: another process, or this one, holds it; says which.
+        DeviceHeldError: another process, or this one, holds it; says which.
     """
     path = None
     try:
@@ -52,7 +65,10 @@ def hold_device(device: str, folder: Path | None = None) -> DeviceHold:
         file = lock(path)
     except RecordingError as e:
         assert path is not None  # as lock() found it
-        raise DeviceError(f"{device} is in use by {_holder(path)}; end that one first") from e
+        holder = _holder(path)
+        said = re.match(r"process (\d+) ", holder)
+        pid = int(said[1]) if said else None
+        raise DeviceHeldError(f"{device} is in use by {holder}; end that one first", pid) from e
     except StorageError:  # a full disk must not keep anybody from stopping a stage
         return DeviceHold(None)
     with suppress(OSError):
@@ -69,9 +85,16 @@ def port_named(path: str) -> str:
 
 def box_named(host: str, port: int) -> str:
     """A box in the network, by its number and not its name."""
-    with suppress(OSError):
+    with suppress(OSError, ValueError):  # also of a name that cannot be written as one
         host = socket.gethostbyname(host)
     return f"Net F/T box {host}, UDP port {port}"
+
+
+def arm_named(host: str) -> str:
+    """An arm in the network, by its number and not its name."""
+    with suppress(OSError, ValueError):
+        host = socket.gethostbyname(host)
+    return f"arm {host}"
 
 
 def camera_named(where: str | int) -> str:

@@ -3,6 +3,7 @@
 from palpate.rig.rig_file.motion_parts import MAX_LIMITS, LimitsPart
 from palpate.rig.rig_file.opened_rig import (
     RigFile,
+    follow_stage,
     is_virtual,
     open_part,
     open_rig,
@@ -10,14 +11,18 @@ from palpate.rig.rig_file.opened_rig import (
     rig_from,
     sensor_named,
 )
-from palpate.rig.rig_file.stage_parts import GrblPart, MarlinPart
+from palpate.rig.rig_file.sensor_parts import FollowingPart
+from palpate.rig.rig_file.stage_parts import GrblPart, MarlinPart, UrArmPart
 
 __all__ = [
     "MAX_LIMITS",
+    "FollowingPart",
     "GrblPart",
     "LimitsPart",
     "MarlinPart",
     "RigFile",
+    "UrArmPart",
+    "follow_stage",
     "is_virtual",
     "open_part",
     "open_rig",

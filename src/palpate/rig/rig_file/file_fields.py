@@ -2,12 +2,32 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+import re
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict
 
 from palpate.core import Position
 
 MM = 1e-3
 Three = tuple[float, float, float]
+
+
+MAX_HOST = 253  # characters of a name, by RFC 1035
+_HOST = re.compile(rf"[A-Za-z0-9._:-]{{1,{MAX_HOST}}}")
+
+
+def _names_a_host(host: str) -> str:
+    if not _HOST.fullmatch(host):
+        raise ValueError(
+            f"{host[:40]!r} is no host: give its number or name, of 1 to {MAX_HOST} letters, digits, "
+            "'.', '-', '_' and ':', as in 192.168.1.1"
+        )
+    return host
+
+
+Host = Annotated[str, AfterValidator(_names_a_host)]
+"""Name or number of a device in the network."""
 
 
 class Part(BaseModel):
@@ -22,8 +42,17 @@ def check_below(ceilings: dict[str, float], part: BaseModel) -> None:
         value = getattr(part, name, None)
         if value is not None and value > ceiling:
             raise ValueError(
-                f"{name} is {value:g}, and {ceiling:g} is the greatest allowed; give {ceiling:g} or less"
+                f"{name} is {value:g}, and {ceiling:g} is the greatest allowed; give {ceiling:g} "
+                f"{_unit(name)} or less"
             )
+
+
+def _unit(name: str) -> str:
+    """Unit of a field, from the end of its name: "mm" of ``step_mm``, "N/s" of ``force_rate_N_s``."""
+    for ending in ("N_s", "mm_s"):
+        if name.endswith(f"_{ending}"):
+            return ending.replace("_", "/")
+    return name.rpartition("_")[2]
 
 
 def check_above(floors: dict[str, float], part: BaseModel) -> None:
@@ -32,7 +61,8 @@ def check_above(floors: dict[str, float], part: BaseModel) -> None:
         value = getattr(part, name, None)
         if value is not None and value < floor:
             raise ValueError(
-                f"{name} is {value:g}, and {floor:g} is the least allowed; give {floor:g} or more"
+                f"{name} is {value:g}, and {floor:g} is the least allowed; give {floor:g} "
+                f"{_unit(name)} or more"
             )
 
 

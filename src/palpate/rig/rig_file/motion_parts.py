@@ -21,15 +21,15 @@ MAX_LIMITS: dict[str, float] = {
 }
 """Greatest limits that a rig's file may state: beyond them a limit guards nothing on a soft skin."""
 
-
 MIN_LIMITS: dict[str, float] = {
-    "force_N": 0.05,
+    "force_N": 0.01,
     "force_rate_N_s": 1.0,
-    "age_s": 0.002,
-    "overshoot_mm": 0.005,
-    "step_mm": 0.005,
+    "age_s": 0.001,
+    "force_latency_s": 1e-5,
+    "overshoot_mm": 0.001,
+    "step_mm": 0.01,
 }
-"""Least limits that a rig's file may state: below them no motion is possible, or none ends."""
+"""Least limits: below them nothing is ever recorded, since each motion is endless or refused."""
 
 
 class LimitsPart(Part):
@@ -84,9 +84,14 @@ class RegionPart(Part):
     """A part of the picture that matters, such as "fringes", for the operator's page."""
 
     name: Annotated[str, Field(min_length=1, max_length=40)]
-    box_px: tuple[
-        Annotated[int, Field(ge=0)],
-        Annotated[int, Field(ge=0)],
-        Annotated[int, Field(ge=1)],
-        Annotated[int, Field(ge=1)],
-    ]
+    box_px: tuple[int, int, int, int]
+
+    @model_validator(mode="after")
+    def _lies_in_a_picture(self) -> RegionPart:
+        x, y, width, height = self.box_px
+        if x < 0 or y < 0 or width < 1 or height < 1:
+            raise ValueError(
+                f"box_px of {self.name!r} is {list(self.box_px)}: x, y, width and height [px]; give x and y "
+                "of 0 or more, and width and height of 1 or more"
+            )
+        return self

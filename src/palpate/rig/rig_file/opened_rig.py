@@ -9,9 +9,9 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Discriminator, Tag, ValidationError
+from pydantic import Discriminator, Tag, ValidationError, field_validator
 
 from palpate.core import (
     DEFAULT_SENSOR,
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 from palpate.rig.rig_file.file_fields import Part, Three, metres
 from palpate.rig.rig_file.motion_parts import LimitsPart, RegionPart, VirtualPart
 from palpate.rig.rig_file.sensor_parts import (
+    FollowingPart,
     ForcePluginPart,
     NetFTPart,
     PluginPart,
@@ -47,14 +48,14 @@ from palpate.rig.rig_file.sensor_parts import (
     SerialScalePart,
     UvcPart,
 )
-from palpate.rig.rig_file.stage_parts import GrblPart, MarlinPart
+from palpate.rig.rig_file.stage_parts import GrblPart, MarlinPart, UrArmPart
 
 SUPERVISOR = ("-m", "palpate.rig.supervisor_process")
 
 OWN: dict[Role, tuple[str, ...]] = {
-    "stage": ("grbl", "marlin"),
-    "force": ("netft", "serial-scale", "resense-hex"),
-    "camera": ("uvc",),
+    "stage": ("grbl", "marlin", "ur-arm"),
+    "force": ("netft", "serial-scale", "resense-hex", "virtual"),
+    "camera": ("uvc", "virtual"),
 }
 """Kinds that palpate drives itself; the first of each role is that of a part without a kind."""
 
@@ -72,6 +73,7 @@ def _own(role: Role) -> Discriminator:
 StagePart = Annotated[
     Annotated[GrblPart, Tag("#grbl")]
     | Annotated[MarlinPart, Tag("#marlin")]
+    | Annotated[UrArmPart, Tag("#ur-arm")]
     | Annotated[PluginPart, Tag("#plugin")],
     _own("stage"),
 ]
@@ -79,11 +81,15 @@ ForcePart = Annotated[
     Annotated[NetFTPart, Tag("#netft")]
     | Annotated[SerialScalePart, Tag("#serial-scale")]
     | Annotated[ResenseHexPart, Tag("#resense-hex")]
+    | Annotated[FollowingPart, Tag("#virtual")]
     | Annotated[ForcePluginPart, Tag("#plugin")],
     _own("force"),
 ]
 CameraPart = Annotated[
-    Annotated[UvcPart, Tag("#uvc")] | Annotated[PluginPart, Tag("#plugin")], _own("camera")
+    Annotated[UvcPart, Tag("#uvc")]
+    | Annotated[FollowingPart, Tag("#virtual")]
+    | Annotated[PluginPart, Tag("#plugin")],
+    _own("camera"),
 ]
 
 
@@ -113,6 +119,15 @@ class RigFile(Part):
     label_force: ForcePart | None = None
     limits: LimitsPart | None = None
     regions: tuple[RegionPart, ...] = ()
+
+    @field_validator("label_force")
+    @classmethod
+    def _measures(cls, part: ForcePart | None) -> ForcePart | None:
+        if _follows(part):
+            raise ValueError(
+                'kind = "virtual" is for [force] and [camera], which follow the [stage]; leave this out'
+            )
+        return part
 
 
 def open_rig(text: str, *, seed: int = 0, supervised: bool = True) -> Rig:
@@ -203,10 +218,11 @@ def rig_from(file: RigFile, *, supervised: bool = True, name: str = "") -> Rig:
         raise InputError(
             f"the rig {file.name!r} needs [stage], [force], [camera] and [limits], or [virtual] instead"
         )
-    limits, mounting = file.limits.limits(), Mounting(file.force.axes)  # refused before anything is opened
+    limits, mounting, regions = _limits(file.limits), Mounting(file.force.axes), _regions(file)
+    design = sensor_of(file.design)  # all that needs no device, before one is opened
     clock = MonotonicClock()
     with ExitStack() as opened:
-        camera = _opened("camera", file.camera, clock, opened)
+        camera = None if _follows(file.camera) else _opened("camera", file.camera, clock, opened)
         second = None if file.label_force is None else _opened("force", file.label_force, clock, opened)
         supervisor: SupervisorLink | None = None
         guarded: tuple[Stage, ForceSensor]
@@ -218,9 +234,12 @@ def rig_from(file: RigFile, *, supervised: bool = True, name: str = "") -> Rig:
             guarded = supervisor.stage, supervisor.force
         else:
             guarded = open_guarded(file, clock, opened)
+        if camera is None:
+            camera = follow_stage("camera", file, guarded[0], clock)
+        simulated = [f"{role} virtual, not measured" for role in OWN if _follows(getattr(file, role))]
         rig = Rig(
             name=file.name,
-            sensor=file.sensor,
+            sensor=f"virtual {file.design}" if _follows(file.camera) else file.sensor,
             stage=guarded[0],
             force=guarded[1],
             camera=camera,
@@ -228,10 +247,10 @@ def rig_from(file: RigFile, *, supervised: bool = True, name: str = "") -> Rig:
             origin_m=metres(file.origin_mm),
             clock=clock,
             mounting=mounting,
-            regions=_regions(file),
+            regions=regions,
             licence=file.licence,
-            origin=file.origin,
-            design=sensor_of(file.design),
+            origin="; ".join([*filter(None, [file.origin]), *simulated]),
+            design=design,
             label_force=second,
             label_mounting=Mounting() if file.label_force is None else Mounting(file.label_force.axes),
             supervisor=supervisor,
@@ -245,21 +264,36 @@ def open_guarded(file: RigFile, clock: Clock, opened: ExitStack) -> tuple[Stage,
     """Open what a guarded motion needs, stage and force sensor; homed where the file asks for that."""
     assert file.stage is not None  # as whoever reads the file made sure of
     assert file.force is not None
-    force = _opened("force", file.force, clock, opened)
-    stage = _opened("stage", file.stage, clock, opened)
+    if _follows(file.force):
+        stage = _opened("stage", file.stage, clock, opened)
+        force = follow_stage("force", file, stage, clock)
+    else:
+        force = _opened("force", file.force, clock, opened)
+        stage = _opened("stage", file.stage, clock, opened)
     if isinstance(file.stage, GrblPart | MarlinPart) and file.stage.home:
-        _check_before_homing(file, stage, force)
-        home_clear(stage, force, Mounting(file.force.axes), clock)
+        mounting = Mounting(file.force.axes)
+        if file.limits is not None:
+            _check_before_motion(_limits(file.limits), stage, force, mounting)
+        home_clear(stage, force, mounting, clock)
     return stage, force
 
 
-def _check_before_homing(file: RigFile, stage: Stage, force: ForceSensor) -> None:
-    """Refuse what can be told without a motion: homing is one."""
-    if file.limits is None:
-        return
-    limits, mounting = file.limits.limits(), Mounting(file.force.axes if file.force else ("x", "y", "z"))
-    _check_force_limit(limits, force.range_n[mounting.normal])
-    limits.check_within(stage.travel)
+def _limits(part: LimitsPart) -> Limits:
+    """The file's limits; what is wrong with them is named as the file's."""
+    try:
+        return part.limits()
+    except RangeError as e:
+        raise InputError(f"limits: {e}") from e
+
+
+def _check_before_motion(limits: Limits, stage: Stage, force: ForceSensor, mounting: Mounting) -> None:
+    """Refuse limits that the devices cannot keep, before the stage is homed."""
+    try:
+        limits.check_within(stage.travel)
+        limits.check_range(force.range_n[mounting.normal])
+    except RangeError as e:
+        raise InputError(f"limits: {e}") from e
+    limits.check_sensor(force)
 
 
 def open_part(role: Role, part: StagePart | ForcePart | CameraPart, clock: Clock) -> Any:
@@ -270,6 +304,18 @@ def open_part(role: Role, part: StagePart | ForcePart | CameraPart, clock: Clock
         device = part.open(clock)
     scale = getattr(part, "scale", 1.0) if role == "force" else 1.0
     return device if scale == 1.0 else ScaledForce(device, scale)
+
+
+def _follows(part: StagePart | ForcePart | CameraPart | None) -> bool:
+    """Whether a part is a virtual device that follows the stage."""
+    return isinstance(part, FollowingPart)
+
+
+def follow_stage(role: Literal["force", "camera"], file: RigFile, stage: Stage, clock: Clock) -> Any:
+    """Open a virtual force sensor or camera that follows a rig's stage."""
+    part = getattr(file, role)
+    assert isinstance(part, FollowingPart)
+    return part.follow(role, stage, file.design, metres(file.origin_mm), clock)
 
 
 def _opened(role: Role, part: StagePart | ForcePart | CameraPart, clock: Clock, opened: ExitStack) -> Any:
@@ -296,12 +342,8 @@ def _virtual(file: RigFile, part: VirtualPart) -> Rig:
 
 def _check_range(rig: Rig) -> None:
     """Refuse a limit of force that the rig's sensor cannot measure."""
-    _check_force_limit(rig.limits, rig.force.range_n[rig.mounting.normal])
-
-
-def _check_force_limit(limits: Limits, range_n: float) -> None:
     try:
-        limits.check_range(range_n)
+        rig.limits.check_range(rig.force.range_n[rig.mounting.normal])
     except RangeError as e:
         raise InputError(f"limits.force_N: {e}") from e
 

@@ -6,10 +6,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from palpate.core import Clock, ForceSensor, FrameSource
+from palpate.core import Clock, ForceSensor, FrameSource, InputError, Position, Stage
 from palpate.rig.plans.press_places import Positive
-from palpate.rig.rig_file.file_fields import Part, check_below
-from palpate.rig.rig_file.motion_parts import MAX_LIMITS
+from palpate.rig.rig_file.file_fields import Host, Part, Three, check_above, check_below, metres
+from palpate.rig.rig_file.motion_parts import MAX_LIMITS, MIN_LIMITS
 
 Scale = Annotated[float, Field(ge=0.1, le=10.0, allow_inf_nan=False)]
 """Factor that a known weight gave: a true force over the one that is read."""
@@ -23,7 +23,7 @@ class NetFTPart(Part):
     """
 
     kind: Literal["netft"]
-    host: str
+    host: Host
     axes: tuple[str, str, str] = ("x", "y", "z")
     rdt_port: Annotated[int, Field(ge=1, le=65535)] = 49152
     http_port: Annotated[int, Field(ge=1, le=65535)] = 80
@@ -41,6 +41,7 @@ class NetFTPart(Part):
     @model_validator(mode="after")
     def _allowed(self) -> NetFTPart:
         check_below({"silence_s": MAX_LIMITS["age_s"]}, self)
+        check_above({"silence_s": MIN_LIMITS["age_s"]}, self)
         return self
 
 
@@ -106,6 +107,45 @@ class UvcPart(Part):
 
         settings = UvcSettings(**self.model_dump(exclude={"kind", "address"}))
         return UvcCamera(self.address, settings, clock)
+
+
+class FollowingPart(Part):
+    """A virtual force sensor or camera beside a real stage, which follows the stage's place.
+
+    It feels or shows the skin of the file's `design`, `askew_mm` from where it is expected; devices of one
+    `seed` have the same skin. To try a stage, or a simulator of its firmware, with a whole plan.
+    """
+
+    kind: Literal["virtual"]
+    seed: Annotated[int, Field(ge=0)] = 0
+    askew_mm: Three = (0.0, 0.0, 0.0)
+    axes: tuple[str, str, str] = ("x", "y", "z")
+
+    def follow(
+        self, role: Literal["force", "camera"], stage: Stage, design: str, origin_m: Position, clock: Clock
+    ) -> Any:
+        """Open the force sensor or the camera.
+
+        Args:
+            role: which of them.
+            stage: that it follows; whoever opened it closes it.
+            design: name of the sensor's design.
+            origin_m: expected surface of the skin, in the stage's frame [m].
+            clock: time.
+        """
+        from palpate.rig.virtual.followed_stage import FollowedWorld
+        from palpate.rig.virtual.virtual_camera import VirtualCamera
+        from palpate.rig.virtual.virtual_force import VirtualForce
+
+        world = FollowedWorld(stage, design, clock, origin_m, self.seed, metres(self.askew_mm))
+        return VirtualForce(world) if role == "force" else VirtualCamera(world)
+
+    def open(self, clock: Clock) -> Any:
+        """Refuse: there is no stage to follow."""
+        raise InputError(
+            'kind = "virtual" follows the rig\'s own stage, and there is none here; give it under [force] or '
+            "[camera] of a rig whose file names a [stage], or use [virtual] for a whole rig that is not there"
+        )
 
 
 class PluginPart(BaseModel):

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from palpate.core import Clock, DeviceError, Stage
+from palpate.core import Clock, DeviceError, InputError, RangeError, Stage
 from palpate.rig.plans.press_places import Positive
-from palpate.rig.rig_file.file_fields import MM, Part, Three, check_above, check_below, metres
+from palpate.rig.rig_file.file_fields import MM, Host, Part, Three, check_above, check_below, metres
 
 if TYPE_CHECKING:
     from palpate.rig.real.grbl.grbl_stage import GrblStage
     from palpate.rig.real.marlin import MarlinStage
+    from palpate.rig.real.ur_arm import UrArmSpec
 
 Baud = Annotated[int, Field(ge=1200, le=4_000_000)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -28,8 +29,28 @@ MAX_STAGE: dict[str, float] = {
 }
 """Greatest values of a stage's times and of its top speed."""
 
-MIN_STAGE: dict[str, float] = {"latency_s": 1e-3, "reply_s": 0.05, "stop_s": 0.05, "top_speed_mm_s": 0.05}
-"""Least values of them: no controller keeps less."""
+MIN_STAGE: dict[str, float] = {
+    "latency_s": 0.001,
+    "queued_s": 0.001,
+    "reply_s": 0.05,
+    "stop_s": 0.05,
+    "home_s": 1.0,
+    "top_speed_mm_s": 0.1,
+    "sudden_mm_s": 0.01,
+}
+"""Least values of them: no controller answers or stops sooner, and nothing is recorded more slowly."""
+
+MAX_ARM: dict[str, float] = {
+    "top_speed_mm_s": 250.0,
+    "acceleration_mm_s2": 10_000.0,
+    "stop_mm_s2": 10_000.0,
+    "tilt_deg": 2.0,
+    "rate_hz": 500.0,
+}
+"""Greatest values of an arm; its speed is that at which people may be near one (ISO 10218-1)."""
+
+MIN_ARM: dict[str, float] = {"acceleration_mm_s2": 10.0, "stop_mm_s2": 100.0, "rate_hz": 50.0}
+"""Least values of an arm: one that stops more gently runs on too far."""
 
 
 class GrblPart(Part):
@@ -175,6 +196,78 @@ class MarlinPart(Part):
         if place and self.reference is not None:
             _take_place(stage, metres(self.reference))
         return stage
+
+
+class UrArmPart(Part):
+    """A Universal Robots arm that carries the probe; it needs no homing, and opening it moves nothing.
+
+    Attributes:
+        host: name or address of its controller.
+        rotation: from the rig's frame to the arm's base, row by row: its columns are the rig's x, y and z in
+            the base.
+        zero_mm: the rig's zero in the arm's base [mm].
+        tool_rotvec_rad: rotation vector of the tool in the base, as the pendant shows it; moves keep it.
+        tilt_deg: by which the tool may be found out of it [degrees].
+        least_mm, greatest_mm: where it may be sent, in the rig's frame [mm].
+        top_speed_mm_s: fastest that is allowed [mm/s].
+        acceleration_mm_s2: at which a move begins and ends [mm/s^2].
+        stop_mm_s2: at which a stop slows down [mm/s^2].
+        latency_s, rate_hz, stop_s: see `UrArmSpec`.
+    """
+
+    kind: Literal["ur-arm"]
+    host: Host
+    rotation: tuple[Three, Three, Three]
+    zero_mm: Three
+    tool_rotvec_rad: Three
+    least_mm: Three
+    greatest_mm: Three
+    tilt_deg: Positive = 0.5
+    top_speed_mm_s: Positive = 50.0
+    acceleration_mm_s2: Positive = 500.0
+    stop_mm_s2: Positive = 1000.0
+    latency_s: Positive = 0.05
+    rate_hz: Positive = 125.0
+    stop_s: Positive = 5.0
+
+    @model_validator(mode="after")
+    def _fits(self) -> UrArmPart:
+        check_below(MAX_STAGE | MAX_ARM, self)
+        check_above(MIN_STAGE | MIN_ARM, self)
+        try:
+            self.spec()  # its own checks: of the rotation, above all
+        except (InputError, RangeError) as e:
+            raise ValueError(str(e)) from e
+        return self
+
+    def spec(self) -> UrArmSpec:
+        """Specification of the arm, in SI.
+
+        Raises:
+            InputError: the rotation is none, or the tool does not point into the skin.
+            RangeError: the box is empty.
+        """
+        from palpate.rig.real.ur_arm import ArmFrame, UrArmSpec
+
+        return UrArmSpec(
+            self.host,
+            ArmFrame(self.rotation, metres(self.zero_mm), self.tool_rotvec_rad),
+            least_m=metres(self.least_mm),
+            greatest_m=metres(self.greatest_mm),
+            top_speed_m_s=self.top_speed_mm_s * MM,
+            acceleration_m_s2=self.acceleration_mm_s2 * MM,
+            stop_m_s2=self.stop_mm_s2 * MM,
+            latency_s=self.latency_s,
+            tilt_deg=self.tilt_deg,
+            rate_hz=self.rate_hz,
+            stop_s=self.stop_s,
+        )
+
+    def open(self, clock: Clock) -> Stage:
+        """Open the stage; it does not move."""
+        from palpate.rig.real.ur_arm import UrArmStage
+
+        return UrArmStage.open(self.spec(), clock)
 
 
 def _box(part: GrblPart | MarlinPart) -> dict[str, Any]:

@@ -71,7 +71,7 @@ def virtual_rig(
     if violations:
         raise InputError(f"{name} cannot be driven, it breaks its contract: {'; '.join(violations)}")
     clock = clock or ManualClock()
-    vary = _variation(design, name) if variation is None else variation
+    vary = default_variation(design, name) if variation is None else variation
     travel = TRAVEL if design.moves == "probe" else CARRYING
     world = World(design, clock, travel, ORIGIN_M, vary, force_hz, seed, faults, askew_m)
     truths = TRUTHS if design.moves == "probe" else (*TRUTHS, AREA)
@@ -111,7 +111,12 @@ def _limits(travel: Travel, age_s: float | None) -> Limits:
     return usual if age_s is None else replace(usual, age_s=age_s)
 
 
-def _variation(sensor: Sensor, name: str) -> Variation:
+def default_variation(sensor: Sensor, name: str) -> Variation:
+    """How presses of a sensor differ, as it says itself.
+
+    Raises:
+        InputError: it says so in fields that there are not.
+    """
     sizes: dict[str, Any] = dict(variation_of(sensor))
     try:
         return replace(Variation(), **sizes)

@@ -322,6 +322,18 @@ class World:
 
     def _play(self, times: Series) -> Float[ndarray, "n 3"]:
         """The stage's own places, less what the backlash swallows; each move runs one way along each axis."""
+        half = self.variation.backlash_m / 2
+        targets = self._targets(times)
+        played = np.empty_like(targets)
+        at = self._played
+        for i, place in enumerate(targets):
+            at = np.clip(at, place - half, place + half)
+            played[i] = at
+        self._played = at
+        return played
+
+    def _targets(self, times: Series) -> Float[ndarray, "n 3"]:
+        """Places that the stage was sent along, at times [m]."""
         targets = np.empty((len(times), 3))
         left = np.ones(len(times), dtype=bool)
         for motion in reversed(self._motions):  # the last ones first: there are seldom more than two
@@ -332,14 +344,7 @@ class World:
             if not left.any():
                 break
         targets[left] = self._motions[0].start_m
-        half = self.variation.backlash_m / 2
-        played = np.empty_like(targets)
-        at = self._played
-        for i, place in enumerate(targets):
-            at = np.clip(at, place - half, place + half)
-            played[i] = at
-        self._played = at
-        return played
+        return targets
 
     @staticmethod
     def _place(relative: ndarray) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from contextlib import suppress
 from palpate.core import NS_PER_S, Clock, Closing, DeviceError, MonotonicClock, Position, RangeError, Travel
 from palpate.rig.real.grbl.grbl_link import CutOffError, RefusedError, SilenceError
 from palpate.rig.real.grbl.grbl_move import MoveSupervisor
-from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, alarm_name
+from palpate.rig.real.grbl.grbl_parser import GrblMessage, GrblState, GrblStatus, alarm_name
 from palpate.rig.real.grbl.grbl_session import GrblSession, PositionLostError, stands
 from palpate.rig.real.grbl.grbl_supervisor import (
     MM_PER_M,
@@ -124,6 +124,19 @@ class GrblStage(Closing):
     def firmware(self) -> str:
         """Name and version of the controller's firmware, as its banner says; empty where none came."""
         return self._link.firmware
+
+    def ask_firmware(self) -> str:
+        """Firmware and version, asked of the controller (`$I`) where no banner named them; empty if unknown.
+
+        Grbl 1.1 answers ``[VER:1.1h.20190830:]``; a build may name itself in ``[FIRMWARE:...]`` as well.
+        """
+        if self.firmware:
+            return self.firmware
+        with suppress(RefusedError):  # in an alarm, or of a build without it
+            told = {one.tag: one.text for one in self._link.command("$I") if isinstance(one, GrblMessage)}
+            version = told.get("VER", "").strip(": ")
+            return " ".join(filter(None, (told.get("FIRMWARE"), version and f"version {version}")))
+        return ""
 
     @property
     def started_anew(self) -> bool:

@@ -1,0 +1,106 @@
+"""A force whose zero moves while it presses: found by the zero after the press, taken back, recorded anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.rig.rigs import keys, plan, rig, wanted
+
+from palpate.core import NS_PER_S, Wrench
+from palpate.devices import ForceBias, Reason
+from palpate.recordings import Run, check
+from palpate.rig import State, done_in, record
+from palpate.rig.engine import DISBELIEVED
+from palpate.rig.rig import Rig
+from palpate.rig.run_progress import fields_of
+from palpate.rig.virtual import Variation
+from palpate.rig.zero_drift import slope_n_s
+
+
+class DriftingForce:
+    """A force sensor whose normal zero moves between two times, at so many newtons a second."""
+
+    def __init__(self, force: Any, slope_n_s: float, begun_s: float, ended_s: float) -> None:
+        self._force, self._slope = force, slope_n_s
+        self._begun_ns, self._ended_ns = begun_s * NS_PER_S, ended_s * NS_PER_S
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._force, name)
+
+    def drain(self) -> list[Wrench]:
+        return [self._shifted(one) for one in self._force.drain()]
+
+    def latest(self) -> Wrench:
+        return self._shifted(self._force.latest())
+
+    def _shifted(self, one: Wrench) -> Wrench:
+        x, y, z = one.force_n
+        seconds = max(min(one.time_ns, self._ended_ns) - self._begun_ns, 0) / NS_PER_S
+        return replace(one, force_n=(x, y, z + self._slope * seconds))
+
+
+def drifting(begun_s: float, ended_s: float, slope_n_s: float = 1.0) -> Rig:
+    one = rig(variation=Variation(), seed=5)
+    return replace(one, force=DriftingForce(one.force, slope_n_s, begun_s, ended_s))
+
+
+def span_of_last_press(path: Path) -> tuple[float, float]:
+    """When the last press of the small plan goes down, and when it is over, on a sound rig [s]."""
+    sound = rig(variation=Variation(), seed=5)
+    assert record(sound, plan(), path).state is State.DONE
+    run = Run.open(path)
+    down = run.times_s[run.labels.index[run.labels["phase"] == "down"][-1]]
+    begun_s = (sound.clock.now_ns() - run.end_ns + run.manifest.created_ns) / NS_PER_S
+    return begun_s + float(down) - 0.3, begun_s + float(down) + 0.1
+
+
+@pytest.mark.parametrize("goes_on", [False, True], ids=["ends before the zero", "goes on in the air"])
+def test_a_press_whose_zero_moved_is_named_taken_back_and_recorded_anew(
+    tmp_path: Path, goes_on: bool
+) -> None:
+    begun_s, ended_s = span_of_last_press(tmp_path / "sound")
+    out = tmp_path / "run"
+    outcome = record(drifting(begun_s, ended_s + (60.0 if goes_on else 0.0)), plan(), out)
+    assert outcome.state is State.FAILED
+    assert outcome.reason in ({Reason.FORCE_DRIFT} if not goes_on else DISBELIEVED)
+    assert (outcome.shots, outcome.void_shots) == (12, 4)
+    assert check(out).void_frames == 7
+    assert sorted({key for key, _ in keys(Run.open(out))}) == sorted(done_in(Run.open(out)))
+    assert record(rig(variation=Variation(), seed=5), plan(), out).state is State.DONE
+    run = Run.open(out)
+    assert sorted(keys(run)) == sorted(wanted(plan()))
+    assert (run.labels["force_N"] - run.labels["true_force_N"]).abs().max() < 0.05
+
+
+def test_a_small_movement_of_the_zero_is_told_as_a_figure(tmp_path: Path) -> None:
+    begun_s, ended_s = span_of_last_press(tmp_path / "sound")
+    out = tmp_path / "run"
+    outcome = record(drifting(begun_s, ended_s, 0.1), plan(), out)
+    assert outcome.state is State.DONE
+    assert outcome.zero_moved_n == pytest.approx(0.04, abs=0.01)
+    assert check(out).zero_moved_N == outcome.zero_moved_n
+
+
+def test_every_press_ends_with_a_zero_the_last_included(tmp_path: Path) -> None:
+    record(rig(), plan(), tmp_path / "run")
+    assert len(fields_of(Run.open(tmp_path / "run"), "zero-moved")) == 4
+
+
+def air(slope: float, noise_n: float, seed: int = 0) -> list[Wrench]:
+    noise = noise_n * np.random.default_rng(seed).standard_normal(300)
+    return [Wrench(i * 1_000_000, (0.0, 0.0, 1e-3 * slope * i + float(e))) for i, e in enumerate(noise)]
+
+
+@pytest.mark.parametrize("slope", [1.0, -1.0, 0.4])
+def test_a_force_that_still_drifts_in_the_air_has_its_slope(slope: float) -> None:
+    assert slope_n_s(air(slope, 0.005), ForceBias(noise_n=0.005)) == pytest.approx(slope, abs=0.02)
+
+
+@pytest.mark.parametrize("noise_n", [0.005, 0.05])
+def test_noise_is_no_drift(noise_n: float) -> None:
+    before = ForceBias(noise_n=0.005)
+    assert all(slope_n_s(air(0.0, noise_n, seed), before) == 0.0 for seed in range(50))
