@@ -159,7 +159,7 @@ OWN = {"stage": "their_devices:Stage", "force": "their_devices:Force", "camera":
         ("stage", "their_devices:MillimetreStage", "breaks the law 'stands inside its travel'"),
         ("force", "their_devices:BareForce", "breaks the law 'hands out samples'"),
         ("camera", "their_devices:TurnedCamera", "breaks the law 'keeps the stated size'"),
-        ("camera", "webcam", "there is no camera 'webcam'; there are uvc, or give module:Name"),
+        ("camera", "webcam", "there is no camera 'webcam'; there are uvc, virtual, or give module:Name"),
     ],
 )
 @pytest.mark.parametrize("verb", ["record", "check"])
