@@ -28,7 +28,7 @@ test: .venv/work.stamp ## run the tests that take seconds
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n $(TEST_PROCESSES) --dist loadscope
 
 slow: .venv/work.stamp ## run the tests that take minutes
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow --timeout=3600
 
 # One line after another is changed on a copy; MUTANTS="--only n3" runs one of them.
 mutants: .venv/work.stamp ## see that the nearest tests notice each line changed in the frozen list

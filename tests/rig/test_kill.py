@@ -140,6 +140,7 @@ at_mm = [[0.0, 0.0], [4.0, 3.0]]
 """
 
 
+@pytest.mark.slow
 def test_the_command_that_was_killed_goes_on_when_it_is_given_again(tmp_path: Path) -> None:
     """Killed as soon as it has got so far: Python's start, the folder, its segment, its first frames."""
     out, file = tmp_path / "run", tmp_path / "tiny.toml"

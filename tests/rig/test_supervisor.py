@@ -293,6 +293,7 @@ def test_a_supervisor_that_hangs_is_told_once_within_seconds_and_then_at_once(su
         awake(rig.supervisor.pid)
 
 
+@pytest.mark.slow
 def test_a_supervisor_whose_device_is_slow_is_not_taken_for_one_that_hangs(supervised, monkeypatch) -> None:
     monkeypatch.setattr(supervisor_link, "PROBE_S", 0.1)
     monkeypatch.setattr(supervisor_link, "SILENT_S", 1.0)
@@ -354,6 +355,7 @@ def test_ctrl_c_while_a_stage_homes_ends_that(supervised) -> None:
         client.wait(20)
 
 
+@pytest.mark.slow
 def test_a_stop_past_a_supervisor_that_hangs_opens_no_second_stage_and_says_that_it_stopped_nothing(
     supervised,
 ) -> None:
@@ -371,6 +373,7 @@ def test_a_stop_past_a_supervisor_that_hangs_opens_no_second_stage_and_says_that
     rig.close()
 
 
+@pytest.mark.slow
 def test_one_rig_has_one_supervisor_and_the_next_waits_until_it_has_let_go(supervised, monkeypatch) -> None:
     bench = supervised()
     with opened(bench), pytest.raises(DeviceError, match=r"process \d+ drives the rig"):
@@ -439,6 +442,7 @@ def test_the_studios_process_records_through_the_supervisor_and_stops_it(supervi
     assert bench.z_m() <= FREE_M + 1e-5
 
 
+@pytest.mark.slow
 def test_the_pages_emergency_stop_passes_a_recorder_that_hangs(supervised, tmp_path, monkeypatch) -> None:
     bench = supervised()
     monkeypatch.setenv(

@@ -93,6 +93,7 @@ class PromptAnswers:
 
     def __init__(self, *, yes: bool = False, read: Callable[[str], str] = input) -> None:
         self._yes, self._read = yes, read
+        self._ended = False
         self.given: dict[str, Any] = {}
 
     def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
@@ -106,13 +107,18 @@ class PromptAnswers:
             try:
                 text = self._read(f"{question}{shown}: ").strip()
             except EOFError as e:
+                self._ended = True
                 raise InputError(f"nobody answered: {question}; give a file with --answers") from e
             if text or proposal is not None:
                 self.given[name] = proposal if not text else text if words else _value(text)
                 return self.given[name]
 
     def again(self, why: str) -> bool:
-        """Say what is wrong, and let the person answer anew; not where all is taken as proposed."""
+        """Say what is wrong, and let the person answer anew; not where all is taken as proposed, or the
+        input has ended: nobody would answer, however often they were asked.
+        """
+        if self._ended:
+            return False
         print(why, file=sys.stderr)
         return not self._yes
 
