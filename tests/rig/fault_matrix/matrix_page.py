@@ -228,7 +228,9 @@ No way is bounded, since nothing is pressed by them, for {open}.
 ## A GRBL stage
 
 Other parts are virtual. Time runs on while an answer is awaited, and sleeps are skipped, so ways differ by
-some micrometres from run to run.
+some micrometres from run to run. On a machine whose cores are all busy, a press on Grbl 1.1 that somebody
+else holds was named `force-dead` in two of three runs: its force stopped rising before the status that
+says so had come.
 
 {firmwares}
 
