@@ -84,6 +84,34 @@ def tactip(
     print_found(entries, _beside_the_source(warning, entries, out), json_)
 
 
+@app.command()
+def nusense(
+    out: Annotated[Path, Option(help="Folder to make; must not exist. Recordings stay in it.")],
+    scale: Annotated[
+        str, Option(help="small: for minutes on two cores. full: the plans as they are.")
+    ] = "small",
+    part: Annotated[
+        str, Option(help="all, or force, places, hysteresis, cycles, edges, damage, controls alone.")
+    ] = "all",
+    seed: Annotated[int, Option(min=0, help="Seed of everything random.")] = 0,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Set the thesis on NUSense, a patterned pad, beside our numbers.
+
+    Records its chapter 4 on the virtual pad: force, places, hysteresis, 70 cycles, edges, damage. Makes
+    report.html and summary.json. Interrupted, the same command goes on from where it was.
+
+    Example: palpate reproduce nusense --out nusense-study
+    """
+    from palpate.reproductions.nusense import reproduce_nusense, scale_named
+
+    with progress_bar(quiet) as progress:
+        entries = reproduce_nusense(out, scale_named(scale), seed=seed, part=part, progress=progress)
+    warning = "Virtual sensor: what the estimators recover of a model, not how good a sensor is."
+    print_found(entries, _beside_the_source(warning, entries, out), json_)
+
+
 def _beside_the_source(warning: str, entries: Sequence[Mapping[str, Any]], out: Path) -> str:
     """Text of the numbers that the source prints too, and where all of them are."""
     beside = [one for one in entries if one["published"] is not None and one["value"] is not None]

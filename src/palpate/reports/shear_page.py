@@ -100,7 +100,7 @@ class ShearPage:
     def write(self, path: Path) -> None:
         """Write the page; it must not exist."""
         strongest = [
-            (what, one, self._pictures(one))
+            (what, one, touch_pictures(self._reader, one.frame, one.touch))
             for what, one in (("press", self._press), ("edge", self._edge))
             if one is not None
         ]
@@ -140,61 +140,6 @@ class ShearPage:
             axes.set_title(f"untouched pattern, {len(places)} control points", loc="left")
             return drawn(figure)
 
-    def _pictures(self, shown: Shown) -> str:
-        """Marks' motion in the image, and the shear field with contacts."""
-        fields = StrainMeter(self._reader.marks.reference, DEGREE).fields(shown.touch.points)
-        marks = self._reader.marks
-        with styled_panels(11.5, 4.6, 1, 2) as (figure, (left, right)):
-            rest = marks.in_image(fields.rest)
-            _image(left, shown.frame, rest)
-            step = marks.in_image(fields.rest + fields.moved) - rest
-            longest = float(np.hypot(*step.T).max()) or 1.0
-            grow = MAX_ARROW * marks.pitch * marks.px_per_unit / longest
-            left.quiver(
-                *rest.T, *step.T, color="#ffffff", angles="xy", scale_units="xy", scale=1 / grow, width=0.007
-            )
-            left.quiver(
-                *rest.T, *step.T, color=INK, angles="xy", scale_units="xy", scale=1 / grow, width=0.0035
-            )
-            left.set_title(f"motion of the marks, arrows {grow:.0f} times as long", loc="left")
-            self._field(right, fields, shown.touch)
-            return drawn(figure)
-
-    def _field(self, axes: Axes, fields: StrainFields, touch: ShearTouch) -> None:
-        scale = self._scale
-        shear = fields.greatest_shear
-        mesh = axes.pcolormesh(
-            *(scale * fields.at), np.ma.masked_invalid(shear), cmap=SHADES, vmin=0, shading="gouraud"
-        )
-        axes.figure.colorbar(mesh, ax=axes, label="greatest shear [rad]", shrink=0.9)
-        seen = fields.basis.supported
-        some = np.zeros_like(seen)
-        some[4::8, 4::8] = True
-        some &= seen
-        axes.quiver(
-            *(scale * fields.at[:, some]), *(scale * fields.displacement[:, some]), color=INK, angles="xy",
-            width=0.0022,
-        )  # fmt: skip
-        for contact in touch.places.contacts:
-            x, y = scale * contact.x, scale * contact.y
-            axes.plot(x, y, "+", color=BAD, ms=11, mew=1.8)
-            if contact.ring is not None:
-                ring = contact.ring
-                centre = (scale * ring.x, scale * ring.y)
-                axes.add_patch(
-                    Circle(centre, scale * ring.radius, fill=False, color=BAD, lw=1.4, ls=(0, (4, 2)))
-                )
-        edge = touch.places.edge
-        if edge is not None:
-            first = touch.places.contacts[0]
-            half = 0.3 * scale * float(np.ptp(fields.rest[:, 0]))
-            dx, dy = half * math.cos(edge.angle_rad), half * math.sin(edge.angle_rad)
-            x, y = scale * first.x, scale * first.y
-            axes.plot([x - dx, x + dx], [y - dy, y + dy], color=BAD, lw=1.6, ls=(0, (4, 2)))
-        axes.set_aspect("equal")
-        axes.set(xlabel=f"x [{self._unit}]", ylabel=f"y [{self._unit}]")
-        axes.set_title("greatest shear, and which way the pattern moved", loc="left")
-
     def _drawn_course(self) -> str:
         gamma, x, y = np.array(self._course).T
         index = np.arange(len(gamma))
@@ -210,6 +155,65 @@ class ShearPage:
             right.legend(frameon=False)
             right.set_title("place of the first contact", loc="left")
             return drawn(figure)
+
+
+def touch_pictures(reader: ShearReader, frame: Frame, touch: ShearTouch) -> str:
+    """Marks' motion in the image, and the shear field with contacts, as a data address.
+
+    Args:
+        reader: that read the touch; its reference is what strain is against.
+        frame: of the touch.
+        touch: a frame that could be read.
+    """
+    marks = reader.marks
+    fields = StrainMeter(marks.reference, DEGREE).fields(touch.points)
+    with styled_panels(11.5, 4.6, 1, 2) as (figure, (left, right)):
+        rest = marks.in_image(fields.rest)
+        _image(left, frame, rest)
+        step = marks.in_image(fields.rest + fields.moved) - rest
+        longest = float(np.hypot(*step.T).max()) or 1.0
+        grow = MAX_ARROW * marks.pitch * marks.px_per_unit / longest
+        left.quiver(
+            *rest.T, *step.T, color="#ffffff", angles="xy", scale_units="xy", scale=1 / grow, width=0.007
+        )
+        left.quiver(*rest.T, *step.T, color=INK, angles="xy", scale_units="xy", scale=1 / grow, width=0.0035)
+        left.set_title(f"motion of the marks, arrows {grow:.0f} times as long", loc="left")
+        _field(right, fields, touch)
+        return drawn(figure)
+
+
+def _field(axes: Axes, fields: StrainFields, touch: ShearTouch) -> None:
+    unit, scale = ("mm", 1e3) if fields.unit == "m" else ("px", 1.0)
+    shear = fields.greatest_shear
+    mesh = axes.pcolormesh(
+        *(scale * fields.at), np.ma.masked_invalid(shear), cmap=SHADES, vmin=0, shading="gouraud"
+    )
+    axes.figure.colorbar(mesh, ax=axes, label="greatest shear [rad]", shrink=0.9)
+    seen = fields.basis.supported
+    some = np.zeros_like(seen)
+    some[4::8, 4::8] = True
+    some &= seen
+    axes.quiver(
+        *(scale * fields.at[:, some]), *(scale * fields.displacement[:, some]), color=INK, angles="xy",
+        width=0.0022,
+    )  # fmt: skip
+    for contact in touch.places.contacts:
+        x, y = scale * contact.x, scale * contact.y
+        axes.plot(x, y, "+", color=BAD, ms=11, mew=1.8)
+        if contact.ring is not None:
+            ring = contact.ring
+            centre = (scale * ring.x, scale * ring.y)
+            axes.add_patch(Circle(centre, scale * ring.radius, fill=False, color=BAD, lw=1.4, ls=(0, (4, 2))))
+    edge = touch.places.edge
+    if edge is not None:
+        first = touch.places.contacts[0]
+        half = 0.3 * scale * float(np.ptp(fields.rest[:, 0]))
+        dx, dy = half * math.cos(edge.angle_rad), half * math.sin(edge.angle_rad)
+        x, y = scale * first.x, scale * first.y
+        axes.plot([x - dx, x + dx], [y - dy, y + dy], color=BAD, lw=1.6, ls=(0, (4, 2)))
+    axes.set_aspect("equal")
+    axes.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
+    axes.set_title("greatest shear, and which way the pattern moved", loc="left")
 
 
 def _stronger(one: Shown | None, other: Shown) -> Shown:

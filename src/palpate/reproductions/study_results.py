@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, NotRequired, TypedDict
 
 import numpy as np
 
-from palpate.core import new_file
+from palpate.core import ExistsError, new_file, refuse_existing, storage_errors
 
-REPORT_FILE, SUMMARY_FILE = "report.html", "summary.json"
+REPORT_FILE, SUMMARY_FILE, ASKED_FILE = "report.html", "summary.json", "study.json"
 
 
 class Published(NamedTuple):
@@ -56,3 +57,48 @@ def write_results(folder: Path, entries: Sequence[StudyEntry], page: str) -> Non
         path.write_text(json.dumps(entries, indent=1, allow_nan=False) + "\n")
     with new_file(folder / REPORT_FILE) as path:
         path.write_text(page, encoding="utf-8")
+
+
+def unfinished_work(out: Path, asked: Mapping[str, Any]) -> Path:
+    """The folder beside `out` in which a study is made, new or found again.
+
+    Args:
+        out: folder that the study becomes when all is done.
+        asked: what decides the study's results; work of another kind is not gone on with.
+
+    Raises:
+        ExistsError: `out` exists, or work that was asked for otherwise lies beside it.
+    """
+    refuse_existing(out)
+    work, wanted = out.with_name(f".{out.name}.work"), json.dumps(asked)
+    note = work / ASKED_FILE
+    if note.is_file() and note.read_text() != wanted:
+        raise ExistsError(
+            f"{work} holds unfinished work of another scale, seed or part ({note.read_text()}); run that one "
+            "again to finish it, remove the folder, or choose another --out"
+        )
+    if not note.is_file():
+        with storage_errors(work):
+            work.mkdir(parents=True, exist_ok=True)
+        with new_file(note) as path:
+            path.write_text(wanted)
+    return work
+
+
+def kept_result(folder: Path, name: str, make: Callable[[], Any]) -> Any:
+    """A result as plain values, made once; beside it the time that took."""
+    path = folder / "results" / f"{name}.json"
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        begun = time.monotonic()
+        result = make()
+        document = {"seconds": round(time.monotonic() - begun, 1), "found": result}
+        with new_file(path) as temporary:
+            temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+    return json.loads(path.read_text())["found"]
+
+
+def kept_seconds(folder: Path) -> dict[str, float]:
+    """Time that each kept result took [s]."""
+    files = sorted((folder / "results").glob("*.json"))
+    return {path.stem: float(json.loads(path.read_text())["seconds"]) for path in files}

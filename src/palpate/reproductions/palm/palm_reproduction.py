@@ -5,7 +5,6 @@ The page reads like the results section of a paper, and goes beyond the source's
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.core import ExistsError, InputError, Progress, new_file, refuse_existing, silent, storage_errors
+from palpate.core import InputError, Progress, silent
 from palpate.reports import study_figures as draw
 from palpate.reports.certificate_page import filled_template
 from palpate.reproductions.palm import palm_comparison as comparison, palm_conditions as cond
@@ -30,7 +29,13 @@ from palpate.reproductions.palm.palm_published import (
 )
 from palpate.reproductions.palm.palm_setup import MODELS, Scale, StudyFolder
 from palpate.reproductions.palm.palm_summary import summary_of
-from palpate.reproductions.study_results import REPORT_FILE, SUMMARY_FILE, StudyEntry, write_results
+from palpate.reproductions.study_results import (
+    REPORT_FILE,
+    SUMMARY_FILE,
+    StudyEntry,
+    unfinished_work,
+    write_results,
+)
 from palpate.version import __version__
 
 SHORT = {name: said.split(" (")[0] for name, said in NAMES.items()}
@@ -189,7 +194,6 @@ def _sustained(found: Mapping[str, Any]) -> str:
     return draw.curves(panels, "time held [s]", log=False)
 
 
-PLAN_FILE = "study.json"
 Stages = dict[str, Callable[[StudyFolder], Any]]
 HEADLINE_STAGES: Stages = {
     "recorded": comparison.record_both,
@@ -253,18 +257,5 @@ def study_folder(
     Raises:
         ExistsError: `out` exists, or work of another scale, seed or part lies beside it.
     """
-    refuse_existing(out)
-    work = out.with_name(f".{out.name}.work")
-    wanted = json.dumps({"study": "palm", "scale": scale.name, "seed": seed, "part": part})
-    note = work / PLAN_FILE
-    if note.is_file() and note.read_text() != wanted:
-        raise ExistsError(
-            f"{work} holds unfinished work of another scale, seed or part ({note.read_text()}); run that one "
-            "again to finish it, remove the folder, or choose another --out"
-        )
-    if not note.is_file():
-        with storage_errors(work):
-            work.mkdir(parents=True, exist_ok=True)
-        with new_file(note) as path:
-            path.write_text(wanted)
-    return StudyFolder(work, scale, seed, progress)
+    asked = {"study": "palm", "scale": scale.name, "seed": seed, "part": part}
+    return StudyFolder(unfinished_work(out, asked), scale, seed, progress)

@@ -6,8 +6,6 @@ by the same command, from the first part that is missing.
 
 from __future__ import annotations
 
-import json
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,12 +18,13 @@ from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.certificate import read_predictions
 from palpate.calibration.evaluation import predictions
 from palpate.calibration.training_data import model_regions
-from palpate.core import DeviceError, Indices, InputError, Progress, new_file, silent
+from palpate.core import DeviceError, Indices, InputError, Progress, silent
 from palpate.estimators.certified import Estimator, read_card
 from palpate.estimators.networks import model_kind
 from palpate.recordings import Run
 from palpate.reports.certificate_page import write_report
 from palpate.reproductions.palm.palm_published import scores_of
+from palpate.reproductions.study_results import kept_result, kept_seconds
 from palpate.rig import State, record
 from palpate.rig.plans import Scattered, StepHold
 from palpate.rig.virtual.disturbances import Variation
@@ -283,20 +282,11 @@ class StudyFolder:
 
     def kept(self, name: str, make: Callable[[], Any]) -> Any:
         """A result as plain values, made once; beside it the time that took."""
-        path = self.folder / "results" / f"{name}.json"
-        if not path.exists():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            begun = time.monotonic()
-            result = make()
-            document = {"seconds": round(time.monotonic() - begun, 1), "found": result}
-            with new_file(path) as temporary:
-                temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
-        return json.loads(path.read_text())["found"]
+        return kept_result(self.folder, name, make)
 
     def seconds(self) -> dict[str, float]:
         """Time that each result took [s]."""
-        files = sorted((self.folder / "results").glob("*.json"))
-        return {path.stem: float(json.loads(path.read_text())["seconds"]) for path in files}
+        return kept_seconds(self.folder)
 
 
 def pressed_rows(run: Run) -> Indices:

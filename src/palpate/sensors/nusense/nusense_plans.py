@@ -14,6 +14,8 @@ MIDDLE: Mapping[str, Any] = {"kind": "listed", "at_mm": [[0.0, 0.0]]}
 COLUMNS, ROWS, APART_MM = 6, 4, (6.4, 7.0)
 ANGLES_DEG = tuple(range(0, 180, 15))
 EDGE_MM = 25
+FIRM_TAPS: Mapping[str, Any] = {"taps": 8, "tap_N": 4.0}
+"""Of flat and long tips: taps of the usual 0.5 N are too short on them to set the clocks by."""
 _SWEPT: Mapping[str, Any] = {
     "kind": "swept",
     "speed_mm_s": SPEED_MM_S,
@@ -56,12 +58,16 @@ DEFAULT_PLAN: Mapping[str, Any] = {
 """Depth, force and place together, for a calibration of all of them."""
 
 PLANS: Mapping[str, Mapping[str, Any]] = {
-    "nusense-force": _swept("nusense-force", 8.0, indenters=["flat", "round"], cycles=5),
+    "nusense-force": _swept("nusense-force", 8.0, indenters=["flat", "round"], cycles=5, **FIRM_TAPS),
     "nusense-places": _swept("nusense-places", 6.0, indenters=["round"], places=_grid(), cycles=3),
     "nusense-hysteresis": _swept("nusense-hysteresis", 8.0, indenters=["round"], cycles=3),
     "nusense-cycles": _swept("nusense-cycles", 8.0, indenters=["round"], cycles=70),
     "nusense-edges": _swept(
-        "nusense-edges", 8.0, indenters=[f"edge:{EDGE_MM}:{turn}" for turn in ANGLES_DEG], cycles=1
+        "nusense-edges",
+        8.0,
+        indenters=[f"edge:{EDGE_MM}:{turn}" for turn in ANGLES_DEG],
+        cycles=1,
+        **FIRM_TAPS,
     ),
     "nusense-damage": _swept("nusense-damage", 4.0, indenters=["round"], cycles=4),
 }
