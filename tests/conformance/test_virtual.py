@@ -900,6 +900,14 @@ def test_motion_ends_when_the_force_sensor_fails_on_the_way(kind: Any) -> None:
     assert not made.stage.moving()
 
 
+@pytest.mark.parametrize("age_s", [0.05, 0.2])
+def test_the_oldest_force_that_the_check_bears_is_the_rigs_own_limit(age_s: float) -> None:
+    made = rig()
+    found = check_rig(replace(made, limits=replace(made.limits, age_s=age_s)))
+    (oldest,) = [one for one in found if one.name == "force: latest is never old"]
+    assert oldest.allowed == age_s
+
+
 def test_a_rig_whose_limits_leave_the_travel_is_told() -> None:
     made = rig(Fault("force-gone", 0.2))
     wide = replace(made.limits, greatest_m=(1.0, 1.0, 1.0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,26 +12,10 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from palpate.cli.rig_verbs import rig_app
+from palpate.cli.rig_verbs import rig_app, stopped_by_signals, wrong_lines
 from palpate.cli.verb_support import Json, print_found
 
 RigName = Annotated[str, Argument(help="A rig's TOML file, or virtual:palm.")]
-
-
-@contextmanager
-def stopped_by_signals() -> Iterator[None]:
-    """Stop the stage, as Ctrl-C does, also where the process is told to end or its terminal is closed."""
-
-    def interrupt(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {number: signal.signal(number, interrupt) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @rig_app.command()
@@ -225,7 +208,7 @@ def setup(
     with stopped_by_signals(), _answers_kept(out, asked):
         found = set_up(out, asked, lambda line: typer.echo(line, err=True))
     wrong = [one for one in found.checks if not one.ok]
-    lines = [f"wrong: {one.name}: {one.message}" for one in wrong]
+    lines = wrong_lines(wrong)
     lines += [f"not checked: {one}" for one in found.unchecked]
     lines.append(f"{out}: {len(found.checks) - len(wrong)} of {len(found.checks)} checks passed")
     result: dict[str, Any] = {

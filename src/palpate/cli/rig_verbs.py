@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import signal
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -123,10 +125,11 @@ def check(rig: Annotated[str, Argument(help="A TOML file, or virtual:palm.")], j
     from palpate.rig.rig_check import check_rig
     from palpate.rig.rig_file import open_rig
 
-    findings = check_rig(open_rig(rig, supervised=False))
+    with stopped_by_signals():
+        findings = check_rig(open_rig(rig, supervised=False))
     wrong = [one for one in findings if not one.ok]
     lines = [_measured(one) for one in findings if one.ok and one.unit]
-    lines += [f"wrong: {one.name}: {one.message}" for one in wrong]
+    lines += wrong_lines(wrong)
     text = "\n".join([*lines, f"{rig}: {len(findings) - len(wrong)} of {len(findings)} checks passed"])
     print_found([asdict(one) for one in findings], text, json_)
     if wrong:
@@ -214,6 +217,11 @@ def preview(
     print_found(result, text, json_)
 
 
+def wrong_lines(wrong: list[CheckResult]) -> list[str]:
+    """A line for each finding that failed, with what was measured and what is stated or allowed."""
+    return [f"wrong: {_measured(one) if one.unit else one.name}: {one.message}" for one in wrong]
+
+
 def _measured(finding: CheckResult) -> str:
     scale, unit = SHOWN_IN.get(finding.unit, (1.0, finding.unit))
     values = (finding.measured or 0.0, finding.allowed or 0.0)
@@ -231,8 +239,28 @@ def _late(clocks: Offset) -> str:
     )
 
 
+ONCE_S = 2.0  # after a signal, in which another must not cut short the stop that the first began
 # Ctrl-C, a request to end, and a terminal that is closed.
 _ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[None]:
+    """Stop the stage, as Ctrl-C does, also where the process is told to end or its terminal is closed."""
+    asked_s = -math.inf
+
+    def interrupt(number: int, frame: object) -> None:
+        nonlocal asked_s
+        before_s, asked_s = asked_s, time.monotonic()
+        if asked_s - before_s > ONCE_S:
+            raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in _ENDING}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager

@@ -28,12 +28,12 @@ ForceRate = Annotated[float | None, Option(help="Rate of its rows [Hz], if it ha
 
 INTERRUPTED = "stopped; nothing half-written is left, and a calibration goes on where it was"
 INTERRUPTED_STAGE = (
-    "interrupted: a jog is stopped, and the probe is not lifted but stays where it is, perhaps in contact. "
-    "Look whether the stage stands; `palpate rig stop` stops it, `palpate rig status` says where it is, and "
-    "after a homing that was interrupted its place is not to be believed until it is homed"
+    "interrupted: what moved was stopped, and the probe is not lifted but stays where it is, perhaps in "
+    "contact. Look whether the stage stands; `palpate rig stop` stops it, `palpate rig status` says where it "
+    "is, and after a homing that was interrupted its place is not to be believed until it is homed"
 )
-MOVING = ("home", "jog")
-"""Verbs that move a stage by hand."""
+MOVING = ("home", "jog", "zero", "check", "setup")
+"""Verbs of the group `rig` that move a stage."""
 
 
 class Group(TyperGroup):
@@ -44,8 +44,8 @@ class Group(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as e:
-            end = INTERRUPTED if ctx.invoked_subcommand not in MOVING else INTERRUPTED_STAGE
-            typer.echo(f"palpate: {end}", err=True)
+            moved = ctx.info_name == "rig" and ctx.invoked_subcommand in MOVING
+            typer.echo(f"palpate: {INTERRUPTED_STAGE if moved else INTERRUPTED}", err=True)
             raise typer.Exit(130) from e
         except SystemExit as e:  # a verb ends by typer.Exit: this is of a plug-in, and may claim success
             from palpate.core.plugins import told

@@ -58,8 +58,17 @@ def check_rig(
         >>> all(one.ok for one in check_rig(virtual_rig()))
         True
     """
-    noise_n = threshold_n / SIGMAS
-    force = check_force_sensor(rig.force, clock=rig.clock, noise_n=noise_n, close=False)
+    try:
+        return _checks(rig, clear_m, threshold_n / SIGMAS, time_scale, close=close)
+    except BaseException:  # Ctrl-C: what moved stands by now, and the devices are let go of
+        if close:
+            rig.close()
+        raise
+
+
+def _checks(rig: Rig, clear_m: float, noise_n: float, time_scale: float, *, close: bool) -> list[CheckResult]:
+    age_s = rig.limits.age_s
+    force = check_force_sensor(rig.force, clock=rig.clock, age_s=age_s, noise_n=noise_n, close=False)
     results = with_prefix("force", force)
     results += with_prefix("camera", check_camera(rig.camera, clock=rig.clock, close=False))
     if rig.label_force is not None:

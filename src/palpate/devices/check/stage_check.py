@@ -96,6 +96,10 @@ def _all_moves(walker: Walker) -> Iterator[CheckResult]:
             yield from _safely(what, part(walker), walker)
     except UnsafeError as e:
         yield verdict("stays safe", False, f"{e}; nothing was moved after that")
+    except BaseException:  # as Ctrl-C; a finding that nobody takes any more is one too
+        with suppress(UnsafeError):
+            walker.halt()
+        raise
 
 
 def _safely(what: str, part: Part, walker: Walker) -> Part:
