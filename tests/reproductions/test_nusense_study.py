@@ -5,17 +5,18 @@ import math
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
-from palpate.calibration.shear import LabelledCues, TouchCues
+from palpate.calibration.shear import LabelledCues, TouchCues, calibrate_shear
 from palpate.calibration.shear.force_baselines import baseline_errors, transferred_errors
 from palpate.cli import app
 from palpate.core.errors import ExistsError, InputError
 from palpate.estimators.lattice import ControlPoints
 from palpate.reproductions import nusense as nusense_package
-from palpate.reproductions.nusense import reproduce_nusense, scale_named
+from palpate.reproductions.nusense import nusense_experiments, reproduce_nusense, scale_named
 from palpate.reproductions.nusense.nusense_analysis import (
     branch_table,
     drift_of,
@@ -30,13 +31,19 @@ from palpate.reproductions.nusense.nusense_analysis import (
 )
 from palpate.reproductions.nusense.nusense_experiments import (
     RANGES,
+    cut_seen,
     edge_errors,
+    frames_near,
     in_ranges,
+    part_of,
     place_errors,
+    read_errors,
+    weighed_errors,
 )
 from palpate.reproductions.nusense.nusense_setup import (
     RECORDINGS,
     SMALL,
+    NuSenseStudy,
     StudyScale,
     labelled_cues,
     plain_cues,
@@ -46,7 +53,7 @@ from palpate.reproductions.nusense.published_shear import (
     published_gamma_of,
     scale_of_published_shear,
 )
-from palpate.sensors.nusense.nusense_plans import PLANS
+from palpate.sensors.nusense.nusense_plans import FIRM_TAPS, PLANS
 from palpate.sensors.nusense.nusense_sensor import nusense
 
 FIELDS = {"name", "value", "unit", "published", "source", "why"}
@@ -173,6 +180,30 @@ def test_ranges_take_each_tip_between_its_forces():
     assert caption.tolist() == [False, True, True, False]
 
 
+def test_the_frame_nearest_to_a_force_is_on_the_way_down():
+    force = [np.nan, 0.0, 2.0, 5.5, 7.0, 6.0, 1.0, 0.0, 6.6, 3.0]
+    press = [None, "a", "a", "a", "a", "a", "a", "b", "b", "b"]
+    labels = pd.DataFrame({"force_N": force, "press": np.array(press, object)})
+    assert frames_near(labels, 6.0) == [3, 8]  # and not frame 5, at 6 N on its way up
+
+
+def test_a_weight_sets_the_scale_of_another_pad_and_is_not_scored():
+    gamma, force, press = presses(count=12, offset=0.0)
+    learnt = touched(gamma, force, press)
+    lens = nusense().spec.lens
+    marks = ControlPoints(np.array([[0, 0], [1, 0]]), np.array([[1.0, 2.0], [3.0, 4.0]]), np.ones(2))
+    fit = calibrate_shear(learnt, marks, lens, 0.055, law="published")
+    stiff = touched(gamma, 1.2 * force, press)
+    alone, weighed = read_errors(fit, stiff), weighed_errors(fit, stiff)
+    assert alone["mae_N"] > 0.5
+    assert_allclose(alone["bias_N"], -alone["mae_N"])
+    assert_allclose(weighed["mae_N"], 0, atol=1e-6)
+    assert_allclose(weighed["scale"], 1.2)
+    assert abs(weighed["weight_N"] - 5) < 0.5
+    first = part_of(stiff, stiff.press == "l0/0")
+    assert len(first.cues) == len(first.force_n) == len(first.image) == 20
+
+
 def test_cues_are_kept_whole_in_a_file():
     gamma, force, press = presses(count=1)
     samples = touched(gamma, force, press)
@@ -251,7 +282,8 @@ TINY = StudyScale(
             "cycles": 2,
             "speed_mm_s": 4.0,
         },
-        "edges": {"indenters": ["edge:25:0", "edge:25:60"], "speed_mm_s": 2.0},
+        "edges": {"indenters": ["edge:25:0", "edge:25:60"], "speed_mm_s": 2.0, **FIRM_TAPS},
+        "force": {"indenters": ["flat"], "cycles": 1, "speed_mm_s": 4.0, **FIRM_TAPS},
     },
     {"reference_frames": 2, "clearance_mm": 0.3, "taps": 0},
 )
@@ -295,7 +327,7 @@ def test_the_page_holds_its_figures_and_no_nan(small):
     out, _, _ = small
     page = (out / "report.html").read_text(encoding="utf-8")
     images = re.findall(r'<img src="([^"]{20})', page)
-    assert len(images) == 2  # a press, and the places
+    assert len(images) == 3  # a press, how far it moved, and the places
     assert all(one.startswith("data:image/") for one in images)
     words = re.sub(r'src="[^"]*"', "", page)
     words = words[words.index("<body>") :]
@@ -330,6 +362,21 @@ def test_a_stopped_study_goes_on_where_it_was(tmp_path, small):
     )
     assert set(told) == {"touches of places"}  # nothing is recorded twice
     assert again == entries
+
+
+@pytest.mark.slow
+def test_taps_of_a_flat_tip_set_the_clocks(tmp_path):
+    run = NuSenseStudy(tmp_path, TINY, 0).run("force")
+    assert run.labels["force_N"].max() > 5
+    assert set(run.labels["indenter"].dropna()) == {"flat"}
+
+
+@pytest.mark.slow
+def test_a_cut_is_seen_where_it_gapes(tmp_path, monkeypatch):
+    monkeypatch.setattr(nusense_experiments, "DRAWS", 1)
+    for seen in cut_seen(NuSenseStudy(tmp_path, TINY, 0), 0.5)["flags"].values():
+        assert (seen["rest"], seen["rest_of"], seen["pressed_of"]) == (1, 1, 4)
+        assert seen["pressed"] >= 2  # a press closes a cut in part
 
 
 @pytest.mark.slow

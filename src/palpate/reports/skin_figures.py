@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 
+from palpate.estimators.surface_strain import StrainFields
 from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, drawn, styled_panels
 
 COLOURS = (ACCENT, "#c77d0a", BAD, "#2e6fb7")
@@ -66,6 +67,31 @@ def _line(
 ) -> None:
     ends = np.array([0.0, top])
     axes.plot(ends, slope * ends + offset, color=colour, ls=dashes, lw=1.3, label=label or None)
+
+
+def shift_map(fields: StrainFields | None) -> str:
+    """How far each sample of the pattern has moved, and which way; empty without fields.
+
+    Args:
+        fields: of marks in m.
+    """
+    if fields is None:
+        return ""
+    with styled_panels(6.6, 4.4) as (figure, (axes,)):
+        shift = 1e3 * np.hypot(*fields.displacement)
+        mesh = axes.pcolormesh(
+            *(1e3 * fields.at), np.ma.masked_invalid(shift), cmap="GnBu", vmin=0, shading="gouraud"
+        )
+        figure.colorbar(mesh, ax=axes, label="shift [mm]", shrink=0.9)
+        some = np.zeros_like(fields.basis.supported)
+        some[4::8, 4::8] = True
+        some &= fields.basis.supported
+        axes.quiver(
+            *(1e3 * fields.at[:, some]), *fields.displacement[:, some], color=INK, angles="xy", width=0.0025
+        )
+        axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+        axes.set_title("how far the pattern moved, and which way", loc="left")
+        return drawn(figure)
 
 
 def place_errors(

@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from palpate.calibration.shear import LabelledCues, ShearCalibration, calibrate_shear
 from palpate.calibration.shear.calibrate_runs import view_of_sensor
 from palpate.calibration.shear.force_baselines import baseline_errors, transferred_errors
 from palpate.calibration.shear.force_law import follow_memory
 from palpate.calibration.shear.shear_calibration import usable
-from palpate.core import Bool, InputError, ndarray
+from palpate.core import Bool, InputError, Pose, ndarray
 from palpate.estimators.shear import ShearReader, ShearTouch
 from palpate.estimators.surface_strain import edge_direction
 from palpate.recordings import Run
@@ -37,6 +39,7 @@ from palpate.reproductions.nusense.nusense_analysis import (
 from palpate.reproductions.nusense.nusense_setup import NuSenseStudy
 from palpate.reproductions.nusense.published_shear import scale_of_published_shear, shear_forces
 from palpate.sensors.nusense.nusense_sensor import NuSense
+from palpate.sensors.nusense.nusense_spec import Tear
 
 MM = 1e3
 PLACE_N = 6.0
@@ -216,12 +219,13 @@ def reader_of(study: NuSenseStudy, untouched: Run) -> ShearReader:
     return ShearReader(pad.shear_skin(), untouched.frame(int(rest[0])))
 
 
-def frames_near(run: Run, at_n: float) -> list[int]:
+def frames_near(labels: pd.DataFrame, at_n: float) -> list[int]:
     """Frame of every press, on its loading branch, whose force is nearest to one."""
-    force, press = run.labels["force_N"].to_numpy(float), run.labels["press"].to_numpy(object)
+    force, press = labels["force_N"].to_numpy(float), labels["press"].to_numpy(object)
     found = []
-    for one in dict.fromkeys(name for name in press if name is not None):
-        rows = np.flatnonzero((press == one) & np.isfinite(force))
+    known = np.isfinite(force) & pd.notna(press)
+    for one in dict.fromkeys(press[known]):
+        rows = np.flatnonzero((press == one) & known)
         down = rows[: int(force[rows].argmax()) + 1]
         found.append(int(down[np.abs(force[down] - at_n).argmin()]))
     return found
@@ -231,7 +235,7 @@ def places(study: NuSenseStudy) -> dict[str, Any]:
     """Section 4.3: 24 places at 6 N; nothing is learnt, so that none of them was seen before."""
     run = study.run("places")
     labels, rows = run.labels, []
-    for i, touch in touches_at(study, "places", frames_near(run, PLACE_N)):
+    for i, touch in touches_at(study, "places", frames_near(labels, PLACE_N)):
         contact = touch.places.contacts[0] if touch.places.contacts else None
         row = labels.iloc[i]
         true = (float(row["x_mm"]), float(row["y_mm"]))
@@ -270,10 +274,13 @@ def place_errors(rows: Sequence[dict[str, Any]], by: str) -> dict[str, Any]:
     }
 
 
+LOOP_PADS = ("hysteresis", "lighter", "softer")
+
+
 def loops(study: NuSenseStudy) -> dict[str, Any]:
     """Section 4.4: loops of the designed pad, to 8 N and to 6 N, and of one with half the gel's modulus."""
     found: dict[str, Any] = {}
-    for name in ("hysteresis", "lighter", "softer"):
+    for name in LOOP_PADS:
         samples = study.cues(name)
         gamma = gammas(samples)
         presses = [samples.press == one for one in dict.fromkeys(samples.press.tolist())]
@@ -314,7 +321,7 @@ def edges(study: NuSenseStudy) -> dict[str, Any]:
     """Section 4.6: direction of a long tip at 8 N, by pressure and as published by the most moved samples."""
     run = study.run("edges")
     labels, rows = run.labels, []
-    for i, touch in touches_at(study, "edges", frames_near(run, TO_N)):
+    for i, touch in touches_at(study, "edges", frames_near(labels, TO_N)):
         row = labels.iloc[i]
         true = float(str(row["indenter"]).split(":")[2])
         edge = touch.places.edge
@@ -348,6 +355,8 @@ def edge_errors(rows: Sequence[dict[str, Any]], by: str) -> dict[str, Any]:
 
 
 PADS = ("pad-1", "pad-2", "torn")
+GAPS_MM = (0.15, 0.3, 0.5)
+DRAWS = 4  # of the camera's noise
 
 
 def damage(study: NuSenseStudy) -> dict[str, Any]:
@@ -369,15 +378,50 @@ def damage(study: NuSenseStudy) -> dict[str, Any]:
     for name in PADS[1:]:
         mean = np.mean(found[name]["gamma"], axis=0)
         found[name]["off_by_line_of_first_N"] = (first["offset"] + first["slope"] * mean - DAMAGE_N).tolist()
-    found["cut in use"] = {"flags": _flags(study, "torn", "force")}
+    found["cut in use"] = {"flags": _flags(study, "torn", "places")}
+    found["gaps"] = [cut_seen(study, gap_mm) for gap_mm in GAPS_MM]
     return found
+
+
+def cut_seen(study: NuSenseStudy, gap_mm: float) -> dict[str, Any]:
+    """How often the skin looks torn that has a cut as wide as this at rest, at rest and at 1 to 4 N.
+
+    Frames are drawn, not recorded: against the torn pad's own rest, and against the whole pad's.
+    """
+    whole = study.pad("places")
+    assert isinstance(whole, NuSense)
+    torn = NuSense(replace(whole.spec, tear=Tear(gap_m=1e-3 * gap_mm)))
+    rng, probe = np.random.default_rng([study.seed, round(1e3 * gap_mm)]), whole.probe(ROUND)
+    known = np.linspace(0, whole.known_depth_m(probe), 25)
+    forces = [whole.press(probe, Pose(0.0, 0.0, float(d))).force_n for d in known]
+    depths = [0.0, *np.interp(DAMAGE_N, forces, known).tolist()]
+    contacts = [torn.press(probe, Pose(0.0, 0.0, depth)) for depth in depths]
+    untouched = whole.press(probe, Pose(0.0, 0.0, 0.0))
+    before = {
+        "its own rest": torn.render(contacts[0], rng),
+        "the whole pad's rest": whole.render(untouched, rng),
+    }
+    flags = {}
+    for name, reference in before.items():
+        reader, up = ShearReader(whole.shear_skin(), reference), []
+        for contact in [*contacts] * DRAWS:
+            up.append(reader.touch(torn.render(contact, rng)).readings["damage"].value == "yes")
+            study.progress(f"cut of {gap_mm:g} mm", len(up), DRAWS * len(contacts))
+        rest = up[:: len(contacts)]
+        flags[name] = {
+            "rest": sum(rest),
+            "rest_of": len(rest),
+            "pressed": sum(up) - sum(rest),
+            "pressed_of": len(up) - len(rest),
+        }
+    return {"gap_mm": gap_mm, "flags": flags}
 
 
 def _flags(study: NuSenseStudy, name: str, untouched: str = "") -> dict[str, Any]:
     """How often a skin looks torn, at rest and pressed; against its own rest, or a whole pad's."""
     run = study.run(name)
     rest = np.flatnonzero(run.labels["reference"].fillna(False).to_numpy(bool)).tolist()[1:]
-    pressed = sorted({i for at in DAMAGE_N for i in frames_near(run, at)})
+    pressed = sorted({i for at in DAMAGE_N for i in frames_near(run.labels, at)})
     before = study.run(untouched) if untouched else None
     up: dict[int, bool] = {}
     for i, touch in touches_at(study, name, sorted([*rest, *pressed]), before):

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.core import InputError, Progress, silent
+from palpate.core import Frame, InputError, Progress, silent
+from palpate.estimators.shear import ShearReader, ShearTouch
 from palpate.reports import skin_figures as draw
 from palpate.reports.certificate_page import filled_template
 from palpate.reports.shear_page import touch_pictures
@@ -52,6 +53,19 @@ STAGES: dict[str, dict[str, Callable[[NuSenseStudy], Any]]] = {
     "controls": {"no-contact": made.no_contact},
 }
 """Part -> what makes each of its results, in the order in which they are made."""
+READ: dict[str, tuple[str, ...]] = {
+    "force": ("force", "session", "copy-1", "copy-2"),
+    "hysteresis": made.LOOP_PADS,
+    "cycles": ("cycles",),
+    "damage": made.PADS,
+}
+RECORDED: dict[str, tuple[str, ...]] = {
+    "places": ("places",),
+    "edges": ("edges",),
+    "damage": ("places",),
+    "controls": ("force", "places", "cycles"),
+}
+"""Part -> recordings that are read whole, and those of which some frames are."""
 PARTS = ("all", *STAGES)
 
 TOLD = {"pressure": "centre of the pressure", "ring": "centre of the ring"}
@@ -90,8 +104,13 @@ def reproduce_nusense(
         raise InputError(f"there is no part {part!r}; there are {', '.join(PARTS)}")
     asked = {"study": "nusense", "scale": scale.name, "seed": seed, "part": part}
     study = NuSenseStudy(unfinished_work(out, asked), scale, seed, progress)
-    stages = {k: v for name in STAGES if part in ("all", name) for k, v in STAGES[name].items()}
-    found = {name: study.kept(name, partial(make, study)) for name, make in stages.items()}
+    found: dict[str, Any] = {}
+    for one in STAGES if part == "all" else (part,):
+        for name in RECORDED.get(one, ()):
+            study.run(name)
+        for name in READ.get(one, ()):
+            study.cues(name)
+        found |= {name: study.kept(name, partial(make, study)) for name, make in STAGES[one].items()}
     for name in (SUMMARY_FILE, REPORT_FILE):  # of a write-up that was stopped
         (study.folder / name).unlink(missing_ok=True)
     entries = list(entries_of(found))
@@ -268,6 +287,11 @@ def _damage_entries(found: Found) -> Iterator[StudyEntry]:
         for when in ("rest", "pressed"):
             share = 100 * flags[when] / flags[f"{when}_of"] if flags[f"{when}_of"] else None
             yield entry(f"damage, {said}: looks torn, {when}", share, "%")
+    for gap in found["gaps"]:
+        for before, flags in gap["flags"].items():
+            for when in ("rest", "pressed"):
+                at = f"damage, cut of {gap['gap_mm']:g} mm against {before}"
+                yield entry(f"{at}: looks torn, {when}", 100 * flags[when] / flags[f"{when}_of"], "%")
 
 
 def _control_entries(found: Found) -> Iterator[StudyEntry]:
@@ -310,7 +334,9 @@ def _figures(study: NuSenseStudy, found: Found) -> dict[str, str]:
     if "places" in found:
         touches = found["places"]["touches"]
         by_place = {f"{by}_mm": found["places"][by].get("per_place_mm", {}) for by in TOLD}
-        figures["press"] = _picture(study, "places", touches[len(touches) // 2]["frame"])
+        middle = min(touches, key=lambda one: float(np.hypot(*one["true_mm"])))
+        figures["press"] = touch_pictures(*_touch(study, "places", middle["frame"]))
+        figures["press_shift"] = draw.shift_map(_touch(study, "places", middle["frame"])[2].fields)
         figures["places"] = draw.place_errors(touches, {f"{by}_mm": s for by, s in TOLD.items()}, by_place)
     if "loops" in found:
         courses = {said: found["loops"][pad]["course"] for pad, said in LOOPS.items()}
@@ -321,7 +347,8 @@ def _figures(study: NuSenseStudy, found: Found) -> dict[str, str]:
     if "edges" in found:
         rows = found["edges"]["edges"]
         sixty = min(rows, key=lambda row: abs(row["true_deg"] - 60))
-        figures["edge"] = _picture(study, "edges", sixty["frame"])
+        figures["edge"] = touch_pictures(*_touch(study, "edges", sixty["frame"]))
+        figures["edge_shift"] = draw.shift_map(_touch(study, "edges", sixty["frame"])[2].fields)
         figures["edges"] = draw.edge_errors(rows, EDGES)
     if "damage" in found:
         figures["damage"] = draw.pads_lines([_shown_pad(found["damage"][pad], s) for pad, s in PADS.items()])
@@ -336,9 +363,9 @@ def _shown_pad(one: Found, said: str) -> draw.ForceLineShown:
     )
 
 
-def _picture(study: NuSenseStudy, name: str, frame: int) -> str:
-    """Motion of the marks and shear of one frame of a recording."""
+def _touch(study: NuSenseStudy, name: str, frame: int) -> tuple[ShearReader, Frame, ShearTouch]:
+    """Touch in one frame of a recording, with its reader."""
     run = study.run(name)
     reader = made.reader_of(study, run)
     seen = run.frame(frame)
-    return touch_pictures(reader, seen, reader.touch(seen))
+    return reader, seen, reader.touch(seen)

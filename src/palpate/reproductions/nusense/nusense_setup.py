@@ -176,6 +176,7 @@ class NuSenseStudy:
 
     def cues(self, name: str) -> LabelledCues:
         """Cues of all frames of a recording beside their force."""
+        self.run(name)
         return labelled_cues(self.kept(f"cues-{name}", lambda: self._cues(name)))
 
     def marks(self, name: str) -> ControlPoints:
