@@ -200,23 +200,21 @@ def followed_errors(calibration: ShearCalibration, samples: LabelledCues) -> dic
     return {"alone_mae_N": float(np.abs(alone).mean()), "followed_mae_N": float(np.abs(off).mean())}
 
 
-def touches_at(
-    study: NuSenseStudy, name: str, frames: Sequence[int], untouched: Run | None = None
-) -> Iterator[tuple[int, ShearTouch]]:
-    """Touches of some frames of a recording, read against an untouched one of it, or of another run."""
+def touches_at(study: NuSenseStudy, name: str, frames: Sequence[int]) -> Iterator[tuple[int, ShearTouch]]:
+    """Touches of some frames of a recording, read against its first untouched one."""
     run = study.run(name)
-    reader = reader_of(study, untouched or run)
+    reader = reader_of(study, run)
     for count, i in enumerate(frames, 1):
         yield i, reader.touch(run.frame(i))
         study.progress(f"touches of {name}", count, len(frames))
 
 
-def reader_of(study: NuSenseStudy, untouched: Run) -> ShearReader:
+def reader_of(study: NuSenseStudy, run: Run) -> ShearReader:
     """Reader of any of the pads: what it knows of the skin is the design, not the copy or the cut."""
     pad = study.pad("places")
     assert isinstance(pad, NuSense)
-    rest = np.flatnonzero(untouched.labels["reference"].fillna(False).to_numpy(bool))
-    return ShearReader(pad.shear_skin(), untouched.frame(int(rest[0])))
+    rest = np.flatnonzero(run.labels["reference"].fillna(False).to_numpy(bool))
+    return ShearReader(pad.shear_skin(), run.frame(int(rest[0])))
 
 
 def frames_near(labels: pd.DataFrame, at_n: float) -> list[int]:
@@ -378,7 +376,6 @@ def damage(study: NuSenseStudy) -> dict[str, Any]:
     for name in PADS[1:]:
         mean = np.mean(found[name]["gamma"], axis=0)
         found[name]["off_by_line_of_first_N"] = (first["offset"] + first["slope"] * mean - DAMAGE_N).tolist()
-    found["cut in use"] = {"flags": _flags(study, "torn", "places")}
     found["gaps"] = [cut_seen(study, gap_mm) for gap_mm in GAPS_MM]
     return found
 
@@ -417,14 +414,13 @@ def cut_seen(study: NuSenseStudy, gap_mm: float) -> dict[str, Any]:
     return {"gap_mm": gap_mm, "flags": flags}
 
 
-def _flags(study: NuSenseStudy, name: str, untouched: str = "") -> dict[str, Any]:
-    """How often a skin looks torn, at rest and pressed; against its own rest, or a whole pad's."""
+def _flags(study: NuSenseStudy, name: str) -> dict[str, Any]:
+    """How often a skin looks torn, at rest and pressed, against its own rest."""
     run = study.run(name)
     rest = np.flatnonzero(run.labels["reference"].fillna(False).to_numpy(bool)).tolist()[1:]
     pressed = sorted({i for at in DAMAGE_N for i in frames_near(run.labels, at)})
-    before = study.run(untouched) if untouched else None
     up: dict[int, bool] = {}
-    for i, touch in touches_at(study, name, sorted([*rest, *pressed]), before):
+    for i, touch in touches_at(study, name, sorted([*rest, *pressed])):
         up[i] = touch.readings["damage"].value == "yes"
     return {
         "rest": sum(up[i] for i in rest),

@@ -62,7 +62,6 @@ READ: dict[str, tuple[str, ...]] = {
 RECORDED: dict[str, tuple[str, ...]] = {
     "places": ("places",),
     "edges": ("edges",),
-    "damage": ("places",),
     "controls": ("force", "places", "cycles"),
 }
 """Part -> recordings that are read whole, and those of which some frames are."""
@@ -282,7 +281,7 @@ def _damage_entries(found: Found) -> Iterator[StudyEntry]:
         off = found[pad].get("off_by_line_of_first_N")
         if off is not None:
             yield entry(f"damage, {said}: read by case 1's line, greatest mean error", np.abs(off).max(), "N")
-    for pad, said in {**PADS, "cut in use": "torn, against the whole pad's rest"}.items():
+    for pad, said in PADS.items():
         flags = found[pad]["flags"]
         for when in ("rest", "pressed"):
             share = 100 * flags[when] / flags[f"{when}_of"] if flags[f"{when}_of"] else None
