@@ -19,7 +19,15 @@ from palpate.core import Clock, MonotonicClock, Wrench
 from palpate.core.errors import DeviceError, ExistsError, InputError, RangeError
 from palpate.devices.motion_limits import Tripped
 from palpate.rig.commissioning.rig_setup import PRESS_MM_S, set_up
-from palpate.rig.commissioning.setup_answers import FileAnswers, PromptAnswers
+from palpate.rig.commissioning.setup_answers import (
+    Answers,
+    FileAnswers,
+    PromptAnswers,
+    kept_answers,
+    number,
+    text,
+    until_good,
+)
 from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.fakes.netft_box import FakeNetFT, FakePage
 from palpate.rig.fakes.video_capture import FakeVideoCapture
@@ -231,7 +239,7 @@ class Leading(LabAnswers):
             raise Led
         return super().ask(name, question, proposal, words=words)
 
-    def again(self, why: str) -> bool:
+    def again(self, why: str, since: int = -1) -> bool:
         self.told.append(why)
         return True
 
@@ -281,6 +289,59 @@ def test_what_a_person_answered_before_a_setup_failed_is_kept_and_gone_on_with(
     assert asked.ask("host", "Host") == "typed"
     assert asked.again("not that")
     assert asked.ask("name", "Name") == "bench 7"
+
+
+def typed_by(*words: str) -> PromptAnswers:
+    """Somebody who types these, and then goes away."""
+    left = list(words)
+
+    def read(question: str) -> str:
+        if not left:
+            raise EOFError
+        return left.pop(0)
+
+    return PromptAnswers(read=read)
+
+
+def test_nobody_at_the_prompt_ends_a_question_that_would_be_asked_again() -> None:
+    person = typed_by("99")
+    with pytest.raises(InputError, match="nobody answered"):
+        number(person, "force_N", "Force", 1.0, 10.0)
+    assert person.given == {}
+
+
+def test_a_device_that_does_not_answer_is_asked_for_again_with_what_was_said_as_proposal() -> None:
+    taken = list[tuple[str, str]]()
+
+    def take(answers: Answers) -> str:
+        taken.append((text(answers, "host", "Host", "a"), text(answers, "port", "Port", "1")))
+        if taken[-1][0] != "right":
+            raise DeviceError("no answer")
+        return "open"
+
+    person = typed_by("right", "")
+    answers = FileAnswers({"host": "wrong", "port": "7", "later": 1}, person=person)
+    assert until_good(answers, lambda: take(answers)) == "open"
+    assert taken == [("wrong", "7"), ("right", "1")]
+    again = typed_by("wrong", "7", "right", "")
+    taken.clear()
+    assert until_good(again, lambda: take(again)) == "open"
+    assert taken == [("wrong", "7"), ("right", "7")]
+    assert again.given == {"host": "right", "port": "7"}
+
+
+def test_what_was_true_at_its_moment_alone_is_not_kept() -> None:
+    moment = {"label_weight_lies": True, "force_weight_lies": True, "weight_off": True, "reach_mm": 1.0}
+    assert kept_answers({"mass_g": 5, **moment}) == {"mass_g": 5}
+
+
+def test_soft_limits_the_wrong_way_round_are_refused(tmp_path: Path) -> None:
+    limits = {"least_mm": [-10, 0, 0], "greatest_mm": [-20, 50, 50]}
+    with lab() as one:
+        answers = answers_of(one, may_move=False, **limits)
+        with pytest.raises(RangeError, match="x from -10 to -20 mm"):
+            set_up(tmp_path / "rig.toml", answers, lambda line: None)
+    assert not (tmp_path / "rig.toml").exists()
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from palpate.devices.check.check_result import CheckResult
     from palpate.devices.operator_control import OperatorControl
     from palpate.recordings.clock_offset import Offset
-    from palpate.rig import Status
+    from palpate.rig import Outcome, Status
 
 plan_app = group("Plans of recordings.")
 rig_app = group("Rigs: stage, force sensor, camera.")
@@ -65,24 +65,32 @@ def record(
                 progress("recording", status.shots, status.planned)
 
             outcome = record_plan(opened, chosen, out, control=control, watch=watch)
+        _tell(out, outcome, chosen.indenters, json_)  # before the devices are closed, which may fail
     finally:
         opened.close()
+    if outcome.state is not State.DONE:
+        raise typer.Exit(1)
+
+
+def _tell(out: Path, outcome: Outcome, indenters: tuple[str, ...], json_: bool) -> None:
+    """Print how a recording ended, and write its presses on specimens."""
+    from palpate.rig import State
+
+    done = outcome.state is State.DONE
     result: dict[str, Any] = {"run": str(out), **asdict(outcome)}
     text = f"{out}: {outcome.state.value}, {outcome.shots} of {outcome.planned} shots"
+    if not done:
+        reason = f" ({outcome.reason.value})" if outcome.reason else ""
+        text += f"{reason}: {outcome.message}"
     if outcome.clocks is not None:
         text += f"\n{_late(outcome.clocks)}"
     if outcome.zero_moved_n is not None:
         text += f"\nthe force sensor's zero moved by at most {outcome.zero_moved_n:.4f} N over a press"
     if outcome.void_shots:
         text += f"\n{outcome.void_shots} shots were taken back, since the force sensor's zero moved too far"
-    if outcome.state is not State.DONE:
-        reason = f" ({outcome.reason.value})" if outcome.reason else ""
-        text += f"{reason}: {outcome.message}\nthe same command goes on at the first missing shot"
-    else:
-        text += _write_presses(out, chosen.indenters, result)
+    goes_on = "\nthe same command goes on at the first missing shot"
+    text += _write_presses(out, indenters, result) if done else goes_on
     print_found(result, text, json_)
-    if outcome.state is not State.DONE:
-        raise typer.Exit(1)
 
 
 def _write_presses(out: Path, indenters: tuple[str, ...], result: dict[str, Any]) -> str:

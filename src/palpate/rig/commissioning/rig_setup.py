@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -87,9 +88,8 @@ def set_up(out: Path, answers: Answers, say: Say) -> SetUp:
         "origin_mm": [0.0, 0.0, 0.0],
     }
     found = _stage(made, answers, say, clock)
-    _force(made, answers, say, clock)
-    _label(made, answers, say, clock)
-    _camera(made, answers, say, clock)
+    for part in (_force, _label, _camera):
+        until_good(answers, partial(part, made, answers, say, clock))
     _limits(made, answers, found)
     file = _validated(made.fields)
     may_move = confirm(
@@ -311,10 +311,19 @@ def _limits(made: SetUp, answers: Answers, found: FoundStage) -> None:
     if found.homing and found.travel_m is not None:
         low, high = found.travel_m
         boxes = (_mm(low), _mm(high))
-    least = three(answers, "least_mm", "Soft limits of the stage, least, in its frame", boxes[0])
-    greatest = three(answers, "greatest_mm", "Soft limits, greatest; z is the deepest", boxes[1])
-    if boxes[0] is not None and boxes[1] is not None:
-        _check_box(least, greatest, boxes[0], boxes[1])
+    words = ("Soft limits of the stage, least, in its frame", "Soft limits, greatest; z is the deepest")
+
+    def least_mm() -> Three:
+        least = three(answers, "least_mm", words[0], boxes[0])
+        return _inside(least, boxes)
+
+    def greatest_mm() -> Three:
+        greatest = _inside(three(answers, "greatest_mm", words[1], boxes[1]), boxes)
+        _check_above(least, greatest)
+        return greatest
+
+    least = until_good(answers, least_mm)
+    greatest = until_good(answers, greatest_mm)
     if not found.homing:
         made.fields["stage"] |= {"least_mm": list(least), "greatest_mm": list(greatest)}
     range_n = made.fields.pop("_range_n")
@@ -333,12 +342,21 @@ def _limits(made: SetUp, answers: Answers, found: FoundStage) -> None:
         made.fields["limits"]["overshoot_mm"] = min(allowed_mm, MAX_LIMITS["overshoot_mm"])
 
 
-def _check_box(least: Three, greatest: Three, low: Three, high: Three) -> None:
-    for axis, a, b, c, d in zip("xyz", least, greatest, low, high, strict=True):
-        if a < c - 1e-6 or b > d + 1e-6:
+def _inside(corner: Three, boxes: tuple[Three | None, Three | None]) -> Three:
+    for axis, at, low, high in zip("xyz", corner, *(box or corner for box in boxes), strict=True):
+        if not low - 1e-6 <= at <= high + 1e-6:
             raise RangeError(
-                f"soft limits of {axis}, {a:g} to {b:g} mm, lie outside the {c:g} to {d:g} mm of travel that "
+                f"a soft limit of {axis} at {at:g} mm lies outside the {low:g} to {high:g} mm of travel that "
                 "the firmware states"
+            )
+    return corner
+
+
+def _check_above(least: Three, greatest: Three) -> None:
+    for axis, low, high in zip("xyz", least, greatest, strict=True):
+        if not low < high:
+            raise RangeError(
+                f"soft limits of {axis} from {low:g} to {high:g} mm; the greatest has to be more"
             )
 
 
@@ -426,5 +444,5 @@ def _three_words(name: str, answer: Any) -> tuple[str, str, str]:
 
 
 def _mm(at: Three) -> Three:
-    x, y, z = (round(d * MM, 4) for d in at)
+    x, y, z = (round(d * MM, 4) + 0.0 for d in at)  # + 0.0: no minus zero
     return x, y, z

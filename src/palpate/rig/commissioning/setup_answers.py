@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from palpate.core import DeviceError, InputError, RangeError
+from palpate.devices import Tripped
 from palpate.rig.plans.plan_files import read_toml
 
 Three = tuple[float, float, float]
@@ -17,11 +18,21 @@ Three = tuple[float, float, float]
 
 @runtime_checkable
 class Answers(Protocol):
-    """Source of answers, each with a name, by which a file gives it."""
+    """Source of answers, each with a name, by which a file gives it.
+
+    Attributes:
+        asked: names in the order in which they were asked for.
+    """
+
+    asked: list[str]
 
     def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any: ...
-    def again(self, why: str) -> bool: ...  # whether a wrong answer may be given anew
+    def again(self, why: str, since: int = -1) -> bool: ...  # whether answers since then may be given anew
     def unused(self) -> list[str]: ...  # names that were answered and never asked for
+
+
+class NobodyError(InputError):
+    """Nobody is there to answer, and asking again is of no use."""
 
 
 class FileAnswers:
@@ -36,8 +47,8 @@ class FileAnswers:
     def __init__(
         self, answers: Mapping[str, Any], *, yes: bool = False, person: PromptAnswers | None = None
     ) -> None:
-        self._answers, self._yes, self._asked, self._person = dict(answers), yes, set[str](), person
-        self._last = ""
+        self._answers, self._yes, self._person = dict(answers), yes, person
+        self.asked: list[str] = []
 
     @classmethod
     def read(cls, path: Path, *, yes: bool = False, person: PromptAnswers | None = None) -> FileAnswers:
@@ -56,8 +67,7 @@ class FileAnswers:
         Raises:
             InputError: there is none.
         """
-        self._last = name
-        self._asked.add(name)
+        self.asked.append(name)
         if name in self._answers:
             return self._answers[name]
         if self._yes and proposal is not None:
@@ -66,60 +76,63 @@ class FileAnswers:
             return self._person.ask(name, question, proposal, words=words)
         raise InputError(f"the answers do not say {name} ({question}); add a line {name} = ...")
 
-    def again(self, why: str) -> bool:
+    def again(self, why: str, since: int = -1) -> bool:
         """Where a person can answer instead: a file says the same again, and is not asked any more."""
         if self._person is None:
             return False
-        self._answers.pop(self._last, None)
+        for name in self.asked[since:]:
+            self._answers.pop(name, None)
+            self._person.given.pop(name, None)
         return self._person.again(why)
 
     @property
     def given(self) -> dict[str, Any]:
         """Answers that were asked for, to go on with."""
-        known = {name: self._answers[name] for name in self._answers if name in self._asked}
+        known = {name: self._answers[name] for name in self._answers if name in self.asked}
         return known | (self._person.given if self._person is not None else {})
 
     def unused(self) -> list[str]:
         """Names that were answered and never asked for."""
-        return sorted(set(self._answers) - self._asked)
+        return sorted(set(self._answers) - set(self.asked))
 
 
 class PromptAnswers:
     """Answers of a person; an empty one takes the proposal, which stands in brackets.
 
     Attributes:
-        given: answers so far, by name; of one that was asked again, the last.
+        given: answers so far, by name; not those that could not be taken.
     """
 
     def __init__(self, *, yes: bool = False, read: Callable[[str], str] = input) -> None:
         self._yes, self._read = yes, read
-        self._ended = False
         self.given: dict[str, Any] = {}
+        self.asked: list[str] = []
+        self._before: dict[str, Any] = {}
 
     def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
         """Ask until something is answered; lists, true and numbers are read as JSON, unless words are asked
         for.
         """
+        self.asked.append(name)
         if self._yes and proposal is not None:
             return proposal
+        proposal = self._before.pop(name, proposal)
         shown = "" if proposal is None else f" [{json.dumps(proposal)}]"
         while True:
             try:
                 text = self._read(f"{question}{shown}: ").strip()
             except EOFError as e:
-                self._ended = True
-                raise InputError(f"nobody answered: {question}; give a file with --answers") from e
+                raise NobodyError(f"nobody answered: {question}; give a file with --answers") from e
             if text or proposal is not None:
                 self.given[name] = proposal if not text else text if words else _value(text)
                 return self.given[name]
 
-    def again(self, why: str) -> bool:
-        """Say what is wrong, and let the person answer anew; not where all is taken as proposed, or the
-        input has ended: nobody would answer, however often they were asked.
-        """
-        if self._ended:
-            return False
+    def again(self, why: str, since: int = -1) -> bool:
+        """Say what is wrong, and let the person answer anew; not where all is taken as proposed."""
         print(why, file=sys.stderr)
+        names = set(self.asked[since:])
+        taken = {name: self.given.pop(name) for name in names if name in self.given}
+        self._before = kept_answers(taken) if len(names) > 1 else {}  # any of several may be the wrong one
         return not self._yes
 
     def unused(self) -> list[str]:
@@ -137,25 +150,31 @@ def _value(text: str) -> Any:
         return text
 
 
-MOTIONS = ("may_move", "home", "weight_lies", "weight_off", "write_scale", "above_mm", "stands_mm")
+MOMENTS = (
+    "may_move", "home", "weight_lies", "force_weight_lies", "label_weight_lies", "weight_off", "write_scale",
+    "above_mm", "reach_mm", "stands_mm",
+)  # fmt: skip
 """Answers that hold at the moment alone, and are asked for again."""
 
 
 def kept_answers(answers: Mapping[str, Any]) -> dict[str, Any]:
     """Answers that a setup which ended early can go on with."""
-    return {name: value for name, value in answers.items() if name not in MOTIONS}
+    return {name: value for name, value in answers.items() if name not in MOMENTS}
 
 
 Good = TypeVar("Good")
 
 
 def until_good(answers: Answers, take: Callable[[], Good]) -> Good:
-    """An answer that can be taken; a person who gave one that cannot, or of no device, is asked again."""
+    """Answers that can be taken; a person who gave some that cannot, or of no device, is asked again."""
     while True:
+        since = len(answers.asked)
         try:
             return take()
-        except (InputError, RangeError, DeviceError) as e:
-            if not answers.again(str(e)):
+        except NobodyError:
+            raise
+        except (InputError, RangeError, DeviceError, Tripped) as e:
+            if not answers.again(str(e), since):
                 raise
 
 
@@ -177,10 +196,10 @@ def number(
     """An answer that is a number from `low` to `high`."""
 
     def take() -> float:
-        answer = answers.ask(name, f"{question}, {low:g} to {high:g}", proposal)
+        answer = answers.ask(name, f"{question}, {low:.10g} to {high:.10g}", proposal)
         good = isinstance(answer, int | float) and not isinstance(answer, bool) and math.isfinite(answer)
         if not good or not low <= answer <= high:
-            raise InputError(f"{name} is {answer!r}; {low:g} to {high:g} are allowed ({question})")
+            raise InputError(f"{name} is {answer!r}; {low:.10g} to {high:.10g} are allowed ({question})")
         return float(answer)
 
     return until_good(answers, take)
