@@ -105,7 +105,8 @@ def contact_peaks(fields: StrainFields, pitch: float | None = None) -> list[Cont
     at, seen = fields.at[:, rows, columns], fields.basis.supported[rows, columns]
     pitch = pitch or mark_pitch(fields)
     per_pitch = [size / span for size, span in zip(seen.shape, _spans(fields), strict=True)]
-    smooth = _smoothed(fields.area_strain[rows, columns], seen, [SMOOTH * n for n in per_pitch])
+    H = fields.gradient[:, :, rows, columns]
+    smooth = _smoothed(H[0, 0] + H[1, 1], seen, [SMOOTH * n for n in per_pitch])
     told = np.where(seen, smooth, -np.inf)  # a peak over marks that are lost is told by those beside them
     top = told == maximum_filter(told, [2 * int(n) + 1 for n in per_pitch])
     noise = math.sqrt(2 * float(fields.variances.sum(axis=0).mean())) / pitch
@@ -154,11 +155,10 @@ def find_rings(fields: StrainFields) -> list[ShearRing]:
 
 def mark_pitch(fields: StrainFields) -> float:
     """Mean distance of the lattice's neighbours, from the area of a cell [unit]."""
-    (uu, uv), (vu, vv) = fields.to_axes
-    spans = _spans(fields)
-    some = fields.basis.supported
-    some = some & (np.arange(some.size).reshape(some.shape) % 7 == 0) if some.size > 700 else some
-    inverse = float(np.abs(uu[some] * vv[some] - uv[some] * vu[some]).mean())
+    spans, seen = _spans(fields), fields.basis.supported.ravel()
+    some = slice(None, None, 7 if seen.size > 700 else 1)  # a mean needs no more
+    (uu, uv), (vu, vv) = fields.to_axes.reshape(2, 2, -1)[:, :, some][:, :, seen[some]]
+    inverse = float(np.abs(uu * vv - uv * vu).mean())
     return 1 / math.sqrt(inverse * spans[0] * spans[1])
 
 
@@ -202,23 +202,22 @@ def _shape(p: Params, at: Points) -> _Shape:
 
 def _model(params: Params, at: Points) -> tuple[Points, Float[ndarray, "n 2 p"]]:
     """Shifts of marks, and their derivatives by the parameters."""
-    shifts, slopes = np.zeros_like(at), np.empty((*at.shape, len(params)))
+    shifts, slopes = np.zeros_like(at), np.zeros((*at.shape, len(params)))
     for first in range(0, len(params), PER_RING):
         p = params[first : first + PER_RING]
         d, s, w, g, h = _shape(p, at)
-        across = np.stack([-d[:, 1], d[:, 0]], axis=1)
-        swirl = p[4] * d + p[5] * across  # M d, with M = A + B (z x)
-        along = p[6:8]
+        turn = np.array([[p[4], p[5]], [-p[5], p[4]]])  # d turn = A d + B (z x d)
+        swirl, along = d @ turn, p[6:8]
         own = swirl * g[:, None] + along * h[:, None]
-        by_w = -p[3] * swirl * (g / w)[:, None] - (p[3] + 1) * along * (h / w)[:, None]
-        M = np.array([[p[4], -p[5]], [p[5], p[4]]])
-        by_d = M * g[:, None, None] + by_w[:, :, None] * 2 * d[:, None, :]  # [n, component, d]
+        by_w = (-p[3] * g / w)[:, None] * swirl - ((p[3] + 1) * h / w)[:, None] * along
+        by_d = turn.T * g[:, None, None] + (2 * by_w)[:, :, None] * d[:, None, :]  # [n, component, d]
         mine = slopes[:, :, first : first + PER_RING]
         mine[:, :, :2] = -by_d / s
         mine[:, :, 2] = -swirl * g[:, None] - by_w * (2 * (w - 1))[:, None]
         mine[:, :, 3] = -np.log(w)[:, None] * own
-        mine[:, :, 4], mine[:, :, 5] = d * g[:, None], across * g[:, None]
-        mine[:, :, 6:8] = np.eye(2) * h[:, None, None]
+        mine[:, :, 4] = d * g[:, None]
+        mine[:, 0, 5], mine[:, 1, 5] = -mine[:, 1, 4], mine[:, 0, 4]
+        mine[:, 0, 6] = mine[:, 1, 7] = h
         shifts += own
     return shifts, slopes
 
@@ -275,14 +274,9 @@ def _fit(at: Points, shifts: Points, params: Params) -> tuple[Params, Float[ndar
 
 
 def _ring(p: Params, covariance: Float[ndarray, "p p"], pitch: float, at: Points, off: Points) -> ShearRing:
-    def sizes(p: Params) -> Params:
-        s, q = math.exp(p[2]), p[3]
-        radius = 1 / math.sqrt(2 * q - 1)
-        top = radius * (1 + radius**2) ** -q
-        return np.array([p[0], p[1], s * radius, s * _half_width(q), p[4] * top, p[5] * top, p[6], p[7]])
-
-    values = sizes(p)
-    slopes = np.stack([(sizes(p + e) - sizes(p - e)) / 2e-4 for e in 1e-4 * np.eye(PER_RING)], axis=1)
+    values = _sizes(p[:, None])[:, 0]
+    step = 1e-4 * np.eye(PER_RING)
+    slopes = (_sizes(p[:, None] + step) - _sizes(p[:, None] - step)) / 2e-4
     errors = np.sqrt(np.diag(slopes @ covariance @ slopes.T)) * pitch
     near = np.hypot(*(at - p[:2]).T) < 2 * values[2]
     misfit = math.sqrt(float((off[near] ** 2).mean())) * pitch if near.any() else math.nan
@@ -293,9 +287,17 @@ def _ring(p: Params, covariance: Float[ndarray, "p p"], pitch: float, at: Points
     )
 
 
-def _half_width(q: float) -> float:
+def _sizes(p: Float[ndarray, "p m"]) -> Float[ndarray, "p m"]:
+    """Centre, radius, width and the three shifts of rings, each a column [pitch]."""
+    s, q = np.exp(p[2]), p[3]
+    radius = 1 / np.sqrt(2 * q - 1)
+    top = radius * (1 + radius**2) ** -q
+    return np.stack([p[0], p[1], s * radius, s * _half_width(q), p[4] * top, p[5] * top, p[6], p[7]])
+
+
+def _half_width(q: Params) -> Params:
     """Width [s] between the radii where r (1 + r^2)^-q is half its greatest."""
-    return float(np.interp(q, *_half_widths()))
+    return np.interp(q, *_half_widths())
 
 
 @cache
