@@ -93,6 +93,20 @@ def test_a_calibration_keeps_its_lens_and_reads_by_it(record_spots, tmp_path):
     plain = calibrate(run, CalibrationPlan(("x_mm",), "pca-ridge", size_px=(24, 32)), tmp_path / "plain")
     assert "lens" not in json.loads((plain / "card.json").read_text())["input"]
     assert estimator.read(frame)["x_mm"].value != Estimator.open(plain).read(frame)["x_mm"].value
+    # Whoever says the lens of the frames is refused where it is another one than the calibration's.
+    other = Lens("kannala-brandt", (40.5, 40.5), (31.5, 23.5), (0.05, 0, 0, 0), (48, 64), 0.7)
+    other.write(tmp_path / "other.json")
+    for verb, more in (("sense", []), ("evaluate", ["--no-keep"]), ("adapt", ["--out", tmp_path / "own"])):
+        refused = run_verb(verb, tmp_path / "cal", run.path, *more, "--lens", tmp_path / "other.json")
+        assert refused.exit_code == 2, refused.output
+        assert other.id in refused.output
+        assert lens.id in refused.output
+        without = run_verb(verb, plain, run.path, *more, "--lens", tmp_path / "lens.json")
+        assert without.exit_code == 2
+        assert "without a lens" in without.output
+    assert not (tmp_path / "own").exists()
+    same = run_verb("sense", tmp_path / "cal", run.path, "--lens", tmp_path / "lens.json")
+    assert same.exit_code == 0, same.output
 
 
 def test_a_lens_of_another_camera_is_refused_before_work(record_spots, tmp_path):

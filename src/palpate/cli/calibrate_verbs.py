@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -25,9 +25,16 @@ from palpate.cli.verb_support import (
     vectors_of,
 )
 
+if TYPE_CHECKING:
+    from palpate.estimators.model_card import Card
+
 Box = tuple[int, int, int, int]
 Instruments = Annotated[
     Path | None, Option(help="TOML file of what the labels were measured with, a section a column.")
+]
+CameraLens = Annotated[
+    Path | None,
+    Option(help="Lens file of the camera; refused where the calibration was made through another."),
 ]
 
 
@@ -190,6 +197,7 @@ def evaluate(
     run: Annotated[Path, Argument(help="Labelled run to score it on.")],
     out: Annotated[Path | None, Option(help="JSON file to write the scores to.")] = None,
     reference: Annotated[Path | None, Option(help="Image of the untouched sensor.")] = None,
+    lens: CameraLens = None,
     keep: Annotated[
         bool, Option("--keep/--no-keep", help="Keep the scores in the calibration's folder, too.")
     ] = True,
@@ -208,6 +216,7 @@ def evaluate(
     if out is not None:
         refuse_existing(out)
     estimator = palpate.Estimator.open(calibration)
+    _check_lens(estimator.card, lens)
     zero = None if reference is None else estimator.zero(palpate.read_image(reference))
     with progress_bar(quiet) as progress:
         scores = palpate.evaluate(estimator, palpate.Run.open(run), zero=zero, progress=progress)
@@ -224,6 +233,7 @@ def sense(
     calibration: Annotated[Path, Argument(help="Calibration folder.")],
     source: Annotated[Path, Argument(help="An image, a folder of images, or a run.")],
     reference: Annotated[Path | None, Option(help="Image of the untouched sensor.")] = None,
+    lens: CameraLens = None,
     timing: Annotated[bool, Option("--timing", help="Print the latency at the end, to stderr.")] = False,
     threads: Annotated[int, Option(help="Threads of the inference engine; 0 lets it choose.")] = 0,
     json_: Json = False,
@@ -233,6 +243,7 @@ def sense(
     Example: palpate sense cal images --json
     """
     estimator = palpate.Estimator.open(calibration, threads=threads)
+    _check_lens(estimator.card, lens)
     zero = None if reference is None else estimator.zero(palpate.read_image(reference))
     latencies = []
     for sensed in palpate.sense(estimator, palpate.open_source(source), zero):
@@ -451,6 +462,7 @@ def adapt(
         ),
     ] = False,
     instruments: Instruments = None,
+    lens: CameraLens = None,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -462,10 +474,12 @@ def adapt(
     Example: palpate adapt cal run-of-today --intervals-only --out cal-today
     """
     from palpate.calibration.adaptation import adapt as take_over
+    from palpate.estimators.certified import read_card
     from palpate.recordings.reference_instruments import read_instruments
     from palpate.workflows.certification import REPORT_FILE
 
     stated = {} if instruments is None else read_instruments(instruments)
+    _check_lens(read_card(calibration), lens)
     if intervals_only:
         _set_intervals_anew(calibration, run, out, stated, json_, quiet)
         return
@@ -474,6 +488,13 @@ def adapt(
         progress("writing the report", 0, 1)
         palpate.write_report(out, out / REPORT_FILE)
     print_found(card.model_dump(mode="json"), _adapted_text(card, out, REPORT_FILE), json_)
+
+
+def _check_lens(card: Card, lens: Path | None) -> None:
+    from palpate.core import Lens
+
+    if lens is not None:
+        card.input.check_lens(Lens.read(lens))
 
 
 def _set_intervals_anew(

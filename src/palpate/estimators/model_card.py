@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from palpate.core import Lens, LensModel
+from palpate.core import InputError, Lens, LensModel
 from palpate.estimators.card_ground import CardPart, FileCard, RunCard, SealedCard, card_id
 from palpate.estimators.class_sets import ClassCard
 from palpate.estimators.finding_cards import (
@@ -307,6 +307,25 @@ class InputCard(CardPart):
         """The preparation that makes it so."""
         lens = None if self.lens is None else self.lens.lens
         return Preparation(self.crop_px, self.size_px, self.channels, self.beside_px, lens)
+
+    def check_lens(self, lens: Lens) -> None:
+        """Refuse frames that came through another lens than those calibrated on.
+
+        Frames do not tell their lens, so that whoever gives them has to.
+
+        Raises:
+            InputError: the numbers of both are not the same, or the calibration took frames as they are.
+        """
+        if self.lens is None:
+            raise InputError(
+                f"the frames come through lens {lens.id}, and the calibration was made without a lens: it "
+                "takes frames as the camera gives them. Leave --lens out for those, or calibrate with it"
+            )
+        if self.lens.id != lens.id:
+            raise InputError(
+                f"the frames come through lens {lens.id}, and the calibration was made through lens "
+                f"{self.lens.id}: its numbers hold for that camera alone. Calibrate with --lens of this one"
+            )
 
 
 class ReferenceCard(CardPart):
