@@ -21,7 +21,6 @@ from palpate.calibration.shear import CueMeter, ShearCalibration, calibrate_shea
 from palpate.calibration.shear.calibrate_runs import view_of_sensor
 from palpate.calibration.shear.force_baselines import baseline_errors
 from palpate.calibration.shear.force_law import follow_memory
-from palpate.calibration.shear.labelled_cues import follow_press
 from palpate.calibration.shear.shear_calibration import usable
 from palpate.estimators.lattice import MarkTracker
 
@@ -62,7 +61,8 @@ def rendered(count=100):
         tip = TIPS[i % 2]
         x, y = rng.uniform(-1, 1, 2) * PLACES_M
         contact = PAD.contact(tip, x, y, rng.choice(levels("", tip, LOW_N, HIGH_N)))
-        marks = follow_press(tracker, PAD.sensor.render(contact, rng).image, 300)
+        frame = PAD.sensor.render(contact, rng).image
+        marks = tracker.settled(tracker.follow(frame), frame, 300).points
         lost += 300 - len(marks)
         seen, true = own.cues(marks), meter.cues(PAD.marks(contact, rng))
         rows.append((contact.force_n, seen, true))

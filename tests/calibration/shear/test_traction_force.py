@@ -74,3 +74,11 @@ def test_doubts_are_shares():
         SkinDoubt(modulus=10.0)
     with pytest.raises(InputError):
         traction_readings(fields()[0], SKIN, coverage=90)
+
+
+def test_loads_that_cannot_be_told_are_an_invalid_reading_that_says_why(monkeypatch):
+    monkeypatch.setattr("palpate.estimators.surface_strain.traction_recovery.MAX_NODES", 3)
+    reading = traction_readings(fields()[0], SKIN)["force_N"]
+    assert not reading.valid
+    assert np.isnan(reading.value)
+    assert "fewer contacts" in reading.why

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.calibration.shear.force_baselines import baseline_errors
-from palpate.calibration.shear.labelled_cues import cues_of_run, follow_press, joined, mean_marks
+from palpate.calibration.shear.labelled_cues import cues_of_run, joined, mean_marks
 from palpate.calibration.shear.shear_calibration import (
     COVERAGE,
     ShearCalibration,
@@ -132,7 +132,8 @@ def weigh_copy(
     tracker = MarkTracker(untouched[0], pitch_px)
     reference = mean_marks([tracker.follow(frame).points for frame in untouched])
     meter = pad.meter(reference)
-    marks = [follow_press(tracker, frame, len(reference)) for frame in loaded]
+    count = len(reference)
+    marks = [tracker.settled(tracker.follow(frame), frame, count).points for frame in loaded]
     if not all(map(len, marks)):
         raise ImageError("a frame with the weight shows no pattern; look at light, focus and the crop")
     copy = pad.weighed([meter.cues(points) for points in marks], weight_n, weight_error_n, lays)

@@ -25,7 +25,6 @@ from palpate.recordings import Run
 
 FORCE, PRESS, TIP, REFERENCE = "force_N", "press", "indenter", "reference"
 MAX_REFERENCES = 12
-MORE_LOOKS = 3  # at a frame in which marks are lost
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ def cues_of_run(
     kept, cues, image = [], [], []
     for count, i in enumerate(wanted):
         frame = run.frame(i).image
-        points = follow_press(tracker, frame, len(reference))
+        points = tracker.settled(tracker.follow(frame), frame, len(reference)).points
         if len(points):
             kept.append(i)
             cues.append(meter.cues(points))
@@ -124,25 +123,6 @@ def cues_of_run(
         raise ImageError(f"the pattern was found in {len(kept)} of {len(wanted)} frames of {path}")
     names, tips = np.array([str(press[i]) for i in kept]), np.array([str(tip[i]) for i in kept])
     return LabelledCues(tuple(cues), force[kept], run.times_s[kept], names, tips, np.array(image)), reference
-
-
-def follow_press(tracker: MarkTracker, frame: Shaped[ndarray, ...], count: int) -> ControlPoints:
-    """Marks of a frame; where a press came at once, those lost are looked for from where neighbours went.
-
-    Args:
-        tracker: that followed the frames before.
-        frame: 8-bit.
-        count: of the reference's marks.
-    """
-    points = tracker.follow(frame).points
-    for _ in range(MORE_LOOKS):
-        if len(points) >= count or not len(points):
-            break
-        again = tracker.follow(frame).points
-        if len(again) <= len(points):
-            break
-        points = again
-    return points
 
 
 def difference_moments(frame: Shaped[ndarray, ...], untouched: Shaped[ndarray, ...]) -> Float[ndarray, " 6"]:

@@ -126,6 +126,8 @@ def traction_readings(
 ) -> Readings:
     """Force from the picture and a known skin, uncalibrated; lateral force where the closure has friction.
 
+    A frame whose loads cannot be told has a reading that is not valid, and says why.
+
     Args:
         fields: strain of a frame, of marks in m.
         skin: what is known of it.
@@ -135,12 +137,15 @@ def traction_readings(
         frame, time_s: for the readings.
 
     Raises:
-        InputError, RangeError: as of `recover_traction`; a coverage that is not between 0.5 and 0.99.
+        InputError: as of `recover_traction`; a coverage that is not between 0.5 and 0.99.
     """
     if not 0.5 <= coverage <= 0.99:
         raise InputError(f"a coverage of {coverage}; give 0.5 to 0.99")
     doubt = SkinDoubt() if doubt is None else doubt
-    found = recover_traction(fields, skin, closure)
+    try:
+        found, spread = recover_traction(fields, skin, closure), ""
+    except RangeError as e:  # loads that reach over too much of the skin: a fault of the frame
+        found, spread = None, str(e)
     name = f"traction, {closure}, moduli known to {100 * doubt.modulus:.3g} %"
 
     def reading(quantity: str, unit: str, value: float, half: float, why: str) -> Reading:
@@ -160,6 +165,8 @@ def traction_readings(
             calibrated_range=RANGE_N if quantity == "force" else (-RANGE_N[1], RANGE_N[1]),
         )
 
+    if spread:
+        return Readings({"force_N": reading("force", "N", math.nan, math.nan, spread)})
     if found is None:
         return Readings({"force_N": reading("force", "N", 0.0, RANGE_N[0], "no contact is seen")})
     budget = force_budget(fields, skin, doubt, closure, found)

@@ -25,6 +25,7 @@ from palpate.estimators.lattice.saddle_corners import (
 
 ROUNDS = 2
 NEIGHBOURS = 8
+MORE_LOOKS = 3  # at a frame in which marks are lost
 MAX_STEP = 0.3  # of the pitch between frames, each corner
 MAX_STRAY = 0.2  # of the pitch, from the median step of its neighbours
 MIN_FOLLOWED = 0.7  # of the points that the last search found
@@ -92,6 +93,25 @@ class MarkTracker:
             self._take(places, turn, sound)
             return TrackedPoints(ControlPoints(self._cells[sound], places[sound], sigma[sound]), False)
         return self.search(frame)
+
+    def settled(self, tracked: TrackedPoints, frame: Shaped[ndarray, ...], count: int) -> TrackedPoints:
+        """Points of the same frame, those lost looked for again from where their neighbours went.
+
+        Under a press that comes from one frame to the next, marks are lost at first.
+
+        Args:
+            tracked: as the frame was followed or searched.
+            frame: the same.
+            count: of points with which it is content.
+        """
+        for _ in range(MORE_LOOKS):
+            if not 0 < len(tracked.points) < count:
+                break
+            again = self.follow(frame)
+            if len(again.points) <= len(tracked.points):
+                break
+            tracked = again
+        return tracked
 
     def _followed(
         self, frame: Shaped[ndarray, ...]

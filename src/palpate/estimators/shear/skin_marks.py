@@ -18,7 +18,6 @@ from palpate.estimators.shear.pattern_gaps import TileCentres, without
 from palpate.estimators.surface_strain import PatternedSkin, on_plane
 
 FLIPPED = np.array([1.0, -1.0])
-MORE_LOOKS = 3  # at a frame in which marks are lost
 MAX_LOST = 0.01  # of the reference's marks, from frame to frame; beyond, the whole frame is searched
 
 
@@ -125,9 +124,10 @@ class TileMarks:
         Where a press came from one frame to the next, marks under it are lost at first: they are looked for
         again from where their neighbours have gone.
         """
-        tracked = self._settled(self._tracker.follow(image), image)
-        if not tracked.found_anew and len(tracked.points) < self._before - MAX_LOST * len(self.reference):
-            anew = self._settled(self._tracker.search(image), image)
+        count = len(self.reference)
+        tracked = self._tracker.settled(self._tracker.follow(image), image, count)
+        if not tracked.found_anew and len(tracked.points) < self._before - MAX_LOST * count:
+            anew = self._tracker.settled(self._tracker.search(image), image, count)
             tracked = anew if len(anew.points) > len(tracked.points) else tracked
         self._before = len(tracked.points)
         if not len(tracked.points):
@@ -140,16 +140,6 @@ class TileMarks:
         """See which tiles have come off a frame, and whether a dark line crosses them."""
         off = self._tiles.bare(image)
         self.bare, self.gap = self._tiles.corners_of(off), self._tiles.longest_gap(image, off)
-
-    def _settled(self, tracked: TrackedPoints, image: Shaped[ndarray, ...]) -> TrackedPoints:
-        for _ in range(MORE_LOOKS):
-            if not 0 < len(tracked.points) < len(self.reference):
-                break
-            again = self._tracker.follow(image)
-            if len(again.points) <= len(tracked.points):
-                break
-            tracked = again
-        return tracked
 
     def in_image(self, places: Shaped[ndarray, "n 2"]) -> Shaped[ndarray, "n 2"]:
         """Places on the resting skin [m] in the image [px]."""
