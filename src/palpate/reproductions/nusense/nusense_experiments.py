@@ -19,8 +19,9 @@ from palpate.calibration.shear.calibrate_runs import view_of_sensor
 from palpate.calibration.shear.force_baselines import baseline_errors, transferred_errors
 from palpate.calibration.shear.force_law import follow_memory
 from palpate.calibration.shear.shear_calibration import usable
-from palpate.core import Bool, InputError, Pose, ndarray
+from palpate.core import Bool, InputError, Pose, Reading, ndarray
 from palpate.estimators.shear import ShearReader, ShearTouch
+from palpate.estimators.shear.touch_readings import NORMAL_90
 from palpate.estimators.surface_strain import edge_direction
 from palpate.recordings import Run
 from palpate.reproductions.nusense.nusense_analysis import (
@@ -38,7 +39,7 @@ from palpate.reproductions.nusense.nusense_analysis import (
 )
 from palpate.reproductions.nusense.nusense_setup import NuSenseStudy
 from palpate.reproductions.nusense.published_shear import scale_of_published_shear, shear_forces
-from palpate.sensors.nusense.nusense_sensor import NuSense
+from palpate.sensors.nusense.nusense_sensor import ARM_M, NuSense
 from palpate.sensors.nusense.nusense_spec import Tear
 
 MM = 1e3
@@ -238,10 +239,8 @@ def places(study: NuSenseStudy) -> dict[str, Any]:
         row = labels.iloc[i]
         true = (float(row["x_mm"]), float(row["y_mm"]))
         by_ring = None if contact is None or contact.ring is None else (contact.ring.x, contact.ring.y)
-        inside = [
-            reading.low <= 1e-3 * at <= reading.high
-            for reading, at in zip((touch.readings["x"], touch.readings["y"]), true, strict=True)
-        ]
+        told = [touch.readings[axis] for axis in "xy"]
+        inside = [arm_or_reader_holds(reading, 1e-3 * at) for reading, at in zip(told, true, strict=True)]
         rows.append({
             "frame": i, "place": str(row["location"]), "cycle": int(row["cycle"]),
             "force_N": float(row["force_N"]), "true_mm": true,
@@ -250,6 +249,12 @@ def places(study: NuSenseStudy) -> dict[str, Any]:
             "inside": inside,
         })  # fmt: skip
     return {"touches": rows} | {by: place_errors(rows, by) for by in ("pressure", "ring")}
+
+
+def arm_or_reader_holds(reading: Reading, true_m: float) -> bool:
+    """Whether a place asked of the arm lies in the 90 % interval, widened by the arm's own error."""
+    half = math.hypot((reading.high - reading.low) / 2, NORMAL_90 * ARM_M)
+    return abs(reading.value - true_m) <= half
 
 
 def place_errors(rows: Sequence[dict[str, Any]], by: str) -> dict[str, Any]:

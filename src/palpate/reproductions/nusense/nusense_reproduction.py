@@ -34,6 +34,7 @@ from palpate.reproductions.study_results import (
     unfinished_work,
     write_results,
 )
+from palpate.sensors.nusense.nusense_sensor import ARM_M
 from palpate.version import __version__
 
 SOURCE = "nusense-shear"
@@ -221,7 +222,10 @@ def _place_entries(found: Found) -> Iterator[StudyEntry]:
         for place, value in one.get("per_place_mm", {}).items():
             yield entry(f"places by {said}: RMS at {place}", value, "mm")
     inside = [held for one in found["touches"] if one["pressure_mm"] for held in one["inside"]]
-    yield entry("places: coordinates in their 90 % interval", 100 * float(np.mean(inside)), "%")
+    yield entry(
+        "places: coordinates in the 90 % interval of arm and reading", 100 * float(np.mean(inside)), "%"
+    )
+    yield entry("places: error of the virtual arm alone, RMS", 1e3 * ARM_M * np.sqrt(2), "mm")
 
 
 def _loop_entries(found: Found) -> Iterator[StudyEntry]:
@@ -310,6 +314,7 @@ def nusense_page(study: NuSenseStudy, found: Found, entries: Sequence[StudyEntry
         beside=[one for one in entries if one["published"] is not None],
         told=TOLD,
         edge_ways=EDGES,
+        arm_mm=1e3 * ARM_M * float(np.sqrt(2)),
         pads=PADS,
         pad_loops=LOOPS,
         read_on=READ_ON,
