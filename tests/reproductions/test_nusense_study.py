@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from palpate.calibration.shear import LabelledCues, TouchCues, calibrate_shear
 from palpate.calibration.shear.force_baselines import baseline_errors, transferred_errors
 from palpate.cli import app
+from palpate.core import Reading
 from palpate.core.errors import ExistsError, InputError
 from palpate.estimators.lattice import ControlPoints
 from palpate.reproductions import nusense as nusense_package
@@ -31,6 +32,7 @@ from palpate.reproductions.nusense.nusense_analysis import (
 )
 from palpate.reproductions.nusense.nusense_experiments import (
     RANGES,
+    arm_or_reader_holds,
     cut_seen,
     edge_errors,
     frames_near,
@@ -170,6 +172,20 @@ def test_places_err_by_the_distance_in_the_plane():
     assert rms_by(["x", "y", "x"], np.array([3.0, 1.0, 4.0])) == pytest.approx(
         {"x": math.sqrt(12.5), "y": 1.0}
     )
+
+
+@pytest.mark.parametrize(
+    ("off_mm", "half_mm", "held"),
+    [(0.05, 0.0, True), (0.06, 0.0, False), (0.06, 0.04, True), (-0.06, 0.04, True), (0.08, 0.04, False)],
+)
+def test_an_interval_of_a_place_has_room_for_the_arm(off_mm, half_mm, held):
+    """The arm is off by 0.033 mm, 0.054 mm in 90 %."""
+    reading = Reading(
+        quantity="x", unit="m", coverage=0.9, valid=True, why="", drift=None, calibration="", frame="",
+        time_s=0.0, value=1e-3 * off_mm, low=1e-3 * (off_mm - half_mm), high=1e-3 * (off_mm + half_mm),
+        calibrated_range=(-0.02, 0.02),
+    )  # fmt: skip
+    assert arm_or_reader_holds(reading, 0.0) is held
 
 
 def test_ranges_take_each_tip_between_its_forces():
