@@ -75,11 +75,12 @@ def main() -> int:
         broken += bool(faults)
         print(f"{len(cells)}/{len(wanted)} {named[key]}: {cell.ended} at {cell.seen}", *faults, flush=True)
     if args.only and args.write:
-        again = {key_of(cell): cell for cell in cells}
-        cells = [again.get(key_of(cell), cell) for cell in from_csv(CSV.read_text(encoding="utf-8"))]
+        known = {key_of(cell): cell for cell in (*from_csv(CSV.read_text(encoding="utf-8")), *cells)}
+        cells = [known[key] for key in ALL]  # a fault that is new has its place too
     if args.write or not args.only:
         CSV.write_text(as_csv(cells), encoding="utf-8")
-        PAGE_FILE.write_text(page(cells), encoding="utf-8")
+        written = from_csv(CSV.read_text(encoding="utf-8"))  # rounded there
+        PAGE_FILE.write_text(page(written), encoding="utf-8")
     print(f"{len(cells)} cells, {broken} of them break the law")
     return int(broken > 0)
 

@@ -103,6 +103,22 @@ def test_a_scale_that_changed_between_two_zeros_is_told(rng, scale: float, refus
     assert caught.value.reason is Reason.FORCE_SCALED
 
 
+@pytest.mark.parametrize("far_n", [0.4, -0.4, 1.7])
+def test_a_zero_that_drifts_along_the_greatest_axis_alone_is_no_change_of_scale(rng, far_n: float) -> None:
+    """With two small ones beside it, it lies near the old one's line, as what a changed gain reads does."""
+    aside = np.array([0.02, -0.015, 1.7]) - BIAS
+
+    def drifted(by_n: float) -> list[Wrench]:
+        moved = [np.array(one.force_n) + aside + (0, 0, by_n) for one in air(rng)]
+        return [
+            Wrench(round(i / HZ * NS_PER_S), (x, y, z))
+            for i, (x, y, z) in enumerate(map(np.ndarray.tolist, moved))
+        ]
+
+    made = monitor(drifted(0.0))
+    made.learn_air(drifted(far_n), HZ)
+
+
 def arrivals(rng, count: int, hold_s: float = 0.0, hz: float = HZ) -> np.ndarray:
     """Stamps of arrival [s] of samples that are sent evenly, with a jitter of 0.2 ms; held back from 5 s
     on."""

@@ -12,7 +12,7 @@ from unittest import mock
 
 from tests.rig.fault_matrix.observed_rig import ObservedRig
 
-from palpate.core import DeviceError, Position, Wrench
+from palpate.core import NS_PER_S, DeviceError, Position, Wrench
 from palpate.devices import OperatorCommand
 from palpate.recordings.segments import mcap_file
 from palpate.rig.virtual.disturbances import Kind
@@ -139,6 +139,26 @@ def no_number(real: Callable[..., Any], *args: Any) -> Any:
     found = real(*args)
     spoilt = lambda one: replace(one, force_n=(*one.force_n[:2], math.nan))  # noqa: E731
     return spoilt(found) if isinstance(found, Wrench) else [spoilt(one) for one in found]
+
+
+def drifting_zero(share: float, seconds: float) -> Begin:
+    """A zero along the press that moves from now on by a share of the limit of force, and then rests."""
+
+    def begin(rig: ObservedRig) -> None:
+        begun_ns, far_n = rig.clock.now_ns(), share * rig.rig.limits.force_n
+
+        def moved(one: Wrench) -> Wrench:
+            x, y, z = one.force_n
+            done = min(max((one.time_ns - begun_ns) / NS_PER_S / seconds, 0.0), 1.0)
+            return replace(one, force_n=(x, y, z + far_n * done))
+
+        def replaced(real: Callable[..., Any], *args: Any) -> Any:
+            found = real(*args)
+            return moved(found) if isinstance(found, Wrench) else [moved(one) for one in found]
+
+        both(replacing("force", "drain", replaced), replacing("force", "latest", replaced))(rig)
+
+    return begin
 
 
 def late_once(seconds: float) -> Begin:

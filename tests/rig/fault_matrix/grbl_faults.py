@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from tests.rig.fault_matrix.fault_injection import AT_ONCE, NEXT, OPEN, STEP, RigFault
+from tests.rig.fault_matrix.fault_injection import AT_ONCE, NEXT, OPEN, STEP, Otherwise, RigFault
 from tests.rig.fault_matrix.grbl_rig import GrblRig
 
 from palpate.core import DeviceError
@@ -216,6 +216,12 @@ GRBL_FAULTS = (
         ("done", "stage", "hardware-stop"),
         stays="it is held",
         within=STEP,
+        elsewhere={
+            "press": Otherwise(
+                ("done", "stage", "hardware-stop", "force-dead"),
+                "the force that ceases to rise may be seen before the report of the hold",
+            )
+        },
     ),
     RigFault("jog cancelled by somebody else", "controller", said(b"\x85"), ("done", "stage"), within=STEP),
     RigFault(

@@ -20,6 +20,7 @@ from tests.rig.fault_matrix.fault_injection import (
     creeping,
     deaf_and_stalled,
     disk_that,
+    drifting_zero,
     failing_watcher,
     harder_skin,
     interrupted,
@@ -340,6 +341,21 @@ FAULTS = (
             "taps": Otherwise(
                 ("force-implausible", "touched-early", "clocks"), "a tap is then too short for the camera"
             )
+        },
+    ),
+    RigFault(
+        "zero moves by 2 % of the limit in 1 s",
+        "force",
+        drifting_zero(0.02, 1.0),
+        ("force-drift",),
+        within=OPEN,
+        elsewhere={
+            **dict.fromkeys(
+                ("idle", "travel"), Otherwise(("force-noise",), "it falls into a zero, and is its noise")
+            ),
+            "taps": Otherwise(
+                ("force-dead",), "a tap's force does not fall as it rose, before its zero is taken"
+            ),
         },
     ),
 )

@@ -403,12 +403,17 @@ def _check_pace(times_s: Sequence[float], stated_hz: float) -> None:
 def _check_same(before: AirNoise, air: AirNoise) -> None:
     """Refuse a sensor whose zero or noise is another one than at the last tare."""
     old, new, noise_n = before.mean[:3], air.mean[:3], 3 * max(*before.noise_n, *air.noise_n)
-    told = sum(abs(a) > noise_n for a in old) > 1  # one axis alone may have drifted
-    scale = (
-        math.fsum(a * b for a, b in zip(old, new, strict=True)) / math.fsum(a * a for a in old) if told else 1
-    )
+    size2 = math.fsum(a * a for a in old)
+    scale = math.fsum(a * b for a, b in zip(old, new, strict=True)) / size2 if size2 > 0 else 1.0
     off_n = math.dist(new, [scale * a for a in old])
-    if scale != 0 and abs(scale - 1) > SAME_SCALE and off_n < noise_n and math.dist(old, new) > 3 * off_n:
+    told = sum(abs((scale - 1) * a) > noise_n for a in old) > 1  # one axis alone has drifted
+    if (
+        told
+        and scale != 0
+        and abs(scale - 1) > SAME_SCALE
+        and off_n < noise_n
+        and math.dist(old, new) > 3 * off_n
+    ):
         raise Tripped(
             Reason.FORCE_SCALED,
             f"in the air all axes read {scale:.3g} times what they did before the last press: has the "
