@@ -1,5 +1,7 @@
 """Laws of force from traction: the truth within its interval, which is as wide as what is not known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.virtual_shears import VirtualPad
@@ -82,3 +84,29 @@ def test_loads_that_cannot_be_told_are_an_invalid_reading_that_says_why(monkeypa
     assert not reading.valid
     assert np.isnan(reading.value)
     assert "fewer contacts" in reading.why
+
+
+def twisted(depth_m: float, share: float, place: tuple[float, float], tip: str = "round"):
+    """A press whose contact bears shear around its centre, a share of friction; and its torque [Nm]."""
+    contact = PAD.sensor.press(PAD.sensor.probe(tip), Pose(*place, depth_m))
+    X, Y = np.meshgrid(contact.x_m, contact.y_m)
+    p = contact.pressure_pa
+    dx, dy = X - (p * X).sum() / p.sum(), Y - (p * Y).sum() / p.sum()
+    r = np.hypot(dx, dy) + 1e-12
+    around = share * SPEC.friction * p * np.minimum(r / (0.3 * r[p > 0].max()), 1.0) / r
+    shear = np.stack([-dy * around, dx * around])
+    cell_m2 = float(np.diff(contact.x_m)[0] * np.diff(contact.y_m)[0])
+    return replace(contact, shear_pa=shear), float((dx * shear[1] - dy * shear[0]).sum() * cell_m2)
+
+
+def test_a_torque_comes_back_with_its_sign():
+    rng, held = np.random.default_rng(8), []
+    for k in range(12):
+        place = (float(rng.uniform(-14e-3, 14e-3)), float(rng.uniform(-9e-3, 9e-3)))
+        contact, torque = twisted(float(rng.uniform(1.0e-3, 1.5e-3)), float(rng.uniform(-0.9, 0.9)), place)
+        seen = PAD.meter().fields(PAD.marks(contact, np.random.default_rng(100 + k)))
+        reading = traction_readings(seen, SKIN, KNOWN, closure="coulomb")["torque_Nm"]
+        assert reading.value == pytest.approx(torque, abs=0.3e-3)
+        held.append(reading.contains(torque))
+    assert np.mean(held) >= 0.75  # of 90 %; 2.5 binomial standard deviations of 12 below is 0.68
+    assert "torque_Nm" not in traction_readings(seen, SKIN, KNOWN, closure="bonded")

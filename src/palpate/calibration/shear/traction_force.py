@@ -1,9 +1,10 @@
-"""Normal and lateral force from recovered traction, with intervals for what is taken as known.
+"""Normal and lateral force and torque from recovered traction, with intervals for what is taken as known.
 
 An image tells pressure over modulus. So the interval holds, beside the marks' noise, what a change of each
 assumption does to this very frame: moduli, friction, and the support, whose compliance is that of the layer
 that yields most. Each is changed by its standard deviation and solved anew; the changes add in squares, as
-independent errors do. No twist was at hand with a known torque, so none is read.
+independent errors do. The virtual pad's probes do not turn: torque was compared with shear laid on the
+pressed contact around its centre, up to friction.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ RANGE_N = (1.0, 8.0)  # over which recovery was measured; see the how-to
 FORM = {"frictionless": 0.02, "coulomb": 0.10, "bonded": 0.05}
 """Standard deviation of force that the closure leaves with all else known, of the force; measured."""
 LATERAL_FORM = 0.01  # of the normal force: what the coulomb closure leaves of a lateral one; measured
+TORQUE_FORM_NM, TORQUE_FORM = 0.1e-3, 0.05  # what the coulomb closure leaves of a torque, and its share
+MAX_TORQUE_NM = 10e-3  # to which that was measured
 SEEN_MISFIT = 2.0  # standard errors; above it the marks move as this closure cannot make them move
 
 
@@ -124,7 +127,8 @@ def traction_readings(
     frame: str = "",
     time_s: float = 0.0,
 ) -> Readings:
-    """Force from the picture and a known skin, uncalibrated; lateral force where the closure has friction.
+    """Force from the picture and a known skin, uncalibrated; lateral force where the closure has friction,
+    and torque about the contact's normal, from x towards y, where that is Coulomb's.
 
     A frame whose loads cannot be told has a reading that is not valid, and says why.
 
@@ -148,6 +152,12 @@ def traction_readings(
         found, spread = None, str(e)
     name = f"traction, {closure}, moduli known to {100 * doubt.modulus:.3g} %"
 
+    most_n = RANGE_N[1]
+    ranges = dict.fromkeys(("force_x", "force_y"), (-most_n, most_n)) | {
+        "force": RANGE_N,
+        "torque": (-MAX_TORQUE_NM, MAX_TORQUE_NM),
+    }
+
     def reading(quantity: str, unit: str, value: float, half: float, why: str) -> Reading:
         return Reading(
             quantity=quantity,
@@ -162,7 +172,7 @@ def traction_readings(
             value=value,
             low=value - half if quantity != "force" else max(value - half, 0.0),
             high=value + half,
-            calibrated_range=RANGE_N if quantity == "force" else (-RANGE_N[1], RANGE_N[1]),
+            calibrated_range=ranges[quantity],
         )
 
     if spread:
@@ -178,6 +188,12 @@ def traction_readings(
     for axis, value in zip("xy", found.lateral_n, strict=True):
         half = z * math.hypot(LATERAL_FORM * found.force_n, budget.skin * value)
         readings[f"force_{axis}_N"] = reading(f"force_{axis}", "N", value, half, why)
+    if closure == "coulomb":
+        torque = found.torque_nm
+        half = z * math.hypot(TORQUE_FORM_NM, TORQUE_FORM * torque, budget.skin * torque)
+        beyond = f"above {1e3 * MAX_TORQUE_NM:g} Nmm, where it was not measured"
+        too_much = beyond if abs(torque) > MAX_TORQUE_NM else ""
+        readings["torque_Nm"] = reading("torque", "Nm", torque, half, why or too_much)
     return Readings(readings)
 
 
