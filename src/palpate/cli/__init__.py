@@ -42,6 +42,10 @@ HEADINGS: dict[str, dict[str, str]] = {
         "flow": "optics_verbs:flow",
         "shear": "shear_verbs:shear",
     },
+    "Display": {
+        "pairs": "softness_verbs:pairs_app",
+        "display": "softness_verbs:display_app",
+    },
     "Study": {
         "demo": "study_verbs:demo",
         "render": "render_verbs:app",

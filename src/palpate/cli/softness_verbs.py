@@ -1,0 +1,282 @@
+"""Verbs of softness rendered: objects that one cue cannot tell apart, and what a display can do of one."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from typer import Argument, Option
+
+from palpate.cli.verb_support import Json, group, print_found
+
+if TYPE_CHECKING:
+    from palpate.mechanics.half_space.hertz_pairs import Body
+    from palpate.softness import Rendered
+
+HERTZ_RADIUS = 0.5  # of a ball, to which a contact is small
+
+pairs_app = group("Find objects that feel alike to the arm or to the skin.")
+display_app = group("Say what a contact-area display on an arm can render.")
+
+One = Annotated[str, Argument(help="MODULUS_KPA:RADIUS_MM of an object; a flat's radius is inf.")]
+Other = Annotated[str, Argument(help="MODULUS_KPA:RADIUS_MM of the other.")]
+OtherModulus = Annotated[float, Argument(help="Young's modulus of the other object [kPa].")]
+Finger = Annotated[
+    str, Option(help="MODULUS_KPA:RADIUS_MM of the fingertip; 7 to 33 kPa and 15 mm are reported.")
+]
+Poisson = Annotated[float, Option(help="Poisson's ratio of objects and finger, 0 to 0.5.")]
+AtForce = Annotated[float, Option(help="Force at which both are compared [N].")]
+Figure = Annotated[Path | None, Option(help="PNG to draw; must not exist.")]
+
+
+@pairs_app.command()
+def kinesthetic(
+    one: One,
+    other_modulus_kpa: OtherModulus,
+    finger: Finger,
+    poisson: Poisson = 0.5,
+    force_n: AtForce = 2.0,
+    figure: Figure = None,
+    json_: Json = False,
+) -> None:
+    """Find the ball of another modulus that feels alike to the arm.
+
+    Example: palpate pairs kinesthetic 1000:2.5 150 --finger 100:15
+    """
+    from palpate.mechanics.half_space.hertz_pairs import alike_to_the_arm
+
+    _tell_partner(
+        "kinesthetic", alike_to_the_arm, one, other_modulus_kpa, finger, poisson, force_n, figure, json_
+    )
+
+
+@pairs_app.command()
+def cutaneous(
+    one: One,
+    other_modulus_kpa: OtherModulus,
+    finger: Finger,
+    poisson: Poisson = 0.5,
+    force_n: AtForce = 2.0,
+    figure: Figure = None,
+    json_: Json = False,
+) -> None:
+    """Find the ball of another modulus that feels alike to the skin.
+
+    Example: palpate pairs cutaneous 200:30 20 --finger 100:15
+    """
+    from palpate.mechanics.half_space.hertz_pairs import alike_to_the_skin
+
+    _tell_partner(
+        "cutaneous", alike_to_the_skin, one, other_modulus_kpa, finger, poisson, force_n, figure, json_
+    )
+
+
+@pairs_app.command()
+def compare(
+    one: One,
+    other: Other,
+    finger: Finger,
+    poisson: Poisson = 0.5,
+    force_n: AtForce = 2.0,
+    figure: Figure = None,
+    json_: Json = False,
+) -> None:
+    """Say how far two objects differ to each cue under a finger.
+
+    Example: palpate pairs compare 1000:2.5 150:7.32 --finger 20:15
+    """
+    bodies = [
+        _body("object", one, poisson),
+        _body("object", other, poisson),
+        _body("--finger", finger, poisson),
+    ]
+    _tell(None, bodies, poisson, force_n, figure, json_)
+
+
+def _tell_partner(
+    cue: str,
+    partner: Callable[[Body, Body, float], Body],
+    one: str,
+    other_modulus_kpa: float,
+    finger: str,
+    poisson: float,
+    force_n: float,
+    figure: Path | None,
+    json_: bool,
+) -> None:
+    from palpate.core import RangeError
+
+    if not other_modulus_kpa > 0:
+        raise RangeError(f"a modulus of {other_modulus_kpa:g} kPa for the other object; give one above 0 kPa")
+    first, tip = _body("object", one, poisson), _body("--finger", finger, poisson)
+    other = partner(first, tip, 1e3 * other_modulus_kpa / (1 - poisson**2))
+    _tell(cue, [first, other, tip], poisson, force_n, figure, json_)
+
+
+def _body(what: str, text: str, poisson: float) -> Body:
+    from palpate.core import InputError, RangeError
+    from palpate.mechanics.half_space.hertz_pairs import Body
+
+    if not 0 <= poisson <= 0.5:
+        raise RangeError(f"a Poisson's ratio of {poisson:g}; 0 to 0.5 are allowed")
+    modulus, _, radius = text.partition(":")
+    try:
+        return Body(1e3 * float(modulus) / (1 - poisson**2), 1e-3 * float(radius))
+    except RangeError:
+        raise
+    except ValueError:
+        raise InputError(f"{what} {text!r} is not MODULUS_KPA:RADIUS_MM, as in 100:15") from None
+
+
+def _tell(
+    cue: str | None, bodies: list[Body], poisson: float, force_n: float, figure: Path | None, json_: bool
+) -> None:
+    from palpate.core import RangeError
+
+    if not 0 < force_n < float("inf"):
+        raise RangeError(f"--force-n is {force_n:g} N; give a finite force above 0 N")
+    one, other, finger = bodies
+    pair = [body.against(finger) for body in (one, other)]
+    ways, areas = (
+        [float(both.approach_m(force_n)) for both in pair],
+        [float(both.area_m2(force_n)) for both in pair],
+    )
+    radius = max(
+        (A / math.pi) ** 0.5 / min(body.radius_m, finger.radius_m)
+        for A, body in zip(areas, bodies, strict=False)
+    )
+    answer: dict[str, Any] = {
+        "alike_to": cue,
+        "other_radius_mm": 1e3 * other.radius_m,
+        "force_N": force_n,
+        "displacement_mm": [1e3 * d for d in ways],
+        "area_mm2": [1e6 * A for A in areas],
+        "force_ratio_at_equal_displacement": (ways[0] / ways[1]) ** 1.5,
+        "force_ratio_at_equal_area": (areas[0] / areas[1]) ** 1.5,
+        "contact_radius_over_ball_radius": radius,
+        "in_hertz_range": radius <= HERTZ_RADIUS,
+        "law": "Hertz: elastic balls, small strain; a rough model of a fingertip",
+    }
+    if figure is not None:
+        from palpate.reports.softness_figures import write_pair_figure
+
+        named = {
+            f"{body.modulus_pa * (1 - poisson**2) / 1e3:.4g} kPa, {body.radius_m * 1e3:.4g} mm": body
+            for body in (one, other)
+        }
+        write_pair_figure(named, finger, force_n, figure)
+        answer["figure"] = str(figure)
+    print_found(answer, _pair_text(answer), json_)
+
+
+def _pair_text(answer: dict[str, Any]) -> str:
+    ways, areas = answer["displacement_mm"], answer["area_mm2"]
+    at, equal = answer["force_ratio_at_equal_displacement"], answer["force_ratio_at_equal_area"]
+    lines = [
+        f"at {answer['force_N']:g} N: displacements {_two(ways, 3)} mm, areas {_two(areas, 2)} mm²",
+        f"force of the other over that of the first: {at:.4f} at equal way, {equal:.4f} at equal area",
+        answer["law"],
+    ]
+    if answer["alike_to"] is not None:
+        lines.insert(
+            0, f"alike in the {answer['alike_to']} cue: a radius of {answer['other_radius_mm']:.4f} mm"
+        )
+    if not answer["in_hertz_range"]:
+        lines.append(
+            f"the contact's radius is {answer['contact_radius_over_ball_radius']:.2f} of a ball's, and Hertz "
+            f"is good to {HERTZ_RADIUS:g}: take less force for numbers, these show the idea alone"
+        )
+    return "\n".join(lines + ([f"picture: {answer['figure']}"] if "figure" in answer else []))
+
+
+def _two(values: list[float], digits: int) -> str:
+    return " and ".join(f"{value:.{digits}f}" for value in values)
+
+
+@display_app.command()
+def envelope(
+    object_: Annotated[Path, Option("--object", help="TOML file of the object's curves, with units.")],
+    mode: Annotated[
+        str, Option(help="CM1: both cues. CM3: the skin's alone, the arm takes the way back.")
+    ] = "CM1",
+    height_mm: Annotated[float, Option(help="Way of the display's tip [mm].")] = 10.0,
+    radius_mm: Annotated[float, Option(help="Radius of its base [mm].")] = 6.5,
+    rings: Annotated[int, Option(help="Rings of which it is made; 0 for the ideal cone.")] = 0,
+    pressure_kpa: Annotated[float, Option(help="Greatest gauge pressure [kPa].")] = 100.0,
+    force_n: Annotated[float, Option(help="Greatest force on the finger [N].")] = 10.0,
+    arm_mm: Annotated[float, Option(help="Way of the arm, to either side [mm].")] = 15.0,
+    figure: Figure = None,
+    json_: Json = False,
+) -> None:
+    """Say which part of an object can be rendered.
+
+    Example: palpate display envelope --object foam.toml --figure foam.png
+    """
+    from palpate.core import InputError
+    from palpate.softness import ConeDisplay, DisplayBounds, Mode, RenderingLaw, read_object
+
+    if mode not in (Mode.BOTH, Mode.CUTANEOUS):
+        raise InputError(f"mode {mode!r}; CM1 and CM3 press the display, and CM2 has a plate in its place")
+    law = RenderingLaw(
+        read_object(object_),
+        ConeDisplay(1e-3 * height_mm, 1e-3 * radius_mm, rings),
+        DisplayBounds(1e3 * pressure_kpa, force_n, (-1e-3 * arm_mm, 1e-3 * arm_mm)),
+        Mode(mode),
+    )
+    state = law.envelope()
+    answer: dict[str, Any] = {
+        "object": law.object.name,
+        "source": law.object.source,
+        "mode": mode,
+        "rendered_share_of_way": float(state.rendered.mean()),
+        "spans": _spans(state),
+        "greatest_pressure_kPa": float(state.pressure_pa.max()) / 1e3,
+        "greatest_force_N": float(state.force_n.max()),
+        "onset_mm2": law.onset.area_m2 * 1e6,
+        "model": "quasi-static: no gas, valve, sleeve or arm dynamics; verified against the law, no device",
+    }
+    if figure is not None:
+        from palpate.reports.softness_figures import write_envelope_figure
+
+        write_envelope_figure(law, figure)
+        answer["figure"] = str(figure)
+    print_found(answer, _envelope_text(answer), json_)
+
+
+def _spans(state: Rendered) -> list[dict[str, Any]]:
+    """Stretches of area with one verdict, as they come while the finger presses."""
+    import numpy as np
+
+    ends = np.flatnonzero(state.limit[1:] != state.limit[:-1])
+    bounds = [0, *(ends + 1), len(state.limit)]
+    return [
+        {
+            "from_mm2": float(1e6 * state.area_m2[low]) if low else 0.0,
+            "to_mm2": float(1e6 * state.area_m2[high - 1]),
+            "force_N": float(state.force_n[high - 1]),
+            "limit": str(state.limit[low]) or None,
+        }
+        for low, high in itertools.pairwise(bounds)
+    ]
+
+
+def _envelope_text(answer: dict[str, Any]) -> str:
+    from palpate.reports.softness_figures import WORDS
+
+    lines = [f"{answer['object']} ({answer['source']}), {answer['mode']}"]
+    lines += [
+        f"  {one['from_mm2']:7.2f} to {one['to_mm2']:7.2f} mm², to {one['force_N']:.3f} N: "
+        f"{WORDS[one['limit']] if one['limit'] else 'rendered as it is'}"
+        for one in answer["spans"]
+    ]
+    share, kpa, most_n = (
+        answer[name] for name in ("rendered_share_of_way", "greatest_pressure_kPa", "greatest_force_N")
+    )
+    lines += [
+        f"{share:.1%} of the display's way; at most {kpa:.2f} kPa and {most_n:.3f} N",
+        answer["model"],
+    ]
+    return "\n".join(lines + ([f"picture: {answer['figure']}"] if "figure" in answer else []))

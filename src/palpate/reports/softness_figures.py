@@ -1,0 +1,125 @@
+"""Pictures of softness: two objects as each cue tells them, and what a display renders of one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from palpate.core import new_file
+from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, STYLE
+from palpate.softness import Limit, Rendered, RenderingLaw
+
+MM, MM2, KPA = 1e3, 1e6, 1e-3
+WORDS: Mapping[str, str] = {
+    Limit.ONSET: "onset, blended",
+    Limit.PRESSURE: "needs more pressure",
+    Limit.FORCE: "needs more force",
+    Limit.AREA: "beyond the object's curve",
+    Limit.ARM: "beyond the arm's way",
+}
+
+
+def write_pair_figure(objects: Mapping[str, Body], finger: Body, greatest_n: float, path: Path) -> None:
+    """Draw force over displacement and force over area of objects under one finger.
+
+    Args:
+        objects: by the names that the legend shows.
+        finger: under which.
+        greatest_n: end of the curves [N].
+        path: of the PNG; must not exist.
+
+    Raises:
+        ExistsError: `path` exists.
+        StorageError: the disk refused.
+    """
+    force = np.linspace(0.0, greatest_n, 200)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(8.4, 3.6), layout="constrained")
+        arm, skin = figure.subplots(1, 2, sharey=True)
+        for (name, body), color, style in zip(
+            objects.items(), (ACCENT, INK, BAD), ("-", "--", ":"), strict=False
+        ):
+            both = body.against(finger)
+            arm.plot(MM * both.approach_m(force), force, style, color=color, label=name)
+            skin.plot(MM2 * both.area_m2(force), force, style, color=color, label=name)
+        _axes(arm, "displacement [mm]", "force [N]", "to the arm (kinesthetic)")
+        _axes(skin, "contact area [mm²]", "", "to the skin (cutaneous)")
+        arm.legend(frameon=False)
+        with new_file(path) as building:
+            figure.savefig(building, format="png", dpi=160)
+
+
+def write_envelope_figure(law: RenderingLaw, path: Path) -> None:
+    """Draw an object's two cues, what the devices render of them, and the pressure and way that it takes.
+
+    Raises:
+        ExistsError: `path` exists.
+        StorageError: the disk refused.
+    """
+    state, soft = law.envelope(), law.object
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(9.6, 6.4), layout="constrained")
+        (skin, arm), (pressure, way) = figure.subplots(2, 2)
+        area = MM2 * state.area_m2
+        end = float(area[-1])
+        shown = MM2 * soft.area.x <= end
+        skin.plot(
+            MM2 * soft.area.x[shown], soft.area.force_n[shown], color=INK, lw=3, alpha=0.25, label="object"
+        )
+        arm.plot(
+            MM * soft.displacement.x, soft.displacement.force_n, color=INK, lw=3, alpha=0.25, label="object"
+        )
+        skin.plot(area, state.force_n, color=ACCENT, label="display")
+        arm.plot(MM * state.displacement_m, state.force_n, color=ACCENT, label="display and arm")
+        pressure.plot(area, KPA * state.pressure_pa, color=ACCENT)
+        way.plot(area, MM * state.pushed_m, color=INK, label="display")
+        way.plot(area, MM * state.arm_m, color=ACCENT, label="arm")
+        for axes in (skin, pressure, way):
+            _shade(axes, state, labelled=axes is pressure)
+            axes.set_xlim(0, end)
+        arm.set_xlim(0, max(1.2 * MM * float(state.displacement_m.max()), 0.1))
+        arm.set_ylim(skin.get_ylim())
+        _axes(skin, "contact area [mm²]", "force [N]", "to the skin")
+        _axes(arm, "displacement of the finger [mm]", "force [N]", "to the arm")
+        _axes(pressure, "contact area [mm²]", "gauge pressure [kPa]", "chamber")
+        _axes(way, "contact area [mm²]", "displacement [mm]", "ways")
+        for axes in (skin, arm, way):
+            axes.legend(frameon=False)
+        if not state.rendered.all():
+            pressure.legend(frameon=False)
+        share = f"{state.rendered.mean():.0%}"
+        figure.suptitle(
+            f"{soft.name}, {law.mode.value}: {share} of the display's way is rendered as it is",
+            fontsize=11, fontweight="bold", color=INK,
+        )  # fmt: skip
+        with new_file(path) as building:
+            figure.savefig(building, format="png", dpi=160)
+
+
+def _shade(axes: Axes, state: Rendered, *, labelled: bool) -> None:
+    """Bands of area where the object is not rendered, darker the graver."""
+    for k, (limit, words) in enumerate(WORDS.items()):
+        for low, high in spans(state.limit == limit):
+            label = words if labelled else None
+            axes.axvspan(
+                MM2 * float(state.area_m2[low]), MM2 * float(state.area_m2[high]), label=label,
+                color=BAND if k == 0 else BAD, alpha=0.5 if k == 0 else 0.12 + 0.06 * k, lw=0,
+            )  # fmt: skip
+            labelled = False if label else labelled
+
+
+def spans(where: np.ndarray) -> list[tuple[int, int]]:
+    """First and last of each stretch of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], where, [False])).astype(int)))
+    return [(int(low), int(high) - 1) for low, high in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _axes(axes: Axes, x: str, y: str, title: str) -> None:
+    axes.set(xlabel=x, ylabel=y)
+    axes.set_title(title, loc="left", fontsize=10)

@@ -1,0 +1,242 @@
+"""What a cone display and an arm in series have to do, so that a finger feels both cues of an object.
+
+With the display's displacement s, its area A(s) and an object whose force is alpha(A) and beta(d),
+
+    p = alpha(A) / A,     P = p A,     d_arm = beta^-1(P) - s,
+
+which needs the display's own displacement alone: P over p is A. The report writes the last term as (H / R)
+sqrt(P / (p pi)), which is s.
+
+**Where contact begins**, alpha(A) / A grows beyond all bounds if alpha(0) > 0. Below an area A_b the force is
+
+    P = c1 A + c2 A^2    with the value and slope of alpha at A_b,
+
+so that p = c1 + c2 A is a straight line: A_b is the smallest area of the table at which neither end of that
+line is above the greatest pressure or below 0, and the force still rises. An object with alpha / A bounded
+has A_b where its table begins.
+
+**Not rendered** is what lies below A_b, needs more pressure or force than there is, more area than the base
+has, or more way than the arm has. There the pressure is held within its bounds, and it is said.
+
+Modes: ``CM1`` renders both cues; ``CM2`` is for an arm with a rigid plate in place of the display, which
+feels beta alone; ``CM3`` renders alpha, and the arm takes back the display's way, so that the whole stays.
+
+Reference: E. P. Scilingo, M. Bianchi, G. Grioli, A. Bicchi, Rendering softness, IEEE Trans. Haptics 3 (2010)
+109, doi:10.1109/TOH.2010.2, sections 3.2 and 4.3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+
+from palpate.core import Bool, Float, InputError, RangeError, ndarray
+from palpate.softness.characteristics import Characteristic, SoftObject
+from palpate.softness.cone_display import ConeDisplay
+
+Array = Float[ndarray, "*n"]
+SLACK = 1e-9  # of a bound, for rounding
+
+
+class Mode(StrEnum):
+    """Which cues are rendered."""
+
+    BOTH = "CM1"
+    KINESTHETIC = "CM2"
+    CUTANEOUS = "CM3"
+
+
+class Limit(StrEnum):
+    """Why a state is not rendered."""
+
+    ONSET = "onset"
+    PRESSURE = "pressure"
+    FORCE = "force"
+    AREA = "area"
+    ARM = "arm"
+
+
+@dataclass(frozen=True, slots=True)
+class DisplayBounds:
+    """What the devices can do.
+
+    Attributes:
+        pressure_pa: greatest gauge pressure of the chamber [Pa].
+        force_n: greatest force on the finger [N].
+        arm_m: least and greatest displacement of the arm, towards the finger's press [m].
+    """
+
+    pressure_pa: float = 100e3
+    force_n: float = 10.0
+    arm_m: tuple[float, float] = (-15e-3, 15e-3)
+
+    def __post_init__(self) -> None:
+        if not (0 < self.pressure_pa < np.inf and 0 < self.force_n < np.inf):
+            raise RangeError(
+                f"bounds of {self.pressure_pa / 1e3:g} kPa and {self.force_n:g} N; both have to be finite "
+                "and above 0"
+            )
+        low, high = self.arm_m
+        if not -np.inf < low <= 0 <= high < np.inf:
+            raise RangeError(
+                f"an arm from {low * 1e3:g} to {high * 1e3:g} mm; give finite ends around 0 mm, where the "
+                "finger touches first"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendered:
+    """What is asked of the devices at displacements of the display, an array each.
+
+    Attributes:
+        pushed_m: displacement of the display [m].
+        area_m2: contact area [m^2].
+        pressure_pa: gauge pressure [Pa].
+        force_n: on the finger, p A [N].
+        arm_m: displacement of the arm [m].
+        limit: why a state is not rendered; "" where it is.
+    """
+
+    pushed_m: Array
+    area_m2: Array
+    pressure_pa: Array
+    force_n: Array
+    arm_m: Array
+    limit: ndarray
+
+    @property
+    def displacement_m(self) -> Array:
+        """Displacement of the finger: the display's and the arm's [m]."""
+        return np.asarray(self.pushed_m + self.arm_m)
+
+    @property
+    def rendered(self) -> Bool[ndarray, "*n"]:
+        """Where the object is felt as it is."""
+        return np.asarray(self.limit == "")
+
+
+@dataclass(frozen=True)
+class RenderingLaw:
+    """References of both devices for one object.
+
+    Attributes:
+        object: what is to be felt.
+        display: through what.
+        bounds: of the devices.
+        mode: which cues.
+    """
+
+    object: SoftObject
+    display: ConeDisplay = field(default_factory=ConeDisplay)
+    bounds: DisplayBounds = field(default_factory=DisplayBounds)
+    mode: Mode = Mode.BOTH
+
+    def __post_init__(self) -> None:
+        if self.display.greatest_m2 <= self.object.area.x[0]:
+            raise RangeError(
+                f"{self.object.name}: force over area begins at {self.object.area.x[0] * 1e6:g} mm², and the "
+                f"display has {self.display.greatest_m2 * 1e6:.4g} mm² at most"
+            )
+        _ = self.onset
+
+    @cached_property
+    def onset(self) -> Onset:
+        """How the force begins."""
+        return find_onset(self.object, self.bounds.pressure_pa, self.display.greatest_m2)
+
+    def at(self, pushed_m: float | Array) -> Rendered:
+        """References at displacements of the display.
+
+        Args:
+            pushed_m: of 0 to the display's height [m].
+
+        Raises:
+            RangeError: a displacement outside that, or that is not a number.
+            InputError: in CM2, where no display is.
+        """
+        if self.mode is Mode.KINESTHETIC:
+            raise InputError("in CM2 a rigid plate is in place of the display; ask plate_force")
+        pushed = np.atleast_1d(np.asarray(pushed_m, float))
+        area = self.display.area_m2(pushed)
+        asked = self.onset.force_n(area)
+        wanted = np.divide(asked, area, out=np.full_like(area, self.onset.c1), where=area > 0)
+        pressure = np.clip(wanted, 0.0, self.bounds.pressure_pa)
+        force = pressure * area
+        held = np.minimum(force, self.object.displacement.greatest_n)
+        ideal = -pushed if self.mode is Mode.CUTANEOUS else self.object.displacement.at_force(held) - pushed
+        arm = np.clip(ideal, *self.bounds.arm_m)
+        limit = np.full(area.shape, "", dtype=object)
+        for reason, where in (
+            (Limit.ARM, arm != ideal),
+            (Limit.FORCE, force > self.bounds.force_n * (1 + SLACK)),
+            (Limit.FORCE, force > self.object.displacement.greatest_n * (1 + SLACK)),
+            (Limit.AREA, area > self.object.area.x[-1] * (1 + SLACK)),
+            (Limit.PRESSURE, wanted > self.bounds.pressure_pa * (1 + SLACK)),
+            (Limit.ONSET, area < self.onset.area_m2 * (1 - SLACK)),
+        ):
+            limit[where] = reason.value
+        return Rendered(pushed, area, pressure, force, arm, limit)
+
+    def plate_force(self, displacement_m: float | Array) -> Array:
+        """Force of the arm in CM2, at its displacement [N]; no more than the bound."""
+        return np.minimum(self.object.displacement.force_at(displacement_m), self.bounds.force_n)
+
+    def envelope(self, samples: int = 2000) -> Rendered:
+        """References over the whole way of the display, from first touch."""
+        return self.at(np.linspace(0.0, self.display.height_m, samples + 1)[1:])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Onset:
+    """Force over area with its first piece replaced by c1 A + c2 A^2.
+
+    Attributes:
+        area_m2: where that piece ends [m^2].
+        c1: pressure at no area [Pa].
+        c2: by which it grows [Pa/m^2].
+    """
+
+    alpha: Characteristic
+    area_m2: float
+    c1: float
+    c2: float
+
+    def force_n(self, area_m2: Array) -> Array:
+        """Force at an area; beyond the table as at its end [N]."""
+        begun = self.c1 * area_m2 + self.c2 * area_m2**2
+        return np.where(area_m2 < self.area_m2, begun, np.interp(area_m2, self.alpha.x, self.alpha.force_n))
+
+
+def find_onset(soft: SoftObject, pressure_pa: float, greatest_m2: float) -> Onset:
+    """The smallest area from which on an object can be rendered as it is.
+
+    Raises:
+        RangeError: there is none below the display's greatest area.
+    """
+    alpha = soft.area
+    for area, force, slope in _corners(alpha):
+        if area > greatest_m2:
+            break
+        if area == 0.0:
+            if force == 0.0 and 0.0 < slope <= pressure_pa:
+                return Onset(alpha, 0.0, slope, 0.0)
+            continue
+        mean = force / area
+        c1, c2 = 2 * mean - slope, (slope - mean) / area
+        if 0 <= c1 <= pressure_pa * (1 + SLACK) and mean <= pressure_pa * (1 + SLACK):
+            return Onset(alpha, area, c1, c2)
+    raise RangeError(
+        f"{soft.name}: its force over area needs more than {pressure_pa / 1e3:g} kPa at every area up to "
+        f"{greatest_m2 * 1e6:.4g} mm²; give a softer object, or a display of more pressure"
+    )
+
+
+def _corners(alpha: Characteristic) -> Iterator[tuple[float, float, float]]:
+    """Area, force and the slope that follows, at each point of a table but the last."""
+    slopes = np.diff(alpha.force_n) / np.diff(alpha.x)
+    for area, force, slope in zip(alpha.x[:-1], alpha.force_n[:-1], slopes, strict=True):
+        yield float(area), float(force), float(slope)
