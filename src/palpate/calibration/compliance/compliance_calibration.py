@@ -7,27 +7,22 @@ fit. The file is one flat set of plain arrays, no pickles, and the calibration's
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from types import UnionType
-from typing import Any, TypeVar, get_args, get_type_hints
-from zipfile import BadZipFile
+from typing import Any, TypeVar
 
 import numpy as np
 
+from palpate.calibration.flat_record import contents_id, load_record, save_record
 from palpate.core import (
-    CertificateError,
     Float,
     InputError,
     Progress,
     Shaped,
     ndarray,
-    new_file,
     refuse_existing,
     silent,
-    storage_errors,
 )
 from palpate.estimators.compliance.contact_area import AreaFit, Motions, fit_area, fit_motions, ring_measures
 from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, fit_finger
@@ -41,51 +36,6 @@ from palpate.version import __version__
 T = TypeVar("T")
 
 
-def flat_arrays(record: Any, prefix: str = "") -> dict[str, ndarray]:
-    """Fields of nested dataclasses under their dotted names; what is None is left out."""
-    arrays: dict[str, ndarray] = {}
-    for field in fields(record):
-        value, name = getattr(record, field.name), prefix + field.name
-        if is_dataclass(value):
-            arrays |= flat_arrays(value, f"{name}.")
-        elif value is not None:
-            arrays[name] = np.asarray(value)
-    return arrays
-
-
-def from_flat_arrays(kind: type, data: Mapping[str, ndarray], prefix: str = "") -> Any:
-    """Dataclass that `flat_arrays` took apart.
-
-    Raises:
-        KeyError: a field is missing that may not be None.
-    """
-    values: dict[str, Any] = {}
-    for name, hint in get_type_hints(kind).items():
-        full, (inner, optional) = prefix + name, _plain(hint)
-        if optional and not any(key == full or key.startswith(f"{full}.") for key in data):
-            values[name] = None
-        elif is_dataclass(inner):
-            values[name] = from_flat_arrays(inner, data, f"{full}.")  # type: ignore[arg-type]
-        else:
-            values[name] = _value(data[full], inner)
-    return kind(**values)
-
-
-def _plain(hint: Any) -> tuple[Any, bool]:
-    """A type without its None, and whether it had one."""
-    if isinstance(hint, UnionType):
-        rest = [one for one in get_args(hint) if one is not type(None)]
-        return rest[0], len(rest) < len(get_args(hint))
-    return hint, False
-
-
-def _value(value: ndarray, kind: Any) -> Any:
-    if kind in (int, float, str):
-        return kind(value.item())
-    return tuple(value.tolist()) if getattr(kind, "__origin__", None) is tuple else value
-
-
-FORMAT = 1
 MIN_RING_SHARE = 0.5  # of a trial's frames; on an inclined specimen the field's edge cuts the ring
 LEVELS_N = np.arange(1.0, 4.51, 0.5)
 APPROACH_PX = 2e5  # px/m: what a metre of approach weighs beside pins' motion; scatter is discounted anyway
@@ -146,10 +96,7 @@ class ComplianceCalibration:
     @property
     def id(self) -> str:
         """Name by the contents."""
-        digest = hashlib.sha256()
-        for name, value in sorted(flat_arrays(self).items()):
-            digest.update(name.encode() + np.ascontiguousarray(value).tobytes())
-        return f"compliance-{digest.hexdigest()[:12]}"
+        return contents_id(self, "compliance")
 
     def save(self, path: Path) -> None:
         """Write one ``.npz``, whole or not at all.
@@ -158,8 +105,7 @@ class ComplianceCalibration:
             ExistsError: `path` exists.
             StorageError: the disk refused.
         """
-        with new_file(path) as building, building.open("wb") as file:
-            np.savez_compressed(file, **flat_arrays(self), format=np.array(FORMAT))  # type: ignore[arg-type]
+        save_record(self, path)
 
     @classmethod
     def load(cls, path: Path) -> ComplianceCalibration:
@@ -169,23 +115,7 @@ class ComplianceCalibration:
             CertificateError: it is no such file, or a damaged one.
             StorageError: it cannot be read.
         """
-        try:
-            # opened here, since numpy leaves a damaged file open
-            with storage_errors(path), path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-                data = dict(archive)
-            if (layout := int(data.pop("format"))) != FORMAT:
-                raise CertificateError(
-                    f"{path} has format {layout}, and palpate {__version__} reads format {FORMAT}: open it "
-                    "with the version of palpate that wrote it, or calibrate anew"
-                )
-            calibration = from_flat_arrays(cls, data)
-        except (KeyError, ValueError, TypeError, BadZipFile, EOFError) as e:
-            raise CertificateError(
-                f"{path} is no calibration of compliance, or a damaged one; "
-                "`palpate compliance calibrate` makes them"
-            ) from e
-        assert isinstance(calibration, cls)
-        return calibration
+        return load_record(cls, path, "compliance", "palpate compliance calibrate")
 
 
 def calibrate_compliance(

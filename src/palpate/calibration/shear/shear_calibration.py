@@ -10,7 +10,6 @@ unknown: the interval is widened by the stated spread of stiffness, until one kn
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Sequence
@@ -18,11 +17,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import NormalDist
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
-from palpate.calibration.compliance.compliance_calibration import flat_arrays, from_flat_arrays
+from palpate.calibration.flat_record import contents_id, load_record, save_record
 from palpate.calibration.shear.force_interval import ForceInterval, fit_interval, held_out
 from palpate.calibration.shear.force_law import (
     ForceLine,
@@ -41,7 +39,6 @@ from palpate.calibration.shear.touch_cues import (
 )
 from palpate.core import (
     Bool,
-    CertificateError,
     Drift,
     Float,
     Int,
@@ -49,13 +46,10 @@ from palpate.core import (
     RangeError,
     Reading,
     ndarray,
-    new_file,
-    storage_errors,
 )
 from palpate.estimators.lattice import ControlPoints
 from palpate.version import __version__
 
-FORMAT = 1
 MIN_FORCE_N = 1.0  # below it the published sensor's pattern did not move enough
 COVERAGE = 0.90
 BEYOND_PLACES_M = 1e-3  # a place this far outside of those calibrated is still taken
@@ -115,10 +109,7 @@ class ShearCalibration:
     @property
     def id(self) -> str:
         """Name by the contents."""
-        digest = hashlib.sha256()
-        for name, value in sorted(flat_arrays(self).items()):
-            digest.update(name.encode() + np.ascontiguousarray(value).tobytes())
-        return f"shear-{digest.hexdigest()[:12]}"
+        return contents_id(self, "shear")
 
     @property
     def lens(self) -> Lens:
@@ -272,8 +263,7 @@ class ShearCalibration:
             ExistsError: `path` exists.
             StorageError: the disk refused.
         """
-        with new_file(path) as building, building.open("wb") as file:
-            np.savez_compressed(file, **flat_arrays(self), format=np.array(FORMAT))  # type: ignore[arg-type]
+        save_record(self, path)
 
     @classmethod
     def load(cls, path: Path) -> ShearCalibration:
@@ -283,21 +273,7 @@ class ShearCalibration:
             CertificateError: it is no such file, or a damaged one.
             StorageError: it cannot be read.
         """
-        try:
-            with storage_errors(path), path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-                data = dict(archive)
-            if (layout := int(data.pop("format"))) != FORMAT:
-                raise CertificateError(
-                    f"{path} has format {layout}, and palpate {__version__} reads format {FORMAT}: open it "
-                    "with the version of palpate that wrote it, or calibrate anew"
-                )
-            calibration = from_flat_arrays(cls, data)
-        except (KeyError, ValueError, TypeError, BadZipFile, EOFError) as e:
-            raise CertificateError(
-                f"{path} is no calibration of shear force, or a damaged one; `palpate force` makes them"
-            ) from e
-        assert isinstance(calibration, cls)
-        return calibration
+        return load_record(cls, path, "shear force", "palpate force")
 
 
 class ForceFollower:
