@@ -117,6 +117,7 @@ def test_conventions_of_labels_do_not_matter(edges, tmp_path) -> None:
     np.testing.assert_allclose((now - was - 90 + 180) % 360 - 180, 0, atol=0.05)
 
 
+@pytest.mark.slow
 def test_half_a_turn_is_a_period_of_its_own(tmp_path) -> None:
     run = record_edges(tmp_path / "run", 300, turn=180.0)
     plan = CalibrationPlan(("angle_deg",), split="random", size_px=(24, 24), circular={"angle_deg": 180.0})
@@ -212,6 +213,7 @@ def test_widths_around_guesses_tell_nothing_and_around_readings_something(span, 
     assert uninformative_width(some, 2 * span, 0.9) == pytest.approx(1.8 * span)
 
 
+@pytest.mark.slow
 def test_an_angle_that_the_image_tells_nothing_of_is_never_valid(edges, tmp_path, rewritten) -> None:
     folder, run = edges
     drawn = np.random.default_rng(5)

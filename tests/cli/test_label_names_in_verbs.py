@@ -53,7 +53,9 @@ def taps(folder: Path, seed: int) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("split", ["auto", "group:row", "group:frame"])
+@pytest.mark.parametrize(
+    "split", ["auto", *(pytest.param(f"group:{by}", marks=pytest.mark.slow) for by in ("row", "frame"))]
+)
 def test_from_import_to_comparison(split, tmp_path) -> None:
     quiet = ("--quiet", "--json")
     for name, seed in (("run", 0), ("other", 1)):

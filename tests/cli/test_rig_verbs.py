@@ -47,6 +47,7 @@ def typed(*words: object) -> tuple[int, str, str]:
     return done.exit_code, done.stdout, done.stderr
 
 
+@pytest.mark.slow
 def test_a_recorded_run_is_checked_calibrated_and_reported_without_further_options(
     tiny: Path, tmp_path: Path
 ) -> None:

@@ -141,6 +141,7 @@ def one(tmp_path_factory):
     torch.set_num_threads(threads)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["plain", "early"])
 def test_two_processes_train_the_weights_that_one_does(two, one, which: str) -> None:
     # The same steps but for the order of sums; Adam divides by a gradient's size, so small ones differ most.
@@ -150,6 +151,7 @@ def test_two_processes_train_the_weights_that_one_does(two, one, which: str) -> 
     assert moved > 1e-2, "training went somewhere"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["plain", "normalised", "early", "plain-resumed", "normalised-resumed"])
 def test_all_processes_end_with_the_same_weights(two, which: str) -> None:
     first, second = (found[which] for found in two[1])
@@ -157,18 +159,21 @@ def test_all_processes_end_with_the_same_weights(two, which: str) -> None:
     assert all(np.array_equal(first[name], second[name]) for name in first)
 
 
+@pytest.mark.slow
 def test_batch_statistics_of_a_share_are_not_those_of_the_batch(two, one) -> None:
     # What is said of the CPU is so: each normalises by its own rows. Were it not, this would be closer.
     gaps = [np.abs(two[1][0]["normalised"][name] - value).max() for name, value in one["normalised"].items()]
     assert 1e-4 < max(gaps) < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["plain", "normalised"])
 def test_interrupted_and_resumed_two_processes_reach_the_same_weights(two, which: str) -> None:
     for name, value in two[1][0][which].items():
         np.testing.assert_array_equal(two[1][0][f"{which}-resumed"][name], value)
 
 
+@pytest.mark.slow
 def test_each_row_of_a_batch_is_seen_by_one_process_and_the_order_is_that_of_one(two) -> None:
     alone: list = []
     plan().train(network(), lesson(seen=alone), seed=5)
@@ -180,6 +185,7 @@ def test_each_row_of_a_batch_is_seen_by_one_process_and_the_order_is_that_of_one
             assert second == whole[1::2]
 
 
+@pytest.mark.slow
 def test_only_the_first_process_writes_checkpoints_and_tells_of_progress(two) -> None:
     shared = two[0] / "shared"
     made = sorted(path.name for path in shared.iterdir())

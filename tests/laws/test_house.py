@@ -201,6 +201,7 @@ def test_the_rooms_that_may_need_torch_are_there() -> None:
     assert set(NEEDS_TORCH) <= set(MODULES)
 
 
+@pytest.mark.slow
 def test_the_readme_s_python_runs(tmp_path: Path) -> None:
     readme = REPOSITORY / "README.md"
     if not readme.exists():

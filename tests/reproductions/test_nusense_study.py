@@ -361,6 +361,7 @@ def test_a_study_is_never_overwritten_and_a_part_has_to_be_there(small, tmp_path
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_stopped_study_goes_on_where_it_was(tmp_path, small):
     _, entries, _ = small
 

@@ -37,6 +37,7 @@ def test_touching_finds_the_layers_place(tmp_path: Path, askew_mm: tuple[float, 
     assert layer.origin_mm == pytest.approx(layer.moved_mm, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_touching_finds_the_layers_tilt_through_the_spread_of_approaches(tmp_path: Path) -> None:
     layer = found(tmp_path, Variation(tilt_rad=(0.01, -0.006)), (0.0, 0.0, 0.0))
     # Seating varies by 0.02 mm, over 30 mm.

@@ -180,7 +180,7 @@ def test_a_walk_through_the_setup_finds_sign_surface_and_scale_and_ends_in_the_c
     assert any("firmware" in line for line in made.unchecked)
 
 
-@pytest.mark.parametrize("latency_s", [0.01, 0.05, 0.2])
+@pytest.mark.parametrize("latency_s", [0.2, *(pytest.param(s, marks=pytest.mark.slow) for s in (0.01, 0.05))])
 def test_the_file_that_setup_writes_lets_a_plan_press_at_its_usual_speed(
     tmp_path: Path, latency_s: float
 ) -> None:

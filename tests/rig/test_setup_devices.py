@@ -66,7 +66,7 @@ def walk(one: Any, out: Path, **changed: Any) -> tuple[dict[str, Any], str]:
 LABEL = {"label_kind": "serial-scale", "label_rate_hz": 20.0, "label_delay_s": 0.0, "label_mass_g": MASS_G}
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("sign", [-1.0, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_a_known_weight_gives_the_force_of_a_labelling_cells_count_with_its_sign(
     tmp_path: Path, sign: float
 ) -> None:
@@ -97,6 +97,7 @@ def test_a_scale_slower_than_stated_is_named_with_what_came(tmp_path: Path) -> N
             walk(one, tmp_path / "rig.toml", **LABEL, **words)
 
 
+@pytest.mark.slow
 def test_a_slow_load_cell_is_no_guard_and_is_refused_before_anything_moves(tmp_path: Path) -> None:
     slow = {
         "force_kind": "serial-scale",
@@ -214,6 +215,7 @@ def test_a_jog_without_a_guard_needs_the_word_for_it_and_keeps_its_limits(tmp_pa
         assert lab_.stage.place_mm[0] == pytest.approx(-49.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_jog_away_and_a_zero_keep_the_soft_limits(tmp_path: Path) -> None:
     with lab_file(tmp_path) as lab_:
         up = palpate("rig", "jog", lab_.write(), "--axis", "z", "--mm", "-15")

@@ -270,6 +270,7 @@ def test_a_supervisor_that_dies_is_told_at_once_and_by_name(supervised) -> None:
         assert time.monotonic() - begun_s < 2.0
 
 
+@pytest.mark.slow
 def test_a_supervisor_that_hangs_is_told_once_within_seconds_and_then_at_once(supervised) -> None:
     rig = open_rig(str(supervised().path))
     assert rig.supervisor is not None
@@ -302,6 +303,7 @@ def test_a_supervisor_whose_device_is_slow_is_not_taken_for_one_that_hangs(super
         assert rig.supervisor.ask("moving") is False
 
 
+@pytest.mark.slow
 def test_an_emergency_stop_shortens_the_wait_for_a_supervisor_that_hangs(supervised, monkeypatch) -> None:
     monkeypatch.setattr(supervisor_link, "SILENT_S", 50.0)
     rig = open_rig(str(supervised().path))

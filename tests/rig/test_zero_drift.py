@@ -76,6 +76,7 @@ def test_a_press_whose_zero_moved_is_named_taken_back_and_recorded_anew(
     assert (run.labels["force_N"] - run.labels["true_force_N"]).abs().max() < 0.05
 
 
+@pytest.mark.slow
 def test_a_small_movement_of_the_zero_is_told_as_a_figure(tmp_path: Path) -> None:
     begun_s, ended_s = span_of_last_press(tmp_path / "sound")
     out = tmp_path / "run"

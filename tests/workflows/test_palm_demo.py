@@ -56,6 +56,7 @@ def test_a_dark_frame_is_not_believed(result) -> None:
     assert any("made dark" in line and "unlike those calibrated on" in line for line in result.sensed)
 
 
+@pytest.mark.slow
 def test_the_demo_loads_no_torch(tmp_path) -> None:
     code = (
         "import sys; from pathlib import Path; from palpate.workflows import palm_demo as demo; "
