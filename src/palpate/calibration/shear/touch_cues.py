@@ -4,7 +4,7 @@ Every cue is a sum of shifts, so that it doubles with the displacement; an image
 stiffness is not known.
 
     gamma  = alpha K mean |s - s_ref|                    the published measure, alpha and K explicit
-    moment = integral (X - X_c) . U exp(-|X - X_c|^2 / 2 r^2) dA     for three reaches r [m^3]
+    moment = integral (X - X_c) . U exp(-|X - X_c|^2 / 2 r^2) dA     for three reaches r [m^4]
 
 The moment over the whole plane goes with the force whatever the pressure's shape: it is the slope of the
 layers' response to a wave of load where the wave is long. A window keeps the edge of the pattern and the
@@ -37,7 +37,7 @@ class TouchCues(NamedTuple):
 
     Attributes:
         gamma: published measure, mean form.
-        near, middle, far: moments within 2.5, 5 and 10 mm of the contact [mm^3]; NaN without one.
+        near, middle, far: moments within 2.5, 5 and 10 mm of the contact [1e-9 m^4]; NaN without one.
         x_m, y_m: the contact's place from the camera's axis [m]; NaN without one.
         contacts: how many there are.
         radius_m: of the ring where the skin moves outward most [m]; NaN without one.
@@ -118,7 +118,7 @@ def mean_shift(fields: StrainFields) -> float:
 
 
 def outward_moment(fields: StrainFields, centre_m: Float[ndarray, " 2"], reach_m: float) -> float:
-    """Integral of the outward shift times the distance, in a Gaussian window about a place [m^3].
+    """Integral of the outward shift times the distance, in a Gaussian window about a place [m^4].
 
     Args:
         fields: of marks in m.
