@@ -50,6 +50,8 @@ def calibrated(tmp_path_factory):
 def test_fit_makes_a_calibration_better_than_its_baselines(calibrated):
     _, out, record, words = calibrated
     assert ShearCalibration.load(out).id == record["calibration"]
+    across = abs(VirtualPad().sensor.spec.lens.focal_px[0]) * 2.4 / 55  # px of a tile of 2.4 mm, 55 mm away
+    assert ShearCalibration.load(out).pitch_px == pytest.approx(across, rel=0.15)
     assert record["presses"] == 36
     assert record["samples_K"] == 164**2
     assert record["mae_N"] < 0.15

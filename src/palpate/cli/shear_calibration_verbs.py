@@ -51,7 +51,9 @@ def weigh(
     out: NewFile,
     error_n: Annotated[float, Option("--error-n", help="Standard error of the weight [N].")] = 0.0,
     lays: Annotated[int, Option(help="How often it was laid on, each time at another place.")] = 1,
-    pitch_px: Annotated[float, Option(help="About the side of a tile [px].")] = 16.0,
+    pitch_px: Annotated[
+        float | None, Option(help="About the side of a tile [px]; by default that of the first pad.")
+    ] = None,
     json_: Json = False,
 ) -> None:
     """Take a calibration to another copy by a known weight.

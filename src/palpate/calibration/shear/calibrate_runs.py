@@ -110,7 +110,7 @@ def weigh_copy(
     weight_n: float,
     weight_error_n: float = 0.0,
     lays: int = 1,
-    pitch_px: float = 24.0,
+    pitch_px: float | None = None,
 ) -> dict[str, Any]:
     """Calibration of another copy of a pad, on which a known weight was laid.
 
@@ -120,7 +120,7 @@ def weigh_copy(
         untouched: 8-bit frames of the copy at rest.
         loaded: frames with the weight on it.
         weight_n, weight_error_n, lays: as of `ShearCalibration.weighed`.
-        pitch_px: about the side of a tile.
+        pitch_px: about the side of a tile; None takes that of the first pad.
 
     Raises:
         PalpateError: frames that show no pattern or no weight, a weight outside the range; `out` exists.
@@ -129,7 +129,7 @@ def weigh_copy(
     if not untouched or not loaded:
         raise InputError("give one frame or more of the pad at rest, and with the weight on it")
     pad = ShearCalibration.load(calibration)
-    tracker = MarkTracker(untouched[0], pitch_px)
+    tracker = MarkTracker(untouched[0], pitch_px or pad.pitch_px)
     reference = mean_marks([tracker.follow(frame).points for frame in untouched])
     meter = pad.meter(reference)
     count = len(reference)

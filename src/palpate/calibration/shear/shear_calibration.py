@@ -121,6 +121,13 @@ class ShearCalibration:
         """Marks of the untouched pattern that was calibrated [px]."""
         return ControlPoints(self.cells, self.places_px, self.sigma_px)
 
+    @property
+    def pitch_px(self) -> float:
+        """Median distance of neighbouring marks [px]."""
+        at = {tuple(cell): place for cell, place in zip(self.cells.tolist(), self.places_px, strict=True)}
+        steps = [at[i + 1, j] - place for (i, j), place in at.items() if (i + 1, j) in at]
+        return float(np.median(np.hypot(*np.array(steps).T)))
+
     def meter(self, reference: ControlPoints | None = None) -> CueMeter:
         """Cues as this calibration was fitted to, against a reference of now [px]."""
         reference = reference or self.reference
