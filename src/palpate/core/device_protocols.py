@@ -1,8 +1,12 @@
-"""The protocols of devices: a stage, a force sensor, a camera.
+"""The protocols of devices: a stage, a force sensor, a camera; a contact-area display and a haptic arm.
 
 Whoever has another device writes one of these and checks it with `palpate.check`. All times are on the
 host's monotonic clock [ns], all positions in the stage's own frame: x right, y towards the viewer, z into the
 skin [m]. A device that cannot do what it is asked raises `DeviceError`; none waits for ever.
+
+A display stands on an arm, and a finger presses both along one axis: every displacement is counted from where
+the finger touches first, positive the way it presses, and every force is positive where it pushes the finger
+back.
 """
 
 from __future__ import annotations
@@ -164,3 +168,163 @@ class FrameSource(Camera, Protocol):
 
     def drain(self) -> list[tuple[int, Frame]]:
         """All frames since the last call or `grab`, oldest first, each with when its exposure ended [ns]."""
+
+
+@dataclass(frozen=True, slots=True)
+class DisplayRange:
+    """What a contact-area display is and can do.
+
+    Attributes:
+        height_m: way of its tip until it is flat [m].
+        radius_m: of its base [m].
+        greatest_pa: gauge pressure that its chamber may hold [Pa].
+        watchdog_s: time without a new pressure after which the device vents by itself, whatever becomes of
+            the program [s].
+    """
+
+    height_m: float
+    radius_m: float
+    greatest_pa: float
+    watchdog_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class DisplaySample:
+    """One state of a contact-area display, as its own sensors measured it.
+
+    Attributes:
+        time_ns: when it was measured, on the host's monotonic clock [ns].
+        pushed_m: displacement of the tip, 0 where nobody presses [m].
+        pressure_pa: gauge pressure of the chamber [Pa].
+        fault: what the device says is wrong, such as "supply pressure low"; empty where nothing is. A faulty
+            sample's numbers mean nothing.
+    """
+
+    time_ns: int
+    pushed_m: float
+    pressure_pa: float
+    fault: str = ""
+
+
+@runtime_checkable
+class SoftnessDevice(Protocol):
+    """Contact-area display: a chamber whose pressure sets how fast contact area grows with force."""
+
+    @property
+    def range(self) -> DisplayRange:
+        """What it is and can do."""
+
+    def latest(self) -> DisplaySample:
+        """Its state now.
+
+        Raises:
+            DeviceError: it does not answer.
+        """
+
+    def set_pressure(self, pressure_pa: float, rate_pa_s: float = 0.0) -> None:
+        """Hold a gauge pressure from now on, until the next call or the watchdog; returns at once.
+
+        Args:
+            pressure_pa: of the chamber, from 0 to the greatest [Pa].
+            rate_pa_s: at which it will go on changing, for a servo that can use it [Pa/s].
+
+        Raises:
+            RangeError: a pressure outside the range, or what is no number; nothing is changed.
+            DeviceError: it does not answer, or has been vented and not released.
+        """
+
+    def vent(self) -> None:
+        """Open the chamber to the air, and keep it open until `release`.
+
+        Safe at any time and from any thread.
+
+        Raises:
+            DeviceError: it could not be told.
+        """
+
+    def release(self) -> None:
+        """Let it hold pressure again after `vent`; the pressure stays 0 until it is set.
+
+        Raises:
+            DeviceError: it does not answer.
+        """
+
+    def close(self) -> None:
+        """Vent, and let go of the device. Closing again does nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArmRange:
+    """What a haptic arm can do along the axis of the press.
+
+    Attributes:
+        least_m, greatest_m: displacement that it reaches [m].
+        force_n: greatest force, to either side [N].
+        watchdog_s: time without a new force after which the device drops it by itself [s].
+    """
+
+    least_m: float
+    greatest_m: float
+    force_n: float
+    watchdog_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ArmSample:
+    """One state of a haptic arm, as its own sensors measured it.
+
+    Attributes:
+        time_ns: when it was measured, on the host's monotonic clock [ns].
+        displacement_m: from where the finger touches first, positive the way it presses [m].
+        velocity_m_s: of it [m/s].
+        fault: what the device says is wrong, such as "motor saturated"; empty where nothing is.
+    """
+
+    time_ns: int
+    displacement_m: float
+    velocity_m_s: float
+    fault: str = ""
+
+
+@runtime_checkable
+class HapticArm(Protocol):
+    """Arm that carries the display and takes forces along the axis of the press."""
+
+    @property
+    def range(self) -> ArmRange:
+        """What it can do."""
+
+    def latest(self) -> ArmSample:
+        """Its state now.
+
+        Raises:
+            DeviceError: it does not answer.
+        """
+
+    def set_force(self, force_n: float) -> None:
+        """Push with a force, its own weight carried beside, until the next call or the watchdog.
+
+        Args:
+            force_n: positive against the finger's press [N].
+
+        Raises:
+            RangeError: more than its greatest, or what is no number; nothing is changed.
+            DeviceError: it does not answer, refused, or brakes.
+        """
+
+    def brake(self) -> None:
+        """Drop the force and brake, until `release`. Safe at any time and from any thread.
+
+        Raises:
+            DeviceError: it could not be told.
+        """
+
+    def release(self) -> None:
+        """Let it take forces again after `brake`; the force stays 0 until it is set.
+
+        Raises:
+            DeviceError: it does not answer.
+        """
+
+    def close(self) -> None:
+        """Brake, and let go of the device. Closing again does nothing."""
