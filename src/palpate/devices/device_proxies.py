@@ -37,8 +37,16 @@ RATE_S = 2.0  # over which rates are counted
 SENT_S = 1.0  # in which a stage that answers has taken in a move
 
 
-Device = TypeVar("Device", Stage, ForceSensor, FrameSource)
+@runtime_checkable
+class Closable(Protocol):
+    """What a proxy asks of any device."""
+
+    def close(self) -> None: ...
+
+
+Device = TypeVar("Device", bound=Closable)
 Sampler = TypeVar("Sampler", ForceSensor, FrameSource)
+Held = TypeVar("Held", bound=Closable)
 
 
 class _Proxy(Generic[Device]):
@@ -167,14 +175,64 @@ class CameraProxy(_SamplerProxy[FrameSource]):
             self.count += len(frames)
 
 
-class StageProxy(_Proxy[Stage]):
-    """Implements `core.Stage`; after an emergency stop it moves for nobody until it is released."""
+class HeldProxy(_Proxy[Held]):
+    """A device that an emergency stop holds: from then on it does nothing for anybody until it is released.
 
-    def __init__(self, inner: Stage, clock: Clock) -> None:
+    Whatever presses something goes through one of these, a stage as well as a display or an arm.
+    """
+
+    def __init__(self, inner: Held, clock: Clock) -> None:
         super().__init__(inner, clock)
         self._sending = threading.Lock()
         self._sent = 0
         self.held = False
+
+    def make_safe(self) -> None:
+        """Bring the device to where it presses nothing any further."""
+        raise NotImplementedError
+
+    def hold(self) -> int:
+        """Emergency stop, past everything else; returns when it was safe [ns], and nothing moves it any more.
+
+        Raises:
+            DeviceError: the device could not be made safe.
+        """
+        self.held, before = True, self._sent
+        self.make_safe()
+        safe_ns = self._clock.now_ns()
+        if self._sending.acquire(timeout=SENT_S):
+            self._sending.release()
+        if self._sent != before:  # an order had passed the check just before
+            self.make_safe()
+            safe_ns = self._clock.now_ns()
+        return safe_ns
+
+    def release(self) -> None:
+        """Let it act again; so does a supervisor that held it as well."""
+        if callable(release := getattr(self._inner, "release", None)):
+            release()
+        self.held = False
+
+    @contextmanager
+    def _ordering(self) -> Iterator[None]:
+        """Around an order that makes the device act.
+
+        Raises:
+            OperatorInterrupt: an emergency stop holds it.
+        """
+        with self._sending:
+            self._check_free()
+            with self._noting_errors():
+                yield
+                self._sent += 1
+
+    def _check_free(self) -> None:
+        if self.held:
+            raise OperatorInterrupt(OperatorCommand.ESTOP)
+
+
+class StageProxy(HeldProxy[Stage]):
+    """Implements `core.Stage`; after an emergency stop it moves for nobody until it is released."""
 
     @property
     def travel(self) -> Travel:
@@ -192,11 +250,8 @@ class StageProxy(_Proxy[Stage]):
         Raises:
             OperatorInterrupt: an emergency stop holds it.
         """
-        with self._sending:
-            self._check_free()
-            with self._noting_errors():
-                self._inner.move_to(position_m, speed_m_s)
-                self._sent += 1
+        with self._ordering():
+            self._inner.move_to(position_m, speed_m_s)
 
     def moving(self) -> bool:
         """True while it is under way.
@@ -213,37 +268,13 @@ class StageProxy(_Proxy[Stage]):
         with self._noting_errors():
             self._inner.stop()
 
+    make_safe = stop
+
     @property
     def health(self) -> str:
         """What was lost on the wire, of a driver that counts it; empty where nothing was."""
         health = getattr(self._inner, "health", "")
         return health if isinstance(health, str) else ""
-
-    def hold(self) -> int:
-        """Emergency stop, past everything else; returns when it stood [ns], and nothing moves it any more.
-
-        Raises:
-            DeviceError: the device could not be stopped.
-        """
-        self.held, before = True, self._sent
-        self.stop()
-        stood_ns = self._clock.now_ns()
-        if self._sending.acquire(timeout=SENT_S):
-            self._sending.release()
-        if self._sent != before:  # a move had passed the check just before
-            self.stop()
-            stood_ns = self._clock.now_ns()
-        return stood_ns
-
-    def release(self) -> None:
-        """Let it move again; so does a supervisor that held it as well."""
-        if callable(release := getattr(self._inner, "release", None)):
-            release()
-        self.held = False
-
-    def _check_free(self) -> None:
-        if self.held:
-            raise OperatorInterrupt(OperatorCommand.ESTOP)
 
 
 @runtime_checkable

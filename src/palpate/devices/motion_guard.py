@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from palpate.core import NS_PER_S, Clock, DeviceError, HardwareStopError, Positi
 from palpate.devices.device_proxies import Actuator, ForceSource, PlainActuator, PlainForceSource
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.force_trust import Doubt, ForceMonitor, Phase, name_fault
+from palpate.devices.force_watch import ForceWatch
 from palpate.devices.motion_limits import Limits, Reason, Tripped
 from palpate.devices.operator_control import AT_ONCE, OperatorCommand, OperatorControl
 
@@ -131,7 +131,7 @@ class MotionGuard:
         self.samples: Subscribers[[Sequence[Wrench]]] = Subscribers()
         self.positions: Subscribers[[Position, int]] = Subscribers()
         self.looks: Subscribers[[]] = Subscribers()
-        self._recent: deque[tuple[int, float]] = deque()
+        self._watch = ForceWatch(limits)
         self._phase = Phase.STAND
         self._turn = threading.RLock()
         self._stoppable: tuple[OperatorCommand, ...] = ()  # what may stop the move that is under way
@@ -461,12 +461,7 @@ class MotionGuard:
         except DeviceError as e:
             raise Tripped(Reason.FORCE_SENSOR, f"the force sensor failed: {e}") from e
         self._age_s = (asked_ns - newest.time_ns) / NS_PER_S
-        if self._age_s > self._limits.age_s:
-            raise Tripped(
-                Reason.FORCE_STALE,
-                f"the newest force is {self._age_s * 1e3:.0f} ms old; nothing moves on more than "
-                f"{self._limits.age_s * 1e3:g} ms",
-            )
+        self._watch.check_age(self._age_s)
         if newest.fault:
             raise Tripped(Reason.FORCE_FAULT, f"the force sensor says: {newest.fault}")
         return newest
@@ -482,23 +477,9 @@ class MotionGuard:
         if sample.fault:
             raise Tripped(Reason.FORCE_FAULT, f"the force sensor says: {sample.fault}")
         force = self._bias.force(sample)
-        if (size := math.hypot(*force)) > self._limits.force_n:
-            raise Tripped(Reason.FORCE_LIMIT, f"{size:.2f} N; {self._limits.force_n:g} N are allowed")
+        self._watch.check_size(math.hypot(*force))
         self._believe(sample)
-        self._check_rate(sample.time_ns, force[2])
-
-    def _check_rate(self, time_ns: int, normal_n: float) -> None:
-        """Check the normal force's rate, from the oldest sample inside the window to this one."""
-        window_ns = self._limits.rate_window_s * NS_PER_S
-        while self._recent and time_ns - self._recent[0][0] > window_ns:
-            self._recent.popleft()
-        self._recent.append((time_ns, normal_n))
-        rate = abs(normal_n - self._recent[0][1]) / self._limits.rate_window_s
-        if rate > self._limits.force_rate_n_s:
-            raise Tripped(
-                Reason.FORCE_RATE,
-                f"the force changed at {rate:.0f} N/s; {self._limits.force_rate_n_s:g} N/s are allowed",
-            )
+        self._watch.check_rate(sample.time_ns, force[2])
 
     def _last_force(self) -> float | None:
         """Newest force, however old [N]; None where the sensor does not say."""

@@ -38,6 +38,13 @@ class Reason(StrEnum):
     FORCE_SENSOR = "force-sensor"
     CLIENT_SILENT = "client-silent"  # whoever records says nothing any more
     SUPERVISOR = "supervisor"  # the process that guards is gone, or says nothing any more
+    DISPLAY = "display"  # a contact-area display says that something is wrong, or says nothing
+    PRESSURE = "pressure"  # its chamber does not hold what it is told
+    PUSH = "push"  # its tip is where it cannot be
+    ARM = "arm"
+    ENERGY = "energy"  # more came out of a rendered object than went in
+    LOOP_LATE = "loop-late"  # a period of the control loop came too late
+    REFERENCE = "reference"  # what is asked of the devices is no number
     CLOCKS = "clocks"
     STORAGE = "storage"
     PLAN = "plan"
