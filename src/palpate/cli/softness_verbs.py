@@ -205,6 +205,7 @@ def envelope(
     height_mm: Annotated[float, Option(help="Way of the display's tip [mm].")] = 10.0,
     radius_mm: Annotated[float, Option(help="Radius of its base [mm].")] = 6.5,
     rings: Annotated[int, Option(help="Rings of which it is made; 0 for the ideal cone.")] = 0,
+    sleeve_n_mm: Annotated[float, Option(help="Stiffness of the sleeve over the rings [N/mm].")] = 0.0,
     pressure_kpa: Annotated[float, Option(help="Greatest gauge pressure [kPa].")] = 100.0,
     force_n: Annotated[float, Option(help="Greatest force on the finger [N].")] = 10.0,
     arm_mm: Annotated[float, Option(help="Way of the arm, to either side [mm].")] = 15.0,
@@ -222,7 +223,7 @@ def envelope(
         raise InputError(f"mode {mode!r}; CM1 and CM3 press the display, and CM2 has a plate in its place")
     law = RenderingLaw(
         read_object(object_),
-        ConeDisplay(1e-3 * height_mm, 1e-3 * radius_mm, rings),
+        ConeDisplay(1e-3 * height_mm, 1e-3 * radius_mm, rings, 1e3 * sleeve_n_mm),
         DisplayBounds(1e3 * pressure_kpa, force_n, (-1e-3 * arm_mm, 1e-3 * arm_mm)),
         Mode(mode),
     )
@@ -236,7 +237,7 @@ def envelope(
         "greatest_pressure_kPa": float(state.pressure_pa.max()) / 1e3,
         "greatest_force_N": float(state.force_n.max()),
         "onset_mm2": law.onset.area_m2 * 1e6,
-        "model": "quasi-static: no gas, valve, sleeve or arm dynamics; verified against the law, no device",
+        "model": "quasi-static: no gas, valve, friction or arm dynamics; verified against the law, no device",
     }
     if figure is not None:
         from palpate.reports.softness_figures import write_envelope_figure

@@ -37,7 +37,7 @@ class ForceLimits:
     """Bounds of the force on a finger; see `ForceBounds`."""
 
     force_n: float = 10.0
-    force_rate_n_s: float = 400.0
+    force_rate_n_s: float = 1000.0
     rate_window_s: float = 0.02
     age_s: float = 0.01
 

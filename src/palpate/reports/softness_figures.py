@@ -19,6 +19,7 @@ MM, MM2, KPA = 1e3, 1e6, 1e-3
 WORDS: Mapping[str, str] = {
     Limit.ONSET: "onset, blended",
     Limit.PRESSURE: "needs more pressure",
+    Limit.SLEEVE: "the sleeve pushes more",
     Limit.FORCE: "needs more force",
     Limit.AREA: "beyond the object's curve",
     Limit.ARM: "beyond the arm's way",

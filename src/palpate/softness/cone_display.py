@@ -3,10 +3,10 @@
 A finger that has pushed the cone in by d meets a disc of radius d R / H. The chamber's gauge pressure p does
 the work of the force, P dd = -p dV with V = pi R^2 H / 3 - pi d^3 R^2 / (3 H^2), so P = p A with A =
 pi (d R / H)^2. A real display has rings instead of a cone: its area rises in steps, and P = p A holds still.
+A sleeve over the rings adds its own spring, P = p A + k d.
 
 Reference: E. P. Scilingo, M. Bianchi, G. Grioli, A. Bicchi, Rendering softness, IEEE Trans. Haptics 3 (2010)
-109, doi:10.1109/TOH.2010.2, section 3.1. Losses, the gas's and the sleeve's stiffness are left out there and
-here.
+109, doi:10.1109/TOH.2010.2, section 3.1, which leaves losses and the sleeve's stiffness out.
 """
 
 from __future__ import annotations
@@ -29,11 +29,13 @@ class ConeDisplay:
         height_m: by which its tip can be pushed in [m].
         radius_m: of its base [m].
         rings: cylinders of which it is made; 0 for the ideal cone.
+        sleeve_n_m: stiffness k of the sleeve over it; 0 for none [N/m].
     """
 
     height_m: float = 10e-3
     radius_m: float = 6.5e-3
     rings: int = 0
+    sleeve_n_m: float = 0.0
 
     def __post_init__(self) -> None:
         if not (0 < self.height_m < math.inf and 0 < self.radius_m < math.inf):
@@ -41,6 +43,8 @@ class ConeDisplay:
                 f"a display {self.height_m * 1e3:g} mm high with a radius of {self.radius_m * 1e3:g} mm; "
                 "both have to be finite and above 0 mm"
             )
+        if not 0 <= self.sleeve_n_m < math.inf:
+            raise RangeError(f"a sleeve of {self.sleeve_n_m / 1e3:g} N/mm; give 0 or more")
         if self.rings < 0:
             raise InputError(f"{self.rings} rings; give 0 for a cone, or 1 and more")
 

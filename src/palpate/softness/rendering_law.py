@@ -16,7 +16,8 @@ line is above the greatest pressure or below 0, and the force still rises. An ob
 has A_b where its table begins.
 
 **Not rendered** is what lies below A_b, needs more pressure or force than there is, more area than the base
-has, or more way than the arm has. There the pressure is held within its bounds, and it is said.
+has, or more way than the arm has; and where a sleeve of stiffness k already pushes more than alpha(A), since
+p = (alpha(A) - k s) / A cannot be less than 0. There the pressure is held within its bounds, and it is said.
 
 Modes: ``CM1`` renders both cues; ``CM2`` is for an arm with a rigid plate in place of the display, which
 feels beta alone; ``CM3`` renders alpha, and the arm takes back the display's way, so that the whole stays.
@@ -55,6 +56,7 @@ class Limit(StrEnum):
 
     ONSET = "onset"
     PRESSURE = "pressure"
+    SLEEVE = "sleeve"
     FORCE = "force"
     AREA = "area"
     ARM = "arm"
@@ -96,7 +98,7 @@ class Rendered:
         pushed_m: displacement of the display [m].
         area_m2: contact area [m^2].
         pressure_pa: gauge pressure [Pa].
-        force_n: on the finger, p A [N].
+        force_n: on the finger, p A and the sleeve's [N].
         arm_m: displacement of the arm [m].
         limit: why a state is not rendered; "" where it is.
     """
@@ -162,10 +164,12 @@ class RenderingLaw:
             raise InputError("in CM2 a rigid plate is in place of the display; ask plate_force")
         pushed = np.atleast_1d(np.asarray(pushed_m, float))
         area = self.display.area_m2(pushed)
-        asked = self.onset.force_n(area)
-        wanted = np.divide(asked, area, out=np.full_like(area, self.onset.c1), where=area > 0)
+        sleeve = self.display.sleeve_n_m * pushed
+        asked = self.onset.force_n(area) - sleeve
+        at_none = self.onset.c1 if self.display.sleeve_n_m == 0.0 else 0.0
+        wanted = np.divide(asked, area, out=np.full_like(area, at_none), where=area > 0)
         pressure = np.clip(wanted, 0.0, self.bounds.pressure_pa)
-        force = pressure * area
+        force = pressure * area + sleeve
         held = np.minimum(force, self.object.displacement.greatest_n)
         ideal = -pushed if self.mode is Mode.CUTANEOUS else self.object.displacement.at_force(held) - pushed
         arm = np.clip(ideal, *self.bounds.arm_m)
@@ -175,6 +179,7 @@ class RenderingLaw:
             (Limit.FORCE, force > self.bounds.force_n * (1 + SLACK)),
             (Limit.FORCE, force > self.object.displacement.greatest_n * (1 + SLACK)),
             (Limit.AREA, area > self.object.area.x[-1] * (1 + SLACK)),
+            (Limit.SLEEVE, wanted < -SLACK * self.bounds.pressure_pa),
             (Limit.PRESSURE, wanted > self.bounds.pressure_pa * (1 + SLACK)),
             (Limit.ONSET, area < self.onset.area_m2 * (1 - SLACK)),
         ):

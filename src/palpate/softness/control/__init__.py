@@ -1,0 +1,1 @@
+"""Control of a rendering bench: references, servos, passivity, and the loop that ticks."""

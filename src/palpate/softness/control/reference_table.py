@@ -1,0 +1,105 @@
+"""References of both devices at equal steps, so that a period of the loop looks them up in microseconds."""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+
+import numpy as np
+
+from palpate.core import Float, ndarray
+from palpate.softness.rendering_law import Mode, RenderingLaw
+
+POINTS = 4001
+
+Table = Float[ndarray, " n"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """Values at equal steps from 0, and their slope, joined by straight lines; held beyond both ends.
+
+    Attributes:
+        step: between two of them.
+        values: at 0, step, 2 step, ...
+    """
+
+    step: float
+    values: Table
+
+    def at(self, x: float) -> tuple[float, float]:
+        """Value and slope."""
+        place = x / self.step
+        if place <= 0.0:
+            return float(self.values[0]), float(self.values[1] - self.values[0]) / self.step
+        i = min(int(place), len(self.values) - 2)
+        low, high = float(self.values[i]), float(self.values[i + 1])
+        return low + min(place - i, 1.0) * (high - low), (high - low) / self.step
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """What is asked of a bench in one state.
+
+    Attributes:
+        pressure_pa, pressure_slope: of the chamber, and over the push [Pa], [Pa/m].
+        force_n, force_slope: that the display then gives, and over the push [N], [N/m].
+        area_m2: contact area [m^2].
+        object_n, object_slope: force of the object at the whole displacement, and over it [N], [N/m].
+    """
+
+    pressure_pa: float
+    pressure_slope: float
+    force_n: float
+    force_slope: float
+    area_m2: float
+    object_n: float
+    object_slope: float
+
+    def towards(self, other: Reference, share: float) -> Reference:
+        """So far on the way to another: 0 is this one, 1 the other."""
+        pairs = zip(astuple(self), astuple(other), strict=True)
+        return Reference(*(a + share * (b - a) for a, b in pairs))
+
+
+class ReferenceTable:
+    """References of a rendering law.
+
+    Args:
+        law: of an object; in CM2 a plate is in the display's place, and nothing is asked of it.
+
+    Attributes:
+        law: the same.
+        height_m: of the display [m].
+    """
+
+    def __init__(self, law: RenderingLaw) -> None:
+        self.law, self.height_m = law, law.display.height_m
+        step = self.height_m / (POINTS - 1)
+        self._pressure, self._force, self._area = (Curve(step, one) for one in _of_push(law, step))
+        whole = law.object.displacement
+        d_step = float(whole.x[-1]) / (POINTS - 1)
+        self._object = Curve(d_step, _from_first_touch(law, d_step * np.arange(POINTS)))
+
+    def at(self, pushed_m: float, displacement_m: float) -> Reference:
+        """References at a push of the tip and a whole displacement of the finger."""
+        pushed = min(max(pushed_m, 0.0), self.height_m)
+        return Reference(
+            *self._pressure.at(pushed), *self._force.at(pushed), self._area.at(pushed)[0],
+            *self._object.at(displacement_m),
+        )  # fmt: skip
+
+
+def _of_push(law: RenderingLaw, step: float) -> tuple[Table, Table, Table]:
+    """Pressure, force and area at equal steps of the display's push."""
+    if law.mode is Mode.KINESTHETIC:
+        return np.zeros(POINTS), np.zeros(POINTS), np.zeros(POINTS)
+    state = law.at(step * np.arange(POINTS))
+    pressure = state.pressure_pa.copy()
+    pressure[0] = pressure[1]  # at no area any pressure gives no force
+    return pressure, state.force_n, state.area_m2
+
+
+def _from_first_touch(law: RenderingLaw, displacement_m: Table) -> Table:
+    """Force over displacement, from 0 where its table begins later."""
+    curve = law.object.displacement
+    return np.interp(displacement_m, curve.x, curve.force_n)

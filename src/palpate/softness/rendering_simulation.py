@@ -1,0 +1,145 @@
+"""A rendering simulated from a finger's presses to what it felt, and how well both cues were kept.
+
+The bench is the virtual one, at accelerated time; the loop is the one that renders on devices. What is scored
+is the bench's own state, not what its sensors say. All is simulated: no device was measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import astuple, dataclass, replace
+
+import numpy as np
+
+from palpate.core import Float, ManualClock, ndarray
+from palpate.softness.characteristics import SoftObject
+from palpate.softness.control.pressure_servo import PressureServo
+from palpate.softness.control.reference_table import ReferenceTable
+from palpate.softness.control.rendering_loop import PERIOD_S, RenderingLoop
+from palpate.softness.pressing_finger import Presses, depth_for
+from palpate.softness.rendering_law import DisplayBounds, Mode, RenderingLaw
+from palpate.softness.virtual.bench import BenchParts, BenchTruth, RenderingBench
+
+Column = Float[ndarray, " n"]
+
+PRESSES = 3
+LEAST_N = 0.01  # of force, from which a finger is said to touch
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendering:
+    """What a finger felt, period by period; the first press is left out of the scores.
+
+    Attributes:
+        law: what was rendered.
+        frequency_hz: of presses [Hz].
+        time_s, force_n, pushed_m, area_m2, arm_m, pressure_pa: of the bench [s], [N], [m], [m^2], [m], [Pa].
+        told_pa: pressure that the loop asked for [Pa].
+        work_j: that the finger had done on the object so far [J].
+        largest_n: greatest force of all steps, also between periods [N].
+    """
+
+    law: RenderingLaw
+    frequency_hz: float
+    time_s: Column
+    force_n: Column
+    pushed_m: Column
+    area_m2: Column
+    arm_m: Column
+    pressure_pa: Column
+    told_pa: Column
+    work_j: Column
+    largest_n: float
+
+    @property
+    def displacement_m(self) -> Column:
+        """Of the finger's surface [m]."""
+        return self.pushed_m + self.arm_m
+
+    @property
+    def scored(self) -> ndarray:
+        """Where the finger touches, after the first press."""
+        return (self.time_s > self.time_s[0] + 1.0 / self.frequency_hz) & (self.force_n > LEAST_N)
+
+    @property
+    def peak_n(self) -> float:
+        """Greatest force among what is scored [N]."""
+        return float(self.force_n[self.scored].max())
+
+    def off_area_n(self) -> Column:
+        """Force felt less that of the object at the area felt [N]."""
+        curve = self.law.object.area
+        return self.force_n - np.interp(self.area_m2, curve.x, curve.force_n)
+
+    def off_displacement_n(self) -> Column:
+        """Force felt less that of the object at the displacement felt [N]."""
+        curve = self.law.object.displacement
+        return self.force_n - np.interp(self.displacement_m, curve.x, curve.force_n)
+
+    def share(self, off_n: Column) -> float:
+        """Root mean square of a deviation, over the peak of force."""
+        return float(np.sqrt(np.mean(off_n[self.scored] ** 2))) / self.peak_n
+
+    @property
+    def given_back_j(self) -> float:
+        """Greatest energy that came out of the object beyond what had gone in [J]; 0 of a passive one."""
+        return float(-min(self.work_j.min(), 0.0))
+
+
+def law_of(
+    soft: SoftObject, mode: Mode, parts: BenchParts, bounds: DisplayBounds | None = None
+) -> RenderingLaw:
+    """Law for a bench, with the sleeve that its display has."""
+    shape = replace(parts.shape, sleeve_n_m=parts.chamber.sleeve_n_m)
+    return RenderingLaw(soft, shape, bounds or DisplayBounds(pressure_pa=parts.greatest_pa), mode)
+
+
+def simulate(
+    soft: SoftObject, mode: Mode = Mode.BOTH, *, peak_n: float, frequency_hz: float = 1.0, seed: int = 0,
+    parts: BenchParts | None = None, servo: PressureServo | None = None, presses: int = PRESSES,
+    progress: Callable[[float], None] | None = None,
+) -> Rendering:  # fmt: skip
+    """Press an object as the bench renders it.
+
+    Args:
+        soft: the object.
+        mode: CM1, CM2 or CM3.
+        peak_n: force that a slow press would come to [N].
+        frequency_hz: of presses [Hz].
+        seed: of the sensors' noise.
+        parts: of the bench, as they truly are.
+        servo: of its pressure.
+        presses: how many.
+        progress: hears the share that is done.
+
+    Raises:
+        Tripped: the loop's guard stopped it.
+        RangeError: the object cannot be rendered, or has no such force.
+    """
+    parts = replace(parts or BenchParts(), plate=mode is Mode.KINESTHETIC)
+    clock = ManualClock()
+    felt = soft if mode is not Mode.CUTANEOUS else _still(soft)
+    finger = Presses(depth_for(felt, peak_n, parts.finger), frequency_hz, starts_s=0.0)
+    bench = RenderingBench(clock, finger, parts, servo, seed)
+    law = law_of(soft, mode, parts)
+    loop = RenderingLoop(None if parts.plate else bench.display, bench.arm, ReferenceTable(law), clock)
+    truths: list[BenchTruth] = []
+    told: list[float] = []
+    periods = round(presses / frequency_hz / PERIOD_S)
+    for i in range(periods):
+        told.append(loop.tick().told_pa)
+        truths.append(bench.truth())
+        clock.sleep(PERIOD_S)
+        if progress is not None and i % 100 == 0:
+            progress(i / periods)
+    rows = np.array([astuple(one) for one in truths])
+    time, force, pushed, area, arm, pressure, _, _, work, largest = rows.T
+    return Rendering(
+        law, frequency_hz, time, force, pushed, area, arm, pressure, np.array(told), work, float(largest[-1])
+    )
+
+
+def _still(soft: SoftObject) -> SoftObject:
+    """The object as it is felt in CM3: its surface does not give way."""
+    x = soft.displacement.x * 1e-6
+    return replace(soft, displacement=replace(soft.displacement, x=x))
