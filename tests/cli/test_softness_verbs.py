@@ -90,3 +90,52 @@ def test_the_envelope_says_what_is_rendered_and_why_the_rest_is_not(tmp_path: Pa
     again = palpate("display", "envelope", "--object", file, "--figure", tmp_path / "foam.png")
     assert again.exit_code == 2
     assert "foam.png" in again.stderr
+
+
+LINE = """
+name = "line"
+[force_area]
+area_mm2 = [0.0, 20, 130]
+force_N = [0.0, 0.6, 3.9]
+[force_displacement]
+displacement_mm = [0.0, 6]
+force_N = [0.0, 3.9]
+"""
+
+
+def test_a_simulated_press_says_how_well_both_cues_were_kept(tmp_path: Path) -> None:
+    file = tmp_path / "line.toml"
+    file.write_text(LINE)
+    press = ("display", "simulate", "--object", file, "--peak-n", 3, "--presses", 2)
+    found = answer(*press, "--figure", tmp_path / "felt.png")
+    assert found["force_area_rms_of_peak"]["all"] < 0.02
+    assert found["force_displacement_rms_of_peak"]["all"] < 0.02
+    assert_allclose(found["peak_N"], 3.0, rtol=0.02)
+    assert (tmp_path / "felt.png").stat().st_size > 10_000
+    worse = answer(*press, "--servo", "pid", "--frequency-hz", 3)
+    assert worse["force_area_rms_of_peak"]["all"] > 0.05
+    assert answer(*press, "--mode", "CM3")["force_displacement_rms_of_peak"] is None
+    plate = palpate(*press, "--mode", "CM2")
+    assert "not rendered, a rigid plate" in plate.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--peak-n", 4), "0 to 3.9 N"),
+        (("--peak-n", "nan"), "0 to 3.9 N"),
+        (("--mode", "CM4"), "CM1, CM2, CM3"),
+        (("--servo", "none"), "flow and pid"),
+        (("--frequency-hz", 50), "0.1 to 20 Hz"),
+        (("--figure", "line.toml"), "exists"),
+    ],
+)
+def test_a_press_that_cannot_be_simulated_is_refused(
+    words: tuple[object, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "line.toml"
+    file.write_text(LINE)
+    ended = palpate("display", "simulate", "--object", file, *words)
+    assert ended.exit_code == 2
+    assert said in ended.stderr

@@ -23,14 +23,14 @@ from palpate.softness.display_parts import (
     FingerMechanics,
     ProportionalValve,
 )
-from palpate.softness.pressing_finger import Presses
+from palpate.softness.pressing_finger import FingerPresses
 from palpate.softness.virtual import bench_kernel as k
-from palpate.softness.virtual.bench import BenchParts, RenderingBench
+from palpate.softness.virtual.rendering_bench import BenchParts, RenderingBench
 
-NOBODY = Presses(0.0, gap_m=5e-3)
+NOBODY = FingerPresses(0.0, gap_m=5e-3)
 
 
-def bench_of(parts: BenchParts | None = None, presses: Presses = NOBODY) -> RenderingBench:
+def bench_of(parts: BenchParts | None = None, presses: FingerPresses = NOBODY) -> RenderingBench:
     return RenderingBench(ManualClock(), presses, parts)
 
 
@@ -71,7 +71,7 @@ def test_a_closed_chamber_keeps_p_v_to_the_n_while_it_is_pushed_in() -> None:
     volume = parts.chamber.dead_m3 + parts.shape.volume_m3(0.0)
     before = bench.state[k.PRESSURE] * float(volume) ** 1.3
     bench.state[k.FINGER], bench.state[k.FINGER_SPEED] = 0.0, 0.0
-    bench.presses = Presses(12e-3, frequency_hz=1.0, gap_m=0.0, starts_s=0.0)
+    bench.presses = FingerPresses(12e-3, frequency_hz=1.0, gap_m=0.0, starts_s=0.0)
     run(bench, 0.5)
     volume = parts.chamber.dead_m3 + parts.shape.volume_m3(bench.truth().pushed_m)
     assert bench.truth().pushed_m > 3e-3
@@ -90,7 +90,7 @@ def test_a_finger_that_rests_feels_the_pressure_times_the_area() -> None:
         chamber=Chamber(sleeve_n_m=0.0, friction_n=0.0, leak=0.0), finger=FingerMechanics(tremor_m=0.0),
         arm=ArmMechanics(reach_m=1e-9),
     )  # fmt: skip
-    bench = bench_of(parts, Presses(8e-3, frequency_hz=0.05, starts_s=0.0))
+    bench = bench_of(parts, FingerPresses(8e-3, frequency_hz=0.05, starts_s=0.0))
     bench.state[k.PRESSURE] = ATMOSPHERE_PA + 10e3
     bench.opening = 0.0
     run(bench, 10.0 - 5.0)
@@ -101,7 +101,7 @@ def test_a_finger_that_rests_feels_the_pressure_times_the_area() -> None:
 
 
 def test_the_bench_does_not_depend_on_how_often_it_is_asked() -> None:
-    one, often = (bench_of(presses=Presses(6e-3, 2.0)) for _ in range(2))
+    one, often = (bench_of(presses=FingerPresses(6e-3, 2.0)) for _ in range(2))
     run(one, 0.4)
     for _ in range(400):
         run(often, 1e-3)
@@ -158,7 +158,9 @@ def test_the_pid_s_integral_stands_still_while_the_valve_is_wide_open() -> None:
 
 
 def test_friction_and_damping_take_energy_and_a_press_gives_back_less_than_it_took() -> None:
-    bench = bench_of(BenchParts(sensors=DisplaySensors(0.0, 0.0)), Presses(6e-3, 2.0, starts_s=0.0, count=1))
+    bench = bench_of(
+        BenchParts(sensors=DisplaySensors(0.0, 0.0)), FingerPresses(6e-3, 2.0, starts_s=0.0, count=1)
+    )
     bench.opening = 0.0
     works = []
     for _ in range(600):

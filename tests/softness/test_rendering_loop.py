@@ -18,9 +18,9 @@ from palpate.softness import Characteristic, Mode, SoftObject, hertz_object
 from palpate.softness.control.pressure_servo import PidServo
 from palpate.softness.control.reference_table import ReferenceTable
 from palpate.softness.control.rendering_loop import RenderingLoop
-from palpate.softness.pressing_finger import Presses, depth_for
+from palpate.softness.pressing_finger import FingerPresses, depth_for
 from palpate.softness.rendering_simulation import Rendering, law_of, simulate
-from palpate.softness.virtual.bench import BenchParts, RenderingBench
+from palpate.softness.virtual.rendering_bench import BenchParts, RenderingBench
 
 FINGER = Body(100e3 / 0.75, 15e-3)
 BALL = hertz_object("ball", Body(50e3 / 0.75, 20e-3), FINGER, 8.0)
@@ -102,7 +102,7 @@ def test_a_slow_press_of_a_soft_object_gives_back_no_energy_that_it_did_not_take
 class TestLoop:
     """One loop on a bench, tick by tick."""
 
-    presses = Presses(depth_for(FOAM, 2.5, BenchParts().finger), 1.0, starts_s=0.0)
+    presses = FingerPresses(depth_for(FOAM, 2.5, BenchParts().finger), 1.0, starts_s=0.0)
 
     def setup_method(self) -> None:
         self.clock = ManualClock()

@@ -10,16 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from palpate.cli.verb_support import Json, group, print_found
+from palpate.cli.verb_support import Json, group, print_found, progress_bar
 
 if TYPE_CHECKING:
     from palpate.mechanics.half_space.hertz_pairs import Body
     from palpate.softness import Rendered
+    from palpate.softness.rendering_simulation import Rendering
 
 HERTZ_RADIUS = 0.5  # of a ball, to which a contact is small
 
 pairs_app = group("Find objects that feel alike to the arm or to the skin.")
-display_app = group("Say what a contact-area display on an arm can render.")
+display_app = group("Render softness on a contact-area display and an arm.")
 
 One = Annotated[str, Argument(help="MODULUS_KPA:RADIUS_MM of an object; a flat's radius is inf.")]
 Other = Annotated[str, Argument(help="MODULUS_KPA:RADIUS_MM of the other.")]
@@ -281,3 +282,111 @@ def _envelope_text(answer: dict[str, Any]) -> str:
         answer["model"],
     ]
     return "\n".join(lines + ([f"picture: {answer['figure']}"] if "figure" in answer else []))
+
+
+@display_app.command()
+def simulate(
+    object_: Annotated[Path, Option("--object", help="TOML file of the object's curves, with units.")],
+    mode: Annotated[str, Option(help="CM1: both cues. CM2: the arm's alone. CM3: the skin's alone.")] = "CM1",
+    peak_n: Annotated[float, Option(help="Force that a slow press would come to [N].")] = 1.0,
+    frequency_hz: Annotated[float, Option(help="Presses a second, 0.1 to 20 [Hz].")] = 1.0,
+    servo: Annotated[
+        str, Option(help="flow: knows valve and gas. pid: of the pressure's error alone.")
+    ] = "flow",
+    presses: Annotated[int, Option(help="How many, 2 or more; the first is not scored.", min=2)] = 3,
+    seed: Annotated[int, Option(help="Of the sensors' noise.")] = 0,
+    figure: Figure = None,
+    json_: Json = False,
+) -> None:
+    """Press an object on a virtual display and arm.
+
+    Says how well both cues were kept.
+
+    Example: palpate display simulate --object foam.toml --mode CM1 --peak-n 2 --json
+    """
+    from palpate.core import ExistsError, InputError, RangeError
+    from palpate.softness import Mode, read_object
+    from palpate.softness.control.pressure_servo import PidServo
+    from palpate.softness.rendering_simulation import simulate as press
+
+    if mode not in tuple(Mode):
+        raise InputError(f"mode {mode!r}; there are {', '.join(Mode)}")
+    if servo not in ("flow", "pid"):
+        raise InputError(f"servo {servo!r}; there are flow and pid")
+    if not 0.1 <= frequency_hz <= 20:
+        raise RangeError(f"presses at {frequency_hz:g} Hz; 0.1 to 20 Hz are allowed")
+    if figure is not None and figure.exists():
+        raise ExistsError(f"{figure} exists; nothing is overwritten: name another file")
+    soft = read_object(object_)
+    if not 0 < peak_n <= soft.greatest_n:
+        raise RangeError(f"a press of {peak_n:g} N; {soft.name} is known from 0 to {soft.greatest_n:g} N")
+    with progress_bar(json_) as tell:
+        felt = press(
+            soft, Mode(mode), peak_n=peak_n, frequency_hz=frequency_hz, seed=seed, presses=presses,
+            servo=PidServo() if servo == "pid" else None, progress=tell,
+        )  # fmt: skip
+    answer = _simulated(felt, servo)
+    if figure is not None:
+        from palpate.reports.softness_figures import write_tracking_figure
+
+        write_tracking_figure(felt, figure)
+        answer["figure"] = str(figure)
+    print_found(answer, _simulated_text(answer), json_)
+
+
+def _simulated(felt: Rendering, servo: str) -> dict[str, Any]:
+    """What is said of a simulated rendering."""
+    from palpate.softness import Mode
+
+    mode, inside = felt.law.mode, felt.inside
+    kept = {"area": felt.off_area_n(), "displacement": felt.off_displacement_n()}
+    unkept = {Mode.KINESTHETIC: "area", Mode.CUTANEOUS: "displacement"}.get(mode)
+    return {
+        "object": felt.law.object.name,
+        "mode": mode.value,
+        "servo": servo,
+        "frequency_Hz": felt.frequency_hz,
+        "peak_N": felt.peak_n,
+        "greatest_N": felt.largest_n,
+        "inside_envelope_share": float(inside.sum() / felt.scored.sum()),
+        **{
+            f"force_{cue}_rms_of_peak": None if cue == unkept else {
+                "all": felt.share(off), "inside_envelope": felt.share(off, inside) if inside.any() else None,
+            }
+            for cue, off in kept.items()
+        },
+        "greatest_pressure_kPa": float(felt.pressure_pa.max()) / 1e3,
+        "greatest_surface_motion_mm": float(abs(felt.displacement_m).max()) * 1e3,
+        "given_back_mJ": felt.given_back_j * 1e3,
+        "model": "simulated: gas, valve, sleeve, arm and finger by equations; no device was measured",
+    }  # fmt: skip
+
+
+def _simulated_text(answer: dict[str, Any]) -> str:
+    pressed = (
+        f"{answer['object']}, {answer['mode']}, presses at {answer['frequency_Hz']:g} Hz to "
+        f"{answer['peak_N']:.2f} N, servo {answer['servo']}"
+    )
+    most = (
+        f"  at most {answer['greatest_pressure_kPa']:.1f} kPa and {answer['greatest_N']:.2f} N; the surface "
+        f"moved by {answer['greatest_surface_motion_mm']:.2f} mm at most"
+    )
+    lines = [
+        pressed,
+        f"  {answer['inside_envelope_share']:.0%} of the time in touch inside the envelope",
+        _kept("area", "a rigid plate is in the display's place", answer),
+        _kept("displacement", "the arm holds the surface still", answer),
+        most,
+        f"  energy given back beyond what was taken: {answer['given_back_mJ']:.3f} mJ over all presses",
+        answer["model"],
+    ]
+    return "\n".join(lines + ([f"picture: {answer['figure']}"] if "figure" in answer else []))
+
+
+def _kept(cue: str, why_not: str, answer: dict[str, Any]) -> str:
+    off = answer[f"force_{cue}_rms_of_peak"]
+    if off is None:
+        return f"  force over {cue}: not rendered, {why_not}"
+    inside = off["inside_envelope"]
+    within = "" if inside is None else f", {inside:.2%} inside the envelope"
+    return f"  force over {cue}: off by {off['all']:.2%} of the peak{within} (root mean square)"

@@ -212,7 +212,7 @@ class SoftnessDevice(Protocol):
 
     @property
     def range(self) -> DisplayRange:
-        """What it is and can do."""
+        """Shape, greatest pressure and watchdog."""
 
     def latest(self) -> DisplaySample:
         """Its state now.
@@ -292,7 +292,7 @@ class HapticArm(Protocol):
 
     @property
     def range(self) -> ArmRange:
-        """What it can do."""
+        """Reach, greatest force and watchdog."""
 
     def latest(self) -> ArmSample:
         """Its state now.

@@ -14,7 +14,7 @@ class DisplayProxy(HeldProxy[SoftnessDevice]):
 
     @property
     def range(self) -> DisplayRange:
-        """What it is and can do."""
+        """Shape, greatest pressure and watchdog."""
         return self._inner.range
 
     def latest(self) -> DisplaySample:
@@ -44,7 +44,7 @@ class ArmProxy(HeldProxy[HapticArm]):
 
     @property
     def range(self) -> ArmRange:
-        """What it can do."""
+        """Reach, greatest force and watchdog."""
         return self._inner.range
 
     def latest(self) -> ArmSample:

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from palpate.core import new_file
 from palpate.mechanics.half_space.hertz_pairs import Body
 from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, STYLE
-from palpate.softness import Limit, Rendered, RenderingLaw
+from palpate.softness import Limit, Mode, Rendered, RenderingLaw
+from palpate.softness.rendering_simulation import Rendering
 
 MM, MM2, KPA = 1e3, 1e6, 1e-3
 WORDS: Mapping[str, str] = {
@@ -124,3 +125,41 @@ def spans(where: np.ndarray) -> list[tuple[int, int]]:
 def _axes(axes: Axes, x: str, y: str, title: str) -> None:
     axes.set(xlabel=x, ylabel=y)
     axes.set_title(title, loc="left", fontsize=10)
+
+
+def write_tracking_figure(felt: Rendering, path: Path) -> None:
+    """Draw what a finger felt beside the object: both cues, force over time, pressure and ways.
+
+    Raises:
+        ExistsError: `path` exists.
+        StorageError: the disk refused.
+    """
+    soft, on = felt.law.object, felt.scored
+    plate = felt.law.mode is Mode.KINESTHETIC
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(9.6, 6.4), layout="constrained")
+        (arm, skin), (force, ways) = figure.subplots(2, 2)
+        for axes, curve, x, factor in (
+            (arm, soft.displacement, felt.displacement_m, MM), (skin, soft.area, felt.area_m2, MM2),
+        ):  # fmt: skip
+            end = np.interp(1.1 * felt.peak_n, curve.force_n, curve.x)
+            shown = np.linspace(curve.x[0], max(float(end), float(x[on].max())), 400)
+            axes.plot(factor * shown, np.interp(shown, curve.x, curve.force_n), color=INK, lw=5, alpha=0.2,
+                      label="object")  # fmt: skip
+            axes.plot(factor * x[on], felt.force_n[on], color=ACCENT, lw=0.9, label="felt")
+            axes.legend(frameon=False)
+        force.plot(felt.time_s, felt.force_n, color=ACCENT)
+        ways.plot(felt.time_s, MM * felt.pushed_m, color=INK, label="display")
+        ways.plot(felt.time_s, MM * felt.arm_m, color=ACCENT, label="arm")
+        ways.plot(felt.time_s, MM * felt.displacement_m, color=BAD, label="both")
+        ways.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        _axes(arm, "displacement of the finger [mm]", "force [N]", "to the arm")
+        _axes(skin, "contact area [mm²]", "force [N]", "to the skin" + (": a rigid plate" if plate else ""))
+        _axes(force, "time [s]", "force [N]", "presses")
+        _axes(ways, "time [s]", "displacement [mm]", "ways")
+        figure.suptitle(
+            f"{soft.name}, {felt.law.mode.value}, presses at {felt.frequency_hz:g} Hz: simulated",
+            fontsize=11, fontweight="bold", color=INK,
+        )  # fmt: skip
+        with new_file(path) as building:
+            figure.savefig(building, format="png", dpi=160)

@@ -15,7 +15,7 @@ Times = Float[ndarray, " n"]
 
 
 @dataclass(frozen=True, slots=True)
-class Presses:
+class FingerPresses:
     """A finger that comes down, presses again and again, and leaves.
 
     Attributes:

@@ -6,24 +6,24 @@ is the bench's own state, not what its sensors say. All is simulated: no device 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
-from palpate.core import Float, ManualClock, ndarray
+from palpate.core import Float, ManualClock, Progress, ndarray, silent
 from palpate.softness.characteristics import SoftObject
 from palpate.softness.control.pressure_servo import PressureServo
 from palpate.softness.control.reference_table import ReferenceTable
 from palpate.softness.control.rendering_loop import PERIOD_S, RenderingLoop
-from palpate.softness.pressing_finger import Presses, depth_for
+from palpate.softness.pressing_finger import FingerPresses, depth_for
 from palpate.softness.rendering_law import DisplayBounds, Mode, RenderingLaw
-from palpate.softness.virtual.bench import BenchParts, BenchTruth, RenderingBench
+from palpate.softness.virtual.rendering_bench import BenchParts, BenchTruth, RenderingBench
 
 Column = Float[ndarray, " n"]
 
 PRESSES = 3
-LEAST_N = 0.01  # of force, from which a finger is said to touch
+TOLD_EVERY = 200  # periods
+MIN_N = 0.01  # of force, from which a finger is said to touch
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,13 +53,21 @@ class Rendering:
 
     @property
     def displacement_m(self) -> Column:
-        """Of the finger's surface [m]."""
+        """Displacement of the finger's surface [m]."""
         return self.pushed_m + self.arm_m
 
     @property
     def scored(self) -> ndarray:
-        """Where the finger touches, after the first press."""
-        return (self.time_s > self.time_s[0] + 1.0 / self.frequency_hz) & (self.force_n > LEAST_N)
+        """Whether each period is in touch, after the first press."""
+        return (self.time_s > self.time_s[0] + 1.0 / self.frequency_hz) & (self.force_n > MIN_N)
+
+    @property
+    def inside(self) -> ndarray:
+        """Whether each period is scored, and its state can be rendered as it is."""
+        if self.law.mode is Mode.KINESTHETIC:
+            return self.scored
+        pushed = np.clip(self.pushed_m, 0.0, self.law.display.height_m)
+        return np.asarray(self.scored & self.law.at(pushed).rendered)
 
     @property
     def peak_n(self) -> float:
@@ -76,14 +84,15 @@ class Rendering:
         curve = self.law.object.displacement
         return self.force_n - np.interp(self.displacement_m, curve.x, curve.force_n)
 
-    def share(self, off_n: Column) -> float:
-        """Root mean square of a deviation, over the peak of force."""
-        return float(np.sqrt(np.mean(off_n[self.scored] ** 2))) / self.peak_n
+    def share(self, off_n: Column, where: ndarray | None = None) -> float:
+        """Root mean square of a deviation, over the peak of force; NaN where nothing is."""
+        chosen = off_n[self.scored if where is None else where]
+        return float(np.sqrt(np.mean(chosen**2))) / self.peak_n if len(chosen) else float("nan")
 
     @property
     def given_back_j(self) -> float:
         """Greatest energy that came out of the object beyond what had gone in [J]; 0 of a passive one."""
-        return float(-min(self.work_j.min(), 0.0))
+        return max(0.0, -float(self.work_j.min()))
 
 
 def law_of(
@@ -97,7 +106,7 @@ def law_of(
 def simulate(
     soft: SoftObject, mode: Mode = Mode.BOTH, *, peak_n: float, frequency_hz: float = 1.0, seed: int = 0,
     parts: BenchParts | None = None, servo: PressureServo | None = None, presses: int = PRESSES,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = silent,
 ) -> Rendering:  # fmt: skip
     """Press an object as the bench renders it.
 
@@ -110,7 +119,7 @@ def simulate(
         parts: of the bench, as they truly are.
         servo: of its pressure.
         presses: how many.
-        progress: hears the share that is done.
+        progress: hears how many periods are done.
 
     Raises:
         Tripped: the loop's guard stopped it.
@@ -119,7 +128,7 @@ def simulate(
     parts = replace(parts or BenchParts(), plate=mode is Mode.KINESTHETIC)
     clock = ManualClock()
     felt = soft if mode is not Mode.CUTANEOUS else _still(soft)
-    finger = Presses(depth_for(felt, peak_n, parts.finger), frequency_hz, starts_s=0.0)
+    finger = FingerPresses(depth_for(felt, peak_n, parts.finger), frequency_hz, starts_s=0.0)
     bench = RenderingBench(clock, finger, parts, servo, seed)
     law = law_of(soft, mode, parts)
     loop = RenderingLoop(None if parts.plate else bench.display, bench.arm, ReferenceTable(law), clock)
@@ -130,8 +139,8 @@ def simulate(
         told.append(loop.tick().told_pa)
         truths.append(bench.truth())
         clock.sleep(PERIOD_S)
-        if progress is not None and i % 100 == 0:
-            progress(i / periods)
+        if i % TOLD_EVERY == 0:
+            progress("periods", i, periods)
     rows = np.array([astuple(one) for one in truths])
     time, force, pushed, area, arm, pressure, _, _, work, largest = rows.T
     return Rendering(

@@ -1,1 +1,12 @@
-"""Control of a rendering bench: references, servos, passivity, and the loop that ticks."""
+"""Control of a rendering bench: references, servos, what must not be believed, and the loop that ticks."""
+
+from palpate.softness.control.arm_servo import ArmServo
+from palpate.softness.control.bench_watch import BenchLimits
+from palpate.softness.control.pressure_servo import FlowServo, PidServo, PressureServo
+from palpate.softness.control.reference_table import ReferenceTable
+from palpate.softness.control.rendering_loop import LoopSample, RenderingLoop
+
+__all__ = [
+    "ArmServo", "BenchLimits", "FlowServo", "LoopSample", "PidServo", "PressureServo", "ReferenceTable",
+    "RenderingLoop",
+]  # fmt: skip

@@ -47,12 +47,12 @@ class BenchState:
 
     @property
     def displacement_m(self) -> float:
-        """Of the finger's surface [m]."""
+        """Displacement of the finger's surface [m]."""
         return self.pushed_m + self.arm_m
 
     @property
     def speed_m_s(self) -> float:
-        """Of the finger's surface [m/s]."""
+        """Speed of the finger's surface [m/s]."""
         return self.push_speed_m_s + self.arm_speed_m_s
 
 

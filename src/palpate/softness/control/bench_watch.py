@@ -1,6 +1,6 @@
 """What must not be believed of a rendering bench's devices, and what stops it, period by period.
 
-The size, rate and age of the force on the finger are watched as those on a skin (`devices.ForceWatch`). What
+The size, rate and age of the force on the finger are watched as those on a skin (`devices.force_watch`). What
 is a display's or an arm's own is here: a tip where it cannot be, a chamber that does not hold what it is
 told, sensors that repeat themselves or jump, an arm that does not follow, and energy that comes out of an
 object which only ever took it in.

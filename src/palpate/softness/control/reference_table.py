@@ -10,6 +10,7 @@ from palpate.core import Float, ndarray
 from palpate.softness.rendering_law import Mode, RenderingLaw
 
 POINTS = 4001
+STEEP_N_M = 2000.0  # by which a force that an object has at no displacement begins
 
 Table = Float[ndarray, " n"]
 
@@ -85,8 +86,15 @@ class ReferenceTable:
         pushed = min(max(pushed_m, 0.0), self.height_m)
         return Reference(
             *self._pressure.at(pushed), *self._force.at(pushed), self._area.at(pushed)[0],
-            *self._object.at(displacement_m),
+            *self._whole(displacement_m),
         )  # fmt: skip
+
+    def _whole(self, displacement_m: float) -> tuple[float, float]:
+        """Force of the object and its slope; a first force at no displacement is a steep rise to it."""
+        force, slope = self._object.at(displacement_m)
+        if displacement_m >= 0.0 or force == 0.0:
+            return force, slope
+        return max(force + max(slope, STEEP_N_M) * displacement_m, 0.0), max(slope, STEEP_N_M)
 
 
 def _of_push(law: RenderingLaw, step: float) -> tuple[Table, Table, Table]:

@@ -61,7 +61,7 @@ class LoopSample:
 
     @property
     def displacement_m(self) -> float:
-        """Of the finger's surface [m]."""
+        """Displacement of the finger's surface [m]."""
         return self.pushed_m + self.arm_m
 
 
@@ -204,7 +204,7 @@ class RenderingLoop:
 
     def _pressure(self, state: BenchState, wanted: Reference) -> tuple[float, float]:
         """Pressure and its rate, with the tip's damping taken off."""
-        drag = self._damping * state.push_speed_m_s / max(wanted.area_m2, LEAST_M2)
+        drag = self._damping * state.push_speed_m_s / max(wanted.area_m2, MIN_M2)
         told = wanted.pressure_pa - drag
         if not math.isfinite(told):
             return told, 0.0
@@ -245,7 +245,7 @@ class RenderingLoop:
 
 
 SAME_M = 1e-6
-LEAST_M2 = 4e-6  # area below which the tip's damping is taken off as there: pressure there means little
+MIN_M2 = 4e-6  # area below which the tip's damping is taken off as there: pressure there means little
 
 
 def _telling(reason: Reason, call: Callable[[], T]) -> T:

@@ -41,13 +41,13 @@ from palpate.softness.display_parts import (
     FingerMechanics,
     ProportionalValve,
 )
-from palpate.softness.pressing_finger import Presses
+from palpate.softness.pressing_finger import FingerPresses
 from palpate.softness.virtual import bench_kernel as k
 
 STEP_S = 50e-6
 TABLE = 2001  # points of area and volume over the tip's way
 WATCHDOG_S = 4e-3
-LONGEST_S = 5.0  # that the bench carries on at once; a program that slept longer finds it there
+MAX_S = 5.0  # that the bench carries on at once; a program that slept longer finds it there
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ class BenchTruth:
 
     @property
     def displacement_m(self) -> float:
-        """Of the finger's surface: the display's and the arm's [m]."""
+        """Displacement of the finger's surface: the display's and the arm's [m]."""
         return self.pushed_m + self.arm_m
 
 
@@ -121,7 +121,7 @@ class RenderingBench:
     """
 
     def __init__(
-        self, clock: Clock, presses: Presses, parts: BenchParts | None = None,
+        self, clock: Clock, presses: FingerPresses, parts: BenchParts | None = None,
         servo: PressureServo | None = None, seed: int = 0, watchdog_s: float = WATCHDOG_S,
     ) -> None:  # fmt: skip
         self.parts = parts or BenchParts()
@@ -144,7 +144,7 @@ class RenderingBench:
         """Carry the physics on to now, through the instants at which a watchdog acts."""
         with self.turn:
             now = int((self.clock.now_ns() - self._began_ns) / NS_PER_S / STEP_S + 1e-6)
-            now = min(now, self._steps + int(LONGEST_S / STEP_S))
+            now = min(now, self._steps + int(MAX_S / STEP_S))
             while self._steps < now:
                 ends = [
                     now,
@@ -207,7 +207,7 @@ class VirtualDisplay:
 
     @property
     def range(self) -> DisplayRange:
-        """What it is and can do."""
+        """Shape, greatest pressure and watchdog."""
         shape = self._bench.parts.shape
         return DisplayRange(shape.height_m, shape.radius_m, self._bench.parts.greatest_pa, self._watchdog_s)
 
@@ -293,7 +293,7 @@ class VirtualArm:
 
     @property
     def range(self) -> ArmRange:
-        """What it can do."""
+        """Reach, greatest force and watchdog."""
         arm = self._bench.parts.arm
         return ArmRange(-arm.reach_m, arm.reach_m, arm.force_n, self._watchdog_s)
 
