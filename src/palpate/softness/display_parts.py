@@ -53,7 +53,7 @@ class ProportionalValve:
     critical_ratio: float = 0.3
     bandwidth_hz: float = 125.0
     overlap: float = 0.02
-    supply_pa: float = 200e3
+    supply_pa: float = 130e3
 
     def __post_init__(self) -> None:
         check_parts(self, zero=("overlap",))
@@ -72,6 +72,9 @@ class Chamber:
         dead_m3: volume that no push displaces: tube of 0.3 m and 2.5 mm, and what lies under the cone [m^3].
         tube_lag_s: after which flow from the valve arrives: 0.3 m at the speed of sound [s].
         leak: sonic conductance to the air, past the cylinders [m^3/(s Pa)].
+        safety: sonic conductance of the switching valve between valve and chamber, which without current
+            lets the chamber out and shuts the other off [m^3/(s Pa)].
+        safety_s: in which it switches [s].
         polytropic: exponent n of p V^n, between 1, isothermal, and 1.4.
         sleeve_n_m: stiffness of the latex sleeve [N/m].
         friction_n: of the cylinders [N].
@@ -82,6 +85,8 @@ class Chamber:
     dead_m3: float = 1.8e-6
     tube_lag_s: float = 0.9e-3
     leak: float = 4e-12
+    safety: float = 2e-9
+    safety_s: float = 5e-3
     polytropic: float = 1.2
     sleeve_n_m: float = 20.0
     friction_n: float = 0.02

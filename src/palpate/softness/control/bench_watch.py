@@ -15,6 +15,8 @@ from palpate.core import NS_PER_S, ArmRange, ArmSample, DisplayRange, DisplaySam
 from palpate.devices.force_watch import ForceLimits, ForceWatch
 from palpate.devices.motion_limits import Reason, Tripped
 
+SLACK = 1e-3  # of the greatest pressure, for rounding
+
 
 @dataclass(frozen=True, slots=True)
 class BenchLimits:
@@ -26,6 +28,9 @@ class BenchLimits:
         margin_m: by which a tip or an arm may stand outside its range: zero and noise [m].
         jump_m_s: greatest speed of either between two samples [m/s].
         pressure_pa: by which the chamber may differ from what it is told, for `settle_s` [Pa].
+        mean_pa, mean_share: by which it may differ in the mean over `mean_s`, beside a share of what it is
+            told: presses of 5 Hz come to half of that on the virtual bench [Pa].
+        mean_s: [s].
         over_pa: by which it may be above that at all, for `over_s` [Pa].
         settle_s, over_s: [s].
         frozen_s: after which readings that repeat themselves to the last digit are not believed [s].
@@ -40,6 +45,9 @@ class BenchLimits:
     margin_m: float = 0.5e-3
     jump_m_s: float = 1.5
     pressure_pa: float = 12e3
+    mean_pa: float = 4e3
+    mean_share: float = 0.1
+    mean_s: float = 0.2
     over_pa: float = 30e3
     settle_s: float = 0.1
     over_s: float = 0.015
@@ -64,7 +72,8 @@ class BenchWatch:
         self._force = ForceWatch(limits.force)
         self._last: dict[str, tuple[int, float]] = {}
         self._since: dict[str, int] = {}
-        self._same: tuple[tuple[float, ...], int] | None = None
+        self._same: dict[str, tuple[float, int]] = {}
+        self._mean: tuple[float, float, int] | None = None
         self.energy_j = 0.0
 
     def period(self, before_ns: int | None, now_ns: int) -> None:
@@ -101,18 +110,19 @@ class BenchWatch:
         self._inside(Reason.PUSH, "the tip", one.pushed_m, 0.0, self._display.height_m)
         self._moved(Reason.PUSH, "the tip", one.time_ns, one.pushed_m)
         self._aged(one.time_ns, now_ns)
-        if self._same is None or self._same[0] != values:
-            self._same = (values, now_ns)
-        elif now_ns - self._same[1] > self._limits.frozen_s * NS_PER_S:
-            raise Tripped(
-                Reason.DISPLAY,
-                f"push and pressure have read {one.pushed_m * 1e3:.4f} mm and {one.pressure_pa / 1e3:.4f} "
-                f"kPa to the last digit for {self._limits.frozen_s * 1e3:g} ms; no sensor without noise is "
-                "believed",
-            )
+        for name, value in (("push", one.pushed_m), ("pressure", one.pressure_pa)):
+            before = self._same.get(name)
+            if before is None or before[0] != value:
+                self._same[name] = (value, now_ns)
+            elif now_ns - before[1] > self._limits.frozen_s * NS_PER_S:
+                raise Tripped(
+                    Reason.DISPLAY,
+                    f"{name} has read the same to the last digit for {self._limits.frozen_s * 1e3:g} ms; no "
+                    "sensor without noise is believed: read it at its full resolution",
+                )
 
-    def command(self, pressure_pa: float, force_n: float) -> None:
-        """Trip on references that are no numbers.
+    def command(self, pressure_pa: float, force_n: float, greatest_pa: float) -> None:
+        """Trip on references that are no numbers, or that no law gives.
 
         Raises:
             Tripped: reference.
@@ -123,6 +133,11 @@ class BenchWatch:
                 f"a reference of {pressure_pa} Pa and {force_n} N; nothing is told to a device that is no "
                 "number",
             )
+        if pressure_pa > greatest_pa * (1 + SLACK):
+            raise Tripped(
+                Reason.REFERENCE,
+                f"a reference of {pressure_pa / 1e3:.4g} kPa, and {greatest_pa / 1e3:g} kPa is the most",
+            )
 
     def pressure(self, measured_pa: float, told_pa: float, now_ns: int) -> None:
         """Trip on a chamber that does not hold what it was told: a stuck valve, a leak, no supply.
@@ -131,6 +146,7 @@ class BenchWatch:
             Tripped: pressure.
         """
         off, limits = measured_pa - told_pa, self._limits
+        self._check_mean(abs(off), told_pa, now_ns)
         for name, where, within_s, allowed in (
             ("off", abs(off) > limits.pressure_pa, limits.settle_s, limits.pressure_pa),
             ("over", off > limits.over_pa, limits.over_s, limits.over_pa),
@@ -142,6 +158,23 @@ class BenchWatch:
                     f"{allowed / 1e3:g} kPa between them are allowed for {within_s * 1e3:g} ms: look at the "
                     "valve, the supply and the tube",
                 )
+
+    def _check_mean(self, off_pa: float, told_pa: float, now_ns: int) -> None:
+        mean_off, mean_told, before_ns = self._mean or (0.0, 0.0, now_ns)
+        share = min((now_ns - before_ns) / NS_PER_S / self._limits.mean_s, 1.0)
+        mean_off, mean_told = (
+            mean_off + share * (off_pa - mean_off),
+            mean_told + share * (told_pa - mean_told),
+        )
+        self._mean = (mean_off, mean_told, now_ns)
+        allowed = self._limits.mean_pa + self._limits.mean_share * mean_told
+        if mean_off > allowed:
+            raise Tripped(
+                Reason.PRESSURE,
+                f"the chamber has missed what it was told by {mean_off / 1e3:.1f} kPa in the mean over "
+                f"{self._limits.mean_s * 1e3:g} ms; {allowed / 1e3:.1f} kPa are allowed: look at the valve, "
+                "the supply and the tube",
+            )
 
     def touch(self, force_n: float, speed_m_s: float, dt_s: float, time_ns: int, *, touched: bool) -> None:
         """Trip on too much force or too fast a rise, and on energy that no elastic object gives.

@@ -107,12 +107,13 @@ class RenderingLoop:
         """Turn into another object, over `CHANGE_S`; from any thread.
 
         Raises:
-            SafetyError: it is of another display or mode.
+            SafetyError: it is of another display, mode or bounds.
         """
-        if table.law.mode is not self._table.law.mode or table.height_m != self._table.height_m:
+        now, then = self._table.law, table.law
+        if (then.mode, then.display, then.bounds) != (now.mode, now.display, now.bounds):
             raise SafetyError(
                 f"an object in {table.law.mode.value} cannot follow one in {self._table.law.mode.value} "
-                "while a finger may be there, nor one of another display; end this rendering first"
+                "while a finger may be there, nor one of another display or bounds; end this rendering first"
             )
         with self._turn:
             if self._next is not None:
@@ -172,7 +173,7 @@ class RenderingLoop:
         told_pa, rate = self._pressure(state, wanted)
         mode = self._table.law.mode
         asked = self._servo.force_n(mode, state, wanted, touched=touched)
-        self._watch.command(told_pa, asked)
+        self._watch.command(wanted.pressure_pa, asked, self._law_pa)
         error, _ = self._servo.error(mode, state, wanted, touched=touched)
         measured_pa = 0.0 if seen is None else seen.pressure_pa
         self._watch.pressure(measured_pa, self._told_pa, now_ns)
@@ -229,6 +230,7 @@ class RenderingLoop:
             raise SafetyError("CM1 and CM3 need a display, and in CM2 a rigid plate is in its place")
         watchdogs = [("arm", self._arm.range.watchdog_s)]
         self._greatest_pa = 0.0
+        self._law_pa = law.bounds.pressure_pa
         if shown is not None:
             self._greatest_pa = min(shown.greatest_pa, law.bounds.pressure_pa)
             watchdogs.append(("display", shown.watchdog_s))

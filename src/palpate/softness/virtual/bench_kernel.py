@@ -22,10 +22,9 @@ CREEP = 2e-4  # over which Coulomb friction turns round [m/s]
 WALL_N_M, WALL_N_S_M = 2e4, 10.0  # of the stops at both ends of the tip's way
 LINEAR_RATIO = 0.98  # of pressures above which a flow is taken as laminar, so that it ends smoothly
 
-ARM, ARM_SPEED, PUSH, PUSH_SPEED, FINGER, FINGER_SPEED, PRESSURE, SPOOL, SPOOL_SPEED, OPENING, ARM_FORCE = (
-    range(11)
-)
-STATES = 11
+ARM, ARM_SPEED, PUSH, PUSH_SPEED, FINGER, FINGER_SPEED = range(6)
+PRESSURE, SPOOL, SPOOL_SPEED, OPENING, ARM_FORCE, SAFE = range(6, 12)
+STATES = 12
 
 
 class BenchFigures(NamedTuple):
@@ -44,6 +43,8 @@ class BenchFigures(NamedTuple):
     spool_omega: float
     tube_lag: float
     leak: float
+    safety: float
+    safety_lag: float
     sleeve: float
     tip_friction: float
     tip_damping: float
@@ -60,6 +61,7 @@ class BenchFigures(NamedTuple):
     pulp_rate: float
     pulp_damping: float
     plate: float
+    safe: float
 
 
 @numba.njit(cache=True)
@@ -148,7 +150,11 @@ def advance(state, par, areas, volumes, meant, meant_speed, opening, force, dt):
         state[SPOOL_SPEED] += accel * dt
         state[SPOOL] += state[SPOOL_SPEED] * dt
         state[OPENING] += (min(max(state[SPOOL], -1.0), 1.0) - state[OPENING]) * min(dt / par.tube_lag, 1.0)
-        through = valve_flow(state[OPENING], state[PRESSURE], par)
+        state[SAFE] += min(max(par.safe - state[SAFE], -dt / par.safety_lag), dt / par.safety_lag)
+        if state[SAFE] < 1.0:
+            through = valve_flow(state[OPENING], state[PRESSURE], par)
+        else:
+            through = -mass_flow(par.safety, par.density, state[PRESSURE], par.air, par.ratio)
         lost = mass_flow(par.leak, par.density, state[PRESSURE], par.air, par.ratio)
         area = _at(state[PUSH], par.height, areas)
         volume = par.dead + _at(state[PUSH], par.height, volumes)

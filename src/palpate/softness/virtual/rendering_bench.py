@@ -167,6 +167,10 @@ class RenderingBench:
                 self._work, self._largest,
             )  # fmt: skip
 
+    def switch_safety(self, *, off: bool) -> None:
+        """Take the safety valve's current away, or give it back."""
+        self._figures = self._figures._replace(safe=float(off))
+
     def brake(self, *, on: bool) -> None:
         """Let the arm brake, or run free."""
         arm = self.parts.arm
@@ -257,6 +261,7 @@ class VirtualDisplay:
         with self._bench.turn:
             self._check_open()
             self._vented, self._fault = False, ""
+            self._bench.switch_safety(off=False)
 
     def close(self) -> None:
         """Vent and let go."""
@@ -273,6 +278,7 @@ class VirtualDisplay:
     def _exhaust(self) -> None:
         self._bench.opening, self._vented, self.due_step, self._last_ns = -1.0, True, NEVER, None
         self._servo.reset()
+        self._bench.switch_safety(off=True)
 
     def _check_open(self) -> None:
         if self._closed:
@@ -362,8 +368,10 @@ def _figures(parts: BenchParts) -> Any:
     return k.BenchFigures(
         shape.height_m, chamber.dead_m3, chamber.polytropic, GAS_J_KG_K * ROOM_K, ANR_DENSITY_KG_M3,
         ATMOSPHERE_PA, valve.supply_pa, valve.conductance, valve.critical_ratio, valve.overlap,
-        2 * math.pi * valve.bandwidth_hz, chamber.tube_lag_s, chamber.leak, chamber.sleeve_n_m,
+        2 * math.pi * valve.bandwidth_hz, chamber.tube_lag_s, chamber.leak,
+        chamber.safety, chamber.safety_s, chamber.sleeve_n_m,
         chamber.friction_n, chamber.damping_n_s_m, chamber.tip_kg, arm.mass_kg, arm.friction_n,
         arm.damping_n_s_m, arm.lag_s, arm.reach_m, finger.mass_kg, finger.stiffness_n_m,
-        finger.damping_n_s_m, finger.pulp_n, finger.pulp_per_m, finger.pulp_damping_n_s_m, float(parts.plate),
+        finger.damping_n_s_m, finger.pulp_n, finger.pulp_per_m, finger.pulp_damping_n_s_m,
+        float(parts.plate), 0.0,
     )  # fmt: skip
