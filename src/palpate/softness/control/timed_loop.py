@@ -1,0 +1,100 @@
+"""A loop on the machine's clock: begun at equal times, with what it took and how late it came.
+
+Python on a desktop is no real-time system: a period is as late as the machine lets it be. So lateness is
+measured in every run and said, the rendering's own watch ends it at a bound, and the devices' watchdogs hold
+where the process does not come back at all.
+"""
+
+from __future__ import annotations
+
+import gc
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.core import Float, RangeError, ndarray
+
+PERIOD_S = 1e-3
+LATE_S = 1.5e-3  # from one beginning to the next, from which a period is counted as late
+SPIN_S = 150e-6  # before a beginning, in which it waits awake: sleep comes back late by about that
+SWITCH_S = 1e-4  # between threads, so that whoever talks to others does not hold the loop up
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopTiming:
+    """Times of a loop.
+
+    Attributes:
+        periods_s: from one beginning to the next [s].
+        work_s: that each tick took, one more [s].
+    """
+
+    periods_s: Float[ndarray, " n"]
+    work_s: Float[ndarray, " m"]
+
+    @property
+    def late_share(self) -> float:
+        """Share of periods longer than `LATE_S`."""
+        return float(np.mean(self.periods_s > LATE_S))
+
+    @property
+    def longest_s(self) -> float:
+        """Longest period [s]."""
+        return float(self.periods_s.max())
+
+
+def run_timed(
+    tick: Callable[[], object], seconds: float, goes_on: Callable[[], bool] | None = None
+) -> LoopTiming:
+    """Call something once in a period, on the machine's clock.
+
+    A beginning that was missed is left out, and not made up for: two in one period would ask a device twice.
+
+    Args:
+        tick: called once in a period.
+        seconds: for how long [s].
+        goes_on: asked before each; False ends it.
+
+    Raises:
+        Exception: whatever `tick` raises, at once.
+    """
+    if not 0 < seconds < 86_400:
+        raise RangeError(f"a loop of {seconds:g} s; more than 0 s and less than a day are allowed")
+    begun, took = [], []
+    with _undisturbed():
+        next_s = time.perf_counter()
+        end_s = next_s + seconds
+        while next_s < end_s and (goes_on is None or goes_on()):
+            now = _wait_until(next_s)
+            tick()
+            begun.append(now)
+            took.append(time.perf_counter() - now)
+            next_s += PERIOD_S * max(1, int((time.perf_counter() - next_s) / PERIOD_S) + 1)
+    return LoopTiming(np.diff(np.array(begun)), np.array(took))
+
+
+def _wait_until(at_s: float) -> float:
+    """Sleep, then wait awake; the time at which it came [s]."""
+    while (left_s := at_s - time.perf_counter()) > 0:
+        if left_s > SPIN_S:
+            time.sleep(left_s - SPIN_S)
+    return time.perf_counter()
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Neither collect garbage nor leave the processor to other threads for long."""
+    collected, switched = gc.isenabled(), sys.getswitchinterval()
+    gc.collect()
+    gc.disable()
+    sys.setswitchinterval(SWITCH_S)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(switched)
+        if collected:
+            gc.enable()

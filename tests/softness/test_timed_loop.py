@@ -1,0 +1,61 @@
+"""A loop on the machine's clock begins at equal times, and makes up for none that it missed."""
+
+from __future__ import annotations
+
+import gc
+import time
+
+import numpy as np
+import pytest
+
+from palpate.core import RangeError
+from palpate.softness.control.timed_loop import LoopTiming, run_timed
+
+
+def test_a_loop_begins_once_in_a_period() -> None:
+    timing = run_timed(lambda: None, 0.3)
+    assert len(timing.work_s) == pytest.approx(300, abs=60)
+    assert float(np.median(timing.periods_s)) == pytest.approx(1e-3, rel=0.05)
+
+
+def test_a_beginning_that_was_missed_is_not_made_up_for() -> None:
+    calls = []
+
+    def tick() -> None:
+        calls.append(0)
+        if len(calls) == 10:
+            time.sleep(20.3e-3)
+
+    timing = run_timed(tick, 0.1)
+    assert timing.longest_s > 20e-3
+    assert len(calls) <= 81
+    assert (timing.periods_s > 0.3e-3).all()  # none follows at once
+
+
+def test_a_loop_ends_when_it_is_told_to_and_passes_on_what_a_period_raises() -> None:
+    left = [3]
+
+    def goes_on() -> bool:
+        left[0] -= 1
+        return left[0] >= 0
+
+    assert len(run_timed(lambda: None, 10.0, goes_on).work_s) == 3
+
+    def fails() -> None:
+        raise ValueError("a period")
+
+    with pytest.raises(ValueError, match="a period"):
+        run_timed(fails, 1.0)
+    assert gc.isenabled()
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_loop_of_no_time_is_refused(seconds: float) -> None:
+    with pytest.raises(RangeError, match="more than 0 s"):
+        run_timed(lambda: None, seconds)
+
+
+def test_a_period_is_late_beyond_a_millisecond_and_a_half() -> None:
+    timing = LoopTiming(np.array([1e-3, 1.49e-3, 1.51e-3, 4e-3]), np.zeros(4))
+    assert timing.late_share == 0.5
+    assert timing.longest_s == 4e-3
