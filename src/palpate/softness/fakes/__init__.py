@@ -1,3 +1,5 @@
-"""Fakes of softness devices, which tests talk to."""
+"""Fakes of softness devices, with faults on demand, which tests talk to."""
 
-__all__: list[str] = []
+from palpate.softness.fakes.labjack_board import FakeLabJack
+
+__all__ = ["FakeLabJack"]

@@ -1,0 +1,416 @@
+"""A contact-area display on a LabJack T7 or T4, with an analogue pressure regulator and a Hall sensor.
+
+DAC0 is the regulator's set-point. Two neighbouring inputs measure the tip's displacement and the chamber's
+pressure. The board's own watchdog sets DAC0 to 0 V; it is strict, so that only a new pressure feeds it, and
+no reading does. It counts whole seconds. Where that is too long for a finger, one of the board's digital
+lines changes with every new pressure, for a timer in hardware that holds a vent valve shut no longer than it
+is told.
+
+The board takes two connections at a time. One measures and sets, the other vents: a vent waits for no
+reading. Both are held for as long as the device is open, which also keeps any other program from it.
+
+References: LabJack, T-series datasheet, sections 6 (Ethernet), 15 (DAC) and 23 (watchdog); Protocol details,
+direct Modbus TCP; `ljm_constants.json` for the registers. Nothing here has met a real board yet.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from contextlib import suppress
+from dataclasses import dataclass
+from threading import Event, Lock, RLock
+
+from palpate.core import (
+    NS_PER_S,
+    Clock,
+    Closing,
+    DeviceError,
+    DisplayRange,
+    DisplaySample,
+    MonotonicClock,
+    RangeError,
+)
+from palpate.softness.real.modbus_tcp import ModbusTcp
+from palpate.softness.real.sensor_scales import HallTable, OffScaleError, PressureScale
+
+AIN0, DAC0, DIO0, PRODUCT_ID = 0, 1000, 2000, 60000
+WATCHDOG_ENABLE, WATCHDOG_ADVANCED, WATCHDOG_TIMEOUT_S = 61600, 61602, 61604
+WATCHDOG_STRICT_ENABLE, WATCHDOG_STRICT_KEY, WATCHDOG_STRICT_CLEAR = 61610, 61612, 61614
+WATCHDOG_RESET_ENABLE, WATCHDOG_DAC0_ENABLE, WATCHDOG_DAC0 = 61620, 61640, 61642
+
+STRICT_KEY = 0x50414C50  # any number that no other program would write
+BOARDS = {"T7": 7, "T4": 4}
+"""What the register of the product's number says."""
+INPUTS = {"T7": 14, "T4": 12}
+DIGITAL = {"T7": range(23), "T4": range(4, 20)}
+MAX_DAC_V = 5.0
+TICK_S = 1.0  # of the watchdog; nothing says when in a second it counts, so it may be late by one
+
+
+@dataclass(frozen=True, slots=True)
+class LabJackSettings:
+    """Settings of a display and of how it is wired.
+
+    Attributes:
+        host: address of the board.
+        hall: calibration of the displacement's sensor, measured on this display.
+        setpoint: scale of the regulator, in volts at the terminal DAC0, before any amplifier.
+        monitor: scale of the pressure's sensor, in volts at its input.
+        greatest_pa: gauge pressure that the chamber may hold [Pa].
+        height_m, radius_m: way of the tip until it is flat, and radius of the base [m].
+        board: which one it is, "T7" or "T4"; another one at the address is refused.
+        hall_ain: input of the displacement's sensor; the pressure's is the next one.
+        watchdog_s: of the board's watchdog, in whole seconds, 1 or more [s].
+        heartbeat_dio: digital line that changes with every new pressure; None without a timer in hardware.
+        hardware_vent_s: time after the line's last change in which that timer opens the vent, as measured on
+            this display [s].
+        timeout_s: for one answer [s].
+        port, unit: of the board.
+    """
+
+    host: str
+    hall: HallTable
+    setpoint: PressureScale
+    monitor: PressureScale
+    greatest_pa: float
+    height_m: float = 10e-3
+    radius_m: float = 6.5e-3
+    board: str = "T7"
+    hall_ain: int = 0
+    watchdog_s: int = 1
+    heartbeat_dio: int | None = None
+    hardware_vent_s: float | None = None
+    timeout_s: float = 0.25
+    port: int = 502
+    unit: int = 1
+
+    def __post_init__(self) -> None:
+        if self.board not in BOARDS:
+            raise RangeError(f"the board is {self.board!r}; give one of {', '.join(BOARDS)}")
+        self._check_pressure()
+        if not 0 <= self.hall_ain <= INPUTS[self.board] - 2:
+            raise RangeError(
+                f"the displacement at AIN{self.hall_ain} and the pressure at the next input; a {self.board} "
+                f"has AIN0 to AIN{INPUTS[self.board] - 1}"
+            )
+        if not 1 <= self.watchdog_s <= 3600:
+            raise RangeError(
+                f"a watchdog of {self.watchdog_s} s; the board counts whole seconds, give 1 to 3600"
+            )
+        if not (0 < self.height_m < math.inf and 0 < self.radius_m < math.inf):
+            raise RangeError(
+                f"a display {self.height_m} m high of {self.radius_m} m; both have to be above 0 m"
+            )
+        if not self.height_m * 1e3 <= self.hall.pushed_mm[-1] + self.hall.tolerance_mm:
+            raise RangeError(
+                f"the Hall sensor's table ends at {self.hall.pushed_mm[-1]:g} mm and the tip can be pushed "
+                f"by {self.height_m * 1e3:g} mm; calibrate it over the whole way"
+            )
+        self._check_heartbeat()
+
+    def _check_pressure(self) -> None:
+        top_v = self.setpoint.volts(self.greatest_pa)
+        if not 0 < self.greatest_pa <= self.monitor.high_pa:
+            raise RangeError(
+                f"a greatest pressure of {self.greatest_pa / 1e3:g} kPa; the sensor measures above 0 up to "
+                f"{self.monitor.high_pa / 1e3:g} kPa"
+            )
+        if not (self.setpoint.low_v >= 0 and top_v <= MAX_DAC_V):
+            raise RangeError(
+                f"the set-point goes from {self.setpoint.low_v:g} to {top_v:.3g} V at DAC0, which gives 0 to "
+                f"{MAX_DAC_V:g} V; take an amplifier and give the volts before it, or a lower pressure"
+            )
+
+    def _check_heartbeat(self) -> None:
+        if (self.heartbeat_dio is None) != (self.hardware_vent_s is None):
+            raise RangeError(
+                "a timer in hardware needs both, the line that feeds it and the time [s] after which it was "
+                f"measured to open the vent; given are DIO {self.heartbeat_dio} and {self.hardware_vent_s} s"
+            )
+        if self.heartbeat_dio is not None and self.heartbeat_dio not in DIGITAL[self.board]:
+            lines = DIGITAL[self.board]
+            raise RangeError(
+                f"the heartbeat at DIO{self.heartbeat_dio}; a {self.board} has DIO{lines[0]} to "
+                f"DIO{lines[-1]}"
+            )
+        if self.hardware_vent_s is not None and not 0 < self.hardware_vent_s < math.inf:
+            raise RangeError(
+                f"a timer in hardware of {self.hardware_vent_s} s; give what was measured, above 0 s"
+            )
+
+    @property
+    def range(self) -> DisplayRange:
+        """Size, greatest pressure and watchdog of the display.
+
+        Its watchdog is the timer in hardware where there is one; else the board's, which may be late by a
+        second.
+        """
+        late_s = self.watchdog_s + TICK_S if self.hardware_vent_s is None else self.hardware_vent_s
+        return DisplayRange(self.height_m, self.radius_m, self.greatest_pa, late_s)
+
+
+class LabJackDisplay(Closing):
+    """The display. It is vented when it is opened, and takes a pressure at once.
+
+    What is lost with the connection is the pressure: after any answer that did not come, or came wrong,
+    nothing but `release` allows pressure again.
+    """
+
+    def __init__(self, settings: LabJackSettings, clock: Clock | None = None) -> None:
+        """Connect, set 0 V, and set and start the board's watchdog.
+
+        Args:
+            settings: the display and its wiring.
+            clock: of the samples; left out, this computer's.
+
+        Raises:
+            DeviceError: it does not answer, is another board, or does not keep the watchdog's settings.
+        """
+        self._settings, self._clock = settings, clock or MonotonicClock()
+        self._state, self._setting = RLock(), Lock()  # a signal's handler may vent in between
+        self._vents = 0
+        self._why = ""  # nothing may be set, for this reason
+        self._closed = Event()
+        self._pressure_pa, self._fed_ns = 0.0, 0
+        self._heartbeat = False
+        reach = (settings.host, settings.port, settings.unit, settings.timeout_s)
+        self._main = ModbusTcp(*reach)
+        try:
+            self._safety = ModbusTcp(*reach)
+        except DeviceError:
+            self._main.close()
+            raise
+        try:
+            self._prepare()
+        except DeviceError:
+            self._let_go()
+            raise
+
+    @property
+    def range(self) -> DisplayRange:
+        """Size, greatest pressure and watchdog of the display."""
+        return self._settings.range
+
+    def latest(self) -> DisplaySample:
+        """Its state now, dated in the middle of the exchange.
+
+        Raises:
+            DeviceError: it does not answer; it is vented then, if it can be.
+        """
+        self._refuse_closed()
+        asked_ns = self._clock.now_ns()
+        try:
+            hall_v, monitor_v = struct.unpack(">2f", self._main.read(AIN0 + 2 * self._settings.hall_ain, 4))
+        except DeviceError as error:
+            self._lost(error)
+            raise
+        time_ns = (asked_ns + self._clock.now_ns()) // 2
+        return self._sample(time_ns, hall_v, monitor_v)
+
+    def set_pressure(self, pressure_pa: float, rate_pa_s: float = 0.0) -> None:
+        """Hold a gauge pressure until the next call or the watchdog.
+
+        Args:
+            pressure_pa: of the chamber, from 0 to the greatest [Pa].
+            rate_pa_s: not used: the regulator takes none [Pa/s].
+
+        Raises:
+            RangeError: a pressure outside the range, or what is no number; nothing is changed.
+            DeviceError: it does not answer, has been vented and not released, or by the watchdog.
+        """
+        if not (0 <= pressure_pa <= self._settings.greatest_pa and math.isfinite(rate_pa_s)):
+            raise RangeError(
+                f"{pressure_pa} Pa, changing by {rate_pa_s} Pa/s, were asked for; the display takes 0 to "
+                f"{self._settings.greatest_pa:g} Pa; the pressure stays as it is"
+            )
+        with self._setting:
+            self._refuse_closed()
+            self._watch_for_watchdog()
+            self._refuse_vented()
+            try:
+                self._put(pressure_pa)
+            except DeviceError as error:
+                self._lost(error)
+                raise
+            with self._state:
+                vented = bool(self._why)
+            if vented:  # meanwhile, by another thread, whose 0 V may have come before this pressure
+                self._zero(self._main)
+                self._refuse_vented()
+
+    def vent(self) -> None:
+        """Set 0 V, and take no pressure until `release`.
+
+        Safe at any time and from any thread. It waits for no reading; for a pressure that is on its way at
+        most as long as that may take, and it has sent 0 V before and sends it again after.
+
+        Raises:
+            DeviceError: it could not be told by either connection. The watchdog vents then.
+        """
+        self._latch("it was vented")
+        if self._closed.is_set():
+            return
+        self._tell_to_vent()
+        if self._setting.acquire(blocking=False):
+            self._setting.release()
+            return
+        if self._setting.acquire(timeout=4 * self._settings.timeout_s):
+            self._setting.release()
+        if not self._closed.is_set():
+            self._tell_to_vent()
+
+    def release(self) -> None:
+        """Let it hold pressure again after `vent`; the board is checked as when it was opened.
+
+        Raises:
+            DeviceError: it does not answer, is not as it was, or was vented again meanwhile.
+        """
+        with self._setting:
+            self._refuse_closed()
+            with self._state:
+                seen = self._vents
+            self._prepare()
+            with self._state:
+                if self._vents != seen:
+                    raise DeviceError("the display was vented while it was being released; release it again")
+                self._why = ""
+
+    def close(self) -> None:
+        """Vent, and let go of the board, whose watchdog goes on. Closing again does nothing.
+
+        Raises:
+            DeviceError: it could not be vented; the connections are closed nevertheless.
+        """
+        if self._closed.is_set():
+            return
+        try:
+            self.vent()
+        finally:
+            self._closed.set()
+            self._let_go()
+
+    def _sample(self, time_ns: int, hall_v: float, monitor_v: float) -> DisplaySample:
+        faults = []
+        pushed_m = pressure_pa = math.nan
+        try:
+            pushed_m = self._settings.hall.pushed_m(hall_v)
+        except OffScaleError as error:
+            faults.append(str(error))
+        try:
+            pressure_pa = self._settings.monitor.pressure_pa(monitor_v)
+        except OffScaleError as error:
+            faults.append(str(error))
+        most_pa = self._settings.greatest_pa + self._settings.monitor.tolerance_pa
+        if pressure_pa > most_pa:
+            faults.append(
+                f"the chamber is at {pressure_pa / 1e3:.1f} kPa and may hold "
+                f"{self._settings.greatest_pa / 1e3:g} kPa: shut the air off, and check the regulator"
+            )
+        return DisplaySample(time_ns, pushed_m, pressure_pa, "; ".join(faults))
+
+    def _prepare(self) -> None:
+        """See that it is the board, set 0 V, and see that its watchdog is set and runs."""
+        (product,) = struct.unpack(">f", self._main.read(PRODUCT_ID, 2))
+        if product != BOARDS[self._settings.board]:
+            raise DeviceError(
+                f"{self._main.where} says that it is product {product:g} and not "
+                f"{BOARDS[self._settings.board]}, a {self._settings.board}; check its address, or name the "
+                "board that it is"
+            )
+        self._zero(self._main)
+        wanted = self._watchdog()
+        if self._watchdog_now() != wanted:  # it is kept in the board's flash: write only what differs
+            self._write_int(WATCHDOG_ENABLE, 0)
+            for register, word in wanted.items():
+                if register != WATCHDOG_ENABLE:
+                    self._main.write(register, word)
+            self._write_int(WATCHDOG_ENABLE, 1)
+        if (kept := self._watchdog_now()) != wanted:
+            wrong = ", ".join(f"{each}: {kept[each].hex()}" for each in wanted if kept[each] != wanted[each])
+            raise DeviceError(
+                f"{self._main.where} does not keep its watchdog's settings (register: bytes {wrong}); do not "
+                "use it on a finger: update its firmware, and see that no other program sets it"
+            )
+        self._write_int(WATCHDOG_STRICT_CLEAR, STRICT_KEY)
+
+    def _watchdog(self) -> dict[int, bytes]:
+        """Words of the watchdog's registers as they have to be."""
+        numbers = {
+            WATCHDOG_ENABLE: 1,
+            WATCHDOG_ADVANCED: 0,
+            WATCHDOG_TIMEOUT_S: self._settings.watchdog_s,
+            WATCHDOG_STRICT_ENABLE: 1,
+            WATCHDOG_STRICT_KEY: STRICT_KEY,
+            WATCHDOG_RESET_ENABLE: 0,
+            WATCHDOG_DAC0_ENABLE: 1,
+        }
+        words = {each: struct.pack(">I", n) for each, n in numbers.items()}
+        return words | {WATCHDOG_DAC0: struct.pack(">f", 0.0)}
+
+    def _watchdog_now(self) -> dict[int, bytes]:
+        return {register: self._main.read(register, 2) for register in self._watchdog()}
+
+    def _put(self, pressure_pa: float) -> None:
+        """Set the pressure, and only then feed the watchdog: a pressure that did not arrive feeds nothing."""
+        self._main.write(DAC0, struct.pack(">f", self._settings.setpoint.volts(pressure_pa)))
+        self._write_int(WATCHDOG_STRICT_CLEAR, STRICT_KEY)
+        if self._settings.heartbeat_dio is not None:
+            self._heartbeat = not self._heartbeat
+            self._main.write(DIO0 + self._settings.heartbeat_dio, struct.pack(">H", self._heartbeat))
+        self._pressure_pa, self._fed_ns = pressure_pa, self._clock.now_ns()
+
+    def _watch_for_watchdog(self) -> None:
+        """Latch where the watchdog may have vented: the old pressure must not come back by surprise."""
+        waited_s = (self._clock.now_ns() - self._fed_ns) / NS_PER_S
+        limit_s = min(self._settings.watchdog_s, self._settings.hardware_vent_s or math.inf)
+        if self._pressure_pa > 0 and waited_s >= limit_s:
+            self._latch(f"its watchdog of {limit_s:g} s vented it, {waited_s:.3g} s after the last pressure")
+
+    def _zero(self, connection: ModbusTcp) -> None:
+        connection.write(DAC0, struct.pack(">f", 0.0))
+        self._pressure_pa = 0.0
+
+    def _tell_to_vent(self) -> None:
+        """Set 0 V by the connection for that, by a new one in its place, or behind what is being measured."""
+        with suppress(DeviceError):
+            self._zero(self._safety)
+            return
+        with suppress(DeviceError):
+            self._zero(self._safety)
+            return
+        try:
+            self._zero(self._main)
+        except DeviceError as error:
+            raise DeviceError(
+                f"the display could not be told to vent ({error}); its watchdog does within "
+                f"{self.range.watchdog_s:g} s: take the finger away and shut the air off"
+            ) from error
+
+    def _write_int(self, register: int, number: int) -> None:
+        self._main.write(register, struct.pack(">I", number))
+
+    def _latch(self, why: str) -> None:
+        with self._state:
+            self._vents += 1
+            self._why = why
+
+    def _lost(self, error: DeviceError) -> None:
+        """Vent after an answer that did not come; whether that was heard is not known."""
+        self._latch(f"an answer was lost ({error})")
+        with suppress(DeviceError):
+            self._tell_to_vent()
+
+    def _refuse_vented(self) -> None:
+        with self._state:
+            why = self._why
+        if why:
+            raise DeviceError(f"the display takes no pressure since {why}; see why, and release it")
+
+    def _refuse_closed(self) -> None:
+        if self._closed.is_set():
+            raise DeviceError("the display is closed; open it anew")
+
+    def _let_go(self) -> None:
+        self._main.close()
+        self._safety.close()
