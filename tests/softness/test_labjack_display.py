@@ -214,15 +214,27 @@ def test_readings_do_not_feed_the_watchdog_and_pressures_do(board: FakeLabJack) 
         assert board.watchdog_fired == 0
 
 
-def test_a_new_pressure_changes_the_line_that_feeds_a_timer_in_hardware(board: FakeLabJack) -> None:
-    with LabJackDisplay(settings(board, heartbeat_dio=3, hardware_vent_s=0.5)) as display:
+def test_new_pressures_change_the_line_that_feeds_a_timer_in_hardware(board: FakeLabJack) -> None:
+    with LabJackDisplay(settings(board, heartbeat_dio=3, hardware_vent_s=1.0)) as display:
+        assert display.range.watchdog_s == 1.0
         for _ in range(3):
             display.set_pressure(1e3)
+            time.sleep(0.12)
         assert [data for at, data in board.written if at == 2003] == [b"\0\1", b"\0\0", b"\0\1"]
-        assert display.range.watchdog_s == 0.5
-        written = len(board.written)
         display.vent()
-        assert all(at != 2003 for at, _ in board.written[written:])
+        display.latest()
+        assert sum(at == 2003 for at, _ in board.written) == 3
+
+
+def test_a_watchdog_is_fed_ten_times_in_its_time_and_no_oftener(board: FakeLabJack) -> None:
+    with LabJackDisplay(settings(board, watchdog_s=2)) as display:
+        board.written.clear()
+        end = time.monotonic() + 0.5
+        while time.monotonic() < end:
+            display.set_pressure(1e3)
+        fed = sum(at == 61614 for at, _ in board.written)
+        assert 2 <= fed <= 3  # at 0, 0.2 and 0.4 s
+        assert sum(at == 1000 for at, _ in board.written) > 10
 
 
 def test_the_range_says_what_the_watchdog_really_gives(board: FakeLabJack, display: LabJackDisplay) -> None:

@@ -3,7 +3,7 @@
 DAC0 is the regulator's set-point. Two neighbouring inputs measure the tip's displacement and the chamber's
 pressure. The board's own watchdog sets DAC0 to 0 V; it is strict, so that only a new pressure feeds it, and
 no reading does. It counts whole seconds. Where that is too long for a finger, one of the board's digital
-lines changes with every new pressure, for a timer in hardware that holds a vent valve shut no longer than it
+lines changes while new pressures come, for a timer in hardware that holds a vent valve shut no longer than it
 is told.
 
 The board takes two connections at a time. One measures and sets, the other vents: a vent waits for no
@@ -45,6 +45,7 @@ BOARDS = {"T7": 7, "T4": 4}
 INPUTS = {"T7": 14, "T4": 12}
 DIGITAL = {"T7": range(23), "T4": range(4, 20)}
 MAX_DAC_V = 5.0
+FEEDING = 0.1  # of the shortest watchdog: so soon the next pressure feeds it again, and no sooner
 TICK_S = 1.0  # of the watchdog; nothing says when in a second it counts, so it may be late by one
 
 
@@ -62,7 +63,7 @@ class LabJackSettings:
         board: which one it is, "T7" or "T4"; another one at the address is refused.
         hall_ain: input of the displacement's sensor; the pressure's is the next one.
         watchdog_s: of the board's watchdog, in whole seconds, 1 or more [s].
-        heartbeat_dio: digital line that changes with every new pressure; None without a timer in hardware.
+        heartbeat_dio: digital line that changes while new pressures come; None without a timer in hardware.
         hardware_vent_s: time after the line's last change in which that timer opens the vent, as measured on
             this display [s].
         timeout_s: for one answer [s].
@@ -138,6 +139,11 @@ class LabJackSettings:
             raise RangeError(
                 f"a timer in hardware of {self.hardware_vent_s} s; give what was measured, above 0 s"
             )
+
+    @property
+    def shortest_watchdog_s(self) -> float:
+        """Time after the last feeding in which the first of its watchdogs may vent [s]."""
+        return min(self.watchdog_s, self.hardware_vent_s or math.inf)
 
     @property
     def range(self) -> DisplayRange:
@@ -333,6 +339,7 @@ class LabJackDisplay(Closing):
                 "use it on a finger: update its firmware, and see that no other program sets it"
             )
         self._write_int(WATCHDOG_STRICT_CLEAR, STRICT_KEY)
+        self._fed_ns = self._clock.now_ns() - self._settings.watchdog_s * NS_PER_S  # the next pressure feeds
 
     def _watchdog(self) -> dict[int, bytes]:
         """Words of the watchdog's registers as they have to be."""
@@ -352,20 +359,27 @@ class LabJackDisplay(Closing):
         return {register: self._main.read(register, 2) for register in self._watchdog()}
 
     def _put(self, pressure_pa: float) -> None:
-        """Set the pressure, and only then feed the watchdog: a pressure that did not arrive feeds nothing."""
+        """Set the pressure, and only then feed the watchdogs, whom a pressure that is lost must not feed."""
         self._main.write(DAC0, struct.pack(">f", self._settings.setpoint.volts(pressure_pa)))
+        if self._unfed_s() > FEEDING * self._settings.shortest_watchdog_s:
+            self._feed()
+        self._pressure_pa = pressure_pa
+
+    def _feed(self) -> None:
         self._write_int(WATCHDOG_STRICT_CLEAR, STRICT_KEY)
         if self._settings.heartbeat_dio is not None:
             self._heartbeat = not self._heartbeat
             self._main.write(DIO0 + self._settings.heartbeat_dio, struct.pack(">H", self._heartbeat))
-        self._pressure_pa, self._fed_ns = pressure_pa, self._clock.now_ns()
+        self._fed_ns = self._clock.now_ns()
+
+    def _unfed_s(self) -> float:
+        return (self._clock.now_ns() - self._fed_ns) / NS_PER_S
 
     def _watch_for_watchdog(self) -> None:
         """Latch where the watchdog may have vented: the old pressure must not come back by surprise."""
-        waited_s = (self._clock.now_ns() - self._fed_ns) / NS_PER_S
-        limit_s = min(self._settings.watchdog_s, self._settings.hardware_vent_s or math.inf)
-        if self._pressure_pa > 0 and waited_s >= limit_s:
-            self._latch(f"its watchdog of {limit_s:g} s vented it, {waited_s:.3g} s after the last pressure")
+        limit_s = self._settings.shortest_watchdog_s
+        if self._pressure_pa > 0 and self._unfed_s() >= limit_s:
+            self._latch(f"its watchdog of {limit_s:g} s vented it for want of a new pressure")
 
     def _zero(self, connection: ModbusTcp) -> None:
         connection.write(DAC0, struct.pack(">f", 0.0))
