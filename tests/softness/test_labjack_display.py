@@ -98,6 +98,7 @@ def test_opening_sets_zero_volts_before_it_touches_the_watchdog(board: FakeLabJa
 def test_opening_again_spares_the_flash(board: FakeLabJack) -> None:
     LabJackDisplay(settings(board)).close()
     writes = board.flash_writes
+    until(lambda: not board.connections)
     LabJackDisplay(settings(board)).close()
     assert board.flash_writes == writes > 0
 

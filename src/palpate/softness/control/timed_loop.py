@@ -8,6 +8,7 @@ where the process does not come back at all.
 from __future__ import annotations
 
 import gc
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -52,7 +53,8 @@ def run_timed(
 ) -> LoopTiming:
     """Call something once in a period, on the machine's clock.
 
-    A beginning that was missed is left out, and not made up for: two in one period would ask a device twice.
+    A beginning that was missed is left out, and not made up for; one that comes late is followed by the next
+    that is half a period away.
 
     Args:
         tick: called once in a period.
@@ -73,7 +75,8 @@ def run_timed(
             tick()
             begun.append(now)
             took.append(time.perf_counter() - now)
-            next_s += PERIOD_S * max(1, int((time.perf_counter() - next_s) / PERIOD_S) + 1)
+            soonest = max(time.perf_counter(), now + PERIOD_S / 2)  # two at once would ask a device twice
+            next_s += PERIOD_S * max(1, math.ceil((soonest - next_s) / PERIOD_S))
     return LoopTiming(np.diff(np.array(begun)), np.array(took))
 
 

@@ -6,6 +6,6 @@ from palpate.softness.real.modbus_tcp import ModbusError, ModbusTcp, UnreachedEr
 from palpate.softness.real.sensor_scales import HallTable, OffScaleError, PressureScale
 
 __all__ = [
-    "ForceDimensionArm", "ForceDimensionSpec", "HallTable", "LabJackDisplay", "LabJackSettings", "ModbusError",
-    "ModbusTcp", "OffScaleError", "PressureScale", "UnreachedError",
+    "ForceDimensionArm", "ForceDimensionSpec", "HallTable", "LabJackDisplay", "LabJackSettings",
+    "ModbusError", "ModbusTcp", "OffScaleError", "PressureScale", "UnreachedError",
 ]  # fmt: skip
