@@ -15,9 +15,11 @@ from palpate.devices.motion_limits import Reason, Tripped
 from palpate.devices.operator_control import OperatorCommand, OperatorInterrupt
 from palpate.mechanics.half_space.hertz_pairs import Body
 from palpate.softness import Characteristic, Mode, SoftObject, hertz_object
+from palpate.softness.control.arm_servo import ArmServo, BenchState
 from palpate.softness.control.pressure_servo import PidServo
 from palpate.softness.control.reference_table import ReferenceTable
 from palpate.softness.control.rendering_loop import RenderingLoop
+from palpate.softness.display_parts import Chamber
 from palpate.softness.pressing_finger import FingerPresses, depth_for
 from palpate.softness.rendering_simulation import Rendering, law_of, simulate
 from palpate.softness.virtual.rendering_bench import BenchParts, RenderingBench
@@ -97,6 +99,23 @@ def test_in_cm2_the_arm_alone_gives_the_displacement_s_curve() -> None:
 def test_a_slow_press_of_a_soft_object_gives_back_no_energy_that_it_did_not_take() -> None:
     for soft in (BALL, SOFT):
         assert pressed(soft).given_back_j < 0.05e-3
+
+
+def test_the_arm_s_error_is_nought_where_the_printed_reference_is_met() -> None:
+    """delta_d = beta^-1(alpha(A)) - (H / R) sqrt(P / (p pi)), the report's, at every push."""
+    table = ReferenceTable(law_of(FOAM, Mode.BOTH, BenchParts(chamber=Chamber(sleeve_n_m=0.0))))
+    law, servo = table.law, ArmServo()
+    for pushed in np.linspace(1e-3, 9e-3, 17):
+        state = law.at(pushed)
+        force, pressure = float(state.force_n[0]), float(state.pressure_pa[0])
+        whole = float(FOAM.displacement.at_force(force))
+        arm = whole - law.display.height_m / law.display.radius_m * math.sqrt(force / (pressure * math.pi))
+        now = BenchState(float(pushed), 0.0, arm, 0.0, force)
+        error, _ = servo.error(Mode.BOTH, now, table.at(float(pushed), now.displacement_m), touched=True)
+        assert error == pytest.approx(0.0, abs=2e-6)
+        late = replace(now, arm_m=arm - 1e-4)
+        error, _ = servo.error(Mode.BOTH, late, table.at(float(pushed), late.displacement_m), touched=True)
+        assert 0.0 < error < 1e-4
 
 
 class TestLoop:
