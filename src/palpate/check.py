@@ -31,19 +31,27 @@ from palpate.rig.plans.plan_files import plan_from
 
 if TYPE_CHECKING:
     from palpate.calibration.model_check import check_model
-    from palpate.devices.check import check_camera, check_force_sensor, check_stage
+    from palpate.devices.check import check_arm, check_camera, check_display, check_force_sensor, check_stage
     from palpate.rig.rig_check import check_rig
 
 _NAMES = {
     "palpate.calibration.model_check": ("check_model",),
-    "palpate.devices.check": ("check_camera", "check_force_sensor", "check_stage"),
+    "palpate.devices.check": (
+        "check_arm",
+        "check_camera",
+        "check_display",
+        "check_force_sensor",
+        "check_stage",
+    ),
     "palpate.rig.rig_check": ("check_rig",),
 }
 
 __all__ = [
     "LAWS",
     "CheckResult",
+    "check_arm",
     "check_camera",
+    "check_display",
     "check_force_sensor",
     "check_model",
     "check_rig",

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from palpate.core import NS_PER_S, Clock, DeviceError
 from palpate.core.plugins import told
+
+HUNG_S = 30.0  # of the machine's time, after which a call in another thread counts as one that never returns
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +103,27 @@ def refusal(call: Callable[[], object]) -> BaseException | None:
     except (Exception, SystemExit) as e:
         return e
     return None
+
+
+def call_elsewhere(
+    call: Callable[[], object], meanwhile: Callable[[], object]
+) -> tuple[bool, BaseException | None]:
+    """Call in another thread; returns whether it came back, and what it raised."""
+    errors: list[BaseException] = []
+
+    def run() -> None:
+        error = refusal(call)
+        if error is not None:
+            errors.append(error)
+
+    thread = threading.Thread(target=run, name="conformance check", daemon=True)
+    thread.start()
+    end_s = time.monotonic() + HUNG_S
+    while thread.is_alive() and time.monotonic() < end_s:
+        with suppress(DeviceError):  # a call that a stop cuts off may say so
+            meanwhile()
+        thread.join(0.002)
+    return not thread.is_alive(), errors[0] if errors else None
 
 
 def describe(error: BaseException | None) -> str:

@@ -12,7 +12,21 @@ from collections.abc import Callable, Iterator, Mapping
 from numbers import Integral, Real
 from typing import Any, Literal
 
-from palpate.core import NS_PER_S, Camera, Clock, DeviceError, ForceSensor, Frame, Stage, Travel, Wrench
+from palpate.core import (
+    NS_PER_S,
+    ArmRange,
+    Camera,
+    Clock,
+    DeviceError,
+    DisplayRange,
+    ForceSensor,
+    Frame,
+    HapticArm,
+    SoftnessDevice,
+    Stage,
+    Travel,
+    Wrench,
+)
 from palpate.devices.check.check_result import CheckResult, Part, gather, verdict
 
 Role = Literal["stage", "force", "camera"]
@@ -24,7 +38,12 @@ POLL_S = 0.01
 MAX_AGE_S = 5.0  # of a stamp; on another clock or in another unit it is off by far more
 EARLY_S = 1e-3  # by which a stamp may lie ahead of the clock: rounding
 
-ARGUMENTS: dict[str, tuple[Any, ...]] = {"move_to": ((0.0, 0.0, 0.0), 1e-3), "grab": (1.0,)}
+ARGUMENTS: dict[str, tuple[Any, ...]] = {
+    "move_to": ((0.0, 0.0, 0.0), 1e-3),
+    "grab": (1.0,),
+    "set_pressure": (0.0, 0.0),
+    "set_force": (0.0,),
+}
 """Arguments that the rig calls a method with; none where it is not named here."""
 
 
@@ -75,6 +94,56 @@ def camera_interface(camera: object) -> Part:
         yield verdict(
             "states a size", sane, f"size_px is {size}; give (width, height), whole numbers above 0"
         )
+
+
+DISPLAY_BOUNDS = {
+    "height_m": (1e-4, 0.1),
+    "radius_m": (1e-4, 0.1),
+    "greatest_pa": (1e3, 1e6),
+    "watchdog_s": (1e-3, 10.0),
+}
+"""Bounds of what a display for a finger states: more or less is another unit."""
+ARM_BOUNDS = {
+    "least_m": (-1.0, 1.0),
+    "greatest_m": (-1.0, 1.0),
+    "force_n": (0.05, 100.0),
+    "watchdog_s": (1e-4, 0.1),
+}
+"""Bounds of what an arm for a finger states."""
+
+
+def display_interface(display: object) -> Part:
+    """Check a contact-area display's members and its stated range."""
+    yield from _members(display, SoftnessDevice)
+    if isinstance(display, SoftnessDevice):
+        yield _stated_range(display.range, DisplayRange, DISPLAY_BOUNDS)
+
+
+def arm_interface(arm: object) -> Part:
+    """Check a haptic arm's members and its stated range."""
+    yield from _members(arm, HapticArm)
+    if isinstance(arm, HapticArm):
+        stated = arm.range
+        finding = _stated_range(stated, ArmRange, ARM_BOUNDS)
+        yield finding
+        if finding.ok:
+            yield verdict(
+                "reaches from less to more", stated.least_m < stated.greatest_m,
+                f"it reaches from {stated.least_m} to {stated.greatest_m} m; give the lesser one first",
+            )  # fmt: skip
+
+
+def _stated_range(stated: object, kind: type, bounds: Mapping[str, tuple[float, float]]) -> CheckResult:
+    if not isinstance(stated, kind):
+        return verdict(
+            "states a sane range", False, f"range is {stated!r}; give a palpate.core.{kind.__name__}"
+        )
+    wrong = [
+        f"{name} is {getattr(stated, name)!r}, not {low:g} to {high:g}"
+        for name, (low, high) in bounds.items()
+        if not (isinstance(getattr(stated, name), Real) and low <= getattr(stated, name) <= high)
+    ]
+    return verdict("states a sane range", not wrong, f"{'; '.join(wrong)}; is it in m, Pa, N and s?")
 
 
 def _members(device: object, protocol: type) -> Part:
@@ -160,7 +229,7 @@ def _measuring(sensor: Any, clock: Clock) -> Part:
     )  # fmt: skip
     if not shaped:
         return
-    yield _on_clock(sample.time_ns, clock)
+    yield on_clock(sample.time_ns, clock)
     if not sample.fault:
         within = _is_vector(sample.force_n) and all(
             abs(force) <= most for force, most in zip(sample.force_n, sensor.range_n, strict=True)
@@ -197,10 +266,11 @@ def _filming(camera: Any, clock: Clock) -> Part:
             "keeps the stated size", frame.image.shape[:2] == (height, width),
             f"{width} x {height} px are stated, and rows, columns and colours of {frame.image.shape} came",
         )  # fmt: skip
-        yield _on_clock(time_ns, clock)
+        yield on_clock(time_ns, clock)
 
 
-def _on_clock(time_ns: object, clock: Clock) -> CheckResult:
+def on_clock(time_ns: object, clock: Clock) -> CheckResult:
+    """Judge whether a stamp is of this clock and in its unit."""
     age_s = (clock.now_ns() - int(time_ns)) / NS_PER_S if isinstance(time_ns, Integral) else math.nan
     return verdict(
         "timestamps are on the host's clock", -EARLY_S <= age_s <= MAX_AGE_S,

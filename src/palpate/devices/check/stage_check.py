@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 
@@ -13,6 +11,7 @@ from palpate.devices.check.check_result import (
     CheckResult,
     Part,
     at_most,
+    call_elsewhere,
     check_closing,
     describe,
     gather,
@@ -184,7 +183,6 @@ def _moving(walker: Walker) -> Part:
 
 PATIENCE_S = 1.0  # beyond the slowing down: a few answers of a controller
 STAND_S = 0.2  # for how long it must go on standing
-HUNG_S = 30.0  # of the machine's time, after which a call in another thread counts as one that never returns
 
 
 def stopping(walker: Walker) -> Part:
@@ -239,7 +237,7 @@ def stopping_elsewhere(walker: Walker) -> Part:
     target = walker.high(0)
     walker.go(target, share=0.5)
     at = walker.here()
-    returned, error = _call_elsewhere(walker.stage.stop, walker.stage.position_m)
+    returned, error = call_elsewhere(walker.stage.stop, walker.stage.position_m)
     places = walker.rest(STAND_S)
     yield verdict(
         "stops from another thread",
@@ -256,27 +254,6 @@ def stopping_elsewhere(walker: Walker) -> Part:
         "moves again after a stop", after.missed_m, walker.within_m, "m",
         "after a stop its position is known, the old move is forgotten, and a new one goes where it is sent",
     )  # fmt: skip
-
-
-def _call_elsewhere(
-    call: Callable[[], object], meanwhile: Callable[[], object]
-) -> tuple[bool, BaseException | None]:
-    """Call in another thread; returns whether it came back, and what it raised."""
-    errors: list[BaseException] = []
-
-    def run() -> None:
-        error = refusal(call)
-        if error is not None:
-            errors.append(error)
-
-    thread = threading.Thread(target=run, name="conformance check", daemon=True)
-    thread.start()
-    end_s = time.monotonic() + HUNG_S
-    while thread.is_alive() and time.monotonic() < end_s:
-        with suppress(DeviceError):  # a call that a stop cuts off may say so
-            meanwhile()
-        thread.join(0.002)
-    return not thread.is_alive(), errors[0] if errors else None
 
 
 def stopping_still(walker: Walker) -> Part:
