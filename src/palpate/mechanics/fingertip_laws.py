@@ -1,0 +1,227 @@
+"""Named models of a fingertip on a rigid flat, and what each says of one on a soft flat.
+
+A fingertip is two curves over force: how far it is pressed in, and the area that touches. There are
+
+    hertz            an elastic ball; to a contact radius of half its own
+    exponential      F = b (exp(m d) - 1), A = k F^n
+    finite-strain    a gel hemisphere under a skin, from the tables of `tip_table`, drawn to another size
+
+Pawluk and Howe found the exponential in presses of a flat probe to 2 N; Xydas and Kao found that the radius
+of contact of soft fingers grows as a power 0 to 1/3 of force, so that n is 0 to 2/3, where 2/3 is Hertz's.
+Their constants b, m, k and n differ between people and have no defaults here: fit them to the finger at hand,
+or take them from a table of your own. The press of a rigid ball into a disc (`sphere_table`) is no finger:
+ball in flat and flat on ball are the same at small strain alone.
+
+On a soft flat two compositions are given, and neither is exact beyond Hertz:
+
+* `on_flat` takes the finger at each force as that ball of Hertz which has its approach and area there; of a
+  ball of Hertz it makes `Body.against`, exactly. Of the four tabulated tips, at 0.5 to 2 N on cylinders of 60
+  kPa and more that were solved at finite strain, it is off by at most 5 % in approach and 11 % in area.
+* `in_series` adds displacements at equal force, each part as if it met something rigid. It is exact where a
+  rigid plate lies between the two. For a ball and a flat that touch it is too soft by
+  (1 + e^(2/3)) / (1 + e)^(2/3), e the ratio of their moduli: up to 2^(1/3), 26 %, where the two are equal.
+
+References: D. T. V. Pawluk, R. D. Howe, J. Biomech. Eng. 121 (1999) 178, doi:10.1115/1.2835100; N. Xydas,
+I. Kao, Int. J. Robotics Res. 18 (1999) 941, doi:10.1177/02783649922066673.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.core import Float, RangeError, ndarray
+from palpate.mechanics.axisymmetric.tip_table import tip_table
+from palpate.mechanics.half_space.hertz import MAX_SLOPE, positive
+from palpate.mechanics.half_space.hertz_pairs import Body
+
+EXPONENTIAL_TO_N = 2.0  # Pawluk and Howe's presses
+HERTZ_EXPONENT = 2 / 3  # of area over force; soft fingers lie below
+
+Forces = Float[ndarray, "*n"]
+Law = Callable[[Forces], Forces]
+
+
+@dataclass(frozen=True, slots=True)
+class Fingertip:
+    """A fingertip on a rigid flat, or on what `on_flat` and `in_series` put under it.
+
+    Attributes:
+        name: of the model.
+        greatest_n: it is known from 0 to here [N].
+        source: where it is from, in words, with its constants.
+        approach: displacement since first touch [m] over force [N]; ask `approach_m`, which checks.
+        area: that touches [m^2] over force [N]; ask `area_m2`.
+    """
+
+    name: str
+    greatest_n: float
+    source: str
+    approach: Law
+    area: Law
+
+    def approach_m(self, force_n: float | Forces) -> Forces:
+        """Displacement at a force [m].
+
+        Raises:
+            RangeError: the force lies outside what the model is known for.
+        """
+        return np.asarray(self.approach(self._known(force_n)))
+
+    def area_m2(self, force_n: float | Forces) -> Forces:
+        """Area at a force [m^2]; RangeError as of `approach_m`."""
+        return np.asarray(self.area(self._known(force_n)))
+
+    def _known(self, force_n: float | Forces) -> Forces:
+        force = np.asarray(force_n, float)
+        if not np.all((force >= 0) & (force <= self.greatest_n * (1 + 1e-12))):
+            raise RangeError(
+                f"a fingertip of the model {self.name!r} is known from 0 to {self.greatest_n:.4g} N, and was "
+                "asked outside that; press less, or take a model that reaches further"
+            )
+        return np.asarray(np.minimum(force, self.greatest_n))
+
+
+def hertz_fingertip(ball: Body) -> Fingertip:
+    """An elastic ball on a rigid flat, to a contact radius of half its own."""
+    if not ball.radius_m < math.inf:
+        raise RangeError("a fingertip of infinite radius; give a finite one, in mm, such as 15")
+    widest = MAX_SLOPE * ball.radius_m
+    return Fingertip(
+        "hertz",
+        4 / 3 * ball.modulus_pa * widest**3 / ball.radius_m,
+        f"Hertz: ball of {ball.modulus_pa / 1e3:g} kPa (over 1 - nu²) and {ball.radius_m * 1e3:g} mm",
+        lambda F: np.asarray(ball.approach_m(F)),
+        lambda F: np.asarray(ball.area_m2(F)),
+    )
+
+
+def exponential_fingertip(
+    scale_n: float,
+    rate_per_m: float,
+    area_at_1n_m2: float,
+    area_exponent: float,
+    greatest_n: float = EXPONENTIAL_TO_N,
+) -> Fingertip:
+    """F = b (exp(m d) - 1) and A = k F^n; constants of a finger, to be given.
+
+    Args:
+        scale_n: b [N].
+        rate_per_m: m [1/m].
+        area_at_1n_m2: k, the area at 1 N [m^2].
+        area_exponent: n, above 0 and at most 2/3.
+        greatest_n: to which the constants were fitted, at most 2 N [N].
+
+    Raises:
+        RangeError: a constant that no finger has.
+    """
+    positive("the exponential's scale b", scale_n, "N")
+    positive("the exponential's rate m", rate_per_m, "1/m")
+    positive("the area at 1 N", area_at_1n_m2, "m^2")
+    if not 0 < area_exponent <= HERTZ_EXPONENT + 1e-12:
+        raise RangeError(
+            f"area grows as force to the power {area_exponent:g}; above 0 and at most 2/3, which is Hertz's, "
+            "are allowed"
+        )
+    if not 0 < greatest_n <= EXPONENTIAL_TO_N:
+        raise RangeError(
+            f"an exponential fingertip to {greatest_n:g} N; above 0 and at most {EXPONENTIAL_TO_N:g} N, "
+            "where it was found, are allowed"
+        )
+    return Fingertip(
+        "exponential",
+        greatest_n,
+        f"F = b (exp(m d) - 1), b {scale_n:g} N, m {rate_per_m / 1e3:g}/mm (form: Pawluk and Howe, "
+        f"doi:10.1115/1.2835100); A = k F^n, k {area_at_1n_m2 * 1e6:g} mm², n {area_exponent:.4g} (form: "
+        "Xydas and Kao, doi:10.1177/02783649922066673); constants as given",
+        lambda F: np.log1p(F / scale_n) / rate_per_m,
+        lambda F: area_at_1n_m2 * F**area_exponent,
+    )
+
+
+def finite_strain_fingertip(tip: str, radius_m: float, gel_pa: float) -> Fingertip:
+    """A tabulated tip at finite strain, drawn to another radius and other moduli.
+
+    Lengths go as the radius and forces as gel modulus times radius squared; skin and gel keep the table's
+    proportions in thickness and modulus. The table's bodies are neo-Hookean, so that they soften or stiffen
+    by shape alone: tissue stiffens more.
+
+    Args:
+        tip: one of `tip_table.shipped_tips`.
+        radius_m: of the hemisphere [m].
+        gel_pa: Young's modulus of what is under the skin [Pa].
+
+    Raises:
+        InputError: no tip has that name.
+        RangeError: a radius or modulus that is not above 0.
+    """
+    positive("the fingertip's radius", radius_m, "m")
+    positive("the fingertip's Young's modulus", gel_pa, "Pa")
+    table = tip_table(tip)
+    press = table.press(math.inf)
+    most, long = float(press.force_n[-1]), radius_m / table.radius_m
+    strong = gel_pa / table.gel_pa * long**2
+    return Fingertip(
+        "finite-strain",
+        most * strong,
+        f"finite strain: hemisphere of {radius_m * 1e3:g} mm, {gel_pa / 1e3:g} kPa under a skin of "
+        f"{table.skin_m * long * 1e3:g} mm and {table.skin_pa * gel_pa / table.gel_pa / 1e3:g} kPa "
+        f"(table {tip!r}, similar)",
+        lambda F: long * press.at("approach_m", _within(F / strong, most)),
+        lambda F: long**2 * press.at("area_m2", _within(F / strong, most)),
+    )
+
+
+def _within(force: Forces, greatest_n: float) -> Forces:
+    """Forces without the rounding above the table's last."""
+    return np.asarray(np.minimum(force, greatest_n))
+
+
+def on_flat(tip: Fingertip, flat_pa: float) -> Fingertip:
+    """The fingertip on an elastic flat, taken at each force as the ball of Hertz that it is like there.
+
+    Approach and area d, A on something rigid tell R = A / (pi d) and E_f = 3 F / (4 sqrt(R d^3)). On a flat
+    both grow by (1 + E_f / E_o)^(2/3), R being the same.
+
+    Args:
+        tip: on a rigid flat.
+        flat_pa: the flat's Young's modulus over 1 - nu^2; infinite for a rigid one [Pa].
+    """
+    if not flat_pa > 0:
+        raise RangeError(f"a flat of {flat_pa:g} Pa; give more than 0 Pa")
+
+    def growth(force: Forces) -> Forces:
+        d, A = tip.approach(force), tip.area(force)
+        pressed = (d > 0) & (A > 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            finger_pa = 3 * force / (4 * d * np.sqrt(A / np.pi))  # sqrt(R d^3) = d sqrt(A / pi)
+        return np.asarray((1 + np.where(pressed, finger_pa, 0.0) / flat_pa) ** (2 / 3))
+
+    return Fingertip(
+        tip.name,
+        tip.greatest_n,
+        f"{tip.source}; on a flat of {flat_pa / 1e3:g} kPa (over 1 - nu²), as the ball of Hertz that the "
+        "finger is like at each force",
+        lambda F: tip.approach(F) * growth(F),
+        lambda F: tip.area(F) * growth(F),
+    )
+
+
+def in_series(tip: Fingertip, below: Law, what: str) -> Fingertip:
+    """The fingertip on a rigid plate with something that yields under it: displacements add, area stays.
+
+    Args:
+        tip: on a rigid flat.
+        below: displacement of what is under the plate [m] over force [N].
+        what: it is, in words.
+    """
+    return Fingertip(
+        tip.name,
+        tip.greatest_n,
+        f"{tip.source}; on {what}, displacements added at equal force",
+        lambda F: tip.approach(F) + below(F),
+        tip.area,
+    )

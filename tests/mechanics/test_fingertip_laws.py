@@ -1,0 +1,143 @@
+"""Fingertips on rigid and soft flats: closed forms, similarity, and what a composition costs."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+from numpy.testing import assert_allclose
+
+from palpate.core import InputError, PalpateError, RangeError
+from palpate.mechanics.axisymmetric.tip_table import shipped_tips, tip_table
+from palpate.mechanics.fingertip_laws import (
+    Fingertip,
+    exponential_fingertip,
+    finite_strain_fingertip,
+    hertz_fingertip,
+    in_series,
+    on_flat,
+)
+from palpate.mechanics.half_space.hertz_pairs import Body
+
+BALL = Body(50e3, 15e-3)
+MODULI = st.floats(1e3, 1e7)
+
+
+def exponential() -> Fingertip:
+    """Constants of no one's finger: round numbers."""
+    return exponential_fingertip(0.1, 1.5e3, 80e-6, 0.5)
+
+
+def share(tip: Fingertip, parts: int = 50) -> np.ndarray:
+    return np.linspace(0.01, 1.0, parts) * tip.greatest_n
+
+
+def test_a_hertz_fingertip_is_hertz_until_the_contact_is_half_its_radius() -> None:
+    tip = hertz_fingertip(BALL)
+    F = share(tip)
+    assert_allclose(tip.approach_m(F), BALL.approach_m(F))
+    assert_allclose(tip.area_m2(F), BALL.area_m2(F))
+    assert_allclose(math.sqrt(float(tip.area_m2(tip.greatest_n)) / math.pi), BALL.radius_m / 2)
+    with pytest.raises(RangeError, match=r"from 0 to 1\.875 N"):
+        tip.approach_m(1.01 * tip.greatest_n)
+    with pytest.raises(RangeError):
+        tip.area_m2(-1e-9)
+
+
+def test_the_exponential_gives_back_its_force_and_its_power() -> None:
+    tip = exponential()
+    F = share(tip)
+    assert_allclose(0.1 * (np.exp(1.5e3 * tip.approach_m(F)) - 1), F)
+    assert_allclose(tip.area_m2(1.0), 80e-6)
+    assert_allclose(tip.area_m2(2.0) / tip.area_m2(0.5), 2.0)
+    assert float(tip.approach_m(0.0)) == float(tip.area_m2(0.0)) == 0.0
+    with pytest.raises(RangeError, match="0 to 2 N"):
+        tip.area_m2(2.1)
+
+
+def test_a_table_is_its_own_tip_and_forces_grow_as_modulus_and_radius_squared() -> None:
+    table = tip_table("base")
+    press = table.press(math.inf)
+    own = finite_strain_fingertip("base", table.radius_m, table.gel_pa)
+    assert_allclose(own.approach_m(press.force_n), press.approach_m, rtol=1e-12)
+    assert_allclose(own.area_m2(press.force_n), press.area_m2, rtol=1e-12)
+    other = finite_strain_fingertip("base", 2 * table.radius_m, 3 * table.gel_pa)
+    assert_allclose(other.greatest_n, 12 * own.greatest_n)
+    assert_allclose(other.approach_m(12 * press.force_n), 2 * press.approach_m, rtol=1e-12)
+    assert_allclose(other.area_m2(12 * press.force_n), 4 * press.area_m2, rtol=1e-12)
+
+
+@given(MODULI)
+def test_a_hertz_finger_on_a_flat_is_the_pair_of_hertz(flat_pa: float) -> None:
+    tip = on_flat(hertz_fingertip(BALL), flat_pa)
+    pair, F = Body(flat_pa, math.inf).against(BALL), share(tip, 7)
+    assert_allclose(tip.approach_m(F), pair.approach_m(F), rtol=1e-9)
+    assert_allclose(tip.area_m2(F), pair.area_m2(F), rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", shipped_tips())
+def test_on_a_soft_flat_the_composition_is_near_the_solution_at_finite_strain(name: str) -> None:
+    table = tip_table(name)
+    tip = finite_strain_fingertip(name, table.radius_m, table.gel_pa)
+    F = np.array([0.5, 1.0, 2.0])
+    for flat_pa in (60e3, 100e3, 400e3):
+        solved, made = table.press(flat_pa), on_flat(tip, flat_pa / (1 - table.poisson_ratio**2))
+        assert_allclose(made.approach_m(F), solved.at("approach_m", F), rtol=0.05)
+        assert_allclose(made.area_m2(F), solved.at("area_m2", F), rtol=0.11)
+
+
+@pytest.mark.parametrize("tip", [hertz_fingertip(BALL), exponential()])
+def test_a_stiffer_flat_yields_less_and_a_rigid_one_nothing(tip: Fingertip) -> None:
+    F = share(tip)
+    soft, stiff, rigid = (on_flat(tip, E) for E in (3e4, 3e5, math.inf))
+    for cue in ("approach_m", "area_m2"):
+        values = [getattr(one, cue)(F) for one in (soft, stiff, rigid, tip)]
+        assert (values[0] > values[1]).all()
+        assert (values[1] > values[2]).all()
+        assert_allclose(values[2], values[3])
+        assert (np.diff(values[0]) > 0).all()
+    assert float(soft.approach_m(0.0)) == float(soft.area_m2(0.0)) == 0.0
+
+
+@pytest.mark.parametrize(("ratio", "excess"), [(1.0, 2 ** (1 / 3)), (8.0, 5 / 9 ** (2 / 3)), (1e-6, 1.0)])
+def test_series_of_a_ball_and_a_flat_is_too_soft_by_what_is_said(ratio: float, excess: float) -> None:
+    flat_pa = BALL.modulus_pa / ratio
+    flat = Body(flat_pa, BALL.radius_m)  # under a rigid ball of the finger's radius
+    tip = hertz_fingertip(BALL)
+    F = share(tip, 5)
+    added = in_series(tip, lambda force: np.asarray(flat.approach_m(force)), "a flat").approach_m(F)
+    assert_allclose(added / on_flat(tip, flat_pa).approach_m(F), excess, rtol=2e-4)
+
+
+def test_under_a_rigid_plate_displacements_add_and_the_area_is_the_rigid_ones() -> None:
+    tip = exponential()
+    F = share(tip)
+    both = in_series(tip, lambda force: force / 2e3, "a plate on a spring of 2 N/mm")
+    assert_allclose(both.approach_m(F) - tip.approach_m(F), F / 2e3)
+    assert_allclose(both.area_m2(F), tip.area_m2(F))
+
+
+def test_every_model_names_its_source() -> None:
+    tips = hertz_fingertip(BALL), exponential(), finite_strain_fingertip("even", 8e-3, 3e4)
+    assert [tip.name for tip in tips] == ["hertz", "exponential", "finite-strain"]
+    assert "10.1115/1.2835100" in tips[1].source
+    assert "similar" in tips[2].source
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "said"),
+    [
+        (lambda: exponential_fingertip(0.0, 1e3, 1e-4, 0.5), RangeError, "N"),
+        (lambda: exponential_fingertip(0.1, -1e3, 1e-4, 0.5), RangeError, "1/m"),
+        (lambda: exponential_fingertip(0.1, 1e3, math.nan, 0.5), RangeError, r"m\^2"),
+        (lambda: exponential_fingertip(0.1, 1e3, 1e-4, 0.7), RangeError, "2/3"),
+        (lambda: exponential_fingertip(0.1, 1e3, 1e-4, 0.5, 2.5), RangeError, "2 N"),
+        (lambda: finite_strain_fingertip("thumb", 8e-3, 3e4), InputError, "stiff-skin"),
+        (lambda: finite_strain_fingertip("base", 0.0, 3e4), RangeError, "radius"),
+        (lambda: hertz_fingertip(Body(5e4, math.inf)), RangeError, "finite"),
+        (lambda: on_flat(exponential(), 0.0), RangeError, "more than 0 Pa"),
+    ],
+)
+def test_fingers_that_no_one_has_are_refused(call, error: type[PalpateError], said: str) -> None:
+    with pytest.raises(error, match=said):
+        call()
