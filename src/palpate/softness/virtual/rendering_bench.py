@@ -196,6 +196,7 @@ class RenderingBench:
 
 
 NEVER = 2**62
+VELOCITY_HZ = 30.0  # of the arm's own velocity, which a step of its encoder must not shake
 
 
 class VirtualDisplay:
@@ -206,7 +207,7 @@ class VirtualDisplay:
         self._tracker = SpeedTracker()
         self._last_ns: int | None = None
         self._closed = self._vented = False
-        self._fault = ""
+        self._why = ""
         self.due_step = NEVER
 
     @property
@@ -225,7 +226,7 @@ class VirtualDisplay:
                 for sd in (sensors.hall_noise_m, sensors.pressure_noise_pa)
             )
             return DisplaySample(
-                self._bench.clock.now_ns(), truth.pushed_m + hall, truth.pressure_pa + pressure, self._fault
+                self._bench.clock.now_ns(), truth.pushed_m + hall, truth.pressure_pa + pressure
             )
 
     def set_pressure(self, pressure_pa: float, rate_pa_s: float = 0.0) -> None:
@@ -240,7 +241,9 @@ class VirtualDisplay:
             self._check_open()
             sample = self.latest()
             if self._vented:
-                raise DeviceError("the display is vented; release it before it is to hold pressure")
+                raise DeviceError(
+                    f"the display is vented{self._why}; release it before it is to hold pressure"
+                )
             dt = 1e-3 if self._last_ns is None else (sample.time_ns - self._last_ns) / NS_PER_S
             if dt > 0:
                 speed = self._tracker.speed(sample.pushed_m, dt)
@@ -260,7 +263,7 @@ class VirtualDisplay:
         """Take pressures again."""
         with self._bench.turn:
             self._check_open()
-            self._vented, self._fault = False, ""
+            self._vented, self._why = False, ""
             self._bench.switch_safety(off=False)
 
     def close(self) -> None:
@@ -272,7 +275,7 @@ class VirtualDisplay:
 
     def watchdog_acts(self) -> None:
         """Vent, since nobody set a pressure for its time."""
-        self._fault = f"nobody set a pressure for {self._watchdog_s * 1e3:g} ms; its watchdog vented it"
+        self._why = f" (nobody set a pressure for {self._watchdog_s * 1e3:g} ms; its watchdog vented it)"
         self._exhaust()
 
     def _exhaust(self) -> None:
@@ -290,11 +293,11 @@ class VirtualArm:
 
     def __init__(self, bench: RenderingBench, watchdog_s: float) -> None:
         self._bench, self._watchdog_s = bench, watchdog_s
-        self._tracker = SpeedTracker()
+        self._tracker = SpeedTracker(VELOCITY_HZ)
         self._last_ns: int | None = None
         self._speed = 0.0
         self._closed = self._braked = False
-        self._fault = ""
+        self._why = ""
         self.due_step = NEVER
 
     @property
@@ -313,7 +316,7 @@ class VirtualArm:
             if self._last_ns is None or now > self._last_ns:
                 dt = 1e-3 if self._last_ns is None else (now - self._last_ns) / NS_PER_S
                 self._speed, self._last_ns = self._tracker.speed(seen, dt), now
-            return ArmSample(now, seen, self._speed, self._fault)
+            return ArmSample(now, seen, self._speed)
 
     def set_force(self, force_n: float) -> None:
         """Push with a force."""
@@ -324,7 +327,7 @@ class VirtualArm:
             self._check_open()
             self._bench.follow()
             if self._braked:
-                raise DeviceError("the arm brakes; release it before it is to push")
+                raise DeviceError(f"the arm brakes{self._why}; release it before it is to push")
             self._bench.force_n = force_n
             self.due_step = self._bench.step_in(self._watchdog_s)
 
@@ -339,7 +342,7 @@ class VirtualArm:
         """Take forces again."""
         with self._bench.turn:
             self._check_open()
-            self._braked, self._fault = False, ""
+            self._braked, self._why = False, ""
             self._bench.brake(on=False)
 
     def close(self) -> None:
@@ -351,7 +354,7 @@ class VirtualArm:
 
     def watchdog_acts(self) -> None:
         """Drop the force, since nobody set one for its time."""
-        self._fault = f"nobody set a force for {self._watchdog_s * 1e3:g} ms; its watchdog dropped it"
+        self._why = f" (nobody set a force for {self._watchdog_s * 1e3:g} ms; its watchdog dropped it)"
         self._drop()
 
     def _drop(self) -> None:
