@@ -263,6 +263,7 @@ class VirtualDisplay:
         """Take pressures again."""
         with self._bench.turn:
             self._check_open()
+            self._bench.follow()
             self._vented, self._why = False, ""
             self._bench.switch_safety(off=False)
 
@@ -342,6 +343,7 @@ class VirtualArm:
         """Take forces again."""
         with self._bench.turn:
             self._check_open()
+            self._bench.follow()
             self._braked, self._why = False, ""
             self._bench.brake(on=False)
 
