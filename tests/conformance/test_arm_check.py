@@ -34,6 +34,8 @@ class Mass:
     dropped: bool = False
     closed: bool = False
     fed_s: float = 0.0
+    braked_s: float = 0.0
+    noise_m_s: float = 0.0
     time_s: float = 0.0
 
     @property
@@ -51,6 +53,9 @@ class Mass:
             drag = BRAKE_NS_M if self.braked or self.dropped else FREE_NS_M
             drag = FREE_NS_M if self.flaw == "soft brake" else drag
             force_n = -self.force_n if not (self.braked or self.dropped) else 0.0
+            lets_go = self.flaw == "lets go" and self.braked and self.time_s - self.braked_s > 0.05
+            force_n += 0.4 if lets_go else 0.0
+            drag = FREE_NS_M if lets_go else drag
             force_n += 0.5 if self.flaw == "sinks" and not self.braked else 0.0
             self.speed_m_s += STEP_S / MASS_KG * (force_n - drag * self.speed_m_s)
             self.place_m += STEP_S * self.speed_m_s
@@ -76,7 +81,7 @@ class Mass:
         return ArmSample(
             time_ns,
             place_m + (0.06 if self.flaw == "out of reach" else 0.0),
-            speed * scale * self.speed_m_s,
+            speed * scale * self.speed_m_s + self.noise_m_s * math.sin(self.clock.ns),
             "motor saturated" if self.flaw == "fault" else "",
         )
 
@@ -105,7 +110,7 @@ class Mass:
         self.now()
         if self.flaw == "brakes once" and self.braked:
             raise DeviceError("it brakes")
-        self.braked = True
+        self.braked, self.braked_s = True, self.time_s
 
     def release(self) -> None:
         self.check_open()
@@ -139,6 +144,11 @@ def test_a_good_arm_keeps_every_law_and_is_left_braked_and_closed() -> None:
     assert arm.closed
 
 
+def test_a_velocity_with_noise_breaks_no_law() -> None:
+    arm = Mass(clock := ManualClock(10**9), noise_m_s=0.01)
+    assert failed(arm, clock) == set()
+
+
 @pytest.mark.parametrize("press_sign", [1, -1])
 def test_the_driver_of_force_dimension_keeps_every_law(press_sign: int) -> None:
     clock = ManualClock(10**9)
@@ -164,6 +174,7 @@ FLAWS = {
     "millimetres a second": "tells a velocity that fits its way, with the press",
     "millimetres": "stays on its way",
     "soft brake": "stands in the stated time once it brakes",
+    "lets go": "stays braked until release",
     "brakes once": "can be braked at any time",
     "look feeds": "drops the force where none comes for its watchdog's time",
     "watchdog in its own calls": "drops the force by itself where nobody calls",

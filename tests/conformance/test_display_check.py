@@ -28,6 +28,7 @@ class Chamber:
     vented: bool = True
     closed: bool = False
     fed_s: float = 0.0
+    tells: bool = False
     time_s: float = 0.0
 
     @property
@@ -69,6 +70,8 @@ class Chamber:
         kilo = 1e-3 if self.flaw == "kilopascal" else 1.0
         absolute = {"absolute pressure": 1.01e5, "signed": -2e4}.get(self.flaw, 0.0)
         fault = "supply pressure low" if self.flaw == "fault" else ""
+        if self.tells and not self.vented and self.time_s - self.fed_s > RANGE.watchdog_s:
+            fault = "watchdog"
         return DisplaySample(time_ns, pushed_m, kilo * self.pressure_pa + absolute, fault)
 
     def set_pressure(self, pressure_pa: float, rate_pa_s: float = 0.0) -> None:
@@ -108,6 +111,7 @@ class Chamber:
         self.now()
         if self.flaw != "never released":
             self.vented = False
+        self.fed_s = self.time_s if self.tells else self.fed_s
         if self.flaw == "release restores":
             self.target_pa, self.fed_s = 2e4, self.time_s
 
@@ -132,6 +136,11 @@ def test_a_good_display_keeps_every_law_and_is_left_vented_and_closed() -> None:
     assert len(found) >= 25
     assert display.vented
     assert display.closed
+
+
+def test_a_display_that_tells_of_its_watchdog_by_a_fault_keeps_every_law() -> None:
+    display = Chamber(clock := ManualClock(10**9), tells=True)
+    assert failed(display, clock) == set()
 
 
 def test_a_display_that_is_not_to_be_closed_is_left_vented_and_open() -> None:

@@ -225,9 +225,15 @@ def _looking(trial: ArmTrial) -> Part:
         all(stated.least_m - MARGIN_M <= one <= stated.greatest_m + MARGIN_M for one in places),
         f"{min(places)} to {max(places)} m, of {stated.least_m} to {stated.greatest_m} m; is it in m?",
     )
-    speed = max(abs(one.velocity_m_s) for one in samples)
-    yield at_most("stands while it brakes", speed, STAND_M_S, "m/s", "let it come to rest before the check")
+    yield at_most(
+        "stands while it brakes", _wandered_m(samples), DRIFT_M, "m", "let it come to rest before the check"
+    )
     trial.look()
+
+
+def _wandered_m(samples: list[ArmSample]) -> float:
+    """Way between the outermost places, which the noise of a velocity does not touch [m]."""
+    return float(np.ptp([one.displacement_m for one in samples]))
 
 
 def _releasing(trial: ArmTrial) -> Part:
@@ -315,7 +321,7 @@ def _braking(trial: ArmTrial) -> Part:
     yield from _refuses_force("refuses a force after a push and a brake", trial.arm, trial.force_n)
     seen = trial.watch(COAST_S)
     yield at_most(
-        "stays braked until release", max(abs(one.velocity_m_s) for one in seen), STAND_M_S, "m/s",
+        "stays braked until release", _wandered_m(seen), DRIFT_M, "m",
         "it moves again although it was not released",
     )  # fmt: skip
     trial.arm.release()
