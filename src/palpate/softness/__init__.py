@@ -1,11 +1,20 @@
 """What a person feels as softness, and devices that render it: characteristics, display, law."""
 
-from palpate.softness.characteristics import Characteristic, SoftObject, hertz_object, polynomial
+from palpate.softness.characteristics import (
+    Characteristic,
+    SoftObject,
+    fingertip_object,
+    hertz_object,
+    polynomial,
+    pressed_object,
+)
 from palpate.softness.cone_display import ConeDisplay
 from palpate.softness.object_file import read_object
 from palpate.softness.rendering_law import DisplayBounds, Limit, Mode, Rendered, RenderingLaw
+from palpate.softness.specimens import Specimen, SpecimenClass, series_spread, specimen_object, specimens
 
 __all__ = [
     "Characteristic", "ConeDisplay", "DisplayBounds", "Limit", "Mode", "Rendered", "RenderingLaw",
-    "SoftObject", "hertz_object", "polynomial", "read_object",
+    "SoftObject", "Specimen", "SpecimenClass", "fingertip_object", "hertz_object", "polynomial",
+    "pressed_object", "read_object", "series_spread", "specimen_object", "specimens",
 ]  # fmt: skip

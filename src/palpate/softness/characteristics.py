@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from palpate.core import Float, InputError, RangeError, ndarray
+from palpate.mechanics.fingertip_laws import Fingertip
 from palpate.mechanics.half_space.hertz_pairs import Body
 
 Cue = Literal["area", "displacement"]
@@ -145,6 +146,44 @@ class SoftObject:
     def greatest_n(self) -> float:
         """Force up to which both cues are known [N]."""
         return min(self.area.greatest_n, self.displacement.greatest_n)
+
+
+def pressed_object(
+    name: str, force_n: Points, displacement_m: Points, area_m2: Points, source: str
+) -> SoftObject:
+    """An object from one press: displacement and area at the same forces, all rising.
+
+    Args:
+        name: of the object.
+        force_n: from 0 [N].
+        displacement_m: at each [m].
+        area_m2: at each [m^2].
+        source: where they are from, in words.
+    """
+    return SoftObject(
+        name,
+        Characteristic("area", area_m2, force_n),
+        Characteristic("displacement", displacement_m, force_n),
+        source,
+    )
+
+
+def fingertip_object(name: str, tip: Fingertip, greatest_n: float | None = None) -> SoftObject:
+    """What a fingertip feels of the flat it is pressed on; see `palpate.mechanics.fingertip_laws`.
+
+    Args:
+        name: of the object.
+        tip: on a rigid flat, or on what lies under it.
+        greatest_n: end of both curves; without, as far as the model is known [N].
+
+    Raises:
+        RangeError: a force outside what the model is known for.
+    """
+    end = tip.greatest_n if greatest_n is None else greatest_n
+    if not end > 0:
+        raise RangeError(f"a greatest force of {end:g} N; give one above 0 N")
+    force = end * np.linspace(0.0, 1.0, SAMPLES) ** 3
+    return pressed_object(name, force, tip.approach_m(force), tip.area_m2(force), tip.source)
 
 
 def hertz_object(name: str, ball: Body, finger: Body, greatest_n: float) -> SoftObject:

@@ -1,0 +1,175 @@
+"""An elastic ball pressed on a stack of bonded layers, without friction: exact for small strain.
+
+Ball and stack carry one pressure, so that their compliances to its waves add. With the ball as Hertz's
+paraboloid on a half-space, 1/E = 1/E_top + 1/E_ball (each Young's modulus over 1 - nu^2), and C(k) the
+stack's compliance to a wave of pressure,
+
+    C(k) + 2 / (E_ball k) = 2 M(k) / (E k),        M -> 1 at short waves,
+
+which is the contact of one layer in `bonded_layer` with another M. The pressure p(k) = (E / pi) int_0^a g(t)
+cos(k t) dt vanishes outside of the contact, and inside it
+
+    g(t) - (2/pi) int_0^a g(s) int_0^inf [1 - M(k)] cos(k s) cos(k t) dk ds = d - t^2 / R,     g(a) = 0,
+
+so that F = 2 E int_0^a g dt. Of the displacement d the ball takes (E / E_ball) g(0) at the axis, and the
+stack the rest. On a half-space M = 1, g = d - t^2 / R, and all is Hertz's.
+
+The layers reach sideways without end: of a specimen little wider than the contact, they are too stiff.
+
+Reference: W. C. Hayes et al., J. Biomech. 5 (1972) 541, doi:10.1016/0021-9290(72)90010-3, for one layer.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from palpate.core import Float, RangeError, ndarray
+from palpate.mechanics.half_space.hertz import MAX_SLOPE
+from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.mechanics.layers.stack import Stack, surface_compliance
+
+MAX_STRAIN = 0.2  # of the stack's thickness: how deep it may be pressed in
+NODES = 48  # of the contact
+SHORTEST = 25.0  # k h of the top layer beyond which 1 - M is below 1e-18
+LONGEST = 1e-4  # k times the stack's thickness, from which panels grow
+PANEL = 16  # Gauss points each
+PHASE = 8.0  # k a over one of them
+
+Points = Float[ndarray, " n"]
+Waves = Float[ndarray, " k"]
+
+
+class BallPress(NamedTuple):
+    """A press: contact radius [m], displacement of ball against floor [m], force [N], stack's part [m]."""
+
+    radius_m: float
+    approach_m: float
+    force_n: float
+    sunk_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class PressCourse:
+    """Presses from first touch on, by rising contact radius; each column ``[n]``, the first row at rest.
+
+    Attributes:
+        radius_m: of the contact [m].
+        approach_m: of the ball against the floor [m].
+        force_n: [N].
+        sunk_m: how deep the stack is pressed in at the axis [m].
+    """
+
+    radius_m: Points
+    approach_m: Points
+    force_n: Points
+    sunk_m: Points
+
+    @property
+    def area_m2(self) -> Points:
+        """Of the contact [m^2]."""
+        return np.pi * self.radius_m**2
+
+
+def press_to_radius(stack: Stack, ball: Body, radius_m: float) -> BallPress:
+    """Press an elastic ball on a stack until the contact has a radius.
+
+    Args:
+        stack: on a rigid floor or a half-space.
+        ball: its Young's modulus over 1 - nu^2 [Pa], infinite for a rigid one, and its radius [m].
+        radius_m: of the contact, to half the ball's [m].
+
+    Raises:
+        RangeError: the radius lies outside 0 to half the ball's.
+
+    Example:
+        >>> from palpate.mechanics.layers.stack import ElasticLayer
+        >>> silicone = Stack((ElasticLayer(7e-3, 0.2e6, 0.499), ElasticLayer(7e-3, 0.1e6, 0.499)))
+        >>> press = press_to_radius(silicone, Body(66.7e3, 15e-3), 5e-3)
+        >>> round(press.force_n, 2), round(press.approach_m * 1e3, 2)
+        (0.59, 1.61)
+    """
+    widest = MAX_SLOPE * ball.radius_m
+    if not 0.0 <= radius_m <= widest * (1 + 1e-12):
+        raise RangeError(
+            f"a contact of {radius_m * 1e3:g} mm lies outside 0 to {widest * 1e3:g} mm, half of the ball's "
+            "radius, where Hertz's ball holds; press less, or take a larger ball"
+        )
+    if radius_m == 0.0:
+        return BallPress(0.0, 0.0, 0.0, 0.0)
+    top = stack.layers[0].reduced_modulus_pa
+    E, a = 1 / (1 / top + 1 / ball.modulus_pa), radius_m
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    t = a * np.concatenate([[0.0], (1 + nodes) / 2, [1.0]])  # the axis and the rim have no weight
+    weights = a * np.concatenate([[0.0], weights / 2, [0.0]])
+    k, dk = _waves(stack, a)
+    rest = (2 / (top * k) - surface_compliance(stack, k).normal) * E * k / 2  # 1 - M
+    waves = np.cos(np.outer(t, k))
+    inverse = np.linalg.inv(np.eye(len(t)) - 2 / np.pi * (waves * rest * dk) @ waves.T * weights)
+    flat, curved = inverse.sum(axis=1), inverse @ (t**2 / ball.radius_m)
+    depth = float(curved[-1] / flat[-1])
+    g = depth * flat - curved
+    return BallPress(a, depth, float(2 * E * (weights @ g)), depth - float(E / ball.modulus_pa * g[0]))
+
+
+def press_course(stack: Stack, ball: Body, count: int = 40, until_n: float | None = None) -> PressCourse:
+    """Presses of an elastic ball on a stack, evenly by contact radius.
+
+    Args:
+        stack: the layers.
+        ball: see `press_to_radius`.
+        count: presses after rest, 2 or more.
+        until_n: force at the last; without, as far as small strain goes: a contact of half the ball's radius,
+            or a stack pressed in by a fifth of its thickness [N].
+
+    Raises:
+        RangeError: a force that is not above 0, or beyond small strain.
+    """
+    widest = MAX_SLOPE * ball.radius_m
+    deepest = MAX_STRAIN * stack.thickness_m
+    if press_to_radius(stack, ball, widest).sunk_m > deepest:
+        widest = brentq(
+            lambda a: press_to_radius(stack, ball, a).sunk_m - deepest,
+            1e-3 * widest,
+            widest,
+            xtol=1e-300,
+            rtol=1e-12,
+        )
+    if until_n is not None:
+        most = press_to_radius(stack, ball, widest).force_n
+        if not 0 < until_n <= most * (1 + 1e-9):
+            raise RangeError(
+                f"a press to {until_n:g} N; above 0 and at most {most:.4g} N are allowed, where the contact "
+                "has half of the ball's radius or the stack is pressed in by a fifth of its thickness"
+            )
+        if until_n < most:
+            widest = brentq(
+                lambda a: press_to_radius(stack, ball, a).force_n - until_n,
+                0.0,
+                widest,
+                xtol=1e-300,
+                rtol=1e-13,
+            )
+    presses = [press_to_radius(stack, ball, a) for a in np.linspace(0.0, widest, count + 1)]
+    return PressCourse(*(np.array(column) for column in zip(*presses, strict=True)))
+
+
+def _waves(stack: Stack, radius_m: float) -> tuple[Waves, Waves]:
+    """Gauss points and weights in k: panels that grow from the longest waves, then follow cos(k a)."""
+    h = stack.layers[0].thickness_m
+    if math.isinf(h):  # a half-space, where 1 - M is 0
+        h = radius_m
+    total = sum(slab.thickness_m for slab in stack.slabs) or h
+    end, widest = SHORTEST / h, PHASE / radius_m
+    growing = np.concatenate([[0.0], np.geomspace(LONGEST / total, end, 60)])
+    edges = [0.0]
+    while edges[-1] < end:
+        coming = growing[np.searchsorted(growing, edges[-1], side="right")]
+        edges.append(min(float(coming), edges[-1] + widest))
+    points, weights = np.polynomial.legendre.leggauss(PANEL)
+    low, half = np.array(edges[:-1])[:, None], np.diff(edges)[:, None] / 2
+    return (low + half * (1 + points)).ravel(), (half * weights).ravel()
