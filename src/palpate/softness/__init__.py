@@ -11,10 +11,31 @@ from palpate.softness.characteristics import (
 from palpate.softness.cone_display import ConeDisplay
 from palpate.softness.object_file import read_object
 from palpate.softness.rendering_law import DisplayBounds, Limit, Mode, Rendered, RenderingLaw
-from palpate.softness.specimens import Specimen, SpecimenClass, series_spread, specimen_object, specimens
+from palpate.softness.specimens import (
+    SpecimenClass,
+    StackedSpecimen,
+    series_spread,
+    specimen_object,
+    specimens,
+)
 
 __all__ = [
-    "Characteristic", "ConeDisplay", "DisplayBounds", "Limit", "Mode", "Rendered", "RenderingLaw",
-    "SoftObject", "Specimen", "SpecimenClass", "fingertip_object", "hertz_object", "polynomial",
-    "pressed_object", "read_object", "series_spread", "specimen_object", "specimens",
+    "Characteristic",
+    "ConeDisplay",
+    "DisplayBounds",
+    "Limit",
+    "Mode",
+    "Rendered",
+    "RenderingLaw",
+    "SoftObject",
+    "SpecimenClass",
+    "StackedSpecimen",
+    "fingertip_object",
+    "hertz_object",
+    "polynomial",
+    "pressed_object",
+    "read_object",
+    "series_spread",
+    "specimen_object",
+    "specimens",
 ]  # fmt: skip

@@ -58,7 +58,7 @@ class SpecimenClass(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Specimen:
+class StackedSpecimen:
     """Two cylinders on a rigid table.
 
     Attributes:
@@ -78,7 +78,7 @@ class Specimen:
 
 def specimens(
     kind: SpecimenClass, moduli_pa: Sequence[float], poisson: float = POISSON
-) -> tuple[Specimen, ...]:
+) -> tuple[StackedSpecimen, ...]:
     """The five specimens of a class.
 
     Args:
@@ -108,18 +108,21 @@ def specimens(
         )
     last = len(E) - 1
     if kind == SpecimenClass.ALIKE:
-        return tuple(Specimen(kind, f"{kind} {SOFTENER[i]} %", E[i], E[i], poisson) for i in range(last + 1))
+        return tuple(
+            StackedSpecimen(kind, f"{kind} {SOFTENER[i]} %", E[i], E[i], poisson) for i in range(last + 1)
+        )
     if kind == SpecimenClass.PLATE:
         return tuple(
-            Specimen(kind, f"{kind} plate on {SOFTENER[i]} %", np.inf, E[i], poisson) for i in range(last + 1)
+            StackedSpecimen(kind, f"{kind} plate on {SOFTENER[i]} %", np.inf, E[i], poisson)
+            for i in range(last + 1)
         )
     return tuple(
-        Specimen(kind, f"{kind} {SOFTENER[i]} % on {SOFTENER[last - i]} %", E[i], E[last - i], poisson)
+        StackedSpecimen(kind, f"{kind} {SOFTENER[i]} % on {SOFTENER[last - i]} %", E[i], E[last - i], poisson)
         for i in range(last + 1)
     )
 
 
-def series_spread(all_: Sequence[Specimen]) -> float:
+def series_spread(all_: Sequence[StackedSpecimen]) -> float:
     """Greatest over least of 1 / E_above + 1 / E_below, less 1: how far springs in a line would differ."""
     sums = [1 / one.above_pa + 1 / one.below_pa for one in all_]
     return max(sums) / min(sums) - 1
@@ -132,7 +135,7 @@ def plate_stiffness_n_m(below_pa: float, poisson: float = POISSON) -> float:
     return below_pa / soft * np.pi * RADIUS_M**2 / HEIGHT_M
 
 
-def specimen_object(one: Specimen, finger: Body, until_n: float | None = None) -> SoftObject:
+def specimen_object(one: StackedSpecimen, finger: Body, until_n: float | None = None) -> SoftObject:
     """Both cues of a specimen under a finger.
 
     Args:
@@ -156,7 +159,9 @@ def specimen_object(one: Specimen, finger: Body, until_n: float | None = None) -
     )  # fmt: skip
 
 
-def _layers(one: Specimen, finger: Body, until_n: float | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _layers(
+    one: StackedSpecimen, finger: Body, until_n: float | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     stack = Stack(tuple(ElasticLayer(HEIGHT_M, E, one.poisson) for E in (one.above_pa, one.below_pa)))
     course = press_course(stack, finger, PRESSES, until_n)
     a = np.linspace(0.0, course.radius_m[-1], FINE)
@@ -166,7 +171,9 @@ def _layers(one: Specimen, finger: Body, until_n: float | None) -> tuple[np.ndar
     return force, approach, np.pi * a**2
 
 
-def _plate(one: Specimen, finger: Body, until_n: float | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _plate(
+    one: StackedSpecimen, finger: Body, until_n: float | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     stiffness = plate_stiffness_n_m(one.below_pa, one.poisson)
     most = min(hertz_fingertip(finger).greatest_n, MAX_STRAIN * HEIGHT_M * stiffness)
     end = most if until_n is None else until_n

@@ -35,8 +35,8 @@ from palpate.mechanics.layers.stack import Stack, surface_compliance
 
 MAX_STRAIN = 0.2  # of the stack's thickness: how deep it may be pressed in
 NODES = 48  # of the contact
-SHORTEST = 25.0  # k h of the top layer beyond which 1 - M is below 1e-18
-LONGEST = 1e-4  # k times the stack's thickness, from which panels grow
+TOP_END = 25.0  # k h of the top layer beyond which 1 - M is below 1e-18
+STACK_START = 1e-4  # k times the stack's thickness, from which panels grow
 PANEL = 16  # Gauss points each
 PHASE = 8.0  # k a over one of them
 
@@ -71,7 +71,7 @@ class PressCourse:
 
     @property
     def area_m2(self) -> Points:
-        """Of the contact [m^2]."""
+        """Area of the contact [m^2]."""
         return np.pi * self.radius_m**2
 
 
@@ -164,8 +164,8 @@ def _waves(stack: Stack, radius_m: float) -> tuple[Waves, Waves]:
     if math.isinf(h):  # a half-space, where 1 - M is 0
         h = radius_m
     total = sum(slab.thickness_m for slab in stack.slabs) or h
-    end, widest = SHORTEST / h, PHASE / radius_m
-    growing = np.concatenate([[0.0], np.geomspace(LONGEST / total, end, 60)])
+    end, widest = TOP_END / h, PHASE / radius_m
+    growing = np.concatenate([[0.0], np.geomspace(STACK_START / total, end, 60)])
     edges = [0.0]
     while edges[-1] < end:
         coming = growing[np.searchsorted(growing, edges[-1], side="right")]
