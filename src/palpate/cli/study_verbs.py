@@ -112,6 +112,27 @@ def nusense(
     print_found(entries, _beside_the_source(warning, entries, out), json_)
 
 
+@app.command()
+def softness(
+    out: Annotated[Path, Option(help="Folder to make; must not exist.")],
+    seed: Annotated[int, Option(min=0, help="Seed of the sensors' noise.")] = 0,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Set the report on softness rendered by two cues beside our numbers.
+
+    Its figures 1 to 3 and 5 on the virtual bench. Makes report.html and summary.json; some seconds.
+
+    Example: palpate reproduce softness --out softness-study
+    """
+    from palpate.reproductions.softness import reproduce_softness
+
+    with progress_bar(quiet) as progress:
+        entries = reproduce_softness(out, seed=seed, progress=progress)
+    warning = "Virtual bench: what a loop does with assumed parts, not what a hand feels."
+    print_found(entries, _beside_the_source(warning, entries, out), json_)
+
+
 def _beside_the_source(warning: str, entries: Sequence[Mapping[str, Any]], out: Path) -> str:
     """Text of the numbers that the source prints too, and where all of them are."""
     beside = [one for one in entries if one["published"] is not None and one["value"] is not None]

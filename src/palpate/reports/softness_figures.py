@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import matplotlib as mpl
@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 
 from palpate.core import new_file
 from palpate.mechanics.half_space.hertz_pairs import Body
-from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, STYLE
-from palpate.softness import Limit, Mode, Rendered, RenderingLaw
+from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, STYLE, drawn
+from palpate.reports.study_figures import COLOURS
+from palpate.softness import Limit, Mode, Rendered, RenderingLaw, SoftObject
 from palpate.softness.rendering_simulation import Rendering
 
 MM, MM2, KPA = 1e3, 1e6, 1e-3
@@ -40,19 +41,50 @@ def write_pair_figure(objects: Mapping[str, Body], finger: Body, greatest_n: flo
         ExistsError: `path` exists.
         StorageError: the disk refused.
     """
-    force = np.linspace(0.0, greatest_n, 200)
+    _save(lambda: _pair(objects, finger, greatest_n), path)
+
+
+def pair_panels(objects: Mapping[str, Body], finger: Body, greatest_n: float) -> str:
+    """The same as a PNG in a data address."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(8.4, 3.6), layout="constrained")
-        arm, skin = figure.subplots(1, 2, sharey=True)
-        for (name, body), color, style in zip(
-            objects.items(), (ACCENT, INK, BAD), ("-", "--", ":"), strict=False
-        ):
-            both = body.against(finger)
-            arm.plot(MM * both.approach_m(force), force, style, color=color, label=name)
-            skin.plot(MM2 * both.area_m2(force), force, style, color=color, label=name)
-        _axes(arm, "displacement [mm]", "force [N]", "to the arm (kinesthetic)")
-        _axes(skin, "contact area [mm²]", "", "to the skin (cutaneous)")
-        arm.legend(frameon=False)
+        return drawn(_pair(objects, finger, greatest_n))
+
+
+def specimen_panels(objects: Sequence[SoftObject]) -> str:
+    """Force over displacement and over area of objects, as a PNG in a data address."""
+    with mpl.rc_context(STYLE):
+        figure, arm, skin = _two_cues()
+        for one, color in zip(objects, COLOURS, strict=False):
+            arm.plot(MM * one.displacement.x, one.displacement.force_n, color=color, label=one.name)
+            skin.plot(MM2 * one.area.x, one.area.force_n, color=color)
+        arm.legend(frameon=False, fontsize=8)
+        return drawn(figure)
+
+
+def _pair(objects: Mapping[str, Body], finger: Body, greatest_n: float) -> Figure:
+    force = np.linspace(0.0, greatest_n, 200)
+    figure, arm, skin = _two_cues()
+    for (name, body), color, style in zip(
+        objects.items(), (ACCENT, INK, BAD), ("-", "--", ":"), strict=False
+    ):
+        both = body.against(finger)
+        arm.plot(MM * both.approach_m(force), force, style, color=color, label=name)
+        skin.plot(MM2 * both.area_m2(force), force, style, color=color, label=name)
+    arm.legend(frameon=False)
+    return figure
+
+
+def _two_cues() -> tuple[Figure, Axes, Axes]:
+    figure = Figure(figsize=(8.4, 3.6), layout="constrained")
+    arm, skin = figure.subplots(1, 2, sharey=True)
+    _axes(arm, "displacement [mm]", "force [N]", "to the arm (kinesthetic)")
+    _axes(skin, "contact area [mm²]", "", "to the skin (cutaneous)")
+    return figure, arm, skin
+
+
+def _save(draw: Callable[[], Figure], path: Path) -> None:
+    with mpl.rc_context(STYLE):
+        figure = draw()
         with new_file(path) as building:
             figure.savefig(building, format="png", dpi=160)
 
@@ -134,32 +166,40 @@ def write_tracking_figure(felt: Rendering, path: Path) -> None:
         ExistsError: `path` exists.
         StorageError: the disk refused.
     """
+    _save(lambda: _tracking(felt), path)
+
+
+def tracking_panels(felt: Rendering) -> str:
+    """The same as a PNG in a data address."""
+    with mpl.rc_context(STYLE):
+        return drawn(_tracking(felt))
+
+
+def _tracking(felt: Rendering) -> Figure:
     soft, on = felt.law.object, felt.scored
     plate = felt.law.mode is Mode.KINESTHETIC
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9.6, 6.4), layout="constrained")
-        (arm, skin), (force, ways) = figure.subplots(2, 2)
-        for axes, curve, x, factor in (
-            (arm, soft.displacement, felt.displacement_m, MM), (skin, soft.area, felt.area_m2, MM2),
-        ):  # fmt: skip
-            end = np.interp(1.1 * felt.peak_n, curve.force_n, curve.x)
-            shown = np.linspace(curve.x[0], max(float(end), float(x[on].max())), 400)
-            axes.plot(factor * shown, np.interp(shown, curve.x, curve.force_n), color=INK, lw=5, alpha=0.2,
-                      label="object")  # fmt: skip
-            axes.plot(factor * x[on], felt.force_n[on], color=ACCENT, lw=0.9, label="felt")
-            axes.legend(frameon=False)
-        force.plot(felt.time_s, felt.force_n, color=ACCENT)
-        ways.plot(felt.time_s, MM * felt.pushed_m, color=INK, label="display")
-        ways.plot(felt.time_s, MM * felt.arm_m, color=ACCENT, label="arm")
-        ways.plot(felt.time_s, MM * felt.displacement_m, color=BAD, label="both")
-        ways.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-        _axes(arm, "displacement of the finger [mm]", "force [N]", "to the arm")
-        _axes(skin, "contact area [mm²]", "force [N]", "to the skin" + (": a rigid plate" if plate else ""))
-        _axes(force, "time [s]", "force [N]", "presses")
-        _axes(ways, "time [s]", "displacement [mm]", "ways")
-        figure.suptitle(
-            f"{soft.name}, {felt.law.mode.value}, presses at {felt.frequency_hz:g} Hz: simulated",
-            fontsize=11, fontweight="bold", color=INK,
-        )  # fmt: skip
-        with new_file(path) as building:
-            figure.savefig(building, format="png", dpi=160)
+    figure = Figure(figsize=(9.6, 6.4), layout="constrained")
+    (arm, skin), (force, ways) = figure.subplots(2, 2)
+    for axes, curve, x, factor in (
+        (arm, soft.displacement, felt.displacement_m, MM), (skin, soft.area, felt.area_m2, MM2),
+    ):  # fmt: skip
+        end = np.interp(1.1 * felt.peak_n, curve.force_n, curve.x)
+        shown = np.linspace(curve.x[0], max(float(end), float(x[on].max())), 400)
+        axes.plot(factor * shown, np.interp(shown, curve.x, curve.force_n), color=INK, lw=5, alpha=0.2,
+                  label="object")  # fmt: skip
+        axes.plot(factor * x[on], felt.force_n[on], color=ACCENT, lw=0.9, label="felt")
+        axes.legend(frameon=False)
+    force.plot(felt.time_s, felt.force_n, color=ACCENT)
+    ways.plot(felt.time_s, MM * felt.pushed_m, color=INK, label="display")
+    ways.plot(felt.time_s, MM * felt.arm_m, color=ACCENT, label="arm")
+    ways.plot(felt.time_s, MM * felt.displacement_m, color=BAD, label="both")
+    ways.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    _axes(arm, "displacement of the finger [mm]", "force [N]", "to the arm")
+    _axes(skin, "contact area [mm²]", "force [N]", "to the skin" + (": a rigid plate" if plate else ""))
+    _axes(force, "time [s]", "force [N]", "presses")
+    _axes(ways, "time [s]", "displacement [mm]", "ways")
+    figure.suptitle(
+        f"{soft.name}, {felt.law.mode.value}, presses at {felt.frequency_hz:g} Hz: simulated",
+        fontsize=11, fontweight="bold", color=INK,
+    )  # fmt: skip
+    return figure
