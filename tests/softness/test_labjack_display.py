@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import socket
 import struct
 import time
 from collections.abc import Callable, Iterator
@@ -14,7 +15,7 @@ import pytest
 
 from palpate.core import DeviceError, RangeError, SoftnessDevice
 from palpate.softness.fakes import FakeLabJack
-from palpate.softness.real import HallTable, LabJackDisplay, LabJackSettings, PressureScale
+from palpate.softness.real import HallTable, LabJackDisplay, LabJackSettings, ModbusTcp, PressureScale
 
 PATIENCE_S = 20.0  # only a test that fails waits so long
 HALL = HallTable(volts=(4.5, 0.5), pushed_mm=(0.0, 10.0))
@@ -182,7 +183,9 @@ def test_a_vent_overtakes_a_pressure_that_is_on_its_way(board: FakeLabJack, disp
     presser.start()
     time.sleep(0.1)
     display.vent()
-    assert board.dac0_v == 0.0
+    volts = [struct.unpack(">f", data)[0] for at, data in board.written if at == 1000]
+    assert 1.5 in volts, "it has come when the vent returns"
+    assert volts[-1] == 0.0
     presser.join()
     assert board.dac0_v == 0.0
     assert refused
@@ -356,6 +359,46 @@ def test_while_a_display_is_open_no_other_program_has_its_board(
     with pytest.raises(DeviceError, match="cable"):
         LabJackDisplay(settings(board))
     display.set_pressure(1e3)
+
+
+def test_a_display_without_a_connection_for_its_vent_is_not_opened(board: FakeLabJack) -> None:
+    with ModbusTcp(board.host, board.port), pytest.raises(DeviceError) as raised:
+        LabJackDisplay(settings(board))
+    assert raised.value
+    assert all(at == 1000 for at, _ in board.written)
+    until(lambda: not board.connections)
+
+
+def test_the_first_connection_is_let_go_where_the_second_is_refused(
+    board: FakeLabJack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    connect, made = socket.create_connection, []
+
+    def once(*where: object) -> socket.socket:
+        if made:
+            raise ConnectionRefusedError("no room")
+        made.append(connect(*where))  # type: ignore[arg-type]
+        return made[0]
+
+    monkeypatch.setattr(socket, "create_connection", once)
+    with pytest.raises(DeviceError, match="no room"):
+        LabJackDisplay(settings(board))
+    until(lambda: not board.connections)
+
+
+def test_a_sample_is_dated_in_the_middle_of_its_exchange(board: FakeLabJack, display: LabJackDisplay) -> None:
+    board.fault, board.slow_s = "slow", 0.4
+    before = time.monotonic_ns()
+    sample = display.latest()
+    assert sample.time_ns - before == pytest.approx((time.monotonic_ns() - before) / 2, rel=0.05)
+
+
+def test_the_sensors_are_read_where_they_are_wired(board: FakeLabJack) -> None:
+    board.inputs_v = {0: 0.0, 1: 0.0, 2: 9.0, 3: 3.7, 4: 1.8, 5: 9.0}
+    with LabJackDisplay(settings(board, hall_ain=3)) as display:
+        sample = display.latest()
+    assert (sample.pushed_m, sample.pressure_pa) == (pytest.approx(2e-3), pytest.approx(20e3))
+    assert sample.fault == ""
 
 
 @pytest.mark.parametrize(

@@ -316,7 +316,7 @@ class LabJackDisplay(Closing):
         return DisplaySample(time_ns, pushed_m, pressure_pa, "; ".join(faults))
 
     def _prepare(self) -> None:
-        """See that it is the board, set 0 V, and see that its watchdog is set and runs."""
+        """See that it is the board, set 0 V as a vent does, and see that its watchdog is set and runs."""
         (product,) = struct.unpack(">f", self._main.read(PRODUCT_ID, 2))
         if product != BOARDS[self._settings.board]:
             raise DeviceError(
@@ -324,7 +324,7 @@ class LabJackDisplay(Closing):
                 f"{BOARDS[self._settings.board]}, a {self._settings.board}; check its address, or name the "
                 "board that it is"
             )
-        self._zero(self._main)
+        self._zero(self._safety)  # which also shows that a vent would be heard
         wanted = self._watchdog()
         if self._watchdog_now() != wanted:  # it is kept in the board's flash: write only what differs
             self._write_int(WATCHDOG_ENABLE, 0)
