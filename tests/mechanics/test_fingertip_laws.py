@@ -61,6 +61,7 @@ def test_a_table_is_its_own_tip_and_forces_grow_as_modulus_and_radius_squared() 
     own = finite_strain_fingertip("base", table.radius_m, table.gel_pa)
     assert_allclose(own.approach_m(press.force_n), press.approach_m, rtol=1e-12)
     assert_allclose(own.area_m2(press.force_n), press.area_m2, rtol=1e-12)
+    assert_allclose(own.area_m2(5.5), press.area_m2[-1], rtol=1e-12)
     other = finite_strain_fingertip("base", 2 * table.radius_m, 3 * table.gel_pa)
     assert_allclose(other.greatest_n, 12 * own.greatest_n)
     assert_allclose(other.approach_m(12 * press.force_n), 2 * press.approach_m, rtol=1e-12)
@@ -73,6 +74,7 @@ def test_a_hertz_finger_on_a_flat_is_the_pair_of_hertz(flat_pa: float) -> None:
     pair, F = Body(flat_pa, math.inf).against(BALL), share(tip, 7)
     assert_allclose(tip.approach_m(F), pair.approach_m(F), rtol=1e-9)
     assert_allclose(tip.area_m2(F), pair.area_m2(F), rtol=1e-9)
+    assert_allclose(pair.area_m2(tip.greatest_n), math.pi * (BALL.radius_m / 2) ** 2, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", shipped_tips())
@@ -88,8 +90,10 @@ def test_on_a_soft_flat_the_composition_is_near_the_solution_at_finite_strain(na
 
 @pytest.mark.parametrize("tip", [hertz_fingertip(BALL), exponential()])
 def test_a_stiffer_flat_yields_less_and_a_rigid_one_nothing(tip: Fingertip) -> None:
-    F = share(tip)
     soft, stiff, rigid = (on_flat(tip, E) for E in (3e4, 3e5, math.inf))
+    F = share(soft)
+    assert soft.greatest_n < stiff.greatest_n < rigid.greatest_n
+    assert_allclose(rigid.greatest_n, tip.greatest_n)
     for cue in ("approach_m", "area_m2"):
         values = [getattr(one, cue)(F) for one in (soft, stiff, rigid, tip)]
         assert (values[0] > values[1]).all()
@@ -104,7 +108,7 @@ def test_series_of_a_ball_and_a_flat_is_too_soft_by_what_is_said(ratio: float, e
     flat_pa = BALL.modulus_pa / ratio
     flat = Body(flat_pa, BALL.radius_m)  # under a rigid ball of the finger's radius
     tip = hertz_fingertip(BALL)
-    F = share(tip, 5)
+    F = share(on_flat(tip, flat_pa), 5)
     added = in_series(tip, lambda force: np.asarray(flat.approach_m(force)), "a flat").approach_m(F)
     assert_allclose(added / on_flat(tip, flat_pa).approach_m(F), excess, rtol=2e-4)
 

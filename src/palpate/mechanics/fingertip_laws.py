@@ -32,6 +32,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 
 from palpate.core import Float, RangeError, ndarray
 from palpate.mechanics.axisymmetric.tip_table import tip_table
@@ -69,20 +70,20 @@ class Fingertip:
         Raises:
             RangeError: the force lies outside what the model is known for.
         """
-        return np.asarray(self.approach(self._known(force_n)))
+        return self._of(self.approach, force_n)
 
     def area_m2(self, force_n: float | Forces) -> Forces:
         """Area at a force [m^2]; RangeError as of `approach_m`."""
-        return np.asarray(self.area(self._known(force_n)))
+        return self._of(self.area, force_n)
 
-    def _known(self, force_n: float | Forces) -> Forces:
+    def _of(self, law: Law, force_n: float | Forces) -> Forces:
         force = np.asarray(force_n, float)
         if not np.all((force >= 0) & (force <= self.greatest_n * (1 + 1e-12))):
             raise RangeError(
                 f"a fingertip of the model {self.name!r} is known from 0 to {self.greatest_n:.4g} N, and was "
                 "asked outside that; press less, or take a model that reaches further"
             )
-        return np.asarray(np.minimum(force, self.greatest_n))
+        return np.asarray(law(np.minimum(np.atleast_1d(force), self.greatest_n))).reshape(force.shape)
 
 
 def hertz_fingertip(ball: Body) -> Fingertip:
@@ -184,7 +185,8 @@ def on_flat(tip: Fingertip, flat_pa: float) -> Fingertip:
     """The fingertip on an elastic flat, taken at each force as the ball of Hertz that it is like there.
 
     Approach and area d, A on something rigid tell R = A / (pi d) and E_f = 3 F / (4 sqrt(R d^3)). On a flat
-    both grow by (1 + E_f / E_o)^(2/3), R being the same.
+    both grow by (1 + E_f / E_o)^(2/3), R being the same. It is known to where its area is the finger's
+    greatest on something rigid, so that a ball of Hertz keeps its contact below half its radius.
 
     Args:
         tip: on a rigid flat.
@@ -200,13 +202,24 @@ def on_flat(tip: Fingertip, flat_pa: float) -> Fingertip:
             finger_pa = 3 * force / (4 * d * np.sqrt(A / np.pi))  # sqrt(R d^3) = d sqrt(A / pi)
         return np.asarray((1 + np.where(pressed, finger_pa, 0.0) / flat_pa) ** (2 / 3))
 
+    def area(force: Forces) -> Forces:
+        return np.asarray(tip.area(force) * growth(force))
+
+    widest = tip.area_m2(tip.greatest_n)
+
+    def beyond(force: float) -> float:
+        return float(area(np.array([force]))[0] / widest) - 1
+
+    most = tip.greatest_n
+    if beyond(most) > 0:
+        most = brentq(beyond, 0.0, most, xtol=1e-300, rtol=1e-12)
     return Fingertip(
         tip.name,
-        tip.greatest_n,
+        most,
         f"{tip.source}; on a flat of {flat_pa / 1e3:g} kPa (over 1 - nu²), as the ball of Hertz that the "
         "finger is like at each force",
         lambda F: tip.approach(F) * growth(F),
-        lambda F: tip.area(F) * growth(F),
+        area,
     )
 
 

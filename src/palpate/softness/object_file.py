@@ -1,4 +1,4 @@
-"""An object to be felt, read from a TOML file: measured tables, polynomials, or elastic bodies by Hertz.
+"""An object to be felt, read from a TOML file: measured curves, elastic bodies, or what a fingertip presses.
 
 Each number's key says its unit. Two tables, as measured:
 
@@ -11,8 +11,18 @@ Each number's key says its unit. Two tables, as measured:
     force_N = [0.0, 0.5, 1.3, 3.6]
 
 A polynomial takes the place of either table, as in ``N_per_cm2 = [0.554, 0.33, 1.4]`` with ``until_cm2``.
-In place of both, ``[hertz]`` gives ``modulus_kPa``, ``radius_mm`` (inf for a flat) and ``poisson`` of the
-object, the same of the finger with ``finger_`` before them, and ``until_N``.
+In place of both stands one of
+
+* ``[hertz]``: ``modulus_kPa``, ``radius_mm`` (inf for a flat) and ``poisson`` of the object, the same of the
+  finger with ``finger_`` before them, and ``until_N``;
+* ``[fingertip]``: ``until_N`` and ``model``, which is ``hertz`` (``modulus_kPa``, ``radius_mm``,
+  ``poisson``), ``exponential`` (``b_N``, ``m_per_mm``, ``area_at_1_N_mm2``, ``area_exponent``) or
+  ``finite-strain`` (``tip``, ``radius_mm``, ``gel_modulus_kPa``), on a rigid flat; beside it ``[material]``
+  with ``name``, ``modulus_kPa`` and ``poisson`` makes the flat one of that material, or ``[compliance]`` one
+  that was measured: ``readings``, a file, and ``use``, ``modulus`` or ``stiffness``, the latter with
+  ``specimen_radius_mm``, ``specimen_height_mm`` and ``poisson``;
+* ``[specimen]``: ``class`` (CL1, CL2, CL3), ``number`` 1 to 5, ``moduli_kPa`` of the five silicones,
+  ``poisson``, the finger as in ``[hertz]``, and ``until_N``.
 """
 
 from __future__ import annotations
@@ -25,15 +35,17 @@ from typing import Any
 import numpy as np
 
 from palpate.core import InputError, UnitError, storage_errors
-from palpate.mechanics.half_space.hertz_pairs import Body
 from palpate.softness.characteristics import Characteristic, Cue, SoftObject, hertz_object, polynomial
+from palpate.softness.object_fields import BODY, body_of, number, numbers, only, table_of
+from palpate.softness.pressed_bodies import UNDER, fingertip_press, specimen_press
 
 AREAS = {"mm2": 1e-6, "cm2": 1e-4, "m2": 1.0}
 LENGTHS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 UNITS: Mapping[Cue, Mapping[str, float]] = {"area": AREAS, "displacement": LENGTHS}
-BODY = ("modulus_kPa", "radius_mm", "poisson")
+CURVES = ("force_area", "force_displacement")
+WHOLE = ("hertz", "fingertip", "specimen")  # each in place of both curves
 MAX_BYTES = 1 << 20
-GIVES = "give [force_area] and [force_displacement], or [hertz]"
+GIVES = f"give [force_area] and [force_displacement], or one of {', '.join(f'[{one}]' for one in WHOLE)}"
 
 
 def read_object(path: Path) -> SoftObject:
@@ -54,21 +66,39 @@ def read_object(path: Path) -> SoftObject:
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as e:
         raise InputError(f"{path} is not TOML: {e}") from e
     try:
-        return object_from(fields, path.stem)
+        return object_from(fields, path.stem, path.parent)
     except InputError as e:
         raise type(e)(f"{path}: {e}") from e
 
 
-def object_from(fields: Mapping[str, Any], name: str = "object") -> SoftObject:
-    """An object from the fields of its file; all that `read_object` raises."""
-    known = {"name", "source", "force_area", "force_displacement", "hertz"}
+def object_from(fields: Mapping[str, Any], name: str = "object", folder: Path = Path()) -> SoftObject:
+    """An object from the fields of its file; all that `read_object` raises.
+
+    Args:
+        fields: of the file.
+        name: where the file gives none.
+        folder: in which files that it names are looked for.
+    """
+    known = {"name", "source", *CURVES, *WHOLE, *UNDER}
     if extra := sorted(set(fields) - known):
         raise InputError(f"{extra[0]!r} is no field of an object; there are {', '.join(sorted(known))}")
-    name = str(fields.get("name", name))
-    if "hertz" in fields:
-        if {"force_area", "force_displacement"} & set(fields):
-            raise InputError(f"[hertz] and a measured curve; {GIVES}")
-        return _hertz(name, fields["hertz"])
+    given = str(fields["name"]) if "name" in fields else None
+    whole = [table for table in WHOLE if table in fields]
+    if whole and (len(whole) > 1 or set(CURVES) & set(fields)):
+        raise InputError(f"[{whole[0]}] and {_beside(whole, fields)}; {GIVES}")
+    if set(UNDER) & set(fields) and whole != ["fingertip"]:
+        raise InputError(
+            "[material] and [compliance] are what a finger presses; give [fingertip] beside them"
+        )
+    if whole:
+        if "source" in fields:
+            raise InputError(f"source is of measured curves; [{whole[0]}] says its own")
+        if whole == ["specimen"]:
+            return specimen_press(given, fields["specimen"])
+        if whole == ["fingertip"]:
+            return fingertip_press(given or name, fields, folder)
+        return _hertz(given or name, fields["hertz"])
+    name = given or name
     cues: dict[Cue, str] = {"area": "force_area", "displacement": "force_displacement"}
     for table in cues.values():
         if not isinstance(fields.get(table), Mapping):
@@ -77,16 +107,21 @@ def object_from(fields: Mapping[str, Any], name: str = "object") -> SoftObject:
     return SoftObject(name, area, displacement, str(fields.get("source", "as given")))
 
 
+def _beside(whole: list[str], fields: Mapping[str, Any]) -> str:
+    """What stands beside the first of the tables that belong alone."""
+    return f"[{whole[1]}]" if len(whole) > 1 else "a measured curve"
+
+
 def _curve(cue: Cue, table: str, fields: Mapping[str, Any]) -> Characteristic:
     unit = _unit_of(cue, table, fields)
     factor = UNITS[cue][unit]
     try:
         if f"N_per_{unit}" in fields:
-            _only(table, fields, {f"N_per_{unit}", f"until_{unit}"})
-            until = factor * _number(table, fields, f"until_{unit}")
-            return polynomial(cue, _numbers(table, fields, f"N_per_{unit}"), factor, until)
-        _only(table, fields, {f"{cue}_{unit}", "force_N"})
-        x, force = (np.array(_numbers(table, fields, key)) for key in (f"{cue}_{unit}", "force_N"))
+            only(table, fields, {f"N_per_{unit}", f"until_{unit}"})
+            until = factor * number(table, fields, f"until_{unit}")
+            return polynomial(cue, numbers(table, fields, f"N_per_{unit}"), factor, until)
+        only(table, fields, {f"{cue}_{unit}", "force_N"})
+        x, force = (np.array(numbers(table, fields, key)) for key in (f"{cue}_{unit}", "force_N"))
         return Characteristic(cue, factor * x, force)
     except InputError as e:
         raise type(e)(f"[{table}]: {e}") from e
@@ -104,37 +139,8 @@ def _unit_of(cue: Cue, table: str, fields: Mapping[str, Any]) -> str:
     )
 
 
-def _hertz(name: str, fields: Any) -> SoftObject:
-    if not isinstance(fields, Mapping):
-        raise InputError(f"[hertz] is no table; {GIVES}")
-    _only("hertz", fields, {*BODY, *(f"finger_{key}" for key in BODY), "until_N"})
-    bodies = [_body(fields, owner) for owner in ("", "finger_")]
-    return hertz_object(name, bodies[0], bodies[1], _number("hertz", fields, "until_N"))
-
-
-def _body(fields: Mapping[str, Any], owner: str) -> Body:
-    modulus, radius, nu = (_number("hertz", fields, f"{owner}{key}") for key in BODY)
-    if not 0 <= nu <= 0.5:
-        raise InputError(f"[hertz]: {owner}poisson is {nu:g}; 0 to 0.5 are allowed")
-    return Body(1e3 * modulus / (1 - nu**2), 1e-3 * radius)
-
-
-def _only(table: str, fields: Mapping[str, Any], known: set[str]) -> None:
-    if extra := sorted(set(fields) - known):
-        raise InputError(f"[{table}]: {extra[0]!r} is no field here; there are {', '.join(sorted(known))}")
-
-
-def _number(table: str, fields: Mapping[str, Any], key: str) -> float:
-    value = fields.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"[{table}]: {key} is {value!r}; give a number")
-    return float(value)
-
-
-def _numbers(table: str, fields: Mapping[str, Any], key: str) -> list[float]:
-    values = fields.get(key)
-    if not isinstance(values, list) or not all(
-        isinstance(one, int | float) and not isinstance(one, bool) for one in values
-    ):
-        raise InputError(f"[{table}]: {key} is {values!r}; give a list of numbers")
-    return [float(one) for one in values]
+def _hertz(name: str, given: Any) -> SoftObject:
+    fields = table_of("hertz", given)
+    only("hertz", fields, {*BODY, *(f"finger_{key}" for key in BODY), "until_N"})
+    ball, finger = (body_of("hertz", fields, owner) for owner in ("", "finger_"))
+    return hertz_object(name, ball, finger, number("hertz", fields, "until_N"))

@@ -130,9 +130,14 @@ def series_spread(all_: Sequence[StackedSpecimen]) -> float:
 
 def plate_stiffness_n_m(below_pa: float, poisson: float = POISSON) -> float:
     """Force over displacement of a rigid plate on one silicone cylinder, bonded to plate and table [N/m]."""
-    shape = RADIUS_M / (2 * HEIGHT_M)
+    return bonded_disc_n_m(below_pa, poisson, RADIUS_M, HEIGHT_M)
+
+
+def bonded_disc_n_m(modulus_pa: float, poisson: float, radius_m: float, height_m: float) -> float:
+    """Force over displacement of a disc between two rigid plates that it sticks to [N/m]."""
+    shape = radius_m / (2 * height_m)
     soft = 1 / (1 + 2 * shape**2) + 3 * (1 - 2 * poisson)
-    return below_pa / soft * np.pi * RADIUS_M**2 / HEIGHT_M
+    return modulus_pa / soft * np.pi * radius_m**2 / height_m
 
 
 def specimen_object(one: StackedSpecimen, finger: Body, until_n: float | None = None) -> SoftObject:

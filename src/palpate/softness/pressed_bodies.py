@@ -1,0 +1,193 @@
+"""Objects that a named fingertip presses, from the tables of an object's file.
+
+``[fingertip]`` alone is the finger on a rigid flat; with ``[material]`` it is on a thick flat of a named
+Young's modulus, and with ``[compliance]`` on one that `palpate compliance` has read. ``[specimen]`` is one of
+the report's silicone specimens, with a finger of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from palpate.core import InputError, RangeError, UnitError, storage_errors
+from palpate.mechanics.fingertip_laws import (
+    Fingertip,
+    exponential_fingertip,
+    finite_strain_fingertip,
+    hertz_fingertip,
+    on_flat,
+)
+from palpate.softness.characteristics import SoftObject, fingertip_object
+from palpate.softness.object_fields import (
+    BODY,
+    Fields,
+    above_zero,
+    body_of,
+    number,
+    numbers,
+    only,
+    poisson_of,
+    table_of,
+    word,
+)
+from palpate.softness.specimens import (
+    SOFTENER,
+    SpecimenClass,
+    bonded_disc_n_m,
+    specimen_object,
+    specimens,
+)
+
+UNDER = ("material", "compliance")
+MAX_BYTES = 1 << 26
+CUES = {"modulus": ("modulus", "MPa"), "stiffness": ("stiffness", "N_per_mm")}
+
+
+def fingertip_press(name: str, fields: Mapping[str, Any], folder: Path) -> SoftObject:
+    """What a finger feels of a rigid flat, of a material, or of a measured object.
+
+    Args:
+        name: of the object.
+        fields: of the whole file, ``[fingertip]`` among them.
+        folder: in which files named in it are looked for.
+
+    Raises:
+        InputError, RangeError, UnitError, StorageError: as `read_object` says.
+    """
+    own = table_of("fingertip", fields["fingertip"])
+    tip = _fingertip(own)
+    until = above_zero("fingertip", own, "until_N")
+    under = [table for table in UNDER if table in fields]
+    if len(under) > 1:
+        raise InputError("[material] and [compliance]; the finger is on one of them, so leave out the other")
+    words = "rigid flat"
+    if under:
+        fields_under = table_of(under[0], fields[under[0]])
+        flat_pa, words = (
+            _material(fields_under) if under == ["material"] else _compliance(fields_under, folder)
+        )
+        tip = on_flat(tip, flat_pa)
+    felt = fingertip_object(name, tip, until)
+    return SoftObject(name, felt.area, felt.displacement, f"{words}; {felt.source}")
+
+
+def _fingertip(fields: Fields) -> Fingertip:
+    model = word("fingertip", fields, "model", *MODELS)
+    return MODELS[model](fields)
+
+
+def _hertz(fields: Fields) -> Fingertip:
+    only("fingertip", fields, {"model", "until_N", *BODY})
+    return hertz_fingertip(body_of("fingertip", fields))
+
+
+def _exponential(fields: Fields) -> Fingertip:
+    keys = ("b_N", "m_per_mm", "area_at_1_N_mm2")
+    only("fingertip", fields, {"model", "until_N", "area_exponent", *keys})
+    b, m, k = (above_zero("fingertip", fields, key) for key in keys)
+    return exponential_fingertip(b, 1e3 * m, 1e-6 * k, number("fingertip", fields, "area_exponent"))
+
+
+def _finite_strain(fields: Fields) -> Fingertip:
+    only("fingertip", fields, {"model", "until_N", "tip", "radius_mm", "gel_modulus_kPa"})
+    radius, modulus = (above_zero("fingertip", fields, key) for key in ("radius_mm", "gel_modulus_kPa"))
+    return finite_strain_fingertip(word("fingertip", fields, "tip"), 1e-3 * radius, 1e3 * modulus)
+
+
+MODELS: Mapping[str, Callable[[Fields], Fingertip]] = {
+    "hertz": _hertz, "exponential": _exponential, "finite-strain": _finite_strain,
+}  # fmt: skip
+
+
+def _material(fields: Fields) -> tuple[float, str]:
+    """A thick flat by its Young's modulus: E / (1 - nu^2) [Pa], and words."""
+    only("material", fields, {"name", "modulus_kPa", "poisson", "source"})
+    modulus, nu = above_zero("material", fields, "modulus_kPa"), poisson_of("material", fields)
+    where = f" ({word('material', fields, 'source')})" if "source" in fields else ""
+    named = f"{word('material', fields, 'name')}: {modulus:g} kPa, Poisson's ratio {nu:g}{where}"
+    return 1e3 * modulus / (1 - nu**2), named
+
+
+def _compliance(fields: Fields, folder: Path) -> tuple[float, str]:
+    """A thick flat by a reading of `palpate compliance`: E / (1 - nu^2) [Pa], and words."""
+    cue = word("compliance", fields, "use", *CUES)
+    shape = {"specimen_radius_mm", "specimen_height_mm", "poisson"} if cue == "stiffness" else set()
+    only("compliance", fields, {"readings", "use", *shape})
+    one = _reading(folder / word("compliance", fields, "readings"), *CUES[cue])
+    value, unit = one["value"], one["unit"]
+    ends = " to ".join("inf" if end is None else f"{end:.4g}" for end in (one["low"], one["high"]))
+    words = (
+        f"palpate compliance, calibration {one['calibration']}: {cue} {value:.4g} {unit} ({ends}, "
+        f"{one['coverage']:.0%})"
+    )
+    if cue == "modulus":
+        return 1e6 * value, words
+    radius, height = (
+        1e-3 * above_zero("compliance", fields, f"specimen_{side}_mm") for side in ("radius", "height")
+    )
+    nu = poisson_of("compliance", fields)
+    E = 1e3 * value / bonded_disc_n_m(1.0, nu, radius, height)
+    return E / (1 - nu**2), (
+        f"{words}, of a bonded cylinder of {1e3 * radius:g} by {1e3 * height:g} mm: {E / 1e3:.4g} kPa"
+    )
+
+
+def _reading(path: Path, quantity: str, unit: str) -> Mapping[str, Any]:
+    """A valid reading of one quantity in a record of `palpate compliance`."""
+    with storage_errors(path):
+        if not path.is_file() or path.stat().st_size > MAX_BYTES:
+            raise InputError(
+                f"{path} is no record of `palpate compliance`; give its readings.json, or what --json printed"
+            )
+        raw = path.read_bytes()
+    try:
+        found = [one for one in json.loads(raw)["readings"] if one["quantity"] == quantity]
+    except (ValueError, KeyError, TypeError) as e:
+        raise InputError(f"{path} is no record of `palpate compliance`: it has no readings ({e})") from e
+    if len(found) != 1:
+        raise InputError(
+            f"{path} has {len(found)} readings of {quantity}; one is needed, of a press read with a "
+            "calibration (and for a modulus with positions)"
+        )
+    one = found[0]
+    keys = ("value", "low", "high", "unit", "coverage", "valid", "calibration")
+    if missing := [key for key in keys if key not in one]:
+        raise InputError(f"{path}: the reading of {quantity} has no {missing[0]!r}")
+    if one["unit"] != unit:
+        raise UnitError(f"{path}: {quantity} is in {one['unit']!r}; {unit!r} is needed")
+    if one["valid"] is not True:
+        raise InputError(f"{path}: the {quantity} is not valid ({one.get('why')}); press anew")
+    for key in ("value", "coverage"):
+        if not _positive(one[key]):
+            raise RangeError(f"{path}: {key} of {quantity} is {one[key]!r}; above 0 {unit} is allowed")
+    if not all(end is None or _positive(end) for end in (one["low"], one["high"])):
+        raise RangeError(f"{path}: {quantity} lies in {one['low']!r} to {one['high']!r} {unit}; above 0")
+    return dict(one)
+
+
+def _positive(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
+
+
+def specimen_press(name: str | None, fields: Any) -> SoftObject:
+    """One of the report's specimens; see `palpate.softness.specimens`."""
+    fields = table_of("specimen", fields)
+    finger = {f"finger_{key}" for key in BODY}
+    only("specimen", fields, {"class", "number", "moduli_kPa", "poisson", "until_N", *finger})
+    kind = SpecimenClass(word("specimen", fields, "class", *SpecimenClass))
+    place = number("specimen", fields, "number")
+    if place not in range(1, len(SOFTENER) + 1):
+        raise RangeError(
+            f"[specimen]: number is {place:g}; 1 to {len(SOFTENER)} are allowed, of which 1 has the upper "
+            "silicone with no softener (of CL2 the only one)"
+        )
+    moduli = [1e3 * E for E in numbers("specimen", fields, "moduli_kPa")]
+    one = specimens(kind, moduli, poisson_of("specimen", fields))[int(place) - 1]
+    felt = specimen_object(
+        one, body_of("specimen", fields, "finger_"), above_zero("specimen", fields, "until_N")
+    )
+    return SoftObject(name or one.name, felt.area, felt.displacement, felt.source)

@@ -1,0 +1,237 @@
+"""Objects that a named finger presses, from files: units in keys, nothing too much, nothing impossible."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate.calibration.compliance.press_cues import reading_record
+from palpate.core import InputError, PalpateError, RangeError, Reading, UnitError
+from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.softness import SoftObject, SpecimenClass, read_object, specimen_object, specimens
+
+FINGER = Body(75e3 / 0.75, 15e-3)
+HERTZ = """
+[fingertip]
+model = "hertz"
+modulus_kPa = 75
+radius_mm = 15
+poisson = 0.5
+until_N = 2.4
+"""
+EXPONENTIAL = """
+[fingertip]
+model = "exponential"
+b_N = 0.1
+m_per_mm = 1.5
+area_at_1_N_mm2 = 80
+area_exponent = 0.5
+until_N = 2
+"""
+TIP = """
+[fingertip]
+model = "finite-strain"
+tip = "base"
+radius_mm = 20
+gel_modulus_kPa = 15
+until_N = 4
+"""
+SILICONE = """
+[material]
+name = "some silicone"
+modulus_kPa = 150
+poisson = 0.49
+"""
+MEASURED = """
+[compliance]
+readings = "press/readings.json"
+use = "modulus"
+"""
+BY_STIFFNESS = """
+[compliance]
+readings = "press/readings.json"
+use = "stiffness"
+specimen_radius_mm = 20
+specimen_height_mm = 40
+poisson = 0.5
+"""
+SPECIMEN = """
+[specimen]
+class = "CL3"
+number = 2
+moduli_kPa = [800, 500, 300, 150, 100]
+poisson = 0.499
+finger_modulus_kPa = 75
+finger_radius_mm = 15
+finger_poisson = 0.5
+until_N = 1.5
+"""
+FORCES = np.array([0.3, 1.0, 1.9])
+
+
+def reading(quantity: str, unit: str, value: float) -> Reading:
+    return Reading(
+        quantity=quantity, unit=unit, value=value, low=0.8 * value, high=math.inf, coverage=0.9, valid=True,
+        why="", drift=None, calibration="compliance-51b9", calibrated_range=(0.0, math.inf), frame="new",
+        time_s=0.0,
+    )  # fmt: skip
+
+
+MODULUS, STIFFNESS = reading("modulus", "Pa", 0.2e6), reading("stiffness", "N_per_m", 5.0e3)
+
+
+def touched(folder: Path, *readings: Reading, **changes: Any) -> None:
+    """What `palpate compliance` writes of these readings, with values put in."""
+    (folder / "press").mkdir(exist_ok=True)
+    record = {"readings": [reading_record(one) | changes for one in readings], "flags": []}
+    (folder / "press" / "readings.json").write_text(json.dumps(record))
+
+
+def from_text(folder: Path, text: str) -> SoftObject:
+    path = folder / "thing.toml"
+    path.write_text(text)
+    return read_object(path)
+
+
+def check_hertz(soft: SoftObject, both: Body) -> None:
+    assert_allclose(soft.displacement.at_force(FORCES), both.approach_m(FORCES), rtol=1e-4)
+    assert_allclose(soft.area.at_force(FORCES), both.area_m2(FORCES), rtol=1e-4)
+
+
+def test_a_finger_alone_is_on_a_rigid_flat(tmp_path: Path) -> None:
+    soft = from_text(tmp_path, HERTZ)
+    check_hertz(soft, FINGER)
+    assert soft.name == "thing"
+    assert soft.source.startswith("rigid flat; Hertz")
+    assert_allclose(soft.greatest_n, 2.4)
+
+
+def test_constants_of_the_exponential_are_in_the_units_of_their_keys(tmp_path: Path) -> None:
+    soft = from_text(tmp_path, EXPONENTIAL)
+    assert_allclose(soft.displacement.at_force(1.0), math.log(11) / 1.5 * 1e-3, rtol=1e-4)
+    assert_allclose(soft.area.at_force(1.0), 80e-6, rtol=1e-4)
+    assert "constants as given" in soft.source
+
+
+def test_a_tabulated_tip_at_its_own_size_and_moduli_is_its_table(tmp_path: Path) -> None:
+    from palpate.mechanics.axisymmetric.tip_table import tip_table
+
+    soft, press = from_text(tmp_path, TIP), tip_table("base").press(math.inf)
+    assert_allclose(soft.displacement.at_force(FORCES), press.at("approach_m", FORCES), rtol=1e-4)
+    assert_allclose(soft.area.at_force(FORCES), press.at("area_m2", FORCES), rtol=1e-4)
+
+
+def test_a_material_is_a_flat_of_its_modulus(tmp_path: Path) -> None:
+    soft = from_text(tmp_path, HERTZ + SILICONE)
+    check_hertz(soft, Body(150e3 / (1 - 0.49**2), math.inf).against(FINGER))
+    assert soft.source.startswith("some silicone: 150 kPa, Poisson's ratio 0.49; Hertz")
+
+
+def test_a_measured_modulus_is_over_one_less_its_poisson_squared_already(tmp_path: Path) -> None:
+    touched(tmp_path, STIFFNESS, MODULUS)
+    soft = from_text(tmp_path, HERTZ + MEASURED)
+    check_hertz(soft, Body(0.2e6, math.inf).against(FINGER))
+    assert "calibration compliance-51b9: modulus 0.2 MPa (0.16 to inf, 90%)" in soft.source
+
+
+def test_a_measured_stiffness_is_of_a_cylinder_that_sticks_to_its_plates(tmp_path: Path) -> None:
+    touched(tmp_path, STIFFNESS)
+    soft = from_text(tmp_path, HERTZ + BY_STIFFNESS)
+    E = 5e3 * 40e-3 / (math.pi * 20e-3**2) / (1 + 2 * 0.25**2)
+    check_hertz(soft, Body(E / 0.75, math.inf).against(FINGER))
+    assert "stiffness 5 N_per_mm (4 to inf, 90%)" in soft.source
+
+
+def test_a_specimen_is_that_of_its_class_and_number(tmp_path: Path) -> None:
+    one = specimens(SpecimenClass.MIRRORED, [8e5, 5e5, 3e5, 1.5e5, 1e5], 0.499)[1]
+    soft, own = from_text(tmp_path, SPECIMEN), specimen_object(one, FINGER, 1.5)
+    assert soft.name == "CL3 10 % on 35 %"
+    assert_allclose(soft.area.x, own.area.x)
+    assert_allclose(soft.displacement.x, own.displacement.x)
+    assert from_text(tmp_path, 'name = "mine"\n' + SPECIMEN).name == "mine"
+
+
+@pytest.mark.parametrize(
+    ("text", "old", "new", "error", "said"),
+    [
+        (HERTZ, '"hertz"', '"thumb"', InputError, "hertz, exponential, finite-strain"),
+        (HERTZ, "radius_mm", "radius", InputError, "'radius' is no field here"),
+        (HERTZ, "= 75", "= -75", RangeError, "modulus_kPa is -75; .* in the unit of its name"),
+        (HERTZ, "= 75", "= inf", RangeError, "above 0 and finite"),
+        (HERTZ, "until_N = 2.4", "until_N = 4", RangeError, "known from 0 to 3.75 N"),
+        (HERTZ, "until_N = 2.4", "until_N = 0", RangeError, "until_N is 0"),
+        (HERTZ, "poisson = 0.5", "poisson = 0.6", RangeError, "0 to 0.5"),
+        (EXPONENTIAL, "m_per_mm", "m_per_cm", InputError, "m_per_cm"),
+        (EXPONENTIAL, "exponent = 0.5", "exponent = 0.8", RangeError, "2/3"),
+        (EXPONENTIAL, "until_N = 2", "until_N = 2.1", RangeError, "0 to 2 N"),
+        (TIP, '"base"', '"toe"', InputError, "stiff-skin"),
+        (HERTZ + SILICONE, "= 150", "= 0", RangeError, "modulus_kPa is 0"),
+        (HERTZ + SILICONE, "until_N = 2.4", "until_N = 2.6", RangeError, "known from 0 to 2.4[0-9]+ N"),
+        (HERTZ + SILICONE, "0.49", '"soft"', InputError, "give a number"),
+        (HERTZ + SILICONE, "modulus_kPa = 150", "", InputError, "modulus_kPa is None"),
+        (HERTZ + SILICONE, '"some silicone"', "3", InputError, "words in quotes"),
+        (HERTZ + SILICONE + MEASURED, "", "", InputError, "leave out the other"),
+        (SILICONE, "", "", InputError, r"give \[fingertip\] beside"),
+        (HERTZ + SPECIMEN, "", "", InputError, r"\[fingertip\] and \[specimen\]"),
+        ('source = "me"\n' + HERTZ, "", "", InputError, "says its own"),
+        (SPECIMEN, '"CL3"', '"CL4"', InputError, "CL1, CL2, CL3"),
+        (SPECIMEN, "number = 2", "number = 0", RangeError, "1 to 5 are allowed"),
+        (SPECIMEN, "number = 2", "number = 1.5", RangeError, "1 to 5 are allowed"),
+        (SPECIMEN, ", 100]", "]", InputError, "4 moduli"),
+        (SPECIMEN, "0.499", "0.5", RangeError, "below 0.5"),
+        (SPECIMEN, "until_N = 1.5", "until_N = 50", RangeError, "at most"),
+        (SPECIMEN, "moduli_kPa", "moduli", InputError, "'moduli' is no field here"),
+    ],
+)
+def test_files_of_no_object_are_refused_by_what_is_wrong(
+    tmp_path: Path, text: str, old: str, new: str, error: type[PalpateError], said: str
+) -> None:
+    with pytest.raises(error, match=said):
+        from_text(tmp_path, text.replace(old, new, 1) if old else text)
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "said"),
+    [
+        ({"valid": False, "why": "drifted"}, InputError, r"not valid \(drifted\)"),
+        ({"unit": "kPa"}, UnitError, "'MPa' is needed"),
+        ({"value": None}, RangeError, "above 0 MPa"),
+        ({"value": -0.2}, RangeError, "above 0 MPa"),
+        ({"low": -1.0}, RangeError, "MPa; above 0"),
+        ({"quantity": "radius"}, InputError, "0 readings of modulus"),
+    ],
+)
+def test_readings_that_say_no_modulus_are_refused(
+    tmp_path: Path, changes: dict[str, Any], error: type[PalpateError], said: str
+) -> None:
+    touched(tmp_path, MODULUS, **changes)
+    with pytest.raises(error, match=said):
+        from_text(tmp_path, HERTZ + MEASURED)
+
+
+def test_a_record_that_is_none_or_has_two_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"readings\.json"):
+        from_text(tmp_path, HERTZ + MEASURED)
+    touched(tmp_path, MODULUS, replace(MODULUS, frame="other"))
+    with pytest.raises(InputError, match="2 readings of modulus"):
+        from_text(tmp_path, HERTZ + MEASURED)
+    for text in ("[]", "nothing", '{"readings": 3}'):
+        (tmp_path / "press" / "readings.json").write_text(text)
+        with pytest.raises(InputError, match="no record"):
+            from_text(tmp_path, HERTZ + MEASURED)
+    (tmp_path / "press" / "readings.json").write_text('{"readings": [{"quantity": "modulus"}]}')
+    with pytest.raises(InputError, match="has no 'value'"):
+        from_text(tmp_path, HERTZ + MEASURED)
+
+
+def test_a_stiffness_without_its_specimens_size_is_refused(tmp_path: Path) -> None:
+    touched(tmp_path, STIFFNESS)
+    with pytest.raises(InputError, match="specimen_height_mm is None"):
+        from_text(tmp_path, HERTZ + BY_STIFFNESS.replace("specimen_height_mm = 40", ""))
+    with pytest.raises(InputError, match="'poisson' is no field here"):
+        from_text(tmp_path, HERTZ + MEASURED + "poisson = 0.5\n")
