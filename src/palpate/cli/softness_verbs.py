@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from palpate.mechanics.half_space.hertz_pairs import Body
     from palpate.softness import Rendered
     from palpate.softness.rendering_simulation import Rendering
+    from palpate.softness import Rendered, SoftObject, Specimen
 
 HERTZ_RADIUS = 0.5  # of a ball, to which a contact is small
 
@@ -195,6 +196,109 @@ def _pair_text(answer: dict[str, Any]) -> str:
 
 def _two(values: list[float], digits: int) -> str:
     return " and ".join(f"{value:.{digits}f}" for value in values)
+
+
+@pairs_app.command("specimens")
+def stacked(
+    moduli_kpa: Annotated[
+        str, Option(help="Five Young's moduli, with 0, 10, 20, 35 and 45 % of softener: E,E,E,E,E [kPa].")
+    ],
+    finger: Finger,
+    kind: Annotated[str, Argument(help="CL1, CL2, CL3, or all.", metavar="CLASS")] = "all",
+    poisson: Annotated[float, Option(help="Poisson's ratio of the silicones, below 0.5.")] = 0.499,
+    finger_poisson: Annotated[float, Option(help="Poisson's ratio of the finger, 0 to 0.5.")] = 0.5,
+    force_n: AtForce = 1.0,
+    figure: Figure = None,
+    json_: Json = False,
+) -> None:
+    """Say what the report's silicone specimens show each cue.
+
+    Two cylinders of 7 mm: of one silicone (CL1), a plate on silicone (CL2), two silicones (CL3).
+
+    Example: palpate pairs specimens --moduli-kpa 800,500,300,150,100 --finger 100:15
+    """
+    from palpate.core import ExistsError, InputError
+    from palpate.softness import SpecimenClass, specimen_object, specimens
+
+    if kind not in ("all", *SpecimenClass):
+        raise InputError(f"class {kind!r}; there are {', '.join(SpecimenClass)}, and all")
+    if figure is not None and figure.exists():
+        raise ExistsError(f"{figure} exists; nothing is overwritten: name another file")
+    tip = _body("--finger", finger, finger_poisson)
+    moduli = _moduli(moduli_kpa)
+    classes = list(SpecimenClass) if kind == "all" else [SpecimenClass(kind)]
+    stacks = {one: specimens(one, moduli, poisson) for one in classes}
+    felt = {one: [specimen_object(each, tip, force_n) for each in stacks[one]] for one in classes}
+    answer: dict[str, Any] = {
+        "force_N": force_n,
+        "classes": {one.value: _class_record(stacks[one], felt[one]) for one in classes},
+        "model": "small strain; layers bonded and without end sideways, a plate's silicone free at its side; "
+        "finger a ball of Hertz; verified, no specimen was measured",
+    }
+    if figure is not None:
+        from palpate.reports.softness_figures import write_specimen_figure
+
+        write_specimen_figure({one.value: felt[one] for one in classes}, force_n, figure)
+        answer["figure"] = str(figure)
+    print_found(answer, _specimen_text(answer), json_)
+
+
+def _moduli(text: str) -> list[float]:
+    from palpate.core import InputError
+
+    try:
+        return [1e3 * float(one) for one in text.split(",")]
+    except ValueError:
+        raise InputError(f"--moduli-kpa {text!r} are no numbers, as in 800,500,300,150,100") from None
+
+
+def _class_record(stacks: Sequence[Specimen], felt: Sequence[SoftObject]) -> dict[str, Any]:
+    """Both cues of a class's specimens at the greatest force, and how far they are apart."""
+    from palpate.softness import SpecimenClass, series_spread
+
+    ways = [1e3 * float(one.displacement.x[-1]) for one in felt]
+    areas = [1e6 * float(one.area.x[-1]) for one in felt]
+    record: dict[str, Any] = {
+        "specimens": [
+            {"name": one.name, "displacement_mm": way, "area_mm2": area}
+            for one, way, area in zip(felt, ways, areas, strict=True)
+        ],
+        "displacement_spread": max(ways) / min(ways) - 1,
+        "area_spread": max(areas) / min(areas) - 1,
+    }
+    if stacks[0].kind == SpecimenClass.MIRRORED:
+        record["series_spread"] = series_spread(stacks)
+        record["mirrored"] = [
+            {
+                "names": [felt[i].name, felt[-1 - i].name],
+                "displacement_ratio": ways[-1 - i] / ways[i],
+                "area_ratio": areas[-1 - i] / areas[i],
+            }
+            for i in range(len(felt) // 2)
+        ]
+    return record
+
+
+def _specimen_text(answer: dict[str, Any]) -> str:
+    lines = [f"at {answer['force_N']:g} N"]
+    for record in answer["classes"].values():
+        lines += [
+            f"  {one['name']:22}{one['displacement_mm']:8.4f} mm{one['area_mm2']:9.2f} mm²"
+            for one in record["specimens"]
+        ]
+        lines.append(
+            f"    apart by {record['displacement_spread']:.2%} in displacement and "
+            f"{record['area_spread']:.2%} in area"
+        )
+        lines += [
+            f"    {pair['names'][1]} over its mirror: {pair['displacement_ratio']:.4f} in displacement, "
+            f"{pair['area_ratio']:.4f} in area"
+            for pair in record.get("mirrored", [])
+        ]
+        if "series_spread" in record:
+            lines.append(f"    as springs in a line apart by {record['series_spread']:.2%}")
+    lines.append(answer["model"])
+    return "\n".join(lines + ([f"picture: {answer['figure']}"] if "figure" in answer else []))
 
 
 @display_app.command()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib as mpl
@@ -16,6 +17,8 @@ from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, STYLE, d
 from palpate.reports.study_figures import COLOURS
 from palpate.softness import Limit, Mode, Rendered, RenderingLaw, SoftObject
 from palpate.softness.rendering_simulation import Rendering
+from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, STYLE
+from palpate.softness import Limit, Rendered, RenderingLaw, SoftObject
 
 MM, MM2, KPA = 1e3, 1e6, 1e-3
 WORDS: Mapping[str, str] = {
@@ -85,6 +88,38 @@ def _two_cues() -> tuple[Figure, Axes, Axes]:
 def _save(draw: Callable[[], Figure], path: Path) -> None:
     with mpl.rc_context(STYLE):
         figure = draw()
+        with new_file(path) as building:
+            figure.savefig(building, format="png", dpi=160)
+
+
+def write_specimen_figure(classes: Mapping[str, Sequence[SoftObject]], greatest_n: float, path: Path) -> None:
+    """Draw force over displacement and force over area of specimens, a row for each class.
+
+    Args:
+        classes: the specimens by their class, from the least softener above to the most.
+        greatest_n: end of the curves [N].
+        path: of the PNG; must not exist.
+
+    Raises:
+        ExistsError: `path` exists.
+        StorageError: the disk refused.
+    """
+    force = greatest_n * np.linspace(0.0, 1.0, 200) ** 2
+    shades = mpl.colormaps["viridis"](np.linspace(0.0, 0.88, max(len(each) for each in classes.values())))
+    widths = np.linspace(3.6, 1.1, len(shades))  # where curves lie on each other, all are seen
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(8.8, 0.6 + 2.7 * len(classes)), layout="constrained")
+        rows = figure.subplots(len(classes), 2, sharey=True, sharex="col", squeeze=False)
+        for (arm, skin), (kind, objects) in zip(rows, classes.items(), strict=True):
+            for soft, shade, width in zip(objects, shades, widths, strict=False):
+                label = soft.name.removeprefix(f"{kind} ")
+                way, area = MM * soft.displacement.at_force(force), MM2 * soft.area.at_force(force)
+                arm.plot(way, force, color=shade, lw=width, label=label)
+                skin.plot(area, force, color=shade, lw=width)
+            arm.legend(frameon=False, fontsize=8)
+            last = kind == list(classes)[-1]
+            _axes(arm, "displacement [mm]" if last else "", "force [N]", f"{kind}, to the arm")
+            _axes(skin, "contact area [mm²]" if last else "", "", f"{kind}, to the skin")
         with new_file(path) as building:
             figure.savefig(building, format="png", dpi=160)
 

@@ -153,7 +153,10 @@ def specimen_object(one: StackedSpecimen, finger: Body, until_n: float | None = 
             finger's radius, or silicone pressed in by more than a fifth of its height.
     """
     solve = _plate if one.kind == SpecimenClass.PLATE else _layers
-    force, approach, area = solve(one, finger, until_n)
+    try:
+        force, approach, area = solve(one, finger, until_n)
+    except RangeError as e:
+        raise RangeError(f"{one.name}: {e}") from e
     above = "rigid" if np.isinf(one.above_pa) else f"{one.above_pa / 1e3:g} kPa"
     model = "a rigid plate on a bonded disc" if one.kind == SpecimenClass.PLATE else "bonded layers"
     return pressed_object(
