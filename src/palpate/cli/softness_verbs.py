@@ -14,9 +14,8 @@ from palpate.cli.verb_support import Json, group, print_found, progress_bar
 
 if TYPE_CHECKING:
     from palpate.mechanics.half_space.hertz_pairs import Body
-    from palpate.softness import Rendered
+    from palpate.softness import Rendered, SoftObject, StackedSpecimen
     from palpate.softness.rendering_simulation import Rendering
-    from palpate.softness import Rendered, SoftObject, Specimen
 
 HERTZ_RADIUS = 0.5  # of a ball, to which a contact is small
 
@@ -252,7 +251,7 @@ def _moduli(text: str) -> list[float]:
         raise InputError(f"--moduli-kpa {text!r} are no numbers, as in 800,500,300,150,100") from None
 
 
-def _class_record(stacks: Sequence[Specimen], felt: Sequence[SoftObject]) -> dict[str, Any]:
+def _class_record(stacks: Sequence[StackedSpecimen], felt: Sequence[SoftObject]) -> dict[str, Any]:
     """Both cues of a class's specimens at the greatest force, and how far they are apart."""
     from palpate.softness import SpecimenClass, series_spread
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib as mpl
@@ -17,8 +16,6 @@ from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, STYLE, d
 from palpate.reports.study_figures import COLOURS
 from palpate.softness import Limit, Mode, Rendered, RenderingLaw, SoftObject
 from palpate.softness.rendering_simulation import Rendering
-from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, STYLE
-from palpate.softness import Limit, Rendered, RenderingLaw, SoftObject
 
 MM, MM2, KPA = 1e3, 1e6, 1e-3
 WORDS: Mapping[str, str] = {

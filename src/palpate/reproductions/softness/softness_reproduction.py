@@ -69,7 +69,7 @@ def reproduce_softness(out: Path, *, seed: int = 0, progress: Progress = silent)
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class AmbiguousPair:
     """Two objects that one cue does not tell apart.
 
     Attributes:
@@ -86,13 +86,13 @@ class Pair:
     printed_mm: float
 
 
-def ambiguous_pairs(finger_pa: float = PRINTED_FINGER_PA) -> tuple[Pair, Pair]:
+def ambiguous_pairs(finger_pa: float = PRINTED_FINGER_PA) -> tuple[AmbiguousPair, AmbiguousPair]:
     """The pairs of Figure 3 under a finger of a modulus [Pa]."""
     finger = _body(finger_pa, FINGER_RADIUS_M)
     a, c = _body(1e6, 2.5e-3), _body(2e5, 30e-3)
     return (
-        Pair("A and B", "kinesthetic", a, alike_to_the_arm(a, finger, _modulus(1.5e5)), 7.3),
-        Pair("C and D", "cutaneous", c, alike_to_the_skin(c, finger, _modulus(2e4)), 3.0),
+        AmbiguousPair("A and B", "kinesthetic", a, alike_to_the_arm(a, finger, _modulus(1.5e5)), 7.3),
+        AmbiguousPair("C and D", "cutaneous", c, alike_to_the_skin(c, finger, _modulus(2e4)), 3.0),
     )
 
 
@@ -146,7 +146,7 @@ def _body(young_pa: float, radius_m: float) -> Body:
     return Body(_modulus(young_pa), radius_m)
 
 
-def _pair_entries(pairs: Sequence[Pair]) -> Iterator[StudyEntry]:
+def _pair_entries(pairs: Sequence[AmbiguousPair]) -> Iterator[StudyEntry]:
     for pair in pairs:
         printed = Published(pair.printed_mm, "Fig. 3")
         name = f"{pair.names}: radius of the other, finger 100 kPa"
@@ -207,7 +207,7 @@ def _mean_difference(one: Rendering, other: Rendering) -> float:
 
 
 def _page(
-    pairs: Sequence[Pair],
+    pairs: Sequence[AmbiguousPair],
     stacked: Mapping[str, Sequence[SoftObject]],
     tracked: Mapping[str, Rendering],
     entries: Sequence[StudyEntry],
