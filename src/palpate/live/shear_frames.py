@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from palpate.core import Frame, ImageError, InputError, PathText, Readings, stor
 from palpate.estimators.lattice import ControlPoints
 from palpate.estimators.shear import ShearReader, ShearTouch, TiledSkin
 from palpate.estimators.surface_strain import StrainFields
-from palpate.live.frame_sources import FrameStream, Unreadable, open_source
+from palpate.live.frame_sources import FrameStream, ImageFiles, Unreadable, open_source
 from palpate.recordings.exchange.frame_sequences import SUFFIXES, TIFFS, FrameSequence, open_sequence
 
 
@@ -57,17 +57,17 @@ class TouchedFrame:
 
 @dataclass(frozen=True, slots=True)
 class _SequenceFrames:
-    """A video's or TIFF's images as frames, named by their number."""
+    """A video's or TIFF's images as frames, named by their number; a rate of 0 Hz is not known."""
 
     sequence: FrameSequence
-    rate_hz: float = field(default=1.0)
+    rate_hz: float
 
     def __len__(self) -> int:
         return len(self.sequence)
 
     def __iter__(self) -> Iterator[Frame | Unreadable]:
         for i, image in enumerate(self.sequence):
-            yield Frame(image, i / self.rate_hz, name=str(i))
+            yield Frame(image, i / (self.rate_hz or 1.0), name=str(i))
 
 
 @contextmanager
@@ -82,10 +82,16 @@ def open_frames(path: PathText) -> Iterator[FrameStream]:
         raise ImageError(f"{path} is not there; give an image, a folder of images, a run or a video")
     if path.suffix.lower() in SUFFIXES | TIFFS and path.is_file():
         with open_sequence(path) as sequence:
-            rate = float(getattr(sequence, "rate_hz", 0.0)) or 1.0
-            yield _SequenceFrames(sequence, rate)
+            yield _SequenceFrames(sequence, float(getattr(sequence, "rate_hz", 0.0)))
     else:
         yield open_source(path)
+
+
+def has_clock(frames: FrameStream) -> bool:
+    """Whether times are a clock's; images, TIFFs and a video without a rate have their place for one."""
+    if isinstance(frames, _SequenceFrames):
+        return frames.rate_hz > 0
+    return not isinstance(frames, ImageFiles)
 
 
 def first_frame(path: PathText) -> Frame:
@@ -126,15 +132,18 @@ class ForceInTouch:
         self._marks = reader.marks
         self._follower = ForceFollower(calibration, self._in_pixels(reader.marks.reference))
 
-    def added(self, touch: ShearTouch, frame: Frame) -> ShearTouch:
-        """The touch with a reading ``force_N``, not valid where the frame is not, or the skin looks torn."""
+    def added(self, touch: ShearTouch, frame: Frame, *, clocked: bool = True) -> ShearTouch:
+        """The touch with a reading ``force_N``, not valid where the frame is not, or the skin looks torn.
+
+        Without a clock the skin's memory is not used, since it fades by seconds and not by frames.
+        """
         torn = touch.readings["damage"].value == "yes"
         why = touch.reason or ("the skin looks torn" if torn else "")
         named = (frame.time_s, frame.name)
         if why:
             force = self._follower.unread(why, *named)
         else:
-            force = self._follower.read(self._in_pixels(touch.points), *named)
+            force = self._follower.read(self._in_pixels(touch.points), *named, clocked=clocked)
         return replace(touch, readings=Readings({**touch.readings, "force_N": force}))
 
     def _in_pixels(self, points: ControlPoints) -> ControlPoints:
@@ -157,6 +166,7 @@ def read_touches(
     Raises:
         InputError: the first frame is of another size or kind than the reference.
     """
+    clocked = has_clock(frames)
     for i, frame in enumerate(frames):
         if isinstance(frame, Unreadable):
             yield TouchedFrame(i, frame.name, frame.time_s, None, None, frame.why)
@@ -169,9 +179,9 @@ def read_touches(
                 raise
             yield TouchedFrame(i, name, frame.time_s, frame, None, str(refusal))
             continue
-        yield TouchedFrame(
-            i, name, frame.time_s, frame, touch if force is None else force.added(touch, frame)
-        )
+        if force is not None:
+            touch = force.added(touch, frame, clocked=clocked)
+        yield TouchedFrame(i, name, frame.time_s, frame, touch)
 
 
 def write_fields(folder: Path, seen: TouchedFrame) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.virtual_shears import VirtualPad, cycles, remembered
 
-from palpate.calibration.shear import TouchCues, calibrate_shear
+from palpate.calibration.shear import ForceFollower, TouchCues, calibrate_shear
 from palpate.calibration.shear.force_law import MAX_GAP_S, MemoryTrace, fit_remembering, follow_memory
 
 PAD = VirtualPad()
@@ -69,6 +69,20 @@ def test_memory_halves_the_error_of_loading_and_unloading(calibration):
     assert off[True] < 0.12
     assert off[True] < 0.6 * off[False]
     assert width[True] < 0.8 * width[False]
+
+
+def test_places_in_a_row_of_images_are_no_seconds(calibration):
+    """Without a clock a frame has one force, whatever stood before it, and the interval of single frames."""
+    marks = PAD.marks(PAD.contact("round", 0.0, 0.0, 1.2e-3), np.random.default_rng(7))
+    alone = ForceFollower(calibration).read(marks, 0.0)
+    assert alone.valid
+    for clocked in (False, True):
+        follower = ForceFollower(calibration)
+        follower.read(PAD.reference, 0.0, clocked=clocked)
+        after = [follower.read(marks, float(i), clocked=clocked) for i in (1, 2)]
+        same = [(r.value, r.low, r.high) == (alone.value, alone.low, alone.high) for r in after]
+        assert same == [not clocked] * 2
+        assert [r.time_s for r in after] == [1.0, 2.0]  # still names the frame's place
 
 
 def loaded_and_held(shares):

@@ -93,11 +93,11 @@ class MemoryTrace:
         """m_i at a frame [N]; NaN where the history is not known.
 
         Args:
-            time_s: of the frame [s].
+            time_s: of the frame [s]; NaN where no clock tells.
             elastic_n: L above that of the untouched skin; 0 without contact [N].
         """
         step = time_s - self._last_s
-        if not 0 < step <= MAX_GAP_S:  # the first frame too
+        if not 0 < step <= MAX_GAP_S:  # the first frame too, and one without a clock, whose step is NaN
             self._state[:] = np.nan
             step = math.inf
         if elastic_n == 0 and not np.isfinite(self._state).all():

@@ -298,20 +298,26 @@ class ForceFollower:
         line = calibration.remembering
         self._trace = None if line is None else MemoryTrace(line.memory_s)
 
-    def read(self, points: ControlPoints, time_s: float, frame: str = "") -> Reading:
+    def read(self, points: ControlPoints, time_s: float, frame: str = "", *, clocked: bool = True) -> Reading:
         """Force of the next frame.
 
         Args:
             points: its marks [px].
             time_s: when it was taken; frames come in order [s].
             frame: its name.
+            clocked: whether `time_s` is a clock's. A place in a row of images is none: the history is then
+                not known, and the interval is that of single frames.
 
         Raises:
             InputError, RangeError: marks that cannot be compared with the reference.
         """
         cues = self._meter.cues(points)
         return self.calibration.read(
-            cues, self._remembered(cues, time_s), frame=frame, time_s=time_s, drift=self._drift
+            cues,
+            self._remembered(cues, time_s if clocked else math.nan),
+            frame=frame,
+            time_s=time_s,
+            drift=self._drift,
         )
 
     def unread(self, why: str, time_s: float, frame: str = "") -> Reading:
