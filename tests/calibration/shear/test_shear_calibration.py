@@ -177,6 +177,14 @@ def test_one_known_weight_tells_a_copys_stiffness(calibrated, number):
     assert np.mean([r.high - r.low for r in narrow]) < 0.5 * np.mean([r.high - r.low for r in wide])
 
 
+@pytest.mark.parametrize(("error_n", "lays"), [(np.nan, 1), (np.inf, 1), (-0.01, 1), (0.01, 0)])
+def test_a_weight_has_a_finite_error_and_is_laid(calibrated, error_n, lays):
+    pad = VirtualPad()
+    cues = [pad.meter().cues(pad.marks(pad.contact("round", 0.0, 0.0, 1.2e-3), np.random.default_rng(1)))]
+    with pytest.raises(RangeError, match="lays of a weight"):
+        calibrated["any-tip"].weighed(cues, 4.0, error_n, lays=lays)
+
+
 def test_a_wrong_weight_is_carried_into_every_force(calibrated, unseen):
     """The control: a weight told 20 % too heavy makes every force 20 % too great."""
     calibration, cues = calibrated["any-tip"], unseen.cues[:1]

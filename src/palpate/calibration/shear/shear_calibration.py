@@ -175,8 +175,11 @@ class ShearCalibration:
             raise RangeError(
                 f"a weight of {weight_n:.3g} N; give one within the calibrated {low:.3g} to {high:.3g} N"
             )
-        if lays < 1 or weight_error_n < 0:
-            raise RangeError("a weight is laid on once or more often, with an error of 0 N or more")
+        if lays < 1 or not 0 <= weight_error_n < math.inf:  # NaN fails the comparison too
+            raise RangeError(
+                f"{lays} lays of a weight known to {weight_error_n:.3g} N; give 1 lay or more, and a finite "
+                "error of 0 N or more"
+            )
         line = self.remembering or self.line
         interval = self.followed or self.alone
         own = line.elastic_n(cues)
