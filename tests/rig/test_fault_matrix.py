@@ -33,6 +33,7 @@ from tests.slow_params import mostly_slow
 
 from palpate.devices import MotionGuard
 from palpate.devices.force_trust import ForceMonitor
+from palpate.devices.force_watch import ForceWatch
 from palpate.rig.virtual.virtual_stage import VirtualStage
 
 STRIDE = 3  # states from one fault's to the next: it comes to all ten
@@ -112,13 +113,7 @@ class TestControls:
     def test_a_guard_that_does_not_look_at_ages_goes_on_too_far(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        newest = MotionGuard._moved_on
-
-        def deaf(self: MotionGuard):
-            self._limits = replace(self._limits, age_s=1e9)
-            return newest(self)
-
-        monkeypatch.setattr(MotionGuard, "_moved_on", deaf)
+        monkeypatch.setattr(ForceWatch, "check_age", lambda self, age_s: None)
         monkeypatch.setattr(ForceMonitor, "oldest_s", property(lambda self: 1e9))
         assert "went on by" in self.broken("force", "no sample any more", "seek")
 
