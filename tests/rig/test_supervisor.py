@@ -23,7 +23,7 @@ from palpate.devices import ForceBias, ForceReached, OperatorCommand, OperatorCo
 from palpate.devices.motion_guard import Clearance
 from palpate.devices.rpc import supervisor_name
 from palpate.devices.rpc_client import RpcClient
-from palpate.devices.supervisor import SupervisedGuard, guard_supervisor, supervisor_link
+from palpate.devices.supervisor import SupervisedGuard, guard_supervisor, process_link
 from palpate.recordings import Run
 from palpate.rig import State, open_rig, record
 from palpate.rig.commissioning.bench import stop_rig
@@ -296,8 +296,8 @@ def test_a_supervisor_that_hangs_is_told_once_within_seconds_and_then_at_once(su
 
 @pytest.mark.slow
 def test_a_supervisor_whose_device_is_slow_is_not_taken_for_one_that_hangs(supervised, monkeypatch) -> None:
-    monkeypatch.setattr(supervisor_link, "PROBE_S", 0.1)
-    monkeypatch.setattr(supervisor_link, "SILENT_S", 1.0)
+    monkeypatch.setattr(process_link, "PROBE_S", 0.1)
+    monkeypatch.setattr(process_link, "SILENT_S", 1.0)
     with opened(supervised(stage="moving_s = 2.5")) as rig:
         assert rig.supervisor is not None
         assert rig.supervisor.ask("moving") is False
@@ -305,7 +305,7 @@ def test_a_supervisor_whose_device_is_slow_is_not_taken_for_one_that_hangs(super
 
 @pytest.mark.slow
 def test_an_emergency_stop_shortens_the_wait_for_a_supervisor_that_hangs(supervised, monkeypatch) -> None:
-    monkeypatch.setattr(supervisor_link, "SILENT_S", 50.0)
+    monkeypatch.setattr(process_link, "SILENT_S", 50.0)
     rig = open_rig(str(supervised().path))
     assert rig.supervisor is not None
     control = OperatorControl()

@@ -123,10 +123,9 @@ class GuardSupervisor:
         self._control.ask(OperatorCommand.ESTOP)
         return {"asked_ns": asked_ns, "stood_ns": self._stage.hold()}
 
-    @property
-    def held(self) -> bool:
-        """Whether an emergency stop holds the stage."""
-        return self._stage.held
+    def status(self) -> dict[str, Any]:
+        """What it does, whether an emergency stop holds the stage, and why it lifted last."""
+        return {"state": self.state, "held": self._stage.held, "message": self.lifted, "shots": 0}
 
     def _take(self, message: Mapping[str, Any]) -> None:
         match message.get("do"):

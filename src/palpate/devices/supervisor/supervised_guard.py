@@ -12,13 +12,8 @@ from palpate.devices.motion_guard import Clearance, ForceReached, Subscribers
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.devices.operator_control import AT_ONCE, OperatorCommand, OperatorControl
 from palpate.devices.supervisor.guard_messages import sample_of, three
-from palpate.devices.supervisor.supervisor_link import (
-    ANSWER_S,
-    Message,
-    SupervisorGoneError,
-    SupervisorLink,
-    result_of,
-)
+from palpate.devices.supervisor.process_link import ANSWER_S, Message, ProcessGoneError
+from palpate.devices.supervisor.supervisor_link import SupervisorLink
 
 
 class SupervisedGuard:
@@ -151,7 +146,7 @@ class SupervisedGuard:
             failed = failed or e
         if failed is not None:
             raise failed
-        return result_of(event)
+        return self._link.result_of(event)
 
     def _publish(self, event: Message, failed: BaseException | None) -> BaseException | None:
         """Publish a look, and say that it was dealt with.
@@ -184,5 +179,5 @@ def _as_tripped() -> Iterator[None]:
     """Raise a supervisor that is gone as what ends a motion, by its name."""
     try:
         yield
-    except SupervisorGoneError as e:
+    except ProcessGoneError as e:
         raise Tripped(Reason.SUPERVISOR, str(e)) from e
