@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from palpate.core import RangeError
-from palpate.softness.control.timed_loop import LoopTiming, run_timed
+from palpate.softness.control.timed_loop import LATE_S, LoopTiming, Pace, run_paced, run_timed
 
 
 def test_a_loop_begins_once_in_a_period() -> None:
@@ -39,7 +39,9 @@ def test_a_loop_ends_when_it_is_told_to_and_passes_on_what_a_period_raises() -> 
         left[0] -= 1
         return left[0] >= 0
 
-    assert len(run_timed(lambda: None, 10.0, goes_on).work_s) == 3
+    pace = Pace()
+    run_paced(lambda: None, 10.0, pace.heard, goes_on)
+    assert pace.periods == 2  # from one of three beginnings to the next
 
     def fails() -> None:
         raise ValueError("a period")
@@ -59,3 +61,15 @@ def test_a_period_is_late_beyond_a_millisecond_and_a_half() -> None:
     timing = LoopTiming(np.array([1e-3, 1.49e-3, 1.51e-3, 4e-3]), np.zeros(4))
     assert timing.late_share == 0.5
     assert timing.longest_s == 4e-3
+
+
+def test_a_pace_counts_what_the_whole_list_of_times_would_say() -> None:
+    begun = np.cumsum([0.0, 1e-3, 1.49e-3, 1.51e-3, 4e-3])
+    pace = Pace()
+    for at in begun:
+        pace.heard(float(at), 0.0)
+    whole = LoopTiming(np.diff(begun), np.zeros(5))
+    assert pace.periods == 4
+    assert pace.late_share == whole.late_share == 0.5
+    assert pace.longest_s == pytest.approx(whole.longest_s)
+    assert LATE_S == 1.5e-3

@@ -22,6 +22,8 @@ GROUPS: dict[Role, str] = {
     "stage": "palpate.stages",
     "force": "palpate.force_sensors",
     "camera": "palpate.cameras",
+    "display": "palpate.softness_displays",
+    "arm": "palpate.haptic_arms",
 }
 """Entry-point groups in which an installed package registers a device."""
 

@@ -10,14 +10,14 @@ from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
-from palpate.core import Float, ManualClock, Progress, ndarray, silent
+from palpate.core import Clock, Float, ManualClock, Progress, ndarray, silent
 from palpate.softness.characteristics import SoftObject
 from palpate.softness.control.pressure_servo import PressureServo
 from palpate.softness.control.reference_table import ReferenceTable
 from palpate.softness.control.rendering_loop import PERIOD_S, RenderingLoop
 from palpate.softness.pressing_finger import FingerPresses, depth_for
 from palpate.softness.rendering_law import DisplayBounds, Mode, RenderingLaw
-from palpate.softness.virtual.rendering_bench import BenchParts, BenchTruth, RenderingBench
+from palpate.softness.virtual.rendering_bench import WATCHDOG_S, BenchParts, BenchTruth, RenderingBench
 
 Column = Float[ndarray, " n"]
 
@@ -103,6 +103,25 @@ def law_of(
     return RenderingLaw(soft, shape, bounds or DisplayBounds(pressure_pa=parts.greatest_pa), mode)
 
 
+def virtual_bench(
+    soft: SoftObject, mode: Mode, clock: Clock, peak_n: float, frequency_hz: float, *, seed: int = 0,
+    parts: BenchParts | None = None, servo: PressureServo | None = None, starts_s: float = 0.0,
+    watchdog_s: float = WATCHDOG_S,
+) -> tuple[RenderingBench, RenderingLaw]:  # fmt: skip
+    """A virtual bench under a finger that presses an object, and the law that it is to keep.
+
+    Args:
+        soft, mode, peak_n, frequency_hz, seed, parts, servo: as in `simulate`.
+        clock: that it follows.
+        starts_s: when the finger comes down first [s].
+        watchdog_s: of both devices [s].
+    """
+    parts = replace(parts or BenchParts(), plate=mode is Mode.KINESTHETIC)
+    felt = soft if mode is not Mode.CUTANEOUS else _still(soft)
+    finger = FingerPresses(depth_for(felt, peak_n, parts.finger), frequency_hz, starts_s=starts_s)
+    return RenderingBench(clock, finger, parts, servo, seed, watchdog_s), law_of(soft, mode, parts)
+
+
 def simulate(
     soft: SoftObject, mode: Mode = Mode.BOTH, *, peak_n: float, frequency_hz: float = 1.0, seed: int = 0,
     parts: BenchParts | None = None, servo: PressureServo | None = None, presses: int = PRESSES,
@@ -125,13 +144,9 @@ def simulate(
         Tripped: the loop's guard stopped it.
         RangeError: the object cannot be rendered, or has no such force.
     """
-    parts = replace(parts or BenchParts(), plate=mode is Mode.KINESTHETIC)
     clock = ManualClock()
-    felt = soft if mode is not Mode.CUTANEOUS else _still(soft)
-    finger = FingerPresses(depth_for(felt, peak_n, parts.finger), frequency_hz, starts_s=0.0)
-    bench = RenderingBench(clock, finger, parts, servo, seed)
-    law = law_of(soft, mode, parts)
-    loop = RenderingLoop(None if parts.plate else bench.display, bench.arm, ReferenceTable(law), clock)
+    bench, law = virtual_bench(soft, mode, clock, peak_n, frequency_hz, seed=seed, parts=parts, servo=servo)
+    loop = RenderingLoop(bench.display_if_any, bench.arm, ReferenceTable(law), clock)
     truths: list[BenchTruth] = []
     told: list[float] = []
     periods = round(presses / frequency_hz / PERIOD_S)

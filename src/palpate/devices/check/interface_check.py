@@ -15,10 +15,12 @@ from typing import Any, Literal
 from palpate.core import (
     NS_PER_S,
     ArmRange,
+    ArmSample,
     Camera,
     Clock,
     DeviceError,
     DisplayRange,
+    DisplaySample,
     ForceSensor,
     Frame,
     HapticArm,
@@ -29,7 +31,7 @@ from palpate.core import (
 )
 from palpate.devices.check.check_result import CheckResult, Part, gather, verdict
 
-Role = Literal["stage", "force", "camera"]
+Role = Literal["stage", "force", "camera", "display", "arm"]
 
 MAX_TRAVEL_M = 10.0  # of an axis; more is millimetres
 MARGIN_M = 1e-3  # by which a stage may stand outside its stated travel, at rest
@@ -287,8 +289,20 @@ def _is_vector(value: object) -> bool:
     )
 
 
+def _showing(device: Any, clock: Clock) -> Part:
+    """A display or an arm, asked for its state; nothing is told to it."""
+    sample = device.latest()
+    kind = DisplaySample if isinstance(device, SoftnessDevice) else ArmSample
+    shaped = isinstance(sample, kind)
+    yield verdict("tells its state", shaped, f"latest() is {sample!r}; give a palpate.core.{kind.__name__}")
+    if shaped:
+        yield on_clock(sample.time_ns, clock)
+
+
 ROLES: Mapping[Role, tuple[Callable[[object], Part], Callable[[Any, Clock], Part]]] = {
     "stage": (stage_interface, _standing),
     "force": (force_interface, _measuring),
     "camera": (camera_interface, _filming),
+    "display": (display_interface, _showing),
+    "arm": (arm_interface, _showing),
 }

@@ -90,7 +90,7 @@ class ProcessLink(Closing):
         self._reader = threading.Thread(target=self._read, name="palpate-process-reader", daemon=True)
         self._reader.start()
         try:
-            os.write(self._to, encode_message(opens))
+            _write_whole(self._to, encode_message(opens))
             self.facts = self.result_of(self._opened.get(timeout=OPEN_S))
         except BaseException:
             self.close()
@@ -219,3 +219,9 @@ class ProcessLink(Closing):
         if not message["ok"]:
             raise error_of(message)
         return message["result"]
+
+
+def _write_whole(to: int, data: bytes) -> None:
+    """Write what may be more than a pipe takes at once, before anybody else writes."""
+    while data:
+        data = data[os.write(to, data) :]

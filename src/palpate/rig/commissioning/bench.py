@@ -165,7 +165,7 @@ def _open(file: RigFile, role: Role, bench: Bench, *, place: bool) -> Any:
     part, clock = getattr(file, role), bench.clock
     if part is None:
         return None
-    if isinstance(part, FollowingPart) and role != "stage" and bench.stage is not None:
+    if isinstance(part, FollowingPart) and role in ("force", "camera") and bench.stage is not None:
         return follow_stage(role, file, bench.stage, clock)
     return _open_stage_part(part, clock, place=place) if role == "stage" else open_part(role, part, clock)
 

@@ -11,7 +11,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from palpate.core import DeviceError, InputError, RangeError
 from palpate.devices import Tripped
-from palpate.rig.plans.plan_files import read_toml
+from palpate.devices.file_fields import read_toml
 
 Three = tuple[float, float, float]
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from palpate.core import DEFAULT_SENSOR, SENSORS, InputError, Sensor, storage_errors
+from palpate.core import DEFAULT_SENSOR, SENSORS, InputError, Sensor
 from palpate.core.plugins import PATH
 from palpate.core.sensor import own_plans_of, plans_of, sensor as sensor_of
+from palpate.devices.file_fields import read_toml
 from palpate.rig.plans.plan_kinds import Ramp, StepHold, SurfaceSearch
 from palpate.rig.plans.press_places import Around, Listed
 from palpate.rig.plans.recording_plan import RecordingPlan
@@ -19,7 +19,6 @@ from palpate.rig.plans.recording_plan import RecordingPlan
 Known = StepHold | Ramp | SurfaceSearch
 AnyPlan = Annotated[Known, Field(discriminator="kind")]
 _ADAPTER: TypeAdapter[Known] = TypeAdapter(AnyPlan)
-_MAX_BYTES = 1 << 20
 
 _CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
 _PLANS: tuple[Known, ...] = (
@@ -127,21 +126,6 @@ def plan_of(text: str | Path, sensor: Sensor | None = None) -> Known:
         return plan_from(fields, sensor)
     except InputError as e:
         raise InputError(f"{path}: {e}") from e
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """The fields of a file that people write; of its first MiB.
-
-    Raises:
-        InputError: it is not TOML.
-        StorageError: it cannot be read.
-    """
-    with storage_errors(path):
-        data = path.read_bytes()[:_MAX_BYTES]
-    try:
-        return tomllib.loads(data.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
-        raise InputError(f"{path} is not TOML: {e}") from e
 
 
 def plan_from(fields: Mapping[str, Any], sensor: Sensor | None = None) -> Known:

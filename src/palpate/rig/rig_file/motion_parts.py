@@ -7,8 +7,8 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from palpate.devices import Limits
+from palpate.devices.file_fields import MM, Part, Three, check_above, check_below, metres
 from palpate.rig.plans.press_places import Positive
-from palpate.rig.rig_file.file_fields import MM, Part, Three, check_above, check_below, metres
 from palpate.rig.virtual.disturbances import Kind
 
 MAX_LIMITS: dict[str, float] = {

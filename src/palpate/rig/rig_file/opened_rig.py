@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Discriminator, Tag, ValidationError, field_validator
+from pydantic import Discriminator, Tag, field_validator
 
 from palpate.core import (
     DEFAULT_SENSOR,
@@ -29,7 +29,6 @@ from palpate.devices import Limits, Mounting, SupervisorLink, open_device
 from palpate.devices.device_plugins import check_kind
 from palpate.rig.commissioning.hand_motion import home_clear
 from palpate.rig.commissioning.scaled_force import ScaledForce
-from palpate.rig.plans.plan_files import read_toml
 from palpate.rig.rig import Region, Rig
 from palpate.rig.virtual import Fault, virtual_rig
 from palpate.rig.virtual.virtual_bench import PREFIX, REAL_TIME_AGE_S
@@ -37,7 +36,7 @@ from palpate.rig.virtual.virtual_bench import PREFIX, REAL_TIME_AGE_S
 if TYPE_CHECKING:
     from palpate.devices.check.interface_check import Role
 
-from palpate.rig.rig_file.file_fields import Part, Three, metres
+from palpate.devices.file_fields import Part, Three, metres, read_toml, validated
 from palpate.rig.rig_file.motion_parts import LimitsPart, RegionPart, VirtualPart
 from palpate.rig.rig_file.sensor_parts import (
     FollowingPart,
@@ -180,12 +179,7 @@ def read_rig(path: Path) -> RigFile:
             f"there is no rig {str(path)!r}: no such file, and by name there are "
             f"{', '.join(PREFIX + name for name in SENSORS.names())}"
         )
-    fields = read_toml(path)
-    try:
-        file = RigFile.model_validate(fields)
-    except ValidationError as e:
-        problems = "; ".join(f"{_field(d['loc'])}: {d['msg']}" for d in e.errors())
-        raise InputError(f"{path}: {problems}") from e
+    file = validated(RigFile, path, read_toml(path))
     roles: dict[str, Role] = {"stage": "stage", "force": "force", "label_force": "force", "camera": "camera"}
     for name, role in roles.items():
         if (part := getattr(file, name)) is not None:
@@ -194,11 +188,6 @@ def read_rig(path: Path) -> RigFile:
             except InputError as e:
                 raise InputError(f"{path}: {name}.kind: {e}") from e
     return file
-
-
-def _field(location: tuple[str | int, ...]) -> str:
-    """The field's name in the file, without the tags of its kinds."""
-    return ".".join(str(part) for part in location if not str(part).startswith("#"))
 
 
 def rig_from(file: RigFile, *, supervised: bool = True, name: str = "") -> Rig:

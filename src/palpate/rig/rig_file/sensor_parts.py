@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from palpate.core import Clock, ForceSensor, FrameSource, InputError, Position, Stage
+from palpate.devices.file_fields import Host, Part, Three, check_above, check_below, metres
 from palpate.rig.plans.press_places import Positive
-from palpate.rig.rig_file.file_fields import Host, Part, Three, check_above, check_below, metres
 from palpate.rig.rig_file.motion_parts import MAX_LIMITS, MIN_LIMITS
 
 Scale = Annotated[float, Field(ge=0.1, le=10.0, allow_inf_nan=False)]

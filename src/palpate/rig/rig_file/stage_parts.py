@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from palpate.core import Clock, DeviceError, InputError, RangeError, Stage
+from palpate.devices.file_fields import MM, Host, Part, Three, check_above, check_below, metres
 from palpate.rig.plans.press_places import Positive
-from palpate.rig.rig_file.file_fields import MM, Host, Part, Three, check_above, check_below, metres
 
 if TYPE_CHECKING:
     from palpate.rig.real.grbl.grbl_stage import GrblStage

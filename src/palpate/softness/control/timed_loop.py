@@ -22,6 +22,7 @@ from palpate.core import Float, RangeError, ndarray
 PERIOD_S = 1e-3
 LATE_S = 1.5e-3  # from one beginning to the next, from which a period is counted as late
 SPIN_S = 150e-6  # before a beginning, in which it waits awake: sleep comes back late by about that
+MAX_S = 86_400.0
 SWITCH_S = 1e-4  # between threads, so that whoever talks to others does not hold the loop up
 
 
@@ -48,9 +49,22 @@ class LoopTiming:
         return float(self.periods_s.max())
 
 
-def run_timed(
-    tick: Callable[[], object], seconds: float, goes_on: Callable[[], bool] | None = None
-) -> LoopTiming:
+def run_timed(tick: Callable[[], object], seconds: float) -> LoopTiming:
+    """Call something once in a period, on the machine's clock, and keep all its times; see `run_paced`."""
+    begun, took = [], []
+
+    def heard(began_s: float, work_s: float) -> None:
+        begun.append(began_s)
+        took.append(work_s)
+
+    run_paced(tick, seconds, heard)
+    return LoopTiming(np.diff(np.array(begun)), np.array(took))
+
+
+def run_paced(
+    tick: Callable[[], object], seconds: float, heard: Callable[[float, float], object],
+    goes_on: Callable[[], bool] = lambda: True,
+) -> None:  # fmt: skip
     """Call something once in a period, on the machine's clock.
 
     A beginning that was missed is left out, and not made up for; one that comes late is followed by the next
@@ -59,25 +73,55 @@ def run_timed(
     Args:
         tick: called once in a period.
         seconds: for how long [s].
+        heard: told of each when it began and how long it took [s].
         goes_on: asked before each; False ends it.
 
     Raises:
         Exception: whatever `tick` raises, at once.
     """
-    if not 0 < seconds < 86_400:
-        raise RangeError(f"a loop of {seconds:g} s; more than 0 s and less than a day are allowed")
-    begun, took = [], []
+    if not 0 < seconds <= MAX_S:
+        raise RangeError(f"a loop of {seconds:g} s; more than 0 s and a day at most are allowed")
     with _undisturbed():
         next_s = time.perf_counter()
         end_s = next_s + seconds
-        while next_s < end_s and (goes_on is None or goes_on()):
+        while next_s < end_s and goes_on():
             now = _wait_until(next_s)
             tick()
-            begun.append(now)
-            took.append(time.perf_counter() - now)
-            soonest = max(time.perf_counter(), now + PERIOD_S / 2)  # two at once would ask a device twice
+            ended = time.perf_counter()
+            heard(now, ended - now)
+            soonest = max(ended, now + PERIOD_S / 2)  # two at once would ask a device twice
             next_s += PERIOD_S * max(1, math.ceil((soonest - next_s) / PERIOD_S))
-    return LoopTiming(np.diff(np.array(begun)), np.array(took))
+
+
+class Pace:
+    """Counts periods as they come, for whoever looks on.
+
+    Attributes:
+        periods: how many there were.
+        late: how many of them were longer than `LATE_S`.
+        longest_s: longest [s].
+        latest_s: when the last one began [s, `time.perf_counter`].
+    """
+
+    def __init__(self) -> None:
+        self.periods = self.late = 0
+        self.longest_s = 0.0
+        self.latest_s = time.perf_counter()
+        self._first = True
+
+    def heard(self, began_s: float, work_s: float) -> None:
+        """Count one; see `run_paced`."""
+        if not self._first:
+            period = began_s - self.latest_s
+            self.periods += 1
+            self.late += period > LATE_S
+            self.longest_s = max(self.longest_s, period)
+        self._first, self.latest_s = False, began_s
+
+    @property
+    def late_share(self) -> float:
+        """Share of periods longer than `LATE_S`; 0 before the first."""
+        return self.late / self.periods if self.periods else 0.0
 
 
 def _wait_until(at_s: float) -> float:

@@ -140,6 +140,11 @@ class RenderingBench:
         self.display = VirtualDisplay(self, servo or FlowServo(self.parts.shape), watchdog_s)
         self.arm = VirtualArm(self, watchdog_s)
 
+    @property
+    def display_if_any(self) -> VirtualDisplay | None:
+        """The display; None where a plate is in its place."""
+        return None if self.parts.plate else self.display
+
     def follow(self) -> None:
         """Carry the physics on to now, through the instants at which a watchdog acts."""
         with self.turn:

@@ -1,13 +1,18 @@
-"""Fields that the tables of a rig's file share: millimetres there, metres behind it."""
+"""Files that name devices: how they are read, and fields that their tables share.
+
+Millimetres stand in a file, since people write it, and metres behind it.
+"""
 
 from __future__ import annotations
 
 import re
-from typing import Annotated
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
-from palpate.core import Position
+from palpate.core import InputError, Position, storage_errors
 
 MM = 1e-3
 Three = tuple[float, float, float]
@@ -30,8 +35,12 @@ Host = Annotated[str, AfterValidator(_names_a_host)]
 """Name or number of a device in the network."""
 
 
+MAX_BYTES = 1 << 20
+Of = TypeVar("Of", bound=BaseModel)
+
+
 class Part(BaseModel):
-    """A table of a rig's file: nothing in it changes, and no field is unknown."""
+    """A table of a file: nothing in it changes, and no field is unknown."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -70,3 +79,36 @@ def metres(mm: Three) -> Position:
     """Metres of three millimetres."""
     x, y, z = (MM * value for value in mm)
     return x, y, z
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The fields of a file that people write; of its first MiB.
+
+    Raises:
+        InputError: it is not TOML.
+        StorageError: it cannot be read.
+    """
+    with storage_errors(path):
+        data = path.read_bytes()[:MAX_BYTES]
+    try:
+        return tomllib.loads(data.decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
+        raise InputError(f"{path} is not TOML: {e}") from e
+
+
+def validated(model: type[Of], path: Path, fields: dict[str, Any]) -> Of:
+    """What the fields of a file say.
+
+    Raises:
+        InputError: a field that is not one, or out of range; each is named.
+    """
+    try:
+        return model.model_validate(fields)
+    except ValidationError as e:
+        problems = "; ".join(f"{_field(d['loc'])}: {d['msg']}" for d in e.errors())
+        raise InputError(f"{path}: {problems}") from e
+
+
+def _field(location: tuple[str | int, ...]) -> str:
+    """The field's name in the file, without the tags of its kinds."""
+    return ".".join(str(part) for part in location if not str(part).startswith("#"))

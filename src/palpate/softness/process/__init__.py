@@ -1,0 +1,7 @@
+"""A rendering in a process of its own: the bench that it opens, the loop that it runs, and its client."""
+
+from palpate.softness.process.bench_file import BenchFile, read_bench
+from palpate.softness.process.rendering_messages import RenderingStatus
+from palpate.softness.process.rendering_session import RenderingSession, stop_by_name
+
+__all__ = ["BenchFile", "RenderingSession", "RenderingStatus", "read_bench", "stop_by_name"]
