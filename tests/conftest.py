@@ -42,38 +42,56 @@ typed = beartype.beartype(
 )
 jaxtyped = jaxtyping.jaxtyped
 
-CHECKED_CALLS = 25
-"""Calls of a function whose shapes are checked in each test: those of a loop after them would tell nothing
-new, and took a third of a calibration's time."""
+CHECKED_CALLS = 10
+"""Calls of a function whose shapes and types are checked in each test: those of a loop after them would
+tell nothing new, and took a third of a calibration's time and a quarter of a rig's."""
 tests_begun = [0]
 
 
-def begins_checked(function, with_shapes):
-    """The function with its shapes checked at the first calls in each test."""
+def begins_checked(function):
+    """The function with its annotations checked at the first calls in each test.
+
+    Its checks are written at its first call of all: most functions are called in few of the processes
+    that import them, and to write the checks of all took longer than to import them.
+    """
     test = calls = 0
+    with_checks = None
 
     @functools.wraps(function)
     def call(*args, **kwargs):
-        nonlocal test, calls
+        nonlocal test, calls, with_checks
         if test != tests_begun[0]:
             test, calls = tests_begun[0], 0
         calls += 1
-        return (with_shapes if calls <= CHECKED_CALLS else function)(*args, **kwargs)
+        if calls > CHECKED_CALLS:
+            return function(*args, **kwargs)
+        if with_checks is None:
+            with_checks = checks_of(function)
+        return with_checks(*args, **kwargs)
 
     return call
 
 
 @pytest.fixture(autouse=True)
 def shapes_checked_anew() -> None:
-    """Count calls anew, so that each test checks shapes."""
+    """Count calls anew, so that each test checks shapes and types."""
     tests_begun[0] += 1
 
 
-def checked(what):
-    """What jaxtyping's hook decorates, with shapes checked where there are any and types everywhere.
+def checks_of(function):
+    """The function with shapes checked where there are any, and types everywhere, at every call.
 
-    Its own wrapper binds the arguments of every call anew, which took two thirds of a rig's tests.
+    jaxtyping's own wrapper binds the arguments of every call anew, which took two thirds of a rig's tests.
     """
+    # A generator's arguments would be checked at its first item, and so perhaps never.
+    if not inspect.isgeneratorfunction(function) and not any(map(_has_array, _hints(function))):
+        with contextlib.suppress(beartype.roar.BeartypeDecorHintException):  # as P.args: for jaxtyping alone
+            return typed(function)
+    return jaxtyped(function, typechecker=typed)
+
+
+def checked(what):
+    """What jaxtyping's hook decorates, with its annotations checked."""
     if isinstance(what, (classmethod, staticmethod)):
         return type(what)(checked(what.__func__))
     if isinstance(what, property):
@@ -82,12 +100,7 @@ def checked(what):
         if dataclasses.is_dataclass(what) and "__init__" in vars(what):
             what.__init__ = checked(what.__init__)
         return what
-    # A generator's arguments would be checked at its first item, and so perhaps never.
-    if not inspect.isgeneratorfunction(what) and not any(map(_has_array, _hints(what))):
-        with contextlib.suppress(beartype.roar.BeartypeDecorHintException):  # as P.args: for jaxtyping alone
-            return typed(what)
-    with_shapes = jaxtyped(what, typechecker=typed)
-    return begins_checked(what, with_shapes) if inspect.isfunction(what) else with_shapes
+    return begins_checked(what) if inspect.isfunction(what) else checks_of(what)
 
 
 # Before any test imports palpate: what was imported earlier would go unchecked.
