@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -45,14 +46,20 @@ def named(card) -> list[tuple[str, float]]:
     return [(t.measured_by.instrument, t.measured_by.standard_uncertainty) for t in card.targets]
 
 
+@pytest.fixture(scope="module")
+def former(record_spots_module, tmp_path_factory) -> Path:
+    """A calibration that states its instrument, to be looked at and taken over."""
+    out = tmp_path_factory.mktemp("former") / "cal"
+    return calibrate(record_spots_module("run", 20), CalibrationPlan(**PLAN, instruments=FORMER), out)
+
+
 @pytest.mark.parametrize("take_over", [adapt, reset_intervals])
 def test_a_new_run_s_instrument_goes_before_the_former_which_stands_where_none_is_stated(
-    take_over, record_spots, tmp_path
+    take_over, former, record_spots, tmp_path
 ) -> None:
-    calibrate(record_spots("run", 20), CalibrationPlan(**PLAN, instruments=FORMER), tmp_path / "cal")
     silent, stated = record_spots("silent", 12, seed=1), stating(record_spots("stated", 12, seed=2), OTHER)
-    take_over(tmp_path / "cal", silent, tmp_path / "kept")
-    take_over(tmp_path / "cal", stated, tmp_path / "taken")
+    take_over(former, silent, tmp_path / "kept")
+    take_over(former, stated, tmp_path / "taken")
     assert named(read_card(tmp_path / "kept")) == [("stage A", 0.2)]
     assert named(read_card(tmp_path / "taken")) == [("laser B", 0.5)]
     assert read_card(tmp_path / "taken").targets[0].measured_by.half_width == pytest.approx(1.6448536 * 0.5)
@@ -63,12 +70,11 @@ def test_a_new_run_s_instrument_goes_before_the_former_which_stands_where_none_i
 
 @pytest.mark.parametrize("words", [(), ("--intervals-only",)])
 def test_a_file_of_instruments_goes_before_the_run_s_and_the_former_one_when_adapting(
-    words, record_spots, tmp_path
+    words, former, record_spots, tmp_path
 ) -> None:
-    calibrate(record_spots("run", 20), CalibrationPlan(**PLAN, instruments=FORMER), tmp_path / "cal")
     stated, file = stating(record_spots("stated", 12, seed=2), OTHER), tmp_path / "labels.toml"
     file.write_text('[x_mm]\ninstrument = "fine C"\nstandard_uncertainty = 0.01\n')
-    asked = ["adapt", tmp_path / "cal", stated.path, *words, "--quiet", "--instruments"]
+    asked = ["adapt", former, stated.path, *words, "--quiet", "--instruments"]
     found = CliRunner().invoke(app, [*map(str, asked), str(file), "--out", str(tmp_path / "own")])
     assert found.exit_code == 0, found.output
     assert named(read_card(tmp_path / "own")) == [("fine C", 0.01)]

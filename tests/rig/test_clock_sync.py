@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.rig.rigs import CLOCK_NS, keys, plan, rig, wanted
+from tests.slow_params import mostly_slow
 
 from palpate.core import DeviceError, RangeError
 from palpate.core.clock import ManualClock
@@ -136,8 +137,8 @@ def test_a_camera_that_does_not_see_the_taps_stops_the_recording_before_it_begin
 @pytest.mark.parametrize(
     ("kind", "reason"),
     [
-        ("camera-resized", Reason.CAMERA),
-        ("camera-stalls", Reason.CAMERA),
+        pytest.param("camera-resized", Reason.CAMERA, marks=pytest.mark.slow),
+        pytest.param("camera-stalls", Reason.CAMERA, marks=pytest.mark.slow),
         ("camera-gone", Reason.CAMERA),
         ("camera-frozen", Reason.CLOCKS),
         ("force-stalls", Reason.FORCE_STALE),
@@ -191,11 +192,14 @@ ANSWERED_S = 0.2
 
 @pytest.mark.parametrize(
     ("command", "state"),
-    [
-        (OperatorCommand.STOP, State.STOPPED),
-        (OperatorCommand.ABORT, State.ABORTED),
-        (OperatorCommand.ESTOP, State.ESTOPPED),
-    ],
+    mostly_slow(
+        [
+            (OperatorCommand.STOP, State.STOPPED),
+            (OperatorCommand.ABORT, State.ABORTED),
+            (OperatorCommand.ESTOP, State.ESTOPPED),
+        ],
+        lambda i: i == 2,
+    ),
 )
 def test_a_stop_is_answered_while_the_taps_are_analysed_and_the_runs_frames_stay_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: OperatorCommand, state: State

@@ -158,7 +158,7 @@ WAYS = {
 }
 
 
-@pytest.mark.parametrize("left", WAYS)
+@pytest.mark.parametrize("left", mostly_slow(list(WAYS), lambda i: i % 2 == 1))
 def test_a_run_without_frames_is_begun_again_by_the_same_call(tmp_path: Path, left: str) -> None:
     out, small = tmp_path / "run", plan(cycles=1)
     begun(out)

@@ -7,6 +7,7 @@ import time
 
 import pytest
 from hypothesis import given, strategies as st
+from tests.slow_params import mostly_slow
 
 from palpate.core.clock import MonotonicClock
 from palpate.core.errors import DeviceError, RangeError
@@ -29,7 +30,7 @@ def model(request):
     return request.param
 
 
-@pytest.mark.parametrize("spoilt", SPOILT.values(), ids=SPOILT)
+@pytest.mark.parametrize("spoilt", mostly_slow(list(SPOILT.values()), lambda i: i == 2), ids=SPOILT)
 def test_a_descent_in_steps_arrives_whatever_is_lost_on_the_wire(grbl_bench, model, spoilt):
     bench = grbl_bench(model, spoilt)
     stage = bench.open()

@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 from tests.rig import supervised_bench
+from tests.slow_params import mostly_slow
 
 from palpate.core.errors import DeviceError
 from palpate.devices import ForceBias, ForceReached, OperatorCommand, OperatorControl, Reason, Tripped
@@ -174,7 +175,9 @@ def test_an_exception_of_who_watches_halts_the_motion(supervised) -> None:
         guard.lift()
 
 
-@pytest.mark.parametrize("command", [OperatorCommand.ABORT, OperatorCommand.ESTOP])
+@pytest.mark.parametrize(
+    "command", mostly_slow([OperatorCommand.ABORT, OperatorCommand.ESTOP], lambda i: i == 1)
+)
 def test_a_command_acts_in_the_supervisor_while_who_asked_hangs(supervised, command) -> None:
     bench = supervised()
     with opened(bench) as rig:
@@ -228,7 +231,11 @@ print("in", flush=True)
 MOVES = "guard.towards((0.0, 0.0, 3 * MM), 0.2 * MM, step_m=5 * MM)"
 
 
-@pytest.mark.parametrize("then", ["time.sleep(60)", MOVES], ids=["standing in the skin", "moving into it"])
+@pytest.mark.parametrize(
+    "then",
+    mostly_slow(["time.sleep(60)", MOVES], lambda i: i == 1),
+    ids=["standing in the skin", "moving into it"],
+)
 def test_a_client_that_is_killed_leaves_no_probe_in_the_skin(supervised, then: str) -> None:
     bench = supervised()
     with child(bench, then) as client:
