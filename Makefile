@@ -23,9 +23,10 @@ demo: .venv/sense.stamp ## render a recording, calibrate, evaluate, sense, repor
 	OMP_NUM_THREADS=1 $(BIN)/palpate demo --out "$$out" && \
 	echo "palpate itself is $(BIN)/palpate: try $(BIN)/palpate --help"
 
-# One thread a process: two processes with two threads each would fight over two cores.
+# One thread a process: two processes with two threads each would fight over two cores. Bytecode is kept
+# whatever the environment says: some hundred tests start a process, and each would compile palpate anew.
 test: .venv/work.stamp ## run the tests that take seconds
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n $(TEST_PROCESSES) --dist loadscope
+	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n $(TEST_PROCESSES) --dist loadscope
 
 slow: .venv/work.stamp ## run the tests that take minutes
 	$(BIN)/python -m pytest -m slow --timeout=3600
