@@ -58,7 +58,11 @@ def span_of_last_press(path: Path) -> tuple[float, float]:
     return begun_s + float(down) - 0.3, begun_s + float(down) + 0.1
 
 
-@pytest.mark.parametrize("goes_on", [False, True], ids=["ends before the zero", "goes on in the air"])
+@pytest.mark.parametrize(
+    "goes_on",
+    [False, pytest.param(True, marks=pytest.mark.slow)],
+    ids=["ends before the zero", "goes on in the air"],
+)
 def test_a_press_whose_zero_moved_is_named_taken_back_and_recorded_anew(
     tmp_path: Path, goes_on: bool
 ) -> None:
