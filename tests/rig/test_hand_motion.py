@@ -217,7 +217,15 @@ def test_a_lift_that_leads_into_the_skin_is_stopped() -> None:
     assert rig.stage.position_m()[2] < 3e-3
 
 
-@pytest.mark.parametrize("axes", [("x", "y", "z"), ("x", "y", "-z"), ("-y", "z", "x"), ("z", "x", "-y")])
+@pytest.mark.parametrize(
+    "axes",
+    [
+        pytest.param(("x", "y", "z"), marks=pytest.mark.slow),
+        pytest.param(("x", "y", "-z"), marks=pytest.mark.slow),
+        ("-y", "z", "x"),
+        ("z", "x", "-y"),
+    ],
+)
 def test_a_touch_finds_the_axis_and_sign_of_any_mounting(axes: tuple[str, str, str]) -> None:
     rig = virtual_rig()
     turned = Turned(rig, Mounting(axes))
