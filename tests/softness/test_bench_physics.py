@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import astuple
+from dataclasses import astuple, fields, replace
 
 import numpy as np
 import pytest
@@ -122,6 +122,16 @@ def test_a_display_that_nobody_tells_anything_vents_when_its_watchdog_is_due() -
         bench.display.set_pressure(60e3)
     run(bench, 0.1)
     assert bench.truth().pressure_pa < 500.0
+
+
+def test_every_figure_of_the_sensors_changes_what_they_read() -> None:
+    for one in fields(DisplaySensors):
+        quiet = DisplaySensors(0.0, 0.0)
+        reads = [
+            bench_of(BenchParts(sensors=sensors)).display.latest()
+            for sensors in (quiet, replace(quiet, **{one.name: 1e-3}))
+        ]
+        assert reads[0] != reads[1], one.name
 
 
 def test_a_ramp_is_followed_without_error_of_speed() -> None:

@@ -107,15 +107,13 @@ class DisplaySensors:
     Attributes:
         hall_noise_m: standard deviation [m].
         pressure_noise_pa: standard deviation [Pa].
-        delay_s: from the state to its sample [s].
     """
 
     hall_noise_m: float = 4e-6
     pressure_noise_pa: float = 40.0
-    delay_s: float = 0.2e-3
 
     def __post_init__(self) -> None:
-        check_parts(self, zero=("hall_noise_m", "pressure_noise_pa", "delay_s"))
+        check_parts(self, zero=("hall_noise_m", "pressure_noise_pa"))
 
 
 @dataclass(frozen=True, slots=True)
