@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
+from palpate.cli import rendering_verbs
 from palpate.cli.verb_support import Json, group, print_found, progress_bar
 
 if TYPE_CHECKING:
@@ -493,3 +494,7 @@ def _kept(cue: str, why_not: str, answer: dict[str, Any]) -> str:
     inside = off["inside_envelope"]
     within = "" if inside is None else f", {inside:.2%} inside the envelope"
     return f"  force over {cue}: off by {off['all']:.2%} of the peak{within} (root mean square)"
+
+
+display_app.command("run")(rendering_verbs.run)
+display_app.command("stop")(rendering_verbs.stop)

@@ -30,7 +30,13 @@ CHANGE_S = 0.3  # in which one object turns into the next
 
 T = TypeVar("T")
 
-STOPS = (OperatorCommand.PAUSE, OperatorCommand.STOP, OperatorCommand.ABORT, OperatorCommand.ESTOP)
+WISHED = {
+    OperatorCommand.PAUSE: "the operator asked for a pause",
+    OperatorCommand.STOP: "the operator ended it",
+    OperatorCommand.ABORT: "the operator ended it",
+    OperatorCommand.ESTOP: "the operator asked for an emergency stop",
+}
+STOPS = tuple(WISHED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +139,7 @@ class RenderingLoop:
         try:
             self.last = self._tick()
         except OperatorInterrupt as e:
-            self.make_safe(f"the operator asked to {e.command.value}")
+            self.make_safe(WISHED[e.command])
             raise
         except Tripped as e:
             self.make_safe(str(e))
@@ -148,7 +154,7 @@ class RenderingLoop:
 
         What could not be told is said in `safe`, and the device's own watchdog acts on it.
         """
-        self.safe = why
+        self.safe = self.safe or why  # the first reason is the one to be told
         ways = [("arm did not brake", self._arm.brake)]
         if (display := self._display) is not None:
             ways.insert(0, ("display did not vent", display.vent))

@@ -41,6 +41,7 @@ class RenderingStatus:
         late_share: share of them longer than 1.5 ms.
         longest_s: longest of them [s].
         simulated: whether no device is real.
+        wished: whether it ended because somebody wished it.
     """
 
     state: str
@@ -51,6 +52,7 @@ class RenderingStatus:
     late_share: float = 0.0
     longest_s: float = 0.0
     simulated: bool = True
+    wished: bool = False
 
 
 def status_row(status: RenderingStatus) -> Message:

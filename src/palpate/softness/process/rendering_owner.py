@@ -70,8 +70,8 @@ class RenderingOwner:
         self._pace, self._samples = Pace(), deque[LoopSample](maxlen=KEPT)
         self._pieces = ObjectPieces()
         self._gone, self._over = threading.Event(), threading.Event()
-        self._heard_s = time.monotonic()
-        self._why = ""
+        self._heard_s, self._silent = time.monotonic(), False
+        self._why, self._wished = "", False
 
     def read(self, messages: Iterator[Mapping[str, Any]]) -> None:
         """Take in what the client writes, until it is gone."""
@@ -123,7 +123,11 @@ class RenderingOwner:
         try:
             run_paced(self._tick, MAX_S, self._pace.heard, lambda: not self._gone.is_set())
             self._why = "whoever rendered is gone" if self._gone.is_set() else "a day has passed"
-        except (OperatorInterrupt, PalpateError):
+        except OperatorInterrupt:
+            self._why, self._wished = self._loop.safe, not self._silent
+            if self._silent:
+                self._why = f"whoever rendered has said nothing for {SILENT_S:g} s"
+        except PalpateError:
             self._why = self._loop.safe
         except Exception as e:  # of the loop itself: a person's finger is on it, and they are told
             self._why = self._loop.safe or f"{type(e).__name__}: {e}"
@@ -141,6 +145,7 @@ class RenderingOwner:
         while not self._over.wait(TELL_S):
             self._send({"status": status_row(self._status()), "samples": self._taken()})
             if time.monotonic() - self._heard_s > SILENT_S:
+                self._silent = True
                 self._control.ask(OperatorCommand.STOP)
             stands_s = time.perf_counter() - self._pace.latest_s
             if stands_s > HANGS_S and not self._loop.safe:
@@ -153,10 +158,11 @@ class RenderingOwner:
         return rows
 
     def _status(self) -> RenderingStatus:
-        over, pace = self._over.is_set(), self._pace
+        over, pace = self._over.is_set() or bool(self._loop.safe), self._pace
+        why = self._why or self._loop.safe
         return RenderingStatus(
-            "ended" if over else "renders", self._why if over else "", self._law.object.name, self._law.mode,
-            pace.periods, pace.late_share, pace.longest_s, self._simulated,
+            "ended" if over else "renders", why if over else "", self._law.object.name, self._law.mode,
+            pace.periods, pace.late_share, pace.longest_s, self._simulated, self._wished,
         )  # fmt: skip
 
     def _take(self, message: Mapping[str, Any]) -> None:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from contextlib import suppress
 from dataclasses import replace
 
-from palpate.core import Closing, PalpateError
+from palpate.core import Closing, DeviceError, PalpateError
 from palpate.devices.operator_control import OperatorCommand
 from palpate.devices.supervisor.process_link import GoneWords, ProcessLink
 from palpate.softness.characteristics import SoftObject
@@ -30,6 +29,8 @@ TOLD = GoneWords(
     "drop the arm's force. Take the finger away, and use the switch",
     "take the finger away: the process that renders has not let go of the devices",
 )
+REACHED_S = 2.0  # in which a process that is there answers
+ENDS_S = 2.0  # in which it says that it has ended
 QUIET_S = 5.0  # in which the process tells something
 KEPT = 6000  # samples, of a minute
 
@@ -51,7 +52,7 @@ class RenderingSession(Closing):
     def __init__(
         self, bench: BenchFile, soft: SoftObject, mode: Mode, peak_n: float = 1.0, frequency_hz: float = 1.0
     ) -> None:
-        self._lock = threading.Lock()
+        self._lock, self._ended = threading.Lock(), threading.Event()
         self._samples: deque[LoopSample] = deque(maxlen=KEPT)
         self._status = RenderingStatus("opens", "", soft.name, mode, simulated=bench.simulated)
         first = {
@@ -92,9 +93,11 @@ class RenderingSession(Closing):
         self._link.ask(**last)
         self.law = law
 
-    def stop(self) -> None:
-        """End the rendering; the session tells why it ended until it is closed."""
+    def stop(self) -> RenderingStatus:
+        """End the rendering, and say how it stood; the session tells that until it is closed."""
         self._link.tell("command", command=OperatorCommand.STOP)
+        self._ended.wait(ENDS_S)
+        return self.status()
 
     def estop(self) -> None:
         """Emergency stop: the chamber is vented and the arm brakes, past whatever goes on."""
@@ -113,16 +116,20 @@ class RenderingSession(Closing):
         try:
             while True:
                 event = self._link.next_event(QUIET_S)
-                if "status" not in event:
-                    continue
-                self._link.tell("heard")
-                with self._lock:
-                    self._status = status_of(event["status"])
-                    self._samples.extend(map(loop_sample, event["samples"]))
+                if "status" in event:
+                    self._link.tell("heard")
+                    self._take(status_of(event["status"]), list(map(loop_sample, event["samples"])))
         except PalpateError as e:
-            with self._lock:
-                if self._status.state != "ended":
-                    self._status = replace(self._status, state="ended", why=str(e))
+            now = self.status()
+            if now.state != "ended":
+                self._take(replace(now, state="ended", why=str(e)), [])
+
+    def _take(self, status: RenderingStatus, samples: list[LoopSample]) -> None:
+        with self._lock:
+            self._status = status
+            self._samples.extend(samples)
+        if status.state == "ended":
+            self._ended.set()
 
 
 def stop_by_name(name: str) -> bool:
@@ -132,6 +139,10 @@ def stop_by_name(name: str) -> bool:
 
     if find(supervisor_name(name)) is None:
         return False
-    with RpcClient(supervisor_name(name)) as client, suppress(TimeoutError):
+    with RpcClient(supervisor_name(name)) as client:
+        try:
+            client.wait_for(lambda status: True, REACHED_S)
+        except DeviceError:
+            return False  # it was killed, and left its address behind
         client.ask("estop")
     return True

@@ -1,0 +1,260 @@
+"""Verbs that render softness now, on a bench of devices or on the virtual one, and stop it."""
+
+from __future__ import annotations
+
+import csv
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from typer import Option
+
+from palpate.cli.verb_support import Json, Quiet, print_found
+
+if TYPE_CHECKING:
+    from palpate.softness import RenderingLaw
+    from palpate.softness.control import LoopSample
+    from palpate.softness.process import RenderingSession, RenderingStatus
+
+LOOK_S = 0.1
+_ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+COLUMNS: dict[str, Callable[[LoopSample], float]] = {
+    "time_s": lambda one: one.time_s,
+    "pushed_mm": lambda one: 1e3 * one.pushed_m,
+    "arm_mm": lambda one: 1e3 * one.arm_m,
+    "displacement_mm": lambda one: 1e3 * one.displacement_m,
+    "area_mm2": lambda one: 1e6 * one.area_m2,
+    "pressure_kPa": lambda one: 1e-3 * one.pressure_pa,
+    "told_kPa": lambda one: 1e-3 * one.told_pa,
+    "force_N": lambda one: one.force_n,
+    "arm_force_N": lambda one: one.arm_force_n,
+    "touched": lambda one: int(one.touched),
+}
+
+BenchPath = Annotated[Path | None, Option("--bench", help="TOML file of display and arm; else virtual.")]
+
+
+def run(
+    object_: Annotated[Path, Option("--object", help="TOML file of the object's curves, with units.")],
+    bench: BenchPath = None,
+    mode: Annotated[str, Option(help="CM1: both cues. CM2: the arm's. CM3: the skin's.")] = "CM1",
+    seconds: Annotated[float, Option(help="How long; until Ctrl-C if left out [s].")] = float("inf"),
+    peak_n: Annotated[float, Option(help="Force of the virtual bench's finger [N].")] = 1.0,
+    frequency_hz: Annotated[float, Option(help="Its presses a second, 0.1 to 5 [Hz].")] = 1.0,
+    samples: Annotated[Path | None, Option(help="CSV of samples, 100 a second; must not exist.")] = None,
+    quiet: Quiet = False,
+    json_: Json = False,
+) -> None:
+    """Render an object on a display and an arm, now.
+
+    Without --bench the devices are virtual, and a virtual finger presses. The rendering ends by Ctrl-C, by
+    `palpate display stop` and on any fault; then the chamber vents and the arm brakes.
+
+    Example: palpate display run --object foam.toml --seconds 10
+    """
+    from palpate.core import RangeError, SafetyError
+    from palpate.softness import Mode, read_object
+    from palpate.softness.process import RenderingSession, read_bench
+
+    _check_wish(mode, seconds, frequency_hz, samples)
+    soft, file = read_object(object_), read_bench(bench)
+    if not 0 < peak_n <= soft.greatest_n:
+        raise RangeError(f"a press of {peak_n:g} N; {soft.name} is known from 0 to {soft.greatest_n:g} N")
+    seen: list[LoopSample] = []
+    with ExitStack() as stack:
+        ending = stack.enter_context(_ended_by_signals())
+        keep = stack.enter_context(_kept(samples))
+        session = stack.enter_context(RenderingSession(file, soft, Mode(mode), peak_n, frequency_hz))
+        say = stack.enter_context(_told(quiet or json_))
+
+        def take(more: Sequence[LoopSample]) -> None:
+            seen.extend(more)
+            keep(more)
+            say(session, more)
+
+        status = _watch(session, seconds, ending, take)
+    answer = _answer(status, session.law, seen, samples)
+    print_found(answer, _text(answer), json_)
+    if answer["ended_by_fault"]:
+        raise SafetyError(f"the rendering ended by itself: {status.why}")
+
+
+def _check_wish(mode: str, seconds: float, frequency_hz: float, samples: Path | None) -> None:
+    """Refuse what cannot be, before anything is opened."""
+    from palpate.core import ExistsError, InputError, RangeError
+    from palpate.softness import Mode
+
+    if mode not in tuple(Mode):
+        raise InputError(f"mode {mode!r}; there are {', '.join(Mode)}")
+    if not seconds > 0:
+        raise RangeError(f"a rendering of {seconds:g} s; give more than 0 s")
+    if not 0.1 <= frequency_hz <= 5:
+        raise RangeError(f"presses at {frequency_hz:g} Hz; 0.1 to 5 Hz are allowed")
+    if samples is not None and samples.exists():
+        raise ExistsError(f"{samples} exists; nothing is overwritten: name another file")
+
+
+def _watch(
+    session: RenderingSession,
+    seconds: float,
+    ending: threading.Event,
+    take: Callable[[list[LoopSample]], Any],
+) -> RenderingStatus:
+    """Hand on what comes until it ends, by time, by wish or by itself; then end it, and say how it stood."""
+    end_s = time.monotonic() + seconds
+    while session.status().state != "ended" and not ending.wait(
+        max(0.0, min(LOOK_S, end_s - time.monotonic()))
+    ):
+        take(session.taken())
+        if time.monotonic() >= end_s:
+            break
+    status = session.stop()
+    take(session.taken())
+    return status
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[threading.Event]:
+    """What Ctrl-C, a request to end and a closed terminal set; the devices are made safe in any case."""
+    asked = threading.Event()
+    before = {number: signal.signal(number, lambda *_: asked.set()) for number in _ENDING}
+    try:
+        yield asked
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _kept(path: Path | None) -> Iterator[Callable[[Sequence[LoopSample]], None]]:
+    """Writes samples as they come; a new file, or none."""
+    from palpate.core import storage_errors
+
+    if path is None:
+        yield lambda more: None
+        return
+    with storage_errors(path), path.open("x", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(COLUMNS)
+
+        def keep(more: Sequence[LoopSample]) -> None:
+            table.writerows([f"{of(one):.6g}" for of in COLUMNS.values()] for one in more)
+            file.flush()
+
+        yield keep
+
+
+@contextmanager
+def _told(quiet: bool) -> Iterator[Callable[[RenderingSession, Sequence[LoopSample]], None]]:
+    """A line on stderr that shows how it goes, where somebody is looking."""
+    from rich.console import Console
+    from rich.live import Live
+
+    console = Console(stderr=True)
+    if quiet or not console.is_terminal:
+        yield lambda session, more: None
+        return
+    with Live("opens", console=console, transient=True, refresh_per_second=10) as live:
+
+        def say(session: RenderingSession, more: Sequence[LoopSample]) -> None:
+            now = session.status()
+            last = f"{_measured(more[-1])}; " if more else ""
+            live.update(f"{now.object}, {now.mode.value}: {last}{_timing(now)}. Ctrl-C ends it")
+
+        yield say
+
+
+def _measured(one: LoopSample) -> str:
+    return (
+        f"{one.force_n:5.2f} N, {1e6 * one.area_m2:6.1f} mm², {1e3 * one.displacement_m:6.2f} mm, "
+        f"{1e-3 * one.pressure_pa:5.1f} kPa"
+    )
+
+
+def _timing(status: RenderingStatus) -> str:
+    return (
+        f"{status.periods} periods, {status.late_share:.3%} longer than 1.5 ms, longest "
+        f"{1e3 * status.longest_s:.1f} ms"
+    )
+
+
+def _answer(
+    status: RenderingStatus, law: RenderingLaw, seen: Sequence[LoopSample], samples: Path | None
+) -> dict[str, Any]:
+    """What is said of a rendering that has ended."""
+    import numpy as np
+
+    from palpate.softness import Mode
+
+    felt = [one for one in seen if one.touched]
+    force, area, way = (
+        np.array([getattr(one, name) for one in felt]) for name in ("force_n", "area_m2", "displacement_m")
+    )
+    cues = {"area": (law.object.area, area), "displacement": (law.object.displacement, way)}
+    unkept = {Mode.KINESTHETIC: "area", Mode.CUTANEOUS: "displacement"}.get(status.mode)
+    peak = float(force.max()) if len(felt) else 0.0
+    off = {
+        cue: None if cue == unkept or not peak else float(
+            np.sqrt(np.mean((force - np.interp(x, curve.x, curve.force_n)) ** 2)) / peak
+        )
+        for cue, (curve, x) in cues.items()
+    }  # fmt: skip
+    return {
+        "object": status.object,
+        "mode": status.mode.value,
+        "simulated": status.simulated,
+        "ended": status.why,
+        "ended_by_fault": not status.wished,
+        "periods": status.periods,
+        "late_share": status.late_share,
+        "longest_period_ms": 1e3 * status.longest_s,
+        "samples": len(seen),
+        "peak_N": peak,
+        **{f"force_{cue}_rms_of_peak": value for cue, value in off.items()},
+        "file": None if samples is None else str(samples),
+    }
+
+
+def _text(answer: dict[str, Any]) -> str:
+    begun = f"{answer['object']}, {answer['mode']}: {answer['periods']} periods"
+    late = f"{answer['late_share']:.3%} longer than 1.5 ms, longest {answer['longest_period_ms']:.1f} ms"
+    lines = [f"{begun}, {late}; ended: {answer['ended']}"]
+    if answer["peak_N"]:
+        kept = [
+            f"{answer[f'force_{cue}_rms_of_peak']:.1%} over {cue}"
+            for cue in ("area", "displacement")
+            if answer[f"force_{cue}_rms_of_peak"] is not None
+        ]
+        lines.append(
+            f"  pressed to {answer['peak_N']:.2f} N as the devices measure it, from pressure and area; off "
+            f"by {' and '.join(kept)} (root mean square of the peak)"
+        )
+    else:
+        lines.append("  no finger pressed")
+    if answer["file"] is not None:
+        lines.append(f"  {answer['samples']} samples in {answer['file']}")
+    lines.append(
+        "simulated: display, arm and finger are virtual; no device was measured"
+        if answer["simulated"]
+        else "the devices' own sensors say so; nothing else measured the force on the finger"
+    )
+    return "\n".join(lines)
+
+
+def stop(
+    name: Annotated[str, Option(help="Name of the bench, as its file has it.")] = "virtual softness bench",
+) -> None:
+    """Stop a rendering, from any terminal: vent and brake.
+
+    Example: palpate display stop --name "desk bench"
+    """
+    from palpate.core import DeviceError
+    from palpate.softness.process import stop_by_name
+
+    if not stop_by_name(name):
+        raise DeviceError(f"nothing renders on a bench named {name!r}; the name stands in the bench's file")
+    print_found({}, f"{name}: stopped; the chamber vents and the arm brakes", False)
