@@ -65,6 +65,6 @@ def test_the_bench_follows_both_cues_and_a_pid_follows_worse(found) -> None:
 def test_the_page_says_what_is_assumed_and_nothing_is_overwritten(study: Path) -> None:
     page = (study / "report.html").read_text()
     assert "The moduli are assumed" in page
-    assert page.count("<img") == 4 + 3 + 11
+    assert page.count("<img") == 4 + 3 + 1 + 11
     with pytest.raises(ExistsError):
         reproduce_softness(study)

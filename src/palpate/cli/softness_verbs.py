@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from palpate.cli import rendering_verbs
+from palpate.cli.bench_test_verb import bench_test
 from palpate.cli.verb_support import Json, group, print_found, progress_bar
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ HERTZ_RADIUS = 0.5  # of a ball, to which a contact is small
 
 pairs_app = group("Find objects that feel alike to the arm or to the skin.")
 display_app = group("Render softness on a contact-area display and an arm.")
+display_app.command()(bench_test)
 
 One = Annotated[str, Argument(help="MODULUS_KPA:RADIUS_MM of an object; a flat's radius is inf.")]
 Other = Annotated[str, Argument(help="MODULUS_KPA:RADIUS_MM of the other.")]

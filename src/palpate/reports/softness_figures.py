@@ -15,6 +15,7 @@ from palpate.mechanics.half_space.hertz_pairs import Body
 from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, STYLE, drawn
 from palpate.reports.study_figures import COLOURS
 from palpate.softness import Limit, Mode, Rendered, RenderingLaw, SoftObject
+from palpate.softness.display_bench_test import BenchTest
 from palpate.softness.rendering_simulation import Rendering
 
 MM, MM2, KPA = 1e3, 1e6, 1e-3
@@ -232,6 +233,49 @@ def _tracking(felt: Rendering) -> Figure:
     _axes(ways, "time [s]", "displacement [mm]", "ways")
     figure.suptitle(
         f"{soft.name}, {felt.law.mode.value}, presses at {felt.frequency_hz:g} Hz: simulated",
+        fontsize=11, fontweight="bold", color=INK,
+    )  # fmt: skip
+    return figure
+
+
+def write_bench_test_figure(test: BenchTest, path: Path) -> None:
+    """Draw a bench test: force over indentation at each pressure, the law as lines, and what it misses.
+
+    Raises:
+        ExistsError: `path` exists.
+        StorageError: the disk refused.
+    """
+    _save(lambda: _bench_test(test), path)
+
+
+def bench_test_panels(test: BenchTest) -> str:
+    """The same as a PNG in a data address."""
+    with mpl.rc_context(STYLE):
+        return drawn(_bench_test(test))
+
+
+def _bench_test(test: BenchTest) -> Figure:
+    figure = Figure(figsize=(9.6, 4.2), layout="constrained")
+    force, off = figure.subplots(1, 2)
+    told, direction = test.column("told_pa"), test.column("direction")
+    way, measured, pressure = (test.column(name) for name in ("pushed_m", "force_n", "pressure_pa"))
+    levels = np.unique(told)
+    shades = mpl.colormaps["viridis"](np.linspace(0.0, 0.88, len(levels)))
+    drawn_m = np.linspace(0.0, test.shape.height_m, 200)
+    for level, shade in zip(levels, shades, strict=True):
+        law = pressure[told == level].mean() * test.shape.area_m2(drawn_m) + test.shape.sleeve_n_m * drawn_m
+        force.plot(MM * drawn_m, law, color=shade, lw=1.2, label=f"{KPA * level:g} kPa")
+        for turn, filled in ((1, shade), (-1, "none")):
+            on = (told == level) & (direction == turn)
+            force.scatter(MM * way[on], measured[on], s=22, edgecolors=[shade], facecolors=[filled])
+            off.scatter(MM * way[on], 1e3 * test.off_n[on], s=22, edgecolors=[shade], facecolors=[filled])
+    off.axhline(0.0, color=INK, lw=0.8)
+    force.legend(frameon=False, fontsize=8)
+    _axes(force, "indentation [mm]", "force [N]", "points as measured, lines P = p A(s) + k s")
+    _axes(off, "indentation [mm]", "measured less law [mN]", "filled: pressing, open: on the way back")
+    share = f"{100 * test.rms_n / test.peak_n:.2g} % of the peak"
+    figure.suptitle(
+        f"bench test: law off by {test.rms_n * 1e3:.2g} mN, {share} (RMS)",
         fontsize=11, fontweight="bold", color=INK,
     )  # fmt: skip
     return figure

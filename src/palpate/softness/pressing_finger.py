@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -12,6 +13,18 @@ from palpate.softness.characteristics import SoftObject
 from palpate.softness.display_parts import FingerMechanics
 
 Times = Float[ndarray, " n"]
+
+
+@runtime_checkable
+class MeantMotion(Protocol):
+    """Where a finger or a probe means to be, over time."""
+
+    @property
+    def gap_m(self) -> float:
+        """Gap by which it hangs above the surface at first [m]."""
+
+    def meant(self, time_s: Times, finger: FingerMechanics) -> tuple[Times, Times]:
+        """Places where it means to be, and its speed [m], [m/s]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,12 @@ import numpy as np
 from palpate.core import Progress, new_folder, silent
 from palpate.mechanics.half_space.hertz_pairs import Body, alike_to_the_arm, alike_to_the_skin
 from palpate.reports.certificate_page import filled_template
-from palpate.reports.softness_figures import pair_panels, specimen_panels, tracking_panels
+from palpate.reports.softness_figures import (
+    bench_test_panels,
+    pair_panels,
+    specimen_panels,
+    tracking_panels,
+)
 from palpate.reproductions.study_results import Published, StudyEntry, study_entry, write_results
 from palpate.softness import (
     Characteristic,
@@ -29,7 +34,9 @@ from palpate.softness import (
     specimens,
 )
 from palpate.softness.control import FlowServo, PidServo, PressureServo
+from palpate.softness.display_bench_test import BenchTest
 from palpate.softness.rendering_simulation import Rendering, simulate
+from palpate.softness.virtual.indentation_bench import virtual_bench_test
 from palpate.version import __version__
 
 SOURCE = "softness-display-2010"
@@ -63,8 +70,10 @@ def reproduce_softness(out: Path, *, seed: int = 0, progress: Progress = silent)
         pairs = ambiguous_pairs()
         stacked = stacked_specimens(progress)
         tracked = tracking(seed, progress)
-        entries = [*_pair_entries(pairs), *_specimen_entries(stacked), *_tracking_entries(tracked)]
-        write_results(folder, entries, _page(pairs, stacked, tracked, entries, seed))
+        bench = virtual_bench_test(seed=seed, progress=progress)
+        entries = [*_pair_entries(pairs), *_specimen_entries(stacked)]
+        entries += [*_bench_entries(bench), *_tracking_entries(tracked)]
+        write_results(folder, entries, _page(pairs, stacked, bench, tracked, entries, seed))
     return entries
 
 
@@ -179,6 +188,15 @@ def _specimen_entries(stacked: Mapping[str, Sequence[SoftObject]]) -> Iterator[S
             )
 
 
+def _bench_entries(test: BenchTest) -> Iterator[StudyEntry]:
+    fit = test.fit()
+    yield study_entry(SOURCE, "bench test: P = p A(s) + k s off by, RMS", 1e3 * test.rms_n, "mN")
+    yield study_entry(SOURCE, "bench test: the same, of the peak", 100 * test.rms_n / test.peak_n, "%")
+    yield study_entry(SOURCE, "bench test: fitted over stated p A(s)", fit.scale, "1")
+    yield study_entry(SOURCE, "bench test: fitted sleeve", fit.sleeve_n_m, "N/m")
+    yield study_entry(SOURCE, "bench test: fitted friction", 1e3 * fit.friction_n, "mN")
+
+
 def _tracking_entries(tracked: Mapping[str, Rendering]) -> Iterator[StudyEntry]:
     for name, felt in tracked.items():
         for cue, off in (("area", felt.off_area_n()), ("displacement", felt.off_displacement_n())):
@@ -209,6 +227,7 @@ def _mean_difference(one: Rendering, other: Rendering) -> float:
 def _page(
     pairs: Sequence[AmbiguousPair],
     stacked: Mapping[str, Sequence[SoftObject]],
+    bench: BenchTest,
     tracked: Mapping[str, Rendering],
     entries: Sequence[StudyEntry],
     seed: int,
@@ -229,5 +248,7 @@ def _page(
         finger_kpa=SPECIMEN_FINGER_PA / 1e3,
         pairs=shown,
         stacked={kind: specimen_panels(objects) for kind, objects in stacked.items()},
+        bench=bench_test_panels(bench),
+        bench_off={"mn": 1e3 * bench.rms_n, "percent": 100 * bench.rms_n / bench.peak_n},
         tracked={name: tracking_panels(felt) for name, felt in tracked.items()},
     )

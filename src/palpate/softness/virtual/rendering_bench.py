@@ -41,7 +41,7 @@ from palpate.softness.display_parts import (
     FingerMechanics,
     ProportionalValve,
 )
-from palpate.softness.pressing_finger import FingerPresses
+from palpate.softness.pressing_finger import MeantMotion
 from palpate.softness.virtual import bench_kernel as k
 
 STEP_S = 50e-6
@@ -110,7 +110,7 @@ class RenderingBench:
 
     Args:
         clock: that it follows.
-        presses: of the finger.
+        presses: of the finger, or of a probe.
         parts: of which it is made.
         servo: of the display's pressure; by default one that believes the default parts.
         seed: of the sensors' noise.
@@ -121,7 +121,7 @@ class RenderingBench:
     """
 
     def __init__(
-        self, clock: Clock, presses: FingerPresses, parts: BenchParts | None = None,
+        self, clock: Clock, presses: MeantMotion, parts: BenchParts | None = None,
         servo: PressureServo | None = None, seed: int = 0, watchdog_s: float = WATCHDOG_S,
     ) -> None:  # fmt: skip
         self.parts = parts or BenchParts()

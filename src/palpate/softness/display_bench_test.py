@@ -1,0 +1,279 @@
+"""Bench test of a contact-area display: pressed in steps at several pressures, is its force P = p A(s)?
+
+The plan is plain data; running it takes any display, something that moves a flat probe and a force reference,
+so that a lab's own stage and load cell do as well as the virtual bench. What is fitted to the points is
+
+    P = c p A(s) + k s + f d,
+
+with d = 1 pressing and -1 on the way back: c says how far area or pressure is off (force cannot tell which of
+them), k is the sleeve's stiffness and f the friction. The law itself has c = 1, the stated k and f = 0.
+
+Reference: E. P. Scilingo, M. Bianchi, G. Grioli, A. Bicchi, Rendering softness, IEEE Trans. Haptics 3 (2010)
+109, doi:10.1109/TOH.2010.2, section 3.1, which says that this was done and prints no numbers.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from palpate.core import (
+    Clock,
+    DeviceError,
+    Float,
+    InputError,
+    Progress,
+    RangeError,
+    SoftnessDevice,
+    ndarray,
+    new_file,
+    silent,
+)
+from palpate.softness.cone_display import ConeDisplay
+
+PERIOD_S = 1e-3
+MIN_POINTS = 6
+FAR_M = 0.5e-3  # by which the tip may miss the probe's way before the probe is not on it
+
+Column = Float[ndarray, " n"]
+
+
+@dataclass(frozen=True, slots=True)
+class IndentationPlan:
+    """Steps of a flat probe, pressed in and back, at each of several pressures.
+
+    Attributes:
+        pressures_pa: gauge pressures, in the order in which they are held; 0 shows sleeve and friction [Pa].
+        ways_m: of the tip, rising; each is also met on the way back but the last [m].
+        speed_m_s: of the probe between them [m/s].
+        settle_s: waited at each [s].
+        mean_s: over which pressure, way and force are then averaged [s].
+    """
+
+    pressures_pa: tuple[float, ...] = (20e3, 5e3, 40e3, 10e3, 30e3, 0.0)
+    ways_m: tuple[float, ...] = tuple(1e-3 * i for i in range(1, 10))
+    speed_m_s: float = 5e-3
+    settle_s: float = 0.25
+    mean_s: float = 0.1
+
+    def __post_init__(self) -> None:
+        times = (self.speed_m_s, self.settle_s, self.mean_s)
+        if not all(math.isfinite(one) and one > 0 for one in times):
+            raise RangeError("speed, settling and averaging of a bench test are finite and above 0")
+        if not all(math.isfinite(one) and one >= 0 for one in self.pressures_pa):
+            raise RangeError("pressures of a bench test are finite and 0 Pa or more")
+        if len({one for one in self.pressures_pa if one > 0}) < 2:
+            raise InputError("a bench test needs two pressures above 0 at least, to tell area from sleeve")
+        rising = np.all(np.diff(self.ways_m) > 0) and len(self.ways_m) > 1 and self.ways_m[0] > 0
+        if not rising or not math.isfinite(self.ways_m[-1]):
+            raise InputError("ways of a bench test are two or more, finite, above 0 m and rising")
+
+
+@dataclass(frozen=True, slots=True)
+class BenchPoint:
+    """Means at one step.
+
+    Attributes:
+        told_pa, pressure_pa: gauge pressure told and measured [Pa].
+        pushed_m: way of the tip, by the display's own sensor [m].
+        force_n: by the reference [N].
+        direction: 1 pressing, -1 on the way back.
+    """
+
+    told_pa: float
+    pressure_pa: float
+    pushed_m: float
+    force_n: float
+    direction: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BenchTest:
+    """Points of a bench test beside the law of a stated display.
+
+    Attributes:
+        shape: as stated, with its sleeve.
+        points: as measured.
+    """
+
+    shape: ConeDisplay
+    points: tuple[BenchPoint, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.points) < MIN_POINTS:
+            raise InputError(f"{len(self.points)} points; a bench test needs {MIN_POINTS} or more")
+
+    def column(self, name: str) -> Column:
+        """One of a point's figures, of all points."""
+        return np.array([getattr(one, name) for one in self.points], float)
+
+    @property
+    def pushing_n(self) -> Column:
+        """The gas's force p A(s) at each point [N]."""
+        way = np.clip(self.column("pushed_m"), 0.0, self.shape.height_m)
+        return self.column("pressure_pa") * self.shape.area_m2(way)
+
+    @property
+    def law_n(self) -> Column:
+        """Force of the law at each point, p A(s) + k s with the stated k [N]."""
+        return self.pushing_n + self.shape.sleeve_n_m * self.column("pushed_m")
+
+    @property
+    def off_n(self) -> Column:
+        """Force measured less the law's [N]."""
+        return np.asarray(self.column("force_n") - self.law_n)
+
+    @property
+    def peak_n(self) -> float:
+        """Greatest force measured [N]."""
+        return float(self.column("force_n").max())
+
+    @property
+    def rms_n(self) -> float:
+        """Root mean square of what the law misses [N]."""
+        return float(np.sqrt(np.mean(self.off_n**2)))
+
+    def fit(self) -> BenchFit:
+        """c, k and f by least squares."""
+        told = np.column_stack([self.pushing_n, self.column("pushed_m"), self.column("direction")])
+        found, _, rank, _ = np.linalg.lstsq(told, self.column("force_n"), rcond=None)
+        if rank < 3:
+            raise InputError("these points do not tell area, sleeve and friction apart; press both ways")
+        left = self.column("force_n") - told @ found
+        variance = float(left @ left) / (len(left) - 3)
+        errors = np.sqrt(variance * np.diag(np.linalg.inv(told.T @ told)))
+        scale, sleeve, friction = (float(one) for one in found)
+        left_n = float(np.sqrt(np.mean(left**2)))
+        return BenchFit(scale, sleeve, friction, float(errors[0]), left_n)
+
+
+@dataclass(frozen=True, slots=True)
+class BenchFit:
+    """What the points say of a display.
+
+    Attributes:
+        scale: c, of p A(s); 1 of the law.
+        sleeve_n_m: k [N/m].
+        friction_n: f [N].
+        scale_error: standard error of c, as if points were independent.
+        rms_n: root mean square of what the fit leaves [N].
+    """
+
+    scale: float
+    sleeve_n_m: float
+    friction_n: float
+    scale_error: float
+    rms_n: float
+
+
+def run_bench_test(
+    plan: IndentationPlan,
+    display: SoftnessDevice,
+    move: Callable[[float], None],
+    force_n: Callable[[], float],
+    clock: Clock,
+    shape: ConeDisplay | None = None,
+    progress: Progress = silent,
+) -> BenchTest:
+    """Run a plan; the display is vented at its end, whatever happens.
+
+    Args:
+        plan: pressures, steps and times.
+        display: released here, and told its pressure in each period, which feeds its watchdog.
+        move: tells the probe where to be, as a way of the tip from first touch [m]; returns at once. It is
+            told to be at 0 before each pressure.
+        force_n: the force reference [N].
+        clock: of the periods.
+        shape: as stated, with its sleeve; by default a cone of the display's height and radius.
+        progress: called with each pressure.
+
+    Returns:
+        The points.
+
+    Raises:
+        RangeError: the display does not go as far as the plan, or does not hold its pressures.
+        DeviceError: a device does not answer, says a fault, or its tip does not go with the probe.
+    """
+    shown = display.range
+    if plan.ways_m[-1] > shown.height_m or max(plan.pressures_pa) > shown.greatest_pa:
+        raise RangeError(
+            f"the plan goes to {plan.ways_m[-1] * 1e3:g} mm and {max(plan.pressures_pa) / 1e3:g} kPa; the "
+            f"display allows {shown.height_m * 1e3:g} mm and {shown.greatest_pa / 1e3:g} kPa"
+        )
+    points: list[BenchPoint] = []
+    steps = [*((way, 1) for way in plan.ways_m), *((way, -1) for way in plan.ways_m[-2::-1])]
+    move(0.0)
+    display.release()
+    try:
+        for i, told in enumerate(plan.pressures_pa):
+            progress("pressures", i, len(plan.pressures_pa))
+            at = 0.0
+            _hold(display, told, plan.settle_s, clock)
+            for way, direction in steps:
+                _travel(display, told, move, at, way, plan.speed_m_s, clock)
+                _hold(display, told, plan.settle_s, clock)
+                pressure, pushed, force = _means(display, told, force_n, plan.mean_s, clock)
+                if told > 0 and abs(pushed - way) > FAR_M:
+                    raise DeviceError(
+                        f"the tip is at {pushed * 1e3:.2f} mm where the probe was told {way * 1e3:.2f} mm; "
+                        "they may differ by "
+                        f"{FAR_M * 1e3:g} mm: set the probe's zero at first touch, and check the Hall sensor"
+                    )
+                points.append(BenchPoint(told, pressure, pushed, force, direction))
+                at = way
+            _travel(display, told, move, at, 0.0, plan.speed_m_s, clock)
+    finally:
+        display.vent()
+    return BenchTest(shape or ConeDisplay(shown.height_m, shown.radius_m), tuple(points))
+
+
+def write_bench_table(test: BenchTest, path: Path) -> None:
+    """Write the points as CSV, SI units in the columns' names.
+
+    Raises:
+        ExistsError: `path` exists.
+        StorageError: the disk refused.
+    """
+    with new_file(path) as building, building.open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file)
+        rows.writerow([*(one.name for one in fields(BenchPoint)), "law_n"])
+        rows.writerows([*astuple(one), law] for one, law in zip(test.points, test.law_n, strict=True))
+
+
+def _hold(display: SoftnessDevice, told_pa: float, seconds: float, clock: Clock) -> None:
+    for _ in range(round(seconds / PERIOD_S)):
+        display.set_pressure(told_pa)
+        clock.sleep(PERIOD_S)
+
+
+def _travel(
+    display: SoftnessDevice, told_pa: float, move: Callable[[float], None],
+    start_m: float, end_m: float, speed_m_s: float, clock: Clock,
+) -> None:  # fmt: skip
+    periods = max(round(abs(end_m - start_m) / speed_m_s / PERIOD_S), 1)
+    for i in range(1, periods + 1):
+        display.set_pressure(told_pa)
+        move(start_m + (end_m - start_m) * i / periods)
+        clock.sleep(PERIOD_S)
+
+
+def _means(
+    display: SoftnessDevice, told_pa: float, force_n: Callable[[], float], seconds: float, clock: Clock
+) -> tuple[float, float, float]:
+    rows = []
+    for _ in range(max(round(seconds / PERIOD_S), 1)):
+        display.set_pressure(told_pa)
+        seen = display.latest()
+        if seen.fault:
+            raise DeviceError(f"the display says: {seen.fault}")
+        rows.append((seen.pressure_pa, seen.pushed_m, force_n()))
+        clock.sleep(PERIOD_S)
+    pressure, pushed, force = np.mean(rows, axis=0)
+    if not math.isfinite(pressure + pushed + force):
+        raise DeviceError("pressure, way or force of the bench test is no number; check the sensors")
+    return float(pressure), float(pushed), float(force)
