@@ -124,7 +124,7 @@ class GuardSupervisor:
         return {"asked_ns": asked_ns, "stood_ns": self._stage.hold()}
 
     def status(self) -> dict[str, Any]:
-        """What it does, whether an emergency stop holds the stage, and why it lifted last."""
+        """State: what it does, whether an emergency stop holds the stage, and why it lifted last."""
         return {"state": self.state, "held": self._stage.held, "message": self.lifted, "shots": 0}
 
     def _take(self, message: Mapping[str, Any]) -> None:

@@ -52,7 +52,7 @@ class DeviceOwner(Protocol):
         """Emergency stop, from any thread; when it was asked for, and when all stood [ns]."""
 
     def status(self) -> dict[str, Any]:
-        """What it does, as plain values."""
+        """State as plain values: what it does, whether it is held, and why."""
 
 
 Opens = Callable[[Mapping[str, Any], MonotonicClock, Send, ExitStack], tuple[DeviceOwner, dict[str, Any]]]

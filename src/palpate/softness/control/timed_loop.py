@@ -100,7 +100,7 @@ class Pace:
         periods: how many there were.
         late: how many of them were longer than `LATE_S`.
         longest_s: longest [s].
-        latest_s: when the last one began [s, `time.perf_counter`].
+        latest_s: when the last one began [s, by the performance counter].
     """
 
     def __init__(self) -> None:

@@ -112,7 +112,7 @@ class RenderingOwner:
         return {"asked_ns": asked_ns, "stood_ns": stood_ns}
 
     def status(self) -> dict[str, Any]:
-        """What it does, whether an emergency stop holds it, and why it ended."""
+        """State: what it does, whether an emergency stop holds it, and why it ended."""
         now = self._status()
         return {"state": now.state, "held": self._arm.held, "message": now.why, "shots": 0}
 
