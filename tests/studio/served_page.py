@@ -6,6 +6,7 @@ a process that cannot be reached. Each emergency stop is a line of its standard 
 
 import base64
 import json
+import os
 import sys
 import threading
 import time
@@ -15,7 +16,9 @@ import numpy as np
 
 from palpate.devices.device_status import jpeg_of
 from palpate.rig.plans import PLANS, size_of
+from palpate.softness.process import read_bench
 from palpate.studio.page_server import serve_pages
+from palpate.studio.rendering_desk import RenderingDesk
 
 PLAN = PLANS["palm-reduced"]
 SIZE_PX = (256, 128)
@@ -79,4 +82,9 @@ class MadeUpClient:
 
 
 if __name__ == "__main__":
-    serve_pages(MadeUpClient(), int(sys.argv[1]), Path("runs"))
+    serve_pages(
+        MadeUpClient(),
+        int(sys.argv[1]),
+        Path("runs"),
+        RenderingDesk(Path(os.environ.get("OBJECTS", ".")), read_bench(None)),
+    )

@@ -372,12 +372,12 @@ def _spans(state: Rendered) -> list[dict[str, Any]]:
 
 
 def _envelope_text(answer: dict[str, Any]) -> str:
-    from palpate.reports.softness_figures import WORDS
+    from palpate.softness.rendering_law import LIMIT_WORDS
 
     lines = [f"{answer['object']} ({answer['source']}), {answer['mode']}"]
     lines += [
         f"  {one['from_mm2']:7.2f} to {one['to_mm2']:7.2f} mm², to {one['force_N']:.3f} N: "
-        f"{WORDS[one['limit']] if one['limit'] else 'rendered as it is'}"
+        f"{LIMIT_WORDS[one['limit']] if one['limit'] else 'rendered as it is'}"
         for one in answer["spans"]
     ]
     share, kpa, most_n = (

@@ -157,20 +157,27 @@ def studio(
     accelerated: Annotated[
         bool, Option("--accelerated", help="Let virtual:palm run as fast as the machine can.")
     ] = False,
+    objects: Annotated[Path, Option(help="Folder of objects' files, for the page Softness.")] = Path(),
+    bench: Annotated[Path | None, Option(help="TOML file of a display and an arm; else virtual.")] = None,
 ) -> None:
-    """Open the operator's page of the rig in the browser.
+    """Open the operator's pages of the rig and of softness in the browser.
 
     The page is open to this machine only. The rig itself is held by a process of its own, which is started
     where none runs: closing the page or losing this command moves nothing and loses nothing. Ctrl-C pauses a
-    recording with the probe lifted; run the same command again to go on.
+    recording with the probe lifted; run the same command again to go on. A rendering of softness ends with
+    this command.
 
     Example: palpate studio --port 8080
     """
     from palpate.rig.service import RigClient, launch, rig_name
+    from palpate.softness.process import read_bench
     from palpate.studio.page_server import check_needed, check_port, serve_pages
 
     rig = rig_name(rig)
     check_needed()
+    from palpate.studio.rendering_desk import RenderingDesk
+
+    desk = RenderingDesk(objects.absolute(), read_bench(bench))
     check_port(port)
     with RigClient(rig) as client:
         if not client.reached(within_s=1.0):
@@ -180,7 +187,7 @@ def studio(
         typer.echo(f"http://127.0.0.1:{port}  (Ctrl-C ends the page, and pauses a recording)")
         try:
             with contextlib.suppress(KeyboardInterrupt):
-                serve_pages(client, port, runs.absolute())
+                serve_pages(client, port, runs.absolute(), desk)
         finally:
             typer.echo(_leave(client, rig))
 

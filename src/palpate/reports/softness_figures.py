@@ -14,19 +14,12 @@ from palpate.core import new_file
 from palpate.mechanics.half_space.hertz_pairs import Body
 from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, STYLE, drawn
 from palpate.reports.study_figures import COLOURS
-from palpate.softness import Limit, Mode, Rendered, RenderingLaw, SoftObject
+from palpate.softness import Mode, Rendered, RenderingLaw, SoftObject
 from palpate.softness.display_bench_test import BenchTest
+from palpate.softness.rendering_law import LIMIT_WORDS
 from palpate.softness.rendering_simulation import Rendering
 
 MM, MM2, KPA = 1e3, 1e6, 1e-3
-WORDS: Mapping[str, str] = {
-    Limit.ONSET: "onset, blended",
-    Limit.PRESSURE: "needs more pressure",
-    Limit.SLEEVE: "the sleeve pushes more",
-    Limit.FORCE: "needs more force",
-    Limit.AREA: "beyond the object's curve",
-    Limit.ARM: "beyond the arm's way",
-}
 
 
 def write_pair_figure(objects: Mapping[str, Body], finger: Body, greatest_n: float, path: Path) -> None:
@@ -171,7 +164,7 @@ def write_envelope_figure(law: RenderingLaw, path: Path) -> None:
 
 def _shade(axes: Axes, state: Rendered, *, labelled: bool) -> None:
     """Bands of area where the object is not rendered, darker the graver."""
-    for k, (limit, words) in enumerate(WORDS.items()):
+    for k, (limit, words) in enumerate(LIMIT_WORDS.items()):
         for low, high in spans(state.limit == limit):
             label = words if labelled else None
             axes.axvspan(

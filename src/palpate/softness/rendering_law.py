@@ -28,7 +28,7 @@ Reference: E. P. Scilingo, M. Bianchi, G. Grioli, A. Bicchi, Rendering softness,
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -60,6 +60,17 @@ class Limit(StrEnum):
     FORCE = "force"
     AREA = "area"
     ARM = "arm"
+
+
+LIMIT_WORDS: Mapping[str, str] = {
+    Limit.ONSET: "onset, blended",
+    Limit.PRESSURE: "needs more pressure",
+    Limit.SLEEVE: "the sleeve pushes more",
+    Limit.FORCE: "needs more force",
+    Limit.AREA: "beyond the object's curve",
+    Limit.ARM: "beyond the arm's way",
+}
+"""Reasons in words."""
 
 
 @dataclass(frozen=True, slots=True)

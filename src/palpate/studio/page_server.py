@@ -19,11 +19,12 @@ from fastapi.responses import JSONResponse
 from palpate.core import DeviceError, MissingExtraError, PalpateError
 from palpate.rig.service.rig_client import RigClient
 from palpate.studio.page_security import ESTOP_PATH, PageSecurity
+from palpate.studio.rendering_desk import RenderingDesk
 
 HEADER = "x-palpate"  # which a page from elsewhere cannot send without being allowed to
 
 
-def add_route(app: FastAPI, client: RigClient) -> None:
+def add_route(app: FastAPI, client: RigClient, desk: RenderingDesk) -> None:
     """Answer to the page's emergency stop, in threads that nothing else can keep busy."""
     threads = ThreadPoolExecutor(8, thread_name_prefix="palpate-estop")
 
@@ -31,6 +32,7 @@ def add_route(app: FastAPI, client: RigClient) -> None:
     async def estop(request: Request) -> JSONResponse:
         if request.headers.get(HEADER) != "estop":
             return JSONResponse({"error": "not asked from the rig's own page"}, 403)
+        desk.estop()  # one stop for all that this page may move
         try:
             answer = client.send_estop()  # here and now; only its answer is waited for elsewhere
             stop = await asyncio.get_running_loop().run_in_executor(threads, answer)
@@ -46,37 +48,42 @@ ALIVE_S = 300  # a connection, so that an emergency stop need not open one
 SWITCH_S = 0.001  # between threads, for the same reason
 
 
-def serve_pages(client: RigClient, port: int, runs: Path) -> None:
+def serve_pages(client: RigClient, port: int, runs: Path, desk: RenderingDesk) -> None:
     """Serve the pages until the process is told to end (Ctrl-C).
 
     Args:
         client: of the rig's process.
         port: on 127.0.0.1.
         runs: the folder that recordings go into, to be named on the page.
+        desk: objects and bench of softness.
     """
     check_needed()
     import uvicorn
 
     sys.setswitchinterval(SWITCH_S)
     config = uvicorn.Config(
-        make_app(client, runs),
+        make_app(client, runs, desk),
         HOST,
         port,
         log_level="warning",
         timeout_graceful_shutdown=ENDS_S,
         timeout_keep_alive=ALIVE_S,
     )
-    uvicorn.Server(config).run()
+    try:
+        uvicorn.Server(config).run()
+    finally:
+        desk.close()
 
 
-def make_app(client: RigClient, runs: Path) -> PageSecurity:
+def make_app(client: RigClient, runs: Path, desk: RenderingDesk) -> PageSecurity:
     """The pages, the emergency stop's own address, and the newest picture, for pages of their own only."""
     from nicegui import ui
 
     from palpate.studio.rig_page import RigPage
+    from palpate.studio.softness_page import SoftnessPage
 
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    add_route(app, client)
+    add_route(app, client, desk)
 
     @app.get("/picture")
     async def picture() -> Response:
@@ -88,6 +95,10 @@ def make_app(client: RigClient, runs: Path) -> PageSecurity:
     @ui.page("/", title="Indentation rig · palpate", language="en-US")
     def rig_page() -> None:
         RigPage(client, str(runs))
+
+    @ui.page("/softness", title="Softness · palpate", language="en-US")
+    def softness_page() -> None:
+        SoftnessPage(desk)
 
     ui.run_with(app, show_welcome_message=False, message_history_length=KEPT, reconnect_timeout=5.0)
     return PageSecurity(app)

@@ -193,7 +193,7 @@ class RigPage:
         recording, paused = bool(status["recording"]), status["state"] == "paused"
         command = status["asked"]
         faster = "" if status["real_time"] else ", faster than real time"
-        under = f'<div class="under">{escape(status["rig"])}{faster}</div>'
+        under = f'<div class="under">{escape(status["rig"])}{faster} · <a href="/softness">softness</a></div>'
         self._title.set_content(f"<h1>Indentation rig</h1>{under}")
         shots, planned = int(status["shots"]), int(status["planned"])
         share = 100 * shots / planned if planned else 0

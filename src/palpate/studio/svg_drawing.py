@@ -134,7 +134,7 @@ def force_svg(series: Mapping[str, Sequence[float]]) -> str:
     ages = series["age_s"]
     values = [v for axis in AXES for v in series[axis]]
     low, high = _range(values)
-    step = _nice((high - low) / 4)
+    step = nice_step((high - low) / 4)
     digits = max(0, -math.floor(math.log10(step) + 1e-9))
 
     def across(age: float) -> float:
@@ -200,7 +200,7 @@ def _range(values: Sequence[float]) -> tuple[float, float]:
     return low - room, high + room
 
 
-def _nice(step: float) -> float:
+def nice_step(step: float) -> float:
     """The next 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(step))
     return next(n * power for n in (1, 2, 5, 10) if n * power >= step * (1 - 1e-9))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from dataclasses import replace
 
@@ -45,6 +46,10 @@ class RenderingSession(Closing):
         peak_n: force that the virtual finger of a virtual bench comes to [N].
         frequency_hz: of its presses [Hz].
 
+    Attributes:
+        law: what it renders.
+        told_s: when the process told anything last [s, monotonic time].
+
     Raises:
         PalpateError: a device does not open, or the object cannot be rendered on it.
     """
@@ -52,6 +57,7 @@ class RenderingSession(Closing):
     def __init__(
         self, bench: BenchFile, soft: SoftObject, mode: Mode, peak_n: float = 1.0, frequency_hz: float = 1.0
     ) -> None:
+        self.told_s = time.monotonic()
         self._lock, self._ended = threading.Lock(), threading.Event()
         self._samples: deque[LoopSample] = deque(maxlen=KEPT)
         self._status = RenderingStatus("opens", "", soft.name, mode, simulated=bench.simulated)
@@ -125,6 +131,7 @@ class RenderingSession(Closing):
                 self._take(replace(now, state="ended", why=str(e)), [])
 
     def _take(self, status: RenderingStatus, samples: list[LoopSample]) -> None:
+        self.told_s = time.monotonic()
         with self._lock:
             self._status = status
             self._samples.extend(samples)

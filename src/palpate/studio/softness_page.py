@@ -1,0 +1,204 @@
+"""Softness rendered: an object's two curves, what the display can do of it, what is felt, and the stop.
+
+Nothing is kept here: every tab shows what the server's `RenderingDesk` has, and a reload loses nothing.
+"""
+
+from __future__ import annotations
+
+import time
+from html import escape
+
+from nicegui import run, ui
+
+from palpate.core import PalpateError
+from palpate.softness import Mode, RenderingLaw
+from palpate.studio import page_style, shown_ages, softness_drawing
+from palpate.studio.page_style import ACCENT, BAD, INK
+from palpate.studio.rendering_desk import RenderingDesk, age_s
+from palpate.studio.shown_ages import age_note
+from palpate.studio.status_text import number
+
+REFRESH_S = 0.2
+MODES = {
+    Mode.BOTH: "CM1: both cues",
+    Mode.KINESTHETIC: "CM2: the arm's alone",
+    Mode.CUTANEOUS: "CM3: the skin's alone",
+}
+LOOKS = {"opens": "warn", "renders": "busy", "ended": "calm"}
+LABEL = 'dense outlined options-dense stack-label aria-label="{}"'
+
+
+class SoftnessPage:
+    """Page of softness in one tab.
+
+    Args:
+        desk: what the server keeps; shared by all tabs.
+    """
+
+    def __init__(self, desk: RenderingDesk) -> None:
+        self._desk, self._beats = desk, 0
+        self._drawn: RenderingLaw | None = None
+        ui.add_css(page_style.style())
+        ui.colors(primary=ACCENT, negative=BAD, dark=INK)
+        ui.add_body_html(page_style.text_of("estop.html"))  # before all else, also for the Tab key
+        ui.add_body_html(page_style.text_of("ages.html"))
+        self._beat = ui.element("div").props('id="beat" hidden')
+        self._failure = ui.label("").classes("unseen").props('id="failure" role="alert"')
+        self._top()
+        with ui.element("main").classes("board"):
+            with ui.element("div"):
+                self._object_card()
+                self._timing_card()
+            with ui.element("div"):
+                self._felt_card()
+            with ui.element("div"):
+                self._force_card()
+                self._envelope_card()
+        self._list_objects()
+        ui.timer(REFRESH_S, self._refresh)
+
+    def _top(self) -> None:
+        with ui.element("header").classes("top"):
+            kind = (
+                "virtual: display, arm and finger are simulated" if self._desk.bench.simulated else "devices"
+            )
+            ui.html(
+                f'<h1>Softness</h1><div class="under">{escape(self._desk.bench.name)} ({kind}) · '
+                '<a href="/">indentation rig</a></div>', sanitize=False,
+            )  # fmt: skip
+            self._state = ui.label("nothing is rendered").classes("state calm")
+            self._state.props('id="state" role="status" data-age-of="process"')
+            age_note("process", "state and force")
+
+    def _object_card(self) -> None:
+        with ui.element("section").classes("card").props('aria-label="Object and mode"'):
+            ui.html("<h2>Object and mode</h2>", sanitize=False)
+            self._object = ui.select([], label="object").classes("w-full")
+            self._object.props(LABEL.format("object") + ' id="object"')
+            self._mode = ui.select(
+                {mode.value: words for mode, words in MODES.items()}, value="CM1", label="mode"
+            )
+            self._mode.classes("w-full").props(LABEL.format("mode"))
+            with ui.element("div").classes("fields") as finger:
+                self._peak = ui.number("finger's force [N]", value=1.0, min=0.01, step=0.1)
+                self._peak.props('dense outlined aria-label="force of the virtual finger [N]"')
+                self._frequency = ui.number("presses [Hz]", value=1.0, min=0.1, max=5, step=0.1)
+                self._frequency.props('dense outlined aria-label="presses of the virtual finger [Hz]"')
+            finger.set_visibility(self._desk.bench.simulated)
+            with ui.element("div").classes("buttons"):
+                self._begin = ui.button("Begin", on_click=self._begun)
+                self._begin.props('unelevated no-caps id="begin"').classes("wide")
+                self._end = ui.button("Stop", on_click=self._ended).props('outline no-caps id="end"')
+                again = ui.button("Read folder again", on_click=self._list_objects)
+                again.props('outline no-caps id="again"')
+            self._where = ui.label(f"objects of {self._desk.folder}").classes("soft")
+            self._where.style("overflow-wrap: anywhere")
+            self._refused = ui.html("", sanitize=False).props('id="refused"')
+
+    def _timing_card(self) -> None:
+        with ui.element("section").classes("card").props('aria-label="Loop"'):
+            ui.html("<h2>Loop</h2>", sanitize=False)
+            self._timing = ui.html("", sanitize=False).classes("facts")
+            self._timing.props('id="timing" data-age-of="process"')
+            self._why = ui.html("", sanitize=False).props('id="why"')
+
+    def _felt_card(self) -> None:
+        with ui.element("section").classes("card force").props('aria-label="What is felt"'):
+            ui.html("<h2>The object, and what is felt of it</h2>", sanitize=False)
+            self._skin = ui.html("", sanitize=False).props('id="skin" data-age-of="process"')
+            self._arm = ui.html("", sanitize=False).props('id="arm" data-age-of="process"')
+            ui.label(
+                "line: the object; points: the last 10 s, force from pressure and area; shaded: not rendered "
+                "as it is"
+            ).classes("soft")
+
+    def _force_card(self) -> None:
+        with ui.element("section").classes("card force").props('aria-label="Now"'):
+            ui.html("<h2>Now</h2>", sanitize=False)
+            self._now = ui.html("", sanitize=False).classes("now")
+            self._now.props('id="force-now" data-age-of="process"')
+            self._time = ui.html("", sanitize=False).props('id="force" data-age-of="process"')
+
+    def _envelope_card(self) -> None:
+        with ui.element("section").classes("card").props('aria-label="What the display can render"'):
+            ui.html("<h2>What the display can render of it</h2>", sanitize=False)
+            self._envelope = ui.html("", sanitize=False).props('id="envelope"')
+
+    def _list_objects(self) -> None:
+        found, refused = self._desk.objects()
+        kept = self._object.value if self._object.value in found else next(iter(found), None)
+        self._object.set_options({name: soft.name for name, soft in found.items()}, value=kept)
+        lines = [f"{name} is no object: {why}" for name, why in refused.items()]
+        if not found:
+            lines.insert(
+                0, "No object's file is here. Write one such as docs/how-to/render-softness.md shows."
+            )
+        self._refused.set_content("".join(f'<p class="trouble">{escape(line)}</p>' for line in lines))
+
+    async def _begun(self) -> None:
+        if not self._object.value:
+            return
+        wish = Mode(str(self._mode.value)), float(self._peak.value or 0), float(self._frequency.value or 0)
+        self._begin.disable()
+        self._state.set_text("opening the devices …")
+        await self._act(lambda: self._desk.begin(str(self._object.value), *wish))
+
+    async def _ended(self) -> None:
+        await self._act(self._desk.end)
+
+    async def _act(self, work: object) -> None:
+        """Ask off the page's own loop; what is refused is said."""
+        try:
+            await run.io_bound(work)  # type: ignore[arg-type]
+        except PalpateError as e:
+            ui.notify(str(e), type="negative", position="top", timeout=9000, multi_line=True)
+        finally:
+            self._begin.enable()
+
+    def _refresh(self) -> None:
+        self._beats += 1
+        ages: shown_ages.Ages = {"process": age_s(self._desk, time.monotonic())}
+        self._beat.props["data-ages"] = shown_ages.ages_attribute(ages, self._beats)
+        self._beat.update()
+        self._show()
+
+    def _show(self) -> None:
+        status, law, samples = self._desk.status, self._desk.law, self._desk.samples()
+        renders = status is not None and status.state != "ended"
+        self._end.set_enabled(renders)
+        self._begin.set_text("Show this object" if renders else "Begin")
+        if status is None or law is None:
+            self._timing.set_content("no period yet")
+            return
+        words = f"{status.state}: {status.object}, {status.mode.value}"
+        fault = status.state == "ended" and not status.wished
+        self._state.set_text(words)
+        self._state.classes(replace=f"state {'bad' if fault else LOOKS[status.state]}")
+        self._failure.set_text(f"The rendering ended: {status.why}" if fault else "")
+        ended = f'<p class="{"trouble" if fault else "soft"}">Ended: {escape(status.why)}</p>'
+        self._why.set_content(ended if status.state == "ended" else "")
+        self._timing.set_content(
+            f"<b>{status.periods:,}</b> periods, <b>{status.late_share:.3%}</b> longer than 1.5 ms, longest "
+            f"<b>{1e3 * status.longest_s:.1f}</b> ms"
+        )
+        self._skin.set_content(softness_drawing.area_svg(law, samples))
+        self._arm.set_content(softness_drawing.displacement_svg(law, samples))
+        self._time.set_content(softness_drawing.time_svg(samples))
+        if law is not self._drawn:
+            self._drawn = law
+            lines = [f"<li>{escape(line)}</li>" for line in softness_drawing.envelope_words(law)]
+            self._envelope.set_content(
+                f'<p class="soft">{escape(law.object.source)}</p><ul>{"".join(lines)}</ul>'
+            )
+        if samples:
+            last = samples[-1]
+            shown = {
+                "N": (last.force_n, 2), "mm²": (1e6 * last.area_m2, 1), "mm": (1e3 * last.displacement_m, 2),
+                "kPa": (1e-3 * last.pressure_pa, 1),
+            }  # fmt: skip
+            self._now.set_content(
+                "".join(
+                    f"<span><b>{number(value, digits)}</b> {unit}</span>"
+                    for unit, (value, digits) in shown.items()
+                )
+            )

@@ -1,0 +1,209 @@
+"""The softness page: what the server keeps, what is drawn of it, and one stop for all that may move."""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("nicegui", reason="NiceGUI is not installed")
+pytest.importorskip("websockets", reason="websockets is not installed")
+
+from tests.studio import devtools
+from tests.studio.test_page_security import Served
+
+from palpate.core import InputError
+from palpate.softness import Characteristic, ConeDisplay, DisplayBounds, Mode, RenderingLaw, SoftObject
+from palpate.softness.control import LoopSample
+from palpate.softness.process import RenderingStatus, read_bench
+from palpate.studio import softness_drawing
+from palpate.studio.rendering_desk import RenderingDesk, age_s
+
+LINE = """
+name = "{name}"
+[force_area]
+area_mm2 = [0.0, 130.0]
+force_N = [0.0, 4.0]
+[force_displacement]
+displacement_mm = [0.0, 6.0]
+force_N = [0.0, 4.0]
+"""
+SOFT = SoftObject(
+    "line", Characteristic("area", np.array([0.0, 200e-6]), np.array([0.0, 8.0])),
+    Characteristic("displacement", np.array([0.0, 6e-3]), np.array([0.0, 8.0])), "made up",
+)  # fmt: skip
+
+
+def felt(time_s: float, force_n: float, touched: bool = True) -> LoopSample:
+    return LoopSample(time_s, 5e-3, 1e-3, 30e3, 30e3, force_n, 25e-6 * force_n, 1.0, 0.0, touched)
+
+
+class MadeUpSession:
+    """Stands for `RenderingSession`."""
+
+    def __init__(self, bench, soft, mode, peak_n, frequency_hz) -> None:
+        self.law = RenderingLaw(soft, mode=mode)
+        self.told_s, self.asked = time.monotonic(), []
+        self._state = "renders"
+
+    def status(self) -> RenderingStatus:
+        why = "the operator ended it" if self._state == "ended" else ""
+        return RenderingStatus(self._state, why, self.law.object.name, self.law.mode, wished=True)
+
+    def taken(self) -> list[LoopSample]:
+        return [felt(float(t), 1.0) for t in np.arange(0.0, 30.0, 0.1)] if not self.asked else []
+
+    def show(self, soft) -> None:
+        self.asked.append("show")
+        self.law = RenderingLaw(soft, mode=self.law.mode)
+
+    def stop(self) -> None:
+        self._state = "ended"
+
+    estop = stop
+
+    def close(self) -> None:
+        self.asked.append("close")
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> RenderingDesk:
+    for name in ("one", "two"):
+        (tmp_path / f"{name}.toml").write_text(LINE.format(name=f"object {name}"))
+    (tmp_path / "three.toml").write_text("x = 1")
+    return RenderingDesk(tmp_path, read_bench(None), MadeUpSession)
+
+
+def test_objects_of_the_folder_are_found_and_others_are_named_with_their_reason(desk) -> None:
+    found, refused = desk.objects()
+    assert {name: soft.name for name, soft in found.items()} == {"one": "object one", "two": "object two"}
+    assert set(refused) == {"three.toml"}
+    assert "no field" in refused["three.toml"]
+
+
+def test_another_object_is_shown_in_the_rendering_that_runs_and_another_mode_is_refused(desk) -> None:
+    desk.begin("one", Mode.BOTH, 1.0, 1.0)
+    first = desk._session
+    desk.begin("two", Mode.BOTH, 1.0, 1.0)
+    assert desk._session is first
+    assert desk.status.object == "object two"
+    with pytest.raises(InputError, match="stop it before"):
+        desk.begin("one", Mode.CUTANEOUS, 1.0, 1.0)
+    desk.end()
+    desk.begin("one", Mode.CUTANEOUS, 1.0, 1.0)
+    assert first.asked == ["show", "close"]
+    assert desk.status.mode is Mode.CUTANEOUS
+
+
+def test_samples_of_the_last_seconds_are_kept_for_every_tab(desk) -> None:
+    assert desk.samples() == []
+    desk.begin("one", Mode.BOTH, 1.0, 1.0)
+    times = [one.time_s for one in desk.samples()]
+    assert times[0] == pytest.approx(30.0 - 10.0, abs=0.11)
+    assert times[-1] == pytest.approx(29.9)
+
+
+def test_a_process_that_tells_nothing_grows_old_and_one_that_ended_does_not(desk) -> None:
+    assert age_s(desk, 1e9) == 0.0
+    desk.begin("one", Mode.BOTH, 1.0, 1.0)
+    assert age_s(desk, desk._session.told_s + 3.0) == pytest.approx(3.0)
+    desk.end()
+    assert age_s(desk, 1e9) == 0.0
+
+
+def circles(svg: str) -> list[tuple[float, float]]:
+    return [(float(x), float(y)) for x, y in re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)"', svg)]
+
+
+def polyline(svg: str) -> list[tuple[float, float]]:
+    points = re.search(r'<polyline points="([^"]+)"', svg).group(1)
+    return [tuple(map(float, one.split(","))) for one in points.split()]
+
+
+def test_what_is_felt_as_the_object_is_lies_on_its_curve_in_both_drawings() -> None:
+    law = RenderingLaw(SOFT, ConeDisplay(), DisplayBounds())
+    base_n = 8.0 * np.pi * 6.5**2 / 200
+    assert softness_drawing.shown_n(law) == pytest.approx(base_n)
+    right = softness_drawing.WIDTH - softness_drawing.RIGHT
+    for svg, sample in (
+        (softness_drawing.area_svg(law, [felt(0.0, 2.0)]), 2.0),
+        (softness_drawing.displacement_svg(law, [felt(0.0, 8.0)]), 8.0),
+    ):
+        line = polyline(svg)
+        assert line[-1][0] == pytest.approx(right, abs=0.1)
+        (dot,) = circles(svg)
+        if sample < base_n:
+            expected = line[0][1] + (sample / base_n) * (line[-1][1] - line[0][1])
+            assert dot[1] == pytest.approx(expected, abs=0.2)
+            at_dot = line[0][0] + (sample / base_n) * (line[-1][0] - line[0][0])
+            assert dot[0] == pytest.approx(at_dot, abs=25 * 2.0 + 1)  # its area, 50 of 132.7 mm^2
+        else:
+            assert dot[1] == pytest.approx(line[-1][1], abs=0.1), "held inside the frame"
+
+
+def test_an_air_sample_and_a_cue_that_is_not_rendered_are_no_points() -> None:
+    air = [felt(0.0, 1.0, touched=False)]
+    for mode, draw in (
+        (Mode.CUTANEOUS, softness_drawing.displacement_svg),
+        (Mode.KINESTHETIC, softness_drawing.area_svg),
+    ):
+        law = RenderingLaw(SOFT, mode=mode)
+        svg = draw(law, [felt(0.0, 1.0)])
+        assert circles(svg) == []
+        assert "not rendered in" in svg
+    assert circles(softness_drawing.area_svg(RenderingLaw(SOFT), air)) == []
+
+
+def test_what_cannot_be_rendered_is_said_in_words_from_0_to_the_base() -> None:
+    weak = RenderingLaw(SOFT, bounds=DisplayBounds(pressure_pa=45e3))
+    stiff = SoftObject(
+        "stiff", Characteristic("area", np.array([0.0, 50e-6, 200e-6]), np.array([0.0, 1.0, 14.0])),
+        SOFT.displacement, "made up",
+    )  # fmt: skip
+    words = softness_drawing.envelope_words(RenderingLaw(stiff, bounds=weak.bounds))
+    assert "rendered as it is" in words[0]
+    assert "needs more pressure" in words[-1]
+    assert words[0].startswith("0.0 to ")
+    assert "132.7 mm²" in words[-1]
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("objects")
+    (folder / "line.toml").write_text(LINE.format(name="line"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("OBJECTS", str(folder))
+        served = Served()
+    yield served
+    served.close()
+
+
+def test_the_served_page_begins_with_the_emergency_stop_and_leads_to_the_rig(served) -> None:
+    text = served.ask("GET", "/softness")[2]
+    assert 'id="estop"' in text
+    assert "<title>Softness" in text
+    first = re.search(r"<(button|a|input|select)\b[^>]*>", text).group(0)
+    assert 'id="estop"' in first
+    assert "indentation rig" in text
+
+
+def test_a_rendering_begun_on_the_page_is_seen_after_a_reload_and_ended_by_the_stop(served, tmp_path) -> None:
+    if devtools.chromium() is None:
+        pytest.skip("there is no Chromium to drive")
+    browser = devtools.Browser(tmp_path)
+    try:
+        tab = browser.open(f"http://localhost:{served.port}/softness")
+        tab.wait("!!document.querySelector('#begin')")
+        tab.run("document.querySelector('#begin').click()")
+        tab.wait("document.querySelector('#state').innerText.includes('renders: line')", 20)
+        tab.reload()
+        tab.wait("document.querySelector('#state')?.innerText.includes('renders: line')")
+        tab.wait("document.querySelectorAll('#skin circle').length > 5")
+        tab.run("document.dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape'}))")
+        tab.wait("document.querySelector('#why').innerText.includes('emergency stop')")
+        assert tab.said == []
+    finally:
+        browser.close()
