@@ -18,7 +18,9 @@ def bench_test(
     seed: Annotated[int, Option(help="Of the sensors' noise.")] = 0,
     json_: Json = False,
 ) -> None:
-    """Press a virtual display at several pressures, and compare its force with P = p A(s) + k s.
+    """Press a virtual display at several pressures, as a bench test.
+
+    Its force is compared with P = p A(s) + k s.
 
     A lab's own display takes palpate.softness.display_bench_test.run_bench_test.
 

@@ -160,7 +160,7 @@ def studio(
     objects: Annotated[Path, Option(help="Folder of objects' files, for the page Softness.")] = Path(),
     bench: Annotated[Path | None, Option(help="TOML file of a display and an arm; else virtual.")] = None,
 ) -> None:
-    """Open the operator's pages of the rig and of softness in the browser.
+    """Open the pages of the rig and of softness in the browser.
 
     The page is open to this machine only. The rig itself is held by a process of its own, which is started
     where none runs: closing the page or losing this command moves nothing and loses nothing. Ctrl-C pauses a
