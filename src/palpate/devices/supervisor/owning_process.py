@@ -30,7 +30,7 @@ AGAIN_S = 0.1
 SAID_S = 5.0
 NICENESS = -10
 GIVEN_UP = (
-    "the devices were let go before all of them were open: a stop was asked for, or whoever records left"
+    "the devices were let go before all of them were open: a stop was asked for, or whoever opened them left"
 )
 
 Send = Callable[[Mapping[str, Any]], None]
