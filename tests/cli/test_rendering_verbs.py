@@ -50,6 +50,7 @@ def test_a_rendering_says_how_it_went_and_keeps_its_samples(line: Path, tmp_path
     answer = json.loads(ended.stdout)
     assert answer["simulated"]
     assert not answer["ended_by_fault"]
+    assert answer["ended"] == "its 2.5 s were over"
     assert answer["peak_N"] == pytest.approx(1.0, rel=0.1)
     assert answer["force_area_rms_of_peak"] < 0.06
     assert 1500 < answer["periods"] < 2700

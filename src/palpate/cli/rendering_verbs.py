@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -105,16 +106,17 @@ def _watch(
     take: Callable[[list[LoopSample]], Any],
 ) -> RenderingStatus:
     """Hand on what comes until it ends, by time, by wish or by itself; then end it, and say how it stood."""
-    end_s = time.monotonic() + seconds
+    end_s, over = time.monotonic() + seconds, False
     while session.status().state != "ended" and not ending.wait(
         max(0.0, min(LOOK_S, end_s - time.monotonic()))
     ):
         take(session.taken())
-        if time.monotonic() >= end_s:
+        over = time.monotonic() >= end_s and not ending.is_set()
+        if over:
             break
     status = session.stop()
     take(session.taken())
-    return status
+    return replace(status, why=f"its {seconds:g} s were over") if over and status.wished else status
 
 
 @contextmanager

@@ -181,7 +181,8 @@ def _pair_text(answer: dict[str, Any]) -> str:
     at, equal = answer["force_ratio_at_equal_displacement"], answer["force_ratio_at_equal_area"]
     lines = [
         f"at {answer['force_N']:g} N: displacements {_two(ways, 3)} mm, areas {_two(areas, 2)} mm²",
-        f"force of the other over that of the first: {at:.4f} at equal way, {equal:.4f} at equal area",
+        f"force of the other over that of the first: {at:.4f} at equal displacement, "
+        f"{equal:.4f} at equal area",
         answer["law"],
     ]
     if answer["alike_to"] is not None:
@@ -309,13 +310,13 @@ def envelope(
     mode: Annotated[
         str, Option(help="CM1: both cues. CM3: the skin's alone, the arm takes the way back.")
     ] = "CM1",
-    height_mm: Annotated[float, Option(help="Way of the display's tip [mm].")] = 10.0,
+    height_mm: Annotated[float, Option(help="Stroke of the display's tip, until it is flat [mm].")] = 10.0,
     radius_mm: Annotated[float, Option(help="Radius of its base [mm].")] = 6.5,
     rings: Annotated[int, Option(help="Rings of which it is made; 0 for the ideal cone.")] = 0,
     sleeve_n_mm: Annotated[float, Option(help="Stiffness of the sleeve over the rings [N/mm].")] = 0.0,
     pressure_kpa: Annotated[float, Option(help="Greatest gauge pressure [kPa].")] = 100.0,
     force_n: Annotated[float, Option(help="Greatest force on the finger [N].")] = 10.0,
-    arm_mm: Annotated[float, Option(help="Way of the arm, to either side [mm].")] = 15.0,
+    arm_mm: Annotated[float, Option(help="Travel of the arm, to either side [mm].")] = 15.0,
     figure: Figure = None,
     json_: Json = False,
 ) -> None:
