@@ -181,8 +181,7 @@ def _pair_text(answer: dict[str, Any]) -> str:
     at, equal = answer["force_ratio_at_equal_displacement"], answer["force_ratio_at_equal_area"]
     lines = [
         f"at {answer['force_N']:g} N: displacements {_two(ways, 3)} mm, areas {_two(areas, 2)} mm²",
-        f"force of the other over that of the first: {at:.4f} at equal displacement, "
-        f"{equal:.4f} at equal area",
+        f"force of the other over the first's: {at:.4f} at equal displacement, {equal:.4f} at equal area",
         answer["law"],
     ]
     if answer["alike_to"] is not None:
