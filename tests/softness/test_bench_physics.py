@@ -25,7 +25,7 @@ from palpate.softness.display_parts import (
 )
 from palpate.softness.pressing_finger import FingerPresses
 from palpate.softness.virtual import bench_kernel as k
-from palpate.softness.virtual.rendering_bench import BenchParts, RenderingBench
+from palpate.softness.virtual.rendering_bench import STEP_S, BenchParts, RenderingBench
 
 NOBODY = FingerPresses(0.0, gap_m=5e-3)
 
@@ -162,7 +162,7 @@ def test_the_flow_servo_holds_pressure_where_the_tip_moves_in_by_letting_out_wha
 
 
 def test_the_pid_s_integral_stands_still_while_the_valve_is_wide_open() -> None:
-    servo = PidServo(gain_per_pa=1e-4)
+    servo = PidServo(1e-4, 0.05, 0.0)
     for _ in range(100):
         servo.opening(90e3, 0.0, ChamberState(0.0, 0.0, 0.0), 1e-3)
     assert servo.opening(0.0, 0.0, ChamberState(5e3, 0.0, 0.0), 1e-3) == pytest.approx(-0.5, abs=0.02)
@@ -187,3 +187,20 @@ def test_rings_rise_in_steps_and_keep_the_same_volume_law() -> None:
     fall = -np.gradient(shape.volume_m3(way), way)
     inside = np.abs((way / shape.height_m * 5) % 1 - 0.5) < 0.45
     assert np.allclose(fall[inside], shape.area_m2(way)[inside], rtol=1e-3)
+
+
+def coasting(friction_n: float, mass_kg: float, creep_m_s: float) -> float:
+    """Speed of a body that friction alone slows, after 2 s of the bench's steps [m/s]."""
+    speed = 0.01
+    for _ in range(round(2.0 / STEP_S)):
+        speed -= STEP_S * friction_n / mass_kg * math.tanh(speed / creep_m_s)
+    return abs(speed)
+
+
+@pytest.mark.parametrize("friction_n", [0.005, 0.02, 0.1, 0.5, 5.0])
+def test_friction_brings_a_body_to_rest_however_light_it_is(friction_n: float) -> None:
+    mass_kg = Chamber().tip_kg
+    assert coasting(friction_n, mass_kg, k.creep(friction_n, mass_kg, STEP_S)) < 1e-9
+    if friction_n > 0.05:  # one speed for all would leave it going to and fro
+        assert coasting(friction_n, mass_kg, k.CREEP) > 1e-4
+    assert k.creep(0.02, mass_kg, STEP_S) == k.CREEP

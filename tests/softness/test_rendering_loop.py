@@ -55,9 +55,9 @@ def test_both_cues_are_kept_within_five_and_four_hundredths_of_the_peak(soft, fr
 
 
 def test_a_servo_that_knows_no_gas_keeps_the_area_worse() -> None:
-    """The control: the same valve under a PID of the error alone."""
+    """The control: the same valve under a PID of the error alone, tuned as well as it goes."""
     knows, alone = (pressed(BALL, frequency_hz=3.0, servo=one) for one in (None, PidServo()))
-    assert alone.share(alone.off_area_n()) > 2 * knows.share(knows.off_area_n())
+    assert alone.share(alone.off_area_n()) > 1.5 * knows.share(knows.off_area_n())
 
 
 def _mean_curve(felt: Rendering, x: np.ndarray, grid: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, STYLE, d
 from palpate.reports.study_figures import COLOURS
 from palpate.softness import Mode, Rendered, RenderingLaw, SoftObject
 from palpate.softness.display_bench_test import BenchTest
+from palpate.softness.pressure_response import HALF_POWER, PressureResponse
 from palpate.softness.rendering_law import LIMIT_WORDS
 from palpate.softness.rendering_simulation import Rendering
 
@@ -271,4 +272,29 @@ def _bench_test(test: BenchTest) -> Figure:
         f"bench test: law off by {test.rms_n * 1e3:.2g} mN, {share} (RMS)",
         fontsize=11, fontweight="bold", color=INK,
     )  # fmt: skip
+    return figure
+
+
+def bandwidth_panels(answers: Mapping[str, PressureResponse]) -> str:
+    """Gain and phase of pressures over frequency, as a PNG in a data address."""
+    with mpl.rc_context(STYLE):
+        return drawn(_bandwidths(answers))
+
+
+def _bandwidths(answers: Mapping[str, PressureResponse]) -> Figure:
+    figure = Figure(figsize=(9.6, 3.9), layout="constrained")
+    gain, phase = figure.subplots(1, 2)
+    amplitudes = sorted({one.amplitude_pa for one in answers.values()})
+    servos = list(dict.fromkeys(name.rpartition(",")[0] for name in answers))
+    for name, one in answers.items():
+        color = COLOURS[servos.index(name.rpartition(",")[0])]
+        style = ("--", "-")[one.amplitude_pa == amplitudes[-1]]
+        gain.loglog(one.frequency_hz, one.gain, style, color=color)
+        phase.semilogx(one.frequency_hz, np.degrees(one.phase_rad), style, color=color, label=name)
+    gain.axhline(HALF_POWER, color=INK, lw=0.6)
+    gain.set_ylim(0.1, 4.0)
+    phase.set_ylim(-270.0, 20.0)
+    phase.legend(frameon=False, fontsize=8, loc="lower left")
+    _axes(gain, "frequency [Hz]", "gain", "pressure measured over told; line: -3 dB")
+    _axes(phase, "frequency [Hz]", "phase [degrees]", "")
     return figure

@@ -153,8 +153,8 @@ class FingerMechanics:
 
     Mass, stiffness and damping lie in the ranges that A. Z. Hajian and R. D. Howe measured of the index
     finger (J. Biomech. Eng. 119 (1997) 109, doi:10.1115/1.2796052). The pulp stiffens exponentially, as
-    D. T. V. Pawluk and R. D. Howe found (J. Biomech. Eng. 121 (1999) 605); its two constants here are of that
-    order, and an assumption. Physiological tremor lies at 8 to 12 Hz.
+    D. T. V. Pawluk and R. D. Howe found (J. Biomech. Eng. 121 (1999) 605, doi:10.1115/1.2800860); its two
+    constants here are of that order, and an assumption. Physiological tremor lies at 8 to 12 Hz.
 
     Attributes:
         mass_kg: [kg].

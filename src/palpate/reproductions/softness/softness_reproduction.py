@@ -6,7 +6,7 @@ The experiments with people, Tables 1 and 2 and Figures 10 and 11, are no part o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from palpate.core import Progress, new_folder, silent
 from palpate.mechanics.half_space.hertz_pairs import Body, alike_to_the_arm, alike_to_the_skin
 from palpate.reports.certificate_page import filled_template
 from palpate.reports.softness_figures import (
+    bandwidth_panels,
     bench_test_panels,
     pair_panels,
     specimen_panels,
@@ -35,8 +36,10 @@ from palpate.softness import (
 )
 from palpate.softness.control import FlowServo, PidServo, PressureServo
 from palpate.softness.display_bench_test import BenchTest
+from palpate.softness.display_parts import ProportionalValve
+from palpate.softness.pressure_response import PressureResponse
 from palpate.softness.rendering_simulation import Rendering, simulate
-from palpate.softness.virtual.indentation_bench import virtual_bench_test
+from palpate.softness.virtual.indentation_bench import virtual_bench_test, virtual_pressure_response
 from palpate.version import __version__
 
 SOURCE = "softness-display-2010"
@@ -50,6 +53,7 @@ ASSUMED_KPA = (180.0, 130.0, 100.0, 1 / (0.02 - 1 / 130.0), 1 / (0.02 - 1 / 180.
 SPECIMEN_FINGER_PA = 20e3
 SPECIMEN_N = 0.6
 FREQUENCIES_HZ = (1.0, 3.0, 5.0)
+AMPLITUDES_PA = (2e3, 15e3)
 
 
 def reproduce_softness(out: Path, *, seed: int = 0, progress: Progress = silent) -> list[StudyEntry]:
@@ -71,9 +75,10 @@ def reproduce_softness(out: Path, *, seed: int = 0, progress: Progress = silent)
         stacked = stacked_specimens(progress)
         tracked = tracking(seed, progress)
         bench = virtual_bench_test(seed=seed, progress=progress)
-        entries = [*_pair_entries(pairs), *_specimen_entries(stacked)]
-        entries += [*_bench_entries(bench), *_tracking_entries(tracked)]
-        write_results(folder, entries, _page(pairs, stacked, bench, tracked, entries, seed))
+        answers = pressure_responses(seed, progress)
+        entries = [*_pair_entries(pairs), *_specimen_entries(stacked), *_bench_entries(bench)]
+        entries += [*_response_entries(answers), *_tracking_entries(tracked)]
+        write_results(folder, entries, _page(pairs, stacked, bench, answers, tracked, entries, seed))
     return entries
 
 
@@ -130,13 +135,13 @@ def rendered_objects() -> Mapping[str, tuple[SoftObject, float]]:
 
 
 def tracking(seed: int = 0, progress: Progress = silent) -> Mapping[str, Rendering]:
-    """Presses of each object at each frequency, the ball under a PID too, and the line with another curve."""
+    """Presses of each object at each frequency, the ball by a PID too, and the line with another curve."""
     wanted: dict[str, tuple[SoftObject, float, float, PressureServo]] = {
         f"{name}, {f:g} Hz": (soft, peak, f, FlowServo())
         for name, (soft, peak) in rendered_objects().items() for f in FREQUENCIES_HZ
     }  # fmt: skip
     ball, peak = rendered_objects()["ball"]
-    wanted["ball, 3 Hz, PID"] = (ball, peak, 3.0, PidServo())
+    wanted |= {f"ball, {f:g} Hz, PID": (ball, peak, f, PidServo()) for f in FREQUENCIES_HZ}
     line, peak = rendered_objects()["line"]
     stiffer = replace(line, displacement=replace(line.displacement, x=0.7 * line.displacement.x))
     wanted["line, 1 Hz, stiffer to the arm"] = (stiffer, peak, 1.0, FlowServo())
@@ -144,6 +149,23 @@ def tracking(seed: int = 0, progress: Progress = silent) -> Mapping[str, Renderi
     for i, (name, (soft, peak, f, servo)) in enumerate(wanted.items()):
         progress("presses", i, len(wanted))
         found[name] = simulate(soft, Mode.BOTH, peak_n=peak, frequency_hz=f, seed=seed, servo=servo)
+    return found
+
+
+def pressure_responses(seed: int = 0, progress: Progress = silent) -> Mapping[str, PressureResponse]:
+    """How fast the pressure follows by each servo, to small sines and to large ones."""
+    shut = replace(ProportionalValve(), overlap=ProportionalValve().overlap / 2)
+    servos: dict[str, Callable[[], PressureServo]] = {
+        "model of the flow": FlowServo,
+        "PID": PidServo,
+        "model with half the valve's overlap": lambda: FlowServo(valve=shut),
+    }
+    found = {}
+    for i, (name, servo) in enumerate(servos.items()):
+        progress("responses", i, len(servos))
+        for amplitude_pa in AMPLITUDES_PA:
+            answer = virtual_pressure_response(servo(), amplitude_pa, seed=seed)
+            found[f"{name}, {amplitude_pa / 1e3:g} kPa"] = answer
     return found
 
 
@@ -197,6 +219,12 @@ def _bench_entries(test: BenchTest) -> Iterator[StudyEntry]:
     yield study_entry(SOURCE, "bench test: fitted friction", 1e3 * fit.friction_n, "mN")
 
 
+def _response_entries(answers: Mapping[str, PressureResponse]) -> Iterator[StudyEntry]:
+    for name, answer in answers.items():
+        yield study_entry(SOURCE, f"pressure by {name}: -3 dB at", answer.bandwidth_hz, "Hz")
+        yield study_entry(SOURCE, f"pressure by {name}: greatest gain", answer.peak, "1")
+
+
 def _tracking_entries(tracked: Mapping[str, Rendering]) -> Iterator[StudyEntry]:
     for name, felt in tracked.items():
         for cue, off in (("area", felt.off_area_n()), ("displacement", felt.off_displacement_n())):
@@ -228,6 +256,7 @@ def _page(
     pairs: Sequence[AmbiguousPair],
     stacked: Mapping[str, Sequence[SoftObject]],
     bench: BenchTest,
+    answers: Mapping[str, PressureResponse],
     tracked: Mapping[str, Rendering],
     entries: Sequence[StudyEntry],
     seed: int,
@@ -250,5 +279,6 @@ def _page(
         stacked={kind: specimen_panels(objects) for kind, objects in stacked.items()},
         bench=bench_test_panels(bench),
         bench_off={"mn": 1e3 * bench.rms_n, "percent": 100 * bench.rms_n / bench.peak_n},
+        answers=bandwidth_panels(answers),
         tracked={name: tracking_panels(felt) for name, felt in tracked.items()},
     )

@@ -3,7 +3,9 @@
 Both are called once in each period of the loop with a reference and what the sensors say, and give the
 valve's opening from -1, exhaust, to 1, supply.
 
-`PidServo` is what a report means by a pneumatic servo where it names none: the error of pressure alone.
+`PidServo` is what a report means by a pneumatic servo where it names none: the error of pressure alone. Its
+gains were chosen on the virtual bench among sixty sets, as those that followed presses of a ball and of a
+linear object best without one of them being ended: a comparison with a PID that nobody tuned says nothing.
 `FlowServo` asks which mass flow makes the gas follow, with the push s and its speed as measured,
 
     q = V / (n R T) (p_ref' + k (p_ref - p)) - (p + p0) A s' / (R T),
@@ -66,9 +68,9 @@ class PidServo:
         derivative_s: time of the derivative [s].
     """
 
-    gain_per_pa: float = 4e-6
-    integral_s: float = 0.05
-    derivative_s: float = 0.0
+    gain_per_pa: float = 1.6e-5
+    integral_s: float = 0.01
+    derivative_s: float = 2e-3
     _sum: float = field(default=0.0, init=False)
     _before: float | None = field(default=None, init=False)
 

@@ -8,8 +8,10 @@ import numpy as np
 
 from palpate.core import Float, ManualClock, Progress, ndarray, silent
 from palpate.softness.cone_display import ConeDisplay
+from palpate.softness.control.pressure_servo import PressureServo
 from palpate.softness.display_bench_test import BenchTest, IndentationPlan, run_bench_test
 from palpate.softness.display_parts import ArmMechanics, FingerMechanics
+from palpate.softness.pressure_response import PressureResponse, measure_pressure_response
 from palpate.softness.virtual.rendering_bench import BenchParts, RenderingBench
 
 Times = Float[ndarray, " n"]
@@ -57,3 +59,22 @@ def virtual_bench_test(
         plan or IndentationPlan(), bench.display, probe.move, lambda: bench.truth().force_n, clock, shape,
         progress,
     )  # fmt: skip
+
+
+def virtual_pressure_response(
+    servo: PressureServo, amplitude_pa: float, parts: BenchParts | None = None, *, seed: int = 0
+) -> PressureResponse:
+    """How fast a servo's pressure follows on the virtual bench, tip held half way, at accelerated time.
+
+    Args:
+        servo: of the valve.
+        amplitude_pa: of the sines [Pa].
+        parts: as they truly are; arm and finger give way to a clamp and a probe.
+        seed: of the sensors' noise.
+    """
+    parts = parts or BenchParts()
+    probe, clock = HeldProbe(), ManualClock()
+    probe.move(parts.shape.height_m / 2)
+    clamped = replace(parts, arm=CLAMPED, finger=PROBE, plate=False)
+    bench = RenderingBench(clock, probe, clamped, servo, seed=seed)
+    return measure_pressure_response(bench.display, amplitude_pa, clock)

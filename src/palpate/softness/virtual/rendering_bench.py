@@ -383,5 +383,6 @@ def _figures(parts: BenchParts) -> Any:
         chamber.friction_n, chamber.damping_n_s_m, chamber.tip_kg, arm.mass_kg, arm.friction_n,
         arm.damping_n_s_m, arm.lag_s, arm.reach_m, finger.mass_kg, finger.stiffness_n_m,
         finger.damping_n_s_m, finger.pulp_n, finger.pulp_per_m, finger.pulp_damping_n_s_m,
-        float(parts.plate), 0.0,
+        float(parts.plate), 0.0, k.creep(chamber.friction_n, chamber.tip_kg, STEP_S),
+        k.creep(arm.friction_n, arm.mass_kg, STEP_S),
     )  # fmt: skip
