@@ -58,6 +58,8 @@ def read_object(path: Path) -> SoftObject:
         StorageError: the file cannot be read.
     """
     with storage_errors(path):
+        if not path.exists():
+            raise InputError(f"there is no object's file {path}; {GIVES}")
         if not path.is_file() or path.stat().st_size > MAX_BYTES:
             raise InputError(f"{path} is no object's file: a TOML file of 1 MiB at most is needed; {GIVES}")
         raw = path.read_bytes()

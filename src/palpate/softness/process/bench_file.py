@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 KPA = 1e3
 MAX_FORCE_N = 20.0  # that a file may allow on a finger
-VIRTUAL_LATE_MS = 20.0  # a desktop may be as late as that, and no finger is there
+VIRTUAL_LATE_MS = 100.0  # no finger is there, and a laptop has other things to do
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -171,7 +171,8 @@ class BenchFile(Part):
     def bench_limits(self) -> BenchLimits:
         """Limits of the loop."""
         force = ForceLimits(self.limits.force_N, self.limits.force_rate_N_s, age_s=1e-3 * self.limits.age_ms)
-        return BenchLimits(force, late_s=1e-3 * self.limits.late_ms)
+        late_ms = VIRTUAL_LATE_MS if self.simulated else self.limits.late_ms
+        return BenchLimits(force, late_s=1e-3 * late_ms)
 
 
 def read_bench(path: Path | None) -> BenchFile:
@@ -185,7 +186,7 @@ def read_bench(path: Path | None) -> BenchFile:
         StorageError: it cannot be read.
     """
     if path is None:
-        return BenchFile(limits=BoundsPart(late_ms=VIRTUAL_LATE_MS))
+        return BenchFile()
     if not path.is_file():
         raise InputError(f"there is no bench's file {path}; leave it out for the virtual bench")
     file = validated(BenchFile, path, read_toml(path))

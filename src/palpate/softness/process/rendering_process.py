@@ -55,7 +55,7 @@ def _virtual(
     RenderingLoop(bench.display_if_any, bench.arm, ReferenceTable(law), still).tick()
     still.sleep(1e-3)
     bench.truth()
-    watchdog_s = 1e-3 * file.limits.late_ms + SPARE_S
+    watchdog_s = file.bench_limits().late_s + SPARE_S
     bench, law = virtual_bench(soft, mode, clock, *press, starts_s=BEGINS_S, watchdog_s=watchdog_s)
     opened = OpenedBench(
         bench.display_if_any, bench.arm, law.display, law.bounds, file.cone.damping_N_s_m, simulated=True
