@@ -213,6 +213,15 @@ def test_a_bench_s_file_that_cannot_be_is_refused_by_name(tmp_path: Path, text: 
         read_bench(path)
 
 
+def test_a_bench_without_a_name_has_its_file_s(tmp_path: Path) -> None:
+    path = tmp_path / "left-desk.toml"
+    path.write_text('[arm]\nkind = "tests.softness.own_bench:arm"\n')
+    assert read_bench(path).name == "left-desk"
+    assert not read_bench(path).simulated
+    path.write_text('name = "desk"\n[arm]\nkind = "tests.softness.own_bench:arm"\n')
+    assert read_bench(path).name == "desk"
+
+
 def test_a_mode_that_needs_a_display_is_refused_without_one(tmp_path: Path) -> None:
     path = tmp_path / "bench.toml"
     path.write_text(f'name = "arm alone {tmp_path.name}"\n[arm]\nkind = "tests.softness.own_bench:arm"\n')

@@ -145,7 +145,7 @@ class BenchFile(Part):
     """The whole file.
 
     Attributes:
-        name: of the bench; whoever stops it by name gives this.
+        name: of the bench, by default its file's; whoever stops it by name gives this.
         display, arm: the devices; both are left out of a virtual bench.
         cone: of the display.
         limits: of the rendering.
@@ -189,7 +189,7 @@ def read_bench(path: Path | None) -> BenchFile:
         return BenchFile()
     if not path.is_file():
         raise InputError(f"there is no bench's file {path}; leave it out for the virtual bench")
-    file = validated(BenchFile, path, read_toml(path))
+    file = validated(BenchFile, path, {"name": path.stem} | read_toml(path))
     if file.arm is None:
         raise InputError(f"{path}: [arm] is missing; leave the file out for the virtual bench")
     roles: list[tuple[Role, Any, str]] = [
