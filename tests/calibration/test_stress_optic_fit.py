@@ -8,9 +8,10 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from palpate.calibration.stress_optic_fit import Disc, Strip, fit_stress_optic
+from palpate.calibration.stress_optic_fit import Disc, StatedErrors, Strip, fit_stress_optic
 from palpate.core.errors import ExistsError, ImageError, InputError, LabelError, RangeError, UnitError
 from palpate.estimators.fringe_light import one_line, white_led
+from palpate.estimators.fringe_order import fit_orders
 from palpate.optics import StressOpticLaw, encode_srgb, spectral_to_linear
 
 LOADS_N = np.array([0.0, 40.0, 90.0, 130.0, 150.0, 200.0, 260.0, 300.0, 340.0])
@@ -227,3 +228,43 @@ def test_a_saturated_photograph_between_parallel_polarisers_is_refused(folder, t
     Image.fromarray(np.full((48, 64, 3), 255, np.uint8)).save(tmp_path / "open.png")
     with pytest.raises(ImageError, match="saturated"):
         fit(where, parallel=tmp_path / "open.png")
+
+
+def test_the_interval_is_the_squares_sum_of_scatter_load_section_and_wavelength(folder) -> None:
+    where = folder()
+    sure = fit(where, errors=StatedErrors(0.0, 0.0, 0.0))
+    found = fit(where, errors=StatedErrors(0.02, 0.1e-3, 3e-9))
+    C_found = found.coefficient_per_pa
+    half, alone = ((f.high_per_pa - f.low_per_pa) / 2 for f in (found, sure))
+    shared = 1.96 * C_found * math.sqrt(0.02**2 + (0.1 / 20) ** 2 + (3 / 589.3) ** 2)
+    assert half == pytest.approx(math.hypot(alone, shared), rel=1e-3)
+    assert set(found.half_widths) == {"photographs", "load", "section", "wavelength"}
+    assert C_found == sure.coefficient_per_pa
+
+
+@pytest.mark.parametrize("bad", [(-0.01, 0.0, 0.0), (0.0, math.nan, 0.0), (0.0, 0.0, -1e-9)])
+def test_a_negative_uncertainty_is_refused(bad) -> None:
+    with pytest.raises(RangeError, match="uncertainty of the"):
+        StatedErrors(*bad)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("stated", "covered"), [(True, True), (False, False)], ids=["stated", "left out"])
+def test_intervals_hold_c_when_load_section_and_wavelength_are_off_by_what_is_stated(stated, covered) -> None:
+    # 240 series: 2 % of all loads, 0.2 mm of 20 mm, 4 nm, and 1 % flicker. Chance leaves 95 % of 240 outside
+    # 216 to 238 once in 300 times; without the stated errors the interval is far too narrow.
+    runs, hits, b, wave = 240, 0, 20e-3, 589.3e-9
+    off = StatedErrors(0.02, 0.2e-3, 4e-9) if stated else StatedErrors(0.0, 0.0, 0.0)
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+        load, breadth, line = rng.standard_normal(3) * (0.02, 0.2e-3, 4e-9)
+        truth = 8e-11
+        slope = truth * (1 + load) / ((wave + line) * (b + breadth))
+        order = slope * LOADS_N[:, None] * np.ones(3) + 0.02 * rng.standard_normal()
+        light = 0.7 * SODIUM.light(order) + 0.01
+        light *= 1 + 0.01 * rng.standard_normal((len(LOADS_N), 1, 1))
+        found = fit_orders(LOADS_N, light, SODIUM)
+        shares = off.shares(STRIP, SODIUM).values()
+        half = math.hypot(found.half_width_per_n, *(1.96 * s * found.slope_per_n for s in shares))
+        hits += abs(found.slope_per_n - truth / (wave * b)) < half
+    assert (216 <= hits <= 238) == covered

@@ -220,3 +220,30 @@ def test_lamps_that_are_none_are_refused() -> None:
         one_line(589e-9, 100e-9)
     with pytest.raises(RangeError, match="K"):
         tungsten(300.0)
+
+
+@pytest.mark.parametrize("slope", [0.18, 0.42])
+def test_of_slopes_that_alias_the_lowest_comes_first_and_the_other_is_named(slope) -> None:
+    # Every load a multiple of 1 N: k and 1 - k give the same light at each, and 0.5 N tells them apart.
+    light, load = one_line(589e-9), np.arange(0.0, 8.0)
+    for seed in range(5):
+        found = fit_orders(load, made(light, load, slope, jitter=0.01, seed=seed), light, greatest_order=7.0)
+        assert found.slope_per_n == pytest.approx(slope, abs=found.half_width_per_n)
+        assert found.ambiguous
+        alias = min(found.rivals, key=lambda r: abs(r.slope_per_n - (1 - slope)))
+        assert alias.slope_per_n == pytest.approx(1 - slope, abs=0.02)
+        assert "multiples of 1 N" in alias.why
+        assert "add up to a whole order" in alias.why
+        at = alias.deciding_load_n
+        told = light.light(np.array([slope * at, (1 - slope) * at]))[:, 0]
+        assert abs(told[0] - told[1]) > 0.5
+
+
+def test_the_deciding_load_decides() -> None:
+    light, load = one_line(589e-9), np.arange(0.0, 8.0)
+    alias = fit_orders(load, made(light, load, 0.18, jitter=0.005), light, greatest_order=7.0).rivals[0]
+    more = np.append(load, alias.deciding_load_n)
+    for truth in (0.18, 0.82):
+        found = fit_orders(more, made(light, more, truth, jitter=0.005), light, greatest_order=7.0)
+        assert found.slope_per_n == pytest.approx(truth, abs=0.01)
+        assert not found.ambiguous

@@ -82,16 +82,58 @@ def _positive(name: str, value: float) -> None:
         raise RangeError(f"{name} is {value} m; give a positive number of m")
 
 
+@dataclass(frozen=True, slots=True)
+class StatedErrors:
+    """Standard uncertainties that all photographs share, and that their scatter cannot show.
+
+    Attributes:
+        load: of all loads together, as a share of the load; 0.01 is a shop scale's or a lever's.
+        breadth_m: of the strip's width or the disc's diameter [m]; 0.05 mm is a caliper's on a soft edge.
+        wavelength_m: of l0 [m]; by default 1 nm for a line, and 10 nm for an assumed white lamp.
+    """
+
+    load: float = 0.01
+    breadth_m: float = 50e-6
+    wavelength_m: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value, unit in (
+            ("loads, a share of the load", self.load, ""),
+            ("breadth", self.breadth_m, " m"),
+            ("wavelength", self.wavelength_m or 0.0, " m"),
+        ):
+            if not (value >= 0.0 and math.isfinite(value)):
+                raise RangeError(f"uncertainty of the {name} is {value}{unit}; give 0 or more")
+
+    def shares(self, specimen: Strip | Disc, polariscope: Polariscope) -> dict[str, float]:
+        """Each as a share of C, one standard deviation."""
+        size = specimen.width_m if isinstance(specimen, Strip) else specimen.diameter_m
+        assumed = ASSUMED_LAMP_M if "white" in polariscope.lamp or "tungsten" in polariscope.lamp else LINE_M
+        wavelength = assumed if self.wavelength_m is None else self.wavelength_m
+        return {
+            "load": self.load,
+            "section": self.breadth_m / size,
+            "wavelength": wavelength / polariscope.wavelength_m,
+        }
+
+
+LINE_M, ASSUMED_LAMP_M = 1e-9, 10e-9  # a filter's centre as sold; white lamps err by 1 to 4 % of C
+NORMAL_95 = 1.959964
 SCALE_STEPS = 401
 UNEVEN = 0.05  # spread of k between patches from which it is remarked
 
 
 @dataclass(frozen=True, slots=True)
 class CoefficientCandidate:
-    """Another C that the photographs allow [1/Pa], and its likelihood over that of the best one."""
+    """Another C that the photographs allow [1/Pa], and its likelihood over that of the one given.
+
+    `deciding_load_n` is the load at which the two look most unlike [N]; `why` says what makes them alike.
+    """
 
     coefficient_per_pa: float
     likelihood: float
+    deciding_load_n: float
+    why: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +143,8 @@ class FringeFit:
     Attributes:
         coefficient_per_pa: C [1/Pa].
         low_per_pa, high_per_pa: its 95 % interval [1/Pa].
+        half_widths: what makes up the interval, each a half-width of 95 % [1/Pa]: photographs, load, section
+            and wavelength; added in squares.
         ambiguous: another C fits nearly as well; see `rivals`.
         rivals: the other slopes' C, likeliest first; a likelihood above 0.05 makes the fit ambiguous.
         wavelength_m: at which C holds and orders are counted [m].
@@ -130,6 +174,7 @@ class FringeFit:
     coefficient_per_pa: float
     low_per_pa: float
     high_per_pa: float
+    half_widths: dict[str, float]
     ambiguous: bool
     rivals: tuple[CoefficientCandidate, ...]
     wavelength_m: float
@@ -168,6 +213,9 @@ class FringeFit:
         return {name: value for name, value in record.items() if not name.startswith("scale_")}
 
 
+DEFAULT_ERRORS = StatedErrors()
+
+
 def fit_stress_optic(
     folder: Path,
     labels: Path,
@@ -181,6 +229,7 @@ def fit_stress_optic(
     tone: Tone = "srgb",
     greatest_order: float = 6.0,
     residual_order: float = 0.05,
+    errors: StatedErrors = DEFAULT_ERRORS,
     progress: Progress = silent,
 ) -> FringeFit:
     """C of a specimen from photographs at known loads.
@@ -198,11 +247,12 @@ def fit_stress_optic(
         tone: "srgb" undoes the curve of 8-bit colour, "linear" takes the numbers as light.
         greatest_order: at the greatest load; where the search ends.
         residual_order: one standard deviation of the order that may be there without load.
+        errors: standard uncertainties of loads, section and wavelength.
         progress: called with what is done, how much of it, of how many.
 
     Returns:
-        C with its 95 % interval. The interval holds the scatter of the photographs, the residual order and
-        the unevenness of the region; not an error of the wavelength, the section or of all loads together.
+        C with its 95 % interval. The interval holds the scatter of the photographs, the residual order, the
+        unevenness of the region, and the stated errors of loads, section and wavelength.
 
     Raises:
         LabelError: the table does not fit, or a load is no number.
@@ -235,7 +285,9 @@ def fit_stress_optic(
     }
     scale = np.linspace(0.0, max(orders.order.max(), orders.own_order.max()), SCALE_STEPS)
     return FringeFit(
-        **_coefficients(orders, polariscope.wavelength_m * specimen.breadth_m),
+        **_coefficients(
+            orders, polariscope.wavelength_m * specimen.breadth_m, errors.shares(specimen, polariscope)
+        ),
         wavelength_m=polariscope.wavelength_m,
         lamp=polariscope.lamp,
         specimen=str(specimen),
@@ -262,16 +314,22 @@ def fit_stress_optic(
     )
 
 
-def _coefficients(orders: OrderFit, per_slope: float) -> dict[str, Any]:
+def _coefficients(orders: OrderFit, per_slope: float, shares: dict[str, float]) -> dict[str, Any]:
     """C with its interval, and its rivals: slopes [1/N] times l0 b [m^2]."""
-    C, half = orders.slope_per_n * per_slope, orders.half_width_per_n * per_slope
-    rivals = tuple(CoefficientCandidate(r.slope_per_n * per_slope, r.likelihood) for r in orders.rivals)
+    C = orders.slope_per_n * per_slope
+    halves = {"photographs": orders.half_width_per_n * per_slope}
+    halves |= {name: NORMAL_95 * share * C for name, share in shares.items()}
+    half = math.hypot(*halves.values())
     return {
         "coefficient_per_pa": C,
         "low_per_pa": C - half,
         "high_per_pa": C + half,
+        "half_widths": halves,
         "ambiguous": orders.ambiguous,
-        "rivals": rivals,
+        "rivals": tuple(
+            CoefficientCandidate(r.slope_per_n * per_slope, r.likelihood, r.deciding_load_n, r.why)
+            for r in orders.rivals
+        ),
     }
 
 
@@ -281,7 +339,8 @@ def _remarks(
     remarks = [*series.remarks]
     if "assumed" in polariscope.lamp:
         remarks.append(
-            f"the light ({polariscope.lamp}) was not measured; the interval does not hold its error"
+            f"the light ({polariscope.lamp}) was not measured; the interval holds the stated error of its "
+            "wavelength, not another lamp"
         )
     if series.load_n.min() > 0:
         remarks.append(f"no photograph without load: N0 is taken as 0 ± {residual_order:g} before the fit")
@@ -292,9 +351,11 @@ def _remarks(
     if not _monotone(series.load_n, orders.own_order):
         remarks.append("the orders that single photographs show do not all rise with load")
     if orders.ambiguous:
+        rival = orders.rivals[0]
         remarks.append(
-            "ambiguous: another C fits nearly as well; count the dark fringes to say how many orders the "
-            "greatest load can turn, or add photographs at loads in between"
+            f"ambiguous: another C, {rival.slope_per_n / orders.slope_per_n:.3g} times this one, fits nearly "
+            f"as well ({rival.why}); a photograph at {rival.deciding_load_n:.4g} N would decide, or count "
+            "the dark fringes to say how many orders the greatest load can turn; the lowest was given"
         )
     return tuple(remarks)
 

@@ -76,6 +76,14 @@ def fit_c(
     residual_order: Annotated[
         float, Option(help="Order that may be there without load, one standard deviation.")
     ] = 0.05,
+    load_error_percent: Annotated[
+        float, Option(help="Standard uncertainty of all loads together [%].")
+    ] = 1.0,
+    breadth_error_mm: Annotated[float, Option(help="Standard uncertainty of width or diameter [mm].")] = 0.05,
+    wavelength_error_nm: Annotated[
+        float | None,
+        Option(help="Standard uncertainty of the wavelength [nm]; 1, or 10 if white."),
+    ] = None,
     tone: Annotated[str, Option(help="srgb, or linear where the numbers are light.")] = "srgb",
     out: Annotated[Path | None, Option(help="PNG of the fit to make; must not exist.")] = None,
     json_: Json = False,
@@ -87,7 +95,7 @@ def fit_c(
 
     Example: palpate optics fit-c photos --labels labels.csv --roi-px 200,300,240,120 --strip-mm 20x6
     """
-    from palpate.calibration.stress_optic_fit import fit_stress_optic
+    from palpate.calibration.stress_optic_fit import StatedErrors, fit_stress_optic
     from palpate.core.files import refuse_existing
 
     if out is not None:
@@ -112,6 +120,11 @@ def fit_c(
             tone=cast("Literal['srgb', 'linear']", tone),
             greatest_order=max_order,
             residual_order=residual_order,
+            errors=StatedErrors(
+                load_error_percent / 100,
+                breadth_error_mm * 1e-3,
+                None if wavelength_error_nm is None else wavelength_error_nm * 1e-9,
+            ),
             progress=progress,
         )
     if out is not None:
@@ -151,11 +164,14 @@ def _text(fit: FringeFit) -> str:
     C, half = fit.coefficient_per_pa, (fit.high_per_pa - fit.low_per_pa) / 2
     lines = [
         f"C = {C:.4g} 1/Pa ± {half:.2g} 1/Pa (95 %) at {fit.wavelength_m * 1e9:g} nm",
+        "of it " + ", ".join(f"{name} {part:.2g}" for name, part in fit.half_widths.items()),
         f"{fit.orders_per_n:.4g} orders per N; residual order {fit.residual_order:.3f}",
         f"R2 of order against load {fit.r_squared:.3f}; residual brightness {fit.rms:.1%} of its range",
     ]
     lines += [
-        f"also allowed: C = {r.coefficient_per_pa:.3g} 1/Pa, likelihood {r.likelihood:.2g} of the first"
+        f"also allowed: C = {r.coefficient_per_pa:.3g} 1/Pa, likelihood {r.likelihood:.2g} of the first: "
+        f"{r.why}; "
+        f"a photograph at {r.deciding_load_n:.4g} N would decide"
         for r in fit.rivals
         if r.likelihood > RIVAL
     ]

@@ -8,7 +8,8 @@ with the gain a and the leak b of every patch and channel unknown. The misfit ha
 turns the same brightnesses by some whole fringe more or less, so no descent from one start finds the right
 one: all are tried on a grid, where gain and leak are in closed form, and the best few are refined by robust
 least squares, soft L1, patch by patch, since stress may differ between patches. What comes back is the
-patches' mean of k.
+patches' mean of k. Evenly spaced loads make some slopes alias exactly; of those that tie the lowest is given,
+each of the others is named with why it fits and which load would decide.
 
 A photograph's errors (lamp, exposure, load) are shared by all its patches, so the photographs are what is
 counted: the interval is Student's, with 4 unknowns, from the scatter of whole photographs about the fit, and
@@ -30,8 +31,14 @@ from palpate.estimators.fringe_light import Polariscope
 
 MIN_PHOTOGRAPHS = 5  # one more than the unknowns k, N0, a and b
 MIN_LOADS = 4
+TIE = 0.5  # share of the best fit's likelihood from which a slope ties with it; the lowest comes first
+
 RIVAL = 0.05  # share of the best fit's likelihood from which another slope is called as good
 _DULL = 0.1  # a channel that changes less than this share of the liveliest one is left out
+NO_NOISE = 1e-8  # mean squared misfit that no photograph is better than; less does not tell two slopes apart
+DECIDING_LOADS = 201
+EVEN = 0.02  # of a step, by which evenly spaced loads may be off
+WHOLE = 0.1  # of an order, by which two slopes that alias may be off a whole one
 UNKNOWNS = 4  # k, N0, a and b
 MIN_ORDER = 0.1  # at the greatest load; where the scan begins if the gain is not known
 MIN_WITH_GAIN = 0.02
@@ -316,11 +323,16 @@ class OrderCandidate:
 
     Attributes:
         slope_per_n: k [1/N].
-        likelihood: of the photographs under it, over that under the best slope; 0 to 1.
+        likelihood: of the photographs under it, over that under the slope given; may exceed 1, up to 1 / TIE,
+            where the lower of two that tie was given.
+        deciding_load_n: where the two slopes' lights differ most, up to the greatest load [N].
+        why: what makes the two look alike, in words.
     """
 
     slope_per_n: float
     likelihood: float
+    deciding_load_n: float
+    why: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,7 +352,7 @@ class OrderFit:
         leak: b likewise; the mean light where a channel is not used.
         rms: of the residuals, as a share of each patch's range of brightness.
         spread: standard deviation of k between patches, as a share of k.
-        rivals: other slopes, best first; those with a likelihood above 0.05 make the fit ambiguous.
+        rivals: other slopes, likeliest first; those with a likelihood above 0.05 make the fit ambiguous.
     """
 
     slope_per_n: float
@@ -396,14 +408,15 @@ def fit_orders(
     _check(load_n, light, polariscope, greatest_order, residual_order)
     traces = Traces.of(load_n, light, clipped, open_light, polariscope, residual_order)
     fits = refined(traces, candidates(traces, greatest_order))
-    best = fits[0]
+    best = _lowest_of_ties(fits)
     half = best.half_width()
     if not half < best.slope:
         raise RangeError(
             f"the photographs do not tell the orders per newton: {best.slope:.3g} ± {half:.2g} 1/N reaches "
             "zero; load more, take more photographs, or move the region to where the stress is uniform"
         )
-    rivals = [_rival(fit, best) for fit in fits[1:] if fit.whole and abs(fit.slope - best.slope) > half]
+    others = [fit for fit in fits if fit is not best and fit.whole]
+    rivals = [_rival(fit, best) for fit in others if abs(fit.slope - best.slope) > half]
     return _summary(light, traces, best, sorted(rivals, key=lambda rival: -rival.likelihood))
 
 
@@ -439,6 +452,12 @@ def check_loads(load_n: Float[ndarray, " n"]) -> None:
     if not (np.isfinite(load_n).all() and (load_n >= 0).all()):
         raise RangeError("a load is negative or no number; give loads of 0 N or more")
     photographs, loads = len(load_n), len(np.unique(load_n))
+    if loads == 1:
+        raise InputError(
+            f"{photographs} photograph(s) at 1 load ({load_n[0]:.4g} N) cannot tell C: any number of whole "
+            f"orders more gives the same light; take {MIN_PHOTOGRAPHS} or more at {MIN_LOADS} or more "
+            "different loads, unevenly spaced"
+        )
     if photographs < MIN_PHOTOGRAPHS or loads < MIN_LOADS:
         raise InputError(
             f"{photographs} photograph(s) at {loads} load(s) cannot tell slope, residual order, gain and "
@@ -446,10 +465,38 @@ def check_loads(load_n: Float[ndarray, " n"]) -> None:
         )
 
 
+def _likelihood(fit: Fit, other: Fit) -> float:
+    """Likelihood of one fit over another; with unknown noise, the sums of squares to -freedom / 2."""
+    ratio = max(other.cost, NO_NOISE) / max(fit.cost, NO_NOISE)
+    return float(ratio ** (fit.freedom() / 2))
+
+
+def _lowest_of_ties(fits: list[Fit]) -> Fit:
+    """The lowest slope of those that fit about as well as the best: light alone cannot tell them."""
+    tied = [fit for fit in fits if fit is fits[0] or (fit.whole and _likelihood(fit, fits[0]) >= TIE)]
+    return min(tied, key=lambda fit: fit.slope)
+
+
 def _rival(fit: Fit, best: Fit) -> OrderCandidate:
-    # With an unknown noise the likelihood goes as the sum of squares to the power -freedom / 2.
-    ratio = max(best.cost, 1e-12) / max(fit.cost, 1e-12)
-    return OrderCandidate(fit.slope, float(min(ratio ** (fit.freedom() / 2), 1.0)))
+    loads = best.traces.load_n
+    load = np.linspace(0.0, loads.max(), DECIDING_LOADS)
+    two = [best.traces.polariscope.light(one.slope * load + one.offset) for one in (best, fit)]
+    used = list(best.traces.channels)
+    decides = load[np.abs(two[0] - two[1])[:, used].sum(axis=1).argmax()]
+    likelihood = min(_likelihood(fit, best), 1 / TIE)
+    return OrderCandidate(fit.slope, likelihood, float(decides), _why_alike(best.slope, fit.slope, loads))
+
+
+def _why_alike(one: float, other: float, load_n: ndarray) -> str:
+    """Why two slopes give the same light at these loads."""
+    step = np.diff(np.unique(load_n)).min()
+    even = np.allclose(load_n / step, np.rint(load_n / step), atol=EVEN)
+    for apart, words in ((other + one, "add up to"), (abs(other - one), "differ by")):
+        whole = round(apart * step)
+        if even and whole and abs(apart * step - whole) < WHOLE:
+            orders = "a whole order" if whole == 1 else f"{whole} whole orders"
+            return f"all loads are multiples of {step:.4g} N, at which the two slopes {words} {orders}"
+    return "at the loads taken, the two slopes give nearly the same light"
 
 
 def _lively(light: ndarray) -> list[int]:
